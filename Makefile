@@ -1,0 +1,41 @@
+# Everything runs in a virtual environment of its own, .venv, made on first use.
+PYTHON ?= python3.11
+BIN := .venv/bin
+REPORT ?= demo-report
+
+.PHONY: demo test check bench clean
+
+## The map repairing itself on a real robot's recording, in real processes at 10 times real time.
+demo: .venv/ready
+	$(BIN)/cairn up deploy/replay_mrclam.yaml --overlay deploy/demo.yaml --report $(REPORT)
+	@echo "pictures: $(REPORT)/map.png and $(REPORT)/reliability.png"
+
+## All tests.
+test: .venv/ready
+	$(BIN)/pytest -n 2 --dist worksteal
+
+## Style, types, import contracts, and all tests.
+check: .venv/ready
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+	$(MAKE) test
+
+## What is measured, against what.
+bench: .venv/bench
+	$(BIN)/python -m benchmarks
+
+.venv/ready: pyproject.toml
+	$(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --upgrade "pip>=25.1"
+	$(BIN)/python -m pip install --quiet --editable . --group dev --group interop
+	$(BIN)/python -m pip install --quiet --editable tests/plugin_package
+	@touch $@
+
+.venv/bench: .venv/ready
+	$(BIN)/python -m pip install --quiet --group bench
+	@touch $@
+
+clean:
+	rm -rf .venv build *.egg-info $(REPORT)

@@ -1,0 +1,211 @@
+"""Runs localizer and map builder over an MRCLAM recording without the middleware."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from components.localizer.localization import Localization, Settings
+from components.localizer.object_likelihood import Landmark, Sighting
+from components.map_builder.objects import Change, Evidence, MapObject, Place, State, Verdict
+from components.map_builder.visual_map import VisualMap
+from components.mrclam.dataset import Dataset
+from components.mrclam.noise import range_bearing_variance
+
+
+@dataclass(frozen=True)
+class Recording:
+    """One robot's records; times [s] from the first odometry record."""
+
+    odometry: NDArray[np.float64]
+    frames: list[tuple[float, list[Sighting]]]
+    truth: NDArray[np.float64]
+    places: dict[int, tuple[float, float]]
+
+
+@dataclass
+class Outcome:
+    """What a run gave: poses (n, 4) of time, x, y, heading; the map; changes with their times."""
+
+    poses: NDArray[np.float64]
+    objects: dict[int, MapObject]
+    changes: list[tuple[float, Change]] = field(default_factory=list)
+    located_at: float = math.nan
+    relocalised: int = 0
+
+
+def load(dataset: Dataset, robot: int) -> Recording:
+    subjects = dataset.subjects()
+    odometry = dataset.odometry(robot)
+    origin = odometry[0, 0]
+    seen = dataset.sightings(robot)
+    frames: list[tuple[float, list[Sighting]]] = []
+    for t, code, reach, bearing in zip(
+        seen.time - origin, seen.barcode, seen.range_m, seen.bearing, strict=True
+    ):
+        subject = subjects.get(int(code), 0)
+        if subject < 6:
+            continue
+        sighting = Sighting(subject, float(reach), float(bearing), *range_bearing_variance(reach))
+        if frames and frames[-1][0] == t:
+            frames[-1][1].append(sighting)
+        else:
+            frames.append((float(t), [sighting]))
+    truth = dataset.truth(robot)
+    shift = np.array([origin, 0.0, 0.0, 0.0])
+    places = {s.subject: (s.x, s.y) for s in dataset.landmarks()}
+    return Recording(odometry - shift[:3], frames, truth - shift, places)
+
+
+def landmarks_of(visual_map: VisualMap) -> list[Landmark]:
+    return [
+        Landmark(
+            o.object_id,
+            o.place.x,
+            o.place.y,
+            o.place.xx,
+            o.place.xy,
+            o.place.yy,
+            o.reliability,
+            o.state is State.LIVE,
+        )
+        for o in visual_map.objects.values()
+        if o.place is not None
+    ]
+
+
+def true_pose(recording: Recording, t: float) -> tuple[float, float, float]:
+    truth = recording.truth
+    heading = np.interp(t, truth[:, 0], np.unwrap(truth[:, 3]))
+    return (
+        float(np.interp(t, truth[:, 0], truth[:, 1])),
+        float(np.interp(t, truth[:, 0], truth[:, 2])),
+        float(heading),
+    )
+
+
+def run(
+    recording: Recording,
+    objects: list[MapObject],
+    settings: Settings,
+    seed: int,
+    start: tuple[float, float, float] | None,
+    update_map: bool = True,
+    begin: float = 0.0,
+) -> Outcome:
+    localization = Localization(settings, np.random.default_rng(seed))
+    visual_map = VisualMap(objects)
+    localization.use_map(landmarks_of(visual_map))
+    if start is not None:
+        localization.locate(start, np.diag([0.05**2, 0.05**2, 0.03**2]))
+    outcome = Outcome(np.empty((0, 4)), visual_map.objects)
+    poses: list[tuple[float, float, float, float]] = []
+    frames = [f for f in recording.frames if f[0] >= begin]
+    ticks = np.arange(begin + 0.5, recording.odometry[-1, 0], 0.5)
+    events: list[tuple[float, list[Sighting] | None]] = [
+        *frames,
+        *((float(t), None) for t in ticks),
+    ]
+    events.sort(key=lambda event: event[0])
+    rows = recording.odometry[recording.odometry[:, 0] >= begin]
+    k, count = 0, len(rows)
+    times, forward, turn = rows[:, 0].tolist(), rows[:, 1].tolist(), rows[:, 2].tolist()
+    for t, sightings in events:
+        while k < count and times[k] <= t:
+            localization.command(times[k], forward[k], turn[k])
+            k += 1
+        if sightings is None:
+            localization.advance(t)
+        else:
+            frame = localization.sight(t, sightings)
+            if frame is not None and update_map:
+                _update(t, localization, visual_map, frame, outcome)
+        if localization.located:
+            if math.isnan(outcome.located_at):
+                outcome.located_at = t
+            poses.append((t, *localization.pose().mean))
+    outcome.poses = np.array(poses)
+    return outcome
+
+
+def _update(t, localization, visual_map, frame, outcome) -> None:
+    robot = frame.before.mean
+    evidence = [
+        Evidence(
+            j.sighting.object_id,
+            j.similarity,
+            Verdict(int(j.verdict)),
+            j.distance,
+            Place(
+                j.x,
+                j.y,
+                float(j.covariance[0, 0]),
+                float(j.covariance[0, 1]),
+                float(j.covariance[1, 1]),
+            ),
+            robot,
+            frame.healthy,
+        )
+        for j in frame.judgements
+    ]
+    changes = list(visual_map.apply(evidence).changes)
+    if frame.relocalised:
+        outcome.relocalised += 1
+        changes += visual_map.take_back()[1]
+    outcome.changes += [(t, c) for c in changes]
+    localization.use_map(landmarks_of(visual_map))
+
+
+def errors(outcome: Outcome, recording: Recording, step: float = 0.1) -> NDArray[np.float64]:
+    """Position errors [m] (n, 2: time, error) from the first pose on."""
+    poses = outcome.poses
+    grid = np.arange(poses[0, 0], min(poses[-1, 0], recording.truth[-1, 0]), step)
+    truth = recording.truth
+    dx = np.interp(grid, poses[:, 0], poses[:, 1]) - np.interp(grid, truth[:, 0], truth[:, 1])
+    dy = np.interp(grid, poses[:, 0], poses[:, 2]) - np.interp(grid, truth[:, 0], truth[:, 2])
+    return np.stack([grid, np.hypot(dx, dy)], axis=1)
+
+
+def stressed(recording: Recording, random: np.random.Generator) -> Recording:
+    """The recording as another robot in another hall might have made it.
+
+    Perhaps mirrored; another base (commands scaled by up to 7 %), camera (range scaled by up to
+    4 %, bearing off by 0.7 degrees), up to 2 % gross errors (half of them misread barcodes that
+    last a while), fewer frames, and one blind stretch of 60 to 200 s.
+    """
+    odometry = recording.odometry * np.array(
+        [1.0, random.uniform(0.93, 1.07), random.uniform(0.93, 1.07)]
+    )
+    truth = recording.truth.copy()
+    places = dict(recording.places)
+    side = 1.0 if random.random() < 0.5 else -1.0
+    odometry[:, 2] *= side
+    truth[:, 2] *= side
+    truth[:, 3] *= side
+    places = {i: (x, side * y) for i, (x, y) in places.items()}
+    scale, offset = random.uniform(0.96, 1.04), random.normal(0.0, math.radians(0.7))
+    gross, kept = random.uniform(0.0, 0.02), random.uniform(0.3, 1.0)
+    end = float(odometry[-1, 0])
+    blind_from = random.uniform(60.0, end - 200.0)
+    blind_to = blind_from + random.uniform(60.0, 200.0)
+    frames = []
+    misread: tuple[float, int, int] = (-1.0, 0, 0)  # until, barcode, taken for
+    ids = sorted(places)
+    for t, sightings in recording.frames:
+        if blind_from < t < blind_to or random.random() > kept:
+            continue
+        seen = []
+        for s in sightings:
+            object_id, reach, bearing = s.object_id, s.range_m * scale, side * s.bearing + offset
+            if random.random() < gross / 4:
+                misread = (t + 2.0, object_id, int(random.choice(ids)))
+            if t < misread[0] and object_id == misread[1]:
+                object_id = misread[2]
+            if random.random() < gross / 2:
+                reach, bearing = random.uniform(0.5, 6.0), random.uniform(-0.5, 0.5)
+            seen.append(Sighting(object_id, reach, bearing, *range_bearing_variance(reach)))
+        frames.append((t, seen))
+    return Recording(odometry, frames, truth, places)

@@ -1,0 +1,1 @@
+"""Component-based robot middleware over Zenoh: knows robots, knows nothing of navigation."""

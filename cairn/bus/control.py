@@ -1,0 +1,157 @@
+"""Control requests to components (life cycle, parameters, loading), beside the data plane.
+
+A request is JSON on a queryable of the component. Zenoh ends a query that nobody answers with
+silence, whether the component is missing, dies, or hangs; here each of these is an error.
+"""
+
+import threading
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import zenoh
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from cairn.errors import CairnError
+
+
+class ControlError(CairnError):
+    """A request was refused, or there was no answer."""
+
+
+class ControlRequest(BaseModel):
+    """What is asked of a component."""
+
+    model_config = ConfigDict(extra="forbid")
+    verb: str = Field(max_length=100)
+    arguments: dict[str, Any] = Field(default_factory=dict)
+
+
+class ControlReply(BaseModel):
+    """What it answers: a value, or why not."""
+
+    model_config = ConfigDict(extra="forbid")
+    error: str | None = None
+    value: Any = None
+
+
+def request(
+    session: zenoh.Session,
+    domain: int,
+    component: str,
+    verb: str,
+    arguments: Mapping[str, Any] | None = None,
+    *,
+    timeout_s: float,
+) -> Any:
+    """Ask the component with that full name (`/robot/localizer`) and return its answer.
+
+    Raises `ControlError` with the component's own
+    words if it refuses, or naming component, request and limit if no answer comes.
+    """
+    key = _key(domain, component)
+    asked = ControlRequest(verb=verb, arguments=dict(arguments or {}))
+    replies = session.get(
+        key,
+        payload=asked.model_dump_json(),
+        timeout=timeout_s,
+        priority=zenoh.Priority.REAL_TIME,
+        congestion_control=zenoh.CongestionControl.BLOCK,
+    )
+    for reply in replies:
+        if reply.ok is not None:
+            answer = ControlReply.model_validate_json(reply.ok.payload.to_bytes())
+            if answer.error is not None:
+                raise ControlError(answer.error)
+            return answer.value
+    raise ControlError(
+        f"{component} gave no answer to {verb} within {timeout_s:g} s: it is not running, has just "
+        "ended, or hangs; `cairn ps` shows which"
+    )
+
+
+class Arrival:
+    """Waits for a component to be there to be asked; use it as a context manager."""
+
+    def __init__(self, session: zenoh.Session, domain: int, component: str) -> None:
+        """`component` is its full name (`/robot/localizer`)."""
+        self._changed = threading.Event()
+        self._querier = session.declare_querier(_key(domain, component))
+        self._listener = self._querier.declare_matching_listener(
+            zenoh.handlers.Callback(
+                lambda status: self._changed.set() if status.matching else None, indirect=False
+            )
+        )
+
+    def __enter__(self) -> "Arrival":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._listener.undeclare()
+        self._querier.undeclare()
+
+    def wait(self, timeout_s: float) -> bool:
+        """Whether the component is there, at the latest after the limit or `give_up`."""
+        if not self._querier.matching_status.matching:
+            self._changed.wait(timeout_s)
+        return bool(self._querier.matching_status.matching)
+
+    def give_up(self) -> None:
+        """End the wait: it will not come. From any thread."""
+        self._changed.set()
+
+
+class ControlServer:
+    """Receives the requests to one component and has them answered on its thread."""
+
+    def __init__(
+        self,
+        session: zenoh.Session,
+        domain: int,
+        component: str,
+        post: Callable[[Callable[[], None]], None],
+        answer: Callable[[str, Mapping[str, Any]], Any],
+    ) -> None:
+        """`answer(verb, arguments)` is called through `post`; a `CairnError` refuses."""
+        self._key = _key(domain, component)
+        self._post = post
+        self._answer = answer
+        self._queryable: zenoh.Queryable[Any] = session.declare_queryable(
+            self._key, zenoh.handlers.RingChannel(64)
+        )
+        self._thread = threading.Thread(target=self._serve, name="cairn control", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Answer no more."""
+        self._queryable.undeclare()
+        self._thread.join(timeout=2.0)
+
+    def _serve(self) -> None:
+        channel = self._queryable.handler
+        while True:
+            try:
+                query = channel.recv()
+            except zenoh.ZError:  # the queryable was undeclared
+                return
+            payload = query.payload.to_bytes() if query.payload is not None else b""
+            try:
+                asked = ControlRequest.model_validate_json(payload)
+            except ValidationError as error:
+                self._reply(query, ControlReply(error=f"not a control request: {error}"))
+                continue
+            self._post(lambda query=query, asked=asked: self._handle(query, asked))
+
+    def _handle(self, query: zenoh.Query, asked: ControlRequest) -> None:
+        try:
+            reply = ControlReply(value=self._answer(asked.verb, asked.arguments))
+        except CairnError as error:
+            reply = ControlReply(error=str(error))
+        self._reply(query, reply)
+
+    def _reply(self, query: zenoh.Query, reply: ControlReply) -> None:
+        with query:
+            query.reply(self._key, reply.model_dump_json())
+
+
+def _key(domain: int, component: str) -> str:
+    return f"@cairn/{domain}/component{component}"

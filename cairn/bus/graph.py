@@ -1,0 +1,82 @@
+"""Who is on the bus and who reads and writes what, from the liveliness tokens alone."""
+
+import threading
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import zenoh
+
+from cairn.bus import rmw
+
+_WAITING = 10_000
+
+
+def read_graph(
+    session: zenoh.Session, domain: int, timeout_s: float = 2.0
+) -> list[rmw.NodeEntity | rmw.EndpointEntity]:
+    """All nodes and endpoints alive in a domain, sorted by their tokens."""
+    replies = session.liveliness().get(f"{rmw.TOKENS}/{domain}/**", timeout=timeout_s)
+    keys = sorted(str(reply.ok.key_expr) for reply in replies if reply.ok is not None)
+    return list(_parsed(keys))
+
+
+class GraphWatch:
+    """Tells those who ask about each endpoint that appears in the domain or is there already."""
+
+    def __init__(self, session: zenoh.Session, domain: int) -> None:
+        self._lock = threading.Lock()
+        self._endpoints: dict[str, rmw.EndpointEntity] = {}
+        self._watchers: list[Callable[[rmw.EndpointEntity], None]] = []
+        self._subscriber: zenoh.Subscriber[Any] = session.liveliness().declare_subscriber(
+            f"{rmw.TOKENS}/{domain}/**", zenoh.handlers.RingChannel(_WAITING), history=True
+        )
+        self._thread = threading.Thread(target=self._follow, name="cairn graph", daemon=True)
+        self._thread.start()
+
+    def watch(self, appeared: Callable[[rmw.EndpointEntity], None]) -> Callable[[], None]:
+        """Have `appeared` called for every endpoint, now and later; returns how to end that."""
+        with self._lock:
+            self._watchers.append(appeared)
+            present = list(self._endpoints.values())
+        for endpoint in present:
+            appeared(endpoint)
+
+        def end() -> None:
+            with self._lock:
+                if appeared in self._watchers:
+                    self._watchers.remove(appeared)
+
+        return end
+
+    def close(self) -> None:
+        """Stop following."""
+        self._subscriber.undeclare()
+        self._thread.join(timeout=2.0)
+
+    def _follow(self) -> None:
+        channel = self._subscriber.handler
+        while True:
+            try:
+                sample = channel.recv()
+            except zenoh.ZError:  # the subscriber was undeclared
+                return
+            key = str(sample.key_expr)
+            for entity in _parsed([key]):
+                if not isinstance(entity, rmw.EndpointEntity):
+                    continue
+                with self._lock:
+                    if sample.kind == zenoh.SampleKind.DELETE:
+                        self._endpoints.pop(key, None)
+                        continue
+                    self._endpoints[key] = entity
+                    watchers = list(self._watchers)
+                for appeared in watchers:
+                    appeared(entity)
+
+
+def _parsed(keys: Iterable[str]) -> Iterable[rmw.NodeEntity | rmw.EndpointEntity]:
+    for key in keys:
+        try:
+            yield rmw.parse_token(key)
+        except rmw.RmwError:
+            continue  # a token of another profile or version: not of our graph

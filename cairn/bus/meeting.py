@@ -1,0 +1,76 @@
+"""Makes sure that processes know each other before one says that it is ready.
+
+A message put before the link to a reader stands, or before its declaration has arrived, is lost
+without a trace. Every process therefore answers at a key of its own; a query travels behind the
+declarations on the same link, so that whoever got the answer knows, and is known, completely.
+"""
+
+import threading
+import time
+from typing import Any
+
+import zenoh
+
+
+class Meeting:
+    """This process's answer to the others, and its way to meet them."""
+
+    def __init__(self, session: zenoh.Session, domain: int) -> None:
+        self._session = session
+        self._zid = str(session.info.zid())
+        self._all = f"@cairn/{domain}/session/*"
+        own = f"@cairn/{domain}/session/{self._zid}"
+        self._queryable: zenoh.Queryable[Any] = session.declare_queryable(
+            own, zenoh.handlers.RingChannel(256)
+        )
+        self._thread = threading.Thread(
+            target=self._answer, args=(own,), name="cairn meeting", daemon=True
+        )
+        self._thread.start()
+        self._token = session.liveliness().declare_token(own)
+
+    def settle(self, timeout_s: float) -> list[str]:
+        """Meet every process on the bus; returns the keys of those not met within the limit."""
+        deadline = time.monotonic() + timeout_s
+        replies = self._session.liveliness().get(self._all, timeout=timeout_s)
+        keys = {str(reply.ok.key_expr) for reply in replies if reply.ok is not None}
+        return sorted(
+            key for key in keys if not key.endswith(self._zid) and not self._meet(key, deadline)
+        )
+
+    def close(self) -> None:
+        """Answer no more."""
+        self._token.undeclare()
+        self._queryable.undeclare()
+        self._thread.join(timeout=2.0)
+
+    def _meet(self, key: str, deadline: float) -> bool:
+        known = threading.Event()
+        querier = self._session.declare_querier(key)
+        try:
+            listener = querier.declare_matching_listener(
+                zenoh.handlers.Callback(
+                    lambda status: known.set() if status.matching else None, indirect=False
+                )
+            )
+            try:
+                if not querier.matching_status.matching:
+                    known.wait(max(0.0, deadline - time.monotonic()))
+                left = deadline - time.monotonic()
+                if left <= 0:
+                    return False
+                replies = self._session.get(key, timeout=left)
+                return any(reply.ok is not None for reply in replies)
+            finally:
+                listener.undeclare()
+        finally:
+            querier.undeclare()
+
+    def _answer(self, own: str) -> None:
+        channel = self._queryable.handler
+        while True:
+            try:
+                with channel.recv() as query:
+                    query.reply(own, b"")
+            except zenoh.ZError:  # the queryable was undeclared
+                return

@@ -1,0 +1,160 @@
+"""rmw_zenoh's conventions: key expressions, attachments, GIDs and liveliness tokens (Jazzy)."""
+
+import struct
+from dataclasses import dataclass
+from typing import Literal
+
+import xxhash
+
+from cairn.bus.qos import Qos
+from cairn.errors import CairnError
+
+TOKENS = "@ros2_lv"
+DEFAULT_DEPTH = 42
+_ATTACHMENT = struct.Struct("<qqB16s")
+_NONE = "%"
+
+EndpointKind = Literal["MP", "MS", "SS", "SC"]
+"""Message publisher, message subscription, service server, service client."""
+
+
+class RmwError(CairnError):
+    """Something on the bus is not of rmw_zenoh's format."""
+
+
+@dataclass(frozen=True)
+class Attachment:
+    """What goes with every message: its number (from 1), when it was sent [ns], by whom."""
+
+    sequence: int
+    sent_ns: int
+    gid: bytes
+
+    def encode(self) -> bytes:
+        """The 33 bytes on the wire."""
+        return _ATTACHMENT.pack(self.sequence, self.sent_ns, 16, self.gid)
+
+    @classmethod
+    def decode(cls, data: bytes) -> "Attachment":
+        """Read the 33 bytes; `RmwError` if they are not an attachment."""
+        if len(data) != _ATTACHMENT.size or data[16] != 16:
+            raise RmwError(f"an attachment has {_ATTACHMENT.size} bytes with 16 at 16, not {data!r}")
+        sequence, sent_ns, _, gid = _ATTACHMENT.unpack(data)
+        return cls(sequence, sent_ns, gid)
+
+
+@dataclass(frozen=True)
+class NodeEntity:
+    """A node as its liveliness token names it; `name` is its full name, `/robot/localizer`."""
+
+    domain: int
+    zid: str
+    node_id: int
+    name: str
+
+
+@dataclass(frozen=True)
+class EndpointEntity:
+    """A publisher, subscription or service end of a node, as its liveliness token names it."""
+
+    node: NodeEntity
+    endpoint_id: int
+    kind: EndpointKind
+    topic: str
+    type_name: str
+    type_hash: str
+    qos: Qos
+
+
+def data_key(domain: int, topic: str, type_name: str, type_hash: str) -> str:
+    """The key expression on which the messages of a topic travel."""
+    return f"{domain}/{topic.strip('/')}/{dds_type(type_name)}/{type_hash}"
+
+
+def dds_type(type_name: str) -> str:
+    """`std_msgs/msg/String` as DDS writes it: `std_msgs::msg::dds_::String_`."""
+    package, kind, name = type_name.split("/")
+    return f"{package}::{kind}::dds_::{name}_"
+
+
+def ros_type(dds: str) -> str:
+    """The reverse of `dds_type`; `RmwError` if it is none."""
+    parts = dds.split("::")
+    if len(parts) != 4 or parts[2] != "dds_" or not parts[3].endswith("_"):
+        raise RmwError(f"{dds!r} is not a DDS type name such as std_msgs::msg::dds_::String_")
+    return f"{parts[0]}/{parts[1]}/{parts[3][:-1]}"
+
+
+def gid(token: str) -> bytes:
+    """The 16-byte identity of the entity that has this liveliness token."""
+    digest = xxhash.xxh3_128_intdigest(token.encode())
+    return digest.to_bytes(16, "little")
+
+
+def token_key(entity: NodeEntity | EndpointEntity) -> str:
+    """The key of the liveliness token that announces a node or an endpoint."""
+    node = entity if isinstance(entity, NodeEntity) else entity.node
+    namespace, _, name = node.name.rpartition("/")
+    head = f"{TOKENS}/{node.domain}/{node.zid}/{node.node_id}"
+    place = f"{_NONE}/{_mangle(namespace) or _NONE}/{name}"
+    if isinstance(entity, NodeEntity):
+        return f"{head}/{node.node_id}/NN/{place}"
+    return (
+        f"{head}/{entity.endpoint_id}/{entity.kind}/{place}/{_mangle(entity.topic)}/"
+        f"{dds_type(entity.type_name)}/{entity.type_hash}/{qos_chunk(entity.qos)}"
+    )
+
+
+def parse_token(key: str) -> NodeEntity | EndpointEntity:
+    """Read a liveliness token's key; `RmwError` if it is not one of rmw_zenoh's."""
+    chunks = key.split("/")
+    if chunks[0] != TOKENS or len(chunks) not in (9, 13):
+        raise RmwError(f"{key!r} is not a liveliness token of rmw_zenoh")
+    _, domain, zid, node_id, endpoint_id, kind, _, namespace, name = chunks[:9]
+    full = f"{'' if namespace == _NONE else _demangle(namespace)}/{name}"
+    try:
+        node = NodeEntity(int(domain), zid, int(node_id), full)
+        if kind == "NN" and len(chunks) == 9:
+            return node
+        if kind not in ("MP", "MS", "SS", "SC") or len(chunks) != 13:
+            raise RmwError(f"{key!r}: {kind!r} is not a kind of entity of that length")
+        topic, dds, type_hash, qos = chunks[9:]
+        return EndpointEntity(
+            node, int(endpoint_id), kind, _demangle(topic), ros_type(dds), type_hash,
+            parse_qos_chunk(qos),
+        )  # fmt: skip
+    except ValueError as error:
+        raise RmwError(f"{key!r} is not a liveliness token of rmw_zenoh: {error}") from error
+
+
+def qos_chunk(qos: Qos) -> str:
+    """A port's QoS as the tokens carry it; fields equal to the defaults are empty."""
+    reliability = "" if qos.reliability == "reliable" else "2"
+    durability = "" if qos.durability == "volatile" else "1"
+    depth = "" if qos.depth == DEFAULT_DEPTH else str(qos.depth)
+    return f"{reliability}:{durability}:,{depth}:,:,:,,"
+
+
+def parse_qos_chunk(chunk: str) -> Qos:
+    """Read a token's QoS; `RmwError` if it is malformed."""
+    fields = chunk.split(":")
+    if len(fields) != 6 or fields[2].count(",") != 1:
+        raise RmwError(f"{chunk!r} is not a QoS chunk such as ::,10:,:,:,,")
+    reliability, durability, history = fields[:3]
+    depth = history.partition(",")[2]
+    try:
+        return Qos(
+            "best_effort" if reliability == "2" else "reliable",
+            "transient_local" if durability == "1" else "volatile",
+            max(1, int(depth)) if depth else DEFAULT_DEPTH,
+        )
+    except ValueError as error:
+        raise RmwError(f"{chunk!r}: {depth!r} is not a depth") from error
+
+
+def _mangle(name: str) -> str:
+    return name.replace("/", "%")
+
+
+def _demangle(name: str) -> str:
+    return name.replace("%", "/")

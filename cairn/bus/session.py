@@ -1,0 +1,71 @@
+"""Opens the Zenoh session of a process: loopback, no multicast, no implicit shared memory."""
+
+import json
+from collections.abc import Sequence
+
+import zenoh
+
+from cairn.errors import CairnError
+
+LEASE_MS = 2000
+"""After this long without a sign of life a peer's link is given up; a killed one is noticed at once."""
+
+
+def open_peer(connect: Sequence[str]) -> zenoh.Session:
+    """Open the session of a component's process or of a command.
+
+    It links to the router at `connect` and, told by it, to every other process directly; those
+    links outlive the router. Raises `CairnError` if nobody listens at `connect`.
+    """
+    listen = ["tcp/127.0.0.1:0"]
+    session = _open(_config("peer", listen, connect), f"cannot open a session to {connect}")
+    if not list(session.info.routers_zid()):
+        session.close()
+        raise CairnError(
+            f"no router answers at {', '.join(connect)}: is a deployment running (`cairn up`)? "
+            "Name another endpoint with --connect, or in CAIRN_CONNECT"
+        )
+    return session
+
+
+def open_router(listen: str, connect: Sequence[str] = ()) -> zenoh.Session:
+    """Open the session that is the deployment's router; `CairnError` if the port is taken."""
+    return _open(
+        _config("router", [listen], connect),
+        f"cannot listen on {listen}: the port is probably taken, by another deployment or a ROS 2 "
+        "router. Stop that one, join it (`--set bus.connect=[...]`), or take another port "
+        "(`--set bus.listen=tcp/127.0.0.1:PORT`)",
+    )
+
+
+def _open(config: zenoh.Config, refusal: str) -> zenoh.Session:
+    try:
+        return zenoh.open(config)
+    except zenoh.ZError as error:
+        reason = str(error).partition(" at /")[0]
+        raise CairnError(f"{refusal}. ({reason})") from error
+
+
+def _config(mode: str, listen: Sequence[str], connect: Sequence[str]) -> zenoh.Config:
+    config = zenoh.Config()
+    settings = {
+        "mode": mode,
+        "listen/endpoints": list(listen),
+        "listen/exit_on_failure": True,
+        "connect/endpoints": list(connect),
+        "connect/timeout_ms": 5000,
+        "connect/exit_on_failure": False,
+        "connect/retry": {
+            "period_init_ms": 50,
+            "period_max_ms": 200,
+            "period_increase_factor": 1.5,
+        },
+        "scouting/multicast/enabled": False,
+        "scouting/gossip/enabled": True,
+        "timestamping/enabled": True,
+        "transport/link/tx/lease": LEASE_MS,
+        "transport/shared_memory/enabled": False,
+    }
+    for key, value in settings.items():
+        config.insert_json5(key, json.dumps(value))
+    return config

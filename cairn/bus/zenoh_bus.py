@@ -1,0 +1,286 @@
+"""The bus over Zenoh, speaking ROS 2's language (rmw_zenoh) on the wire."""
+
+import itertools
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+import zenoh
+from zenoh.ext import (
+    CacheConfig,
+    HistoryConfig,
+    MissDetectionConfig,
+    declare_advanced_publisher,
+    declare_advanced_subscriber,
+)
+
+from cairn.bus import rmw
+from cairn.bus.bus import mismatch
+from cairn.bus.codec import Codec
+from cairn.bus.graph import GraphWatch
+from cairn.bus.meeting import Meeting
+from cairn.bus.qos import Qos
+from schemas.message import InvalidMessage, type_name
+
+
+class ZenohBus:
+    """Connects the components of one process to all others through one Zenoh session."""
+
+    def __init__(self, session: zenoh.Session, domain: int = 0) -> None:
+        """Take over an open session (`cairn.bus.session`); `close` closes it."""
+        self.session = session
+        self.domain = domain
+        self.codec = Codec()
+        self._ids = itertools.count()
+        self.graph = GraphWatch(session, domain)
+        self._meeting = Meeting(session, domain)
+
+    def node(self, name: str, complain: Callable[[str], None]) -> "ZenohNode":
+        """Join under a full name such as `/robot/localizer`."""
+        return ZenohNode(self, name, complain)
+
+    def settle(self, timeout_s: float) -> list[str]:
+        """Wait until every process on the bus and this one know all of each other."""
+        return self._meeting.settle(timeout_s)
+
+    def next_id(self) -> int:
+        """A number for a node or an endpoint, unique in this session."""
+        return next(self._ids)
+
+    def close(self) -> None:
+        """Leave the bus and close the session."""
+        self.graph.close()
+        self._meeting.close()
+        self.session.close()
+
+
+class ZenohNode:
+    """One component's place on the bus: a ROS 2 node with its endpoints."""
+
+    def __init__(self, bus: ZenohBus, name: str, complain: Callable[[str], None]) -> None:
+        self.bus = bus
+        self.name = name
+        zid = str(bus.session.info.zid())
+        self._entity = rmw.NodeEntity(bus.domain, zid, bus.next_id(), name)
+        self._ends: list[ZenohPublisher | ZenohSubscription] = []
+        self._complain = complain
+        self._token = bus.session.liveliness().declare_token(rmw.token_key(self._entity))
+
+    def advertise(self, topic: str, message: type[Any], qos: Qos) -> "ZenohPublisher":
+        """Write messages of class `message` to `topic`."""
+        publisher = ZenohPublisher(self, topic, message, qos)
+        self._ends.append(publisher)
+        return publisher
+
+    def subscribe(
+        self, topic: str, message: type[Any], qos: Qos, wake: Callable[[], None]
+    ) -> "ZenohSubscription":
+        """Read messages of class `message` from `topic`."""
+        subscription = ZenohSubscription(self, topic, message, qos, wake)
+        self._ends.append(subscription)
+        return subscription
+
+    def declare(
+        self, kind: rmw.EndpointKind, topic: str, message: type[Any], qos: Qos
+    ) -> "Announcement":
+        """Announce an endpoint of this node to the graph."""
+        bus = self.bus
+        entity = rmw.EndpointEntity(
+            self._entity, bus.next_id(), kind, topic, type_name(message),
+            bus.codec.type_hash(message), qos,
+        )  # fmt: skip
+        return Announcement(bus, entity, self._complain)
+
+    def close(self) -> None:
+        """Leave the bus."""
+        for end in self._ends:
+            end.close()
+        self._ends.clear()
+        self._token.undeclare()
+
+
+class Announcement:
+    """An endpoint's liveliness token, and the watch for others that use its topic differently."""
+
+    def __init__(
+        self, bus: ZenohBus, entity: rmw.EndpointEntity, complain: Callable[[str], None]
+    ) -> None:
+        token = rmw.token_key(entity)
+        self.key = rmw.data_key(bus.domain, entity.topic, entity.type_name, entity.type_hash)
+        self.gid = rmw.gid(token)
+        self._entity = entity
+        self._complain = complain
+        self._token = bus.session.liveliness().declare_token(token)
+        self._end_watch = bus.graph.watch(self._appeared)
+
+    def close(self) -> None:
+        """Withdraw the endpoint from the graph."""
+        self._end_watch()
+        self._token.undeclare()
+
+    def _appeared(self, other: rmw.EndpointEntity) -> None:
+        mine = self._entity
+        if other.topic != mine.topic or other.kind not in ("MP", "MS"):
+            return
+        if (other.type_name, other.type_hash) == (mine.type_name, mine.type_hash):
+            return
+        theirs = other.type_name
+        if theirs == mine.type_name:
+            theirs = f"another definition of it ({other.type_hash})"
+        self._complain(mismatch(mine.topic, mine.type_name, other.node.name, theirs))
+
+
+class ZenohPublisher:
+    """Writes to one topic; only from its component's thread."""
+
+    def __init__(self, node: ZenohNode, topic: str, message: type[Any], qos: Qos) -> None:
+        self.published = 0
+        self._closed = False
+        self._codec = node.bus.codec
+        self._latched = qos.durability == "transient_local"
+        self._announcement = node.declare("MP", topic, message, qos)
+        self._gid = self._announcement.gid
+        key = self._announcement.key
+        encoding = zenoh.Encoding.APPLICATION_CDR.with_schema(type_name(message))
+        # Bulk data must not hold up small, urgent messages of the same process.
+        bulk = self._codec.is_bulk(message)
+        priority = zenoh.Priority.DATA_LOW if bulk else zenoh.Priority.INTERACTIVE_HIGH
+        session = node.bus.session
+        self._publisher: Any
+        if self._latched:
+            self._publisher = declare_advanced_publisher(
+                session,
+                key,
+                encoding=encoding,
+                congestion_control=zenoh.CongestionControl.DROP,
+                priority=priority,
+                cache=CacheConfig(max_samples=qos.depth),
+                publisher_detection=True,
+                sample_miss_detection=MissDetectionConfig(heartbeat=None, sporadic_heartbeat=0.5),
+            )
+        else:
+            self._publisher = session.declare_publisher(
+                key,
+                encoding=encoding,
+                congestion_control=zenoh.CongestionControl.DROP,
+                priority=priority,
+            )
+
+    def publish(self, message: Any) -> None:
+        """Send one message; without any reader, or once closed, it is neither encoded nor sent."""
+        if self._closed:
+            return
+        if not self._latched and not self._publisher.matching_status.matching:
+            return
+        self.published += 1
+        attachment = rmw.Attachment(self.published, time.time_ns(), self._gid)
+        self._publisher.put(self._codec.encode(message), attachment=attachment.encode())
+
+    def close(self) -> None:
+        """Stop writing."""
+        if self._closed:
+            return
+        self._closed = True
+        self._publisher.undeclare()
+        self._announcement.close()
+
+
+class ZenohSubscription:
+    """Reads from one topic.
+
+    Zenoh's own thread only moves a sample into a ring, without Python, so that no reader,
+    however slow, holds up the link; a thread per subscription takes from it and wakes the loop.
+    """
+
+    def __init__(
+        self,
+        node: ZenohNode,
+        topic: str,
+        message: type[Any],
+        qos: Qos,
+        wake: Callable[[], None],
+    ) -> None:
+        self.received = 0
+        self.dropped = 0
+        self.invalid = 0
+        self._closed = False
+        self._codec = node.bus.codec
+        self._message = message
+        self._depth = qos.depth
+        self._wake = wake
+        self._waiting: deque[zenoh.Sample] = deque()
+        self._last: dict[bytes, int] = {}
+        self._announcement = node.declare("MS", topic, message, qos)
+        key = self._announcement.key
+        ring = zenoh.handlers.RingChannel(qos.depth)
+        session = node.bus.session
+        self._subscriber: Any
+        if qos.durability == "transient_local":
+            self._subscriber = declare_advanced_subscriber(
+                session,
+                key,
+                ring,
+                history=HistoryConfig(detect_late_publishers=True, max_samples=qos.depth),
+            )
+        else:
+            self._subscriber = session.declare_subscriber(key, ring)
+        self._thread = threading.Thread(
+            target=self._collect, args=(self._subscriber.handler,), name=topic, daemon=True
+        )
+        self._thread.start()
+
+    def take(self) -> Any | None:
+        """The oldest message waiting, None if there is none."""
+        try:
+            sample = self._waiting.popleft()
+        except IndexError:
+            return None
+        if sample.attachment is not None:
+            self._count_gap(sample.attachment.to_bytes())
+        try:
+            message = self._codec.decode(self._message, sample.payload.to_bytes())
+        except InvalidMessage:
+            self.invalid += 1
+            raise
+        self.received += 1
+        return message
+
+    def close(self) -> None:
+        """Stop reading."""
+        if self._closed:
+            return
+        self._closed = True
+        self._subscriber.undeclare()
+        self._thread.join(timeout=2.0)
+        self._waiting.clear()
+        self._announcement.close()
+
+    def _collect(self, channel: Any) -> None:
+        while True:
+            try:
+                sample = channel.recv()
+            except zenoh.ZError:  # the subscriber was undeclared
+                return
+            if len(self._waiting) < self._depth:
+                self._waiting.append(sample)
+                self._wake()
+                continue
+            try:
+                self._waiting.popleft()
+            except IndexError:  # the loop was faster: its wake-up serves the new one
+                pass
+            self._waiting.append(sample)
+
+    def _count_gap(self, attachment: bytes) -> None:
+        # Numbers are per publisher and without gaps: what is missing was dropped on the way,
+        # in the ring, or above.
+        try:
+            number = rmw.Attachment.decode(attachment)
+        except rmw.RmwError:
+            return  # a peer without rmw_zenoh's numbering
+        last = self._last.get(number.gid)
+        if last is not None and number.sequence > last + 1:
+            self.dropped += number.sequence - last - 1
+        self._last[number.gid] = number.sequence

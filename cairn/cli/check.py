@@ -1,0 +1,37 @@
+"""`cairn check FILE`: all that is wrong with a deployment, before anything starts."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cairn.cli.connection import Json
+from cairn.cli.tables import line, print_json
+from cairn.deployment.load import load_deployment
+from cairn.deployment.problems import DeploymentError
+
+File = Annotated[Path, typer.Argument(help="The deployment.", metavar="FILE")]
+Overlay = Annotated[
+    list[Path] | None,
+    typer.Option("--overlay", help="A file whose values replace those before.", metavar="FILE"),
+]
+Set = Annotated[
+    list[str] | None,
+    typer.Option("--set", help="Replace one value.", metavar="KEY.PATH=VALUE"),
+]
+
+
+def check(file: File, overlay: Overlay = None, set_: Set = None, json: Json = False) -> None:
+    """Check a deployment as a whole; every problem with file, line and what was expected."""
+    try:
+        deployment = load_deployment(file, overlay or (), set_ or ())
+    except DeploymentError as error:
+        if not json:
+            raise
+        print_json({"valid": False, "problems": [vars(problem) for problem in error.problems]})
+        raise typer.Exit(1) from error
+    names = [member.name for member in deployment.members()]
+    if json:
+        print_json({"valid": True, "components": names})
+        return
+    line(f"{file}: {len(names)} components, no problem: {', '.join(names)}")

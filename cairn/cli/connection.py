@@ -1,0 +1,136 @@
+"""How commands reach a running deployment: options, session, and what is read from the bus."""
+
+import os
+import queue
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+import typer
+import zenoh
+from zenoh.ext import HistoryConfig, declare_advanced_subscriber
+
+from cairn.bus import rmw
+from cairn.bus.codec import Codec
+from cairn.bus.graph import read_graph
+from cairn.bus.session import open_peer
+from cairn.errors import CairnError
+from schemas.cairn_msgs import ComponentStatus
+from schemas.message import type_name
+
+Connect = Annotated[
+    str,
+    typer.Option(
+        envvar="CAIRN_CONNECT", help="Endpoint of the deployment's router.", metavar="ENDPOINT"
+    ),
+]
+Domain = Annotated[
+    int, typer.Option(envvar="ROS_DOMAIN_ID", min=0, max=232, help="Domain of the deployment.")
+]
+Robot = Annotated[
+    str, typer.Option(help="The robot meant, where several share the bus.", metavar="NAME")
+]
+Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
+
+DEFAULT_CONNECT = "tcp/127.0.0.1:7447"
+STATUS_TOPIC = "component_status"
+
+
+@dataclass(frozen=True)
+class Connection:
+    """A command's place on the bus."""
+
+    session: zenoh.Session
+    domain: int
+
+    def graph(self) -> list[rmw.NodeEntity | rmw.EndpointEntity]:
+        """All nodes and endpoints alive."""
+        return read_graph(self.session, self.domain)
+
+    def endpoints(self) -> list[rmw.EndpointEntity]:
+        """All publishers and subscriptions alive."""
+        return [entity for entity in self.graph() if isinstance(entity, rmw.EndpointEntity)]
+
+    def statuses(self, limit_s: float = 2.0) -> dict[str, ComponentStatus]:
+        """The last status of every component, by full name (`/robot/localizer`)."""
+        codec = Codec()
+        wanted = type_name(ComponentStatus)
+        writers = {
+            rmw.gid(rmw.token_key(endpoint)): endpoint
+            for endpoint in self.endpoints()
+            if endpoint.kind == "MP" and endpoint.type_name == wanted
+        }
+        found: dict[str, ComponentStatus] = {}
+        deadline = time.monotonic() + limit_s
+        for topic in sorted({endpoint.topic for endpoint in writers.values()}):
+            key = rmw.data_key(self.domain, topic, wanted, codec.type_hash(ComponentStatus))
+            expected = {gid for gid, endpoint in writers.items() if endpoint.topic == topic}
+            with self.listen(key, latched=True) as samples:
+                while expected:
+                    try:
+                        sample = samples.get(timeout=max(0.0, deadline - time.monotonic()))
+                    except queue.Empty:
+                        break
+                    gid = rmw.Attachment.decode(sample.attachment.to_bytes()).gid
+                    if gid not in expected:
+                        continue
+                    expected.discard(gid)
+                    status = codec.decode(ComponentStatus, sample.payload.to_bytes())
+                    found[writers[gid].node.name] = status
+        return found
+
+    @contextmanager
+    def listen(self, key: str, *, latched: bool = False) -> Iterator["queue.Queue[Any]"]:
+        """All samples on a key expression from now on, with the latched ones if asked."""
+        samples: queue.Queue[Any] = queue.Queue()
+        handler = zenoh.handlers.Callback(samples.put, indirect=False)
+        subscriber: Any
+        if latched:
+            subscriber = declare_advanced_subscriber(
+                self.session, key, handler, history=HistoryConfig(detect_late_publishers=True)
+            )
+        else:
+            subscriber = self.session.declare_subscriber(key, handler)
+        try:
+            yield samples
+        finally:
+            subscriber.undeclare()
+
+
+@contextmanager
+def connected(connect: str, domain: int) -> Iterator[Connection]:
+    """Join the bus for the time of a command; `CairnError` if no deployment answers."""
+    session = open_peer([connect])
+    try:
+        yield Connection(session, domain)
+    finally:
+        session.close()
+
+
+def resolve(names: list[str], name: str, robot: str) -> str:
+    """The full name of the component (or topic) meant by `name`, among those that exist.
+
+    Raises `CairnError` if there is none, or if several robots have it and `robot` is not given.
+    """
+    if name.startswith("/"):
+        matches = [full for full in names if full == name]
+    else:
+        matches = [
+            full
+            for full in names
+            if full == f"/{robot}/{name}" or (not robot and full.split("/", 2)[2:] == [name])
+        ]
+    if len(matches) == 1:
+        return matches[0]
+    if matches:
+        raise CairnError(f"{name}: several robots have it: {', '.join(matches)}; give --robot")
+    listed = ", ".join(names) or "none"
+    where = f" of robot {robot}" if robot else ""
+    raise CairnError(f"there is no {name}{where} on the bus; there are: {listed}")
+
+
+def width() -> int | None:
+    """The terminal's width; None lets rich decide, a wide one when output is not a terminal."""
+    return None if os.isatty(1) else 200

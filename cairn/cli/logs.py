@@ -1,0 +1,63 @@
+"""`cairn logs`: what the components have to say, as they keep it on /rosout."""
+
+import queue
+import time
+from typing import Annotated
+
+import typer
+
+from cairn.bus import rmw
+from cairn.bus.codec import Codec
+from cairn.cli.connection import DEFAULT_CONNECT, Connect, Domain, Robot, connected
+from cairn.cli.tables import line
+from cairn.component.rosout import ROSOUT, render
+from schemas.message import InvalidMessage, type_name
+from schemas.rcl_interfaces import Log
+
+_QUIET_S = 0.5
+
+
+def logs(
+    component: Annotated[
+        str, typer.Argument(help="Only this component.", metavar="[NAME]")
+    ] = "",
+    connect: Connect = DEFAULT_CONNECT,
+    domain: Domain = 0,
+    robot: Robot = "",
+    follow: Annotated[bool, typer.Option("--follow", "-f", help="Go on as they come.")] = False,
+    json: Annotated[bool, typer.Option("--json", help="Print a line of JSON each.")] = False,
+) -> None:
+    """Print the last log messages of the running components in order of time."""
+    codec = Codec()
+    key = rmw.data_key(domain, ROSOUT, type_name(Log), codec.type_hash(Log))
+    with connected(connect, domain) as connection:
+        writers = [
+            end for end in connection.endpoints() if end.kind == "MP" and end.topic == ROSOUT
+        ]
+        with connection.listen(key, latched=True) as samples:
+            history: list[Log] = []
+            deadline = time.monotonic() + (_QUIET_S if writers else 0.0)
+            while (left := deadline - time.monotonic()) > 0:
+                try:
+                    history += _decoded(codec, samples.get(timeout=left))
+                except queue.Empty:
+                    break
+            for entry in sorted(history, key=lambda log: (log.stamp.sec, log.stamp.nanosec)):
+                _print(entry, component, robot, json=json)
+            while follow:
+                for entry in _decoded(codec, samples.get()):
+                    _print(entry, component, robot, json=json)
+
+
+def _decoded(codec: Codec, sample: object) -> list[Log]:
+    try:
+        return [codec.decode(Log, sample.payload.to_bytes())]  # type: ignore[attr-defined]
+    except InvalidMessage:
+        return []  # a foreign node's log that is not valid is not ours to print
+
+
+def _print(entry: Log, component: str, robot: str, *, json: bool) -> None:
+    of_robot, _, name = entry.name.partition(".")
+    if (component and component != name) or (robot and robot != of_robot):
+        return
+    line(render(entry, as_json=json))

@@ -1,0 +1,93 @@
+"""`cairn param list|get|set`: the parameters of a running component."""
+
+import json as json_module
+from typing import Annotated, Any
+
+import typer
+import yaml
+
+from cairn.bus import rmw
+from cairn.bus.control import request
+from cairn.cli.connection import (
+    DEFAULT_CONNECT,
+    Connect,
+    Connection,
+    Domain,
+    Json,
+    Robot,
+    connected,
+    resolve,
+)
+from cairn.cli.tables import line, show
+from cairn.errors import CairnError
+
+app = typer.Typer(help="Read and change the parameters of running components.")
+Name = Annotated[str, typer.Argument(help="The component's name.", metavar="COMPONENT")]
+_LIMIT_S = 5.0
+
+
+@app.command("list")
+def list_(
+    component: Name,
+    connect: Connect = DEFAULT_CONNECT,
+    domain: Domain = 0,
+    robot: Robot = "",
+    json: Json = False,
+) -> None:
+    """List a component's parameters with value, bounds and meaning."""
+    with connected(connect, domain) as connection:
+        parameters = _ask(connection, component, robot, "parameters", {})
+    show(parameters, ("name", "value", "type", "bounds", "description"), as_json=json)
+
+
+@app.command()
+def get(
+    component: Name,
+    parameter: Annotated[str, typer.Argument(help="The parameter's (dotted) name.")],
+    connect: Connect = DEFAULT_CONNECT,
+    domain: Domain = 0,
+    robot: Robot = "",
+) -> None:
+    """Print one parameter's value as JSON."""
+    with connected(connect, domain) as connection:
+        parameters = _ask(connection, component, robot, "parameters", {})
+    values = {entry["name"]: entry["value"] for entry in parameters}
+    if parameter not in values:
+        raise CairnError(f"{component} has no parameter {parameter}; it has {', '.join(values)}")
+    line(json_module.dumps(values[parameter]))
+
+
+@app.command("set")
+def set_(
+    component: Name,
+    changes: Annotated[
+        list[str], typer.Argument(help="Changes, made all or none.", metavar="NAME=VALUE...")
+    ],
+    connect: Connect = DEFAULT_CONNECT,
+    domain: Domain = 0,
+    robot: Robot = "",
+) -> None:
+    """Change parameters of a running component, all or none."""
+    values: dict[str, Any] = {}
+    for change in changes:
+        name, equals, value = change.partition("=")
+        if not equals:
+            raise CairnError(f"{change!r} is not a change; write NAME=VALUE")
+        try:
+            values[name] = yaml.safe_load(value)
+        except yaml.YAMLError as error:
+            raise CairnError(f"{name}: {value!r} is not a YAML value: {error}") from error
+    with connected(connect, domain) as connection:
+        _ask(connection, component, robot, "set_parameters", values)
+    for name, value in values.items():
+        line(f"{component}.{name} = {json_module.dumps(value)}")
+
+
+def _ask(
+    connection: Connection, component: str, robot: str, verb: str, arguments: dict[str, Any]
+) -> Any:
+    nodes = [entity.name for entity in connection.graph() if isinstance(entity, rmw.NodeEntity)]
+    full = resolve(nodes, component, robot)
+    return request(
+        connection.session, connection.domain, full, verb, arguments, timeout_s=_LIMIT_S
+    )

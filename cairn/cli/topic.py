@@ -1,0 +1,155 @@
+"""`cairn topic list|echo|hz`: what passes on the bus."""
+
+import json as json_module
+import queue
+import statistics
+import time
+from typing import Annotated, Any
+
+import typer
+import yaml
+
+from cairn.bus import rmw
+from cairn.bus.codec import Codec
+from cairn.bus.message_types import find_message
+from cairn.bus.plain import to_plain
+from cairn.cli import graph
+from cairn.cli.connection import (
+    DEFAULT_CONNECT,
+    Connect,
+    Connection,
+    Domain,
+    Json,
+    Robot,
+    connected,
+    resolve,
+)
+from cairn.cli.tables import line, print_json, show
+from cairn.deployment.plugins import installed
+from cairn.errors import CairnError
+from schemas.message import InvalidMessage
+
+app = typer.Typer(help="List, print and time the messages on the bus.")
+Topic = Annotated[str, typer.Argument(help="The topic, as in `pose` or `/robot/pose`.")]
+Wait = Annotated[float, typer.Option(min=0.1, help="Give up after so long without a message [s].")]
+
+
+@app.command("list")
+def list_(connect: Connect = DEFAULT_CONNECT, domain: Domain = 0, json: Json = False) -> None:
+    """List the topics with message type and numbers of writers and readers."""
+    with connected(connect, domain) as connection:
+        rows = graph.rows(connection.endpoints())
+    counted = [
+        {**row, "writers": len(_names(row["writers"])), "readers": len(_names(row["readers"]))}
+        for row in rows
+    ]
+    show(counted, ("topic", "type", "writers", "readers"), as_json=json)
+
+
+@app.command()
+def echo(
+    topic: Topic,
+    connect: Connect = DEFAULT_CONNECT,
+    domain: Domain = 0,
+    robot: Robot = "",
+    count: Annotated[int | None, typer.Option(min=1, help="Stop after so many messages.")] = None,
+    full: Annotated[bool, typer.Option(help="Print long sequences whole.")] = False,
+    wait: Wait = 10.0,
+    json: Annotated[bool, typer.Option("--json", help="Print a line of JSON each.")] = False,
+) -> None:
+    """Print the messages of a topic, the latched one first."""
+    codec = Codec()
+    with connected(connect, domain) as connection:
+        endpoint = _endpoint(connection, topic, robot)
+        message = find_message(
+            endpoint.type_name, *(port.message for plugin in installed() for port in plugin.ports)
+        )
+        latched = endpoint.qos.durability == "transient_local"
+        with connection.listen(_key(domain, endpoint), latched=latched) as samples:
+            printed = 0
+            while count is None or printed < count:
+                sample = _next(samples, wait, endpoint.topic)
+                try:
+                    value = to_plain(
+                        codec.decode(message, sample.payload.to_bytes()), None if full else 16
+                    )
+                except InvalidMessage as error:
+                    value = {"invalid": str(error)}
+                printed += 1
+                if json:
+                    line(json_module.dumps(value))
+                else:
+                    line(yaml.safe_dump(value, sort_keys=False, default_flow_style=None) + "---")
+
+
+@app.command()
+def hz(
+    topic: Topic,
+    connect: Connect = DEFAULT_CONNECT,
+    domain: Domain = 0,
+    robot: Robot = "",
+    seconds: Annotated[float, typer.Option(min=0.5, help="How long to measure [s].")] = 5.0,
+    json: Json = False,
+) -> None:
+    """Measure a topic's rate, jitter, size and losses from the raw messages."""
+    with connected(connect, domain) as connection:
+        endpoint = _endpoint(connection, topic, robot)
+        arrivals: list[float] = []
+        sizes: list[int] = []
+        last: dict[bytes, int] = {}
+        lost = 0
+        with connection.listen(_key(domain, endpoint)) as samples:
+            end = time.monotonic() + seconds
+            while (left := end - time.monotonic()) > 0:
+                try:
+                    sample = samples.get(timeout=left)
+                except queue.Empty:
+                    break
+                arrivals.append(time.monotonic())
+                sizes.append(len(sample.payload))
+                if sample.attachment is not None:
+                    sent = rmw.Attachment.decode(sample.attachment.to_bytes())
+                    lost += max(0, sent.sequence - last.get(sent.gid, sent.sequence - 1) - 1)
+                    last[sent.gid] = sent.sequence
+    gaps = [after - before for before, after in zip(arrivals, arrivals[1:], strict=False)]
+    mean = statistics.fmean(gaps) if gaps else 0.0
+    result = {
+        "topic": endpoint.topic,
+        "messages": len(arrivals),
+        "hz": round(1 / mean, 3) if mean > 0 else 0.0,
+        "period ms": round(mean * 1e3, 3),
+        "jitter ms": round(statistics.pstdev(gaps) * 1e3, 3) if gaps else 0.0,
+        "longest ms": round(max(gaps, default=0.0) * 1e3, 3),
+        "bytes": round(statistics.fmean(sizes)) if sizes else 0,
+        "lost": lost,
+    }
+    if json:
+        print_json(result)
+    else:
+        show([result], tuple(result), as_json=False)
+
+
+def _endpoint(connection: Connection, topic: str, robot: str) -> rmw.EndpointEntity:
+    endpoints = [end for end in connection.endpoints() if end.kind in ("MP", "MS")]
+    full = resolve(sorted({end.topic for end in endpoints}), topic, robot)
+    ends = [end for end in endpoints if end.topic == full]
+    types = sorted({end.type_name for end in ends})
+    if len(types) > 1:
+        raise CairnError(f"{full} is used with several message types: {', '.join(types)}")
+    writers = [end for end in ends if end.kind == "MP"]
+    return (writers or ends)[0]
+
+
+def _key(domain: int, endpoint: rmw.EndpointEntity) -> str:
+    return rmw.data_key(domain, endpoint.topic, endpoint.type_name, endpoint.type_hash)
+
+
+def _next(samples: "queue.Queue[Any]", wait_s: float, topic: str) -> Any:
+    try:
+        return samples.get(timeout=wait_s)
+    except queue.Empty:
+        raise CairnError(f"{topic}: no message within {wait_s:g} s") from None
+
+
+def _names(value: object) -> list[str]:
+    return value if isinstance(value, list) else []

@@ -1,0 +1,60 @@
+"""Feeds a view from the bus of a running deployment: logs, statuses, time."""
+
+from collections.abc import Callable
+from typing import Any
+
+from cairn.bus.bus import Bus, Subscription, full_name
+from cairn.bus.qos import LATCHED, Qos
+from cairn.cli.view import View
+from cairn.clock import to_ns
+from cairn.component.clock_input import TOPIC as CLOCK
+from cairn.component.rosout import KEPT, ROSOUT
+from cairn.component.status import TOPIC as STATUS
+from schemas.cairn_msgs import ComponentStatus
+from schemas.message import InvalidMessage
+from schemas.rcl_interfaces import Log
+from schemas.rosgraph_msgs import Clock
+
+
+class Watch:
+    """Reads what a view shows, as one more node of the deployment."""
+
+    def __init__(self, bus: Bus, robot: str, view: View, *, logs: bool = True) -> None:
+        self._view = view
+        self._robot = robot
+        node = bus.node(full_name(robot, "cairn_up"), lambda _: None)
+        newest = Qos("reliable", "volatile", 1)
+        self._sources: list[tuple[Subscription, Callable[[Any], None]]] = [
+            self._source(node, full_name(robot, STATUS), ComponentStatus, LATCHED.with_depth(1000),
+                         view.status),
+            self._source(node, full_name(robot, CLOCK), Clock, newest,
+                         lambda clock: view.time(to_ns(clock.clock))),
+        ]  # fmt: skip
+        if logs:
+            self._sources.append(self._source(node, ROSOUT, Log, KEPT, self._log))
+
+    def refresh(self) -> None:
+        """Pass on all that has come, then have the view drawn."""
+        for subscription, show in self._sources:
+            while True:
+                try:
+                    message = subscription.take()
+                except InvalidMessage:
+                    continue  # counted where it matters: at the components' own ports
+                if message is None:
+                    break
+                show(message)
+        self._view.refresh()
+
+    def _source(
+        self, node: Any, topic: str, message: type[Any], qos: Qos, show: Callable[[Any], None]
+    ) -> tuple[Subscription, Callable[[Any], None]]:
+        return node.subscribe(topic, message, qos, _not_woken), show
+
+    def _log(self, entry: Log) -> None:
+        if entry.name.startswith(f"{self._robot}."):
+            self._view.log(entry)
+
+
+def _not_woken() -> None:
+    """The watch looks when it is refreshed."""

@@ -1,0 +1,1 @@
+"""What a component is: its ports, handlers, parameters, life cycle and loop."""

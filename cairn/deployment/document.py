@@ -1,0 +1,174 @@
+"""Reads YAML into a tree in which every key and value knows the line it was written on."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import yaml
+
+from cairn.deployment.problems import Location, Problem
+from cairn.deployment.yaml_scalars import PLAIN_TAGS, CoreLoader, UnknownTagError, scalar
+
+Steps: TypeAlias = tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Node:
+    """A value as written; `key_at` is the place of its key, None at the root and in a list."""
+
+    value: "Mapping[str, Node] | tuple[Node, ...] | str | int | float | bool | None"
+    at: Location
+    key_at: Location | None = None
+
+    @property
+    def entries(self) -> "Mapping[str, Node]":
+        """The keys and values of a mapping; nothing for any other node."""
+        return self.value if isinstance(self.value, Mapping) else {}
+
+    @property
+    def where(self) -> Location:
+        """The line to show for a problem with this value: its key's if it spans several lines."""
+        spans = isinstance(self.value, Mapping | tuple)
+        return self.key_at if spans and self.key_at is not None else self.at
+
+    def plain(self) -> Any:
+        """The value as dicts, lists and scalars."""
+        if isinstance(self.value, Mapping):
+            return {key: node.plain() for key, node in self.value.items()}
+        if isinstance(self.value, tuple):
+            return [node.plain() for node in self.value]
+        return self.value
+
+    def find(self, *steps: str | int) -> "Node | None":
+        """The node at a path of keys and list indices, or None."""
+        node = self
+        for step in steps:
+            if isinstance(node.value, Mapping) and str(step) in node.value:
+                node = node.value[str(step)]
+            elif isinstance(node.value, tuple) and str(step) in map(str, range(len(node.value))):
+                node = node.value[int(step)]
+            else:
+                return None
+        return node
+
+
+def read(file: Path) -> tuple[Node | None, list[Problem]]:
+    """The tree of a YAML file with one mapping, and what is wrong with it; None if unreadable."""
+    start = Location(str(file), 1, 1, file.absolute().parent)
+    try:
+        text = file.read_bytes().decode("utf-8")
+    except OSError as error:
+        start = Location(str(file), 0, 0, start.folder)
+        return None, [_unreadable(start, error.strerror or str(error), "give a readable file")]
+    except UnicodeDecodeError as error:
+        return None, [_unreadable(start, str(error), "save the file as UTF-8")]
+    node, problems = parse(text, start)
+    if node is not None and not isinstance(node.value, Mapping):
+        found = f"found {_kind(node)}" if text.strip() else "the file is empty"
+        return None, [*problems, Problem(start, "", found, "expected a mapping of keys to values")]
+    return node, problems
+
+
+def parse(text: str, start: Location) -> tuple[Node | None, list[Problem]]:
+    """The tree of a YAML text that starts at a location; None if its syntax is wrong."""
+    try:
+        root = yaml.compose(text, Loader=CoreLoader)
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        what = ", ".join(part for part in (error.context, error.problem) if part)
+        return None, [_syntax(_place(mark, start), what)]
+    except yaml.YAMLError as error:
+        return None, [_syntax(start, " ".join(str(error).split()))]
+    except RecursionError:
+        return None, [_syntax(start, "it is nested too deeply")]
+    if root is None:
+        return Node(None, start), []
+    builder = _Builder(start)
+    return builder.node(root, None, ()), builder.problems
+
+
+class _Builder:
+    """Turns PyYAML's nodes into ours, collecting what the format does not allow."""
+
+    def __init__(self, start: Location) -> None:
+        self.start = start
+        self.problems: list[Problem] = []
+        self.open: set[int] = set()
+
+    def node(self, raw: yaml.Node, key_at: Location | None, path: Steps) -> Node:
+        at = _place(raw.start_mark, self.start)
+        if id(raw) in self.open:
+            self.report(at, path, "the alias contains itself", "write the values out")
+            return Node(None, at, key_at)
+        self.open.add(id(raw))
+        try:
+            return Node(self.value(raw, at, path), at, key_at)
+        finally:
+            self.open.remove(id(raw))
+
+    def value(
+        self, raw: yaml.Node, at: Location, path: Steps
+    ) -> Mapping[str, Node] | tuple[Node, ...] | str | int | float | bool | None:
+        if isinstance(raw, yaml.CollectionNode) and raw.tag not in PLAIN_TAGS:
+            self.report(at, path, f"the tag {raw.tag} is not allowed", "write the plain value")
+        if isinstance(raw, yaml.MappingNode):
+            return self.mapping(raw, path)
+        if isinstance(raw, yaml.SequenceNode):
+            return tuple(
+                self.node(item, None, (*path, str(index))) for index, item in enumerate(raw.value)
+            )
+        assert isinstance(raw, yaml.ScalarNode)
+        try:
+            return scalar(raw)
+        except UnknownTagError as error:
+            self.report(at, path, str(error), "write the plain value")
+            return None
+
+    def mapping(self, raw: yaml.MappingNode, path: Steps) -> dict[str, Node]:
+        entries: dict[str, Node] = {}
+        for raw_key, raw_value in raw.value:
+            at = _place(raw_key.start_mark, self.start)
+            if not isinstance(raw_key, yaml.ScalarNode):
+                self.report(at, path, "a list or mapping used as a key", "use text as the key")
+                continue
+            key = str(raw_key.value)
+            if key in entries:
+                first = entries[key].key_at
+                self.report(
+                    at, (*path, key), f"the key is given twice, first at {first}", "remove one"
+                )
+                continue
+            entries[key] = self.node(raw_value, at, (*path, key))
+        return entries
+
+    def report(self, at: Location, path: Steps, found: str, remedy: str) -> None:
+        self.problems.append(Problem(at, dotted(path), found, remedy))
+
+
+def dotted(steps: tuple[str | int, ...]) -> str:
+    """A path as shown and as given to `--set`: a component goes by its name, not its parents'."""
+    names = [str(step) for step in steps]
+    shown = names[:2]
+    rest = names[2:]
+    while shown[:1] == ["components"] and len(rest) >= 2 and rest[0] == "children":
+        shown, rest = ["components", rest[1]], rest[2:]
+    return ".".join([*shown, *rest])
+
+
+def _place(mark: yaml.Mark | None, start: Location) -> Location:
+    if mark is None or not start.line:
+        return start
+    return Location(start.origin, mark.line + 1, mark.column + 1, start.folder)
+
+
+def _kind(node: Node) -> str:
+    return "a list" if isinstance(node.value, tuple) else f"{node.value!r}"
+
+
+def _syntax(at: Location, what: str) -> Problem:
+    return Problem(at, "", f"this is not YAML: {what}", "correct the syntax")
+
+
+def _unreadable(at: Location, what: str, remedy: str) -> Problem:
+    return Problem(at, "", f"the file cannot be read: {what}", remedy)

@@ -1,0 +1,119 @@
+"""Puts settings in place of `${name}`, and the folder of the file in place of `${here}`."""
+
+import re
+from collections.abc import Mapping
+
+from cairn.deployment.document import Node, Steps, dotted
+from cairn.deployment.problems import Location, Problem, one_of
+
+# "$${" stands for a literal "${"; the last alternative finds a reference that is not closed.
+_REFERENCE = re.compile(r"\$\$\{|\$\{([^{}]*)\}|\$\{")
+
+
+def interpolated(root: Node) -> tuple[Node, list[Problem], frozenset[Steps]]:
+    """The tree with all references replaced, the problems, and the paths left unresolved.
+
+    A reference that is a whole value keeps the setting's type, and its place is where the setting
+    is written; inside a longer text it becomes text.
+    """
+    references = _References(root)
+    resolved = references.resolve(root, ())
+    return resolved, references.problems, frozenset(references.unresolved)
+
+
+class _UnresolvedError(Exception):
+    """A reference without a value; the problem is on the list already."""
+
+
+class _References:
+    def __init__(self, root: Node) -> None:
+        self.settings = root.find("settings") or Node({}, root.at)
+        self.problems: list[Problem] = []
+        self.unresolved: set[Steps] = set()
+        self.resolved: dict[Steps, Node | None] = {}
+        self.open: list[Steps] = []
+
+    def resolve(self, node: Node, path: Steps) -> Node:
+        if path[:1] == ("settings",) and len(path) > 1:
+            return self.setting(path[1:]) or node
+        return self.inside(node, path)
+
+    def inside(self, node: Node, path: Steps) -> Node:
+        if isinstance(node.value, Mapping):
+            entries = {key: self.resolve(child, (*path, key)) for key, child in node.value.items()}
+            return Node(entries, node.at, node.key_at)
+        if isinstance(node.value, tuple):
+            items = tuple(
+                self.resolve(child, (*path, str(index))) for index, child in enumerate(node.value)
+            )
+            return Node(items, node.at, node.key_at)
+        if not isinstance(node.value, str):
+            return node
+        try:
+            return self.text(node, node.value, path)
+        except _UnresolvedError:
+            self.unresolved.add(path)
+            return node
+
+    def setting(self, name: Steps) -> Node | None:
+        """A setting with its own references replaced; None if that is not possible."""
+        if name not in self.resolved:
+            node = self.settings.find(*name)
+            if node is None:
+                return None
+            place = ("settings", *name)
+            self.open.append(name)
+            result = self.inside(node, place)
+            self.open.pop()
+            broken = any(path[: len(place)] == place for path in self.unresolved)
+            self.resolved[name] = None if broken else result
+        return self.resolved[name]
+
+    def text(self, node: Node, text: str, path: Steps) -> Node:
+        whole = _REFERENCE.fullmatch(text)
+        if whole is not None and whole[1] is not None and whole[1].strip() != "here":
+            value = self.value(whole[1].strip(), node.at, path)
+            return Node(value.value, value.at, node.key_at)
+        replaced = _REFERENCE.sub(lambda match: self.replacement(match, node.at, path), text)
+        return Node(replaced, node.at, node.key_at)
+
+    def replacement(self, match: re.Match[str], at: Location, path: Steps) -> str:
+        if match[0] == "$${":
+            return "${"
+        if match[1] is None:
+            raise self.problem(at, path, "`${` without `}`", "close it, or write `$${` for `${`")
+        name = match[1].strip()
+        if name == "here":
+            return str(at.folder)
+        value = self.value(name, at, path).value
+        if value is None or isinstance(value, Mapping | tuple):
+            found = f"the setting {name} cannot become part of a text"
+            raise self.problem(at, path, found, "refer to a text, number or boolean")
+        return str(value).lower() if isinstance(value, bool) else str(value)
+
+    def value(self, name: str, at: Location, path: Steps) -> Node:
+        steps = tuple(name.split("."))
+        if self.settings.find(*steps) is None:
+            known = [".".join(known) for known in _names(self.settings, ())]
+            raise self.problem(at, path, f"there is no setting {name}", one_of(name, known))
+        within = [one[: len(steps)] == steps for one in self.open]
+        ring = within.index(True) if True in within else None
+        if ring is not None:
+            chain = " -> ".join(".".join(one) for one in [*self.open[ring:], steps])
+            found = f"the settings refer to themselves in a circle: {chain}"
+            raise self.problem(at, path, found, "give one of them a value")
+        node = self.setting(steps)
+        if node is None:
+            raise _UnresolvedError
+        return node
+
+    def problem(self, at: Location, path: Steps, found: str, remedy: str) -> _UnresolvedError:
+        self.problems.append(Problem(at, dotted(path), found, remedy))
+        return _UnresolvedError()
+
+
+def _names(node: Node, path: Steps) -> list[Steps]:
+    names = []
+    for key, child in node.entries.items():
+        names += [(*path, key), *_names(child, (*path, key))]
+    return names

@@ -1,0 +1,183 @@
+"""The deployment format: a tree of components, each with where and how it runs."""
+
+import ipaddress
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationInfo, field_validator
+
+Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")]
+Topic = Annotated[str, Field(pattern=r"^/?[a-zA-Z_][a-zA-Z0-9_]*(/[a-zA-Z_][a-zA-Z0-9_]*)*$")]
+Seconds = Annotated[float, Field(gt=0, le=3600, allow_inf_nan=False)]
+Restart = Literal["permanent", "transient", "temporary"]
+Strategy = Literal["one_for_one", "rest_for_one", "one_for_all"]
+
+_LISTEN = "tcp/127.0.0.1:7447"
+_ENDPOINT = re.compile(r"(?:tcp|tls|quic|udp|ws)/(\[[^\]]+\]|[^:/\[\]]+):(\d+)(?:[?#].*)?")
+
+
+def is_loopback(endpoint: str) -> bool:
+    """Whether a Zenoh endpoint such as `tcp/127.0.0.1:7447` is reachable from this machine only.
+
+    Raises `ValueError` if it is not an endpoint with a host and a port from 1 to 65535.
+    """
+    match = _ENDPOINT.fullmatch(endpoint)
+    if match is None or not 0 < int(match[2]) < 65536:
+        raise ValueError(
+            f"{endpoint!r} is not an endpoint; write protocol/host:port as in tcp/127.0.0.1:7447, "
+            "with protocol tcp, tls, quic, udp or ws and a port from 1 to 65535"
+        )
+    host = match[1].strip("[]")
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+def _endpoint(endpoint: str) -> str:
+    is_loopback(endpoint)
+    return endpoint
+
+
+Endpoint = Annotated[str, AfterValidator(_endpoint)]
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, validate_default=True)
+
+
+class Bus(_Section):
+    """How the components of the deployment reach each other over Zenoh."""
+
+    allow_remote: bool = Field(
+        False, description="Allows `listen` to be reachable from other machines."
+    )
+    connect: tuple[Endpoint, ...] = Field(
+        (),
+        strict=False,
+        description="Endpoints of routers that run already; then none is opened here.",
+    )
+    listen: Endpoint = Field(
+        _LISTEN, description="Endpoint on which `cairn up` opens the deployment's router."
+    )
+
+    @field_validator("listen", mode="after")
+    @classmethod
+    def _one_router_on_purpose(cls, listen: str, info: ValidationInfo) -> str:
+        if info.data.get("connect") and listen != _LISTEN:
+            raise ValueError(
+                f"with `connect` no router is opened on {listen}; keep `connect` to join a router "
+                "that runs already, or `listen` to open one"
+            )
+        if not info.data.get("allow_remote", True) and not is_loopback(listen):
+            raise ValueError(
+                f"{listen} can be reached from other machines; listen on 127.0.0.1, or add "
+                "`allow_remote: true` if everybody on that network may drive the robot"
+            )
+        return listen
+
+
+class Supervision(_Section):
+    """What a supervisor does when one of its children dies (Erlang/OTP's semantics)."""
+
+    strategy: Strategy = Field(
+        "one_for_one",
+        description="Whom to restart: the child, it and those started after it, or all.",
+    )
+    max_restarts: int = Field(
+        3, ge=0, le=1000, description="Restarts allowed within `within_s`; one more escalates."
+    )
+    within_s: Seconds = Field(10.0, description="Window in which restarts are counted [s].")
+
+
+class ComponentSpec(_Section):
+    """One component of the tree."""
+
+    plugin: str = Field(
+        description="Entry point of group cairn.components, or package.module:Class."
+    )
+    parameters: dict[str, Any] = Field(
+        default_factory=dict, description="Values for the plugin's Config."
+    )
+    topics: dict[str, Topic] = Field(
+        default_factory=dict,
+        description="Topic of a port, below /<robot>/ unless it begins with /.",
+    )
+    placement: Literal["process", "in_process"] = Field(
+        "process", description="In a process of its own, or in that of its parent."
+    )
+    interpreter: Literal["shared", "fresh"] = Field(
+        "shared", description="Forked from the zygote, or in a Python interpreter of its own."
+    )
+    restart: Restart = Field(
+        "permanent",
+        description="Restarted always, only after an abnormal end (transient), or never.",
+    )
+    significant: bool = Field(False, description="Its normal end ends the deployment.")
+    start_timeout_s: Seconds = Field(20.0, description="Limit for becoming active [s].")
+    stop_timeout_s: Seconds = Field(5.0, description="Limit for stopping, then killed [s].")
+    hang_timeout_s: Seconds = Field(
+        5.0, description="Limit for one handler, then taken for hung and killed [s]."
+    )
+    load: Literal["at_start", "on_order"] = Field(
+        "at_start", description="Started with its parent, or when its parent or operator orders it."
+    )
+    supervision: Supervision = Field(
+        default_factory=Supervision, description="For its children; supervisors only."
+    )
+    children: dict[Name, "ComponentSpec"] = Field(
+        default_factory=dict, description="Its components in start order; supervisors only."
+    )
+
+
+@dataclass(frozen=True)
+class Member:
+    """A component in its place in the tree; `parent` is None for those directly below the root."""
+
+    name: str
+    parent: str | None
+    spec: ComponentSpec
+
+
+class Deployment(_Section):
+    """A whole deployment of a robot: the tree of components, their bus and their clock."""
+
+    cairn: Literal[1] = Field(description="Version of this format.")
+    robot: Name = Field("robot", description="Namespace of every name on the bus.")
+    domain: int = Field(0, ge=0, le=232, description="As ROS_DOMAIN_ID; robots meet within one.")
+    bus: Bus = Field(default_factory=Bus, description="How the components reach each other.")
+    clock: Literal["system", "simulated"] = Field(
+        "system", description="System time, or the time on topic `clock`."
+    )
+    settings: dict[str, Any] = Field(
+        default_factory=dict,
+        description="Values referred to as ${name}; what `--set name=value` changes.",
+    )
+    external_topics: tuple[Topic, ...] = Field(
+        (), strict=False, description="Topics written by programs outside of the deployment."
+    )
+    supervision: Supervision = Field(
+        default_factory=Supervision, description="For the components directly below the root."
+    )
+    components: dict[Name, ComponentSpec] = Field(
+        min_length=1, description="The components in start order."
+    )
+
+    def members(self) -> Iterator[Member]:
+        """All components in start order: each before its children, those before its next one."""
+        yield from _members(self.components, None)
+
+    def member(self, name: str) -> Member:
+        """The component of that name at any depth; `KeyError` if there is none."""
+        for member in self.members():
+            if member.name == name:
+                return member
+        raise KeyError(name)
+
+
+def _members(specs: Mapping[str, ComponentSpec], parent: str | None) -> Iterator[Member]:
+    for name, spec in specs.items():
+        yield Member(name, parent, spec)
+        yield from _members(spec.children, name)

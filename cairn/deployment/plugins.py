@@ -1,0 +1,135 @@
+"""Finds component classes, by entry point of any installed package or as package.module:Class."""
+
+import importlib
+import traceback
+from collections.abc import Iterable
+from dataclasses import dataclass
+from importlib.metadata import EntryPoint, entry_points
+from inspect import getdoc
+from typing import TYPE_CHECKING
+
+from cairn.component.ports import PortSpec, ports_of
+from cairn.deployment.problems import one_of
+from cairn.errors import CairnError
+
+if TYPE_CHECKING:
+    from cairn.component.component import Component
+
+GROUP = "cairn.components"
+
+
+class PluginError(CairnError):
+    """A plugin does not exist, cannot be imported, or is not a component."""
+
+    def __init__(self, found: str, remedy: str) -> None:
+        super().__init__(f"{found}; {remedy}")
+        self.found = found
+        self.remedy = remedy
+
+
+@dataclass(frozen=True)
+class Plugin:
+    """An installed plugin as listed; `error` says why its class cannot be used, "" if it can."""
+
+    name: str
+    target: str
+    package: str
+    summary: str = ""
+    ports: tuple[PortSpec, ...] = ()
+    error: str = ""
+
+
+def installed() -> list[Plugin]:
+    """All plugins of all installed packages by name, those that cannot be imported included."""
+    return [_listed(point) for point in sorted(_entry_points(), key=lambda point: point.name)]
+
+
+def load_plugin(reference: str) -> "type[Component]":
+    """The component class for an entry point's name or `package.module:Class`.
+
+    Raises `PluginError` if there is none, if two packages offer it, if its module cannot be
+    imported, or if it is not a subclass of `Component`.
+    """
+    if ":" in reference:
+        return _component(reference)
+    points = _entry_points()
+    offers = {point.value: _package(point) for point in points if point.name == reference}
+    if not offers:
+        raise PluginError(
+            f"there is no plugin {reference}",
+            f"{one_of(reference, sorted({point.name for point in points}))} "
+            "(`cairn plugins` lists all; package.module:Class names a class directly)",
+        )
+    if len(offers) > 1:
+        raise PluginError(
+            f"{len(offers)} packages offer a plugin {reference}: {', '.join(offers.values())}",
+            f"name the class directly: {' or '.join(offers)}",
+        )
+    return _component(next(iter(offers)))
+
+
+def _component(target: str) -> "type[Component]":
+    from cairn.component.component import Component
+
+    module_name, _, class_name = target.partition(":")
+    module = _imported(module_name)
+    found = getattr(module, class_name, None)
+    if found is None:
+        classes = [name for name, value in vars(module).items() if _is_component(value, Component)]
+        raise PluginError(f"{module_name} has no class {class_name}", one_of(class_name, classes))
+    if not _is_component(found, Component):
+        raise PluginError(
+            f"{target} is not a component",
+            "derive the class from cairn.component.component.Component",
+        )
+    component: type[Component] = found
+    return component
+
+
+def _imported(name: str) -> object:
+    try:
+        return importlib.import_module(name)
+    except ModuleNotFoundError as error:
+        if error.name is not None and (name == error.name or name.startswith(f"{error.name}.")):
+            raise PluginError(
+                f"there is no module {name}",
+                "correct the name, or install the package that holds it",
+            ) from error
+        raise _not_importable(name, error) from error
+    except (Exception, SystemExit) as error:  # a plugin's module may fail in any way
+        raise _not_importable(name, error) from error
+
+
+def _not_importable(name: str, error: BaseException) -> PluginError:
+    frames = [
+        frame
+        for frame in traceback.extract_tb(error.__traceback__)
+        if not frame.filename.startswith("<") and "importlib" not in frame.filename
+    ]
+    place = f" at {frames[-1].filename}:{frames[-1].lineno}" if len(frames) > 1 else ""
+    return PluginError(
+        f"the module {name} cannot be imported: {type(error).__name__}: {error}{place}",
+        "correct the module, or install what it needs",
+    )
+
+
+def _listed(point: EntryPoint) -> Plugin:
+    try:
+        cls = _component(point.value)
+        ports = tuple(ports_of(cls).values())
+    except CairnError as error:
+        return Plugin(point.name, point.value, _package(point), error=str(error))
+    summary = (getdoc(cls) or "").partition("\n")[0]
+    return Plugin(point.name, point.value, _package(point), summary, ports)
+
+
+def _entry_points() -> Iterable[EntryPoint]:
+    return list(entry_points(group=GROUP))
+
+
+def _package(point: EntryPoint) -> str:
+    return f"{point.dist.name} {point.dist.version}" if point.dist is not None else "unknown"
+
+
+def _is_component(found: object, base: type) -> bool:
+    return isinstance(found, type) and issubclass(found, base) and found is not base

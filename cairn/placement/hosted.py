@@ -1,0 +1,110 @@
+"""One component hosted on a thread of this process: its loop, its control, its heartbeat."""
+
+import threading
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future
+from concurrent.futures import TimeoutError as FutureTimeout
+from typing import Any
+
+from cairn.bus.bus import full_name
+from cairn.bus.control import ControlServer
+from cairn.bus.zenoh_bus import ZenohBus
+from cairn.clock import SystemClock
+from cairn.component.loop import ThreadLoop
+from cairn.component.rosout import RosoutHandler
+from cairn.component.runtime import End, Runtime
+from cairn.deployment.plugins import load_plugin
+from cairn.errors import CairnError
+from cairn.placement.order import Order
+
+JOIN_LIMIT_S = 5.0
+
+
+class Hosted:
+    """Constructs the component of an order and runs it on a thread of its own."""
+
+    def __init__(self, order: Order, bus: ZenohBus) -> None:
+        """Raises `CairnError` if the component cannot be constructed."""
+        self.order = order
+        self.bus = bus
+        self.end: End | None = None
+        self.ended = threading.Event()
+        self.on_end: Callable[[], None] = self.ended.is_set
+        self._loop = ThreadLoop()
+        self._closed = False
+        surroundings = order.surroundings
+        self.runtime = Runtime(
+            load_plugin(order.spec.plugin),
+            order.assignment(),
+            bus,
+            self._loop,
+            SystemClock(),
+            self._note_end,
+        )
+        self._rosout = RosoutHandler(self.runtime.node)
+        self.runtime.log.addHandler(self._rosout)
+        self._control = ControlServer(
+            bus.session,
+            surroundings.domain,
+            full_name(surroundings.robot, order.name),
+            self._loop.post,
+            self.runtime.request,
+        )
+        self._thread = threading.Thread(target=self._run, name=order.name, daemon=True)
+
+    def start(self) -> None:
+        """Begin to answer requests."""
+        self._thread.start()
+
+    def post(self, call: Callable[[], None]) -> None:
+        """Have `call` made as a handler of the component; from any thread."""
+        self._loop.post(lambda: self.runtime.run(call.__name__, call))
+
+    def progress(self, what: str) -> None:
+        """Say that a long call gets on."""
+        self.runtime.progress(what)
+
+    def ask(self, verb: str, arguments: Mapping[str, Any] | None = None) -> "Future[Any]":
+        """Have a control request answered on the component's thread."""
+        answer: Future[Any] = Future()
+
+        def make() -> None:
+            try:
+                answer.set_result(self.runtime.request(verb, arguments or {}))
+            except CairnError as error:
+                answer.set_exception(error)
+
+        self._loop.post(make)
+        return answer
+
+    def request(self, verb: str, timeout_s: float) -> Any:
+        """Wait for the answer to a request; `CairnError` if it is refused or does not come."""
+        try:
+            return self.ask(verb).result(timeout_s)
+        except FutureTimeout:
+            status = self.runtime.status()
+            doing = f"; it is in {status.handler}" if status.handler else ""
+            raise CairnError(
+                f"{self.order.name} did not answer {verb} within {timeout_s:.1f} s{doing}"
+            ) from None
+
+    def close(self) -> None:
+        """Wait for the loop's end, which must be under way, and leave the bus."""
+        if self._closed:
+            return
+        self._closed = True
+        self._thread.join(JOIN_LIMIT_S)
+        self._control.close()
+        self.runtime.log.removeHandler(self._rosout)
+
+    def _run(self) -> None:
+        try:
+            self._loop.run()
+        except Exception as error:  # a defect of ours: it must not leave a mute process behind
+            self._note_end(End(False, f"its loop failed: {type(error).__name__}: {error}"))
+            self.runtime.log.exception("the component's loop failed")
+
+    def _note_end(self, end: End) -> None:
+        self.end = end
+        self.ended.set()
+        self.on_end()

@@ -1,0 +1,226 @@
+"""Starts a supervisor's children, each in a process of its own or in the supervisor's."""
+
+from collections import deque
+from pathlib import Path
+
+from cairn.bus.bus import full_name
+from cairn.bus.control import Arrival, request
+from cairn.bus.zenoh_bus import ZenohBus
+from cairn.deployment.plugins import load_plugin
+from cairn.errors import CairnError
+from cairn.placement.hosted import Hosted
+from cairn.placement.order import Order, as_json
+from cairn.supervision.child import Child, ChildEnd, ChildSpec, Verb
+from cairn.supervision.child_process import ChildExit, ChildProcess
+from cairn.supervision.component import SupervisorComponent
+from cairn.supervision.zygote_client import ZygoteClient, ZygoteLost
+
+ENTRY = "cairn.placement.process:main"
+_TAIL_BYTES = 4000
+
+
+class Household:
+    """A component hosted in this process, with what it launches if it is a supervisor."""
+
+    def __init__(self, order: Order, bus: ZenohBus) -> None:
+        """Construct the component and let it answer; `CairnError` if that fails."""
+        self.hosted = Hosted(order, bus)
+        self.launcher: HostLauncher | None = None
+        component = self.hosted.runtime.component
+        if isinstance(component, SupervisorComponent):
+            self.launcher = HostLauncher(self.hosted)
+            spec = order.spec
+            component.adopt(spec.children, spec.supervision, self.launcher, self.hosted)
+        self.hosted.start()
+
+    def heartbeat(self) -> None:
+        """Publish the heartbeats of the component and of all below it in this process."""
+        self.hosted.runtime.heartbeat.publish()
+        if self.launcher is not None:
+            self.launcher.heartbeat()
+
+    def close(self) -> None:
+        """Leave the bus; kill what is left of the children."""
+        self.hosted.close()
+        if self.launcher is not None:
+            self.launcher.close()
+
+
+class HostLauncher:
+    """Launches the children of one supervisor that is hosted in this process."""
+
+    def __init__(self, supervisor: Hosted) -> None:
+        self._supervisor = supervisor
+        self._order = supervisor.order
+        self._zygote: ZygoteClient | None = None
+        self._here: list[Household] = []
+
+    def launch(self, spec: ChildSpec, incarnation: int) -> Child:
+        """Start a child and wait until it can be asked; `CairnError` with the cause if not."""
+        order = Order(
+            name=spec.name,
+            parent=self._order.name,
+            incarnation=incarnation,
+            spec=self._order.spec.children[spec.name],
+            surroundings=self._order.surroundings,
+        )
+        if order.spec.placement == "in_process":
+            return self._launch_here(order)
+        return self._launch_process(order, spec.start_timeout_s)
+
+    def heartbeat(self) -> None:
+        """Publish the heartbeats of the children hosted in this process, and of theirs."""
+        for household in tuple(self._here):
+            household.heartbeat()
+
+    def close(self) -> None:
+        """Kill what is left of the children."""
+        for household in self._here:
+            household.close()
+        if self._zygote is not None:
+            self._zygote.close()
+
+    def _launch_process(self, order: Order, timeout_s: float) -> "ProcessChild":
+        surroundings = order.surroundings
+        name = full_name(surroundings.robot, order.name)
+        log = Path(surroundings.log_folder) / f"{order.name}.log"
+        session = self._supervisor.bus.session
+        with Arrival(session, surroundings.domain, name) as arrival:
+            process = self._client().spawn(
+                order.name,
+                ENTRY,
+                as_json(order),
+                log,
+                fresh=order.spec.interpreter == "fresh",
+                needs=[]
+                if order.spec.interpreter == "fresh"
+                else [load_plugin(order.spec.plugin).__module__],
+                timeout_s=timeout_s,
+            )
+            child = ProcessChild(process, log, name, self._supervisor)
+            process.on_end(lambda _: arrival.give_up())
+            if arrival.wait(timeout_s):
+                return child
+        end = child.wait(0)
+        if end is None:
+            process.kill()
+            end = child.wait(5.0)
+            raise CairnError(f"{order.name} did not join the bus within {timeout_s:g} s")
+        raise CairnError(end.reason)
+
+    def _client(self) -> ZygoteClient:
+        if self._zygote is None:
+            self._zygote = ZygoteClient(
+                Path(self._order.surroundings.zygote), self._on_exit, self._on_lost
+            )
+        return self._zygote
+
+    def _launch_here(self, order: Order) -> "InProcessChild":
+        household = Household(order, self._supervisor.bus)
+        household.hosted.on_end = self._changed
+        self._here = [other for other in self._here if not other.hosted.ended.is_set()]
+        self._here.append(household)
+        return InProcessChild(household)
+
+    def _on_exit(self, exit_: ChildExit) -> None:  # noqa: ARG002 - whoever asks finds it ended
+        self._changed()
+
+    def _on_lost(self, lost: ZygoteLost) -> None:
+        self._supervisor.runtime.log.critical("%s", lost)
+        self._changed()
+
+    def _changed(self) -> None:
+        component = self._supervisor.runtime.component
+        if isinstance(component, SupervisorComponent):
+            component.child_changed()
+
+
+class ProcessChild:
+    """A component in a process of its own, asked over the bus."""
+
+    def __init__(self, process: ChildProcess, log: Path, full: str, supervisor: Hosted) -> None:
+        self._process = process
+        self._log = log
+        self._full = full
+        self._supervisor = supervisor
+
+    def request(self, verb: Verb, timeout_s: float) -> None:
+        """Have it make a transition."""
+        domain = self._supervisor.order.surroundings.domain
+        session = self._supervisor.bus.session
+        try:
+            request(session, domain, self._full, verb, timeout_s=max(0.01, timeout_s))
+        except CairnError:
+            end = self.wait(0.2)  # its end is told over another line than its silence
+            if end is not None and not end.normal:
+                raise CairnError(end.reason) from None
+            raise
+
+    def terminate(self) -> None:
+        """Ask its process to end."""
+        self._process.terminate()
+
+    def kill(self) -> None:
+        """Kill its process group."""
+        self._process.kill()
+
+    def wait(self, timeout_s: float) -> ChildEnd | None:
+        """Its end, with its last words."""
+        exit_ = self._process.wait(timeout_s)
+        if exit_ is None:
+            return None
+        words = last_words(self._log, self._process.pid)
+        if exit_.normal:
+            return ChildEnd(True, words or "ended")
+        return ChildEnd(False, f"{exit_}{': ' + words if words else ''}; log: {self._log}")
+
+
+class InProcessChild:
+    """A component on a thread of its supervisor's process; it cannot be killed."""
+
+    def __init__(self, household: Household) -> None:
+        self._household = household
+        self._hosted = household.hosted
+
+    def request(self, verb: Verb, timeout_s: float) -> None:
+        """Have it make a transition."""
+        self._hosted.request(verb, timeout_s)
+
+    def terminate(self) -> None:
+        """Ask it to shut down."""
+        self._hosted.ask("shutdown")
+
+    def kill(self) -> None:
+        """A thread cannot be killed: the process that it hangs in has to end, and says so."""
+        raise CairnError(
+            f"{self._hosted.order.name} is placed in its supervisor's process and cannot be "
+            "killed; give it `placement: process`, or restart the supervisor"
+        )
+
+    def wait(self, timeout_s: float) -> ChildEnd | None:
+        """Its end."""
+        if not self._hosted.ended.wait(timeout_s) or self._hosted.end is None:
+            return None
+        self._household.close()
+        return ChildEnd(self._hosted.end.normal, self._hosted.end.reason)
+
+
+def last_words(log: Path, pid: int) -> str:
+    """The last line that process `pid` wrote as its closing words; "" if it had none."""
+    mark = closing_words(pid, "")
+    try:
+        with log.open("rb") as file:
+            file.seek(0, 2)
+            file.seek(max(0, file.tell() - _TAIL_BYTES))
+            lines = deque(file.read().decode(errors="replace").splitlines(), maxlen=20)
+    except OSError:
+        return ""
+    for line in reversed(lines):
+        if line.startswith(mark):
+            return line.removeprefix(mark)
+    return lines[-1].strip() if lines else ""
+
+
+def closing_words(pid: int, reason: str) -> str:
+    """The line with which a component's process says why it ends."""
+    return f"process {pid} ended: {reason}"

@@ -1,0 +1,156 @@
+"""Runs a whole deployment in lockstep: the same components, one thread, virtual time."""
+
+from collections.abc import Callable
+from typing import Any
+
+from cairn.bus.lockstep_bus import LockstepBus
+from cairn.clock import SECOND
+from cairn.component.lifecycle import Transition
+from cairn.component.runtime import Assignment, End, Runtime
+from cairn.deployment.model import ComponentSpec, Deployment
+from cairn.deployment.plugins import load_plugin
+from cairn.errors import CairnError
+from cairn.placement.lockstep import LockstepExecutor
+from cairn.placement.root import ROOT, root_spec
+from cairn.supervision.child import Child, ChildEnd, ChildSpec, Verb
+from cairn.supervision.component import SupervisorComponent
+
+_HEARTBEAT_NS = SECOND
+
+
+class LockstepRun:
+    """A deployment on virtual time; `bus` may be watched, `executor` is its clock."""
+
+    def __init__(self, deployment: Deployment, seed: int) -> None:
+        """Raises `CairnError` if the root cannot be made."""
+        self.executor = LockstepExecutor()
+        self.bus = LockstepBus()
+        self.robot = deployment.robot
+        self.simulated = deployment.clock == "simulated"
+        self.seed = seed
+        self.end: End | None = None
+        self._root = _Place(self, ROOT, "", root_spec(deployment), 1, self._note_end)
+        self._stopping = False
+
+    def run(self, refresh: Callable[[], None]) -> End:
+        """Run until a significant component ends, all fails, or `stop`; gives how it ended.
+
+        `refresh` is called before every event.
+        """
+        self.executor.at(0, self._heartbeat)
+        self._root.runtime.transition(Transition.CONFIGURE)
+        try:
+            self._root.runtime.transition(Transition.ACTIVATE)
+            self.executor.run(lambda: self._over(refresh))
+        finally:
+            if self.end is None:
+                self._root.runtime.transition(Transition.SHUTDOWN)
+        return self.end or End(False, "the root ended without a word")
+
+    def stop(self) -> None:
+        """End the run at the next event; from a signal handler."""
+        self._stopping = True
+
+    def _over(self, refresh: Callable[[], None]) -> bool:
+        refresh()
+        return self.end is not None or self._stopping
+
+    def _note_end(self, end: End) -> None:
+        self.end = end
+
+    def _heartbeat(self) -> None:
+        self._root.heartbeat()
+        self.executor.at(self.executor.now() + _HEARTBEAT_NS, self._heartbeat)
+
+
+class _Place:
+    """One component in lockstep, and what it launches if it is a supervisor."""
+
+    def __init__(
+        self,
+        run: LockstepRun,
+        name: str,
+        parent: str,
+        spec: ComponentSpec,
+        incarnation: int,
+        on_end: Callable[[End], None],
+    ) -> None:
+        self.run = run
+        self.spec = spec
+        self._scheduler = run.executor.scheduler()
+        self._children: list[_LockstepChild] = []
+        assignment = Assignment(
+            name=name,
+            plugin=spec.plugin,
+            robot=run.robot,
+            parent=parent,
+            placement="lockstep",
+            parameters=spec.parameters,
+            topics=spec.topics,
+            simulated_time=run.simulated,
+            seed=run.seed,
+            restarts=incarnation - 1,
+            children=tuple(spec.children),
+        )
+        self.runtime = Runtime(
+            load_plugin(spec.plugin), assignment, run.bus, self._scheduler, run.executor, on_end
+        )
+        if isinstance(self.runtime.component, SupervisorComponent):
+            self.runtime.component.adopt(spec.children, spec.supervision, self, self)
+
+    def launch(self, spec: ChildSpec, incarnation: int) -> Child:
+        """Construct a child."""
+        child = _LockstepChild(self, spec.name, incarnation)
+        self._children = [other for other in self._children if other.end is None]
+        self._children.append(child)
+        return child
+
+    def post(self, call: Callable[[], None]) -> None:
+        """Have `call` made as a handler of the supervisor."""
+        self._scheduler.post(lambda: self.runtime.run(call.__name__, call))
+
+    def progress(self, what: str) -> None:
+        """Nothing hangs in virtual time: a call that does not return, does not return."""
+
+    def heartbeat(self) -> None:
+        """Publish the status of the component and of all below it."""
+        self.runtime.heartbeat.publish()
+        for child in tuple(self._children):
+            child.place.heartbeat()
+
+    def child_changed(self) -> None:
+        """Have the supervisor look at its children."""
+        component = self.runtime.component
+        if isinstance(component, SupervisorComponent):
+            component.child_changed()
+
+
+class _LockstepChild:
+    def __init__(self, supervisor: _Place, name: str, incarnation: int) -> None:
+        self.end: End | None = None
+        self._supervisor = supervisor
+        spec = supervisor.spec.children[name]
+        parent = supervisor.runtime.name
+        self.place = _Place(supervisor.run, name, parent, spec, incarnation, self._note_end)
+
+    def request(self, verb: Verb, timeout_s: float) -> None:  # noqa: ARG002 - time stands still
+        """Make a transition at once."""
+        self.place.runtime.request(verb, {})
+
+    def terminate(self) -> None:
+        """Shut it down."""
+        if self.end is None:
+            self.place.runtime.request("shutdown", {})
+
+    def kill(self) -> None:
+        """End it without a step of its life cycle."""
+        if self.end is None:
+            raise CairnError(f"{self.place.runtime.name} cannot be killed in lockstep")
+
+    def wait(self, timeout_s: float) -> ChildEnd | None:  # noqa: ARG002 - time stands still
+        """Its end."""
+        return None if self.end is None else ChildEnd(self.end.normal, self.end.reason)
+
+    def _note_end(self, end: End) -> Any:
+        self.end = end
+        self._supervisor.child_changed()

@@ -1,0 +1,66 @@
+"""What a process is told of the component that it is to run, as JSON."""
+
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict
+
+from cairn.component.runtime import Assignment
+from cairn.deployment.model import ComponentSpec
+from cairn.deployment.plugins import load_plugin
+
+
+class Surroundings(BaseModel):
+    """What all components of a deployment share."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    robot: str
+    domain: int
+    endpoints: tuple[str, ...]
+    simulated_time: bool
+    seed: int
+    zygote: str
+    log_folder: str
+
+
+class Order(BaseModel):
+    """One component to be run, with all below it."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    name: str
+    parent: str
+    incarnation: int
+    spec: ComponentSpec
+    surroundings: Surroundings
+
+    def assignment(self) -> Assignment:
+        """What the component's runtime is told."""
+        return Assignment(
+            name=self.name,
+            plugin=self.spec.plugin,
+            robot=self.surroundings.robot,
+            parent=self.parent,
+            placement=self.spec.placement,
+            parameters=self.spec.parameters,
+            topics=self.spec.topics,
+            simulated_time=self.surroundings.simulated_time,
+            seed=self.surroundings.seed,
+            restarts=self.incarnation - 1,
+            children=tuple(self.spec.children),
+        )
+
+
+def modules_of(specs: dict[str, ComponentSpec]) -> list[str]:
+    """The modules of the plugins of all components below, for the zygote to import."""
+    found: dict[str, None] = {}
+    for spec in specs.values():
+        if spec.interpreter == "shared":
+            found[load_plugin(spec.plugin).__module__] = None
+        found |= dict.fromkeys(modules_of(spec.children))
+    return list(found)
+
+
+def as_json(order: Order) -> dict[str, Any]:
+    """The order as plain JSON values."""
+    return order.model_dump(mode="json")

@@ -1,0 +1,1 @@
+"""Keeps components running: restart policy, processes and the engine that drives both."""

@@ -1,0 +1,1 @@
+"""Task components and drivers, one folder each; they meet on the bus alone."""

@@ -1,0 +1,178 @@
+"""The verdict on each sighted object: agrees, disagrees, false match, or nothing to be said."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from components.localizer.object_likelihood import Landmark, Sighting
+from components.localizer.particles import Estimate
+from components.localizer.recent import Pose, Support, moved_apart
+from components.localizer.ring import converge, draw_ring
+from components.localizer.similarity import (
+    GATE,
+    NEUTRAL,
+    convergence_radius,
+    implied_place,
+    innovation,
+    likelihood_ratio_similarity,
+    paper_similarity,
+)
+
+Array = NDArray[np.float64]
+
+VETO = 0.35  # [m] an implied place this near another live object may be that object
+SAME_PLACE = 0.6  # [m] implied places this near each other speak of one place
+CORROBORATED, CORROBORATED_NEAR_ANOTHER = 3, 8  # contradictions from different poses
+UNCORROBORATED = 0.45  # similarity of a contradiction that stands alone
+
+
+class Verdict(IntEnum):
+    """As the constants of cairn_msgs/ObjectEvidence."""
+
+    AGREES = 0
+    DISAGREES = 1
+    FALSE_MATCH = 2
+    NOT_CONVERGED = 3
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """One object's evidence: similarity of equation (1), verdict, the place that it implies."""
+
+    sighting: Sighting
+    similarity: float
+    verdict: Verdict
+    distance: float
+    x: float
+    y: float
+    covariance: Array
+    contradicts: bool
+
+
+@dataclass(frozen=True)
+class _Contradiction:
+    x: float
+    y: float
+    seen_from: Pose
+
+
+class Judge:
+    """Compares each sighting with the pose that never fused its object.
+
+    Remembers each object's contradictions since it last agreed: a gross error stands alone, an
+    object that was moved is contradicted from many places and always implies the same one.
+    """
+
+    def __init__(
+        self, mode: Literal["lr", "paper"], ring_samples: int, random: np.random.Generator
+    ) -> None:
+        self.mode = mode
+        self.ring_samples = ring_samples
+        self.random = random
+        self._contradictions: dict[int, list[_Contradiction]] = {}
+
+    def forget(self, object_id: int) -> None:
+        """Drop what was remembered of an object, as its place in the map changed."""
+        self._contradictions.pop(object_id, None)
+
+    def place(self, sighting: Sighting, pose: Estimate, healthy: bool) -> Judgement:
+        """Where an object that the map does not hold stands: no similarity to judge."""
+        self.forget(sighting.object_id)
+        verdict = Verdict.AGREES if healthy else Verdict.NOT_CONVERGED
+        return _judgement(sighting, pose, NEUTRAL, verdict, 0.0, False)
+
+    def compare(
+        self,
+        sighting: Sighting,
+        pose: Estimate,
+        landmarks: Mapping[int, Landmark],
+        support: Support,
+        converged: bool,
+        others: Callable[[Array], Array],
+    ) -> Judgement:
+        """Judge a live object against `pose`, to which it contributed nothing.
+
+        `support` and `others` (log-likelihood of poses) speak for the other objects seen of late.
+        """
+        landmark = landmarks[sighting.object_id]
+        seen = innovation(pose, sighting, landmark)
+        contradicts = seen.nis > GATE
+        if self.mode == "paper":
+            similarity, distance = self._by_new_samples(sighting, landmark, pose, others)
+        else:
+            similarity, distance = likelihood_ratio_similarity(seen), math.sqrt(seen.nis)
+        verdict = Verdict.AGREES if similarity >= NEUTRAL else Verdict.DISAGREES
+        trusted = support.firm
+        if not converged or (verdict is Verdict.DISAGREES and not trusted):
+            return _judgement(sighting, pose, NEUTRAL, Verdict.NOT_CONVERGED, distance, contradicts)
+        if verdict is Verdict.AGREES:
+            if support.contradicting > support.agreeing:
+                return _judgement(
+                    sighting, pose, NEUTRAL, Verdict.NOT_CONVERGED, distance, contradicts
+                )
+            if similarity > NEUTRAL:
+                self.forget(sighting.object_id)
+            return _judgement(sighting, pose, similarity, verdict, distance, contradicts)
+        similarity, verdict = self._contradicted(sighting, pose, landmarks, similarity)
+        return _judgement(sighting, pose, similarity, verdict, distance, contradicts)
+
+    def _contradicted(
+        self,
+        sighting: Sighting,
+        pose: Estimate,
+        landmarks: Mapping[int, Landmark],
+        similarity: float,
+    ) -> tuple[float, Verdict]:
+        x, y, _ = implied_place(pose, sighting)
+        known = self._contradictions.setdefault(sighting.object_id, [])
+        if not known or moved_apart(known[-1].seen_from, pose.mean):
+            known.append(_Contradiction(x, y, pose.mean))
+            del known[:-20]
+        together = sum(math.hypot(c.x - x, c.y - y) < SAME_PLACE for c in known)
+        near_another = any(
+            other.live
+            and other.object_id != sighting.object_id
+            and math.hypot(other.x - x, other.y - y) < VETO
+            for other in landmarks.values()
+        )
+        if near_another and together < CORROBORATED_NEAR_ANOTHER:
+            return NEUTRAL, Verdict.FALSE_MATCH
+        if together < CORROBORATED:
+            return UNCORROBORATED, Verdict.DISAGREES
+        return similarity, Verdict.DISAGREES
+
+    def _by_new_samples(
+        self,
+        sighting: Sighting,
+        landmark: Landmark,
+        pose: Estimate,
+        others: Callable[[Array], Array],
+    ) -> tuple[float, float]:
+        """Mode "paper": similarity and distance [m] of new samples drawn around the object."""
+        drawn = draw_ring(sighting, landmark, self.ring_samples, self.random)
+        found = converge(drawn, others, self.random)
+        if found is None:
+            return NEUTRAL, 0.0
+        turn = (found.mean[2] - pose.mean[2] + math.pi) % (2.0 * math.pi) - math.pi
+        # 1 m/rad: a move along the circle round the robot shows in the heading alone.
+        distance = math.hypot(found.mean[0] - pose.mean[0], found.mean[1] - pose.mean[1], turn)
+        return paper_similarity(convergence_radius(pose), distance), distance
+
+
+def _judgement(
+    sighting: Sighting,
+    pose: Estimate,
+    similarity: float,
+    verdict: Verdict,
+    distance: float,
+    contradicts: bool,
+) -> Judgement:
+    x, y, covariance = implied_place(pose, sighting)
+    return Judgement(sighting, similarity, verdict, distance, x, y, covariance, contradicts)

@@ -1,0 +1,227 @@
+"""The sightings of the last half minute, tied together by odometry: what a pose must explain."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from components.localizer.object_likelihood import STRAY, Landmark, Sighting, wrap
+from components.localizer.particles import Estimate
+
+Array = NDArray[np.float64]
+Pose = tuple[float, float, float]
+
+AGREES, CONTRADICTS = 9.2, 13.8  # NIS (2 dof): 99 % and 99.9 %
+# An object counts as two sightings at most: more of them share their error.
+OBJECT_WORTH = 2.0
+TOGETHER = 0.6  # [m]
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A sighting, the dead-reckoned pose it was made from and the seconds moved until then."""
+
+    sighting: Sighting
+    at: Pose
+    moved_s: float
+
+
+@dataclass(frozen=True)
+class Support:
+    """How many distinct places agree with a pose, and how many contradict it.
+
+    Objects that stand together (0.6 m) are one place: they bear witness to the same direction
+    only, so a pose turned about them satisfies them all.
+    """
+
+    agreeing: int
+    contradicting: int
+
+    @property
+    def firm(self) -> bool:
+        """At least two places agree, and twice as many as contradict."""
+        return self.agreeing >= 2 and self.agreeing >= 2 * self.contradicting
+
+
+def moved_apart(a: Pose, b: Pose) -> bool:
+    """Whether two poses differ enough (0.15 m or 0.2 rad) to give independent sightings."""
+    turn = (a[2] - b[2] + math.pi) % (2.0 * math.pi) - math.pi
+    return math.hypot(a[0] - b[0], a[1] - b[1]) > 0.15 or abs(turn) > 0.2
+
+
+class RecentSightings:
+    """Sightings younger than `horizon_s` seconds of motion, at most `per_object` of each object.
+
+    Poses are dead-reckoned, in a frame of odometry's own. An entry's variance grows with the
+    motion since (`drift` [m/sqrt(s)], `turn_drift` [rad/sqrt(s)]).
+    """
+
+    def __init__(
+        self,
+        horizon_s: float = 30.0,
+        per_object: int = 4,
+        drift: float = 0.03,
+        turn_drift: float = 0.05,
+    ) -> None:
+        self.horizon_s = horizon_s
+        self.per_object = per_object
+        self.drift = drift
+        self.turn_drift = turn_drift
+        self.entries: list[Entry] = []
+
+    def clear(self) -> None:
+        """Forget everything."""
+        self.entries.clear()
+
+    def add(self, sightings: Sequence[Sighting], at: Pose, moved_s: float) -> None:
+        """Keep sightings made from `at`; of one object only those from different poses."""
+        kept = [e for e in self.entries if moved_s - e.moved_s <= self.horizon_s]
+        for sighting in sightings:
+            same = [e for e in kept if e.sighting.object_id == sighting.object_id]
+            if same and not moved_apart(same[-1].at, at):
+                # The newest pose is the better one: its odometry has drifted least.
+                kept.remove(same[-1])
+            elif len(same) >= self.per_object:
+                kept.remove(same[0])
+            kept.append(Entry(sighting, at, moved_s))
+        self.entries = kept
+
+    def log_likelihood(
+        self,
+        poses: Array,
+        now: Pose,
+        moved_s: float,
+        landmarks: Mapping[int, Landmark],
+        left_out: int | None = None,
+    ) -> Array:
+        """Log-likelihood (n,) of all entries but `left_out`'s, were the robot now at `poses`."""
+        entries = self._usable(landmarks, left_out)
+        total = np.zeros(poses.shape[1])
+        if not entries:
+            return total
+        nis = self._nis(poses, entries, now, moved_s, landmarks, None)
+        count: dict[int, int] = {}
+        for entry in entries:
+            key = entry.sighting.object_id
+            count[key] = count.get(key, 0) + 1
+        for row, entry in zip(nis, entries, strict=True):
+            key = entry.sighting.object_id
+            trust = landmarks[key].reliability
+            stray = (1.0 - trust) * math.exp(STRAY)
+            weight = min(1.0, OBJECT_WORTH / count[key])
+            total += weight * np.log(trust * np.exp(-0.5 * row) + stray)
+        return total
+
+    def support(
+        self,
+        pose: Estimate,
+        now: Pose,
+        moved_s: float,
+        landmarks: Mapping[int, Landmark],
+        left_out: int | None = None,
+    ) -> Support:
+        """The places of objects (but `left_out`) that agree with and that contradict `pose`."""
+        entries = self._usable(landmarks, left_out)
+        if not entries:
+            return Support(0, 0)
+        mean = np.asarray(pose.mean)[:, None]
+        nis = self._nis(mean, entries, now, moved_s, landmarks, pose.covariance)[:, 0]
+        best: dict[int, list[float]] = {}
+        for value, entry in zip(nis, entries, strict=True):
+            best.setdefault(entry.sighting.object_id, []).append(float(value))
+        medians = {key: sorted(values)[len(values) // 2] for key, values in best.items()}
+        return Support(
+            _places([landmarks[key] for key, value in medians.items() if value <= AGREES]),
+            _places([landmarks[key] for key, value in medians.items() if value > CONTRADICTS]),
+        )
+
+    def _usable(self, landmarks: Mapping[int, Landmark], left_out: int | None) -> list[Entry]:
+        return [
+            entry
+            for entry in self.entries
+            if entry.sighting.object_id != left_out
+            and entry.sighting.object_id in landmarks
+            and landmarks[entry.sighting.object_id].live
+        ]
+
+    def _nis(
+        self,
+        poses: Array,
+        entries: Sequence[Entry],
+        now: Pose,
+        moved_s: float,
+        landmarks: Mapping[int, Landmark],
+        covariance: Array | None,
+    ) -> Array:
+        """NIS (entries, n) of each entry from each pose, the drift since it was made included."""
+        back = np.array([relative(now, entry.at) for entry in entries])
+        place = np.array(
+            [
+                (landmarks[e.sighting.object_id].x, landmarks[e.sighting.object_id].y)
+                for e in entries
+            ]
+        )
+        seen = np.array([(e.sighting.range_m, e.sighting.bearing) for e in entries])
+        variance = np.array(
+            [(e.sighting.range_variance, e.sighting.bearing_variance) for e in entries]
+        )
+        age = moved_s - np.array([e.moved_s for e in entries])
+        reach = np.maximum(seen[:, 0], 0.3)
+        place_variance = self.drift**2 * age
+        turn_variance = self.turn_drift**2 * age
+        if covariance is not None:
+            place_variance = place_variance + 0.5 * (covariance[0, 0] + covariance[1, 1])
+            turn_variance = turn_variance + covariance[2, 2]
+        range_variance = variance[:, 0] + place_variance
+        bearing_variance = variance[:, 1] + place_variance / reach**2 + turn_variance
+
+        cosine, sine = np.cos(poses[2]), np.sin(poses[2])
+        dx = place[:, :1] - (poses[0] + back[:, :1] * cosine - back[:, 1:2] * sine)
+        dy = place[:, 1:] - (poses[1] + back[:, :1] * sine + back[:, 1:2] * cosine)
+        distance = np.sqrt(dx * dx + dy * dy)
+        bearing = wrap(np.arctan2(dy, dx) - poses[2] - back[:, 2:] - seen[:, 1:])
+        result: Array = (distance - seen[:, :1]) ** 2 / range_variance[:, None]
+        result += bearing**2 / bearing_variance[:, None]
+        return result
+
+
+def _places(objects: Sequence[Landmark]) -> int:
+    """How many places the objects stand at, those within 0.6 m of each other taken as one."""
+    heads: list[Landmark] = []
+    for one in objects:
+        if all(math.hypot(one.x - head.x, one.y - head.y) > TOGETHER for head in heads):
+            heads.append(one)
+    return len(heads)
+
+
+def relative(origin: Pose, pose: Pose) -> Pose:
+    """`pose` seen from `origin` (x ahead, y left [m], turn [rad])."""
+    dx, dy = pose[0] - origin[0], pose[1] - origin[1]
+    cosine, sine = math.cos(origin[2]), math.sin(origin[2])
+    return cosine * dx + sine * dy, -sine * dx + cosine * dy, pose[2] - origin[2]
+
+
+def compose(origin: Pose, step: Pose) -> Pose:
+    """The pose reached from `origin` by the relative motion `step`."""
+    cosine, sine = math.cos(origin[2]), math.sin(origin[2])
+    return (
+        origin[0] + cosine * step[0] - sine * step[1],
+        origin[1] + sine * step[0] + cosine * step[1],
+        origin[2] + step[2],
+    )
+
+
+def carry(poses: Array, step: Pose) -> Array:
+    """Poses (3, n) after the relative motion `step`."""
+    cosine, sine = np.cos(poses[2]), np.sin(poses[2])
+    return np.stack(
+        [
+            poses[0] + step[0] * cosine - step[1] * sine,
+            poses[1] + step[0] * sine + step[1] * cosine,
+            poses[2] + step[2],
+        ]
+    )

@@ -1,0 +1,115 @@
+"""Keeps a visual map and its file in step: evidence in, changes out, nothing lost."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from pathlib import Path
+
+from components.map_builder.objects import Change, Evidence, MapObject
+from components.map_builder.store import (
+    Judged,
+    MapStore,
+    copy_map,
+    digest_of,
+    open_map,
+)
+from components.map_builder.visual_map import VisualMap
+
+NumberedChange = tuple[int, Change]
+
+
+class MapKeeper:
+    """A visual map on disk.
+
+    Changes are committed before they are returned; evidence is gathered until `save`. With a
+    `working_copy`, the map itself is only read: the copy is made of it when there is none, when
+    the copy is one of another map, or when its time lies ahead (another replay), and is gone on
+    with otherwise, as after the death of the process that wrote it.
+    """
+
+    def __init__(
+        self, map_file: Path, working_copy: Path | None, now_ns: int, learn_unknown: bool
+    ) -> None:
+        self.path = _working_file(map_file, working_copy, now_ns)
+        self._store: MapStore = open_map(self.path)
+        self._map = VisualMap(self._store.objects(), learn_unknown)
+        self.version = self._store.version()
+        self._pending: list[Judged] = []
+
+    @property
+    def objects(self) -> list[MapObject]:
+        """All objects, by identifier."""
+        return [self._map.objects[key] for key in sorted(self._map.objects)]
+
+    def apply(
+        self, stamp_ns: int, evidence: Sequence[Evidence]
+    ) -> tuple[bool, list[NumberedChange]]:
+        """Take one frame's evidence: whether any object is not as before, and the changes."""
+        outcome = self._map.apply(evidence)
+        touched = False
+        for piece, after in zip(evidence, outcome.after, strict=True):
+            if after is not None:
+                self._pending.append(Judged(stamp_ns, piece, *after))
+                touched |= after[1]
+        return touched, self._commit(stamp_ns, outcome.changes)
+
+    def take_back(self, stamp_ns: int) -> tuple[bool, list[NumberedChange]]:
+        """Undo what the robot judged while it was lost."""
+        undone, changes = self._map.take_back()
+        if not undone:
+            return False, []
+        numbered = self._commit(stamp_ns, changes)
+        self.save()
+        return True, numbered
+
+    def save(self) -> None:
+        """Commit the evidence gathered so far."""
+        self._store.commit(self.objects, self._pending)
+        self._pending.clear()
+
+    def save_pending(self) -> None:
+        """Commit the evidence gathered so far, if there is any."""
+        if self._pending:
+            self.save()
+
+    def close(self) -> None:
+        """Commit what is left and close the file."""
+        try:
+            self.save_pending()
+        finally:
+            self._store.close()
+
+    def abandon(self) -> None:
+        """Close the file without the evidence that is not committed yet."""
+        self._store.close()
+
+    def _commit(self, stamp_ns: int, changes: Sequence[Change]) -> list[NumberedChange]:
+        if not changes:
+            return []
+        numbered = [(self.version + k, change) for k, change in enumerate(changes, start=1)]
+        self._store.commit(
+            self.objects,
+            self._pending,
+            [(version, stamp_ns, change) for version, change in numbered],
+        )
+        self._pending.clear()
+        self.version += len(changes)
+        return numbered
+
+
+def _working_file(map_file: Path, working_copy: Path | None, now_ns: int) -> Path:
+    if working_copy is None:
+        return map_file
+    log = logging.getLogger("cairn.map_builder")
+    if working_copy.exists():
+        with open_map(working_copy, read_only=True) as left:
+            same = left.digest() == digest_of(map_file)
+            ahead = left.last_stamp_ns() > now_ns
+        if same and not ahead:
+            log.info("going on with the working copy %s", working_copy)
+            return working_copy
+        why = "its evidence is of a later time" if same else "it is a copy of another map"
+        log.info("making the working copy %s anew: %s", working_copy, why)
+    copy_map(map_file, working_copy)
+    return working_copy

@@ -1,0 +1,98 @@
+"""The rows of the map file's tables, and the objects they stand for."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from components.map_builder.objects import (
+    Candidate,
+    Change,
+    Evidence,
+    MapObject,
+    Place,
+    State,
+)
+
+Row = tuple[Any, ...]
+
+# A candidate read from a file was seen by a robot whose pose then is of no use now: the next
+# sighting counts as made from another pose.
+_ELSEWHERE = (float("inf"), float("inf"), 0.0)
+
+
+def object_row(known: MapObject) -> Row:
+    """The row of table `objects`."""
+    found = known.candidate
+    return (
+        known.object_id,
+        known.name,
+        *_place_row(known.place),
+        known.reliability,
+        int(known.state),
+        known.evidence_count,
+        *_place_row(found.place if found else None),
+        found.reliability if found else None,
+        found.sightings if found else None,
+    )
+
+
+def object_from_row(row: Row) -> MapObject:
+    """The object of a row of table `objects`."""
+    candidate_place = _place(row[10:15])
+    candidate = None
+    if candidate_place is not None:
+        candidate = Candidate(candidate_place, float(row[15]), int(row[16]), _ELSEWHERE)
+    return MapObject(
+        object_id=int(row[0]),
+        name=str(row[1]),
+        place=_place(row[2:7]),
+        reliability=float(row[7]),
+        state=State(row[8]),
+        evidence_count=int(row[9]),
+        candidate=candidate,
+    )
+
+
+def change_row(version: int, stamp_ns: int, change: Change) -> Row:
+    """The row of table `changes`."""
+    old, new = change.old, change.new
+    return (
+        version,
+        stamp_ns,
+        change.object_id,
+        change.kind.name,
+        old.x if old else None,
+        old.y if old else None,
+        new.x if new else None,
+        new.y if new else None,
+        change.reliability,
+        change.reason,
+    )
+
+
+def evidence_row(stamp_ns: int, evidence: Evidence, after: MapObject, counted: bool) -> Row:
+    """The row of table `evidence`: what was seen, and what it left of the object."""
+    return (
+        stamp_ns,
+        evidence.object_id,
+        evidence.similarity,
+        evidence.verdict.name,
+        evidence.distance,
+        *_place_row(evidence.implied),
+        *evidence.robot,
+        int(evidence.healthy),
+        int(counted),
+        after.reliability,
+        after.candidate.reliability if after.candidate else None,
+        int(after.state),
+    )
+
+
+def _place_row(place: Place | None) -> Row:
+    if place is None:
+        return (None,) * 5
+    return place.x, place.y, place.xx, place.xy, place.yy
+
+
+def _place(values: Row) -> Place | None:
+    return None if values[0] is None else Place(*(float(value) for value in values))

@@ -1,0 +1,1 @@
+"""Drivers and map importer for recordings of the UTIAS multi-robot (MRCLAM) data sets."""

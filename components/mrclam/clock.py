@@ -1,0 +1,90 @@
+"""The clock of a replay: recorded time, a given number of times as fast as real time."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import ClassVar, Literal
+
+import numpy as np
+from pydantic import Field
+
+from cairn.bus.qos import LATCHED
+from cairn.clock import SECOND, from_ns, to_ns
+from cairn.component.component import Component
+from cairn.component.handlers import on
+from cairn.component.parameters import Config, ParameterRefused
+from cairn.component.ports import In, Out
+from components.mrclam.dataset import Dataset
+from components.mrclam.replay import nanoseconds
+from schemas.nav_msgs import Odometry
+from schemas.rosgraph_msgs import Clock
+
+# How long to listen for the newest odometry of a replay that runs already [ns].
+_LISTEN = SECOND // 2
+# How long to go on after the last record, so that everyone can finish [ns].
+_TAIL = SECOND
+
+
+class MrclamClockConfig(Config):
+    """Parameters of the replay's clock."""
+
+    dataset: Path = Field(description="Folder of one MRCLAM data set.")
+    robot: int = Field(ge=1, le=5, description="Robot of the data set, 1 to 5 [1].")
+    rate: float = Field(1.0, gt=0, le=1000, description="Recorded seconds per second [1].")
+    tick_s: float = Field(
+        0.05, ge=0.001, le=1.0, description="Recorded time between two messages [s]."
+    )
+
+
+class MrclamClock(Component):
+    """Tells recorded time (port `time`, for topic `clock`) from the first record on, then ends.
+
+    Started anew in mid-run it goes on from the newest odometry, which that driver keeps for it.
+    """
+
+    clock_source: ClassVar[Literal["deployment", "system"]] = "system"
+    config: MrclamClockConfig
+    odom: In[Odometry] = In(qos=LATCHED, optional=True)
+    time: Out[Clock]
+
+    _last = 0
+
+    def on_configure(self) -> None:
+        """Read the recording's first and last time."""
+        first, last = nanoseconds(np.array(Dataset(self.config.dataset).span(self.config.robot)))
+        self._first, self._end = first, last + _TAIL
+
+    def on_activate(self) -> None:
+        """Listen first, whether the replay runs already."""
+        self._last = 0
+        self.schedule(self.clock.now() + _LISTEN, self._begin)
+
+    def on_parameters(self, new: Config) -> None:  # noqa: ARG002 - none can be changed
+        """A replay keeps its rate, so that its report means something."""
+        raise ParameterRefused("the clock of a replay takes its parameters when it is configured")
+
+    @on("odom")
+    def note(self, odom: Odometry) -> None:
+        """Remember how far a running replay has come."""
+        self._last = max(self._last, to_ns(odom.header.stamp))
+
+    def _begin(self) -> None:
+        tick = round(self.config.tick_s * SECOND)
+        self._origin = self._first
+        if self._last:
+            self._origin = self._last + tick
+            self.log.info("the replay runs already: going on at %.3f s", self._origin / SECOND)
+        self._began = self.clock.now()
+        self._tick()
+
+    def _tick(self) -> None:
+        tick = round(self.config.tick_s * SECOND)
+        passed = round((self.clock.now() - self._began) * self.config.rate)
+        count = (passed + tick // 2) // tick
+        now = self._origin + count * tick
+        self.time.publish(Clock(clock=from_ns(now)))
+        if now >= self._end:
+            self.finish("the recording is at its end")
+            return
+        due = self._began + round((count + 1) * tick / self.config.rate)
+        self.schedule(due, self._tick)

@@ -1,0 +1,1 @@
+"""Judges a run against the truth: table, report and pictures."""

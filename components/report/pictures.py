@@ -1,0 +1,159 @@
+"""The two pictures of a report: the map with the paths, and the reliabilities over time."""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from components.report.record import ObjectRecord, RunRecord
+
+_TRUE = "#9a9a9a"
+_ESTIMATE = "#1f6fb4"
+_OLD = "#c8321e"
+_NEW = "#1d8a3a"
+_CHANGED = ("#c8321e", "#7a3fb0", "#d98200", "#0f8f8a", "#b0307e", "#5b6d00")
+
+
+def draw_map(record: RunRecord, file: Path) -> None:
+    """Draw the true and the estimated path and each object's old, new and true place."""
+    figure = Figure(figsize=(9, 9), layout="constrained")
+    axes = figure.add_subplot()
+    true, estimate = record.true_track(), record.track()
+    axes.plot(true[:, 0], true[:, 1], color=_TRUE, linewidth=2.0, alpha=0.7)
+    axes.plot(estimate[:, 0], estimate[:, 1], color=_ESTIMATE, linewidth=0.8)
+    for thing in record.objects.values():
+        _draw_object(axes, thing)
+    _place_labels(axes, record.objects.values())
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.set_xlabel("x [m]")
+    axes.set_ylabel("y [m]")
+    axes.grid(alpha=0.25)
+    error = record.error().position_rmse
+    title = "The visual map repaired: where the map had its landmarks, has them, and where they are"
+    axes.set_title(title + (f"\nposition error {error:.3f} m rms" if error is not None else ""))
+    figure.legend(handles=_legend(), loc="outside lower center", ncols=3, frameon=False)
+    _save(figure, file)
+
+
+def draw_reliability(record: RunRecord, file: Path) -> None:
+    """Draw each object's pose reliability over time; those removed or registered in colour."""
+    changed = [thing for thing in record.objects.values() if _has_changed(thing)]
+    still = [thing for thing in record.objects.values() if not _has_changed(thing)]
+    figure = Figure(figsize=(11, 6), layout="constrained")
+    axes = figure.add_subplot()
+    for thing in still:
+        axes.step(*_curve(record, thing), where="post", color="#b4bcc4", linewidth=0.9)
+    for index, thing in enumerate(changed):
+        color = _CHANGED[index % len(_CHANGED)]
+        axes.step(
+            *_curve(record, thing), where="post", color=color, linewidth=1.8,
+            label=f"landmark {_label(thing)}",
+        )  # fmt: skip
+        for stamp, marker, word in (
+            (thing.removed_at, "v", "removed"),
+            (thing.registered_at, "^", "registered"),
+        ):
+            seconds = record.seconds(stamp)
+            if seconds is not None:
+                height = 0.1 if marker == "v" else 0.5
+                axes.plot(seconds, height, marker, color=color, markersize=9)
+                axes.annotate(
+                    f"{_label(thing)} {word}", (seconds, height), (6, -12),
+                    textcoords="offset points", fontsize=8, color=color,
+                )  # fmt: skip
+    for threshold, word in ((0.1, "removed below 0.1"), (0.5, "registered above 0.5")):
+        axes.axhline(threshold, color="black", linewidth=0.6, linestyle=":")
+        axes.text(1.0, threshold, f" {word}", transform=axes.get_yaxis_transform(), fontsize=8,
+                  va="center")  # fmt: skip
+    if still:
+        axes.plot([], [], color="#b4bcc4", label=f"the {len(still)} that stood still")
+    axes.set_ylim(-0.02, 1.02)
+    axes.set_xlabel("time since the recording began [s]")
+    axes.set_ylabel("pose reliability")
+    axes.set_title("Pose reliability of each landmark (equations 1 and 2)")
+    axes.grid(alpha=0.25)
+    if record.objects:
+        axes.legend(loc="lower right", fontsize=9)
+    _save(figure, file)
+
+
+def _draw_object(axes: Axes, thing: ObjectRecord) -> None:
+    if thing.true_place is not None:
+        axes.plot(*thing.true_place, "+", color="black", markersize=11, markeredgewidth=1.3)
+    moved = _has_changed(thing)
+    if thing.map_place is not None and moved:
+        axes.plot(*thing.map_place, "x", color=_OLD, markersize=10, markeredgewidth=2.2)
+    if thing.place is not None and thing.state == "live":
+        axes.plot(
+            *thing.place, "o", color=_NEW if moved else _ESTIMATE, markersize=9 if moved else 6,
+            fillstyle="none", markeredgewidth=1.8,
+        )  # fmt: skip
+        if thing.map_place is not None and moved:
+            axes.annotate(
+                "", thing.place, thing.map_place,
+                arrowprops={"arrowstyle": "->", "color": _OLD, "linestyle": "--", "alpha": 0.7},
+            )  # fmt: skip
+
+
+def _place_labels(axes: Axes, things: Iterable[ObjectRecord]) -> None:
+    """Label the objects; those that stand close together share one label."""
+    places = [(thing.place or thing.map_place or thing.true_place, thing) for thing in things]
+    groups: list[tuple[tuple[float, float], list[str]]] = []
+    for place, thing in places:
+        if place is None:
+            continue
+        near = next(
+            (g for g in groups if np.hypot(g[0][0] - place[0], g[0][1] - place[1]) < 0.5), None
+        )
+        if near is None:
+            groups.append((place, [_label(thing)]))
+        else:
+            near[1].append(_label(thing))
+    for place, labels in groups:
+        axes.annotate(
+            ", ".join(labels), place, (9, 7), textcoords="offset points", fontsize=9,
+            fontweight="bold", color="#303030",
+        )  # fmt: skip
+
+
+def _legend() -> list[Line2D]:
+    def mark(marker: str, color: str, label: str) -> Line2D:
+        return Line2D(
+            [], [], color=color, marker=marker, linestyle="", fillstyle="none", markersize=8,
+            markeredgewidth=1.8, label=label,
+        )  # fmt: skip
+
+    return [
+        Line2D([], [], color=_TRUE, linewidth=2, label="true path"),
+        Line2D([], [], color=_ESTIMATE, label="estimated path"),
+        mark("+", "black", "true place"),
+        mark("o", _ESTIMATE, "landmark in the map"),
+        mark("x", _OLD, "removed: where the map had it"),
+        mark("o", _NEW, "registered: where it is now"),
+    ]
+
+
+def _curve(record: RunRecord, thing: ObjectRecord) -> tuple[list[float], list[float]]:
+    stamps = [record.seconds(stamp) or 0.0 for stamp, _ in thing.history]
+    values = [value for _, value in thing.history]
+    end = record.seconds(record.end)
+    if stamps and end is not None:
+        stamps.append(end)
+        values.append(values[-1])
+    return stamps, values
+
+
+def _has_changed(thing: ObjectRecord) -> bool:
+    return thing.removed_at is not None or thing.registered_at is not None
+
+
+def _label(thing: ObjectRecord) -> str:
+    return thing.name or str(thing.object_id)
+
+
+def _save(figure: Figure, file: Path) -> None:
+    # Without the software's name and the date, the same run gives the same bytes.
+    figure.savefig(file, dpi=110, metadata={"Software": None})

@@ -1,0 +1,69 @@
+"""The report as a table for the terminal."""
+
+import io
+import math
+from typing import Any
+
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.table import Table
+
+_COLUMNS = ("landmark", "state", "reliability", "given", "now", "true", "off by", "events")
+
+
+def render_table(summary: dict[str, Any]) -> str:
+    """The summary of a run as text, 100 columns wide."""
+    console = Console(file=io.StringIO(), width=100, highlight=False)
+    table = Table(box=SIMPLE_HEAD, pad_edge=False)
+    for column in _COLUMNS:
+        table.add_column(column, justify="left" if column in ("state", "events") else "right")
+    for thing in summary["objects"]:
+        moved = thing["removed_at_s"] is not None or thing["registered_at_s"] is not None
+        table.add_row(*_row(thing), style="bold" if moved else None)
+    console.print(table)
+    console.print(_closing(summary))
+    file = console.file
+    assert isinstance(file, io.StringIO)
+    return file.getvalue()
+
+
+def _row(thing: dict[str, Any]) -> tuple[str, ...]:
+    off = ""
+    if thing["x"] is not None and thing["true_x"] is not None:
+        distance = math.hypot(thing["x"] - thing["true_x"], thing["y"] - thing["true_y"])
+        off = f"{distance:.2f} m"
+    events = [
+        f"{word} at {thing[key]:.0f} s"
+        for word, key in (("removed", "removed_at_s"), ("registered", "registered_at_s"))
+        if thing[key] is not None
+    ]
+    return (
+        thing["name"] or str(thing["id"]),
+        thing["state"],
+        f"{thing['reliability']:.2f}",
+        _place(thing["map_x"], thing["map_y"]),
+        _place(thing["x"], thing["y"]),
+        _place(thing["true_x"], thing["true_y"]),
+        off,
+        ", ".join(events),
+    )
+
+
+def _place(x: float | None, y: float | None) -> str:
+    return "" if x is None or y is None else f"{x:.2f}, {y:.2f}"
+
+
+def _closing(summary: dict[str, Any]) -> str:
+    lost = {port: count for port, count in summary["dropped"].items() if count}
+    losses = ", ".join(f"{count} at {port}" for port, count in lost.items()) or "none"
+    recorded, wall = summary["recorded_s"], summary["wall_s"]
+    speed = f", {recorded / wall:.1f} times real time" if wall else ""
+    if summary["position_rmse_m"] is None:
+        errors = "no pose to compare with the truth"
+    else:
+        errors = (
+            f"position error {summary['position_rmse_m']:.3f} m rms "
+            f"(at most {summary['position_error_max_m']:.2f} m), "
+            f"heading error {summary['heading_rmse_rad']:.3f} rad rms"
+        )
+    return f"{errors}\n{recorded:.0f} s recorded, {wall:.1f} s taken{speed}; dropped: {losses}"

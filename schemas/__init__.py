@@ -1,0 +1,1 @@
+"""Every message on the bus, one definition each; no logic."""

@@ -1,0 +1,24 @@
+"""ROS 2 package builtin_interfaces: points and spans of time."""
+
+from typing import Annotated
+
+from schemas.message import message
+from schemas.primitives import Int32, Scalar
+
+Nanoseconds = Annotated[int, Scalar("uint32", at_most=999_999_999)]
+
+
+@message("builtin_interfaces/msg/Time")
+class Time:
+    """A point in time: seconds since the clock's epoch and nanoseconds on top of them."""
+
+    sec: Int32 = 0
+    nanosec: Nanoseconds = 0
+
+
+@message("builtin_interfaces/msg/Duration")
+class Duration:
+    """A span of time: seconds, which may be negative, and nanoseconds on top of them."""
+
+    sec: Int32 = 0
+    nanosec: Nanoseconds = 0

@@ -1,0 +1,201 @@
+"""Cairn's own messages: object sightings, the visual map and the state of components."""
+
+from math import isinf, isnan
+from typing import Annotated, ClassVar
+
+from schemas.covariance import Covariance2, Covariance3
+from schemas.message import message, refuse
+from schemas.primitives import (
+    Bool,
+    FiniteFloat64,
+    Float64,
+    Scalar,
+    String,
+    Text,
+    UInt8,
+    UInt32,
+    UInt64,
+    zeros,
+)
+from schemas.std_msgs import Header
+
+Probability = Annotated[float, Scalar("float64", at_least=0, at_most=1)]
+Distance = Annotated[float, Scalar("float64", above=0)]
+NotNegative = Annotated[float, Scalar("float64", at_least=0)]
+
+NAN = float("nan")
+
+
+@message("cairn_msgs/msg/RecognizedObject")
+class RecognizedObject:
+    """An object of the visual map, recognized by the camera: where it stands from the robot.
+
+    `range` [m] and `bearing` [rad, left positive] with their covariance; `inliers` is the number
+    of matched features, 0 if that does not apply.
+    """
+
+    object_id: UInt32
+    range: Distance
+    bearing: FiniteFloat64
+    covariance: Covariance2 = zeros(4)
+    inliers: UInt32 = 0
+
+
+@message("cairn_msgs/msg/RecognizedObjectArray")
+class RecognizedObjectArray:
+    """The objects recognized in one image; the frame is the robot's base."""
+
+    header: Header = Header()
+    objects: tuple[RecognizedObject, ...] = ()
+
+
+@message("cairn_msgs/msg/ObjectEvidence")
+class ObjectEvidence:
+    """What one sighting says about an object's place in the map.
+
+    `similarity` is p(R, NR, i) of the paper's equation 1 and `distance` its d (in likelihood-ratio
+    mode the square root of the normalized innovation squared); `x`, `y` [m] with `covariance` is
+    where the sighting places the object in the map; `range`, `bearing` repeat the sighting.
+    """
+
+    AGREES: ClassVar[UInt8] = 0
+    DISAGREES: ClassVar[UInt8] = 1
+    FALSE_MATCH: ClassVar[UInt8] = 2
+    NOT_CONVERGED: ClassVar[UInt8] = 3
+
+    object_id: UInt32
+    similarity: Probability
+    verdict: Annotated[int, Scalar("uint8", at_most=3)]
+    distance: NotNegative
+    x: FiniteFloat64
+    y: FiniteFloat64
+    covariance: Covariance2
+    range: Distance
+    bearing: FiniteFloat64
+
+
+@message("cairn_msgs/msg/ObjectEvidenceArray")
+class ObjectEvidenceArray:
+    """The evidence of one image, with the pose of the robot [m, rad] that it was compared with.
+
+    `reason` says in words why the pose is not `healthy`.
+    """
+
+    header: Header = Header()
+    robot_x: FiniteFloat64 = 0.0
+    robot_y: FiniteFloat64 = 0.0
+    robot_theta: FiniteFloat64 = 0.0
+    robot_covariance: Covariance3 = zeros(9)
+    healthy: Bool = False
+    reason: String = ""
+    evidence: tuple[ObjectEvidence, ...] = ()
+
+
+@message("cairn_msgs/msg/VisualObject")
+class VisualObject:
+    """An object of the visual map: place [m] in frame map, and how far it is relied on.
+
+    A candidate is the place where an object seems to stand now; NaN if there is none.
+    """
+
+    LIVE: ClassVar[UInt8] = 0
+    RELOCATING: ClassVar[UInt8] = 1
+    RETIRED: ClassVar[UInt8] = 2
+
+    object_id: UInt32
+    name: String = ""
+    x: FiniteFloat64 = 0.0
+    y: FiniteFloat64 = 0.0
+    covariance: Covariance2 = zeros(4)
+    reliability: Probability = 1.0
+    state: Annotated[int, Scalar("uint8", at_most=2)] = 0
+    evidence_count: UInt32 = 0
+    candidate_x: Float64 = NAN
+    candidate_y: Float64 = NAN
+    candidate_reliability: Probability = 0.0
+
+    def __post_init__(self) -> None:
+        """Check that a candidate has both coordinates or none."""
+        _place_or_none(self, "candidate", self.candidate_x, self.candidate_y)
+
+
+@message("cairn_msgs/msg/VisualMap")
+class VisualMap:
+    """All objects of the visual map; `version` counts the changes."""
+
+    header: Header = Header()
+    version: UInt64 = 0
+    objects: tuple[VisualObject, ...] = ()
+
+
+@message("cairn_msgs/msg/VisualMapChange")
+class VisualMapChange:
+    """One change to the visual map, with the object's place [m] before and after; NaN if none."""
+
+    IMPORTED: ClassVar[UInt8] = 0
+    REMOVED: ClassVar[UInt8] = 1
+    REGISTERED: ClassVar[UInt8] = 2
+    REFINED: ClassVar[UInt8] = 3
+    RESTORED: ClassVar[UInt8] = 4
+
+    header: Header = Header()
+    version: UInt64 = 0
+    object_id: UInt32 = 0
+    kind: Annotated[int, Scalar("uint8", at_most=4)] = 0
+    old_x: Float64 = NAN
+    old_y: Float64 = NAN
+    new_x: Float64 = NAN
+    new_y: Float64 = NAN
+    reliability: Probability = 0.0
+    reason: String = ""
+
+    def __post_init__(self) -> None:
+        """Check that each place has both coordinates or none."""
+        _place_or_none(self, "old", self.old_x, self.old_y)
+        _place_or_none(self, "new", self.new_x, self.new_y)
+
+
+@message("cairn_msgs/msg/PortStatus")
+class PortStatus:
+    """What passed one port of a component since it was configured."""
+
+    IN: ClassVar[UInt8] = 0
+    OUT: ClassVar[UInt8] = 1
+
+    port: String
+    topic: String
+    direction: Annotated[int, Scalar("uint8", at_most=1)]
+    messages: UInt64 = 0
+    dropped: UInt64 = 0
+    invalid: UInt64 = 0
+
+
+@message("cairn_msgs/msg/ComponentStatus")
+class ComponentStatus:
+    """The state of one component.
+
+    `parent` is "" for the root; `handler` is the handler at work for `handler_s` [s], "" when the
+    component waits; `reason` says in words why it is in this state; `children` names what a
+    supervisor may load.
+    """
+
+    header: Header
+    component: String
+    plugin: String = ""
+    parent: String = ""
+    placement: String = ""
+    state: Annotated[
+        str, Text(one_of=("unconfigured", "inactive", "active", "finalized", "error"))
+    ] = "unconfigured"
+    pid: UInt32 = 0
+    handler: String = ""
+    handler_s: NotNegative = 0.0
+    restarts: UInt32 = 0
+    reason: String = ""
+    children: tuple[String, ...] = ()
+    ports: tuple[PortStatus, ...] = ()
+
+
+def _place_or_none(message: object, name: str, x: float, y: float) -> None:
+    if isinf(x) or isinf(y) or isnan(x) != isnan(y):
+        refuse(message, f"{name}_x, {name}_y", (x, y), "must be two finite numbers, or NaN twice")

@@ -1,0 +1,115 @@
+"""ROS 2 package geometry_msgs: points, poses, velocities and transforms (REP 103: m, rad, s)."""
+
+from typing import Annotated
+
+import numpy as np
+import numpy.typing as npt
+
+from schemas.message import message
+from schemas.packed import Packed
+from schemas.primitives import Array, FiniteFloat64, String, finite, zeros
+from schemas.std_msgs import Header
+
+Covariance6 = Annotated[npt.NDArray[np.float64], Array("float64", length=36, check=finite)]
+"""Row-major 6x6 over (x, y, z, rotation about X, Y, Z): finite; ROS asks for no more."""
+
+
+@message("geometry_msgs/msg/Point")
+class Point:
+    """A place [m]."""
+
+    x: FiniteFloat64 = 0.0
+    y: FiniteFloat64 = 0.0
+    z: FiniteFloat64 = 0.0
+
+
+@message("geometry_msgs/msg/Vector3")
+class Vector3:
+    """A direction, a velocity [m/s] or [rad/s], or a translation [m]."""
+
+    x: FiniteFloat64 = 0.0
+    y: FiniteFloat64 = 0.0
+    z: FiniteFloat64 = 0.0
+
+
+@message("geometry_msgs/msg/Quaternion")
+class Quaternion:
+    """An orientation. Not checked for unit length: ROS nodes send all zeros for "not set"."""
+
+    x: FiniteFloat64 = 0.0
+    y: FiniteFloat64 = 0.0
+    z: FiniteFloat64 = 0.0
+    w: FiniteFloat64 = 1.0
+
+
+@message("geometry_msgs/msg/Pose")
+class Pose:
+    """A place and an orientation."""
+
+    position: Point = Point()
+    orientation: Quaternion = Quaternion()
+
+
+@message("geometry_msgs/msg/PoseStamped")
+class PoseStamped:
+    """A pose with its frame and time."""
+
+    header: Header = Header()
+    pose: Pose = Pose()
+
+
+@message("geometry_msgs/msg/PoseWithCovariance")
+class PoseWithCovariance:
+    """A pose with its uncertainty."""
+
+    pose: Pose = Pose()
+    covariance: Covariance6 = zeros(36)
+
+
+@message("geometry_msgs/msg/PoseWithCovarianceStamped")
+class PoseWithCovarianceStamped:
+    """An uncertain pose with its frame and time."""
+
+    header: Header = Header()
+    pose: PoseWithCovariance = PoseWithCovariance()
+
+
+@message("geometry_msgs/msg/PoseArray")
+class PoseArray:
+    """Many poses in one frame, such as the particles of a filter; `poses.array` is (n, 7)."""
+
+    header: Header = Header()
+    poses: Packed[Pose] = Packed(Pose)
+
+
+@message("geometry_msgs/msg/Twist")
+class Twist:
+    """A velocity: linear [m/s] and angular [rad/s]."""
+
+    linear: Vector3 = Vector3()
+    angular: Vector3 = Vector3()
+
+
+@message("geometry_msgs/msg/TwistWithCovariance")
+class TwistWithCovariance:
+    """A velocity with its uncertainty."""
+
+    twist: Twist = Twist()
+    covariance: Covariance6 = zeros(36)
+
+
+@message("geometry_msgs/msg/Transform")
+class Transform:
+    """Where one frame stands in another."""
+
+    translation: Vector3 = Vector3()
+    rotation: Quaternion = Quaternion()
+
+
+@message("geometry_msgs/msg/TransformStamped")
+class TransformStamped:
+    """The transform from frame `header.frame_id` to frame `child_frame_id` at a time."""
+
+    header: Header = Header()
+    child_frame_id: String = ""
+    transform: Transform = Transform()

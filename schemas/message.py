@@ -1,0 +1,200 @@
+"""What makes a class a message: its ROS 2 name, validation, immutability and equality."""
+
+import dataclasses
+import re
+import struct
+from collections.abc import Callable
+from operator import attrgetter
+from typing import Any, NoReturn, TypeVar, cast, dataclass_transform, get_type_hints
+
+import numpy as np
+from pydantic import ConfigDict, ValidationError
+from pydantic.dataclasses import dataclass as pydantic_dataclass
+from pydantic_core import ArgsKwargs
+
+from schemas.primitives import Scalar, mark_of
+
+T = TypeVar("T")
+
+_NAME = re.compile("[a-z][a-z0-9_]*/msg/[A-Z][A-Za-z0-9]*")
+_CONFIG = ConfigDict(extra="forbid", validate_default=True)
+_LONGEST_VALUE = 60
+
+
+class InvalidMessage(ValueError):  # noqa: N818 - says what the message is
+    """A message breaks its definition: which type, where in it, what stands there, why not."""
+
+    def __init__(self, type_name: str, path: str, value: object, reason: str) -> None:
+        self.type_name = type_name
+        self.path = path
+        self.value = _shortened(value)
+        self.reason = reason
+        where = " = ".join(part for part in (path, self.value) if part)
+        super().__init__(f"{type_name}: {where}: {reason}")
+
+    def within(self, type_name: str, field: str) -> "InvalidMessage":
+        """The same, told of the message of type `type_name` that holds this one in `field`."""
+        path = f"{field}.{self.path}" if self.path else field
+        return InvalidMessage(type_name, path, _Shortened(self.value), self.reason)
+
+
+@dataclass_transform(frozen_default=True, field_specifiers=(dataclasses.field,))
+def message(name: str) -> Callable[[type[T]], type[T]]:
+    """Make a class the definition of the ROS 2 message type `name` ("geometry_msgs/msg/Point").
+
+    The annotated fields, in this order, are the fields on the wire: primitives of
+    `schemas.primitives`, other messages, `tuple[Message, ...]`, `tuple[String, ...]` or
+    `schemas.packed.Packed`. `ClassVar` primitives with a value are the type's constants. Instances
+    are frozen, and equal if all fields are, NaN being equal to NaN. In place of a message that
+    another one holds, its constructor also takes a mapping of fields.
+
+    A message cannot be made invalid: the constructor raises `InvalidMessage`. What must hold
+    between fields is checked by the class's `__post_init__`, which calls `refuse`.
+    """
+    if not _NAME.fullmatch(name):
+        raise TypeError(f"{name!r} is not a ROS 2 message name such as geometry_msgs/msg/Point")
+
+    def decorate(cls: type[T]) -> type[T]:
+        _round_float32(cls)
+        made = pydantic_dataclass(frozen=True, eq=False, config=_CONFIG)(cls)
+        names = tuple(field.name for field in dataclasses.fields(made))
+        if not names:
+            raise TypeError(f"{name}: a message has at least one field")
+        for attribute, value in (
+            ("__init__", _constructor(name, names)),
+            ("__eq__", _equality(names)),
+            ("__hash__", _hashing(name, names)),
+            ("__ros_type__", name),
+        ):
+            setattr(made, attribute, value)
+        return cast("type[T]", made)
+
+    return decorate
+
+
+def type_name(cls: type[Any]) -> str:
+    """The ROS 2 name of a message class: "geometry_msgs/msg/Twist".
+
+    Raises `TypeError` if the class is not a message.
+    """
+    name = cls.__dict__.get("__ros_type__")
+    if not isinstance(name, str):
+        raise TypeError(f"{cls.__qualname__} is not a message: it is not decorated with @message")
+    return name
+
+
+def refuse(message: object, path: str, value: object, reason: str) -> NoReturn:
+    """Raise `InvalidMessage` for a message under construction."""
+    raise InvalidMessage(type_name(type(message)), path, value, reason)
+
+
+def _constructor(name: str, fields: tuple[str, ...]) -> Callable[..., None]:
+    def __init__(self: Any, /, *args: Any, **kwargs: Any) -> None:  # noqa: N807
+        try:
+            self.__pydantic_validator__.validate_python(
+                ArgsKwargs(args, kwargs), self_instance=self
+            )
+        except ValidationError as error:
+            raise _translated(name, fields, error) from None
+
+    return __init__
+
+
+def _translated(name: str, fields: tuple[str, ...], error: ValidationError) -> InvalidMessage:
+    first = error.errors(include_url=False)[0]
+    path = ""
+    for index, place in enumerate(first["loc"]):
+        if isinstance(place, str):
+            path += f".{place}" if path else place
+        elif index == 0 and place < len(fields):
+            path = fields[place]
+        else:
+            path += f"[{place}]"
+    cause = first.get("ctx", {}).get("error")
+    if isinstance(cause, InvalidMessage):
+        return cause.within(name, path) if path else cause
+    if first["type"] == "missing":
+        return InvalidMessage(name, path, _Shortened(), "is required")
+    reason = str(cause) if cause else first["msg"][0].lower() + first["msg"][1:]
+    return InvalidMessage(name, path, first["input"], reason)
+
+
+class _Shortened(str):
+    """The text of a value that is short enough."""
+
+    __slots__ = ()
+
+
+def _shortened(value: object) -> str:
+    if isinstance(value, _Shortened):
+        return str(value)
+    if isinstance(value, np.ndarray):
+        with np.printoptions(threshold=8, edgeitems=3):
+            text = f"{value.dtype}[{value.size}] {value}".replace("\n", "")
+    elif isinstance(value, str | bytes | list | tuple) and len(value) > _LONGEST_VALUE:
+        text = f"{value[:_LONGEST_VALUE]!r}... ({len(value)} long)"
+    else:
+        text = repr(value)
+    return text if len(text) <= 2 * _LONGEST_VALUE else f"{text[: 2 * _LONGEST_VALUE]}..."
+
+
+def _round_float32(cls: type[Any]) -> None:
+    # A float32 field holds what the wire can carry, so that a message is the same before and
+    # after a journey. All fields of a class at once, because it is on the path of each decoding.
+    names = [
+        name
+        for name, annotation in get_type_hints(cls, include_extras=True).items()
+        if isinstance(mark := mark_of(annotation), Scalar) and mark.ros_type == "float32"
+    ]
+    if not names:
+        return
+    own = cls.__dict__.get("__post_init__")
+    single = struct.Struct(f"<{len(names)}f")
+    first, *others = names
+    get = attrgetter(*names) if others else lambda self: (getattr(self, first),)
+
+    def __post_init__(self: Any) -> None:  # noqa: N807
+        given = get(self)
+        try:
+            rounded = single.unpack(single.pack(*given))
+        except OverflowError:
+            for name, value in zip(names, given, strict=True):
+                try:
+                    struct.pack("<f", value)
+                except OverflowError:
+                    refuse(self, name, value, "is too large for a float32")
+            raise
+        if rounded != given:
+            self.__dict__.update(zip(names, rounded, strict=True))
+        if own is not None:
+            own(self)
+
+    cls.__post_init__ = __post_init__
+
+
+def _equality(fields: tuple[str, ...]) -> Callable[[Any, object], bool]:
+    def __eq__(self: Any, other: object) -> bool:  # noqa: N807
+        if type(other) is not type(self):
+            return NotImplemented
+        return all(_same(getattr(self, field), getattr(other, field)) for field in fields)
+
+    return __eq__
+
+
+def _same(one: Any, other: Any) -> bool:
+    if isinstance(one, np.ndarray):
+        return np.array_equal(one, other, equal_nan=True)
+    return bool(one == other) or (one != one and other != other)
+
+
+def _hashing(name: str, fields: tuple[str, ...]) -> Callable[[Any], int]:
+    # Arrays count by their length alone and NaN as nothing, so that equals have equal hashes.
+    def part(value: Any) -> Any:
+        if isinstance(value, np.ndarray):
+            return value.size
+        return value if value == value else None
+
+    def __hash__(self: Any) -> int:  # noqa: N807
+        return hash((name, *(part(getattr(self, field)) for field in fields)))
+
+    return __hash__

@@ -1,0 +1,201 @@
+"""The primitive types of ROS 2 messages as annotations, each with its validation."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Annotated, Any, get_origin
+
+import numpy as np
+import numpy.typing as npt
+from pydantic_core import CoreSchema, core_schema
+
+from schemas.arrays import array_validator
+
+_INTEGERS = {
+    f"{sign}int{bits}": (0 if sign else -(2 ** (bits - 1)), 2 ** (bits if sign else bits - 1) - 1)
+    for sign in ("", "u")
+    for bits in (8, 16, 32, 64)
+} | {"byte": (0, 255), "char": (0, 255)}
+
+
+@dataclass(frozen=True)
+class Scalar:
+    """Marks a field as a ROS 2 number or bool, within the limits given; accepts numpy's too.
+
+    `ros_type` is its name in a .msg file. A limit, as `finite`, rules out NaN and infinities.
+    """
+
+    ros_type: str
+    above: float | None = None
+    at_least: float | None = None
+    at_most: float | None = None
+    finite: bool = False
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> CoreSchema:
+        """How pydantic checks such a field."""
+        strict = self._strict()
+        # pydantic-core itself checks Python's own types; numpy's scalars take the second way.
+        from_numpy = core_schema.chain_schema(
+            [core_schema.no_info_plain_validator_function(_python_value), strict]
+        )
+        return core_schema.union_schema(
+            [strict, from_numpy],
+            mode="left_to_right",
+            custom_error_type="scalar",
+            custom_error_message=f"must be {self._wanted()}",
+        )
+
+    def _strict(self) -> CoreSchema:
+        if self.ros_type == "bool":
+            return core_schema.bool_schema(strict=True)
+        if self.ros_type in _INTEGERS:
+            low, high = self._integers()
+            return core_schema.int_schema(strict=True, ge=low, le=high)
+        above, at_least, at_most = self.above, self.at_least, self.at_most
+        if self.ros_type == "float32":
+            # A message rounds its float32 fields after this check: they must pass it again.
+            at_least, at_most = _rounded(at_least), _rounded(at_most)
+            if above is not None:
+                above = None
+                at_least = float(np.nextafter(np.float32(self.above), np.float32(np.inf)))
+        return core_schema.float_schema(
+            strict=True, gt=above, ge=at_least, le=at_most, allow_inf_nan=not self._is_finite()
+        )
+
+    def _integers(self) -> tuple[int, int]:
+        low, high = _INTEGERS[self.ros_type]
+        if self.at_least is not None:
+            low = max(low, int(self.at_least))
+        if self.at_most is not None:
+            high = min(high, int(self.at_most))
+        return low, high
+
+    def _is_finite(self) -> bool:
+        return self.finite or (self.above, self.at_least, self.at_most) != (None, None, None)
+
+    def _wanted(self) -> str:
+        if self.ros_type == "bool":
+            return "True or False"
+        if self.ros_type in _INTEGERS:
+            return "an integer from {} to {}".format(*self._integers())
+        limits = [
+            f"{word} {limit:g}"
+            for word, limit in (
+                ("above", self.above), ("at least", self.at_least), ("at most", self.at_most),
+            )
+            if limit is not None
+        ]  # fmt: skip
+        number = "a finite number" if self._is_finite() else "a number"
+        return " ".join([number, " and ".join(limits)]).rstrip()
+
+
+@dataclass(frozen=True)
+class Text:
+    """Marks a field as a ROS 2 string: UTF-8 without NUL; if `one_of` is given, one of those."""
+
+    one_of: tuple[str, ...] = ()
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> CoreSchema:
+        """How pydantic checks such a field."""
+        if self.one_of:
+            inner: CoreSchema = core_schema.literal_schema(list(self.one_of))
+            wanted = f"one of {', '.join(map(repr, self.one_of))}"
+        else:
+            inner = core_schema.str_schema(strict=True, pattern="^[^\x00]*$")
+            wanted = "a string without NUL that UTF-8 can encode"
+        return core_schema.custom_error_schema(
+            inner, custom_error_type="text", custom_error_message=f"must be {wanted}"
+        )
+
+
+@dataclass(frozen=True)
+class Array:
+    """Marks a field as a ROS 2 sequence of numbers, or with a `length` as an array of that many.
+
+    `check` sees the array and raises `ValueError` with what must hold.
+    """
+
+    ros_type: str
+    length: int | None = None
+    check: Callable[[npt.NDArray[Any]], None] | None = None
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> CoreSchema:
+        """How pydantic checks such a field."""
+        dtype = np.dtype("uint8" if self.ros_type in ("byte", "char") else self.ros_type)
+        check = _truth_values if self.ros_type == "bool" else self.check
+        return core_schema.no_info_plain_validator_function(
+            array_validator(dtype, self.length, check)
+        )
+
+
+def _rounded(limit: float | None) -> float | None:
+    return None if limit is None else float(np.float32(limit))
+
+
+def _python_value(value: object) -> object:
+    if isinstance(value, np.generic):
+        return value.item()
+    raise ValueError
+
+
+def mark_of(annotation: object) -> "Scalar | Text | Array | None":
+    """How an annotation is marked, None if it is not."""
+    if get_origin(annotation) is Annotated:
+        for mark in annotation.__metadata__:  # type: ignore[attr-defined]
+            if isinstance(mark, Scalar | Text | Array):
+                return mark
+    return None
+
+
+def finite(array: npt.NDArray[Any]) -> None:
+    """For `Array.check`: no NaN and no infinity."""
+    if not np.isfinite(array).all():
+        raise ValueError("must hold finite numbers only")
+
+
+def _truth_values(array: npt.NDArray[Any]) -> None:
+    # Seen from the wire any byte may stand where a bool should.
+    if array.view(np.uint8).max(initial=0) > 1:
+        raise ValueError("must hold the bytes 0 and 1 only")
+
+
+def zeros(length: int) -> Any:
+    """Default of a float64 array field: so many zeros, one read-only array for all."""
+    value = np.zeros(length)
+    value.flags.writeable = False
+    return field(default_factory=lambda: value)
+
+
+def empty(dtype: npt.DTypeLike) -> Any:
+    """Default of a sequence of numbers: none."""
+    value = np.zeros(0, dtype)
+    value.flags.writeable = False
+    return field(default_factory=lambda: value)
+
+
+Bool = Annotated[bool, Scalar("bool")]
+Byte = Annotated[int, Scalar("byte")]
+Int8 = Annotated[int, Scalar("int8")]
+Int16 = Annotated[int, Scalar("int16")]
+Int32 = Annotated[int, Scalar("int32")]
+Int64 = Annotated[int, Scalar("int64")]
+UInt8 = Annotated[int, Scalar("uint8")]
+UInt16 = Annotated[int, Scalar("uint16")]
+UInt32 = Annotated[int, Scalar("uint32")]
+UInt64 = Annotated[int, Scalar("uint64")]
+Float32 = Annotated[float, Scalar("float32")]
+Float64 = Annotated[float, Scalar("float64")]
+FiniteFloat32 = Annotated[float, Scalar("float32", finite=True)]
+FiniteFloat64 = Annotated[float, Scalar("float64", finite=True)]
+String = Annotated[str, Text()]
+
+BoolArray = Annotated[npt.NDArray[np.bool_], Array("bool")]
+Int8Array = Annotated[npt.NDArray[np.int8], Array("int8")]
+Int16Array = Annotated[npt.NDArray[np.int16], Array("int16")]
+Int32Array = Annotated[npt.NDArray[np.int32], Array("int32")]
+Int64Array = Annotated[npt.NDArray[np.int64], Array("int64")]
+UInt8Array = Annotated[npt.NDArray[np.uint8], Array("uint8")]
+UInt16Array = Annotated[npt.NDArray[np.uint16], Array("uint16")]
+UInt32Array = Annotated[npt.NDArray[np.uint32], Array("uint32")]
+UInt64Array = Annotated[npt.NDArray[np.uint64], Array("uint64")]
+Float32Array = Annotated[npt.NDArray[np.float32], Array("float32")]
+Float64Array = Annotated[npt.NDArray[np.float64], Array("float64")]

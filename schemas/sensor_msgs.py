@@ -1,0 +1,121 @@
+"""ROS 2 package sensor_msgs: laser scans and camera images."""
+
+from typing import Annotated
+
+import numpy as np
+import numpy.typing as npt
+
+from schemas.message import message, refuse
+from schemas.primitives import (
+    Array,
+    Bool,
+    FiniteFloat32,
+    Float32,
+    Float32Array,
+    String,
+    UInt8,
+    UInt8Array,
+    UInt32,
+    empty,
+    finite,
+    zeros,
+)
+from schemas.std_msgs import Header
+
+_EPSILON = float(np.finfo(np.float32).eps)
+
+Coefficients = Annotated[npt.NDArray[np.float64], Array("float64", check=finite)]
+Matrix3x3 = Annotated[npt.NDArray[np.float64], Array("float64", length=9, check=finite)]
+Matrix3x4 = Annotated[npt.NDArray[np.float64], Array("float64", length=12, check=finite)]
+
+
+@message("sensor_msgs/msg/LaserScan")
+class LaserScan:
+    """One sweep of a planar laser: `ranges` [m] at angles from `angle_min` on, left positive [rad].
+
+    As in REP 117 a range is -inf if the object is too near, +inf if nothing was hit, and NaN if
+    the measurement failed.
+    """
+
+    header: Header = Header()
+    angle_min: FiniteFloat32 = 0.0
+    angle_max: FiniteFloat32 = 0.0
+    angle_increment: FiniteFloat32 = 0.0
+    time_increment: FiniteFloat32 = 0.0
+    scan_time: FiniteFloat32 = 0.0
+    range_min: FiniteFloat32 = 0.0
+    range_max: Float32 = 0.0
+    ranges: Float32Array = empty(np.float32)
+    intensities: Float32Array = empty(np.float32)
+
+    def __post_init__(self) -> None:
+        """Check that angles, ranges and intensities agree in number."""
+        beams = self.ranges.size
+        if self.intensities.size not in (0, beams):
+            refuse(self, "intensities", self.intensities, f"must be none or {beams}, as the ranges")
+        if not self.range_min <= self.range_max:
+            refuse(
+                self, "range_max", self.range_max, f"must be range_min = {self.range_min} or more"
+            )
+        if beams:
+            step = self.angle_increment
+            last = self.angle_min + (beams - 1) * step
+            # Some drivers count the beams, some the gaps: one step of freedom. The increment is
+            # rounded to float32, and the error adds up over the beams.
+            rounding = (
+                2 * _EPSILON * (abs(self.angle_min) + abs(self.angle_max) + beams * abs(step))
+            )
+            if abs(last - self.angle_max) > abs(step) + rounding:
+                refuse(
+                    self,
+                    "angle_max",
+                    self.angle_max,
+                    f"must be within a step of the last of {beams} beams, at {last:.6g}",
+                )
+
+
+@message("sensor_msgs/msg/Image")
+class Image:
+    """An uncompressed image: `height` rows of `step` bytes, pixels as `encoding` says."""
+
+    header: Header = Header()
+    height: UInt32 = 0
+    width: UInt32 = 0
+    encoding: String = ""
+    is_bigendian: UInt8 = 0
+    step: UInt32 = 0
+    data: UInt8Array = empty(np.uint8)
+
+    def __post_init__(self) -> None:
+        """Check that there are as many bytes as rows of that length have."""
+        size = self.height * self.step
+        if self.data.size != size:
+            refuse(self, "data", self.data, f"must have height * step = {size} bytes")
+
+
+@message("sensor_msgs/msg/RegionOfInterest")
+class RegionOfInterest:
+    """A part of an image [pixels]; all zeros means the whole."""
+
+    x_offset: UInt32 = 0
+    y_offset: UInt32 = 0
+    height: UInt32 = 0
+    width: UInt32 = 0
+    do_rectify: Bool = False
+
+
+@message("sensor_msgs/msg/CameraInfo")
+class CameraInfo:
+    """A camera's calibration: distortion `d`, intrinsics `k`, rectification `r`, projection `p`."""
+
+    header: Header = Header()
+    height: UInt32 = 0
+    width: UInt32 = 0
+    distortion_model: String = ""
+    d: Coefficients = empty(np.float64)
+    k: Matrix3x3 = zeros(9)
+    r: Matrix3x3 = zeros(9)
+    p: Matrix3x4 = zeros(12)
+    binning_x: UInt32 = 0
+    binning_y: UInt32 = 0
+    roi: RegionOfInterest = RegionOfInterest()

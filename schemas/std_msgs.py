@@ -1,0 +1,20 @@
+"""ROS 2 package std_msgs: the header of stamped messages, and bare values."""
+
+from schemas import primitives
+from schemas.builtin_interfaces import Time
+from schemas.message import message
+
+
+@message("std_msgs/msg/Header")
+class Header:
+    """When and in which coordinate frame the data of a message hold."""
+
+    stamp: Time = Time()
+    frame_id: primitives.String = ""
+
+
+@message("std_msgs/msg/String")
+class String:
+    """A text."""
+
+    data: primitives.String = ""

@@ -1,0 +1,11 @@
+"""ROS 2 package tf2_msgs: the tree of coordinate frames."""
+
+from schemas.geometry_msgs import TransformStamped
+from schemas.message import message
+
+
+@message("tf2_msgs/msg/TFMessage")
+class TFMessage:
+    """Transforms between frames, as on the topics tf and tf_static."""
+
+    transforms: tuple[TransformStamped, ...] = ()

@@ -1,0 +1,1 @@
+"""The control components, one for each framework of the navigation system."""

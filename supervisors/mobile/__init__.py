@@ -1,0 +1,1 @@
+"""The navigation framework's control component."""

@@ -1,0 +1,1 @@
+"""The vision framework's control component."""

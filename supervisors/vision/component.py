@@ -1,0 +1,7 @@
+"""The control component of the vision framework."""
+
+from cairn.supervision.component import SupervisorComponent
+
+
+class VisionSupervisor(SupervisorComponent):
+    """Loads the vision framework: the camera and the object recogniser, or their stand-ins."""

@@ -1,0 +1,222 @@
+"""The codec: views instead of copies, exact errors, messages of anyone's package."""
+
+import math
+import struct
+import sys
+from typing import ClassVar
+
+import numpy as np
+import pytest
+
+from cairn.bus.codec import Codec
+from cairn.errors import CairnError
+from schemas.builtin_interfaces import Time
+from schemas.geometry_msgs import Pose, PoseArray, PoseStamped, Transform, TransformStamped, Twist
+from schemas.message import InvalidMessage, message
+from schemas.nav_msgs import MapMetaData, OccupancyGrid, Path
+from schemas.packed import Packed
+from schemas.primitives import (
+    Bool,
+    BoolArray,
+    Byte,
+    Float64,
+    Float64Array,
+    Int64,
+    String,
+    UInt8,
+    UInt16Array,
+)
+from schemas.rosgraph_msgs import Clock
+from schemas.sensor_msgs import Image, LaserScan
+from schemas.std_msgs import Header
+from schemas.tf2_msgs import TFMessage
+
+
+@message("acme_msgs/msg/Arm")
+class Arm:
+    """A message of someone else's package, with every shape of field."""
+
+    LEFT: ClassVar[UInt8] = 1
+    MAKER: ClassVar[String] = "acme"
+
+    flags: Byte
+    serial: Int64
+    names: tuple[String, ...]
+    at_rest: Bool
+    angles: Float64Array
+    targets: Packed[Pose]
+    steps: UInt16Array
+    ready: BoolArray
+    trail: tuple[PoseStamped, ...]
+    load: Float64 = 0.0
+
+
+@pytest.fixture
+def codec() -> Codec:
+    return Codec()
+
+
+def an_arm() -> Arm:
+    return Arm(
+        flags=200,
+        serial=-(2**63),
+        names=("shoulder", "", "wrist"),
+        at_rest=True,
+        angles=np.array([1.0, math.nan]),
+        targets=Packed(Pose, np.ones((2, 7))),
+        steps=np.array([1, 65535, 3], np.uint16),
+        ready=np.array([True, False]),
+        trail=(PoseStamped(), PoseStamped(Header(Time(1, 2), "map"))),
+        load=-math.inf,
+    )
+
+
+def test_a_twist_is_two_times_three_little_endian_doubles(codec: Codec) -> None:
+    sent = Twist(linear={"x": 0.5}, angular={"z": -1.0})  # type: ignore[arg-type]
+    assert codec.encode(sent) == b"\0\1\0\0" + struct.pack("<6d", 0.5, 0, 0, 0, 0, -1)
+
+
+def test_messages_of_any_package_are_known_when_first_used(codec: Codec) -> None:
+    assert codec.decode(Arm, codec.encode(an_arm())) == an_arm()
+    assert codec.definition(Arm).startswith(
+        "uint8 LEFT=1\nstring MAKER=acme\nbyte flags\nint64 serial\nstring[] names\nbool at_rest\n"
+        "float64[] angles\ngeometry_msgs/Pose[] targets\nuint16[] steps\nbool[] ready\n"
+    )
+    assert codec.type_hash(Arm).startswith("RIHS01_")
+
+
+@pytest.mark.parametrize("kind", [bytes, memoryview])
+def test_arrays_are_views_of_the_bytes_and_cannot_be_changed(codec: Codec, kind: type) -> None:
+    sent = Image(height=10, step=20, data=np.arange(200, dtype=np.uint8))
+    data = codec.encode(sent)
+    received = codec.decode(Image, kind(data))
+    assert np.shares_memory(received.data, np.frombuffer(data, np.uint8))
+    with pytest.raises(ValueError, match="read-only"):
+        received.data[0] = 1
+    del data
+    assert received == sent
+
+
+def test_packed_sequences_are_views_of_the_bytes_too(codec: Codec) -> None:
+    data = codec.encode(PoseArray(poses=Packed(Pose, np.ones((3, 7)))))
+    received = codec.decode(PoseArray, data)
+    assert np.shares_memory(received.poses.array, np.frombuffer(data, np.uint8))
+
+
+def test_bytes_that_may_change_later_are_copied(codec: Codec) -> None:
+    buffer = bytearray(codec.encode(LaserScan(ranges=[1.0, 1.0])))  # type: ignore[arg-type]
+    received = codec.decode(LaserScan, memoryview(buffer))
+    buffer[:] = bytes(len(buffer))
+    assert received.ranges.tolist() == [1.0, 1.0]
+
+
+def test_a_view_of_other_things_than_bytes_is_read_as_bytes(codec: Codec) -> None:
+    data = codec.encode(Clock(Time(5, 6)))
+    words = memoryview(np.frombuffer(data, np.uint32))
+    assert codec.decode(Clock, words) == Clock(Time(5, 6))
+
+
+def test_padding_after_a_message_is_ignored_but_not_more(codec: Codec) -> None:
+    data = codec.encode(Twist())
+    assert codec.decode(Twist, data + bytes(3)) == Twist()
+    with pytest.raises(InvalidMessage, match=r"geometry_msgs/msg/Twist: .* 56 bytes are not its"):
+        codec.decode(Twist, data + bytes(4))
+
+
+@pytest.mark.parametrize("length", range(52))
+def test_a_truncated_message_is_refused(codec: Codec, length: int) -> None:
+    with pytest.raises(InvalidMessage, match=f"geometry_msgs/msg/Twist: .*{length} bytes are not"):
+        codec.decode(Twist, codec.encode(Twist())[:length])
+
+
+@pytest.mark.parametrize("header", [b"\0\2\0\0", b"\1\1\0\0", b"\0\3\0\0", b"\0\7\0\0", b'{"x"'])
+def test_another_encapsulation_is_refused(codec: Codec, header: bytes) -> None:
+    with pytest.raises(InvalidMessage, match="encapsulation"):
+        codec.decode(Twist, header + codec.encode(Twist())[4:])
+
+
+def test_a_huge_count_is_refused_at_once(codec: Codec) -> None:
+    for cls in (Image, OccupancyGrid, PoseArray, Path, TFMessage):
+        data = bytearray(codec.encode(cls()))
+        data[-4:] = struct.pack("<I", 2**32 - 1)
+        with pytest.raises(InvalidMessage):
+            codec.decode(cls, bytes(data))
+
+
+def test_an_error_names_the_whole_path_to_the_value(codec: Codec) -> None:
+    transforms = tuple(TransformStamped(transform=Transform()) for _ in range(3))
+    data = codec.encode(TFMessage(transforms=transforms))
+    nan_in_last = data[:-8] + struct.pack("<d", math.nan)
+    with pytest.raises(InvalidMessage) as refused:
+        codec.decode(TFMessage, nan_in_last)
+    assert str(refused.value) == (
+        "tf2_msgs/msg/TFMessage: transforms[2].transform.rotation.w = nan: must be a finite number"
+    )
+
+
+def test_an_error_names_the_pose_in_a_packed_sequence(codec: Codec) -> None:
+    data = codec.encode(PoseArray(poses=Packed(Pose, np.ones((500, 7)))))
+    damaged = data[: -8 * 7 - 16] + struct.pack("<d", math.inf) + data[-8 * 7 - 8 :]
+    with pytest.raises(
+        InvalidMessage, match=r"PoseArray: poses\[498\]\.orientation\.z = inf: must be a finite"
+    ):
+        codec.decode(PoseArray, damaged)
+
+
+def test_an_error_names_a_rule_between_fields(codec: Codec) -> None:
+    grid = OccupancyGrid(
+        info=MapMetaData(resolution=0.5, width=2, height=2),
+        data=np.zeros(4, np.int8),
+    )
+    damaged = codec.encode(grid)[:-1] + b"\x65"
+    with pytest.raises(InvalidMessage, match=r"OccupancyGrid: data = int8\[4\] .*from -1 to 100"):
+        codec.decode(OccupancyGrid, damaged)
+
+
+def test_big_endian_is_read(codec: Codec) -> None:
+    assert codec.decode(Clock, b"\0\0\0\0" + struct.pack(">iI", 7, 8)) == Clock(Time(7, 8))
+
+
+def test_two_classes_of_one_name_are_refused(codec: Codec) -> None:
+    @message("geometry_msgs/msg/Twist")
+    class OwnTwist:
+        """Not the Twist of the package schemas."""
+
+        speed: Float64 = 0.0
+
+    codec.encode(Twist())
+    with pytest.raises(CairnError, match=r"Twist is defined twice: by schemas\.geometry_msgs\.Twi"):
+        codec.encode(OwnTwist())
+
+
+def test_what_is_not_a_message_is_refused(codec: Codec) -> None:
+    with pytest.raises(TypeError, match="dict is not a message"):
+        codec.encode({"linear": 1})
+    with pytest.raises(TypeError, match="str is not a message"):
+        codec.decode(str, b"")
+
+
+def test_a_field_of_an_unknown_type_is_refused_with_its_name(codec: Codec) -> None:
+    @message("acme_msgs/msg/Odd")
+    class Odd:
+        """A bare float says nothing about the wire."""
+
+        speed: float = 0.0
+
+    with pytest.raises(TypeError, match=r"Odd\.speed: .*float.* is no type of a message's field"):
+        codec.encode(Odd())
+
+
+def test_images_maps_and_particles_are_bulk(codec: Codec) -> None:
+    bulk = {cls for cls in (Image, OccupancyGrid, PoseArray, Arm) if codec.is_bulk(cls)}
+    assert bulk == {Image, OccupancyGrid, PoseArray, Arm}
+    assert not any(codec.is_bulk(cls) for cls in (LaserScan, Twist, TFMessage, Path, Clock))
+
+
+def test_decoding_holds_no_second_copy_of_the_bytes(codec: Codec) -> None:
+    data = codec.encode(Image(height=1, step=1000, data=np.zeros(1000, np.uint8)))
+    references = sys.getrefcount(data)
+    received = codec.decode(Image, data)
+    assert sys.getrefcount(data) > references
+    del received
+    assert sys.getrefcount(data) == references

@@ -1,0 +1,90 @@
+"""Components of a small robot: enough ports and parameters to make every mistake with."""
+
+from typing import ClassVar, Literal
+
+from pydantic import Field, field_validator
+
+from cairn.component.component import Component
+from cairn.component.handlers import on
+from cairn.component.parameters import Config
+from cairn.component.ports import In, Out
+from schemas.geometry_msgs import Twist
+from schemas.nav_msgs import Odometry
+from schemas.rosgraph_msgs import Clock
+from schemas.sensor_msgs import LaserScan
+
+
+class Supervisor(Component):
+    """Watches over the parts."""
+
+    is_supervisor: ClassVar[bool] = True
+
+
+class ScannerConfig(Config):
+    device: str = Field(description="Serial device.", min_length=1)
+    rate: float = Field(10.0, gt=0, le=40, description="Scans per second [Hz].")
+
+
+class Scanner(Component):
+    """Reads a laser scanner."""
+
+    config: ScannerConfig
+    scan: Out[LaserScan]
+
+
+class Base(Component):
+    """Drives the wheels.
+
+    Stops them when commands go stale.
+    """
+
+    command: In[Twist] = In(optional=True)
+    odom: Out[Odometry]
+
+
+class FilterConfig(Config):
+    sigma: float = Field(0.1, gt=0, le=1, description="Noise of a beam [m].")
+
+
+class LocalizerConfig(Config):
+    particles: int = Field(500, ge=10, le=200_000, description="Number of particles [1].")
+    filter: FilterConfig = Field(default_factory=FilterConfig, description="Sensor model.")
+    gains: tuple[float, float] = Field((1.0, 2.0), description="Gains [1].")
+    map_file: str = Field("", description="Map to start with.")
+
+    @field_validator("map_file")
+    @classmethod
+    def _no_bitmap(cls, file: str) -> str:
+        if file.endswith(".bmp"):
+            raise KeyError(file)
+        return file
+
+
+class Localizer(Component):
+    """Estimates the robot's pose in the map."""
+
+    config: LocalizerConfig
+    odom: In[Odometry]
+    scan: In[LaserScan]
+
+
+class Simulator(Component):
+    """Makes time, scans and odometry."""
+
+    clock_source: ClassVar[Literal["deployment", "system"]] = "system"
+    time: Out[Clock]
+    scan: Out[LaserScan]
+
+
+class WaitingSimulator(Component):
+    """Would make time, if it did not wait for it."""
+
+    time: Out[Clock]
+
+
+class Listener(Component):
+    """Listens to a port that it does not have."""
+
+    @on("odm")
+    def listen(self, odom: Odometry) -> None:
+        """Never called."""

@@ -1,0 +1,75 @@
+"""The examples of docs/deployment.md are true."""
+
+import re
+import shlex
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from cairn.deployment.load import load_deployment
+from cairn.deployment.model import Bus, ComponentSpec, Deployment, Supervision
+from cairn.deployment.problems import DeploymentError
+
+Write = Callable[..., Path]
+PAGE = (Path(__file__).parents[3] / "docs" / "deployment.md").read_text(encoding="utf-8")
+
+
+@pytest.fixture(autouse=True)
+def files(write: Write) -> None:
+    for name, text in re.findall(r"```yaml title=(\S+)\n(.*?)```", PAGE, re.DOTALL):
+        write(text, name)
+
+
+def test_the_first_example_is_what_the_page_says() -> None:
+    deployment = load_deployment(Path("deploy/robot.yaml"))
+
+    assert [(one.name, one.parent) for one in deployment.members()] == [
+        ("mobile", None),
+        ("scanner", "mobile"),
+        ("base", "mobile"),
+        ("localizer", "mobile"),
+    ]
+    assert deployment.member("scanner").spec.parameters["rate"] == 10.0
+
+
+def commands() -> list[list[str]]:
+    (block,) = re.findall(r"```sh\n(.*?)```", PAGE, re.DOTALL)
+    return [shlex.split(line) for line in block.splitlines()]
+
+
+@pytest.mark.parametrize("words", commands(), ids=" ".join)
+def test_the_commands_give_deployments_without_problems(words: list[str]) -> None:
+    given = list(zip(words[3::2], words[4::2], strict=True))
+
+    deployment = load_deployment(
+        Path(words[2]),
+        [Path(value) for option, value in given if option == "--overlay"],
+        [value for option, value in given if option == "--set"],
+    )
+
+    assert Deployment.model_validate_json(deployment.model_dump_json()) == deployment
+
+
+def test_the_problems_are_those_on_the_page() -> None:
+    (expected,) = re.findall(r"```text\n(.*?)```", PAGE, re.DOTALL)
+
+    with pytest.raises(DeploymentError) as caught:
+        load_deployment(Path("wrong.yaml"))
+
+    assert str(caught.value) == expected.strip()
+
+
+@pytest.mark.parametrize(
+    ("keys", "prefix"),
+    [
+        (Deployment.model_fields.keys() - {"bus"}, ""),
+        (Bus.model_fields.keys(), "bus."),
+        (ComponentSpec.model_fields.keys() - {"supervision"}, ""),
+        (Supervision.model_fields.keys(), "supervision."),
+    ],
+)
+def test_every_key_is_on_the_page(keys: set[str], prefix: str) -> None:
+    described = set(re.findall(r"^\| `([a-z_.]+)` \|", PAGE, re.MULTILINE))
+
+    assert {f"{prefix}{name}" for name in keys} <= described

@@ -1,0 +1,534 @@
+"""Every mistake in a deployment is found in one pass, on its line, with what to do about it."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from cairn.deployment.load import load_deployment
+from cairn.deployment.problems import DeploymentError, Problem
+
+Write = Callable[..., Path]
+
+HEAD = "cairn: 1\ncomponents:\n"
+PARTS = """\
+  scanner: {plugin: acme_scanner, parameters: {device: /dev/ttyACM0}}
+  base: {plugin: acme_base}
+"""
+
+
+def problems(file: Path) -> tuple[Problem, ...]:
+    with pytest.raises(DeploymentError) as caught:
+        load_deployment(file)
+    return caught.value.problems
+
+
+def only(file: Path) -> tuple[int, str, str]:
+    (problem,) = problems(file)
+    assert problem.at.origin == "robot.yaml"
+    return problem.at.line, problem.path, f"{problem.found}; {problem.remedy}"
+
+
+CASES = {
+    "unknown section": (
+        HEAD + PARTS + "buss: {}\n",
+        (5, "buss", "there is no buss here; did you mean bus?"),
+    ),
+    "unknown key of a component": (
+        HEAD + PARTS + "  other:\n    plugin: acme_base\n    topic: {odom: o2}\n",
+        (7, "components.other.topic", "there is no topic here; did you mean topics?"),
+    ),
+    "missing version": (
+        "components:\n" + PARTS,
+        (1, "cairn", "is missing; give Version of this format"),
+    ),
+    "unknown version": (
+        "cairn: 2\ncomponents:\n" + PARTS,
+        (1, "cairn", "2 should be 1; expected Version of this format"),
+    ),
+    "no plugin given": (
+        HEAD + PARTS + "  other:\n    restart: transient\n",
+        (
+            5,
+            "components.other.plugin",
+            "is missing; give Entry point of group cairn.components, or package.module:Class",
+        ),
+    ),
+    "misspelt plugin": (
+        HEAD + PARTS + "  other:\n    plugin: acme_locaizer\n",
+        (
+            6,
+            "components.other.plugin",
+            "there is no plugin acme_locaizer; did you mean acme_localizer? "
+            "(`cairn plugins` lists all; package.module:Class names a class directly)",
+        ),
+    ),
+    "misspelt module": (
+        HEAD + PARTS + "  other: {plugin: 'acme_robots.parts:Base'}\n",
+        (
+            5,
+            "components.other.plugin",
+            "there is no module acme_robots.parts; "
+            "correct the name, or install the package that holds it",
+        ),
+    ),
+    "misspelt class": (
+        HEAD + PARTS + "  other: {plugin: 'acme_robot.parts:Bass'}\n",
+        (
+            5,
+            "components.other.plugin",
+            "acme_robot.parts has no class Bass; did you mean Base?",
+        ),
+    ),
+    "not a component": (
+        HEAD + PARTS + "  other: {plugin: acme_no_component}\n",
+        (
+            5,
+            "components.other.plugin",
+            "acme_robot.parts:ScannerConfig is not a component; "
+            "derive the class from cairn.component.component.Component",
+        ),
+    ),
+    "port without a message type": (
+        HEAD + PARTS + "  other: {plugin: acme_odd_port}\n",
+        (
+            5,
+            "components.other.plugin",
+            "acme_robot.odd.OddPort.something: the port has no message type; annotate it, as in "
+            "`something: Out[LaserScan]`; correct the class, or use another plugin",
+        ),
+    ),
+    "unknown parameter": (
+        HEAD + PARTS + "  localizer:\n    plugin: acme_localizer\n    parameters:\n"
+        "      gains: [1, 2]\n      partcles: 5\n",
+        (
+            9,
+            "components.localizer.parameters.partcles",
+            "there is no partcles here; did you mean particles?",
+        ),
+    ),
+    "parameter out of bounds": (
+        HEAD + PARTS + "  localizer:\n    plugin: acme_localizer\n    parameters:\n"
+        "      particles: 5\n",
+        (
+            8,
+            "components.localizer.parameters.particles",
+            "5 should be greater than or equal to 10; "
+            "expected Number of particles [1] (>= 10, <= 200000)",
+        ),
+    ),
+    "parameter of a nested model": (
+        HEAD + PARTS + "  localizer:\n    plugin: acme_localizer\n    parameters:\n"
+        "      filter:\n        sigma: 2.5\n",
+        (
+            9,
+            "components.localizer.parameters.filter.sigma",
+            "2.5 should be less than or equal to 1; expected Noise of a beam [m] (> 0, <= 1)",
+        ),
+    ),
+    "item of a list of parameters": (
+        HEAD + PARTS + "  localizer:\n    plugin: acme_localizer\n    parameters:\n"
+        "      gains:\n      - 1.0\n      - fast\n",
+        (
+            10,
+            "components.localizer.parameters.gains.1",
+            "'fast' should be a valid number, unable to parse string as a number; "
+            "expected Gains [1]",
+        ),
+    ),
+    "parameters that are not a mapping": (
+        HEAD + PARTS + "  localizer:\n    plugin: acme_localizer\n    parameters: [5]\n",
+        (
+            7,
+            "components.localizer.parameters",
+            "a list should be a mapping; expected Values for the plugin's Config",
+        ),
+    ),
+    "missing parameter": (
+        HEAD + "  scanner:\n    plugin: acme_scanner\n    parameters:\n      rate: 5\n",
+        (5, "components.scanner.parameters.device", "is missing; give Serial device (not empty)"),
+    ),
+    "missing parameter without any parameters": (
+        HEAD + "  scanner:\n    plugin: acme_scanner\n",
+        (3, "components.scanner.parameters.device", "is missing; give Serial device (not empty)"),
+    ),
+    "validator that fails": (
+        HEAD + PARTS + "  localizer:\n    plugin: acme_localizer\n"
+        "    parameters: {map_file: a.bmp}\n",
+        (
+            7,
+            "components.localizer.parameters",
+            "the check of its values failed: KeyError: 'a.bmp'; "
+            "correct acme_robot.parts.LocalizerConfig, or the values",
+        ),
+    ),
+    "unknown port": (
+        HEAD + PARTS + "  other:\n    plugin: acme_base\n    topics:\n      odm: odom2\n",
+        (8, "components.other.topics.odm", "there is no port odm; did you mean odom?"),
+    ),
+    "topic that is not a name": (
+        HEAD + PARTS + "  other:\n    plugin: acme_base\n    topics:\n      odom: odom-2\n",
+        (
+            8,
+            "components.other.topics.odom",
+            "'odom-2' should match pattern "
+            "'^/?[a-zA-Z_][a-zA-Z0-9_]*(/[a-zA-Z_][a-zA-Z0-9_]*)*$'; "
+            "expected Topic of a port, below /<robot>/ unless it begins with /",
+        ),
+    ),
+    "two types on a topic": (
+        HEAD + PARTS + "  other:\n    plugin: acme_base\n    topics:\n      odom: scan\n",
+        (
+            8,
+            "components.other.topics.odom",
+            "topic scan has two types: odom writes nav_msgs/msg/Odometry, but scanner.scan writes "
+            "sensor_msgs/msg/LaserScan; give one of them another topic",
+        ),
+    ),
+    "input that nobody writes": (
+        HEAD + PARTS + "  localizer:\n    plugin: acme_localizer\n    topics:\n      scan: scans\n",
+        (
+            8,
+            "components.localizer.topics.scan",
+            "nobody writes topic scans, which input scan needs; add its writer, correct the topic, "
+            "or list it under external_topics; did you mean scan?",
+        ),
+    ),
+    "name used twice": (
+        HEAD + PARTS + "  boss:\n    plugin: acme_supervisor\n    children:\n"
+        "      base: {plugin: acme_base}\n",
+        (
+            8,
+            "components.base",
+            "the name base is used twice, first at robot.yaml:4; give it another name",
+        ),
+    ),
+    "key given twice": (
+        HEAD + PARTS + "  base:\n    plugin: acme_base\n",
+        (
+            5,
+            "components.base",
+            "the key is given twice, first at robot.yaml:4; remove one",
+        ),
+    ),
+    "children of a plain component": (
+        HEAD + PARTS + "  other:\n    plugin: acme_base\n    children:\n"
+        "      another: {plugin: acme_base}\n",
+        (
+            7,
+            "components.other.children",
+            "Base is not a supervisor; move it to a supervisor, or remove it",
+        ),
+    ),
+    "supervision by a plain component": (
+        HEAD + PARTS + "  other:\n    plugin: acme_base\n    supervision: {max_restarts: 1}\n",
+        (
+            7,
+            "components.other.supervision",
+            "Base is not a supervisor; move it to a supervisor, or remove it",
+        ),
+    ),
+    "significant but permanent": (
+        HEAD + PARTS + "  other:\n    plugin: acme_base\n    significant: true\n",
+        (
+            7,
+            "components.other.significant",
+            "a permanent component is restarted when it ends, so it cannot end the deployment; "
+            "add `restart: transient` or `restart: temporary`",
+        ),
+    ),
+    "fresh interpreter in the parent's process": (
+        HEAD + PARTS + "  other:\n    plugin: acme_base\n    placement: in_process\n"
+        "    interpreter: fresh\n",
+        (
+            8,
+            "components.other.interpreter",
+            "a component in its parent's process has its parent's interpreter; "
+            "use placement: process",
+        ),
+    ),
+    "wrong choice": (
+        HEAD + PARTS + "  other:\n    plugin: acme_base\n    restart: always\n",
+        (
+            7,
+            "components.other.restart",
+            "'always' should be 'permanent', 'transient' or 'temporary'; expected Restarted "
+            "always, only after an abnormal end (transient), or never",
+        ),
+    ),
+    "number as text": (
+        HEAD + PARTS + "  other:\n    plugin: acme_base\n    stop_timeout_s: '5'\n",
+        (
+            7,
+            "components.other.stop_timeout_s",
+            "'5' should be a valid number; "
+            "expected Limit for stopping, then killed [s] (> 0, <= 3600)",
+        ),
+    ),
+    "component name": (
+        HEAD + PARTS + "  Other: {plugin: acme_base}\n",
+        (
+            5,
+            "components.Other",
+            "'Other' is not a name; "
+            "names are lower-case letters, digits and _, and begin with a letter",
+        ),
+    ),
+    "simulated clock without a writer": (
+        "cairn: 1\nclock: simulated\ncomponents:\n" + PARTS,
+        (
+            2,
+            "clock",
+            "the clock is simulated, but no component writes rosgraph_msgs/msg/Clock on topic "
+            "clock; add one that does, list clock under external_topics, or use clock: system",
+        ),
+    ),
+    "simulated clock whose writer waits for it": (
+        "cairn: 1\nclock: simulated\ncomponents:\n"
+        "  other: {plugin: 'acme_robot.parts:WaitingSimulator', topics: {time: clock}}\n",
+        (
+            4,
+            "components.other.topics.time",
+            "WaitingSimulator makes the simulated clock, but waits for it itself; "
+            'give the class `clock_source = "system"`',
+        ),
+    ),
+    "listening to the network": (
+        "cairn: 1\nbus:\n  listen: tcp/0.0.0.0:7447\ncomponents:\n" + PARTS,
+        (
+            3,
+            "bus.listen",
+            "tcp/0.0.0.0:7447 can be reached from other machines; listen on 127.0.0.1, or add "
+            "`allow_remote: true` if everybody on that network may drive the robot; "
+            "expected Endpoint on which `cairn up` opens the deployment's router",
+        ),
+    ),
+    "an endpoint without a port": (
+        "cairn: 1\nbus: {connect: [tcp/127.0.0.1]}\ncomponents:\n" + PARTS,
+        (
+            2,
+            "bus.connect.0",
+            "'tcp/127.0.0.1' is not an endpoint; write protocol/host:port as in "
+            "tcp/127.0.0.1:7447, with protocol tcp, tls, quic, udp or ws and a port from 1 to "
+            "65535; expected Endpoints of routers that run already; then none is opened here",
+        ),
+    ),
+    "listening and connecting": (
+        "cairn: 1\nbus:\n  connect: ['tcp/127.0.0.1:7500']\n  listen: tcp/127.0.0.1:7600\n"
+        "components:\n" + PARTS,
+        (
+            4,
+            "bus.listen",
+            "with `connect` no router is opened on tcp/127.0.0.1:7600; keep `connect` to join a "
+            "router that runs already, or `listen` to open one; "
+            "expected Endpoint on which `cairn up` opens the deployment's router",
+        ),
+    ),
+    "unknown setting in a value": (
+        "cairn: 1\nsettings: {rate: 5}\ncomponents:\n" + PARTS + "  localizer:\n"
+        "    plugin: acme_localizer\n    parameters: {particles: '${rat}'}\n",
+        (
+            8,
+            "components.localizer.parameters.particles",
+            "there is no setting rat; did you mean rate?",
+        ),
+    ),
+    "no component at all": (
+        "cairn: 1\ncomponents: {}\n",
+        (
+            2,
+            "components",
+            "a mapping should have at least 1 item after validation, not 0; "
+            "expected The components in start order (not empty)",
+        ),
+    ),
+}
+
+
+@pytest.mark.parametrize(("text", "expected"), CASES.values(), ids=CASES.keys())
+def test_a_mistake_is_reported_once_with_line_path_and_remedy(
+    write: Write, text: str, expected: tuple[int, str, str]
+) -> None:
+    assert only(write(text)) == expected
+
+
+def test_a_plugin_that_cannot_be_imported_is_reported_with_the_place_of_the_failure(
+    write: Write,
+) -> None:
+    line, path, text = only(write(HEAD + PARTS + "  eye: {plugin: acme_camera}\n"))
+
+    assert (line, path) == (5, "components.eye.plugin")
+    assert "acme_robot.camera cannot be imported: ModuleNotFoundError" in text
+    assert "camera.py:3" in text
+
+
+def test_a_handler_of_a_port_that_the_class_does_not_have_is_reported(write: Write) -> None:
+    line, path, text = only(write(HEAD + "  ear: {plugin: 'acme_robot.parts:Listener'}\n"))
+
+    assert (line, path) == (3, "components.ear.plugin")
+    assert "odm" in text
+
+
+def test_an_input_without_writer_mentions_plugins_that_could_not_be_loaded(write: Write) -> None:
+    file = write(
+        "cairn: 1\ncomponents:\n  a: {plugin: acme_simulator}\n  b: {plugin: acme_camera}\n"
+        "  c: {plugin: acme_localizer}\n"
+    )
+
+    _, unwritten = problems(file)
+
+    assert "nobody writes topic odom" in unwritten.found
+    assert "(a plugin that could not be loaded may write it)" in unwritten.found
+
+
+@pytest.mark.parametrize("topic", ["odom", "/robot/odom"])
+def test_an_external_topic_needs_no_writer_here(write: Write, topic: str) -> None:
+    text = HEAD + "  sim: {plugin: acme_simulator}\n  localizer: {plugin: acme_localizer}\n"
+
+    deployment = load_deployment(write(f"{text}external_topics: [{topic}]\n"))
+
+    assert deployment.external_topics == (topic,)
+
+
+def test_a_topic_with_a_slash_is_outside_of_the_robot_s_names(write: Write) -> None:
+    file = write(
+        HEAD
+        + "  sim: {plugin: acme_simulator}\n  base: {plugin: acme_base, topics: {odom: /odom}}\n"
+        "  localizer:\n    plugin: acme_localizer\n"
+    )
+
+    line, path, text = only(file)
+    assert (line, path) == (6, "components.localizer.topics.odom")
+    assert text.startswith("nobody writes topic odom")
+
+
+def test_a_simulated_clock_may_come_from_outside_or_from_a_component(write: Write) -> None:
+    load_deployment(
+        write("cairn: 1\nclock: simulated\nexternal_topics: [clock]\ncomponents:\n" + PARTS)
+    )
+    load_deployment(
+        write(
+            "cairn: 1\nclock: simulated\ncomponents:\n"
+            "  sim: {plugin: acme_simulator, topics: {time: clock}}\n"
+        )
+    )
+
+
+def test_remote_listening_can_be_asked_for(write: Write) -> None:
+    bus = "bus: {listen: 'tcp/[::]:7447', allow_remote: true}\n"
+
+    assert load_deployment(write(bus + HEAD + PARTS)).bus.listen == "tcp/[::]:7447"
+
+
+def test_twelve_mistakes_are_all_reported_at_once(write: Write) -> None:
+    file = write("""
+        cairn: 1
+        robot: Robbie
+        clock: simulated
+        speed: 3
+        bus: {listen: 'tcp/192.168.1.5:7447'}
+        components:
+          boss:
+            plugin: acme_supervisor
+            children:
+              scanner:
+                plugin: acme_scanner
+                parameters: {rate: 50}
+              scaner:
+                plugin: acme_scaner
+              base:
+                plugin: acme_base
+                topics: {odometry: o}
+                significant: yes
+          localizer:
+            plugin: acme_localizer
+            parameters:
+              particles: 5
+              filters: {}
+            topics: {scan: scans}
+            hang_timeout_s: -1
+        """)
+
+    found = problems(file)
+
+    assert [(problem.at.line, problem.path) for problem in found] == [
+        (2, "robot"),
+        (3, "clock"),
+        (4, "speed"),
+        (5, "bus.listen"),
+        (12, "components.scanner.parameters.device"),
+        (12, "components.scanner.parameters.rate"),
+        (14, "components.scaner.plugin"),
+        (17, "components.base.topics.odometry"),
+        (18, "components.base.significant"),
+        (22, "components.localizer.parameters.particles"),
+        (23, "components.localizer.parameters.filters"),
+        (24, "components.localizer.topics.scan"),
+        (25, "components.localizer.hang_timeout_s"),
+    ]
+
+
+def test_the_error_reads_as_a_list_with_a_count(write: Write) -> None:
+    file = write(HEAD + "  a: {plugin: acme_base, restart: no}\n  b: {plugin: nothing_like_it}\n")
+
+    with pytest.raises(DeploymentError) as caught:
+        load_deployment(file)
+
+    first, second, third = str(caught.value).splitlines()
+    assert first == "the deployment has 2 problems:"
+    assert second.startswith("  robot.yaml:3: components.a.restart: 'no' should be 'permanent',")
+    assert third.startswith("  robot.yaml:4: components.b.plugin: there is no plugin nothing_like")
+
+
+GOOD = {
+    "cairn": 1,
+    "settings": {"a": {"b": 1}, "c": "${a.b}"},
+    "bus": {"connect": ["tcp/127.0.0.1:7500"]},
+    "external_topics": ["odom"],
+    "components": {
+        "boss": {
+            "plugin": "acme_supervisor",
+            "children": {
+                "sim": {"plugin": "acme_simulator", "topics": {"time": "clock"}},
+                "localizer": {"plugin": "acme_localizer", "parameters": {"gains": [1, 2]}},
+            },
+        }
+    },
+}
+ODD = st.sampled_from(
+    [None, True, 0, -1.5, "", "x", "${", "${a}", "${c}", "a.b", [], [None], [[1]], {}, {"x": None}]
+)
+
+
+def replaced(value: Any, choice: st.DataObject) -> Any:
+    """The value with one part of it, at any depth, replaced by something odd."""
+    if isinstance(value, dict) and value and choice.draw(st.integers(0, 5)):
+        key = choice.draw(st.sampled_from(sorted(value)))
+        return value | {key: replaced(value[key], choice)}
+    if isinstance(value, list) and value and choice.draw(st.booleans()):
+        return [replaced(value[0], choice), *value[1:]]
+    return choice.draw(ODD)
+
+
+@settings(
+    max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(choice=st.data())
+def test_whatever_is_written_the_answer_is_a_deployment_or_a_list_of_problems(
+    write: Write, choice: st.DataObject
+) -> None:
+    file = write(json.dumps(replaced(GOOD, choice)))
+
+    members = 0
+    found: tuple[Problem, ...] = ()
+    try:
+        members = len(list(load_deployment(file).members()))
+    except DeploymentError as error:
+        found = error.problems
+
+    assert bool(members) != bool(found)
+    assert all(problem.found and problem.remedy for problem in found)

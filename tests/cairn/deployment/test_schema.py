@@ -1,0 +1,32 @@
+"""The published JSON Schema is current, and agrees with what is accepted."""
+
+from pathlib import Path
+
+from cairn.deployment.schema import json_schema, schema_text
+
+PUBLISHED = Path(__file__).parents[3] / "deploy" / "deployment.schema.json"
+
+
+def test_the_published_schema_is_current() -> None:
+    assert PUBLISHED.read_text(encoding="utf-8") == schema_text(), (
+        "write it anew: python -m cairn.deployment.schema deploy/deployment.schema.json"
+    )
+
+
+def test_every_key_is_described_and_no_other_is_allowed() -> None:
+    schema = json_schema()
+
+    for section in (schema, *schema["$defs"].values()):
+        if section["type"] == "object":
+            assert section["additionalProperties"] is False
+            for name, value in section["properties"].items():
+                assert value.get("description"), name
+
+
+def test_a_setting_may_stand_for_any_value_that_is_not_a_section() -> None:
+    component = json_schema()["$defs"]["ComponentSpec"]["properties"]
+
+    reference = {"$ref": "#/$defs/Reference"}
+    for name in ("start_timeout_s", "restart", "significant"):
+        assert reference in component[name]["anyOf"]
+    assert "anyOf" not in component["parameters"]

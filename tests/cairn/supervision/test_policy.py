@@ -1,0 +1,236 @@
+"""The supervision policy: Erlang/OTP's semantics, by example and by property."""
+
+from typing import get_args
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cairn.supervision.policy import (
+    ChildPolicy,
+    Decision,
+    Intensity,
+    Policy,
+    Restart,
+    Strategy,
+    UnknownChild,
+)
+
+NAMES = ("base", "scanner", "localizer", "planner")
+
+
+def policy(strategy: Strategy = "one_for_one", **restarts: Restart) -> Policy:
+    """All of `NAMES`, loaded, permanent unless said otherwise."""
+    made = Policy([ChildPolicy(name, restarts.get(name, "permanent")) for name in NAMES], strategy)
+    for name in NAMES:
+        made.load(name)
+    return made
+
+
+def test_one_for_one_restarts_the_ended_child_alone() -> None:
+    decision = policy().ended("scanner", normal=False, at_s=0.0, reason="crash")
+    assert decision == Decision(start=("scanner",))
+
+
+def test_rest_for_one_restarts_those_started_after_it_too() -> None:
+    decision = policy("rest_for_one").ended("scanner", normal=False, at_s=0.0, reason="crash")
+    assert decision == Decision(
+        stop=("planner", "localizer"), start=("scanner", "localizer", "planner")
+    )
+
+
+def test_one_for_all_restarts_everybody_stopping_in_reverse_order() -> None:
+    decision = policy("one_for_all").ended("scanner", normal=False, at_s=0.0, reason="crash")
+    assert decision == Decision(stop=("planner", "localizer", "base"), start=NAMES)
+
+
+def test_a_transient_child_is_restarted_after_a_crash_but_not_after_a_normal_end() -> None:
+    supervised = policy(base="transient", scanner="transient")
+    assert supervised.ended("base", normal=True, at_s=0.0, reason="done") == Decision()
+    crashed = supervised.ended("scanner", normal=False, at_s=0.0, reason="crash")
+    assert crashed.start == ("scanner",)
+    assert supervised.wanted == ("scanner", "localizer", "planner")
+
+
+def test_a_transient_child_that_is_done_starts_again_with_its_siblings() -> None:
+    supervised = policy("one_for_all", base="transient")
+    supervised.ended("base", normal=True, at_s=0.0, reason="done")
+    assert supervised.ended("planner", normal=False, at_s=1.0, reason="crash").start == NAMES
+
+
+def test_a_temporary_child_is_never_restarted_not_even_with_its_siblings() -> None:
+    supervised = policy("one_for_all", localizer="temporary")
+    decision = supervised.ended("base", normal=False, at_s=0.0, reason="crash")
+    assert decision.stop == ("planner", "localizer", "scanner")
+    assert decision.start == ("base", "scanner", "planner")
+
+
+def test_a_child_that_was_unloaded_stays_so_when_its_siblings_are_restarted() -> None:
+    supervised = policy("one_for_all")
+    assert supervised.unload("localizer") == Decision(stop=("localizer",))
+    decision = supervised.ended("base", normal=False, at_s=0.0, reason="crash")
+    assert decision.start == ("base", "scanner", "planner")
+
+
+def test_an_ordered_restart_touches_one_child_and_is_not_counted() -> None:
+    supervised = Policy([ChildPolicy("base")], intensity=Intensity(0, 1.0))
+    supervised.load("base")
+    for _ in range(5):
+        assert supervised.restart("base") == Decision(stop=("base",), start=("base",))
+
+
+def test_one_restart_too_many_within_the_window_gives_up_with_the_last_reason() -> None:
+    supervised = policy()
+    for at_s in (0.0, 4.0, 9.0):
+        assert not supervised.ended("base", normal=False, at_s=at_s, reason="crash").give_up
+    decision = supervised.ended("base", normal=False, at_s=10.0, reason="was killed by SIGSEGV")
+    assert decision.stop == tuple(reversed(NAMES))
+    assert decision.give_up == (
+        "more than 3 restarts within 10 s; last, base: was killed by SIGSEGV"
+    )
+    assert supervised.wanted == ()
+
+
+def test_restarts_older_than_the_window_are_forgotten() -> None:
+    supervised = policy()
+    for count in range(100):
+        decision = supervised.ended("base", normal=False, at_s=count * 3.4, reason="crash")
+        assert decision.start == ("base",)
+
+
+def test_a_child_that_fails_to_start_slowly_does_not_retry_for_ever() -> None:
+    supervised = policy()
+    decisions = [
+        supervised.start_failed("base", at_s=count * 20.0, reason="no answer") for count in range(4)
+    ]
+    assert [bool(decision.give_up) for decision in decisions] == [False, False, False, True]
+    assert decisions[-1].give_up == "4 failed starts on end; last, base: no answer"
+
+
+def test_a_successful_start_ends_the_row_of_failed_ones() -> None:
+    supervised = policy()
+    for count in range(20):
+        decision = supervised.start_failed("base", at_s=count * 20.0, reason="no answer")
+        assert not decision.give_up
+        if count % 3 == 2:
+            supervised.started("base")
+
+
+def test_the_normal_end_of_a_significant_child_finishes_the_supervisor() -> None:
+    supervised = Policy([ChildPolicy("base"), ChildPolicy("replay", "permanent", True)])
+    supervised.load("base")
+    supervised.load("replay")
+    decision = supervised.ended("replay", normal=True, at_s=0.0, reason="end of recording")
+    assert decision.finished == "replay has finished: end of recording"
+    assert not decision.start
+    assert "base" in decision.stop
+    assert supervised.wanted == ()
+
+
+def test_a_significant_temporary_child_that_crashes_makes_the_supervisor_fail() -> None:
+    supervised = Policy([ChildPolicy("replay", "temporary", significant=True)])
+    supervised.load("replay")
+    decision = supervised.ended("replay", normal=False, at_s=0.0, reason="crash")
+    assert decision.give_up == "replay failed and is not restarted: crash"
+
+
+def test_an_unknown_child_is_refused_with_the_known_ones() -> None:
+    with pytest.raises(UnknownChild, match="no child lidar here, but: base, scanner"):
+        policy().load("lidar")
+
+
+def test_two_children_of_one_name_are_refused() -> None:
+    with pytest.raises(ValueError, match="same name"):
+        Policy([ChildPolicy("base"), ChildPolicy("base")])
+
+
+supervisors = st.builds(
+    lambda restarts, strategy, allowed, within_s: (
+        Policy(
+            [ChildPolicy(n, r) for n, r in zip(NAMES, restarts, strict=True)],
+            strategy,
+            Intensity(allowed, within_s),
+        ),
+        dict(zip(NAMES, restarts, strict=True)),
+        strategy,
+        Intensity(allowed, within_s),
+    ),
+    st.tuples(*[st.sampled_from(get_args(Restart))] * len(NAMES)),
+    st.sampled_from(get_args(Strategy)),
+    st.integers(0, 4),
+    st.floats(0.1, 10.0),
+)
+events = st.lists(
+    st.tuples(
+        st.sampled_from(NAMES),
+        st.sampled_from(["load", "unload", "restart", "normal", "crash", "failed", "started"]),
+        st.floats(0.0, 3.0),
+    ),
+    max_size=40,
+)
+
+
+@given(supervisors, events)
+def test_whatever_happens_order_reach_and_intensity_hold(
+    made: tuple[Policy, dict[str, Restart], Strategy, Intensity],
+    happened: list[tuple[str, str, float]],
+) -> None:
+    supervised, restarts, strategy, intensity = made
+    now = 0.0
+    counted: list[float] = []
+    ordered_off = set(NAMES)
+    for name, what, passed_s in happened:
+        now += passed_s
+        before = set(supervised.wanted)
+        decision = Decision()
+        match what:
+            case "load":
+                decision = supervised.load(name)
+                ordered_off.discard(name)
+            case "unload":
+                decision = supervised.unload(name)
+                ordered_off.add(name)
+            case "restart":
+                decision = supervised.restart(name)
+                ordered_off.discard(name)
+            case "started":
+                supervised.started(name)
+            case "failed":
+                decision = supervised.start_failed(name, at_s=now, reason="")
+            case _:
+                decision = supervised.ended(name, normal=what == "normal", at_s=now, reason="")
+        after = set(supervised.wanted)
+        is_end = what in ("normal", "crash", "failed")
+        touched = set(decision.stop) | set(decision.start)
+
+        assert list(decision.start) == [n for n in NAMES if n in decision.start]
+        assert list(decision.stop) == [n for n in reversed(NAMES) if n in decision.stop]
+        assert set(decision.stop) <= before
+        assert set(decision.start) <= after
+        assert not ordered_off & after
+        assert not decision.finished
+        if is_end and not decision.give_up:
+            assert name not in decision.stop
+            assert not any(restarts[n] == "temporary" for n in decision.start)
+            if strategy == "one_for_one":
+                assert touched <= {name}
+            if strategy == "rest_for_one":
+                assert all(NAMES.index(n) >= NAMES.index(name) for n in touched)
+        if is_end and name in before:
+            restarted = restarts[name] == "permanent" or (
+                restarts[name] == "transient" and what != "normal"
+            )
+            if restarted:
+                counted.append(now)
+            recent = [at for at in counted if now - at <= intensity.within_s]
+            if restarted and len(recent) > intensity.max_restarts:
+                assert decision.give_up
+            elif what != "failed":
+                assert not decision.give_up
+            assert (name in decision.start) == (restarted and not decision.give_up)
+        elif is_end:
+            assert decision == Decision()
+        if decision.give_up:
+            assert not after
+            assert not decision.start
+            ordered_off = set(NAMES)

@@ -1,0 +1,138 @@
+"""A supervised deployment of real processes, whose parts are killed and which leaves nothing."""
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from reports import LIMIT_S, Report, Reports, Tree
+
+COMPONENTS = ("base", "base's helper", "mobile", "localizer", "planner")
+
+
+class Deployment:
+    """The deployment of `supervised_program`, running."""
+
+    def __init__(self, directory: Path, reports: Reports) -> None:
+        self.reports = reports
+        self.log = directory / "log"
+        program = str(Path(__file__).with_name("supervised_program.py"))
+        with (directory / "root.log").open("wb") as log:
+            self.process = subprocess.Popen(
+                [sys.executable, program, str(directory), reports.path],
+                stderr=log,
+                env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+            )
+        self.parts = {name: reports.of(name) for name in COMPONENTS}
+        self.root = reports.of("root")
+
+    def again(self, name: str) -> Report:
+        """The report of a component's next incarnation."""
+        self.parts[name] = self.reports.of(name)
+        return self.parts[name]
+
+
+@pytest.fixture
+def deployment(tree: Tree, reports: Reports, tmp_path: Path) -> Iterator[Deployment]:
+    deployment = Deployment(tmp_path, reports)
+    yield deployment
+    deployment.process.kill()
+    deployment.process.wait(LIMIT_S)
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_stopping_the_root_in_good_order_leaves_nothing(
+    deployment: Deployment, number: signal.Signals, tree: Tree
+) -> None:
+    deployment.process.send_signal(number)
+    assert deployment.process.wait(LIMIT_S) == 0
+    assert tree.processes() == []
+
+
+def test_killing_the_root_leaves_nothing(deployment: Deployment, tree: Tree) -> None:
+    deployment.process.kill()
+    deployment.process.wait(LIMIT_S)
+    tree.await_end()
+
+
+def test_killing_the_root_while_it_is_stopped_leaves_nothing(
+    deployment: Deployment, tree: Tree
+) -> None:
+    for part in deployment.parts.values():
+        os.kill(part.pid, signal.SIGSTOP)
+    deployment.process.kill()
+    deployment.process.wait(LIMIT_S)
+    tree.await_end()
+
+
+def test_a_killed_component_is_restarted_without_its_former_helper(
+    deployment: Deployment,
+) -> None:
+    former_helper = deployment.parts["base's helper"]
+    os.kill(deployment.parts["base"].pid, signal.SIGKILL)
+    former_helper.await_end()
+    assert deployment.again("base").facts["incarnation"] == 2
+    assert deployment.again("base's helper").pid != former_helper.pid
+    os.kill(deployment.parts["localizer"].pid, 0)
+
+
+def test_a_killed_component_below_a_supervisor_is_restarted_by_that_one(
+    deployment: Deployment,
+) -> None:
+    os.kill(deployment.parts["planner"].pid, signal.SIGKILL)
+    assert deployment.again("planner").facts["incarnation"] == 2
+    os.kill(deployment.parts["mobile"].pid, 0)
+    os.kill(deployment.parts["localizer"].pid, 0)
+
+
+def test_a_killed_supervisor_is_restarted_with_all_below_it(deployment: Deployment) -> None:
+    below = [deployment.parts[name] for name in ("localizer", "planner")]
+    os.kill(deployment.parts["mobile"].pid, signal.SIGKILL)
+    for part in below:
+        part.await_end()
+    for name in ("mobile", "localizer", "planner"):
+        assert deployment.again(name).pid not in [part.pid for part in below]
+    os.kill(deployment.parts["base"].pid, 0)
+
+
+def test_failures_that_go_on_escalate_to_the_root_which_leaves_nothing(
+    deployment: Deployment, tree: Tree
+) -> None:
+    for incarnation in (1, 2, 3):
+        assert deployment.parts["base"].facts["incarnation"] == incarnation
+        os.kill(deployment.parts["base"].pid, signal.SIGKILL)
+        if incarnation < 3:
+            deployment.again("base")
+    reason = deployment.reports.of("escalation").facts["reason"]
+    assert reason.startswith("root has given up: more than 2 restarts within 60 s; last, base: ")
+    assert reason.endswith("was killed by SIGKILL")
+    assert deployment.process.wait(LIMIT_S) == 1
+    assert tree.processes() == []
+
+
+def test_a_supervisor_that_gives_up_is_restarted_by_its_own(deployment: Deployment) -> None:
+    for incarnation in (1, 2, 3):
+        assert deployment.parts["planner"].facts["incarnation"] == incarnation
+        os.kill(deployment.parts["planner"].pid, signal.SIGKILL)
+        if incarnation < 3:
+            deployment.again("planner")
+    assert deployment.again("mobile").facts["incarnation"] == 2
+    assert deployment.again("planner").facts["incarnation"] == 1
+    assert "mobile has given up: more than 2 restarts" in deployment.log.read_text()
+
+
+def test_a_killed_zygote_takes_all_along_and_the_root_starts_anew(
+    deployment: Deployment, tree: Tree
+) -> None:
+    former = deployment.parts.copy()
+    os.kill(deployment.root.facts["zygote"], signal.SIGKILL)
+    for part in former.values():
+        part.await_end()
+    renewed = [deployment.again(name) for name in COMPONENTS]
+    root = deployment.reports.of("root")
+    assert root.facts["zygote"] != deployment.root.facts["zygote"]
+    expected = {root.pid, root.facts["zygote"], *(part.pid for part in renewed)}
+    assert {process.pid for process in tree.processes()} == expected

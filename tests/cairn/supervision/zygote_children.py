@@ -1,0 +1,135 @@
+"""What processes do in the tests of the zygote; each tells the test of itself over a socket."""
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+from cairn.supervision.zygote_client import ZygoteClient
+
+Argument = dict[str, Any]
+GRANDCHILD = (
+    "import sys; sys.path[:] = {path!r}; import zygote_children; zygote_children.stay({argument!r})"
+)
+
+
+def announce(argument: Argument, **facts: Any) -> socket.socket:
+    """Tell the test that this process runs; the connection ends with the process."""
+    connection = socket.socket(socket.AF_UNIX)
+    connection.connect(argument["reports"])
+    told = {"name": argument["name"], "pid": os.getpid(), **facts}
+    connection.sendall(json.dumps(told).encode() + b"\n")
+    return connection
+
+
+def stay(argument: Argument) -> None:
+    """Run until killed, or until the test closes the connection."""
+    announce(argument).recv(1)
+
+
+def describe(argument: Argument) -> None:
+    """Tell what this process is like."""
+    descriptors = {
+        number: os.readlink(f"/proc/self/fd/{number}")
+        for number in map(int, os.listdir("/proc/self/fd"))
+        if os.path.exists(f"/proc/self/fd/{number}")
+    }
+    announce(
+        argument,
+        given=argument,
+        group=os.getpgrp(),
+        title=Path("/proc/self/cmdline").read_text().split("\0")[0].strip(),
+        descriptors=descriptors,
+        sigterm=signal.getsignal(signal.SIGTERM) == signal.SIG_DFL,
+        sigchld=signal.getsignal(signal.SIGCHLD) == signal.SIG_DFL,
+        sigint=signal.getsignal(signal.SIGINT) == signal.default_int_handler,
+        blocked=[*map(int, signal.pthread_sigmask(signal.SIG_BLOCK, []))],
+        threads=len(os.listdir("/proc/self/task")),
+        malloc=os.environ["MALLOC_TOP_PAD_"],
+        path=sys.path,
+    )
+
+
+def speak(argument: Argument) -> None:
+    """Write to both streams and return."""
+    sys.stdout.write(f"said {argument['said']}\n")
+    sys.stderr.write(f"murmured {argument['said']}\n")
+
+
+def fail(argument: Argument) -> None:
+    """End by an exception."""
+    raise ValueError(f"no device {argument['device']}")
+
+
+def crash(argument: Argument) -> None:
+    """End as by a fault in a library."""
+    os.kill(os.getpid(), signal.SIGSEGV)
+
+
+def ignore_sigterm(argument: Argument) -> None:
+    """Run until killed."""
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    stay(argument)
+
+
+def leave_helper(argument: Argument) -> None:
+    """Return, but leave a process running, hidden as the argument says."""
+    keep_helper_of(argument)
+
+
+def keep_helper(argument: Argument) -> None:
+    """Run until killed, with a process of its own, hidden as the argument says."""
+    keep_helper_of(argument)
+    stay(argument)
+
+
+def own(argument: Argument) -> None:
+    """Run until killed, and own a process that has a helper in turn."""
+    client = ZygoteClient(Path(argument["zygote"]))
+    leaf = {"name": "leaf", "reports": argument["reports"], "how": "same group"}
+    client.spawn("leaf", "zygote_children:keep_helper", leaf, Path(argument["log"]))
+    stay(argument)
+
+
+def own_and_fork(argument: Argument) -> None:
+    """Own a process, and have a fork hold the connection open after the owner's end."""
+    client = ZygoteClient(Path(argument["zygote"]))
+    leaf = {"name": "leaf", "reports": argument["reports"]}
+    client.spawn("leaf", "zygote_children:stay", leaf, Path(argument["log"]))
+    if os.fork() == 0:
+        os.setsid()
+        stay({**argument, "name": "fork"})
+    stay(argument)
+
+
+def open_session(argument: Argument) -> None:
+    """Open and close a Zenoh session, which hangs in a fork of a process that had one."""
+    import zenoh
+
+    config = zenoh.Config()
+    config.insert_json5("listen/endpoints", '["tcp/127.0.0.1:0"]')
+    config.insert_json5("scouting/multicast/enabled", "false")
+    with zenoh.open(config) as session:
+        session.put("cairn/test", b"x")
+
+
+def keep_helper_of(argument: Argument) -> None:
+    """Start a process that stays, hidden as the argument says."""
+    helper = {"name": f"{argument['name']}'s helper", "reports": argument["reports"]}
+    program = GRANDCHILD.format(path=sys.path, argument=helper)
+    if argument["how"] == "daemon":
+        if (middle := os.fork()) == 0:
+            os.setsid()
+            _popen(program)
+            os._exit(0)
+        os.waitpid(middle, 0)
+    else:
+        _popen(program, start_new_session=argument["how"] == "own session")
+
+
+def _popen(program: str, start_new_session: bool = False) -> None:
+    subprocess.Popen([sys.executable, "-c", program], start_new_session=start_new_session)

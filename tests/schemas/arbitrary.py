@@ -1,0 +1,207 @@
+"""Any valid message of any class, made from its definition, for property tests."""
+
+import importlib
+import inspect
+import math
+import pkgutil
+import typing
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+import schemas
+from schemas.cairn_msgs import VisualMapChange, VisualObject
+from schemas.covariance import Covariance2, Covariance3
+from schemas.geometry_msgs import Pose
+from schemas.message import type_name
+from schemas.nav_msgs import MapMetaData, OccupancyGrid
+from schemas.packed import Packed
+from schemas.primitives import Array, Scalar, Text, finite, mark_of
+from schemas.sensor_msgs import Image, LaserScan
+
+LONGEST = 6
+TEXT = st.text(st.characters(exclude_characters="\0", codec="utf-8"), max_size=12)
+METRES = st.floats(-1e6, 1e6)
+
+
+def _every_message() -> dict[str, type[Any]]:
+    found: dict[str, type[Any]] = {}
+    for module_info in pkgutil.iter_modules(schemas.__path__, "schemas."):
+        module = importlib.import_module(module_info.name)
+        for _, cls in inspect.getmembers(module, inspect.isclass):
+            if cls.__module__ == module.__name__ and "__ros_type__" in cls.__dict__:
+                found[type_name(cls)] = cls
+    return found
+
+
+EVERY_MESSAGE = _every_message()
+
+
+def samples(cls: type[Any], count: int) -> list[Any]:
+    """The same `count` messages at each call."""
+    found: list[Any] = []
+
+    @settings(
+        max_examples=count,
+        derandomize=True,
+        database=None,
+        deadline=None,
+        suppress_health_check=list(HealthCheck),
+    )
+    @given(arbitrary(cls))
+    def collect(message: Any) -> None:
+        found.append(message)
+
+    collect()
+    return found
+
+
+def arbitrary(cls: type[Any]) -> st.SearchStrategy[Any]:
+    """Valid messages of a class."""
+    if cls in _WITH_RULES_BETWEEN_FIELDS:
+        return _WITH_RULES_BETWEEN_FIELDS[cls]()
+    return _built(cls)
+
+
+def _built(cls: type[Any], **known: st.SearchStrategy[Any]) -> st.SearchStrategy[Any]:
+    hints = typing.get_type_hints(cls, include_extras=True)
+    return st.builds(
+        cls,
+        **{field.name: known.get(field.name, _field(hints[field.name])) for field in fields(cls)},
+    )
+
+
+def _field(hint: Any) -> st.SearchStrategy[Any]:
+    if hint == Covariance2:
+        return _covariances(2)
+    if hint == Covariance3:
+        return _covariances(3)
+    mark = mark_of(hint)
+    if isinstance(mark, Scalar):
+        return _scalars(mark)
+    if isinstance(mark, Text):
+        return st.sampled_from(mark.one_of) if mark.one_of else TEXT
+    if isinstance(mark, Array):
+        assert mark.check in (None, finite)
+        return _arrays(mark.ros_type, mark.length, only_finite=mark.check is finite)
+    if typing.get_origin(hint) is Packed:
+        (element,) = typing.get_args(hint)
+        assert element is Pose
+        return _poses()
+    if typing.get_origin(hint) is tuple:
+        return st.lists(_field(typing.get_args(hint)[0]), max_size=3).map(tuple)
+    return arbitrary(hint)
+
+
+def _scalars(mark: Scalar) -> st.SearchStrategy[Any]:
+    if mark.ros_type == "bool":
+        return st.booleans()
+    if not mark.ros_type.startswith("float"):
+        limits = np.iinfo("uint8" if mark.ros_type == "byte" else mark.ros_type)
+        highest = int(limits.max) if mark.at_most is None else int(mark.at_most)
+        return st.integers(int(limits.min), highest)
+    bounded = mark.finite or (mark.above, mark.at_least, mark.at_most) != (None, None, None)
+    return st.floats(
+        mark.above if mark.above is not None else mark.at_least,
+        mark.at_most,
+        exclude_min=mark.above is not None,
+        allow_nan=not bounded,
+        allow_infinity=not bounded,
+        width=32 if mark.ros_type == "float32" else 64,
+    )
+
+
+def _arrays(
+    ros_type: str, length: int | None = None, *, only_finite: bool = False
+) -> st.SearchStrategy[Any]:
+    dtype = np.dtype(ros_type)
+    elements: dict[str, Any] = {}
+    if dtype.kind == "f" and only_finite:
+        elements = {"allow_nan": False, "allow_infinity": False}
+    size: Any = st.integers(0, LONGEST) if length is None else length
+    return hnp.arrays(dtype, size, elements=hnp.from_dtype(dtype, **elements))
+
+
+def _poses() -> st.SearchStrategy[Any]:
+    numbers = st.floats(allow_nan=False, allow_infinity=False)
+    return hnp.arrays(np.float64, st.tuples(st.integers(0, 4), st.just(7)), elements=numbers)
+
+
+def _covariances(size: int) -> st.SearchStrategy[Any]:
+    roots = hnp.arrays(np.float64, (size, size), elements=st.floats(-1e3, 1e3))
+    return roots.map(lambda root: (root @ root.T).ravel())
+
+
+@st.composite
+def _scans(draw: st.DrawFn) -> LaserScan:
+    beams = draw(st.integers(0, LONGEST))
+    first, step = draw(st.floats(-3, 3, width=32)), draw(st.floats(-1, 1, width=32))
+    last = first + max(0, beams - 1) * step
+    nearest = draw(st.floats(0, 1, width=32))
+    intensities = draw(st.sampled_from([0, beams]))
+    return draw(
+        _built(
+            LaserScan,
+            angle_min=st.just(first),
+            angle_max=st.sampled_from([last, last + step]),
+            angle_increment=st.just(step),
+            range_min=st.just(nearest),
+            range_max=st.sampled_from([nearest, 30.0, math.inf]),
+            ranges=_arrays("float32", beams),
+            intensities=_arrays("float32", intensities),
+        )
+    )
+
+
+@st.composite
+def _images(draw: st.DrawFn) -> Image:
+    height, step = draw(st.integers(0, 4)), draw(st.integers(0, 9))
+    return draw(
+        _built(
+            Image,
+            height=st.just(height),
+            step=st.just(step),
+            data=_arrays("uint8", height * step),
+        )
+    )
+
+
+@st.composite
+def _grids(draw: st.DrawFn) -> OccupancyGrid:
+    width, height = draw(st.integers(0, 4)), draw(st.integers(0, 5))
+    info = _built(
+        MapMetaData,
+        width=st.just(width),
+        height=st.just(height),
+        resolution=st.floats(2**-10, 10, width=32),
+    )
+    cells = hnp.arrays(np.int8, width * height, elements=st.integers(-1, 100))
+    return draw(_built(OccupancyGrid, info=info, data=cells))
+
+
+def _visual_objects() -> st.SearchStrategy[VisualObject]:
+    return st.one_of(
+        _built(VisualObject, candidate_x=METRES, candidate_y=METRES),
+        _built(VisualObject, candidate_x=st.just(math.nan), candidate_y=st.just(math.nan)),
+    )
+
+
+def _changes() -> st.SearchStrategy[VisualMapChange]:
+    none = st.just(math.nan)
+    return st.one_of(
+        _built(VisualMapChange, old_x=none, old_y=none, new_x=METRES, new_y=METRES),
+        _built(VisualMapChange, old_x=METRES, old_y=METRES, new_x=none, new_y=none),
+    )
+
+
+_WITH_RULES_BETWEEN_FIELDS = {
+    LaserScan: _scans,
+    Image: _images,
+    OccupancyGrid: _grids,
+    VisualObject: _visual_objects,
+    VisualMapChange: _changes,
+}

@@ -1,0 +1,27 @@
+"""Settings of the tests of messages: `--mutations 100000` runs the whole mutation test."""
+
+import pytest
+
+from cairn.bus.codec import Codec
+
+DEFAULT_MUTATIONS = 2_000
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """`pytest tests/schemas --mutations 100000`: known when this folder is named."""
+    parser.addoption(
+        "--mutations",
+        type=int,
+        default=DEFAULT_MUTATIONS,
+        help="Damaged buffers to decode for each message type.",
+    )
+
+
+@pytest.fixture
+def mutations(request: pytest.FixtureRequest) -> int:
+    return int(request.config.getoption("--mutations", default=DEFAULT_MUTATIONS))
+
+
+@pytest.fixture(scope="session")
+def codec() -> Codec:
+    return Codec()

@@ -1,0 +1,73 @@
+"""A class's definition text and type hash are those of ROS 2."""
+
+import pytest
+from arbitrary import EVERY_MESSAGE
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
+
+from cairn.bus.codec import Codec
+from schemas.cairn_msgs import ObjectEvidence
+from schemas.diagnostic_msgs import DiagnosticStatus
+from schemas.geometry_msgs import PoseArray, PoseStamped, PoseWithCovarianceStamped, Twist
+from schemas.nav_msgs import OccupancyGrid, Odometry, Path
+from schemas.sensor_msgs import Image, LaserScan
+from schemas.std_msgs import String
+
+ROS = get_typestore(Stores.ROS2_JAZZY)
+
+
+@pytest.mark.parametrize(
+    "name", [name for name in EVERY_MESSAGE if not name.startswith("cairn_msgs/")]
+)
+def test_standard_messages_are_defined_as_in_ros_2_jazzy(name: str, codec: Codec) -> None:
+    cls = EVERY_MESSAGE[name]
+    assert codec.type_hash(cls) == ROS.hash_rihs01(name)
+    assert codec.definition(cls) == ROS.generate_msgdef(name, ros_version=2)[0]
+
+
+@pytest.mark.parametrize(
+    ("cls", "digest"),
+    [
+        (String, "df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"),
+        (LaserScan, "64c191398013af96509d518dac71d5164f9382553fce5c1f8cca5be7924bd828"),
+        (Image, "d31d41a9a4c4bc8eae9be757b0beed306564f7526c88ea6a4588fb9582527d47"),
+        (Odometry, "3cc97dc7fb7502f8714462c526d369e35b603cfc34d946e3f2eda2766dfec6e0"),
+        (OccupancyGrid, "8d348150c12913a31ee0ec170fbf25089e4745d17035792a1ba94d6f0bc0cfc7"),
+        (Path, "1957a5bb3cee5da65c4e52e52b65a93df227efce4c20f8458b36e73066ca334b"),
+        (PoseStamped, "10f3786d7d40fd2b54367835614bff85d4ad3b5dab62bf8bca0cc232d73b4cd8"),
+    ],
+)
+def test_the_hash_is_the_one_that_ros_2_nodes_announce(
+    cls: type, digest: str, codec: Codec
+) -> None:
+    assert codec.type_hash(cls) == f"RIHS01_{digest}"
+
+
+def test_the_hash_of_twist_begins_and_ends_as_announced(codec: Codec) -> None:
+    assert codec.type_hash(Twist).startswith("RIHS01_9c45bf16fe09")
+    assert codec.type_hash(Twist).endswith("fb8d2a")
+
+
+@pytest.mark.parametrize("name", EVERY_MESSAGE)
+def test_another_tool_finds_the_same_type_in_the_definition_text(name: str, codec: Codec) -> None:
+    text, *parts = codec.definition(EVERY_MESSAGE[name]).split("=" * 80 + "\n")
+    store = Typestore()
+    types = get_types_from_msg(text, name)
+    for part in parts:
+        head, _, body = part.partition("\n")
+        types |= get_types_from_msg(body, head.removeprefix("MSG: ").replace("/", "/msg/"))
+    store.register(types)
+    assert store.hash_rihs01(name) == codec.type_hash(EVERY_MESSAGE[name])
+
+
+def test_a_packed_sequence_is_defined_as_a_plain_one(codec: Codec) -> None:
+    assert codec.definition(PoseArray).startswith(
+        "std_msgs/Header header\ngeometry_msgs/Pose[] poses\n"
+    )
+
+
+def test_arrays_have_their_length_and_constants_their_value(codec: Codec) -> None:
+    text = codec.definition(PoseWithCovarianceStamped)
+    assert "geometry_msgs/Pose pose\nfloat64[36] covariance\n" in text
+    assert codec.definition(DiagnosticStatus).startswith("byte OK=0\nbyte WARN=1\n")
+    assert "uint8 NOT_CONVERGED=3\n" in codec.definition(ObjectEvidence)

@@ -1,0 +1,124 @@
+"""What holds for each message: round trip, the bytes of other implementations, damaged bytes."""
+
+import resource
+import struct
+import tracemalloc
+import zlib
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+import pytest
+from arbitrary import EVERY_MESSAGE, arbitrary, samples
+from damage import damaged
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mcap_ros2._dynamic import serialize_dynamic
+from rosbags.typesys import Stores, get_typestore
+
+from cairn.bus.codec import Codec
+from schemas.message import InvalidMessage
+
+CODEC = Codec()
+ROS = get_typestore(Stores.ROS2_JAZZY)
+
+every_message = pytest.mark.parametrize("name", EVERY_MESSAGE)
+standard_message = pytest.mark.parametrize(
+    "name", [name for name in EVERY_MESSAGE if not name.startswith("cairn_msgs/")]
+)
+few = settings(max_examples=40, deadline=None)
+
+
+@every_message
+@few
+@given(st.data())
+def test_what_is_encoded_is_decoded(name: str, data: st.DataObject) -> None:
+    message = data.draw(arbitrary(EVERY_MESSAGE[name]))
+    encoded = CODEC.encode(message)
+    decoded = CODEC.decode(type(message), encoded)
+    assert decoded == message
+    assert hash(decoded) == hash(message)
+    assert CODEC.encode(decoded) == encoded
+
+
+@every_message
+@few
+@given(st.data())
+def test_the_bytes_are_those_of_an_independent_encoder_fed_with_our_definition(
+    name: str, data: st.DataObject
+) -> None:
+    message = data.draw(arbitrary(EVERY_MESSAGE[name]))
+    encode = serialize_dynamic(name, CODEC.definition(type(message)))[name]
+    assert CODEC.encode(message) == encode(plain(message))
+
+
+@standard_message
+@few
+@given(st.data())
+def test_stock_rosbags_reads_and_writes_the_same_bytes(name: str, data: st.DataObject) -> None:
+    encoded = CODEC.encode(data.draw(arbitrary(EVERY_MESSAGE[name])))
+    assert bytes(ROS.serialize_cdr(ROS.deserialize_cdr(encoded, name), name)) == encoded
+
+
+@standard_message
+@few
+@given(st.data())
+def test_big_endian_is_read_as_well(name: str, data: st.DataObject) -> None:
+    message = data.draw(arbitrary(EVERY_MESSAGE[name]))
+    theirs = ROS.deserialize_cdr(CODEC.encode(message), name)
+    big = bytes(ROS.serialize_cdr(theirs, name, little_endian=False))
+    assert CODEC.decode(type(message), big) == message
+
+
+@every_message
+def test_a_damaged_message_is_valid_or_refused(name: str, mutations: int) -> None:
+    cls = EVERY_MESSAGE[name]
+    originals = [CODEC.encode(message) for message in samples(cls, 30)]
+    random = np.random.default_rng(zlib.crc32(name.encode()))
+    before = _peak_memory()
+    outcomes = {"valid": 0, "refused": 0}
+    for _ in range(mutations):
+        message = _decode_or_refuse(cls, damaged(originals, random))
+        outcomes["refused" if message is None else "valid"] += 1
+        if message is not None:
+            assert CODEC.decode(cls, CODEC.encode(message)) == message
+    assert min(outcomes.values()) > 0
+    assert _peak_memory() - before < 32 * 2**20
+
+
+@every_message
+def test_memory_is_bounded_by_the_size_of_the_bytes(name: str) -> None:
+    cls = EVERY_MESSAGE[name]
+    (original,) = samples(cls, 30)[-1:]
+    data = CODEC.encode(original) + bytes(400)
+    _decode_or_refuse(cls, data)
+    tracemalloc.start()
+    for start in range(4, len(data) - 3, 4):
+        for count in (len(data) - start, 2**24, 2**31, 2**32 - 1):
+            huge = data[:start] + struct.pack("<I", count) + data[start + 4 :]
+            _decode_or_refuse(cls, huge)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 200_000 + 500 * len(data)
+
+
+def plain(value: Any) -> Any:
+    """As dictionaries, lists and numbers."""
+    if isinstance(value, bool | int | float | str):
+        return value
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    if hasattr(value, "__ros_type__"):
+        return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
+    return [plain(item) for item in value]
+
+
+def _decode_or_refuse(cls: type[Any], data: bytes) -> Any | None:
+    try:
+        return CODEC.decode(cls, data)
+    except InvalidMessage:
+        return None
+
+
+def _peak_memory() -> int:
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
