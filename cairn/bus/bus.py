@@ -94,7 +94,7 @@ class Bus(Protocol):
 
 
 def full_name(robot: str, topic: str) -> str:
-    """The name on the bus of a robot's topic or component; one that starts with / stays as it is."""
+    """The name on the bus of a robot's topic or component; one that starts with / stays."""
     return topic if topic.startswith("/") else f"/{robot}/{topic}"
 
 

@@ -6,6 +6,7 @@ silence, whether the component is missing, dies, or hangs; here each of these is
 
 import threading
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 import zenoh
@@ -48,7 +49,7 @@ def request(
     Raises `ControlError` with the component's own
     words if it refuses, or naming component, request and limit if no answer comes.
     """
-    key = _key(domain, component)
+    key = control_key(domain, component)
     asked = ControlRequest(verb=verb, arguments=dict(arguments or {}))
     replies = session.get(
         key,
@@ -69,37 +70,6 @@ def request(
     )
 
 
-class Arrival:
-    """Waits for a component to be there to be asked; use it as a context manager."""
-
-    def __init__(self, session: zenoh.Session, domain: int, component: str) -> None:
-        """`component` is its full name (`/robot/localizer`)."""
-        self._changed = threading.Event()
-        self._querier = session.declare_querier(_key(domain, component))
-        self._listener = self._querier.declare_matching_listener(
-            zenoh.handlers.Callback(
-                lambda status: self._changed.set() if status.matching else None, indirect=False
-            )
-        )
-
-    def __enter__(self) -> "Arrival":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._listener.undeclare()
-        self._querier.undeclare()
-
-    def wait(self, timeout_s: float) -> bool:
-        """Whether the component is there, at the latest after the limit or `give_up`."""
-        if not self._querier.matching_status.matching:
-            self._changed.wait(timeout_s)
-        return bool(self._querier.matching_status.matching)
-
-    def give_up(self) -> None:
-        """End the wait: it will not come. From any thread."""
-        self._changed.set()
-
-
 class ControlServer:
     """Receives the requests to one component and has them answered on its thread."""
 
@@ -112,7 +82,7 @@ class ControlServer:
         answer: Callable[[str, Mapping[str, Any]], Any],
     ) -> None:
         """`answer(verb, arguments)` is called through `post`; a `CairnError` refuses."""
-        self._key = _key(domain, component)
+        self._key = control_key(domain, component)
         self._post = post
         self._answer = answer
         self._queryable: zenoh.Queryable[Any] = session.declare_queryable(
@@ -139,7 +109,7 @@ class ControlServer:
             except ValidationError as error:
                 self._reply(query, ControlReply(error=f"not a control request: {error}"))
                 continue
-            self._post(lambda query=query, asked=asked: self._handle(query, asked))
+            self._post(partial(self._handle, query, asked))
 
     def _handle(self, query: zenoh.Query, asked: ControlRequest) -> None:
         try:
@@ -153,5 +123,6 @@ class ControlServer:
             query.reply(self._key, reply.model_dump_json())
 
 
-def _key(domain: int, component: str) -> str:
+def control_key(domain: int, component: str) -> str:
+    """Where the component with that full name (`/robot/localizer`) is asked."""
     return f"@cairn/{domain}/component{component}"

@@ -63,9 +63,7 @@ class LockstepNode:
 class LockstepPublisher:
     """Writes to one topic in memory."""
 
-    def __init__(
-        self, node: LockstepNode, topic: "_Topic", message: type[Any], qos: Qos
-    ) -> None:
+    def __init__(self, node: LockstepNode, topic: "_Topic", message: type[Any], qos: Qos) -> None:
         self.node = node
         self.message = message
         self.published = 0
@@ -143,7 +141,8 @@ class _Topic:
         self.readers: list[LockstepSubscription] = []
 
     def join(self, end: End, ends: list[End]) -> None:
-        for other in (*self.writers, *self.readers):
+        others: list[LockstepPublisher | LockstepSubscription] = [*self.writers, *self.readers]
+        for other in others:
             if other.message is not end.message:
                 ours, theirs = type_name(end.message), type_name(other.message)
                 end.node.complain(mismatch(self.name, ours, other.node.name, theirs))

@@ -11,6 +11,8 @@ from typing import Any
 
 import zenoh
 
+from cairn.bus.arrival import Arrival
+
 
 class Meeting:
     """This process's answer to the others, and its way to meet them."""
@@ -45,26 +47,12 @@ class Meeting:
         self._thread.join(timeout=2.0)
 
     def _meet(self, key: str, deadline: float) -> bool:
-        known = threading.Event()
-        querier = self._session.declare_querier(key)
-        try:
-            listener = querier.declare_matching_listener(
-                zenoh.handlers.Callback(
-                    lambda status: known.set() if status.matching else None, indirect=False
-                )
-            )
-            try:
-                if not querier.matching_status.matching:
-                    known.wait(max(0.0, deadline - time.monotonic()))
-                left = deadline - time.monotonic()
-                if left <= 0:
-                    return False
-                replies = self._session.get(key, timeout=left)
-                return any(reply.ok is not None for reply in replies)
-            finally:
-                listener.undeclare()
-        finally:
-            querier.undeclare()
+        with Arrival(self._session, key) as arrival:
+            if not arrival.wait(max(0.0, deadline - time.monotonic())):
+                return False
+            left = deadline - time.monotonic()
+            replies = self._session.get(key, timeout=max(0.01, left))
+            return any(reply.ok is not None for reply in replies)
 
     def _answer(self, own: str) -> None:
         channel = self._queryable.handler

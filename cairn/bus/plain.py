@@ -13,8 +13,7 @@ def to_plain(message: Any, longest: int | None = None) -> Any:
     """
     if is_dataclass(message):
         return {
-            field.name: to_plain(getattr(message, field.name), longest)
-            for field in fields(message)
+            field.name: to_plain(getattr(message, field.name), longest) for field in fields(message)
         }
     if isinstance(message, np.ndarray):
         shown = message if longest is None else message[:longest]

@@ -2,7 +2,7 @@
 
 import struct
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, cast
 
 import xxhash
 
@@ -38,7 +38,9 @@ class Attachment:
     def decode(cls, data: bytes) -> "Attachment":
         """Read the 33 bytes; `RmwError` if they are not an attachment."""
         if len(data) != _ATTACHMENT.size or data[16] != 16:
-            raise RmwError(f"an attachment has {_ATTACHMENT.size} bytes with 16 at 16, not {data!r}")
+            raise RmwError(
+                f"an attachment has {_ATTACHMENT.size} bytes with 16 at 16, not {data!r}"
+            )
         sequence, sent_ns, _, gid = _ATTACHMENT.unpack(data)
         return cls(sequence, sent_ns, gid)
 
@@ -120,9 +122,14 @@ def parse_token(key: str) -> NodeEntity | EndpointEntity:
             raise RmwError(f"{key!r}: {kind!r} is not a kind of entity of that length")
         topic, dds, type_hash, qos = chunks[9:]
         return EndpointEntity(
-            node, int(endpoint_id), kind, _demangle(topic), ros_type(dds), type_hash,
+            node,
+            int(endpoint_id),
+            cast("EndpointKind", kind),
+            _demangle(topic),
+            ros_type(dds),
+            type_hash,
             parse_qos_chunk(qos),
-        )  # fmt: skip
+        )
     except ValueError as error:
         raise RmwError(f"{key!r} is not a liveliness token of rmw_zenoh: {error}") from error
 

@@ -8,7 +8,7 @@ import zenoh
 from cairn.errors import CairnError
 
 LEASE_MS = 2000
-"""After this long without a sign of life a peer's link is given up; a killed one is noticed at once."""
+"""A silent peer's link is given up after so long; that of a killed one at once."""
 
 
 def open_peer(connect: Sequence[str]) -> zenoh.Session:

@@ -1,5 +1,6 @@
 """The bus over Zenoh, speaking ROS 2's language (rmw_zenoh) on the wire."""
 
+import contextlib
 import itertools
 import threading
 import time
@@ -214,7 +215,7 @@ class ZenohSubscription:
         self._last: dict[bytes, int] = {}
         self._announcement = node.declare("MS", topic, message, qos)
         key = self._announcement.key
-        ring = zenoh.handlers.RingChannel(qos.depth)
+        ring: Any = zenoh.handlers.RingChannel(qos.depth)
         session = node.bus.session
         self._subscriber: Any
         if qos.durability == "transient_local":
@@ -267,10 +268,9 @@ class ZenohSubscription:
                 self._waiting.append(sample)
                 self._wake()
                 continue
-            try:
+            # If the loop was faster, its wake-up serves the new one.
+            with contextlib.suppress(IndexError):
                 self._waiting.popleft()
-            except IndexError:  # the loop was faster: its wake-up serves the new one
-                pass
             self._waiting.append(sample)
 
     def _count_gap(self, attachment: bytes) -> None:

@@ -18,9 +18,7 @@ _QUIET_S = 0.5
 
 
 def logs(
-    component: Annotated[
-        str, typer.Argument(help="Only this component.", metavar="[NAME]")
-    ] = "",
+    component: Annotated[str, typer.Argument(help="Only this component.", metavar="[NAME]")] = "",
     connect: Connect = DEFAULT_CONNECT,
     domain: Domain = 0,
     robot: Robot = "",

@@ -88,6 +88,4 @@ def _ask(
 ) -> Any:
     nodes = [entity.name for entity in connection.graph() if isinstance(entity, rmw.NodeEntity)]
     full = resolve(nodes, component, robot)
-    return request(
-        connection.session, connection.domain, full, verb, arguments, timeout_s=_LIMIT_S
-    )
+    return request(connection.session, connection.domain, full, verb, arguments, timeout_s=_LIMIT_S)

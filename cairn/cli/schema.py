@@ -38,9 +38,7 @@ def show_(
     message = find_message(type_name)
     definition = codec.definition(message)
     if json:
-        print_json(
-            {"type": type_name, "hash": codec.type_hash(message), "definition": definition}
-        )
+        print_json({"type": type_name, "hash": codec.type_hash(message), "definition": definition})
         return
     console = Console(width=width(), highlight=False)
     console.print(f"# {type_name}\n# {codec.type_hash(message)}", markup=False)

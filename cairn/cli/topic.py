@@ -1,5 +1,6 @@
 """`cairn topic list|echo|hz`: what passes on the bus."""
 
+import itertools
 import json as json_module
 import queue
 import statistics
@@ -111,7 +112,7 @@ def hz(
                     sent = rmw.Attachment.decode(sample.attachment.to_bytes())
                     lost += max(0, sent.sequence - last.get(sent.gid, sent.sequence - 1) - 1)
                     last[sent.gid] = sent.sequence
-    gaps = [after - before for before, after in zip(arrivals, arrivals[1:], strict=False)]
+    gaps = [after - before for before, after in itertools.pairwise(arrivals)]
     mean = statistics.fmean(gaps) if gaps else 0.0
     result = {
         "topic": endpoint.topic,

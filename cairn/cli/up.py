@@ -18,11 +18,11 @@ import yaml
 from rich.console import Console
 
 from cairn.bus.zenoh_bus import ZenohBus
-from cairn.clock import SECOND, from_ns
 from cairn.cli.check import File, Overlay, Set
 from cairn.cli.tables import line
 from cairn.cli.view import LiveView, PlainView
 from cairn.cli.watch import Watch
+from cairn.clock import SECOND, from_ns
 from cairn.component.runtime import End
 from cairn.deployment.load import load_deployment
 from cairn.deployment.model import Deployment

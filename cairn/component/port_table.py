@@ -119,7 +119,7 @@ class _Input:
         self._topic = topic
         self._owner = owner
         self._node = node
-        self._wake = partial(scheduler.post, self._deliver)
+        self._wake = partial(scheduler.post, self._woken)
         self._calls = [(f"{name} (port {spec.name})", call) for name, call in calls]
         self._subscription: Subscription | None = None
         self._past = [0, 0, 0]
@@ -157,10 +157,11 @@ class _Input:
             return self._past
         return [
             past + new
-            for past, new in zip(
-                self._past, (now.received, now.dropped, now.invalid), strict=True
-            )
+            for past, new in zip(self._past, (now.received, now.dropped, now.invalid), strict=True)
         ]
+
+    def _woken(self) -> None:
+        self._deliver()
 
     def _deliver(self) -> bool:
         if self._subscription is None:

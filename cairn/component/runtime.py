@@ -7,12 +7,13 @@ import zlib
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from cairn.bus.bus import Bus, full_name
-from cairn.clock import SECOND, Clock, SimulatedClock, from_ns
+from cairn.clock import Clock, SimulatedClock, from_ns
 from cairn.component.clock_input import TOPIC, ClockInput
 from cairn.component.component import Component
 from cairn.component.lifecycle import State, Transition, goal
@@ -72,9 +73,7 @@ class Runtime:
         self.name = assignment.name
         self.log = logging.getLogger(f"cairn.{assignment.robot}.{assignment.name}")
         self.config = _config(component, assignment)
-        self.random = np.random.default_rng(
-            [assignment.seed, zlib.crc32(assignment.name.encode())]
-        )
+        self.random = np.random.default_rng([assignment.seed, zlib.crc32(assignment.name.encode())])
         self._bus = bus
         self._scheduler = scheduler
         self._system_clock = system_clock
@@ -262,9 +261,7 @@ class Runtime:
     def _start_timers(self) -> None:
         now = self.clock.now()
         for name, period, call in self._ports.timers():
-            self._timers.every(
-                now + period, period, self.clock.now, lambda n=name, c=call: self.run(n, c)
-            )
+            self._timers.every(now + period, period, self.clock.now, partial(self.run, name, call))
         self._arm()
 
     def _run_due(self) -> None:

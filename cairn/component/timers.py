@@ -16,7 +16,9 @@ class Timers:
         """Have `call` made at time `due`."""
         heapq.heappush(self._heap, (due, next(self._order), call))
 
-    def every(self, start: int, period: int, now: Callable[[], int], call: Callable[[], None]) -> None:
+    def every(
+        self, start: int, period: int, now: Callable[[], int], call: Callable[[], None]
+    ) -> None:
         """Have `call` made at `start` and every `period` after; periods missed are skipped."""
 
         def repeat() -> None:

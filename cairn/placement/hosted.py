@@ -29,7 +29,7 @@ class Hosted:
         self.bus = bus
         self.end: End | None = None
         self.ended = threading.Event()
-        self.on_end: Callable[[], None] = self.ended.is_set
+        self.on_end: Callable[[], object] = self.ended.is_set
         self._loop = ThreadLoop()
         self._closed = False
         surroundings = order.surroundings

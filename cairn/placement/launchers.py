@@ -3,8 +3,9 @@
 from collections import deque
 from pathlib import Path
 
+from cairn.bus.arrival import Arrival
 from cairn.bus.bus import full_name
-from cairn.bus.control import Arrival, request
+from cairn.bus.control import control_key, request
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.deployment.plugins import load_plugin
 from cairn.errors import CairnError
@@ -85,7 +86,7 @@ class HostLauncher:
         name = full_name(surroundings.robot, order.name)
         log = Path(surroundings.log_folder) / f"{order.name}.log"
         session = self._supervisor.bus.session
-        with Arrival(session, surroundings.domain, name) as arrival:
+        with Arrival(session, control_key(surroundings.domain, name)) as arrival:
             process = self._client().spawn(
                 order.name,
                 ENTRY,

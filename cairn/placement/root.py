@@ -126,7 +126,8 @@ def _runtime_folder() -> Iterator[Path]:
     try:
         folder = Path(tempfile.mkdtemp(prefix="cairn-", dir=base))
     except OSError as error:
-        raise CairnError(f"no folder for sockets can be made in {base or '/tmp'}: {error}") from error
+        where = base or "the folder for temporary files"
+        raise CairnError(f"no folder for sockets can be made in {where}: {error}") from error
     try:
         yield folder
     finally:

@@ -100,7 +100,7 @@ class Zygote:
             for key, _ in self._selector.select(wait_s):
                 handler: Handler = key.data
                 job = handler()
-                if job is not None:
+                if job is not None or not self._serving:
                     return job
             if self._leftovers:
                 self._report_ended()
@@ -268,5 +268,6 @@ class Zygote:
 
 
 def _log(text: str) -> None:
-    sys.stderr.write(f"{time.strftime('%Y-%m-%dT%H:%M:%S')} zygote: {text}\n")
-    sys.stderr.flush()
+    with contextlib.suppress(OSError):  # a full disk must not end the robot
+        sys.stderr.write(f"{time.strftime('%Y-%m-%dT%H:%M:%S')} zygote: {text}\n")
+        sys.stderr.flush()

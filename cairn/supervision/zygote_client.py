@@ -110,13 +110,13 @@ class ZygoteClient:
         of a fork of the zygote; else the modules in `needs` must have been imported there.
 
         Raises `SpawnFailed` with the reason, `ZygoteLost`, or `CairnError` at the time limit,
-        after which the process, should it be started late, is killed.
+        after which the process, should it be started late, is killed; `TypeError` or `ValueError`
+        for arguments that are not as said.
         """
         number, started = self._next(name)
-        request = Spawn(
-            number, name, entry, dict(argument), os.fspath(log_file), fresh, tuple(needs)
+        self._send(
+            Spawn(number, name, entry, dict(argument), os.fspath(log_file), fresh, tuple(needs))
         )
-        self._send(request)
         child: ChildProcess = self._result(started, timeout_s, f"start {name}", number)
         return child
 
@@ -223,8 +223,11 @@ class ZygoteClient:
         with self._lock:
             asked = self._asked.pop(request, None)
         if asked is not None:
-            what = f"{asked.name} could not be started: " if asked.name else ""
-            asked.answer.set_exception(SpawnFailed(f"{what}{error}"))
+            asked.answer.set_exception(
+                SpawnFailed(f"{asked.name} could not be started: {error}")
+                if asked.name
+                else CairnError(f"a signal could not be sent: {error}")
+            )
 
     def _ended(self, how: ChildExit) -> None:
         with self._lock:

@@ -1,5 +1,7 @@
 """What a zygote and its clients say to each other: one JSON object a line, over a Unix socket."""
 
+import json
+from dataclasses import asdict
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, TypeAdapter, ValidationError
@@ -97,8 +99,8 @@ _ANSWER: TypeAdapter[Answer] = TypeAdapter(Annotated[Answer, Field(discriminator
 
 
 def request_line(request: Request) -> bytes:
-    """A request as it goes over the socket. Raises `ValueError` if an argument is not JSON."""
-    return _REQUEST.dump_json(request) + b"\n"
+    """A request as it goes over the socket. Raises `TypeError` if its argument is not JSON."""
+    return json.dumps(asdict(request)).encode() + b"\n"  # keeps NaN, unlike pydantic
 
 
 def answer_line(answer: Answer) -> bytes:

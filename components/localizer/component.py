@@ -54,7 +54,7 @@ class Localizer(Component):
     config: LocalizerConfig
     odom: In[Odometry] = In(qos=RELIABLE.with_depth(1000))
     objects: In[RecognizedObjectArray] = In(qos=RELIABLE.with_depth(200))
-    visual_map: In[VisualMap] = In(qos=LATCHED)
+    visual_map: In[VisualMap] = In(qos=LATCHED.with_depth(20))
     initialpose: In[PoseWithCovarianceStamped] = In(optional=True)
     pose: Out[PoseWithCovarianceStamped]
     particles: Out[PoseArray]

@@ -15,11 +15,11 @@ from cairn.component.handlers import on
 from cairn.component.parameters import Config, ParameterRefused
 from cairn.component.ports import In, Out
 from components.mrclam.dataset import Dataset
+from components.mrclam.odometry import REACHED_EVERY
 from components.mrclam.replay import nanoseconds
-from schemas.nav_msgs import Odometry
 from schemas.rosgraph_msgs import Clock
 
-# How long to listen for the newest odometry of a replay that runs already [ns].
+# How long to listen for the time of a replay that runs already [ns].
 _LISTEN = SECOND // 2
 # How long to go on after the last record, so that everyone can finish [ns].
 _TAIL = SECOND
@@ -39,12 +39,12 @@ class MrclamClockConfig(Config):
 class MrclamClock(Component):
     """Tells recorded time (port `time`, for topic `clock`) from the first record on, then ends.
 
-    Started anew in mid-run it goes on from the newest odometry, which that driver keeps for it.
+    Started anew in mid-run it goes on from the time that the odometry driver has reached.
     """
 
     clock_source: ClassVar[Literal["deployment", "system"]] = "system"
     config: MrclamClockConfig
-    odom: In[Odometry] = In(qos=LATCHED, optional=True)
+    reached: In[Clock] = In(qos=LATCHED.with_depth(10), optional=True)
     time: Out[Clock]
 
     _last = 0
@@ -63,16 +63,17 @@ class MrclamClock(Component):
         """A replay keeps its rate, so that its report means something."""
         raise ParameterRefused("the clock of a replay takes its parameters when it is configured")
 
-    @on("odom")
-    def note(self, odom: Odometry) -> None:
+    @on("reached")
+    def note(self, reached: Clock) -> None:
         """Remember how far a running replay has come."""
-        self._last = max(self._last, to_ns(odom.header.stamp))
+        self._last = max(self._last, to_ns(reached.clock))
 
     def _begin(self) -> None:
         tick = round(self.config.tick_s * SECOND)
         self._origin = self._first
         if self._last:
-            self._origin = self._last + tick
+            # Past what was told before the end of its forerunner: time never runs backwards.
+            self._origin = self._last + REACHED_EVERY + tick
             self.log.info("the replay runs already: going on at %.3f s", self._origin / SECOND)
         self._began = self.clock.now()
         self._tick()

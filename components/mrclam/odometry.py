@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from cairn.bus.qos import Qos
-from cairn.clock import from_ns
+from cairn.bus.qos import LATCHED, RELIABLE
+from cairn.clock import SECOND, from_ns
 from cairn.component.handlers import every
 from cairn.component.ports import Out
 from components.mrclam.dataset import Dataset
@@ -15,16 +15,20 @@ from components.mrclam.recording import RecordingDriver
 from components.mrclam.replay import Records, nanoseconds
 from schemas.geometry_msgs import PoseWithCovariance, Twist, TwistWithCovariance, Vector3
 from schemas.nav_msgs import Odometry
+from schemas.rosgraph_msgs import Clock
 from schemas.std_msgs import Header
 
-# The newest record is kept for a clock that is started anew, to go on from its time.
-NEWEST_KEPT = Qos("reliable", "transient_local", 1)
+# How often to tell the time that the replay has reached [ns].
+REACHED_EVERY = SECOND // 4
 
 
 class MrclamOdometry(RecordingDriver):
     """Replays commanded velocities, with the pose that they add up to from the first record."""
 
-    odom: Out[Odometry] = Out(qos=NEWEST_KEPT)
+    odom: Out[Odometry] = Out(qos=RELIABLE.with_depth(1000))
+    reached: Out[Clock] = Out(qos=LATCHED)
+
+    _told = 0
 
     def on_configure(self) -> None:
         """Read the recording."""
@@ -37,6 +41,11 @@ class MrclamOdometry(RecordingDriver):
     def replay(self) -> None:
         """Publish what is due."""
         self.publish_due(self._publish)
+        now = self.clock.now()
+        if now - self._told >= REACHED_EVERY:
+            # Kept by the bus for a clock that is started anew, to go on from this time.
+            self._told = now
+            self.reached.publish(Clock(clock=from_ns(now)))
 
     def _publish(self, index: int) -> None:
         x, y, theta = self._reckoned.poses[index].tolist()

@@ -53,7 +53,7 @@ class Report(Component):
             Path(self.config.directory).mkdir(parents=True, exist_ok=True)
 
     def on_activate(self) -> None:
-        """Start the stop watch: how long the computer takes is the one thing not told by `clock`."""
+        """Start the stop watch: how long the computer takes is not told by `clock`."""
         self._started = time.monotonic()
 
     @on("pose")

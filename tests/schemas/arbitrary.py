@@ -137,7 +137,7 @@ def _covariances(size: int) -> st.SearchStrategy[Any]:
 
 
 @st.composite
-def _scans(draw: st.DrawFn) -> LaserScan:
+def _scans(draw: st.DrawFn) -> Any:
     beams = draw(st.integers(0, LONGEST))
     first, step = draw(st.floats(-3, 3, width=32)), draw(st.floats(-1, 1, width=32))
     last = first + max(0, beams - 1) * step
@@ -158,7 +158,7 @@ def _scans(draw: st.DrawFn) -> LaserScan:
 
 
 @st.composite
-def _images(draw: st.DrawFn) -> Image:
+def _images(draw: st.DrawFn) -> Any:
     height, step = draw(st.integers(0, 4)), draw(st.integers(0, 9))
     return draw(
         _built(
@@ -171,7 +171,7 @@ def _images(draw: st.DrawFn) -> Image:
 
 
 @st.composite
-def _grids(draw: st.DrawFn) -> OccupancyGrid:
+def _grids(draw: st.DrawFn) -> Any:
     width, height = draw(st.integers(0, 4)), draw(st.integers(0, 5))
     info = _built(
         MapMetaData,

@@ -1,5 +1,6 @@
 """The zygote with real processes: how they start, how they end, and what ends with them."""
 
+import math
 import os
 import queue
 import signal
@@ -73,10 +74,10 @@ def owner(make_owner: Callable[[], Owner]) -> Owner:
 
 @FRESH
 def test_a_process_has_nothing_of_the_zygote(owner: Owner, fresh: bool) -> None:
-    child = owner.spawn("describe", fresh=fresh, said=["a", 1, {"b": None}])
+    child = owner.spawn("describe", fresh=fresh, said=["a", math.inf, {"b": None}])
     facts = owner.reports.of("driver").facts
     assert facts["pid"] == facts["group"] == child.pid
-    assert facts["given"]["said"] == ["a", 1, {"b": None}]
+    assert facts["given"]["said"] == ["a", math.inf, {"b": None}]
     assert facts["title"] == "cairn: driver"
     assert facts["descriptors"] == {"0": "/dev/null", "1": str(owner.log), "2": str(owner.log)}
     assert (facts["sigterm"], facts["sigchld"], facts["sigint"]) == (True, True, True)
@@ -252,11 +253,13 @@ def test_a_root_killed_during_the_imports_leaves_nothing(tree: Tree, tmp_path: P
         f"zygote = start_zygote(['imports_slowly'], Path({str(tmp_path / 'run')!r}))\n"
         "sys.stdin.read()\n"
     )
-    with subprocess.Popen([sys.executable, "-c", program], stdin=subprocess.PIPE) as root:
-        with gate.open("w"):  # opens when the zygote reads
-            root.kill()
-            root.wait(LIMIT_S)
-            tree.await_end()
+    with (
+        subprocess.Popen([sys.executable, "-c", program], stdin=subprocess.PIPE) as root,
+        gate.open("w"),  # opens when the zygote reads
+    ):
+        root.kill()
+        root.wait(LIMIT_S)
+        tree.await_end()
 
 
 def test_a_log_that_cannot_be_written_fails_the_start(owner: Owner, tmp_path: Path) -> None:
@@ -274,13 +277,16 @@ def test_a_process_opens_zenoh_sessions_though_its_owner_has_one(owner: Owner) -
     assert ended.normal, owner.log.read_text()
 
 
+@FRESH
 def test_a_zygote_that_is_killed_takes_all_processes_along(
-    owner: Owner, zygote: ZygoteProcess, tree: Tree, tmp_path: Path
+    owner: Owner, zygote: ZygoteProcess, tree: Tree, tmp_path: Path, fresh: bool
 ) -> None:
     owner.running("keep_helper", how="same group")
-    owner.running("own", "middle")
+    owner.running("own", "middle", leaf_fresh=fresh)
+    leaf = owner.reports.of("leaf")
     owner.reports.of("leaf's helper")
     os.kill(zygote.pid, signal.SIGKILL)
+    leaf.await_end()
     assert "is lost" in str(owner.losses.get(timeout=LIMIT_S))
     assert {owner.exits.get_nowait().name, owner.exits.get_nowait().name} == {"driver", "middle"}
     with pytest.raises(ZygoteLost):

@@ -91,7 +91,8 @@ def own(argument: Argument) -> None:
     """Run until killed, and own a process that has a helper in turn."""
     client = ZygoteClient(Path(argument["zygote"]))
     leaf = {"name": "leaf", "reports": argument["reports"], "how": "same group"}
-    client.spawn("leaf", "zygote_children:keep_helper", leaf, Path(argument["log"]))
+    fresh = argument.get("leaf_fresh", False)
+    client.spawn("leaf", "zygote_children:keep_helper", leaf, Path(argument["log"]), fresh=fresh)
     stay(argument)
 
 
