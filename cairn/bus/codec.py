@@ -52,13 +52,13 @@ class Codec:
         name = self._known(cls)
         view = memoryview(data if _is_plain(data) else bytes(data))
         try:
-            message = self._wire.deserialize_cdr(view, name)
+            return self._wire.deserialize_cdr(view, name)  # type: ignore[return-value]
         except (SerdeError, InvalidMessage) as error:
-            raise self._explained(cls, view, error) from None
-        return message  # type: ignore[return-value]
+            failure = str(error)
+        raise self._explained(cls, view, failure)
 
     def type_hash(self, cls: type[Any]) -> str:
-        """The type hash of ROS 2 (REP 2011): "RIHS01_" and 64 hex digits."""
+        """The type hash of ROS 2 (REP 2016): "RIHS01_" and 64 hex digits."""
         return self._described.hash_rihs01(self._known(cls))
 
     def definition(self, cls: type[Any]) -> str:
@@ -111,17 +111,17 @@ class Codec:
         self._wire.types[name] = cls
         self._classes[name] = cls  # last: who finds it there finds all
 
-    def _explained(self, cls: type[Any], data: memoryview, error: Exception) -> InvalidMessage:
+    def _explained(self, cls: type[Any], data: memoryview, failure: str) -> InvalidMessage:
         # Only what has failed already comes here: it is decoded once more, slowly.
         name = type_name(cls)
         try:
             _build(cls, self._plain.deserialize_cdr(data, name))
         except InvalidMessage as invalid:
             return invalid
-        except SerdeError as cause:
-            error = cause
+        except SerdeError as error:
+            failure = str(error)
         return InvalidMessage(
-            name, "", bytes(data[:16]), f"{len(data)} bytes are not its CDR: {error}"
+            name, "", bytes(data[:16]), f"{len(data)} bytes are not its CDR: {failure}"
         )
 
 

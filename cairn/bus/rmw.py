@@ -1,5 +1,6 @@
 """rmw_zenoh's conventions: key expressions, attachments, GIDs and liveliness tokens (Jazzy)."""
 
+import re
 import struct
 from dataclasses import dataclass
 from typing import Literal, cast
@@ -12,7 +13,13 @@ from cairn.errors import CairnError
 TOKENS = "@ros2_lv"
 DEFAULT_DEPTH = 42
 _ATTACHMENT = struct.Struct("<qqB16s")
-_NONE = "%"
+_ROOT = "%"
+_NUMBER = re.compile("[0-9]{1,19}", re.ASCII)
+_QOS = re.compile(
+    "(?P<reliability>[0-4]?):(?P<durability>[0-4]?):(?P<history>[0-3]?),(?P<depth>[0-9]{0,19})"
+    ":[0-9]{0,19},[0-9]{0,19}:[0-9]{0,19},[0-9]{0,19}:[0-5]?,[0-9]{0,19},[0-9]{0,19}",
+    re.ASCII,
+)
 
 EndpointKind = Literal["MP", "MS", "SS", "SC"]
 """Message publisher, message subscription, service server, service client."""
@@ -39,7 +46,8 @@ class Attachment:
         """Read the 33 bytes; `RmwError` if they are not an attachment."""
         if len(data) != _ATTACHMENT.size or data[16] != 16:
             raise RmwError(
-                f"an attachment has {_ATTACHMENT.size} bytes with 16 at 16, not {data!r}"
+                f"an attachment has {_ATTACHMENT.size} bytes with 16 at place 16, not "
+                f"{len(data)} bytes {data[:40].hex()}"
             )
         sequence, sent_ns, _, gid = _ATTACHMENT.unpack(data)
         return cls(sequence, sent_ns, gid)
@@ -47,12 +55,16 @@ class Attachment:
 
 @dataclass(frozen=True)
 class NodeEntity:
-    """A node as its liveliness token names it; `name` is its full name, `/robot/localizer`."""
+    """A node as its liveliness token names it; `name` is its full name, `/robot/localizer`.
+
+    `enclave` is the name under which it has its security keys, `/` without any.
+    """
 
     domain: int
     zid: str
     node_id: int
     name: str
+    enclave: str = "/"
 
 
 @dataclass(frozen=True)
@@ -82,8 +94,8 @@ def dds_type(type_name: str) -> str:
 def ros_type(dds: str) -> str:
     """The reverse of `dds_type`; `RmwError` if it is none."""
     parts = dds.split("::")
-    if len(parts) != 4 or parts[2] != "dds_" or not parts[3].endswith("_"):
-        raise RmwError(f"{dds!r} is not a DDS type name such as std_msgs::msg::dds_::String_")
+    if len(parts) != 4 or not all(parts) or parts[2] != "dds_" or not re.fullmatch(".+_", parts[3]):
+        raise RmwError(f"{_short(dds)} is not a DDS type name such as std_msgs::msg::dds_::String_")
     return f"{parts[0]}/{parts[1]}/{parts[3][:-1]}"
 
 
@@ -98,7 +110,7 @@ def token_key(entity: NodeEntity | EndpointEntity) -> str:
     node = entity if isinstance(entity, NodeEntity) else entity.node
     namespace, _, name = node.name.rpartition("/")
     head = f"{TOKENS}/{node.domain}/{node.zid}/{node.node_id}"
-    place = f"{_NONE}/{_mangle(namespace) or _NONE}/{name}"
+    place = f"{_mangle(node.enclave)}/{_mangle(namespace) or _ROOT}/{name}"
     if isinstance(entity, NodeEntity):
         return f"{head}/{node.node_id}/NN/{place}"
     return (
@@ -110,28 +122,27 @@ def token_key(entity: NodeEntity | EndpointEntity) -> str:
 def parse_token(key: str) -> NodeEntity | EndpointEntity:
     """Read a liveliness token's key; `RmwError` if it is not one of rmw_zenoh's."""
     chunks = key.split("/")
-    if chunks[0] != TOKENS or len(chunks) not in (9, 13):
-        raise RmwError(f"{key!r} is not a liveliness token of rmw_zenoh")
-    _, domain, zid, node_id, endpoint_id, kind, _, namespace, name = chunks[:9]
-    full = f"{'' if namespace == _NONE else _demangle(namespace)}/{name}"
-    try:
-        node = NodeEntity(int(domain), zid, int(node_id), full)
-        if kind == "NN" and len(chunks) == 9:
-            return node
-        if kind not in ("MP", "MS", "SS", "SC") or len(chunks) != 13:
-            raise RmwError(f"{key!r}: {kind!r} is not a kind of entity of that length")
-        topic, dds, type_hash, qos = chunks[9:]
-        return EndpointEntity(
-            node,
-            int(endpoint_id),
-            cast("EndpointKind", kind),
-            _demangle(topic),
-            ros_type(dds),
-            type_hash,
-            parse_qos_chunk(qos),
-        )
-    except ValueError as error:
-        raise RmwError(f"{key!r} is not a liveliness token of rmw_zenoh: {error}") from error
+    if chunks[0] != TOKENS or len(chunks) not in (9, 13) or not all(chunks):
+        raise RmwError(f"{_short(key)} is not a liveliness token of rmw_zenoh")
+    _, domain, zid, node_id, endpoint_id, kind, enclave, namespace, name = chunks[:9]
+    if not all(_NUMBER.fullmatch(number) for number in (domain, node_id, endpoint_id)):
+        raise RmwError(f"{_short(key)}: domain, node and entity must be numbers")
+    full = f"{'' if namespace == _ROOT else _demangle(namespace)}/{name}"
+    node = NodeEntity(int(domain), zid, int(node_id), full, _demangle(enclave))
+    if kind == "NN" and len(chunks) == 9:
+        return node
+    if kind not in ("MP", "MS", "SS", "SC") or len(chunks) != 13:
+        raise RmwError(f"{_short(key)}: {kind!r} is not a kind of entity with {len(chunks)} chunks")
+    topic, dds, type_hash, qos = chunks[9:]
+    return EndpointEntity(
+        node=node,
+        endpoint_id=int(endpoint_id),
+        kind=cast("EndpointKind", kind),
+        topic=_demangle(topic),
+        type_name=ros_type(dds),
+        type_hash=type_hash,
+        qos=parse_qos_chunk(qos),
+    )
 
 
 def qos_chunk(qos: Qos) -> str:
@@ -143,20 +154,19 @@ def qos_chunk(qos: Qos) -> str:
 
 
 def parse_qos_chunk(chunk: str) -> Qos:
-    """Read a token's QoS; `RmwError` if it is malformed."""
-    fields = chunk.split(":")
-    if len(fields) != 6 or fields[2].count(",") != 1:
-        raise RmwError(f"{chunk!r} is not a QoS chunk such as ::,10:,:,:,,")
-    reliability, durability, history = fields[:3]
-    depth = history.partition(",")[2]
-    try:
-        return Qos(
-            "best_effort" if reliability == "2" else "reliable",
-            "transient_local" if durability == "1" else "volatile",
-            max(1, int(depth)) if depth else DEFAULT_DEPTH,
-        )
-    except ValueError as error:
-        raise RmwError(f"{chunk!r}: {depth!r} is not a depth") from error
+    """Read a token's QoS; `RmwError` if it is malformed.
+
+    Policies left to the system count as the defaults, and so does the depth of "keep all". What
+    Cairn has no word for (deadline, lifespan, liveliness) is checked and left out.
+    """
+    found = _QOS.fullmatch(chunk)
+    if found is None:
+        raise RmwError(f"{_short(chunk)} is not a QoS chunk such as ::,10:,:,:,,")
+    return Qos(
+        "best_effort" if found["reliability"] == "2" else "reliable",
+        "transient_local" if found["durability"] == "1" else "volatile",
+        int(found["depth"] or 0) or DEFAULT_DEPTH,
+    )
 
 
 def _mangle(name: str) -> str:
@@ -165,3 +175,7 @@ def _mangle(name: str) -> str:
 
 def _demangle(name: str) -> str:
     return name.replace("%", "/")
+
+
+def _short(text: str) -> str:
+    return repr(text) if len(text) <= 300 else f"{text[:300]!r}..."

@@ -254,7 +254,8 @@ class ZenohSubscription:
             return
         self._closed = True
         self._subscriber.undeclare()
-        self._thread.join(timeout=2.0)
+        if threading.current_thread() is not self._thread:  # it may be making the closing call
+            self._thread.join(timeout=2.0)
         self._waiting.clear()
         self._announcement.close()
 

@@ -37,7 +37,7 @@ class ClockInput:
         """Begin to follow the topic."""
         if self._subscription is None:
             self._subscription = self._node.subscribe(
-                self._topic, Clock, _NEWEST, lambda: self._scheduler.post(self._deliver)
+                self._topic, Clock, _NEWEST, lambda: self._scheduler.deliver(self._deliver)
             )
 
     def _deliver(self) -> None:

@@ -34,7 +34,8 @@ class Component:
 
     Subclasses annotate ports (`odom: In[Odometry]`, `pose: Out[PoseStamped]`) and, if they have
     parameters, `config: TheirConfig`. Handlers (`@on`, `@every`) and life-cycle methods are
-    called one at a time on one thread. An exception in any of them fails the component: see
+    called one at a time, in order of arrival, so that no locks are needed; not always on the same
+    thread, so that `sqlite3` wants `check_same_thread=False`. An exception fails the component: see
     `on_error`. Time comes from `self.clock` alone, randomness from `self.random` alone.
     """
 

@@ -1,6 +1,9 @@
-"""The loop of a component: one thread takes calls in their order of arrival, and timers."""
+"""The loop of a component: its calls, one at a time in order of arrival, and its timers."""
 
+import math
 import queue
+import threading
+from collections import deque
 from collections.abc import Callable
 from typing import Protocol
 
@@ -13,13 +16,17 @@ class Scheduler(Protocol):
     """Where a component's calls are queued: a thread of its own, or the lockstep executor."""
 
     def post(self, call: Callable[[], None]) -> None:
-        """Have `call` made on the component's thread, after those posted before; thread-safe."""
+        """Have `call` made after those before it, never by the calling thread; thread-safe."""
+        ...
+
+    def deliver(self, call: Callable[[], None]) -> None:
+        """As `post`, for the thread that received a message: it may make the call itself."""
         ...
 
     def wake_at(self, time: int) -> None:
         """Have the component's `on_time` called at `time` of the system clock [ns].
 
-        Replaces the time set before; only from the component's thread.
+        Replaces the time set before; only from within a call.
         """
         ...
 
@@ -28,27 +35,45 @@ class Scheduler(Protocol):
         ...
 
     def stop(self) -> None:
-        """Make no further calls; only from the component's thread."""
+        """Make no further calls; only from within a call."""
         ...
 
 
 class ThreadLoop:
-    """Runs one component on the thread that calls `run`."""
+    """Makes the calls of one component, one at a time, whatever thread they come from.
+
+    The thread that received a message makes the call itself if no other call is being made:
+    waking a second thread for it would cost more than most handlers take. Whoever is at it makes
+    all calls that wait, in their order of arrival. The loop's own thread, that of `run`, does it
+    for what was posted and for timers.
+    """
 
     def __init__(self) -> None:
-        self._calls: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
+        self._calls: deque[Callable[[], None]] = deque()
+        self._turn = threading.Lock()  # held by the thread that makes calls
+        self._bell: queue.SimpleQueue[None] = queue.SimpleQueue()
         self._clock = SystemClock()
         self._wake_at: int | None = None
+        self._asleep_until = -math.inf  # of the loop's own thread
         self._on_time: Callable[[], None] = _nothing
         self._running = True
+        self._failure: Exception | None = None
 
     def post(self, call: Callable[[], None]) -> None:
-        """Have `call` made on the loop's thread."""
-        self._calls.put(call)
+        """Have `call` made, not by the calling thread."""
+        self._calls.append(call)
+        self._bell.put(None)
+
+    def deliver(self, call: Callable[[], None]) -> None:
+        """Have `call` made, by the calling thread if no other is at it."""
+        self._calls.append(call)
+        self._make_calls()
 
     def wake_at(self, time: int) -> None:
         """Have the due timers run at `time` of the system clock [ns]."""
         self._wake_at = time
+        if time < self._asleep_until:
+            self._bell.put(None)
 
     def bind(self, on_time: Callable[[], None]) -> None:
         """Name the function that runs due timers."""
@@ -57,22 +82,47 @@ class ThreadLoop:
     def stop(self) -> None:
         """Leave `run` after the current call."""
         self._running = False
+        self._bell.put(None)
 
     def run(self) -> None:
-        """Make calls until `stop`."""
+        """Make calls until `stop`; raises what a call has let through, which none should."""
         while self._running:
-            wait = _LONGEST_WAIT_S
-            if self._wake_at is not None:
-                wait = (self._wake_at - self._clock.now()) / SECOND
-                if wait <= 0:
-                    self._wake_at = None
-                    self._on_time()
-                    continue
+            self._sleep()
+            if self._wake_at is not None and self._wake_at <= self._clock.now():
+                self._wake_at = None
+                self._calls.append(self._on_time)
+            self._make_calls()
+        if self._failure is not None:
+            raise self._failure
+
+    def _sleep(self) -> None:
+        # First say "asleep", then look for how long: a time set meanwhile rings the bell.
+        self._asleep_until = math.inf
+        due = self._wake_at
+        wait = _LONGEST_WAIT_S
+        if due is not None:
+            self._asleep_until = due
+            wait = min(wait, max(0.0, (due - self._clock.now()) / SECOND))
+        try:
+            self._bell.get(timeout=wait)
+        except queue.Empty:
+            pass
+        finally:
+            self._asleep_until = -math.inf
+
+    def _make_calls(self) -> None:
+        # After the turn is given back, look again: a call may have come while it was still held.
+        while self._calls and self._running:
+            if not self._turn.acquire(blocking=False):
+                return
             try:
-                call = self._calls.get(timeout=min(wait, _LONGEST_WAIT_S))
-            except queue.Empty:
-                continue
-            call()
+                while self._calls and self._running:
+                    self._calls.popleft()()
+            except Exception as error:
+                self._failure = error
+                self.stop()
+            finally:
+                self._turn.release()
 
 
 def _nothing() -> None:

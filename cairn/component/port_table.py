@@ -119,7 +119,7 @@ class _Input:
         self._topic = topic
         self._owner = owner
         self._node = node
-        self._wake = partial(scheduler.post, self._woken)
+        self._wake = partial(scheduler.deliver, self._woken)
         self._calls = [(f"{name} (port {spec.name})", call) for name, call in calls]
         self._subscription: Subscription | None = None
         self._past = [0, 0, 0]

@@ -67,6 +67,10 @@ class LockstepScheduler:
         """Have `call` made now, after what was posted before."""
         self._executor.at(self._executor.now(), lambda: self._make(call))
 
+    def deliver(self, call: Callable[[], None]) -> None:
+        """The same."""
+        self.post(call)
+
     def wake_at(self, time: int) -> None:
         """Have the due timers run at virtual time `time`."""
         if self._wake_at is not None and self._wake_at <= time:

@@ -32,8 +32,8 @@ def draw_map(record: RunRecord, file: Path) -> None:
     axes.set_ylabel("y [m]")
     axes.grid(alpha=0.25)
     error = record.error().position_rmse
-    title = "The visual map repaired: where the map had its landmarks, has them, and where they are"
-    axes.set_title(title + (f"\nposition error {error:.3f} m rms" if error is not None else ""))
+    title = "The repaired visual map"
+    axes.set_title(title + (f": position error {error:.3f} m rms" if error is not None else ""))
     figure.legend(handles=_legend(), loc="outside lower center", ncols=3, frameon=False)
     _save(figure, file)
 
@@ -48,26 +48,23 @@ def draw_reliability(record: RunRecord, file: Path) -> None:
         axes.step(*_curve(record, thing), where="post", color="#b4bcc4", linewidth=0.9)
     for index, thing in enumerate(changed):
         color = _CHANGED[index % len(_CHANGED)]
-        axes.step(
-            *_curve(record, thing), where="post", color=color, linewidth=1.8,
-            label=f"landmark {_label(thing)}",
-        )  # fmt: skip
+        words = [f"landmark {thing.object_id}"]
         for stamp, marker, word in (
             (thing.removed_at, "v", "removed"),
             (thing.registered_at, "^", "registered"),
         ):
             seconds = record.seconds(stamp)
             if seconds is not None:
-                height = 0.1 if marker == "v" else 0.5
-                axes.plot(seconds, height, marker, color=color, markersize=9)
-                axes.annotate(
-                    f"{_label(thing)} {word}", (seconds, height), (6, -12),
-                    textcoords="offset points", fontsize=8, color=color,
-                )  # fmt: skip
+                axes.plot(seconds, 0.1 if marker == "v" else 0.5, marker, color=color, markersize=9)
+                words.append(f"{word} at {seconds:.0f} s")
+        axes.step(
+            *_curve(record, thing), where="post", color=color, linewidth=1.8,
+            label=", ".join(words),
+        )  # fmt: skip
     for threshold, word in ((0.1, "removed below 0.1"), (0.5, "registered above 0.5")):
         axes.axhline(threshold, color="black", linewidth=0.6, linestyle=":")
-        axes.text(1.0, threshold, f" {word}", transform=axes.get_yaxis_transform(), fontsize=8,
-                  va="center")  # fmt: skip
+        axes.text(0.99, threshold + 0.01, word, transform=axes.get_yaxis_transform(), fontsize=8,
+                  ha="right", color="#505050")  # fmt: skip
     if still:
         axes.plot([], [], color="#b4bcc4", label=f"the {len(still)} that stood still")
     axes.set_ylim(-0.02, 1.02)
@@ -76,7 +73,7 @@ def draw_reliability(record: RunRecord, file: Path) -> None:
     axes.set_title("Pose reliability of each landmark (equations 1 and 2)")
     axes.grid(alpha=0.25)
     if record.objects:
-        axes.legend(loc="lower right", fontsize=9)
+        axes.legend(loc="center right", fontsize=9, framealpha=0.9)
     _save(figure, file)
 
 
@@ -151,7 +148,7 @@ def _has_changed(thing: ObjectRecord) -> bool:
 
 
 def _label(thing: ObjectRecord) -> str:
-    return thing.name or str(thing.object_id)
+    return str(thing.object_id)
 
 
 def _save(figure: Figure, file: Path) -> None:

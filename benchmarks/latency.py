@@ -1,0 +1,122 @@
+"""A fast topic's latency while a neighbour in the same process reads slowly and images pass."""
+
+import json
+import time
+
+import numpy as np
+
+from benchmarks.result import Figure
+from benchmarks.running import results, run_deployment
+from cairn.bus.qos import RELIABLE, SENSOR
+from cairn.component.component import Component
+from cairn.component.handlers import every, on
+from cairn.component.ports import In, Out
+from cairn.supervision.component import SupervisorComponent
+from schemas.geometry_msgs import Twist, Vector3
+from schemas.sensor_msgs import Image
+from schemas.std_msgs import Header
+
+_HERE = "benchmarks.latency"
+_SECONDS = 10
+_FAST_HZ = 200
+_BURN_S = 0.05
+
+
+class Sender(Component):
+    """Sends small messages fast; each carries when it was sent."""
+
+    fast: Out[Twist]
+
+    @every(hz=_FAST_HZ)
+    def send(self) -> None:
+        """Send one."""
+        now = time.perf_counter()
+        self.fast.publish(Twist(linear=Vector3(x=now)))
+
+
+class Camera(Component):
+    """Sends 900 kB images at 30 Hz."""
+
+    image: Out[Image] = Out(qos=SENSOR)
+
+    def on_activate(self) -> None:
+        """Make the image."""
+        self._image = Image(
+            header=Header(frame_id="camera"), height=480, width=640, encoding="rgb8", step=1920,
+            data=np.zeros(480 * 1920, np.uint8),
+        )  # fmt: skip
+
+    @every(hz=30)
+    def send(self) -> None:
+        """Send it."""
+        self.image.publish(self._image)
+
+
+class Household(SupervisorComponent):
+    """Hosts the reader and its slow neighbour in one process."""
+
+
+class SlowReader(Component):
+    """Reads images, and computes in Python for 50 ms over each."""
+
+    image: In[Image] = In(qos=SENSOR)
+
+    @on("image")
+    def brood(self, _: Image) -> None:
+        """Hold the interpreter, as far as it lets itself be held."""
+        end = time.perf_counter() + _BURN_S
+        while time.perf_counter() < end:
+            pass
+
+
+class FastReader(Component):
+    """Times the small messages."""
+
+    fast: In[Twist] = In(qos=RELIABLE)
+
+    def on_activate(self) -> None:
+        """Begin."""
+        self._times: list[float] = []
+
+    @on("fast")
+    def read(self, message: Twist) -> None:
+        """Note how long it took; `perf_counter` is the same clock in all processes."""
+        self._times.append(time.perf_counter() - message.linear.x)
+        if len(self._times) == _SECONDS * _FAST_HZ:
+            ordered = sorted(self._times)
+            last = len(ordered) - 1
+            result = {
+                "median_ms": ordered[last // 2] * 1e3,
+                "p99_ms": ordered[int(0.99 * last)] * 1e3,
+                "max_ms": ordered[-1] * 1e3,
+            }
+            self.log.info("RESULT %s", json.dumps(result))
+            self.finish("measured")
+
+
+def measure() -> list[Figure]:
+    """The 99th percentile of the fast topic."""
+    output = run_deployment(
+        {
+            "household": {
+                "plugin": f"{_HERE}:Household",
+                "children": {
+                    "slow": {"plugin": f"{_HERE}:SlowReader", "placement": "in_process"},
+                    "reader": {
+                        "plugin": f"{_HERE}:FastReader",
+                        "placement": "in_process",
+                        "restart": "transient",
+                        "significant": True,
+                    },
+                },
+            },
+            "camera": {"plugin": f"{_HERE}:Camera"},
+            "sender": {"plugin": f"{_HERE}:Sender"},
+        },
+        120,
+    )
+    found = results(output)[0]
+    note = f"median {found['median_ms']:.2f} ms, longest {found['max_ms']:.1f} ms"
+    return [
+        Figure("fast topic beside a slow neighbour: p99", found["p99_ms"], "ms", 5.0, note=note)
+    ]

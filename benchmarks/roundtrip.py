@@ -1,0 +1,300 @@
+"""Round trip between two processes through ports, against raw zenoh-python in the same run."""
+
+import json
+import multiprocessing
+import statistics
+import threading
+import time
+from multiprocessing.connection import Connection
+from typing import Any
+
+import numpy as np
+import zenoh
+from pydantic import Field
+
+from benchmarks.result import Figure
+from benchmarks.running import free_port, results, run_deployment
+from cairn.bus.codec import Codec
+from cairn.component.component import Component
+from cairn.component.handlers import on
+from cairn.component.parameters import Config
+from cairn.component.ports import In, Out
+from schemas.sensor_msgs import Image, LaserScan
+from schemas.std_msgs import Header, String
+
+ROUNDS = 3
+LIMIT = 1.5
+PAYLOADS = {"64 B": 2000, "2.8 kB scan": 2000, "300 kB image": 400}
+_HERE = "benchmarks.roundtrip"
+
+
+def payload(name: str) -> Any:
+    """The message of a payload."""
+    header = Header(frame_id="bench")
+    match name:
+        case "64 B":
+            return String(data="x" * 55)
+        case "2.8 kB scan":
+            return LaserScan(
+                header=header,
+                angle_max=6.81,
+                angle_increment=0.01,
+                range_max=30.0,
+                ranges=np.linspace(1, 20, 682, dtype=np.float32),
+            )
+        case _:
+            pixels = np.zeros(640 * 480, np.uint8)
+            return Image(header=header, height=480, width=640, encoding="mono8", step=640,
+                         data=pixels)  # fmt: skip
+
+
+class PingConfig(Config):
+    """What is sent how often."""
+
+    payload: str = Field(description="Name of the payload.")
+    count: int = Field(ge=1, description="Round trips [1].")
+
+
+class Ping(Component):
+    """Sends, and times the way back to its handler."""
+
+    config: PingConfig
+
+    def on_activate(self) -> None:
+        """Send the first."""
+        self._message = payload(self.config.payload)
+        self._times: list[float] = []
+        self.schedule(self.clock.now(), self._send)
+
+    def _send(self) -> None:
+        self._sent = time.perf_counter()
+        self.ping.publish(self._message)  # type: ignore[attr-defined]
+
+    def came_back(self) -> None:
+        """Note the time; send the next."""
+        self._times.append(time.perf_counter() - self._sent)
+        if len(self._times) < self.config.count:
+            self._send()
+        else:
+            tenth = len(self._times) // 10
+            self.log.info("RESULT %s", json.dumps(summary(self._times[tenth:])))
+            self.finish("measured")
+
+
+class TextPing(Ping):
+    """64 bytes."""
+
+    ping: Out[String]
+    pong: In[String]
+
+    @on("pong")
+    def back(self, _: String) -> None:
+        """It came back."""
+        self.came_back()
+
+
+class ScanPing(Ping):
+    """2.8 kB."""
+
+    ping: Out[LaserScan]
+    pong: In[LaserScan]
+
+    @on("pong")
+    def back(self, _: LaserScan) -> None:
+        """It came back."""
+        self.came_back()
+
+
+class ImagePing(Ping):
+    """300 kB."""
+
+    ping: Out[Image]
+    pong: In[Image]
+
+    @on("pong")
+    def back(self, _: Image) -> None:
+        """It came back."""
+        self.came_back()
+
+
+class TextPong(Component):
+    """Sends 64 bytes back."""
+
+    ping: In[String]
+    pong: Out[String]
+
+    @on("ping")
+    def answer(self, message: String) -> None:
+        """Send it back."""
+        self.pong.publish(message)
+
+
+class ScanPong(Component):
+    """Sends a scan back."""
+
+    ping: In[LaserScan]
+    pong: Out[LaserScan]
+
+    @on("ping")
+    def answer(self, message: LaserScan) -> None:
+        """Send it back."""
+        self.pong.publish(message)
+
+
+class ImagePong(Component):
+    """Sends an image back."""
+
+    ping: In[Image]
+    pong: Out[Image]
+
+    @on("ping")
+    def answer(self, message: Image) -> None:
+        """Send it back."""
+        self.pong.publish(message)
+
+
+_CLASSES = {"64 B": "Text", "2.8 kB scan": "Scan", "300 kB image": "Image"}
+
+
+def through_ports(name: str) -> dict[str, float]:
+    """Median and 99th percentile [us] of the round trip through two components' ports."""
+    kind = _CLASSES[name]
+    output = run_deployment(
+        {
+            "pong": {"plugin": f"{_HERE}:{kind}Pong"},
+            "ping": {
+                "plugin": f"{_HERE}:{kind}Ping",
+                "parameters": {"payload": name, "count": PAYLOADS[name]},
+                "restart": "transient",
+                "significant": True,
+            },
+        },
+        120,
+    )
+    return {key: float(value) for key, value in results(output)[0].items()}
+
+
+def raw(name: str, way: str) -> dict[str, float]:
+    """The same with the same bytes over zenoh-python alone, `way` being "ring" or "callback"."""
+    context = multiprocessing.get_context("spawn")
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    ours, theirs = context.Pipe()
+    process = context.Process(target=_raw_pong, args=(endpoint, way, theirs))
+    process.start()
+    try:
+        if not ours.poll(30) or ours.recv() != "ready":
+            raise RuntimeError("the other process did not start")
+        return _raw_ping(endpoint, way, Codec().encode(payload(name)), PAYLOADS[name])
+    finally:
+        ours.send("end")
+        process.join(10)
+        process.kill()
+
+
+def _raw_ping(endpoint: str, way: str, data: bytes, count: int) -> dict[str, float]:
+    with _session(connect=endpoint) as session:
+        publisher = session.declare_publisher("bench/ping", express=False)
+        back = threading.Semaphore(0)
+        subscriber: Any
+        if way == "callback":
+
+            def returned(sample: zenoh.Sample) -> None:
+                sample.payload.to_bytes()
+                back.release()
+
+            subscriber = session.declare_subscriber("bench/pong", returned)
+        else:
+            subscriber = session.declare_subscriber(
+                "bench/pong", zenoh.handlers.RingChannel(10)
+            )
+        matched: Any = publisher.matching_status
+        while not matched.matching:
+            matched = publisher.matching_status
+        times = []
+        for _ in range(count):
+            begin = time.perf_counter()
+            publisher.put(data)
+            if way == "callback":
+                if not back.acquire(timeout=5):
+                    raise RuntimeError("a message did not come back")
+            else:
+                subscriber.recv().payload.to_bytes()
+            times.append(time.perf_counter() - begin)
+        subscriber.undeclare()
+    return summary(times[count // 10 :])
+
+
+def _raw_pong(endpoint: str, way: str, parent: Connection) -> None:
+    with _session(listen=endpoint) as session:
+        publisher = session.declare_publisher("bench/pong", express=False)
+
+        def answer(sample: zenoh.Sample) -> None:
+            publisher.put(sample.payload.to_bytes())
+
+        subscriber: Any
+        if way == "callback":
+            subscriber = session.declare_subscriber("bench/ping", answer)
+        else:
+            ring: Any = zenoh.handlers.RingChannel(10)
+            subscriber = session.declare_subscriber("bench/ping", ring)
+            channel = subscriber.handler
+
+            def drain() -> None:
+                while True:
+                    try:
+                        answer(channel.recv())
+                    except zenoh.ZError:
+                        return
+
+            threading.Thread(target=drain, daemon=True).start()
+        parent.send("ready")
+        parent.poll(60)
+        subscriber.undeclare()
+
+
+def _session(*, listen: str | None = None, connect: str | None = None) -> zenoh.Session:
+    config = zenoh.Config()
+    settings: dict[str, Any] = {
+        "mode": "peer",
+        "listen/endpoints": [listen] if listen else [],
+        "connect/endpoints": [connect] if connect else [],
+        "scouting/multicast/enabled": False,
+        "transport/shared_memory/enabled": False,
+    }
+    for key, value in settings.items():
+        config.insert_json5(key, json.dumps(value))
+    return zenoh.open(config)
+
+
+def summary(seconds: list[float]) -> dict[str, float]:
+    """Median and 99th percentile in us."""
+    ordered = sorted(seconds)
+    return {
+        "median": statistics.median(ordered) * 1e6,
+        "p99": ordered[int(0.99 * (len(ordered) - 1))] * 1e6,
+    }
+
+
+def measure() -> list[Figure]:
+    """The ratio of the medians for each payload, against the faster way of raw zenoh-python."""
+    figures = []
+    for name in PAYLOADS:
+        ours, plain = [], {"ring": [], "callback": []}  # type: ignore[var-annotated]
+        for _ in range(ROUNDS):
+            for way, found in plain.items():
+                found.append(raw(name, way)["median"])
+            ours.append(through_ports(name)["median"])
+        best = min(statistics.median(found) for found in plain.values())
+        mine = statistics.median(ours)
+        figures.append(
+            Figure(
+                f"round trip {name}: ports / raw zenoh",
+                mine / best,
+                "x",
+                at_most=LIMIT,
+                note=f"{mine:.0f} us / {best:.0f} us (raw: "
+                + ", ".join(f"{way} {statistics.median(t):.0f}" for way, t in plain.items())
+                + ")",
+            )
+        )
+    return figures
