@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from components.localizer.localization import Localization, Settings
+from components.localizer.localization import Frame, Localization, Settings
 from components.localizer.object_likelihood import Landmark, Sighting
 from components.map_builder.objects import Change, Evidence, MapObject, Place, State, Verdict
 from components.map_builder.visual_map import VisualMap
@@ -131,7 +131,13 @@ def run(
     return outcome
 
 
-def _update(t, localization, visual_map, frame, outcome) -> None:
+def _update(
+    t: float,
+    localization: Localization,
+    visual_map: VisualMap,
+    frame: Frame,
+    outcome: Outcome,
+) -> None:
     robot = frame.before.mean
     evidence = [
         Evidence(

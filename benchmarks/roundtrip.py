@@ -204,9 +204,7 @@ def _raw_ping(endpoint: str, way: str, data: bytes, count: int) -> dict[str, flo
 
             subscriber = session.declare_subscriber("bench/pong", returned)
         else:
-            subscriber = session.declare_subscriber(
-                "bench/pong", zenoh.handlers.RingChannel(10)
-            )
+            subscriber = session.declare_subscriber("bench/pong", zenoh.handlers.RingChannel(10))
         matched: Any = publisher.matching_status
         while not matched.matching:
             matched = publisher.matching_status

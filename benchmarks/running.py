@@ -43,9 +43,7 @@ def run_deployment(
         )
         command = [sys.executable, "-m", "cairn.cli.main", "up", str(file)]
         command += ["--report", str(Path(folder) / "run"), *arguments]
-        done = subprocess.run(
-            command, capture_output=True, text=True, timeout=limit_s, check=False
-        )
+        done = subprocess.run(command, capture_output=True, text=True, timeout=limit_s, check=False)
     if done.returncode != 0:
         raise RuntimeError(f"{' '.join(command)} failed:\n{done.stdout}\n{done.stderr}")
     return done.stdout

@@ -17,7 +17,6 @@ import numba
 import numpy as np
 import psutil
 import yaml
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from benchmarks.result import Figure
@@ -31,8 +30,8 @@ COUNT = 10
 _HERE = "benchmarks.startup"
 
 
-@numba.njit("float64(float64[:])", cache=True)  # type: ignore[untyped-decorator]
-def energy(values: NDArray[np.float64]) -> float:
+@numba.njit("float64(float64[:])", cache=True)
+def energy(values: Any) -> float:
     """A kernel compiled when this module is imported: in the zygote, once for all."""
     total = 0.0
     for value in values:
@@ -97,16 +96,14 @@ def measure() -> list[Figure]:
         file.write_text(yaml.safe_dump(document, sort_keys=False))
         up = _Up(file, Path(folder) / "run")
         try:
-            last = up.wait_for(lambda lines: (_actives(lines, names[-1]) or [None])[0], 60)
+            last = up.wait_for(lambda lines: next(iter(_actives(lines, names[-1])), None), 60)
             start_s = last - up.began
             pids = _pids(listen)
             memory = [psutil.Process(pid).memory_full_info().pss / 2**20 for pid in pids.values()]
             victim = names[3]
             killed_at = time.monotonic()
             os.kill(pids[victim], signal.SIGKILL)
-            back = up.wait_for(
-                lambda lines: (_actives(lines, victim)[1:2] or [None])[0], 30
-            )
+            back = up.wait_for(lambda lines: next(iter(_actives(lines, victim)[1:]), None), 30)
         finally:
             up.process.send_signal(signal.SIGINT)
             up.process.wait(60)

@@ -34,7 +34,7 @@ class InvalidMessage(ValueError):  # noqa: N818 - says what the message is
 
     def within(self, type_name: str, field: str) -> "InvalidMessage":
         """The same, told of the message of type `type_name` that holds this one in `field`."""
-        path = f"{field}.{self.path}" if self.path else field
+        path = ".".join(part for part in (field, self.path) if part)
         return InvalidMessage(type_name, path, _Shortened(self.value), self.reason)
 
 
@@ -94,8 +94,12 @@ def _constructor(name: str, fields: tuple[str, ...]) -> Callable[..., None]:
             self.__pydantic_validator__.validate_python(
                 ArgsKwargs(args, kwargs), self_instance=self
             )
+            return
         except ValidationError as error:
-            raise _translated(name, fields, error) from None
+            invalid = _translated(name, fields, error)
+        # Out here, and always a new error: a ValidationError that its own cause refers to is never
+        # freed, because Python cannot see the cycle through pydantic-core.
+        raise invalid
 
     return __init__
 
@@ -112,7 +116,7 @@ def _translated(name: str, fields: tuple[str, ...], error: ValidationError) -> I
             path += f"[{place}]"
     cause = first.get("ctx", {}).get("error")
     if isinstance(cause, InvalidMessage):
-        return cause.within(name, path) if path else cause
+        return cause.within(name, path)
     if first["type"] == "missing":
         return InvalidMessage(name, path, _Shortened(), "is required")
     reason = str(cause) if cause else first["msg"][0].lower() + first["msg"][1:]

@@ -6,6 +6,7 @@ silence, whether the component is missing, dies, or hangs; here each of these is
 
 import threading
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from functools import partial
 from typing import Any
 
@@ -49,18 +50,20 @@ def request(
     Raises `ControlError` with the component's own
     words if it refuses, or naming component, request and limit if no answer comes.
     """
-    key = control_key(domain, component)
     asked = ControlRequest(verb=verb, arguments=dict(arguments or {}))
-    replies = session.get(
-        key,
-        payload=asked.model_dump_json(),
-        timeout=timeout_s,
-        priority=zenoh.Priority.REAL_TIME,
-        congestion_control=zenoh.CongestionControl.BLOCK,
-    )
+    try:
+        replies = session.get(
+            control_key(domain, component),
+            payload=asked.model_dump_json(),
+            timeout=timeout_s,
+            priority=zenoh.Priority.REAL_TIME,
+            congestion_control=zenoh.CongestionControl.BLOCK,
+        )
+    except zenoh.ZError as error:
+        raise ControlError(f"{component} cannot be asked: {error}") from error
     for reply in replies:
         if reply.ok is not None:
-            answer = ControlReply.model_validate_json(reply.ok.payload.to_bytes())
+            answer = _reply(component, reply.ok.payload.to_bytes())
             if answer.error is not None:
                 raise ControlError(answer.error)
             return answer.value
@@ -119,8 +122,19 @@ class ControlServer:
         self._reply(query, reply)
 
     def _reply(self, query: zenoh.Query, reply: ControlReply) -> None:
-        with query:
-            query.reply(self._key, reply.model_dump_json())
+        try:
+            answer = reply.model_dump_json()
+        except ValueError as error:  # a value that JSON cannot carry: the component's defect
+            answer = ControlReply(error=f"its answer cannot be sent: {error}").model_dump_json()
+        with query, suppress(zenoh.ZError):  # who asked may be gone
+            query.reply(self._key, answer)
+
+
+def _reply(component: str, payload: bytes) -> ControlReply:
+    try:
+        return ControlReply.model_validate_json(payload)
+    except ValidationError as error:
+        raise ControlError(f"{component} gave an answer that is none: {error}") from error
 
 
 def control_key(domain: int, component: str) -> str:

@@ -68,8 +68,9 @@ class GraphWatch:
                     if sample.kind == zenoh.SampleKind.DELETE:
                         self._endpoints.pop(key, None)
                         continue
+                    known = key in self._endpoints
                     self._endpoints[key] = entity
-                    watchers = list(self._watchers)
+                    watchers = [] if known else list(self._watchers)
                 for appeared in watchers:
                     appeared(entity)
 

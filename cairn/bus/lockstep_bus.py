@@ -67,12 +67,15 @@ class LockstepPublisher:
         self.node = node
         self.message = message
         self.published = 0
+        self._closed = False
         self.latched: deque[Any] = deque(maxlen=qos.depth if _latches(qos) else 0)
         self._topic = topic
         topic.join(self, topic.writers)
 
     def publish(self, message: Any) -> None:
         """Hand the message to every reader of its type."""
+        if self._closed:
+            return
         self.published += 1
         self.latched.append(message)
         for reader in tuple(self._topic.readers):
@@ -81,6 +84,7 @@ class LockstepPublisher:
 
     def close(self) -> None:
         """Stop writing."""
+        self._closed = True
         self._topic.leave(self, self._topic.writers)
 
 
@@ -108,7 +112,7 @@ class LockstepSubscription:
         if _latches(qos):
             for writer in topic.writers:
                 if writer.message is message:
-                    for latched in writer.latched:
+                    for latched in tuple(writer.latched)[-qos.depth :]:
                         self.put(latched)
 
     def put(self, message: Any) -> None:

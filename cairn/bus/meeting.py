@@ -7,6 +7,8 @@ declarations on the same link, so that whoever got the answer knows, and is know
 
 import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from typing import Any
 
 import zenoh
@@ -36,9 +38,13 @@ class Meeting:
         deadline = time.monotonic() + timeout_s
         replies = self._session.liveliness().get(self._all, timeout=timeout_s)
         keys = {str(reply.ok.key_expr) for reply in replies if reply.ok is not None}
-        return sorted(
-            key for key in keys if not key.endswith(self._zid) and not self._meet(key, deadline)
-        )
+        others = sorted(key for key in keys if not key.endswith(self._zid))
+        if not others:
+            return []
+        # At the same time, or one that hangs would take the time that the others need.
+        with ThreadPoolExecutor(len(others), "cairn settle") as pool:
+            met = list(pool.map(lambda key: self._meet(key, deadline), others))
+        return [key for key, known in zip(others, met, strict=True) if not known]
 
     def close(self) -> None:
         """Answer no more."""
@@ -58,7 +64,8 @@ class Meeting:
         channel = self._queryable.handler
         while True:
             try:
-                with channel.recv() as query:
-                    query.reply(own, b"")
+                query = channel.recv()
             except zenoh.ZError:  # the queryable was undeclared
                 return
+            with query, suppress(zenoh.ZError):  # who asked may be gone
+                query.reply(own, b"")

@@ -1,11 +1,17 @@
 """Opens the Zenoh session of a process: loopback, no multicast, no implicit shared memory."""
 
 import json
+import threading
+import time
 from collections.abc import Sequence
+from typing import Any
 
 import zenoh
 
 from cairn.errors import CairnError
+
+CONNECT_LIMIT_S = 2.0
+"""A router on the same machine answers in milliseconds."""
 
 LEASE_MS = 2000
 """A silent peer's link is given up after so long; that of a killed one at once."""
@@ -19,13 +25,19 @@ def open_peer(connect: Sequence[str]) -> zenoh.Session:
     """
     listen = ["tcp/127.0.0.1:0"]
     session = _open(_config("peer", listen, connect), f"cannot open a session to {connect}")
-    if not list(session.info.routers_zid()):
+    if not _linked(session):
         session.close()
-        raise CairnError(
-            f"no router answers at {', '.join(connect)}: is a deployment running (`cairn up`)? "
-            "Name another endpoint with --connect, or in CAIRN_CONNECT"
-        )
+        raise CairnError(_nobody(connect))
     return session
+
+
+def open_client(connect: Sequence[str]) -> zenoh.Session:
+    """Open the session of a command: one link, to the router, which knows and reaches everybody.
+
+    Unlike a peer it need not wait until it knows all others, and it ends with the router. Raises
+    `CairnError` if nobody listens at `connect`.
+    """
+    return _open(_config("client", [], connect), _nobody(connect))
 
 
 def open_router(listen: str, connect: Sequence[str] = ()) -> zenoh.Session:
@@ -35,6 +47,29 @@ def open_router(listen: str, connect: Sequence[str] = ()) -> zenoh.Session:
         f"cannot listen on {listen}: the port is probably taken, by another deployment or a ROS 2 "
         "router. Stop that one, join it (`--set bus.connect=[...]`), or take another port "
         "(`--set bus.listen=tcp/127.0.0.1:PORT`)",
+    )
+
+
+def _linked(session: zenoh.Session) -> bool:
+    """Wait until the session has a link to a router, at most `CONNECT_LIMIT_S`."""
+    changed = threading.Event()
+    callback: Any = zenoh.handlers.Callback(lambda _: changed.set(), indirect=False)
+    listener = session.info.declare_transport_events_listener(callback, history=True)
+    try:
+        deadline = time.monotonic() + CONNECT_LIMIT_S
+        while not list(session.info.routers_zid()):
+            if not changed.wait(max(0.0, deadline - time.monotonic())):
+                return False
+            changed.clear()
+        return True
+    finally:
+        listener.undeclare()
+
+
+def _nobody(connect: Sequence[str]) -> str:
+    return (
+        f"no router answers at {', '.join(connect)}: is a deployment running (`cairn up`)? "
+        "Name another endpoint with --connect, or in CAIRN_CONNECT"
     )
 
 
@@ -53,7 +88,6 @@ def _config(mode: str, listen: Sequence[str], connect: Sequence[str]) -> zenoh.C
         "listen/endpoints": list(listen),
         "listen/exit_on_failure": True,
         "connect/endpoints": list(connect),
-        "connect/timeout_ms": 5000,
         "connect/exit_on_failure": False,
         "connect/retry": {
             "period_init_ms": 50,
@@ -62,6 +96,9 @@ def _config(mode: str, listen: Sequence[str], connect: Sequence[str]) -> zenoh.C
         },
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": True,
+        # Opening waits for nobody: by default it lasts half a second, for peers now and then.
+        "open/return_conditions/connect_scouted": False,
+        "scouting/delay": 0,
         "timestamping/enabled": True,
         "transport/link/tx/lease": LEASE_MS,
         "transport/shared_memory/enabled": False,

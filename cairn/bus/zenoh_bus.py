@@ -1,6 +1,5 @@
 """The bus over Zenoh, speaking ROS 2's language (rmw_zenoh) on the wire."""
 
-import contextlib
 import itertools
 import threading
 import time
@@ -25,6 +24,9 @@ from cairn.bus.meeting import Meeting
 from cairn.bus.qos import Qos
 from schemas.message import InvalidMessage, type_name
 
+_PUBLISHERS = 1000
+"""So many writers of one topic have their messages counted."""
+
 
 class ZenohBus:
     """Connects the components of one process to all others through one Zenoh session."""
@@ -37,6 +39,7 @@ class ZenohBus:
         self._ids = itertools.count()
         self.graph = GraphWatch(session, domain)
         self._meeting = Meeting(session, domain)
+        self._closed = False
 
     def node(self, name: str, complain: Callable[[str], None]) -> "ZenohNode":
         """Join under a full name such as `/robot/localizer`."""
@@ -52,6 +55,9 @@ class ZenohBus:
 
     def close(self) -> None:
         """Leave the bus and close the session."""
+        if self._closed:
+            return
+        self._closed = True
         self.graph.close()
         self._meeting.close()
         self.session.close()
@@ -66,6 +72,7 @@ class ZenohNode:
         zid = str(bus.session.info.zid())
         self._entity = rmw.NodeEntity(bus.domain, zid, bus.next_id(), name)
         self._ends: list[ZenohPublisher | ZenohSubscription] = []
+        self._closed = False
         self._complain = complain
         self._token = bus.session.liveliness().declare_token(rmw.token_key(self._entity))
 
@@ -96,6 +103,9 @@ class ZenohNode:
 
     def close(self) -> None:
         """Leave the bus."""
+        if self._closed:
+            return
+        self._closed = True
         for end in self._ends:
             end.close()
         self._ends.clear()
@@ -138,6 +148,7 @@ class ZenohPublisher:
 
     def __init__(self, node: ZenohNode, topic: str, message: type[Any], qos: Qos) -> None:
         self.published = 0
+        self._sent = 0
         self._closed = False
         self._codec = node.bus.codec
         self._latched = qos.durability == "transient_local"
@@ -173,10 +184,11 @@ class ZenohPublisher:
         """Send one message; without any reader, or once closed, it is neither encoded nor sent."""
         if self._closed:
             return
+        self.published += 1
         if not self._latched and not self._publisher.matching_status.matching:
             return
-        self.published += 1
-        attachment = rmw.Attachment(self.published, time.time_ns(), self._gid)
+        self._sent += 1
+        attachment = rmw.Attachment(self._sent, time.time_ns(), self._gid)
         self._publisher.put(self._codec.encode(message), attachment=attachment.encode())
 
     def close(self) -> None:
@@ -238,8 +250,6 @@ class ZenohSubscription:
             sample = self._waiting.popleft()
         except IndexError:
             return None
-        if sample.attachment is not None:
-            self._count_gap(sample.attachment.to_bytes())
         try:
             message = self._codec.decode(self._message, sample.payload.to_bytes())
         except InvalidMessage:
@@ -265,22 +275,33 @@ class ZenohSubscription:
                 sample = channel.recv()
             except zenoh.ZError:  # the subscriber was undeclared
                 return
-            if len(self._waiting) < self._depth:
-                self._waiting.append(sample)
-                self._wake()
-                continue
-            # If the loop was faster, its wake-up serves the new one.
-            with contextlib.suppress(IndexError):
-                self._waiting.popleft()
+            if sample.attachment is not None:
+                self._count_gap(sample.attachment.to_bytes())
+            woken = self._give_way()
             self._waiting.append(sample)
+            if not woken:
+                self._wake()
+
+    def _give_way(self) -> bool:
+        """Drop the oldest message if too many wait; whether its wake-up is left for another."""
+        if len(self._waiting) < self._depth:
+            return False
+        try:
+            self._waiting.popleft()
+        except IndexError:  # the loop was faster, and has used up all wake-ups
+            return False
+        self.dropped += 1
+        return True
 
     def _count_gap(self, attachment: bytes) -> None:
-        # Numbers are per publisher and without gaps: what is missing was dropped on the way,
-        # in the ring, or above.
+        # Numbers are per publisher and without gaps: what is missing was lost on the way or in
+        # the ring.
         try:
             number = rmw.Attachment.decode(attachment)
         except rmw.RmwError:
             return  # a peer without rmw_zenoh's numbering
+        if len(self._last) >= _PUBLISHERS:  # or a peer that invents names would fill the memory
+            self._last.clear()
         last = self._last.get(number.gid)
         if last is not None and number.sequence > last + 1:
             self.dropped += number.sequence - last - 1

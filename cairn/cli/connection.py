@@ -1,6 +1,5 @@
 """How commands reach a running deployment: options, session, and what is read from the bus."""
 
-import os
 import queue
 import time
 from collections.abc import Iterator
@@ -15,7 +14,7 @@ from zenoh.ext import HistoryConfig, declare_advanced_subscriber
 from cairn.bus import rmw
 from cairn.bus.codec import Codec
 from cairn.bus.graph import read_graph
-from cairn.bus.session import open_peer
+from cairn.bus.session import open_client
 from cairn.errors import CairnError
 from schemas.cairn_msgs import ComponentStatus
 from schemas.message import type_name
@@ -102,7 +101,7 @@ class Connection:
 @contextmanager
 def connected(connect: str, domain: int) -> Iterator[Connection]:
     """Join the bus for the time of a command; `CairnError` if no deployment answers."""
-    session = open_peer([connect])
+    session = open_client([connect])
     try:
         yield Connection(session, domain)
     finally:
@@ -129,8 +128,3 @@ def resolve(names: list[str], name: str, robot: str) -> str:
     listed = ", ".join(names) or "none"
     where = f" of robot {robot}" if robot else ""
     raise CairnError(f"there is no {name}{where} on the bus; there are: {listed}")
-
-
-def width() -> int | None:
-    """The terminal's width; None lets rich decide, a wide one when output is not a terminal."""
-    return None if os.isatty(1) else 200

@@ -1,7 +1,7 @@
 """`cairn logs`: what the components have to say, as they keep it on /rosout."""
 
+import contextlib
 import queue
-import time
 from typing import Annotated
 
 import typer
@@ -34,12 +34,9 @@ def logs(
         ]
         with connection.listen(key, latched=True) as samples:
             history: list[Log] = []
-            deadline = time.monotonic() + (_QUIET_S if writers else 0.0)
-            while (left := deadline - time.monotonic()) > 0:
-                try:
-                    history += _decoded(codec, samples.get(timeout=left))
-                except queue.Empty:
-                    break
+            with contextlib.suppress(queue.Empty):
+                while writers:  # each sends what it keeps; nobody says when that is all
+                    history += _decoded(codec, samples.get(timeout=_QUIET_S))
             for entry in sorted(history, key=lambda log: (log.stamp.sec, log.stamp.nanosec)):
                 _print(entry, component, robot, json=json)
             while follow:

@@ -23,6 +23,7 @@ def build() -> typer.Typer:
         add_completion=False,
         pretty_exceptions_enable=False,
         rich_markup_mode=None,
+        context_settings={"max_content_width": 100, "help_option_names": ["-h", "--help"]},
     )
     app.command("up")(up.up)
     app.command("check")(check.check)

@@ -1,5 +1,6 @@
 """`cairn ps`: every component, its state, process, load and losses."""
 
+from collections.abc import Iterator
 from typing import Any
 
 import psutil
@@ -8,31 +9,64 @@ from cairn.cli.connection import DEFAULT_CONNECT, Connect, Domain, Json, Robot, 
 from cairn.cli.tables import show
 from schemas.cairn_msgs import ComponentStatus
 
-_COLUMNS = (
-    "component", "plugin", "parent", "state", "pid", "placement", "restarts", "handler",
-    "received", "dropped", "memory MiB", "cpu s", "reason",
-)  # fmt: skip
+_COLUMNS = {
+    "robot": "robot", "tree": "component", "state": "state", "pid": "pid", "restarts": "restarts",
+    "received": "received", "dropped": "dropped", "memory_mib": "MiB", "cpu_s": "CPU s",
+    "note": "note",
+}  # fmt: skip
 
 
 def ps(
     connect: Connect = DEFAULT_CONNECT, domain: Domain = 0, robot: Robot = "", json: Json = False
 ) -> None:
-    """List the components that run, with state, process, memory and messages dropped."""
+    """List the components that run: state, process, messages received and dropped, memory.
+
+    MiB is the memory that the process adds (PSS), shared by the components in it.
+    """
     with connected(connect, domain) as connection:
         statuses = connection.statuses()
-    rows = [
-        _row(name, status)
-        for name, status in sorted(statuses.items())
-        if not robot or name.split("/")[1] == robot
-    ]
-    show(rows, _COLUMNS, as_json=json)
+    found = {
+        full: status
+        for full, status in sorted(statuses.items())
+        if not robot or full.split("/")[1] == robot
+    }
+    rows = [_row(full, found[full], depth) for full, depth in _as_tree(found)]
+    robots = {row["robot"] for row in rows}
+    shown = {key: title for key, title in _COLUMNS.items() if key != "robot" or len(robots) > 1}
+    if json:
+        rows = [
+            {key: value for key, value in row.items() if key not in ("tree", "note")}
+            for row in rows
+        ]
+    show(rows, shown, as_json=json, nothing="no component runs")
 
 
-def _row(name: str, status: ComponentStatus) -> dict[str, Any]:
+def _as_tree(statuses: dict[str, ComponentStatus]) -> Iterator[tuple[str, int]]:
+    """Full name and depth of each component, each below its supervisor in the order of start."""
+    left = dict(statuses)
+
+    def below(full: str, depth: int) -> Iterator[tuple[str, int]]:
+        status = left.pop(full, None)
+        if status is None:
+            return
+        yield full, depth
+        for child in status.children:
+            yield from below(f"{full.rpartition('/')[0]}/{child}", depth + 1)
+
+    for full, status in statuses.items():
+        if not status.parent:
+            yield from below(full, 0)
+    for full in list(left):  # whose supervisor is not heard of
+        yield from below(full, 0)
+
+
+def _row(full: str, status: ComponentStatus, depth: int) -> dict[str, Any]:
     handler = f"{status.handler} for {status.handler_s:.1f} s" if status.handler else ""
     inputs = [port for port in status.ports if port.direction == port.IN]
-    row: dict[str, Any] = {
-        "component": name,
+    return {
+        "component": full,
+        "robot": full.split("/")[1],
+        "tree": "  " * depth + status.component,
         "plugin": status.plugin,
         "parent": status.parent,
         "state": status.state,
@@ -43,15 +77,18 @@ def _row(name: str, status: ComponentStatus) -> dict[str, Any]:
         "received": sum(port.messages for port in inputs),
         "dropped": sum(port.dropped for port in inputs),
         "invalid": sum(port.invalid for port in inputs),
-        "memory MiB": None,
-        "cpu s": None,
         "reason": status.reason,
+        "note": "; ".join(filter(None, (handler, status.reason))),
+        **_load(status.pid),
     }
+
+
+def _load(pid: int) -> dict[str, float | None]:
     try:
-        process = psutil.Process(status.pid)
-        row["memory MiB"] = round(process.memory_full_info().pss / 2**20, 1)
+        process = psutil.Process(pid)
         times = process.cpu_times()
-        row["cpu s"] = round(times.user + times.system, 2)
+        memory = process.memory_full_info().pss / 2**20
     except (psutil.Error, AttributeError):
-        pass  # on another machine, of another user, or just ended: its process cannot be read
-    return row
+        # On another machine, of another user, or just ended: its process cannot be read.
+        return {"memory_mib": None, "cpu_s": None}
+    return {"memory_mib": round(memory, 1), "cpu_s": round(times.user + times.system, 2)}

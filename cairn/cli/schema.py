@@ -3,12 +3,11 @@
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
 from cairn.bus.codec import Codec
 from cairn.bus.message_types import find_message, known_messages
-from cairn.cli.connection import Json, width
-from cairn.cli.tables import print_json, show
+from cairn.cli.connection import Json
+from cairn.cli.tables import line, print_json, show
 
 app = typer.Typer(help="The message types: ROS 2 definition text and type hash.")
 
@@ -40,6 +39,4 @@ def show_(
     if json:
         print_json({"type": type_name, "hash": codec.type_hash(message), "definition": definition})
         return
-    console = Console(width=width(), highlight=False)
-    console.print(f"# {type_name}\n# {codec.type_hash(message)}", markup=False)
-    console.print(definition, markup=False)
+    line(f"# {type_name}\n# {codec.type_hash(message)}\n{definition.rstrip()}")

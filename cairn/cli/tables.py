@@ -1,6 +1,7 @@
 """Prints rows as a table, or as JSON for programs."""
 
 import json
+import sys
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -8,20 +9,40 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from cairn.cli.connection import width
+_UNFOLDED = 10_000  # columns, where the output is not a terminal but perhaps `grep`
 
 
-def show(rows: Sequence[Mapping[str, Any]], columns: Sequence[str], *, as_json: bool) -> None:
-    """Print rows: as JSON with all their keys, or as a table of the given columns."""
+def show(
+    rows: Sequence[Mapping[str, Any]],
+    columns: Mapping[str, str] | Sequence[str],
+    *,
+    as_json: bool,
+    nothing: str = "there is none",
+) -> None:
+    """Print rows: as JSON with all their keys, or as a table of the given columns.
+
+    `columns` are keys, or keys with their titles; `nothing` is printed for a table without rows.
+    """
     if as_json:
         print_json([dict(row) for row in rows])
         return
+    if not rows:
+        line(nothing)
+        return
+    titles = columns if isinstance(columns, Mapping) else {column: column for column in columns}
     table = Table(box=None, pad_edge=False, header_style="bold")
-    for column in columns:
-        table.add_column(column, overflow="fold")
+    for key, title in titles.items():
+        numeric = all(isinstance(row.get(key), int | float | None) for row in rows)
+        table.add_column(title, overflow="fold", justify="right" if numeric else "left")
     for row in rows:
-        table.add_row(*(Text(_text(row.get(column))) for column in columns))
-    Console(width=width(), highlight=False).print(table)
+        table.add_row(*(Text(_text(row.get(key))) for key in titles))
+    if sys.stdout.isatty():
+        Console(highlight=False).print(table)
+        return
+    console = Console(width=_UNFOLDED, highlight=False, color_system=None)
+    with console.capture() as capture:
+        console.print(table)
+    line("\n".join(text.rstrip() for text in capture.get().splitlines()))
 
 
 def print_json(value: Any) -> None:

@@ -36,15 +36,17 @@ Wait = Annotated[float, typer.Option(min=0.1, help="Give up after so long withou
 
 
 @app.command("list")
-def list_(connect: Connect = DEFAULT_CONNECT, domain: Domain = 0, json: Json = False) -> None:
+def list_(
+    connect: Connect = DEFAULT_CONNECT, domain: Domain = 0, robot: Robot = "", json: Json = False
+) -> None:
     """List the topics with message type and numbers of writers and readers."""
     with connected(connect, domain) as connection:
-        rows = graph.rows(connection.endpoints())
+        rows = graph.rows(connection.endpoints(), robot)
     counted = [
-        {**row, "writers": len(_names(row["writers"])), "readers": len(_names(row["readers"]))}
-        for row in rows
+        {**row, "writers": len(row["writers"]), "readers": len(row["readers"])} for row in rows
     ]
-    show(counted, ("topic", "type", "writers", "readers"), as_json=json)
+    columns = ("topic", "type", "writers", "readers")
+    show(counted, columns, as_json=json, nothing="there is no topic")
 
 
 @app.command()
@@ -118,16 +120,17 @@ def hz(
         "topic": endpoint.topic,
         "messages": len(arrivals),
         "hz": round(1 / mean, 3) if mean > 0 else 0.0,
-        "period ms": round(mean * 1e3, 3),
-        "jitter ms": round(statistics.pstdev(gaps) * 1e3, 3) if gaps else 0.0,
-        "longest ms": round(max(gaps, default=0.0) * 1e3, 3),
+        "period_ms": round(mean * 1e3, 3),
+        "jitter_ms": round(statistics.pstdev(gaps) * 1e3, 3) if gaps else 0.0,
+        "longest_ms": round(max(gaps, default=0.0) * 1e3, 3),
         "bytes": round(statistics.fmean(sizes)) if sizes else 0,
         "lost": lost,
     }
     if json:
         print_json(result)
     else:
-        show([result], tuple(result), as_json=False)
+        titles = {key: key.replace("_", " ") for key in result}
+        show([result], titles, as_json=False)
 
 
 def _endpoint(connection: Connection, topic: str, robot: str) -> rmw.EndpointEntity:
@@ -150,7 +153,3 @@ def _next(samples: "queue.Queue[Any]", wait_s: float, topic: str) -> Any:
         return samples.get(timeout=wait_s)
     except queue.Empty:
         raise CairnError(f"{topic}: no message within {wait_s:g} s") from None
-
-
-def _names(value: object) -> list[str]:
-    return value if isinstance(value, list) else []

@@ -7,10 +7,10 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import platformdirs
 import typer
@@ -19,17 +19,19 @@ from rich.console import Console
 
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.cli.check import File, Overlay, Set
+from cairn.cli.log_file import log_file
 from cairn.cli.tables import line
 from cairn.cli.view import LiveView, PlainView
 from cairn.cli.watch import Watch
-from cairn.clock import SECOND, from_ns
+from cairn.clock import from_ns
 from cairn.component.runtime import End
 from cairn.deployment.load import load_deployment
 from cairn.deployment.model import Deployment
+from cairn.deployment.plugins import modules_named
 from cairn.errors import CairnError
 from cairn.placement.lockstep_run import LockstepRun
-from cairn.placement.process import LOG_FORMAT
-from cairn.placement.root import run_processes
+from cairn.placement.root import run_processes, started_zygote
+from cairn.supervision.zygote_process import ZygoteProcess
 from schemas.rcl_interfaces import Log
 
 _RUNS_KEPT = 20
@@ -55,34 +57,54 @@ def up(
 
     Exit status 0 if it ended as it should, 1 if it failed.
     """
-    folder = _run_folder(file, report)
-    where = _report_setting([file, *(overlay or ())], folder)
-    deployment = load_deployment(file, overlay or (), [*where, *(set_ or ())])
-    title = f"{file.name}: robot {deployment.robot}" + (", lockstep" if lockstep else "")
-    live = sys.stdout.isatty() and not plain
-    view = LiveView(Console(), title) if live else PlainView(line)
-    with view:
-        if lockstep:
-            end = _run_lockstep(deployment, seed, folder, view)
-        else:
-            end = _run_processes(deployment, seed, folder, view)
+    folder = (report or _folder_of_run(file)).absolute()
+    documents = list(_documents([file, *(overlay or ())]))
+    with ExitStack() as stack:
+        if not lockstep:
+            modules = [name for document in documents for name in modules_named(document)]
+            zygote = stack.enter_context(started_zygote(modules))
+        where = _report_setting(documents, folder)
+        deployment = load_deployment(file, overlay or (), [*where, *(set_ or ())])
+        _prepare(folder)
+        title = f"{file.name}: robot {deployment.robot}" + (", lockstep" if lockstep else "")
+        live = sys.stdout.isatty() and not plain
+        if not live:
+            line(f"{title}; logs and report: {folder}")
+        with LiveView(Console(), title) if live else PlainView(line) as view:
+            if lockstep:
+                end = _run_lockstep(deployment, seed, folder, view)
+            else:
+                end = _run_processes(deployment, zygote, seed, folder, view)
     table = folder / _CLOSING_TABLE
     if table.exists():
         line(table.read_text(encoding="utf-8"))
-    line(f"{'ended' if end.normal else 'FAILED'}: {end.reason}; logs and report: {folder}")
     if not end.normal:
-        raise typer.Exit(1)
+        raise CairnError(f"{file.name} failed: {end.reason}; logs: {folder / 'logs'}")
+    line(f"ended: {end.reason}; logs and report: {folder}")
+
+
+def _documents(files: Iterable[Path]) -> Iterator[Any]:
+    """The files' plain data, as far as they can be read; what is wrong is told by their check."""
+    for file in files:
+        try:
+            yield yaml.safe_load(file.read_bytes())
+        except (OSError, yaml.YAMLError):
+            continue
 
 
 def _run_processes(
-    deployment: Deployment, seed: int, folder: Path, view: LiveView | PlainView
+    deployment: Deployment,
+    zygote: ZygoteProcess,
+    seed: int,
+    folder: Path,
+    view: LiveView | PlainView,
 ) -> End:
-    with _log_file(folder / "logs" / "root.log", time.time_ns):
+    with log_file(folder / "logs" / "root.log", time.time_ns):
 
         def watch(bus: ZenohBus) -> Callable[[], None]:
             return Watch(bus, deployment.robot, view).refresh
 
-        return run_processes(deployment, folder / "logs", seed, watch)
+        return run_processes(deployment, zygote, folder / "logs", seed, watch)
 
 
 def _run_lockstep(
@@ -101,67 +123,44 @@ def _run_lockstep(
     handler = _ViewHandler(view, run.executor.now)
     root_logger = logging.getLogger("cairn")
     root_logger.addHandler(handler)
-    before = signal.signal(signal.SIGINT, lambda *_: run.stop())
+    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    before = {number: signal.signal(number, lambda *_: run.stop()) for number in numbers}
     try:
-        with _log_file(folder / "logs" / "lockstep.log", run.executor.now):
+        with log_file(folder / "logs" / "lockstep.log", run.executor.now):
             return run.run(refresh)
     finally:
-        signal.signal(signal.SIGINT, before)
+        for number, former in before.items():
+            signal.signal(number, former)
         root_logger.removeHandler(handler)
 
 
-@contextmanager
-def _log_file(file: Path, now: Callable[[], int]) -> Iterator[None]:
-    """Keep what the components of this process log in a file, with the time given by `now`."""
-    file.parent.mkdir(parents=True, exist_ok=True)
-    handler = logging.FileHandler(file, mode="w", encoding="utf-8")
-    handler.setFormatter(_Formatter(now))
-    logger = logging.getLogger("cairn")
-    logger.setLevel(logging.INFO)
-    logger.addHandler(handler)
+def _folder_of_run(file: Path) -> Path:
+    """A folder for this run in the user's state folder, where the last few are kept."""
+    runs = platformdirs.user_state_path("cairn") / "runs"
+    for old in sorted(runs.glob("*"))[: -_RUNS_KEPT + 1 or None] if runs.exists() else []:
+        shutil.rmtree(old, ignore_errors=True)
+    return runs / f"{datetime.now(UTC):%Y%m%d-%H%M%S-%f}-{file.stem}"
+
+
+def _prepare(folder: Path) -> None:
+    """Make the folder for logs and report, without what a former run left there."""
+    logs = folder / "logs"
     try:
-        yield
-    finally:
-        logger.removeHandler(handler)
-        handler.close()
-
-
-class _Formatter(logging.Formatter):
-    def __init__(self, now: Callable[[], int]) -> None:
-        super().__init__(LOG_FORMAT)
-        self._now = now
-
-    def formatTime(self, record: logging.LogRecord, datefmt: str | None = None) -> str:  # noqa: ARG002, N802
-        return f"{self._now() / SECOND:.6f}"
-
-
-def _run_folder(file: Path, report: Path | None) -> Path:
-    """The folder of this run; without `report` one of the last few in the user's state folder."""
-    if report is not None:
-        folder = report
-    else:
-        runs = platformdirs.user_state_path("cairn") / "runs"
-        for old in sorted(runs.glob("*"))[: -_RUNS_KEPT + 1 or None] if runs.exists() else []:
-            shutil.rmtree(old, ignore_errors=True)
-        folder = runs / f"{datetime.now(UTC):%Y%m%d-%H%M%S-%f}-{file.stem}"
-    try:
-        (folder / "logs").mkdir(parents=True, exist_ok=True)
+        logs.mkdir(parents=True, exist_ok=True)
+        for old in (folder / _CLOSING_TABLE, *logs.glob("*.log")):
+            old.unlink(missing_ok=True)
     except OSError as error:
         raise CairnError(
-            f"the report's folder {folder} cannot be made: {error.strerror}; name another one "
+            f"the report's folder {folder} cannot be written: {error.strerror}; name another one "
             "with --report"
         ) from error
-    return folder
 
 
-def _report_setting(files: Iterable[Path], folder: Path) -> list[str]:
+def _report_setting(documents: Iterable[Any], folder: Path) -> list[str]:
     """Tell a deployment that has a setting `report` where its report goes."""
-    for file in files:
-        try:
-            settings = (yaml.safe_load(file.read_bytes()) or {}).get("settings") or {}
-        except (OSError, yaml.YAMLError, AttributeError):
-            continue  # told, with its place, when the deployment is loaded
-        if _REPORT_SETTING in settings:
+    for document in documents:
+        settings = document.get("settings") if isinstance(document, dict) else None
+        if isinstance(settings, dict) and _REPORT_SETTING in settings:
             return [f"{_REPORT_SETTING}={json.dumps(str(folder))}"]
     return []
 

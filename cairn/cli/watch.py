@@ -10,6 +10,7 @@ from cairn.clock import to_ns
 from cairn.component.clock_input import TOPIC as CLOCK
 from cairn.component.rosout import KEPT, ROSOUT
 from cairn.component.status import TOPIC as STATUS
+from cairn.deployment.model import VIEW
 from schemas.cairn_msgs import ComponentStatus
 from schemas.message import InvalidMessage
 from schemas.rcl_interfaces import Log
@@ -22,7 +23,7 @@ class Watch:
     def __init__(self, bus: Bus, robot: str, view: View, *, logs: bool = True) -> None:
         self._view = view
         self._robot = robot
-        node = bus.node(full_name(robot, "cairn_up"), lambda _: None)
+        node = bus.node(full_name(robot, VIEW), lambda _: None)
         newest = Qos("reliable", "volatile", 1)
         self._sources: list[tuple[Subscription, Callable[[Any], None]]] = [
             self._source(node, full_name(robot, STATUS), ComponentStatus, LATCHED.with_depth(1000),

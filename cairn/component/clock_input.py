@@ -22,7 +22,7 @@ class ClockInput:
         node: Node,
         topic: str,
         scheduler: Scheduler,
-        moved: Callable[[bool], None],
+        moved: Callable[[], None],
         complain: Callable[[str], None],
     ) -> None:
         self._clock = clock
@@ -49,4 +49,5 @@ class ClockInput:
             self._complain(f"message on {self._topic} refused: {error}")
             return
         if message is not None:
-            self._moved(self._clock.set(to_ns(message.clock)))
+            self._clock.set(to_ns(message.clock))
+            self._moved()

@@ -27,11 +27,13 @@ class TimerHandler:
 
 
 def on(port: str) -> Callable[[Method], Method]:
-    """Call the method with each message of the input `port`, one at a time, while active."""
+    """Call the method with each message of the input `port`, one at a time, while active.
+
+    Raises `CairnError` for a method that is marked already.
+    """
 
     def mark(method: Method) -> Method:
-        setattr(method, _MARK, PortHandler(port))
-        return method
+        return _marked(method, PortHandler(port))
 
     return mark
 
@@ -39,16 +41,26 @@ def on(port: str) -> Callable[[Method], Method]:
 def every(*, hz: float) -> Callable[[Method], Method]:
     """Call the method `hz` times per second of the component's clock while active.
 
-    Periods that were missed are not made up for. Raises `CairnError` unless 0 < hz <= 1000.
+    Periods that were missed are not made up for. Raises `CairnError` unless 0 < hz <= 1000, and
+    for a method that is marked already.
     """
     if not 0 < hz <= 1000:
         raise CairnError(f"@every(hz={hz}): a rate must be above 0 and at most 1000 Hz")
 
     def mark(method: Method) -> Method:
-        setattr(method, _MARK, TimerHandler(round(SECOND / hz)))
-        return method
+        return _marked(method, TimerHandler(round(SECOND / hz)))
 
     return mark
+
+
+def _marked(method: Method, handler: PortHandler | TimerHandler) -> Method:
+    if hasattr(method, _MARK):
+        raise CairnError(
+            f"{method.__qualname__} has two of the decorators @on and @every; "
+            "write a method for each"
+        )
+    setattr(method, _MARK, handler)
+    return method
 
 
 def handlers_of(cls: type) -> dict[str, PortHandler | TimerHandler]:

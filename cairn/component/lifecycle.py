@@ -1,8 +1,14 @@
 """The life cycle of a component, as in ROS 2 managed nodes, with its error transitions."""
 
+import logging
+from collections import deque
 from enum import StrEnum
 
+from cairn.clock import SECOND
 from cairn.errors import CairnError
+
+RECOVERIES = 3
+RECOVERY_WINDOW_S = 10
 
 
 class State(StrEnum):
@@ -46,3 +52,18 @@ def goal(state: State, transition: Transition) -> State:
             f"cannot {transition} in state {state}; possible are {', '.join(possible) or 'none'}"
         )
     return _GOAL[state, transition]
+
+
+class Recoveries:
+    """Counts how often a component recovers from errors by itself: at most 3 times within 10 s."""
+
+    def __init__(self) -> None:
+        self._times: deque[int] = deque(maxlen=RECOVERIES)
+
+    def admit(self, now: int, log: logging.Logger) -> bool:
+        """Whether one more may be made at time `now` [ns]; it is counted then, else logged."""
+        if len(self._times) == RECOVERIES and now - self._times[0] < RECOVERY_WINDOW_S * SECOND:
+            log.error("%d recoveries within %d s: ends", RECOVERIES, RECOVERY_WINDOW_S)
+            return False
+        self._times.append(now)
+        return True

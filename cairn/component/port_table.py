@@ -10,7 +10,11 @@ from cairn.component.handlers import PortHandler, TimerHandler, handlers_of
 from cairn.component.loop import Scheduler
 from cairn.component.ports import BoundIn, BoundOut, PortSpec, ports_of
 from schemas.cairn_msgs import PortStatus
-from schemas.message import InvalidMessage
+from schemas.fields import fields_of
+from schemas.message import InvalidMessage, type_name
+
+Counts = tuple[int, int, int]
+"""Messages received, dropped and invalid."""
 
 
 class Owner(Protocol):
@@ -96,6 +100,12 @@ class PortTable:
         """The periodic handlers: name, period [ns], method."""
         yield from self._timers
 
+    def carriers(self, message: str) -> list[str]:
+        """The outputs whose messages are of the type of that name, or hold one of it."""
+        return [
+            output.spec.name for output in self._outputs if _holds(output.spec.message, message)
+        ]
+
     def status(self) -> tuple[PortStatus, ...]:
         """The counters of every port."""
         return (
@@ -122,23 +132,27 @@ class _Input:
         self._wake = partial(scheduler.deliver, self._woken)
         self._calls = [(f"{name} (port {spec.name})", call) for name, call in calls]
         self._subscription: Subscription | None = None
-        self._past = [0, 0, 0]
+        # The subscription to count, and what came before it; one tuple, read by other threads.
+        self._counted: tuple[Subscription | None, Counts] = (None, (0, 0, 0))
 
     def open(self) -> None:
         if self._subscription is None:
             self._subscription = self._node.subscribe(
                 self._topic, self._spec.message, self._spec.qos, self._wake
             )
+            self._counted = (self._subscription, self._counted[1])
 
     def drain(self) -> None:
-        while self._deliver():
-            pass
+        # Not more than fits into the port: a writer faster than the handlers must not hold it up.
+        for _ in range(self._spec.qos.depth):
+            if not self._deliver():
+                return
 
     def close(self) -> None:
         if self._subscription is not None:
-            self._past = self._counts()
             self._subscription.close()
             self._subscription = None
+            self._counted = (None, self._counts())
 
     def status(self) -> PortStatus:
         received, dropped, invalid = self._counts()
@@ -151,14 +165,11 @@ class _Input:
             invalid=invalid,
         )
 
-    def _counts(self) -> list[int]:
-        now = self._subscription
+    def _counts(self) -> Counts:
+        now, (received, dropped, invalid) = self._counted
         if now is None:
-            return self._past
-        return [
-            past + new
-            for past, new in zip(self._past, (now.received, now.dropped, now.invalid), strict=True)
-        ]
+            return received, dropped, invalid
+        return received + now.received, dropped + now.dropped, invalid + now.invalid
 
     def _woken(self) -> None:
         self._deliver()
@@ -192,34 +203,45 @@ class _Output:
         self, component: str, spec: PortSpec, topic: str, owner: Owner, node: Node
     ) -> None:
         self.bound: BoundOut[Any] = BoundOut(component, spec, topic, self._send)
-        self._spec = spec
+        self.spec = spec
         self._topic = topic
         self._owner = owner
         self._node = node
         self._publisher: Publisher | None = None
-        self._past = 0
+        self._counted: tuple[Publisher | None, int] = (None, 0)
 
     def open(self) -> None:
         if self._publisher is None:
-            self._publisher = self._node.advertise(self._topic, self._spec.message, self._spec.qos)
+            self._publisher = self._node.advertise(self._topic, self.spec.message, self.spec.qos)
+            self._counted = (self._publisher, self._counted[1])
 
     def close(self) -> None:
         if self._publisher is not None:
-            self._past += self._publisher.published
             self._publisher.close()
             self._publisher = None
+            self._counted = (None, self._sent())
 
     def status(self) -> PortStatus:
-        sent = self._past + (self._publisher.published if self._publisher is not None else 0)
         return PortStatus(
-            port=self._spec.name,
+            port=self.spec.name,
             topic=self._topic,
             direction=PortStatus.OUT,
-            messages=sent,
+            messages=self._sent(),
             dropped=0,
             invalid=0,
         )
 
+    def _sent(self) -> int:
+        now, past = self._counted
+        return past if now is None else past + now.published
+
     def _send(self, message: Any) -> None:
         if self._publisher is not None and self._owner.may_publish:
             self._publisher.publish(message)
+
+
+def _holds(message: type[Any], name: str) -> bool:
+    return type_name(message) == name or any(
+        isinstance(field.element, type) and _holds(field.element, name)
+        for field in fields_of(message)
+    )

@@ -7,6 +7,7 @@ from datetime import UTC, datetime
 from cairn.bus.bus import Node
 from cairn.bus.qos import Qos
 from cairn.clock import SECOND, from_ns
+from cairn.component.status import wire_text
 from schemas.rcl_interfaces import Log
 
 ROSOUT = "/rosout"
@@ -31,17 +32,22 @@ class RosoutHandler(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         """Publish one record; `logging` calls this under the handler's lock."""
-        self._publisher.publish(
-            Log(
-                stamp=from_ns(int(record.created * SECOND)),
-                level=_LEVELS.get(record.levelno, 20),
-                name=record.name.removeprefix("cairn."),
-                msg=record.getMessage().replace("\0", "?"),
-                file=record.filename if hasattr(record, "filename") else record.module,
-                function=record.funcName or "",
-                line=record.lineno,
-            )
-        )
+        try:
+            self._publisher.publish(_entry(record))
+        except Exception:  # a log statement must not fail the component
+            self.handleError(record)
+
+
+def _entry(record: logging.LogRecord) -> Log:
+    return Log(
+        stamp=from_ns(int(record.created * SECOND)),
+        level=_LEVELS.get(record.levelno, 20),
+        name=record.name.removeprefix("cairn."),
+        msg=wire_text(record.getMessage()),
+        file=wire_text(record.filename),
+        function=record.funcName or "",
+        line=record.lineno,
+    )
 
 
 def render(entry: Log, *, as_json: bool = False) -> str:

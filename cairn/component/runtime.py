@@ -4,8 +4,8 @@ import logging
 import os
 import time
 import zlib
-from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
@@ -16,19 +16,18 @@ from cairn.bus.bus import Bus, full_name
 from cairn.clock import Clock, SimulatedClock, from_ns
 from cairn.component.clock_input import TOPIC, ClockInput
 from cairn.component.component import Component
-from cairn.component.lifecycle import State, Transition, goal
+from cairn.component.lifecycle import Recoveries, State, Transition, goal
 from cairn.component.loop import Scheduler
 from cairn.component.parameters import Config, changed, describe
 from cairn.component.port_table import PortTable
-from cairn.component.status import StatusPublisher
-from cairn.component.timers import Timers
+from cairn.component.status import StatusPublisher, wire_text
+from cairn.component.timing import Timing
 from cairn.errors import CairnError
 from schemas.cairn_msgs import ComponentStatus
+from schemas.message import InvalidMessage
 from schemas.std_msgs import Header
 
 SETTLE_LIMIT_S = 2.0
-RECOVERIES = 3
-RECOVERY_WINDOW_S = 10.0
 
 
 @dataclass(frozen=True)
@@ -79,35 +78,23 @@ class Runtime:
         self._system_clock = system_clock
         self._on_end = on_end
         self._state = State.UNCONFIGURED
+        self._walking: Transition | None = None
         self._busy: tuple[str, float] | None = None
-        self._finish_reason: str | None = None
+        self._finishing = ""
         self._reason = ""
-        self._recoveries: deque[float] = deque(maxlen=RECOVERIES)
-        self._timers = Timers()
+        self._recoveries = Recoveries()
         simulated = assignment.simulated_time and component.clock_source == "deployment"
         told = SimulatedClock() if simulated else None
         self.clock: Clock = system_clock if told is None else told
-        self._scheduler.bind(self._run_due)
+        self._timing = Timing(self.clock, scheduler, self.log, told=told is not None)
         self.node = bus.node(full_name(assignment.robot, assignment.name), self.log.error)
         try:
-            self.component = component(self)
-        except Exception as error:
+            self._construct(component, told)
+        except (Exception, SystemExit) as error:
             self.node.close()
             raise CairnError(
                 f"{self.name}: plugin {assignment.plugin} cannot be constructed: {_text(error)}"
             ) from error
-        self.component.config = self.config
-        robot = assignment.robot
-        self._ports = PortTable(
-            self.component, self, self.node, scheduler, robot, assignment.topics
-        )
-        self._clock_input: ClockInput | None = None
-        if told is not None:
-            topic = full_name(robot, assignment.topics.get(TOPIC, TOPIC))
-            self._clock_input = ClockInput(
-                told, self.node, topic, scheduler, self._time_moved, self.log.error
-            )
-        self.heartbeat = StatusPublisher(self.node, robot, self.status)
 
     @property
     def state(self) -> State:
@@ -117,12 +104,11 @@ class Runtime:
     def schedule(self, at: int, call: Callable[[], None]) -> None:
         """Have the component's `call` made at `at` [ns] of its clock."""
         name = getattr(call, "__name__", "scheduled call")
-        self._timers.at(at, lambda: self.run(name, call))
-        self._arm()
+        self._timing.at(at, partial(self.run, name, call))
 
     def finish(self, reason: str) -> None:
         """End normally once the current handler returns."""
-        self._finish_reason = reason
+        self._finishing = reason or "finished"
 
     def transition(self, transition: Transition) -> None:
         """Walk one step of the life cycle.
@@ -131,16 +117,22 @@ class Runtime:
         either unconfigured again (its `on_error` recovered) or has ended.
         """
         end = goal(self._state, transition)
+        self._walking = transition
         try:
-            self._step(transition)
-        except Exception as error:
-            text = self._fail(f"on_{transition}", error, retry=False)
-            raise CairnError(f"{self.name}: {transition} failed: {text}") from error
+            self._call(f"on_{transition}", self._step, transition)
+        except _Failure as failure:
+            self._walking = None
+            self._fail(failure, last=transition is Transition.SHUTDOWN)
+            why = self._reason.removeprefix(f"on_{transition}: ")
+            raise CairnError(f"{self.name}: {transition} failed: {why}") from failure.error
+        finally:
+            self._walking = None
         self._state = end
         if transition is Transition.SHUTDOWN:
-            self._ended(End(True, self._reason or "shut down"))
+            self._ended(End(True, self._finishing or "shut down"))
         else:
             self.heartbeat.publish()
+            self._finish_if_asked()
 
     def set_parameters(self, changes: Mapping[str, Any]) -> None:
         """Change live parameters, all or none; `ParameterRefused` says which and why."""
@@ -159,41 +151,34 @@ class Runtime:
             return [vars(parameter) for parameter in describe(self.config)]
         try:
             if verb == "set_parameters":
-                return self.set_parameters(arguments)
-            return self.component.on_request(verb, arguments)
-        except CairnError:
-            raise
-        except Exception as error:
-            self.log.exception("request %s failed", verb)
-            raise CairnError(f"{self.name}: {verb} failed: {_text(error)}") from error
+                return self._call("on_parameters", self.set_parameters, arguments)
+            return self._call(f"on_request {verb}", self.component.on_request, verb, arguments)
+        except _Failure as failure:
+            if isinstance(failure.error, CairnError):
+                raise failure.error from failure.error.__cause__
+            self.log.error("request %s failed", verb, exc_info=failure.error)
+            raise CairnError(f"{self.name}: {verb} failed: {_text(failure.error)}") from failure
+        finally:
+            self._finish_if_asked()
 
     def run(self, where: str, call: Callable[..., None], *arguments: Any) -> None:
         """Make one call into the component if it is active; an exception fails the component."""
         if self._state is not State.ACTIVE:
             return
-        self._busy = (where, time.monotonic())
+        if self._walking is not None:  # on its way out of `active`, it handles what waits already
+            self._call(where, call, *arguments)
+            return
         try:
-            call(*arguments)
-        except Exception as error:
-            self._fail(where, error, retry=True)
-        finally:
-            self._busy = None
-        if self._finish_reason is not None and self._state is State.ACTIVE:
-            self._reason, self._finish_reason = self._finish_reason, None
-            self.transition(Transition.SHUTDOWN)
+            self._call(where, call, *arguments)
+        except _Failure as failure:
+            if self._fail(failure):
+                self._scheduler.post(self._recover)
+        self._finish_if_asked()
 
     def progress(self, what: str) -> None:
         """Tell the watch that a long call gets on: it is not hung."""
-        self._busy = (what, time.monotonic())
-
-    def _time_moved(self, back: bool) -> None:
-        """Run what simulated time has made due; `back` means that time was set back."""
-        if back:
-            self.log.warning("time on topic clock was set back; periodic calls start anew")
-            self._timers.clear()
-            if self._state is State.ACTIVE:
-                self._start_timers()
-        self._run_due()
+        if self._busy is not None:
+            self._busy = (what, time.monotonic())
 
     def status(self) -> ComponentStatus:
         """The component's status now; from any thread."""
@@ -209,7 +194,7 @@ class Runtime:
             handler=busy[0] if busy else "",
             handler_s=time.monotonic() - busy[1] if busy else 0.0,
             restarts=self.assignment.restarts,
-            reason=self._reason,
+            reason=wire_text(self._reason),
             children=self.assignment.children,
             ports=self._ports.status(),
         )
@@ -217,109 +202,137 @@ class Runtime:
     @property
     def may_publish(self) -> bool:
         """Whether messages leave the component: an inactive component publishes nothing."""
-        return self._state is State.ACTIVE or self._busy_with(Transition.ACTIVATE)
+        return self._state is State.ACTIVE or self._walking is Transition.ACTIVATE
+
+    def _construct(self, component: type[Component], told: SimulatedClock | None) -> None:
+        self.component = component(self)
+        self.component.config = self.config
+        robot, topics = self.assignment.robot, self.assignment.topics
+        self._ports = PortTable(self.component, self, self.node, self._scheduler, robot, topics)
+        self._clock_input: ClockInput | None = None
+        if told is not None:
+            topic = full_name(robot, topics.get(TOPIC, TOPIC))
+            self._clock_input = ClockInput(
+                told, self.node, topic, self._scheduler, self._timing.moved, self.log.error
+            )
+        self.heartbeat = StatusPublisher(self.node, robot, self.status)
 
     def _step(self, transition: Transition) -> None:
-        self._busy = (f"on_{transition}", time.monotonic())
-        try:
-            match transition:
-                case Transition.CONFIGURE:
-                    self._ports.advertise()
-                    if self._clock_input is not None:
-                        self._clock_input.open()
-                    self.component.on_configure()
-                case Transition.ACTIVATE:
-                    self._ports.subscribe()
-                    self.component.on_activate()
-                    self._start_timers()
-                    unreached = self._bus.settle(SETTLE_LIMIT_S)
-                    if unreached:
-                        self.log.warning("no link yet to %s", ", ".join(unreached))
-                case Transition.DEACTIVATE:
+        match transition:
+            case Transition.CONFIGURE:
+                self._ports.advertise()
+                if self._clock_input is not None:
+                    self._clock_input.open()
+                self.component.on_configure()
+            case Transition.ACTIVATE:
+                self._ports.subscribe()
+                unreached = self._bus.settle(SETTLE_LIMIT_S)
+                if unreached:
+                    self.log.warning("no link yet to %s", ", ".join(unreached))
+                self.component.on_activate()
+                self._timing.start(
+                    (period, partial(self.run, name, call))
+                    for name, period, call in self._ports.timers()
+                )
+            case Transition.DEACTIVATE:
+                self._deactivate()
+            case Transition.CLEANUP:
+                self._ports.forget()
+                self.component.on_cleanup()
+            case Transition.SHUTDOWN:
+                if self._state is State.ACTIVE:
                     self._deactivate()
-                case Transition.CLEANUP:
-                    self._ports.forget()
+                    self._state = State.INACTIVE
+                if self._state is not State.UNCONFIGURED:
                     self.component.on_cleanup()
-                case Transition.SHUTDOWN:
-                    if self._state is State.ACTIVE:
-                        self._deactivate()
-                    if self._state is not State.UNCONFIGURED:
-                        self.component.on_cleanup()
-                    self.component.on_shutdown()
-        finally:
-            self._busy = None
+                self.component.on_shutdown()
 
     def _deactivate(self) -> None:
         self._ports.drain()
         self.component.on_deactivate()
         self._ports.unsubscribe()
-        self._timers.clear()
+        self._timing.stop()
 
-    def _busy_with(self, transition: Transition) -> bool:
-        return self._busy is not None and self._busy[0] == f"on_{transition}"
+    def _call(self, where: str, call: Callable[..., Any], *arguments: Any) -> Any:
+        """Make one call that the status tells of; what it raises becomes a `_Failure`."""
+        with self._doing(where):
+            try:
+                return call(*arguments)
+            except _Failure:  # of a handler within
+                raise
+            except Exception as error:
+                raise _Failure(where, error) from error
+            except SystemExit as error:
+                refusal = CairnError(f"it called sys.exit({error.code}); use self.finish(reason)")
+                raise _Failure(where, refusal) from error
 
-    def _start_timers(self) -> None:
-        now = self.clock.now()
-        for name, period, call in self._ports.timers():
-            self._timers.every(now + period, period, self.clock.now, partial(self.run, name, call))
-        self._arm()
+    @contextmanager
+    def _doing(self, where: str) -> Iterator[None]:
+        outer, self._busy = self._busy, (where, time.monotonic())
+        try:
+            yield
+        finally:
+            self._busy = outer
 
-    def _run_due(self) -> None:
-        now = self.clock.now()
-        while (call := self._timers.pop_due(now)) is not None:
-            call()
-        self._arm()
+    def _finish_if_asked(self) -> None:
+        if self._finishing and self._walking is None and self._state is not State.FINALIZED:
+            with suppress(CairnError):  # `_fail` has told it, and ended
+                self.transition(Transition.SHUTDOWN)
 
-    def _arm(self) -> None:
-        due = self._timers.next_due()
-        if due is not None and self.clock is self._system_clock:
-            self._scheduler.wake_at(due)
-
-    def _fail(self, where: str, error: Exception, *, retry: bool) -> str:
-        text = _text(error)
-        self._reason = f"{where}: {text}"
-        self.log.error("%s failed: %s", where, text, exc_info=error)
+    def _fail(self, failure: "_Failure", *, last: bool = False) -> bool:
+        self._reason = f"{failure.where}: {self._explained(failure.error)}"
+        self.log.error("%s", self._reason, exc_info=failure.error)
+        self._finishing = ""
         self._ports.unsubscribe()
-        self._timers.clear()
+        self._timing.stop()
         recovered = False
         try:
-            recovered = self.component.on_error(error)
-        except Exception as second:
-            self.log.exception("on_error failed as well: %s", _text(second))
-        if recovered and self._may_recover():
+            recovered = self._call("on_error", self.component.on_error, failure.error)
+        except _Failure as second:
+            self.log.error("on_error failed: %s", _text(second.error), exc_info=second.error)
+        if recovered and not last and self._recoveries.admit(self._system_clock.now(), self.log):
             self._state = State.UNCONFIGURED
-            if retry:
-                self._scheduler.post(self._recover)
-        else:
-            self._state = State.FINALIZED
-            self._ended(End(False, self._reason))
-        return text
+            self._ports.forget()
+            self.heartbeat.publish()
+            return True
+        self._state = State.FINALIZED
+        self._ended(End(False, self._reason))
+        return False
 
-    def _may_recover(self) -> bool:
-        now = time.monotonic()
-        often = len(self._recoveries) == RECOVERIES
-        if often and now - self._recoveries[0] < RECOVERY_WINDOW_S:
-            self.log.error("%d recoveries within %g s: ends", RECOVERIES, RECOVERY_WINDOW_S)
-            return False
-        self._recoveries.append(now)
-        return True
+    def _explained(self, error: Exception) -> str:
+        ports = self._ports.carriers(error.type_name) if isinstance(error, InvalidMessage) else []
+        carried = f" (for port {' or '.join(ports)})" if ports else ""
+        return f"{_text(error)}{carried}"
 
     def _recover(self) -> None:
-        for transition in (Transition.CONFIGURE, Transition.ACTIVATE):
-            try:
-                self.transition(transition)
-            except CairnError as error:
-                self.log.error("recovery failed: %s", error)
-                return
-        self.log.info("recovered")
+        if self._state is not State.UNCONFIGURED:
+            return  # it was asked to do something else meanwhile
+        try:
+            self.transition(Transition.CONFIGURE)
+            if self.state is not State.FINALIZED:
+                self.transition(Transition.ACTIVATE)
+        except CairnError as error:
+            self.log.error("recovery failed: %s", error)
+            self._scheduler.post(self._recover)  # until it has tried too often
+        else:
+            self.log.info("recovered")
 
     def _ended(self, end: End) -> None:
         self._reason = end.reason
-        self.heartbeat.publish()
-        self.heartbeat.close()
-        self.node.close()
-        self._scheduler.stop()
-        self._on_end(end)
+        try:
+            self.heartbeat.publish()
+            self.heartbeat.close()
+            self.node.close()
+        finally:
+            self._scheduler.stop()
+            self._on_end(end)
+
+
+class _Failure(Exception):  # noqa: N818 - carries the component's own error and its place
+    def __init__(self, where: str, error: Exception) -> None:
+        super().__init__(where)
+        self.where = where
+        self.error = error
 
 
 def _config(component: type[Component], assignment: Assignment) -> Config:
@@ -329,5 +342,5 @@ def _config(component: type[Component], assignment: Assignment) -> Config:
         raise CairnError(f"{assignment.name}: parameters refused: {error}") from error
 
 
-def _text(error: Exception) -> str:
+def _text(error: BaseException) -> str:
     return str(error) if isinstance(error, CairnError) else f"{type(error).__name__}: {error}"

@@ -29,3 +29,8 @@ class StatusPublisher:
         """Publish no more."""
         with self._lock:
             self._open = False
+
+
+def wire_text(text: str) -> str:
+    """Any text as a message can hold it: without NUL, and of characters that UTF-8 has."""
+    return text.replace("\0", "?").encode("utf-8", "replace").decode()

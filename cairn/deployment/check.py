@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping
 from cairn.component.handlers import handlers_of
 from cairn.component.ports import ports_of
 from cairn.deployment.document import Node, Steps, dotted
-from cairn.deployment.model import Deployment
+from cairn.deployment.model import RESERVED, Deployment
 from cairn.deployment.plugins import PluginError, load_plugin
 from cairn.deployment.problems import Problem, one_of
 from cairn.deployment.tree import Placed, components
@@ -25,6 +25,10 @@ def problems_of(root: Node, unresolved: frozenset[Steps]) -> list[Problem]:
             at = node.key_at or node.at
             problems.append(Problem(at, dotted(path), found, "give it another name"))
         first.setdefault(name, node)
+        if name in RESERVED:
+            found = f"{name} is the name of {RESERVED[name]}"
+            at = node.key_at or node.at
+            problems.append(Problem(at, dotted(path), found, "give it another name"))
         component, found_problems = _resolved(Placed(name, path, node), unresolved)
         placed.append(component)
         problems += found_problems

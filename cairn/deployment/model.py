@@ -14,6 +14,11 @@ Seconds = Annotated[float, Field(gt=0, le=3600, allow_inf_nan=False)]
 Restart = Literal["permanent", "transient", "temporary"]
 Strategy = Literal["one_for_one", "rest_for_one", "one_for_all"]
 
+ROOT = "root"
+VIEW = "cairn_up"
+RESERVED = {ROOT: "the root of the tree of components", VIEW: "the node with which `cairn up` listens"}
+"""Names of nodes that every deployment has, so that no component can have them."""
+
 _LISTEN = "tcp/127.0.0.1:7447"
 _ENDPOINT = re.compile(r"(?:tcp|tls|quic|udp|ws)/(\[[^\]]+\]|[^:/\[\]]+):(\d+)(?:[?#].*)?")
 

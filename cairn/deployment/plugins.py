@@ -68,6 +68,25 @@ def load_plugin(reference: str) -> "type[Component]":
     return _component(next(iter(offers)))
 
 
+def modules_named(document: object) -> list[str]:
+    """The modules of all plugins named anywhere in a deployment's plain data, not imported.
+
+    It may be any data: what is not a deployment is for the check to tell.
+    """
+    targets = {point.name: point.value for point in _entry_points()}
+    found: dict[str, None] = {}
+    waiting = [document]
+    while waiting:
+        data = waiting.pop()
+        if not isinstance(data, dict):
+            continue
+        plugin = data.get("plugin")
+        if isinstance(plugin, str) and ":" in targets.get(plugin, plugin):
+            found[targets.get(plugin, plugin).partition(":")[0]] = None
+        waiting.extend(data.values())
+    return list(found)
+
+
 def _component(target: str) -> "type[Component]":
     from cairn.component.component import Component
 

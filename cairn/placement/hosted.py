@@ -100,11 +100,11 @@ class Hosted:
     def _run(self) -> None:
         try:
             self._loop.run()
-        except Exception as error:  # a defect of ours: it must not leave a mute process behind
+        except BaseException as error:  # sys.exit() included: no mute process is left behind
             self._note_end(End(False, f"its loop failed: {type(error).__name__}: {error}"))
             self.runtime.log.exception("the component's loop failed")
 
     def _note_end(self, end: End) -> None:
-        self.end = end
+        self.end = self.end or end  # the first cause, not what followed from it
         self.ended.set()
         self.on_end()

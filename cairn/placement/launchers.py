@@ -1,6 +1,10 @@
 """Starts a supervisor's children, each in a process of its own or in the supervisor's."""
 
-from collections import deque
+import contextlib
+import signal
+import threading
+from collections.abc import Callable
+from concurrent.futures import Future, InvalidStateError
 from pathlib import Path
 
 from cairn.bus.arrival import Arrival
@@ -10,6 +14,7 @@ from cairn.bus.zenoh_bus import ZenohBus
 from cairn.deployment.plugins import load_plugin
 from cairn.errors import CairnError
 from cairn.placement.hosted import Hosted
+from cairn.placement.last_words import end_of
 from cairn.placement.order import Order, as_json
 from cairn.supervision.child import Child, ChildEnd, ChildSpec, Verb
 from cairn.supervision.child_process import ChildExit, ChildProcess
@@ -17,7 +22,10 @@ from cairn.supervision.component import SupervisorComponent
 from cairn.supervision.zygote_client import ZygoteClient, ZygoteLost
 
 ENTRY = "cairn.placement.process:main"
-_TAIL_BYTES = 4000
+TRACEBACK_SIGNAL = signal.SIGUSR1
+"""A component's process that gets it writes to its log what all of its threads are doing."""
+_TRACEBACK_LIMIT_S = 0.2
+_KILL_LIMIT_S = 5.0
 
 
 class Household:
@@ -40,6 +48,13 @@ class Household:
         if self.launcher is not None:
             self.launcher.heartbeat()
 
+    def request_stop(self) -> None:
+        """Have nothing started any more below, and cut short what is under way; any thread."""
+        component = self.hosted.runtime.component
+        if isinstance(component, SupervisorComponent) and self.launcher is not None:
+            component.children.request_stop()
+            self.launcher.request_stop()
+
     def close(self) -> None:
         """Leave the bus; kill what is left of the children."""
         self.hosted.close()
@@ -55,6 +70,7 @@ class HostLauncher:
         self._order = supervisor.order
         self._zygote: ZygoteClient | None = None
         self._here: list[Household] = []
+        self._starting: ProcessChild | None = None
 
     def launch(self, spec: ChildSpec, incarnation: int) -> Child:
         """Start a child and wait until it can be asked; `CairnError` with the cause if not."""
@@ -74,6 +90,13 @@ class HostLauncher:
         for household in tuple(self._here):
             household.heartbeat()
 
+    def request_stop(self) -> None:
+        """Ask the child that is being started, if there is one, to end; from any thread."""
+        for household in tuple(self._here):
+            household.request_stop()
+        if self._starting is not None:
+            self._starting.give_up()
+
     def close(self) -> None:
         """Kill what is left of the children."""
         for household in self._here:
@@ -85,6 +108,7 @@ class HostLauncher:
         surroundings = order.surroundings
         name = full_name(surroundings.robot, order.name)
         log = Path(surroundings.log_folder) / f"{order.name}.log"
+        fresh = order.spec.interpreter == "fresh"
         session = self._supervisor.bus.session
         with Arrival(session, control_key(surroundings.domain, name)) as arrival:
             process = self._client().spawn(
@@ -92,21 +116,20 @@ class HostLauncher:
                 ENTRY,
                 as_json(order),
                 log,
-                fresh=order.spec.interpreter == "fresh",
-                needs=[]
-                if order.spec.interpreter == "fresh"
-                else [load_plugin(order.spec.plugin).__module__],
+                fresh=fresh,
+                needs=[] if fresh else [load_plugin(order.spec.plugin).__module__],
                 timeout_s=timeout_s,
             )
-            child = ProcessChild(process, log, name, self._supervisor)
+            child = ProcessChild(process, log, name, self._supervisor, arrival.give_up)
+            self._starting = child
             process.on_end(lambda _: arrival.give_up())
             if arrival.wait(timeout_s):
                 return child
         end = child.wait(0)
         if end is None:
             process.kill()
-            end = child.wait(5.0)
-            raise CairnError(f"{order.name} did not join the bus within {timeout_s:g} s")
+            child.wait(_KILL_LIMIT_S)
+            raise CairnError(f"it did not join the bus within {timeout_s:g} s; log: {log}")
         raise CairnError(end.reason)
 
     def _client(self) -> ZygoteClient:
@@ -139,41 +162,76 @@ class HostLauncher:
 class ProcessChild:
     """A component in a process of its own, asked over the bus."""
 
-    def __init__(self, process: ChildProcess, log: Path, full: str, supervisor: Hosted) -> None:
+    def __init__(
+        self,
+        process: ChildProcess,
+        log: Path,
+        full: str,
+        supervisor: Hosted,
+        give_up_launch: Callable[[], None],
+    ) -> None:
         self._process = process
         self._log = log
         self._full = full
         self._supervisor = supervisor
+        self._give_up_launch = give_up_launch
+        self._start_under_way = True
+        self._answer: Future[None] = Future()  # to the last step of starting
 
     def request(self, verb: Verb, timeout_s: float) -> None:
-        """Have it make a transition."""
-        domain = self._supervisor.order.surroundings.domain
-        session = self._supervisor.bus.session
+        """Have it make a transition; a step of starting may be cut short by `give_up`."""
         try:
-            request(session, domain, self._full, verb, timeout_s=max(0.01, timeout_s))
+            if self._start_under_way and verb in ("configure", "activate"):
+                self._ask_interruptibly(verb, timeout_s)
+                self._start_under_way = verb == "configure"
+            else:
+                self._ask(verb, timeout_s)
         except CairnError:
             end = self.wait(0.2)  # its end is told over another line than its silence
-            if end is not None and not end.normal:
+            if end is None:
+                raise
+            if not end.normal or verb != "shutdown":
                 raise CairnError(end.reason) from None
-            raise
+
+    def give_up(self) -> None:
+        """Cut short the start that is under way, and ask the process to end; from any thread."""
+        if self._start_under_way:
+            self._give_up_launch()
+            _answer(self._answer, CairnError("a stop was requested"))
+            self.terminate()
 
     def terminate(self) -> None:
         """Ask its process to end."""
         self._process.terminate()
 
     def kill(self) -> None:
-        """Kill its process group."""
-        self._process.kill()
+        """Kill its process group; its log gets to know what it was doing."""
+        self._process.signal(TRACEBACK_SIGNAL)
+        if self._process.wait(_TRACEBACK_LIMIT_S) is None:
+            self._process.kill()
 
     def wait(self, timeout_s: float) -> ChildEnd | None:
         """Its end, with its last words."""
         exit_ = self._process.wait(timeout_s)
-        if exit_ is None:
-            return None
-        words = last_words(self._log, self._process.pid)
-        if exit_.normal:
-            return ChildEnd(True, words or "ended")
-        return ChildEnd(False, f"{exit_}{': ' + words if words else ''}; log: {self._log}")
+        return None if exit_ is None else end_of(exit_, self._log)
+
+    def _ask(self, verb: Verb, timeout_s: float) -> None:
+        domain = self._supervisor.order.surroundings.domain
+        session = self._supervisor.bus.session
+        request(session, domain, self._full, verb, timeout_s=max(0.01, timeout_s))
+
+    def _ask_interruptibly(self, verb: Verb, timeout_s: float) -> None:
+        self._answer = answer = Future[None]()
+
+        def ask() -> None:
+            try:
+                self._ask(verb, timeout_s)
+                _answer(answer, None)
+            except Exception as error:
+                _answer(answer, error)
+
+        threading.Thread(target=ask, name=f"{verb} {self._full}", daemon=True).start()
+        answer.result()  # `_ask` keeps the time limit
 
 
 class InProcessChild:
@@ -206,22 +264,9 @@ class InProcessChild:
         return ChildEnd(self._hosted.end.normal, self._hosted.end.reason)
 
 
-def last_words(log: Path, pid: int) -> str:
-    """The last line that process `pid` wrote as its closing words; "" if it had none."""
-    mark = closing_words(pid, "")
-    try:
-        with log.open("rb") as file:
-            file.seek(0, 2)
-            file.seek(max(0, file.tell() - _TAIL_BYTES))
-            lines = deque(file.read().decode(errors="replace").splitlines(), maxlen=20)
-    except OSError:
-        return ""
-    for line in reversed(lines):
-        if line.startswith(mark):
-            return line.removeprefix(mark)
-    return lines[-1].strip() if lines else ""
-
-
-def closing_words(pid: int, reason: str) -> str:
-    """The line with which a component's process says why it ends."""
-    return f"process {pid} ended: {reason}"
+def _answer(future: "Future[None]", error: Exception | None) -> None:
+    with contextlib.suppress(InvalidStateError):  # answered before
+        if error is None:
+            future.set_result(None)
+        else:
+            future.set_exception(error)

@@ -6,7 +6,6 @@ from pydantic import BaseModel, ConfigDict
 
 from cairn.component.runtime import Assignment
 from cairn.deployment.model import ComponentSpec
-from cairn.deployment.plugins import load_plugin
 
 
 class Surroundings(BaseModel):
@@ -49,16 +48,6 @@ class Order(BaseModel):
             restarts=self.incarnation - 1,
             children=tuple(self.spec.children),
         )
-
-
-def modules_of(specs: dict[str, ComponentSpec]) -> list[str]:
-    """The modules of the plugins of all components below, for the zygote to import."""
-    found: dict[str, None] = {}
-    for spec in specs.values():
-        if spec.interpreter == "shared":
-            found[load_plugin(spec.plugin).__module__] = None
-        found |= dict.fromkeys(modules_of(spec.children))
-    return list(found)
 
 
 def as_json(order: Order) -> dict[str, Any]:

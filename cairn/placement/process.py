@@ -1,18 +1,20 @@
 """The main function of a component's own process."""
 
+import faulthandler
 import logging
+import os
 import signal
 import sys
-from os import getpid
 from typing import Any
 
 from cairn.bus.session import open_peer
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.errors import CairnError
-from cairn.placement.launchers import Household, closing_words
+from cairn.placement.attendance import Attendance
+from cairn.placement.last_words import closing_words
+from cairn.placement.launchers import TRACEBACK_SIGNAL, Household
 from cairn.placement.order import Order
 
-HEARTBEAT_S = 0.25
 _SWITCH_INTERVAL_S = 0.0005
 """A computing handler lets the threads that receive messages in after at most so long."""
 
@@ -23,6 +25,7 @@ def main(argument: dict[str, Any]) -> None:
     """Run the component that the order `argument` names until it ends or SIGTERM comes."""
     order = Order.model_validate(argument)
     logging.basicConfig(level=logging.INFO, format=LOG_FORMAT, stream=sys.stderr)
+    faulthandler.register(TRACEBACK_SIGNAL, all_threads=True)
     sys.setswitchinterval(_SWITCH_INTERVAL_S)
     code = 1
     reason = "it could not join the bus"
@@ -34,18 +37,29 @@ def main(argument: dict[str, Any]) -> None:
             bus.close()
     except CairnError as error:
         reason = str(error)
-    print(closing_words(getpid(), reason), file=sys.stderr, flush=True)  # noqa: T201
+    _say(closing_words(os.getpid(), reason))
     sys.exit(code)
 
 
 def _run(household: Household) -> tuple[int, str]:
     hosted = household.hosted
-    signal.signal(signal.SIGTERM, lambda *_: hosted.ask("shutdown"))
+    attendance = Attendance(household)
     try:
-        while not hosted.ended.wait(HEARTBEAT_S):
-            household.heartbeat()
+        with attendance.signals(signal.SIGTERM, signal.SIGINT):
+            attendance.until_end(_nothing_more, impatient=False)
     finally:
         household.close()
     if hosted.end is None:
         return 1, "its loop ended without a word"
     return (0 if hosted.end.normal else 1), hosted.end.reason
+
+
+def _nothing_more() -> None:
+    """A component's process has nothing else to do on its main thread."""
+
+
+def _say(words: str) -> None:
+    try:
+        print(words, file=sys.stderr, flush=True)  # noqa: T201
+    except OSError:  # a full disk: the exit code still tells, if nothing is flushed at exit
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 2)

@@ -4,28 +4,44 @@ import os
 import shutil
 import signal
 import tempfile
-import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
 from cairn.bus.session import open_peer, open_router
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.component.runtime import End
-from cairn.deployment.model import ComponentSpec, Deployment
+from cairn.deployment.model import ROOT, ComponentSpec, Deployment
 from cairn.errors import CairnError
+from cairn.placement.attendance import Attendance
 from cairn.placement.launchers import Household
-from cairn.placement.order import Order, Surroundings, modules_of
-from cairn.placement.process import HEARTBEAT_S
-from cairn.supervision.component import SupervisorComponent
+from cairn.placement.order import Order, Surroundings
 from cairn.supervision.zygote_process import ZygoteProcess, start_zygote
 
-ROOT = "root"
+PROCESS_MODULE = "cairn.placement.process"
+"""What every component's process runs: imported in the zygote, for all."""
+
 _PLUGIN = "cairn.supervision.component:SupervisorComponent"
+
+
+@contextmanager
+def started_zygote(modules: Sequence[str]) -> Iterator[ZygoteProcess]:
+    """The zygote of a deployment, which imports the modules while the deployment is checked.
+
+    Whatever it has started ends with the context. Raises `CairnError` if no folder for its socket
+    can be made.
+    """
+    with _runtime_folder() as folder:
+        zygote = start_zygote([PROCESS_MODULE, *modules], folder)
+        try:
+            yield zygote
+        finally:
+            zygote.close()
 
 
 def run_processes(
     deployment: Deployment,
+    zygote: ZygoteProcess,
     log_folder: Path,
     seed: int,
     watch: Callable[[ZenohBus], Callable[[], None]],
@@ -35,14 +51,9 @@ def run_processes(
     `watch` is given the bus and returns what is to be called every quarter of a second. Nothing
     is left running, whatever happens. Raises `CairnError` if the port is taken.
     """
-    with _runtime_folder() as folder:
-        zygote = start_zygote(modules_of(deployment.components), folder)
-        try:
-            with _bus(deployment) as bus:
-                order = _order(deployment, zygote, log_folder, seed)
-                return _run(Household(order, bus), watch(bus), zygote)
-        finally:
-            zygote.close()
+    with _bus(deployment) as bus:
+        order = _order(deployment, zygote, log_folder, seed)
+        return _run(Household(order, bus), watch(bus), zygote)
 
 
 def endpoints(deployment: Deployment) -> tuple[str, ...]:
@@ -52,33 +63,46 @@ def endpoints(deployment: Deployment) -> tuple[str, ...]:
 
 def _run(household: Household, refresh: Callable[[], None], zygote: ZygoteProcess) -> End:
     hosted = household.hosted
-    supervisor = hosted.runtime.component
-    assert isinstance(supervisor, SupervisorComponent)
-    stopping = threading.Event()
-
-    def stop(*_: object) -> None:
-        supervisor.children.request_stop()
-        if not stopping.is_set():
-            stopping.set()
-            hosted.ask("shutdown")
-
-    before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
+    attendance = Attendance(household)
+    watch = _Watch(refresh, zygote, attendance)
     try:
-        hosted.ask("configure")
-        hosted.ask("activate")
-        while not hosted.ended.wait(HEARTBEAT_S):
-            household.heartbeat()
-            refresh()
-            if not zygote.alive:
-                stop()
-        refresh()
+        with attendance.signals(signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            hosted.ask("configure")
+            hosted.ask("activate")
+            if not attendance.until_end(watch.turn, impatient=True):
+                zygote.close()
+                return End(False, "stopped by force, on a second signal; nothing is left running")
+        watch.turn()
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
         household.close()
+    if watch.failure is not None:
+        raise watch.failure
     if not zygote.alive:
         return End(False, "the zygote was killed, and with it every component; nothing is left")
     return hosted.end or End(False, "the root ended without a word")
+
+
+class _Watch:
+    """What is done at every turn of the main thread: the view, and a look at the zygote."""
+
+    def __init__(
+        self, refresh: Callable[[], None], zygote: ZygoteProcess, attendance: Attendance
+    ) -> None:
+        self.failure: Exception | None = None  # of the view; the robot stops in good order first
+        self._refresh = refresh
+        self._zygote = zygote
+        self._attendance = attendance
+        self._stopping = False
+
+    def turn(self) -> None:
+        if self.failure is None:
+            try:
+                self._refresh()
+            except Exception as error:  # the terminal has gone, or the disk is full
+                self.failure = error
+        if not self._stopping and (self.failure is not None or not self._zygote.alive):
+            self._stopping = True
+            self._attendance.stop()
 
 
 def _order(deployment: Deployment, zygote: ZygoteProcess, log_folder: Path, seed: int) -> Order:

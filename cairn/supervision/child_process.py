@@ -21,10 +21,15 @@ class ChildExit:
         """Whether it ended by itself and successfully."""
         return self.code == 0
 
-    def __str__(self) -> str:
+    @property
+    def manner(self) -> str:
+        """How it ended in words, such as "was killed by SIGSEGV"."""
         if self.signal is None:
-            return f"{self.name} (process {self.pid}) ended with exit code {self.code}"
-        return f"{self.name} (process {self.pid}) was killed by {_signal_name(self.signal)}"
+            return f"ended with exit code {self.code}"
+        return f"was killed by {_signal_name(self.signal)}"
+
+    def __str__(self) -> str:
+        return f"{self.name} (process {self.pid}) {self.manner}"
 
 
 class ChildProcess:

@@ -1,9 +1,13 @@
 """A component that keeps other components running: the base of every supervisor."""
 
+import logging
+import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, Protocol
+
+import psutil
 
 from cairn.bus.qos import LATCHED
 from cairn.component.component import Component
@@ -12,13 +16,17 @@ from cairn.component.ports import In
 from cairn.deployment.model import ComponentSpec, Supervision
 from cairn.errors import CairnError
 from cairn.supervision.child import ChildSpec, Launcher
-from cairn.supervision.events import SupervisionEvent
+from cairn.supervision.events import ChildStatus, SupervisionEvent
 from cairn.supervision.policy import Intensity
-from cairn.supervision.supervisor import Supervisor
+from cairn.supervision.supervisor import Escalate, Supervisor
 from schemas.cairn_msgs import ComponentStatus
 
 _SILENCE_S = 3.0
 """Beyond its limit for one handler a child may be silent for so long: the machine may be busy."""
+_BUSY_S = 1.5
+"""A watch that comes so late was kept from hearing; it comes every half second."""
+_FORCE_S = 3.0
+"""What it takes to end a child by force that has not stopped in time."""
 
 
 class Host(Protocol):
@@ -65,6 +73,7 @@ class SupervisorComponent(Component):
         self._specs = specs
         self._host = host
         self._heartbeats: dict[str, _Heartbeat] = {}
+        self._watched_at = -math.inf
         self.children = Supervisor(
             self.name,
             [child_spec(name, spec) for name, spec in specs.items()],
@@ -102,7 +111,16 @@ class SupervisorComponent(Component):
             raise CairnError(
                 f"{self.name} has no child {name}; it has {', '.join(self._specs) or 'none'}"
             )
-        getattr(self.children, verb)(name)
+        try:
+            getattr(self.children, verb)(name)
+        except Escalate as error:
+            given_up = error
+
+            def give_up() -> None:
+                raise given_up
+
+            self._host.post(give_up)  # who asked is told, but the failure is the supervisor's
+            raise
         states = {status.name: status.state for status in self.children.status()}
         return states[name]
 
@@ -119,25 +137,30 @@ class SupervisorComponent(Component):
     @every(hz=2)
     def watch(self) -> None:
         """Find children that hang: one handler for too long, or no sign of life."""
-        for child in self.children.status():
-            beat = self._heartbeats.get(child.name)
-            if child.state != "active" or beat is None:
-                continue
-            if beat.status.restarts + 1 != child.incarnation or beat.status.state != "active":
-                continue
-            self._judge(child.name, child.incarnation, beat)
+        now = time.monotonic()
+        if now - self._watched_at < _BUSY_S:
+            for child in self.children.status():
+                beat = self._heartbeats.get(child.name)
+                if child.state == "active" and beat is not None:
+                    self._judge(child, beat)
+        else:  # busy with a start or a stop: what the others said meanwhile is heard next
+            for beat in self._heartbeats.values():
+                beat.heard_at = now
         self._reconcile()
+        self._watched_at = now
 
-    def _judge(self, name: str, incarnation: int, beat: _Heartbeat) -> None:
-        spec = self._specs[name]
+    def _judge(self, child: ChildStatus, beat: _Heartbeat) -> None:
+        status, spec = beat.status, self._specs[child.name]
+        if status.restarts + 1 != child.incarnation or status.state != "active":
+            return
         silent_s = time.monotonic() - beat.heard_at
-        handler, busy_s = beat.status.handler, beat.status.handler_s
-        limit_s = spec.hang_timeout_s
-        if handler and not spec.children and busy_s > limit_s:
-            self.children.child_hung(name, incarnation, handler, busy_s + silent_s)
+        limit_s = spec.hang_timeout_s + _longest_step_s(spec)
+        if status.handler and status.handler_s > limit_s:
+            busy_s = status.handler_s + silent_s
+            self.children.child_hung(child.name, child.incarnation, status.handler, busy_s)
         elif silent_s > limit_s + _SILENCE_S and spec.placement == "process":
-            where = handler or "no handler, its process gives no sign of life"
-            self.children.child_hung(name, incarnation, where, silent_s)
+            where = _where_silent(status)
+            self.children.child_hung(child.name, child.incarnation, where, silent_s)
 
     def _reconcile(self) -> None:
         self.children.reconcile()
@@ -148,23 +171,34 @@ class SupervisorComponent(Component):
             self.finish(self.children.finished)
 
     def _observe(self, event: SupervisionEvent) -> None:
-        reason = f": {event.reason}" if event.reason else ""
-        text = f"{event.child} {event.what.replace('_', ' ')}{reason}"
-        if event.what in ("start_failed", "hung", "given_up"):
-            self.log.error("%s", text)
-        elif event.what in ("ended", "stop_failed"):
-            self.log.warning("%s", text)
-        elif event.what in ("active", "stopped", "finished"):
-            self.log.info("%s", text)
-        else:
-            self.log.debug("%s", text)
+        reason = event.reason.removeprefix(f"{event.child}: ")
+        match event.what:
+            case "given_up":
+                self.log.error("%s", reason)
+            case "hung":
+                self.log.error("%s %s", event.child, reason)
+            case "start_failed":
+                self.log.error("%s could not be started: %s", event.child, reason)
+            case "stop_failed":
+                self.log.warning("%s is being stopped: %s", event.child, reason)
+            case "ended" if not event.normal:
+                self.log.warning("%s %s", event.child, reason)
+            case "ended" | "finished" | "stopped":
+                what = "ended" if event.what == "ended" else "stopped"
+                level = logging.INFO if event.normal else logging.WARNING
+                self.log.log(level, "%s %s: %s", event.child, what, reason)
+            case "active":
+                self.log.info("%s active", event.child)
+            case _:
+                self.log.debug("%s %s %s", event.child, event.what, reason)
 
 
 def child_spec(name: str, spec: ComponentSpec) -> ChildSpec:
     """A component of the deployment as its supervisor's engine sees it.
 
     A supervisor with something significant below it is significant itself: its normal end, which
-    only that can bring about, is passed on upwards.
+    only that can bring about, is passed on upwards. Its limits are added to those of its children,
+    whom it starts and stops one after the other.
     """
     inherits = any(child_spec(*child).significant for child in spec.children.items())
     return ChildSpec(
@@ -172,6 +206,32 @@ def child_spec(name: str, spec: ComponentSpec) -> ChildSpec:
         restart="transient" if inherits and spec.restart == "permanent" else spec.restart,
         significant=spec.significant or inherits,
         load=spec.load,
-        start_timeout_s=spec.start_timeout_s,
-        stop_timeout_s=spec.stop_timeout_s,
+        start_timeout_s=_start_limit_s(spec),
+        stop_timeout_s=_stop_limit_s(spec),
     )
+
+
+def _start_limit_s(spec: ComponentSpec) -> float:
+    below = (_start_limit_s(child) for child in spec.children.values() if child.load == "at_start")
+    return spec.start_timeout_s + sum(below)
+
+
+def _stop_limit_s(spec: ComponentSpec) -> float:
+    below = (_stop_limit_s(child) + _FORCE_S for child in spec.children.values())
+    return spec.stop_timeout_s + sum(below)
+
+
+def _longest_step_s(spec: ComponentSpec) -> float:
+    """The longest that a supervisor may be busy with one of its children, 0 for others."""
+    children = spec.children.values()
+    return max((max(_start_limit_s(child), _stop_limit_s(child)) for child in children), default=0)
+
+
+def _where_silent(status: ComponentStatus) -> str:
+    """Where a component is whose process says nothing any more."""
+    try:
+        if psutil.Process(status.pid).status() == psutil.STATUS_STOPPED:
+            return "a process that was stopped by a signal, as by SIGSTOP,"
+    except psutil.Error:  # another user's, or just gone
+        pass
+    return f"{status.handler or 'a call'} that lets no other thread of its process run,"

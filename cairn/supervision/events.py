@@ -27,6 +27,7 @@ class SupervisionEvent:
     incarnation: int  # how many times the child has been launched
     what: What
     reason: str = ""
+    normal: bool = True  # False for what ended or was stopped by a failure or by force
 
 
 @dataclass(frozen=True)

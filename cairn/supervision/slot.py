@@ -72,6 +72,8 @@ class Slot:
             self.state = "ended"
             raise
         except CairnError as error:
+            if stop_requested():  # which cut the step short
+                raise StopRequested from error
             self.reason = str(error)
             self.tell("start_failed", self.reason)
             if self.child is not None:
@@ -101,7 +103,7 @@ class Slot:
         if end is None:
             end = self._end(child, child.terminate, child.kill)
         self.child, self.state = None, "ended"
-        self.tell("stopped", end.reason)
+        self.tell("stopped", end.reason, normal=end.normal)
 
     def kill(self) -> None:
         """End the child by force, at once; nothing if there is none."""
@@ -112,11 +114,12 @@ class Slot:
     def ended(self, what: What, end: ChildEnd) -> None:
         """Note that the child ended."""
         self.child, self.state, self.reason = None, "ended", end.reason
-        self.tell(what, end.reason)
+        self.tell(what, end.reason, normal=end.normal)
 
-    def tell(self, what: What, reason: str = "") -> None:
+    def tell(self, what: What, reason: str = "", *, normal: bool = True) -> None:
         """Have the supervisor's observer know."""
-        self._observe(SupervisionEvent(self._now(), self.spec.name, self.incarnation, what, reason))
+        name, incarnation = self.spec.name, self.incarnation
+        self._observe(SupervisionEvent(self._now(), name, incarnation, what, reason, normal))
 
     def _stop_step(self, child: Child, verb: Verb, deadline: float) -> None:
         left_s = deadline - self._now()

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from components.localizer.object_likelihood import Landmark, Sighting
+from components.localizer.object_likelihood import Landmark, Sighting, object_log_likelihood
 from components.localizer.particles import Estimate
 from components.localizer.recent import Pose, Support, moved_apart
 from components.localizer.ring import converge, draw_ring
@@ -30,6 +30,7 @@ Array = NDArray[np.float64]
 VETO = 0.35  # [m] an implied place this near another live object may be that object
 SAME_PLACE = 0.6  # [m] implied places this near each other speak of one place
 CORROBORATED, CORROBORATED_NEAR_ANOTHER = 3, 8  # contradictions from different poses
+BELIEVED = 1.0 - 1e-12
 UNCORROBORATED = 0.45  # similarity of a contradiction that stands alone
 
 
@@ -108,19 +109,18 @@ class Judge:
             similarity, distance = self._by_new_samples(sighting, landmark, pose, others)
         else:
             similarity, distance = likelihood_ratio_similarity(seen), math.sqrt(seen.nis)
-        verdict = Verdict.AGREES if similarity >= NEUTRAL else Verdict.DISAGREES
-        trusted = support.firm
-        if not converged or (verdict is Verdict.DISAGREES and not trusted):
-            return _judgement(sighting, pose, NEUTRAL, Verdict.NOT_CONVERGED, distance, contradicts)
-        if verdict is Verdict.AGREES:
-            if support.contradicting > support.agreeing:
-                return _judgement(
-                    sighting, pose, NEUTRAL, Verdict.NOT_CONVERGED, distance, contradicts
-                )
-            if similarity > NEUTRAL:
-                self.forget(sighting.object_id)
-            return _judgement(sighting, pose, similarity, verdict, distance, contradicts)
-        similarity, verdict = self._contradicted(sighting, pose, landmarks, similarity)
+        # To speak against an object takes a firmer pose than to speak for it.
+        trusted = support.firm or (
+            similarity > NEUTRAL and support.agreeing >= support.contradicting
+        )
+        verdict = Verdict.NOT_CONVERGED
+        if not converged or not trusted or similarity == NEUTRAL:
+            similarity = NEUTRAL
+        elif similarity > NEUTRAL:
+            verdict = Verdict.AGREES
+            self.forget(sighting.object_id)
+        else:
+            similarity, verdict = self._contradicted(sighting, pose, landmarks, similarity)
         return _judgement(sighting, pose, similarity, verdict, distance, contradicts)
 
     def _contradicted(
@@ -157,7 +157,13 @@ class Judge:
     ) -> tuple[float, float]:
         """Mode "paper": similarity and distance [m] of new samples drawn around the object."""
         drawn = draw_ring(sighting, landmark, self.ring_samples, self.random)
-        found = converge(drawn, others, self.random)
+        # New samples take the object at its word; else the others would draw them off its ring.
+        believed = replace(landmark, reliability=BELIEVED)
+        found = converge(
+            drawn,
+            lambda poses: others(poses) + object_log_likelihood(poses, sighting, believed),
+            self.random,
+        )
         if found is None:
             return NEUTRAL, 0.0
         turn = (found.mean[2] - pose.mean[2] + math.pi) % (2.0 * math.pi) - math.pi

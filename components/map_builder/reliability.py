@@ -8,8 +8,8 @@ LEAST, MOST = 0.02, 0.98
 INITIAL = 0.5
 # An object at or under this is removed; 1e-9 for 0.9 that two disagreements bring to 0.1 exactly.
 REMOVAL = 0.1 + 1e-9
-# A candidate place above this is registered.
-REGISTRATION = 0.5
+# A candidate place above this is registered: one agreement brings it to 0.5 exactly, two register.
+REGISTRATION = 0.5 + 1e-9
 
 
 def update(reliability: float, similarity: float) -> float:

@@ -22,6 +22,7 @@ from components.map_builder.rows import (
 
 APPLICATION = 0x4361_726E  # "Carn", in the file's header
 SCHEMA_VERSION = 1
+LOCK_WAIT_S = 5.0
 
 _SCHEMA = """
 CREATE TABLE origin (source TEXT NOT NULL, digest TEXT NOT NULL, created_s REAL NOT NULL);
@@ -158,7 +159,7 @@ def create_map(path: Path, source: str, digest: str = "") -> MapStore:
         raise MapFileError(f"{path} exists already. Remove it or give another name.")
     with _told(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-        connection = sqlite3.connect(path, isolation_level=None)
+        connection = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
         connection.executescript(
             f"BEGIN; {_SCHEMA} PRAGMA application_id = {APPLICATION}; "
             f"PRAGMA user_version = {SCHEMA_VERSION}; COMMIT;"
@@ -213,13 +214,18 @@ def digest_of(path: Path) -> str:
 
 
 def _connect(path: Path, read_only: bool) -> sqlite3.Connection:
+    # A component's calls come one at a time, but not always on the same thread.
     if not read_only:
-        return sqlite3.connect(path, isolation_level=None, timeout=5.0)
+        return sqlite3.connect(
+            path, isolation_level=None, timeout=LOCK_WAIT_S, check_same_thread=False
+        )
     # A map at rest may stand where SQLite cannot make its lock files.
     at_rest = not any(companion.exists() for companion in _companions(path))
     mode = "immutable=1" if at_rest else "mode=ro"
     uri = f"{path.resolve().as_uri()}?{mode}"
-    return sqlite3.connect(uri, uri=True, isolation_level=None, timeout=5.0)
+    return sqlite3.connect(
+        uri, uri=True, isolation_level=None, timeout=LOCK_WAIT_S, check_same_thread=False
+    )
 
 
 def _companions(path: Path) -> list[Path]:

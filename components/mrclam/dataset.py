@@ -173,7 +173,7 @@ def _lines(path: Path) -> Iterator[tuple[int, str]]:
     except (EOFError, zlib.error, gzip.BadGzipFile) as error:
         raise _damaged(path, line + 1, f"the gzip stream is broken ({error})") from error
     except UnicodeDecodeError as error:
-        raise _damaged(path, line + 1, "not a text file") from error
+        raise _damaged(path, line, "not a text file") from error
     except OSError as error:
         raise DatasetError(f"{path} cannot be read: {error.strerror or error}.") from error
 

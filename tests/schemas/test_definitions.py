@@ -1,7 +1,7 @@
 """A class's definition text and type hash are those of ROS 2."""
 
 import pytest
-from arbitrary import EVERY_MESSAGE
+from tests.schemas.arbitrary import EVERY_MESSAGE
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 

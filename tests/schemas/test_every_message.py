@@ -1,5 +1,6 @@
 """What holds for each message: round trip, the bytes of other implementations, damaged bytes."""
 
+import gc
 import resource
 import struct
 import tracemalloc
@@ -9,11 +10,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from arbitrary import EVERY_MESSAGE, arbitrary, samples
-from damage import damaged
+from tests.schemas.arbitrary import EVERY_MESSAGE, arbitrary, samples
+from tests.schemas.damage import damaged
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap_ros2._dynamic import serialize_dynamic
+from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
 
 from cairn.bus.codec import Codec
@@ -84,6 +86,7 @@ def test_a_damaged_message_is_valid_or_refused(name: str, mutations: int) -> Non
             assert CODEC.decode(cls, CODEC.encode(message)) == message
     assert min(outcomes.values()) > 0
     assert _peak_memory() - before < 32 * 2**20
+    assert _live_errors() == 0
 
 
 @every_message
@@ -118,6 +121,11 @@ def _decode_or_refuse(cls: type[Any], data: bytes) -> Any | None:
         return CODEC.decode(cls, data)
     except InvalidMessage:
         return None
+
+
+def _live_errors() -> int:
+    gc.collect()
+    return sum(type(thing) in (InvalidMessage, SerdeError) for thing in gc.get_objects())
 
 
 def _peak_memory() -> int:

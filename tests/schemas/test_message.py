@@ -1,11 +1,13 @@
 """How messages behave in Python: defaults, immutability, equality, what they are made of."""
 
+import gc
 import math
 from dataclasses import FrozenInstanceError, replace
 from enum import IntEnum
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from schemas.builtin_interfaces import Time
 from schemas.cairn_msgs import ObjectEvidence, RecognizedObject, VisualMapChange
@@ -20,7 +22,7 @@ from schemas.geometry_msgs import (
 from schemas.message import InvalidMessage, message, refuse, type_name
 from schemas.nav_msgs import MapMetaData, OccupancyGrid, Path
 from schemas.primitives import BoolArray, Float32, Int16Array, String, UInt8, empty
-from schemas.sensor_msgs import Image, LaserScan
+from schemas.sensor_msgs import CameraInfo, Image, LaserScan
 from schemas.std_msgs import Header
 
 
@@ -126,11 +128,11 @@ def test_what_an_array_cannot_hold_exactly_is_refused(values: object) -> None:
 
 def test_double_precision_arrays_are_not_rounded_silently_but_python_floats_are() -> None:
     with pytest.raises(InvalidMessage, match="float32 represents exactly"):
-        LaserScan(ranges=np.array([0.1]))  # type: ignore[arg-type]
+        LaserScan(ranges=np.array([0.1]))
     with pytest.raises(InvalidMessage, match="fit float32"):
         LaserScan(ranges=[1e39])  # type: ignore[arg-type]
     exact = np.array([0.5, np.nan, np.inf])
-    assert LaserScan(ranges=exact.astype(np.float32)) == LaserScan(ranges=exact)  # type: ignore[arg-type]
+    assert LaserScan(ranges=exact.astype(np.float32)) == LaserScan(ranges=exact)
     assert LaserScan(ranges=[0.1]).ranges[0] == np.float32(0.1)  # type: ignore[arg-type]
 
 
@@ -142,11 +144,11 @@ def test_numpy_scalars_and_enumerations_become_python_numbers() -> None:
     class Verdict(IntEnum):
         FALSE_MATCH = 2
 
-    point = Point(np.float32(0.5), np.float64(2.0), np.int64(3))
+    point = Point(np.float32(0.5), np.float64(2.0), np.int64(3))  # type: ignore[arg-type]
     assert point == Point(0.5, 2.0, 3.0)
     assert type(point.x) is float
     assert type(point.z) is float
-    sec = Time(sec=np.int32(3)).sec
+    sec = Time(sec=np.int32(3)).sec  # type: ignore[arg-type]
     assert (sec, type(sec)) == (3, int)
     evidence = ObjectEvidence(
         object_id=1, similarity=0.5, verdict=Verdict.FALSE_MATCH, distance=0.0, x=0.0, y=0.0,
@@ -205,6 +207,17 @@ def test_a_long_value_is_shortened_in_the_error() -> None:
     assert len(str(refused.value)) < 300
     assert refused.value.path == "data"
     assert refused.value.type_name == "sensor_msgs/msg/Image"
+
+
+def test_a_refusal_leaves_nothing_in_memory() -> None:
+    for _ in range(10):
+        with pytest.raises(InvalidMessage):
+            Image(height=1, step=1)
+        with pytest.raises(InvalidMessage):
+            CameraInfo(roi={"height": "tall"})  # type: ignore[arg-type]
+    gc.collect()
+    kept = [thing for thing in gc.get_objects() if type(thing) in (InvalidMessage, ValidationError)]
+    assert kept == []
 
 
 def test_a_float_above_all_limits_of_single_precision_is_refused() -> None:

@@ -42,6 +42,14 @@ CASES = {
         HEAD + PARTS + "  other:\n    plugin: acme_base\n    topic: {odom: o2}\n",
         (7, "components.other.topic", "there is no topic here; did you mean topics?"),
     ),
+    "name of the root": (
+        HEAD + PARTS + "  root: {plugin: acme_base}\n",
+        (
+            5,
+            "components.root",
+            "root is the name of the root of the tree of components; give it another name",
+        ),
+    ),
     "missing version": (
         "components:\n" + PARTS,
         (1, "cairn", "is missing; give Version of this format"),

@@ -1,12 +1,15 @@
 """A zygote for the tests, and the certainty that nothing of it remains after each."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from reports import Reports, Tree
 
 from cairn.supervision.zygote_process import ZygoteProcess, start_zygote
+
+from . import zygote_children
+from .owner import Owner
+from .reports import Reports, Tree
 
 
 @pytest.fixture
@@ -27,6 +30,26 @@ def reports(tmp_path: Path) -> Iterator[Reports]:
 
 @pytest.fixture
 def zygote(tree: Tree, tmp_path: Path) -> Iterator[ZygoteProcess]:
-    zygote = start_zygote(["zygote_children"], tmp_path / "run")
+    zygote = start_zygote([zygote_children.__name__], tmp_path / "run")
     yield zygote
     zygote.close()
+
+
+@pytest.fixture
+def make_owner(
+    zygote: ZygoteProcess, reports: Reports, tmp_path: Path
+) -> Iterator[Callable[[], Owner]]:
+    owners: list[Owner] = []
+
+    def make() -> Owner:
+        owners.append(Owner(zygote, reports, tmp_path / "driver.log"))
+        return owners[-1]
+
+    yield make
+    for owner in owners:
+        owner.client.close()
+
+
+@pytest.fixture
+def owner(make_owner: Callable[[], Owner]) -> Owner:
+    return make_owner()

@@ -11,9 +11,6 @@ import tempfile
 from pathlib import Path
 from typing import Any, TextIO
 
-from reports import LIMIT_S, Report, Reports
-from zygote_children import announce, keep_helper_of
-
 from cairn.errors import CairnError
 from cairn.supervision.child import ChildEnd, ChildSpec, Verb
 from cairn.supervision.child_process import ChildExit, ChildProcess
@@ -23,6 +20,10 @@ from cairn.supervision.supervisor import Escalate, Supervisor
 from cairn.supervision.zygote_client import ZygoteClient, ZygoteLost
 from cairn.supervision.zygote_process import start_zygote
 
+from .reports import LIMIT_S, Report, Reports
+from .zygote_children import announce, keep_helper_of
+
+MODULE = f"{__package__}.supervised_program"
 ENTRIES = {"base": "base", "mobile": "supervise", "localizer": "component", "planner": "component"}
 
 
@@ -71,7 +72,7 @@ class Household:
     def launch(self, spec: ChildSpec, incarnation: int) -> ProcessChild:
         argument = {**self.argument, "name": spec.name, "controls": self.controls.path}
         argument["incarnation"] = incarnation
-        entry = f"supervised_program:{ENTRIES[spec.name]}"
+        entry = f"{MODULE}:{ENTRIES[spec.name]}"
         process = self.client.spawn(spec.name, entry, argument, Path(argument["log"]))
         return ProcessChild(process, self.controls.of(spec.name))
 
@@ -148,7 +149,7 @@ def main() -> int:
     code = 0
     again = True
     while again:
-        zygote = start_zygote(["supervised_program"], directory / "run")
+        zygote = start_zygote([MODULE], directory / "run")
         household.connect(zygote.socket_path)
         again = False
         try:

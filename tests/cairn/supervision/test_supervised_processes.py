@@ -8,7 +8,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from reports import LIMIT_S, Report, Reports, Tree
+
+from .reports import LIMIT_S, Report, Reports, Tree
 
 COMPONENTS = ("base", "base's helper", "mobile", "localizer", "planner")
 
@@ -19,10 +20,15 @@ class Deployment:
     def __init__(self, directory: Path, reports: Reports) -> None:
         self.reports = reports
         self.log = directory / "log"
-        program = str(Path(__file__).with_name("supervised_program.py"))
         with (directory / "root.log").open("wb") as log:
             self.process = subprocess.Popen(
-                [sys.executable, program, str(directory), reports.path],
+                [
+                    sys.executable,
+                    "-m",
+                    f"{__package__}.supervised_program",
+                    str(directory),
+                    reports.path,
+                ],
                 stderr=log,
                 env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
             )

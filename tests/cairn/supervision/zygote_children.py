@@ -12,9 +12,7 @@ from typing import Any
 from cairn.supervision.zygote_client import ZygoteClient
 
 Argument = dict[str, Any]
-GRANDCHILD = (
-    "import sys; sys.path[:] = {path!r}; import zygote_children; zygote_children.stay({argument!r})"
-)
+GRANDCHILD = "import sys; sys.path[:] = {path!r}; from {module} import stay; stay({argument!r})"
 
 
 def announce(argument: Argument, **facts: Any) -> socket.socket:
@@ -92,7 +90,7 @@ def own(argument: Argument) -> None:
     client = ZygoteClient(Path(argument["zygote"]))
     leaf = {"name": "leaf", "reports": argument["reports"], "how": "same group"}
     fresh = argument.get("leaf_fresh", False)
-    client.spawn("leaf", "zygote_children:keep_helper", leaf, Path(argument["log"]), fresh=fresh)
+    client.spawn("leaf", f"{__name__}:keep_helper", leaf, Path(argument["log"]), fresh=fresh)
     stay(argument)
 
 
@@ -100,7 +98,7 @@ def own_and_fork(argument: Argument) -> None:
     """Own a process, and have a fork hold the connection open after the owner's end."""
     client = ZygoteClient(Path(argument["zygote"]))
     leaf = {"name": "leaf", "reports": argument["reports"]}
-    client.spawn("leaf", "zygote_children:stay", leaf, Path(argument["log"]))
+    client.spawn("leaf", f"{__name__}:stay", leaf, Path(argument["log"]))
     if os.fork() == 0:
         os.setsid()
         stay({**argument, "name": "fork"})
@@ -121,7 +119,7 @@ def open_session(argument: Argument) -> None:
 def keep_helper_of(argument: Argument) -> None:
     """Start a process that stays, hidden as the argument says."""
     helper = {"name": f"{argument['name']}'s helper", "reports": argument["reports"]}
-    program = GRANDCHILD.format(path=sys.path, argument=helper)
+    program = GRANDCHILD.format(module=__name__, path=sys.path, argument=helper)
     if argument["how"] == "daemon":
         if (middle := os.fork()) == 0:
             os.setsid()

@@ -1,0 +1,70 @@
+"""The same replay over real processes at 10 times real time, undisturbed and with kills."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from benchmarks.lockstep import DEPLOYMENT, DISPLACED, make_map, run_replay, wrong_places
+from benchmarks.result import Figure
+from benchmarks.running import free_port
+
+_PATH = ("localizer.objects", "map_builder.object_evidence", "localizer.visual_map")
+"""The inputs on the way from a sighting to the map."""
+
+
+def measure() -> list[Figure]:
+    """Conclusions and losses over real processes."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        displaced = make_map(folder / "displaced.cairn", *DISPLACED)
+        settings = ("--set", f"visual_map={displaced}", "--set",
+                    f"bus.listen=tcp/127.0.0.1:{free_port()}")  # fmt: skip
+        plain, _ = run_replay(folder / "plain", *settings, "--seed", "1")
+        killed = _with_kills(folder / "killed", displaced)
+    return [
+        Figure("replay at 10 times real time: times real time",
+               plain["recorded_s"] / plain["wall_s"], "x", at_least=9.0),
+        *_conclusions("undisturbed", plain),
+        Figure("undisturbed: dropped from sighting to map",
+               float(sum(plain["dropped"][port] for port in _PATH)), "", at_most=0),
+        *_conclusions("localizer and map_builder killed", killed),
+    ]  # fmt: skip
+
+
+def _conclusions(what: str, report: dict[str, Any]) -> list[Figure]:
+    return [
+        Figure(f"{what}: position error", report["position_rmse_m"], "m rms", at_most=0.30),
+        Figure(f"{what}: landmarks off their true place by 0.3 m",
+               float(wrong_places(report)), "", at_most=0),
+    ]  # fmt: skip
+
+
+def _with_kills(folder: Path, visual_map: Path) -> dict[str, Any]:
+    """Run again; kill the localizer when the first landmark is removed, then the map builder."""
+    listen = f"tcp/127.0.0.1:{free_port()}"
+    command = [sys.executable, "-m", "cairn.cli.main", "up", str(DEPLOYMENT), "--seed", "1",
+               "--report", str(folder), "--set", f"visual_map={visual_map}",
+               "--set", f"bus.listen={listen}"]  # fmt: skip
+    victims = ["localizer", "map_builder"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as up:
+        assert up.stdout is not None
+        for line in up.stdout:
+            if victims and " REMOVED" in line:
+                _kill(listen, victims.pop(0))
+        if up.wait(60) != 0 or victims:
+            raise RuntimeError(f"the run failed, or {victims} could not be killed")
+    report: dict[str, Any] = json.loads((folder / "report.json").read_text())
+    return report
+
+
+def _kill(connect: str, name: str) -> None:
+    command = [sys.executable, "-m", "cairn.cli.main", "ps", "--json", "--connect", connect]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=30)
+    for row in json.loads(done.stdout):
+        if row["component"].endswith(f"/{name}"):
+            os.kill(row["pid"], signal.SIGKILL)

@@ -1,0 +1,1 @@
+"""A simulated turtle that wanders in a pen."""

@@ -1,0 +1,97 @@
+"""The driver of the turtle's base: commands in, odometry and state out."""
+
+import math
+
+from cairn.bus.qos import SENSOR
+from cairn.clock import SECOND, from_ns
+from cairn.component.component import Component
+from cairn.component.handlers import every, on
+from cairn.component.parameters import Config
+from cairn.component.ports import In, Out
+from pydantic import Field
+from schemas.geometry_msgs import (
+    Point,
+    Pose,
+    PoseWithCovariance,
+    Quaternion,
+    Twist,
+    TwistWithCovariance,
+    Vector3,
+)
+from schemas.nav_msgs import Odometry
+from schemas.std_msgs import Header
+
+from turtle_robot.messages import BaseState
+from turtle_robot.wheels import WheelJamError, Wheels
+
+
+class TurtleBaseConfig(Config):
+    """Parameters of the base."""
+
+    pen_m: float = Field(2.0, gt=0.2, le=100, description="Width of the square pen [m].")
+    used_per_m: float = Field(0.01, ge=0, le=1, description="Charge used per way [1/m].")
+    jams_per_m: float = Field(0.0, ge=0, le=10, description="Jams of a wheel per way [1/m].")
+    command_timeout_s: float = Field(
+        0.5, gt=0, le=5, description="Age of a command beyond which the wheels stop [s]."
+    )
+
+
+class TurtleBase(Component):
+    """Drives the turtle: carries out commands, and stops when they cease to come."""
+
+    config: TurtleBaseConfig
+
+    cmd_vel: In[Twist] = In(qos=SENSOR, optional=True)
+    odom: Out[Odometry] = Out(qos=SENSOR)
+    base_state: Out[BaseState]
+
+    def on_configure(self) -> None:
+        """Start the wheels' controller."""
+        self._wheels = Wheels(self.config.pen_m, self.config.jams_per_m, self.random)
+        self._command, self._commanded_at = Twist(), 0
+
+    def on_activate(self) -> None:
+        """Begin to count time."""
+        self._moved_at = self.clock.now()
+
+    def on_error(self, error: Exception) -> bool:
+        """Say that a jam is mended by starting anew; all else is for the supervisor."""
+        return isinstance(error, WheelJamError)
+
+    @on("cmd_vel")
+    def obey(self, command: Twist) -> None:
+        """Take a command, to be carried out from now on."""
+        self._command, self._commanded_at = command, self.clock.now()
+
+    @every(hz=20)
+    def move(self) -> None:
+        """Carry out the last command while it is fresh, and tell where that led."""
+        now = self.clock.now()
+        command = self._command
+        if now - self._commanded_at > self.config.command_timeout_s * SECOND:
+            command = Twist()  # the safe stop: whatever has become of the commander
+        seconds, self._moved_at = (now - self._moved_at) / SECOND, now
+        forward, turn = command.linear.x, command.angular.z
+        self._wheels.advance(seconds, forward, turn, self.config.used_per_m)
+        self._tell(now, forward, turn)
+
+    def _tell(self, now: int, forward: float, turn: float) -> None:
+        wheels = self._wheels
+        half = wheels.theta / 2
+        pose = Pose(
+            position=Point(x=wheels.x, y=wheels.y),
+            orientation=Quaternion(z=math.sin(half), w=math.cos(half)),
+        )
+        twist = Twist(linear=Vector3(x=forward), angular=Vector3(z=turn))
+        self.odom.publish(
+            Odometry(
+                header=Header(stamp=from_ns(now), frame_id="odom"),
+                child_frame_id="base_link",
+                pose=PoseWithCovariance(pose=pose),
+                twist=TwistWithCovariance(twist=twist),
+            )
+        )
+        header = Header(stamp=from_ns(now), frame_id="base_link")
+        self.base_state.publish(
+            BaseState(header=header, charge=wheels.charge, blocked=wheels.blocked)
+        )

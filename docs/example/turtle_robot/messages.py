@@ -1,0 +1,18 @@
+"""The turtle's own message types; everything else it says is standard ROS 2."""
+
+from typing import Annotated
+
+from schemas.message import message
+from schemas.primitives import Bool, Scalar
+from schemas.std_msgs import Header
+
+Share = Annotated[float, Scalar("float32", at_least=0, at_most=1)]
+
+
+@message("turtle_msgs/msg/BaseState")
+class BaseState:
+    """How the base is: charge of its battery [share of full], and whether the wall stops it."""
+
+    header: Header = Header()
+    charge: Share = 1.0
+    blocked: Bool = False

@@ -1,0 +1,34 @@
+"""The supervisor of the turtle: lets it wander while the battery lasts."""
+
+from cairn.component.handlers import on
+from cairn.component.parameters import Config
+from cairn.component.ports import In
+from cairn.supervision.component import SupervisorComponent
+from pydantic import Field
+
+from turtle_robot.messages import BaseState
+
+WANDERER = "wanderer"
+
+
+class TurtleSupervisorConfig(Config):
+    """When the turtle wanders."""
+
+    rest_below: float = Field(0.2, ge=0, le=1, description="Charge below which it rests [1].")
+    wander_above: float = Field(0.5, ge=0, le=1, description="Charge above which it goes on [1].")
+
+
+class TurtleSupervisor(SupervisorComponent):
+    """Keeps the base running; loads the wanderer when there is charge, unloads it when not."""
+
+    config: TurtleSupervisorConfig
+
+    base_state: In[BaseState]
+
+    @on("base_state")
+    def judge(self, state: BaseState) -> None:
+        """Load or unload the wanderer; nothing happens if it is so already."""
+        if state.charge < self.config.rest_below:
+            self.children.unload(WANDERER)
+        elif state.charge > self.config.wander_above:
+            self.children.load(WANDERER)

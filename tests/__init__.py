@@ -1,0 +1,1 @@
+"""All tests; a package for what they share."""

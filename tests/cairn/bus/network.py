@@ -1,0 +1,85 @@
+"""Buses for the tests: real sessions on loopback or one in memory, and a reader that waits."""
+
+import socket
+import threading
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from typing import Any
+
+from cairn.bus.bus import Bus, Node
+from cairn.bus.qos import Qos
+from cairn.bus.session import open_peer, open_router
+from cairn.bus.zenoh_bus import ZenohBus
+
+LIMIT_S = 10.0
+"""Longer than anything takes; reached only where something is lost."""
+
+
+class Network:
+    """A router and the buses of as many processes as are asked for, closed in the end."""
+
+    def __init__(self) -> None:
+        self._stack = ExitStack()
+        with socket.create_server(("127.0.0.1", 0)) as free:
+            self.port = free.getsockname()[1]
+        self.endpoint = f"tcp/127.0.0.1:{self.port}"
+        self.router = open_router(self.endpoint)
+        self._stack.callback(self.router.close)
+
+    def bus(self) -> ZenohBus:
+        """The bus of one more process."""
+        bus = ZenohBus(open_peer([self.endpoint]))
+        self._stack.callback(bus.close)
+        return bus
+
+    def close(self) -> None:
+        """Close all buses, then the router."""
+        self._stack.close()
+
+
+class Reader:
+    """A subscription whose messages can be waited for."""
+
+    def __init__(self, node: Node, topic: str, message: type[Any], qos: Qos) -> None:
+        self._waiting = threading.Semaphore(0)
+        self.subscription = node.subscribe(topic, message, qos, self._waiting.release)
+
+    def next(self) -> Any:
+        """The next message."""
+        assert self._waiting.acquire(timeout=LIMIT_S), "nothing came"
+        return self.subscription.take()
+
+    def next_of(self, count: int) -> list[Any]:
+        """So many messages."""
+        return [self.next() for _ in range(count)]
+
+    def await_first(self) -> None:
+        """Wait until one message waits; it is not taken."""
+        assert self._waiting.acquire(timeout=LIMIT_S), "nothing came"
+        self._waiting.release()
+
+    def waiting(self) -> list[Any]:
+        """All that waits now."""
+        return list(iter(self.subscription.take, None))
+
+
+def node(bus: Bus, name: str) -> Node:
+    """A node that nobody may complain to."""
+    return bus.node(name, refuse)
+
+
+def refuse(complaint: str) -> None:
+    """Nothing is to be complained about."""
+    raise AssertionError(complaint)
+
+
+def eventually(holds: Callable[[], bool]) -> bool:
+    """Whether it holds within the limit."""
+    deadline = time.monotonic() + LIMIT_S
+    pause = threading.Event()
+    while not holds():
+        if time.monotonic() > deadline:
+            return False
+        pause.wait(0.002)
+    return True

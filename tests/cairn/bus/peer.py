@@ -1,0 +1,37 @@
+"""A process on the bus for the tests: `peer.py ENDPOINT NAME`; obeys lines on its input.
+
+It says one word on /robot/word as soon as it has settled, then "settled" on its output; then for
+each line one more word, and for each word on /robot/answer a line "heard WORD".
+"""
+
+import sys
+import threading
+
+from cairn.bus.qos import RELIABLE
+from cairn.bus.session import open_peer
+from cairn.bus.zenoh_bus import ZenohBus
+from schemas.std_msgs import String
+
+
+def main(endpoint: str, name: str) -> None:
+    bus = ZenohBus(open_peer([endpoint]))
+    node = bus.node(f"/robot/{name}", lambda complaint: print(complaint, flush=True))
+    arrived = threading.Semaphore(0)
+    answers = node.subscribe("/robot/answer", String, RELIABLE, arrived.release)
+    words = node.advertise("/robot/word", String, RELIABLE)
+
+    def listen() -> None:
+        while arrived.acquire():
+            print(f"heard {answers.take().data}", flush=True)
+
+    threading.Thread(target=listen, daemon=True).start()
+    unreached = bus.settle(10.0)
+    words.publish(String(data=f"first of {name}"))
+    print(f"settled {unreached}", flush=True)
+    for line in sys.stdin:
+        words.publish(String(data=line.strip()))
+    bus.close()
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

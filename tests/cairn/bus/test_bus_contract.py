@@ -1,0 +1,269 @@
+"""What every bus promises: Zenoh between processes, Zenoh within one, and lockstep."""
+
+import threading
+from collections.abc import Iterator
+from dataclasses import FrozenInstanceError, dataclass
+
+import pytest
+
+from cairn.bus.bus import Bus, mismatch
+from cairn.bus.lockstep_bus import LockstepBus
+from cairn.bus.qos import LATCHED, RELIABLE, SENSOR, Qos
+from schemas.geometry_msgs import Twist, Vector3
+from schemas.sensor_msgs import LaserScan
+from schemas.std_msgs import String
+from tests.cairn.bus.network import LIMIT_S, Network, Reader, eventually, node
+
+TOPIC = "/robot/word"
+
+
+@dataclass
+class Pair:
+    """Where one writes and another reads."""
+
+    writers: Bus
+    readers: Bus
+
+    def settle(self) -> None:
+        """After this, nothing is lost between the two."""
+        assert self.writers.settle(LIMIT_S) == []
+        assert self.readers.settle(LIMIT_S) == []
+
+
+@pytest.fixture(params=["two processes", "one process", "lockstep"])
+def pair(request: pytest.FixtureRequest) -> Iterator[Pair]:
+    if request.param == "lockstep":
+        memory = LockstepBus()
+        yield Pair(memory, memory)
+        return
+    network = Network()
+    try:
+        bus = network.bus()
+        yield Pair(bus, bus if request.param == "one process" else network.bus())
+    finally:
+        network.close()
+
+
+def words(*numbers: int) -> list[String]:
+    return [String(data=str(number)) for number in numbers]
+
+
+@pytest.mark.parametrize("qos", [RELIABLE, SENSOR, LATCHED], ids=["reliable", "sensor", "latched"])
+def test_messages_arrive_in_order(pair: Pair, qos: Qos) -> None:
+    reader = Reader(node(pair.readers, "/robot/ear"), TOPIC, String, qos.with_depth(200))
+    writer = node(pair.writers, "/robot/mouth").advertise(TOPIC, String, qos)
+    pair.settle()
+
+    for word in words(*range(200)):
+        writer.publish(word)
+
+    assert reader.next_of(200) == words(*range(200))
+    assert (reader.subscription.received, reader.subscription.dropped) == (200, 0)
+    assert writer.published == 200
+
+
+def test_two_writers_and_two_readers_hear_each_other(pair: Pair) -> None:
+    ear, mouth = node(pair.readers, "/robot/ear"), node(pair.writers, "/robot/mouth")
+    readers = [Reader(ear, TOPIC, String, RELIABLE) for _ in range(2)]
+    writers = [mouth.advertise(TOPIC, String, RELIABLE) for _ in range(2)]
+    pair.settle()
+
+    for writer, word in zip(writers, words(1, 2), strict=True):
+        writer.publish(word)
+
+    for reader in readers:
+        assert sorted(word.data for word in reader.next_of(2)) == ["1", "2"]
+        assert reader.subscription.dropped == 0
+
+
+@pytest.mark.parametrize(("kept", "asked", "got"), [(1, 1, 1), (5, 5, 5), (5, 2, 2), (2, 5, 2)])
+def test_who_comes_late_gets_what_is_latched(pair: Pair, kept: int, asked: int, got: int) -> None:
+    writer = node(pair.writers, "/robot/mouth").advertise(TOPIC, String, LATCHED.with_depth(kept))
+    for word in words(*range(9)):
+        writer.publish(word)
+    pair.settle()
+
+    reader = Reader(node(pair.readers, "/robot/ear"), TOPIC, String, LATCHED.with_depth(asked))
+
+    assert reader.next_of(got) == words(*range(9 - got, 9))
+    pair.settle()
+    writer.publish(String(data="then"))
+    assert reader.next() == String(data="then")
+    assert reader.subscription.dropped == 0
+
+
+@pytest.mark.parametrize(
+    ("writes", "reads"), [(RELIABLE, RELIABLE), (LATCHED, RELIABLE), (RELIABLE, LATCHED)]
+)
+def test_otherwise_who_comes_late_gets_what_comes_then(pair: Pair, writes: Qos, reads: Qos) -> None:
+    early = Reader(node(pair.readers, "/robot/early"), TOPIC, String, RELIABLE)
+    writer = node(pair.writers, "/robot/mouth").advertise(TOPIC, String, writes)
+    pair.settle()
+    writer.publish(String(data="before"))
+    assert early.next() == String(data="before")
+
+    late = Reader(node(pair.readers, "/robot/late"), TOPIC, String, reads)
+    pair.settle()
+    writer.publish(String(data="after"))
+
+    assert late.next() == String(data="after")
+    assert late.subscription.dropped == 0
+
+
+def test_nothing_is_latched_beyond_its_writers_end(pair: Pair) -> None:
+    mouth = node(pair.writers, "/robot/mouth")
+    first = mouth.advertise(TOPIC, String, LATCHED)
+    first.publish(String(data="old"))
+    first.close()
+    second = mouth.advertise(TOPIC, String, LATCHED)
+    pair.settle()
+
+    reader = Reader(node(pair.readers, "/robot/ear"), TOPIC, String, LATCHED)
+    pair.settle()
+    second.publish(String(data="new"))
+
+    assert reader.next() == String(data="new")
+
+
+@pytest.mark.parametrize("depth", [1, 10])
+def test_a_slow_reader_keeps_the_newest_and_counts_the_rest(pair: Pair, depth: int) -> None:
+    slow = Reader(node(pair.readers, "/robot/ear"), TOPIC, String, RELIABLE.with_depth(depth))
+    writer = node(pair.writers, "/robot/mouth").advertise(TOPIC, String, RELIABLE)
+    pair.settle()
+    writer.publish(String(data="0"))
+    slow.await_first()
+
+    for word in words(*range(1, 500)):
+        writer.publish(word)
+
+    assert eventually(lambda: slow.subscription.dropped == 500 - depth)
+    assert slow.waiting() == words(*range(500 - depth, 500))
+    writer.publish(String(data="next"))
+    assert eventually(lambda: slow.waiting() == [String(data="next")])
+    assert (slow.subscription.received, slow.subscription.dropped) == (depth + 1, 500 - depth)
+
+
+def test_what_waits_is_announced_however_reader_and_writer_race(pair: Pair) -> None:
+    reader = Reader(node(pair.readers, "/robot/ear"), TOPIC, String, RELIABLE.with_depth(1))
+    writer = node(pair.writers, "/robot/mouth").advertise(TOPIC, String, RELIABLE)
+    pair.settle()
+    ends = threading.Event()
+    got: list[str] = []
+
+    def read() -> None:
+        while not ends.is_set():
+            word = reader.next()
+            got.append(word.data if word is not None else "")
+            if got[-1] == "last":
+                ends.set()
+
+    thread = threading.Thread(target=read)
+    thread.start()
+    for word in words(*range(2000)):
+        writer.publish(word)
+    writer.publish(String(data="last"))
+
+    assert ends.wait(LIMIT_S), "the last message waits, and nobody was woken for it"
+    thread.join()
+    heard = [int(word) for word in got[:-1] if word]
+    assert heard == sorted(heard)
+
+
+def test_two_types_on_one_topic_are_complained_about_on_both_sides(pair: Pair) -> None:
+    of_mouth: list[str] = []
+    of_ear: list[str] = []
+    mouth = pair.writers.node("/robot/mouth", of_mouth.append)
+    ear = pair.readers.node("/robot/ear", of_ear.append)
+    writer = mouth.advertise(TOPIC, String, RELIABLE)
+    subscription = ear.subscribe(TOPIC, Twist, RELIABLE, lambda: None)
+    pair.settle()
+
+    writer.publish(String(data="unheard"))
+
+    string, twist = "std_msgs/msg/String", "geometry_msgs/msg/Twist"
+    assert eventually(lambda: of_mouth == [mismatch(TOPIC, string, "/robot/ear", twist)])
+    assert eventually(lambda: of_ear == [mismatch(TOPIC, twist, "/robot/mouth", string)])
+    assert all(part in of_ear[0] for part in (TOPIC, "/robot/mouth", string, twist))
+    assert subscription.take() is None
+
+
+def test_closing_twice_is_harmless_and_what_is_closed_is_silent(pair: Pair) -> None:
+    mouth, ear = node(pair.writers, "/robot/mouth"), node(pair.readers, "/robot/ear")
+    closed = Reader(ear, TOPIC, String, RELIABLE)
+    other = Reader(ear, TOPIC, String, RELIABLE)
+    writer = mouth.advertise(TOPIC, String, RELIABLE)
+    closing = mouth.advertise(TOPIC, String, RELIABLE)
+    pair.settle()
+    closed.subscription.close()
+    closing.close()
+
+    closing.publish(String(data="closed"))
+    writer.publish(String(data="open"))
+
+    assert other.next() == String(data="open")
+    assert closed.subscription.take() is None
+    for _ in range(2):
+        closing.close()
+        closed.subscription.close()
+        mouth.close()
+        ear.close()
+    assert other.waiting() == []
+
+
+def test_closing_ends_all_threads() -> None:
+    before = set(threading.enumerate())
+    network = Network()
+    buses = [network.bus(), network.bus()]
+    for bus in buses:
+        component = node(bus, "/robot/part")
+        for qos in (RELIABLE, LATCHED):
+            Reader(component, TOPIC, String, qos)
+            component.advertise(TOPIC, String, qos)
+        bus.settle(LIMIT_S)
+        component.close()
+    for bus in buses * 2:
+        bus.close()
+    network.close()
+
+    assert set(threading.enumerate()) <= before
+
+
+def test_what_is_received_cannot_be_changed(pair: Pair) -> None:
+    reader = Reader(node(pair.readers, "/robot/ear"), "/robot/scan", LaserScan, SENSOR)
+    writer = node(pair.writers, "/robot/laser").advertise("/robot/scan", LaserScan, SENSOR)
+    pair.settle()
+
+    writer.publish(
+        LaserScan(angle_max=0.1, angle_increment=0.1, range_max=5.0, ranges=[1.0, 2.0])  # type: ignore[arg-type]
+    )
+
+    scan = reader.next()
+    with pytest.raises(FrozenInstanceError):
+        scan.range_max = 9.0
+    with pytest.raises(ValueError, match="read-only"):
+        scan.ranges[0] = 9.0
+
+
+def test_publishing_to_nobody_does_not_even_look_at_the_message(pair: Pair) -> None:
+    writer = node(pair.writers, "/robot/mouth").advertise(TOPIC, String, RELIABLE)
+    pair.settle()
+
+    writer.publish(object())
+
+    assert writer.published == 1
+
+
+def test_the_first_message_to_a_reader_counts_no_drops(pair: Pair) -> None:
+    writer = node(pair.writers, "/robot/mouth").advertise("/robot/speed", Twist, RELIABLE)
+    early = Reader(node(pair.readers, "/robot/early"), "/robot/speed", Twist, RELIABLE)
+    pair.settle()
+    for _ in range(5):
+        writer.publish(Twist())
+    early.next_of(5)
+
+    late = Reader(node(pair.readers, "/robot/late"), "/robot/speed", Twist, RELIABLE)
+    pair.settle()
+    writer.publish(Twist(linear=Vector3(x=0.5)))
+
+    assert late.next().linear.x == 0.5
+    assert late.subscription.dropped == 0

@@ -1,0 +1,131 @@
+"""What a peer that is not ours, or is broken, puts on a topic is refused, counted and survived."""
+
+import struct
+import time
+
+import pytest
+
+from cairn.bus.codec import Codec
+from cairn.bus.qos import RELIABLE
+from cairn.bus.rmw import Attachment, data_key
+from cairn.bus.zenoh_bus import ZenohBus
+from schemas.geometry_msgs import Twist, Vector3
+from schemas.message import InvalidMessage, type_name
+from tests.cairn.bus.network import LIMIT_S, Network, Reader, eventually, node
+
+CODEC = Codec()
+GOOD = CODEC.encode(Twist(linear=Vector3(x=0.5)))
+HEADER = GOOD[:4]
+KEY = data_key(0, "/robot/cmd_vel", type_name(Twist), CODEC.type_hash(Twist))
+
+
+@pytest.fixture
+def reader(network: Network) -> Reader:
+    bus = network.bus()
+    return Reader(node(bus, "/robot/base"), "/robot/cmd_vel", Twist, RELIABLE)
+
+
+@pytest.fixture
+def foreign(network: Network, reader: Reader) -> ZenohBus:
+    bus = network.bus()
+    bus.settle(LIMIT_S)
+    return bus
+
+
+def attachment(number: int, gid: bytes = bytes(16)) -> bytes:
+    return Attachment(number, time.time_ns(), gid).encode()
+
+
+@pytest.mark.parametrize(
+    ("payload", "complaint"),
+    [
+        (HEADER + struct.pack("<6d", 0, float("nan"), 0, 0, 0, 0), "linear.y = nan: must be"),
+        (HEADER + struct.pack("<6d", 0, 0, 0, 0, 0, float("inf")), "angular.z = inf: must be"),
+        (GOOD[:-1], "51 bytes are not its CDR"),
+        (HEADER, "4 bytes are not its CDR"),
+        (b"", "0 bytes are not its CDR"),
+        (b"\xff" * 52, "52 bytes are not its CDR"),
+        (b'{"linear": {"x": 1.0}}', "22 bytes are not its CDR"),
+    ],
+    ids=["nan", "infinity", "truncated", "header only", "empty", "garbage", "json"],
+)
+def test_an_invalid_message_is_refused_and_the_next_one_received(
+    reader: Reader, foreign: ZenohBus, payload: bytes, complaint: str
+) -> None:
+    foreign.session.put(KEY, payload, attachment=attachment(1))
+    foreign.session.put(KEY, GOOD, attachment=attachment(2))
+
+    with pytest.raises(InvalidMessage, match="geometry_msgs/msg/Twist: ") as refused:
+        reader.next()
+    assert complaint in str(refused.value)
+    assert reader.next() == Twist(linear=Vector3(x=0.5))
+    subscription = reader.subscription
+    assert (subscription.invalid, subscription.received, subscription.dropped) == (1, 1, 0)
+
+
+@pytest.mark.parametrize(
+    "odd",
+    [None, b"", b"?", bytes(33), b"\xff" * 33, b"x" * 5000],
+    ids=["none", "empty", "short", "no gid", "garbage", "long"],
+)
+def test_a_message_without_rmw_zenohs_numbering_is_received(
+    reader: Reader, foreign: ZenohBus, odd: bytes | None
+) -> None:
+    for _ in range(2):
+        foreign.session.put(KEY, GOOD, attachment=odd)
+        assert reader.next() == Twist(linear=Vector3(x=0.5))
+
+    assert reader.subscription.dropped == 0
+
+
+@pytest.mark.parametrize(
+    ("numbers", "dropped"),
+    [
+        ([7, 8, 9], 0),
+        ([7, 9, 12], 3),
+        ([7, 8, 1, 2], 0),
+        ([2**63 - 1, -(2**63), 5], 0),
+    ],
+    ids=["from any number", "with gaps", "starting anew", "beyond all bounds"],
+)
+def test_only_gaps_in_a_writers_numbers_count_as_dropped(
+    reader: Reader, foreign: ZenohBus, numbers: list[int], dropped: int
+) -> None:
+    for number in numbers:
+        foreign.session.put(KEY, GOOD, attachment=attachment(number))
+        reader.next()
+
+    assert reader.subscription.dropped == dropped
+
+
+def test_a_peer_that_invents_writers_is_survived(reader: Reader, foreign: ZenohBus) -> None:
+    for number in range(3000):
+        gid = number.to_bytes(16, "little")
+        foreign.session.put(KEY, GOOD, attachment=attachment(1, gid))
+    foreign.session.put(KEY, CODEC.encode(Twist()), attachment=attachment(1, b"\xff" * 16))
+
+    def heard_the_last() -> bool:
+        return Twist() in reader.waiting()
+
+    assert eventually(heard_the_last)
+    subscription = reader.subscription
+    assert subscription.received + subscription.dropped <= 3001
+    assert subscription.invalid == 0
+
+
+def test_a_token_that_is_not_rmw_zenohs_disturbs_nobody(network: Network) -> None:
+    complaints: list[str] = []
+    own, foreign = network.bus(), network.bus()
+    own.node("/robot/base", complaints.append).advertise("/robot/cmd_vel", Twist, RELIABLE)
+    tokens = [
+        foreign.session.liveliness().declare_token(f"@ros2_lv/0/{rest}")
+        for rest in ("x", "aa/0/0/NN/%/%/listener/more", "aa/0/1/MP/%/%/n/%t/type/hash/qos")
+    ]
+    other: list[str] = []
+    foreign.node("/robot/other", other.append).subscribe(
+        "/robot/cmd_vel", Vector3, RELIABLE, lambda: None
+    )
+
+    assert eventually(lambda: len(complaints) == 1 and len(other) == 1)
+    for token in tokens:
+        token.undeclare()

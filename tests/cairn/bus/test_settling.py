@@ -1,0 +1,170 @@
+"""Once a bus has settled, not even the first message is lost, whoever joins, dies or hangs."""
+
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO
+
+from cairn.bus.qos import RELIABLE
+from cairn.bus.zenoh_bus import ZenohBus
+from schemas.std_msgs import String
+from tests.cairn.bus.network import LIMIT_S, Network, Reader, eventually, node
+
+
+class Everybody:
+    """One who hears all, and whom all hear."""
+
+    def __init__(self, bus: ZenohBus, name: str) -> None:
+        self.bus = bus
+        self.name = name
+        own = node(bus, f"/robot/{name}")
+        self.reader = Reader(own, "/robot/word", String, RELIABLE.with_depth(1000))
+        self.writer = own.advertise("/robot/word", String, RELIABLE)
+
+    def say(self, word: str) -> None:
+        self.writer.publish(String(data=word))
+
+
+def test_nobody_misses_the_first_word_of_who_joins_nor_do_they_miss_the_next(
+    network: Network,
+) -> None:
+    present = [Everybody(network.bus(), f"present{number}") for number in range(3)]
+    for one in present:
+        assert one.bus.settle(LIMIT_S) == []
+
+    for turn in range(20):
+        bus = network.bus()
+        joiner = Everybody(bus, f"joiner{turn}")
+        assert bus.settle(LIMIT_S) == []
+        joiner.say(f"hello {turn}")
+        present[turn % 3].say(f"welcome {turn}")
+
+        for one in present:
+            assert {one.reader.next().data for _ in range(2)} == {
+                f"hello {turn}",
+                f"welcome {turn}",
+            }
+        assert {joiner.reader.next().data for _ in range(2)} == {f"hello {turn}", f"welcome {turn}"}
+        bus.close()
+
+
+def test_those_who_join_at_the_same_time_all_hear_all(network: Network) -> None:
+    count = 5
+    for turn in range(6):
+        together = threading.Barrier(count, timeout=LIMIT_S)
+        heard: dict[int, set[str]] = {}
+
+        def join(number: int) -> None:
+            bus = network.bus()
+            one = Everybody(bus, f"one{turn}{number}")  # noqa: B023 - ends within the turn
+            together.wait()  # noqa: B023
+            assert bus.settle(LIMIT_S) == []
+            together.wait()  # noqa: B023
+            one.say(f"from {number}")
+            heard[number] = {one.reader.next().data for _ in range(count)}  # noqa: B023
+            together.wait()  # noqa: B023
+            bus.close()
+
+        threads = [threading.Thread(target=join, args=(number,)) for number in range(count)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join(LIMIT_S * 2)
+
+        everything = {f"from {number}" for number in range(count)}
+        assert heard == dict.fromkeys(range(count), everything)
+
+
+def test_processes_started_again_and_again_lose_nothing(network: Network) -> None:
+    bus = network.bus()
+    here = node(bus, "/robot/here")
+    ear = Reader(here, "/robot/word", String, RELIABLE)
+    answers = here.advertise("/robot/answer", String, RELIABLE)
+    assert bus.settle(LIMIT_S) == []
+
+    for turn in range(5):
+        with process(network, f"turn{turn}") as (peer, _, output):
+            assert output.readline() == "settled []\n"
+            answers.publish(String(data=str(turn)))
+            assert output.readline() == f"heard {turn}\n"
+            assert ear.next() == String(data=f"first of turn{turn}")
+            peer.kill()
+
+    assert ear.subscription.dropped == 0
+
+
+def test_a_killed_writers_successor_is_heard_without_false_drops(network: Network) -> None:
+    bus = network.bus()
+    ear = Reader(node(bus, "/robot/ear"), "/robot/word", String, RELIABLE.with_depth(50))
+    for _ in range(2):
+        with process(network, "mouth") as (peer, order, output):
+            assert output.readline() == "settled []\n"
+            for number in range(20):
+                order.write(f"{number}\n")
+            order.flush()
+            assert ear.next().data == "first of mouth"
+            assert [word.data for word in ear.next_of(20)] == [str(n) for n in range(20)]
+            peer.kill()
+
+    assert (ear.subscription.received, ear.subscription.dropped) == (42, 0)
+
+
+def test_a_hanging_process_is_named_and_keeps_nobody_from_the_others(network: Network) -> None:
+    other = Everybody(network.bus(), "other")
+    with process(network, "hanging") as (peer, _, output):
+        assert output.readline() == "settled []\n"
+        assert other.reader.next().data == "first of hanging"
+        peer.send_signal(signal.SIGSTOP)
+        joiner = Everybody(network.bus(), "joiner")
+
+        unreached = joiner.bus.settle(0.5)
+
+        assert [key.startswith("@cairn/0/session/") for key in unreached] == [True]
+        assert str(other.bus.session.info.zid()) not in unreached[0]
+        joiner.say("heard nevertheless")
+        assert other.reader.next().data == "heard nevertheless"
+
+
+def test_a_process_that_was_killed_is_not_waited_for(network: Network) -> None:
+    bus = network.bus()
+    with process(network, "killed") as (peer, _, output):
+        assert output.readline() == "settled []\n"
+        peer.kill()
+        peer.wait(LIMIT_S)
+
+        assert eventually(lambda: bus.settle(0.2) == [])
+
+
+def test_a_process_killed_while_it_is_met_ends_the_meeting(network: Network) -> None:
+    bus = network.bus()
+    with process(network, "dying") as (peer, _, output):
+        assert output.readline() == "settled []\n"
+        peer.send_signal(signal.SIGSTOP)
+        met: list[list[str]] = []
+        meeting = threading.Thread(target=lambda: met.append(bus.settle(LIMIT_S * 3)))
+        meeting.start()
+        peer.kill()
+        meeting.join(LIMIT_S)
+
+        assert not meeting.is_alive(), "it waits for a process that is no more"
+
+
+@contextmanager
+def process(
+    network: Network, name: str
+) -> Iterator[tuple["subprocess.Popen[str]", IO[str], IO[str]]]:
+    """A peer in a process of its own: the process, its input and its output."""
+    program = [sys.executable, str(Path(__file__).with_name("peer.py")), network.endpoint, name]
+    with subprocess.Popen(
+        program, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as peer:
+        assert peer.stdin is not None
+        assert peer.stdout is not None
+        try:
+            yield peer, peer.stdin, peer.stdout
+        finally:
+            peer.kill()

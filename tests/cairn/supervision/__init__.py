@@ -1,0 +1,1 @@
+"""Tests of supervision; a package for what they share."""

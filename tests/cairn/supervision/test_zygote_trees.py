@@ -1,0 +1,152 @@
+"""The zygote with real processes: what ends with what, so that nothing remains."""
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from cairn.errors import CairnError
+from cairn.supervision.zygote_client import ZygoteLost
+from cairn.supervision.zygote_process import ZygoteProcess, start_zygote
+
+from . import zygote_children
+from .owner import Owner
+from .reports import LIMIT_S, Tree
+
+CHILDREN = zygote_children.__name__
+FRESH = pytest.mark.parametrize("fresh", [False, True], ids=["shared", "fresh"])
+HIDDEN = pytest.mark.parametrize("how", ["same group", "own session", "daemon"])
+
+
+@HIDDEN
+def test_what_a_process_leaves_behind_is_killed_when_it_returns(owner: Owner, how: str) -> None:
+    owner.spawn("leave_helper", how=how)
+    assert owner.exits.get(timeout=LIMIT_S).normal
+    # It may have been killed before it could report: the fixture `tree` sees that it is gone.
+
+
+@HIDDEN
+@FRESH
+def test_the_helpers_of_a_killed_process_are_killed(owner: Owner, how: str, fresh: bool) -> None:
+    driver = owner.running("keep_helper", how=how, fresh=fresh)
+    helper = owner.reports.of("driver's helper")
+    os.kill(driver.pid, signal.SIGKILL)
+    helper.await_end()
+
+
+def test_closing_a_connection_ends_its_processes_and_no_others(
+    make_owner: Callable[[], Owner],
+) -> None:
+    first, second = make_owner(), make_owner()
+    driver = first.running("keep_helper", how="own session")
+    helper = first.reports.of("driver's helper")
+    other = second.running("stay", "other")
+    first.client.close()
+    driver.await_end()
+    helper.await_end()
+    assert first.exits.get_nowait().signal == signal.SIGKILL
+    assert first.losses.empty()
+    with pytest.raises(CairnError, match="is closed"):
+        first.spawn("stay")
+    os.kill(other.pid, 0)
+    assert second.exits.empty()
+
+
+def test_the_processes_of_an_owner_that_is_killed_vanish_with_it(owner: Owner) -> None:
+    middle = owner.running("own", "middle")
+    leaf, helper = owner.reports.of("leaf"), owner.reports.of("leaf's helper")
+    bystander = owner.running("stay", "bystander")
+    os.kill(middle.pid, signal.SIGKILL)
+    leaf.await_end()
+    helper.await_end()
+    os.kill(bystander.pid, 0)
+
+
+def test_a_fork_of_a_dead_owner_does_not_keep_its_processes_alive(owner: Owner) -> None:
+    middle = owner.running("own_and_fork", "middle")
+    leaf, fork = owner.reports.of("leaf"), owner.reports.of("fork")
+    os.kill(middle.pid, signal.SIGKILL)
+    leaf.await_end()
+    fork.await_end()
+
+
+def test_a_root_killed_during_the_imports_leaves_nothing(tree: Tree, tmp_path: Path) -> None:
+    gate = tmp_path / "gate"
+    os.mkfifo(gate)
+    (tmp_path / "imports_slowly.py").write_text(f"open({str(gate)!r}).read()\n")
+    program = (
+        f"import sys; sys.path[:] = {[str(tmp_path), *sys.path]!r}\n"
+        "from pathlib import Path\n"
+        "from cairn.supervision.zygote_process import start_zygote\n"
+        f"zygote = start_zygote(['imports_slowly'], Path({str(tmp_path / 'run')!r}))\n"
+        "sys.stdin.read()\n"
+    )
+    with (
+        subprocess.Popen([sys.executable, "-c", program], stdin=subprocess.PIPE) as root,
+        gate.open("w"),  # opens when the zygote reads
+    ):
+        root.kill()
+        root.wait(LIMIT_S)
+        tree.await_end()
+
+
+@FRESH
+def test_a_zygote_that_is_killed_takes_all_processes_along(
+    owner: Owner, zygote: ZygoteProcess, tree: Tree, tmp_path: Path, fresh: bool
+) -> None:
+    owner.running("keep_helper", how="same group")
+    owner.running("own", "middle", leaf_fresh=fresh)
+    leaf = owner.reports.of("leaf")
+    owner.reports.of("leaf's helper")
+    os.kill(zygote.pid, signal.SIGKILL)
+    leaf.await_end()
+    assert "is lost" in str(owner.losses.get(timeout=LIMIT_S))
+    assert {owner.exits.get_nowait().name, owner.exits.get_nowait().name} == {"driver", "middle"}
+    with pytest.raises(ZygoteLost):
+        owner.spawn("stay")
+    zygote.close()
+    assert not zygote.alive
+    tree.await_end()
+    another = start_zygote([CHILDREN], tmp_path / "run")
+    renewed = Owner(another, owner.reports, owner.log)
+    renewed.running("stay", "renewed")
+    renewed.client.close()
+    another.close()
+
+
+def test_a_zygote_asked_to_end_by_sigterm_leaves_nothing(
+    owner: Owner, zygote: ZygoteProcess, tree: Tree
+) -> None:
+    owner.running("keep_helper", how="daemon")
+    owner.reports.of("driver's helper")
+    os.kill(zygote.pid, signal.SIGTERM)
+    tree.await_end()
+
+
+def test_ending_the_zygote_leaves_nothing(owner: Owner, zygote: ZygoteProcess, tree: Tree) -> None:
+    owner.running("keep_helper", how="daemon")
+    owner.reports.of("driver's helper")
+    zygote.close()
+    tree.await_end()
+    assert not zygote.socket_path.exists()
+
+
+def test_a_zygote_that_does_not_answer_is_reported_and_its_late_process_killed(
+    owner: Owner, zygote: ZygoteProcess
+) -> None:
+    os.kill(zygote.pid, signal.SIGSTOP)
+    with pytest.raises(CairnError, match=r"did not start driver within 0\.05 s"):
+        owner.client.spawn(
+            "driver",
+            f"{CHILDREN}:stay",
+            {"name": "driver", **owner.facts},
+            owner.log,
+            timeout_s=0.05,
+        )
+    os.kill(zygote.pid, signal.SIGCONT)
+    owner.spawn("speak", said="").wait(LIMIT_S)
+    # The late one may be killed before it could report: the fixture `tree` sees that it is gone.

@@ -1,0 +1,179 @@
+"""The localizer's algorithm in a small hall: it finds the robot, keeps it, and judges objects."""
+
+import math
+from collections.abc import Iterable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from components.localizer.judge import Verdict
+from components.localizer.localization import Frame, Localization, Settings
+from components.localizer.motion import MotionModel
+from components.localizer.object_likelihood import Landmark, Sighting
+from tests.components.localizer.hall import Moment, drive, landmarks
+
+EXACT = MotionModel(lag_s=0.0, forward_gain=1.0, turn_gain=1.0)
+CERTAIN = np.diag([0.01, 0.01, 0.003])
+
+
+class Run:
+    """A localization that is driven through the hall."""
+
+    def __init__(self, objects: Iterable[Landmark], mode: str = "lr", seed: int = 0) -> None:
+        settings = Settings(motion=EXACT, search_particles=8000, mode=mode)  # type: ignore[arg-type]
+        self.localization = Localization(settings, np.random.default_rng(seed))
+        self.localization.use_map(objects)
+        self.errors: list[float] = []
+        self.frames: list[tuple[Moment, Frame]] = []
+
+    def through(self, moments: Iterable[Moment]) -> "Run":
+        for moment in moments:
+            self.localization.command(moment.time, moment.forward, moment.turn)
+            frame = self.localization.sight(moment.time, moment.sightings)
+            if frame is not None:
+                self.frames.append((moment, frame))
+            if self.localization.located:
+                x, y, _ = self.localization.pose().mean
+                self.errors.append(math.hypot(x - moment.pose[0], y - moment.pose[1]))
+        return self
+
+    def verdicts(self, object_id: int) -> list[Verdict]:
+        return [
+            j.verdict
+            for _, frame in self.frames
+            for j in frame.judgements
+            if j.sighting.object_id == object_id
+        ]
+
+
+def test_a_known_start_is_kept_to_centimetres() -> None:
+    run = Run(landmarks())
+    run.localization.locate((0.0, 0.0, 0.0), CERTAIN)
+
+    run.through(drive(60.0))
+
+    assert np.sqrt(np.mean(np.square(run.errors))) < 0.12
+    assert Verdict.DISAGREES not in {v for i in range(1, 8) for v in run.verdicts(i)}
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_robot_anywhere_finds_itself_by_what_it_sees(seed: int) -> None:
+    run = Run(landmarks(), seed=seed).through(drive(25.0, seed))
+
+    assert run.localization.located
+    assert run.errors[-1] < 0.3
+
+
+@pytest.mark.parametrize("mode", ["lr", "paper"])
+def test_a_moved_object_is_told_from_those_that_stand_still(mode: str) -> None:
+    run = Run(landmarks(o3=(1.3, 0.4)), mode)
+    run.localization.locate((0.0, 0.0, 0.0), CERTAIN)
+
+    run.through(drive(125.0))
+
+    lowered = [
+        (j.sighting.object_id, j.similarity)
+        for _, frame in run.frames
+        for j in frame.judgements
+        if j.verdict is Verdict.DISAGREES
+    ]
+    assert sum(i == 3 and s <= 0.45 for i, s in lowered) >= 5
+    assert {i for i, s in lowered if s < 0.4} == {3}
+    implied = [
+        (j.x, j.y)
+        for _, frame in run.frames
+        for j in frame.judgements
+        if j.sighting.object_id == 3 and frame.healthy
+    ]
+    assert np.mean(implied, axis=0) == pytest.approx((-1.0, 3.5), abs=0.2)
+
+
+def test_a_gross_error_lowers_no_object_by_much() -> None:
+    run = Run(landmarks())
+    run.localization.locate((0.0, 0.0, 0.0), CERTAIN)
+    moments = list(drive(30.0))
+    wrong = Sighting(1, 1.0, 0.5, 0.01, 0.0004)
+    moments[100] = replace(moments[100], sightings=[wrong])
+
+    run.through(moments)
+
+    hit = next(f for m, f in run.frames if m.sightings == [wrong])
+    assert hit.judgements[0].similarity >= 0.45
+
+
+def test_a_sighting_taken_for_another_object_is_a_false_match() -> None:
+    verdicts = []
+    for when in range(150, 300, 15):
+        run = Run(landmarks())
+        run.localization.locate((0.0, 0.0, 0.0), CERTAIN)
+        moments = list(drive(62.0))
+        seen = {s.object_id for s in moments[when].sightings}
+        if not seen:
+            continue
+        true = moments[when].sightings[0]
+        other = next(i for i in range(1, 8) if i not in seen)
+        moments[when] = replace(moments[when], sightings=[replace(true, object_id=other)])
+
+        run.through(moments)
+
+        (judgement,) = next(f for m, f in run.frames if m is moments[when]).judgements
+        assert judgement.similarity == 0.5
+        verdicts.append(judgement.verdict)
+
+    assert verdicts.count(Verdict.FALSE_MATCH) >= 5
+    assert set(verdicts) <= {Verdict.FALSE_MATCH, Verdict.NOT_CONVERGED}
+
+
+def test_nothing_is_lowered_while_the_robot_is_badly_located() -> None:
+    run = Run(landmarks())
+    run.localization.locate((1.0, -0.8, 0.4), np.diag([0.01, 0.01, 0.003]))
+
+    run.through(drive(4.0))
+
+    for _, frame in run.frames:
+        if not frame.healthy:
+            assert frame.reason
+    assert all(j.similarity >= 0.45 for _, frame in run.frames for j in frame.judgements)
+
+
+def test_a_kidnapped_robot_finds_itself_again() -> None:
+    run = Run(landmarks())
+    run.localization.locate((0.0, 0.0, 0.0), CERTAIN)
+    moments = [m for m in drive(90.0) if not 20.0 <= m.time < 45.0]
+
+    run.through(moments)
+
+    assert any(frame.relocalised for _, frame in run.frames) or run.errors[-1] < 0.3
+    assert run.errors[-1] < 0.3
+
+
+def test_a_long_blind_stretch_is_recovered_from() -> None:
+    run = Run(landmarks())
+    run.localization.locate((0.0, 0.0, 0.0), CERTAIN)
+
+    run.through(drive(150.0, seed=3, blind=(20.0, 120.0)))
+
+    assert max(run.errors[-50:]) < 0.3
+
+
+def test_a_removed_object_is_no_longer_fused_and_its_lie_forgotten() -> None:
+    objects = landmarks(o1=(0.0, 1.5))
+    run = Run(objects)
+    run.localization.locate((0.0, 0.0, 0.0), CERTAIN)
+    run.through(drive(12.0))
+
+    run.localization.use_map([o for o in objects if o.object_id != 1])
+    run.errors.clear()
+    run.through(m for m in drive(40.0) if m.time >= 12.0)
+
+    assert np.mean(run.errors) < 0.15
+
+
+def test_the_same_seed_gives_the_same_run() -> None:
+    def final(seed: int) -> tuple[float, float, float]:
+        run = Run(landmarks(o3=(1.3, 0.4)), seed=seed).through(drive(20.0))
+        return run.localization.pose().mean
+
+    assert final(4) == final(4)
+    assert final(4) != final(5)

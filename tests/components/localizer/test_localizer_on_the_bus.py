@@ -1,0 +1,273 @@
+"""The localizer on the bus: order by stamps, known and unknown starts, evidence, bad time."""
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cairn.clock import from_ns
+from components.localizer.component import Localizer
+from schemas.cairn_msgs import (
+    ObjectEvidence,
+    RecognizedObject,
+    RecognizedObjectArray,
+    VisualMap,
+    VisualObject,
+)
+from schemas.geometry_msgs import (
+    Point,
+    Pose,
+    PoseWithCovariance,
+    PoseWithCovarianceStamped,
+    Quaternion,
+    Twist,
+    TwistWithCovariance,
+    Vector3,
+)
+from schemas.nav_msgs import Odometry
+from schemas.std_msgs import Header
+from tests.components.localizer.hall import PLACES, Moment, drive
+
+StageOf = Callable[..., Any]
+
+BEGIN = 1000.0
+START = {"x": 0.0, "y": 0.0, "theta": 0.0}
+BASE = {"lag_s": 0.0, "forward_gain": 1.0, "turn_gain": 1.0}
+
+
+def header(time: float, frame: str = "") -> Header:
+    return Header(stamp=from_ns(round((BEGIN + time) * 1e6) * 1000), frame_id=frame)
+
+
+def odometry(moment: Moment, drift_m: float = 0.0) -> Odometry:
+    x, y, theta = moment.pose
+    covariance = np.zeros(36)
+    covariance[0] = covariance[7] = drift_m**2 / 2
+    heading = Quaternion(z=math.sin(theta / 2), w=math.cos(theta / 2))
+    return Odometry(
+        header=header(moment.time, "odom"),
+        child_frame_id="base_link",
+        pose=PoseWithCovariance(
+            pose=Pose(position=Point(x=x, y=y), orientation=heading), covariance=covariance
+        ),
+        twist=TwistWithCovariance(
+            twist=Twist(linear=Vector3(x=moment.forward), angular=Vector3(z=moment.turn))
+        ),
+    )
+
+
+def recognised(moment: Moment) -> RecognizedObjectArray:
+    return RecognizedObjectArray(
+        header=header(moment.time, "base_link"),
+        objects=tuple(
+            RecognizedObject(
+                object_id=s.object_id,
+                range=s.range_m,
+                bearing=s.bearing,
+                covariance=np.array([s.range_variance, 0.0, 0.0, s.bearing_variance]),
+            )
+            for s in moment.sightings
+        ),
+    )
+
+
+def visual_map(**moved: tuple[float, float]) -> VisualMap:
+    shift = {int(name[1:]): move for name, move in moved.items()}
+    return VisualMap(
+        objects=tuple(
+            VisualObject(
+                object_id=i,
+                x=x + shift.get(i, (0.0, 0.0))[0],
+                y=y + shift.get(i, (0.0, 0.0))[1],
+                reliability=0.9,
+            )
+            for i, (x, y) in PLACES.items()
+        )
+    )
+
+
+def begun(stage: StageOf, start: dict[str, float] | None, **parameters: Any) -> Any:
+    it = stage(
+        Localizer, BEGIN, start=start, base=BASE, search_particles=8000, **parameters
+    ).begin()
+    it.give("visual_map", visual_map())
+    return it
+
+
+def travel(it: Any, moments: Iterable[Moment], drift_m: float = 0.0, late_s: float = 0.0) -> None:
+    """Give odometry in time and sightings `late_s` later."""
+    waiting: list[Moment] = []
+    for moment in moments:
+        it.wait(max(0.0, BEGIN + moment.time - it.executor.now() / 1e9))
+        it.give("odom", odometry(moment, drift_m))
+        waiting.append(moment)
+        while waiting and waiting[0].time <= moment.time - late_s:
+            ready = waiting.pop(0)
+            if ready.sightings:
+                it.give("objects", recognised(ready))
+
+
+def error(message: PoseWithCovarianceStamped, moments: Sequence[Moment]) -> float:
+    stamp = message.header.stamp
+    time = stamp.sec + stamp.nanosec / 1e9 - BEGIN
+    moment = min(moments, key=lambda m: abs(m.time - time))
+    where = message.pose.pose.position
+    return math.hypot(where.x - moment.pose[0], where.y - moment.pose[1])
+
+
+def test_the_pose_is_published_from_a_known_start(stage: StageOf) -> None:
+    moments = list(drive(20.0))
+    it = begun(stage, START)
+
+    travel(it, moments)
+
+    poses = it.taken("pose")
+    assert len(poses) >= 90
+    assert max(error(pose, moments) for pose in poses) < 0.3
+    assert poses[0].header.frame_id == "map"
+    cloud = it.taken("particles")[-1]
+    assert len(cloud.poses) == 200
+    transform = it.taken("tf")[-1].transforms[0]
+    assert (transform.header.frame_id, transform.child_frame_id) == ("map", "odom")
+    assert math.hypot(transform.transform.translation.x, transform.transform.translation.y) < 0.3
+
+
+def test_no_pose_is_claimed_before_the_robot_is_found(stage: StageOf) -> None:
+    moments = list(drive(25.0))
+    it = begun(stage, None)
+    blind = [Moment(m.time, m.forward, m.turn, m.pose, []) for m in moments[:25]]
+
+    travel(it, blind)
+    assert it.taken("pose") == []
+    travel(it, moments[25:])
+
+    assert error(it.taken("pose")[-1], moments) < 0.3
+
+
+def test_late_sightings_change_no_conclusion(stage: StageOf) -> None:
+    moments = list(drive(30.0))
+    prompt, late = begun(stage, START), begun(stage, START)
+
+    travel(prompt, moments)
+    travel(late, moments, late_s=0.19)
+
+    judged = [
+        [(e.object_id, e.similarity) for m in it.taken("object_evidence") for e in m.evidence]
+        for it in (prompt, late)
+    ]
+    assert judged[0][:100] == judged[1][:100]
+
+
+def test_a_sighting_waits_for_odometry_but_not_for_ever(
+    stage: StageOf, caplog: pytest.LogCaptureFixture
+) -> None:
+    moments = list(drive(10.0))
+    it = begun(stage, START, hold_s=1.0)
+    travel(it, moments[:20])
+    it.taken("object_evidence")
+    ahead = next(m for m in moments[21:] if m.sightings)
+    it.wait(ahead.time + BEGIN - it.executor.now() / 1e9)
+
+    it.give("objects", recognised(ahead))
+    assert it.taken("object_evidence") == []
+    it.wait(2.0)
+
+    assert len(it.taken("object_evidence")) == 1
+    assert "found no odometry of that time" in caplog.text
+
+
+def test_time_that_runs_backwards_is_told_and_ignored(
+    stage: StageOf, caplog: pytest.LogCaptureFixture
+) -> None:
+    moments = list(drive(20.0))
+    it = begun(stage, START)
+    travel(it, moments[:60])
+
+    it.give("odom", odometry(moments[3]))
+    it.give("objects", recognised(next(m for m in moments if m.sightings)))
+    travel(it, moments[60:])
+
+    assert "time on /robot/odom runs backwards, from 1011.800 s to 1000.600 s" in caplog.text
+    assert "time on /robot/objects runs backwards" in caplog.text
+    assert error(it.taken("pose")[-1], moments) < 0.3
+
+
+def test_a_localizer_restarted_on_the_way_does_not_believe_the_old_start(
+    stage: StageOf, caplog: pytest.LogCaptureFixture
+) -> None:
+    moments = list(drive(60.0))
+    it = begun(stage, START)
+
+    travel(it, moments[150:], drift_m=3.0)
+
+    assert "the known start no longer holds" in caplog.text
+    assert error(it.taken("pose")[-1], moments) < 0.3
+
+
+def test_a_localizer_restarted_near_the_start_goes_on_by_odometry(stage: StageOf) -> None:
+    moments = list(drive(20.0))
+    it = begun(stage, START)
+    blind = [Moment(m.time, m.forward, m.turn, m.pose, []) for m in moments[40:]]
+
+    travel(it, blind, drift_m=0.1)
+
+    assert error(it.taken("pose")[-1], moments) < 0.3
+
+
+def test_missed_odometry_is_made_up_for_by_its_own_pose(
+    stage: StageOf, caplog: pytest.LogCaptureFixture
+) -> None:
+    moments = list(drive(20.0))
+    it = begun(stage, START)
+    blind = [Moment(m.time, m.forward, m.turn, m.pose, []) for m in moments]
+
+    travel(it, [*blind[:20], *blind[50:]])
+
+    assert "no odometry on /robot/odom for 6" in caplog.text
+    assert error(it.taken("pose")[-1], moments) < 0.4
+
+
+def test_an_operator_can_say_where_the_robot_is(stage: StageOf) -> None:
+    it = begun(stage, None)
+    moments = list(drive(5.0))
+    blind = [Moment(m.time, m.forward, m.turn, m.pose, []) for m in moments]
+    travel(it, blind[:5])
+
+    it.give("initialpose", PoseWithCovarianceStamped(pose=odometry(moments[4]).pose))
+    travel(it, blind[5:])
+
+    assert error(it.taken("pose")[-1], moments) < 0.2
+
+
+def test_evidence_names_the_moved_object_and_where_it_stands(stage: StageOf) -> None:
+    it = begun(stage, START)
+    it.give("visual_map", visual_map(o3=(1.3, 0.4)))
+
+    travel(it, drive(70.0))
+
+    evidence = [(m, e) for m in it.taken("object_evidence") for e in m.evidence]
+    blamed = {e.object_id for _, e in evidence if e.similarity < 0.4}
+    assert blamed == {3}
+    against = [e for m, e in evidence if e.verdict == ObjectEvidence.DISAGREES and m.healthy]
+    assert np.median([e.x for e in against]) == pytest.approx(-1.0, abs=0.25)
+    assert np.median([e.y for e in against]) == pytest.approx(3.5, abs=0.25)
+    assert all(m.reason for m, _ in evidence if not m.healthy)
+
+
+def test_an_object_that_the_map_lacks_is_placed(stage: StageOf) -> None:
+    it = begun(stage, START)
+    known = visual_map()
+    it.give("visual_map", VisualMap(objects=known.objects[1:]))
+
+    travel(it, drive(60.0))
+
+    placed = [
+        e
+        for m in it.taken("object_evidence")
+        for e in m.evidence
+        if e.object_id == 1 and m.healthy and e.verdict == ObjectEvidence.AGREES
+    ]
+    assert np.median([e.x for e in placed]) == pytest.approx(3.0, abs=0.2)
+    assert {e.similarity for e in placed} == {0.5}

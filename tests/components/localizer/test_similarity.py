@@ -1,0 +1,100 @@
+"""Equation (1) in both modes: clamped, never NaN, neutral where nothing can be said."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from components.localizer.object_likelihood import Landmark, Sighting, object_log_likelihood
+from components.localizer.particles import Estimate
+from components.localizer.ring import draw_ring
+from components.localizer.similarity import (
+    convergence_radius,
+    implied_place,
+    innovation,
+    likelihood_ratio_similarity,
+    paper_similarity,
+)
+
+number = st.floats(-20.0, 20.0)
+
+
+def pose(x: float = 0.0, y: float = 0.0, theta: float = 0.0, sd: float = 0.05) -> Estimate:
+    return Estimate((x, y, theta), np.diag([sd**2, sd**2, (0.5 * sd) ** 2]))
+
+
+def seen(range_m: float, bearing: float = 0.0) -> Sighting:
+    return Sighting(1, range_m, bearing, 0.1**2, 0.02**2)
+
+
+@given(number, number, st.floats(-4, 4), st.floats(0.05, 15.0), st.floats(-4, 4), number, number)
+def test_similarity_is_always_a_number_within_its_bounds(
+    x: float, y: float, theta: float, reach: float, bearing: float, mx: float, my: float
+) -> None:
+    found = innovation(pose(x, y, theta), seen(reach, bearing), Landmark(1, mx, my))
+
+    assert 0.1 <= likelihood_ratio_similarity(found) <= 0.9
+
+
+def test_an_object_in_its_place_agrees_and_one_that_moved_does_not() -> None:
+    landmark = Landmark(1, 2.0, 0.0)
+
+    assert likelihood_ratio_similarity(innovation(pose(), seen(2.0), landmark)) == 0.9
+    assert likelihood_ratio_similarity(innovation(pose(), seen(3.0), landmark)) == 0.1
+    assert likelihood_ratio_similarity(innovation(pose(), seen(2.0, 0.7), landmark)) == 0.1
+
+
+def test_a_robot_that_does_not_know_where_it_is_judges_nothing() -> None:
+    lost = pose(sd=3.0)
+
+    assert likelihood_ratio_similarity(innovation(lost, seen(3.0), Landmark(1, 2.0, 0.0))) == 0.5
+
+
+@pytest.mark.parametrize(
+    ("radius", "distance", "similarity"),
+    [(0.2, 0.1, 0.9), (0.2, 0.4, 0.5), (0.2, 0.8, 0.25), (0.2, 5.0, 0.1), (0.2, 0.0, 0.9)],
+)
+def test_the_papers_similarity_is_radius_over_distance_clamped(
+    radius: float, distance: float, similarity: float
+) -> None:
+    assert paper_similarity(radius, distance) == pytest.approx(similarity)
+
+
+def test_the_convergence_radius_has_a_floor() -> None:
+    assert convergence_radius(pose(sd=0.001)) == pytest.approx(0.12)
+    assert convergence_radius(pose(sd=0.2)) == pytest.approx(0.49)
+
+
+def test_the_implied_place_is_where_the_sighting_points() -> None:
+    x, y, covariance = implied_place(pose(1.0, 2.0, math.pi / 2), seen(3.0, math.pi / 2))
+
+    assert (x, y) == pytest.approx((-2.0, 2.0))
+    assert covariance[0, 0] > 0.1**2
+    assert np.all(np.linalg.eigvalsh(covariance) > 0)
+
+
+@given(number, number, st.floats(0.3, 8.0), st.floats(-1.0, 1.0), st.integers(0, 1000))
+def test_new_samples_see_the_object_as_it_was_seen(
+    mx: float, my: float, reach: float, bearing: float, seed: int
+) -> None:
+    landmark = Landmark(1, mx, my, reliability=0.98)
+    sighting = seen(reach, bearing)
+
+    ring = draw_ring(sighting, landmark, 300, np.random.default_rng(seed))
+
+    fit = object_log_likelihood(ring, sighting, landmark)
+    assert np.mean(fit > -4.6) > 0.95
+    around = np.arctan2(ring[1] - my, ring[0] - mx)
+    assert np.hypot(np.cos(around).mean(), np.sin(around).mean()) < 0.25
+
+
+@given(number, number, st.floats(-10, 10), st.floats(0.02, 0.98))
+def test_no_sighting_rules_a_pose_out(x: float, y: float, theta: float, trust: float) -> None:
+    landmark = Landmark(1, 0.0, 0.0, reliability=trust)
+    poses = np.array([[x], [y], [theta]])
+
+    fit = object_log_likelihood(poses, seen(2.0), landmark)[0]
+
+    assert math.log(1 - trust) - 4.6 - 1e-9 <= fit <= 1e-9

@@ -1,0 +1,108 @@
+"""The map builder on the bus: the map first, changes as they come, and after a death the same."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cairn.clock import from_ns
+from cairn.errors import CairnError
+from components.map_builder.component import MapBuilder
+from components.map_builder.importing import write_map
+from schemas.cairn_msgs import ObjectEvidence, ObjectEvidenceArray, VisualMapChange, VisualObject
+from schemas.geometry_msgs import PoseWithCovarianceStamped
+from schemas.std_msgs import Header
+from tests.components.map_builder.evidence import surveyed
+
+StageOf = Callable[..., Any]
+
+
+@pytest.fixture
+def map_file(tmp_path: Path) -> Path:
+    path = tmp_path / "a.map"
+    write_map(path, "a test", [surveyed(6), surveyed(7)])
+    return path
+
+
+def frame(step: int, similarity: float, x: float) -> ObjectEvidenceArray:
+    verdict = ObjectEvidence.AGREES if similarity >= 0.5 else ObjectEvidence.DISAGREES
+    piece = ObjectEvidence(
+        object_id=7,
+        similarity=similarity,
+        verdict=verdict,
+        distance=3.0,
+        x=x,
+        y=1.0,
+        covariance=np.array([0.02, 0.0, 0.0, 0.02]),
+        range=2.0,
+        bearing=0.1,
+    )
+    header = Header(stamp=from_ns((1000 + step) * 10**9), frame_id="map")
+    return ObjectEvidenceArray(header=header, robot_x=0.3 * step, healthy=True, evidence=(piece,))
+
+
+def states(it: Any) -> dict[int, int]:
+    return {o.object_id: o.state for o in it.taken("visual_map")[-1].objects}
+
+
+def test_the_map_is_published_when_it_begins(stage: StageOf, map_file: Path) -> None:
+    it = stage(MapBuilder, 1000.0, map_file=str(map_file)).begin()
+
+    (first,) = it.taken("visual_map")
+
+    assert [o.object_id for o in first.objects] == [6, 7]
+    assert {o.reliability for o in first.objects} == {0.5}
+    assert first.version == 2
+
+
+def test_a_moved_object_is_removed_and_registered_on_the_bus(
+    stage: StageOf, map_file: Path
+) -> None:
+    it = stage(MapBuilder, 1000.0, map_file=str(map_file)).begin()
+
+    it.give("object_evidence", frame(0, 0.1, 3.5))
+    assert states(it)[7] == VisualObject.RELOCATING
+    for step in range(1, 4):
+        it.give("object_evidence", frame(step, 0.9, 3.5))
+
+    changes = it.taken("visual_map_changes")
+    assert [c.kind for c in changes[:2]] == [VisualMapChange.REMOVED, VisualMapChange.REGISTERED]
+    assert np.isnan(changes[0].new_x)
+    assert changes[1].old_x == 2.0
+    assert changes[1].new_x == pytest.approx(3.5, abs=0.05)
+    assert states(it)[7] == VisualObject.LIVE
+
+
+def test_a_killed_map_builder_comes_back_with_its_changes(stage: StageOf, map_file: Path) -> None:
+    copy = map_file.with_name("copy.map")
+    parameters = {"map_file": str(map_file), "working_copy": str(copy)}
+    it = stage(MapBuilder, 1000.0, **parameters).begin()
+    it.give("object_evidence", frame(0, 0.1, 3.5))
+
+    again = stage(MapBuilder, 1001.0, **parameters).begin()
+
+    assert states(again)[7] == VisualObject.RELOCATING
+
+
+def test_what_a_lost_robot_judged_is_restored(stage: StageOf, map_file: Path) -> None:
+    it = stage(MapBuilder, 1000.0, map_file=str(map_file)).begin()
+    it.give("object_evidence", frame(0, 0.1, 3.5))
+
+    it.give("relocalised", PoseWithCovarianceStamped())
+
+    kinds = [c.kind for c in it.taken("visual_map_changes")]
+    assert kinds == [VisualMapChange.REMOVED, VisualMapChange.RESTORED]
+    assert states(it)[7] == VisualObject.LIVE
+
+
+def test_a_file_that_is_no_map_is_told_before_anything_moves(
+    stage: StageOf, tmp_path: Path
+) -> None:
+    wrong = tmp_path / "wrong.map"
+    wrong.write_text("nothing of the kind")
+    it = stage(MapBuilder, 1000.0, map_file=str(wrong))
+
+    with pytest.raises(CairnError, match=r"wrong\.map.*damaged or no map"):
+        it.begin()

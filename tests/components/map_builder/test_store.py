@@ -1,0 +1,231 @@
+"""The map file keeps what was committed, whatever happens, and says what is wrong with a file."""
+
+import json
+import os
+import random
+import signal
+import sqlite3
+import subprocess
+import sys
+import textwrap
+import time
+from pathlib import Path
+
+import pytest
+
+from components.map_builder.importing import write_map
+from components.map_builder.keeper import MapKeeper
+from components.map_builder.objects import Kind, State
+from components.map_builder.store import MapFileError, copy_map, open_map
+from tests.components.map_builder.evidence import THERE, sighting, surveyed
+
+
+@pytest.fixture
+def map_file(tmp_path: Path) -> Path:
+    path = tmp_path / "a.map"
+    write_map(path, "a test", [surveyed(6), surveyed(7)])
+    return path
+
+
+def keep(path: Path, copy: Path | None = None, now_ns: int = 10**18) -> MapKeeper:
+    return MapKeeper(path, copy, now_ns, learn_unknown=True)
+
+
+def test_changes_and_evidence_are_there_when_the_file_is_opened_again(map_file: Path) -> None:
+    keeper = keep(map_file)
+    for step in range(6):
+        keeper.apply(step, [sighting(0.1 if step == 0 else 0.9, step, THERE)])
+    keeper.close()
+
+    with open_map(map_file, read_only=True) as store:
+        known = {o.object_id: o for o in store.objects()}
+        assert known[7].state is State.LIVE
+        assert known[7].place is not None
+        assert known[7].place.distance(THERE) < 0.1
+        kinds = [row[3] for row in store.history()]
+        assert kinds[:4] == [Kind.IMPORTED.name] * 2 + [Kind.REMOVED.name, Kind.REGISTERED.name]
+        over_time = store.reliability_over_time(7)
+        assert [stamp for stamp, _ in over_time] == list(range(6))
+        assert over_time[0][1] == pytest.approx(0.1)
+
+
+def test_an_imported_map_is_one_file_that_a_read_only_place_can_hold(
+    map_file: Path, tmp_path: Path
+) -> None:
+    assert [p.name for p in tmp_path.iterdir()] == [map_file.name]
+
+    with open_map(map_file, read_only=True) as store:
+        assert len(store.objects()) == 2
+    assert [p.name for p in tmp_path.iterdir()] == [map_file.name]
+
+
+def test_the_original_is_untouched_by_a_run_on_a_working_copy(map_file: Path) -> None:
+    before = map_file.read_bytes()
+    keeper = keep(map_file, map_file.with_name("copy.map"))
+    keeper.apply(1, [sighting(0.1, 0, THERE)])
+    keeper.close()
+
+    assert map_file.read_bytes() == before
+
+
+def test_a_working_copy_is_gone_on_with_after_a_death(map_file: Path) -> None:
+    copy = map_file.with_name("copy.map")
+    first = keep(map_file, copy)
+    first.apply(100, [sighting(0.1, 0, THERE)])
+    first.abandon()
+
+    second = keep(map_file, copy, now_ns=200)
+
+    assert {o.object_id: o.state for o in second.objects}[7] is State.RELOCATING
+    second.close()
+
+
+def test_a_replay_from_the_beginning_starts_from_the_original(map_file: Path) -> None:
+    copy = map_file.with_name("copy.map")
+    first = keep(map_file, copy)
+    first.apply(100, [sighting(0.1, 0, THERE)])
+    first.close()
+
+    again = keep(map_file, copy, now_ns=50)
+
+    assert {o.object_id: o.state for o in again.objects}[7] is State.LIVE
+    again.close()
+
+
+def test_another_map_makes_a_working_copy_of_its_own(map_file: Path) -> None:
+    copy = map_file.with_name("copy.map")
+    keep(map_file, copy).close()
+    other = map_file.with_name("b.map")
+    write_map(other, "another", [surveyed(9)])
+
+    keeper = keep(other, copy)
+
+    assert [o.object_id for o in keeper.objects] == [9]
+    keeper.close()
+
+
+WRITER = """
+    import sys
+    from pathlib import Path
+    from tests.components.map_builder.evidence import HERE, THERE, sighting
+    from components.map_builder.keeper import MapKeeper
+    keeper = MapKeeper(Path(sys.argv[1]), None, 0, True)
+    step = 0
+    while True:
+        step += 1
+        one = sighting(0.1, step, THERE if step // 8 % 2 else HERE)
+        for version, change in keeper.apply(step, [one])[1]:
+            print(version, change.kind.name, flush=True)
+        if step % 5 == 0:
+            keeper.save()
+"""
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_kill_while_writing_loses_no_change_that_was_told(map_file: Path, seed: int) -> None:
+    writer = subprocess.Popen(
+        [sys.executable, "-c", textwrap.dedent(WRITER), str(map_file)],
+        stdout=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[3])},
+    )
+    assert writer.stdout is not None
+    told = [writer.stdout.readline().split() for _ in range(5)]
+    time.sleep(random.Random(seed).uniform(0.0, 0.1))
+    writer.send_signal(signal.SIGKILL)
+    told += [
+        line.split() for line in writer.stdout.read().splitlines(keepends=True) if "\n" in line
+    ]
+    writer.wait(10)
+    writer.stdout.close()
+
+    with open_map(map_file) as store:
+        kept = {str(row[0]): row[3] for row in store.history()}
+        assert len(store.objects()) == 2
+    for version, kind in told:
+        assert kept[version] == kind
+    assert sorted(map(int, kept)) == list(range(1, len(kept) + 1))
+
+
+def broken(path: Path, how: str) -> None:
+    data = path.read_bytes()
+    if how == "truncated":
+        path.write_bytes(data[: len(data) // 2])
+    elif how == "text":
+        path.write_text("not a map\n" * 200)
+    elif how == "empty":
+        path.write_bytes(b"")
+    elif how == "foreign":
+        path.unlink()
+        with sqlite3.connect(path) as other:
+            other.execute("CREATE TABLE t (a)")
+        other.close()
+    elif how == "newer":
+        with sqlite3.connect(path) as other:
+            other.execute("PRAGMA user_version = 99")
+        other.close()
+    else:
+        path.unlink()
+
+
+@pytest.mark.parametrize(
+    ("how", "complaint"),
+    [
+        ("truncated", "damaged"),
+        ("text", "damaged or no map"),
+        ("empty", "not a visual map of Cairn"),
+        ("foreign", "not a visual map of Cairn"),
+        ("newer", "has format 99, this Cairn reads format 1"),
+        ("missing", "no such map file"),
+    ],
+)
+@pytest.mark.parametrize("read_only", [True, False])
+def test_a_file_that_is_no_map_is_refused_by_name(
+    map_file: Path, how: str, complaint: str, read_only: bool
+) -> None:
+    broken(map_file, how)
+
+    with pytest.raises(MapFileError) as refused:
+        open_map(map_file, read_only=read_only)
+
+    assert str(map_file) in str(refused.value)
+    assert complaint in str(refused.value)
+
+
+def test_a_map_under_another_writer_says_so(
+    map_file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("components.map_builder.store.LOCK_WAIT_S", 0.05)
+    other = sqlite3.connect(map_file, isolation_level=None)
+    other.execute("BEGIN EXCLUSIVE")
+
+    with pytest.raises(MapFileError, match="Another program writes to it"):
+        open_map(map_file)
+    other.close()
+
+
+def test_a_full_disk_is_named_with_the_file(map_file: Path) -> None:
+    keeper = keep(map_file)
+    keeper._store._connection.execute("PRAGMA max_page_count = 1")
+
+    for step in range(400):
+        keeper.apply(step, [sighting(0.9, step)])
+    with pytest.raises(MapFileError, match=r"a.map: database or disk is full.*free some space"):
+        keeper.save()
+    keeper.abandon()
+
+
+def test_a_working_copy_in_a_folder_that_cannot_be_made_is_named(map_file: Path) -> None:
+    with pytest.raises(MapFileError, match=r"a\.map.*(Not a directory|File exists)"):
+        copy_map(map_file, map_file / "copy.map")
+
+
+def test_the_reason_of_each_change_can_be_read_as_json(map_file: Path) -> None:
+    keeper = keep(map_file)
+    keeper.apply(5, [sighting(0.1, 0, THERE)])
+    keeper.close()
+
+    with open_map(map_file, read_only=True) as store:
+        last = json.loads(json.dumps(store.history()))[-1]
+    assert last[2:5] == [7, "REMOVED", pytest.approx(0.1)]
+    assert "1.50 m away" in last[5]

@@ -1,0 +1,170 @@
+"""The visual map removes what moved, registers where it is now, and keeps what stands still."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from components.map_builder.objects import Kind, Place, State, Verdict
+from components.map_builder.visual_map import VisualMap
+from tests.components.map_builder.evidence import HERE, THERE, sighting, surveyed
+
+
+def kinds(visual_map: VisualMap, *frames: object) -> list[Kind]:
+    return [change.kind for frame in frames for change in visual_map.apply([frame]).changes]  # type: ignore[list-item]
+
+
+def test_agreement_makes_an_object_reliable() -> None:
+    visual_map = VisualMap([surveyed()])
+
+    for step in range(5):
+        visual_map.apply([sighting(0.9, step)])
+
+    assert visual_map.objects[7].reliability == pytest.approx(0.98)
+    assert visual_map.objects[7].evidence_count == 5
+
+
+def test_sightings_from_one_pose_count_once() -> None:
+    visual_map = VisualMap([surveyed()])
+
+    for _ in range(50):
+        visual_map.apply([sighting(0.1, 0, THERE), sighting(0.9, 0)])
+
+    assert visual_map.objects[7].evidence_count == 1
+
+
+def test_a_moved_object_is_removed_and_registered_at_its_new_place() -> None:
+    visual_map = VisualMap([surveyed()])
+    agreed = [sighting(0.9, step) for step in range(3)]
+    moved = [sighting(0.1, step, THERE) for step in range(3, 6)]
+    seen_there = [sighting(0.9, step, THERE) for step in range(6, 12)]
+
+    seen = kinds(visual_map, *agreed, *moved, *seen_there)
+
+    known = visual_map.objects[7]
+    assert seen[:2] == [Kind.REMOVED, Kind.REGISTERED]
+    assert known.state is State.LIVE
+    assert known.place is not None
+    assert known.place.distance(THERE) < 0.05
+    assert known.reliability > 0.5
+
+
+def test_a_removed_object_is_not_registered_by_the_frame_that_removed_it() -> None:
+    visual_map = VisualMap([surveyed()])
+
+    changes = visual_map.apply([sighting(0.1, 0, THERE)]).changes
+
+    assert [c.kind for c in changes] == [Kind.REMOVED]
+    assert visual_map.objects[7].reliability <= 0.1 + 1e-9
+    candidate = visual_map.objects[7].candidate
+    assert candidate is not None
+    assert candidate.reliability == pytest.approx(0.1)
+
+
+def test_a_candidate_that_keeps_moving_is_never_registered() -> None:
+    visual_map = VisualMap([surveyed()])
+    carried = [
+        sighting(0.1, step, Place(3.0 + 1.0 * step, 1.0, 0.02, 0.0, 0.02)) for step in range(20)
+    ]
+
+    assert kinds(visual_map, *carried) == [Kind.REMOVED]
+    assert visual_map.objects[7].state is State.RELOCATING
+
+
+def test_an_object_removed_by_mistake_is_restored_to_its_surveyed_place() -> None:
+    visual_map = VisualMap([surveyed()])
+    near = Place(2.1, 1.1, 0.02, 0.0, 0.02)
+
+    seen = kinds(
+        visual_map, sighting(0.1, 0, near), *(sighting(0.5, step, near) for step in range(1, 5))
+    )
+
+    assert seen == [Kind.REMOVED, Kind.RESTORED]
+    assert visual_map.objects[7].place == HERE
+
+
+def test_an_object_that_the_map_lacks_is_learned_from_several_poses() -> None:
+    visual_map = VisualMap([])
+
+    assert kinds(visual_map, *(sighting(0.5, step, THERE) for step in range(2))) == []
+    assert kinds(visual_map, sighting(0.5, 2, THERE)) == [Kind.REGISTERED]
+    place = visual_map.objects[7].place
+    assert place is not None
+    assert place.distance(THERE) < 0.05
+
+
+def test_unknown_objects_can_be_left_alone() -> None:
+    visual_map = VisualMap([], learn_unknown=False)
+
+    outcome = visual_map.apply([sighting(0.5, 0, THERE)])
+
+    assert outcome.after == (None,)
+    assert visual_map.objects == {}
+
+
+@given(
+    st.lists(
+        st.tuples(
+            st.floats(0.0, 1.0),
+            st.sampled_from([Verdict.FALSE_MATCH, Verdict.NOT_CONVERGED]),
+        ),
+        max_size=40,
+    )
+)
+def test_nothing_is_judged_by_false_matches_or_a_lost_robot(
+    frames: list[tuple[float, Verdict]],
+) -> None:
+    visual_map = VisualMap([surveyed()])
+
+    for step, (similarity, verdict) in enumerate(frames):
+        visual_map.apply([sighting(similarity, step, THERE, verdict, healthy=False)])
+
+    assert visual_map.objects[7] == surveyed()
+
+
+def test_a_lost_robot_registers_nothing() -> None:
+    visual_map = VisualMap([])
+
+    for step in range(10):
+        visual_map.apply([sighting(0.5, step, THERE, healthy=False)])
+
+    assert visual_map.objects == {}
+
+
+def test_what_a_lost_robot_judged_is_taken_back() -> None:
+    visual_map = VisualMap([surveyed()])
+    for step in range(4):
+        visual_map.apply([sighting(0.9, step)])
+    before = visual_map.objects[7]
+    removed = kinds(visual_map, *(sighting(0.1, step, THERE) for step in range(4, 8)))
+    assert removed[0] is Kind.REMOVED
+
+    objects, changes = visual_map.take_back()
+
+    assert visual_map.objects[7] == before
+    assert objects == [before]
+    assert [c.kind for c in changes] == [Kind.RESTORED]
+
+
+def test_a_registered_place_gets_better_with_agreeing_sightings() -> None:
+    visual_map = VisualMap([])
+    first = Place(3.8, 1.0, 0.04, 0.0, 0.04)
+    for step in range(3):
+        visual_map.apply([sighting(0.5, step, first)])
+
+    for step in range(3, 30):
+        visual_map.apply([sighting(0.9, step, THERE)])
+
+    place = visual_map.objects[7].place
+    assert place is not None
+    assert place.distance(THERE) < 0.1
+
+
+def test_a_surveyed_place_stays_as_surveyed() -> None:
+    visual_map = VisualMap([surveyed()])
+
+    for step in range(30):
+        visual_map.apply([sighting(0.9, step, Place(2.2, 1.2, 0.02, 0.0, 0.02))])
+
+    place = visual_map.objects[7].place
+    assert place is not None
+    assert place.distance(HERE) < 0.05

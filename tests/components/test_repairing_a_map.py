@@ -1,0 +1,107 @@
+"""The whole loop in lockstep on a real recording: a displaced landmark is found and put right."""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from cairn.bus.qos import Qos
+from cairn.deployment.load import load_deployment
+from cairn.placement.lockstep_run import LockstepRun
+from components.map_builder.importing import altered, write_map
+from components.mrclam.dataset import Dataset
+from components.mrclam.landmarks import read_landmarks
+from schemas.cairn_msgs import VisualMap, VisualMapChange, VisualObject
+from schemas.geometry_msgs import PoseWithCovarianceStamped
+
+MANY = Qos("reliable", "transient_local", 100_000)
+
+
+def deployment(dataset: Path, robot: int, map_file: Path, start: dict[str, float]) -> Any:
+    recording = {"dataset": str(dataset), "robot": robot}
+    copy = map_file.with_name("working.map")
+    return {
+        "cairn": 1,
+        "robot": "robot",
+        "clock": "simulated",
+        "components": {
+            "odometry": {
+                "plugin": "components.mrclam.odometry:MrclamOdometry",
+                "parameters": recording,
+            },
+            "sightings": {
+                "plugin": "components.mrclam.sightings:MrclamSightings",
+                "parameters": recording,
+            },
+            "map_builder": {
+                "plugin": "components.map_builder.component:MapBuilder",
+                "parameters": {"map_file": str(map_file), "working_copy": str(copy)},
+            },
+            "localizer": {
+                "plugin": "components.localizer.component:Localizer",
+                "parameters": {"start": start},
+            },
+            "clock": {
+                "plugin": "components.mrclam.clock:MrclamClock",
+                "parameters": {**recording, "rate": 10.0},
+                "topics": {"time": "clock"},
+                "significant": True,
+                "restart": "transient",
+            },
+        },
+    }
+
+
+@pytest.mark.parametrize(("robot", "object_id"), [(5, 13)])
+def test_a_displaced_landmark_is_found_and_registered_where_it_stands(
+    dataset: Path, tmp_path: Path, robot: int, object_id: int
+) -> None:
+    map_file = tmp_path / "hall.map"
+    surveyed = read_landmarks(dataset)
+    write_map(map_file, "a test", altered(surveyed, {object_id: (-1.2, 0.7)}, []))
+    truth = Dataset(dataset).truth(robot)
+    first = Dataset(dataset).odometry(robot)[0, 0]
+    x, y, theta = (float(np.interp(first, truth[:, 0], truth[:, k])) for k in (1, 2, 3))
+    page = deployment(dataset, robot, map_file, {"x": x, "y": y, "theta": theta})
+    file = tmp_path / "run.yaml"
+    file.write_text(yaml.safe_dump(page, sort_keys=False))
+
+    run = LockstepRun(load_deployment(file), seed=0)
+    outside = run.bus.node("/robot/outside", pytest.fail)
+    poses = outside.subscribe("/robot/pose", PoseWithCovarianceStamped, MANY, _nothing)
+    maps = outside.subscribe("/robot/visual_map", VisualMap, MANY, _nothing)
+    changes = outside.subscribe("/robot/visual_map_changes", VisualMapChange, MANY, _nothing)
+    assert run.run(_nothing).normal
+
+    kinds = {(c.object_id, c.kind) for c in _all(changes)}
+    assert (object_id, VisualMapChange.REMOVED) in kinds
+    assert {i for i, kind in kinds if kind == VisualMapChange.REMOVED} == {object_id}
+    final = {o.object_id: o for o in _all(maps)[-1].objects}
+    assert {o.state for o in final.values()} == {VisualObject.LIVE}
+    for true in surveyed.objects:
+        found = final[true.object_id]
+        assert math.hypot(found.x - true.x, found.y - true.y) < 0.3
+    assert _rmse(_all(poses), truth) < 0.30
+
+
+def _rmse(poses: list[PoseWithCovarianceStamped], truth: Any) -> float:
+    time = np.array([p.header.stamp.sec + p.header.stamp.nanosec / 1e9 for p in poses])
+    x = np.array([p.pose.pose.position.x for p in poses])
+    y = np.array([p.pose.pose.position.y for p in poses])
+    dx = x - np.interp(time, truth[:, 0], truth[:, 1])
+    dy = y - np.interp(time, truth[:, 0], truth[:, 2])
+    return float(np.sqrt(np.mean(dx**2 + dy**2)))
+
+
+def _all(subscription: Any) -> list[Any]:
+    messages = []
+    while (message := subscription.take()) is not None:
+        messages.append(message)
+    return messages
+
+
+def _nothing() -> None:
+    pass

@@ -1,0 +1,147 @@
+"""The example of docs/components.md works as the page says, for a user's own package."""
+
+import json
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+EXAMPLE = Path(__file__).parents[2] / "docs" / "example"
+TURTLE = "deploy/turtle.yaml"
+
+
+@pytest.fixture(scope="session")
+def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where pip has installed the example's package, outside of the project."""
+    folder = tmp_path_factory.mktemp("installed")
+    source = folder / "source"
+    shutil.copytree(EXAMPLE, source, ignore=shutil.ignore_patterns("__pycache__"))
+    words = ["--quiet", "--no-deps", "--no-build-isolation", "--no-index", "--target"]
+    subprocess.run(
+        [sys.executable, "-m", "pip", "install", *words, str(folder / "site"), str(source)],
+        check=True,
+        timeout=60,
+    )
+    return folder / "site"
+
+
+@pytest.fixture
+def user(shell: Callable[[Path, Path], Any], installed: Path) -> Any:
+    """A shell in the example's folder, its package installed."""
+    return shell(EXAMPLE, installed)
+
+
+def test_what_the_page_quotes_stands_in_the_files(page_blocks: Callable[[str], Any]) -> None:
+    quoted = [block for block in page_blocks("docs/components.md") if block.title]
+
+    assert len(quoted) >= 10
+    for block in quoted:
+        file = (EXAMPLE / block.title).read_text(encoding="utf-8")
+        assert block.text in file, f"not in {block.title}:\n{block.text}"
+
+
+def test_the_package_is_found_by_its_entry_points(user: Any) -> None:
+    plugins = {plugin["plugin"]: plugin for plugin in json.loads(user.cairn("plugins", "--json"))}
+
+    assert plugins["turtle_wanderer"]["package"] == "turtle-robot 0.1.0"
+    assert "3 components, no problem" in user.cairn("check", TURTLE)
+
+
+def test_a_class_is_found_without_an_entry_point(
+    shell: Callable[[Path, Path], Any], endpoint: str
+) -> None:
+    user = shell(EXAMPLE, EXAMPLE)
+    classes = {
+        "turtle_supervisor": "turtle_robot.supervisor:TurtleSupervisor",
+        "base": "turtle_robot.base:TurtleBase",
+        "wanderer": "turtle_robot.wanderer:Wanderer",
+    }
+    sets = [f"--set=components.{name}.plugin={plugin}" for name, plugin in classes.items()]
+
+    assert "no problem" in user.cairn("check", TURTLE, *sets)
+
+
+def test_lockstep_gives_the_same_run_for_the_same_seed(user: Any, tmp_path: Path) -> None:
+    words = ("up", TURTLE, "--lockstep", "--set", "distance=5")
+    logs = []
+    for number, seed in enumerate(("3", "3", "4")):
+        folder = tmp_path / str(number)
+        user.cairn(*words, "--seed", seed, "--report", str(folder))
+        logs.append((folder / "logs" / "lockstep.log").read_text(encoding="utf-8"))
+
+    assert "5.0 m travelled" in logs[0]
+    assert logs[0] == logs[1]
+    assert logs[0] != logs[2]
+
+
+def test_in_real_processes_it_is_watched_and_tuned_as_the_page_says(
+    user: Any, tmp_path: Path, endpoint: str
+) -> None:
+    at = ("--connect", endpoint)
+    with running(user, tmp_path, f"bus.listen={endpoint}") as turtle:
+        wait_for(turtle, "wanderer active")
+        rows = {row["component"]: row for row in json.loads(user.cairn("ps", "--json", *at))}
+        state = json.loads(user.cairn("topic", "echo", "base_state", "--count=1", "--json", *at))
+        refusal = user.cairn("param", "set", "wanderer", "distance=1000000", *at, status=1)
+        user.cairn("param", "set", "wanderer", "distance=0.3", "speed=1.0", *at)
+        ending = wait_for(turtle, "logs and report")
+        assert turtle.wait(timeout=30) == 0
+
+    names = ["root", "turtle_supervisor", "base", "wanderer"]
+    assert {rows[f"/turtle/{name}"]["state"] for name in names} == {"active"}
+    assert len({rows[f"/turtle/{name}"]["pid"] for name in names}) == 4
+    assert 0.0 <= state["charge"] <= 1.0
+    assert "distance = 1000000" in refusal
+    assert "m travelled" in ending
+
+
+def test_in_its_parents_process_it_runs_unchanged(user: Any, tmp_path: Path, endpoint: str) -> None:
+    placement = "components.wanderer.placement=in_process"
+    with running(user, tmp_path, f"bus.listen={endpoint}", placement, "distance=0.2") as turtle:
+        assert "m travelled" in wait_for(turtle, "logs and report")
+        assert turtle.wait(timeout=30) == 0
+
+    logs = {log.stem for log in (tmp_path / "logs").iterdir()}
+    assert logs == {"root", "turtle_supervisor", "base"}
+
+
+def test_the_packages_own_tests_pass(user: Any) -> None:
+    done = user.run(sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "tests")
+
+    assert "passed" in done
+
+
+@contextmanager
+def running(user: Any, report: Path, *sets: str) -> "Iterator[subprocess.Popen[str]]":
+    """`cairn up` in real processes, with a way to go that it does not come to the end of."""
+    words = [f"--set={value}" for value in ("distance=1000", *sets)]
+    cairn = str(Path(sys.executable).with_name("cairn"))
+    process = subprocess.Popen(
+        [cairn, "up", TURTLE, "--report", str(report), *words],
+        cwd=user.folder,
+        env=user.environment(),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    try:
+        yield process
+    finally:
+        process.terminate()
+        process.wait(timeout=30)
+
+
+def wait_for(process: "subprocess.Popen[str]", text: str) -> str:
+    """The first line printed that contains the text; fails with all lines if there is none."""
+    assert process.stdout is not None
+    lines = []
+    for line in process.stdout:
+        if text in line:
+            return line
+        lines.append(line)
+    pytest.fail(f"it never said {text!r}, but: {''.join(lines)}")

@@ -1,0 +1,86 @@
+"""A component that fails on demand, in every way that a component can."""
+
+import os
+import subprocess
+import sys
+import time
+from typing import Literal
+
+from pydantic import Field
+
+from cairn.component.component import Component, Context
+from cairn.component.handlers import every
+from cairn.component.parameters import Config
+from cairn.component.ports import Out
+from schemas.geometry_msgs import Twist, Vector3
+
+Fault = Literal[
+    "none", "raise", "sleep", "hold_gil", "abort", "exit", "sys_exit", "publish_nan", "orphan"
+]
+Place = Literal["constructor", "on_configure", "on_activate", "on_shutdown", "tick"]
+
+
+class FaultyConfig(Config):
+    """What goes wrong, and where."""
+
+    fault: Fault = Field("none", description="What goes wrong; set it while running, or at start.")
+    where: Place = Field("tick", description="In which call it goes wrong.")
+    helpers: int = Field(0, ge=0, description="Processes of its own that it starts [1].")
+
+
+class Faulty(Component):
+    """Ticks fifty times per second until it is told to fail."""
+
+    config: FaultyConfig
+    velocity: Out[Twist] = Out()
+
+    def __init__(self, context: Context) -> None:
+        """Fail if told so."""
+        super().__init__(context)
+        assert isinstance(context.config, FaultyConfig)
+        if context.config.where == "constructor":
+            self._fail(context.config.fault)
+
+    def on_configure(self) -> None:
+        """Start the helpers: every second one in a session of its own."""
+        for index in range(self.config.helpers):
+            subprocess.Popen(["sleep", "1000"], start_new_session=index % 2 == 1)
+        self._fail_at("on_configure")
+
+    def on_activate(self) -> None:
+        """Fail if told so."""
+        self._fail_at("on_activate")
+
+    def on_shutdown(self) -> None:
+        """Fail if told so."""
+        self._fail_at("on_shutdown")
+
+    @every(hz=50)
+    def tick(self) -> None:
+        """Fail if told so."""
+        self._fail_at("tick")
+
+    def _fail_at(self, place: Place) -> None:
+        if self.config.where == place:
+            self._fail(self.config.fault)
+
+    def _fail(self, fault: Fault) -> None:
+        match fault:
+            case "none":
+                return
+            case "raise":
+                raise ValueError("broken on purpose")
+            case "sleep":
+                time.sleep(1000)
+            case "hold_gil":
+                sum(range(10**13))  # one call into C that lets no other thread run
+            case "abort":
+                os.abort()
+            case "exit":
+                os._exit(3)
+            case "sys_exit":
+                sys.exit(3)
+            case "publish_nan":
+                self.velocity.publish(Twist(linear=Vector3(x=float("nan"))))
+            case "orphan":
+                subprocess.Popen(["sh", "-c", "sleep 1000 & exit 0"]).wait()

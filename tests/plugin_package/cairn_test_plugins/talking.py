@@ -1,0 +1,57 @@
+"""A component that counts aloud, and one that listens."""
+
+from pydantic import Field
+
+from cairn.component.component import Component
+from cairn.component.handlers import every, on
+from cairn.component.parameters import Config, ParameterRefused
+from cairn.component.ports import In, Out
+from schemas.geometry_msgs import Twist, Vector3
+
+
+class TalkerConfig(Config):
+    """How much is said."""
+
+    words: int = Field(0, ge=0, description="Ends normally after so many [1]; 0: never.")
+    volume: int = Field(3, ge=0, le=11, description="Loudness [1]; above 10 the neighbours object.")
+
+
+class Talker(Component):
+    """Says the next number twenty times per second."""
+
+    config: TalkerConfig
+    words: Out[Twist] = Out()
+
+    def on_activate(self) -> None:
+        """Begin at 1."""
+        self._said = 0
+
+    @every(hz=20)
+    def talk(self) -> None:
+        """Say the next number."""
+        self._said += 1
+        self.words.publish(Twist(linear=Vector3(x=float(self._said))))
+        if self._said == self.config.words:
+            self.finish("all said")
+
+    def on_parameters(self, new: Config) -> None:
+        """Refuse to be too loud."""
+        if isinstance(new, TalkerConfig) and new.volume > 10:
+            raise ParameterRefused("volume: the neighbours object to more than 10")
+
+
+class Listener(Component):
+    """Logs that it hears, once, and every tenth number."""
+
+    words: In[Twist] = In(optional=True)
+
+    def on_activate(self) -> None:
+        """Begin anew."""
+        self._heard = 0
+
+    @on("words")
+    def hear(self, word: Twist) -> None:
+        """Count the words."""
+        self._heard += 1
+        if self._heard == 1 or self._heard % 10 == 0:
+            self.log.info("heard %d words, the last was %g", self._heard, word.linear.x)
