@@ -7,7 +7,7 @@ REPORT ?= demo-report
 
 ## The map repairing itself on a real robot's recording, in real processes at 10 times real time.
 demo: .venv/ready
-	$(BIN)/cairn up deploy/replay_mrclam.yaml --overlay deploy/demo.yaml --report $(REPORT)
+	$(BIN)/cairn up deploy/replay_mrclam.yaml --report $(REPORT)
 	@echo "pictures: $(REPORT)/map.png and $(REPORT)/reliability.png"
 
 ## All tests.

@@ -21,7 +21,7 @@ from uuid import uuid4
 import psutil
 
 CAIRN = str(Path(sys.executable).parent / "cairn")
-LIMIT_S = 30.0
+LIMIT_S = 20.0
 _MARK = "CAIRN_TEST_RUN"  # in the environment of all processes of a run, grandchildren included
 
 
@@ -34,12 +34,14 @@ class Run:
         report: Path,
         endpoint: str,
         environment: Mapping[str, str],
+        head: int | None,
         **how: Any,
     ) -> None:
         self.report = report
         self.endpoint = endpoint
         self.lines: list[str] = []
         self._mark = uuid4().hex
+        self._head = head
         self._changed = threading.Condition()
         self._ended = False
         self.process = subprocess.Popen(
@@ -131,6 +133,9 @@ class Run:
         assert self.process.stdout is not None
         for line in self.process.stdout:
             self._add(line)
+            if len(self.lines) == self._head:
+                break
+        self.process.stdout.close()
         self._ended = True
         self._add("")
 
@@ -154,13 +159,15 @@ class Launching:
         robot: str = "robot",
         connect: str | None = None,
         environment: Mapping[str, str] | None = None,
+        head: int | None = None,
+        report: Path | None = None,
         **how: Any,
     ) -> Run:
-        """Run `cairn up` with these components, given as YAML."""
+        """Run `cairn up` with these components, given as YAML; read only `head` lines of it."""
         endpoint = connect or f"tcp/127.0.0.1:{free_port()}"
         file = self.write(components, robot, {"connect": [endpoint]} if connect else endpoint)
-        report = self._folder / f"report{len(self.runs)}"
-        run = Run([str(file), *arguments], report, endpoint, environment or {}, **how)
+        report = report or self._folder / f"report{len(self.runs)}"
+        run = Run([str(file), *arguments], report, endpoint, environment or {}, head, **how)
         self.runs.append(run)
         return run
 

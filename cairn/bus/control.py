@@ -106,13 +106,17 @@ class ControlServer:
                 query = channel.recv()
             except zenoh.ZError:  # the queryable was undeclared
                 return
-            payload = query.payload.to_bytes() if query.payload is not None else b""
-            try:
-                asked = ControlRequest.model_validate_json(payload)
-            except ValidationError as error:
-                self._reply(query, ControlReply(error=f"not a control request: {error}"))
-                continue
-            self._post(partial(self._handle, query, asked))
+            self._receive(query)
+            del query  # whoever asks learns of the component's end when nobody holds this any more
+
+    def _receive(self, query: zenoh.Query) -> None:
+        payload = query.payload.to_bytes() if query.payload is not None else b""
+        try:
+            asked = ControlRequest.model_validate_json(payload)
+        except ValidationError as error:
+            self._reply(query, ControlReply(error=f"not a control request: {error}"))
+            return
+        self._post(partial(self._handle, query, asked))
 
     def _handle(self, query: zenoh.Query, asked: ControlRequest) -> None:
         try:

@@ -14,16 +14,21 @@ from typing import Any
 import zenoh
 
 from cairn.bus.arrival import Arrival
+from cairn.bus.links import Links
+from cairn.bus.session import PEER_MARK
+
+KEYS = "@cairn/session/"
+"""The key of a process is this and the id of its session."""
 
 
 class Meeting:
     """This process's answer to the others, and its way to meet them."""
 
-    def __init__(self, session: zenoh.Session, domain: int) -> None:
+    def __init__(self, session: zenoh.Session) -> None:
         self._session = session
+        self._links = Links(session)
         self._zid = str(session.info.zid())
-        self._all = f"@cairn/{domain}/session/*"
-        own = f"@cairn/{domain}/session/{self._zid}"
+        own = KEYS + self._zid
         self._queryable: zenoh.Queryable[Any] = session.declare_queryable(
             own, zenoh.handlers.RingChannel(256)
         )
@@ -36,29 +41,43 @@ class Meeting:
     def settle(self, timeout_s: float) -> list[str]:
         """Meet every process on the bus; returns the keys of those not met within the limit."""
         deadline = time.monotonic() + timeout_s
-        replies = self._session.liveliness().get(self._all, timeout=timeout_s)
-        keys = {str(reply.ok.key_expr) for reply in replies if reply.ok is not None}
-        others = sorted(key for key in keys if not key.endswith(self._zid))
-        if not others:
-            return []
+        others = self._links.others(timeout_s)
         # At the same time, or one that hangs would take the time that the others need.
-        with ThreadPoolExecutor(len(others), "cairn settle") as pool:
-            met = list(pool.map(lambda key: self._meet(key, deadline), others))
-        return [key for key, known in zip(others, met, strict=True) if not known]
+        with ThreadPoolExecutor(len(others) + 1, "cairn settle") as pool:
+            far = pool.submit(self._meet_far, set(others), deadline)
+            met = pool.map(lambda zid: self._meet(zid, others[zid], deadline), others)
+            unmet = [zid for zid, known in zip(others, met, strict=True) if not known]
+            return sorted(KEYS + zid for zid in unmet + far.result())
 
     def close(self) -> None:
         """Answer no more."""
         self._token.undeclare()
         self._queryable.undeclare()
         self._thread.join(timeout=2.0)
+        self._links.close()
 
-    def _meet(self, key: str, deadline: float) -> bool:
+    def _meet_far(self, near: set[str], deadline: float) -> list[str]:
+        """Meet those that neither this process nor its router is linked to; whom it could not."""
+        tokens = self._session.liveliness().get(KEYS + "*", timeout=_left(deadline))
+        keys = {str(reply.ok.key_expr) for reply in tokens if reply.ok is not None}
+        zids = {key.removeprefix(KEYS) for key in keys} - near - {self._zid}
+        return [zid for zid in zids if not self._meet(zid, False, deadline)]
+
+    def _meet(self, zid: str, direct: bool, deadline: float) -> bool:
+        if direct and not self._links.wait(zid, deadline):
+            return zid not in self._links.others(_left(deadline))
+        key = KEYS + zid
+        if not zid.startswith(PEER_MARK) and not self._alive(key, deadline):
+            return time.monotonic() < deadline  # not one of ours, or it has gone
         with Arrival(self._session, key) as arrival:
-            if not arrival.wait(max(0.0, deadline - time.monotonic())):
+            if not arrival.wait(_left(deadline)):
                 return False
-            left = deadline - time.monotonic()
-            replies = self._session.get(key, timeout=max(0.01, left))
+            replies = self._session.get(key, timeout=_left(deadline))
             return any(reply.ok is not None for reply in replies)
+
+    def _alive(self, key: str, deadline: float) -> bool:
+        tokens = self._session.liveliness().get(key, timeout=_left(deadline))
+        return any(reply.ok is not None for reply in list(tokens))
 
     def _answer(self, own: str) -> None:
         channel = self._queryable.handler
@@ -69,3 +88,7 @@ class Meeting:
                 return
             with query, suppress(zenoh.ZError):  # who asked may be gone
                 query.reply(own, b"")
+
+
+def _left(deadline: float) -> float:
+    return max(0.01, deadline - time.monotonic())

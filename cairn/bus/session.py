@@ -1,6 +1,7 @@
 """Opens the Zenoh session of a process: loopback, no multicast, no implicit shared memory."""
 
 import json
+import secrets
 import threading
 import time
 from collections.abc import Sequence
@@ -12,6 +13,9 @@ from cairn.errors import CairnError
 
 CONNECT_LIMIT_S = 2.0
 """A router on the same machine answers in milliseconds."""
+
+PEER_MARK = "ca1c0de5"
+"""The ids of our peers' sessions begin so: whoever is linked to one knows that it answers."""
 
 LEASE_MS = 2000
 """A silent peer's link is given up after so long; that of a killed one at once."""
@@ -37,7 +41,11 @@ def open_client(connect: Sequence[str]) -> zenoh.Session:
     Unlike a peer it need not wait until it knows all others, and it ends with the router. Raises
     `CairnError` if nobody listens at `connect`.
     """
-    return _open(_config("client", [], connect), _nobody(connect))
+    config = _config("client", [], connect)
+    try:
+        return zenoh.open(config)
+    except zenoh.ZError as error:
+        raise CairnError(_nobody(connect)) from error
 
 
 def open_router(listen: str, connect: Sequence[str] = ()) -> zenoh.Session:
@@ -99,10 +107,14 @@ def _config(mode: str, listen: Sequence[str], connect: Sequence[str]) -> zenoh.C
         # Opening waits for nobody: by default it lasts half a second, for peers now and then.
         "open/return_conditions/connect_scouted": False,
         "scouting/delay": 0,
+        # The router tells who is linked to it: `cairn.bus.links`.
+        "adminspace/enabled": mode == "router",
         "timestamping/enabled": True,
         "transport/link/tx/lease": LEASE_MS,
         "transport/shared_memory/enabled": False,
     }
+    if mode == "peer":
+        settings["id"] = PEER_MARK + secrets.token_hex(12)
     for key, value in settings.items():
         config.insert_json5(key, json.dumps(value))
     return config

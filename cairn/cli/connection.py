@@ -2,7 +2,7 @@
 
 import queue
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Annotated, Any
@@ -15,6 +15,7 @@ from cairn.bus import rmw
 from cairn.bus.codec import Codec
 from cairn.bus.graph import read_graph
 from cairn.bus.session import open_client
+from cairn.deployment.model import is_loopback
 from cairn.errors import CairnError
 from schemas.cairn_msgs import ComponentStatus
 from schemas.message import type_name
@@ -101,11 +102,23 @@ class Connection:
 @contextmanager
 def connected(connect: str, domain: int) -> Iterator[Connection]:
     """Join the bus for the time of a command; `CairnError` if no deployment answers."""
+    try:
+        is_loopback(connect)
+    except ValueError as error:
+        raise CairnError(f"--connect: {error}") from error
     session = open_client([connect])
     try:
         yield Connection(session, domain)
     finally:
         session.close()
+
+
+def check_robot(robot: str, known: Iterable[str]) -> None:
+    """Raise `CairnError` if a robot is asked for that is not among those known, if any is."""
+    robots = sorted(set(known))
+    if robot and robot not in robots:
+        listed = ", ".join(robots) or "none"
+        raise CairnError(f"there is no robot {robot} on the bus; there are: {listed}")
 
 
 def resolve(names: list[str], name: str, robot: str) -> str:

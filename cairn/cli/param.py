@@ -37,7 +37,9 @@ def list_(
     """List a component's parameters with value, bounds and meaning."""
     with connected(connect, domain) as connection:
         parameters = _ask(connection, component, robot, "parameters", {})
-    show(parameters, ("name", "value", "type", "bounds", "description"), as_json=json)
+    columns = ("name", "value", "type", "bounds", "description")
+    rows = parameters if json else [_with_choices(parameter) for parameter in parameters]
+    show(rows, columns, as_json=json, nothing=f"{component} has no parameters")
 
 
 @app.command()
@@ -81,6 +83,15 @@ def set_(
         _ask(connection, component, robot, "set_parameters", values)
     for name, value in values.items():
         line(f"{component}.{name} = {json_module.dumps(value)}")
+
+
+def _with_choices(parameter: dict[str, Any]) -> dict[str, Any]:
+    """For people: `Literal['a', 'b']` is a choice bounded to a and b."""
+    kind = str(parameter["type"])
+    if not kind.startswith("Literal["):
+        return parameter
+    choices = kind.removeprefix("Literal[").removesuffix("]").replace("'", "")
+    return {**parameter, "type": "choice", "bounds": choices}
 
 
 def _ask(

@@ -5,7 +5,15 @@ from typing import Any
 
 import psutil
 
-from cairn.cli.connection import DEFAULT_CONNECT, Connect, Domain, Json, Robot, connected
+from cairn.cli.connection import (
+    DEFAULT_CONNECT,
+    Connect,
+    Domain,
+    Json,
+    Robot,
+    check_robot,
+    connected,
+)
 from cairn.cli.tables import show
 from schemas.cairn_msgs import ComponentStatus
 
@@ -25,6 +33,7 @@ def ps(
     """
     with connected(connect, domain) as connection:
         statuses = connection.statuses()
+    check_robot(robot, (full.split("/")[1] for full in statuses))
     found = {
         full: status
         for full, status in sorted(statuses.items())

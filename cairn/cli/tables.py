@@ -60,7 +60,7 @@ def _text(value: Any) -> str:
         case None:
             return ""
         case float():
-            return f"{value:.4g}"
+            return f"{value:.2f}"
         case list() | tuple():
             return ", ".join(_text(item) for item in value)
         case _:

@@ -58,6 +58,7 @@ def up(
     Exit status 0 if it ended as it should, 1 if it failed.
     """
     folder = (report or _folder_of_run(file)).absolute()
+    began = time.monotonic()
     documents = list(_documents([file, *(overlay or ())]))
     with ExitStack() as stack:
         if not lockstep:
@@ -80,7 +81,8 @@ def up(
         line(table.read_text(encoding="utf-8"))
     if not end.normal:
         raise CairnError(f"{file.name} failed: {end.reason}; logs: {folder / 'logs'}")
-    line(f"ended: {end.reason}; logs and report: {folder}")
+    took = time.monotonic() - began
+    line(f"ended: {end.reason}; logs and report: {folder} (took {took:.1f} s)")
 
 
 def _documents(files: Iterable[Path]) -> Iterator[Any]:
@@ -102,7 +104,8 @@ def _run_processes(
     with log_file(folder / "logs" / "root.log", time.time_ns):
 
         def watch(bus: ZenohBus) -> Callable[[], None]:
-            return Watch(bus, deployment.robot, view).refresh
+            simulated = deployment.clock == "simulated"
+            return Watch(bus, deployment.robot, view, clock=simulated).refresh
 
         return run_processes(deployment, zygote, folder / "logs", seed, watch)
 
@@ -111,7 +114,7 @@ def _run_lockstep(
     deployment: Deployment, seed: int, folder: Path, view: LiveView | PlainView
 ) -> End:
     run = LockstepRun(deployment, seed)
-    watch = Watch(run.bus, deployment.robot, view, logs=False)
+    watch = Watch(run.bus, deployment.robot, view, clock=run.simulated, logs=False)
     events = 0
 
     def refresh() -> None:

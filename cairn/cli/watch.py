@@ -20,7 +20,8 @@ from schemas.rosgraph_msgs import Clock
 class Watch:
     """Reads what a view shows, as one more node of the deployment."""
 
-    def __init__(self, bus: Bus, robot: str, view: View, *, logs: bool = True) -> None:
+    def __init__(self, bus: Bus, robot: str, view: View, *, clock: bool, logs: bool = True) -> None:
+        """`clock`: time is simulated, on topic `clock`; `logs`: they come over /rosout."""
         self._view = view
         self._robot = robot
         node = bus.node(full_name(robot, VIEW), lambda _: None)
@@ -28,9 +29,12 @@ class Watch:
         self._sources: list[tuple[Subscription, Callable[[Any], None]]] = [
             self._source(node, full_name(robot, STATUS), ComponentStatus, LATCHED.with_depth(1000),
                          view.status),
-            self._source(node, full_name(robot, CLOCK), Clock, newest,
-                         lambda clock: view.time(to_ns(clock.clock))),
         ]  # fmt: skip
+        if clock:
+            self._sources.append(
+                self._source(node, full_name(robot, CLOCK), Clock, newest,
+                             lambda told: view.time(to_ns(told.clock)))
+            )  # fmt: skip
         if logs:
             self._sources.append(self._source(node, ROSOUT, Log, KEPT, self._log))
 

@@ -58,7 +58,7 @@ class Hosted:
 
     def post(self, call: Callable[[], None]) -> None:
         """Have `call` made as a handler of the component; from any thread."""
-        self._loop.post(lambda: self.runtime.run(call.__name__, call))
+        self._loop.post(lambda: self.runtime.run("supervision", call))
 
     def progress(self, what: str) -> None:
         """Say that a long call gets on."""
@@ -89,11 +89,12 @@ class Hosted:
             ) from None
 
     def close(self) -> None:
-        """Wait for the loop's end, which must be under way, and leave the bus."""
+        """Wait for the loop's end if it is under way, and leave the bus."""
         if self._closed:
             return
         self._closed = True
-        self._thread.join(JOIN_LIMIT_S)
+        if self.ended.is_set():  # else it hangs in a handler, and ends with the process
+            self._thread.join(JOIN_LIMIT_S)
         self._control.close()
         self.runtime.log.removeHandler(self._rosout)
 

@@ -3,6 +3,7 @@
 import contextlib
 import signal
 import threading
+import time
 from collections.abc import Callable
 from concurrent.futures import Future, InvalidStateError
 from pathlib import Path
@@ -19,7 +20,7 @@ from cairn.placement.order import Order, as_json
 from cairn.supervision.child import Child, ChildEnd, ChildSpec, Verb
 from cairn.supervision.child_process import ChildExit, ChildProcess
 from cairn.supervision.component import SupervisorComponent
-from cairn.supervision.zygote_client import ZygoteClient, ZygoteLost
+from cairn.supervision.zygote_client import SpawnFailed, ZygoteClient, ZygoteLost
 
 ENTRY = "cairn.placement.process:main"
 TRACEBACK_SIGNAL = signal.SIGUSR1
@@ -111,15 +112,18 @@ class HostLauncher:
         fresh = order.spec.interpreter == "fresh"
         session = self._supervisor.bus.session
         with Arrival(session, control_key(surroundings.domain, name)) as arrival:
-            process = self._client().spawn(
-                order.name,
-                ENTRY,
-                as_json(order),
-                log,
-                fresh=fresh,
-                needs=[] if fresh else [load_plugin(order.spec.plugin).__module__],
-                timeout_s=timeout_s,
-            )
+            try:
+                process = self._client().spawn(
+                    order.name,
+                    ENTRY,
+                    as_json(order),
+                    log,
+                    fresh=fresh,
+                    needs=[] if fresh else [load_plugin(order.spec.plugin).__module__],
+                    timeout_s=timeout_s,
+                )
+            except SpawnFailed as error:
+                raise CairnError(_in_short(error, order.name, log)) from error
             child = ProcessChild(process, log, name, self._supervisor, arrival.give_up)
             self._starting = child
             process.on_end(lambda _: arrival.give_up())
@@ -180,6 +184,7 @@ class ProcessChild:
 
     def request(self, verb: Verb, timeout_s: float) -> None:
         """Have it make a transition; a step of starting may be cut short by `give_up`."""
+        asked_at = time.monotonic()
         try:
             if self._start_under_way and verb in ("configure", "activate"):
                 self._ask_interruptibly(verb, timeout_s)
@@ -188,6 +193,8 @@ class ProcessChild:
                 self._ask(verb, timeout_s)
         except CairnError:
             end = self.wait(0.2)  # its end is told over another line than its silence
+            if end is None and time.monotonic() - asked_at >= timeout_s:
+                raise CairnError(f"no answer within {timeout_s:.1f} s") from None
             if end is None:
                 raise
             if not end.normal or verb != "shutdown":
@@ -261,7 +268,17 @@ class InProcessChild:
         if not self._hosted.ended.wait(timeout_s) or self._hosted.end is None:
             return None
         self._household.close()
-        return ChildEnd(self._hosted.end.normal, self._hosted.end.reason)
+        end = self._hosted.end
+        return ChildEnd(end.normal, end.reason if end.normal else f"failed: {end.reason}")
+
+
+def _in_short(error: SpawnFailed, name: str, log: Path) -> str:
+    """The first line of an error; all of it, a traceback perhaps, goes to the component's log."""
+    text = str(error).removeprefix(f"{name} could not be started: ")
+    with contextlib.suppress(OSError), log.open("a", encoding="utf-8") as file:
+        file.write(f"{text}\n")
+        return f"{text.partition(chr(10))[0]} (log {log})"
+    return text
 
 
 def _answer(future: "Future[None]", error: Exception | None) -> None:

@@ -107,7 +107,7 @@ class _Place:
 
     def post(self, call: Callable[[], None]) -> None:
         """Have `call` made as a handler of the supervisor."""
-        self._scheduler.post(lambda: self.runtime.run(call.__name__, call))
+        self._scheduler.post(lambda: self.runtime.run("supervision", call))
 
     def progress(self, what: str) -> None:
         """Nothing hangs in virtual time: a call that does not return, does not return."""

@@ -37,6 +37,8 @@ def main(argument: dict[str, Any]) -> None:
             bus.close()
     except CairnError as error:
         reason = str(error)
+        if error.__cause__ is not None:  # of the plugin: its author wants the traceback
+            logging.getLogger("cairn").error("%s", error, exc_info=error.__cause__)
     _say(closing_words(os.getpid(), reason))
     sys.exit(code)
 

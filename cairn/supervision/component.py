@@ -1,7 +1,6 @@
 """A component that keeps other components running: the base of every supervisor."""
 
 import logging
-import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -23,8 +22,6 @@ from schemas.cairn_msgs import ComponentStatus
 
 _SILENCE_S = 3.0
 """Beyond its limit for one handler a child may be silent for so long: the machine may be busy."""
-_BUSY_S = 1.5
-"""A watch that comes so late was kept from hearing; it comes every half second."""
 _FORCE_S = 3.0
 """What it takes to end a child by force that has not stopped in time."""
 
@@ -73,7 +70,7 @@ class SupervisorComponent(Component):
         self._specs = specs
         self._host = host
         self._heartbeats: dict[str, _Heartbeat] = {}
-        self._watched_at = -math.inf
+        self._failed_stops: dict[str, str] = {}
         self.children = Supervisor(
             self.name,
             [child_spec(name, spec) for name, spec in specs.items()],
@@ -90,8 +87,10 @@ class SupervisorComponent(Component):
         self._see_to_the_end()
 
     def on_deactivate(self) -> None:
-        """Stop the children."""
+        """Stop the children; raises `CairnError` naming those that failed in stopping."""
+        self._failed_stops.clear()
         self.children.stop_all()
+        self._insist_on_good_order()
 
     def on_shutdown(self) -> None:
         """Stop the children, should any be left."""
@@ -137,17 +136,11 @@ class SupervisorComponent(Component):
     @every(hz=2)
     def watch(self) -> None:
         """Find children that hang: one handler for too long, or no sign of life."""
-        now = time.monotonic()
-        if now - self._watched_at < _BUSY_S:
-            for child in self.children.status():
-                beat = self._heartbeats.get(child.name)
-                if child.state == "active" and beat is not None:
-                    self._judge(child, beat)
-        else:  # busy with a start or a stop: what the others said meanwhile is heard next
-            for beat in self._heartbeats.values():
-                beat.heard_at = now
+        for child in self.children.status():
+            beat = self._heartbeats.get(child.name)
+            if child.state == "active" and beat is not None:
+                self._judge(child, beat)
         self._reconcile()
-        self._watched_at = now
 
     def _judge(self, child: ChildStatus, beat: _Heartbeat) -> None:
         status, spec = beat.status, self._specs[child.name]
@@ -163,18 +156,25 @@ class SupervisorComponent(Component):
             self.children.child_hung(child.name, child.incarnation, where, silent_s)
 
     def _reconcile(self) -> None:
+        self._failed_stops.clear()
         self.children.reconcile()
         self._see_to_the_end()
 
     def _see_to_the_end(self) -> None:
         if self.children.finished:
+            self._insist_on_good_order()
             self.finish(self.children.finished)
+
+    def _insist_on_good_order(self) -> None:
+        if self._failed_stops:  # a report that was not written, perhaps: that is no success
+            what = "; ".join(f"{name}: {why}" for name, why in self._failed_stops.items())
+            raise CairnError(f"not all stopped in good order: {what}")
 
     def _observe(self, event: SupervisionEvent) -> None:
         reason = event.reason.removeprefix(f"{event.child}: ")
+        if event.what == "stop_failed" or (event.what == "stopped" and not event.normal):
+            self._failed_stops.setdefault(event.child, reason)  # the first tells the cause
         match event.what:
-            case "given_up":
-                self.log.error("%s", reason)
             case "hung":
                 self.log.error("%s %s", event.child, reason)
             case "start_failed":

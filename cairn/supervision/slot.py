@@ -98,7 +98,9 @@ class Slot:
             deadline = self._now() + self.spec.stop_timeout_s
             verbs: tuple[Verb, ...] = ("deactivate", "shutdown")
             for verb in verbs if self.state == "active" else verbs[1:]:
-                self._stop_step(child, verb, deadline)
+                # Else the former step has ended it, or has taken all of the time.
+                if child.wait(0) is None and self._now() < deadline:
+                    self._stop_step(child, verb, deadline)
             end = child.wait(max(0.0, deadline - self._now()))
         if end is None:
             end = self._end(child, child.terminate, child.kill)
@@ -126,12 +128,11 @@ class Slot:
         self.state = "stopping"
         self.tell("stopping", verb)
         try:
-            if left_s <= 0:
-                raise CairnError(f"no time is left of {self.spec.stop_timeout_s:g} s")
             self._progress(f"stopping {self.spec.name}: {verb}", left_s)
             child.request(verb, left_s)
         except Exception as error:  # the other children must be stopped all the same
-            self.tell("stop_failed", f"{verb}: {error}")
+            if child.wait(0) is None:  # else it is told how it ended
+                self.tell("stop_failed", f"{verb}: {error}")
 
     def _end(self, child: Child, *steps: Callable[[], None]) -> ChildEnd:
         """Take steps of growing force, the last one killing, until the child has ended."""
@@ -142,6 +143,7 @@ class Slot:
                 step()
             except Exception as error:  # as above
                 self.tell("stop_failed", str(error))
+                limit_s = 0.0
             end = child.wait(limit_s)
             if end is not None:
                 return end

@@ -20,6 +20,13 @@ from components.localizer.search import Found, search
 
 Array = NDArray[np.float64]
 
+# A robot that was found is looked for anew this long [s]: it may have been found in a wrong place
+# that explains what little was seen.
+PROBATION_S = 30.0
+# By so much [nats] another pose must explain the recent sightings better: errors that successive
+# sightings have in common are worth 2 to 4.
+BETTER = 6.0
+
 
 @dataclass(frozen=True)
 class Settings:
@@ -66,18 +73,15 @@ class Localization:
         self._moved_s = 0.0
         self._searched_at = -math.inf
         self._first_seen = math.inf
+        self._guess: Estimate | None = None
+        self._probation_ends = -math.inf
 
     def locate(self, pose: Sequence[float], covariance: Array) -> None:
         """Begin (again) from a known pose: x [m], y [m], theta [rad] and covariance (3, 3)."""
         self.bank.scatter(pose, covariance)
         self.recent.clear()
         self.located = True
-
-    def lose(self) -> None:
-        """Forget the pose: find it again from the sightings to come."""
-        self.located = False
-        self.recent.clear()
-        self._first_seen = math.inf
+        self._probation_ends = -math.inf
 
     def use_map(self, landmarks: Iterable[Landmark]) -> None:
         """Take a new state of the visual map."""
@@ -134,7 +138,11 @@ class Localization:
         if live:
             self.bank.fuse(live, self.landmarks, self.settings.independence)
         relocalised = False
-        if any(j.contradicts for j in judgements) and stamp - self._searched_at >= 1.0:
+        since = stamp - self._searched_at
+        on_probation = stamp < self._probation_ends
+        if (since >= 1.0 and any(j.contradicts for j in judgements)) or (
+            since >= 2.0 and on_probation
+        ):
             relocalised = self._recover(stamp)
         return Frame(before, healthy, reason, judgements, relocalised)
 
@@ -188,14 +196,20 @@ class Localization:
         self._searched_at = stamp
         found = self._search()
         if found is None or found.support.contradicting >= max(1, found.support.agreeing):
+            self._guess = None
             return
         waited = stamp - self._first_seen
         if found.share >= 0.9 and (found.support.agreeing >= 2 or waited >= 15.0):
-            self._settle(found.poses)
+            # Two modes take turns while little was seen: believe the one that stays.
+            if self._guess is not None and _close(self._guess, found.pose):
+                self._settle(found.poses)
+                self._probation_ends = stamp + PROBATION_S
+            self._guess = found.pose
         elif waited >= 10.0 and _whole(found.everywhere).spread < 0.8:
             # One place alone leaves an arc around it open; its width is stated, and the filter
             # narrows it sooner than waiting does.
             self._settle(found.everywhere)
+            self._probation_ends = stamp + PROBATION_S
 
     def _recover(self, stamp: float) -> bool:
         self._searched_at = stamp
@@ -209,7 +223,7 @@ class Localization:
             return False
         mean = np.asarray(here.mean)[:, None]
         score = self.recent.log_likelihood(mean, self._reckoned, self._moved_s, self.landmarks)
-        if found.score - float(score[0]) < 6.0:
+        if found.score - float(score[0]) < BETTER:
             return False
         self._settle(found.poses)
         return True

@@ -78,8 +78,11 @@ class RunRecord:
             return None
         return round((stamp - self.begin) * _NS, 3)
 
-    def summary(self, wall_s: float) -> dict[str, Any]:
-        """The report as plain values, ready for JSON; `wall_s` is the measured duration [s]."""
+    def summary(self, wall_s: float | None) -> dict[str, Any]:
+        """The report as plain values, ready for JSON; `wall_s` is the measured duration [s].
+
+        It is None in lockstep, so that the same seed gives the same report byte for byte.
+        """
         error = self.error()
         recorded = self.seconds(self.end) or 0.0
         return {
@@ -93,7 +96,7 @@ class RunRecord:
             "dropped": dict(sorted(self.dropped.items())),
             "invalid": dict(sorted(self.invalid.items())),
             "objects": [self._object(record) for _, record in sorted(self.objects.items())],
-            "wall_s": round(wall_s, 3),
+            "wall_s": _rounded(wall_s),
         }
 
     def _object(self, record: ObjectRecord) -> dict[str, Any]:

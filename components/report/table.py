@@ -8,12 +8,13 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
+_WIDTH = 120
 _COLUMNS = ("landmark", "state", "reliability", "given", "now", "true", "off by", "events")
 
 
 def render_table(summary: dict[str, Any]) -> str:
-    """The summary of a run as text, 100 columns wide."""
-    console = Console(file=io.StringIO(), width=100, highlight=False)
+    """The summary of a run as text, at most 120 columns wide."""
+    console = Console(file=io.StringIO(), width=_WIDTH, highlight=False)
     table = Table(box=SIMPLE_HEAD, pad_edge=False)
     for column in _COLUMNS:
         table.add_column(column, justify="left" if column in ("state", "events") else "right")
@@ -33,12 +34,12 @@ def _row(thing: dict[str, Any]) -> tuple[str, ...]:
         distance = math.hypot(thing["x"] - thing["true_x"], thing["y"] - thing["true_y"])
         off = f"{distance:.2f} m"
     events = [
-        f"{word} at {thing[key]:.0f} s"
+        f"{word} {thing[key]:.0f} s"
         for word, key in (("removed", "removed_at_s"), ("registered", "registered_at_s"))
         if thing[key] is not None
     ]
     return (
-        thing["name"] or str(thing["id"]),
+        str(thing["id"]),
         thing["state"],
         f"{thing['reliability']:.2f}",
         _place(thing["map_x"], thing["map_y"]),
@@ -57,7 +58,7 @@ def _closing(summary: dict[str, Any]) -> str:
     lost = {port: count for port, count in summary["dropped"].items() if count}
     losses = ", ".join(f"{count} at {port}" for port, count in lost.items()) or "none"
     recorded, wall = summary["recorded_s"], summary["wall_s"]
-    speed = f", {recorded / wall:.1f} times real time" if wall else ""
+    speed = f", {wall:.1f} s taken, {recorded / wall:.1f} times real time" if wall else ""
     if summary["position_rmse_m"] is None:
         errors = "no pose to compare with the truth"
     else:
@@ -66,4 +67,4 @@ def _closing(summary: dict[str, Any]) -> str:
             f"(at most {summary['position_error_max_m']:.2f} m), "
             f"heading error {summary['heading_rmse_rad']:.3f} rad rms"
         )
-    return f"{errors}\n{recorded:.0f} s recorded, {wall:.1f} s taken{speed}; dropped: {losses}"
+    return f"{errors}\n{recorded:.0f} s recorded{speed}; dropped: {losses}"

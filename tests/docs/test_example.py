@@ -1,7 +1,9 @@
 """The example of docs/components.md works as the page says, for a user's own package."""
 
 import json
+import re
 import shutil
+import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -42,7 +44,8 @@ def test_what_the_page_quotes_stands_in_the_files(page_blocks: Callable[[str], A
     assert len(quoted) >= 10
     for block in quoted:
         file = (EXAMPLE / block.title).read_text(encoding="utf-8")
-        assert block.text in file, f"not in {block.title}:\n{block.text}"
+        for part in re.split(r"^    \.\.\.$", block.text, flags=re.MULTILINE):
+            assert part.strip("\n") in file, f"not in {block.title}:\n{part}"
 
 
 def test_the_package_is_found_by_its_entry_points(user: Any) -> None:
@@ -67,16 +70,14 @@ def test_a_class_is_found_without_an_entry_point(
 
 
 def test_lockstep_gives_the_same_run_for_the_same_seed(user: Any, tmp_path: Path) -> None:
-    words = ("up", TURTLE, "--lockstep", "--set", "distance=5")
     logs = []
-    for number, seed in enumerate(("3", "3", "4")):
-        folder = tmp_path / str(number)
-        user.cairn(*words, "--seed", seed, "--report", str(folder))
+    for folder in (tmp_path / "one", tmp_path / "two"):
+        words = ("--lockstep", "--seed", "3", "--set", "distance=5", "--report", str(folder))
+        user.cairn("up", TURTLE, *words)
         logs.append((folder / "logs" / "lockstep.log").read_text(encoding="utf-8"))
 
     assert "5.0 m travelled" in logs[0]
     assert logs[0] == logs[1]
-    assert logs[0] != logs[2]
 
 
 def test_in_real_processes_it_is_watched_and_tuned_as_the_page_says(
@@ -88,8 +89,9 @@ def test_in_real_processes_it_is_watched_and_tuned_as_the_page_says(
         rows = {row["component"]: row for row in json.loads(user.cairn("ps", "--json", *at))}
         state = json.loads(user.cairn("topic", "echo", "base_state", "--count=1", "--json", *at))
         refusal = user.cairn("param", "set", "wanderer", "distance=1000000", *at, status=1)
-        user.cairn("param", "set", "wanderer", "distance=0.3", "speed=1.0", *at)
-        ending = wait_for(turtle, "logs and report")
+        user.cairn("param", "set", "wanderer", "speed=0.8", "turn_speed=3", *at)
+        speed = user.cairn("param", "get", "wanderer", "speed", *at)
+        turtle.send_signal(signal.SIGINT)
         assert turtle.wait(timeout=30) == 0
 
     names = ["root", "turtle_supervisor", "base", "wanderer"]
@@ -97,13 +99,13 @@ def test_in_real_processes_it_is_watched_and_tuned_as_the_page_says(
     assert len({rows[f"/turtle/{name}"]["pid"] for name in names}) == 4
     assert 0.0 <= state["charge"] <= 1.0
     assert "distance = 1000000" in refusal
-    assert "m travelled" in ending
+    assert json.loads(speed) == 0.8
 
 
 def test_in_its_parents_process_it_runs_unchanged(user: Any, tmp_path: Path, endpoint: str) -> None:
     placement = "components.wanderer.placement=in_process"
     with running(user, tmp_path, f"bus.listen={endpoint}", placement, "distance=0.2") as turtle:
-        assert "m travelled" in wait_for(turtle, "logs and report")
+        assert "m travelled" in wait_for(turtle, "ended: ")
         assert turtle.wait(timeout=30) == 0
 
     logs = {log.stem for log in (tmp_path / "logs").iterdir()}

@@ -15,22 +15,27 @@ from schemas.std_msgs import String
 
 def main(endpoint: str, name: str) -> None:
     bus = ZenohBus(open_peer([endpoint]))
-    node = bus.node(f"/robot/{name}", lambda complaint: print(complaint, flush=True))
+    node = bus.node(f"/robot/{name}", tell)
     arrived = threading.Semaphore(0)
     answers = node.subscribe("/robot/answer", String, RELIABLE, arrived.release)
     words = node.advertise("/robot/word", String, RELIABLE)
 
     def listen() -> None:
         while arrived.acquire():
-            print(f"heard {answers.take().data}", flush=True)
+            tell(f"heard {answers.take().data}")
 
     threading.Thread(target=listen, daemon=True).start()
     unreached = bus.settle(10.0)
     words.publish(String(data=f"first of {name}"))
-    print(f"settled {unreached}", flush=True)
+    tell(f"settled {unreached}")
     for line in sys.stdin:
         words.publish(String(data=line.strip()))
     bus.close()
+
+
+def tell(line: str) -> None:
+    sys.stdout.write(f"{line}\n")
+    sys.stdout.flush()
 
 
 if __name__ == "__main__":

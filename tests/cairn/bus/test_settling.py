@@ -123,7 +123,7 @@ def test_a_hanging_process_is_named_and_keeps_nobody_from_the_others(network: Ne
 
         unreached = joiner.bus.settle(0.5)
 
-        assert [key.startswith("@cairn/0/session/") for key in unreached] == [True]
+        assert [key.startswith("@cairn/session/") for key in unreached] == [True]
         assert str(other.bus.session.info.zid()) not in unreached[0]
         joiner.say("heard nevertheless")
         assert other.reader.next().data == "heard nevertheless"

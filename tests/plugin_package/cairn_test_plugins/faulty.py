@@ -15,7 +15,16 @@ from cairn.component.ports import Out
 from schemas.geometry_msgs import Twist, Vector3
 
 Fault = Literal[
-    "none", "raise", "sleep", "hold_gil", "abort", "exit", "sys_exit", "publish_nan", "orphan"
+    "none",
+    "raise",
+    "nap",
+    "sleep",
+    "hold_gil",
+    "abort",
+    "exit",
+    "sys_exit",
+    "publish_nan",
+    "orphan",
 ]
 Place = Literal["constructor", "on_configure", "on_activate", "on_shutdown", "tick"]
 
@@ -25,6 +34,7 @@ class FaultyConfig(Config):
 
     fault: Fault = Field("none", description="What goes wrong; set it while running, or at start.")
     where: Place = Field("tick", description="In which call it goes wrong.")
+    once: str = Field("", description="A file: made by the first start, it fails all others.")
     helpers: int = Field(0, ge=0, description="Processes of its own that it starts [1].")
 
 
@@ -45,6 +55,9 @@ class Faulty(Component):
         """Start the helpers: every second one in a session of its own."""
         for index in range(self.config.helpers):
             subprocess.Popen(["sleep", "1000"], start_new_session=index % 2 == 1)
+        if self.config.once:
+            with open(self.config.once, "x"):
+                pass
         self._fail_at("on_configure")
 
     def on_activate(self) -> None:
@@ -70,6 +83,8 @@ class Faulty(Component):
                 return
             case "raise":
                 raise ValueError("broken on purpose")
+            case "nap":
+                time.sleep(4)
             case "sleep":
                 time.sleep(1000)
             case "hold_gil":

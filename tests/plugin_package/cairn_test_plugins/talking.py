@@ -54,4 +54,4 @@ class Listener(Component):
         """Count the words."""
         self._heard += 1
         if self._heard == 1 or self._heard % 10 == 0:
-            self.log.info("heard %d words, the last was %g", self._heard, word.linear.x)
+            self.log.info("heard %d, the last was %g", self._heard, word.linear.x)

@@ -1,0 +1,160 @@
+"""What a live bus declares and sends is rmw_zenoh's format, seen by a bare Zenoh session."""
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+import zenoh
+
+from cairn.bus.codec import Codec
+from cairn.bus.graph import read_graph
+from cairn.bus.qos import LATCHED, SENSOR, Qos
+from cairn.bus.rmw import Attachment, EndpointEntity, NodeEntity, gid, token_key
+from cairn.bus.session import open_peer
+from cairn.bus.zenoh_bus import ZenohBus
+from schemas.geometry_msgs import Twist, Vector3
+from schemas.sensor_msgs import Image
+from schemas.std_msgs import String
+from tests.cairn.bus.network import LIMIT_S, Network, Reader, eventually, node
+
+TWIST = "RIHS01_9c45bf16fe0983d80e3cfe750d6835843d265a9a6c46bd2e609fcddde6fb8d2a"
+STRING = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
+
+
+def test_a_nodes_tokens(network: Network) -> None:
+    bus, watcher = network.bus(), network.bus()
+    zid = bus.session.info.zid()
+    localizer = node(bus, "/robot/localizer")
+    localizer.advertise("/robot/cmd_vel", Twist, SENSOR)
+    localizer.subscribe("/robot/word", String, LATCHED, lambda: None)
+    lonely = node(bus, "/lonely")
+    lonely.advertise("/word", String, Qos("reliable", "volatile", 42))
+    watcher.settle(LIMIT_S)
+
+    replies = watcher.session.liveliness().get("@ros2_lv/**", timeout=LIMIT_S)
+
+    place = "%/%robot/localizer"
+    assert sorted(str(reply.ok.key_expr) for reply in replies if reply.ok is not None) == [
+        f"@ros2_lv/0/{zid}/0/0/NN/{place}",
+        f"@ros2_lv/0/{zid}/0/1/MP/{place}/%robot%cmd_vel/geometry_msgs::msg::dds_::Twist_/{TWIST}/"
+        "2::,5:,:,:,,",
+        f"@ros2_lv/0/{zid}/0/2/MS/{place}/%robot%word/std_msgs::msg::dds_::String_/{STRING}/"
+        ":1:,1:,:,:,,",
+        f"@ros2_lv/0/{zid}/3/3/NN/%/%/lonely",
+        f"@ros2_lv/0/{zid}/3/4/MP/%/%/lonely/%word/std_msgs::msg::dds_::String_/{STRING}/"
+        "::,:,:,:,,",
+    ]
+
+
+def test_a_message_on_the_wire(network: Network) -> None:
+    bus = network.bus()
+    base = node(bus, "/robot/base")
+    writer = base.advertise("/robot/cmd_vel", Twist, SENSOR)
+    plain = network.bus()
+    ring: zenoh.handlers.RingChannel[Any] = zenoh.handlers.RingChannel(10)
+    everything: Any = plain.session.declare_subscriber("0/robot/**", ring)
+    plain.settle(LIMIT_S)
+    before = time.time_ns()
+
+    for speed in (0.25, 0.5):
+        writer.publish(Twist(linear=Vector3(x=speed)))
+
+    samples = [everything.recv() for _ in range(2)]
+    (endpoint,) = (one for one in read_graph(plain.session, 0) if isinstance(one, EndpointEntity))
+    for number, (speed, sample) in enumerate(zip((0.25, 0.5), samples, strict=True), start=1):
+        assert str(sample.key_expr) == f"0/robot/cmd_vel/geometry_msgs::msg::dds_::Twist_/{TWIST}"
+        assert str(sample.encoding) == "application/cdr;geometry_msgs/msg/Twist"
+        payload = sample.payload.to_bytes()
+        assert payload[:4] == b"\0\1\0\0"
+        assert payload == Codec().encode(Twist(linear=Vector3(x=speed)))
+        raw = sample.attachment.to_bytes()
+        assert len(raw) == 33
+        attachment = Attachment.decode(raw)
+        assert attachment.sequence == number
+        assert before <= attachment.sent_ns <= time.time_ns()
+        assert attachment.gid == gid(token_key(endpoint))
+        assert sample.congestion_control == zenoh.CongestionControl.DROP
+
+
+def test_bulk_gives_way_to_what_is_small_and_urgent(network: Network) -> None:
+    bus, plain = network.bus(), network.bus()
+    robot = node(bus, "/robot/base")
+    ring: zenoh.handlers.RingChannel[Any] = zenoh.handlers.RingChannel(10)
+    everything: Any = plain.session.declare_subscriber("0/robot/**", ring)
+    plain.settle(LIMIT_S)
+
+    for topic, message, priority in (
+        ("/robot/cmd_vel", Twist(), zenoh.Priority.INTERACTIVE_HIGH),
+        ("/robot/camera", Image(), zenoh.Priority.DATA_LOW),
+    ):
+        robot.advertise(topic, type(message), SENSOR).publish(message)
+        assert everything.recv().priority == priority
+
+
+def test_the_graph_tells_who_is_there_and_who_has_left(network: Network) -> None:
+    bus, watcher = network.bus(), network.bus()
+    one, other = node(bus, "/robot/one"), node(bus, "/other")
+    one.advertise("/robot/word", String, SENSOR)
+    watcher.settle(LIMIT_S)
+    graph = read_graph(watcher.session, 0)
+    assert [one.name for one in graph if isinstance(one, NodeEntity)] == ["/robot/one", "/other"]
+    assert [one.topic for one in graph if isinstance(one, EndpointEntity)] == ["/robot/word"]
+
+    one.close()
+
+    assert eventually(lambda: _names(watcher.session) == ["/other"])
+    other.close()
+    assert eventually(lambda: _names(watcher.session) == [])
+
+
+def _names(session: zenoh.Session) -> list[str]:
+    return [one.name for one in read_graph(session, 0) if isinstance(one, NodeEntity)]
+
+
+def test_another_domain_is_another_world(network: Network) -> None:
+    bus = network.bus()
+    reader = Reader(node(bus, "/robot/ear"), "/robot/word", String, SENSOR)
+    elsewhere = ZenohBus(open_peer([network.endpoint]), domain=7)
+    try:
+        mouth = node(elsewhere, "/robot/mouth")
+        writer = mouth.advertise("/robot/word", String, SENSOR)
+        here = node(network.bus(), "/robot/here").advertise("/robot/word", String, SENSOR)
+        elsewhere.settle(LIMIT_S)
+        bus.settle(LIMIT_S)
+        writer.publish(String(data="elsewhere"))
+        here.publish(String(data="here"))
+        assert reader.next() == String(data="here")
+        assert [type(one) for one in read_graph(bus.session, 7)] == [NodeEntity, EndpointEntity]
+    finally:
+        elsewhere.close()
+
+
+@pytest.mark.parametrize("watched_first", [True, False])
+def test_each_endpoint_is_told_once_however_watching_and_coming_race(
+    network: Network, watched_first: bool
+) -> None:
+    bus, other = network.bus(), network.bus()
+    told: list[EndpointEntity] = []
+    ends: list[Callable[[], None]] = []
+    if watched_first:
+        ends.append(bus.graph.watch(told.append))
+    part = node(other, "/robot/part")
+    topics = [f"/robot/topic{number}" for number in range(50)]
+    for number, topic in enumerate(topics):
+        part.advertise(topic, String, SENSOR)
+        if number == 25 and not watched_first:
+            ends.append(bus.graph.watch(told.append))
+
+    assert eventually(lambda: len(told) >= len(topics))
+    assert sorted(one.topic for one in told) == sorted(topics)
+
+    for end in ends:
+        end()
+        end()
+    last = Reader(node(bus, "/robot/ear"), "/robot/more", String, SENSOR)
+    more = part.advertise("/robot/more", String, SENSOR)
+    other.settle(LIMIT_S)
+    more.publish(String(data="more"))
+    last.next()
+    assert len(told) == len(topics)

@@ -1,0 +1,46 @@
+"""Runs `cairn` commands in the process of the tests, as the script does in one of its own."""
+
+import io
+import json
+import logging
+import os
+import sys
+from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import dataclass
+from typing import Any
+from unittest.mock import patch
+
+from cairn.cli.main import main
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a command printed, and its exit code."""
+
+    code: int
+    out: str
+    err: str
+
+    @property
+    def json(self) -> Any:
+        """Its output as JSON."""
+        return json.loads(self.out)
+
+
+def cairn(*arguments: str, connect: str = "") -> Answer:
+    """Run a command; `connect` is the endpoint that the environment names."""
+    out, err = io.StringIO(), io.StringIO()
+    code: object = 0
+    with (
+        patch.object(sys, "argv", ["cairn", *arguments]),
+        patch.dict(os.environ, {"CAIRN_CONNECT": connect} if connect else {}),
+        redirect_stdout(out),
+        redirect_stderr(err),
+    ):
+        try:
+            main()
+        except SystemExit as end:
+            code = end.code
+        finally:
+            logging.captureWarnings(False)
+    return Answer(int(str(code or 0)), out.getvalue(), err.getvalue())

@@ -1,0 +1,111 @@
+"""What the README and the pages of docs/ show is true: code, commands, links."""
+
+import json
+import re
+import shlex
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+PAGES = ("README.md", "docs/architecture.md", "docs/components.md", "docs/localization.md")
+# Those that need no running robot, in any page; the others are tried by the tests of the CLI.
+OFFLINE = ("cairn check deploy/", "cairn schema ", "cairn plugins", "cairn map ")
+BEGINNING = """\
+from pydantic import Field
+
+from cairn.bus.qos import SENSOR
+from cairn.component.component import Component
+from cairn.component.handlers import every, on
+from cairn.component.parameters import Config
+from cairn.component.ports import In, Out
+from schemas.geometry_msgs import Twist, Vector3
+from schemas.sensor_msgs import LaserScan
+
+
+class Scanner(Component):
+    scan: Out[LaserScan] = Out(qos=SENSOR)
+
+
+class WandererConfig(Config):
+    keep_away: float = Field(0.5, gt=0, description="Distance kept from walls [m].")
+    speed: float = Field(0.3, ge=0, le=1, description="Speed ahead [m/s].")
+
+
+"""
+
+
+def offline_commands() -> list[tuple[str, str]]:
+    root = Path(__file__).parents[2]
+    found = []
+    for page in PAGES:
+        text = (root / page).read_text(encoding="utf-8")
+        for block in re.findall(r"^```sh\n(.*?)^```", text, re.DOTALL | re.MULTILINE):
+            lines = [line for line in block.splitlines() if line.startswith(OFFLINE)]
+            found += [(page, line) for line in lines if "turtle" not in line and line[-1] != "\\"]
+    return found
+
+
+@pytest.mark.parametrize(
+    "command", sorted({command for _, command in offline_commands()}), ids=str.split
+)
+def test_commands_that_need_no_robot_work_as_shown(
+    shell: Callable[[Path, Path], Any], root: Path, tmp_path: Path, command: str
+) -> None:
+    words = shlex.split(command, comments=True)[1:]
+    # In a folder of its own, so that what is written is not written into the project.
+    for name in ("deploy", "tests"):
+        (tmp_path / name).symlink_to(root / name)
+
+    if "MRCLAM_Dataset9" not in words:
+        shell(tmp_path, tmp_path).cairn(*words)
+
+
+def test_the_readmes_component_passes_the_check_of_its_deployment(
+    shell: Callable[[Path, Path], Any], page_blocks: Callable[[str], Any], tmp_path: Path
+) -> None:
+    (component,) = [block for block in page_blocks("README.md") if block.language == "python"]
+    (deployment,) = [block for block in page_blocks("README.md") if block.language == "yaml"]
+    (tmp_path / "readme_robot.py").write_text(BEGINNING + component.text, encoding="utf-8")
+    (tmp_path / "rover.yaml").write_text(deployment.text, encoding="utf-8")
+
+    checked = json.loads(shell(tmp_path, tmp_path).cairn("check", "rover.yaml", "--json"))
+
+    assert checked == {"valid": True, "components": ["mobile_supervisor", "scanner", "wanderer"]}
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_links_lead_somewhere(root: Path, page: str) -> None:
+    text = (root / page).read_text(encoding="utf-8")
+    for target in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", text):
+        if not target.startswith("docs/images/"):  # made by the demo
+            assert (root / page).parent.joinpath(target).exists(), f"{page} links to {target}"
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_links_into_a_page_find_their_heading(root: Path, page: str) -> None:
+    text = (root / page).read_text(encoding="utf-8")
+    for target, heading in re.findall(r"\]\(([^)#:]*)#([^)]+)\)", text):
+        other = (root / page).parent / target if target else root / page
+        assert heading in anchors(other.read_text(encoding="utf-8")), f"{page}: #{heading}"
+
+
+def anchors(text: str) -> set[str]:
+    """The names that GitHub gives to the headings of a page, and those given in it."""
+    headings = re.findall(r"^#+ (.+)$", text, re.MULTILINE)
+    named = {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+    return named | set(re.findall(r'<a id="([^"]+)">', text))
+
+
+def test_every_field_of_the_report_is_described(root: Path) -> None:
+    from components.report.record import RunRecord
+
+    record = RunRecord()
+    record.object(1)
+    summary = record.summary(1.0)
+    page = (root / "docs" / "localization.md").read_text(encoding="utf-8")
+    described = set(re.findall(r"`(?:objects\[\]\.|\.)?(\w+)`", page))
+
+    assert summary.keys() - {"objects"} <= described
+    assert summary["objects"][0].keys() <= described

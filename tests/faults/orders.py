@@ -1,0 +1,30 @@
+"""What the tests of faults ask of a running deployment."""
+
+from cairn.bus.qos import RELIABLE
+from cairn.bus.session import open_peer
+from cairn.bus.zenoh_bus import ZenohBus
+from schemas.geometry_msgs import Point, Pose, PoseStamped
+from tests.commands import cairn
+from tests.launching import Run
+
+
+def set_fault(run: Run, fault: str, component: str = "base") -> None:
+    """Have a `test_faulty` fail at its next tick."""
+    answer = cairn("param", "set", component, f"fault={fault}", connect=run.endpoint)
+    assert answer.code == 0, f"{answer}; {run}"
+
+
+def order_to_move(run: Run, x: float, y: float) -> None:
+    """Give the robot a goal, as a node of another program."""
+    bus = ZenohBus(open_peer([run.endpoint]))
+    try:
+        node = bus.node("/operator", _heed)
+        publisher = node.advertise("/robot/goal_pose", PoseStamped, RELIABLE)
+        assert bus.settle(10.0) == []
+        publisher.publish(PoseStamped(pose=Pose(position=Point(x=x, y=y))))
+    finally:
+        bus.close()
+
+
+def _heed(complaint: str) -> None:
+    raise AssertionError(complaint)

@@ -1,0 +1,142 @@
+"""Whatever process of the tree is killed, the rest goes on or ends, and nothing is left behind."""
+
+import os
+import signal
+
+import pytest
+
+from tests.launching import Launching, Run
+
+TREE = """
+    components:
+      beacon: {plugin: test_beacon}
+      mobile:
+        plugin: mobile_supervisor
+        children:
+          reader: {plugin: test_reader}
+          base: {plugin: test_faulty, parameters: {helpers: 2}}
+      talker: {plugin: test_talker}
+    """
+
+
+def kill(run: Run, component: str) -> None:
+    os.kill(run.pid_of(component), signal.SIGKILL)
+
+
+def test_a_component_comes_back_with_latched_inputs_and_the_others_go_on(
+    launch: Launching,
+) -> None:
+    run = launch(TREE)
+    run.await_line("reader: the beacon stands at 4, 2")
+    active = run.await_line("talker active")
+    others = ["zygote", "beacon", "mobile", "base", "talker"]
+    before, reader = [run.pid_of(name) for name in others], run.pid_of("reader")
+
+    kill(run, "reader")
+
+    killed = run.await_line(
+        rf"mobile: reader was killed by SIGKILL \(process {reader}, log .*/reader.log\)",
+        after=active,
+    )
+    run.await_line("reader: the beacon stands at 4, 2", after=killed)
+    assert [run.pid_of(name) for name in others] == before
+    assert run.pid_of("reader") != reader
+    assert run.stop() == 0
+
+
+def test_a_supervisor_comes_back_with_its_children_whose_former_ones_die(
+    launch: Launching,
+) -> None:
+    run = launch(TREE)
+    active = run.await_line("talker active")
+    below = {run.pid_of(name) for name in ("mobile", "reader", "base")}
+    talker = run.pid_of("talker")
+
+    kill(run, "mobile")
+
+    killed = run.await_line("root: mobile was killed by SIGKILL", after=active)
+    run.await_line("root: mobile active", after=killed)
+    assert below.isdisjoint(run.pids())
+    assert run.pid_of("talker") == talker
+    run.await_line("reader: the beacon stands at 4, 2", after=killed)
+
+
+def test_the_zygote_takes_all_along_and_the_deployment_fails(launch: Launching) -> None:
+    run = launch(TREE)
+    run.await_line("talker active")
+
+    kill(run, "zygote")
+
+    assert run.await_end() == 1
+    run.await_nothing_left()
+    run.await_line("cairn: deployment0.yaml failed: the zygote was killed, and with it every compo")
+
+
+def test_cairn_up_by_sigkill_leaves_nothing(launch: Launching) -> None:
+    run = launch(TREE)
+    run.await_line("talker active")
+    assert len(run.pids()) == 9  # cairn up, zygote, five components, two helpers of one
+
+    run.process.kill()
+
+    run.await_nothing_left()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_cairn_up_told_to_stop_stops_all_in_reverse_order(
+    launch: Launching, number: signal.Signals
+) -> None:
+    run = launch(TREE)
+    started = run.await_line("talker active")
+
+    run.process.send_signal(number)
+
+    assert run.await_end() == 0
+    run.await_nothing_left()
+    stopped = [
+        line.partition(": ")[2].split()[0]
+        for line in run.lines[started:]
+        if line.endswith("stopped: shut down\n")
+    ]
+    assert stopped == ["talker", "base", "reader", "mobile", "beacon"]
+    run.await_line("^ended.*: shut down")
+
+
+def test_a_second_ctrl_c_ends_everything_by_force(launch: Launching) -> None:
+    run = launch(
+        """
+    components:
+      base: {plugin: test_faulty, parameters: {fault: sleep, where: on_shutdown, helpers: 2}}
+      beacon: {plugin: test_beacon}
+    """
+    )
+    run.await_line("beacon active")
+    run.process.send_signal(signal.SIGINT)
+    run.await_line("beacon stopped")
+
+    run.process.send_signal(signal.SIGINT)
+
+    assert run.await_end(limit_s=3) == 1
+    run.await_nothing_left()
+    run.await_line("failed: stopped by force, on a second signal")
+
+
+def test_an_orphan_of_a_component_ends_with_it(launch: Launching) -> None:
+    run = launch(
+        """
+    components:
+      base: {plugin: test_faulty, parameters: {fault: orphan, where: on_configure}}
+    """
+    )
+    run.await_line("base active")
+    assert len(run.pids()) == 4
+
+    assert run.stop() == 0
+
+
+def test_the_reader_of_its_output_going_away_stops_it(launch: Launching) -> None:
+    run = launch(TREE, head=3)
+
+    run.await_end()
+
+    run.await_nothing_left()

@@ -1,0 +1,89 @@
+"""What goes wrong on the bus is told with topic, component, value and remedy; the rest goes on."""
+
+import math
+import struct
+
+from cairn.bus import rmw
+from cairn.bus.codec import Codec
+from cairn.bus.qos import RELIABLE
+from cairn.bus.session import open_peer
+from cairn.bus.zenoh_bus import ZenohBus
+from schemas.geometry_msgs import PoseStamped, Twist, Vector3
+from schemas.message import type_name
+from tests.commands import cairn
+from tests.launching import Launching
+
+TALK = """
+    components:
+      listener: {plugin: test_listener}
+      talker: {plugin: test_talker}
+    """
+
+
+def test_a_port_that_is_taken(launch: Launching) -> None:
+    first = launch(TALK)
+    first.await_line("talker active")
+    second = launch(TALK, "--set", f"bus.listen={first.endpoint}")
+
+    assert second.await_end() == 1
+
+    second.await_line(
+        f"cairn: cannot listen on {first.endpoint}: the port is probably taken, by another "
+        r"deployment or a ROS 2 router. Stop that one, join it \(`--set bus.connect=\[...\]`\)"
+    )
+    first.await_line("listener: heard 10")
+    assert first.stop() == 0
+
+
+def test_another_message_type_on_a_topic(launch: Launching) -> None:
+    run = launch(TALK)
+    run.await_line("listener: heard 1")
+    bus = ZenohBus(open_peer([run.endpoint]))
+    try:
+        complaints: list[str] = []
+        node = bus.node("/robot/stranger", complaints.append)
+        node.advertise("/robot/words", PoseStamped, RELIABLE)
+        for component in ("listener", "talker"):
+            run.await_line(
+                f"ERROR   robot.{component}: topic /robot/words: /robot/stranger uses it with "
+                "geometry_msgs/msg/PoseStamped, this component with geometry_msgs/msg/Twist; .*"
+                "Give one of them another topic, or the same message type"
+            )
+    finally:
+        bus.close()
+    seen = len(run.lines)
+    run.await_line("listener: heard", after=seen)
+    assert run.stop() == 0
+
+
+def test_nan_and_rubbish_in_messages_of_a_foreign_node(launch: Launching) -> None:
+    run = launch(
+        """
+    external_topics: [words]
+    components: {listener: {plugin: test_listener}}
+    """
+    )
+    run.await_line("listener active")
+    codec = Codec()
+    key = rmw.data_key(0, "/robot/words", type_name(Twist), codec.type_hash(Twist))
+    good = codec.encode(Twist(linear=Vector3(x=42.0)))
+    nan = good.replace(struct.pack("<d", 42.0), struct.pack("<d", math.nan))
+    bus = ZenohBus(open_peer([run.endpoint]))
+    try:
+        assert bus.settle(10.0) == []
+        for payload in (nan, good[:20], good):
+            bus.session.put(key, payload)
+    finally:
+        bus.close()
+
+    refused = r"ERROR   robot.listener: port words: message on /robot/words refused"
+    run.await_line(refused + r" \(1 so far\): .*linear.x = nan: must be a finite number")
+    run.await_line(refused + r" \(2 so far\): .*20 bytes are not its CDR")
+    run.await_line("listener: heard 1, the last was 42")
+    listener = next(
+        row
+        for row in cairn("ps", "--json", connect=run.endpoint).json
+        if row["component"] == "/robot/listener"
+    )
+    assert (listener["received"], listener["invalid"], listener["restarts"]) == (1, 2, 0)
+    assert run.stop() == 0

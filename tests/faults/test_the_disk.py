@@ -1,0 +1,56 @@
+"""A full disk or a folder that cannot be written is told, and takes nothing along."""
+
+import resource
+from pathlib import Path
+
+from tests.launching import Launching
+
+TALK = """
+    components:
+      listener: {plugin: test_listener}
+      talker: {plugin: test_talker, parameters: {words: 50}, restart: transient, significant: true}
+    """
+
+
+def no_room() -> None:
+    resource.setrlimit(resource.RLIMIT_FSIZE, (200, 200))  # bytes for each file
+
+
+def test_no_room_for_the_logs_lets_the_robot_go_on_and_is_told_once(launch: Launching) -> None:
+    run = launch(TALK, preexec_fn=no_room)
+
+    assert run.await_end() == 0
+
+    run.await_line("listener: heard 50")
+    run.await_line("^ended.*: talker has finished")
+    told = [line for line in run.lines if "root.log cannot be written: File too large" in line]
+    assert len(told) == 1
+    assert not any("Traceback" in line or "WARNING" in line for line in run.lines), run
+
+
+def test_a_report_folder_that_cannot_be_made(launch: Launching, tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    run = launch(TALK, report=tmp_path / "file" / "report")
+
+    assert run.await_end() == 1
+
+    run.await_line("cairn: the report's folder .*/file/report cannot be written: Not a directory; ")
+    assert not any("active" in line for line in run.lines)
+
+
+def test_a_report_that_cannot_be_written_makes_the_run_fail(launch: Launching) -> None:
+    run = launch(
+        """
+    components:
+      beacon: {plugin: test_beacon}
+      notary: {plugin: test_notary, parameters: {file: "${here}/no/such/folder/deed"}}
+      talker: {plugin: test_talker, parameters: {words: 3}, restart: transient, significant: true}
+    """
+    )
+
+    assert run.await_end() == 1
+
+    run.await_line("beacon stopped: shut down")
+    run.await_line(
+        "cairn: deployment0.yaml failed: .*notary: .*on_deactivate: FileNotFoundError: .*/deed"
+    )

@@ -1,0 +1,22 @@
+"""A component that writes a file when its work is over."""
+
+from pathlib import Path
+
+from cairn.component.component import Component
+from cairn.component.parameters import Config
+
+
+class NotaryConfig(Config):
+    """Where the deed goes."""
+
+    file: str = ""
+
+
+class Notary(Component):
+    """Writes its deed when it is deactivated, as a report is written."""
+
+    config: NotaryConfig
+
+    def on_deactivate(self) -> None:
+        """Write it."""
+        Path(self.config.file).write_text("done\n", encoding="utf-8")
