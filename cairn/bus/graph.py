@@ -7,6 +7,7 @@ from typing import Any
 import zenoh
 
 from cairn.bus import rmw
+from cairn.bus.liveliness import alive
 
 _WAITING = 10_000
 
@@ -15,9 +16,7 @@ def read_graph(
     session: zenoh.Session, domain: int, timeout_s: float = 2.0
 ) -> list[rmw.NodeEntity | rmw.EndpointEntity]:
     """All nodes and endpoints alive in a domain, sorted by their tokens."""
-    replies = session.liveliness().get(f"{rmw.TOKENS}/{domain}/**", timeout=timeout_s)
-    keys = sorted(str(reply.ok.key_expr) for reply in replies if reply.ok is not None)
-    return list(_parsed(keys))
+    return list(_parsed(alive(session, f"{rmw.TOKENS}/{domain}/**", timeout_s)))
 
 
 class GraphWatch:

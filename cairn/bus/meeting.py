@@ -15,6 +15,7 @@ import zenoh
 
 from cairn.bus.arrival import Arrival
 from cairn.bus.links import Links
+from cairn.bus.liveliness import alive
 from cairn.bus.session import PEER_MARK
 
 KEYS = "@cairn/session/"
@@ -58,8 +59,7 @@ class Meeting:
 
     def _meet_far(self, near: set[str], deadline: float) -> list[str]:
         """Meet those that neither this process nor its router is linked to; whom it could not."""
-        tokens = self._session.liveliness().get(KEYS + "*", timeout=_left(deadline))
-        keys = {str(reply.ok.key_expr) for reply in tokens if reply.ok is not None}
+        keys = alive(self._session, KEYS + "*", _left(deadline))
         zids = {key.removeprefix(KEYS) for key in keys} - near - {self._zid}
         return [zid for zid in zids if not self._meet(zid, False, deadline)]
 
@@ -67,17 +67,14 @@ class Meeting:
         if direct and not self._links.wait(zid, deadline):
             return zid not in self._links.others(_left(deadline))
         key = KEYS + zid
-        if not zid.startswith(PEER_MARK) and not self._alive(key, deadline):
+        ours = zid.startswith(PEER_MARK) or alive(self._session, key, _left(deadline))
+        if not ours:
             return time.monotonic() < deadline  # not one of ours, or it has gone
         with Arrival(self._session, key) as arrival:
             if not arrival.wait(_left(deadline)):
                 return False
             replies = self._session.get(key, timeout=_left(deadline))
             return any(reply.ok is not None for reply in replies)
-
-    def _alive(self, key: str, deadline: float) -> bool:
-        tokens = self._session.liveliness().get(key, timeout=_left(deadline))
-        return any(reply.ok is not None for reply in list(tokens))
 
     def _answer(self, own: str) -> None:
         channel = self._queryable.handler

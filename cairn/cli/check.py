@@ -1,14 +1,14 @@
 """`cairn check FILE`: all that is wrong with a deployment, before anything starts."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from cairn.cli.connection import Json
 from cairn.cli.tables import line, print_json
 from cairn.deployment.load import load_deployment
-from cairn.deployment.problems import DeploymentError
+from cairn.deployment.problems import DeploymentError, Problem
 
 File = Annotated[Path, typer.Argument(help="The deployment.", metavar="FILE")]
 Overlay = Annotated[
@@ -28,10 +28,21 @@ def check(file: File, overlay: Overlay = None, set_: Set = None, json: Json = Fa
     except DeploymentError as error:
         if not json:
             raise
-        print_json({"valid": False, "problems": [vars(problem) for problem in error.problems]})
+        print_json({"valid": False, "problems": [_plain(problem) for problem in error.problems]})
         raise typer.Exit(1) from error
     names = [member.name for member in deployment.members()]
     if json:
         print_json({"valid": True, "components": names})
         return
     line(f"{file}: {len(names)} components, no problem: {', '.join(names)}")
+
+
+def _plain(problem: Problem) -> dict[str, Any]:
+    return {
+        "file": problem.at.origin,
+        "line": problem.at.line,
+        "column": problem.at.column,
+        "path": problem.path,
+        "found": problem.found,
+        "remedy": problem.remedy,
+    }

@@ -138,6 +138,6 @@ def resolve(names: list[str], name: str, robot: str) -> str:
         return matches[0]
     if matches:
         raise CairnError(f"{name}: several robots have it: {', '.join(matches)}; give --robot")
-    listed = ", ".join(names) or "none"
+    listed = ", ".join(sorted(names)) or "none"
     where = f" of robot {robot}" if robot else ""
     raise CairnError(f"there is no {name}{where} on the bus; there are: {listed}")

@@ -2,6 +2,7 @@
 
 import contextlib
 import queue
+import time
 from typing import Annotated
 
 import typer
@@ -14,11 +15,12 @@ from cairn.component.rosout import ROSOUT, render
 from schemas.message import InvalidMessage, type_name
 from schemas.rcl_interfaces import Log
 
-_QUIET_S = 0.5
+_QUIET_S = 0.4
+_HISTORY_S = 1.5
 
 
 def logs(
-    component: Annotated[str, typer.Argument(help="Only this component.", metavar="[NAME]")] = "",
+    component: Annotated[str, typer.Argument(help="Only this component.", metavar="NAME")] = "",
     connect: Connect = DEFAULT_CONNECT,
     domain: Domain = 0,
     robot: Robot = "",
@@ -34,9 +36,11 @@ def logs(
         ]
         with connection.listen(key, latched=True) as samples:
             history: list[Log] = []
+            deadline = time.monotonic() + _HISTORY_S
             with contextlib.suppress(queue.Empty):
-                while writers:  # each sends what it keeps; nobody says when that is all
-                    history += _decoded(codec, samples.get(timeout=_QUIET_S))
+                # Each sends what it keeps; nobody says when that is all.
+                while writers and (left := deadline - time.monotonic()) > 0:
+                    history += _decoded(codec, samples.get(timeout=min(_QUIET_S, left)))
             for entry in sorted(history, key=lambda log: (log.stamp.sec, log.stamp.nanosec)):
                 _print(entry, component, robot, json=json)
             while follow:

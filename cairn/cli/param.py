@@ -45,7 +45,7 @@ def list_(
 @app.command()
 def get(
     component: Name,
-    parameter: Annotated[str, typer.Argument(help="The parameter's (dotted) name.")],
+    parameter: Annotated[str, typer.Argument(help="Its (dotted) name.", metavar="PARAMETER")],
     connect: Connect = DEFAULT_CONNECT,
     domain: Domain = 0,
     robot: Robot = "",

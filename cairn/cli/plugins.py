@@ -18,7 +18,7 @@ def plugins(
         str,
         typer.Argument(
             help="Show this one's ports and parameters; package.module:Class too.",
-            metavar="[PLUGIN]",
+            metavar="PLUGIN",
         ),
     ] = "",
     json: Json = False,

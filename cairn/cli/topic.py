@@ -31,7 +31,7 @@ from cairn.errors import CairnError
 from schemas.message import InvalidMessage
 
 app = typer.Typer(help="List, print and time the messages on the bus.")
-Topic = Annotated[str, typer.Argument(help="The topic, as in `pose` or `/robot/pose`.")]
+Topic = Annotated[str, typer.Argument(help="As in `pose` or `/robot/pose`.", metavar="TOPIC")]
 Wait = Annotated[float, typer.Option(min=0.1, help="Give up after so long without a message [s].")]
 
 
@@ -56,7 +56,7 @@ def echo(
     domain: Domain = 0,
     robot: Robot = "",
     count: Annotated[int | None, typer.Option(min=1, help="Stop after so many messages.")] = None,
-    full: Annotated[bool, typer.Option(help="Print long sequences whole.")] = False,
+    full: Annotated[bool, typer.Option("--full", help="Print long sequences whole.")] = False,
     wait: Wait = 10.0,
     json: Annotated[bool, typer.Option("--json", help="Print a line of JSON each.")] = False,
 ) -> None:

@@ -20,7 +20,7 @@ from schemas.rcl_interfaces import Log
 
 _LINES = 12
 _PERIOD_S = 0.25
-_STYLES = {"active": "green", "inactive": "yellow", "unconfigured": "yellow", "finalized": "red"}
+_STYLES = {"active": "green", "inactive": "yellow", "unconfigured": "yellow", "finalized": "dim"}
 
 
 class View(Protocol):
@@ -128,7 +128,7 @@ class LiveView:
             text += f"   time {clock}, {lived:.0f} s lived"
             if wall > 1:
                 text += f" ({lived / wall:.1f} times real time)"
-        return Rule(text, align="left")
+        return Rule(Text(text), align="left")
 
     def _table(self) -> Table:
         table = Table(box=None, pad_edge=False)

@@ -149,7 +149,10 @@ class _LockstepChild:
 
     def wait(self, timeout_s: float) -> ChildEnd | None:  # noqa: ARG002 - time stands still
         """Its end."""
-        return None if self.end is None else ChildEnd(self.end.normal, self.end.reason)
+        if self.end is None:
+            return None
+        reason = self.end.reason
+        return ChildEnd(self.end.normal, reason if self.end.normal else f"failed: {reason}")
 
     def _note_end(self, end: End) -> Any:
         self.end = end

@@ -21,7 +21,7 @@ from cairn.supervision.supervisor import Escalate, Supervisor
 from schemas.cairn_msgs import ComponentStatus
 
 _SILENCE_S = 3.0
-"""Beyond its limit for one handler a child may be silent for so long: the machine may be busy."""
+"""Beyond its limit for one handler a process may be silent for so long: it may get no processor."""
 _FORCE_S = 3.0
 """What it takes to end a child by force that has not stopped in time."""
 
@@ -151,7 +151,7 @@ class SupervisorComponent(Component):
         if status.handler and status.handler_s > limit_s:
             busy_s = status.handler_s + silent_s
             self.children.child_hung(child.name, child.incarnation, status.handler, busy_s)
-        elif silent_s > limit_s + _SILENCE_S and spec.placement == "process":
+        elif silent_s > spec.hang_timeout_s + _SILENCE_S and spec.placement == "process":
             where = _where_silent(status)
             self.children.child_hung(child.name, child.incarnation, where, silent_s)
 

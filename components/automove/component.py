@@ -8,6 +8,7 @@ from cairn.component.handlers import on
 from cairn.component.parameters import Config
 from cairn.component.ports import In
 from cairn.supervision.component import SupervisorComponent
+from cairn.supervision.supervisor import StartFailed
 from schemas.geometry_msgs import PoseStamped
 
 
@@ -39,7 +40,10 @@ class AutoMove(SupervisorComponent):
         """Take an order to move: load the plugins that are not loaded yet."""
         place = goal.pose.position
         self.log.info("ordered to move to %.2f, %.2f: loading plugins", place.x, place.y)
-        self._load_plugins()
+        try:
+            self._load_plugins()
+        except StartFailed as error:  # those that are loaded already go on with their work
+            self.log.error("the order to move cannot be carried out: %s", error)
 
     def _load_plugins(self) -> None:
         for child in self.children.status():

@@ -151,6 +151,34 @@ def test_an_order_to_move_loads_the_plugins_which_load_and_unload_alone(
     assert run.stop() == 0
 
 
+def test_an_order_to_move_that_cannot_be_carried_out_is_told_and_can_be_repeated(
+    launch: Launching,
+) -> None:
+    run = launch(
+        """
+    external_topics: [goal_pose]
+    components:
+      automove:
+        plugin: automove
+        children:
+          base:
+            plugin: test_faulty
+            load: on_order
+            parameters: {fault: raise, where: on_activate}
+    """
+    )
+    seen = run.await_line("automove active")
+    for _ in range(2):
+        order_to_move(run, 1.0, 2.0)
+        seen = run.await_line(
+            "ERROR   robot.automove: the order to move cannot be carried out: base could not be "
+            r"loaded: .*on_activate: ValueError: broken on purpose",
+            after=seen,
+        )
+    assert run.stop() == 0
+    assert not any("automove failed" in line for line in run.lines)
+
+
 def test_a_restart_on_request_that_fails_for_good_fails_the_supervisor(launch: Launching) -> None:
     run = launch(
         """

@@ -22,7 +22,8 @@ def main(endpoint: str, name: str) -> None:
 
     def listen() -> None:
         while arrived.acquire():
-            tell(f"heard {answers.take().data}")
+            answer = answers.take()
+            tell(f"heard {answer.data if answer is not None else answer}")
 
     threading.Thread(target=listen, daemon=True).start()
     unreached = bus.settle(10.0)

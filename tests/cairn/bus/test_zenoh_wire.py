@@ -9,6 +9,7 @@ import zenoh
 
 from cairn.bus.codec import Codec
 from cairn.bus.graph import read_graph
+from cairn.bus.liveliness import alive
 from cairn.bus.qos import LATCHED, SENSOR, Qos
 from cairn.bus.rmw import Attachment, EndpointEntity, NodeEntity, gid, token_key
 from cairn.bus.session import open_peer
@@ -32,10 +33,10 @@ def test_a_nodes_tokens(network: Network) -> None:
     lonely.advertise("/word", String, Qos("reliable", "volatile", 42))
     watcher.settle(LIMIT_S)
 
-    replies = watcher.session.liveliness().get("@ros2_lv/**", timeout=LIMIT_S)
+    tokens = alive(watcher.session, "@ros2_lv/**", LIMIT_S)
 
     place = "%/%robot/localizer"
-    assert sorted(str(reply.ok.key_expr) for reply in replies if reply.ok is not None) == [
+    assert tokens == [
         f"@ros2_lv/0/{zid}/0/0/NN/{place}",
         f"@ros2_lv/0/{zid}/0/1/MP/{place}/%robot%cmd_vel/geometry_msgs::msg::dds_::Twist_/{TWIST}/"
         "2::,5:,:,:,,",

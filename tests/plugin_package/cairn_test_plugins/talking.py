@@ -55,3 +55,27 @@ class Listener(Component):
         self._heard += 1
         if self._heard == 1 or self._heard % 10 == 0:
             self.log.info("heard %d, the last was %g", self._heard, word.linear.x)
+
+
+class SentryConfig(Config):
+    """What it cannot bear."""
+
+    hears: int = Field(3, ge=1, description="Fails when it has heard so many words [1].")
+
+
+class Sentry(Component):
+    """Fails when it has heard too much."""
+
+    config: SentryConfig
+    words: In[Twist] = In()
+
+    def on_activate(self) -> None:
+        """Begin anew."""
+        self._heard = 0
+
+    @on("words")
+    def hear(self, word: Twist) -> None:
+        """Count the words, and fail."""
+        self._heard += 1
+        if self._heard == self.config.hears:
+            raise ValueError(f"heard {self._heard}")

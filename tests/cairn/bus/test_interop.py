@@ -1,0 +1,229 @@
+"""Messages and the graph are exchanged with zenoh-ros2-sdk, an independent client of rmw_zenoh."""
+
+import json
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, ClassVar
+
+import pytest
+
+from cairn.bus.codec import Codec
+from cairn.bus.graph import read_graph
+from cairn.bus.plain import to_plain
+from cairn.bus.qos import RELIABLE, SENSOR
+from cairn.bus.rmw import EndpointEntity, NodeEntity
+from cairn.bus.zenoh_bus import ZenohBus
+from cairn.component.component import Component
+from cairn.component.handlers import on
+from cairn.component.ports import In, Out
+from schemas.builtin_interfaces import Time
+from schemas.cairn_msgs import RecognizedObject, RecognizedObjectArray
+from schemas.geometry_msgs import Point, Pose, PoseWithCovariance, Twist, Vector3
+from schemas.message import type_name
+from schemas.nav_msgs import Odometry
+from schemas.sensor_msgs import LaserScan
+from schemas.std_msgs import Header, String
+from tests.cairn.bus.network import LIMIT_S, Network, eventually
+from tests.cairn.component.running import Threaded
+
+HEADER = Header(stamp=Time(sec=1_700_000_000, nanosec=5), frame_id="base_link")
+MESSAGES: dict[str, Any] = {
+    "word": String(data="Grüße, 世界"),
+    "cmd_vel": Twist(linear=Vector3(x=0.25), angular=Vector3(z=-1.5)),
+    "scan": LaserScan(
+        header=HEADER, angle_min=-0.5, angle_max=0.5, angle_increment=0.5, range_min=0.25,
+        range_max=8.0, ranges=[1.0, 2.5, 8.0], intensities=[0.5, 0.25, 0.0],  # type: ignore[arg-type]
+    ),
+    "odom": Odometry(
+        header=HEADER,
+        child_frame_id="base_link",
+        pose=PoseWithCovariance(
+            pose=Pose(position=Point(x=1.0, y=-2.0)),
+            covariance=[float(number) for number in range(36)],  # type: ignore[arg-type]
+        ),
+    ),
+    "objects": RecognizedObjectArray(
+        header=HEADER,
+        objects=(
+            RecognizedObject(
+                object_id=7, range=2.0, bearing=-0.5, covariance=[0.25, 0.0, 0.0, 0.125],  # type: ignore[arg-type]
+                inliers=40,
+            ),
+            RecognizedObject(object_id=8, range=1.0, bearing=0.5),
+        ),
+    ),
+}  # fmt: skip
+
+
+class Robot(Component):
+    """Hears and says each of the messages."""
+
+    word: In[String]
+    cmd_vel: In[Twist]
+    scan: In[LaserScan] = In(qos=SENSOR)
+    odom: In[Odometry]
+    objects: In[RecognizedObjectArray]
+    say_word: Out[String]
+    say_cmd_vel: Out[Twist]
+    say_scan: Out[LaserScan] = Out(qos=SENSOR)
+    say_odom: Out[Odometry]
+    say_objects: Out[RecognizedObjectArray]
+
+    heard: ClassVar[dict[str, Any]] = {}
+
+    @on("word")
+    def on_word(self, message: String) -> None:
+        self.heard["word"] = message
+
+    @on("cmd_vel")
+    def on_cmd_vel(self, message: Twist) -> None:
+        self.heard["cmd_vel"] = message
+
+    @on("scan")
+    def on_scan(self, message: LaserScan) -> None:
+        self.heard["scan"] = message
+
+    @on("odom")
+    def on_odom(self, message: Odometry) -> None:
+        self.heard["odom"] = message
+
+    @on("objects")
+    def on_objects(self, message: RecognizedObjectArray) -> None:
+        self.heard["objects"] = message
+
+
+class Ros2:
+    """The other client's process."""
+
+    def __init__(self, process: "subprocess.Popen[str]") -> None:
+        self._process = process
+
+    def ask(self, verb: str, **arguments: Any) -> Any:
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._process.stdin.write(json.dumps([verb, arguments]) + "\n")
+        self._process.stdin.flush()
+        answer = self._process.stdout.readline()
+        assert answer, "the other client has ended; its errors are above"
+        return json.loads(answer)
+
+
+@pytest.fixture(scope="module")
+def network() -> Iterator[Network]:
+    network = Network()
+    yield network
+    network.close()
+
+
+@pytest.fixture(scope="module")
+def ros2(network: Network, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Ros2]:
+    definitions = tmp_path_factory.mktemp("definitions")
+    write_definitions(definitions)
+    program = str(Path(__file__).with_name("ros2_client.py"))
+    with subprocess.Popen(
+        [sys.executable, program, str(network.port), str(definitions)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as process:
+        try:
+            ros2 = Ros2(process)
+            for topic, message in MESSAGES.items():
+                name = type_name(type(message))
+                ros2.ask("advertise", topic=f"/robot/{topic}", type=name, node=f"talks_{topic}")
+                ros2.ask("subscribe", topic=f"/robot/say_{topic}", type=name, node=f"hears_{topic}")
+            yield ros2
+        finally:
+            process.kill()
+
+
+@pytest.fixture(scope="module")
+def robot(network: Network, ros2: Ros2) -> Iterator[Threaded]:
+    bus = network.bus()
+    robot = Threaded(Robot, bus, name="base")
+    robot.activate()
+    yield robot
+    robot.close()
+
+
+@pytest.fixture(scope="module")
+def known(network: Network, robot: Threaded, ros2: Ros2) -> ZenohBus:
+    """Both know all of each other: the other client has no way to settle, but tells its graph."""
+    topics = {f"/robot/{say}{topic}" for topic in MESSAGES for say in ("", "say_")}
+    assert eventually(lambda: topics <= {name for name, _ in ros2.ask("topics")})
+    bus = network.bus()
+    bus.settle(LIMIT_S)
+    assert eventually(lambda: len(nodes(bus)) == 2 * len(MESSAGES) + 1)
+    return bus
+
+
+def write_definitions(directory: Path) -> None:
+    """A .msg file for each message type that is used, as a ROS 2 installation has them."""
+    codec = Codec()
+    for message in MESSAGES.values():
+        first, *others = codec.definition(type(message)).split("=" * 80 + "\n")
+        texts = {type_name(type(message)): first}
+        for other in others:
+            title, _, text = other.partition("\n")
+            package, name = title.removeprefix("MSG: ").split("/")
+            texts[f"{package}/msg/{name}"] = text
+        for name, text in texts.items():
+            path = directory / f"{name}.msg"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(text)
+
+
+def nodes(bus: ZenohBus) -> set[str]:
+    return {one.name for one in read_graph(bus.session, 0) if isinstance(one, NodeEntity)}
+
+
+@pytest.mark.parametrize("topic", list(MESSAGES))
+def test_what_it_publishes_comes_in_at_a_port(
+    known: ZenohBus, robot: Threaded, ros2: Ros2, topic: str
+) -> None:
+    ros2.ask("publish", topic=f"/robot/{topic}", value=to_plain(MESSAGES[topic]))
+
+    assert eventually(lambda: topic in Robot.heard)
+    assert Robot.heard[topic] == MESSAGES[topic]
+
+
+@pytest.mark.parametrize("topic", list(MESSAGES))
+def test_what_a_port_publishes_it_receives(
+    known: ZenohBus, robot: Threaded, ros2: Ros2, topic: str
+) -> None:
+    port: Out[Any] = getattr(robot.runtime.component, f"say_{topic}")
+    port.publish(MESSAGES[topic])
+
+    assert ros2.ask("hear", topic=f"/robot/say_{topic}") == to_plain(MESSAGES[topic])
+
+
+def test_nothing_of_it_is_refused_or_counted_as_dropped(known: ZenohBus, robot: Threaded) -> None:
+    ports = {port.port: port for port in robot.runtime.status().ports}
+
+    assert all((port.dropped, port.invalid) == (0, 0) for port in ports.values())
+
+
+def test_its_nodes_are_in_our_graph(known: ZenohBus) -> None:
+    assert nodes(known) == {"/robot/base"} | {
+        f"/ros/{does}_{topic}" for topic in MESSAGES for does in ("talks", "hears")
+    }
+    (talker,) = (
+        one
+        for one in read_graph(known.session, 0)
+        if isinstance(one, EndpointEntity) and one.node.name == "/ros/talks_scan"
+    )
+    assert (talker.kind, talker.topic, talker.qos) == ("MP", "/robot/scan", RELIABLE)
+    assert talker.type_name == "sensor_msgs/msg/LaserScan"
+    assert talker.type_hash == Codec().type_hash(LaserScan)
+
+
+def test_our_node_is_in_its_graph(known: ZenohBus, ros2: Ros2) -> None:
+    types = dict(ros2.ask("topics"))
+    assert {name: types[f"/robot/{name}"] for name in MESSAGES} == {
+        name: [type_name(type(message))] for name, message in MESSAGES.items()
+    }
+    info = ros2.ask("info", topic="/robot/scan")
+    assert info["publishers"] == [["/ros", "talks_scan", "::,10:,:,:,,"]]
+    assert info["subscribers"] == [["/robot", "base", "2::,5:,:,:,,"]]

@@ -1,0 +1,43 @@
+"""A running deployment that the tests of a module share, and commands against it."""
+
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from tests.commands import Answer, cairn
+from tests.launching import Run, launching
+
+Command = Callable[..., Answer]
+
+ROVER = """
+    external_topics: [goal_pose]
+    components:
+      mobile:
+        plugin: mobile_supervisor
+        children:
+          listener: {plugin: test_listener}
+          reader: {plugin: test_reader, load: on_order}
+      beacon: {plugin: test_beacon}
+      talker: {plugin: test_talker}
+    """
+
+
+@pytest.fixture(scope="module")
+def rover(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Run]:
+    """The deployment above, running."""
+    with launching(tmp_path_factory.mktemp("rover")) as launch:
+        run = launch(ROVER, robot="rover")
+        run.await_line("talker active")
+        run.await_line("heard 1,")
+        yield run
+        assert run.stop() == 0
+
+
+@pytest.fixture
+def command(rover: Run) -> Command:
+    """Runs `cairn` commands against it."""
+
+    def against(*arguments: str) -> Answer:
+        return cairn(*arguments, connect=rover.endpoint)
+
+    return against

@@ -1,0 +1,143 @@
+"""`cairn up`: lines, lockstep, report, and how it ends."""
+
+import os
+import pty
+import re
+import select
+import subprocess
+import time
+from pathlib import Path
+
+from tests.commands import cairn
+from tests.launching import CAIRN, LIMIT_S, Launching, free_port
+
+TALK = """
+    components:
+      listener: {plugin: test_listener}
+      talker: {plugin: test_talker, parameters: {words: 20}, restart: transient, significant: true}
+    """
+ENDLESS = "components: {beacon: {plugin: test_beacon}}"
+
+
+def test_prints_lines_and_keeps_logs_in_the_report_folder(launch: Launching) -> None:
+    run = launch(TALK)
+
+    assert run.await_end() == 0
+
+    assert run.lines[0].startswith("deployment0.yaml: robot robot; logs and report: /")
+    order = ["listener active", "talker active", "heard 20", "talker ended: all said"]
+    seen = 0
+    for told in [*order, "listener stopped: shut down", "^ended.*: talker has finished: all said"]:
+        seen = run.await_line(told, after=seen)
+    assert seen == len(run.lines) - 1
+    assert "heard 20, the last was 20" in run.log_of("listener")
+    assert "talker active" in run.log_of("root")
+
+
+def test_a_report_folder_is_used_again_without_the_old_logs(
+    launch: Launching, tmp_path: Path
+) -> None:
+    logs = tmp_path / "again" / "logs"
+    logs.mkdir(parents=True)
+    (logs / "listener.log").write_text("old\n")
+
+    run = launch(TALK, report=tmp_path / "again")
+
+    assert run.await_end() == 0
+    assert "old" not in run.log_of("listener")
+
+
+def test_lockstep_with_the_same_seed_says_the_same(launch: Launching) -> None:
+    runs = [launch(TALK, "--lockstep", "--seed", "7") for _ in range(2)]
+
+    assert [run.await_end() for run in runs] == [0, 0]
+
+    first, second = (run.lines[1:-2] for run in runs)
+    assert first == second
+    assert any("listener: heard 20, the last was 20" in line for line in first)
+    assert "talker ended: all said" in runs[0].log_of("lockstep")
+
+
+def test_lockstep_stops_on_ctrl_c(launch: Launching) -> None:
+    run = launch("components: {talker: {plugin: test_talker}}", "--lockstep")
+    run.await_line("talker active")
+
+    assert run.stop() == 0
+
+    run.await_line("talker stopped: shut down")
+
+
+def test_ctrl_c_while_it_starts_leaves_nothing(launch: Launching) -> None:
+    run = launch(TALK)
+    run.await_line("logs and report")
+
+    run.stop()
+
+    run.await_nothing_left()
+
+
+def test_a_deployment_with_problems_is_not_started(launch: Launching) -> None:
+    run = launch("components: {talker: {plugin: test_takler}}")
+
+    assert run.await_end() == 1
+
+    run.await_line("cairn: the deployment has 1 problem:")
+    assert not (run.report / "logs").exists()
+
+
+def test_two_robots_share_a_bus(launch: Launching) -> None:
+    first = launch(TALK.replace("words: 20", "words: 0"), robot="alpha")
+    first.await_line("talker active")
+    second = launch(ENDLESS, robot="beta", connect=first.endpoint)
+    second.await_line("beacon active")
+
+    def names(*arguments: str) -> set[str]:
+        rows = cairn("ps", "--json", *arguments, connect=first.endpoint).json
+        return {row["component"] for row in rows}
+
+    assert names() == {
+        "/alpha/root",
+        "/alpha/listener",
+        "/alpha/talker",
+        "/beta/root",
+        "/beta/beacon",
+    }
+    assert names("--robot", "beta") == {"/beta/root", "/beta/beacon"}
+    assert cairn("ps", connect=first.endpoint).out.startswith("robot  component ")
+    several = cairn("param", "list", "root", connect=first.endpoint)
+    assert several.err == (
+        "cairn: root: several robots have it: /alpha/root, /beta/root; give --robot\n"
+    )
+    assert cairn("restart", "beacon", "--robot", "beta", connect=first.endpoint).code == 0
+    assert second.stop() == 0
+    assert first.stop() == 0
+
+
+def test_on_a_terminal_it_shows_a_live_table(launch: Launching, tmp_path: Path) -> None:
+    file = launch.write(TALK, bus=f"tcp/127.0.0.1:{free_port()}")
+    screen, terminal = pty.openpty()
+    with subprocess.Popen(
+        [CAIRN, "up", str(file), "--report", str(tmp_path / "report")],
+        stdout=terminal,
+        stderr=terminal,
+        stdin=terminal,
+        env={**os.environ, "TERM": "xterm", "COLUMNS": "100", "LINES": "30"},
+    ) as process:
+        os.close(terminal)
+        shown = everything_from(screen)
+        assert process.wait(LIMIT_S) == 0
+    assert re.search(r"component +state +handler", shown)
+    assert "finalized" in shown
+    assert "talker has finished: all said" in shown
+
+
+def everything_from(screen: int) -> str:
+    deadline = time.monotonic() + LIMIT_S
+    shown = b""
+    while select.select([screen], [], [], max(0.0, deadline - time.monotonic()))[0]:
+        try:
+            shown += os.read(screen, 1 << 16)
+        except OSError:  # the other side has been closed
+            break
+    os.close(screen)
+    return re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", shown.decode(errors="replace"))

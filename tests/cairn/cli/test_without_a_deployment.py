@@ -1,0 +1,130 @@
+"""Commands that need no running deployment, and those that miss it."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.commands import cairn
+from tests.launching import free_port
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("ps",),
+        ("graph",),
+        ("logs",),
+        ("topic", "list"),
+        ("topic", "echo", "pose"),
+        ("param", "list", "localizer"),
+        ("restart", "localizer"),
+    ],
+)
+def test_without_a_running_deployment_the_remedy_is_told(arguments: tuple[str, ...]) -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+
+    answer = cairn(*arguments, connect=endpoint)
+
+    assert answer.code == 1
+    assert answer.out == ""
+    assert answer.err == (
+        f"cairn: no router answers at {endpoint}: is a deployment running (`cairn up`)? "
+        "Name another endpoint with --connect, or in CAIRN_CONNECT\n"
+    )
+
+
+def test_an_endpoint_that_is_none_is_refused() -> None:
+    answer = cairn("ps", "--connect", "localhost")
+
+    assert answer.code == 1
+    assert answer.err.startswith("cairn: --connect: 'localhost' is not an endpoint; write ")
+
+
+def test_check_finds_nothing_wrong(tmp_path: Path) -> None:
+    file = tmp_path / "good.yaml"
+    file.write_text("cairn: 1\ncomponents: {talker: {plugin: test_talker}}\n")
+
+    assert cairn("check", str(file)).out == f"{file}: 1 components, no problem: talker\n"
+    assert cairn("check", str(file), "--json").json == {"valid": True, "components": ["talker"]}
+
+
+def test_check_tells_all_problems_with_their_lines(tmp_path: Path) -> None:
+    file = tmp_path / "bad.yaml"
+    file.write_text(
+        "cairn: 1\nrobt: rover\ncomponents:\n  talker: {plugin: test_takler}\n"
+        "  listener: {plugin: test_listener, parameters: {loud: 1}}\n"
+    )
+
+    answer = cairn("check", str(file))
+
+    assert answer.code == 1
+    assert answer.err.splitlines()[0] == "cairn: the deployment has 3 problems:"
+    assert f"{file}:2: robt: there is no robt here; did you mean robot?" in answer.err
+    assert f"{file}:4: components.talker.plugin: there is no plugin test_takler" in answer.err
+    assert f"{file}:5: components.listener.parameters.loud" in answer.err
+
+    told = cairn("check", str(file), "--json")
+    assert told.code == 1
+    assert told.json["valid"] is False
+    assert [(problem["line"], problem["path"]) for problem in told.json["problems"]] == [
+        (2, "robt"),
+        (4, "components.talker.plugin"),
+        (5, "components.listener.parameters.loud"),
+    ]
+
+
+def test_set_and_overlay_change_what_is_checked(tmp_path: Path) -> None:
+    file, overlay = tmp_path / "good.yaml", tmp_path / "over.yaml"
+    file.write_text("cairn: 1\ncomponents: {talker: {plugin: test_talker}}\n")
+    overlay.write_text("components: {beacon: {plugin: test_beacon}}\n")
+
+    both = cairn("check", str(file), "--overlay", str(overlay), "--json")
+    wrong = cairn("check", str(file), "--set", "components.talker.parameters.words=-1")
+
+    assert both.json["components"] == ["talker", "beacon"]
+    assert wrong.code == 1
+    assert "--set components.talker.parameters.words=-1" in wrong.err
+
+
+def test_plugins_are_listed_with_those_that_cannot_be_used() -> None:
+    rows = {row["plugin"]: row for row in cairn("plugins", "--json").json}
+
+    assert rows["automove"]["usable"]
+    assert rows["test_talker"]["package"] == "cairn-test-plugins 0.1.0"
+    assert rows["test_talker"]["writes"][0]["type"] == "geometry_msgs/msg/Twist"
+    assert not rows["test_broken"]["usable"]
+    assert "RuntimeError: this module is broken on purpose" in rows["test_broken"]["summary"]
+    assert "Says the next number" in cairn("plugins").out
+
+
+def test_one_plugin_is_shown_with_ports_and_parameters() -> None:
+    shown = cairn("plugins", "test_talker")
+
+    assert shown.code == 0
+    assert "words  out        geometry_msgs/msg/Twist  reliable, volatile, depth 10" in shown.out
+    assert "volume           3  >= 0, <= 11  Loudness [1]" in shown.out
+    same = cairn("plugins", "cairn_test_plugins.talking:Talker", "--json").json
+    assert [row["parameter"] for row in same["parameters"]] == ["words", "volume"]
+    assert "did you mean test_talker?" in cairn("plugins", "test_takler").err
+
+
+def test_schemas_are_listed_and_shown_for_other_languages() -> None:
+    rows = {row["type"]: row for row in cairn("schema", "list", "--json").json}
+    shown = cairn("schema", "show", "geometry_msgs/msg/Twist")
+
+    twist = "RIHS01_9c45bf16fe0983d80e3cfe750d6835843d265a9a6c46bd2e609fcddde6fb8d2a"
+    assert rows["geometry_msgs/msg/Twist"]["hash"] == twist
+    assert shown.out.startswith(f"# geometry_msgs/msg/Twist\n# {twist}\ngeometry_msgs/Vector3 lin")
+    as_json = cairn("schema", "show", "geometry_msgs/msg/Twist", "--json").json
+    assert as_json["hash"] == twist
+    assert cairn("schema", "show", "geometry_msgs/msg/Twst").code == 1
+
+
+def test_help_is_given_for_every_command() -> None:
+    shown = cairn("--help").out
+
+    for name in ("up", "check", "ps", "graph", "topic", "param", "plugins", "schema", "load"):
+        assert f"\n  {name} " in shown
+        assert cairn(name, "--help").code == 0
+    assert json.dumps(shown)

@@ -1,0 +1,40 @@
+"""Supervision in lockstep: the same restarts, escalation and exit code, in virtual time."""
+
+from tests.launching import Launching
+
+
+def test_a_component_that_fails_is_restarted(launch: Launching) -> None:
+    run = launch(
+        """
+    components:
+      talker: {plugin: test_talker, parameters: {words: 30}, restart: transient, significant: true}
+      sentry: {plugin: test_sentry, parameters: {hears: 3}}
+    """,
+        "--lockstep",
+    )
+
+    assert run.await_end() == 0
+
+    failed = run.await_line("00:00:00.150 WARNING robot.root: sentry failed: hear .*: ValueError")
+    run.await_line("00:00:00.150 INFO    robot.root: sentry active", after=failed)
+    run.await_line("^ended.*: talker has finished: all said")
+
+
+def test_too_many_restarts_end_the_run_with_the_reason(launch: Launching) -> None:
+    run = launch(
+        """
+    supervision: {max_restarts: 1}
+    components:
+      talker: {plugin: test_talker}
+      sentry: {plugin: test_sentry, parameters: {hears: 3}}
+    """,
+        "--lockstep",
+    )
+
+    assert run.await_end() == 1
+
+    run.await_line("robot.root: talker stopped: shut down")
+    run.await_line(
+        "cairn: deployment0.yaml failed: .*root has given up: more than 1 restarts within 10 s; "
+        r"last, sentry: failed: hear \(port words\): ValueError: heard 3; logs: "
+    )
