@@ -173,7 +173,9 @@ class ZenohPublisher:
                 priority=priority,
                 cache=CacheConfig(max_samples=qos.depth),
                 publisher_detection=True,
-                sample_miss_detection=MissDetectionConfig(heartbeat=None, sporadic_heartbeat=0.5),
+                # Without heartbeats: in zenoh 1.10 closing a publisher that has some can block for
+                # 10 s and leave the session's links dead; readers find gaps by the next message.
+                sample_miss_detection=MissDetectionConfig(heartbeat=None, sporadic_heartbeat=None),
             )
         else:
             self._publisher = session.declare_publisher(

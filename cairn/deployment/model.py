@@ -16,7 +16,10 @@ Strategy = Literal["one_for_one", "rest_for_one", "one_for_all"]
 
 ROOT = "root"
 VIEW = "cairn_up"
-RESERVED = {ROOT: "the root of the tree of components", VIEW: "the node with which `cairn up` listens"}
+RESERVED = {
+    ROOT: "the root of the tree of components",
+    VIEW: "the node with which `cairn up` listens",
+}
 """Names of nodes that every deployment has, so that no component can have them."""
 
 _LISTEN = "tcp/127.0.0.1:7447"

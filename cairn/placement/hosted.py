@@ -1,6 +1,7 @@
 """One component hosted on a thread of this process: its loop, its control, its heartbeat."""
 
 import threading
+import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from concurrent.futures import TimeoutError as FutureTimeout
@@ -59,6 +60,10 @@ class Hosted:
     def post(self, call: Callable[[], None]) -> None:
         """Have `call` made as a handler of the component; from any thread."""
         self._loop.post(lambda: self.runtime.run("supervision", call))
+
+    def now(self) -> float:
+        """Time [s] since some moment, that nobody sets."""
+        return time.monotonic()
 
     def progress(self, what: str) -> None:
         """Say that a long call gets on."""

@@ -109,6 +109,10 @@ class _Place:
         """Have `call` made as a handler of the supervisor."""
         self._scheduler.post(lambda: self.runtime.run("supervision", call))
 
+    def now(self) -> float:
+        """Virtual time [s]."""
+        return self.run.executor.now() / SECOND
+
     def progress(self, what: str) -> None:
         """Nothing hangs in virtual time: a call that does not return, does not return."""
 

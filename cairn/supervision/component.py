@@ -1,7 +1,6 @@
 """A component that keeps other components running: the base of every supervisor."""
 
 import logging
-import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, Protocol
@@ -27,7 +26,11 @@ _FORCE_S = 3.0
 
 
 class Host(Protocol):
-    """The supervisor's own place: its loop."""
+    """The supervisor's own place: its loop and its time."""
+
+    def now(self) -> float:
+        """Time [s] that nobody sets: that of the machine, or virtual in lockstep."""
+        ...
 
     def post(self, call: Callable[[], None]) -> None:
         """Have `call` made as a handler of the supervisor."""
@@ -79,6 +82,7 @@ class SupervisorComponent(Component):
             progress=lambda what, _limit_s: host.progress(what),
             strategy=supervision.strategy,
             intensity=Intensity(supervision.max_restarts, supervision.within_s),
+            now=host.now,
         )
 
     def on_activate(self) -> None:
@@ -131,7 +135,7 @@ class SupervisorComponent(Component):
     def hear(self, status: ComponentStatus) -> None:
         """Keep the heartbeat of a child."""
         if status.component in self._specs:
-            self._heartbeats[status.component] = _Heartbeat(status, time.monotonic())
+            self._heartbeats[status.component] = _Heartbeat(status, self._host.now())
 
     @every(hz=2)
     def watch(self) -> None:
@@ -146,7 +150,7 @@ class SupervisorComponent(Component):
         status, spec = beat.status, self._specs[child.name]
         if status.restarts + 1 != child.incarnation or status.state != "active":
             return
-        silent_s = time.monotonic() - beat.heard_at
+        silent_s = self._host.now() - beat.heard_at
         limit_s = spec.hang_timeout_s + _longest_step_s(spec)
         if status.handler and status.handler_s > limit_s:
             busy_s = status.handler_s + silent_s

@@ -37,7 +37,7 @@ class AutoMove(SupervisorComponent):
 
     @on("goal_pose")
     def order(self, goal: PoseStamped) -> None:
-        """Take an order to move: load the plugins that are not loaded yet."""
+        """Take an order to move: load the plugins that do not run yet."""
         place = goal.pose.position
         self.log.info("ordered to move to %.2f, %.2f: loading plugins", place.x, place.y)
         try:
@@ -47,5 +47,4 @@ class AutoMove(SupervisorComponent):
 
     def _load_plugins(self) -> None:
         for child in self.children.status():
-            if child.state == "unloaded":
-                self.children.load(child.name)
+            self.children.load(child.name)

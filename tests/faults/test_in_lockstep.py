@@ -3,20 +3,23 @@
 from tests.launching import Launching
 
 
-def test_a_component_that_fails_is_restarted(launch: Launching) -> None:
+def test_a_component_that_fails_is_restarted_as_often_as_virtual_time_allows(
+    launch: Launching,
+) -> None:
     run = launch(
         """
     components:
-      talker: {plugin: test_talker, parameters: {words: 30}, restart: transient, significant: true}
-      sentry: {plugin: test_sentry, parameters: {hears: 3}}
+      talker: {plugin: test_talker, parameters: {words: 790}, restart: transient, significant: true}
+      sentry: {plugin: test_sentry, parameters: {hears: 100}}
     """,
         "--lockstep",
     )
 
     assert run.await_end() == 0
 
-    failed = run.await_line("00:00:00.150 WARNING robot.root: sentry failed: hear .*: ValueError")
-    run.await_line("00:00:00.150 INFO    robot.root: sentry active", after=failed)
+    failed = run.await_line("00:00:05.000 WARNING robot.root: sentry failed: hear .*: ValueError")
+    run.await_line("00:00:05.000 INFO    robot.root: sentry active", after=failed)
+    assert sum("WARNING robot.root: sentry failed" in line for line in run.lines) == 7
     run.await_line("^ended.*: talker has finished: all said")
 
 

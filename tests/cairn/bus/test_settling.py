@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO
 
-from cairn.bus.qos import RELIABLE
+from cairn.bus.qos import LATCHED, RELIABLE
 from cairn.bus.zenoh_bus import ZenohBus
 from schemas.std_msgs import String
 from tests.cairn.bus.network import LIMIT_S, Network, Reader, eventually, node
@@ -77,6 +77,20 @@ def test_those_who_join_at_the_same_time_all_hear_all(network: Network) -> None:
 
         everything = {f"from {number}" for number in range(count)}
         assert heard == dict.fromkeys(range(count), everything)
+
+
+def test_latched_writers_that_come_and_go_while_links_are_made_hold_up_nobody() -> None:
+    for _ in range(40):
+        network = Network()
+        coming, other = network.bus(), network.bus()
+        part = node(coming, "/robot/part")
+        for word in ("a", "b"):
+            latched = part.advertise("/robot/state", String, LATCHED)
+            latched.publish(String(data=word))
+            latched.close()
+
+        assert other.settle(2.0) == []
+        network.close()
 
 
 def test_processes_started_again_and_again_lose_nothing(network: Network) -> None:

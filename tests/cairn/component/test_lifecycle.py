@@ -1,5 +1,6 @@
 """A component walks its life cycle, and every way in which a step of it can fail ends somewhere."""
 
+import logging
 from typing import Any
 
 import pytest
@@ -390,7 +391,12 @@ def test_its_status_tells_of_each_step_and_of_the_end(lockstep: Lockstep) -> Non
     assert ports == {"word": ("/robot/word", 2), "echo": ("/robot/echo", 1)}
 
 
-def test_a_reason_that_no_message_can_carry_is_told_nevertheless(lockstep: Lockstep) -> None:
+def test_a_reason_that_no_message_can_carry_is_told_nevertheless(
+    lockstep: Lockstep, caplog: pytest.LogCaptureFixture
+) -> None:
+    # What pytest captures goes to another process where tests run in parallel: UTF-8 only.
+    caplog.set_level(logging.CRITICAL + 1, "cairn")
+
     class Odd(Part):
         def step(self, name: str) -> None:
             if name.startswith("hear"):

@@ -368,7 +368,9 @@ def test_timers_that_overload_it_do_not_keep_it_from_requests(slow: Threaded) ->
     assert slow.ask("deactivate") == "inactive"
 
 
-def test_a_log_record_never_fails_who_logs(lockstep: Lockstep) -> None:
+def test_a_log_record_never_fails_who_logs(
+    lockstep: Lockstep, monkeypatch: pytest.MonkeyPatch
+) -> None:
     class Logs(Base):
         @on("word")
         def hear(self, word: String) -> None:
@@ -377,6 +379,8 @@ def test_a_log_record_never_fails_who_logs(lockstep: Lockstep) -> None:
             self.log.warning("after")
 
     part = lockstep.add(Logs, name="logs")
+    # What pytest captures goes to another process where tests run in parallel: UTF-8 only.
+    monkeypatch.setattr(part.runtime.log, "propagate", False)
     entries = lockstep.read("/rosout", Log)
     handler = RosoutHandler(part.runtime.node)
     part.runtime.log.addHandler(handler)
