@@ -1,7 +1,6 @@
 """A class's definition text and type hash are those of ROS 2."""
 
 import pytest
-from tests.schemas.arbitrary import EVERY_MESSAGE
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
@@ -12,6 +11,7 @@ from schemas.geometry_msgs import PoseArray, PoseStamped, PoseWithCovarianceStam
 from schemas.nav_msgs import OccupancyGrid, Odometry, Path
 from schemas.sensor_msgs import Image, LaserScan
 from schemas.std_msgs import String
+from tests.schemas.arbitrary import EVERY_MESSAGE
 
 ROS = get_typestore(Stores.ROS2_JAZZY)
 

@@ -10,8 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.schemas.arbitrary import EVERY_MESSAGE, arbitrary, samples
-from tests.schemas.damage import damaged
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap_ros2._dynamic import serialize_dynamic
@@ -20,6 +18,8 @@ from rosbags.typesys import Stores, get_typestore
 
 from cairn.bus.codec import Codec
 from schemas.message import InvalidMessage
+from tests.schemas.arbitrary import EVERY_MESSAGE, arbitrary, samples
+from tests.schemas.damage import damaged
 
 CODEC = Codec()
 ROS = get_typestore(Stores.ROS2_JAZZY)
