@@ -30,13 +30,15 @@ COUNT = 10
 _HERE = "benchmarks.startup"
 
 
-@numba.njit("float64(float64[:])", cache=True)
-def energy(values: Any) -> float:
-    """A kernel compiled when this module is imported: in the zygote, once for all."""
+def _energy(values: Any) -> Any:
     total = 0.0
     for value in values:
         total += value * value
     return total
+
+
+# A kernel compiled when this module is imported: in the zygote, once for all.
+energy: Any = numba.njit("float64(float64[:])", cache=True)(_energy)
 
 
 class Heavy(Component):
