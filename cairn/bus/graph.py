@@ -7,7 +7,6 @@ from typing import Any
 import zenoh
 
 from cairn.bus import rmw
-from cairn.bus.liveliness import alive
 
 _WAITING = 10_000
 
@@ -15,8 +14,14 @@ _WAITING = 10_000
 def read_graph(
     session: zenoh.Session, domain: int, timeout_s: float = 2.0
 ) -> list[rmw.NodeEntity | rmw.EndpointEntity]:
-    """All nodes and endpoints alive in a domain, sorted by their tokens."""
-    return list(_parsed(alive(session, f"{rmw.TOKENS}/{domain}/**", timeout_s)))
+    """All nodes and endpoints alive in a domain, sorted by their tokens.
+
+    For the session of a client (`open_client`): to a peer, zenoh 1.10 may declare the answer
+    complete before all of it has come; peers follow with `GraphWatch`.
+    """
+    replies = session.liveliness().get(f"{rmw.TOKENS}/{domain}/**", timeout=timeout_s)
+    keys = sorted(str(reply.ok.key_expr) for reply in replies if reply.ok is not None)
+    return list(_parsed(keys))
 
 
 class GraphWatch:

@@ -16,7 +16,7 @@ _LOOK_AGAIN_S = 0.05
 
 
 class Links:
-    """The links of one session; `close` ends the following."""
+    """The links of one peer's or router's session; `close` ends the following."""
 
     def __init__(self, session: zenoh.Session) -> None:
         self._session = session
@@ -25,51 +25,48 @@ class Links:
         callback: Any = zenoh.handlers.Callback(self._note, indirect=False)
         self._listener = session.info.declare_transport_events_listener(callback, history=False)
 
-    def others(self, timeout_s: float) -> dict[str, bool]:
-        """The ids of the other processes; whether there is, or will be, a direct link to each.
+    def others(self, timeout_s: float) -> set[str]:
+        """The ids of those to which there is, or soon will be, a direct link.
 
-        Those linked here, routers among them, and those that a router (its admin space) has links
-        to.
+        They are those linked already, and the peers of which a router's admin space tells.
         """
-        found = {str(zid): True for zid in self._session.info.peers_zid()}
-        routers = {str(zid): False for zid in self._session.info.routers_zid()}
-        for router in routers:
+        found = self._standing()
+        for router in self._session.info.routers_zid():
             for reply in self._session.get(f"@/{router}/router", timeout=timeout_s):
                 if reply.ok is not None:
-                    found |= _sessions(reply.ok.payload.to_bytes())
-        own_is_peer = found.pop(self._zid, True)
-        return routers | {zid: peer and own_is_peer for zid, peer in found.items()}
+                    found |= _peers(reply.ok.payload.to_bytes())
+        return found - {self._zid}
 
     def wait(self, zid: str, deadline: float) -> bool:
-        """Whether a link to that process stands, at the latest at `deadline` (monotonic) [s].
+        """Whether a link to that one stands, at the latest at `deadline` (monotonic) [s].
 
         False at once if the router has lost it meanwhile.
         """
-        while not self._stands(zid):
+        while zid not in self._standing():
             left = deadline - time.monotonic()
             if left <= 0 or zid not in self.others(left):
                 return False
             with self._changed:
-                self._changed.wait_for(lambda: self._stands(zid), min(left, _LOOK_AGAIN_S))
+                self._changed.wait_for(lambda: zid in self._standing(), min(left, _LOOK_AGAIN_S))
         return True
 
     def close(self) -> None:
         """Follow the links no more."""
         self._listener.undeclare()
 
-    def _stands(self, zid: str) -> bool:
-        return any(str(peer) == zid for peer in self._session.info.peers_zid())
+    def _standing(self) -> set[str]:
+        info = self._session.info
+        return {str(zid) for zid in (*info.peers_zid(), *info.routers_zid())}
 
     def _note(self, _: Any) -> None:
         with self._changed:
             self._changed.notify_all()
 
 
-def _sessions(answer: bytes) -> dict[str, bool]:
-    """From a router's own description: the processes linked to it, and whether each is a peer."""
+def _peers(answer: bytes) -> set[str]:
+    """From a router's own description: the peers linked to it."""
     try:
         sessions = json.loads(answer)["sessions"]
-        kinds = {str(one["peer"]): str(one["whatami"]) for one in sessions}
+        return {str(one["peer"]) for one in sessions if one["whatami"] == "peer"}
     except (ValueError, KeyError, TypeError):
-        return {}  # another version's; what is linked here has to do
-    return {zid: kind == "peer" for zid, kind in kinds.items() if kind in ("peer", "client")}
+        return set()  # another version's; what is linked here has to do

@@ -15,8 +15,7 @@ import zenoh
 
 from cairn.bus.arrival import Arrival
 from cairn.bus.links import Links
-from cairn.bus.liveliness import alive
-from cairn.bus.session import PEER_MARK
+from cairn.bus.session import MARK
 
 KEYS = "@cairn/session/"
 """The key of a process is this and the id of its session."""
@@ -28,8 +27,7 @@ class Meeting:
     def __init__(self, session: zenoh.Session) -> None:
         self._session = session
         self._links = Links(session)
-        self._zid = str(session.info.zid())
-        own = KEYS + self._zid
+        own = f"{KEYS}{session.info.zid()}"
         self._queryable: zenoh.Queryable[Any] = session.declare_queryable(
             own, zenoh.handlers.RingChannel(256)
         )
@@ -37,43 +35,33 @@ class Meeting:
             target=self._answer, args=(own,), name="cairn meeting", daemon=True
         )
         self._thread.start()
-        self._token = session.liveliness().declare_token(own)
 
     def settle(self, timeout_s: float) -> list[str]:
         """Meet every process on the bus; returns the keys of those not met within the limit."""
         deadline = time.monotonic() + timeout_s
-        others = self._links.others(timeout_s)
+        others = sorted(self._links.others(timeout_s))
+        if not others:
+            return []
         # At the same time, or one that hangs would take the time that the others need.
-        with ThreadPoolExecutor(len(others) + 1, "cairn settle") as pool:
-            far = pool.submit(self._meet_far, set(others), deadline)
-            met = pool.map(lambda zid: self._meet(zid, others[zid], deadline), others)
-            unmet = [zid for zid, known in zip(others, met, strict=True) if not known]
-            return sorted(KEYS + zid for zid in unmet + far.result())
+        with ThreadPoolExecutor(len(others), "cairn settle") as pool:
+            met = list(pool.map(lambda zid: self._meet(zid, deadline), others))
+        return [KEYS + zid for zid, known in zip(others, met, strict=True) if not known]
 
     def close(self) -> None:
         """Answer no more."""
-        self._token.undeclare()
         self._queryable.undeclare()
         self._thread.join(timeout=2.0)
         self._links.close()
 
-    def _meet_far(self, near: set[str], deadline: float) -> list[str]:
-        """Meet those that neither this process nor its router is linked to; whom it could not."""
-        keys = alive(self._session, KEYS + "*", _left(deadline))
-        zids = {key.removeprefix(KEYS) for key in keys} - near - {self._zid}
-        return [zid for zid in zids if not self._meet(zid, False, deadline)]
-
-    def _meet(self, zid: str, direct: bool, deadline: float) -> bool:
-        if direct and not self._links.wait(zid, deadline):
+    def _meet(self, zid: str, deadline: float) -> bool:
+        if not self._links.wait(zid, deadline):
             return zid not in self._links.others(_left(deadline))
-        key = KEYS + zid
-        ours = zid.startswith(PEER_MARK) or alive(self._session, key, _left(deadline))
-        if not ours:
-            return time.monotonic() < deadline  # not one of ours, or it has gone
-        with Arrival(self._session, key) as arrival:
+        if not zid.startswith(MARK):
+            return True  # not one of ours: it does not answer
+        with Arrival(self._session, KEYS + zid) as arrival:
             if not arrival.wait(_left(deadline)):
                 return False
-            replies = self._session.get(key, timeout=_left(deadline))
+            replies = self._session.get(KEYS + zid, timeout=_left(deadline))
             return any(reply.ok is not None for reply in replies)
 
     def _answer(self, own: str) -> None:

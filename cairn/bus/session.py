@@ -14,8 +14,8 @@ from cairn.errors import CairnError
 CONNECT_LIMIT_S = 2.0
 """A router on the same machine answers in milliseconds."""
 
-PEER_MARK = "ca1c0de5"
-"""The ids of our peers' sessions begin so: whoever is linked to one knows that it answers."""
+MARK = "ca1c0de5"
+"""The ids of a component's, or its deployment's, session begin so: such a one can be met."""
 
 LEASE_MS = 2000
 """A silent peer's link is given up after so long; that of a killed one at once."""
@@ -116,8 +116,8 @@ def _config(mode: str, listen: Sequence[str], connect: Sequence[str]) -> zenoh.C
         "transport/link/tx/lease": LEASE_MS,
         "transport/shared_memory/enabled": False,
     }
-    if mode == "peer":
-        settings["id"] = PEER_MARK + secrets.token_hex(12)
+    if mode != "client":
+        settings["id"] = MARK + secrets.token_hex(12)
     for key, value in settings.items():
         config.insert_json5(key, json.dumps(value))
     return config

@@ -137,7 +137,8 @@ def resolve(names: list[str], name: str, robot: str) -> str:
     if len(matches) == 1:
         return matches[0]
     if matches:
-        raise CairnError(f"{name}: several robots have it: {', '.join(matches)}; give --robot")
+        several = ", ".join(sorted(matches))
+        raise CairnError(f"{name}: several robots have it: {several}; give --robot")
     listed = ", ".join(sorted(names)) or "none"
     where = f" of robot {robot}" if robot else ""
     raise CairnError(f"there is no {name}{where} on the bus; there are: {listed}")

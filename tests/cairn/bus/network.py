@@ -8,8 +8,10 @@ from contextlib import ExitStack
 from typing import Any
 
 from cairn.bus.bus import Bus, Node
+from cairn.bus.graph import read_graph
 from cairn.bus.qos import Qos
-from cairn.bus.session import open_peer, open_router
+from cairn.bus.rmw import EndpointEntity, NodeEntity
+from cairn.bus.session import open_client, open_peer, open_router
 from cairn.bus.zenoh_bus import ZenohBus
 
 LIMIT_S = 10.0
@@ -24,7 +26,7 @@ class Network:
         with socket.create_server(("127.0.0.1", 0)) as free:
             self.port = free.getsockname()[1]
         self.endpoint = f"tcp/127.0.0.1:{self.port}"
-        self.router = open_router(self.endpoint)
+        self.router = ZenohBus(open_router(self.endpoint))
         self._stack.callback(self.router.close)
 
     def bus(self) -> ZenohBus:
@@ -32,6 +34,14 @@ class Network:
         bus = ZenohBus(open_peer([self.endpoint]))
         self._stack.callback(bus.close)
         return bus
+
+    def graph(self, domain: int = 0) -> list[NodeEntity | EndpointEntity]:
+        """Who is there, as a command sees it."""
+        session = open_client([self.endpoint])
+        try:
+            return read_graph(session, domain)
+        finally:
+            session.close()
 
     def close(self) -> None:
         """Close all buses, then the router."""

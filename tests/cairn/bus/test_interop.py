@@ -10,11 +10,9 @@ from typing import Any, ClassVar
 import pytest
 
 from cairn.bus.codec import Codec
-from cairn.bus.graph import read_graph
 from cairn.bus.plain import to_plain
 from cairn.bus.qos import RELIABLE, SENSOR
 from cairn.bus.rmw import EndpointEntity, NodeEntity
-from cairn.bus.zenoh_bus import ZenohBus
 from cairn.component.component import Component
 from cairn.component.handlers import on
 from cairn.component.ports import In, Out
@@ -25,7 +23,7 @@ from schemas.message import type_name
 from schemas.nav_msgs import Odometry
 from schemas.sensor_msgs import LaserScan
 from schemas.std_msgs import Header, String
-from tests.cairn.bus.network import LIMIT_S, Network, eventually
+from tests.cairn.bus.network import Network, eventually
 from tests.cairn.component.running import Threaded
 
 HEADER = Header(stamp=Time(sec=1_700_000_000, nanosec=5), frame_id="base_link")
@@ -149,14 +147,12 @@ def robot(network: Network, ros2: Ros2) -> Iterator[Threaded]:
 
 
 @pytest.fixture(scope="module")
-def known(network: Network, robot: Threaded, ros2: Ros2) -> ZenohBus:
+def known(network: Network, robot: Threaded, ros2: Ros2) -> Network:
     """Both know all of each other: the other client has no way to settle, but tells its graph."""
     topics = {f"/robot/{say}{topic}" for topic in MESSAGES for say in ("", "say_")}
     assert eventually(lambda: topics <= {name for name, _ in ros2.ask("topics")})
-    bus = network.bus()
-    bus.settle(LIMIT_S)
-    assert eventually(lambda: len(nodes(bus)) == 2 * len(MESSAGES) + 1)
-    return bus
+    assert eventually(lambda: len(nodes(network)) == 2 * len(MESSAGES) + 1)
+    return network
 
 
 def write_definitions(directory: Path) -> None:
@@ -175,13 +171,13 @@ def write_definitions(directory: Path) -> None:
             path.write_text(text)
 
 
-def nodes(bus: ZenohBus) -> set[str]:
-    return {one.name for one in read_graph(bus.session, 0) if isinstance(one, NodeEntity)}
+def nodes(network: Network) -> set[str]:
+    return {one.name for one in network.graph() if isinstance(one, NodeEntity)}
 
 
 @pytest.mark.parametrize("topic", list(MESSAGES))
 def test_what_it_publishes_comes_in_at_a_port(
-    known: ZenohBus, robot: Threaded, ros2: Ros2, topic: str
+    known: Network, robot: Threaded, ros2: Ros2, topic: str
 ) -> None:
     ros2.ask("publish", topic=f"/robot/{topic}", value=to_plain(MESSAGES[topic]))
 
@@ -191,7 +187,7 @@ def test_what_it_publishes_comes_in_at_a_port(
 
 @pytest.mark.parametrize("topic", list(MESSAGES))
 def test_what_a_port_publishes_it_receives(
-    known: ZenohBus, robot: Threaded, ros2: Ros2, topic: str
+    known: Network, robot: Threaded, ros2: Ros2, topic: str
 ) -> None:
     port: Out[Any] = getattr(robot.runtime.component, f"say_{topic}")
     port.publish(MESSAGES[topic])
@@ -199,19 +195,19 @@ def test_what_a_port_publishes_it_receives(
     assert ros2.ask("hear", topic=f"/robot/say_{topic}") == to_plain(MESSAGES[topic])
 
 
-def test_nothing_of_it_is_refused_or_counted_as_dropped(known: ZenohBus, robot: Threaded) -> None:
+def test_nothing_of_it_is_refused_or_counted_as_dropped(known: Network, robot: Threaded) -> None:
     ports = {port.port: port for port in robot.runtime.status().ports}
 
     assert all((port.dropped, port.invalid) == (0, 0) for port in ports.values())
 
 
-def test_its_nodes_are_in_our_graph(known: ZenohBus) -> None:
+def test_its_nodes_are_in_our_graph(known: Network) -> None:
     assert nodes(known) == {"/robot/base"} | {
         f"/ros/{does}_{topic}" for topic in MESSAGES for does in ("talks", "hears")
     }
     (talker,) = (
         one
-        for one in read_graph(known.session, 0)
+        for one in known.graph()
         if isinstance(one, EndpointEntity) and one.node.name == "/ros/talks_scan"
     )
     assert (talker.kind, talker.topic, talker.qos) == ("MP", "/robot/scan", RELIABLE)
@@ -219,7 +215,7 @@ def test_its_nodes_are_in_our_graph(known: ZenohBus) -> None:
     assert talker.type_hash == Codec().type_hash(LaserScan)
 
 
-def test_our_node_is_in_its_graph(known: ZenohBus, ros2: Ros2) -> None:
+def test_our_node_is_in_its_graph(known: Network, ros2: Ros2) -> None:
     types = dict(ros2.ask("topics"))
     assert {name: types[f"/robot/{name}"] for name in MESSAGES} == {
         name: [type_name(type(message))] for name, message in MESSAGES.items()

@@ -153,20 +153,6 @@ def test_a_process_that_was_killed_is_not_waited_for(network: Network) -> None:
         assert eventually(lambda: bus.settle(0.2) == [])
 
 
-def test_a_process_killed_while_it_is_met_ends_the_meeting(network: Network) -> None:
-    bus = network.bus()
-    with process(network, "dying") as (peer, _, output):
-        assert output.readline() == "settled []\n"
-        peer.send_signal(signal.SIGSTOP)
-        met: list[list[str]] = []
-        meeting = threading.Thread(target=lambda: met.append(bus.settle(LIMIT_S * 3)))
-        meeting.start()
-        peer.kill()
-        meeting.join(LIMIT_S)
-
-        assert not meeting.is_alive(), "it waits for a process that is no more"
-
-
 @contextmanager
 def process(
     network: Network, name: str

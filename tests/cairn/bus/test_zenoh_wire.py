@@ -8,11 +8,9 @@ import pytest
 import zenoh
 
 from cairn.bus.codec import Codec
-from cairn.bus.graph import read_graph
-from cairn.bus.liveliness import alive
 from cairn.bus.qos import LATCHED, SENSOR, Qos
 from cairn.bus.rmw import Attachment, EndpointEntity, NodeEntity, gid, token_key
-from cairn.bus.session import open_peer
+from cairn.bus.session import open_client, open_peer
 from cairn.bus.zenoh_bus import ZenohBus
 from schemas.geometry_msgs import Twist, Vector3
 from schemas.sensor_msgs import Image
@@ -24,16 +22,17 @@ STRING = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a1
 
 
 def test_a_nodes_tokens(network: Network) -> None:
-    bus, watcher = network.bus(), network.bus()
+    bus = network.bus()
     zid = bus.session.info.zid()
     localizer = node(bus, "/robot/localizer")
     localizer.advertise("/robot/cmd_vel", Twist, SENSOR)
     localizer.subscribe("/robot/word", String, LATCHED, lambda: None)
     lonely = node(bus, "/lonely")
     lonely.advertise("/word", String, Qos("reliable", "volatile", 42))
-    watcher.settle(LIMIT_S)
-
-    tokens = alive(watcher.session, "@ros2_lv/**", LIMIT_S)
+    bus.settle(LIMIT_S)
+    with open_client([network.endpoint]) as command:
+        replies = command.liveliness().get("@ros2_lv/**", timeout=LIMIT_S)
+        tokens = sorted(str(reply.ok.key_expr) for reply in replies if reply.ok is not None)
 
     place = "%/%robot/localizer"
     assert tokens == [
@@ -62,7 +61,7 @@ def test_a_message_on_the_wire(network: Network) -> None:
         writer.publish(Twist(linear=Vector3(x=speed)))
 
     samples = [everything.recv() for _ in range(2)]
-    (endpoint,) = (one for one in read_graph(plain.session, 0) if isinstance(one, EndpointEntity))
+    (endpoint,) = (one for one in network.graph() if isinstance(one, EndpointEntity))
     for number, (speed, sample) in enumerate(zip((0.25, 0.5), samples, strict=True), start=1):
         assert str(sample.key_expr) == f"0/robot/cmd_vel/geometry_msgs::msg::dds_::Twist_/{TWIST}"
         assert str(sample.encoding) == "application/cdr;geometry_msgs/msg/Twist"
@@ -94,23 +93,23 @@ def test_bulk_gives_way_to_what_is_small_and_urgent(network: Network) -> None:
 
 
 def test_the_graph_tells_who_is_there_and_who_has_left(network: Network) -> None:
-    bus, watcher = network.bus(), network.bus()
+    bus = network.bus()
     one, other = node(bus, "/robot/one"), node(bus, "/other")
     one.advertise("/robot/word", String, SENSOR)
-    watcher.settle(LIMIT_S)
-    graph = read_graph(watcher.session, 0)
+    bus.settle(LIMIT_S)
+    graph = network.graph()
     assert [one.name for one in graph if isinstance(one, NodeEntity)] == ["/robot/one", "/other"]
     assert [one.topic for one in graph if isinstance(one, EndpointEntity)] == ["/robot/word"]
 
     one.close()
 
-    assert eventually(lambda: _names(watcher.session) == ["/other"])
+    assert eventually(lambda: _names(network) == ["/other"])
     other.close()
-    assert eventually(lambda: _names(watcher.session) == [])
+    assert eventually(lambda: _names(network) == [])
 
 
-def _names(session: zenoh.Session) -> list[str]:
-    return [one.name for one in read_graph(session, 0) if isinstance(one, NodeEntity)]
+def _names(network: Network) -> list[str]:
+    return [one.name for one in network.graph() if isinstance(one, NodeEntity)]
 
 
 def test_another_domain_is_another_world(network: Network) -> None:
@@ -126,7 +125,7 @@ def test_another_domain_is_another_world(network: Network) -> None:
         writer.publish(String(data="elsewhere"))
         here.publish(String(data="here"))
         assert reader.next() == String(data="here")
-        assert [type(one) for one in read_graph(bus.session, 7)] == [NodeEntity, EndpointEntity]
+        assert [type(one) for one in network.graph(domain=7)] == [NodeEntity, EndpointEntity]
     finally:
         elsewhere.close()
 
