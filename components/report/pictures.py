@@ -63,8 +63,8 @@ def draw_reliability(record: RunRecord, file: Path) -> None:
         )  # fmt: skip
     for threshold, word in ((0.1, "removed below 0.1"), (0.5, "registered above 0.5")):
         axes.axhline(threshold, color="black", linewidth=0.6, linestyle=":")
-        axes.text(0.99, threshold + 0.01, word, transform=axes.get_yaxis_transform(), fontsize=8,
-                  ha="right", color="#505050")  # fmt: skip
+        axes.text(0.45, threshold + 0.01, word, transform=axes.get_yaxis_transform(), fontsize=8,
+                  ha="left", color="#505050")  # fmt: skip
     if still:
         axes.plot([], [], color="#b4bcc4", label=f"the {len(still)} that stood still")
     axes.set_ylim(-0.02, 1.02)
