@@ -4,8 +4,8 @@ import logging
 import os
 import time
 import zlib
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
@@ -255,22 +255,16 @@ class Runtime:
 
     def _call(self, where: str, call: Callable[..., Any], *arguments: Any) -> Any:
         """Make one call that the status tells of; what it raises becomes a `_Failure`."""
-        with self._doing(where):
-            try:
-                return call(*arguments)
-            except _Failure:  # of a handler within
-                raise
-            except Exception as error:
-                raise _Failure(where, error) from error
-            except SystemExit as error:
-                refusal = CairnError(f"it called sys.exit({error.code}); use self.finish(reason)")
-                raise _Failure(where, refusal) from error
-
-    @contextmanager
-    def _doing(self, where: str) -> Iterator[None]:
         outer, self._busy = self._busy, (where, time.monotonic())
         try:
-            yield
+            return call(*arguments)
+        except _Failure:  # of a handler within
+            raise
+        except Exception as error:
+            raise _Failure(where, error) from error
+        except SystemExit as error:
+            refusal = CairnError(f"it called sys.exit({error.code}); use self.finish(reason)")
+            raise _Failure(where, refusal) from error
         finally:
             self._busy = outer
 
