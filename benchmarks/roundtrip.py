@@ -22,7 +22,7 @@ from cairn.component.ports import In, Out
 from schemas.sensor_msgs import Image, LaserScan
 from schemas.std_msgs import Header, String
 
-ROUNDS = 3
+ROUNDS = 5
 LIMIT = 1.5
 PAYLOADS = {"64 B": 2000, "2.8 kB scan": 2000, "300 kB image": 400}
 _HERE = "benchmarks.roundtrip"
