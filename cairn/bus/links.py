@@ -11,6 +11,11 @@ from typing import Any
 
 import zenoh
 
+from cairn.bus.arrival import Arrival
+
+_JOIN_LIMIT_S = 1.0
+"""After so long a router is taken for one without an admin space."""
+
 _LOOK_AGAIN_S = 0.05
 """Between two looks at whether a process that is waited for is still there."""
 
@@ -24,6 +29,7 @@ class Links:
         self._changed = threading.Condition()
         callback: Any = zenoh.handlers.Callback(self._note, indirect=False)
         self._listener = session.info.declare_transport_events_listener(callback, history=False)
+        self._join()
 
     def others(self, timeout_s: float) -> set[str]:
         """The ids of those to which there is, or soon will be, a direct link.
@@ -32,7 +38,7 @@ class Links:
         """
         found = self._standing()
         for router in self._session.info.routers_zid():
-            for reply in self._session.get(f"@/{router}/router", timeout=timeout_s):
+            for reply in self._session.get(_admin_key(router), timeout=timeout_s):
                 if reply.ok is not None:
                     found |= _peers(reply.ok.payload.to_bytes())
         return found - {self._zid}
@@ -54,6 +60,14 @@ class Links:
         """Follow the links no more."""
         self._listener.undeclare()
 
+    def _join(self) -> None:
+        # At first a router's admin space is not known here, nor this process to the router; once
+        # it has answered, both are, and all who ask it are told of this process.
+        for router in self._session.info.routers_zid():
+            with Arrival(self._session, _admin_key(router)) as arrival:
+                arrival.wait(_JOIN_LIMIT_S)
+        self.others(_JOIN_LIMIT_S)
+
     def _standing(self) -> set[str]:
         info = self._session.info
         return {str(zid) for zid in (*info.peers_zid(), *info.routers_zid())}
@@ -61,6 +75,10 @@ class Links:
     def _note(self, _: Any) -> None:
         with self._changed:
             self._changed.notify_all()
+
+
+def _admin_key(router: zenoh.ZenohId) -> str:
+    return f"@/{router}/router"
 
 
 def _peers(answer: bytes) -> set[str]:

@@ -109,9 +109,6 @@ def _config(mode: str, listen: Sequence[str], connect: Sequence[str]) -> zenoh.C
         "scouting/delay": 0,
         # The router tells who is linked to it: `cairn.bus.links`.
         "adminspace/enabled": mode == "router",
-        # Peers hear each other over their direct link alone: while the router steps back for that
-        # link, messages would be lost, and who is met over the router is not known directly yet.
-        "routing/router/peers_failover_brokering": False,
         "timestamping/enabled": True,
         "transport/link/tx/lease": LEASE_MS,
         "transport/shared_memory/enabled": False,
