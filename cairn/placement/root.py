@@ -21,6 +21,8 @@ from cairn.supervision.zygote_process import ZygoteProcess, start_zygote
 PROCESS_MODULE = "cairn.placement.process"
 """What every component's process runs: imported in the zygote, for all."""
 
+_ZYGOTE_END_S = 0.2
+
 _PLUGIN = "cairn.supervision.component:SupervisorComponent"
 
 
@@ -77,7 +79,9 @@ def _run(household: Household, refresh: Callable[[], None], zygote: ZygoteProces
         household.close()
     if watch.failure is not None:
         raise watch.failure
-    if not zygote.alive:
+    failed = hosted.end is None or not hosted.end.normal
+    # The loss of its connection is noticed a moment before its end.
+    if failed and zygote.ends_within(_ZYGOTE_END_S):
         return End(False, "the zygote was killed, and with it every component; nothing is left")
     return hosted.end or End(False, "the root ended without a word")
 

@@ -50,6 +50,14 @@ class ZygoteProcess:
         """Whether the zygote runs."""
         return self._process.poll() is None
 
+    def ends_within(self, timeout_s: float) -> bool:
+        """Whether the zygote has ended, or does so within the limit [s]."""
+        try:
+            self._process.wait(timeout_s)
+        except subprocess.TimeoutExpired:
+            return False
+        return True
+
     def close(self, timeout_s: float = 10.0) -> None:
         """End the zygote and all processes of the tree, also if the zygote has been killed.
 

@@ -57,6 +57,8 @@ class Client:
 
     def info(self, topic: str) -> Any:
         info = self._sdk.get_topic_info(topic, verbose=True, **self._where)
+        if info is None:
+            return None
         ends = {"publishers": info.publishers, "subscribers": info.subscribers}
         return {
             kind: [[end.node_namespace, end.node_name, end.qos] for end in found]
