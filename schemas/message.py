@@ -55,6 +55,7 @@ def message(name: str) -> Callable[[type[T]], type[T]]:
         raise TypeError(f"{name!r} is not a ROS 2 message name such as geometry_msgs/msg/Point")
 
     def decorate(cls: type[T]) -> type[T]:
+        check = cls.__dict__.get("__post_init__")
         _round_float32(cls)
         made = pydantic_dataclass(frozen=True, eq=False, config=_CONFIG)(cls)
         names = tuple(field.name for field in dataclasses.fields(made))
@@ -65,6 +66,7 @@ def message(name: str) -> Callable[[type[T]], type[T]]:
             ("__eq__", _equality(names)),
             ("__hash__", _hashing(name, names)),
             ("__ros_type__", name),
+            ("__check__", check),
         ):
             setattr(made, attribute, value)
         return cast("type[T]", made)
@@ -81,6 +83,11 @@ def type_name(cls: type[Any]) -> str:
     if not isinstance(name, str):
         raise TypeError(f"{cls.__qualname__} is not a message: it is not decorated with @message")
     return name
+
+
+def own_check(cls: type[Any]) -> Callable[[Any], None] | None:
+    """What a message class checks between its fields: its own `__post_init__`, if it has one."""
+    return cast("Callable[[Any], None] | None", cls.__dict__["__check__"])
 
 
 def refuse(message: object, path: str, value: object, reason: str) -> NoReturn:

@@ -10,6 +10,7 @@ from rosbags.typesys.store import Typestore
 
 from cairn.bus.packed_cdr import packed_msgdef
 from cairn.errors import CairnError
+from schemas.decoding import maker
 from schemas.fields import Field, constants_of, fields_of
 from schemas.message import InvalidMessage, type_name
 
@@ -108,7 +109,7 @@ class Codec:
         self._plain.fielddefs[name] = ([], plain)
         self._plain.types[name] = cast("type", _as_tuple)
         self._wire.fielddefs[name] = ([], wire)
-        self._wire.types[name] = cls
+        self._wire.types[name] = cast("type", maker(cls))
         self._classes[name] = cls  # last: who finds it there finds all
 
     def _explained(self, cls: type[Any], data: memoryview, failure: str) -> InvalidMessage:

@@ -3,7 +3,7 @@
 import re
 import struct
 from dataclasses import dataclass
-from typing import Literal, cast
+from typing import Literal, NamedTuple, cast
 
 import xxhash
 
@@ -29,8 +29,7 @@ class RmwError(CairnError):
     """Something on the bus is not of rmw_zenoh's format."""
 
 
-@dataclass(frozen=True)
-class Attachment:
+class Attachment(NamedTuple):
     """What goes with every message: its number (from 1), when it was sent [ns], by whom."""
 
     sequence: int

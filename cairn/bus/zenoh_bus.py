@@ -280,12 +280,13 @@ class ZenohSubscription:
                 sample = channel.recv()
             except zenoh.ZError:  # the subscriber was undeclared
                 return
-            if sample.attachment is not None:
-                self._count_gap(sample.attachment.to_bytes())
             woken = self._give_way()
             self._waiting.append(sample)
             if not woken:
                 self._wake()
+            # Last, because the handler may just have run, and should not have waited for it.
+            if sample.attachment is not None:
+                self._count_gap(sample.attachment.to_bytes())
 
     def _give_way(self) -> bool:
         """Drop the oldest message if too many wait; whether its wake-up is left for another."""

@@ -18,6 +18,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from cairn.bus.codec import Codec
 from schemas.message import InvalidMessage
+from schemas.packed import Packed
 from tests.schemas.arbitrary import EVERY_MESSAGE, arbitrary, samples
 from tests.schemas.damage import damaged
 
@@ -84,6 +85,7 @@ def test_a_damaged_message_is_valid_or_refused(name: str, mutations: int) -> Non
         outcomes["refused" if message is None else "valid"] += 1
         if message is not None:
             assert CODEC.decode(cls, CODEC.encode(message)) == message
+            assert constructed(message) == message
     assert min(outcomes.values()) > 0
     assert _peak_memory() - before < 32 * 2**20
     assert _live_errors() == 0
@@ -114,6 +116,15 @@ def plain(value: Any) -> Any:
     if hasattr(value, "__ros_type__"):
         return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
     return [plain(item) for item in value]
+
+
+def constructed(value: Any) -> Any:
+    """The same, made by the constructors of its classes, which check all."""
+    if hasattr(value, "__ros_type__"):
+        return type(value)(*[constructed(getattr(value, field.name)) for field in fields(value)])
+    if isinstance(value, Packed):
+        return Packed(value.element, value.array.copy())
+    return tuple(map(constructed, value)) if isinstance(value, tuple) else value
 
 
 def _decode_or_refuse(cls: type[Any], data: bytes) -> Any | None:
