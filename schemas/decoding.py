@@ -43,7 +43,7 @@ def maker(message: type[T]) -> Callable[..., T]:
         known["_check"] = check
         lines += ["    _check(made)"]
     lines += ["    return made"]
-    exec(compile("\n".join(lines), f"<maker of {message.__qualname__}>", "exec"), known)  # noqa: S102 - of names and limits in our own definitions
+    exec(compile("\n".join(lines), f"<maker of {message.__qualname__}>", "exec"), known)
     return cast("Callable[..., T]", known["make"])
 
 
