@@ -56,8 +56,10 @@ def _condition(name: str, hint: Any, known: dict[str, Any]) -> str:
             return _text_condition(name, mark)
         case Array() as mark:
             return _array_condition(name, mark, known)
-    if get_origin(hint) is tuple and isinstance(mark := mark_of(get_args(hint)[0]), Text):
-        return f"all([{_text_condition('text', mark)} for text in {name}])"
+    if get_origin(hint) is tuple:
+        element = mark_of(get_args(hint)[0])
+        if isinstance(element, Text):
+            return f"all([{_text_condition('text', element)} for text in {name}])"
     return ""  # another message, or several, each made already
 
 

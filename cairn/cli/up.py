@@ -71,7 +71,7 @@ def up(
         live = sys.stdout.isatty() and not plain
         if not live:
             line(f"{title}; logs and report: {folder}")
-        with LiveView(Console(), title) if live else PlainView(line) as view:
+        with LiveView(Console(), title) if live else PlainView(line, sys.stdout.fileno()) as view:
             if lockstep:
                 end = _run_lockstep(deployment, seed, folder, view)
             else:

@@ -1,5 +1,6 @@
 """What `cairn up` shows while a deployment runs: a live picture on a terminal, else plain lines."""
 
+import select
 import time
 from collections import deque
 from collections.abc import Callable
@@ -44,10 +45,12 @@ class View(Protocol):
 
 
 class PlainView:
-    """Prints log messages as lines."""
+    """Prints log messages as lines to the file of this `descriptor`."""
 
-    def __init__(self, print_line: Callable[[str], None]) -> None:
+    def __init__(self, print_line: Callable[[str], None], descriptor: int) -> None:
         self._print = print_line
+        self._reader_gone = select.poll()
+        self._reader_gone.register(descriptor, 0)  # errors are always told
 
     def log(self, entry: Log) -> None:
         """Print the message."""
@@ -60,7 +63,9 @@ class PlainView:
         """Lines carry their own time."""
 
     def refresh(self) -> None:
-        """Lines are printed as they come."""
+        """Raise `BrokenPipeError` if nobody reads any more, even if there is no line to print."""
+        if self._reader_gone.poll(0):
+            raise BrokenPipeError
 
     def __enter__(self) -> "PlainView":
         return self

@@ -134,10 +134,6 @@ def test_an_orphan_of_a_component_ends_with_it(launch: Launching) -> None:
     assert run.stop() == 0
 
 
-@pytest.mark.xfail(
-    strict=False,
-    reason="known defect: when its output is closed while children start, it now and then goes on",
-)
 def test_the_reader_of_its_output_going_away_stops_it(launch: Launching) -> None:
     run = launch(TREE, head=3)
 
