@@ -34,11 +34,9 @@ class SimulatedClock:
         """The time of the last clock message in nanoseconds."""
         return self._now
 
-    def set(self, now: int) -> bool:
-        """Move on to `now`; True, with the time set back, if `now` is earlier than before."""
-        back = now < self._now
+    def set(self, now: int) -> None:
+        """Move on, or back, to `now`."""
         self._now = now
-        return back
 
 
 def to_ns(stamp: Time) -> int:

@@ -100,7 +100,6 @@ class VisualObject:
 
     LIVE: ClassVar[UInt8] = 0
     RELOCATING: ClassVar[UInt8] = 1
-    RETIRED: ClassVar[UInt8] = 2
 
     object_id: UInt32
     name: String = ""
@@ -108,7 +107,7 @@ class VisualObject:
     y: FiniteFloat64 = 0.0
     covariance: Covariance2 = zeros(4)
     reliability: Probability = 1.0
-    state: Annotated[int, Scalar("uint8", at_most=2)] = 0
+    state: Annotated[int, Scalar("uint8", at_most=1)] = 0
     evidence_count: UInt32 = 0
     candidate_x: Float64 = NAN
     candidate_y: Float64 = NAN

@@ -5,8 +5,8 @@ from typing import Annotated
 import typer
 
 from cairn.bus.codec import Codec
-from cairn.bus.message_types import find_message, known_messages
 from cairn.cli.connection import Json
+from cairn.cli.message_types import find_message, known_messages
 from cairn.cli.tables import line, print_json, show
 
 app = typer.Typer(help="The message types: ROS 2 definition text and type hash.")

@@ -33,7 +33,7 @@ def show(
     table = Table(box=None, pad_edge=False, header_style="bold")
     for key, title in titles.items():
         numeric = all(isinstance(row.get(key), int | float | None) for row in rows)
-        table.add_column(title, overflow="fold", justify="right" if numeric else "left")
+        table.add_column(Text(title), overflow="fold", justify="right" if numeric else "left")
     for row in rows:
         table.add_row(*(Text(_text(row.get(key))) for key in titles))
     if sys.stdout.isatty():

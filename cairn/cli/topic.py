@@ -12,7 +12,6 @@ import yaml
 
 from cairn.bus import rmw
 from cairn.bus.codec import Codec
-from cairn.bus.message_types import find_message
 from cairn.bus.plain import to_plain
 from cairn.cli import graph
 from cairn.cli.connection import (
@@ -25,8 +24,8 @@ from cairn.cli.connection import (
     connected,
     resolve,
 )
+from cairn.cli.message_types import find_message
 from cairn.cli.tables import line, print_json, show
-from cairn.deployment.plugins import installed
 from cairn.errors import CairnError
 from schemas.message import InvalidMessage
 
@@ -64,9 +63,7 @@ def echo(
     codec = Codec()
     with connected(connect, domain) as connection:
         endpoint = _endpoint(connection, topic, robot)
-        message = find_message(
-            endpoint.type_name, *(port.message for plugin in installed() for port in plugin.ports)
-        )
+        message = find_message(endpoint.type_name)
         latched = endpoint.qos.durability == "transient_local"
         with connection.listen(_key(domain, endpoint), latched=latched) as samples:
             printed = 0

@@ -12,6 +12,7 @@ import sys
 import time
 import traceback
 from collections.abc import Callable
+from pathlib import Path
 
 import psutil
 from setproctitle import setproctitle
@@ -60,8 +61,12 @@ def main() -> None:
         _log(f"{module} starts threads when imported, which forked processes lack: {threads}")
     gc.collect()
     gc.freeze()
-    job = Zygote(socket.socket(fileno=listener), preloaded).serve()
-    if job is not None:
+    listening = socket.socket(fileno=listener)
+    socket_path = Path(listening.getsockname())
+    job = Zygote(listening, preloaded).serve()
+    if job is None:
+        _tidy(socket_path)
+    else:
         begin(job)
         job.run()
 
@@ -265,6 +270,16 @@ class Zygote:
                 self._woken.recv(4096)
             while (pid := ended_child()) is not None:
                 os.waitpid(pid, 0)
+
+
+def _tidy(socket_path: Path) -> None:
+    """Remove the socket and its folder, unless the log in there has something to tell."""
+    with contextlib.suppress(OSError):  # whoever started the zygote may be tidying as well
+        socket_path.unlink(missing_ok=True)
+        for log in socket_path.parent.glob("*.log"):
+            if log.stat().st_size == 0:
+                log.unlink()
+        socket_path.parent.rmdir()
 
 
 def _log(text: str) -> None:

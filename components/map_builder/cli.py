@@ -2,22 +2,42 @@
 
 from __future__ import annotations
 
-import json
 import math
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import typer
-from rich.console import Console
-from rich.table import Table
 
+from cairn.cli.tables import line, print_json
+from cairn.cli.tables import show as show_rows
 from cairn.errors import CairnError
 from components.map_builder.importing import altered, importer, write_map
 from components.map_builder.objects import MapObject
-from components.map_builder.store import MapStore, open_map
+from components.map_builder.store import open_map
 
 app = typer.Typer(help="Visual maps: import and show them.", no_args_is_help=True)
+
+_OBJECT_COLUMNS = {
+    "object_id": "id",
+    "name": "name",
+    "x": "x [m]",
+    "y": "y [m]",
+    "reliability": "reliability",
+    "state": "state",
+    "evidence_count": "evidence",
+    "candidate_x": "candidate x [m]",
+    "candidate_y": "y [m]",
+    "candidate_reliability": "its reliability",
+}
+_CHANGE_COLUMNS = {
+    "version": "version",
+    "time": "time (UTC)",
+    "object_id": "object",
+    "kind": "kind",
+    "reliability": "reliability",
+    "reason": "reason",
+}
 
 
 @app.command("import")
@@ -43,7 +63,7 @@ def import_map(
     write_map(out, f"imported by {source} from {dataset.name}", objects)
     moved = "".join(f", {key} displaced by ({dx:g}, {dy:g}) m" for key, (dx, dy) in moves.items())
     left_out = "".join(f", {key} left out" for key in remove or [])
-    typer.echo(f"{out}: {len(objects)} objects{moved}{left_out}")
+    line(f"{out}: {len(objects)} objects{moved}{left_out}")
 
 
 @app.command()
@@ -54,13 +74,18 @@ def show(
 ) -> None:
     """Show the objects of a map file, where they stand and how far they are relied on."""
     with open_map(file, read_only=True) as store:
-        if as_json:
-            typer.echo(json.dumps(_as_json(store, history), indent=2))
-            return
-        console = Console()
-        console.print(_objects_table(file, store))
-        if history:
-            console.print(_history_table(store))
+        objects = [_object_row(known) for known in store.objects()]
+        changes = [_change_row(*change) for change in store.history()] if history else []
+        version = store.version()
+    if as_json:
+        shown = {"version": version, "objects": objects}
+        print_json({**shown, "changes": changes} if history else shown)
+        return
+    line(f"{file.name}: {len(objects)} objects, {version} changes")
+    show_rows(objects, _OBJECT_COLUMNS, as_json=False, nothing="there is no object")
+    if history:
+        line("")
+        show_rows(changes, _CHANGE_COLUMNS, as_json=False, nothing="there is no change")
 
 
 def _displacements(given: list[str]) -> dict[int, tuple[float, float]]:
@@ -91,18 +116,7 @@ def _make_room(out: Path) -> None:
         raise CairnError(f"{out} cannot be written: {error.strerror}.") from error
 
 
-def _as_json(store: MapStore, history: bool) -> dict[str, Any]:
-    shown: dict[str, Any] = {
-        "version": store.version(),
-        "objects": [_object_json(known) for known in store.objects()],
-    }
-    if history:
-        names = ("version", "stamp_ns", "object_id", "kind", "reliability", "reason")
-        shown["changes"] = [dict(zip(names, row, strict=True)) for row in store.history()]
-    return shown
-
-
-def _object_json(known: MapObject) -> dict[str, Any]:
+def _object_row(known: MapObject) -> dict[str, Any]:
     place, found = known.place, known.candidate
     return {
         "object_id": known.object_id,
@@ -110,7 +124,7 @@ def _object_json(known: MapObject) -> dict[str, Any]:
         "x": place.x if place else None,
         "y": place.y if place else None,
         "reliability": known.reliability,
-        "state": known.state.name,
+        "state": known.state.name.lower(),
         "evidence_count": known.evidence_count,
         "candidate_x": found.place.x if found else None,
         "candidate_y": found.place.y if found else None,
@@ -118,37 +132,16 @@ def _object_json(known: MapObject) -> dict[str, Any]:
     }
 
 
-def _objects_table(file: Path, store: MapStore) -> Table:
-    objects = store.objects()
-    table = Table(title=f"{file.name}: {len(objects)} objects, {store.version()} changes")
-    for name in ("id", "name", "x [m]", "y [m]", "reliability", "state", "evidence", "candidate"):
-        justify: Literal["left", "right"] = "left" if name in ("name", "state") else "right"
-        table.add_column(name, justify=justify, no_wrap=True)
-    for known in objects:
-        place, found = known.place, known.candidate
-        candidate = ""
-        if found is not None:
-            candidate = f"{found.place.x:.2f}, {found.place.y:.2f} ({found.reliability:.2f})"
-        table.add_row(
-            str(known.object_id),
-            known.name,
-            f"{place.x:.3f}" if place else "",
-            f"{place.y:.3f}" if place else "",
-            f"{known.reliability:.2f}",
-            known.state.name,
-            str(known.evidence_count),
-            candidate,
-        )
-    return table
-
-
-def _history_table(store: MapStore) -> Table:
-    table = Table(title="changes")
-    for name in ("version", "time (UTC)", "object", "kind", "reliability", "reason"):
-        table.add_column(name, no_wrap=name != "reason")
-    for version, stamp_ns, object_id, kind, reliability, reason in store.history():
-        when = ""
-        if stamp_ns:
-            when = datetime.fromtimestamp(stamp_ns / 1e9, UTC).strftime("%Y-%m-%d %H:%M:%S")
-        table.add_row(str(version), when, str(object_id), kind, f"{reliability:.2f}", reason)
-    return table
+def _change_row(
+    version: int, stamp_ns: int, object_id: int, kind: str, reliability: float, reason: str
+) -> dict[str, Any]:
+    when = datetime.fromtimestamp(stamp_ns / 1e9, UTC) if stamp_ns else None
+    return {
+        "version": version,
+        "time": when.isoformat(sep=" ", timespec="milliseconds") if when else None,
+        "stamp_ns": stamp_ns,
+        "object_id": object_id,
+        "kind": kind.lower(),
+        "reliability": reliability,
+        "reason": reason,
+    }

@@ -29,7 +29,6 @@ class State(IntEnum):
 
     LIVE = 0
     RELOCATING = 1
-    RETIRED = 2
 
 
 class Kind(IntEnum):

@@ -22,7 +22,6 @@ _MANY = RELIABLE.with_depth(500)
 _STATES = {
     VisualObject.LIVE: "live",
     VisualObject.RELOCATING: "relocating",
-    VisualObject.RETIRED: "retired",
 }
 
 

@@ -53,6 +53,9 @@ def test_the_package_is_found_by_its_entry_points(user: Any) -> None:
 
     assert plugins["turtle_wanderer"]["package"] == "turtle-robot 0.1.0"
     assert "3 components, no problem" in user.cairn("check", TURTLE)
+    schema = json.loads(user.cairn("schema", "show", "turtle_msgs/msg/BaseState", "--json"))
+    assert "float32 charge" in schema["definition"]
+    assert "turtle_msgs/msg/BaseState" in user.cairn("schema", "list")
 
 
 def test_a_class_is_found_without_an_entry_point(

@@ -2,6 +2,8 @@
 
 import os
 import signal
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import pytest
 
@@ -73,13 +75,16 @@ def test_the_zygote_takes_all_along_and_the_deployment_fails(launch: Launching) 
 
 
 def test_cairn_up_by_sigkill_leaves_nothing(launch: Launching) -> None:
-    run = launch(TREE)
-    run.await_line("talker active")
-    assert len(run.pids()) == 9  # cairn up, zygote, five components, two helpers of one
+    with TemporaryDirectory() as sockets:  # pytest's own paths are too long for a socket
+        run = launch(TREE, environment={"XDG_RUNTIME_DIR": sockets})
+        run.await_line("talker active")
+        assert len(run.pids()) == 9  # cairn up, zygote, five components, two helpers of one
+        assert len(list(Path(sockets).iterdir())) == 1
 
-    run.process.kill()
+        run.process.kill()
 
-    run.await_nothing_left()
+        run.await_nothing_left()
+        assert list(Path(sockets).iterdir()) == []
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])

@@ -121,7 +121,7 @@ def scan(beams: int, first: float, last: float, step: float, **more: Any) -> Las
             lambda: ObjectEvidenceArray(robot_covariance=[1, 0, 0, 0, 1, 0.5, 0, 0, 1]),  # type: ignore[arg-type]
             "must be symmetric",
         ),
-        (lambda: VisualObject(1, state=3), "state = 3: must be an integer from 0 to 2"),
+        (lambda: VisualObject(1, state=3), "state = 3: must be an integer from 0 to 1"),
         (
             lambda: VisualObject(1, candidate_x=1.0),
             "candidate_x, candidate_y = (1.0, nan): must be",

@@ -93,5 +93,6 @@ def test_the_table_and_its_history_name_objects_and_reasons(dataset: Path, tmp_p
 
     table = cairn_map("show", out, "--history").output
 
-    assert "landmark 13" in table
-    assert "IMPORTED" in table
+    assert "13  landmark 13   3.12  -2.29         0.50  live          0" in table
+    assert "imported  " in table
+    assert "imported by mrclam from " in table
