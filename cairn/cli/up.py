@@ -103,9 +103,9 @@ def _run_processes(
 ) -> End:
     with log_file(folder / "logs" / "root.log", time.time_ns):
 
-        def watch(bus: ZenohBus) -> Callable[[], None]:
+        def watch(bus: ZenohBus, hurry: Callable[[], None]) -> Callable[[], None]:
             simulated = deployment.clock == "simulated"
-            return Watch(bus, deployment.robot, view, clock=simulated).refresh
+            return Watch(bus, deployment.robot, view, clock=simulated, hurry=hurry).refresh
 
         return run_processes(deployment, zygote, folder / "logs", seed, watch)
 
@@ -114,7 +114,7 @@ def _run_lockstep(
     deployment: Deployment, seed: int, folder: Path, view: LiveView | PlainView
 ) -> End:
     run = LockstepRun(deployment, seed)
-    watch = Watch(run.bus, deployment.robot, view, clock=run.simulated, logs=False)
+    watch = Watch(run.bus, deployment.robot, view, clock=run.simulated)
     events = 0
 
     def refresh() -> None:

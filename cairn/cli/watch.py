@@ -20,26 +20,40 @@ from schemas.rosgraph_msgs import Clock
 class Watch:
     """Reads what a view shows, as one more node of the deployment."""
 
-    def __init__(self, bus: Bus, robot: str, view: View, *, clock: bool, logs: bool = True) -> None:
-        """`clock`: time is simulated, on topic `clock`; `logs`: they come over /rosout."""
+    def __init__(
+        self,
+        bus: Bus,
+        robot: str,
+        view: View,
+        *,
+        clock: bool,
+        hurry: Callable[[], None] | None = None,
+    ) -> None:
+        """`clock`: time is simulated, on topic `clock`.
+
+        Log messages are read from /rosout if `hurry` is given, which asks for a `refresh` soon.
+        """
         self._view = view
         self._robot = robot
+        self._hurry = hurry
+        self._hurried = False
         node = bus.node(full_name(robot, VIEW), lambda _: None)
         newest = Qos("reliable", "volatile", 1)
         self._sources: list[tuple[Subscription, Callable[[Any], None]]] = [
             self._source(node, full_name(robot, STATUS), ComponentStatus, LATCHED.with_depth(1000),
-                         view.status),
+                         view.status, _not_woken),
         ]  # fmt: skip
         if clock:
             self._sources.append(
                 self._source(node, full_name(robot, CLOCK), Clock, newest,
-                             lambda told: view.time(to_ns(told.clock)))
+                             lambda told: view.time(to_ns(told.clock)), _not_woken)
             )  # fmt: skip
-        if logs:
-            self._sources.append(self._source(node, ROSOUT, Log, KEPT, self._log))
+        if hurry is not None:
+            self._sources.append(self._source(node, ROSOUT, Log, KEPT, self._log, self._wake))
 
     def refresh(self) -> None:
         """Pass on all that has come, then have the view drawn."""
+        self._hurried = False
         for subscription, show in self._sources:
             while True:
                 try:
@@ -52,9 +66,20 @@ class Watch:
         self._view.refresh()
 
     def _source(
-        self, node: Any, topic: str, message: type[Any], qos: Qos, show: Callable[[Any], None]
+        self,
+        node: Any,
+        topic: str,
+        message: type[Any],
+        qos: Qos,
+        show: Callable[[Any], None],
+        wake: Callable[[], None],
     ) -> tuple[Subscription, Callable[[Any], None]]:
-        return node.subscribe(topic, message, qos, _not_woken), show
+        return node.subscribe(topic, message, qos, wake), show
+
+    def _wake(self) -> None:
+        if self._hurry is not None and not self._hurried:
+            self._hurried = True
+            self._hurry()
 
     def _log(self, entry: Log) -> None:
         if entry.name.startswith(f"{self._robot}."):
@@ -62,4 +87,4 @@ class Watch:
 
 
 def _not_woken() -> None:
-    """The watch looks when it is refreshed."""
+    """These wait until the next refresh."""

@@ -46,16 +46,18 @@ def run_processes(
     zygote: ZygoteProcess,
     log_folder: Path,
     seed: int,
-    watch: Callable[[ZenohBus], Callable[[], None]],
+    watch: Callable[[ZenohBus, Callable[[], None]], Callable[[], None]],
 ) -> End:
     """Run a deployment until a significant component ends, it fails, or SIGINT or SIGTERM comes.
 
-    `watch` is given the bus and returns what is to be called every quarter of a second. Nothing
-    is left running, whatever happens. Raises `CairnError` if the port is taken.
+    `watch(bus, hurry)` returns what is to be called every quarter of a second, or soon after
+    somebody calls `hurry`. Nothing is left running, whatever happens. Raises `CairnError` if the
+    port is taken.
     """
     with _bus(deployment) as bus:
-        order = _order(deployment, zygote, log_folder, seed)
-        return _run(Household(order, bus), watch(bus), zygote)
+        household = Household(_order(deployment, zygote, log_folder, seed), bus)
+        attendance = Attendance(household)
+        return _run(household, attendance, watch(bus, attendance.hurry), zygote)
 
 
 def endpoints(deployment: Deployment) -> tuple[str, ...]:
@@ -63,9 +65,13 @@ def endpoints(deployment: Deployment) -> tuple[str, ...]:
     return deployment.bus.connect or (deployment.bus.listen,)
 
 
-def _run(household: Household, refresh: Callable[[], None], zygote: ZygoteProcess) -> End:
+def _run(
+    household: Household,
+    attendance: Attendance,
+    refresh: Callable[[], None],
+    zygote: ZygoteProcess,
+) -> End:
     hosted = household.hosted
-    attendance = Attendance(household)
     watch = _Watch(refresh, zygote, attendance)
     try:
         with attendance.signals(signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
