@@ -5,6 +5,8 @@ import json
 import logging
 import os
 import sys
+import time
+from collections.abc import Callable
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from typing import Any
@@ -44,3 +46,17 @@ def cairn(*arguments: str, connect: str = "") -> Answer:
         finally:
             logging.captureWarnings(False)
     return Answer(int(str(code or 0)), out.getvalue(), err.getvalue())
+
+
+def await_status(
+    component: str, accept: Callable[[dict[str, Any]], bool], connect: str, limit_s: float = 10.0
+) -> dict[str, Any]:
+    """A component's row of `cairn ps` once it is as wanted: heartbeats trail what happens."""
+    deadline = time.monotonic() + limit_s
+    while True:
+        answer = cairn("ps", "--json", connect=connect)
+        rows = {row["component"]: row for row in answer.json} if answer.code == 0 else {}
+        row: dict[str, Any] = rows.get(component, {})
+        if row and accept(row):
+            return row
+        assert time.monotonic() < deadline, f"{component} is not so within {limit_s:g} s: {rows}"

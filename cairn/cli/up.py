@@ -22,7 +22,7 @@ from cairn.cli.check import File, Overlay, Set
 from cairn.cli.log_file import log_file
 from cairn.cli.tables import line
 from cairn.cli.view import LiveView, PlainView
-from cairn.cli.watch import Watch
+from cairn.cli.watch import LogWatch, Watch
 from cairn.clock import from_ns
 from cairn.component.runtime import End
 from cairn.deployment.load import load_deployment
@@ -103,9 +103,9 @@ def _run_processes(
 ) -> End:
     with log_file(folder / "logs" / "root.log", time.time_ns):
 
-        def watch(bus: ZenohBus, hurry: Callable[[], None]) -> Callable[[], None]:
+        def watch(bus: ZenohBus, hurry: Callable[[], None]) -> LogWatch:
             simulated = deployment.clock == "simulated"
-            return Watch(bus, deployment.robot, view, clock=simulated, hurry=hurry).refresh
+            return LogWatch(bus, deployment.robot, view, clock=simulated, hurry=hurry)
 
         return run_processes(deployment, zygote, folder / "logs", seed, watch)
 

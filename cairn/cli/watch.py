@@ -1,7 +1,10 @@
 """Feeds a view from the bus of a running deployment: logs, statuses, time."""
 
+import threading
+import time
 from collections.abc import Callable
 from typing import Any
+from uuid import uuid4
 
 from cairn.bus.bus import Bus, Subscription, full_name
 from cairn.bus.qos import LATCHED, Qos
@@ -16,44 +19,30 @@ from schemas.message import InvalidMessage
 from schemas.rcl_interfaces import Log
 from schemas.rosgraph_msgs import Clock
 
+_FINISH_LIMIT_S = 1.0
+
+
+def _not_woken() -> None:
+    """What has come waits until the next refresh."""
+
 
 class Watch:
-    """Reads what a view shows, as one more node of the deployment."""
+    """Reads what a view shows, as one more node of the deployment: statuses and time."""
 
-    def __init__(
-        self,
-        bus: Bus,
-        robot: str,
-        view: View,
-        *,
-        clock: bool,
-        hurry: Callable[[], None] | None = None,
-    ) -> None:
-        """`clock`: time is simulated, on topic `clock`.
-
-        Log messages are read from /rosout if `hurry` is given, which asks for a `refresh` soon.
-        """
+    def __init__(self, bus: Bus, robot: str, view: View, *, clock: bool) -> None:
+        """`clock`: time is simulated, on topic `clock`."""
         self._view = view
         self._robot = robot
-        self._hurry = hurry
-        self._hurried = False
-        node = bus.node(full_name(robot, VIEW), lambda _: None)
-        newest = Qos("reliable", "volatile", 1)
-        self._sources: list[tuple[Subscription, Callable[[Any], None]]] = [
-            self._source(node, full_name(robot, STATUS), ComponentStatus, LATCHED.with_depth(1000),
-                         view.status, _not_woken),
-        ]  # fmt: skip
+        self._node = bus.node(full_name(robot, VIEW), lambda _: None)
+        self._sources: list[tuple[Subscription, Callable[[Any], None]]] = []
+        status = full_name(robot, STATUS)
+        self._add(status, ComponentStatus, LATCHED.with_depth(1000), view.status)
         if clock:
-            self._sources.append(
-                self._source(node, full_name(robot, CLOCK), Clock, newest,
-                             lambda told: view.time(to_ns(told.clock)), _not_woken)
-            )  # fmt: skip
-        if hurry is not None:
-            self._sources.append(self._source(node, ROSOUT, Log, KEPT, self._log, self._wake))
+            newest = Qos("reliable", "volatile", 1)
+            self._add(full_name(robot, CLOCK), Clock, newest, self._time)
 
     def refresh(self) -> None:
         """Pass on all that has come, then have the view drawn."""
-        self._hurried = False
         for subscription, show in self._sources:
             while True:
                 try:
@@ -65,26 +54,57 @@ class Watch:
                 show(message)
         self._view.refresh()
 
-    def _source(
+    def _add(
         self,
-        node: Any,
         topic: str,
         message: type[Any],
         qos: Qos,
         show: Callable[[Any], None],
-        wake: Callable[[], None],
-    ) -> tuple[Subscription, Callable[[Any], None]]:
-        return node.subscribe(topic, message, qos, wake), show
+        wake: Callable[[], None] = _not_woken,
+    ) -> None:
+        self._sources.append((self._node.subscribe(topic, message, qos, wake), show))
+
+    def _time(self, told: Clock) -> None:
+        self._view.time(to_ns(told.clock))
+
+
+class LogWatch(Watch):
+    """Reads the log messages of a robot too, from /rosout."""
+
+    def __init__(
+        self, bus: Bus, robot: str, view: View, *, clock: bool, hurry: Callable[[], None]
+    ) -> None:
+        """`hurry` asks for a refresh soon; it is called, on any thread, when some have come."""
+        super().__init__(bus, robot, view, clock=clock)
+        self._hurry = hurry
+        self._news = threading.Event()  # some have come since the last refresh
+        self._mark = Log(level=Log.DEBUG, name=f"{robot}.{VIEW}", msg=f"end of view {uuid4()}")
+        self._marked = False
+        self._marker = self._node.advertise(ROSOUT, Log, KEPT)
+        self._add(ROSOUT, Log, KEPT, self._log, self._wake)
+
+    def refresh(self) -> None:
+        """Pass on all that has come, then have the view drawn."""
+        self._news.clear()
+        super().refresh()
+
+    def finish(self) -> None:
+        """Refresh until everything is shown that this process has logged."""
+        deadline = time.monotonic() + _FINISH_LIMIT_S
+        # What this process publishes comes back to it in the same order.
+        self._marker.publish(self._mark)
+        while True:
+            self.refresh()
+            if self._marked or not self._news.wait(max(0.0, deadline - time.monotonic())):
+                return
 
     def _wake(self) -> None:
-        if self._hurry is not None and not self._hurried:
-            self._hurried = True
+        if not self._news.is_set():
+            self._news.set()
             self._hurry()
 
     def _log(self, entry: Log) -> None:
-        if entry.name.startswith(f"{self._robot}."):
+        if entry.name == self._mark.name:
+            self._marked = self._marked or entry.msg == self._mark.msg
+        elif entry.name.startswith(f"{self._robot}."):
             self._view.log(entry)
-
-
-def _not_woken() -> None:
-    """These wait until the next refresh."""

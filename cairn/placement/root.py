@@ -7,6 +7,7 @@ import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Protocol
 
 from cairn.bus.session import open_peer, open_router
 from cairn.bus.zenoh_bus import ZenohBus
@@ -24,6 +25,18 @@ PROCESS_MODULE = "cairn.placement.process"
 _ZYGOTE_END_S = 0.2
 
 _PLUGIN = "cairn.supervision.component:SupervisorComponent"
+
+
+class Onlooker(Protocol):
+    """Who looks on while a deployment runs: the view of `cairn up`."""
+
+    def refresh(self) -> None:
+        """Bring what is shown up to date; called every quarter of a second, or sooner."""
+        ...
+
+    def finish(self) -> None:
+        """Show the last that has happened."""
+        ...
 
 
 @contextmanager
@@ -46,13 +59,13 @@ def run_processes(
     zygote: ZygoteProcess,
     log_folder: Path,
     seed: int,
-    watch: Callable[[ZenohBus, Callable[[], None]], Callable[[], None]],
+    watch: Callable[[ZenohBus, Callable[[], None]], Onlooker],
 ) -> End:
     """Run a deployment until a significant component ends, it fails, or SIGINT or SIGTERM comes.
 
-    `watch(bus, hurry)` returns what is to be called every quarter of a second, or soon after
-    somebody calls `hurry`. Nothing is left running, whatever happens. Raises `CairnError` if the
-    port is taken.
+    `watch(bus, hurry)` returns who looks on; a call of `hurry` has it refreshed soon. Nothing is
+    left running, whatever happens. Raises `CairnError` if the port is taken, and what the onlooker
+    raises, once everything has been stopped in good order.
     """
     with _bus(deployment) as bus:
         household = Household(_order(deployment, zygote, log_folder, seed), bus)
@@ -66,13 +79,10 @@ def endpoints(deployment: Deployment) -> tuple[str, ...]:
 
 
 def _run(
-    household: Household,
-    attendance: Attendance,
-    refresh: Callable[[], None],
-    zygote: ZygoteProcess,
+    household: Household, attendance: Attendance, onlooker: Onlooker, zygote: ZygoteProcess
 ) -> End:
     hosted = household.hosted
-    watch = _Watch(refresh, zygote, attendance)
+    watch = _Watch(onlooker, zygote, attendance)
     try:
         with attendance.signals(signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             hosted.ask("configure")
@@ -80,7 +90,7 @@ def _run(
             if not attendance.until_end(watch.turn, impatient=True):
                 zygote.close()
                 return End(False, "stopped by force, on a second signal; nothing is left running")
-        watch.turn()
+        watch.finish()
     finally:
         household.close()
     if watch.failure is not None:
@@ -93,26 +103,30 @@ def _run(
 
 
 class _Watch:
-    """What is done at every turn of the main thread: the view, and a look at the zygote."""
+    """What is done at every turn of the main thread: the onlooker, and a look at the zygote."""
 
-    def __init__(
-        self, refresh: Callable[[], None], zygote: ZygoteProcess, attendance: Attendance
-    ) -> None:
-        self.failure: Exception | None = None  # of the view; the robot stops in good order first
-        self._refresh = refresh
+    def __init__(self, onlooker: Onlooker, zygote: ZygoteProcess, attendance: Attendance) -> None:
+        self.failure: Exception | None = None  # the onlooker's; the robot stops in good order first
+        self._onlooker = onlooker
         self._zygote = zygote
         self._attendance = attendance
         self._stopping = False
 
     def turn(self) -> None:
-        if self.failure is None:
-            try:
-                self._refresh()
-            except Exception as error:  # the terminal has gone, or the disk is full
-                self.failure = error
+        self._look(self._onlooker.refresh)
         if not self._stopping and (self.failure is not None or not self._zygote.alive):
             self._stopping = True
             self._attendance.stop()
+
+    def finish(self) -> None:
+        self._look(self._onlooker.finish)
+
+    def _look(self, look: Callable[[], None]) -> None:
+        if self.failure is None:
+            try:
+                look()
+            except Exception as error:  # the terminal has gone, or the disk is full
+                self.failure = error
 
 
 def _order(deployment: Deployment, zygote: ZygoteProcess, log_folder: Path, seed: int) -> Order:

@@ -3,6 +3,7 @@
 import json
 import subprocess
 
+from tests.commands import await_status
 from tests.launching import CAIRN, LIMIT_S, Run
 
 from .conftest import Command
@@ -28,6 +29,8 @@ def test_ps_shows_the_tree_of_components(command: Command, rover: Run) -> None:
 
 
 def test_ps_as_json_has_everything(command: Command, rover: Run) -> None:
+    await_status("/rover/listener", lambda row: row["received"] > 0, rover.endpoint)
+
     rows = {row["component"]: row for row in command("ps", "--json").json}
 
     listener = rows["/rover/listener"]
@@ -35,7 +38,6 @@ def test_ps_as_json_has_everything(command: Command, rover: Run) -> None:
     assert listener["plugin"] == "test_listener"
     assert (listener["parent"], listener["placement"]) == ("mobile", "process")
     assert (listener["state"], listener["restarts"], listener["dropped"]) == ("active", 0, 0)
-    assert listener["received"] > 0
     assert listener["memory_mib"] > 1
     assert rows["/rover/root"]["pid"] == rover.process.pid
 
