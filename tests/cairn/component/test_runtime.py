@@ -1,65 +1,25 @@
-"""What a running component can rely on: handlers, parameters, randomness, status, complaints."""
+"""What a running component can rely on: handlers, randomness, complaints, log."""
 
 import logging
-import threading
-from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from pydantic import Field
 
-from cairn.bus.lockstep_bus import LockstepBus
-from cairn.bus.qos import LATCHED, RELIABLE
-from cairn.component.component import Component, Context
+from cairn.bus.qos import LATCHED
 from cairn.component.handlers import every, handlers_of, on
-from cairn.component.parameters import Config, ParameterRefused
-from cairn.component.ports import In, Out
+from cairn.component.ports import Out
 from cairn.component.rosout import RosoutHandler
-from cairn.component.runtime import End
 from cairn.errors import CairnError
 from schemas.geometry_msgs import Twist, Vector3
 from schemas.rcl_interfaces import Log
 from schemas.std_msgs import String
-from tests.cairn.component.running import LIMIT_S, Lockstep, Threaded, taken
-
-
-class Limits(Config):
-    high: float = Field(1.0, gt=0, le=5, description="Greatest speed [m/s].")
-
-
-class BaseConfig(Config):
-    gain: float = Field(0.5, ge=0, le=1, description="Gain [1].")
-    limits: Limits = Field(default_factory=Limits, description="Limits.")
-
-
-class Base(Component):
-    """Hears words, has parameters, drives."""
-
-    config: BaseConfig
-    word: In[String] = In(qos=RELIABLE.with_depth(5))
-    map: In[String] = In(qos=LATCHED)
-    cmd_vel: Out[Twist]
-
-    def __init__(self, context: Context) -> None:
-        super().__init__(context)
-        self.calls: list[str] = []
-
-    @on("word")
-    def hear(self, word: String) -> None:
-        self.calls.append(word.data)
-
-    @on("map")
-    def chart(self, word: String) -> None:
-        self.calls.append(f"map {word.data}")
+from tests.cairn.component.base import Base, word
+from tests.cairn.component.running import Lockstep, taken
 
 
 @pytest.fixture
 def lockstep() -> Lockstep:
     return Lockstep()
-
-
-def word(data: str) -> String:
-    return String(data=data)
 
 
 def test_handlers_of_one_port_are_called_in_order_of_declaration_bases_first(
@@ -172,43 +132,6 @@ def test_counts_of_a_port_outlive_a_reactivation(lockstep: Lockstep) -> None:
     assert (status.port, status.messages, status.dropped) == ("word", 10, 6)
 
 
-def test_parameters_change_while_it_runs_all_or_none(lockstep: Lockstep) -> None:
-    part = lockstep.add(Base, parameters={"gain": 0.25})
-    part.activate()
-
-    part.ask("set_parameters", **{"gain": 0.75, "limits.high": 2})
-    assert part.component.config == BaseConfig(gain=0.75, limits=Limits(high=2.0))
-    with pytest.raises(ParameterRefused, match=r"limits\.high = 9 refused"):
-        part.ask("set_parameters", **{"gain": 0.1, "limits.high": 9})
-
-    assert part.component.config == BaseConfig(gain=0.75, limits=Limits(high=2.0))
-    assert {one["name"]: one["value"] for one in part.ask("parameters")} == {
-        "gain": 0.75, "limits.high": 2.0
-    }  # fmt: skip
-
-
-def test_a_component_may_refuse_parameters_or_fail_at_it_and_keeps_the_old(
-    lockstep: Lockstep,
-) -> None:
-    class Picky(Base):
-        def on_parameters(self, new: Config) -> None:
-            assert isinstance(new, BaseConfig)
-            if new.gain < self.config.gain:
-                raise ParameterRefused("gain may only grow while it drives")
-            if new.gain > 0.9:
-                raise ZeroDivisionError("dear me")
-
-    part = lockstep.add(Picky)
-    part.activate()
-    with pytest.raises(ParameterRefused, match=r"^gain may only grow while it drives$"):
-        part.ask("set_parameters", gain=0.1)
-    with pytest.raises(CairnError, match="part: set_parameters failed: ZeroDivisionError: dear me"):
-        part.ask("set_parameters", gain=1.0)
-
-    assert part.component.config.gain == 0.5
-    assert part.state == "active"
-
-
 def test_an_unknown_request_is_refused_and_one_that_fails_leaves_it_active(
     lockstep: Lockstep,
 ) -> None:
@@ -231,11 +154,6 @@ def test_an_unknown_request_is_refused_and_one_that_fails_leaves_it_active(
             part.ask(verb)
 
     assert part.state == "active"
-
-
-def test_refused_parameters_are_named_before_it_exists(lockstep: Lockstep) -> None:
-    with pytest.raises(CairnError, match=r"base: parameters refused: (.|\n)*gain"):
-        lockstep.add(Base, name="base", parameters={"gain": 7})
 
 
 def test_randomness_comes_from_seed_and_name_alone(lockstep: Lockstep) -> None:
@@ -290,84 +208,6 @@ def test_a_message_of_another_type_fails_it_naming_component_and_port(lockstep: 
     )
 
 
-class Slow(Base):
-    """Stays in a handler until it is let go."""
-
-    def __init__(self, context: Context) -> None:
-        super().__init__(context)
-        self.within = threading.Semaphore(0)
-        self.release = threading.Semaphore(0)
-        self.at_once = 0
-        self.most_at_once = 0
-
-    def stay(self) -> None:
-        self.at_once += 1
-        self.most_at_once = max(self.most_at_once, self.at_once)
-        self.within.release()
-        assert self.release.acquire(timeout=LIMIT_S)
-        self.at_once -= 1
-
-    @on("word")
-    def hear(self, word: String) -> None:
-        self.stay()
-
-    @every(hz=1000)
-    def tick(self) -> None:
-        self.stay()
-
-    def on_request(self, verb: str, arguments: Any) -> str:
-        self.stay()
-        return "done"
-
-
-@pytest.fixture
-def slow() -> Iterator[Threaded]:
-    threaded = Threaded(Slow, LockstepBus(), name="slow")
-    yield threaded
-    component = threaded.runtime.component
-    assert isinstance(component, Slow)
-    component.release.release(1_000_000)
-    threaded.close()
-
-
-def test_its_status_tells_the_handler_it_is_in_and_for_how_long(slow: Threaded) -> None:
-    component = slow.runtime.component
-    assert isinstance(component, Slow)
-    assert slow.runtime.status().handler == ""
-    slow.activate()
-    assert component.within.acquire(timeout=LIMIT_S)
-
-    first, second = slow.runtime.status(), slow.runtime.status()
-
-    assert first.handler == "tick"
-    assert 0 <= first.handler_s < second.handler_s
-    assert first.state == "active"
-
-
-def test_timers_messages_and_requests_are_handled_one_at_a_time(slow: Threaded) -> None:
-    component = slow.runtime.component
-    assert isinstance(component, Slow)
-    slow.activate()
-    assert component.within.acquire(timeout=LIMIT_S)
-    for _ in range(20):
-        slow.loop.deliver(lambda: slow.runtime.run("hear", component.hear, word("a")))
-        slow.loop.post(lambda: slow.runtime.run("hear", component.hear, word("b")))
-    component.release.release(60)
-
-    assert slow.ask("wait") == "done"
-    assert component.most_at_once == 1
-
-
-def test_timers_that_overload_it_do_not_keep_it_from_requests(slow: Threaded) -> None:
-    component = slow.runtime.component
-    assert isinstance(component, Slow)
-    slow.activate()
-    component.release.release(1_000_000)
-
-    assert [slow.ask("wait") for _ in range(20)] == ["done"] * 20
-    assert slow.ask("deactivate") == "inactive"
-
-
 def test_a_log_record_never_fails_who_logs(
     lockstep: Lockstep, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -397,17 +237,3 @@ def test_a_log_record_never_fails_who_logs(
         (30, "odd ? ?"), (30, "after")
     ]  # fmt: skip
     assert part.state == "active"
-
-
-def test_a_component_that_finishes_ends_its_thread() -> None:
-    class Finishes(Base):
-        def on_activate(self) -> None:
-            self.finish("nothing to do")
-
-    part = Threaded(Finishes, LockstepBus())
-    part.activate()
-
-    assert part.ended.wait(LIMIT_S)
-    part.thread.join(LIMIT_S)
-    assert not part.thread.is_alive()
-    assert part.end == End(True, "nothing to do")
