@@ -1,6 +1,7 @@
 """The `cairn` command: its subcommands, those of installed packages, and how errors are told."""
 
 import logging
+import os
 import sys
 from importlib.metadata import entry_points
 
@@ -47,6 +48,7 @@ def build() -> typer.Typer:
 
 def main() -> None:
     """Run the command; an error of ours is a sentence on stderr and exit status 1."""
+    _open_missing_streams()
     logging.captureWarnings(True)
     try:
         build()()
@@ -54,8 +56,18 @@ def main() -> None:
         _complain(str(error))
         sys.exit(1)
     except BrokenPipeError:  # the reader of our output, `head` perhaps, has gone
-        sys.stderr.close()
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for the flush at exit
         sys.exit(1)
+
+
+def _open_missing_streams() -> None:
+    """Stand in for standard streams that whoever started us has closed (`cairn up ... >&-`).
+
+    A socket must not get one of their numbers: it would be taken for the stream by a child.
+    """
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))  # noqa: SIM115
 
 
 def _complain(text: str) -> None:

@@ -9,6 +9,8 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from cairn.errors import CairnError
+
 _UNFOLDED = 10_000  # columns, where the output is not a terminal but perhaps `grep`
 
 
@@ -46,13 +48,21 @@ def show(
 
 
 def print_json(value: Any) -> None:
-    """Print a value as indented JSON."""
-    print(json.dumps(value, indent=2, ensure_ascii=False))  # noqa: T201 - a command's output
+    """Print a value as indented JSON; errors as `line`."""
+    line(json.dumps(value, indent=2, ensure_ascii=False))
 
 
 def line(text: str) -> None:
-    """Print one line as it is."""
-    print(text, flush=True)  # noqa: T201 - a command's output
+    """Print one line as it is.
+
+    Raises `BrokenPipeError` if nobody reads it any more, `CairnError` if the disk is full.
+    """
+    try:
+        print(text, flush=True)  # noqa: T201 - a command's output
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        raise CairnError(f"the output cannot be written: {error.strerror}") from error
 
 
 def _text(value: Any) -> str:

@@ -1,12 +1,14 @@
 """Commands that need no running deployment, and those that miss it."""
 
 import json
+import os
+import subprocess
 from pathlib import Path
 
 import pytest
 
 from tests.commands import cairn
-from tests.launching import free_port
+from tests.launching import CAIRN, free_port
 
 
 @pytest.mark.parametrize(
@@ -128,3 +130,23 @@ def test_help_is_given_for_every_command() -> None:
         assert f"\n  {name} " in shown
         assert cairn(name, "--help").code == 0
     assert json.dumps(shown)
+
+
+def test_a_full_disk_under_its_output_is_told() -> None:
+    with Path("/dev/full").open("wb") as full:
+        listed = subprocess.run(
+            [CAIRN, "schema", "list"], stdout=full, stderr=subprocess.PIPE, timeout=60, text=True
+        )
+
+    assert listed.returncode == 1
+    assert listed.stderr == "cairn: the output cannot be written: No space left on device\n"
+
+
+def test_closed_standard_streams_do_no_harm() -> None:
+    def close_all() -> None:
+        for number in range(3):
+            os.close(number)
+
+    listed = subprocess.run([CAIRN, "schema", "list"], preexec_fn=close_all, timeout=60)
+
+    assert listed.returncode == 0
