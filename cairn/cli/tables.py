@@ -1,5 +1,6 @@
 """Prints rows as a table, or as JSON for programs."""
 
+import io
 import json
 import sys
 from collections.abc import Mapping, Sequence
@@ -41,10 +42,9 @@ def show(
     if sys.stdout.isatty():
         Console(highlight=False).print(table)
         return
-    console = Console(width=_UNFOLDED, highlight=False, color_system=None)
-    with console.capture() as capture:
-        console.print(table)
-    line("\n".join(text.rstrip() for text in capture.get().splitlines()))
+    drawn = io.StringIO()
+    Console(file=drawn, width=_UNFOLDED, highlight=False, color_system=None).print(table)
+    line("\n".join(text.rstrip() for text in drawn.getvalue().splitlines()))
 
 
 def print_json(value: Any) -> None:

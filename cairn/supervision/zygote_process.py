@@ -93,7 +93,7 @@ def start_zygote(preload: Sequence[str], runtime_dir: Path) -> ZygoteProcess:
     if len(os.fsencode(socket_path)) > _LONGEST_SOCKET_PATH:
         raise CairnError(
             f"the socket {socket_path} would have a path of more than {_LONGEST_SOCKET_PATH} "
-            "bytes; choose a shorter runtime directory"
+            "bytes; set XDG_RUNTIME_DIR to a folder with a shorter one"
         )
     with (
         socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as listener,

@@ -192,7 +192,7 @@ def test_the_runtime_directory_is_made_for_its_owner_alone(zygote: ZygoteProcess
 
 
 def test_a_runtime_directory_with_too_long_a_path_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(CairnError, match="shorter runtime directory"):
+    with pytest.raises(CairnError, match="set XDG_RUNTIME_DIR to a folder with a shorter one"):
         start_zygote([], tmp_path / ("x" * 100))
 
 
