@@ -3,7 +3,7 @@
 import queue
 import time
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Annotated, Any
 
@@ -18,7 +18,7 @@ from cairn.bus.session import open_client
 from cairn.deployment.model import is_loopback
 from cairn.errors import CairnError
 from schemas.cairn_msgs import ComponentStatus
-from schemas.message import type_name
+from schemas.message import InvalidMessage, type_name
 
 Connect = Annotated[
     str,
@@ -73,12 +73,13 @@ class Connection:
                         sample = samples.get(timeout=max(0.0, deadline - time.monotonic()))
                     except queue.Empty:
                         break
-                    gid = rmw.Attachment.decode(sample.attachment.to_bytes()).gid
-                    if gid not in expected:
-                        continue
-                    expected.discard(gid)
-                    status = codec.decode(ComponentStatus, sample.payload.to_bytes())
-                    found[writers[gid].node.name] = status
+                    sent = attachment_of(sample)
+                    if sent is None or sent.gid not in expected:
+                        continue  # a foreign writer without rmw_zenoh's numbering
+                    expected.discard(sent.gid)
+                    with suppress(InvalidMessage):  # components count these at their ports
+                        status = codec.decode(ComponentStatus, sample.payload.to_bytes())
+                        found[writers[sent.gid].node.name] = status
         return found
 
     @contextmanager
@@ -97,6 +98,16 @@ class Connection:
             yield samples
         finally:
             subscriber.undeclare()
+
+
+def attachment_of(sample: Any) -> rmw.Attachment | None:
+    """Number, time and writer of a sample, None if a foreign writer has not given them."""
+    if sample.attachment is None:
+        return None
+    try:
+        return rmw.Attachment.decode(sample.attachment.to_bytes())
+    except rmw.RmwError:
+        return None
 
 
 @contextmanager

@@ -9,8 +9,16 @@ import typer
 
 from cairn.bus import rmw
 from cairn.bus.codec import Codec
-from cairn.cli.connection import DEFAULT_CONNECT, Connect, Domain, Robot, connected
-from cairn.cli.tables import line
+from cairn.cli.connection import (
+    DEFAULT_CONNECT,
+    Connect,
+    Domain,
+    Robot,
+    check_robot,
+    connected,
+    resolve,
+)
+from cairn.cli.tables import line, note
 from cairn.component.rosout import ROSOUT, render
 from schemas.message import InvalidMessage, type_name
 from schemas.rcl_interfaces import Log
@@ -34,6 +42,9 @@ def logs(
         writers = [
             end for end in connection.endpoints() if end.kind == "MP" and end.topic == ROSOUT
         ]
+        check_robot(robot, (end.node.name.split("/")[1] for end in writers))
+        if component:
+            resolve([end.node.name for end in writers], component, robot)
         with connection.listen(key, latched=True) as samples:
             history: list[Log] = []
             deadline = time.monotonic() + _HISTORY_S
@@ -41,8 +52,16 @@ def logs(
                 # Each sends what it keeps; nobody says when that is all.
                 while writers and (left := deadline - time.monotonic()) > 0:
                     history += _decoded(codec, samples.get(timeout=min(_QUIET_S, left)))
-            for entry in sorted(history, key=lambda log: (log.stamp.sec, log.stamp.nanosec)):
+            printed = [
                 _print(entry, component, robot, json=json)
+                for entry in sorted(history, key=lambda log: (log.stamp.sec, log.stamp.nanosec))
+            ]
+            if component and not any(printed):
+                note(
+                    f"{component} has logged nothing since it was started; what it said before "
+                    f"that stands in logs/{component}.log of the run's folder, which `cairn up` "
+                    "names"
+                )
             while follow:
                 for entry in _decoded(codec, samples.get()):
                     _print(entry, component, robot, json=json)
@@ -55,8 +74,9 @@ def _decoded(codec: Codec, sample: object) -> list[Log]:
         return []  # a foreign node's log that is not valid is not ours to print
 
 
-def _print(entry: Log, component: str, robot: str, *, json: bool) -> None:
+def _print(entry: Log, component: str, robot: str, *, json: bool) -> bool:
     of_robot, _, name = entry.name.partition(".")
     if (component and component != name) or (robot and robot != of_robot):
-        return
+        return False
     line(render(entry, as_json=json))
+    return True

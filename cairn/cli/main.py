@@ -1,14 +1,17 @@
 """The `cairn` command: its subcommands, those of installed packages, and how errors are told."""
 
+import io
 import logging
 import os
 import sys
-from importlib.metadata import entry_points
+from importlib.metadata import entry_points, version
+from typing import Annotated
 
 import typer
 from rich.console import Console
 
 from cairn.cli import check, control, graph, logs, param, plugins, ps, schema, topic, up
+from cairn.cli.tables import line
 from cairn.errors import CairnError
 
 COMMANDS_GROUP = "cairn.commands"
@@ -26,6 +29,7 @@ def build() -> typer.Typer:
         rich_markup_mode=None,
         context_settings={"max_content_width": 100, "help_option_names": ["-h", "--help"]},
     )
+    app.callback()(_options)
     app.command("up")(up.up)
     app.command("check")(check.check)
     app.command("ps")(ps.ps)
@@ -46,18 +50,45 @@ def build() -> typer.Typer:
     return app
 
 
+def _tell_version(asked: bool) -> None:
+    if asked:
+        line(f"cairn {version('cairn-robotics')}, zenoh {version('eclipse-zenoh')}")
+        raise typer.Exit
+
+
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", help="Print the version.", callback=_tell_version)
+    ] = False,
+) -> None:
+    """What `cairn` itself takes, before a command."""
+
+
 def main() -> None:
     """Run the command; an error of ours is a sentence on stderr and exit status 1."""
     _open_missing_streams()
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # else a test reads it
+            stream.reconfigure(errors="backslashreplace")  # whatever the locale, no run fails so
     logging.captureWarnings(True)
     try:
+        _check_folder()
         build()()
     except CairnError as error:
         _complain(str(error))
         sys.exit(1)
+    except KeyboardInterrupt:
+        sys.exit(130)
     except BrokenPipeError:  # the reader of our output, `head` perhaps, has gone
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for the flush at exit
         sys.exit(1)
+
+
+def _check_folder() -> None:
+    try:
+        os.getcwd()
+    except OSError as error:
+        raise CairnError("the current folder has been removed; change to another one") from error
 
 
 def _open_missing_streams() -> None:

@@ -38,7 +38,7 @@ def list_(
     with connected(connect, domain) as connection:
         parameters = _ask(connection, component, robot, "parameters", {})
     columns = ("name", "value", "type", "bounds", "description")
-    rows = parameters if json else [_with_choices(parameter) for parameter in parameters]
+    rows = parameters if json else [_readable(parameter) for parameter in parameters]
     show(rows, columns, as_json=json, nothing=f"{component} has no parameters")
 
 
@@ -54,6 +54,9 @@ def get(
     with connected(connect, domain) as connection:
         parameters = _ask(connection, component, robot, "parameters", {})
     values = {entry["name"]: entry["value"] for entry in parameters}
+    inside = [name for name in values if name.startswith(f"{parameter}.")]
+    if inside:
+        raise CairnError(f"{component}: {parameter} is a group; it has {', '.join(inside)}")
     if parameter not in values:
         raise CairnError(f"{component} has no parameter {parameter}; it has {', '.join(values)}")
     line(json_module.dumps(values[parameter]))
@@ -69,7 +72,10 @@ def set_(
     domain: Domain = 0,
     robot: Robot = "",
 ) -> None:
-    """Change parameters of a running component, all or none."""
+    """Change parameters of a running component, all or none, until it is started anew.
+
+    Values are YAML: 5 is a number, true a boolean, '"5"' a text.
+    """
     values: dict[str, Any] = {}
     for change in changes:
         name, equals, value = change.partition("=")
@@ -77,21 +83,23 @@ def set_(
             raise CairnError(f"{change!r} is not a change; write NAME=VALUE")
         try:
             values[name] = yaml.safe_load(value)
-        except yaml.YAMLError as error:
-            raise CairnError(f"{name}: {value!r} is not a YAML value: {error}") from error
+        except (yaml.YAMLError, ValueError) as error:
+            what = " ".join(str(error).split())
+            raise CairnError(f"{name}: {value!r} is not a YAML value: {what}") from error
     with connected(connect, domain) as connection:
         _ask(connection, component, robot, "set_parameters", values)
     for name, value in values.items():
         line(f"{component}.{name} = {json_module.dumps(value)}")
 
 
-def _with_choices(parameter: dict[str, Any]) -> dict[str, Any]:
-    """For people: `Literal['a', 'b']` is a choice bounded to a and b."""
+def _readable(parameter: dict[str, Any]) -> dict[str, Any]:
+    """For people: all digits of a value, and `Literal['a', 'b']` a choice bounded to a and b."""
+    shown = {**parameter, "value": json_module.dumps(parameter["value"])}
     kind = str(parameter["type"])
     if not kind.startswith("Literal["):
-        return parameter
+        return shown
     choices = kind.removeprefix("Literal[").removesuffix("]").replace("'", "")
-    return {**parameter, "type": "choice", "bounds": choices}
+    return {**shown, "type": "choice", "bounds": choices}
 
 
 def _ask(

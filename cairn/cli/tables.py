@@ -65,6 +65,11 @@ def line(text: str) -> None:
         raise CairnError(f"the output cannot be written: {error.strerror}") from error
 
 
+def note(text: str) -> None:
+    """Print a remark, beside the output proper."""
+    print(text, file=sys.stderr)  # noqa: T201 - a command's remark
+
+
 def _text(value: Any) -> str:
     match value:
         case None:

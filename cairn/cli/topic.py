@@ -21,6 +21,7 @@ from cairn.cli.connection import (
     Domain,
     Json,
     Robot,
+    attachment_of,
     connected,
     resolve,
 )
@@ -28,6 +29,8 @@ from cairn.cli.message_types import find_message
 from cairn.cli.tables import line, print_json, show
 from cairn.errors import CairnError
 from schemas.message import InvalidMessage
+
+_SHOWN = 36  # elements of a sequence: a covariance is whole
 
 app = typer.Typer(help="List, print and time the messages on the bus.")
 Topic = Annotated[str, typer.Argument(help="As in `pose` or `/robot/pose`.", metavar="TOPIC")]
@@ -55,7 +58,9 @@ def echo(
     domain: Domain = 0,
     robot: Robot = "",
     count: Annotated[int | None, typer.Option(min=1, help="Stop after so many messages.")] = None,
-    full: Annotated[bool, typer.Option("--full", help="Print long sequences whole.")] = False,
+    full: Annotated[
+        bool, typer.Option("--full", help="Print long sequences whole, as JSON always has them.")
+    ] = False,
     wait: Wait = 10.0,
     json: Annotated[bool, typer.Option("--json", help="Print a line of JSON each.")] = False,
 ) -> None:
@@ -71,7 +76,8 @@ def echo(
                 sample = _next(samples, wait, endpoint.topic)
                 try:
                     value = to_plain(
-                        codec.decode(message, sample.payload.to_bytes()), None if full else 16
+                        codec.decode(message, sample.payload.to_bytes()),
+                        None if full or json else _SHOWN,
                     )
                 except InvalidMessage as error:
                     value = {"invalid": str(error)}
@@ -107,10 +113,12 @@ def hz(
                     break
                 arrivals.append(time.monotonic())
                 sizes.append(len(sample.payload))
-                if sample.attachment is not None:
-                    sent = rmw.Attachment.decode(sample.attachment.to_bytes())
+                sent = attachment_of(sample)
+                if sent is not None:
                     lost += max(0, sent.sequence - last.get(sent.gid, sent.sequence - 1) - 1)
                     last[sent.gid] = sent.sequence
+    if not arrivals:
+        raise CairnError(f"no message on {endpoint.topic} within {seconds:g} s")
     gaps = [after - before for before, after in itertools.pairwise(arrivals)]
     mean = statistics.fmean(gaps) if gaps else 0.0
     result = {
