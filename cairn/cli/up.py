@@ -6,7 +6,7 @@ import shutil
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from contextlib import ExitStack
 from datetime import UTC, datetime
 from pathlib import Path
@@ -14,7 +14,6 @@ from typing import Annotated, Any
 
 import platformdirs
 import typer
-import yaml
 from rich.console import Console
 
 from cairn.bus.zenoh_bus import ZenohBus
@@ -25,7 +24,7 @@ from cairn.cli.view import LiveView, PlainView
 from cairn.cli.watch import LogWatch, Watch
 from cairn.clock import from_ns
 from cairn.component.runtime import End
-from cairn.deployment.load import load_deployment
+from cairn.deployment.load import assembled, read_sources
 from cairn.deployment.model import Deployment
 from cairn.deployment.plugins import modules_named
 from cairn.errors import CairnError
@@ -59,13 +58,14 @@ def up(
     """
     folder = (report or _folder_of_run(file)).absolute()
     began = time.monotonic()
-    documents = list(_documents([file, *(overlay or ())]))
+    sources = read_sources(file, overlay or ())
+    documents = [source.node.plain() for source in sources if source.node is not None]
     with ExitStack() as stack:
         if not lockstep:
             modules = [name for document in documents for name in modules_named(document)]
             zygote = stack.enter_context(started_zygote(modules))
         where = _report_setting(documents, folder)
-        deployment = load_deployment(file, overlay or (), [*where, *(set_ or ())])
+        deployment = assembled(sources, [*where, *(set_ or ())])
         _prepare(folder)
         title = f"{file.name}: robot {deployment.robot}" + (", lockstep" if lockstep else "")
         live = sys.stdout.isatty() and not plain
@@ -83,15 +83,6 @@ def up(
         raise CairnError(f"{file.name} failed: {end.reason}; logs: {folder / 'logs'}")
     took = time.monotonic() - began
     line(f"ended: {end.reason}; logs and report: {folder} (took {took:.1f} s)")
-
-
-def _documents(files: Iterable[Path]) -> Iterator[Any]:
-    """The files' plain data, as far as they can be read; what is wrong is told by their check."""
-    for file in files:
-        try:
-            yield yaml.safe_load(file.read_bytes())
-        except (OSError, yaml.YAMLError):
-            continue
 
 
 def _run_processes(

@@ -12,6 +12,11 @@ from cairn.deployment.yaml_scalars import PLAIN_TAGS, CoreLoader, UnknownTagErro
 
 Steps: TypeAlias = tuple[str, ...]
 
+MOST_VALUES = 100_000
+"""A deployment with more keys and values is a mistake: aliases of aliases grow without bound."""
+
+_DEEPEST = 100
+
 
 @dataclass(frozen=True)
 class Node:
@@ -85,7 +90,14 @@ def parse(text: str, start: Location) -> tuple[Node | None, list[Problem]]:
     if root is None:
         return Node(None, start), []
     builder = _Builder(start)
-    return builder.node(root, None, ()), builder.problems
+    try:
+        return builder.node(root, None, ()), builder.problems
+    except _TooMuchError as error:
+        return None, [Problem(start, "", f"the file {error}", "write fewer")]
+
+
+class _TooMuchError(Exception):
+    """A file is not read to its end."""
 
 
 class _Builder:
@@ -95,9 +107,15 @@ class _Builder:
         self.start = start
         self.problems: list[Problem] = []
         self.open: set[int] = set()
+        self.built = 0
 
     def node(self, raw: yaml.Node, key_at: Location | None, path: Steps) -> Node:
         at = _place(raw.start_mark, self.start)
+        self.built += 1
+        if self.built > MOST_VALUES:
+            raise _TooMuchError(f"holds more than {MOST_VALUES:,} values, its aliases written out")
+        if len(path) > _DEEPEST:
+            raise _TooMuchError(f"is nested deeper than {_DEEPEST} levels at {at}")
         if id(raw) in self.open:
             self.report(at, path, "the alias contains itself", "write the values out")
             return Node(None, at, key_at)

@@ -9,6 +9,8 @@ from cairn.deployment.problems import Location, Problem, one_of
 # "$${" stands for a literal "${"; the last alternative finds a reference that is not closed.
 _REFERENCE = re.compile(r"\$\$\{|\$\{([^{}]*)\}|\$\{")
 
+_LONGEST_TEXT = 100_000
+
 
 def interpolated(root: Node) -> tuple[Node, list[Problem], frozenset[Steps]]:
     """The tree with all references replaced, the problems, and the paths left unresolved.
@@ -75,6 +77,9 @@ class _References:
             value = self.value(whole[1].strip(), node.at, path)
             return Node(value.value, value.at, node.key_at)
         replaced = _REFERENCE.sub(lambda match: self.replacement(match, node.at, path), text)
+        if len(replaced) > _LONGEST_TEXT:
+            found = f"with its settings it is longer than {_LONGEST_TEXT:,} characters"
+            raise self.problem(node.at, path, found, "write less")
         return Node(replaced, node.at, node.key_at)
 
     def replacement(self, match: re.Match[str], at: Location, path: Steps) -> str:

@@ -9,7 +9,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Protocol
 
-from cairn.bus.session import open_peer, open_router
+from cairn.bus.bus import full_name
+from cairn.bus.graph import read_graph
+from cairn.bus.rmw import NodeEntity
+from cairn.bus.session import open_client, open_peer, open_router
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.component.runtime import End
 from cairn.deployment.model import ROOT, ComponentSpec, Deployment
@@ -64,13 +67,32 @@ def run_processes(
     """Run a deployment until a significant component ends, it fails, or SIGINT or SIGTERM comes.
 
     `watch(bus, hurry)` returns who looks on; a call of `hurry` has it refreshed soon. Nothing is
-    left running, whatever happens. Raises `CairnError` if the port is taken, and what the onlooker
-    raises, once everything has been stopped in good order.
+    left running, whatever happens. Raises `CairnError` if the port is taken or the robot runs
+    already on this bus, and what the onlooker raises, once everything has been stopped in good
+    order.
     """
+    if deployment.bus.connect:
+        _refuse_namesake(deployment)
     with _bus(deployment) as bus:
         household = Household(_order(deployment, zygote, log_folder, seed), bus)
         attendance = Attendance(household)
         return _run(household, attendance, watch(bus, attendance.hurry), zygote)
+
+
+def _refuse_namesake(deployment: Deployment) -> None:
+    """Two robots of one name would obey each other's orders, and mix up their topics."""
+    name = full_name(deployment.robot, ROOT)
+    session = open_client(deployment.bus.connect)
+    try:
+        nodes = read_graph(session, deployment.domain)
+    finally:
+        session.close()
+    if any(isinstance(node, NodeEntity) and node.name == name for node in nodes):
+        raise CairnError(
+            f"a robot {deployment.robot} runs already on the bus of "
+            f"{', '.join(deployment.bus.connect)}; give this one another name "
+            "(`--set robot=NAME`), or stop the other"
+        )
 
 
 def endpoints(deployment: Deployment) -> tuple[str, ...]:

@@ -141,3 +141,20 @@ def everything_from(screen: int) -> str:
             break
     os.close(screen)
     return re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", shown.decode(errors="replace"))
+
+
+def test_a_second_robot_of_the_same_name_is_refused_and_the_first_goes_on(
+    launch: Launching,
+) -> None:
+    first = launch(ENDLESS, robot="alpha")
+    first.await_line("beacon active")
+    beacon = first.pid_of("beacon")
+
+    second = launch(ENDLESS, robot="alpha", connect=first.endpoint)
+
+    assert second.await_end() == 1
+    second.await_line(
+        rf"a robot alpha runs already on the bus of {first.endpoint}; give this one another name"
+    )
+    assert first.pid_of("beacon") == beacon
+    assert first.stop() == 0

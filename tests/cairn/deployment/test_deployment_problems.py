@@ -540,3 +540,43 @@ def test_whatever_is_written_the_answer_is_a_deployment_or_a_list_of_problems(
 
     assert bool(members) != bool(found)
     assert all(problem.found and problem.remedy for problem in found)
+
+
+def _grown(first: str, join: Callable[[int], str]) -> str:
+    """Settings of which each holds the one before nine times."""
+    lines = [f"  a{number}: {join(number)}" for number in range(1, 11)]
+    return "\n".join(["settings:", f"  a0: {first}", *lines]) + "\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        (
+            _grown("&a0 [x]", lambda n: f"&a{n} [{', '.join([f'*a{n - 1}'] * 9)}]"),
+            "the file holds more than 100,000 values, its aliases written out",
+        ),
+        (
+            _grown("[x]", lambda n: f"[{', '.join([repr(f'${{a{n - 1}}}')] * 9)}]"),
+            "with its settings it holds more than 100,000 values",
+        ),
+        (
+            _grown("text", lambda n: repr(f"${{a{n - 1}}}" * 9)),
+            "settings.a5: with its settings it is longer than 100,000 characters",
+        ),
+        ("settings: " + "{a: " * 400 + "1" + "}" * 400, "is nested deeper than 100 levels at"),
+    ],
+    ids=["aliases", "lists", "texts", "levels"],
+)
+def test_what_grows_without_bound_is_refused_at_once(write: Write, text: str, problem: str) -> None:
+    with pytest.raises(DeploymentError) as refusal:
+        load_deployment(write(text + "\n" + HEAD + PARTS))
+
+    assert problem in str(refusal.value)
+
+
+def test_an_unknown_key_is_told_even_where_something_else_has_the_same_path(
+    write: Write,
+) -> None:
+    found = problems(write(HEAD + PARTS + "[a, b]: 1\n'': 2\n"))
+
+    assert [problem.at.line for problem in found] == [5, 6]
