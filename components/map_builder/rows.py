@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from components.map_builder.objects import (
@@ -14,6 +15,8 @@ from components.map_builder.objects import (
 )
 
 Row = tuple[Any, ...]
+
+_MOST = 2**32 - 1  # as a message can carry
 
 # A candidate read from a file was seen by a robot whose pose then is of no use now: the next
 # sighting counts as made from another pose.
@@ -37,20 +40,29 @@ def object_row(known: MapObject) -> Row:
 
 
 def object_from_row(row: Row) -> MapObject:
-    """The object of a row of table `objects`."""
-    candidate_place = _place(row[10:15])
-    candidate = None
-    if candidate_place is not None:
-        candidate = Candidate(candidate_place, float(row[15]), int(row[16]), _ELSEWHERE)
-    return MapObject(
-        object_id=int(row[0]),
-        name=str(row[1]),
-        place=_place(row[2:7]),
-        reliability=float(row[7]),
-        state=State(row[8]),
-        evidence_count=int(row[9]),
-        candidate=candidate,
-    )
+    """The object of a row of table `objects`.
+
+    Raises `ValueError` naming the object and the value if the row holds what no object can have.
+    """
+    try:
+        candidate_place = _place(row[10:15])
+        candidate = None
+        if candidate_place is not None:
+            sightings = _within("candidate_sightings", int(row[16]), 0, _MOST)
+            candidate = Candidate(candidate_place, _probability(row[15]), sightings, _ELSEWHERE)
+        if "\0" in str(row[1]):
+            raise ValueError("name holds a NUL")
+        return MapObject(
+            object_id=_within("object_id", int(row[0]), 0, _MOST),
+            name=str(row[1]),
+            place=_place(row[2:7]),
+            reliability=_probability(row[7]),
+            state=State(row[8]),
+            evidence_count=_within("evidence_count", int(row[9]), 0, _MOST),
+            candidate=candidate,
+        )
+    except (ValueError, TypeError) as error:
+        raise ValueError(f"object {row[0]}: {error}") from error
 
 
 def change_row(version: int, stamp_ns: int, change: Change) -> Row:
@@ -95,4 +107,24 @@ def _place_row(place: Place | None) -> Row:
 
 
 def _place(values: Row) -> Place | None:
-    return None if values[0] is None else Place(*(float(value) for value in values))
+    if values[0] is None:
+        return None
+    place = Place(*(float(value) for value in values))
+    if not all(map(math.isfinite, (place.x, place.y, place.xx, place.xy, place.yy))):
+        raise ValueError(f"its place holds {values}, which are not finite numbers")
+    if place.xx < 0 or place.yy < 0 or place.xy**2 > place.xx * place.yy * (1 + 1e-9):
+        raise ValueError(f"({place.xx}, {place.xy}, {place.yy}) is no covariance of its place")
+    return place
+
+
+def _probability(value: Any) -> float:
+    number = float(value)
+    if not 0.0 <= number <= 1.0:
+        raise ValueError(f"its reliability {number} is not between 0 and 1")
+    return number
+
+
+def _within(name: str, number: int, low: int, high: int) -> int:
+    if not low <= number <= high:
+        raise ValueError(f"its {name} {number} is not from {low} to {high}")
+    return number

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import hashlib
+import shutil
 import sqlite3
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -23,6 +24,9 @@ from components.map_builder.rows import (
 APPLICATION = 0x4361_726E  # "Carn", in the file's header
 SCHEMA_VERSION = 1
 LOCK_WAIT_S = 5.0
+
+_LITTLE_SPACE = 256 * 1024  # bytes: SQLite's lock file and its log need so much
+_DAMAGED = "It is damaged or no map: put back a copy of it, or import it again"
 
 _SCHEMA = """
 CREATE TABLE origin (source TEXT NOT NULL, digest TEXT NOT NULL, created_s REAL NOT NULL);
@@ -95,7 +99,7 @@ class MapStore:
         """All objects as last committed."""
         with _told(self.path):
             rows = self._connection.execute("SELECT * FROM objects ORDER BY object_id").fetchall()
-            return [object_from_row(row) for row in rows]
+            return list(map(object_from_row, rows))
 
     def version(self) -> int:
         """The number of changes made so far."""
@@ -245,10 +249,25 @@ def _check(path: Path, connection: sqlite3.Connection) -> None:
             "map again, or run the Cairn that wrote it."
         )
     damage = connection.execute("PRAGMA quick_check(1)").fetchone()[0]
+    if damage == "ok" and _columns(connection) != _columns_of_format():
+        damage = "its tables are not those of a visual map"
     if damage != "ok":
-        raise MapFileError(
-            f"{path} is damaged ({damage}). Put back a copy of it, or import it again."
-        )
+        raise MapFileError(f"{path}: {damage}. {_DAMAGED}.")
+
+
+def _columns_of_format() -> list[tuple[str, str, str]]:
+    with closing(sqlite3.connect(":memory:")) as connection:
+        connection.executescript(_SCHEMA)
+        return _columns(connection)
+
+
+def _columns(connection: sqlite3.Connection) -> list[tuple[str, str, str]]:
+    """Table, name and type of every column."""
+    return connection.execute(
+        "SELECT tables.name, columns.name, columns.type FROM sqlite_schema AS tables, "
+        "pragma_table_info(tables.name) AS columns WHERE tables.type = 'table' "
+        "ORDER BY tables.name, columns.cid"
+    ).fetchall()
 
 
 @contextmanager
@@ -257,24 +276,39 @@ def _told(path: Path) -> Iterator[None]:
     try:
         yield
     except sqlite3.Error as error:
-        text = str(error)
-        if "full" in text:
-            remedy = "The disk is full: free some space on it"
-        elif "readonly" in text or "unable to open" in text:
-            remedy = (
-                "It, or its folder, cannot be written: give it write permission, or set the "
-                "parameter working_copy to a path that can be written"
-            )
-        elif "locked" in text:
-            remedy = "Another program writes to it: stop that program"
-        else:
-            remedy = "It is damaged or no map: put back a copy of it, or import it again"
-        raise MapFileError(f"{path}: {text}. {remedy}.") from error
+        raise MapFileError(f"{path}: {error}. {_remedy(path, error)}.") from error
+    except ValueError as error:  # of a row, or of bytes that are no text
+        raise MapFileError(f"{path}: {error}. {_DAMAGED}.") from error
     except OSError as error:
         raise MapFileError(
             f"{error.filename or path}: {error.strerror or error}. Correct the path, its "
             "permissions or the space on its disk."
         ) from error
+
+
+def _remedy(path: Path, error: sqlite3.Error) -> str:
+    text = str(error)
+    # On a full disk SQLite may as well fail at its lock files, with an I/O error.
+    failed = "disk I/O error" in text or "unable to open" in text
+    if "full" in text or (failed and _is_full(path.parent)):
+        return "The disk is full: free some space on it"
+    if "disk I/O error" in text:
+        return "The disk fails: look into the system's log, and copy the file before all else"
+    if "readonly" in text or "unable to open" in text:
+        return (
+            "It, or its folder, cannot be written: give it write permission, or set the "
+            "parameter working_copy to a path that can be written"
+        )
+    if "locked" in text:
+        return "Another program writes to it: stop that program"
+    return _DAMAGED
+
+
+def _is_full(folder: Path) -> bool:
+    try:
+        return shutil.disk_usage(folder).free < _LITTLE_SPACE
+    except OSError:
+        return False
 
 
 def _marks(count: int) -> str:

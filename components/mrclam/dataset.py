@@ -23,6 +23,29 @@ Table = NDArray[np.float64]
 ROBOTS = range(1, 6)  # subjects 1..5 are robots, 6..20 landmarks
 
 
+_LONGEST_GAP_S = 3600.0
+
+
+@dataclass(frozen=True)
+class _Column:
+    """A column of a file: its meaning, and the limits beyond which a number is damage."""
+
+    name: str
+    low: float
+    high: float
+
+
+_TIME = _Column("time [s]", 0.0, 2.0**31)
+_SUBJECT = _Column("subject", 0.0, 1e6)
+_BARCODE = _Column("barcode", 0.0, 1e6)
+_PLACE = (_Column("x [m]", -1e5, 1e5), _Column("y [m]", -1e5, 1e5))
+_DEVIATIONS = (_Column("standard deviation of x [m]", 0.0, 1e3),
+               _Column("standard deviation of y [m]", 0.0, 1e3))  # fmt: skip
+_VELOCITIES = (_Column("forward [m/s]", -100.0, 100.0), _Column("turn [rad/s]", -100.0, 100.0))
+_SIGHTING = (_BARCODE, _Column("range [m]", 1e-6, 1e4), _Column("bearing [rad]", -7.0, 7.0))
+_HEADING = _Column("heading [rad]", -1e3, 1e3)
+
+
 class DatasetError(CairnError):
     """A data set that is missing, damaged or of another format."""
 
@@ -57,7 +80,7 @@ class Dataset:
     def subjects(self) -> dict[int, int]:
         """Subject number of each barcode number."""
         path = self._find("Barcodes.dat")
-        table, lines = _read(path, 2)
+        table, lines = _read(path, (_SUBJECT, _BARCODE))
         subjects: dict[int, int] = {}
         for (subject, barcode), line in zip(table, lines, strict=True):
             number = _whole(path, line, barcode, "barcode")
@@ -69,7 +92,7 @@ class Dataset:
     def landmarks(self) -> list[Survey]:
         """The surveyed landmarks, in the file's order."""
         path = self._find("Landmark_Groundtruth.dat")
-        table, lines = _read(path, 5)
+        table, lines = _read(path, (_SUBJECT, *_PLACE, *_DEVIATIONS))
         surveys: dict[int, Survey] = {}
         for row, line in zip(table, lines, strict=True):
             subject = _whole(path, line, row[0], "subject")
@@ -80,36 +103,38 @@ class Dataset:
 
     def odometry(self, robot: int) -> Table:
         """Commanded velocities (n, 3): time [s], forward [m/s], turn [rad/s, left positive]."""
-        return self._series(f"Robot{robot}_Odometry.dat", 3)
+        return self._series(f"Robot{robot}_Odometry.dat", _VELOCITIES)[0]
 
     def truth(self, robot: int) -> Table:
         """Motion-capture poses (n, 4): time [s], x [m], y [m], heading [rad]."""
-        return self._series(f"Robot{robot}_Groundtruth.dat", 4)
+        return self._series(f"Robot{robot}_Groundtruth.dat", (*_PLACE, _HEADING))[0]
 
     def sightings(self, robot: int) -> Sightings:
         """What the robot's camera saw, robots and unknown barcodes included."""
         name = f"Robot{robot}_Measurement.dat"
-        table = self._series(name, 4)
-        wrong = np.nonzero((table[:, 1] % 1 != 0) | (table[:, 2] <= 0))[0]
-        if wrong.size:
-            row = table[wrong[0]]
-            raise DatasetError(
-                f"{self._find(name)}: the sighting at {row[0]:.3f} s has barcode {row[1]:g} and "
-                f"range {row[2]:g} m; a barcode is a whole number and a range is positive. "
-                "Take a fresh copy of the data set."
-            )
+        table, lines = self._series(name, _SIGHTING)
+        for line, barcode in zip(lines, table[:, 1], strict=True):
+            _whole(self._find(name), line, barcode, "barcode")
         return Sightings(table[:, 0], table[:, 1].astype(np.int64), table[:, 2], table[:, 3])
 
     def span(self, robot: int) -> tuple[float, float]:
         """Times [s] of the first and the last record that a replay of `robot` publishes."""
         odometry = self.odometry(robot)
         sightings = self.sightings(robot)
+        apart_s = sightings.time[0] - odometry[0, 0]
+        if abs(apart_s) > _LONGEST_GAP_S:
+            raise DatasetError(
+                f"{self.folder}: the first sighting of robot {robot} is {apart_s:.0f} s from its "
+                "first odometry, so the files are not of one run. Take a fresh copy of the data "
+                "set."
+            )
         times = [odometry[0, 0], odometry[-1, 0], *sightings.time[:1], *sightings.time[-1:]]
         return float(min(times)), float(max(times))
 
-    def _series(self, name: str, columns: int) -> Table:
+    def _series(self, name: str, columns: tuple[_Column, ...]) -> tuple[Table, list[int]]:
+        """The records of a file in order of time, and the line of each."""
         path = self._find(name)
-        table, lines = _read(path, columns)
+        table, lines = _read(path, (_TIME, *columns))
         back = np.nonzero(np.diff(table[:, 0]) < 0)[0]
         if back.size:
             k = int(back[0])
@@ -118,7 +143,12 @@ class Dataset:
                 lines[k + 1],
                 f"time runs backwards, from {table[k, 0]:.3f} s to {table[k + 1, 0]:.3f} s",
             )
-        return table
+        gap = np.nonzero(np.diff(table[:, 0]) > _LONGEST_GAP_S)[0]
+        if gap.size:
+            k = int(gap[0])
+            after_s = table[k + 1, 0] - table[k, 0]
+            raise _damaged(path, lines[k + 1], f"{after_s:.0f} s pass since the record before")
+        return table, lines
 
     def _find(self, name: str) -> Path:
         for path in (self.folder / name, self.folder / f"{name}.gz"):
@@ -137,7 +167,7 @@ class Dataset:
         )
 
 
-def _read(path: Path, columns: int) -> tuple[Table, list[int]]:
+def _read(path: Path, columns: tuple[_Column, ...]) -> tuple[Table, list[int]]:
     """The numbers of a file (rows, columns) and the line number of each row."""
     rows: list[list[float]] = []
     lines: list[int] = []
@@ -145,10 +175,9 @@ def _read(path: Path, columns: int) -> tuple[Table, list[int]]:
         fields = text.split("#", 1)[0].split()
         if not fields:
             continue
-        if len(fields) != columns:
-            raise _damaged(
-                path, line, f"{len(fields)} columns where {columns} belong: {text.strip()[:60]!r}"
-            )
+        if len(fields) != len(columns):
+            found = f"{len(fields)} columns where {len(columns)} belong: {text.strip()[:60]!r}"
+            raise _damaged(path, line, found)
         try:
             row = [float(field) for field in fields]
         except ValueError:
@@ -161,7 +190,14 @@ def _read(path: Path, columns: int) -> tuple[Table, list[int]]:
         raise DatasetError(
             f"{path} holds no record. It is empty or cut off: take a fresh copy of the data set."
         )
-    return np.array(rows), lines
+    table = np.array(rows)
+    for column, values in zip(columns, table.T, strict=True):
+        wrong = np.nonzero((values < column.low) | (values > column.high))[0]
+        if wrong.size:
+            found = f"{column.name} is {values[wrong[0]]:g}"
+            limits = f"not from {column.low:g} to {column.high:g}"
+            raise _damaged(path, lines[int(wrong[0])], f"{found}, {limits}")
+    return table, lines
 
 
 def _lines(path: Path) -> Iterator[tuple[int, str]]:

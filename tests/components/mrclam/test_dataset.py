@@ -96,12 +96,33 @@ def test_a_binary_file_is_no_data_set(copy: Path) -> None:
         Dataset(copy).subjects()
 
 
-def test_a_range_that_cannot_be_is_refused(copy: Path) -> None:
-    path = copy / "Robot2_Measurement.dat"
-    path.write_text(path.read_text() + "1248444999.0 63 -1.0 0.1\n")
+@pytest.mark.parametrize(
+    ("name", "record", "told"),
+    [
+        ("Measurement", "1248444999.0 63 -1.0 0.1", r"range \[m\] is -1, not from 1e-06 to 10000"),
+        ("Measurement", "1248444999.0 6.5 1.0 0.1", r"barcode 6.5 is not a whole number"),
+        ("Measurement", "1248444999.0 1e300 1.0 0.1", r"barcode is 1e\+300, not from 0 to 1e\+06"),
+        ("Measurement", "2000000000.0 63 1.0 0.1", r"\d+ s pass since the record before"),
+        ("Measurement", "5000000000.0 63 1.0 0.1", r"time \[s\] is 5e\+09, not from 0 to"),
+        ("Odometry", "1248448000.0 1e300 0.0", r"forward \[m/s\] is 1e\+300, not from -100 to 100"),
+    ],
+)
+def test_a_number_that_cannot_be_is_refused_with_its_line(
+    copy: Path, name: str, record: str, told: str
+) -> None:
+    path = copy / f"Robot2_{name}.dat"
+    text = path.read_text()
+    path.write_text(f"{text}{record}\n")
 
-    with pytest.raises(DatasetError, match=r"barcode 63 and range -1 m"):
-        Dataset(copy).sightings(2)
+    with pytest.raises(DatasetError, match=rf"{path.name}, line {text.count(chr(10)) + 1}: {told}"):
+        Dataset(copy).span(2)
+
+
+def test_files_of_different_runs_are_refused(copy: Path) -> None:
+    (copy / "Robot2_Measurement.dat").write_text("100.0 63 1.0 0.1\n")
+
+    with pytest.raises(DatasetError, match="the files are not of one run"):
+        Dataset(copy).span(2)
 
 
 def test_a_missing_robot_or_folder_is_told_with_what_is_there(copy: Path, tmp_path: Path) -> None:
