@@ -19,6 +19,7 @@ class Context(Protocol):
     clock: Clock
     log: logging.Logger
     random: np.random.Generator
+    restarts: int
 
     def schedule(self, at: int, call: Callable[[], None]) -> None:
         """Run `call` once at that time of the component's clock, while active."""
@@ -79,6 +80,11 @@ class Component:
     def random(self) -> np.random.Generator:
         """The component's only source of randomness, seeded by the run's seed and its name."""
         return self._context.random
+
+    @property
+    def restarts(self) -> int:
+        """How often the component was started before in this run: above 0 it may resume work."""
+        return self._context.restarts
 
     def schedule(self, at: int, call: Callable[[], None]) -> None:
         """Run `call` once when `self.clock` reaches `at` [ns]; forgotten on deactivation."""

@@ -70,6 +70,7 @@ class Runtime:
         """Construct the component; `CairnError` names it, its plugin and what went wrong."""
         self.assignment = assignment
         self.name = assignment.name
+        self.restarts = assignment.restarts
         self.log = logging.getLogger(f"cairn.{assignment.robot}.{assignment.name}")
         self.config = _config(component, assignment)
         self.random = np.random.default_rng([assignment.seed, zlib.crc32(assignment.name.encode())])

@@ -3,6 +3,8 @@
 import json
 import math
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from pydantic import Field
@@ -13,6 +15,8 @@ from cairn.component.component import Component
 from cairn.component.handlers import on
 from cairn.component.parameters import Config
 from cairn.component.ports import In
+from cairn.errors import CairnError
+from components.report.journal import Journal, Value
 from components.report.record import RunRecord
 from components.report.table import render_table
 from schemas.cairn_msgs import ComponentStatus, VisualMap, VisualMapChange, VisualObject
@@ -22,6 +26,11 @@ _MANY = RELIABLE.with_depth(500)
 _STATES = {
     VisualObject.LIVE: "live",
     VisualObject.RELOCATING: "relocating",
+}
+_CHANGES = {
+    VisualMapChange.REMOVED: "was_removed",
+    VisualMapChange.REGISTERED: "was_registered",
+    VisualMapChange.RESTORED: "was_restored",
 }
 
 
@@ -46,63 +55,52 @@ class Report(Component):
     component_status: In[ComponentStatus] = In(qos=LATCHED.with_depth(500), optional=True)
 
     def on_configure(self) -> None:
-        """Begin an empty record; see that the folder can be written before the run, not after."""
+        """Begin a record; see that the folder can be written before the run, not after."""
         self._record = RunRecord()
-        self._started: float | None = None
         self._virtual = False
+        self._journal: Journal | None = None
         if self.config.directory:
-            Path(self.config.directory).mkdir(parents=True, exist_ok=True)
+            folder = Path(self.config.directory)
+            with _told(folder):
+                folder.mkdir(parents=True, exist_ok=True)
+                resume = self.restarts > 0
+                self._journal = Journal(
+                    self._record, folder / "record.jsonl", self.log, resume=resume
+                )
 
     @on("pose")
     def follow(self, pose: PoseWithCovarianceStamped) -> None:
         """Keep the estimated pose."""
-        stamp = to_ns(pose.header.stamp)
-        self._lives_at(stamp)
-        self._record.estimate_stamps.append(stamp)
-        self._record.estimate.append(_pose(pose.pose.pose))
+        self._begin()
+        self._note("estimated", to_ns(pose.header.stamp), *_pose(pose.pose.pose))
 
     @on("truth")
     def follow_truth(self, truth: PoseStamped) -> None:
         """Keep the true pose."""
-        stamp = to_ns(truth.header.stamp)
-        self._lives_at(stamp)
-        self._record.truth_stamps.append(stamp)
-        self._record.truth.append(_pose(truth.pose))
+        self._begin()
+        self._note("was_truly_at", to_ns(truth.header.stamp), *_pose(truth.pose))
 
     @on("true_map")
     def know_truth(self, true_map: VisualMap) -> None:
         """Keep the objects' true places."""
         for thing in true_map.objects:
-            self._record.object(thing.object_id).true_place = (thing.x, thing.y)
+            self._note("stands_truly_at", thing.object_id, thing.x, thing.y)
 
     @on("visual_map")
     def follow_map(self, visual_map: VisualMap) -> None:
         """Keep each object's place, state and reliability; the first map is the one given."""
-        stamp = to_ns(visual_map.header.stamp)
-        first = not any(record.history for record in self._record.objects.values())
-        for thing in visual_map.objects:
-            record = self._record.object(thing.object_id)
-            place = (thing.x, thing.y)
-            known = all(math.isfinite(value) for value in place)
-            if first and known:
-                record.map_place = place
-            record.name = thing.name
-            record.place = place if known else None
-            record.state = _STATES[thing.state]
-            record.reliability = thing.reliability
-            record.history.append((stamp, thing.reliability))
+        objects: list[Value] = [
+            [thing.object_id, thing.name, thing.x, thing.y, _STATES[thing.state], thing.reliability]
+            for thing in visual_map.objects
+        ]
+        self._note("mapped", to_ns(visual_map.header.stamp), objects)
 
     @on("visual_map_changes")
     def follow_changes(self, change: VisualMapChange) -> None:
         """Note when an object was removed or registered."""
-        record = self._record.object(change.object_id)
-        stamp = to_ns(change.header.stamp)
-        if change.kind == VisualMapChange.REMOVED:
-            record.removed_at, record.registered_at = stamp, None
-        elif change.kind == VisualMapChange.REGISTERED:
-            record.registered_at = stamp
-        elif change.kind == VisualMapChange.RESTORED:
-            record.removed_at = record.registered_at = None
+        kind = _CHANGES.get(change.kind)
+        if kind is not None:
+            self._note(kind, to_ns(change.header.stamp), change.object_id)
 
     @on("component_status")
     def count_losses(self, status: ComponentStatus) -> None:
@@ -110,33 +108,48 @@ class Report(Component):
         # In lockstep nobody's time is the wall's: without it the same run gives the same report.
         self._virtual = status.placement == "lockstep"
         for port in status.ports:
-            if port.direction == port.IN:
-                name = f"{status.component}.{port.port}"
-                self._record.dropped[name] = port.dropped
-                self._record.invalid[name] = port.invalid
+            counts = (port.dropped, port.invalid)
+            name = f"{status.component}.{port.port}"
+            if port.direction == port.IN and self._record.losses(name, status.restarts) != counts:
+                self._note("lost", name, status.restarts, *counts)
 
     def on_deactivate(self) -> None:
         """Write the report."""
-        wall_s = None if self._started is None else time.monotonic() - self._started
-        if not self.config.directory:
+        if self._journal is None:
             return
         # Matplotlib takes half a second and 40 MB: not before the run is over.
         from components.report.pictures import draw_map, draw_reliability
 
         folder = Path(self.config.directory)
-        summary = self._record.summary(None if self._virtual else wall_s)
+        summary = self._record.summary(None if self._virtual else time.monotonic())
         text = json.dumps(summary, indent=1, sort_keys=False, allow_nan=False)
-        draw_map(self._record, folder / "map.png")
-        draw_reliability(self._record, folder / "reliability.png")
-        (folder / "report.txt").write_text(render_table(summary), encoding="utf-8")
-        (folder / "report.json").write_text(text + "\n", encoding="utf-8")
+        with _told(folder):
+            draw_map(self._record, folder / "map.png")
+            draw_reliability(self._record, folder / "reliability.png")
+            (folder / "report.txt").write_text(render_table(summary), encoding="utf-8")
+            (folder / "report.json").write_text(text + "\n", encoding="utf-8")
+            self._journal.remove()
         self.log.info("report written to %s", folder)
 
-    def _lives_at(self, stamp: int) -> None:
-        if self._started is None:
+    def _begin(self) -> None:
+        if self._record.began_s is None:
             # How long the computer takes is the one thing that `clock` does not tell.
-            self._started = time.monotonic()
-        self._record.at(stamp)
+            self._note("begins", time.monotonic())
+
+    def _note(self, what: str, *values: Value) -> None:
+        if self._journal is not None:
+            self._journal.tell(what, *values)
+
+
+@contextmanager
+def _told(folder: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise CairnError(
+            f"the report cannot be written to {error.filename or folder}: {error.strerror}; give "
+            "another folder (`--report`), or make room there"
+        ) from error
 
 
 def _pose(pose: Pose) -> tuple[float, float, float]:

@@ -38,15 +38,72 @@ class RunRecord:
     truth_stamps: list[int] = field(default_factory=list)
     truth: list[tuple[float, float, float]] = field(default_factory=list)
     objects: dict[int, ObjectRecord] = field(default_factory=dict)
-    dropped: dict[str, int] = field(default_factory=dict)
-    invalid: dict[str, int] = field(default_factory=dict)
+    # Messages dropped and refused by each port of each incarnation of a component.
+    counts: dict[tuple[str, int], tuple[int, int]] = field(default_factory=dict)
     begin: int | None = None
     end: int | None = None
+    began_s: float | None = None  # by the computer's monotonic clock
+    map_stamp: int | None = None
 
-    def at(self, stamp: int) -> None:
-        """Note that the run has lived at `stamp`."""
-        self.begin = stamp if self.begin is None else min(self.begin, stamp)
-        self.end = stamp if self.end is None else max(self.end, stamp)
+    def begins(self, monotonic_s: float) -> None:
+        """Note when the first message came, by the computer's monotonic clock [s]."""
+        self.began_s = monotonic_s
+
+    def estimated(self, stamp: int, x: float, y: float, yaw: float) -> None:
+        """Keep an estimated pose [m, m, rad]."""
+        self._at(stamp)
+        self.estimate_stamps.append(stamp)
+        self.estimate.append((x, y, yaw))
+
+    def was_truly_at(self, stamp: int, x: float, y: float, yaw: float) -> None:
+        """Keep a true pose [m, m, rad]."""
+        self._at(stamp)
+        self.truth_stamps.append(stamp)
+        self.truth.append((x, y, yaw))
+
+    def stands_truly_at(self, object_id: int, x: float, y: float) -> None:
+        """Keep the true place of an object [m]."""
+        self.object(object_id).true_place = (x, y)
+
+    def mapped(self, stamp: int, objects: list[tuple[int, str, float, float, str, float]]) -> None:
+        """Keep a visual map: id, name, place [m], state and reliability of each object.
+
+        Maps older than the last one have come before, to a former incarnation of the report.
+        """
+        if self.map_stamp is not None and stamp < self.map_stamp:
+            return
+        first = self.map_stamp is None
+        self.map_stamp = stamp
+        for object_id, name, x, y, state, reliability in objects:
+            record = self.object(object_id)
+            place = (x, y) if math.isfinite(x) and math.isfinite(y) else None
+            if first:
+                record.map_place = place
+            record.name, record.place, record.state = name, place, state
+            record.reliability = reliability
+            record.history.append((stamp, reliability))
+
+    def was_removed(self, stamp: int, object_id: int) -> None:
+        """Note that an object was removed from the map."""
+        record = self.object(object_id)
+        record.removed_at, record.registered_at = stamp, None
+
+    def was_registered(self, stamp: int, object_id: int) -> None:
+        """Note that an object was registered at a new place."""
+        self.object(object_id).registered_at = stamp
+
+    def was_restored(self, stamp: int, object_id: int) -> None:  # noqa: ARG002 - as the others
+        """Note that an object stands where it stood: it was never gone."""
+        record = self.object(object_id)
+        record.removed_at = record.registered_at = None
+
+    def lost(self, port: str, incarnation: int, dropped: int, invalid: int) -> None:
+        """Note the counters of a port (`localizer.odom`) of an incarnation of its component."""
+        self.counts[port, incarnation] = (dropped, invalid)
+
+    def losses(self, port: str, incarnation: int) -> tuple[int, int] | None:
+        """The counters last noted, None before the first."""
+        return self.counts.get((port, incarnation))
 
     def object(self, object_id: int) -> ObjectRecord:
         """The record of an object, begun on first use."""
@@ -78,11 +135,14 @@ class RunRecord:
             return None
         return round((stamp - self.begin) * _NS, 3)
 
-    def summary(self, wall_s: float | None) -> dict[str, Any]:
-        """The report as plain values, ready for JSON; `wall_s` is the measured duration [s].
+    def summary(self, monotonic_s: float | None) -> dict[str, Any]:
+        """The report as plain values, ready for JSON, with the time that the run took.
 
-        It is None in lockstep, so that the same seed gives the same report byte for byte.
+        `monotonic_s` is the time now [s], None in lockstep, so that the same seed gives the same
+        report byte for byte.
         """
+        began_s = self.began_s
+        wall_s = None if monotonic_s is None or began_s is None else monotonic_s - began_s
         error = self.error()
         recorded = self.seconds(self.end) or 0.0
         return {
@@ -93,11 +153,22 @@ class RunRecord:
             ),
             "first_pose_s": self.seconds(self.estimate_stamps[0] if self.estimate_stamps else None),
             "recorded_s": recorded,
-            "dropped": dict(sorted(self.dropped.items())),
-            "invalid": dict(sorted(self.invalid.items())),
+            "dropped": self._totals(0),
+            "invalid": self._totals(1),
             "objects": [self._object(record) for _, record in sorted(self.objects.items())],
             "wall_s": _rounded(wall_s),
         }
+
+    def _at(self, stamp: int) -> None:
+        self.begin = stamp if self.begin is None else min(self.begin, stamp)
+        self.end = stamp if self.end is None else max(self.end, stamp)
+
+    def _totals(self, which: int) -> dict[str, int]:
+        """One of the counters of each port, over all incarnations of its component."""
+        totals: dict[str, int] = {}
+        for (port, _), counts in sorted(self.counts.items()):
+            totals[port] = totals.get(port, 0) + counts[which]
+        return totals
 
     def _object(self, record: ObjectRecord) -> dict[str, Any]:
         x, y = record.place or (None, None)

@@ -1,0 +1,79 @@
+"""What a report was told outlives the death of its process."""
+
+import logging
+from pathlib import Path
+
+import pytest
+
+from components.report.journal import Journal
+from components.report.record import RunRecord
+
+LOG = logging.getLogger("test")
+NAN = float("nan")
+
+
+def told(journal: Journal) -> None:
+    journal.tell("begins", 100.0)
+    journal.tell("stands_truly_at", 3, 1.0, 2.0)
+    journal.tell(
+        "mapped", 10**9, [[3, "box", 1.0, 2.0, "live", 0.5], [4, "can", NAN, NAN, "live", 0.5]]
+    )
+    journal.tell("estimated", 10**9, 0.5, 0.25, 0.1)
+    journal.tell("was_truly_at", 10**9, 0.5, 0.5, 0.1)
+    journal.tell("was_removed", 2 * 10**9, 3)
+    journal.tell("lost", "base.cmd_vel", 0, 7, 1)
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    return tmp_path / "record.jsonl"
+
+
+def test_a_restarted_report_knows_what_its_former_process_was_told(file: Path) -> None:
+    before = RunRecord()
+    told(Journal(before, file, LOG, resume=False))
+    with file.open("a") as stream:
+        stream.write('["estimated", 3000000000, 0.')  # killed while it wrote
+
+    after = RunRecord()
+    journal = Journal(after, file, LOG, resume=True)
+    journal.tell("lost", "base.cmd_vel", 1, 2, 0)
+
+    assert after.object(3) == before.object(3)
+    assert (after.estimate, after.truth, after.begin) == (before.estimate, before.truth, 10**9)
+    summary = after.summary(130.0)
+    assert (summary["wall_s"], summary["position_rmse_m"]) == (30.0, 0.25)
+    assert (summary["dropped"], summary["invalid"]) == ({"base.cmd_vel": 9}, {"base.cmd_vel": 1})
+    journal.remove()
+    assert not file.exists()
+
+
+def test_a_first_report_does_not_read_what_another_run_left(file: Path) -> None:
+    told(Journal(RunRecord(), file, LOG, resume=False))
+
+    record = RunRecord()
+    Journal(record, file, LOG, resume=False)
+
+    assert record == RunRecord()
+
+
+def test_maps_that_come_again_to_a_restarted_report_are_not_kept_twice(file: Path) -> None:
+    record = RunRecord()
+    journal = Journal(record, file, LOG, resume=False)
+    for stamp, reliability in ((1, 0.5), (2, 0.7), (1, 0.5)):
+        journal.tell("mapped", stamp, [[3, "box", 1.0, 2.0, "live", reliability]])
+
+    assert record.object(3).history == [(1, 0.5), (2, 0.7)]
+    assert record.object(3).reliability == 0.7
+
+
+def test_a_full_disk_costs_the_journal_only(file: Path, caplog: pytest.LogCaptureFixture) -> None:
+    record = RunRecord()
+    file.symlink_to("/dev/full")
+    journal = Journal(record, file, LOG, resume=False)
+
+    journal.tell("estimated", 5, 0.0, 0.0, 0.0)
+    journal.tell("estimated", 6, 0.0, 0.0, 0.0)
+
+    assert record.estimate_stamps == [5, 6]
+    assert len([one for one in caplog.records if "No space left" in one.getMessage()]) == 1
