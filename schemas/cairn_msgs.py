@@ -174,8 +174,8 @@ class ComponentStatus:
     """The state of one component.
 
     `parent` is "" for the root; `handler` is the handler at work for `handler_s` [s], "" when the
-    component waits; `reason` says in words why it is in this state; `children` names what a
-    supervisor may load.
+    component waits; `reason` says in words why it is in this state, or why it was started anew;
+    `children` names what a supervisor may load.
     """
 
     header: Header

@@ -44,6 +44,7 @@ class Assignment:
     simulated_time: bool = False
     seed: int = 0
     restarts: int = 0
+    former_end: str = ""
     children: tuple[str, ...] = ()
 
 
@@ -82,7 +83,7 @@ class Runtime:
         self._walking: Transition | None = None
         self._busy: tuple[str, float] | None = None
         self._finishing = ""
-        self._reason = ""
+        self._reason = f"restarted: {assignment.former_end}" if assignment.former_end else ""
         self._recoveries = Recoveries()
         simulated = assignment.simulated_time and component.clock_source == "deployment"
         told = SimulatedClock() if simulated else None

@@ -73,12 +73,13 @@ class HostLauncher:
         self._here: list[Household] = []
         self._starting: ProcessChild | None = None
 
-    def launch(self, spec: ChildSpec, incarnation: int) -> Child:
+    def launch(self, spec: ChildSpec, incarnation: int, former_end: str) -> Child:
         """Start a child and wait until it can be asked; `CairnError` with the cause if not."""
         order = Order(
             name=spec.name,
             parent=self._order.name,
             incarnation=incarnation,
+            former_end=former_end,
             spec=self._order.spec.children[spec.name],
             surroundings=self._order.surroundings,
         )

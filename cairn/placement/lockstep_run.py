@@ -29,7 +29,7 @@ class LockstepRun:
         self.simulated = deployment.clock == "simulated"
         self.seed = seed
         self.end: End | None = None
-        self._root = _Place(self, ROOT, "", root_spec(deployment), 1, self._note_end)
+        self._root = _Place(self, ROOT, "", root_spec(deployment), 1, "", self._note_end)
         self._stopping = False
 
     def run(self, refresh: Callable[[], None]) -> End:
@@ -73,6 +73,7 @@ class _Place:
         parent: str,
         spec: ComponentSpec,
         incarnation: int,
+        former_end: str,
         on_end: Callable[[End], None],
     ) -> None:
         self.run = run
@@ -90,6 +91,7 @@ class _Place:
             simulated_time=run.simulated,
             seed=run.seed,
             restarts=incarnation - 1,
+            former_end=former_end,
             children=tuple(spec.children),
         )
         self.runtime = Runtime(
@@ -98,9 +100,9 @@ class _Place:
         if isinstance(self.runtime.component, SupervisorComponent):
             self.runtime.component.adopt(spec.children, spec.supervision, self, self)
 
-    def launch(self, spec: ChildSpec, incarnation: int) -> Child:
+    def launch(self, spec: ChildSpec, incarnation: int, former_end: str) -> Child:
         """Construct a child."""
-        child = _LockstepChild(self, spec.name, incarnation)
+        child = _LockstepChild(self, spec.name, incarnation, former_end)
         self._children = [other for other in self._children if other.end is None]
         self._children.append(child)
         return child
@@ -130,12 +132,14 @@ class _Place:
 
 
 class _LockstepChild:
-    def __init__(self, supervisor: _Place, name: str, incarnation: int) -> None:
+    def __init__(self, supervisor: _Place, name: str, incarnation: int, former_end: str) -> None:
         self.end: End | None = None
         self._supervisor = supervisor
         spec = supervisor.spec.children[name]
         parent = supervisor.runtime.name
-        self.place = _Place(supervisor.run, name, parent, spec, incarnation, self._note_end)
+        self.place = _Place(
+            supervisor.run, name, parent, spec, incarnation, former_end, self._note_end
+        )
 
     def request(self, verb: Verb, timeout_s: float) -> None:  # noqa: ARG002 - time stands still
         """Make a transition at once."""

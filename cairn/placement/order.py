@@ -30,6 +30,7 @@ class Order(BaseModel):
     name: str
     parent: str
     incarnation: int
+    former_end: str = ""
     spec: ComponentSpec
     surroundings: Surroundings
 
@@ -46,6 +47,7 @@ class Order(BaseModel):
             simulated_time=self.surroundings.simulated_time,
             seed=self.surroundings.seed,
             restarts=self.incarnation - 1,
+            former_end=self.former_end,
             children=tuple(self.spec.children),
         )
 

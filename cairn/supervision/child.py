@@ -61,9 +61,10 @@ class Child(Protocol):
 class Launcher(Protocol):
     """Starts components."""
 
-    def launch(self, spec: ChildSpec, incarnation: int) -> Child:
+    def launch(self, spec: ChildSpec, incarnation: int, former_end: str) -> Child:
         """Start a child for the `incarnation`th time (from 1), and give it once it takes requests.
 
+        `former_end` says in words how the incarnation before ended, "" for the first.
         Raises `CairnError` with the cause if that fails or takes longer than `start_timeout_s`;
         nothing of it runs then. Raises `LauncherLost` if that is not the child's fault.
         """

@@ -58,7 +58,7 @@ class Slot:
         self.tell("starting")
         try:
             self._progress(f"launching {self.spec.name}", limit_s)
-            self.child = self._launcher.launch(self.spec, self.incarnation)
+            self.child = self._launcher.launch(self.spec, self.incarnation, self.reason)
             verbs: tuple[Verb, ...] = ("configure", "activate")
             for verb in verbs:
                 if stop_requested():
@@ -104,7 +104,7 @@ class Slot:
             end = child.wait(max(0.0, deadline - self._now()))
         if end is None:
             end = self._end(child, child.terminate, child.kill)
-        self.child, self.state = None, "ended"
+        self.child, self.state, self.reason = None, "ended", end.reason
         self.tell("stopped", end.reason, normal=end.normal)
 
     def kill(self) -> None:

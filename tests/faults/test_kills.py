@@ -7,6 +7,7 @@ from tempfile import TemporaryDirectory
 
 import pytest
 
+from tests.commands import await_status
 from tests.launching import Launching, Run
 
 TREE = """
@@ -43,6 +44,8 @@ def test_a_component_comes_back_with_latched_inputs_and_the_others_go_on(
     run.await_line("reader: the beacon stands at 4, 2", after=killed)
     assert [run.pid_of(name) for name in others] == before
     assert run.pid_of("reader") != reader
+    row = await_status("/robot/reader", lambda row: row["restarts"] == 1, run.endpoint)
+    assert row["reason"].startswith(f"restarted: was killed by SIGKILL (process {reader}, log ")
     assert run.stop() == 0
 
 
