@@ -47,4 +47,9 @@ class AutoMove(SupervisorComponent):
 
     def _load_plugins(self) -> None:
         for child in self.children.status():
-            self.children.load(child.name)
+            try:
+                self.children.load(child.name)
+            except StartFailed:
+                if self.children.stop_requested:  # nobody needs the plugins any more
+                    return
+                raise
