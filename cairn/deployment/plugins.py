@@ -112,7 +112,8 @@ def _imported(name: str) -> object:
         if error.name is not None and (name == error.name or name.startswith(f"{error.name}.")):
             raise PluginError(
                 f"there is no module {name}",
-                "correct the name, or install the package that holds it",
+                "correct the name, install the package that holds it, or put the folder of a "
+                "single file on PYTHONPATH",
             ) from error
         raise _not_importable(name, error) from error
     except (Exception, SystemExit) as error:  # a plugin's module may fail in any way

@@ -4,6 +4,7 @@ import os
 import shutil
 import signal
 import tempfile
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -26,6 +27,7 @@ PROCESS_MODULE = "cairn.placement.process"
 """What every component's process runs: imported in the zygote, for all."""
 
 _ZYGOTE_END_S = 0.2
+_ZYGOTE_STOPPED_LIMIT_S = 2.0
 
 _PLUGIN = "cairn.supervision.component:SupervisorComponent"
 
@@ -133,15 +135,27 @@ class _Watch:
         self._zygote = zygote
         self._attendance = attendance
         self._stopping = False
+        self._zygote_stopped_at: float | None = None
 
     def turn(self) -> None:
         self._look(self._onlooker.refresh)
+        self._kill_stopped_zygote()
         if not self._stopping and (self.failure is not None or not self._zygote.alive):
             self._stopping = True
             self._attendance.stop()
 
     def finish(self) -> None:
         self._look(self._onlooker.finish)
+
+    def _kill_stopped_zygote(self) -> None:
+        # Nobody could be started, stopped or found dead any more. Components die with it.
+        now = time.monotonic()
+        if not self._zygote.stopped:
+            self._zygote_stopped_at = None
+        elif self._zygote_stopped_at is None:
+            self._zygote_stopped_at = now
+        elif now - self._zygote_stopped_at > _ZYGOTE_STOPPED_LIMIT_S:
+            self._zygote.kill()
 
     def _look(self, look: Callable[[], None]) -> None:
         if self.failure is None:

@@ -11,6 +11,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from uuid import uuid4
 
+import psutil
+
 from cairn.errors import CairnError
 from cairn.supervision.job import BOOTSTRAP
 from cairn.supervision.remains import MARK, kill_remaining
@@ -49,6 +51,18 @@ class ZygoteProcess:
     def alive(self) -> bool:
         """Whether the zygote runs."""
         return self._process.poll() is None
+
+    @property
+    def stopped(self) -> bool:
+        """Whether it has been stopped by a signal (SIGSTOP), and so serves nobody."""
+        try:
+            return psutil.Process(self.pid).status() == psutil.STATUS_STOPPED
+        except psutil.NoSuchProcess:
+            return False
+
+    def kill(self) -> None:
+        """Kill it, and with it all processes that it has started."""
+        self._process.kill()
 
     def ends_within(self, timeout_s: float) -> bool:
         """Whether the zygote has ended, or does so within the limit [s]."""

@@ -110,7 +110,11 @@ class Localizer(Component):
         """Take recognised objects; they wait until odometry has reached their time."""
         stamp = _seconds(message.header.stamp)
         reached = self._localization.track.integrated_to
-        if stamp < reached - LATE_S or not self._held.add(stamp, sightings_of(message)):
+        if stamp < reached - LATE_S:
+            late_s = reached - stamp
+            self._complain("late", f"sightings of {stamp:.3f} s are {late_s:.1f} s late: ignored")
+            return
+        if not self._held.add(stamp, sightings_of(message)):
             self._complain_of_time(self.objects.topic, stamp, reached)
             return
         self._work_off()

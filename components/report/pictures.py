@@ -61,7 +61,7 @@ def draw_reliability(record: RunRecord, file: Path) -> None:
             *_curve(record, thing), where="post", color=color, linewidth=1.8,
             label=", ".join(words),
         )  # fmt: skip
-    for threshold, word in ((0.1, "removed below 0.1"), (0.5, "registered above 0.5")):
+    for threshold, word in ((0.1, "removed at 0.1 or less"), (0.5, "registered above 0.5")):
         axes.axhline(threshold, color="black", linewidth=0.6, linestyle=":")
         axes.text(0.45, threshold + 0.01, word, transform=axes.get_yaxis_transform(), fontsize=8,
                   ha="left", color="#505050")  # fmt: skip

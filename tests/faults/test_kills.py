@@ -77,6 +77,17 @@ def test_the_zygote_takes_all_along_and_the_deployment_fails(launch: Launching) 
     run.await_line("cairn: deployment0.yaml failed: the zygote was killed, and with it every compo")
 
 
+def test_a_stopped_zygote_is_killed_and_the_deployment_fails(launch: Launching) -> None:
+    run = launch(TREE)
+    run.await_line("talker active")
+
+    os.kill(run.pid_of("zygote"), signal.SIGSTOP)
+
+    assert run.await_end() == 1
+    run.await_nothing_left()
+    run.await_line("cairn: deployment0.yaml failed: the zygote was killed, and with it every compo")
+
+
 def test_cairn_up_by_sigkill_leaves_nothing(launch: Launching) -> None:
     with TemporaryDirectory() as sockets:  # pytest's own paths are too long for a socket
         run = launch(TREE, environment={"XDG_RUNTIME_DIR": sockets})

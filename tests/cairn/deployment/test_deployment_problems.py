@@ -81,7 +81,8 @@ CASES = {
             5,
             "components.other.plugin",
             "there is no module acme_robots.parts; "
-            "correct the name, or install the package that holds it",
+            "correct the name, install the package that holds it, or put the folder of a single "
+            "file on PYTHONPATH",
         ),
     ),
     "misspelt class": (
