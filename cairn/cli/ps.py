@@ -16,6 +16,7 @@ from cairn.cli.connection import (
 )
 from cairn.cli.tables import show
 from schemas.cairn_msgs import ComponentStatus
+from schemas.std_msgs import Header
 
 _COLUMNS = {
     "robot": "robot", "tree": "component", "state": "state", "pid": "pid", "restarts": "restarts",
@@ -27,7 +28,7 @@ _COLUMNS = {
 def ps(
     connect: Connect = DEFAULT_CONNECT, domain: Domain = 0, robot: Robot = "", json: Json = False
 ) -> None:
-    """List the components that run: state, process, messages received and dropped, memory.
+    """List the components: state, process, messages received and dropped, memory.
 
     MiB is the memory that the process adds (PSS), shared by the components in it.
     """
@@ -39,7 +40,10 @@ def ps(
         for full, status in sorted(statuses.items())
         if not robot or full.split("/")[1] == robot
     }
-    rows = [_row(full, found[full], depth) for full, depth in _as_tree(found)]
+    rows = [
+        _row(full, found[full], depth) if full in found else _row_of_absent(full, depth)
+        for full, depth in _as_tree(found)
+    ]
     robots = {row["robot"] for row in rows}
     shown = {key: title for key, title in _COLUMNS.items() if key != "robot" or len(robots) > 1}
     if json:
@@ -51,22 +55,24 @@ def ps(
 
 
 def _as_tree(statuses: dict[str, ComponentStatus]) -> Iterator[tuple[str, int]]:
-    """Full name and depth of each component, each below its supervisor in the order of start."""
+    """Full name and depth of each component, each below its supervisor in the order of start.
+
+    Those that are not loaded are among them.
+    """
     left = dict(statuses)
 
     def below(full: str, depth: int) -> Iterator[tuple[str, int]]:
-        status = left.pop(full, None)
-        if status is None:
-            return
         yield full, depth
-        for child in status.children:
+        status = left.pop(full, None)
+        for child in status.children if status is not None else ():
             yield from below(f"{full.rpartition('/')[0]}/{child}", depth + 1)
 
     for full, status in statuses.items():
-        if not status.parent:
+        if not status.parent and full in left:
             yield from below(full, 0)
-    for full in list(left):  # whose supervisor is not heard of
-        yield from below(full, 0)
+    for full in statuses:  # whose supervisor is not heard of
+        if full in left:
+            yield from below(full, 0)
 
 
 def _row(full: str, status: ComponentStatus, depth: int) -> dict[str, Any]:
@@ -90,6 +96,13 @@ def _row(full: str, status: ComponentStatus, depth: int) -> dict[str, Any]:
         "note": "; ".join(filter(None, (handler, status.reason))),
         **_load(status.pid),
     }
+
+
+def _row_of_absent(full: str, depth: int) -> dict[str, Any]:
+    _, robot, name = full.split("/")
+    row = dict.fromkeys(_row(full, ComponentStatus(header=Header(), component=name), depth))
+    return {**row, "component": full, "robot": robot, "tree": "  " * depth + name,
+            "state": "not loaded", "note": f"`cairn load {name}` starts it"}  # fmt: skip
 
 
 def _load(pid: int) -> dict[str, float | None]:

@@ -19,7 +19,7 @@ from rich.console import Console
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.cli.check import File, Overlay, Set
 from cairn.cli.log_file import log_file
-from cairn.cli.tables import line
+from cairn.cli.tables import line, note
 from cairn.cli.view import LiveView, PlainView
 from cairn.cli.watch import LogWatch, Watch
 from cairn.clock import from_ns
@@ -71,6 +71,8 @@ def up(
         live = sys.stdout.isatty() and not plain
         if not live:
             line(f"{title}; logs and report: {folder}")
+        if lockstep and not any(member.spec.significant for member in deployment.members()):
+            note("no component is `significant`: nothing but Ctrl-C ends this run")
         with LiveView(Console(), title) if live else PlainView(line, sys.stdout.fileno()) as view:
             if lockstep:
                 end = _run_lockstep(deployment, seed, folder, view)
@@ -139,6 +141,10 @@ def _folder_of_run(file: Path) -> Path:
 def _prepare(folder: Path) -> None:
     """Make the folder for logs and report, without what a former run left there."""
     logs = folder / "logs"
+    try:
+        str(folder).encode()
+    except UnicodeEncodeError as error:
+        raise CairnError(f"the report's folder {str(folder)!r} is no UTF-8: rename it") from error
     try:
         logs.mkdir(parents=True, exist_ok=True)
         for old in (folder / _CLOSING_TABLE, *logs.glob("*.log")):

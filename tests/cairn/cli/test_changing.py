@@ -70,5 +70,6 @@ def test_a_component_is_loaded_restarted_and_unloaded_while_the_others_go_on(
     assert rover.pid_of("reader") != reader
 
     assert command("unload", "reader").out == "reader: unloaded\n"
-    assert "/rover/reader" not in [row["component"] for row in command("ps", "--json").json]
+    states = {row["component"]: row["state"] for row in command("ps", "--json").json}
+    assert states["/rover/reader"] == "not loaded"
     assert [rover.pid_of(name) for name in ("mobile", "listener", "talker")] == others
