@@ -102,7 +102,7 @@ def _row_of_absent(full: str, depth: int) -> dict[str, Any]:
     _, robot, name = full.split("/")
     row = dict.fromkeys(_row(full, ComponentStatus(header=Header(), component=name), depth))
     return {**row, "component": full, "robot": robot, "tree": "  " * depth + name,
-            "state": "not loaded", "note": f"`cairn load {name}` starts it"}  # fmt: skip
+            "state": "not loaded"}  # fmt: skip
 
 
 def _load(pid: int) -> dict[str, float | None]:

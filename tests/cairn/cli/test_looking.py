@@ -26,7 +26,6 @@ def test_ps_shows_the_tree_of_components(command: Command, rover: Run) -> None:
         "  talker",
     ]
     assert " not loaded " in rows[3]
-    assert "`cairn load reader` starts it" in rows[3]
     assert all(row.split()[1] == "active" for row in rows if row != rows[3])
     assert max(map(len, rows)) <= 100
 
