@@ -20,6 +20,10 @@ class ControlError(CairnError):
     """A request was refused, or there was no answer."""
 
 
+class NoAnswer(ControlError):  # noqa: N818 - says what came
+    """Nobody answered, or whoever was to answer has gone."""
+
+
 class ControlRequest(BaseModel):
     """What is asked of a component."""
 
@@ -47,8 +51,8 @@ def request(
 ) -> Any:
     """Ask the component with that full name (`/robot/localizer`) and return its answer.
 
-    Raises `ControlError` with the component's own
-    words if it refuses, or naming component, request and limit if no answer comes.
+    Raises `ControlError` with the component's own words if it refuses; `NoAnswer` naming component,
+    request and limit if none comes.
     """
     asked = ControlRequest(verb=verb, arguments=dict(arguments or {}))
     try:
@@ -67,7 +71,7 @@ def request(
             if answer.error is not None:
                 raise ControlError(answer.error)
             return answer.value
-    raise ControlError(
+    raise NoAnswer(
         f"{component} gave no answer to {verb} within {timeout_s:g} s: it is not running, has just "
         "ended, or hangs; `cairn ps` shows which"
     )

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from cairn.bus.arrival import Arrival
 from cairn.bus.bus import full_name
-from cairn.bus.control import control_key, request
+from cairn.bus.control import NoAnswer, control_key, request
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.deployment.plugins import load_plugin
 from cairn.errors import CairnError
@@ -27,6 +27,8 @@ TRACEBACK_SIGNAL = signal.SIGUSR1
 """A component's process that gets it writes to its log what all of its threads are doing."""
 _TRACEBACK_LIMIT_S = 0.2
 _KILL_LIMIT_S = 5.0
+_WORDS_LEAD_S = 0.2
+_ENDING_LIMIT_S = 5.0  # from leaving the bus to the end of the process
 
 
 class Household:
@@ -192,8 +194,11 @@ class ProcessChild:
                 self._start_under_way = verb == "configure"
             else:
                 self._ask(verb, timeout_s)
-        except CairnError:
-            end = self.wait(0.2)  # its end is told over another line than its silence
+        except CairnError as error:
+            # Its end is told over another line than its words, or its leaving the bus.
+            left_s = timeout_s - (time.monotonic() - asked_at)
+            gone = isinstance(error, NoAnswer) and left_s > 0
+            end = self.wait(min(left_s, _ENDING_LIMIT_S) if gone else _WORDS_LEAD_S)
             if end is None and time.monotonic() - asked_at >= timeout_s:
                 raise CairnError(f"no answer within {timeout_s:.1f} s") from None
             if end is None:
