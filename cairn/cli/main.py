@@ -12,7 +12,7 @@ from rich.console import Console
 
 from cairn.cli import check, control, graph, logs, param, plugins, ps, schema, topic, up
 from cairn.cli.tables import line
-from cairn.errors import CairnError
+from cairn.errors import CairnError, StoppedByForce
 
 COMMANDS_GROUP = "cairn.commands"
 """Entry points of this group add subcommands: each names a `typer.Typer`."""
@@ -74,6 +74,10 @@ def main() -> None:
     try:
         _check_folder()
         build()()
+    except StoppedByForce as error:
+        _complain(str(error))
+        sys.stdout.flush()
+        os._exit(1)  # Python's own end can abort while threads are at work
     except CairnError as error:
         _complain(str(error))
         sys.exit(1)

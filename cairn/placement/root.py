@@ -17,7 +17,7 @@ from cairn.bus.session import open_client, open_peer, open_router
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.component.runtime import End
 from cairn.deployment.model import ROOT, ComponentSpec, Deployment
-from cairn.errors import CairnError
+from cairn.errors import CairnError, StoppedByForce
 from cairn.placement.attendance import Attendance
 from cairn.placement.launchers import Household
 from cairn.placement.order import Order, Surroundings
@@ -70,8 +70,8 @@ def run_processes(
 
     `watch(bus, hurry)` returns who looks on; a call of `hurry` has it refreshed soon. Nothing is
     left running, whatever happens. Raises `CairnError` if the port is taken or the robot runs
-    already on this bus, and what the onlooker raises, once everything has been stopped in good
-    order.
+    already on this bus, `StoppedByForce` on a second signal, and what the onlooker raises, once
+    everything has been stopped in good order.
     """
     if deployment.bus.connect:
         _refuse_namesake(deployment)
@@ -113,7 +113,9 @@ def _run(
             hosted.ask("activate")
             if not attendance.until_end(watch.turn, impatient=True):
                 zygote.close()
-                return End(False, "stopped by force, on a second signal; nothing is left running")
+                raise StoppedByForce(
+                    "stopped by force, on a second signal; nothing is left running"
+                )
         watch.finish()
     finally:
         household.close()

@@ -137,7 +137,7 @@ def test_a_second_ctrl_c_ends_everything_by_force(launch: Launching) -> None:
 
     assert run.await_end(limit_s=3) == 1
     run.await_nothing_left()
-    run.await_line("failed: stopped by force, on a second signal")
+    run.await_line("cairn: stopped by force, on a second signal")
 
 
 def test_an_orphan_of_a_component_ends_with_it(launch: Launching) -> None:
