@@ -92,7 +92,7 @@ class VisualMap:
                         object_id,
                         Kind.RESTORED,
                         now.place,
-                        before.place,
+                        before.place if before.state is State.LIVE else None,
                         before.reliability,
                         reason,
                     )

@@ -27,11 +27,6 @@ _STATES = {
     VisualObject.LIVE: "live",
     VisualObject.RELOCATING: "relocating",
 }
-_CHANGES = {
-    VisualMapChange.REMOVED: "was_removed",
-    VisualMapChange.REGISTERED: "was_registered",
-    VisualMapChange.RESTORED: "was_restored",
-}
 
 
 class ReportConfig(Config):
@@ -97,10 +92,14 @@ class Report(Component):
 
     @on("visual_map_changes")
     def follow_changes(self, change: VisualMapChange) -> None:
-        """Note when an object was removed or registered."""
-        kind = _CHANGES.get(change.kind)
-        if kind is not None:
-            self._note(kind, to_ns(change.header.stamp), change.object_id)
+        """Note when an object was removed or registered, and what of it was taken back."""
+        stamp, thing = to_ns(change.header.stamp), change.object_id
+        if change.kind == VisualMapChange.REMOVED:
+            self._note("was_removed", stamp, thing, change.old_x, change.old_y)
+        elif change.kind == VisualMapChange.REGISTERED:
+            self._note("was_registered", stamp, thing)
+        elif change.kind == VisualMapChange.RESTORED:
+            self._note("was_restored", thing, change.new_x, change.new_y)
 
     @on("component_status")
     def count_losses(self, status: ComponentStatus) -> None:

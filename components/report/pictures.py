@@ -50,8 +50,8 @@ def draw_reliability(record: RunRecord, file: Path) -> None:
         color = _CHANGED[index % len(_CHANGED)]
         words = [f"landmark {thing.object_id}"]
         for stamp, marker, word in (
-            (thing.removed_at, "v", "removed"),
-            (thing.registered_at, "^", "registered"),
+            (thing.moves.last.removed_at, "v", "removed"),
+            (thing.moves.last.registered_at, "^", "registered"),
         ):
             seconds = record.seconds(stamp)
             if seconds is not None:
@@ -144,7 +144,7 @@ def _curve(record: RunRecord, thing: ObjectRecord) -> tuple[list[float], list[fl
 
 
 def _has_changed(thing: ObjectRecord) -> bool:
-    return thing.removed_at is not None or thing.registered_at is not None
+    return bool(thing.moves.standing)
 
 
 def _label(thing: ObjectRecord) -> str:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from components.report.moves import Moves
 from components.report.track import TrackError, track_error
 
 _LONGEST_GAP_NS = 1_000_000_000
@@ -24,8 +25,7 @@ class ObjectRecord:
     true_place: tuple[float, float] | None = None
     reliability: float = 0.5
     state: str = "unknown"
-    removed_at: int | None = None
-    registered_at: int | None = None
+    moves: Moves = field(default_factory=Moves)
     history: list[tuple[int, float]] = field(default_factory=list)
 
 
@@ -76,26 +76,24 @@ class RunRecord:
         self.map_stamp = stamp
         for object_id, name, x, y, state, reliability in objects:
             record = self.object(object_id)
-            place = (x, y) if math.isfinite(x) and math.isfinite(y) else None
+            place = _place(x, y)
             if first:
                 record.map_place = place
             record.name, record.place, record.state = name, place, state
             record.reliability = reliability
             record.history.append((stamp, reliability))
 
-    def was_removed(self, stamp: int, object_id: int) -> None:
-        """Note that an object was removed from the map."""
-        record = self.object(object_id)
-        record.removed_at, record.registered_at = stamp, None
+    def was_removed(self, stamp: int, object_id: int, x: float, y: float) -> None:
+        """Note that an object was removed from its place [m] in the map."""
+        self.object(object_id).moves.removed(stamp, _place(x, y))
 
     def was_registered(self, stamp: int, object_id: int) -> None:
         """Note that an object was registered at a new place."""
-        self.object(object_id).registered_at = stamp
+        self.object(object_id).moves.registered(stamp)
 
-    def was_restored(self, stamp: int, object_id: int) -> None:  # noqa: ARG002 - as the others
-        """Note that an object stands where it stood: it was never gone."""
-        record = self.object(object_id)
-        record.removed_at = record.registered_at = None
+    def was_restored(self, object_id: int, x: float, y: float) -> None:
+        """Note that an object never left a place [m]; NaN: that it is still to be found."""
+        self.object(object_id).moves.restored(_place(x, y))
 
     def lost(self, port: str, incarnation: int, dropped: int, invalid: int) -> None:
         """Note the counters of a port (`localizer.odom`) of an incarnation of its component."""
@@ -185,9 +183,13 @@ class RunRecord:
             "map_y": _rounded(map_y),
             "reliability": _rounded(record.reliability),
             "state": record.state,
-            "removed_at_s": self.seconds(record.removed_at),
-            "registered_at_s": self.seconds(record.registered_at),
+            "removed_at_s": self.seconds(record.moves.last.removed_at),
+            "registered_at_s": self.seconds(record.moves.last.registered_at),
         }
+
+
+def _place(x: float, y: float) -> tuple[float, float] | None:
+    return (x, y) if math.isfinite(x) and math.isfinite(y) else None
 
 
 def _rounded(value: float | None) -> float | None:

@@ -145,6 +145,20 @@ def test_what_a_lost_robot_judged_is_taken_back() -> None:
     assert [c.kind for c in changes] == [Kind.RESTORED]
 
 
+def test_a_registration_taken_back_leaves_the_object_without_a_place() -> None:
+    visual_map = VisualMap([surveyed()])
+    assert kinds(visual_map, sighting(0.1, 0, THERE)) == [Kind.REMOVED]
+    for _ in range(60):  # the removal is too long ago to be taken back
+        visual_map.apply([])
+    kinds(visual_map, *(sighting(0.5, step, THERE) for step in range(1, 4)))
+    assert visual_map.objects[7].state is State.LIVE
+
+    _, changes = visual_map.take_back()
+
+    assert visual_map.objects[7].state is State.RELOCATING
+    assert [(c.kind, c.new) for c in changes] == [(Kind.RESTORED, None)]
+
+
 def test_a_registered_place_gets_better_with_agreeing_sightings() -> None:
     visual_map = VisualMap([])
     first = Place(3.8, 1.0, 0.04, 0.0, 0.04)

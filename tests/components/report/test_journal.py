@@ -20,7 +20,7 @@ def told(journal: Journal) -> None:
     )
     journal.tell("estimated", 10**9, 0.5, 0.25, 0.1)
     journal.tell("was_truly_at", 10**9, 0.5, 0.5, 0.1)
-    journal.tell("was_removed", 2 * 10**9, 3)
+    journal.tell("was_removed", 2 * 10**9, 3, 1.0, 2.0)
     journal.tell("lost", "base.cmd_vel", 0, 7, 1)
 
 
