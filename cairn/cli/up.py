@@ -82,7 +82,7 @@ def up(
     if table.exists():
         line(table.read_text(encoding="utf-8"))
     if not end.normal:
-        raise CairnError(f"{file.name} failed: {end.reason}; logs: {folder / 'logs'}")
+        raise CairnError(f"{file.name} failed: {end.reason.rstrip('.')}; logs: {folder / 'logs'}")
     took = time.monotonic() - began
     line(f"ended: {end.reason}; logs and report: {folder} (took {took:.1f} s)")
 

@@ -17,6 +17,7 @@ from cairn.component.runtime import End, Runtime
 from cairn.deployment.plugins import load_plugin
 from cairn.errors import CairnError
 from cairn.placement.order import Order
+from cairn.supervision.child import Accident
 
 JOIN_LIMIT_S = 5.0
 
@@ -83,13 +84,13 @@ class Hosted:
         return answer
 
     def request(self, verb: str, timeout_s: float) -> Any:
-        """Wait for the answer to a request; `CairnError` if it is refused or does not come."""
+        """Wait for the answer; `CairnError` if the request is refused, `Accident` if none comes."""
         try:
             return self.ask(verb).result(timeout_s)
         except FutureTimeout:
             status = self.runtime.status()
             doing = f"; it is in {status.handler}" if status.handler else ""
-            raise CairnError(
+            raise Accident(
                 f"{self.order.name} did not answer {verb} within {timeout_s:.1f} s{doing}"
             ) from None
 

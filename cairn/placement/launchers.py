@@ -17,7 +17,7 @@ from cairn.errors import CairnError
 from cairn.placement.hosted import Hosted
 from cairn.placement.last_words import end_of
 from cairn.placement.order import Order, as_json
-from cairn.supervision.child import Child, ChildEnd, ChildSpec, Verb
+from cairn.supervision.child import Accident, Child, ChildEnd, ChildSpec, Verb
 from cairn.supervision.child_process import ChildExit, ChildProcess
 from cairn.supervision.component import SupervisorComponent
 from cairn.supervision.zygote_client import SpawnFailed, ZygoteClient, ZygoteLost
@@ -136,7 +136,9 @@ class HostLauncher:
         if end is None:
             process.kill()
             child.wait(_KILL_LIMIT_S)
-            raise CairnError(f"it did not join the bus within {timeout_s:g} s; log: {log}")
+            raise Accident(f"it did not join the bus within {timeout_s:g} s; log: {log}")
+        if process.exit is not None and process.exit.signal is not None:
+            raise Accident(end.reason)
         raise CairnError(end.reason)
 
     def _client(self) -> ZygoteClient:
@@ -195,16 +197,18 @@ class ProcessChild:
             else:
                 self._ask(verb, timeout_s)
         except CairnError as error:
-            # Its end is told over another line than its words, or its leaving the bus.
-            left_s = timeout_s - (time.monotonic() - asked_at)
-            gone = isinstance(error, NoAnswer) and left_s > 0
-            end = self.wait(min(left_s, _ENDING_LIMIT_S) if gone else _WORDS_LEAD_S)
-            if end is None and time.monotonic() - asked_at >= timeout_s:
-                raise CairnError(f"no answer within {timeout_s:.1f} s") from None
-            if end is None:
+            if not isinstance(error, NoAnswer):  # its own words
+                self.wait(_WORDS_LEAD_S)  # after them it ends
                 raise
+            # Its leaving the bus is told before its end.
+            left_s = timeout_s - (time.monotonic() - asked_at)
+            end = self.wait(max(0.0, min(left_s, _ENDING_LIMIT_S)))
+            if end is None and time.monotonic() - asked_at >= timeout_s:
+                raise Accident(f"no answer within {timeout_s:.1f} s") from None
+            if end is None:
+                raise Accident(str(error)) from None
             if not end.normal or verb != "shutdown":
-                raise CairnError(end.reason) from None
+                raise Accident(end.reason) from None
 
     def give_up(self) -> None:
         """Cut short the start that is under way, and ask the process to end; from any thread."""

@@ -1,6 +1,7 @@
 """Runs a whole deployment in lockstep: the same components, one thread, virtual time."""
 
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 from cairn.bus.lockstep_bus import LockstepBus
@@ -40,7 +41,8 @@ class LockstepRun:
         self.executor.at(0, self._heartbeat)
         self._root.runtime.transition(Transition.CONFIGURE)
         try:
-            self._root.runtime.transition(Transition.ACTIVATE)
+            with suppress(CairnError):  # it has ended then, with that as its reason
+                self._root.runtime.transition(Transition.ACTIVATE)
             self.executor.run(lambda: self._over(refresh))
         finally:
             if self.end is None:

@@ -14,6 +14,10 @@ class LauncherLost(CairnError):  # noqa: N818 - an event as much as an error
     """All that a launcher had started has ended, and it can start nothing any more."""
 
 
+class Accident(CairnError):  # noqa: N818 - what befell the child
+    """A child was killed or did not answer in time, and did not say itself why it fails."""
+
+
 @dataclass(frozen=True)
 class ChildSpec:
     """How a supervisor is to keep one child running; time limits in seconds."""
@@ -40,8 +44,8 @@ class Child(Protocol):
     def request(self, verb: Verb, timeout_s: float) -> None:
         """Have it make a transition of its life cycle.
 
-        Raises `CairnError` with the component's own error text if it fails, with the cause if it
-        has ended or does not answer within `timeout_s` seconds.
+        Raises `CairnError` with the component's own words if it fails, `Accident` with the cause
+        if it has ended or does not answer within `timeout_s` seconds.
         """
         ...
 
@@ -65,7 +69,8 @@ class Launcher(Protocol):
         """Start a child for the `incarnation`th time (from 1), and give it once it takes requests.
 
         `former_end` says in words how the incarnation before ended, "" for the first.
-        Raises `CairnError` with the cause if that fails or takes longer than `start_timeout_s`;
-        nothing of it runs then. Raises `LauncherLost` if that is not the child's fault.
+        Raises `CairnError` with the cause if that fails, `Accident` if it is killed or takes longer
+        than `start_timeout_s`; nothing of it runs then. Raises `LauncherLost` if that is not the
+        child's fault.
         """
         ...

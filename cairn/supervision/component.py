@@ -123,7 +123,7 @@ class SupervisorComponent(Component):
                 raise given_up
 
             self._host.post(give_up)  # who asked is told, but the failure is the supervisor's
-            raise
+            raise CairnError(f"{self.name}: {error}") from error
         states = {status.name: status.state for status in self.children.status()}
         return states[name]
 
@@ -175,7 +175,7 @@ class SupervisorComponent(Component):
             raise CairnError(f"not all stopped in good order: {what}")
 
     def _observe(self, event: SupervisionEvent) -> None:
-        reason = event.reason.removeprefix(f"{event.child}: ")
+        reason = event.reason
         if event.what == "stop_failed" or (event.what == "stopped" and not event.normal):
             self._failed_stops.setdefault(event.child, reason)  # the first tells the cause
         match event.what:

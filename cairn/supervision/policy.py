@@ -52,9 +52,11 @@ class Policy:
     As in OTP's `supervisor`: a permanent child is always restarted, a transient one after an
     abnormal end, a temporary one never, not even with its siblings; a transient child that has
     ended normally starts again when its siblings are restarted; a restart that fails is one more
-    restart. Beyond OTP: the normal end of any significant child finishes the supervisor, the
-    abnormal one of a significant temporary child makes it fail, and so does a child that fails to
-    start more than `max_restarts` times on end, be its attempts as slow as they may.
+    restart; a child that says at its first start that it cannot makes the supervisor fail at once.
+    Beyond OTP: such a temporary child is left alone; the normal end of any significant child
+    finishes the supervisor, the abnormal one of a significant temporary child makes it fail, and so
+    does a child that fails to start more than `max_restarts` times on end, be its attempts as slow
+    as they may.
     """
 
     def __init__(
@@ -69,11 +71,12 @@ class Policy:
             raise ValueError("two children of a supervisor have the same name")
         self._order = tuple(self._children)
         self._strategy = strategy
-        self._intensity = intensity or Intensity()
+        self.intensity = intensity or Intensity()
         self._wanted: set[str] = set()
         self._done: set[str] = set()  # transient, ended normally
         self._restarts: deque[float] = deque()
         self._failed_starts: dict[str, int] = dict.fromkeys(self._order, 0)
+        self._tried: set[str] = set()
 
     @property
     def wanted(self) -> tuple[str, ...]:
@@ -107,6 +110,7 @@ class Policy:
     def started(self, name: str) -> None:
         """A child has become active."""
         self._failed_starts[name] = 0
+        self._tried.add(name)
 
     def ended(self, name: str, *, normal: bool, at_s: float, reason: str) -> Decision:
         """A child that should run ended, or failed to start (not normal), at this time [s]."""
@@ -115,11 +119,11 @@ class Policy:
             return Decision()
         child = self._children[name]
         if child.significant and (normal or child.restart == "temporary"):
+            if not normal:
+                return self._given_up(f"{name} failed and is not restarted: {reason}")
             others = tuple(reversed(self.wanted))
             self._wanted.clear()
-            if normal:
-                return Decision(stop=others, finished=f"{name} has finished: {reason}")
-            return Decision(stop=others, give_up=f"{name} failed and is not restarted: {reason}")
+            return Decision(stop=others, finished=f"{name} has finished: {reason}")
         if child.restart == "temporary" or (child.restart == "transient" and normal):
             self._wanted.discard(name)
             if child.restart == "transient":
@@ -127,18 +131,29 @@ class Policy:
             return Decision()
         return self._restart_after(name, at_s, reason)
 
-    def start_failed(self, name: str, *, at_s: float, reason: str) -> Decision:
-        """A child that should run did not become active: an abnormal end, counted on end."""
+    def start_failed(self, name: str, *, at_s: float, reason: str, accident: bool) -> Decision:
+        """A child that should run did not become active: an abnormal end, counted on end.
+
+        `accident`: it was killed or did not answer; else it said so itself, and will say it again.
+        """
         self._check(name)
+        first = name not in self._tried
+        self._tried.add(name)
         self._failed_starts[name] += 1
+        hopeless = first and not accident and self._children[name].restart != "temporary"
+        if hopeless and name in self._wanted:
+            return self._given_up(f"{name}: {reason}")
         return self.ended(name, normal=False, at_s=at_s, reason=reason)
+
+    def _given_up(self, why: str) -> Decision:
+        others = tuple(reversed(self.wanted))
+        self._wanted.clear()
+        return Decision(stop=others, give_up=why)
 
     def _restart_after(self, name: str, at_s: float, reason: str) -> Decision:
         exceeded = self._exceeded(name, at_s)
         if exceeded:
-            others = tuple(reversed(self.wanted))
-            self._wanted.clear()
-            return Decision(stop=others, give_up=f"{exceeded}; last, {name}: {reason}")
+            return self._given_up(f"{exceeded}; last, {name}: {reason}")
         group = self._group(name)
         stop = tuple(other for other in reversed(self.wanted) if other in group)
         for other in group - {name}:
@@ -151,14 +166,14 @@ class Policy:
         return Decision(stop=tuple(other for other in stop if other != name), start=start)
 
     def _exceeded(self, name: str, at_s: float) -> str:
-        allowed, within_s = self._intensity.max_restarts, self._intensity.within_s
+        allowed, within_s = self.intensity.max_restarts, self.intensity.within_s
         self._restarts.append(at_s)
         while at_s - self._restarts[0] > within_s:
             self._restarts.popleft()
         if len(self._restarts) > allowed:
-            return f"more than {allowed} restarts within {within_s:g} s"
+            return f"given up after more than {allowed} restarts within {within_s:g} s"
         if self._failed_starts[name] > allowed:
-            return f"{self._failed_starts[name]} failed starts on end"
+            return f"given up after {self._failed_starts[name]} failed starts on end"
         return ""
 
     def _group(self, name: str) -> set[str]:

@@ -1,9 +1,18 @@
 """The place of one child of a supervisor: leads what runs there to active, and to its end."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 from cairn.errors import CairnError
-from cairn.supervision.child import Child, ChildEnd, ChildSpec, Launcher, LauncherLost, Verb
+from cairn.supervision.child import (
+    Accident,
+    Child,
+    ChildEnd,
+    ChildSpec,
+    Launcher,
+    LauncherLost,
+    Verb,
+)
 from cairn.supervision.events import ChildStatus, State, SupervisionEvent, What
 
 _TERMINATE_LIMIT_S = 2.0  # from asking a child to end that has not stopped, to killing it
@@ -12,6 +21,14 @@ _KILL_LIMIT_S = 5.0  # for the kernel to end a killed process and its group
 
 class StopRequested(Exception):  # noqa: N818 - leaves a start half-way
     """A stop was requested while a child was being started; the child still runs."""
+
+
+@dataclass(frozen=True)
+class StartFailure:
+    """Why a child did not become active: an accident, or by its own words."""
+
+    reason: str
+    accident: bool
 
 
 class Slot:
@@ -46,8 +63,8 @@ class Slot:
         """How the child is."""
         return ChildStatus(self.spec.name, self.state, self.incarnation, self.restarts, self.reason)
 
-    def start(self, stop_requested: Callable[[], bool]) -> str:
-        """Launch the child and lead it to active; gives why that failed, "" if it did not.
+    def start(self, stop_requested: Callable[[], bool]) -> StartFailure | None:
+        """Launch the child and lead it to active; gives why that failed, None if it did not.
 
         Nothing of a child that failed runs. Raises `StopRequested`, `LauncherLost`.
         """
@@ -65,7 +82,7 @@ class Slot:
                     raise StopRequested
                 left_s = deadline - self._now()
                 if left_s <= 0:
-                    raise CairnError(f"it was not active after {limit_s:g} s")
+                    raise Accident(f"it was not active after {limit_s:g} s")
                 self._progress(f"starting {self.spec.name}: {verb}", left_s)
                 self.child.request(verb, left_s)
         except LauncherLost:
@@ -74,15 +91,15 @@ class Slot:
         except CairnError as error:
             if stop_requested():  # which cut the step short
                 raise StopRequested from error
-            self.reason = str(error)
+            self.reason = str(error).removeprefix(f"{self.spec.name}: ")
             self.tell("start_failed", self.reason)
             if self.child is not None:
                 self._end(self.child, self.child.terminate, self.child.kill)
             self.child, self.state = None, "ended"
-            return self.reason
+            return StartFailure(self.reason, isinstance(error, Accident))
         self.state = "active"
         self.tell("active")
-        return ""
+        return None
 
     def look(self) -> ChildEnd | None:
         """How the child ended, None if it runs or there is none."""

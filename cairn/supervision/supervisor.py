@@ -17,7 +17,7 @@ from cairn.supervision.policy import (
     Strategy,
     UnknownChild,
 )
-from cairn.supervision.slot import Slot, StopRequested
+from cairn.supervision.slot import Slot, StartFailure, StopRequested
 
 
 class Escalate(CairnError):  # noqa: N818 - what the owner is to do
@@ -119,8 +119,9 @@ class Supervisor:
     def start_all(self) -> None:
         """Start the children that load at start, each when the former is active.
 
-        One that fails is restarted as one that ends. Returns when all are active, or a stop was
-        requested, or all is `finished`. Raises as `reconcile`.
+        One that dies meanwhile is restarted as at any time; one that says it cannot start has all
+        fail, as `Policy` tells. Returns when all are active, or a stop was requested, or all is
+        `finished`. Raises as `reconcile`.
         """
         self._finished = ""
         for name, slot in self._slots.items():
@@ -131,10 +132,10 @@ class Supervisor:
     def reconcile(self) -> None:
         """Take note of what has happened, and stop and start children accordingly.
 
-        Call it whenever something was noted, and now and then. Raises `Escalate` when there were
-        too many restarts, or a child is to be restarted that does not end even when killed: two of
-        it must never run. All children are stopped then. Raises `LauncherLost` with what it says;
-        the owner then calls `stop_all`.
+        Call it whenever something was noted, and now and then. Raises `Escalate` when the policy
+        says so, or a child is to be restarted that does not end even when killed: two of it must
+        never run. All children are stopped then. Raises `LauncherLost` with what it says; the owner
+        then calls `stop_all`.
         """
         try:
             while not self._stop_requested:
@@ -143,7 +144,7 @@ class Supervisor:
                 if slot is None:
                     return
                 if slot.stuck:
-                    self._give_up(f"{slot.spec.name} does not end even when killed")
+                    self._give_up(f"given up: {slot.spec.name} does not end even when killed")
                 self._start(slot)
         except StopRequested:
             return
@@ -151,23 +152,17 @@ class Supervisor:
     def load(self, name: str) -> None:
         """Start a child that is not loaded, nothing if it is.
 
-        Raises `UnknownChild`; `StartFailed` with the cause if it does not become active, which
-        then counts for nothing: it is for whoever gave the order to decide.
+        One that dies on the way is tried again, as often as restarts are allowed. Raises
+        `UnknownChild`; `StartFailed` with the cause if it does not become active, which then counts
+        for nothing: it is for whoever gave the order to decide.
         """
         slot = self._slot(name)
         if not self._policy.load(name).start:
             return
-        failure = "a stop was requested"
-        try:
-            if slot.stuck:
-                failure = "it still runs, and does not end even when killed"
-            elif not self._stop_requested:
-                failure = self._started(slot)
-        except StopRequested:
-            slot.stop()
+        failure = self._load(slot)
         if failure:
             self._policy.unload(name)
-            raise StartFailed(f"{name} could not be loaded: {failure}")
+            raise StartFailed(f"{name}: {failure}")
 
     def unload(self, name: str) -> None:
         """Stop a child and leave it stopped, nothing if it is not loaded. Raises `UnknownChild`."""
@@ -231,9 +226,8 @@ class Supervisor:
 
     def _give_up(self, why: str) -> NoReturn:
         self.stop_all()
-        reason = f"{self.name} has given up: {why}"
-        self._observe(SupervisionEvent(self._now(), self.name, 0, "given_up", reason))
-        raise Escalate(reason)
+        self._observe(SupervisionEvent(self._now(), self.name, 0, "given_up", why))
+        raise Escalate(why)
 
     def _next_to_start(self) -> Slot | None:
         slots = (self._slots[name] for name in self._policy.wanted)
@@ -241,13 +235,37 @@ class Supervisor:
 
     def _start(self, slot: Slot) -> None:
         failure = self._started(slot)
-        if failure:
-            name, at_s = slot.spec.name, self._now()
-            self._apply(self._policy.start_failed(name, at_s=at_s, reason=failure))
+        if failure is None:
+            return
+        name = slot.spec.name
+        decision = self._policy.start_failed(
+            name,
+            at_s=self._now(),
+            reason=failure.reason,
+            accident=failure.accident,
+        )
+        self._apply(decision)
 
-    def _started(self, slot: Slot) -> str:
+    def _load(self, slot: Slot) -> str:
+        """Lead a child to active; gives why that failed, "" if it did not."""
+        tries = 1 + self._policy.intensity.max_restarts
+        try:
+            while not self._stop_requested:
+                if slot.stuck:
+                    return "it still runs, and does not end even when killed"
+                failure = self._started(slot)
+                if failure is None:
+                    return ""
+                tries -= 1
+                if tries == 0 or not failure.accident:
+                    return failure.reason
+        except StopRequested:
+            slot.stop()
+        return "a stop was requested"
+
+    def _started(self, slot: Slot) -> StartFailure | None:
         failure = slot.start(lambda: self._stop_requested)
-        if not failure:
+        if failure is None:
             self._policy.started(slot.spec.name)
         return failure
 

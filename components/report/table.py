@@ -21,7 +21,8 @@ def render_table(summary: dict[str, Any]) -> str:
     for thing in summary["objects"]:
         moved = thing["removed_at_s"] is not None or thing["registered_at_s"] is not None
         table.add_row(*_row(thing), style="bold" if moved else None)
-    console.print(table)
+    if table.rows:  # else nobody told of a map
+        console.print(table)
     console.print(_closing(summary))
     file = console.file
     assert isinstance(file, io.StringIO)

@@ -38,6 +38,6 @@ def test_too_many_restarts_end_the_run_with_the_reason(launch: Launching) -> Non
 
     run.await_line("robot.root: talker stopped: shut down")
     run.await_line(
-        "cairn: deployment0.yaml failed: .*root has given up: more than 1 restarts within 10 s; "
+        "cairn: deployment0.yaml failed: .*: given up after more than 1 restarts within 10 s; "
         r"last, sentry: failed: hear \(port words\): ValueError: heard 3; logs: "
     )

@@ -9,7 +9,6 @@ from tests.faults.orders import set_fault
 from tests.launching import Launching
 
 FAILS_AT_START = """
-    supervision: {{max_restarts: 1, within_s: 60}}
     components:
       beacon: {{plugin: test_beacon}}
       base: {{plugin: test_faulty, parameters: {{fault: raise, where: {where}}}}}
@@ -22,7 +21,7 @@ ONCE = """
 
 
 @pytest.mark.parametrize("where", ["constructor", "on_configure", "on_activate"])
-def test_one_that_raises_while_it_starts_ends_the_deployment_after_its_restarts(
+def test_one_that_raises_at_its_first_start_ends_the_deployment_at_once(
     launch: Launching, where: str
 ) -> None:
     run = launch(FAILS_AT_START.format(where=where))
@@ -30,10 +29,10 @@ def test_one_that_raises_while_it_starts_ends_the_deployment_after_its_restarts(
     assert run.await_end() == 1
 
     failures = [line for line in run.lines if "ERROR   robot.root: base could not be star" in line]
-    assert len(failures) == 2
-    assert all("ValueError: broken on purpose" in line for line in failures)
+    assert len(failures) == 1
+    assert "ValueError: broken on purpose" in failures[0]
     run.await_line("beacon stopped: shut down")
-    run.await_line(r"cairn: deployment0.yaml failed: .*root has given up: more than 1 restarts")
+    run.await_line("cairn: deployment0.yaml failed: on_activate: base: .*broken on purpose; logs: ")
     assert "Traceback" in run.log_of("base")
 
 

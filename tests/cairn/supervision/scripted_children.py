@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from cairn.errors import CairnError
-from cairn.supervision.child import ChildEnd, ChildSpec, Verb
+from cairn.supervision.child import Accident, ChildEnd, ChildSpec, Verb
 from cairn.supervision.events import SupervisionEvent
 from cairn.supervision.policy import Intensity, Strategy
 from cairn.supervision.supervisor import Supervisor
@@ -21,7 +21,7 @@ def fails(reason: str) -> Step:
 
 def does_not_answer(child: "ScriptedChild", timeout_s: float) -> None:
     child.world.now_s += timeout_s
-    raise CairnError(f"{child.name} did not answer within {timeout_s:g} s")
+    raise Accident(f"{child.name} did not answer within {timeout_s:g} s")
 
 
 def takes(seconds: float) -> Step:
@@ -34,7 +34,7 @@ def takes(seconds: float) -> Step:
 def dies(reason: str) -> Step:
     def step(child: "ScriptedChild", timeout_s: float) -> None:
         child.end = ChildEnd(False, reason)
-        raise CairnError(f"{child.name} {reason}")
+        raise Accident(f"{child.name} {reason}")
 
     return step
 

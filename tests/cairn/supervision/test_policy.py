@@ -86,7 +86,7 @@ def test_one_restart_too_many_within_the_window_gives_up_with_the_last_reason() 
     decision = supervised.ended("base", normal=False, at_s=10.0, reason="was killed by SIGSEGV")
     assert decision.stop == tuple(reversed(NAMES))
     assert decision.give_up == (
-        "more than 3 restarts within 10 s; last, base: was killed by SIGSEGV"
+        "given up after more than 3 restarts within 10 s; last, base: was killed by SIGSEGV"
     )
     assert supervised.wanted == ()
 
@@ -101,16 +101,42 @@ def test_restarts_older_than_the_window_are_forgotten() -> None:
 def test_a_child_that_fails_to_start_slowly_does_not_retry_for_ever() -> None:
     supervised = policy()
     decisions = [
-        supervised.start_failed("base", at_s=count * 20.0, reason="no answer") for count in range(4)
+        supervised.start_failed("base", at_s=count * 20.0, reason="no answer", accident=True)
+        for count in range(4)
     ]
     assert [bool(decision.give_up) for decision in decisions] == [False, False, False, True]
-    assert decisions[-1].give_up == "4 failed starts on end; last, base: no answer"
+    assert decisions[-1].give_up == "given up after 4 failed starts on end; last, base: no answer"
+
+
+def test_a_child_that_says_at_first_that_it_cannot_start_makes_all_fail_at_once() -> None:
+    supervised = policy()
+    decision = supervised.start_failed("base", at_s=0.0, reason="no device", accident=False)
+    assert decision.give_up == "base: no device"
+    assert supervised.wanted == ()
+
+
+def test_a_child_that_ran_before_is_tried_again_whatever_it_says() -> None:
+    supervised = policy()
+    supervised.started("base")
+    decision = supervised.start_failed("base", at_s=0.0, reason="no device", accident=False)
+    assert (decision.start, decision.give_up) == (("base",), "")
+
+
+def test_a_temporary_child_that_cannot_start_is_left_alone() -> None:
+    supervised = Policy([ChildPolicy("base"), ChildPolicy("notes", "temporary")])
+    supervised.load("base")
+    supervised.load("notes")
+    decision = supervised.start_failed("notes", at_s=0.0, reason="no file", accident=False)
+    assert decision == Decision()
+    assert supervised.wanted == ("base",)
 
 
 def test_a_successful_start_ends_the_row_of_failed_ones() -> None:
     supervised = policy()
     for count in range(20):
-        decision = supervised.start_failed("base", at_s=count * 20.0, reason="no answer")
+        decision = supervised.start_failed(
+            "base", at_s=count * 20.0, reason="no answer", accident=True
+        )
         assert not decision.give_up
         if count % 3 == 2:
             supervised.started("base")
@@ -196,7 +222,7 @@ def test_whatever_happens_order_reach_and_intensity_hold(
             case "started":
                 supervised.started(name)
             case "failed":
-                decision = supervised.start_failed(name, at_s=now, reason="")
+                decision = supervised.start_failed(name, at_s=now, reason="", accident=True)
             case _:
                 decision = supervised.ended(name, normal=what == "normal", at_s=now, reason="")
         after = set(supervised.wanted)

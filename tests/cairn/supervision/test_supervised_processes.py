@@ -113,7 +113,7 @@ def test_failures_that_go_on_escalate_to_the_root_which_leaves_nothing(
         if incarnation < 3:
             deployment.again("base")
     reason = deployment.reports.of("escalation").facts["reason"]
-    assert reason.startswith("root has given up: more than 2 restarts within 60 s; last, base: ")
+    assert reason.startswith("given up after more than 2 restarts within 60 s; last, base: ")
     assert reason.endswith("was killed by SIGKILL")
     assert deployment.process.wait(LIMIT_S) == 1
     assert tree.processes() == []
@@ -127,7 +127,7 @@ def test_a_supervisor_that_gives_up_is_restarted_by_its_own(deployment: Deployme
             deployment.again("planner")
     assert deployment.again("mobile").facts["incarnation"] == 2
     assert deployment.again("planner").facts["incarnation"] == 1
-    assert "mobile has given up: more than 2 restarts" in deployment.log.read_text()
+    assert "given up after more than 2 restarts" in deployment.log.read_text()
 
 
 def test_a_killed_zygote_takes_all_along_and_the_root_starts_anew(

@@ -121,29 +121,38 @@ def test_a_hung_child_is_killed_and_its_handler_named(world: World) -> None:
     assert supervisor.status()[1].reason == "hung in read_scan for 5.2 s and was killed"
 
 
-def test_a_child_that_fails_to_configure_is_ended_and_tried_again(world: World) -> None:
-    world.script("base", {"configure": fails("no device /dev/ttyUSB0")})
+def test_a_restarted_child_that_fails_to_configure_is_ended_and_tried_again(world: World) -> None:
+    world.script("base", {}, {"configure": fails("no device /dev/ttyUSB0")})
     supervisor = world.supervisor("base", "scanner")
     supervisor.start_all()
-    assert world.steps == [
-        *("launch base", "configure base", "terminate base"),
-        *START_BASE,
-        *START_SCANNER,
-    ]
+    world.take_steps()
+    world.children["base"].end = CRASH
+    supervisor.reconcile()
+    assert world.steps == [*("launch base", "configure base", "terminate base"), *START_BASE]
     assert ("start_failed", "no device /dev/ttyUSB0") in world.told("base")
-    assert supervisor.status()[0].restarts == 1
+    assert supervisor.status()[0].restarts == 2
 
 
-def test_a_child_that_always_fails_to_start_escalates_with_its_own_error(world: World) -> None:
-    world.script("scanner", *[{"launch": fails("scanner: no module rplidar")}] * 4)
+def test_a_child_that_cannot_start_at_first_escalates_at_once_with_its_own_error(
+    world: World,
+) -> None:
+    world.script("scanner", {"launch": fails("scanner: no module rplidar")})
     supervisor = world.supervisor("base", "scanner", "localizer")
-    with pytest.raises(Escalate, match=r"mobile_supervisor has given up: .*no module rplidar"):
+    with pytest.raises(Escalate, match=r"^scanner: no module rplidar$"):
+        supervisor.start_all()
+    assert world.steps == [*START_BASE, "launch scanner", *STOP_BASE]
+    assert world.running() == []
+    supervisor.reconcile()
+    assert world.running() == []
+
+
+def test_a_child_that_keeps_dying_while_it_starts_escalates(world: World) -> None:
+    world.script("scanner", *[{"activate": dies("was killed by SIGSEGV")}] * 4)
+    supervisor = world.supervisor("base", "scanner", "localizer")
+    with pytest.raises(Escalate, match=r"more than 3 restarts .* scanner was killed by SIGSEGV"):
         supervisor.start_all()
     assert world.steps.count("launch scanner") == 4
     assert "launch localizer" not in world.steps
-    assert world.steps[-2:] == STOP_BASE
-    assert world.running() == []
-    supervisor.reconcile()
     assert world.running() == []
 
 

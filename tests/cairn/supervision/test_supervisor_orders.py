@@ -8,6 +8,7 @@ from cairn.supervision.supervisor import StartFailed
 
 from .scripted_children import (
     World,
+    dies,
     fails,
 )
 
@@ -41,9 +42,28 @@ def test_an_order_that_fails_is_told_to_who_gave_it_and_counts_for_nothing(world
     supervisor = world.supervisor("base", ChildSpec("automove", load="on_order"))
     supervisor.start_all()
     for _ in range(10):
-        with pytest.raises(StartFailed, match="automove could not be loaded: unknown planner"):
+        with pytest.raises(StartFailed, match=r"^automove: unknown planner"):
             supervisor.load("automove")
     supervisor.reconcile()
+    assert world.running() == ["base"]
+
+
+def test_a_child_that_dies_while_it_is_loaded_is_tried_again(world: World) -> None:
+    world.script("automove", *[{"configure": dies("was killed by SIGKILL")}] * 3)
+    supervisor = world.supervisor("base", ChildSpec("automove", load="on_order"))
+    supervisor.start_all()
+    supervisor.load("automove")
+    assert world.running() == ["base", "automove"]
+
+
+def test_a_child_that_always_dies_while_it_is_loaded_is_not_loaded(world: World) -> None:
+    world.script("automove", *[{"configure": dies("was killed by SIGKILL")}] * 10)
+    supervisor = world.supervisor("base", ChildSpec("automove", load="on_order"))
+    supervisor.start_all()
+    world.take_steps()
+    with pytest.raises(StartFailed, match="was killed by SIGKILL"):
+        supervisor.load("automove")
+    assert world.steps.count("launch automove") == 4
     assert world.running() == ["base"]
 
 
@@ -89,7 +109,7 @@ def test_a_stop_requested_during_a_start_ends_it_at_the_next_step(world: World) 
 
 
 def test_a_stop_requested_while_a_start_keeps_failing_ends_the_retries(world: World) -> None:
-    world.script("base", *[{"configure": fails("no device")}] * 1000)
+    world.script("base", *[{"configure": dies("was killed by SIGSEGV")}] * 1000)
     supervisor = world.supervisor("base", intensity=Intensity(1000, 10.0))
 
     def stop(text: str) -> None:
