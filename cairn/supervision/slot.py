@@ -91,7 +91,7 @@ class Slot:
         except CairnError as error:
             if stop_requested():  # which cut the step short
                 raise StopRequested from error
-            self.reason = str(error).removeprefix(f"{self.spec.name}: ")
+            self.reason = self._own_words(error)
             self.tell("start_failed", self.reason)
             if self.child is not None:
                 self._end(self.child, self.child.terminate, self.child.kill)
@@ -147,9 +147,14 @@ class Slot:
         try:
             self._progress(f"stopping {self.spec.name}: {verb}", left_s)
             child.request(verb, left_s)
-        except Exception as error:  # the other children must be stopped all the same
+        except Accident as error:
             if child.wait(0) is None:  # else it is told how it ended
                 self.tell("stop_failed", f"{verb}: {error}")
+        except Exception as error:  # the other children must be stopped all the same
+            self.tell("stop_failed", self._own_words(error))
+
+    def _own_words(self, error: Exception) -> str:
+        return str(error).removeprefix(f"{self.spec.name}: ")
 
     def _end(self, child: Child, *steps: Callable[[], None]) -> ChildEnd:
         """Take steps of growing force, the last one killing, until the child has ended."""

@@ -52,5 +52,5 @@ def test_a_report_that_cannot_be_written_makes_the_run_fail(launch: Launching) -
 
     run.await_line("beacon stopped: shut down")
     run.await_line(
-        "cairn: deployment0.yaml failed: .*notary: .*on_deactivate: FileNotFoundError: .*/deed"
+        "cairn: deployment0.yaml failed: .*: notary: deactivate failed: FileNotFoundError: .*/deed"
     )

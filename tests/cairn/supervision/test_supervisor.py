@@ -210,7 +210,7 @@ def test_stopping_goes_on_past_a_child_that_fails_to(world: World) -> None:
     world.take_steps()
     supervisor.stop_all()
     assert world.steps == STOP_SCANNER + STOP_BASE
-    assert ("stop_failed", "deactivate: motor does not stop") in world.told("scanner")
+    assert ("stop_failed", "motor does not stop") in world.told("scanner")
 
 
 def test_a_child_that_does_not_stop_is_terminated_and_then_killed(world: World) -> None:
