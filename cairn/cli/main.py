@@ -76,7 +76,6 @@ def main() -> None:
         build()()
     except StoppedByForce as error:
         _complain(str(error))
-        sys.stdout.flush()
         os._exit(1)  # Python's own end can abort while threads are at work
     except CairnError as error:
         _complain(str(error))

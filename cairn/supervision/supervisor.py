@@ -237,12 +237,8 @@ class Supervisor:
         failure = self._started(slot)
         if failure is None:
             return
-        name = slot.spec.name
         decision = self._policy.start_failed(
-            name,
-            at_s=self._now(),
-            reason=failure.reason,
-            accident=failure.accident,
+            slot.spec.name, at_s=self._now(), reason=failure.reason, accident=failure.accident
         )
         self._apply(decision)
 

@@ -27,21 +27,13 @@ class Journal:
         if resume and file.exists():
             self._retell()
         self._stream: IO[str] | None = file.open("a" if resume else "w", buffering=1)
-        self._stream.write("\n" if resume else "")  # the last line may have been cut off
+        if resume:
+            self._write("\n")  # the last line may have been cut off
 
     def tell(self, what: str, *values: Value) -> None:
         """Call the record's method `what`."""
         getattr(self._record, what)(*values)
-        if self._stream is None:
-            return
-        try:
-            self._stream.write(json.dumps([what, *values]) + "\n")
-        except OSError as error:  # the record goes on, and so does the robot
-            self._log.warning(
-                "%s cannot be written (%s): should this process be killed, the report is lost",
-                self._file, error.strerror,
-            )  # fmt: skip
-            self._stream = None
+        self._write(json.dumps([what, *values]) + "\n")
 
     def remove(self) -> None:
         """Close and remove the file: the report stands."""
@@ -57,3 +49,15 @@ class Journal:
             except ValueError:  # cut off by the end of the process
                 continue
             getattr(self._record, what)(*values)
+
+    def _write(self, text: str) -> None:
+        if self._stream is None:
+            return
+        try:
+            self._stream.write(text)
+        except OSError as error:  # the record goes on, and so does the robot
+            self._log.warning(
+                "%s cannot be written (%s): should this process be killed, the report is lost",
+                self._file, error.strerror,
+            )  # fmt: skip
+            self._stream = None

@@ -4,7 +4,6 @@ import math
 from dataclasses import dataclass, field
 
 Place = tuple[float, float]
-_SAME = 0.02  # [m]: a place that agreeing sightings refined meanwhile
 
 
 @dataclass
@@ -39,13 +38,18 @@ class Moves:
 
     def restored(self, place: Place | None) -> None:
         """The object stands again at a place that it left; None: it is again sought for."""
-        if place is None:
-            if self.standing and self.standing[-1].registered_at is None:
-                self.standing.pop()
-            if self.standing:
-                self.standing[-1].registered_at = None
+        if place is not None:
+            del self.standing[self._since(place) :]
             return
-        while self.standing:
-            left = self.standing.pop().left
-            if left is None or math.dist(left, place) <= _SAME:
-                return
+        if self.standing and self.standing[-1].registered_at is None:
+            self.standing.pop()
+        if self.standing and self.standing[-1].removed_at is None:
+            self.standing.pop()
+        elif self.standing:
+            self.standing[-1].registered_at = None
+
+    def _since(self, place: Place) -> int:
+        """The move that left this place; sightings may have refined it by centimetres before."""
+        left = [move.left for move in self.standing]
+        apart = [math.inf if one is None else math.dist(one, place) for one in left]
+        return min(reversed(range(len(apart))), key=apart.__getitem__, default=0)

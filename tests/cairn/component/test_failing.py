@@ -13,11 +13,6 @@ from tests.cairn.component.part import BOOM, STEPS, Part, failing, word
 from tests.cairn.component.running import Lockstep, taken
 
 
-@pytest.fixture
-def lockstep() -> Lockstep:
-    return Lockstep()
-
-
 def test_who_cannot_be_constructed_is_named_with_the_cause_and_leaves_the_bus(
     lockstep: Lockstep,
 ) -> None:

@@ -14,11 +14,6 @@ from tests.cairn.component.part import BOOM, STEPS, Part, failing, word
 from tests.cairn.component.running import Lockstep, taken
 
 
-@pytest.fixture
-def lockstep() -> Lockstep:
-    return Lockstep()
-
-
 def test_the_whole_life(lockstep: Lockstep) -> None:
     part = lockstep.add(Part)
     states = [part.state]

@@ -8,11 +8,6 @@ from tests.cairn.component.base import Base, BaseConfig, Limits
 from tests.cairn.component.running import Lockstep
 
 
-@pytest.fixture
-def lockstep() -> Lockstep:
-    return Lockstep()
-
-
 def test_parameters_change_while_it_runs_all_or_none(lockstep: Lockstep) -> None:
     part = lockstep.add(Base, parameters={"gain": 0.25})
     part.activate()

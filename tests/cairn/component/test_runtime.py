@@ -17,11 +17,6 @@ from tests.cairn.component.base import Base, word
 from tests.cairn.component.running import Lockstep, taken
 
 
-@pytest.fixture
-def lockstep() -> Lockstep:
-    return Lockstep()
-
-
 def test_handlers_of_one_port_are_called_in_order_of_declaration_bases_first(
     lockstep: Lockstep,
 ) -> None:

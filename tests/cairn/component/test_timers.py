@@ -34,11 +34,6 @@ class Part(Component):
         self.calls.append(self.clock.now() / SECOND)
 
 
-@pytest.fixture
-def lockstep() -> Lockstep:
-    return Lockstep()
-
-
 def seconds(time: float) -> int:
     return round(time * SECOND)
 

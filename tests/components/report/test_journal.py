@@ -1,6 +1,7 @@
 """What a report was told outlives the death of its process."""
 
 import logging
+import resource
 from pathlib import Path
 
 import pytest
@@ -77,3 +78,20 @@ def test_a_full_disk_costs_the_journal_only(file: Path, caplog: pytest.LogCaptur
 
     assert record.estimate_stamps == [5, 6]
     assert len([one for one in caplog.records if "No space left" in one.getMessage()]) == 1
+
+
+def test_a_report_restarted_on_a_full_disk_goes_on(
+    file: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    Journal(RunRecord(), file, LOG, resume=False).tell("estimated", 5, 0.0, 0.0, 0.0)
+    record = RunRecord()
+
+    unlimited = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (file.stat().st_size, unlimited[1]))
+    try:
+        Journal(record, file, LOG, resume=True).tell("estimated", 6, 0.0, 0.0, 0.0)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, unlimited)
+
+    assert record.estimate_stamps == [5, 6]
+    assert len([one for one in caplog.records if "cannot be written" in one.getMessage()]) == 1

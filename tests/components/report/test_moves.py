@@ -25,7 +25,7 @@ def test_taking_back_a_later_move_leaves_the_one_that_holds() -> None:
     moves = Moves()
     moves.removed(10, HERE)
     moves.registered(20)
-    moves.removed(30, (THERE[0] + 0.01, THERE[1]))  # refined since it was registered
+    moves.removed(30, (THERE[0] + 0.05, THERE[1]))  # refined since it was registered
     moves.restored(THERE)
 
     assert moves.last == Move(HERE, 10, 20)
@@ -58,3 +58,12 @@ def test_an_object_that_the_map_lacked_is_registered_only() -> None:
     assert moves.last == Move(None, None, 20)
     moves.restored(None)
     assert moves.last == Move(None, None, None)
+
+
+def test_a_registration_that_is_taken_back_of_an_object_without_a_place_is_forgotten() -> None:
+    moves = Moves()
+    moves.registered(20)
+    moves.removed(30, THERE)
+    moves.restored(None)
+
+    assert moves.standing == []
