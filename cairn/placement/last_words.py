@@ -15,30 +15,43 @@ def closing_words(pid: int, reason: str) -> str:
     return f"process {pid} ended: {'; '.join(reason.splitlines())}"
 
 
-def end_of(exit_: ChildExit, log: Path) -> ChildEnd:
-    """The end of a component's process; the reason tells how, and where its log is."""
-    where = f"(process {exit_.pid}, log {log})"
-    if exit_.signal is not None:
-        return ChildEnd(False, f"{exit_.manner} {where}")
-    words, last_line = _tail(log, exit_.pid)
-    if exit_.normal:
-        return ChildEnd(True, words or f"{exit_.manner} of its own accord")
-    if words:
-        return ChildEnd(False, f"failed {where}: {words}")
-    return ChildEnd(False, f"{exit_.manner} {where}" + (f": {last_line}" if last_line else ""))
+class LastWords:
+    """What a process says in its component's log; made before the process is started.
 
+    Former incarnations have written to the same file; on a full disk, this one perhaps nothing.
+    """
 
-def _tail(log: Path, pid: int) -> tuple[str, str]:
-    """The closing words of a process, "" if it had none, and the last line of its log."""
-    mark = closing_words(pid, "")
-    try:
-        with log.open("rb") as file:
-            file.seek(0, 2)
-            file.seek(max(0, file.tell() - _TAIL_BYTES))
-            lines = deque(file.read().decode(errors="replace").splitlines(), maxlen=_TAIL_LINES)
-    except OSError:
-        return "", ""
-    for line in reversed(lines):
-        if line.startswith(mark):
-            return line.removeprefix(mark), line
-    return "", lines[-1].strip() if lines else ""
+    def __init__(self, log: Path) -> None:
+        self._log = log
+        try:
+            self._begin = log.stat().st_size
+        except OSError:  # there is none yet
+            self._begin = 0
+
+    def end_of(self, exit_: ChildExit) -> ChildEnd:
+        """The end of the process; the reason tells how, and where its log is."""
+        where = f"(process {exit_.pid}, log {self._log})"
+        if exit_.signal is not None:
+            return ChildEnd(False, f"{exit_.manner} {where}")
+        words, last_line = self._tail(exit_.pid)
+        if exit_.normal:
+            return ChildEnd(True, words or f"{exit_.manner} of its own accord")
+        if words:
+            return ChildEnd(False, f"failed {where}: {words}")
+        said = f": {last_line}" if last_line else ""
+        return ChildEnd(False, f"{exit_.manner} {where}{said}")
+
+    def _tail(self, pid: int) -> tuple[str, str]:
+        """The closing words of the process, "" if it had none, and the last line that it wrote."""
+        mark = closing_words(pid, "")
+        try:
+            with self._log.open("rb") as file:
+                end = file.seek(0, 2)
+                file.seek(min(end, max(self._begin, end - _TAIL_BYTES)))
+                lines = deque(file.read().decode(errors="replace").splitlines(), maxlen=_TAIL_LINES)
+        except OSError:
+            return "", ""
+        for line in reversed(lines):
+            if line.startswith(mark):
+                return line.removeprefix(mark), line
+        return "", lines[-1].strip() if lines else ""

@@ -15,7 +15,7 @@ from cairn.bus.zenoh_bus import ZenohBus
 from cairn.deployment.plugins import load_plugin
 from cairn.errors import CairnError
 from cairn.placement.hosted import Hosted
-from cairn.placement.last_words import end_of
+from cairn.placement.last_words import LastWords
 from cairn.placement.order import Order, as_json
 from cairn.supervision.child import Accident, Child, ChildEnd, ChildSpec, Verb
 from cairn.supervision.child_process import ChildExit, ChildProcess
@@ -28,7 +28,7 @@ TRACEBACK_SIGNAL = signal.SIGUSR1
 _TRACEBACK_LIMIT_S = 0.2
 _KILL_LIMIT_S = 5.0
 _WORDS_LEAD_S = 0.2
-_ENDING_LIMIT_S = 5.0  # from leaving the bus to the end of the process
+_ENDING_LIMIT_S = 5.0  # between leaving the bus and the end of the process, in either order
 
 
 class Household:
@@ -114,7 +114,13 @@ class HostLauncher:
         log = Path(surroundings.log_folder) / f"{order.name}.log"
         fresh = order.spec.interpreter == "fresh"
         session = self._supervisor.bus.session
+        words = LastWords(log)
         with Arrival(session, control_key(surroundings.domain, name)) as arrival:
+            if not arrival.wait_gone(min(timeout_s, _ENDING_LIMIT_S)):
+                raise Accident(
+                    f"somebody else on this bus answers as {name}; stop that, or give this robot "
+                    "another name (`--set robot=NAME`)"
+                )
             try:
                 process = self._client().spawn(
                     order.name,
@@ -127,7 +133,7 @@ class HostLauncher:
                 )
             except SpawnFailed as error:
                 raise CairnError(_in_short(error, order.name, log)) from error
-            child = ProcessChild(process, log, name, self._supervisor, arrival.give_up)
+            child = ProcessChild(process, words, name, self._supervisor, arrival.give_up)
             self._starting = child
             process.on_end(lambda _: arrival.give_up())
             if arrival.wait(timeout_s):
@@ -174,13 +180,13 @@ class ProcessChild:
     def __init__(
         self,
         process: ChildProcess,
-        log: Path,
+        words: LastWords,
         full: str,
         supervisor: Hosted,
         give_up_launch: Callable[[], None],
     ) -> None:
         self._process = process
-        self._log = log
+        self._words = words
         self._full = full
         self._supervisor = supervisor
         self._give_up_launch = give_up_launch
@@ -230,7 +236,7 @@ class ProcessChild:
     def wait(self, timeout_s: float) -> ChildEnd | None:
         """Its end, with its last words."""
         exit_ = self._process.wait(timeout_s)
-        return None if exit_ is None else end_of(exit_, self._log)
+        return None if exit_ is None else self._words.end_of(exit_)
 
     def _ask(self, verb: Verb, timeout_s: float) -> None:
         domain = self._supervisor.order.surroundings.domain
