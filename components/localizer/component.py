@@ -1,35 +1,45 @@
-"""The component Localizer: the robot's pose, and evidence for and against mapped objects."""
+"""The component Localizer: the robot's pose, its health, and evidence for and against objects."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
-from cairn.bus.qos import LATCHED, RELIABLE
+from cairn.bus.qos import LATCHED, RELIABLE, SENSOR
 from cairn.clock import SECOND, from_ns, to_ns
 from cairn.component.component import Component
 from cairn.component.handlers import every, on
 from cairn.component.parameters import Config, ParameterRefused
 from cairn.component.ports import In, Out
+from cairn.errors import CairnError
 from components.localizer.config import LocalizerConfig
+from components.localizer.health import Health, without_scans
 from components.localizer.localization import Localization
 from components.localizer.messages import (
-    cloud_message,
     evidence_message,
+    health_message,
     landmarks_of,
-    planar,
-    pose_message,
     sightings_of,
     transform_message,
 )
 from components.localizer.object_likelihood import Sighting
+from components.localizer.odometry import MeasuredTrack
 from components.localizer.order import Held
-from components.localizer.recent import compose
+from components.localizer.resume import resumed, save
+from planar.grid import grid_of
+from planar.messages import packed_poses, planar_covariance, planar_pose, with_covariance
+from planar.odometry import OdometryHistory
+from planar.poses import Pose, compose, inverse, relative
+from planar.sweep import rays_of, sweep_s
 from schemas.builtin_interfaces import Time
 from schemas.cairn_msgs import ObjectEvidenceArray, RecognizedObjectArray, VisualMap
+from schemas.cairn_nav_msgs import LocalizationHealth
 from schemas.geometry_msgs import PoseArray, PoseWithCovarianceStamped
-from schemas.nav_msgs import Odometry
+from schemas.map_msgs import OccupancyGridUpdate
+from schemas.nav_msgs import OccupancyGrid, Odometry
+from schemas.sensor_msgs import LaserScan
 from schemas.std_msgs import Header
 from schemas.tf2_msgs import TFMessage
 
@@ -37,26 +47,45 @@ from schemas.tf2_msgs import TFMessage
 STEP_S, BEHIND_S = 0.5, 0.5
 # Sightings later than this behind the cloud are of no use [s].
 LATE_S = 1.0
-# Over a gap in odometry longer than this [s] its own pose tells how the robot moved.
+# A gap in odometry that is worth telling of [s].
 GAP_S = 1.5
 POSE_EVERY_S = 0.0999
+# While scans come at least this often [s], each gives a pose; else odometry does.
+SCANS_S = 0.5
+# Without scans for longer [s] the pose is less sure than it says.
+SILENT_S = 1.0
 # A start is known as long as odometry has drifted less than this from its origin [m].
 START_HOLDS_M = 0.5
+# How far [m], [rad] the robot may have come while odometry jumped.
+JUMP_M, JUMP_RAD = 0.15, 0.15
 SHOWN = 200  # poses of the cloud on topic `particles`
+
+
+@dataclass(frozen=True)
+class _Sweep:
+    """A scan waiting for odometry: its time is that of its last beam."""
+
+    scan: LaserScan
+    began_s: float
 
 
 class Localizer(Component):
     """Estimates the robot's pose in the map by Monte Carlo localization.
 
-    Judges every sighted object of the map against the pose that the other objects give.
+    Fuses odometry, a range scanner against the grid map, and recognised objects of the visual map;
+    either sensor may be missing. Judges every sighted object against the pose that all else gives.
     """
 
     config: LocalizerConfig
     odom: In[Odometry] = In(qos=RELIABLE.with_depth(1000))
-    objects: In[RecognizedObjectArray] = In(qos=RELIABLE.with_depth(200))
-    visual_map: In[VisualMap] = In(qos=LATCHED.with_depth(20))
+    scan: In[LaserScan] = In(qos=SENSOR, optional=True)
+    map: In[OccupancyGrid] = In(qos=LATCHED, optional=True)
+    map_updates: In[OccupancyGridUpdate] = In(qos=RELIABLE.with_depth(50), optional=True)
+    objects: In[RecognizedObjectArray] = In(qos=RELIABLE.with_depth(200), optional=True)
+    visual_map: In[VisualMap] = In(qos=LATCHED.with_depth(20), optional=True)
     initialpose: In[PoseWithCovarianceStamped] = In(optional=True)
     pose: Out[PoseWithCovarianceStamped]
+    localization_health: Out[LocalizationHealth]
     particles: Out[PoseArray]
     object_evidence: Out[ObjectEvidenceArray] = Out(qos=RELIABLE.with_depth(200))
     relocalised: Out[PoseWithCovarianceStamped]
@@ -64,132 +93,256 @@ class Localizer(Component):
 
     def on_configure(self) -> None:
         """Take memory; the robot is not located before the first odometry."""
-        self._localization = Localization(self.config.settings(), self.random)
-        self._held: Held[list[Sighting]] = Held(self.config.hold_s)
-        self._published = -math.inf
+        folder = self.config.resume_file.parent if self.config.resume_file else None
+        if folder is not None and not folder.is_dir():
+            raise CairnError(f"{folder}: no such folder to keep the last pose in (resume_file)")
+        self._track = self.config.base.track()
+        self._localization = Localization(self.config.settings(), self._track, self.random)
+        self._held: Held[_Sweep | list[Sighting]] = Held(self.config.hold_s)
+        self._history = OdometryHistory(5 * SECOND)
+        self._published = self._scanned = -math.inf
+        self._was_located = False
+        self._jumps = 0
         self._told: dict[str, int] = {}
-        self._last_odom = Odometry()
 
     def on_parameters(self, new: Config) -> None:  # noqa: ARG002 - none can be changed
         """The clouds are laid out once."""
         raise ParameterRefused("the localizer takes its parameters when it is configured")
 
+    @on("map")
+    def use_grid(self, message: OccupancyGrid) -> None:
+        """Take a grid map."""
+        if message.data.size == 0:
+            self._complain("map", f"the map on {self.map.topic} is empty: ignored")
+            return
+        self._localization.use_grid(grid_of(message))
+
+    @on("map_updates")
+    def renew_grid(self, update: OccupancyGridUpdate) -> None:
+        """Take what has changed in the grid map."""
+        here = self._localization.map
+        if here is None:
+            return
+        values = update.data.reshape(update.height, update.width)
+        if not here.fits(update.y, update.x, values):
+            self._complain("update", f"an update on {self.map_updates.topic} is off the map")
+            return
+        here.renew(update.y, update.x, values)
+
     @on("visual_map")
     def use_map(self, visual_map: VisualMap) -> None:
-        """Take the map's new state."""
+        """Take the visual map's new state."""
         self._localization.use_map(landmarks_of(visual_map))
 
     @on("initialpose")
     def begin_at(self, given: PoseWithCovarianceStamped) -> None:
         """Take an operator's word for where the robot is."""
-        where, covariance = planar(given.pose)
-        self._localization.locate(where, covariance)
+        where = planar_pose(given.pose.pose)
+        self._localization.locate(where, planar_covariance(given.pose))
         self.log.info("told to be at (%.2f m, %.2f m, %.2f rad)", *where)
 
     @on("odom")
     def follow(self, odom: Odometry) -> None:
-        """Take a commanded velocity; work off the sightings that waited for it."""
+        """Take odometry; work off the scans and sightings that waited for it."""
         stamp = _seconds(odom.header.stamp)
-        latest = self._localization.track.latest
+        pose = planar_pose(odom.pose.pose)
+        latest = self._track.latest
         if latest == -math.inf:
-            self._begin(odom, stamp)
+            self._begin(odom, stamp, pose)
         elif stamp - latest > GAP_S:
-            self._localization.bridge(stamp, planar(self._last_odom.pose)[0], planar(odom.pose)[0])
             self._complain("gap", f"no odometry on {self.odom.topic} for {stamp - latest:.1f} s")
         twist = odom.twist.twist
-        if not self._localization.command(stamp, twist.linear.x, twist.angular.z):
-            self._complain_of_time(self.odom.topic, stamp, latest)
+        if not self._localization.command(stamp, pose, twist.linear.x, twist.angular.z):
+            self._complain(
+                self.odom.topic,
+                f"time on {self.odom.topic} runs backwards, from {latest:.3f} s to {stamp:.3f} s: "
+                "ignored",
+            )
             return
-        self._last_odom = odom
+        self._note_jump()
+        self._history.add(to_ns(odom.header.stamp), pose)
         self._work_off()
-        if stamp - self._published >= POSE_EVERY_S:
-            self._publish_pose(odom, stamp)
+        without_scans = stamp - self._scanned > SCANS_S
+        if without_scans and stamp - self._published >= POSE_EVERY_S:
+            self._localization_at(stamp, pose)
+
+    @on("scan")
+    def look(self, scan: LaserScan) -> None:
+        """Take a scan; it waits until odometry has reached its last beam."""
+        began = _seconds(scan.header.stamp)
+        ends = began + sweep_s(scan)
+        if ends < self._track.integrated_to - LATE_S:
+            late_s = self._track.integrated_to - ends
+            self._complain("late scan", f"a scan of {began:.3f} s is {late_s:.1f} s late: ignored")
+            return
+        self._held.add(ends, _Sweep(scan, began))
+        self._work_off()
 
     @on("objects")
     def see(self, message: RecognizedObjectArray) -> None:
         """Take recognised objects; they wait until odometry has reached their time."""
         stamp = _seconds(message.header.stamp)
-        reached = self._localization.track.integrated_to
+        reached = self._track.integrated_to
         if stamp < reached - LATE_S:
             late_s = reached - stamp
             self._complain("late", f"sightings of {stamp:.3f} s are {late_s:.1f} s late: ignored")
             return
-        if not self._held.add(stamp, sightings_of(message)):
-            self._complain_of_time(self.objects.topic, stamp, reached)
-            return
+        self._held.add(stamp, sightings_of(message))
         self._work_off()
 
     @every(hz=2)
     def publish_particles(self) -> None:
-        """Show the cloud; work off sightings whose odometry never came."""
+        """Show the cloud; work off what waits for odometry that never came."""
         self._work_off()
         if self._localization.located:
-            cloud = self._localization.bank.sample(SHOWN)
-            stamp = from_ns(round(self._localization.track.integrated_to * SECOND))
-            self.particles.publish(cloud_message(Header(stamp=stamp, frame_id="map"), cloud))
+            # A generator of its own: to be looked at must not change what follows.
+            cloud = self._localization.bank.cloud.sample(SHOWN, np.random.default_rng(0))
+            header = self._header(self._track.integrated_to)
+            self.particles.publish(PoseArray(header=header, poses=packed_poses(cloud.T)))
 
-    def _begin(self, odom: Odometry, stamp: float) -> None:
-        self._last_odom = odom
+    @every(hz=1)
+    def keep_pose(self) -> None:
+        """Write down where the robot is, for a localizer that comes after."""
+        file, at = self.config.resume_file, self._track.integrated_to
+        if file is None or not self._localization.located or at == -math.inf:
+            return
+        odom = self._history.at(round(at * SECOND))
+        if odom is None or self._localization.health().value < 0.5:
+            return
+        estimate = self._localization.pose()
+        try:
+            save(file, at, estimate.mean, estimate.covariance, odom)
+        except OSError as error:
+            self._complain("resume", f"the pose cannot be kept in {file}: {error.strerror}")
+
+    def _begin(self, odom: Odometry, stamp: float, pose: Pose) -> None:
         self._localization.advance(stamp)
+        file = self.config.resume_file
+        last = resumed(file, stamp, pose, self.log) if file else None
+        if last is not None:
+            self._localization.locate(last.mean, last.covariance)
+            return
         start = self.config.start
         if start is None:
-            self.log.info("start unknown: looking for the robot by the objects it sees")
+            self.log.info("start unknown: looking for the robot by what it sees")
             return
-        moved, covariance = planar(odom.pose)
+        covariance = planar_covariance(odom.pose)
         drift = math.sqrt(covariance[0, 0] + covariance[1, 1])
         if drift > START_HOLDS_M:
             self.log.warning(
                 "the known start no longer holds, as odometry has drifted by some %.1f m since: "
-                "looking for the robot by the objects it sees",
+                "looking for the robot by what it sees",
                 drift,
             )
             return
         spread = np.diag([start.position_sd**2, start.position_sd**2, start.heading_sd**2])
         self._localization.locate(
-            compose((start.x, start.y, start.theta), moved), spread + covariance
+            compose((start.x, start.y, start.theta), pose), spread + covariance
         )
 
+    def _note_jump(self) -> None:
+        track = self._track
+        if isinstance(track, MeasuredTrack) and track.jumps > self._jumps:
+            self._jumps = track.jumps
+            self._history.clear()
+            self._localization.doubt(JUMP_M, JUMP_RAD)
+            self._complain("jump", f"odometry on {self.odom.topic} jumped: that step is left out")
+
     def _work_off(self) -> None:
-        track = self._localization.track
+        track = self._track
         now = self.clock.now() / SECOND
-        for stamp, sightings in self._held.release(track.latest, now):
+        for stamp, item in self._held.release(track.latest, now):
             if stamp > track.latest:
-                self._complain("wait", f"sightings of {stamp:.3f} s found no odometry of that time")
-            self._fuse(stamp, sightings)
+                self._complain(
+                    "wait", f"what was seen at {stamp:.3f} s found no odometry of that time"
+                )
+            if isinstance(item, _Sweep):
+                self._fuse_scan(stamp, item)
+            else:
+                self._fuse_objects(stamp, item)
         waiting = self._held.oldest
         while track.latest - track.integrated_to >= STEP_S + BEHIND_S:
             if waiting is not None and waiting <= track.integrated_to + STEP_S:
                 break
             self._localization.advance(track.integrated_to + STEP_S)
 
-    def _fuse(self, stamp: float, sightings: list[Sighting]) -> None:
+    def _fuse_scan(self, ends: float, sweep: _Sweep) -> None:
+        began = self._history.at(to_ns(sweep.scan.header.stamp))
+        ended = self._history.at(round(ends * SECOND))
+        if began is None or ended is None:
+            began = ended = (0.0, 0.0, 0.0)
+        points = rays_of(sweep.scan, self.config.mount.pose, relative(began, ended)).points()
+        if np.isnan(sweep.scan.ranges).all():
+            self._complain("blind", f"a scan on {self.scan.topic} holds no measurement at all")
+        self._scanned = ends
+        found = self._localization.scan(ends, points)
+        if found:
+            self._tell_found(ends)
+        if not self._localization.located:
+            self._tell_health(sweep.scan.header)
+            return
+        estimate = self._localization.pose()
+        at_first_beam = compose(estimate.mean, inverse(relative(began, ended)))
+        header = Header(stamp=sweep.scan.header.stamp, frame_id="map")
+        self._publish(header, at_first_beam, began, estimate.covariance)
+
+    def _fuse_objects(self, stamp: float, sightings: list[Sighting]) -> None:
         was_located = self._localization.located
         frame = self._localization.sight(stamp, sightings)
-        header = Header(stamp=from_ns(round(stamp * SECOND)), frame_id="map")
         if frame is None:
             if self._localization.located and not was_located:
-                self.log.info("found the robot by the objects that it sees")
+                self._tell_found(stamp)
             return
+        header = self._header(stamp)
         self.object_evidence.publish(evidence_message(header, frame))
         if frame.relocalised:
-            found = self._localization.pose()
-            self.log.warning("the robot was lost and found itself again")
-            self.relocalised.publish(pose_message(header, found.mean, found.covariance))
+            self._tell_found(stamp)
 
-    def _publish_pose(self, odom: Odometry, stamp: float) -> None:
-        if not self._localization.located:
+    def _tell_found(self, stamp: float) -> None:
+        found = self._localization.pose()
+        if not self._was_located:
+            self.log.info("found the robot at (%.2f m, %.2f m, %.2f rad)", *found.mean)
+            self._was_located = True
             return
-        self._published = stamp
+        self.log.warning(
+            "the robot was lost and found itself at (%.2f m, %.2f m, %.2f rad)", *found.mean
+        )
+        self.relocalised.publish(
+            PoseWithCovarianceStamped(
+                header=self._header(stamp), pose=with_covariance(found.mean, found.covariance)
+            )
+        )
+
+    def _localization_at(self, stamp: float, odom: Pose) -> None:
+        if not self._localization.located:
+            self._published = stamp
+            self._tell_health(self._header(stamp))
+            return
         estimate = self._localization.pose()
         now = self._localization.ahead(estimate.mean, stamp)
-        header = Header(stamp=odom.header.stamp, frame_id="map")
-        self.pose.publish(pose_message(header, now, estimate.covariance))
-        self.tf.publish(transform_message(header, now, planar(odom.pose)[0]))
+        self._publish(self._header(stamp), now, odom, estimate.covariance)
 
-    def _complain_of_time(self, topic: str, stamp: float, newest: float) -> None:
-        self._complain(
-            topic, f"time on {topic} runs backwards, from {newest:.3f} s to {stamp:.3f} s: ignored"
+    def _publish(self, header: Header, pose: Pose, odom: Pose, covariance: np.ndarray) -> None:
+        self._was_located = True
+        self._published = _seconds(header.stamp)
+        self.pose.publish(
+            PoseWithCovarianceStamped(header=header, pose=with_covariance(pose, covariance))
         )
+        self.tf.publish(transform_message(header, pose, odom))
+        self._tell_health(header)
+
+    def _tell_health(self, header: Header) -> None:
+        health: Health = self._localization.health()
+        silent_s = self._track.latest - self._scanned
+        if self._localization.map is not None and silent_s > SILENT_S:
+            health = without_scans(health, silent_s, self.scan.topic)
+        cloud = self._localization.bank.cloud
+        located = self._localization.located
+        pose = self._localization.pose() if located else None
+        self.localization_health.publish(health_message(header, health, pose, cloud.count))
+
+    def _header(self, stamp: float) -> Header:
+        return Header(stamp=from_ns(round(stamp * SECOND)), frame_id="map")
 
     def _complain(self, about: str, what: str) -> None:
         count = self._told[about] = self._told.get(about, 0) + 1

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Literal
 
 from pydantic import Field
 
+from cairn.component.mount import Mount
 from cairn.component.parameters import Config
 from components.localizer.localization import Settings
 from components.localizer.motion import MotionModel
+from components.localizer.odometry import CommandedTrack, MeasuredTrack, OdometryTrack
 
 
 class StartPose(Config):
@@ -22,9 +25,10 @@ class StartPose(Config):
     heading_sd: float = Field(0.03, gt=0, le=3, description="Standard deviation of theta [rad].")
 
 
-class BaseModel(Config):
-    """How the base follows the commanded velocities."""
+class CommandedBase(Config):
+    """A base whose odometry is the velocities that it was commanded."""
 
+    kind: Literal["commanded"] = Field(description="Velocities of odometry are commands.")
     lag_s: float = Field(0.17, ge=0, le=1, description="Delay of the base behind a command [s].")
     forward_gain: float = Field(
         0.95, gt=0, le=2, description="Distance performed per distance commanded [1]."
@@ -39,21 +43,62 @@ class BaseModel(Config):
         0.04, ge=0, le=1, description="Random walk of the heading while moving [rad/sqrt(s)]."
     )
 
+    def track(self) -> OdometryTrack:
+        """How its odometry is read."""
+        return CommandedTrack(self.lag_s, self.forward_gain, self.turn_gain)
+
+    def model(self) -> MotionModel:
+        """Its noise."""
+        return MotionModel(self.forward_noise, self.turn_noise)
+
+
+class MeasuredBase(Config):
+    """A base whose wheels measure the pose that odometry tells."""
+
+    kind: Literal["measured"] = Field("measured", description="Odometry is measured by wheels.")
+    forward_slip: float = Field(
+        0.02, ge=0, le=1, description="Random walk of the distance [m/sqrt(m)]."
+    )
+    turn_slip: float = Field(
+        0.04, ge=0, le=1, description="Random walk of the heading in turns [rad/sqrt(rad)]."
+    )
+    turn_per_metre: float = Field(
+        0.03, ge=0, le=1, description="Random walk of the heading on the way [rad/sqrt(m)]."
+    )
+
+    def track(self) -> OdometryTrack:
+        """How its odometry is read."""
+        return MeasuredTrack()
+
+    def model(self) -> MotionModel:
+        """Its noise."""
+        return MotionModel(0.0, 0.0, self.forward_slip, self.turn_slip, self.turn_per_metre)
+
 
 class LocalizerConfig(Config):
     """Parameters of the localizer."""
 
     start: StartPose | None = Field(
-        None, description="Known start; none: find the robot by the objects that it sees."
+        None, description="Known start; none: find the robot by what it sees."
     )
+    resume_file: Path | None = Field(
+        None,
+        description="Where to keep the last pose, so that a localizer that is started anew within "
+        "a minute goes on from it; none: it begins at `start` again.",
+    )
+    mount: Mount = Field(Mount(), description="Where the scanner sits on the robot.")
     particles: int = Field(
-        400, ge=50, le=20_000, description="Poses of a cloud while the robot is located [1]."
+        500, ge=50, le=20_000, description="Least poses of the cloud while located [1]."
+    )
+    most_particles: int = Field(
+        20_000, ge=50, le=200_000, description="Most poses, where it is spread out [1]."
     )
     judges: int = Field(
         16, ge=0, le=256, description="Objects that are judged by a cloud without them [1]."
     )
+    judge_particles: int = Field(400, ge=50, le=20_000, description="Poses of such a cloud [1].")
     search_particles: int = Field(
-        20_000, ge=1000, le=500_000, description="Poses drawn to find a robot anywhere [1]."
+        20_000, ge=1000, le=500_000, description="Least poses drawn to find a robot anywhere [1]."
     )
     independence: float = Field(
         0.15,
@@ -61,6 +106,20 @@ class LocalizerConfig(Config):
         le=1,
         description="Share of a sighting's log-likelihood that counts, as the errors of "
         "successive sightings repeat [1].",
+    )
+    beams: int = Field(60, ge=10, le=5000, description="Beams of a scan that are used [1].")
+    beam_sd: float = Field(
+        0.1, ge=0.01, le=1, description="Deviation of a beam's end from the mapped obstacle [m]."
+    )
+    stray: float = Field(
+        0.05, gt=0, lt=1, description="Share of beams that hit what the map does not hold [1]."
+    )
+    scan_share: float = Field(
+        0.35,
+        gt=0,
+        le=1,
+        description="Share of the log-likelihood of 60 beams that counts, as their errors repeat "
+        "[1].",
     )
     mode: Literal["lr", "paper"] = Field(
         "lr", description="Similarity by likelihood ratio, or by new samples as in the paper."
@@ -74,17 +133,25 @@ class LocalizerConfig(Config):
     hold_s: float = Field(
         1.5, ge=0, le=5, description="How long a sighting waits for odometry to reach it [s]."
     )
-    base: BaseModel = BaseModel()
+    base: MeasuredBase | CommandedBase = Field(
+        MeasuredBase(), discriminator="kind", description="How odometry is to be read."
+    )
 
     def settings(self) -> Settings:
         """The parameters as the algorithm takes them."""
         return Settings(
             particles=self.particles,
+            most_particles=max(self.particles, self.most_particles),
             judges=self.judges,
+            judge_particles=self.judge_particles,
             search_particles=self.search_particles,
             independence=self.independence,
+            scan_share=self.scan_share,
+            beams=self.beams,
+            beam_sd_m=self.beam_sd,
+            stray=self.stray,
             mode=self.mode,
             ring_samples=self.ring_samples,
             healthy_spread_m=self.healthy_spread,
-            motion=MotionModel(**self.base.model_dump()),
+            motion=self.base.model(),
         )

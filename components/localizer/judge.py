@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from components.localizer.object_likelihood import Landmark, Sighting, object_log_likelihood
 from components.localizer.particles import Estimate
-from components.localizer.recent import Pose, Support, moved_apart
+from components.localizer.recent import moved_apart
 from components.localizer.ring import converge, draw_ring
 from components.localizer.similarity import (
     GATE,
@@ -24,6 +24,7 @@ from components.localizer.similarity import (
     likelihood_ratio_similarity,
     paper_similarity,
 )
+from planar.poses import Pose
 
 Array = NDArray[np.float64]
 
@@ -94,13 +95,15 @@ class Judge:
         sighting: Sighting,
         pose: Estimate,
         landmarks: Mapping[int, Landmark],
-        support: Support,
+        vouched: bool,
+        likely: bool,
         converged: bool,
         others: Callable[[Array], Array],
     ) -> Judgement:
         """Judge a live object against `pose`, to which it contributed nothing.
 
-        `support` and `others` (log-likelihood of poses) speak for the other objects seen of late.
+        `vouched`: scans or other objects speak for that pose; `likely`: they rather do than not.
+        `others` is the log-likelihood of poses by all that was seen of late but the object.
         """
         landmark = landmarks[sighting.object_id]
         seen = innovation(pose, sighting, landmark)
@@ -110,9 +113,7 @@ class Judge:
         else:
             similarity, distance = likelihood_ratio_similarity(seen), math.sqrt(seen.nis)
         # To speak against an object takes a firmer pose than to speak for it.
-        trusted = support.firm or (
-            similarity > NEUTRAL and support.agreeing >= support.contradicting
-        )
+        trusted = vouched or (similarity > NEUTRAL and likely)
         verdict = Verdict.NOT_CONVERGED
         if not converged or not trusted or similarity == NEUTRAL:
             similarity = NEUTRAL

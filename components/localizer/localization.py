@@ -1,4 +1,4 @@
-"""Monte Carlo localization by recognised objects, and its verdict on each of them."""
+"""Monte Carlo localization by odometry, scans and recognised objects; its verdict on these."""
 
 from __future__ import annotations
 
@@ -11,21 +11,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from components.localizer.bank import Bank
+from components.localizer.cloud import Cloud
+from components.localizer.evidence import Evidence
+from components.localizer.health import FITS, LOST, Health, health_of
 from components.localizer.judge import Judge, Judgement
-from components.localizer.motion import MotionModel, OdometryTrack, move_pose
+from components.localizer.motion import MotionModel, move_pose
 from components.localizer.object_likelihood import Landmark, Sighting
-from components.localizer.particles import Estimate, estimate, normalised, systematic_choice
-from components.localizer.recent import Pose, RecentSightings, Support, relative
-from components.localizer.search import Found, search
+from components.localizer.odometry import OdometryTrack
+from components.localizer.particles import Estimate
+from components.localizer.recent import RecentSightings, Support
+from components.localizer.recent_scans import RecentScans
+from components.localizer.recovery import Recovery
+from components.localizer.scan_map import ScanMap
+from planar.grid import OccupancyCells
+from planar.poses import Pose
 
 Array = NDArray[np.float64]
 
-# A robot that was found is looked for anew this long [s]: it may have been found in a wrong place
-# that explains what little was seen.
-PROBATION_S = 30.0
-# By so much [nats] another pose must explain the recent sightings better: errors that successive
-# sightings have in common are worth 2 to 4.
-BETTER = 6.0
+# Share of the newest scan in the running mean of how well scans fit.
+_NEWEST = 0.2
+# The error of the grid map itself, which no cloud shows: a centimetre and 0.2 degrees.
+_MAP_COVARIANCE = np.diag([0.01**2, 0.01**2, 0.0035**2])
+# Motion after which a scan tells something new [m], [rad]; of one that was taken on the spot
+# little counts, as its errors repeat.
+_NEW_M, _NEW_RAD, _ON_THE_SPOT = 0.15, 0.15, 0.03
 
 
 @dataclass(frozen=True)
@@ -33,9 +42,15 @@ class Settings:
     """What can be tuned; units in the names or in `LocalizerConfig`."""
 
     particles: int = 400
+    most_particles: int = 20_000
     judges: int = 16
+    judge_particles: int = 400
     search_particles: int = 20_000
     independence: float = 0.15
+    scan_share: float = 0.35
+    beams: int = 60
+    beam_sd_m: float = 0.1
+    stray: float = 0.05
     mode: Literal["lr", "paper"] = "lr"
     ring_samples: int = 300
     healthy_spread_m: float = 0.35
@@ -54,34 +69,38 @@ class Frame:
 
 
 class Localization:
-    """The robot's pose from commanded velocities and sightings of mapped objects.
+    """The robot's pose from odometry, scans of a grid map and sightings of mapped objects.
 
-    Times are seconds of one clock. Call `command` for each odometry record and `sight` for each
-    set of sightings, in the order of their stamps; `located` tells whether there is a pose.
+    Times are seconds of one clock. Call `command` for each odometry record, and `scan` and `sight`
+    in the order of their stamps; `located` tells whether there is a pose.
     """
 
-    def __init__(self, settings: Settings, random: np.random.Generator) -> None:
+    def __init__(
+        self, settings: Settings, track: OdometryTrack, random: np.random.Generator
+    ) -> None:
         self.settings = settings
-        self.random = random
-        self.track = OdometryTrack(settings.motion.lag_s)
-        self.bank = Bank(settings.particles, settings.judges, settings.motion, random)
-        self.recent = RecentSightings()
+        self.track = track
+        cloud = Cloud(settings.particles, settings.most_particles, settings.motion, random)
+        self.bank = Bank(cloud, settings.judge_particles, settings.judges)
         self.judge = Judge(settings.mode, settings.ring_samples, random)
+        self.recovery = Recovery(settings.search_particles, random)
         self.landmarks: dict[int, Landmark] = {}
+        self.map: ScanMap | None = None
         self.located = False
+        self._sightings = RecentSightings()
+        self._scans = RecentScans()
+        self._fit: float | None = None
         self._reckoned: Pose = (0.0, 0.0, 0.0)
         self._moved_s = 0.0
-        self._searched_at = -math.inf
-        self._first_seen = math.inf
-        self._guess: Estimate | None = None
-        self._probation_ends = -math.inf
+        self._since_scan = (0.0, 0.0)
+        self._turn_of_beams = 0
 
     def locate(self, pose: Sequence[float], covariance: Array) -> None:
         """Begin (again) from a known pose: x [m], y [m], theta [rad] and covariance (3, 3)."""
         self.bank.scatter(pose, covariance)
-        self.recent.clear()
+        self._forget()
         self.located = True
-        self._probation_ends = -math.inf
+        self.recovery.believe()
 
     def use_map(self, landmarks: Iterable[Landmark]) -> None:
         """Take a new state of the visual map."""
@@ -95,54 +114,91 @@ class Localization:
             elif old.live and new is not None and math.hypot(new.x - old.x, new.y - old.y) > 0.3:
                 self.judge.forget(object_id)
 
-    def command(self, stamp: float, forward: float, turn: float) -> bool:
-        """Take a commanded velocity [m/s, rad/s]; False if it is older than the newest one."""
-        return self.track.append(stamp, forward, turn)
+    def use_grid(self, grid: OccupancyCells) -> None:
+        """Take a new grid map."""
+        self.map = ScanMap(grid, self.settings.beam_sd_m, self.settings.stray)
+
+    def command(self, stamp: float, pose: Pose, forward: float, turn: float) -> bool:
+        """Take odometry (pose, velocities [m/s, rad/s]); False if older than the newest one."""
+        return self.track.append(stamp, pose, forward, turn)
 
     def advance(self, stamp: float) -> None:
         """Move everything to the time `stamp` [s]."""
         step = self.track.advance(stamp)
-        self._reckoned = move_pose(self._reckoned, step, self.settings.motion)
+        self._reckoned = move_pose(self._reckoned, step)
         self._moved_s += step.moving_s
+        far, turned = self._since_scan
+        self._since_scan = far + math.hypot(step.ahead, step.aside), turned + abs(step.turned)
         if self.located:
             self.bank.move(step)
 
+    def doubt(self, deviation_m: float, deviation_rad: float) -> None:
+        """Widen the cloud: odometry has lost the thread."""
+        if self.located:
+            self.bank.widen(deviation_m, deviation_rad)
+
     def pose(self) -> Estimate:
-        """The pose at the time last advanced to."""
-        return self.bank.estimate()
+        """The pose at the time last advanced to; its covariance includes the map's own error."""
+        known = self.bank.estimate()
+        if self.map is None:
+            return known
+        return Estimate(known.mean, known.covariance + _MAP_COVARIANCE)
 
     def ahead(self, pose: Pose, stamp: float) -> Pose:
         """Where a robot that is at `pose` now is expected at the later time `stamp` [s]."""
-        return move_pose(pose, self.track.preview(stamp), self.settings.motion)
+        return move_pose(pose, self.track.preview(stamp))
 
-    def bridge(self, stamp: float, left: Pose, reached: Pose) -> None:
-        """Make up for odometry that was missed until `stamp` [s] by the poses it states."""
-        self.track.bridge(stamp, relative(left, reached))
+    def health(self) -> Health:
+        """How far the pose can be relied on."""
+        if not self.located:
+            return LOST
+        pose = self.bank.estimate()
+        return health_of(pose, self._support(pose, None), self._fit)
+
+    def scan(self, stamp: float, points: Array) -> bool:
+        """Fuse a scan of `stamp` [s], end points (m, 2) [m] in the base's frame; True if the robot
+        was lost and has found itself.
+        """
+        self.advance(stamp)
+        if self.map is None or not len(points):
+            return False
+        chosen = self._chosen(points)
+        self._scans.add(chosen, self._reckoned)
+        if not self.located:
+            return self._find(stamp)
+        share = self._share_of_scan(len(chosen))
+        scan_map = self.map
+        self.bank.fuse_scan(lambda poses: share * scan_map.field.log_likelihood(poses, chosen))
+        pose = self.bank.estimate()
+        fit = scan_map.field.fit(pose.mean, chosen)
+        self._fit = fit if self._fit is None else (1 - _NEWEST) * self._fit + _NEWEST * fit
+        if self.recovery.suspects(self._fit):
+            # What was seen before speaks of another place, should the robot have been carried.
+            self._scans.clear()
+            self._sightings.clear()
+            self._scans.add(chosen, self._reckoned)
+        if self.recovery.due(stamp, contradicted=False):
+            return self._recover(stamp)
+        return False
 
     def sight(self, stamp: float, sightings: Sequence[Sighting]) -> Frame | None:
         """Judge and fuse the objects seen at `stamp` [s]; None while the robot is not located."""
         self.advance(stamp)
         live = [s for s in sightings if self._is_live(s.object_id)]
-        self.recent.add(sightings, self._reckoned, self._moved_s)
+        self._sightings.add(sightings, self._reckoned, self._moved_s)
         if not self.located:
             if live:
-                self._first_seen = min(self._first_seen, stamp)
                 self._find(stamp)
             return None
         for sighting in live:
             self.bank.watch(sighting.object_id)
         before = self.bank.estimate()
-        support = self._support(before, None)
-        healthy, reason = self._health(before, support)
+        healthy, reason = self._healthy(before, self._support(before, None))
         judgements = tuple(self._judge(sighting, before, healthy) for sighting in sightings)
         if live:
-            self.bank.fuse(live, self.landmarks, self.settings.independence)
+            self.bank.fuse_objects(live, self.landmarks, self.settings.independence)
         relocalised = False
-        since = stamp - self._searched_at
-        on_probation = stamp < self._probation_ends
-        if (since >= 1.0 and any(j.contradicts for j in judgements)) or (
-            since >= 2.0 and on_probation
-        ):
+        if self.recovery.due(stamp, contradicted=any(j.contradicts for j in judgements)):
             relocalised = self._recover(stamp)
         return Frame(before, healthy, reason, judgements, relocalised)
 
@@ -150,14 +206,36 @@ class Localization:
         landmark = self.landmarks.get(object_id)
         return landmark is not None and landmark.live
 
-    def _support(self, pose: Estimate, left_out: int | None) -> Support:
-        return self.recent.support(pose, self._reckoned, self._moved_s, self.landmarks, left_out)
+    def _evidence(self) -> Evidence:
+        return Evidence(
+            sightings=self._sightings,
+            scans=self._scans,
+            landmarks=self.landmarks,
+            map=self.map,
+            scan_share=self._share(self.settings.beams),
+            now=self._reckoned,
+            moved_s=self._moved_s,
+        )
 
-    def _health(self, pose: Estimate, support: Support) -> tuple[bool, str]:
+    def _support(self, pose: Estimate, left_out: int | None) -> Support:
+        return self._sightings.support(
+            pose, self._reckoned, self._moved_s, self.landmarks, left_out
+        )
+
+    def _fits(self) -> bool:
+        return self._fit is not None and self._fit >= FITS
+
+    def _vouched(self, support: Support) -> bool:
+        """Whether scans or other objects speak for a pose."""
+        if support.firm:
+            return True
+        return self._fits() and support.contradicting <= max(1, support.agreeing)
+
+    def _healthy(self, pose: Estimate, support: Support) -> tuple[bool, str]:
         limit = self.settings.healthy_spread_m
         if pose.spread > limit:
             return False, f"the pose is uncertain by {pose.spread:.2f} m (limit {limit:.2f} m)"
-        if not support.firm:
+        if not self._vouched(support):
             return False, (
                 f"of the places seen of late {support.agreeing} agree with the pose and "
                 f"{support.contradicting} contradict it"
@@ -169,76 +247,58 @@ class Localization:
         if not self._is_live(object_id):
             return self.judge.place(sighting, before, healthy)
         pose = self.bank.estimate_without(object_id)
+        evidence = self._evidence()
+        support = self._support(pose, object_id)
         return self.judge.compare(
             sighting,
             pose,
             self.landmarks,
-            self._support(pose, object_id),
+            self._vouched(support),
+            support.agreeing >= support.contradicting or self._fits(),
             pose.spread <= self.settings.healthy_spread_m,
-            lambda poses: self.recent.log_likelihood(
-                poses, self._reckoned, self._moved_s, self.landmarks, object_id
-            ),
+            lambda poses: evidence.log_likelihood(poses, object_id),
         )
 
-    def _search(self) -> Found | None:
-        return search(
-            self.recent,
-            self._reckoned,
-            self._moved_s,
-            self.landmarks,
-            self.settings.search_particles,
-            self.random,
-        )
+    def _chosen(self, points: Array) -> Array:
+        """At most `beams` of the points, evenly spaced, others from scan to scan."""
+        beams = self.settings.beams
+        if len(points) <= beams:
+            return points
+        self._turn_of_beams += 1
+        begin = (self._turn_of_beams * 0.618) % 1.0
+        places = (np.arange(beams) + begin) * (len(points) / beams)
+        return points[np.minimum(places.astype(np.intp), len(points) - 1)]
 
-    def _find(self, stamp: float) -> None:
-        if stamp - self._searched_at < 0.5:
-            return
-        self._searched_at = stamp
-        found = self._search()
-        if found is None or found.support.contradicting >= max(1, found.support.agreeing):
-            self._guess = None
-            return
-        waited = stamp - self._first_seen
-        if found.share >= 0.9 and (found.support.agreeing >= 2 or waited >= 15.0):
-            # Two modes take turns while little was seen: believe the one that stays.
-            if self._guess is not None and _close(self._guess, found.pose):
-                self._settle(found.poses)
-                self._probation_ends = stamp + PROBATION_S
-            self._guess = found.pose
-        elif waited >= 10.0 and _whole(found.everywhere).spread < 0.8:
-            # One place alone leaves an arc around it open; its width is stated, and the filter
-            # narrows it sooner than waiting does.
-            self._settle(found.everywhere)
-            self._probation_ends = stamp + PROBATION_S
+    def _share(self, beams: int) -> float:
+        return self.settings.scan_share * 60.0 / max(beams, 20)
+
+    def _share_of_scan(self, beams: int) -> float:
+        """How much of a scan's log-likelihood counts: the more, the further since the last one."""
+        far, turned = self._since_scan
+        self._since_scan = (0.0, 0.0)
+        new = min(1.0, max(_ON_THE_SPOT, far / _NEW_M + turned / _NEW_RAD))
+        return self._share(beams) * new
+
+    def _find(self, stamp: float) -> bool:
+        found = self.recovery.find(stamp, self._evidence())
+        if found is None:
+            return False
+        self._settle(found)
+        return True
 
     def _recover(self, stamp: float) -> bool:
-        self._searched_at = stamp
-        found = self._search()
-        if found is None or found.share < 0.8 or found.pose.spread > 0.5:
+        found = self.recovery.recover(stamp, self._evidence(), self.bank.estimate())
+        if found is None:
             return False
-        if found.support.agreeing < 2 or found.support.contradicting > found.support.agreeing:
-            return False
-        here = self.bank.estimate()
-        if _close(here, found.pose):
-            return False
-        mean = np.asarray(here.mean)[:, None]
-        score = self.recent.log_likelihood(mean, self._reckoned, self._moved_s, self.landmarks)
-        if found.score - float(score[0]) < BETTER:
-            return False
-        self._settle(found.poses)
+        self._settle(found)
         return True
 
     def _settle(self, poses: Array) -> None:
-        equal = normalised(np.zeros(poses.shape[1]))
-        chosen = systematic_choice(equal, self.settings.particles, self.random)
-        self.bank.settle(poses[:, chosen])
+        self.bank.settle(poses)
+        self._fit = None
         self.located = True
 
-
-def _whole(poses: Array) -> Estimate:
-    return estimate(poses, np.zeros(poses.shape[1]))
-
-
-def _close(a: Estimate, b: Estimate) -> bool:
-    turn = (a.mean[2] - b.mean[2] + math.pi) % (2.0 * math.pi) - math.pi
-    return math.hypot(a.mean[0] - b.mean[0], a.mean[1] - b.mean[1]) < 0.5 and abs(turn) < 0.35
+    def _forget(self) -> None:
+        self._sightings.clear()
+        self._scans.clear()
+        self._fit = None

@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from components.localizer.health import Health
 from components.localizer.judge import Judgement
 from components.localizer.localization import Frame
 from components.localizer.object_likelihood import Landmark, Sighting
 from components.localizer.particles import Estimate
+from planar.poses import Pose, compose, inverse
 from schemas.cairn_msgs import (
     ObjectEvidence,
     ObjectEvidenceArray,
@@ -18,26 +19,11 @@ from schemas.cairn_msgs import (
     VisualMap,
     VisualObject,
 )
-from schemas.geometry_msgs import (
-    Point,
-    Pose,
-    PoseArray,
-    PoseWithCovariance,
-    PoseWithCovarianceStamped,
-    Quaternion,
-    Transform,
-    TransformStamped,
-    Vector3,
-)
-from schemas.packed import Packed
+from schemas.cairn_nav_msgs import LocalizationHealth
+from schemas.geometry_msgs import Quaternion, Transform, TransformStamped, Vector3
 from schemas.std_msgs import Header
 from schemas.tf2_msgs import TFMessage
 
-Array = NDArray[np.float64]
-Pose2 = tuple[float, float, float]
-
-# Where x, y and yaw stand in a message's row-major 6 x 6 covariance.
-_PLANAR = np.array([0, 1, 5])
 # A sighting whose sender states no covariance is taken to be this good [m, rad].
 _RANGE_SD, _BEARING_SD = 0.2, math.radians(3.0)
 
@@ -73,56 +59,34 @@ def sightings_of(message: RecognizedObjectArray) -> list[Sighting]:
     ]
 
 
-def yaw_of(pose: Pose) -> float:
-    """The heading [rad] of a pose."""
-    q = pose.orientation
-    return math.atan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y * q.y + q.z * q.z))
-
-
-def planar(pose: PoseWithCovariance) -> tuple[Pose2, Array]:
-    """x [m], y [m], heading [rad] and their covariance (3, 3)."""
-    where = pose.pose.position
-    covariance = pose.covariance.reshape(6, 6)[np.ix_(_PLANAR, _PLANAR)]
-    return (where.x, where.y, yaw_of(pose.pose)), covariance
-
-
-def pose_message(header: Header, pose: Pose2, covariance: Array) -> PoseWithCovarianceStamped:
-    """A planar pose and its covariance (3, 3) as a message."""
-    full = np.zeros((6, 6))
-    full[np.ix_(_PLANAR, _PLANAR)] = 0.5 * (covariance + covariance.T)
-    x, y, theta = pose
-    return PoseWithCovarianceStamped(
-        header=header,
-        pose=PoseWithCovariance(
-            pose=Pose(
-                position=Point(x=x, y=y),
-                orientation=Quaternion(z=math.sin(theta / 2), w=math.cos(theta / 2)),
-            ),
-            covariance=full.ravel(),
-        ),
-    )
-
-
-def cloud_message(header: Header, poses: Array) -> PoseArray:
-    """Poses (3, n) as a message."""
-    rows = np.zeros((poses.shape[1], 7))
-    rows[:, 0], rows[:, 1] = poses[0], poses[1]
-    rows[:, 5], rows[:, 6] = np.sin(poses[2] / 2), np.cos(poses[2] / 2)
-    return PoseArray(header=header, poses=Packed(Pose, rows))
-
-
-def transform_message(header: Header, pose: Pose2, in_odometry: Pose2) -> TFMessage:
+def transform_message(header: Header, pose: Pose, in_odometry: Pose) -> TFMessage:
     """The transform map -> odom that puts the odometry frame's pose where the robot is."""
-    theta = pose[2] - in_odometry[2]
-    cosine, sine = math.cos(theta), math.sin(theta)
-    x = pose[0] - cosine * in_odometry[0] + sine * in_odometry[1]
-    y = pose[1] - sine * in_odometry[0] - cosine * in_odometry[1]
+    x, y, theta = compose(pose, inverse(in_odometry))
     transform = Transform(
         translation=Vector3(x=x, y=y),
         rotation=Quaternion(z=math.sin(theta / 2), w=math.cos(theta / 2)),
     )
     return TFMessage(
         transforms=(TransformStamped(header=header, child_frame_id="odom", transform=transform),)
+    )
+
+
+def health_message(
+    header: Header, health: Health, pose: Estimate | None, particles: int
+) -> LocalizationHealth:
+    """The health of a pose, None for a robot that has none."""
+    covariance = pose.covariance if pose else np.zeros((3, 3))
+    return LocalizationHealth(
+        header=header,
+        located=pose is not None,
+        health=health.value,
+        position_sd=math.sqrt(max(0.0, float(covariance[0, 0] + covariance[1, 1]))),
+        heading_sd=math.sqrt(max(0.0, float(covariance[2, 2]))),
+        scan_fit=math.nan if health.fit is None else health.fit,
+        objects_agreeing=health.support.agreeing,
+        objects_contradicting=health.support.contradicting,
+        particles=particles if pose else 0,
+        reason=health.reason,
     )
 
 

@@ -1,140 +1,111 @@
-"""How commanded velocities move a cloud of poses: a lagging, falling-short, noisy base."""
+"""How odometry moves a cloud of poses: the motion it tells, and the noise that it does not."""
 
 from __future__ import annotations
 
 import math
-from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+
+from planar.compiled import compiled
+from planar.poses import Pose, compose
 
 Poses = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class MotionModel:
-    """What the base makes of a command.
+    """Random walk of the base about the motion that odometry tells.
 
-    `lag_s` [s]: the base follows a command this much later. `forward_gain`, `turn_gain` [1]:
-    share of the commanded motion that the base performs. `forward_noise` [m/sqrt(s)] and
-    `turn_noise` [rad/sqrt(s)]: random walk while the base is commanded to move.
-    `forward_slip` [m/sqrt(m)] and `turn_slip` [rad/sqrt(rad)]: random walk per motion performed.
+    `forward_noise` [m/sqrt(s)] and `turn_noise` [rad/sqrt(s)] while it moves; `forward_slip`
+    [m/sqrt(m)], `turn_slip` [rad/sqrt(rad)] and `turn_per_metre` [rad/sqrt(m)] per motion.
+    Sideways it slips as it does ahead.
     """
 
-    lag_s: float = 0.17
-    forward_gain: float = 0.95
-    turn_gain: float = 0.93
     forward_noise: float = 0.025
     turn_noise: float = 0.04
     forward_slip: float = 0.016
     turn_slip: float = 0.03
+    turn_per_metre: float = 0.0
+
+    def deviations(self, step: Increment) -> tuple[float, float, float]:
+        """Standard deviations of a step: ahead [m], to the left [m], of the turn [rad]."""
+        far = math.hypot(step.ahead, step.aside)
+        turned = abs(step.turned)
+        ahead = self.forward_noise**2 * step.moving_s + self.forward_slip**2 * far
+        turn = (
+            self.turn_noise**2 * step.moving_s
+            + self.turn_slip**2 * turned
+            + self.turn_per_metre**2 * far
+        )
+        aside = self.forward_slip**2 * far if step.measured else 0.0
+        return math.sqrt(ahead), math.sqrt(aside), math.sqrt(turn)
 
 
 @dataclass(frozen=True)
 class Increment:
-    """Commanded motion over a stretch of time: metres ahead, radians left, seconds in motion."""
-
-    ahead: float
-    turned: float
-    moving_s: float
-
-
-class OdometryTrack:
-    """The commanded velocities as a function of time, each held until the next one.
-
-    Holds what has not been integrated yet. Times are seconds on the recording's clock; a
-    command given at t acts from t + lag on.
+    """Motion over a stretch of time, along the middle heading: metres ahead and to the left,
+    radians to the left, seconds in motion; `measured` by the wheels, or only commanded.
     """
 
-    def __init__(self, lag_s: float) -> None:
-        self.lag_s = lag_s
-        self._pending: deque[tuple[float, float, float]] = deque()
-        self._speed = (0.0, 0.0)
-        self.integrated_to = -math.inf
-        self.latest = -math.inf
-
-    def append(self, stamp: float, forward: float, turn: float) -> bool:
-        """Take the command of time `stamp` [s]; False if it is older than the newest one."""
-        if stamp < self.latest:
-            return False
-        self.latest = stamp
-        self._pending.append((stamp + self.lag_s, forward, turn))
-        return True
-
-    def bridge(self, stamp: float, step: tuple[float, float, float]) -> None:
-        """Let the base move by `step` (x ahead, y left [m], turn [rad]) from the newest to `stamp`.
-
-        For odometry that was missed: as one arc at constant speed instead of the held command.
-        """
-        gap = stamp - self.latest
-        ahead = math.copysign(math.hypot(step[0], step[1]), step[0])
-        self._pending.append((self.latest + self.lag_s, ahead / gap, step[2] / gap))
-
-    def advance(self, stamp: float) -> Increment:
-        """Integrate the commands from where integration stands to `stamp` [s]."""
-        increment, self._speed, taken = self._integrate(stamp)
-        for _ in range(taken):
-            self._pending.popleft()
-        self.integrated_to = max(self.integrated_to, stamp)
-        return increment
-
-    def preview(self, stamp: float) -> Increment:
-        """The motion `advance(stamp)` would return, without taking it."""
-        return self._integrate(stamp)[0]
-
-    def _integrate(self, stamp: float) -> tuple[Increment, tuple[float, float], int]:
-        # Before the first command nothing is known to move.
-        now = stamp if self.integrated_to == -math.inf else self.integrated_to
-        forward, turn = self._speed
-        ahead = turned = moving = 0.0
-        taken = 0
-        for begins, next_forward, next_turn in self._pending:
-            if begins > stamp:
-                break
-            if begins > now:
-                step = begins - now
-                ahead += forward * step
-                turned += turn * step
-                if forward or turn:
-                    moving += step
-                now = begins
-            forward, turn = next_forward, next_turn
-            taken += 1
-        if stamp > now:
-            step = stamp - now
-            ahead += forward * step
-            turned += turn * step
-            if forward or turn:
-                moving += step
-        return Increment(ahead, turned, moving), (forward, turn), taken
+    ahead: float
+    aside: float
+    turned: float
+    moving_s: float
+    measured: bool = True
 
 
-def move_pose(
-    pose: tuple[float, float, float], step: Increment, model: MotionModel
-) -> tuple[float, float, float]:
-    """The expected pose (x [m], y [m], theta [rad]) after `step`, along one arc."""
+def move_pose(pose: Pose, step: Increment) -> Pose:
+    """The expected pose after `step`: a chord in the direction of the middle heading."""
     x, y, theta = pose
-    ahead = model.forward_gain * step.ahead
-    turned = model.turn_gain * step.turned
-    chord = theta + 0.5 * turned
-    return x + ahead * math.cos(chord), y + ahead * math.sin(chord), theta + turned
+    chord = theta + 0.5 * step.turned
+    cosine, sine = math.cos(chord), math.sin(chord)
+    return (
+        x + step.ahead * cosine - step.aside * sine,
+        y + step.ahead * sine + step.aside * cosine,
+        theta + step.turned,
+    )
+
+
+def step_of(relative: Pose) -> Increment:
+    """The increment that leads to `relative`, a pose seen from where the step began."""
+    back = -0.5 * relative[2]
+    ahead, aside, _ = compose((0.0, 0.0, back), relative)
+    moved = relative != (0.0, 0.0, 0.0)
+    return Increment(ahead, aside, relative[2], 1.0 if moved else 0.0)
 
 
 def move_cloud(
     poses: Poses, step: Increment, model: MotionModel, random: np.random.Generator
 ) -> None:
-    """Move every pose of `poses` (3, ...) in place by `step` with noise of its own."""
+    """Move every pose of the contiguous `poses` (3, ...) in place by `step`, each with noise."""
     if step.moving_s <= 0.0:
         return
-    noise = random.standard_normal((2, *poses.shape[1:]))
-    forward_sd = math.sqrt(
-        model.forward_noise**2 * step.moving_s + model.forward_slip**2 * abs(step.ahead)
-    )
-    turn_sd = math.sqrt(model.turn_noise**2 * step.moving_s + model.turn_slip**2 * abs(step.turned))
-    ahead = model.forward_gain * step.ahead + forward_sd * noise[0]
-    turned = model.turn_gain * step.turned + turn_sd * noise[1]
-    chord = poses[2] + 0.5 * turned
-    poses[0] += ahead * np.cos(chord)
-    poses[1] += ahead * np.sin(chord)
-    poses[2] += turned
+    flat = poses.reshape(3, -1)
+    noise = random.standard_normal(flat.shape)
+    _move(flat, noise, step.ahead, step.aside, step.turned, *model.deviations(step))
+
+
+@compiled(
+    "void(float64[:, ::1], float64[:, ::1], float64, float64, float64, float64, float64, float64)"
+)
+def _move(
+    poses: Poses,
+    noise: Poses,
+    ahead: float,
+    aside: float,
+    turned: float,
+    ahead_sd: float,
+    aside_sd: float,
+    turn_sd: float,
+) -> None:
+    for i in range(poses.shape[1]):
+        far = ahead + ahead_sd * noise[0, i]
+        left = aside + aside_sd * noise[1, i]
+        turn = turned + turn_sd * noise[2, i]
+        chord = poses[2, i] + 0.5 * turn
+        cosine, sine = math.cos(chord), math.sin(chord)
+        poses[0, i] += far * cosine - left * sine
+        poses[1, i] += far * sine + left * cosine
+        poses[2, i] += turn

@@ -1,8 +1,8 @@
-"""Brings odometry and sightings, which come from different processes, into the order of stamps."""
+"""Brings odometry, scans and sightings, which come from different processes, into one order."""
 
 from __future__ import annotations
 
-from collections import deque
+from bisect import insort
 from typing import Generic, TypeVar
 
 T = TypeVar("T")
@@ -13,14 +13,13 @@ class Held(Generic[T]):
 
     def __init__(self, longest_s: float) -> None:
         self.longest_s = longest_s
-        self._items: deque[tuple[float, T]] = deque()
+        self._items: list[tuple[float, int, T]] = []
+        self._count = 0
 
-    def add(self, stamp: float, item: T) -> bool:
-        """Hold an item; False if it is older than the newest one held or released."""
-        if self._items and stamp < self._items[-1][0]:
-            return False
-        self._items.append((stamp, item))
-        return True
+    def add(self, stamp: float, item: T) -> None:
+        """Hold an item; of equal stamps the earlier comes first."""
+        self._count += 1
+        insort(self._items, (stamp, self._count, item), key=lambda entry: entry[:2])
 
     def release(self, odometry: float, now: float) -> list[tuple[float, T]]:
         """The items that odometry has reached, and those held longer than the limit."""
@@ -29,14 +28,10 @@ class Held(Generic[T]):
             stamp = self._items[0][0]
             if stamp > odometry and now - stamp <= self.longest_s:
                 break
-            ready.append(self._items.popleft())
+            ready.append((stamp, self._items.pop(0)[2]))
         return ready
 
     @property
     def oldest(self) -> float | None:
         """The stamp of the item next to be released."""
         return self._items[0][0] if self._items else None
-
-    def clear(self) -> None:
-        """Forget what is held."""
-        self._items.clear()

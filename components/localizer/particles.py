@@ -65,13 +65,21 @@ def systematic_choice(weights: Array, count: int, random: np.random.Generator) -
     return np.minimum(chosen, weights.size - 1, out=chosen)
 
 
-def redraw(poses: Array, weights: Array, bandwidth: float, random: np.random.Generator) -> Array:
-    """New poses (3, n) drawn from weighted ones, spread by a kernel that keeps mean and covariance.
+def redraw(
+    poses: Array,
+    weights: Array,
+    bandwidth: float,
+    random: np.random.Generator,
+    count: int | None = None,
+) -> Array:
+    """`count` new poses (3, count) drawn from weighted ones (3, n), as many if it is not given.
+
+    They are spread by a kernel that keeps mean and covariance.
 
     Each chosen sample is drawn in towards the mean by sqrt(1 - h^2) and moved by h times the
     cloud's own covariance (Liu and West 2001), so copies differ and the spread is unchanged.
     """
-    count = poses.shape[1]
+    count = poses.shape[1] if count is None else count
     chosen = poses[:, systematic_choice(weights, count, random)]
     theta = math.atan2(float(np.sin(chosen[2]).mean()), float(np.cos(chosen[2]).mean()))
     centre = np.array([chosen[0].mean(), chosen[1].mean(), theta])[:, None]

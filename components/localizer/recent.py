@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from components.localizer.object_likelihood import STRAY, Landmark, Sighting, wrap
 from components.localizer.particles import Estimate
+from planar.poses import Pose, relative
 
 Array = NDArray[np.float64]
-Pose = tuple[float, float, float]
 
 AGREES, CONTRADICTS = 9.2, 13.8  # NIS (2 dof): 99 % and 99.9 %
 # An object counts as two sightings at most: more of them share their error.
@@ -196,23 +196,6 @@ def _places(objects: Sequence[Landmark]) -> int:
         if all(math.hypot(one.x - head.x, one.y - head.y) > TOGETHER for head in heads):
             heads.append(one)
     return len(heads)
-
-
-def relative(origin: Pose, pose: Pose) -> Pose:
-    """`pose` seen from `origin` (x ahead, y left [m], turn [rad])."""
-    dx, dy = pose[0] - origin[0], pose[1] - origin[1]
-    cosine, sine = math.cos(origin[2]), math.sin(origin[2])
-    return cosine * dx + sine * dy, -sine * dx + cosine * dy, pose[2] - origin[2]
-
-
-def compose(origin: Pose, step: Pose) -> Pose:
-    """The pose reached from `origin` by the relative motion `step`."""
-    cosine, sine = math.cos(origin[2]), math.sin(origin[2])
-    return (
-        origin[0] + cosine * step[0] - sine * step[1],
-        origin[1] + sine * step[0] + cosine * step[1],
-        origin[2] + step[2],
-    )
 
 
 def carry(poses: Array, step: Pose) -> Array:

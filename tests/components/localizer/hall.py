@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from components.localizer.object_likelihood import Landmark, Sighting
-from components.localizer.recent import Pose
+from planar.poses import Pose
 
 PLACES = {
     1: (3.0, 0.0),

@@ -11,9 +11,10 @@ from components.localizer.judge import Verdict
 from components.localizer.localization import Frame, Localization, Settings
 from components.localizer.motion import MotionModel
 from components.localizer.object_likelihood import Landmark, Sighting
+from components.localizer.odometry import CommandedTrack
 from tests.components.localizer.hall import Moment, drive, landmarks
 
-EXACT = MotionModel(lag_s=0.0, forward_gain=1.0, turn_gain=1.0)
+EXACT = MotionModel()
 CERTAIN = np.diag([0.01, 0.01, 0.003])
 
 
@@ -22,14 +23,15 @@ class Run:
 
     def __init__(self, objects: Iterable[Landmark], mode: str = "lr", seed: int = 0) -> None:
         settings = Settings(motion=EXACT, search_particles=8000, mode=mode)  # type: ignore[arg-type]
-        self.localization = Localization(settings, np.random.default_rng(seed))
+        track = CommandedTrack(lag_s=0.0)
+        self.localization = Localization(settings, track, np.random.default_rng(seed))
         self.localization.use_map(objects)
         self.errors: list[float] = []
         self.frames: list[tuple[Moment, Frame]] = []
 
     def through(self, moments: Iterable[Moment]) -> "Run":
         for moment in moments:
-            self.localization.command(moment.time, moment.forward, moment.turn)
+            self.localization.command(moment.time, (0.0, 0.0, 0.0), moment.forward, moment.turn)
             frame = self.localization.sight(moment.time, moment.sightings)
             if frame is not None:
                 self.frames.append((moment, frame))

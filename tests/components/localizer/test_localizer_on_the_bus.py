@@ -34,7 +34,7 @@ StageOf = Callable[..., Any]
 
 BEGIN = 1000.0
 START = {"x": 0.0, "y": 0.0, "theta": 0.0}
-BASE = {"lag_s": 0.0, "forward_gain": 1.0, "turn_gain": 1.0}
+BASE = {"kind": "commanded", "lag_s": 0.0, "forward_gain": 1.0, "turn_gain": 1.0}
 
 
 def header(time: float, frame: str = "") -> Header:

@@ -1,0 +1,112 @@
+"""The cloud of weighted poses that is the robot's pose; as many as its spread asks for."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from statistics import NormalDist
+
+import numpy as np
+from numpy.typing import NDArray
+
+from components.localizer.motion import Increment, MotionModel, move_cloud
+from components.localizer.particles import (
+    Estimate,
+    effective_count,
+    estimate,
+    narrow,
+    normalised,
+    redraw,
+    systematic_choice,
+)
+
+Array = NDArray[np.float64]
+
+# Bins of the KLD bound: 0.25 m, 0.25 m, 10 degrees; error of the distribution 2 %, held with 99 %.
+_BIN = np.array([[0.25], [0.25], [math.radians(10.0)]])
+_KLD_ERROR, _KLD_QUANTILE = 0.02, NormalDist().inv_cdf(0.99)
+# Below this share of effective poses a likelihood is taken in stages.
+_TOO_POOR = 0.05
+
+
+class Cloud:
+    """Poses (3, n) with log-weights (n,); n lies between `least` and `most`."""
+
+    def __init__(
+        self, least: int, most: int, model: MotionModel, random: np.random.Generator
+    ) -> None:
+        self.least, self.most = least, most
+        self.model = model
+        self.random = random
+        self.poses: Array = np.zeros((3, least))
+        self.log_weights: Array = np.zeros(least)
+
+    @property
+    def count(self) -> int:
+        """Number of poses."""
+        return self.log_weights.size
+
+    def scatter(self, mean: Sequence[float], covariance: Array) -> None:
+        """Draw all poses from a Gaussian over x [m], y [m], theta [rad]."""
+        spread = np.linalg.cholesky(covariance + 1e-9 * np.eye(3))
+        wide = math.sqrt(covariance[0, 0] + covariance[1, 1]) > 0.5
+        count = self.most if wide else self.least
+        noise = spread @ self.random.standard_normal((3, count))
+        self.settle(np.asarray(mean, dtype=np.float64)[:, None] + noise)
+
+    def settle(self, poses: Array) -> None:
+        """Make `poses` (3, n) the cloud, equally weighted."""
+        self.poses = np.array(poses, dtype=np.float64, order="C")
+        self.log_weights = np.zeros(poses.shape[1])
+
+    def move(self, step: Increment) -> None:
+        """Move all poses by what odometry told."""
+        move_cloud(self.poses, step, self.model, self.random)
+
+    def fuse(self, log_likelihood: Callable[[Array], Array]) -> None:
+        """Weigh all poses (3, n) by a log-likelihood (n,); resample if few of them are left."""
+        contribution = log_likelihood(self.poses)
+        weighed = self.log_weights + contribution
+        share = float(effective_count(weighed)) / self.count
+        if share >= 0.5:
+            self.log_weights = weighed - weighed.max()
+        elif share >= _TOO_POOR:
+            self._redraw(weighed)
+        else:
+            rows = self.poses[:, None, :]
+            weights = self.log_weights[None, :]
+            narrow(rows, weights, lambda p: log_likelihood(p[:, 0])[None, :], self.random)
+
+    def estimate(self) -> Estimate:
+        """Mean and covariance."""
+        return estimate(self.poses, self.log_weights)
+
+    def sample(self, count: int, random: np.random.Generator) -> Array:
+        """`count` equally weighted poses (3, count)."""
+        chosen = systematic_choice(normalised(self.log_weights), count, random)
+        drawn: Array = self.poses[:, chosen]
+        return drawn
+
+    def _redraw(self, weighed: Array) -> None:
+        weights = normalised(weighed)
+        count = min(self.most, max(self.least, kld_count(self.poses, weights)))
+        drawn = redraw(self.poses, weights, 0.2, self.random, count)
+        self.poses = np.ascontiguousarray(drawn)
+        self.log_weights = np.zeros(count)
+
+
+def kld_count(poses: Array, weights: Array) -> int:
+    """How many poses the cloud needs so that it errs little: the bound of Fox 2003.
+
+    From the number k of bins that poses (3, n) of weights (n,) lie in: n = (k - 1) / 2e (1 - 2 /
+    9(k - 1) + z sqrt(2 / 9(k - 1)))^3 with error e and quantile z.
+    """
+    kept = poses[:, weights > 0.1 / weights.size]
+    bins = np.floor(kept / _BIN).astype(np.int64)
+    keys = (bins[0] * 1_000_003 + bins[1]) * 1_000_003 + bins[2]
+    occupied = np.unique(keys).size
+    if occupied < 2:
+        return 0
+    term = 2.0 / (9.0 * (occupied - 1))
+    bound = (1.0 - term + math.sqrt(term) * _KLD_QUANTILE) ** 3
+    return math.ceil((occupied - 1) / (2.0 * _KLD_ERROR) * bound)

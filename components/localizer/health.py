@@ -1,0 +1,62 @@
+"""How far the pose can be relied on: from 0 (lost) to 1, and why."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from components.localizer.particles import Estimate
+from components.localizer.recent import Support
+
+# Between these two a measure goes from full trust to none.
+_SPREAD_M, _HEADING, _FIT = (0.15, 0.60), (0.10, 0.50), (0.60, 0.25)
+# From this share of beams explained a scan vouches for a pose.
+FITS = 0.5
+
+
+@dataclass(frozen=True)
+class Health:
+    """`value` from 0 to 1; `reason` says in words what keeps it from 1, "" if nothing does.
+
+    `fit` is the share of the scans' beams that the map explains, None without scans.
+    """
+
+    value: float
+    reason: str
+    support: Support
+    fit: float | None
+
+
+LOST = Health(0.0, "the robot does not know where it is", Support(0, 0), None)
+
+
+def health_of(pose: Estimate, support: Support, fit: float | None) -> Health:
+    """The health of a pose: that of its worst side (spread, heading, scan, objects)."""
+    heading_sd = float(pose.covariance[2, 2]) ** 0.5
+    sides = [
+        (_between(pose.spread, *_SPREAD_M), f"the position is uncertain by {pose.spread:.2f} m"),
+        (_between(heading_sd, *_HEADING), f"the heading is uncertain by {heading_sd:.2f} rad"),
+    ]
+    if fit is not None:
+        sides.append((_between(fit, *_FIT), f"the map explains {fit:.0%} of the scan"))
+    if support.contradicting:
+        seen = support.agreeing + support.contradicting
+        least = 0.5 if fit is not None and fit >= FITS else 0.0
+        sides.append(
+            (
+                max(least, support.agreeing / seen),
+                f"of the places seen of late {support.agreeing} agree with the pose and "
+                f"{support.contradicting} contradict it",
+            )
+        )
+    value, reason = min(sides)
+    return Health(value, reason if value < 1.0 else "", support, fit)
+
+
+def without_scans(health: Health, silent_s: float, topic: str) -> Health:
+    """What is left of a health when no scan has come on `topic` for some seconds."""
+    value = min(health.value, 0.5)
+    return replace(health, value=value, reason=f"no scan on {topic} for {silent_s:.1f} s")
+
+
+def _between(measure: float, full: float, none: float) -> float:
+    return min(1.0, max(0.0, (none - measure) / (none - full)))

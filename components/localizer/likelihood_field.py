@@ -1,0 +1,174 @@
+"""How well the end points of a scan's beams fit the obstacles of the grid map, for many poses."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planar.compiled import compiled
+from planar.distance import distance_field
+from planar.grid import Frame, OccupancyCells
+from planar.poses import Pose
+
+Array = NDArray[np.float64]
+
+# From this probability [%] on a cell is an obstacle (map_server: occupied_thresh 0.65).
+_OBSTACLE = 65
+# A beam is explained by the map if it ends so near an obstacle [m].
+_EXPLAINED_M = 0.12
+
+
+class LikelihoodField:
+    """The log-likelihood of a beam that ends in a cell, by the cell's distance to an obstacle.
+
+    A beam is a measurement of the obstacle, Gaussian with deviation `sigma` [m], or with the share
+    `stray` of anything else (people, furniture that was moved): log(exp(-d^2 / 2 sigma^2) (1 -
+    stray) + stray) (Thrun, Burgard, Fox 2005, 6.4, with the logarithm taken once per cell instead
+    of once per beam). A ring of cells without an obstacle near lies around the map: what is off
+    the map is never taken for its border.
+    """
+
+    def __init__(self, grid: OccupancyCells, sigma: float, stray: float) -> None:
+        self.frame: Frame = grid.frame
+        self.sigma, self.stray = sigma, stray
+        self._reach = math.ceil(4.0 * sigma / grid.frame.resolution)
+        rows, columns = grid.values.shape
+        far = np.float32(math.log(stray))
+        self.cells: NDArray[np.float32] = np.full((rows + 2, columns + 2), far, np.float32)
+        self._obstacles: NDArray[np.bool_] = np.asarray(grid.values >= _OBSTACLE)
+        self._rebuild(0, rows, 0, columns)
+
+    def renew(self, row: int, column: int, values: NDArray[np.int8]) -> None:
+        """Take new occupancy `values` (rows, columns) of the window that begins at a cell."""
+        rows, columns = self._obstacles.shape
+        bottom, right = row + values.shape[0], column + values.shape[1]
+        self._obstacles[row:bottom, column:right] = values >= _OBSTACLE
+        reach = self._reach
+        self._rebuild(
+            max(0, row - reach),
+            min(rows, bottom + reach),
+            max(0, column - reach),
+            min(columns, right + reach),
+        )
+
+    def log_likelihood(self, poses: Array, points: Array) -> Array:
+        """Sum over the beams' end points (m, 2) [m, base frame], for each pose (3, n): (n,)."""
+        total = np.empty(poses.shape[1])
+        _weigh(
+            np.ascontiguousarray(poses),
+            self._in_cells(points),
+            self.cells,
+            1.0 / self.frame.resolution,
+            *self.frame.origin,
+            total,
+        )
+        return total
+
+    def fit(self, pose: Pose, points: Array) -> float:
+        """Share (0 to 1) of the end points (m, 2) that lie within 0.12 m of an obstacle."""
+        if not len(points):
+            return math.nan
+        each = np.empty(len(points), np.float32)
+        _gather(
+            pose[0],
+            pose[1],
+            pose[2],
+            self._in_cells(points),
+            self.cells,
+            1.0 / self.frame.resolution,
+            *self.frame.origin,
+            each,
+        )
+        return float(np.mean(each >= self._values(np.full(1, _EXPLAINED_M, np.float32))[0]))
+
+    def _rebuild(self, top: int, bottom: int, left: int, right: int) -> None:
+        """Renew the cells of a window; obstacles as far around it as they can matter."""
+        reach = self._reach
+        rows, columns = self._obstacles.shape
+        t, l = max(0, top - reach), max(0, left - reach)  # noqa: E741
+        b, r = min(rows, bottom + reach), min(columns, right + reach)
+        distance = distance_field(self._obstacles[t:b, l:r], self.frame.resolution)
+        inner = distance[top - t : bottom - t, left - l : right - l]
+        self.cells[top + 1 : bottom + 1, left + 1 : right + 1] = self._values(inner)
+
+    def _values(self, distance: NDArray[np.float32]) -> NDArray[np.float32]:
+        values = np.full(distance.shape, math.log(self.stray), np.float32)
+        near = distance < self._reach * self.frame.resolution
+        peak = np.exp(np.float32(-0.5 / self.sigma**2) * np.square(distance[near]))
+        values[near] = np.log(peak * np.float32(1.0 - self.stray) + np.float32(self.stray))
+        return values
+
+    def _in_cells(self, points: Array) -> NDArray[np.float32]:
+        cells = points.T / self.frame.resolution
+        return np.ascontiguousarray(cells, np.float32)
+
+
+@compiled(
+    "void(float64[:, ::1], float32[:, ::1], float32[:, ::1], float64, float64, float64, float64,"
+    " float64[::1])",
+    sums_in_any_order=True,
+)
+def _weigh(
+    poses: Array,
+    points: NDArray[np.float32],
+    field: NDArray[np.float32],
+    per_metre: float,
+    origin_x: float,
+    origin_y: float,
+    origin_theta: float,
+    total: Array,
+) -> None:
+    rows, columns = field.shape
+    flat = field.ravel()
+    beams = points.shape[1]
+    across, along = math.sin(origin_theta), math.cos(origin_theta)
+    last_column, last_row = np.float32(columns - 1), np.float32(rows - 1)
+    zero = np.float32(0.0)
+    for i in range(poses.shape[1]):
+        dx, dy = poses[0, i] - origin_x, poses[1, i] - origin_y
+        # In cells of the padded field: its ring is one cell wide.
+        x = np.float32((along * dx + across * dy) * per_metre + 1.0)
+        y = np.float32((along * dy - across * dx) * per_metre + 1.0)
+        theta = poses[2, i] - origin_theta
+        cosine, sine = np.float32(math.cos(theta)), np.float32(math.sin(theta))
+        sum_ = zero
+        for b in range(beams):
+            column = x + cosine * points[0, b] - sine * points[1, b]
+            row = y + sine * points[0, b] + cosine * points[1, b]
+            # What is off the map falls onto the ring, which holds "far".
+            column = min(max(column, zero), last_column)
+            row = min(max(row, zero), last_row)
+            sum_ += flat[np.int32(row) * columns + np.int32(column)]
+        total[i] = sum_
+
+
+@compiled(
+    "void(float64, float64, float64, float32[:, ::1], float32[:, ::1], float64, float64, float64,"
+    " float64, float32[::1])"
+)
+def _gather(
+    x: float,
+    y: float,
+    theta: float,
+    points: NDArray[np.float32],
+    field: NDArray[np.float32],
+    per_metre: float,
+    origin_x: float,
+    origin_y: float,
+    origin_theta: float,
+    each: NDArray[np.float32],
+) -> None:
+    rows, columns = field.shape
+    dx, dy = x - origin_x, y - origin_y
+    across, along = math.sin(origin_theta), math.cos(origin_theta)
+    begin_x = (along * dx + across * dy) * per_metre + 1.0
+    begin_y = (along * dy - across * dx) * per_metre + 1.0
+    cosine, sine = math.cos(theta - origin_theta), math.sin(theta - origin_theta)
+    for b in range(points.shape[1]):
+        column = begin_x + cosine * points[0, b] - sine * points[1, b]
+        row = begin_y + sine * points[0, b] + cosine * points[1, b]
+        column = min(max(column, 0.0), columns - 1.0)
+        row = min(max(row, 0.0), rows - 1.0)
+        each[b] = field[int(row), int(column)]

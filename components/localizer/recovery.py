@@ -1,0 +1,123 @@
+"""When to look for the robot anywhere in the map, and when to believe what was found there."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from components.localizer.evidence import Evidence
+from components.localizer.health import FITS
+from components.localizer.particles import Estimate, estimate
+from components.localizer.search import Found, search
+from planar.poses import wrap
+
+Array = NDArray[np.float64]
+
+# A robot that was found is looked for anew this long [s]: it may have been found in a wrong place
+# that explains what little was seen.
+PROBATION_S = 30.0
+# By so much [nats] another pose must explain the recent sightings better: errors that successive
+# sightings have in common are worth 2 to 4.
+BETTER = 6.0
+# By so much more of the scan another pose must fit.
+_FITS_BETTER = 0.15
+# Scans that fit less than this are a reason to look elsewhere now and then; less than that, to
+# do so at once and to forget what was seen before.
+_WARY, _SUSPICIOUS = 0.8, 0.5
+# How often to look [s].
+_WARY_EVERY_S, _EVERY_S = 3.0, 1.0
+
+
+class Recovery:
+    """Looks for the robot: at an unknown start, when it is suspected to be lost, and for a while
+    after it was found.
+    """
+
+    def __init__(self, search_particles: int, random: np.random.Generator) -> None:
+        self.search_particles = search_particles
+        self.random = random
+        self._searched_at = -math.inf
+        self._first_seen = math.inf
+        self._guess: Estimate | None = None
+        self._probation_ends = -math.inf
+        self._fit = 1.0
+
+    def believe(self) -> None:
+        """Take the robot's place as known."""
+        self._probation_ends = -math.inf
+        self._fit = 1.0
+        self._guess = None
+
+    def suspects(self, fit: float) -> bool:
+        """Take how well scans fit of late; True when the robot seems to be somewhere else now."""
+        before, self._fit = self._fit, fit
+        return fit < _SUSPICIOUS <= before
+
+    def due(self, stamp: float, contradicted: bool) -> bool:
+        """Whether to search at `stamp` [s]; `contradicted` by an object seen just now."""
+        since = stamp - self._searched_at
+        if contradicted or self._fit < _SUSPICIOUS:
+            return since >= _EVERY_S
+        if stamp < self._probation_ends:
+            return since >= 2.0 * _EVERY_S
+        return self._fit < _WARY and since >= _WARY_EVERY_S
+
+    def find(self, stamp: float, evidence: Evidence) -> Array | None:
+        """Poses (3, n) of a robot whose place is not known; None as long as it is in doubt."""
+        self._first_seen = min(self._first_seen, stamp)
+        if stamp - self._searched_at < 0.5:
+            return None
+        self._searched_at = stamp
+        found = self._search(evidence)
+        if found is None or found.support.contradicting >= max(1, found.support.agreeing):
+            self._guess = None
+            return None
+        waited = stamp - self._first_seen
+        firm = found.support.agreeing >= 2 or found.fit >= FITS
+        if found.share >= 0.9 and (firm or (waited >= 15.0 and not evidence.scanned)):
+            # Two modes take turns while little was seen: believe the one that stays.
+            again = self._guess is not None and _close(self._guess, found.pose)
+            self._guess = found.pose
+            if again:
+                return self._found(stamp, found.poses)
+        elif (
+            not evidence.scanned
+            and waited >= 10.0
+            and estimate(found.everywhere, np.zeros(found.everywhere.shape[1])).spread < 0.8
+        ):
+            # One place alone leaves an arc around it open; its width is stated, and the filter
+            # narrows it sooner than waiting does.
+            return self._found(stamp, found.everywhere)
+        return None
+
+    def recover(self, stamp: float, evidence: Evidence, here: Estimate) -> Array | None:
+        """Poses (3, n) of a robot believed to be `here`, if it is clearly somewhere else."""
+        self._searched_at = stamp
+        found = self._search(evidence)
+        if found is None or found.share < 0.8 or found.pose.spread > 0.5:
+            return None
+        support = found.support
+        if support.contradicting > support.agreeing or _close(here, found.pose):
+            return None
+        fits = evidence.scanned and found.fit >= max(FITS, evidence.fit(here) + _FITS_BETTER)
+        if not fits and support.agreeing < 2:
+            return None
+        score = evidence.log_likelihood(np.asarray(here.mean)[:, None])
+        if found.score - float(score[0]) < BETTER:
+            return None
+        return self._found(stamp, found.poses)
+
+    def _search(self, evidence: Evidence) -> Found | None:
+        return search(evidence, self.search_particles, self.random)
+
+    def _found(self, stamp: float, poses: Array) -> Array:
+        self._probation_ends = stamp + PROBATION_S
+        self._fit = 1.0
+        return poses
+
+
+def _close(a: Estimate, b: Estimate) -> bool:
+    apart = math.hypot(a.mean[0] - b.mean[0], a.mean[1] - b.mean[1])
+    return apart < 0.5 and abs(wrap(a.mean[2] - b.mean[2])) < 0.35

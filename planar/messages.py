@@ -1,0 +1,63 @@
+"""Planar poses as messages, and messages as planar poses."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planar import poses
+from schemas.geometry_msgs import Point, Pose, PoseWithCovariance, Quaternion
+from schemas.packed import Packed
+
+Array = NDArray[np.float64]
+
+# Where x, y and yaw stand in a message's row-major 6 x 6 covariance.
+_PLANAR = np.array([0, 1, 5])
+
+
+def pose_message(pose: poses.Pose) -> Pose:
+    """A planar pose as a message."""
+    x, y, theta = pose
+    return Pose(
+        position=Point(x=x, y=y),
+        orientation=Quaternion(z=math.sin(theta / 2), w=math.cos(theta / 2)),
+    )
+
+
+def planar_pose(pose: Pose) -> poses.Pose:
+    """x [m], y [m] and yaw [rad] of a message."""
+    q = pose.orientation
+    yaw = math.atan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y * q.y + q.z * q.z))
+    return pose.position.x, pose.position.y, yaw
+
+
+def with_covariance(pose: poses.Pose, covariance: Array) -> PoseWithCovariance:
+    """A planar pose and its covariance (3, 3) over x, y, yaw as a message."""
+    full = np.zeros((6, 6))
+    full[np.ix_(_PLANAR, _PLANAR)] = 0.5 * (covariance + covariance.T)
+    return PoseWithCovariance(pose=pose_message(pose), covariance=full.ravel())
+
+
+def planar_covariance(pose: PoseWithCovariance) -> Array:
+    """The covariance (3, 3) over x, y, yaw of a message."""
+    covariance: Array = pose.covariance.reshape(6, 6)[np.ix_(_PLANAR, _PLANAR)]
+    return covariance
+
+
+def packed_poses(rows: Array) -> Packed[Pose]:
+    """Planar poses (n, 3) as a sequence of messages."""
+    packed = np.zeros((rows.shape[0], 7))
+    packed[:, 0], packed[:, 1] = rows[:, 0], rows[:, 1]
+    packed[:, 5], packed[:, 6] = np.sin(rows[:, 2] / 2), np.cos(rows[:, 2] / 2)
+    return Packed(Pose, packed)
+
+
+def planar_poses(packed: Packed[Pose]) -> Array:
+    """Planar poses (n, 3) of a sequence of messages."""
+    rows = np.empty((len(packed), 3))
+    rows[:, 0], rows[:, 1] = packed.array[:, 0], packed.array[:, 1]
+    x, y, z, w = packed.array[:, 3:].T
+    rows[:, 2] = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    return rows

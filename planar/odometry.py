@@ -1,0 +1,59 @@
+"""The last poses that odometry told, and where the robot was between them."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections import deque
+
+from planar.poses import Pose, between, compose, inverse
+
+
+class OdometryHistory:
+    """Poses in the odometry frame by time [ns], those of the last seconds."""
+
+    def __init__(self, horizon_ns: int) -> None:
+        self._horizon = horizon_ns
+        self._stamps: deque[int] = deque()
+        self._poses: deque[Pose] = deque()
+
+    @property
+    def newest(self) -> int | None:
+        """Time [ns] of the newest pose, None before the first."""
+        return self._stamps[-1] if self._stamps else None
+
+    def add(self, stamp: int, pose: Pose) -> bool:
+        """Take a pose; False if it is older than the newest one."""
+        if self._stamps and stamp < self._stamps[-1]:
+            return False
+        self._stamps.append(stamp)
+        self._poses.append(pose)
+        while len(self._stamps) > 2 and self._stamps[0] < stamp - self._horizon:
+            self._stamps.popleft()
+            self._poses.popleft()
+        return True
+
+    def at(self, stamp: int) -> Pose | None:
+        """The pose at a time, between two of them in proportion; None before the oldest.
+
+        After the newest it is that one: what is not told yet is not guessed.
+        """
+        index = bisect_right(self._stamps, stamp)
+        if index == 0:
+            return None
+        if index == len(self._stamps):
+            return self._poses[-1]
+        before, after = self._stamps[index - 1], self._stamps[index]
+        share = (stamp - before) / (after - before)
+        return between(self._poses[index - 1], self._poses[index], share)
+
+    def carried(self, pose: Pose, since: int, to: int) -> Pose | None:
+        """Where a robot is at `to` that was at `pose` (any frame) at `since`; None if unknown."""
+        left, reached = self.at(since), self.at(to)
+        if left is None or reached is None:
+            return None
+        return compose(pose, compose(inverse(left), reached))
+
+    def clear(self) -> None:
+        """Forget all, as when odometry begins anew."""
+        self._stamps.clear()
+        self._poses.clear()

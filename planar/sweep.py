@@ -1,0 +1,61 @@
+"""Scans of a robot that moves while its scanner sweeps: each ray from where it was sent."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planar.poses import Pose, inverse
+from planar.scans import beams_of
+from schemas.sensor_msgs import LaserScan
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Rays:
+    """Rays in the frame of the base as it was when the sweep ended.
+
+    `starts` (n, 2) [m], directions `angles` (n,) [rad], `ranges` (n,) [m]: finite where something
+    was hit, +inf where nothing was within `reach` [m], NaN where the ray tells nothing.
+    """
+
+    starts: Array
+    angles: Array
+    ranges: Array
+    reach: float
+
+    def points(self) -> Array:
+        """x, y (m, 2) [m] of what was hit."""
+        hit = np.isfinite(self.ranges)
+        ranges, angles = self.ranges[hit], self.angles[hit]
+        points: Array = self.starts[hit].copy()
+        points[:, 0] += ranges * np.cos(angles)
+        points[:, 1] += ranges * np.sin(angles)
+        return points
+
+
+def sweep_s(scan: LaserScan) -> float:
+    """How long [s] the sweep took from its first to its last beam."""
+    return max(0.0, scan.time_increment * (scan.ranges.size - 1))
+
+
+def rays_of(scan: LaserScan, mount: Pose, moved: Pose) -> Rays:
+    """The rays of a scan by a scanner that sits at `mount` on the robot.
+
+    `moved` is the pose of the base at the last beam as seen from where it was at the first one;
+    in between it moved evenly.
+    """
+    beams = beams_of(scan, mount)
+    count = beams.ranges.size
+    # How far each beam's base lies back from where the sweep ended.
+    back_x, back_y, back_turn = inverse(moved)
+    left = np.linspace(1.0, 0.0, count) if scan.time_increment > 0 else np.zeros(count)
+    turn = left * back_turn
+    cosine, sine = np.cos(turn), np.sin(turn)
+    starts = np.empty((count, 2))
+    starts[:, 0] = left * back_x + cosine * mount[0] - sine * mount[1]
+    starts[:, 1] = left * back_y + sine * mount[0] + cosine * mount[1]
+    return Rays(starts, beams.angles + turn, beams.ranges, beams.reach)

@@ -1,0 +1,27 @@
+"""ROS package map_msgs: changes of maps."""
+
+import numpy as np
+
+from schemas.message import message, refuse
+from schemas.primitives import Int8Array, Int32, UInt32, empty
+from schemas.std_msgs import Header
+
+
+@message("map_msgs/msg/OccupancyGridUpdate")
+class OccupancyGridUpdate:
+    """New values of a window of a map: `width` x `height` cells from column `x`, row `y` on."""
+
+    header: Header = Header()
+    x: Int32 = 0
+    y: Int32 = 0
+    width: UInt32 = 0
+    height: UInt32 = 0
+    data: Int8Array = empty(np.int8)
+
+    def __post_init__(self) -> None:
+        """Check that there are width * height cells with values of a map."""
+        cells = self.width * self.height
+        if self.data.size != cells:
+            refuse(self, "data", self.data, f"must have width * height = {cells} cells")
+        if cells and not (self.data.min() >= -1 and self.data.max() <= 100):
+            refuse(self, "data", self.data, "must hold values from -1 to 100")
