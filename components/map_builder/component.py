@@ -1,4 +1,4 @@
-"""The component MapBuilder: owns the visual map, its reliabilities and its file."""
+"""The component MapBuilder: owns the visual map and the grid map, and their files."""
 
 from __future__ import annotations
 
@@ -6,26 +6,44 @@ import logging
 from collections.abc import Sequence
 from pathlib import Path
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
-from cairn.bus.qos import LATCHED, RELIABLE
-from cairn.clock import from_ns, to_ns
+from cairn.bus.qos import LATCHED, RELIABLE, SENSOR
+from cairn.clock import SECOND, from_ns, to_ns
 from cairn.component.component import Component
 from cairn.component.handlers import every, on
+from cairn.component.mount import Mount
 from cairn.component.parameters import Config, ParameterRefused
 from cairn.component.ports import In, Out
+from components.map_builder.grid_keeper import GridKeeper
+from components.map_builder.grid_updates import GridUpdates
 from components.map_builder.keeper import MapKeeper, NumberedChange
+from components.map_builder.map_file import read_map
 from components.map_builder.messages import change_message, evidence_of, map_message
 from components.map_builder.objects import Kind
+from components.map_builder.posed_scans import PosedScans
 from components.map_builder.store import open_map
+from planar.grid import map_message as grid_message
+from planar.messages import planar_pose
 from schemas.cairn_msgs import ObjectEvidenceArray, VisualMap, VisualMapChange
+from schemas.cairn_nav_msgs import LocalizationHealth
 from schemas.geometry_msgs import PoseWithCovarianceStamped
+from schemas.map_msgs import OccupancyGridUpdate
+from schemas.nav_msgs import OccupancyGrid, Odometry
+from schemas.sensor_msgs import LaserScan
+from schemas.std_msgs import Header
+
+# A full map follows its updates after this [s], for readers that come later.
+_FULL_MAP_S = 5.0
+_SAVE_S = 10.0
 
 
 class MapBuilderConfig(Config):
     """Parameters of the map builder."""
 
-    map_file: Path = Field(description="The visual map: a file made by `cairn map import`.")
+    map_file: Path | None = Field(
+        None, description="The visual map: a file made by `cairn map import`; none: no visual map."
+    )
     working_copy: Path | None = Field(
         None,
         description="Where to keep a copy that is changed instead of map_file; none: change "
@@ -34,33 +52,87 @@ class MapBuilderConfig(Config):
     learn_unknown: bool = Field(
         True, description="Whether to place objects that are sighted but not in the map."
     )
+    grid_file: Path | None = Field(
+        None, description="The grid map: a map_server YAML file; none: no grid map."
+    )
+    grid_copy: Path | None = Field(
+        None,
+        description="Where to keep the changed grid map (YAML); grid_file is never changed. A copy "
+        "of the same map, not later than now, is gone on with. None: keep it in memory.",
+    )
+    update_grid: bool = Field(True, description="Whether scans change the grid map.")
+    mount: Mount = Field(Mount(), description="Where the scanner sits on the robot.")
+    scans_per_s: float = Field(
+        5.0, gt=0, le=100, description="Scans that are put into the grid map, at most [1/s]."
+    )
+    settle_s: float = Field(
+        8.0,
+        ge=0,
+        le=3600,
+        description="How long an obstacle must stand to get into the grid map [s].",
+    )
+    least_health: float = Field(
+        0.6, ge=0, le=1, description="Health of the pose from which scans are put in [1]."
+    )
+    most_spread: float = Field(
+        0.15, gt=0, le=1, description="Position deviation up to which scans are put in [m]."
+    )
+
+    @model_validator(mode="after")
+    def _something_to_keep(self) -> MapBuilderConfig:
+        if self.map_file is None and self.grid_file is None:
+            raise ValueError("give map_file, grid_file, or both: there is no map to keep")
+        return self
 
 
 class MapBuilder(Component):
-    """Judges each object of the visual map by the evidence for it; removes and registers."""
+    """Keeps the visual map and the grid map true while the robot works.
+
+    Judges each object of the visual map by the evidence for it; removes and registers. Changes the
+    grid map by what the scanner sees, as long as the pose is sure.
+    """
 
     config: MapBuilderConfig
-    object_evidence: In[ObjectEvidenceArray] = In(qos=RELIABLE.with_depth(200))
+    object_evidence: In[ObjectEvidenceArray] = In(qos=RELIABLE.with_depth(200), optional=True)
     relocalised: In[PoseWithCovarianceStamped] = In(optional=True)
+    scan: In[LaserScan] = In(qos=SENSOR, optional=True)
+    odom: In[Odometry] = In(qos=RELIABLE.with_depth(1000), optional=True)
+    pose: In[PoseWithCovarianceStamped] = In(optional=True)
+    localization_health: In[LocalizationHealth] = In(optional=True)
     visual_map: Out[VisualMap] = Out(qos=LATCHED)
     visual_map_changes: Out[VisualMapChange] = Out(qos=RELIABLE.with_depth(100))
+    map: Out[OccupancyGrid] = Out(qos=LATCHED)
+    map_updates: Out[OccupancyGridUpdate] = Out(qos=RELIABLE.with_depth(50))
 
     _keeper: MapKeeper | None = None
+    _grid: GridKeeper | None = None
 
     def on_configure(self) -> None:
-        """Check the map file, so that a wrong one is told of before anything moves."""
-        open_map(self.config.map_file, read_only=True).close()
+        """Check the map files, so that a wrong one is told of before anything moves."""
+        config = self.config
+        if config.map_file is not None:
+            open_map(config.map_file, read_only=True).close()
+        if config.grid_file is not None:
+            read_map(config.grid_file)
+        self._scans = PosedScans(
+            config.mount.pose, config.scans_per_s, config.least_health, config.most_spread
+        )
+        self._updates = GridUpdates()
+        self._full_map_at = self._saved_at = 0
 
     def on_activate(self) -> None:
-        """Open the map and publish it, if it is known what time it is."""
+        """Open the maps and publish them, if it is known what time it is."""
         if self.clock.now() > 0:
-            self._open()
+            self._open_both()
 
     def on_deactivate(self) -> None:
         """Commit what is left."""
         if self._keeper is not None:
-            self._keeper.close()
-            self._keeper = None
+            keeper, self._keeper = self._keeper, None
+            keeper.close()
+        if self._grid is not None:
+            self._grid.save(self.clock.now())
+            self._grid = None
 
     def on_error(self, error: Exception) -> bool:  # noqa: ARG002 - any error ends it
         """Let go of the file; what was committed is safe."""
@@ -77,31 +149,114 @@ class MapBuilder(Component):
     def judge(self, frame: ObjectEvidenceArray) -> None:
         """Take one frame's evidence."""
         keeper = self._open()
-        stamp_ns = to_ns(frame.header.stamp)
-        self._tell(stamp_ns, *keeper.apply(stamp_ns, evidence_of(frame)))
+        if keeper is not None:
+            stamp_ns = to_ns(frame.header.stamp)
+            self._tell(stamp_ns, *keeper.apply(stamp_ns, evidence_of(frame)))
 
     @on("relocalised")
     def take_back(self, pose: PoseWithCovarianceStamped) -> None:
         """Undo what the robot judged while it was lost."""
         keeper = self._open()
-        stamp_ns = to_ns(pose.header.stamp)
-        self._tell(stamp_ns, *keeper.take_back(stamp_ns))
+        if keeper is not None:
+            stamp_ns = to_ns(pose.header.stamp)
+            self._tell(stamp_ns, *keeper.take_back(stamp_ns))
+
+    @on("odom")
+    def follow(self, odom: Odometry) -> None:
+        """Remember how the robot moved while its scanner swept."""
+        self._scans.moved(to_ns(odom.header.stamp), planar_pose(odom.pose.pose))
+
+    @on("scan")
+    def look(self, scan: LaserScan) -> None:
+        """Keep a scan until its pose has come."""
+        self._scans.scanned(scan)
+
+    @on("pose")
+    def place(self, pose: PoseWithCovarianceStamped) -> None:
+        """Keep a pose until its health has come."""
+        self._scans.located(to_ns(pose.header.stamp), planar_pose(pose.pose.pose))
+
+    @on("localization_health")
+    def draw(self, health: LocalizationHealth) -> None:
+        """Put the scan of a sure pose into the grid map."""
+        grid = self._open_grid()
+        if grid is None or not self.config.update_grid:
+            return
+        waits = self._scans.waiting
+        ready = self._scans.ready(health)
+        if self._scans.waiting != waits:
+            if self._scans.waiting:
+                self.log.info("the grid map waits: %s", self._scans.waiting)
+            else:
+                self.log.info("the grid map is kept up to date again")
+        if ready is not None:
+            window = grid.integrate(ready.stamp_ns / SECOND, ready.pose, ready.rays)
+            self._updates.add(window)
 
     @every(hz=1)
     def save(self) -> None:
-        """Open the map once time is known; commit the evidence of the last second."""
-        if self.clock.now() > 0:
-            self._open().save_pending()
+        """Open the maps once time is known; commit and tell what changed in the last second."""
+        now = self.clock.now()
+        if now <= 0:
+            return
+        self._open_both()
+        if self._keeper is not None:
+            self._keeper.save_pending()
+        if self._grid is None:
+            return
+        self._tell_grid(now)
+        if now - self._saved_at >= _SAVE_S * SECOND:
+            self._saved_at = now
+            self._grid.save(now)
 
-    def _open(self) -> MapKeeper:
-        if self._keeper is None:
-            config = self.config
+    def _open_both(self) -> None:
+        self._open()
+        self._open_grid()
+
+    def _open(self) -> MapKeeper | None:
+        config = self.config
+        if self._keeper is None and config.map_file is not None:
             now = self.clock.now()
             self._keeper = MapKeeper(
                 config.map_file, config.working_copy, now, config.learn_unknown
             )
             self._tell(now, True, [])
         return self._keeper
+
+    def _open_grid(self) -> GridKeeper | None:
+        config = self.config
+        if self._grid is None and config.grid_file is not None:
+            now = self.clock.now()
+            self._grid = GridKeeper(config.grid_file, config.grid_copy, now, config.settle_s)
+            self._saved_at = now
+            self._tell_full_map(now)
+        return self._grid
+
+    def _tell_grid(self, now: int) -> None:
+        assert self._grid is not None
+        update = self._updates.take(self._grid.occupancy.cells)
+        if update is not None:
+            header = Header(stamp=from_ns(now), frame_id="map")
+            self.map_updates.publish(
+                OccupancyGridUpdate(
+                    header=header,
+                    x=update.column,
+                    y=update.row,
+                    width=update.values.shape[1],
+                    height=update.values.shape[0],
+                    data=update.values.ravel(),
+                )
+            )
+        if self._updates.untold and now - self._full_map_at >= _FULL_MAP_S * SECOND:
+            self._tell_full_map(now)
+
+    def _tell_full_map(self, now: int) -> None:
+        assert self._grid is not None
+        self._full_map_at = now
+        self._updates.told()
+        stamp = from_ns(now)
+        header = Header(stamp=stamp, frame_id="map")
+        self.map.publish(grid_message(header, self._grid.occupancy.grid, stamp))
 
     def _tell(self, stamp_ns: int, touched: bool, changes: Sequence[NumberedChange]) -> None:
         keeper = self._keeper

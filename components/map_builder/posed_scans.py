@@ -1,0 +1,86 @@
+"""Brings scans, the poses they were taken from, and the health of these poses together."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+from cairn.clock import SECOND, to_ns
+from planar.odometry import OdometryHistory
+from planar.poses import Pose, compose, relative
+from planar.sweep import Rays, rays_of, sweep_s
+from schemas.cairn_nav_msgs import LocalizationHealth
+from schemas.sensor_msgs import LaserScan
+
+_KEPT = 20  # scans that wait for their pose
+_MOST_HEADING_SD = 0.06  # [rad]: 0.18 m at 3 m
+
+
+@dataclass(frozen=True)
+class PosedScan:
+    """Rays in the base's frame, and the base's pose in the map, at the end of the sweep."""
+
+    stamp_ns: int
+    pose: Pose
+    rays: Rays
+
+
+class PosedScans:
+    """Gives scans whose pose is known and sure, at most `per_s` a second.
+
+    `waiting` says in words why none is given, "" while poses are sure.
+    """
+
+    def __init__(
+        self, mount: Pose, per_s: float, least_health: float, most_spread_m: float
+    ) -> None:
+        self._mount = mount
+        self._every_ns = round(SECOND / per_s)
+        self._least_health, self._most_spread_m = least_health, most_spread_m
+        self._history = OdometryHistory(5 * SECOND)
+        self._scans: deque[LaserScan] = deque(maxlen=_KEPT)
+        self._pose: tuple[int, Pose] | None = None
+        self._given_ns: int | None = None
+        self.waiting = "there is no pose yet"
+
+    def moved(self, stamp_ns: int, pose: Pose) -> None:
+        """Take a pose of odometry."""
+        if not self._history.add(stamp_ns, pose):
+            self._history.clear()
+
+    def scanned(self, scan: LaserScan) -> None:
+        """Take a scan."""
+        self._scans.append(scan)
+
+    def located(self, stamp_ns: int, pose: Pose) -> None:
+        """Take the pose of the time `stamp_ns`."""
+        self._pose = (stamp_ns, pose)
+
+    def ready(self, health: LocalizationHealth) -> PosedScan | None:
+        """The scan of the pose that this is the health of, if it may be put into a map."""
+        self.waiting = self._doubt(health)
+        stamp = to_ns(health.header.stamp)
+        if self.waiting or self._pose is None or self._pose[0] != stamp:
+            return None
+        if self._given_ns is not None and 0 <= stamp - self._given_ns < self._every_ns:
+            return None
+        scan = next((s for s in self._scans if to_ns(s.header.stamp) == stamp), None)
+        if scan is None:
+            return None
+        self._given_ns = stamp
+        ends = stamp + round(sweep_s(scan) * SECOND)
+        began, ended = self._history.at(stamp), self._history.at(ends)
+        moved = relative(began, ended) if began and ended else (0.0, 0.0, 0.0)
+        pose = compose(self._pose[1], moved)
+        return PosedScan(ends, pose, rays_of(scan, self._mount, moved))
+
+    def _doubt(self, health: LocalizationHealth) -> str:
+        if not health.located:
+            return health.reason or "the robot is not located"
+        if health.health < self._least_health:
+            return f"the pose is not sure: {health.reason}"
+        if health.position_sd > self._most_spread_m:
+            return f"the position is uncertain by {health.position_sd:.2f} m"
+        if health.heading_sd > _MOST_HEADING_SD:
+            return f"the heading is uncertain by {health.heading_sd:.2f} rad"
+        return ""
