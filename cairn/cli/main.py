@@ -15,7 +15,7 @@ from cairn.cli.tables import line
 from cairn.errors import CairnError, StoppedByForce
 
 COMMANDS_GROUP = "cairn.commands"
-"""Entry points of this group add subcommands: each names a `typer.Typer`."""
+"""Entry points of this group add subcommands: a `typer.Typer`, or a function as typer takes it."""
 
 
 def build() -> typer.Typer:
@@ -44,7 +44,12 @@ def build() -> typer.Typer:
     app.add_typer(schema.app, name="schema")
     for point in sorted(entry_points(group=COMMANDS_GROUP), key=lambda point: point.name):
         try:
-            app.add_typer(point.load(), name=point.name)
+            found = point.load()
+            if isinstance(found, typer.Typer):
+                app.add_typer(found, name=point.name)
+            else:
+                # Arguments may begin with a minus, as coordinates do.
+                app.command(point.name, context_settings={"ignore_unknown_options": True})(found)
         except Exception as error:  # a package's broken command must not take the others along
             _complain(f"command {point.name} ({point.value}) cannot be loaded: {error!r}")
     return app

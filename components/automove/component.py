@@ -1,33 +1,86 @@
-"""The component that takes orders to move and loads the plugins which carry them out."""
+"""The component that carries out orders to move with the plugins it loads for them."""
 
 from typing import Literal
 
 from pydantic import Field
 
-from cairn.component.handlers import on
+from cairn.bus.qos import LATCHED
+from cairn.clock import SECOND, from_ns
+from cairn.component.handlers import every, on
 from cairn.component.parameters import Config
-from cairn.component.ports import In
+from cairn.component.ports import In, Out
 from cairn.supervision.component import SupervisorComponent
 from cairn.supervision.supervisor import StartFailed
-from schemas.geometry_msgs import PoseStamped
+from components.automove.course import Course, Patience, Seen
+from planar.messages import planar_pose, planar_poses
+from schemas.cairn_nav_msgs import (
+    LocalizationHealth,
+    MotionStatus,
+    Movement,
+    MoveOrder,
+    MoveStatus,
+    Plan,
+)
+from schemas.geometry_msgs import PoseWithCovarianceStamped
+from schemas.std_msgs import Header
+
+# How often what is wanted is told again, so that the others know that this component lives [ns].
+_REPEAT = SECOND // 2
 
 
 class AutoMoveConfig(Config):
-    """When the plugins are loaded."""
+    """When the plugins are loaded, and how an order is carried out."""
 
     load_plugins: Literal["on_order", "on_activation"] = Field(
         "on_order",
         description="On the first order to move; or at once, where somebody else drives the robot, "
         "as in a recording.",
     )
+    position_tolerance: float = Field(
+        0.10, gt=0, le=2, description="How near to a goal is there [m]."
+    )
+    heading_tolerance: float = Field(
+        0.10, gt=0, le=3.2, description="How well turned at a goal is there [rad]."
+    )
+    recoveries: int = Field(
+        6, ge=0, le=100, description="Recoveries without progress before it gives up [1]."
+    )
+    least_health: float = Field(
+        0.3, ge=0, le=1, description="Health of the pose below which the robot stands still [1]."
+    )
+    stopped: float = Field(
+        15.0, gt=0, le=600, description="How long inputs may be missing before it gives up [s]."
+    )
+    speed: float = Field(
+        0.4, gt=0, le=5, description="Usual speed, for the estimate of the time left [m/s]."
+    )
 
 
 class AutoMove(SupervisorComponent):
-    """Loads Localizer, MapBuilder and the other plugins on an order to move (paper, step 2)."""
+    """Carries out an order to move (paper, steps 2 to 6).
+
+    Loads Localizer, MapBuilder, PathPlanner and MotionControl; then has the robot localized, the
+    path planned and driven, goal by goal, and recovers where one of these fails.
+    """
 
     config: AutoMoveConfig
 
-    goal_pose: In[PoseStamped] = In(optional=True)
+    order: In[MoveOrder] = In(qos=LATCHED, optional=True)
+    plan: In[Plan] = In(qos=LATCHED, optional=True)
+    motion_status: In[MotionStatus] = In(optional=True)
+    pose: In[PoseWithCovarianceStamped] = In(optional=True)
+    localization_health: In[LocalizationHealth] = In(optional=True)
+    movement: Out[Movement] = Out(qos=LATCHED)
+    move_status: Out[MoveStatus] = Out(qos=LATCHED)
+
+    _course: Course | None = None
+    _told: tuple[int, int, int, str] | None = None
+    _told_at = 0
+
+    def on_configure(self) -> None:
+        """Nothing was seen yet."""
+        self._seen = Seen()
+        self._leg = 0
 
     def on_activate(self) -> None:
         """Load what the configuration says is loaded before any order."""
@@ -35,15 +88,93 @@ class AutoMove(SupervisorComponent):
         if self.config.load_plugins == "on_activation":
             self._load_plugins()
 
-    @on("goal_pose")
-    def order(self, goal: PoseStamped) -> None:
-        """Take an order to move: load the plugins that do not run yet."""
-        place = goal.pose.position
-        self.log.info("ordered to move to %.2f, %.2f: loading plugins", place.x, place.y)
+    @on("order")
+    def take(self, order: MoveOrder) -> None:
+        """Take an order: a new one pre-empts the old, one without goals takes it back."""
+        course = self._course
+        if course is not None and course.order_id == order.order_id:
+            if not len(order.goals) and not course.over:
+                course.cancel()
+                self.decide()
+            return
+        if not len(order.goals) or order.first >= len(order.goals):
+            return
+        if course is not None and not course.over:
+            self.log.info("order %d is pre-empted by order %d", course.order_id, order.order_id)
+        self._begin(order)
+
+    @on("plan")
+    def note_plan(self, plan: Plan) -> None:
+        """Keep the planner's answer."""
+        self._seen.plan = plan
+
+    @on("motion_status")
+    def note_motion(self, status: MotionStatus) -> None:
+        """Keep what motion control does; an end of it is acted on at once."""
+        self._seen.motion = status
+        if status.state == MotionStatus.DONE:
+            self.decide()
+
+    @on("pose")
+    def note_pose(self, pose: PoseWithCovarianceStamped) -> None:
+        """Keep where the robot is."""
+        self._seen.pose = planar_pose(pose.pose.pose)
+
+    @on("localization_health")
+    def note_health(self, health: LocalizationHealth) -> None:
+        """Keep how sure that is."""
+        self._seen.health = health
+
+    @every(hz=10)
+    def decide(self) -> None:
+        """Carry the order on, and tell what is wanted and how it gets on."""
+        course = self._course
+        if course is None:
+            return
+        before = course.state
+        course.tick(self.clock.now() / SECOND, self._seen)
+        if course.state != before:
+            self._log(course)
+        self._tell(course)
+
+    def _begin(self, order: MoveOrder) -> None:
+        config = self.config
+        now = self.clock.now()
+        # Legs are told apart from those of a forerunner of this component: ten a second at most.
+        self._leg = max(self._course.leg if self._course else 0, now // (SECOND // 10)) & 0x7FFFFFFF
+        patience = Patience(
+            recoveries=config.recoveries,
+            least_health=config.least_health,
+            stopped_s=config.stopped,
+        )
+        goals = [(x, y, theta) for x, y, theta in planar_poses(order.goals).tolist()]
+        self._course = course = Course(
+            order_id=order.order_id,
+            goals=goals,
+            at=order.first,
+            leg=self._leg,
+            began_s=now / SECOND,
+            patience=patience,
+            position_tolerance=config.position_tolerance,
+            heading_tolerance=config.heading_tolerance,
+        )
+        self.log.info(
+            "order %d: %d goals, the next at (%.2f, %.2f)",
+            order.order_id,
+            len(goals),
+            course.goal[0],
+            course.goal[1],
+        )
+        course.state = MoveStatus.LOADING
+        self._tell(course)
         try:
             self._load_plugins()
         except StartFailed as error:  # those that are loaded already go on with their work
-            self.log.error("the order to move cannot be carried out: %s", error)
+            course.fail(f"the plugins cannot be loaded: {error}")
+            self.log.error("order %d cannot be carried out: %s", order.order_id, error)
+        else:
+            course.state = MoveStatus.LOCALIZING
+        self._tell(course)
 
     def _load_plugins(self) -> None:
         for child in self.children.status():
@@ -53,3 +184,48 @@ class AutoMove(SupervisorComponent):
                 if self.children.stop_requested:  # nobody needs the plugins any more
                     return
                 raise
+
+    def _tell(self, course: Course) -> None:
+        now = self.clock.now()
+        told = (course.leg, course.state, course.at, course.reason)
+        if told == self._told and now - self._told_at < _REPEAT:
+            return
+        self._told, self._told_at = told, now
+        header = Header(stamp=from_ns(now), frame_id="map")
+        wanted = course.movement()
+        self.movement.publish(
+            Movement(
+                header=header,
+                leg=wanted.leg,
+                behaviour=wanted.behaviour,
+                goal=wanted.goal,
+                position_tolerance=wanted.position_tolerance,
+                heading_tolerance=wanted.heading_tolerance,
+            )
+        )
+        left_m = 0.0 if course.over else course.distance_left(self._seen)
+        self.move_status.publish(
+            MoveStatus(
+                header=header,
+                order_id=course.order_id,
+                state=course.state,
+                goal=course.at,
+                goals=len(course.goals),
+                distance_left=left_m,
+                time_left=left_m / self.config.speed,
+                elapsed=max(0.0, now / SECOND - course.began_s),
+                recoveries=course.recoveries,
+                reason=course.reason,
+            )
+        )
+
+    def _log(self, course: Course) -> None:
+        x, y, _ = course.goal
+        if course.state == MoveStatus.FAILED:
+            self.log.error("order %d failed: %s", course.order_id, course.reason)
+        elif course.state == MoveStatus.RECOVERING:
+            self.log.warning("recovering: %s", course.reason)
+        elif course.state == MoveStatus.SUCCEEDED:
+            self.log.info("order %d: arrived at (%.2f, %.2f)", course.order_id, x, y)
+        elif course.state == MoveStatus.DRIVING:
+            self.log.info("driving to (%.2f, %.2f)", x, y)
