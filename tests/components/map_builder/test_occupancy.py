@@ -1,0 +1,152 @@
+"""A grid map follows what the scanner sees: what moved vanishes and appears; who passes does not."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from components.map_builder.counting import build_map
+from components.map_builder.occupancy import Occupancy
+from planar.grid import FREE, OCCUPIED, UNKNOWN, Frame, Grid, OccupancyCells
+from planar.poses import Pose
+from planar.sweep import Rays
+from schemas.sensor_msgs import LaserScan
+from tests.components.localizer.room import RESOLUTION, ROOM, Box, room, scanned
+
+OLD: Box = (4.0, 3.0, 5.5, 3.6)
+NEW: Box = (4.0, 5.5, 5.5, 6.1)
+
+
+def rays(points: NDArray[np.float64]) -> Rays:
+    return Rays(
+        np.zeros((len(points), 2)),
+        np.arctan2(points[:, 1], points[:, 0]),
+        np.hypot(points[:, 0], points[:, 1]),
+        5.6,
+    )
+
+
+def pass_by(
+    occupancy: Occupancy,
+    world: OccupancyCells,
+    began_s: float,
+    error_m: float = 0.02,
+    seed: int = 0,
+) -> float:
+    """The robot drives once around the middle of the room; gives the time when it is done."""
+    random = np.random.default_rng(seed)
+    for k in range(100):
+        around = 2 * math.pi * k / 100
+        pose: Pose = (4.7 + 2.2 * math.cos(around), 4.2 + 2.0 * math.sin(around), around + 2.4)
+        seen = scanned(world, pose, random)
+        believed = (
+            pose[0] + random.normal(0, error_m),
+            pose[1] + random.normal(0, error_m),
+            pose[2] + random.normal(0, error_m / 4),
+        )
+        occupancy.integrate(began_s + 0.2 * k, believed, rays(seen))
+    return began_s + 20.0
+
+
+def share_occupied(occupancy: Occupancy, box: Box) -> float:
+    left, bottom, right, top = (round(edge / RESOLUTION) for edge in box)
+    return float((occupancy.cells[bottom:top, left:right] == OCCUPIED).mean())
+
+
+def test_moved_furniture_vanishes_from_its_old_place_and_appears_in_its_new_one() -> None:
+    occupancy = Occupancy(room(), 8.0)
+    world = room((*(box for box in ROOM if box != OLD), NEW))
+    now = 0.0
+
+    for seed in range(3):
+        now = pass_by(occupancy, world, now, seed=seed)
+
+    left, bottom, right, _ = NEW
+    assert share_occupied(occupancy, OLD) < 0.02
+    assert share_occupied(occupancy, (left, bottom - 0.05, right, bottom + 0.1)) > 0.3
+
+
+def test_a_still_room_stays_as_it_is_however_often_it_is_seen() -> None:
+    occupancy = Occupancy(room(), 8.0)
+    now = 0.0
+
+    for seed in range(5):
+        now = pass_by(occupancy, room(), now, seed=seed)
+
+    changed = occupancy.cells != room().values
+    assert changed.mean() < 0.001
+
+
+def test_who_walks_past_leaves_no_trace_and_who_stays_is_forgotten_once_gone() -> None:
+    occupancy = Occupancy(room(), 8.0)
+    pose = (2.0, 2.0, 0.0)
+    random = np.random.default_rng(0)
+    for k in range(60):
+        walker = (3.0, 1.0 + 0.1 * k % 3, 3.4, 1.4 + 0.1 * k % 3)
+        occupancy.integrate(0.2 * k, pose, rays(scanned(room((*ROOM, walker)), pose, random)))
+    assert np.array_equal(occupancy.cells, room().values)
+
+    stander = (3.0, 1.8, 3.4, 2.2)
+    for k in range(60, 120):
+        occupancy.integrate(0.2 * k, pose, rays(scanned(room((*ROOM, stander)), pose, random)))
+    assert share_occupied(occupancy, (2.95, 1.8, 3.1, 2.2)) > 0.15
+
+    for k in range(120, 180):
+        occupancy.integrate(0.2 * k, pose, rays(scanned(room(), pose, random)))
+    assert share_occupied(occupancy, (2.9, 1.7, 3.5, 2.3)) == 0.0
+
+
+def test_only_what_has_changed_is_told() -> None:
+    grid = Grid(np.zeros((20, 40), np.int8), Frame(0.1))
+    occupancy = Occupancy(grid, 0.0)
+    wall = rays(np.array([[1.0, 0.0]]))
+
+    told = [occupancy.integrate(0.2 * k, (1.05, 1.05, 0.0), wall) for k in range(20)]
+
+    windows = [window for window in told if window is not None]
+    assert len(windows) == 1
+    assert (windows[0].row, windows[0].column) == (10, 20)
+    assert windows[0].values.tolist() == [[OCCUPIED]]
+
+
+def test_rays_off_the_map_and_without_a_return_are_harmless() -> None:
+    occupancy = Occupancy(Grid(np.full((10, 10), UNKNOWN, np.int8), Frame(0.1)), 0.0)
+    far = Rays(
+        np.zeros((3, 2)), np.array([0.0, 2.0, 4.0]), np.array([50.0, math.inf, math.nan]), 80.0
+    )
+
+    for k in range(5):
+        occupancy.integrate(float(k), (0.55, 0.55, 0.0), far)
+    occupancy.integrate(6.0, (-30.0, 4.0, 0.0), far)
+
+    assert occupancy.cells[5, 5:].tolist() == [FREE] * 5
+    assert occupancy.cells[0, 0] == UNKNOWN
+
+
+def test_a_map_is_drawn_from_scans_of_known_poses() -> None:
+    random = np.random.default_rng(0)
+
+    def scan_from(pose: Pose) -> LaserScan:
+        seen = scanned(room(), pose, random, field_of_view=math.radians(350), beams=700, reach=8.0)
+        angle = np.arctan2(seen[:, 1], seen[:, 0])
+        ranges = np.full(701, np.inf, np.float32)
+        index = np.rint((angle + math.pi) / (2 * math.pi) * 700).astype(int)
+        ranges[index] = np.hypot(seen[:, 0], seen[:, 1])
+        return LaserScan(
+            angle_min=-math.pi,
+            angle_max=math.pi,
+            angle_increment=2 * math.pi / 700,
+            range_min=0.1,
+            range_max=8.0,
+            ranges=ranges,
+        )
+
+    poses = [(2.0, 2.0, 0.3), (3.0, 5.0, 1.0), (6.5, 5.0, -2.0), (6.5, 2.0, 0.0)]
+
+    drawn = build_map(((p, scan_from(p)) for p in poses), 0.1, (0.0, 0.0, 0.0), 8.0)
+
+    for x, y, value in ((3.0, 2.0, FREE), (6.0, 5.5, FREE), (4.75, 3.62, OCCUPIED)):
+        row, column = drawn.frame.cell(x, y)
+        assert (drawn.values[row - 1 : row + 2, column - 1 : column + 2] == value).any()
+    row, column = drawn.frame.cell(4.75, 3.3)
+    assert drawn.values[row, column] == UNKNOWN
