@@ -1,4 +1,4 @@
-"""`cairn map`: import visual maps and show them."""
+"""`cairn map`: import maps and show them."""
 
 from __future__ import annotations
 
@@ -12,11 +12,12 @@ import typer
 from cairn.cli.tables import line, print_json
 from cairn.cli.tables import show as show_rows
 from cairn.errors import CairnError
-from components.map_builder.importing import altered, importer, write_map
+from components.map_builder.importing import altered, imported_grid, importer, write_map
+from planar.map_file import write_map as write_grid
 from components.map_builder.objects import MapObject
 from components.map_builder.store import open_map
 
-app = typer.Typer(help="Visual maps: import and show them.", no_args_is_help=True)
+app = typer.Typer(help="Visual maps and grid maps: import and show them.", no_args_is_help=True)
 
 _OBJECT_COLUMNS = {
     "object_id": "id",
@@ -42,9 +43,14 @@ _CHANGE_COLUMNS = {
 
 @app.command("import")
 def import_map(
-    source: Annotated[str, typer.Argument(help="Importer: `mrclam` or one installed.")],
-    dataset: Annotated[Path, typer.Argument(help="What the importer reads, such as a folder.")],
-    out: Annotated[Path, typer.Argument(help="Map file to write.")],
+    source: Annotated[
+        str, typer.Argument(help="Importer: `mrclam`, `carmen`, `world` or one installed.")
+    ],
+    dataset: Annotated[Path, typer.Argument(help="What the importer reads: a folder or file.")],
+    out: Annotated[
+        Path,
+        typer.Argument(help="Map to write: a grid map if it ends in .yaml, else a visual map."),
+    ],
     displace: Annotated[
         list[str] | None,
         typer.Option(metavar="ID:DX,DY", help="Write an object this far [m] from its place."),
@@ -52,11 +58,27 @@ def import_map(
     remove: Annotated[
         list[int] | None, typer.Option(metavar="ID", help="Leave an object out.")
     ] = None,
+    resolution: Annotated[
+        float, typer.Option(min=0.005, max=1.0, help="Cells of a grid map drawn of scans [m].")
+    ] = 0.05,
+    reach: Annotated[
+        float, typer.Option(min=0.5, help="Longer rays show free space only [m].")
+    ] = 20.0,
+    scanner: Annotated[
+        str, typer.Option(metavar="X,Y,THETA", help="Where the scanner sits on the robot [m, rad].")
+    ] = "0,0,0",
     force: Annotated[bool, typer.Option("--force", help="Replace a map file.")] = False,
 ) -> None:
-    """Make a map file of surveyed objects."""
+    """Make a visual map of surveyed objects, or a grid map of a survey or of scans with poses."""
     if out.exists() and not force:
         raise CairnError(f"{out} exists already. Give another name, or --force to replace it.")
+    if out.suffix == ".yaml":
+        grid = imported_grid(source, dataset, resolution, _mount(scanner), reach)
+        _make_room(out)
+        write_grid(out, grid)
+        width, height = grid.size_m
+        line(f"{out}: {width:.1f} m x {height:.1f} m, cells of {grid.frame.resolution:g} m")
+        return
     moves = _displacements(displace or [])
     objects = altered(importer(source)(dataset), moves, remove or [])
     _make_room(out)
@@ -105,6 +127,14 @@ def _displacements(given: list[str]) -> dict[int, tuple[float, float]]:
             raise CairnError(f"--displace names object {object_id} twice.")
         moves[object_id] = (dx, dy)
     return moves
+
+
+def _mount(text: str) -> tuple[float, float, float]:
+    try:
+        x, y, theta = (float(part) for part in text.split(","))
+    except ValueError:
+        raise CairnError(f"--scanner {text}: write it as X,Y,THETA, such as 0.1,0,0.") from None
+    return x, y, theta
 
 
 def _make_room(out: Path) -> None:

@@ -18,7 +18,7 @@ from cairn.component.ports import In, Out
 from components.map_builder.grid_keeper import GridKeeper
 from components.map_builder.grid_updates import GridUpdates
 from components.map_builder.keeper import MapKeeper, NumberedChange
-from components.map_builder.map_file import read_map
+from planar.map_file import read_map
 from components.map_builder.messages import change_message, evidence_of, map_message
 from components.map_builder.objects import Kind
 from components.map_builder.posed_scans import PosedScans

@@ -1,31 +1,66 @@
-"""What an importer of visual maps is: a plugin that reads surveyed objects from somewhere."""
+"""What an importer of maps is: a plugin that reads surveyed objects, or cells, or posed scans."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from importlib.metadata import entry_points
 from pathlib import Path
+from typing import Any
 
 from cairn.errors import CairnError
+from components.map_builder.counting import build_map
 from components.map_builder.objects import Change, Kind, MapObject, Place
 from components.map_builder.store import create_map
+from planar.grid import OccupancyCells
+from planar.poses import Pose
 from schemas.cairn_msgs import VisualMap
+from schemas.sensor_msgs import LaserScan
 
 IMPORTERS_GROUP = "cairn.visual_map_importers"
 """Entry points of this group are functions from a path to the `VisualMap` found there."""
 
+GRID_IMPORTERS_GROUP = "cairn.grid_map_importers"
+"""Entry points of this group are functions from a path to the grid map found there."""
+
+POSED_SCANS_GROUP = "cairn.posed_scan_importers"
+"""Entry points of this group are functions from a path to scans and where they were taken."""
+
 Importer = Callable[[Path], VisualMap]
+PosedScans = Iterator[tuple[Pose, LaserScan]]
 
 
 def importer(name: str) -> Importer:
-    """The importer of that name; `CairnError` names those there are."""
-    points = entry_points(group=IMPORTERS_GROUP)
-    if name not in points.names:
-        known = ", ".join(sorted(points.names)) or "none is installed"
-        raise CairnError(f"there is no importer {name!r} of visual maps; known: {known}.")
-    loaded: Importer = points[name].load()
+    """The importer of visual maps of that name; `CairnError` names those there are."""
+    loaded: Importer = _loaded(name, IMPORTERS_GROUP, "visual maps")
     return loaded
+
+
+def imported_grid(
+    name: str, path: Path, resolution: float, mount: Pose, reach: float
+) -> OccupancyCells:
+    """The grid map that the importer of that name finds at `path`, or that its scans draw.
+
+    Raises `CairnError` if there is no such importer, or nothing to draw a map of.
+    """
+    if name in entry_points(group=GRID_IMPORTERS_GROUP).names:
+        read: Callable[[Path], OccupancyCells] = _loaded(name, GRID_IMPORTERS_GROUP, "grid maps")
+        return read(path)
+    scans: Callable[[Path], PosedScans] = _loaded(name, POSED_SCANS_GROUP, "grid maps")
+    try:
+        return build_map(scans(path), resolution, mount, reach)
+    except ValueError as error:
+        raise CairnError(f"{path}: {error}, so no map can be drawn of it") from error
+
+
+def _loaded(name: str, group: str, what: str) -> Any:
+    points = entry_points(group=group)
+    if name not in points.names:
+        groups = {group, GRID_IMPORTERS_GROUP} if group == POSED_SCANS_GROUP else {group}
+        names = {known for one in groups for known in entry_points(group=one).names}
+        known = ", ".join(sorted(names)) or "none is installed"
+        raise CairnError(f"there is no importer {name!r} of {what}; known: {known}.")
+    return points[name].load()
 
 
 def altered(

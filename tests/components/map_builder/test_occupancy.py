@@ -1,4 +1,4 @@
-"""A grid map follows what the scanner sees: what moved vanishes and appears; who passes does not."""
+"""A grid map follows what the scanner sees: what moved vanishes and appears; passers-by do not."""
 
 import math
 

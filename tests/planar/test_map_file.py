@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from cairn.errors import CairnError
-from components.map_builder.map_file import Mode, read_map, write_map
 from planar.grid import FREE, OCCUPIED, UNKNOWN, Frame, Grid
+from planar.map_file import Mode, read_map, write_map
 
 
 def described(folder: Path, **keys: object) -> Path:
