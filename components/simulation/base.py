@@ -1,0 +1,113 @@
+"""The driver of the simulated base."""
+
+from __future__ import annotations
+
+import numpy as np
+from pydantic import Field
+
+from cairn.bus.qos import RELIABLE, SENSOR
+from cairn.clock import SECOND, from_ns
+from cairn.component.component import Component
+from cairn.component.handlers import every, on
+from cairn.component.parameters import Config, ParameterRefused
+from cairn.component.ports import In, Out
+from components.simulation.wheels import BaseLimits, EncoderErrors, Wheels
+from planar.messages import with_covariance
+from schemas.cairn_sim_msgs import WheelMotion
+from schemas.geometry_msgs import Twist, TwistWithCovariance, Vector3
+from schemas.nav_msgs import Odometry
+from schemas.std_msgs import Header
+
+
+class SimulatedBaseConfig(Config):
+    """A differential base."""
+
+    speed: float = Field(0.6, gt=0, le=5, description="Fastest [m/s].")
+    turn: float = Field(1.5, gt=0, le=10, description="Fastest turn [rad/s].")
+    acceleration: float = Field(0.8, gt=0, le=20, description="Acceleration [m/s^2].")
+    turn_acceleration: float = Field(3.0, gt=0, le=50, description="Of turns [rad/s^2].")
+    lag_s: float = Field(0.05, ge=0, le=1, description="Delay of a command [s].")
+    command_timeout_s: float = Field(
+        0.3, gt=0, le=5, description="Age of a command after which the wheels stop [s]."
+    )
+    way_scale_sd: float = Field(
+        0.01, ge=0, le=0.5, description="Deviation of the scale of ways, drawn once a run [1]."
+    )
+    turn_scale_sd: float = Field(
+        0.02, ge=0, le=0.5, description="Deviation of the scale of turns, drawn once a run [1]."
+    )
+    way: float = Field(0.01, ge=0, le=1, description="Error of ways [m/sqrt(m)].")
+    turn_error: float = Field(0.02, ge=0, le=1, description="Error of turns [rad/sqrt(rad)].")
+    turn_per_metre: float = Field(
+        0.01, ge=0, le=1, description="Error of the heading on the way [rad/sqrt(m)]."
+    )
+
+
+class SimulatedBase(Component):
+    """Carries out velocity commands in the simulated world; tells what its wheels measured.
+
+    The wheels stop when commands go stale.
+    """
+
+    config: SimulatedBaseConfig
+
+    cmd_vel: In[Twist] = In(qos=SENSOR)
+    odom: Out[Odometry] = Out(qos=RELIABLE.with_depth(1000))
+    wheel_motion: Out[WheelMotion] = Out(qos=RELIABLE.with_depth(200))
+
+    def on_configure(self) -> None:
+        """Draw this base's errors of scale."""
+        config = self.config
+        scales = self.random.standard_normal(2)
+        errors = EncoderErrors(
+            config.way_scale_sd * float(scales[0]),
+            config.turn_scale_sd * float(scales[1]),
+            config.way,
+            config.turn_error,
+            config.turn_per_metre,
+        )
+        limits = BaseLimits(
+            config.speed,
+            config.turn,
+            config.acceleration,
+            config.turn_acceleration,
+            config.lag_s,
+            config.command_timeout_s,
+        )
+        self._wheels = Wheels(limits, errors, self.random)
+        self._stepped: int | None = None
+
+    def on_parameters(self, new: Config) -> None:  # noqa: ARG002 - none can be changed
+        """A base stays the one that it is."""
+        raise ParameterRefused("the simulated base takes its parameters when it is configured")
+
+    @on("cmd_vel")
+    def obey(self, command: Twist) -> None:
+        """Take a command, to be carried out from now on."""
+        self._wheels.command(self.clock.now() / SECOND, command.linear.x, command.angular.z)
+
+    @every(hz=50)
+    def step(self) -> None:
+        """Turn the wheels; tell what they did and what they measured."""
+        now = self.clock.now()
+        seconds = 0.02 if self._stepped is None else (now - self._stepped) / SECOND
+        self._stepped = now
+        if seconds <= 0.0:
+            return
+        wheels = self._wheels
+        forward, turn = wheels.step(now / SECOND, seconds)
+        stamp = from_ns(now)
+        self.wheel_motion.publish(
+            WheelMotion(header=Header(stamp=stamp), forward=forward, turn=turn)
+        )
+        covariance = np.diag([wheels.way_variance, wheels.way_variance, wheels.turn_variance])
+        self.odom.publish(
+            Odometry(
+                header=Header(stamp=stamp, frame_id="odom"),
+                child_frame_id="base_link",
+                pose=with_covariance(wheels.pose, covariance),
+                twist=TwistWithCovariance(
+                    twist=Twist(linear=Vector3(x=forward), angular=Vector3(z=turn))
+                ),
+            )
+        )

@@ -1,0 +1,113 @@
+"""The driver of a simulated object recogniser: what a camera would recognise, by geometry."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from pydantic import Field
+
+from cairn.bus.qos import LATCHED, RELIABLE
+from cairn.clock import from_ns
+from cairn.component.component import Component
+from cairn.component.handlers import every, on
+from cairn.component.mount import Mount
+from cairn.component.parameters import Config
+from cairn.component.ports import In, Out
+from components.simulation.recognition import Eye, recognised
+from components.simulation.watching import WorldWatch
+from schemas.cairn_msgs import RecognizedObject, RecognizedObjectArray
+from schemas.cairn_sim_msgs import Scene, WorldState
+from schemas.std_msgs import Header
+
+
+class SimulatedRecognizerConfig(Config):
+    """A camera and its recogniser; all may be changed while it runs."""
+
+    field_of_view: float = Field(
+        math.radians(60), gt=0, le=2 * math.pi, description="Horizontal field of view [rad]."
+    )
+    nearest: float = Field(0.4, ge=0, le=100, description="Nearest object [m].")
+    farthest: float = Field(5.0, gt=0, le=100, description="Farthest object [m].")
+    facing: float = Field(
+        math.radians(70), gt=0, le=math.pi, description="How aslant an object is recognised [rad]."
+    )
+    range_sd: float = Field(0.01, ge=0, le=1, description="Deviation of the range [m].")
+    range_sd_m2: float = Field(
+        0.01, ge=0, le=1, description="Deviation that grows with the range squared [1/m]."
+    )
+    bearing_sd: float = Field(
+        math.radians(1), gt=0, le=1, description="Deviation of the bearing [rad]."
+    )
+    detected: float = Field(
+        0.7, ge=0, le=1, description="Chance that an object in view is recognised [1]."
+    )
+    mistaken: float = Field(
+        0.01, ge=0, le=1, description="Chance that it is taken for another one [1]."
+    )
+    mount: Mount = Field(Mount(), description="Where the camera sits on the robot.")
+
+
+class SimulatedRecognizer(Component):
+    """Recognises the objects of the simulated world five times a second."""
+
+    config: SimulatedRecognizerConfig
+
+    world_state: In[WorldState] = In(qos=RELIABLE.with_depth(200))
+    scene: In[Scene] = In(qos=LATCHED)
+    objects: Out[RecognizedObjectArray] = Out(qos=RELIABLE.with_depth(200))
+
+    def on_configure(self) -> None:
+        """Nothing was seen yet."""
+        self._watch = WorldWatch()
+
+    def on_parameters(self, new: Config) -> None:
+        """Any change that the model allows is taken."""
+
+    @on("scene")
+    def know(self, scene: Scene) -> None:
+        """Take what stands."""
+        self._watch.take_scene(scene)
+
+    @on("world_state")
+    def watch(self, state: WorldState) -> None:
+        """Take what moves."""
+        self._watch.take_state(state)
+
+    @every(hz=5)
+    def look(self) -> None:
+        """Tell what is recognised now, if anything is."""
+        now = self.clock.now()
+        robot = self._watch.robot_at(now)
+        if robot is None:
+            return
+        config = self.config
+        eye = Eye(
+            config.field_of_view,
+            config.nearest,
+            config.farthest,
+            config.facing,
+            config.range_sd,
+            config.range_sd_m2,
+            config.bearing_sd,
+            config.detected,
+            config.mistaken,
+        )
+        watch = self._watch
+        found = recognised(eye, robot, config.mount.pose, watch.things, watch.around, self.random)
+        if not found:
+            return
+        self.objects.publish(
+            RecognizedObjectArray(
+                header=Header(stamp=from_ns(now), frame_id="base_link"),
+                objects=tuple(
+                    RecognizedObject(
+                        object_id=one.object_id,
+                        range=one.range_m,
+                        bearing=one.bearing,
+                        covariance=np.array([one.range_sd**2, 0.0, 0.0, one.bearing_sd**2]),
+                    )
+                    for one in found
+                ),
+            )
+        )

@@ -1,0 +1,136 @@
+"""The driver of the simulated range scanner."""
+
+from __future__ import annotations
+
+import math
+from typing import Literal
+
+from pydantic import Field
+
+from cairn.bus.qos import LATCHED, RELIABLE, SENSOR
+from cairn.clock import SECOND, from_ns
+from cairn.component.component import Component
+from cairn.component.handlers import on
+from cairn.component.mount import Mount
+from cairn.component.parameters import Config, ParameterRefused
+from cairn.component.ports import In, Out
+from cairn.errors import CairnError
+from components.simulation.scanner_models import MODELS
+from components.simulation.scanning import Beams, Faults, sweep
+from components.simulation.watching import WorldWatch
+from planar.poses import compose
+from schemas.cairn_sim_msgs import Scene, WorldState
+from schemas.sensor_msgs import LaserScan
+from schemas.std_msgs import Header
+
+ModelName = Literal["URG-04LX", "URG-04LX-UG01", "UTM-30LX", "UST-10LX", "UST-20LX", "PBS-03JN"]
+
+
+class SimulatedScannerConfig(Config):
+    """Which scanner, and how it is used."""
+
+    model: ModelName = Field("UST-10LX", description="Its model.")
+    rate: float | None = Field(
+        None, gt=0, le=100, description="Scans a second [1/s]; none: as the model turns."
+    )
+    first: float = Field(
+        -math.pi, ge=-math.pi, le=math.pi, description="Angle of the first beam, at least [rad]."
+    )
+    last: float = Field(
+        math.pi, ge=-math.pi, le=math.pi, description="Angle of the last beam, at most [rad]."
+    )
+    skip: int = Field(1, ge=1, le=100, description="Every how many beams one is measured [1].")
+    mount: Mount = Field(Mount(), description="Where the scanner sits on the robot.")
+    dropouts: float = Field(0.002, ge=0, le=1, description="Beams that fail [1].")
+    dark_dropouts: float = Field(0.3, ge=0, le=1, description="Of those at dark surfaces [1].")
+    dark_reach: float = Field(
+        0.4, gt=0, le=1, description="Share of the range in which dark surfaces are seen [1]."
+    )
+    glass_returns: float = Field(
+        0.1, ge=0, le=1, description="Beams that glass returns; others go through [1]."
+    )
+
+
+class SimulatedScanner(Component):
+    """Sweeps the simulated world as a scanner of a real model would."""
+
+    config: SimulatedScannerConfig
+
+    world_state: In[WorldState] = In(qos=RELIABLE.with_depth(200))
+    scene: In[Scene] = In(qos=LATCHED)
+    scan: Out[LaserScan] = Out(qos=SENSOR)
+
+    def on_configure(self) -> None:
+        """Lay out the beams."""
+        config = self.config
+        self._model = MODELS[config.model]
+        self._beams = Beams.of(self._model, config.first, config.last, config.skip)
+        if self._beams.angles.size < 2:
+            raise CairnError(
+                f"{self.name}: first = {config.first:g} rad and last = {config.last:g} rad leave "
+                f"no two beams of a {config.model}"
+            )
+        self._faults = Faults(
+            config.dropouts, config.dark_dropouts, config.dark_reach, config.glass_returns
+        )
+        self._watch = WorldWatch()
+        self._period = (
+            round(SECOND / config.rate) if config.rate else round(self._model.turn_s * SECOND)
+        )
+        if self._period < round(self._model.turn_s * SECOND):
+            raise CairnError(
+                f"{self.name}: rate = {config.rate:g} Hz, but a {config.model} turns "
+                f"{1 / self._model.turn_s:g} times a second"
+            )
+
+    def on_activate(self) -> None:
+        """Begin to turn."""
+        self.schedule(self.clock.now() + self._period, self._sweep)
+
+    def on_parameters(self, new: Config) -> None:  # noqa: ARG002 - none can be changed
+        """A scanner stays the one that it is."""
+        raise ParameterRefused("the simulated scanner takes its parameters when it is configured")
+
+    @on("scene")
+    def know(self, scene: Scene) -> None:
+        """Take what stands."""
+        self._watch.take_scene(scene)
+
+    @on("world_state")
+    def watch(self, state: WorldState) -> None:
+        """Take what moves."""
+        self._watch.take_state(state)
+
+    def _sweep(self) -> None:
+        now = self.clock.now()
+        self.schedule(now + self._period, self._sweep)
+        beams, model = self._beams, self._model
+        took = float(beams.times[-1])
+        began = now - round(took * SECOND)
+        begins, ends = self._watch.robot_at(began), self._watch.robot_at(now)
+        if begins is None or ends is None:
+            return
+        mount = self.config.mount.pose
+        ranges = sweep(
+            model,
+            beams,
+            self._faults,
+            compose(begins, mount),
+            compose(ends, mount),
+            self._watch.around,
+            self.random,
+        )
+        skip = self.config.skip
+        self.scan.publish(
+            LaserScan(
+                header=Header(stamp=from_ns(began), frame_id="laser"),
+                angle_min=float(beams.angles[0]),
+                angle_max=float(beams.angles[-1]),
+                angle_increment=skip * model.increment,
+                time_increment=skip * model.time_increment,
+                scan_time=self._period / SECOND,
+                range_min=model.least,
+                range_max=model.most,
+                ranges=ranges,
+            )
+        )

@@ -1,0 +1,285 @@
+"""The component that holds the simulated world: the truth, which only drivers and tests read."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import Field, ValidationError
+
+from cairn.bus.qos import LATCHED, RELIABLE
+from cairn.clock import SECOND, from_ns, to_ns
+from cairn.component.component import Component
+from cairn.component.handlers import every, on
+from cairn.component.parameters import Config, ParameterRefused
+from cairn.component.ports import In, Out
+from cairn.errors import CairnError
+from components.simulation.scene import Scene as StandingThings
+from components.simulation.scene import problems_of
+from components.simulation.state_file import keep_state, kept_state
+from components.simulation.world import Contact, Slip, World
+from components.simulation.world_file import Furniture, Person, VisibleObject, read_world
+from planar.messages import packed_poses, planar_pose, pose_message
+from planar.poses import Pose
+from schemas.cairn_msgs import VisualMap, VisualObject
+from schemas.cairn_nav_msgs import Collision
+from schemas.cairn_sim_msgs import Scene, WheelMotion, WorldState
+from schemas.geometry_msgs import Point, PoseStamped
+from schemas.packed import Packed
+from schemas.std_msgs import Header
+
+# Without word from the wheels for this long [s] they stand still.
+_STALE_S = 0.3
+# A step of the wheels longer than this [s] was not told in time: they did it no longer than this.
+_LONGEST_S = 0.1
+_TRUTH_EVERY = SECOND // 10
+
+
+class SlipConfig(Config):
+    """How the wheels slip on the floor."""
+
+    way: float = Field(0.005, ge=0, le=1, description="Random walk of the way [m/sqrt(m)].")
+    turn: float = Field(0.01, ge=0, le=1, description="Random walk of turns [rad/sqrt(rad)].")
+    turn_per_metre: float = Field(
+        0.005, ge=0, le=1, description="Random walk of the heading on the way [rad/sqrt(m)]."
+    )
+
+
+class WorldConfig(Config):
+    """Which world."""
+
+    world: Path = Field(description="World file (YAML).")
+    radius: float = Field(0.22, gt=0, le=5, description="Radius of the robot [m].")
+    slip: SlipConfig = Field(SlipConfig(), description="How the wheels slip.")
+    state_file: Path | None = Field(
+        None,
+        description="Where to keep the state of the world, so that one whose process died goes on; "
+        "none: it begins anew.",
+    )
+
+
+class SimulatedWorld(Component):
+    """Holds the true state of the simulated world and lets time pass in it.
+
+    Tells the drivers what stands (`scene`) and what moves (`world_state`); reports collisions.
+    """
+
+    config: WorldConfig
+
+    wheel_motion: In[WheelMotion] = In(qos=RELIABLE.with_depth(200))
+    kidnap: In[PoseStamped] = In(optional=True)
+    world_state: Out[WorldState] = Out(qos=RELIABLE.with_depth(200))
+    scene: Out[Scene] = Out(qos=LATCHED)
+    truth: Out[PoseStamped]
+    true_map: Out[VisualMap] = Out(qos=LATCHED)
+    collisions: Out[Collision] = Out(qos=RELIABLE.with_depth(100))
+
+    def on_configure(self) -> None:
+        """Read the world and see that it can be."""
+        config = self.config
+        file = read_world(config.world)
+        problems = problems_of(StandingThings.of(file), file.robot.pose, config.radius)
+        if problems:
+            raise CairnError(f"{config.world}: " + "; ".join(problems))
+        slip = Slip(config.slip.way, config.slip.turn, config.slip.turn_per_metre)
+        self._world = World(file, config.radius, slip, self.random)
+        self._told_version = -1
+        self._began = self._heard = self._stepped = self._truth_at = 0
+        self._speeds = (0.0, 0.0)
+
+    def on_activate(self) -> None:
+        """Begin, or go on where a forerunner was killed."""
+        self._began = self._stepped = self.clock.now()
+        if self.restarts > 0:
+            self._resume()
+        self._tell_scene()
+
+    def on_parameters(self, new: Config) -> None:  # noqa: ARG002 - none can be changed
+        """A world is changed by requests, not by parameters."""
+        raise ParameterRefused("a world takes its parameters when it is configured")
+
+    @on("wheel_motion")
+    def drive(self, motion: WheelMotion) -> None:
+        """Let time pass as the wheels did."""
+        stamp = to_ns(motion.header.stamp)
+        seconds = (stamp - self._stepped) / SECOND
+        self._heard = self.clock.now()
+        if seconds <= 0.0:
+            return
+        self._speeds = (motion.forward, motion.turn)
+        contact = self._world.drive(min(seconds, _LONGEST_S), motion.forward, motion.turn)
+        self._pass(stamp, seconds)
+        if contact is not None:
+            self._report(stamp, contact)
+
+    @on("kidnap")
+    def carry(self, pose: PoseStamped) -> None:
+        """Carry the robot somewhere else, without its wheels turning."""
+        try:
+            self._world.carry(planar_pose(pose.pose))
+        except CairnError as error:
+            self.log.error("%s", error)
+
+    @every(hz=20)
+    def go_on(self) -> None:
+        """Let time pass while no wheels turn; let happen what is due."""
+        now = self.clock.now()
+        for told in self._world.happen((now - self._began) / SECOND):
+            self.log.info("%s", told)
+        if self._world.scene.version != self._told_version:
+            self._tell_scene()
+        if now - self._heard > _STALE_S * SECOND and now > self._stepped:
+            self._speeds = (0.0, 0.0)
+            self._pass(now, (now - self._stepped) / SECOND)
+
+    @every(hz=10)
+    def keep(self) -> None:
+        """Keep the state, for one that comes after."""
+        file = self.config.state_file
+        if file is not None:
+            elapsed = (self.clock.now() - self._began) / SECOND
+            keep_state(file, self._world, elapsed)
+
+    def on_request(self, verb: str, arguments: Mapping[str, Any]) -> Any:
+        """Look at the world or change it: list, move, remove, add, person, kidnap."""
+        if verb == "list" and not arguments:
+            return self._listed()
+        change = {
+            "move": self._move,
+            "remove": self._remove,
+            "furniture": self._furniture,
+            "object": self._object,
+            "person": self._person,
+            "kidnap": self._kidnap,
+        }.get(verb)
+        if change is None:
+            return super().on_request(verb, arguments)
+        try:
+            change(dict(arguments))
+        except (ValidationError, KeyError, TypeError) as error:
+            raise CairnError(f"{self.name}: {verb} {dict(arguments)!r}: {error}") from error
+        if self._world.scene.version != self._told_version:
+            self._tell_scene()
+        return None
+
+    def _move(self, given: dict[str, Any]) -> None:
+        self._world.move(str(given["name"]), _pose(given))
+
+    def _remove(self, given: dict[str, Any]) -> None:
+        self._world.remove(str(given["name"]))
+
+    def _furniture(self, given: dict[str, Any]) -> None:
+        self._world.scene.add(Furniture.model_validate(given))
+        self._world.renewed()
+
+    def _object(self, given: dict[str, Any]) -> None:
+        self._world.scene.add(VisibleObject.model_validate(given))
+        self._world.renewed()
+
+    def _person(self, given: dict[str, Any]) -> None:
+        self._world.add_person(Person.model_validate(given))
+
+    def _kidnap(self, given: dict[str, Any]) -> None:
+        self._world.carry(_pose(given))
+
+    def _listed(self) -> list[dict[str, Any]]:
+        world = self._world
+        x, y, theta = world.robot
+        rows = [{"kind": "robot", "name": "robot", "x": x, "y": y, "theta": theta}]
+        for name, piece in world.scene.furniture.items():
+            rows.append({"kind": "furniture", "name": name, **_place(piece.pose)})
+        for name, thing in world.scene.objects.items():
+            rows.append({"kind": "object", "name": name, **_place(thing.pose)})
+        for walker in world.walkers:
+            place = {"x": walker.x, "y": walker.y, "theta": 0.0}
+            rows.append({"kind": "person", "name": walker.person.name, **place})
+        return rows
+
+    def _pass(self, stamp: int, seconds: float) -> None:
+        self._stepped = stamp
+        self._world.walk(min(seconds, 1.0))
+        header = Header(stamp=from_ns(stamp), frame_id="map")
+        robot = pose_message(self._world.robot)
+        self.world_state.publish(
+            WorldState(
+                header=header,
+                robot=robot,
+                forward=self._speeds[0],
+                turn=self._speeds[1],
+                people=Packed(Point, self._world.people),
+            )
+        )
+        if stamp - self._truth_at >= _TRUTH_EVERY:
+            self._truth_at = stamp
+            self.truth.publish(PoseStamped(header=header, pose=robot))
+
+    def _report(self, stamp: int, contact: Contact) -> None:
+        self.log.warning(
+            "collision with %s at (%.2f, %.2f), %.2f m/s",
+            contact.what,
+            contact.x,
+            contact.y,
+            contact.speed,
+        )
+        self.collisions.publish(
+            Collision(
+                header=Header(stamp=from_ns(stamp), frame_id="map"),
+                what=contact.what,
+                x=contact.x,
+                y=contact.y,
+                speed=contact.speed,
+            )
+        )
+
+    def _tell_scene(self) -> None:
+        world = self._world
+        self._told_version = world.scene.version
+        segments, surfaces = world.surroundings
+        things = list(world.scene.objects.values())
+        header = Header(stamp=from_ns(self.clock.now()), frame_id="map")
+        poses = np.array([thing.pose for thing in things], np.float64).reshape(-1, 3)
+        self.scene.publish(
+            Scene(
+                header=header,
+                segments=segments.ravel(),
+                surfaces=surfaces,
+                object_ids=np.array([thing.id for thing in things], np.uint32),
+                object_names=tuple(thing.called for thing in things),
+                object_poses=packed_poses(poses),
+            )
+        )
+        self.true_map.publish(
+            VisualMap(
+                header=header,
+                version=max(0, world.scene.version),
+                objects=tuple(
+                    VisualObject(object_id=thing.id, name=thing.called, x=thing.x, y=thing.y)
+                    for thing in things
+                ),
+            )
+        )
+
+    def _resume(self) -> None:
+        file = self.config.state_file
+        state = kept_state(file) if file is not None else None
+        if state is None:
+            self.log.warning("the world begins anew: the robot stands where it began")
+            return
+        state.put_into(self._world)
+        self._began = self.clock.now() - round(state.elapsed_s * SECOND)
+        self._world.skip_events(state.elapsed_s)
+        self.log.info("the world goes on at %.1f s", state.elapsed_s)
+
+
+def _pose(given: Mapping[str, Any]) -> Pose:
+    pose = (float(given["x"]), float(given["y"]), float(given.get("theta", 0.0)))
+    if not all(math.isfinite(value) for value in pose):
+        raise CairnError(f"a place must be finite, not {pose}")
+    return pose
+
+
+def _place(pose: Pose) -> dict[str, float]:
+    return {"x": pose[0], "y": pose[1], "theta": pose[2]}

@@ -1,0 +1,172 @@
+"""World files: walls, furniture, objects, people and events, as YAML."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Annotated, Literal
+
+import yaml
+from pydantic import Field, ValidationError, model_validator
+
+from cairn.component.parameters import Config
+from cairn.errors import CairnError
+
+Metres = Annotated[float, Field(ge=-10_000, le=10_000)]
+Place = tuple[Metres, Metres]
+Surface = Literal["plain", "dark", "glass"]
+Name = Annotated[str, Field(min_length=1, max_length=60, pattern=r"^[A-Za-z0-9_.-]+$")]
+
+
+class Placed(Config):
+    """A pose in the world."""
+
+    x: float = Field(ge=-10_000, le=10_000, description="x [m].")
+    y: float = Field(ge=-10_000, le=10_000, description="y [m].")
+    theta: float = Field(0.0, ge=-2 * math.pi, le=2 * math.pi, description="Heading [rad].")
+
+    @property
+    def pose(self) -> tuple[float, float, float]:
+        """x, y [m], heading [rad]."""
+        return self.x, self.y, self.theta
+
+
+class Wall(Config):
+    """A line of wall, without thickness."""
+
+    points: list[Place] = Field(min_length=2, description="Corners x, y [m], in order.")
+    surface: Surface = Field("plain", description="What a beam meets.")
+
+
+class Furniture(Placed):
+    """A piece of furniture: a simple polygon that can be moved."""
+
+    name: Name = Field(description="Its name, that of nothing else.")
+    outline: list[Place] = Field(
+        default_factory=list, description="Corners x, y in its own frame [m]; or give size."
+    )
+    size: tuple[float, float] | None = Field(
+        None, description="Width and depth [m] of a rectangle around its pose, instead of outline."
+    )
+    surface: Surface = Field("plain", description="What a beam meets.")
+
+    @model_validator(mode="after")
+    def _one_shape(self) -> Furniture:
+        if bool(self.outline) == (self.size is not None):
+            raise ValueError("give outline or size, one of them")
+        if self.outline and len(self.outline) < 3:
+            raise ValueError("an outline has at least 3 corners")
+        if self.size is not None and min(self.size) <= 0:
+            raise ValueError("width and depth must be above 0")
+        return self
+
+    @property
+    def corners(self) -> list[Place]:
+        """Corners in its own frame [m]."""
+        if self.size is None:
+            return self.outline
+        half_width, half_depth = self.size[0] / 2, self.size[1] / 2
+        return [
+            (-half_width, -half_depth),
+            (half_width, -half_depth),
+            (half_width, half_depth),
+            (-half_width, half_depth),
+        ]
+
+
+class VisibleObject(Placed):
+    """A textured object that the camera knows; theta is the direction in which it faces."""
+
+    id: int = Field(ge=1, le=1_000_000, description="Its number in the visual map [1].")
+    name: str = Field("", max_length=60, description="Its name; object_ID if none is given.")
+    width: float = Field(0.3, gt=0, le=10, description="Its width [m].")
+    solid: bool = Field(False, description="Whether it stops beams and the robot: a panel.")
+
+    @property
+    def called(self) -> str:
+        """Its name."""
+        return self.name or f"object_{self.id}"
+
+
+class Person(Config):
+    """Somebody who walks from waypoint to waypoint, and back to the first."""
+
+    name: Name = Field(description="Their name, that of nothing else.")
+    waypoints: list[Place] = Field(min_length=1, description="Places x, y [m]; the first begins.")
+    speed: float = Field(0.8, ge=0, le=3, description="Walking speed [m/s].")
+    pause: float = Field(0.0, ge=0, le=3600, description="How long they stand at each place [s].")
+    radius: float = Field(0.22, gt=0, le=1, description="Radius [m].")
+
+
+class Event(Config):
+    """Something that happens at a time; one of the changes."""
+
+    at: float = Field(ge=0, le=1e6, description="When, from the beginning [s].")
+    move: Name | None = Field(None, description="Furniture, object or person to move; give to.")
+    to: Placed | None = Field(None, description="Where to.")
+    remove: Name | None = Field(None, description="Furniture, object or person to take away.")
+    swap: tuple[Name, Name] | None = Field(None, description="Two things that change places.")
+    add_furniture: Furniture | None = Field(None, description="Furniture to put there.")
+    add_object: VisibleObject | None = Field(None, description="Object to put there.")
+    add_person: Person | None = Field(None, description="Somebody who comes.")
+    kidnap: Placed | None = Field(None, description="Where the robot is carried.")
+
+    @model_validator(mode="after")
+    def _one_change(self) -> Event:
+        kinds = ("move", "remove", "swap", "add_furniture", "add_object", "add_person", "kidnap")
+        given = [kind for kind in kinds if getattr(self, kind) is not None]
+        if len(given) != 1:
+            raise ValueError(f"give exactly one of {', '.join(kinds)}")
+        if (self.move is None) != (self.to is None):
+            raise ValueError("move and to go together")
+        return self
+
+
+class WorldFile(Config):
+    """A world: what stands in it, who walks, what happens."""
+
+    walls: list[Wall] = Field(min_length=1, description="Walls; the outer ones close the world.")
+    furniture: list[Furniture] = Field(default_factory=list, description="What can be moved.")
+    objects: list[VisibleObject] = Field(default_factory=list, description="What is recognised.")
+    people: list[Person] = Field(default_factory=list, description="Who walks.")
+    events: list[Event] = Field(default_factory=list, description="What happens when.")
+    robot: Placed = Field(description="Where the robot stands at the beginning.")
+
+    @model_validator(mode="after")
+    def _own_names(self) -> WorldFile:
+        names = [piece.name for piece in self.furniture]
+        names += [person.name for person in self.people]
+        names += [one.called for one in self.objects]
+        twins = sorted({name for name in names if names.count(name) > 1})
+        if twins:
+            raise ValueError(f"several things are called {', '.join(twins)}")
+        ids = [one.id for one in self.objects]
+        if len(set(ids)) < len(ids):
+            raise ValueError("two objects have the same id")
+        return self
+
+
+def read_world(file: Path) -> WorldFile:
+    """The world of a file; `CairnError` names file, place, value and remedy."""
+    try:
+        found = yaml.safe_load(file.read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        raise CairnError(f"{file}: no such world file") from error
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise CairnError(f"{file}: not a world file: {error}") from error
+    if not isinstance(found, dict):
+        raise CairnError(f"{file}: not a world file: it holds no keys")
+    try:
+        return WorldFile.model_validate(found)
+    except ValidationError as error:
+        told = [_told(one["loc"], one["msg"], one["type"], one["input"]) for one in error.errors()]
+        raise CairnError(f"{file}: " + "; ".join(told)) from error
+
+
+def _told(place: tuple[int | str, ...], why: str, kind: str, given: object) -> str:
+    path = ""
+    for part in place:
+        path += f"[{part}]" if isinstance(part, int) else f".{part}" if path else part
+    why = why.removeprefix("Value error, ")
+    shown = "" if kind in ("missing", "value_error") else f" = {str(given)[:60]!r}"
+    return f"{path}{shown}: {why[0].lower()}{why[1:]}" if path else why

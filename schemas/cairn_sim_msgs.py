@@ -1,0 +1,66 @@
+"""Cairn's own messages of the simulation: what the drivers of a robot know of its world."""
+
+from typing import ClassVar
+
+import numpy as np
+
+from schemas.geometry_msgs import Point, Pose
+from schemas.message import message, refuse
+from schemas.packed import Packed
+from schemas.primitives import (
+    FiniteFloat64,
+    Float64Array,
+    String,
+    UInt8,
+    UInt8Array,
+    UInt32Array,
+    empty,
+)
+from schemas.std_msgs import Header
+
+
+@message("cairn_sim_msgs/msg/WheelMotion")
+class WheelMotion:
+    """What the wheels of the base really did since the last message: speeds [m/s], [rad/s]."""
+
+    header: Header = Header()
+    forward: FiniteFloat64 = 0.0
+    turn: FiniteFloat64 = 0.0
+
+
+@message("cairn_sim_msgs/msg/WorldState")
+class WorldState:
+    """What moves: the robot's true pose and velocity, and people as x, y, radius [m] (in z)."""
+
+    header: Header = Header()
+    robot: Pose = Pose()
+    forward: FiniteFloat64 = 0.0
+    turn: FiniteFloat64 = 0.0
+    people: Packed[Point] = Packed(Point)
+
+
+@message("cairn_sim_msgs/msg/Scene")
+class Scene:
+    """What stands: `segments` x1, y1, x2, y2 [m], four each, with their `surfaces`; the objects.
+
+    `object_poses` face away from what they hang on; `object_ids` and `object_names` go with them.
+    """
+
+    PLAIN: ClassVar[UInt8] = 0
+    DARK: ClassVar[UInt8] = 1
+    GLASS: ClassVar[UInt8] = 2
+
+    header: Header = Header()
+    segments: Float64Array = empty(np.float64)
+    surfaces: UInt8Array = empty(np.uint8)
+    object_ids: UInt32Array = empty(np.uint32)
+    object_names: tuple[String, ...] = ()
+    object_poses: Packed[Pose] = Packed(Pose)
+
+    def __post_init__(self) -> None:
+        """Check that the lengths agree."""
+        if self.segments.size != 4 * self.surfaces.size:
+            refuse(self, "segments", self.segments, f"must be 4 x {self.surfaces.size} numbers")
+        objects = self.object_ids.size
+        if len(self.object_names) != objects or len(self.object_poses) != objects:
+            refuse(self, "object_ids", self.object_ids, "must be as many as names and poses")
