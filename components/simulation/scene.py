@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import shapely
 from numpy.typing import NDArray
+from shapely.geometry.base import BaseGeometry
 
 from cairn.errors import CairnError
 from components.simulation.world_file import Furniture, Surface, VisibleObject, Wall, WorldFile
@@ -150,9 +151,7 @@ def problems_of(scene: Scene, robot: Pose, radius: float) -> list[str]:
     return problems
 
 
-def _overlap(
-    one: shapely.Geometry, other: shapely.Geometry, name: str, other_name: str
-) -> list[str]:
+def _overlap(one: BaseGeometry, other: BaseGeometry, name: str, other_name: str) -> list[str]:
     common = one.buffer(-_TOUCH_M).intersection(
         other.buffer(-_TOUCH_M) if other.geom_type == "Polygon" else other
     )

@@ -1,0 +1,275 @@
+"""The component PathPlanner: paths past what map and scanner show, or why there are none."""
+
+from __future__ import annotations
+
+from cairn.bus.qos import LATCHED, RELIABLE, SENSOR
+from cairn.clock import SECOND, from_ns, to_ns
+from cairn.component.component import Component
+from cairn.component.handlers import every, on
+from cairn.component.parameters import Config
+from cairn.component.ports import In, Out
+from components.path_planner.config import PathPlannerConfig
+from components.path_planner.cost_map import CostMap
+from components.path_planner.messages import path_message, plan_message
+from components.path_planner.planning import (
+    Answer,
+    Outcome,
+    Planner,
+    obstructed,
+    remaining,
+)
+from components.path_planner.sightings import RecentObstacles
+from planar.grid import OccupancyCells, grid_of
+from planar.messages import planar_pose
+from planar.odometry import OdometryHistory
+from planar.poses import Pose
+from planar.scans import beams_of
+from schemas.cairn_nav_msgs import LocalizationHealth, Movement, Plan
+from schemas.geometry_msgs import PoseWithCovarianceStamped
+from schemas.map_msgs import OccupancyGridUpdate
+from schemas.nav_msgs import OccupancyGrid, Odometry, Path
+from schemas.sensor_msgs import LaserScan
+from schemas.std_msgs import Header
+
+HISTORY_NS = 3 * SECOND
+# Nearer to the goal than this [m] a path is not exchanged for a better one.
+NEAR_M = 0.5
+
+
+class PathPlanner(Component):
+    """Plans the path to the goal of the movement wanted, and plans anew when that is due.
+
+    Due: what is in the way is seen or mapped, the robot has left the path, or another path has
+    become clearly better.
+    """
+
+    config: PathPlannerConfig
+    movement: In[Movement] = In(qos=LATCHED)
+    map: In[OccupancyGrid] = In(qos=LATCHED)
+    map_updates: In[OccupancyGridUpdate] = In(qos=RELIABLE.with_depth(50))
+    pose: In[PoseWithCovarianceStamped]
+    localization_health: In[LocalizationHealth] = In(optional=True)
+    odom: In[Odometry] = In(qos=RELIABLE.with_depth(1000))
+    scan: In[LaserScan] = In(qos=SENSOR, optional=True)
+    plan: Out[Plan] = Out(qos=LATCHED)
+    path: Out[Path] = Out(qos=LATCHED)
+
+    def on_configure(self) -> None:
+        """Begin without a map, a pose and anything to do."""
+        self._planner = Planner(self.config.step)
+        self._costs: CostMap | None = None
+        self._recent: RecentObstacles | None = None
+        self._history = OdometryHistory(HISTORY_NS)
+        self._pose: tuple[int, Pose] | None = None
+        self._wanted: Movement | None = None
+        self._answer: Answer | None = None
+        self._planned_at = 0
+        self._looked_at = 0
+        self._checked_at = 0
+        self._told: tuple[int, int, str] | None = None
+
+    def on_parameters(self, new: Config) -> None:
+        """Price the map anew where that is due; the next check of the path goes by it."""
+        assert isinstance(new, PathPlannerConfig)
+        self._planner = Planner(new.step)
+        if self._costs is not None:
+            self._price(self._costs.grid, new)
+
+    @on("map")
+    def use_map(self, message: OccupancyGrid) -> None:
+        """Take a map."""
+        grid = grid_of(message)
+        if grid.values.size == 0:
+            return
+        if self._costs is None or not self._costs.take(grid):
+            self._price(grid, self.config)
+        self._check()
+
+    @on("map_updates")
+    def update_map(self, update: OccupancyGridUpdate) -> None:
+        """Take what has changed in a window of the map."""
+        if self._costs is None:
+            return
+        window = update.data.reshape(update.height, update.width)
+        if not self._costs.update(update.y, update.x, window):
+            self.log.warning(
+                "a map update of %d x %d cells at column %d, row %d leaves the map: ignored",
+                update.width, update.height, update.x, update.y,
+            )  # fmt: skip
+            return
+        self._check()
+
+    @on("odom")
+    def follow(self, odom: Odometry) -> None:
+        """Remember how the robot moves."""
+        stamp = to_ns(odom.header.stamp)
+        if not self._history.add(stamp, planar_pose(odom.pose.pose)):
+            self._history.clear()
+            self._history.add(stamp, planar_pose(odom.pose.pose))
+
+    @on("pose")
+    def locate(self, message: PoseWithCovarianceStamped) -> None:
+        """Take where the robot is; plan if that was all that was missing."""
+        self._pose = to_ns(message.header.stamp), planar_pose(message.pose.pose)
+        if self._due():
+            self._check()
+
+    @on("localization_health")
+    def judge(self, health: LocalizationHealth) -> None:
+        """Plan if a located robot was all that was missing."""
+        if health.located and self._waiting:
+            self._replan()
+
+    @on("scan")
+    def look(self, scan: LaserScan) -> None:
+        """Take what the scanner sees as obstacles, and see whether the path is still free."""
+        now, config = self.clock.now(), self.config
+        if self._costs is None or self._recent is None or config.obstacle_memory_s == 0:
+            return
+        if self._wanted is None or now - self._looked_at < SECOND / config.check_hz - 1:
+            return
+        self._looked_at = now
+        stamp = to_ns(scan.header.stamp)
+        pose = self._pose_at(stamp)
+        health = self.localization_health.latest
+        if pose is None or (health is not None and health.health < config.least_health):
+            return
+        mount = config.mount
+        self._recent.see(
+            stamp,
+            pose,
+            beams_of(scan, (mount.x, mount.y, mount.theta)),
+            (config.radius, config.obstacle_range),
+            round(config.obstacle_memory_s * SECOND),
+        )
+        self._costs.overlay(self._recent.cells())
+        self._check()
+
+    @on("movement")
+    def want(self, movement: Movement) -> None:
+        """Plan at once for a new leg; a repeated want changes nothing."""
+        if movement.behaviour != Movement.FOLLOW:
+            self._wanted, self._answer = None, None
+            return
+        wanted = self._wanted
+        if wanted is None or (wanted.leg, wanted.goal) != (movement.leg, movement.goal):
+            self._wanted, self._answer = movement, None
+            self._replan()
+
+    @every(hz=2)
+    def reconsider(self) -> None:
+        """Look for a better path, or for one where there is none."""
+        now = self.clock.now()
+        if self._wanted is None or now - self._planned_at < self.config.replan_s * SECOND - 1:
+            return
+        if self._answer is None or self._answer.route is None:
+            self._replan()
+        else:
+            self._improve()
+
+    def _due(self) -> bool:
+        period = SECOND / self.config.check_hz - 1
+        return self._waiting or self.clock.now() - self._checked_at >= period
+
+    @property
+    def _waiting(self) -> bool:
+        return self._wanted is not None and self._answer is None
+
+    def _price(self, grid: OccupancyCells, config: PathPlannerConfig) -> None:
+        self._costs = CostMap(grid, config.costs())
+        self._planner.prepare(self._costs)
+        if self._recent is None or not self._recent.fits(grid.frame, self._costs.shape):
+            self._recent = RecentObstacles(grid.frame, self._costs.shape)
+        self._costs.overlay(self._recent.cells())
+
+    def _forget(self) -> None:
+        """Forget what the scanner has not seen for too long."""
+        now = self.clock.now()
+        if self._recent is not None and self._costs is not None:
+            self._recent.forget(now - round(self.config.obstacle_memory_s * SECOND))
+            self._costs.overlay(self._recent.cells())
+
+    def _pose_at(self, stamp: int) -> Pose | None:
+        """Where the robot is at a time, by the last pose and odometry since."""
+        if self._pose is None:
+            return None
+        since, pose = self._pose
+        return self._history.carried(pose, since, stamp) or pose
+
+    def _missing(self) -> str:
+        """What is still missing for a plan; nothing if all is there."""
+        health = self.localization_health.latest
+        if self._costs is None:
+            return f"no map has come on {self.map.topic} yet"
+        if self._pose is None:
+            return f"no pose has come on {self.pose.topic} yet"
+        if health is not None and not health.located:
+            return f"the robot is not located: {health.reason or 'no reason given'}"
+        return ""
+
+    def _now_at(self) -> Pose | None:
+        return self._pose_at(self.clock.now())
+
+    def _fresh(self) -> Answer:
+        """Plan from where the robot is now."""
+        self._planned_at = self.clock.now()
+        self._forget()
+        pose, wanted = self._now_at(), self._wanted
+        assert wanted is not None
+        missing = self._missing()
+        if missing or pose is None or self._costs is None:
+            return Answer(Outcome.NOT_READY, reason=missing)
+        return self._planner.plan(self._costs, pose, planar_pose(wanted.goal))
+
+    def _replan(self) -> None:
+        answer = self._fresh()
+        self._answer = None if answer.outcome is Outcome.NOT_READY else answer
+        self._tell(answer)
+
+    def _improve(self) -> None:
+        """Exchange the path for another that is clearly shorter."""
+        pose, costs, answer = self._now_at(), self._costs, self._answer
+        if pose is None or costs is None or answer is None or answer.route is None:
+            return
+        since, _ = remaining(answer.route, pose)
+        left = answer.route.length(since)
+        if left < NEAR_M:
+            return
+        fresh = self._fresh()
+        if fresh.route is not None and fresh.route.length() < (1 - self.config.gain) * left:
+            self.log.info(
+                "a path of %.1f m instead of %.1f m has opened", fresh.route.length(), left
+            )
+            self._answer = fresh
+            self._tell(fresh)
+
+    def _check(self) -> None:
+        """Plan anew if the path is blocked or the robot has left it."""
+        self._checked_at = self.clock.now()
+        if self._waiting:
+            self._replan()
+            return
+        pose, costs, answer = self._now_at(), self._costs, self._answer
+        if pose is None or costs is None or answer is None or answer.route is None:
+            return
+        since, off = remaining(answer.route, pose)
+        if off > self.config.off_path:
+            self.log.info("%.2f m off the path: planning anew", off)
+            self._replan()
+        elif (at := obstructed(costs, answer.route, since)) is not None:
+            x, y, _ = answer.route.poses[at]
+            self.log.info("the path is blocked at (%.2f, %.2f): planning anew", x, y)
+            self._replan()
+
+    def _tell(self, answer: Answer) -> None:
+        """Publish an answer, unless it is the last one's refusal again."""
+        assert self._wanted is not None
+        told = (self._wanted.leg, int(answer.outcome), answer.reason)
+        if answer.route is None and told == self._told:
+            return
+        if answer.route is None:
+            self.log.info("no path: %s", answer.reason)
+        self._told = told
+        header = Header(stamp=from_ns(self.clock.now()), frame_id="map")
+        self.plan.publish(plan_message(header, self._wanted.leg, answer))
+        self.path.publish(path_message(header, answer))

@@ -1,0 +1,99 @@
+"""The parameters of the path planner."""
+
+from __future__ import annotations
+
+import math
+
+from pydantic import Field
+
+from cairn.component.parameters import Config
+from components.path_planner.cost_map import Costs
+
+
+class Mount(Config):
+    """Where the scanner sits on the robot, in frame base_link."""
+
+    x: float = Field(0.0, ge=-5, le=5, description="Ahead of the robot's centre [m].")
+    y: float = Field(0.0, ge=-5, le=5, description="To the left of the robot's centre [m].")
+    theta: float = Field(
+        0.0, ge=-2 * math.pi, le=2 * math.pi, description="Direction it looks in [rad]."
+    )
+
+
+class PathPlannerConfig(Config):
+    """Parameters of the path planner; all may be changed while it runs."""
+
+    radius: float = Field(0.22, gt=0, le=5, description="Radius of the robot [m].")
+    reach: float = Field(
+        0.5,
+        ge=0,
+        le=5,
+        description="How far beyond the radius obstacles make the way dearer [m].",
+    )
+    weight: float = Field(
+        1.0,
+        ge=0,
+        le=10,
+        description="How much dearer the way is right beside an obstacle, per length [1]; 0: the "
+        "shortest path.",
+    )
+    allow_unknown: bool = Field(
+        False, description="Whether paths may lead through cells that nobody has seen."
+    )
+    occupied: int = Field(
+        65, ge=1, le=100, description="Probability from which a cell is an obstacle [%]."
+    )
+    step: float = Field(0.1, ge=0.02, le=1, description="Distance of a path's poses [m].")
+    mount: Mount = Mount()
+    obstacle_memory_s: float = Field(
+        3.0,
+        ge=0,
+        le=60,
+        description="How long what the scanner saw is an obstacle, unless seen empty [s]; 0: plan "
+        "by the map alone.",
+    )
+    obstacle_range: float = Field(
+        3.0, gt=0, le=100, description="How far off the scanner's obstacles count [m]."
+    )
+    least_health: float = Field(
+        0.2,
+        ge=0,
+        le=1,
+        description="Localization health below which the scanner's obstacles are not placed [1].",
+    )
+    slack: float = Field(
+        0.05,
+        ge=0,
+        le=1,
+        description="An obstacle that comes nearer to a path than the radius breaks it only if by "
+        "more than this [m].",
+    )
+    off_path: float = Field(
+        0.5, gt=0, le=10, description="Distance from the path that makes a new one due [m]."
+    )
+    replan_s: float = Field(
+        1.0,
+        ge=0.5,
+        le=60,
+        description="Time between looks for a better path, or for one where there is none [s].",
+    )
+    check_hz: float = Field(
+        5.0, gt=0, le=50, description="How often scans are looked at, at most [Hz]."
+    )
+    gain: float = Field(
+        0.1,
+        ge=0,
+        le=1,
+        description="Share of the way left that another path must save to be taken [1].",
+    )
+
+    def costs(self) -> Costs:
+        """The parameters that make a map's cells dear."""
+        return Costs(
+            radius=self.radius,
+            reach=self.reach,
+            weight=self.weight,
+            slack=self.slack,
+            occupied=self.occupied,
+            allow_unknown=self.allow_unknown,
+        )

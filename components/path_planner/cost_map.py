@@ -1,0 +1,269 @@
+"""What it costs to pass each cell of the map: dear near obstacles, closed where the robot hits."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planar.compiled import compiled
+from planar.distance import distance_field
+from planar.grid import Frame, Grid, OccupancyCells
+from planar.shortest_path import CLOSED, DEAREST, LEAST, MARGIN, Cell, Prices, priced
+
+BLOCKED = 255
+"""Price of a cell that is closed even if obstacles lie `slack` farther off than they seem."""
+
+
+@dataclass(frozen=True)
+class Costs:
+    """How obstacles make cells dear.
+
+    `radius` of the robot [m]; cells whose centres are within it and half a cell of an obstacle's
+    are closed. Beyond, a cell costs up to `weight` times its length more, falling to none over
+    `reach` [m]. Cells closed by less than `slack` [m] do not break a path that exists. Cells of
+    `occupied` percent and more are obstacles; unknown ones are closed unless `allow_unknown`.
+    """
+
+    radius: float
+    reach: float
+    weight: float
+    slack: float
+    occupied: int
+    allow_unknown: bool
+
+
+class CostMap:
+    """Prices of a map's cells, kept up with its changes, and with what the scanner sees on top.
+
+    `map_prices` are those of the map alone, `prices` those with the scanner's obstacles; both have
+    the margin of `planar.shortest_path`.
+    """
+
+    def __init__(self, grid: OccupancyCells, costs: Costs) -> None:
+        rows, columns = grid.values.shape
+        self.frame: Frame = grid.frame
+        self.costs = costs
+        self._values = np.array(grid.values, np.int8)
+        self._table = _table(costs, grid.frame.resolution)
+        self._far = math.isqrt(self._table.size - 2) + 1
+        self._held = np.zeros((rows, columns), np.bool_)
+        self.map_prices: Prices = priced(rows, columns)
+        self._price(0, rows, 0, columns)
+        self.prices: Prices = self.map_prices.copy()
+        self._seen = np.empty((0, 2), np.int64)
+        self._stained = (0, 0, 0, 0)
+
+    @property
+    def grid(self) -> OccupancyCells:
+        """The map of the moment."""
+        return Grid(self._values, self.frame)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of the map."""
+        rows, columns = self._values.shape
+        return rows, columns
+
+    def take(self, grid: OccupancyCells) -> bool:
+        """Take a new map in place of the last; False if it lies elsewhere or has another size."""
+        if grid.frame != self.frame or grid.values.shape != self.shape:
+            return False
+        other = grid.values != self._values
+        rows = np.flatnonzero(other.any(axis=1))
+        if rows.size:
+            columns = np.flatnonzero(other.any(axis=0))
+            top, left = rows[0], columns[0]
+            self.update(
+                int(top), int(left), grid.values[top : rows[-1] + 1, left : columns[-1] + 1]
+            )
+        return True
+
+    def update(self, row: int, column: int, values: NDArray[np.int8]) -> bool:
+        """Take new values of a window that begins at row, column; False if it leaves the map."""
+        rows, columns = self.shape
+        bottom, right = row + values.shape[0], column + values.shape[1]
+        if row < 0 or column < 0 or bottom > rows or right > columns:
+            return False
+        if values.size == 0:
+            return True
+        self._values[row:bottom, column:right] = values
+        top, bottom = max(0, row - self._far), min(rows, bottom + self._far)
+        left, right = max(0, column - self._far), min(columns, right + self._far)
+        self._price(top, bottom, left, right)
+        window = np.s_[top + MARGIN : bottom + MARGIN, left + MARGIN : right + MARGIN]
+        self.prices[window] = self.map_prices[window]
+        self._stamp()
+        return True
+
+    def overlay(self, cells: NDArray[np.int64]) -> bool:
+        """Lay the obstacles that the scanner sees, rows and columns (n, 2) of the map, on top.
+
+        Those which the map holds anyway are left out. False if nothing has changed.
+        """
+        cells = cells[~self.holds(cells)]
+        if cells.shape == self._seen.shape and np.array_equal(cells, self._seen):
+            return False
+        top, bottom, left, right = self._stained
+        self.prices[top:bottom, left:right] = self.map_prices[top:bottom, left:right]
+        self._seen = np.ascontiguousarray(cells)
+        self._stamp()
+        return True
+
+    def holds(self, cells: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Which of the cells (n, 2) of the map are obstacles of it, or right beside one."""
+        held: NDArray[np.bool_] = self._held[cells[:, 0], cells[:, 1]]
+        return held
+
+    def unknown(self, cell: Cell) -> bool:
+        """Whether a cell of the map is closed because nobody knows what is there."""
+        return bool(self._values[cell] < 0) and not self.costs.allow_unknown
+
+    def obstacle(self, cell: Cell) -> bool:
+        """Whether a cell of the map is an obstacle."""
+        return bool(self._values[cell] >= self.costs.occupied)
+
+    def inside(self, cell: Cell) -> bool:
+        """Whether a cell lies on the map."""
+        rows, columns = self.shape
+        return 0 <= cell[0] < rows and 0 <= cell[1] < columns
+
+    @property
+    def overlaid(self) -> bool:
+        """Whether the scanner sees obstacles that the map does not hold."""
+        return len(self._seen) > 0
+
+    def nearest_seen(self, x: float, y: float) -> tuple[float, float]:
+        """x, y [m] of that obstacle seen by the scanner alone which is nearest to a place."""
+        column, row = self.frame.cells(x, y)
+        apart = np.hypot(self._seen[:, 0] + 0.5 - row, self._seen[:, 1] + 0.5 - column)
+        nearest = self._seen[int(np.argmin(apart))]
+        return self.frame.point(float(nearest[0]), float(nearest[1]))
+
+    def _price(self, top: int, bottom: int, left: int, right: int) -> None:
+        """Price a window anew by the obstacles in it and around."""
+        rows, columns = self.shape
+        up, low = max(0, top - self._far), min(rows, bottom + self._far)
+        west, east = max(0, left - self._far), min(columns, right + self._far)
+        obstacles = self._values[up:low, west:east] >= self.costs.occupied
+        resolution = self.frame.resolution
+        distance = distance_field(obstacles, resolution)[
+            top - up : bottom - up, left - west : right - west
+        ]
+        _fill(
+            np.ascontiguousarray(distance),
+            resolution,
+            self._table,
+            self._values[top:bottom, left:right],
+            self.costs.allow_unknown,
+            self.map_prices[top + MARGIN : bottom + MARGIN, left + MARGIN : right + MARGIN],
+        )
+        near = max(HELD_M, 1.5 * resolution)
+        np.less_equal(distance, near, out=self._held[top:bottom, left:right])
+
+    def _stamp(self) -> None:
+        if not len(self._seen):
+            self._stained = (0, 0, 0, 0)
+            return
+        _stamp(self._seen, self._far, self._table, self.prices)
+        low, high = self._seen.min(axis=0), self._seen.max(axis=0)
+        rows, columns = self.prices.shape
+        self._stained = (
+            max(0, int(low[0]) + MARGIN - self._far),
+            min(rows, int(high[0]) + MARGIN + self._far + 1),
+            max(0, int(low[1]) + MARGIN - self._far),
+            min(columns, int(high[1]) + MARGIN + self._far + 1),
+        )
+
+
+HELD_M = 0.15
+"""What the scanner sees this near [m] to an obstacle of the map is that obstacle."""
+
+
+def nearest_open(prices: Prices, row: float, column: float) -> tuple[Cell, float] | None:
+    """The cell that is not closed nearest to a place, given in cells, and how many cells off.
+
+    None if all are closed.
+    """
+    found = _nearest_open(prices, row, column)
+    if found[0] < 0:
+        return None
+    cell = (int(found[0]), int(found[1]))
+    return cell, math.hypot(cell[0] + 0.5 - row, cell[1] + 0.5 - column)
+
+
+def _table(costs: Costs, resolution: float) -> NDArray[np.uint8]:
+    """Price by squared distance [cells^2] to the nearest obstacle; the last one holds beyond."""
+    closed = costs.radius + 0.5 * resolution
+    last = math.ceil((closed + costs.reach) / resolution)
+    distance = np.sqrt(np.arange(last * last + 2, dtype=np.float64)) * resolution
+    share = np.clip(1.0 - (distance - closed) / max(costs.reach, 1e-9), 0.0, 1.0)
+    price = np.minimum(np.rint(LEAST * (1.0 + costs.weight * share**2)), DEAREST)
+    price[distance <= closed + 1e-9] = CLOSED
+    price[distance <= max(0.0, closed - costs.slack) + 1e-9] = BLOCKED
+    price[-1] = LEAST
+    table: NDArray[np.uint8] = price.astype(np.uint8)
+    return table
+
+
+@compiled("void(float32[:,::1], float64, uint8[::1], int8[:,:], boolean, uint8[:,:])")
+def _fill(
+    distance: NDArray[np.float32],
+    resolution: float,
+    table: NDArray[np.uint8],
+    values: NDArray[np.int8],
+    allow_unknown: bool,
+    prices: Prices,
+) -> None:
+    """Price cells by their distance to obstacles."""
+    last = table.size - 1
+    cut = math.sqrt(last) * resolution
+    scale = 1.0 / (resolution * resolution)
+    for row in range(distance.shape[0]):
+        for column in range(distance.shape[1]):
+            if values[row, column] < 0 and not allow_unknown:
+                prices[row, column] = BLOCKED
+                continue
+            d = float(distance[row, column])
+            if d >= cut:
+                prices[row, column] = table[last]
+            else:
+                prices[row, column] = table[int(d * d * scale + 0.5)]
+
+
+@compiled("void(int64[:,::1], int64, uint8[::1], uint8[:,::1])")
+def _stamp(cells: NDArray[np.int64], far: int, table: NDArray[np.uint8], prices: Prices) -> None:
+    """Raise the prices around each obstacle to what its distance makes them."""
+    last = table.size - 1
+    for i in range(len(cells)):
+        row, column = cells[i, 0] + MARGIN, cells[i, 1] + MARGIN
+        for r in range(max(0, row - far), min(prices.shape[0], row + far + 1)):
+            for c in range(max(0, column - far), min(prices.shape[1], column + far + 1)):
+                apart = (r - row) * (r - row) + (c - column) * (c - column)
+                if apart < last and table[apart] > prices[r, c]:
+                    prices[r, c] = table[apart]
+
+
+@compiled("UniTuple(int64, 2)(uint8[:,::1], float64, float64)")
+def _nearest_open(prices: Prices, row: float, column: float) -> tuple[int, int]:
+    """Search in growing squares around the place; (-1, -1) if all is closed."""
+    rows, columns = prices.shape[0] - 2 * MARGIN, prices.shape[1] - 2 * MARGIN
+    middle_row = int(min(max(math.floor(row), 0), rows - 1))
+    middle_column = int(min(max(math.floor(column), 0), columns - 1))
+    found_row, found_column, least = -1, -1, math.inf
+    beside = max(abs(row - middle_row - 0.5), abs(column - middle_column - 0.5))
+    for ring in range(max(rows, columns)):
+        if max(0.0, ring - beside) ** 2 > least:
+            break
+        for r in range(max(0, middle_row - ring), min(rows, middle_row + ring + 1)):
+            whole = abs(r - middle_row) == ring
+            step = 1 if whole else max(1, 2 * ring)
+            for c in range(middle_column - ring, middle_column + ring + 1, step):
+                if c < 0 or c >= columns or prices[r + MARGIN, c + MARGIN] >= CLOSED:
+                    continue
+                apart = (r + 0.5 - row) ** 2 + (c + 0.5 - column) ** 2
+                if apart < least:
+                    found_row, found_column, least = r, c, apart
+    return found_row, found_column

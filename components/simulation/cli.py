@@ -1,0 +1,199 @@
+"""`cairn world`: look at world files, and change the world of a running simulation."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from cairn.bus.control import request
+from cairn.cli.connection import (
+    DEFAULT_CONNECT,
+    Connect,
+    Domain,
+    Json,
+    Robot,
+    connected,
+    resolve,
+)
+from cairn.cli.tables import line, show
+from cairn.errors import CairnError
+from components.simulation.pictures import draw_world
+from components.simulation.scene import Scene, problems_of
+from components.simulation.world_file import read_world
+
+app = typer.Typer(
+    help="Simulated worlds: check and draw their files, change the one that runs.",
+    no_args_is_help=True,
+)
+
+# Coordinates may begin with a minus.
+_NUMBERS = {"ignore_unknown_options": True}
+_LIMIT_S = 10.0
+_PLUGIN = "simulated_world"
+
+File = Annotated[Path, typer.Argument(help="World file.", metavar="FILE")]
+Name = Annotated[str, typer.Argument(help="Its name.", metavar="NAME")]
+X = Annotated[str, typer.Argument(help="x [m].", metavar="X")]
+Y = Annotated[str, typer.Argument(help="y [m].", metavar="Y")]
+Theta = Annotated[str, typer.Argument(help="Heading in radians, or as 90deg.", metavar="[HEADING]")]
+Radius = Annotated[float, typer.Option(min=0.01, help="Radius of the robot [m].")]
+
+
+@app.command()
+def check(file: File, radius: Radius = 0.22) -> None:
+    """Say what is in a world file, or what is wrong with it."""
+    world = read_world(file)
+    problems = problems_of(Scene.of(world), world.robot.pose, radius)
+    if problems:
+        raise CairnError(f"{file}: " + "; ".join(problems))
+    line(
+        f"{file}: {len(world.walls)} walls, {len(world.furniture)} pieces of furniture, "
+        f"{len(world.objects)} objects, {len(world.people)} people, {len(world.events)} events"
+    )
+
+
+@app.command()
+def draw(
+    file: File,
+    out: Annotated[Path, typer.Argument(help="Picture to write: PNG, PDF or SVG.")],
+    radius: Radius = 0.22,
+) -> None:
+    """Draw a world file."""
+    try:
+        draw_world(read_world(file), radius, out)
+    except (OSError, ValueError) as error:
+        raise CairnError(f"{out} cannot be written: {error}") from error
+    line(f"{out} written")
+
+
+@app.command("list")
+def list_things(
+    json: Json = False, connect: Connect = DEFAULT_CONNECT, domain: Domain = 0, robot: Robot = ""
+) -> None:
+    """List what stands and who walks in the running world, and where the robot is."""
+    rows = _ask("list", {}, connect, domain, robot)
+    columns = {"kind": "kind", "name": "name", "x": "x [m]", "y": "y [m]", "theta": "heading [rad]"}
+    show(rows, columns, as_json=json, nothing="the world is empty")
+
+
+@app.command(context_settings=_NUMBERS)
+def move(
+    name: Name,
+    x: X,
+    y: Y,
+    theta: Theta = "0",
+    connect: Connect = DEFAULT_CONNECT,
+    domain: Domain = 0,
+    robot: Robot = "",
+) -> None:
+    """Move furniture, an object or a person."""
+    _ask("move", {"name": name, **_place(x, y, theta)}, connect, domain, robot)
+    line(f"{name} moved")
+
+
+@app.command()
+def remove(
+    name: Name, connect: Connect = DEFAULT_CONNECT, domain: Domain = 0, robot: Robot = ""
+) -> None:
+    """Take furniture, an object or a person away."""
+    _ask("remove", {"name": name}, connect, domain, robot)
+    line(f"{name} taken away")
+
+
+@app.command(context_settings=_NUMBERS)
+def add(
+    name: Name,
+    x: X,
+    y: Y,
+    theta: Theta = "0",
+    size: Annotated[
+        str, typer.Option(metavar="WIDTH,DEPTH", help="Of a piece of furniture [m].")
+    ] = "0.5,0.5",
+    as_object: Annotated[
+        int | None, typer.Option("--object", metavar="ID", help="Add an object of this number.")
+    ] = None,
+    connect: Connect = DEFAULT_CONNECT,
+    domain: Domain = 0,
+    robot: Robot = "",
+) -> None:
+    """Add a piece of furniture, or an object that faces along its heading."""
+    given: dict[str, Any] = {"name": name, **_place(x, y, theta)}
+    if as_object is not None:
+        _ask("object", {**given, "id": as_object}, connect, domain, robot)
+    else:
+        try:
+            width, depth = (float(part) for part in size.split(","))
+        except ValueError:
+            raise CairnError(f"--size {size}: write it as WIDTH,DEPTH, such as 0.5,0.4") from None
+        _ask("furniture", {**given, "size": [width, depth]}, connect, domain, robot)
+    line(f"{name} added")
+
+
+@app.command(context_settings=_NUMBERS)
+def person(
+    name: Name,
+    places: Annotated[list[str], typer.Argument(help="Where they walk.", metavar="X,Y...")],
+    speed: Annotated[float, typer.Option(min=0.0, max=3.0, help="Walking speed [m/s].")] = 0.8,
+    connect: Connect = DEFAULT_CONNECT,
+    domain: Domain = 0,
+    robot: Robot = "",
+) -> None:
+    """Let somebody come who walks from place to place."""
+    waypoints = []
+    for place in places:
+        try:
+            px, py = (float(part) for part in place.split(","))
+        except ValueError:
+            raise CairnError(f"{place}: write a place as X,Y, such as 2.5,3") from None
+        waypoints.append([px, py])
+    given = {"name": name, "waypoints": waypoints, "speed": speed}
+    _ask("person", given, connect, domain, robot)
+    line(f"{name} comes")
+
+
+@app.command(context_settings=_NUMBERS)
+def kidnap(
+    x: X,
+    y: Y,
+    theta: Theta = "0",
+    connect: Connect = DEFAULT_CONNECT,
+    domain: Domain = 0,
+    robot: Robot = "",
+) -> None:
+    """Carry the robot somewhere else, without its wheels turning."""
+    _ask("kidnap", _place(x, y, theta), connect, domain, robot)
+    line("carried off")
+
+
+def _ask(verb: str, arguments: dict[str, Any], connect: str, domain: int, robot: str) -> Any:
+    with connected(connect, domain) as connection:
+        worlds = [
+            name
+            for name, status in connection.statuses().items()
+            if status.plugin == _PLUGIN and (not robot or name.split("/")[1] == robot)
+        ]
+        if not worlds:
+            raise CairnError("no simulated world runs; start one with `cairn up deploy/sim.yaml`")
+        world = resolve(worlds, worlds[0].rpartition("/")[2], robot)
+        return request(connection.session, domain, world, verb, arguments, timeout_s=_LIMIT_S)
+
+
+def _place(x: str, y: str, theta: str) -> dict[str, float]:
+    turned = theta.removesuffix("deg")
+    heading = _number(turned)
+    if turned != theta:
+        heading = math.radians(heading)
+    return {"x": _number(x), "y": _number(y), "theta": math.remainder(heading, 2 * math.pi)}
+
+
+def _number(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        raise CairnError(f"{text!r} is not a number") from None
+    if not math.isfinite(value):
+        raise CairnError(f"{text}: give a finite number")
+    return value

@@ -1,0 +1,25 @@
+"""What the tests of the path planner share: one on the bus, with a map and a pose."""
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from components.path_planner.component import PathPlanner
+from planar.grid import OccupancyCells
+from planar.poses import Pose
+from tests.components.path_planner.happening import BEGIN, HERE
+from tests.components.path_planner.rooms import as_map, pose_at
+
+
+@pytest.fixture
+def begun(stage: Callable[..., Any]) -> Callable[..., Any]:
+    def begin(grid: OccupancyCells | None, pose: Pose | None = HERE, **parameters: Any) -> Any:
+        it = stage(PathPlanner, BEGIN, **parameters).begin()
+        if grid is not None:
+            it.give("map", as_map(grid))
+        if pose is not None:
+            it.give("pose", pose_at(pose, BEGIN))
+        return it
+
+    return begin

@@ -1,0 +1,50 @@
+"""The planner on the bus in a test's hands: what happens around the robot, and what it planned."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from planar.grid import OccupancyCells
+from planar.messages import planar_poses
+from planar.poses import Pose
+from schemas.cairn_nav_msgs import Plan
+from schemas.map_msgs import OccupancyGridUpdate
+from tests.components.path_planner.rooms import (
+    RESOLUTION,
+    Box,
+    clearance,
+    odom_at,
+    pose_at,
+    room,
+    scan_of,
+    wall_with_door,
+)
+
+BEGIN = 100.0
+HERE, THERE = (1.0, 1.0, 0.0), (8.0, 6.0, 1.0)
+DOOR = wall_with_door(0.9)
+
+
+def now(it: Any) -> float:
+    return float(it.executor.now()) / 1e9
+
+
+def stay(it: Any, grid: OccupancyCells, duration: float, pose: Pose = HERE) -> None:
+    """Let the robot stand for some time and see, ten times a second, what is in a room."""
+    for _ in range(round(duration * 10)):
+        it.wait(0.1)
+        it.give("odom", odom_at((0.0, 0.0, 0.0), now(it)))
+        it.give("scan", scan_of(grid, pose, now(it)))
+        it.give("pose", pose_at(pose, now(it)))
+
+
+def window(box: Box, kind: int) -> OccupancyGridUpdate:
+    x, y, right, top = (round(edge / RESOLUTION) for edge in box)
+    cells = np.full((right - x) * (top - y), kind, np.int8)
+    return OccupancyGridUpdate(x=x, y=y, width=right - x, height=top - y, data=cells)
+
+
+def clear_of(plan: Plan, boxes: Sequence[Box]) -> float:
+    """How near [m] a plan comes to boxes."""
+    return float(clearance(room(boxes), planar_poses(plan.poses)[:, :2]).min())

@@ -1,0 +1,107 @@
+"""Rooms to plan in, as maps and as messages, and what a scanner sees in them."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cairn.clock import from_ns
+from planar.grid import Frame, OccupancyCells, map_message
+from planar.messages import pose_message
+from planar.poses import Pose
+from schemas.builtin_interfaces import Time
+from schemas.cairn_nav_msgs import LocalizationHealth, Movement
+from schemas.geometry_msgs import PoseWithCovariance, PoseWithCovarianceStamped
+from schemas.nav_msgs import OccupancyGrid, Odometry
+from schemas.sensor_msgs import LaserScan
+from schemas.std_msgs import Header
+
+RESOLUTION = 0.05
+Box = tuple[float, float, float, float]
+"""x and y [m] from, x and y to."""
+
+
+def room(
+    boxes: Sequence[Box] = (),
+    size: tuple[float, float] = (9.0, 7.0),
+    unknown: Sequence[Box] = (),
+    origin: Pose = (0.0, 0.0, 0.0),
+) -> OccupancyCells:
+    """A walled room with boxes in it, by places [m] from the corner of its map."""
+    values = np.zeros((round(size[1] / RESOLUTION), round(size[0] / RESOLUTION)), np.int8)
+    values[:2], values[-2:], values[:, :2], values[:, -2:] = 100, 100, 100, 100
+    for kind, places in ((-1, unknown), (100, boxes)):
+        for x0, y0, x1, y1 in places:
+            columns = slice(round(x0 / RESOLUTION), round(x1 / RESOLUTION))
+            values[round(y0 / RESOLUTION) : round(y1 / RESOLUTION), columns] = kind
+    return OccupancyCells(values, Frame(RESOLUTION, origin))
+
+
+def wall_with_door(width: float, at: float = 4.5, low: float = 2.0) -> list[Box]:
+    """A wall across the room at x = `at`, open from y = `low` over the width [m] of a door."""
+    return [(at, 0.0, at + 0.1, low), (at, low + width, at + 0.1, 7.0)]
+
+
+def seconds(time: float) -> Time:
+    return from_ns(round(time * 1e9))
+
+
+def as_map(grid: OccupancyCells) -> OccupancyGrid:
+    return map_message(Header(frame_id="map"), grid, Time())
+
+
+def pose_at(pose: Pose, time: float) -> PoseWithCovarianceStamped:
+    header = Header(stamp=seconds(time), frame_id="map")
+    return PoseWithCovarianceStamped(
+        header=header, pose=PoseWithCovariance(pose=pose_message(pose))
+    )
+
+
+def odom_at(pose: Pose, time: float) -> Odometry:
+    header = Header(stamp=seconds(time), frame_id="odom")
+    return Odometry(header=header, pose=PoseWithCovariance(pose=pose_message(pose)))
+
+
+def health(value: float, located: bool = True, reason: str = "") -> LocalizationHealth:
+    return LocalizationHealth(located=located, health=value, reason=reason)
+
+
+def follow(goal: Pose, leg: int = 1) -> Movement:
+    return Movement(leg=leg, behaviour=Movement.FOLLOW, goal=pose_message(goal))
+
+
+def stand(leg: int) -> Movement:
+    return Movement(leg=leg, behaviour=Movement.STAND)
+
+
+def scan_of(grid: OccupancyCells, pose: Pose, time: float, beams: int = 360) -> LaserScan:
+    """What a scanner at a pose sees of a map: by small steps along each beam."""
+    angles = -math.pi + 2 * math.pi / beams * np.arange(beams)
+    reach = np.arange(0.05, 8.0, 0.02)
+    x = pose[0] + np.cos(pose[2] + angles)[:, None] * reach
+    y = pose[1] + np.sin(pose[2] + angles)[:, None] * reach
+    rows, columns = grid.values.shape
+    row = np.clip((y / RESOLUTION).astype(int), 0, rows - 1)
+    column = np.clip((x / RESOLUTION).astype(int), 0, columns - 1)
+    hit = grid.values[row, column] > 50
+    ranges = np.where(hit.any(axis=1), reach[hit.argmax(axis=1)], np.inf)
+    return LaserScan(
+        header=Header(stamp=seconds(time), frame_id="laser"),
+        angle_min=-math.pi,
+        angle_max=math.pi,
+        angle_increment=2 * math.pi / beams,
+        range_min=0.05,
+        range_max=8.0,
+        ranges=ranges.astype(np.float32),
+    )
+
+
+def clearance(grid: OccupancyCells, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Distance [m] of points x, y (n, 2) to the nearest edge of an obstacle, walking the cells."""
+    rows, columns = np.nonzero(grid.values > 50)
+    low = np.stack((columns, rows), axis=1) * grid.frame.resolution
+    low = low + np.array(grid.frame.origin[:2])
+    gap = np.maximum(low - points[:, None, :], points[:, None, :] - low - grid.frame.resolution)
+    apart: NDArray[np.float64] = np.hypot(*np.moveaxis(np.maximum(gap, 0.0), 2, 0)).min(axis=1)
+    return apart

@@ -1,0 +1,175 @@
+"""Cost maps: kept up by windows they are what they would be anew; the scanner's view on top."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from components.path_planner.cost_map import BLOCKED, CostMap, Costs, nearest_open
+from components.path_planner.sightings import RecentObstacles
+from planar.grid import Frame, OccupancyCells
+from planar.scans import Beams
+from planar.shortest_path import CLOSED, LEAST, MARGIN, priced
+from tests.components.path_planner.rooms import room
+
+COSTS = Costs(radius=0.22, reach=0.5, weight=1.0, slack=0.05, occupied=65, allow_unknown=False)
+INNER = np.s_[MARGIN:-MARGIN, MARGIN:-MARGIN]
+FRAME = Frame(0.05)
+
+
+def random_cells(seed: int, rows: int, columns: int) -> NDArray[np.int8]:
+    rng = np.random.default_rng(seed)
+    kinds = np.array([0, -1, 100, 40], np.int8)
+    cells: NDArray[np.int8] = rng.choice(kinds, (rows, columns), p=[0.93, 0.02, 0.02, 0.03])
+    return cells
+
+
+def test_prices_fall_with_the_distance_from_an_obstacle() -> None:
+    values = np.zeros((41, 41), np.int8)
+    values[20, 20] = 100
+
+    prices = CostMap(OccupancyCells(values, FRAME), COSTS).prices[INNER]
+
+    row = prices[20, 20:]
+    assert (row[:4] == BLOCKED).all()  # to 0.15 m: nearer than 0.22 + 0.025 - 0.05
+    assert row[4] == CLOSED
+    assert CLOSED > row[5] > row[7] > row[10] > LEAST
+    assert (row[15:] == LEAST).all()
+    assert row[5] <= 2 * LEAST
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 10_000), data=st.data())
+def test_windows_make_the_map_that_would_be_made_anew(seed: int, data: st.DataObject) -> None:
+    before, after = random_cells(seed, 50, 70), random_cells(seed + 1, 50, 70)
+    top = data.draw(st.integers(0, 49))
+    left = data.draw(st.integers(0, 69))
+    height, width = data.draw(st.integers(0, 50 - top)), data.draw(st.integers(0, 70 - left))
+    window = np.s_[top : top + height, left : left + width]
+    both = before.copy()
+    both[window] = after[window]
+    seen = np.array([[10, 10], [40, 60], [0, 69]])
+    updated = CostMap(OccupancyCells(before, FRAME), COSTS)
+    updated.overlay(seen)
+    taken = CostMap(OccupancyCells(before, FRAME), COSTS)
+
+    assert updated.update(top, left, after[window])
+    assert taken.take(OccupancyCells(both, FRAME))
+
+    anew = CostMap(OccupancyCells(both, FRAME), COSTS)
+    np.testing.assert_array_equal(updated.map_prices, anew.map_prices)
+    np.testing.assert_array_equal(taken.prices, anew.prices)
+    updated.overlay(seen)
+    anew.overlay(seen)
+    if anew.holds(seen).any() or not updated.holds(seen).any():
+        np.testing.assert_array_equal(updated.prices, anew.prices)
+
+
+def test_a_window_that_leaves_the_map_is_refused() -> None:
+    costs = CostMap(room(), COSTS)
+
+    assert not costs.update(138, 0, np.zeros((3, 1), np.int8))
+    assert not costs.update(0, -1, np.zeros((3, 3), np.int8))
+    assert not costs.take(room(size=(8.0, 7.0)))
+
+
+def test_what_the_scanner_sees_closes_cells_like_an_obstacle_of_the_map_until_it_is_gone() -> None:
+    box = room([(4.0, 3.0, 4.3, 3.3)])
+    cells = np.argwhere(box.values != room().values)
+    costs = CostMap(room(), COSTS)
+    before = costs.prices.copy()
+
+    assert costs.overlay(cells)
+    np.testing.assert_array_equal(costs.prices, CostMap(box, COSTS).prices)
+    assert not costs.overlay(cells)
+    assert costs.overlay(cells[:0])
+
+    np.testing.assert_array_equal(costs.prices, before)
+
+
+def test_what_the_map_holds_anyway_is_not_laid_on_top() -> None:
+    costs = CostMap(room(), COSTS)
+    before = costs.prices.copy()
+
+    costs.overlay(np.array([[70, 1], [70, 3], [70, 4]]))  # the wall is columns 0 and 1
+
+    np.testing.assert_array_equal(costs.prices, before)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    seed=st.integers(0, 10_000),
+    share=st.floats(0, 1),
+    row=st.floats(-20, 30),
+    column=st.floats(-20, 30),
+)
+def test_the_nearest_open_cell_is_found(seed: int, share: float, row: float, column: float) -> None:
+    prices = priced(11, 13)
+    prices[INNER][np.random.default_rng(seed).random((11, 13)) < share] = 255
+    opened = np.argwhere(prices[INNER] < CLOSED)
+
+    found = nearest_open(prices, row, column)
+
+    if len(opened) == 0:
+        assert found is None
+    else:
+        assert found is not None
+        apart = np.hypot(opened[:, 0] + 0.5 - row, opened[:, 1] + 0.5 - column).min()
+        assert found[1] == pytest.approx(apart)
+        assert prices[INNER][found[0]] < CLOSED
+
+
+def beams(**ranges: float) -> Beams:
+    """Four beams: ahead, left, back, right; those not given see nothing in their way."""
+    given_ = [ranges.get(name, math.inf) for name in ("ahead", "left", "back", "right")]
+    angles = np.array([0.0, 0.5, 1.0, 1.5]) * math.pi
+    return Beams((0.0, 0.0, 0.0), angles, np.array(given_), 8.0)
+
+
+def seen(obstacles: RecentObstacles) -> set[tuple[int, ...]]:
+    return {tuple(cell) for cell in obstacles.cells().tolist()}
+
+
+def test_what_was_seen_is_remembered_for_some_time_or_until_seen_through() -> None:
+    obstacles = RecentObstacles(FRAME, (100, 100))
+    here = (2.5, 2.5, 0.0)
+    obstacles.see(0, here, beams(ahead=1.0, left=1.0, back=0.1, right=4.0), (0.22, 3.0), 3_000)
+    assert seen(obstacles) == {(50, 70), (70, 50)}  # the others too near, and too far
+
+    obstacles.see(1_000, here, beams(ahead=math.nan, left=2.0), (0.22, 3.0), 3_000)
+    assert seen(obstacles) == {(50, 70), (90, 50)}
+
+    obstacles.see(3_500, here, beams(ahead=math.nan, left=math.nan), (0.22, 3.0), 3_000)
+    assert seen(obstacles) == {(90, 50)}
+
+    obstacles.forget(2_000)
+    assert seen(obstacles) == set()
+
+
+def test_a_scanner_mounted_askew_and_clockwise_sees_the_same() -> None:
+    here = (2.5, 2.5, 1.0)
+    count = 36
+    for sense in (1, -1):
+        obstacles = RecentObstacles(FRAME, (100, 100))
+        angles = 0.7 + sense * 2 * math.pi / count * np.arange(count, dtype=np.float64)
+        ranges = np.full(count, 1.0)
+        obstacles.see(0, here, Beams((0.1, 0.0, 0.7), angles, ranges, 8.0), (0.22, 3.0), 10)
+        assert len(seen(obstacles)) > 30
+        obstacles.see(1, here, Beams((0.1, 0.0, 0.7), angles, ranges + 0.3, 8.0), (0.22, 1.2), 10)
+        assert seen(obstacles) == set()
+
+
+def test_weight_is_the_price_beside_an_obstacle() -> None:
+    values = np.zeros((41, 41), np.int8)
+    values[20, 20] = 100
+    grid = OccupancyCells(values, FRAME)
+
+    shortest = CostMap(grid, replace(COSTS, weight=0.0)).prices[INNER]
+    dear = CostMap(grid, replace(COSTS, weight=3.0)).prices[INNER]
+
+    assert set(np.unique(shortest)) == {LEAST, CLOSED, BLOCKED}
+    assert 3.5 * LEAST < dear[20, 25] <= 4 * LEAST

@@ -1,0 +1,131 @@
+"""The path planner on the bus: plans at once, says what is missing, follows its parameters."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cairn.component.lifecycle import Transition
+from components.path_planner.planning import Outcome
+from planar.messages import planar_poses
+from schemas.cairn_nav_msgs import Plan
+from tests.components.path_planner.happening import (
+    BEGIN,
+    DOOR,
+    HERE,
+    THERE,
+    now,
+    window,
+)
+from tests.components.path_planner.rooms import (
+    as_map,
+    follow,
+    health,
+    odom_at,
+    pose_at,
+    room,
+    stand,
+    wall_with_door,
+)
+
+
+def test_outcomes_are_those_of_the_message() -> None:
+    assert all(outcome == getattr(Plan, outcome.name) for outcome in Outcome)
+
+
+def test_a_leg_is_planned_at_once(begun: Any) -> None:
+    it = begun(room(DOOR))
+
+    it.give("movement", follow(THERE, leg=7))
+
+    (plan,) = it.taken("plan")
+    (path,) = it.taken("path")
+    poses = planar_poses(plan.poses)
+    assert (plan.leg, plan.outcome, plan.header.frame_id) == (7, Plan.FOUND, "map")
+    assert tuple(poses[0, :2]) == HERE[:2]
+    assert tuple(poses[-1]) == pytest.approx(THERE)
+    assert plan.length == pytest.approx(np.hypot(*np.diff(poses[:, :2], axis=0).T).sum())
+    assert math.isnan(plan.nearest_x)
+    assert [p.pose.position.x for p in path.poses] == poses[:, 0].tolist()
+
+
+def test_what_is_missing_is_told_and_planned_as_soon_as_it_comes(begun: Any) -> None:
+    it = begun(None, None)
+
+    it.give("movement", follow(THERE))
+    it.give("pose", pose_at(HERE, BEGIN))
+    it.give("localization_health", health(0.0, located=False, reason="no objects seen"))
+    it.give("map", as_map(room()))
+    it.give("localization_health", health(0.9))
+
+    plans = it.taken("plan")
+    assert [plan.outcome for plan in plans] == [Plan.NOT_READY, Plan.NOT_READY, Plan.FOUND]
+    assert plans[0].reason == "no map has come on /robot/map yet"
+    assert plans[1].reason == "the robot is not located: no objects seen"
+
+
+def test_a_want_that_is_repeated_changes_nothing_and_another_leg_is_planned(begun: Any) -> None:
+    it = begun(room())
+    for _ in range(3):
+        it.give("movement", follow(THERE, leg=1))
+        it.wait(0.5)
+    assert len(it.taken("plan")) == 1
+
+    it.give("movement", stand(leg=2))
+    it.wait(3.0)
+    assert it.taken("plan") == []
+
+    it.give("movement", follow(THERE, leg=3))
+    assert [plan.leg for plan in it.taken("plan")] == [3]
+
+
+def test_odometry_carries_the_robot_on_since_its_last_pose(begun: Any) -> None:
+    it = begun(room(), pose=None)
+    it.give("odom", odom_at((5.0, 5.0, 1.0), BEGIN))
+    it.give("pose", pose_at((1.0, 1.0, 1.0), BEGIN))
+    it.wait(1.0)
+    it.give("odom", odom_at((5.0, 5.5, 1.0), BEGIN + 1.0))
+
+    it.give("movement", follow(THERE))
+
+    poses = planar_poses(it.taken("plan")[0].poses)
+    assert poses[0, :2] == pytest.approx((1.0, 1.5))
+
+
+def test_a_restarted_planner_goes_on_with_the_leg_that_is_latched(begun: Any) -> None:
+    it = begun(room())
+    it.give("movement", follow(THERE, leg=4))
+    it.taken("plan")
+
+    for step in ("DEACTIVATE", "CLEANUP", "CONFIGURE", "ACTIVATE"):
+        it.runtime.transition(Transition[step])
+    it.wait(0.5)
+    it.give("pose", pose_at((2.0, 2.0, 0.0), now(it)))
+
+    *refused, found = it.taken("plan")
+    assert {(plan.leg, plan.outcome) for plan in refused} == {(4, Plan.NOT_READY)}
+    assert (found.leg, found.outcome) == (4, Plan.FOUND)
+    assert tuple(planar_poses(found.poses)[0, :2]) == (2.0, 2.0)
+
+
+def test_a_window_that_leaves_the_map_is_told_and_ignored(
+    begun: Any, caplog: pytest.LogCaptureFixture
+) -> None:
+    it = begun(room())
+
+    it.give("map_updates", window((8.0, 0.0, 10.0, 1.0), 100))
+
+    assert "a map update of 40 x 20 cells at column 160, row 0 leaves the map" in caplog.text
+
+
+def test_costs_can_be_changed_on_the_way(begun: Any) -> None:
+    it = begun(room(wall_with_door(0.6)))
+    it.give("movement", follow(THERE))
+    assert it.taken("plan")[0].outcome == Plan.FOUND
+
+    it.runtime.set_parameters({"radius": 0.4})
+    it.wait(1.0)
+    it.give("pose", pose_at(HERE, now(it)))
+
+    assert [plan.outcome for plan in it.taken("plan")] == [Plan.UNREACHABLE]

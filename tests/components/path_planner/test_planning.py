@@ -1,0 +1,235 @@
+"""Plans in rooms: short, clear of walls, drivable; and why there is none, and where one can get."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from components.path_planner.cost_map import CostMap, Costs
+from components.path_planner.planning import Answer, Outcome, Planner, Route
+from planar.grid import OccupancyCells
+from planar.poses import Pose
+from tests.components.path_planner.rooms import clearance, room, wall_with_door
+
+COSTS = Costs(radius=0.22, reach=0.5, weight=1.0, slack=0.05, occupied=65, allow_unknown=False)
+SHORTEST = replace(COSTS, weight=0.0)
+START, GOAL = (1.0, 1.0, 0.0), (8.0, 6.0, 1.0)
+
+
+def plan(
+    grid: OccupancyCells, start: Pose = START, goal: Pose = GOAL, costs: Costs = COSTS
+) -> Answer:
+    return Planner(0.1).plan(CostMap(grid, costs), start, goal)
+
+
+def route(
+    grid: OccupancyCells, start: Pose = START, goal: Pose = GOAL, costs: Costs = COSTS
+) -> Route:
+    answer = plan(grid, start, goal, costs)
+    assert answer.route is not None, answer.reason
+    return answer.route
+
+
+def between(poses: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Places (n, 2) all along a path, not only at its poses."""
+    shares = np.linspace(0, 1, 6)[:, None, None]
+    places: NDArray[np.float64] = poses[:-1, :2] + shares * np.diff(poses[:, :2], axis=0)
+    return places.reshape(-1, 2)
+
+
+def turns(poses: NDArray[np.float64]) -> NDArray[np.float64]:
+    headings = np.arctan2(*np.diff(poses[:, :2], axis=0).T[::-1])
+    turned: NDArray[np.float64] = (np.diff(headings) + math.pi) % (2 * math.pi) - math.pi
+    return np.abs(turned)
+
+
+def furnished(seed: int) -> OccupancyCells:
+    rng = np.random.default_rng(seed)
+    corners = rng.uniform([1.6, 0.3], [6.0, 5.0], (7, 2))
+    sizes = rng.uniform(0.2, 1.4, (7, 2))
+    return room([(x, y, x + w, y + h) for (x, y), (w, h) in zip(corners, sizes, strict=True)])
+
+
+def test_a_path_leads_from_the_robot_to_the_goal_and_its_heading() -> None:
+    found = route(room())
+
+    assert tuple(found.poses[0, :2]) == START[:2]
+    assert tuple(found.poses[-1]) == GOAL
+    assert found.length() == pytest.approx(math.hypot(7, 5), rel=0.01)
+    steps = np.hypot(*np.diff(found.poses[:, :2], axis=0).T)
+    assert steps.max() <= 0.1 + 1e-9
+    np.testing.assert_allclose(found.poses[:-1, 2], math.atan2(5, 7), atol=0.05)
+
+
+def test_a_map_that_lies_askew_is_planned_on_in_its_own_place() -> None:
+    origin = (-20.0, 5.0, 2.0)
+    there = [
+        (
+            origin[0] + math.cos(2.0) * x - math.sin(2.0) * y,
+            origin[1] + math.sin(2.0) * x + math.cos(2.0) * y,
+            0.0,
+        )
+        for x, y in ((1.0, 1.0), (8.0, 6.0))
+    ]
+    boxes = wall_with_door(0.9)
+
+    askew = route(room(boxes, origin=origin), there[0], there[1])
+
+    assert askew.length() == pytest.approx(route(room(boxes)).length(), abs=0.01)
+    assert tuple(askew.poses[-1]) == there[1]
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_paths_keep_clear_turn_gently_and_are_little_longer_than_the_shortest(seed: int) -> None:
+    grid = furnished(seed)
+    found, shortest = route(grid), route(grid, costs=SHORTEST)
+
+    # A closed cell begins where its centre is 0.245 m from an obstacle's: 0.2 m from its edge.
+    for poses in (found.poses, shortest.poses):
+        assert clearance(grid, between(poses)).min() >= 0.2 - 1e-9
+    assert shortest.length() - 1e-6 <= found.length() <= 1.15 * shortest.length()
+    near, nearer = (
+        (clearance(grid, places.poses[:, :2]) < 0.35).mean() for places in (found, shortest)
+    )
+    assert near <= nearer + 0.02
+    assert turns(found.poses).max() < 0.5
+    assert turns(found.poses).sum() < 5.0
+
+
+def test_where_there_is_room_the_path_keeps_off_a_corner() -> None:
+    grid = room([(4.0, 0.0, 5.0, 3.5)])
+
+    assert clearance(grid, route(grid).poses[:, :2]).min() > 0.35
+    assert clearance(grid, route(grid, costs=SHORTEST).poses[:, :2]).min() < 0.26
+
+
+def test_a_door_of_90_cm_is_passed_in_its_middle() -> None:
+    found = route(room(wall_with_door(0.9, low=2.0)))
+
+    crossing = found.poses[np.argmin(np.abs(found.poses[:, 0] - 4.55))]
+    assert crossing[1] == pytest.approx(2.45, abs=0.1)
+
+
+@pytest.mark.parametrize(("width", "passed"), [(0.4, False), (0.6, True)])
+def test_a_door_is_passed_if_the_robot_fits_through(width: float, passed: bool) -> None:
+    answer = plan(room(wall_with_door(width)))
+
+    assert (answer.outcome is Outcome.FOUND) == passed
+
+
+def test_a_goal_behind_walls_is_unreachable_and_the_nearest_place_is_told() -> None:
+    answer = plan(room([(4.5, 0.0, 4.6, 7.0)]), goal=(6.0, 3.0, 0.0))
+
+    assert answer.outcome is Outcome.UNREACHABLE
+    assert "there is no way from (1.00, 1.00) to (6.00, 3.00)" in answer.reason
+    assert answer.nearest == pytest.approx((4.225, 3.0), abs=0.06)
+    assert answer.route is None
+
+
+def test_a_goal_in_an_obstacle_is_told_with_the_nearest_free_place() -> None:
+    answer = plan(room([(5.0, 2.0, 7.0, 4.0)]), goal=(5.5, 3.0, 0.0))
+
+    assert answer.outcome is Outcome.GOAL_BLOCKED
+    assert "the goal (5.50, 3.00) is in an obstacle" in answer.reason
+    assert "is 0.73 m from it" in answer.reason
+    assert answer.nearest == pytest.approx((4.775, 3.0), abs=0.06)
+
+
+def test_a_goal_too_near_to_an_obstacle_is_told_as_such() -> None:
+    answer = plan(room(), goal=(8.8, 3.0, 0.0))
+
+    assert answer.outcome is Outcome.GOAL_BLOCKED
+    assert "is nearer than 0.22 m to an obstacle" in answer.reason
+
+
+def test_for_a_goal_in_an_obstacle_a_place_that_cannot_be_reached_is_not_offered() -> None:
+    grid = room([(4.5, 0.0, 4.6, 7.0), (5.2, 3.0, 6.0, 4.0)])
+
+    answer = plan(grid, goal=(5.3, 3.5, 0.0))
+
+    assert answer.outcome is Outcome.GOAL_BLOCKED
+    assert answer.nearest is not None
+    assert answer.nearest[0] < 4.5
+
+
+def test_a_goal_outside_the_map_is_told() -> None:
+    answer = plan(room(), goal=(12.0, 3.0, 0.0))
+
+    assert answer.outcome is Outcome.OUTSIDE_MAP
+    assert "the goal (12.00, 3.00) is outside the map" in answer.reason
+    assert answer.nearest == pytest.approx((8.625, 3.0), abs=0.06)
+
+
+@pytest.mark.parametrize("x", [math.nan, math.inf])
+def test_a_goal_that_is_no_number_is_told(x: float) -> None:
+    answer = plan(room(), goal=(x, 3.0, 0.0))
+
+    assert answer.outcome is Outcome.OUTSIDE_MAP
+    assert "is not a place" in answer.reason
+
+
+def test_a_robot_outside_the_map_is_told() -> None:
+    answer = plan(room(), start=(-2.0, 3.0, 0.0))
+
+    assert answer.outcome is Outcome.OUTSIDE_MAP
+    assert "the robot at (-2.00, 3.00) is outside the map" in answer.reason
+
+
+def test_a_robot_a_little_inside_an_obstacle_finds_its_way_out() -> None:
+    grid = room([(0.8, 0.8, 1.3, 1.2)])
+
+    found = route(grid, start=(1.2, 1.0, 0.0))
+
+    assert tuple(found.poses[0, :2]) == (1.2, 1.0)
+    assert clearance(grid, between(found.poses[1:])).min() >= 0.2 - 1e-9
+
+
+def test_a_robot_deep_inside_an_obstacle_is_told() -> None:
+    answer = plan(room([(0.2, 0.2, 2.0, 2.0)]))
+
+    assert answer.outcome is Outcome.START_BLOCKED
+    assert "the robot at (1.00, 1.00) is in an obstacle" in answer.reason
+    assert "m away" in answer.reason
+
+
+def test_unknown_space_is_passed_only_if_that_is_allowed() -> None:
+    grid = room(unknown=[(4.0, 0.0, 5.0, 7.0)])
+
+    closed = plan(grid)
+    opened = plan(grid, costs=replace(COSTS, allow_unknown=True))
+    into = plan(grid, goal=(4.5, 3.0, 0.0))
+
+    assert closed.outcome is Outcome.UNREACHABLE
+    assert opened.outcome is Outcome.FOUND
+    assert into.outcome is Outcome.GOAL_BLOCKED
+    assert "is in unknown space" in into.reason
+
+
+def test_a_goal_where_the_robot_stands_is_a_path_too() -> None:
+    found = route(room(), goal=(1.0, 1.0, 2.0))
+
+    assert found.length() == 0.0
+    assert tuple(found.poses[-1]) == (1.0, 1.0, 2.0)
+
+
+def test_one_planner_serves_maps_of_different_sizes() -> None:
+    planner = Planner(0.1)
+    small, large = room(), room(size=(12.0, 10.0))
+
+    outcomes = [
+        planner.plan(CostMap(grid, COSTS), START, GOAL).outcome for grid in (small, large, small)
+    ]
+
+    assert outcomes == [Outcome.FOUND] * 3
+
+
+def test_a_goal_in_what_only_the_scanner_sees_is_told_as_such() -> None:
+    costs = CostMap(room(), COSTS)
+    costs.overlay(np.argwhere(room([(5.0, 3.0, 5.3, 3.3)]).values != room().values))
+
+    answer = Planner(0.1).plan(costs, START, (5.4, 3.1, 0.0))
+
+    assert answer.outcome is Outcome.GOAL_BLOCKED
+    assert "the goal (5.40, 3.10) is too near to what the scanner sees" in answer.reason

@@ -1,0 +1,180 @@
+"""When the path planner plans anew: something in the way, off the path, a shorter way."""
+
+from typing import Any
+
+import pytest
+
+from planar.messages import planar_poses
+from schemas.cairn_nav_msgs import Plan
+from tests.components.path_planner.happening import (
+    DOOR,
+    THERE,
+    clear_of,
+    now,
+    stay,
+    window,
+)
+from tests.components.path_planner.rooms import (
+    as_map,
+    follow,
+    health,
+    pose_at,
+    room,
+    stand,
+)
+
+
+def test_while_the_path_is_free_it_is_kept(begun: Any) -> None:
+    grid = room(DOOR)
+    it = begun(grid)
+    it.give("movement", follow(THERE))
+
+    stay(it, grid, 4.0)
+
+    assert len(it.taken("plan")) == 1
+
+
+def test_a_box_that_only_the_scanner_sees_is_planned_around_and_forgotten(begun: Any) -> None:
+    box = (2.5, 1.7, 2.9, 2.4)
+    it = begun(room(DOOR, size=(9.0, 7.0)), pose=(1.0, 1.8, 0.0))
+    here = (1.0, 1.8, 0.0)
+    it.give("movement", follow((4.0, 2.3, 0.0)))
+    (first,) = it.taken("plan")
+    assert clear_of(first, [box]) < 0.1
+
+    stay(it, room([*DOOR, box]), 0.5, here)
+    (around,) = it.taken("plan")
+    stay(it, room([*DOOR, box]), 3.0, here)
+    assert it.taken("plan") == []
+    stay(it, room(DOOR), 3.0, here)
+
+    assert around.outcome == Plan.FOUND
+    assert clear_of(around, [box]) > 0.19
+    back = it.taken("plan")
+    assert len(back) <= 1
+    assert all(plan.length < around.length for plan in back)
+
+
+def test_what_was_seen_on_an_earlier_leg_is_not_planned_around(begun: Any) -> None:
+    box = (2.5, 1.7, 2.9, 2.4)
+    here, there = (1.0, 1.8, 0.0), (4.0, 2.3, 0.0)
+    it = begun(room(), pose=here)
+    it.give("movement", follow(there, leg=1))
+    stay(it, room([box]), 0.5, here)
+    it.give("movement", stand(leg=2))
+    it.wait(5.0)
+    it.taken("plan")
+
+    it.give("movement", follow(there, leg=3))
+
+    assert clear_of(it.taken("plan")[0], [box]) < 0.1
+
+
+def test_a_door_that_somebody_stands_in_is_told_until_they_leave(begun: Any) -> None:
+    somebody = (4.4, 2.3, 4.7, 2.6)
+    it = begun(room(DOOR), pose=(2.0, 2.4, 0.0))
+    here = (2.0, 2.4, 0.0)
+    it.give("movement", follow((7.0, 2.4, 0.0)))
+    assert it.taken("plan")[0].outcome == Plan.FOUND
+
+    stay(it, room([*DOOR, somebody]), 3.0, here)
+    refused = it.taken("plan")
+    stay(it, room(DOOR), 2.1, here)
+    again = it.taken("plan")
+
+    assert {plan.outcome for plan in refused} == {Plan.UNREACHABLE}
+    assert refused[-1].reason.startswith("blocked by what the scanner sees at (4.")
+    assert refused[-1].nearest_x == pytest.approx(4.1, abs=0.2)
+    assert len(refused[-1].poses) == 0
+    assert [plan.outcome for plan in again] == [Plan.FOUND]
+
+
+def test_a_path_that_the_map_closes_is_planned_anew(begun: Any) -> None:
+    it = begun(room())
+    it.give("movement", follow(THERE))
+    it.taken("plan")
+    box = (4.0, 3.0, 5.0, 4.0)
+
+    it.give("map_updates", window((0.5, 5.5, 1.0, 6.0), 100))
+    assert it.taken("plan") == []
+    it.give("map_updates", window(box, 100))
+
+    (around,) = it.taken("plan")
+    assert clear_of(around, [box]) > 0.19
+
+
+def test_what_comes_a_little_too_near_to_a_path_does_not_break_it(begun: Any) -> None:
+    it = begun(room(), pose=(1.0, 1.025, 0.0))
+    it.give("movement", follow((8.0, 1.025, 0.0)))
+    it.taken("plan")
+
+    it.give("map_updates", window((4.0, 1.2, 5.0, 1.6), 100))  # centres 0.2 m off: closed
+    it.wait(2.0)
+    assert it.taken("plan") == []
+    it.give("map_updates", window((4.0, 1.15, 5.0, 1.2), 100))
+
+    assert len(it.taken("plan")) == 1
+
+
+def test_a_way_that_the_map_opens_is_taken_if_it_is_clearly_shorter(begun: Any) -> None:
+    it = begun(room([(3.0, 0.0, 3.1, 6.0)]), pose=(1.5, 3.0, 0.0))
+    it.give("movement", follow((7.0, 3.0, 0.0)))
+    (long,) = it.taken("plan")
+
+    it.give("map_updates", window((3.0, 2.0, 3.1, 4.0), 0))
+    it.wait(1.5)
+    (short,) = it.taken("plan")
+    it.give("map_updates", window((3.0, 2.0, 3.1, 2.5), 100))
+    it.wait(3.0)
+
+    assert long.length > short.length + 2
+    assert it.taken("plan") == []
+
+
+def test_a_map_that_has_grown_is_planned_on(begun: Any) -> None:
+    it = begun(room(size=(5.0, 7.0)))
+    it.give("movement", follow(THERE))
+    (outside,) = it.taken("plan")
+
+    it.give("map", as_map(room()))
+    it.wait(1.5)
+
+    assert outside.outcome == Plan.OUTSIDE_MAP
+    assert [plan.outcome for plan in it.taken("plan")] == [Plan.FOUND]
+
+
+def test_a_robot_that_has_left_the_path_gets_another(begun: Any) -> None:
+    it = begun(room())
+    it.give("movement", follow((8.0, 1.0, 0.0)))
+    it.taken("plan")
+
+    it.wait(1.0)
+    it.give("pose", pose_at((3.0, 1.4, 0.0), now(it)))
+    assert it.taken("plan") == []
+    it.wait(1.0)
+    it.give("pose", pose_at((3.0, 1.7, 0.0), now(it)))
+
+    (plan,) = it.taken("plan")
+    assert tuple(planar_poses(plan.poses)[0, :2]) == (3.0, 1.7)
+
+
+def test_a_way_out_of_an_obstacle_is_kept(begun: Any) -> None:
+    here = (1.2, 1.0, 0.0)
+    it = begun(room([(0.8, 0.8, 1.3, 1.2)]), pose=here)
+    it.give("movement", follow(THERE))
+
+    for _ in range(10):
+        it.wait(0.3)
+        it.give("pose", pose_at(here, now(it)))
+
+    assert [plan.outcome for plan in it.taken("plan")] == [Plan.FOUND]
+
+
+def test_a_lost_robots_scans_are_placed_nowhere(begun: Any) -> None:
+    it = begun(room(DOOR))
+    it.give("movement", follow(THERE))
+    it.give("localization_health", health(0.1))
+
+    stay(it, room([*DOOR, (2.0, 1.0, 2.4, 2.0)]), 1.0)
+
+    assert len(it.taken("plan")) == 1
