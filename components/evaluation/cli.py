@@ -98,7 +98,7 @@ def _surveyed(world: Path, out: Path) -> Path:
     """The maps of the world as it stands at the beginning, made by their importers."""
     map_file = (out / "surveyed.yaml").absolute()
     for file in (map_file, map_file.with_suffix(".cairn")):
-        command = [sys.executable, "-m", "cairn.cli.main", "map", "import", "world"]
+        command = [sys.executable, "-P", "-m", "cairn.cli.main", "map", "import", "world"]
         done = subprocess.run(
             [*command, str(world), str(file), "--force"],
             capture_output=True,
