@@ -26,7 +26,7 @@ import numpy as np
 from benchmarks.localization_replay import Recording, errors, load, run, stressed, true_pose
 from components.localizer.localization import Settings
 from components.map_builder.objects import Kind, MapObject, Place, State
-from components.mrclam.dataset import Dataset
+from components.replay.mrclam_files import Dataset
 
 DISPLACED = {"one": 1, "two": 2, "removed": 2}
 Mode = Literal["lr", "paper"]

@@ -12,8 +12,8 @@ from components.localizer.localization import Frame, Localization, Settings
 from components.localizer.object_likelihood import Landmark, Sighting
 from components.map_builder.objects import Change, Evidence, MapObject, Place, State, Verdict
 from components.map_builder.visual_map import VisualMap
-from components.mrclam.dataset import Dataset
-from components.mrclam.noise import range_bearing_variance
+from components.replay.mrclam_files import Dataset
+from components.replay.sighting_noise import range_bearing_variance
 
 
 @dataclass(frozen=True)

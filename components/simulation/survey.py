@@ -33,7 +33,9 @@ def grid_of_world(world: WorldFile) -> OccupancyCells:
     scene = Scene.of(world)
     segments, _ = scene.segments()
     ends = segments.reshape(-1, 2)
-    least, most = ends.min(axis=0) - _BORDER_M, ends.max(axis=0) + _BORDER_M
+    # Half a cell off round numbers, on which walls stand: they pass through the middle of cells.
+    least = ends.min(axis=0) - _BORDER_M - RESOLUTION / 2
+    most = ends.max(axis=0) + _BORDER_M
     columns, rows = np.ceil((most - least) / RESOLUTION).astype(int)
     frame = Frame(RESOLUTION, (float(least[0]), float(least[1]), 0.0))
     solid = np.zeros((rows, columns), np.uint8)

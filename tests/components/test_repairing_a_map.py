@@ -12,8 +12,8 @@ from cairn.bus.qos import Qos
 from cairn.deployment.load import load_deployment
 from cairn.placement.lockstep_run import LockstepRun
 from components.map_builder.importing import altered, write_map
-from components.mrclam.dataset import Dataset
-from components.mrclam.landmarks import read_landmarks
+from components.replay.landmarks import read_landmarks
+from components.replay.mrclam_files import Dataset
 from schemas.cairn_msgs import VisualMap, VisualMapChange, VisualObject
 from schemas.geometry_msgs import PoseWithCovarianceStamped
 
@@ -21,7 +21,7 @@ MANY = Qos("reliable", "transient_local", 100_000)
 
 
 def deployment(dataset: Path, robot: int, map_file: Path, start: dict[str, float]) -> Any:
-    recording = {"dataset": str(dataset), "robot": robot}
+    recording = {"recording": str(dataset), "robot": robot}
     copy = map_file.with_name("working.map")
     return {
         "cairn": 1,
@@ -29,11 +29,11 @@ def deployment(dataset: Path, robot: int, map_file: Path, start: dict[str, float
         "clock": "simulated",
         "components": {
             "odometry": {
-                "plugin": "components.mrclam.odometry:MrclamOdometry",
+                "plugin": "components.replay.odometry:ReplayOdometry",
                 "parameters": recording,
             },
             "sightings": {
-                "plugin": "components.mrclam.sightings:MrclamSightings",
+                "plugin": "components.replay.sightings:ReplaySightings",
                 "parameters": recording,
             },
             "map_builder": {
@@ -45,7 +45,7 @@ def deployment(dataset: Path, robot: int, map_file: Path, start: dict[str, float
                 "parameters": {"start": start},
             },
             "clock": {
-                "plugin": "components.mrclam.clock:MrclamClock",
+                "plugin": "components.replay.clock:ReplayClock",
                 "parameters": {**recording, "rate": 10.0},
                 "topics": {"time": "clock"},
                 "significant": True,

@@ -1,1 +1,0 @@
-"""Drivers and map importer for recordings of the UTIAS multi-robot (MRCLAM) data sets."""
