@@ -32,6 +32,9 @@ Array = NDArray[np.float64]
 _NEWEST = 0.2
 # The error of the grid map itself, which no cloud shows: a centimetre and 0.2 degrees.
 _MAP_COVARIANCE = np.diag([0.01**2, 0.01**2, 0.0035**2])
+# Where the robot may be anywhere, less of a scan counts: what no map holds (people, furniture that
+# was moved) fits some place or other by chance.
+_SEARCH_SHARE = 0.4
 # Motion after which a scan tells something new [m], [rad]; of one that was taken on the spot
 # little counts, as its errors repeat.
 _NEW_M, _NEW_RAD, _ON_THE_SPOT = 0.15, 0.15, 0.03
@@ -212,7 +215,7 @@ class Localization:
             scans=self._scans,
             landmarks=self.landmarks,
             map=self.map,
-            scan_share=self._share(self.settings.beams),
+            scan_share=_SEARCH_SHARE * self._share(self.settings.beams),
             now=self._reckoned,
             moved_s=self._moved_s,
         )

@@ -96,7 +96,7 @@ class Recovery:
         """Poses (3, n) of a robot believed to be `here`, if it is clearly somewhere else."""
         self._searched_at = stamp
         found = self._search(evidence)
-        if found is None or found.share < 0.8 or found.pose.spread > 0.5:
+        if found is None or found.share < 0.9 or found.pose.spread > 0.5:
             return None
         support = found.support
         if support.contradicting > support.agreeing or _close(here, found.pose):
@@ -107,7 +107,10 @@ class Recovery:
         score = evidence.log_likelihood(np.asarray(here.mean)[:, None])
         if found.score - float(score[0]) < BETTER:
             return None
-        return self._found(stamp, found.poses)
+        # Places that look alike take turns, as long as little was seen: believe the one that stays.
+        again = self._guess is not None and _close(self._guess, found.pose)
+        self._guess = found.pose
+        return self._found(stamp, found.poses) if again or support.agreeing >= 2 else None
 
     def _search(self, evidence: Evidence) -> Found | None:
         return search(evidence, self.search_particles, self.random)

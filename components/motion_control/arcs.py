@@ -1,0 +1,174 @@
+"""How far a round robot can go along arcs, lines and paths among points.
+
+Everywhere `radius` [m] is that of the circle to keep free, and `least` [m] that of the robot. A
+point that is within the circle at the start may not come nearer than it is then; one that is within
+the robot itself, as noise makes it seem, blocks what leads towards it and lets the robot leave.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planar.compiled import compiled
+
+Array = NDArray[np.float64]
+
+FAR = 10.0
+"""What nothing limits is free, and clear, this far [m]."""
+
+_STRAIGHT = 1e-3  # curvature [1/m] below which an arc is a straight line
+_SLACK = 0.005  # [m] by which a point within the circle may come nearer, as scans are noisy
+
+
+@compiled()
+def _keep(squared: float, radius: float, least: float) -> float:
+    """Distance [m] to keep from a point whose squared distance at the start is given."""
+    if squared >= radius * radius:
+        return radius
+    return max(least, math.sqrt(squared) - _SLACK)
+
+
+@compiled(
+    "void(float64[:,::1], float64[::1], float64[::1], float64, float64, float64[::1], float64[::1])"
+)
+def sweep(
+    points: Array,
+    curvatures: Array,
+    lengths: Array,
+    radius: float,
+    least: float,
+    free: Array,
+    clear: Array,
+) -> None:
+    """What is in the way of a circle that moves ahead along arcs.
+
+    `points` (n, 2) [m] in the robot's frame; `curvatures` (m,) [1/m], left positive. Fills `free`
+    (m,) [m] with the arc length up to the first touch, and `clear` (m,) [m] with the least distance
+    of a point to the centre's way over `lengths` (m,) [m].
+    """
+    for j in range(curvatures.size):
+        bend, length = abs(curvatures[j]), lengths[j]
+        side = 1.0 if curvatures[j] >= 0.0 else -1.0
+        straight = bend < _STRAIGHT
+        turn = 1.0 if straight else 1.0 / bend
+        most = length / turn
+        end_x, end_y = turn * math.sin(most), turn * (1.0 - math.cos(most))
+        way, nearest = FAR, FAR * FAR
+        for i in range(points.shape[0]):
+            x, y = points[i, 0], side * points[i, 1]
+            here = x * x + y * y
+            nearest = min(nearest, here)
+            keep = _keep(here, radius, least)
+            if here < keep * keep:
+                if x > 0.0:
+                    way = 0.0
+                continue
+            if straight:
+                beyond = x - min(max(x, 0.0), length)
+                nearest = min(nearest, beyond * beyond + y * y)
+                if x > 0.0 and y * y < keep * keep:
+                    way = min(way, x - math.sqrt(keep * keep - y * y))
+                continue
+            ex, ey = x - end_x, y - end_y
+            nearest = min(nearest, ex * ex + ey * ey)
+            down = turn - y
+            apart = math.sqrt(x * x + down * down)
+            off = apart - turn
+            touches = abs(off) < keep
+            if not touches and off * off >= nearest:
+                continue
+            angle = math.atan2(x, down)
+            if 0.0 <= angle <= most:
+                nearest = min(nearest, off * off)
+            if touches and apart > 0.0:
+                cosine = (turn * turn + apart * apart - keep * keep) / (2.0 * turn * apart)
+                angle -= math.acos(min(1.0, max(-1.0, cosine)))
+                if angle < 0.0:
+                    angle += 2.0 * math.pi
+                way = min(way, turn * angle)
+        free[j] = way
+        clear[j] = math.sqrt(nearest)
+
+
+@compiled("void(float64[:,::1], float64[::1], float64, float64, float64[::1])")
+def open_ways(points: Array, directions: Array, radius: float, least: float, free: Array) -> None:
+    """How far [m] a circle can go straight on in `directions` (m,) [rad] of the robot's frame."""
+    for j in range(directions.size):
+        cosine, sine = math.cos(directions[j]), math.sin(directions[j])
+        way = FAR
+        for i in range(points.shape[0]):
+            px, py = points[i, 0], points[i, 1]
+            x, y = cosine * px + sine * py, cosine * py - sine * px
+            if x <= 0.0 or abs(y) >= radius:
+                continue
+            keep = _keep(px * px + py * py, radius, least)
+            if abs(y) < keep:
+                way = min(way, max(0.0, x - math.sqrt(keep * keep - y * y)))
+        free[j] = way
+
+
+@compiled()
+def _fits(points: Array, x: float, y: float, radius: float) -> bool:
+    """Whether a circle fits at x, y, or is no nearer there than at the start to what it touches."""
+    squared = radius * radius
+    for i in range(points.shape[0]):
+        px, py = points[i, 0], points[i, 1]
+        dx, dy = px - x, py - y
+        apart = dx * dx + dy * dy
+        if apart < squared:
+            here = px * px + py * py
+            if here >= squared or apart < (math.sqrt(here) - _SLACK) ** 2:
+                return False
+    return True
+
+
+@compiled("float64(float64[:,::1], float64[:,::1], float64, float64)")
+def free_along(points: Array, way: Array, spacing: float, radius: float) -> float:
+    """How far [m] a circle can go along `way` (n, 2), whose points are `spacing` [m] apart."""
+    for k in range(way.shape[0]):
+        if not _fits(points, way[k, 0], way[k, 1], radius):
+            return spacing * k
+    return FAR
+
+
+@compiled("int64(float64[:,::1], float64[:,::1], int64, int64, float64)")
+def free_again(points: Array, way: Array, first: int, run: int, radius: float) -> int:
+    """The first point of `way` from `first` on where a circle fits, and on the `run` next; or -1.
+
+    The way's end need not be followed by so many.
+    """
+    fits = 0
+    for k in range(first, way.shape[0]):
+        fits = fits + 1 if _fits(points, way[k, 0], way[k, 1], radius) else 0
+        if fits > run:
+            return k - run
+    return way.shape[0] - fits if fits > 0 else -1
+
+
+@compiled("void(float64[:,::1], float64[:,::1], float64, float64, float64, boolean[::1])")
+def sees(
+    points: Array, places: Array, x: float, y: float, radius: float, free: NDArray[np.bool_]
+) -> None:
+    """From which of `places` (m, 2) a circle can go straight to x, y; fills `free` (m,)."""
+    squared = radius * radius
+    for j in range(places.shape[0]):
+        px, py = places[j, 0], places[j, 1]
+        ux, uy = x - px, y - py
+        length = math.hypot(ux, uy)
+        if length > 0.0:
+            ux, uy = ux / length, uy / length
+        free[j] = True
+        for i in range(points.shape[0]):
+            dx, dy = points[i, 0] - px, points[i, 1] - py
+            along = ux * dx + uy * dy
+            beyond = along - min(max(along, 0.0), length)
+            across = ux * dy - uy * dx
+            apart = beyond * beyond + across * across
+            if apart < squared:
+                here = points[i, 0] * points[i, 0] + points[i, 1] * points[i, 1]
+                if here >= squared or apart < (math.sqrt(here) - _SLACK) ** 2:
+                    free[j] = False
+                    break

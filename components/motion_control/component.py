@@ -1,0 +1,302 @@
+"""The component MotionControl: drives the base along plans, and never into what is seen."""
+
+from __future__ import annotations
+
+import math
+
+from cairn.bus.qos import LATCHED, RELIABLE, SENSOR
+from cairn.clock import SECOND, from_ns, to_ns
+from cairn.component.component import Component
+from cairn.component.handlers import on
+from cairn.component.parameters import Config
+from cairn.component.ports import In, Out
+from components.motion_control.behaviours import (
+    BackOff,
+    Behaviour,
+    Explore,
+    Follow,
+    LookAround,
+    Motion,
+    Situation,
+    State,
+)
+from components.motion_control.config import MotionControlConfig
+from components.motion_control.freshness import Freshness
+from components.motion_control.local_planner import LOOK
+from components.motion_control.movers import Movers
+from components.motion_control.route import Route
+from components.motion_control.seen_space import SeenSpace, Surroundings
+from components.motion_control.steering import STAND, Command, Steering
+from components.motion_control.sweep import sweep_of, view_of
+from components.motion_control.whereabouts import Whereabouts
+from planar.messages import planar_pose, planar_poses
+from planar.poses import Pose
+from schemas.cairn_nav_msgs import LocalizationHealth, MotionStatus, Movement, Plan
+from schemas.geometry_msgs import PoseWithCovarianceStamped, Twist, Vector3
+from schemas.nav_msgs import Odometry
+from schemas.sensor_msgs import LaserScan
+from schemas.std_msgs import Header
+
+# After a jump of odometry the robot stands for so long [ns].
+_PAUSE_NS = SECOND // 2
+# Health must be so much above the limit before a path is followed again.
+_REGAINED = 0.05
+# A timed command is left out when a scan has just brought one, within this share of the period.
+_JUST_NOW = 0.5
+
+
+class MotionControl(Component):
+    """Drives the robot along plans among obstacles, and tells how that goes.
+
+    It stands still, and says why, when an input is stale or the robot is lost.
+    """
+
+    config: MotionControlConfig
+    movement: In[Movement] = In(qos=LATCHED)
+    plan: In[Plan] = In(qos=LATCHED)
+    pose: In[PoseWithCovarianceStamped]
+    localization_health: In[LocalizationHealth]
+    odom: In[Odometry] = In(qos=RELIABLE.with_depth(1000))
+    scan: In[LaserScan] = In(qos=SENSOR)
+    cmd_vel: Out[Twist] = Out(qos=SENSOR)
+    motion_status: Out[MotionStatus]
+
+    def on_configure(self) -> None:
+        """Take memory; nothing is wanted yet."""
+        self._freshness = Freshness()
+        self._movement: Movement | None = None
+        self._plan: Plan | None = None
+        self._behaviour: Behaviour | None = None
+        self._done = False
+        self._lost = False
+        self._paused_until, self._pause = 0, ""
+        self._commanded_at = 0
+        self._view = (0.0, math.pi)
+        self._around: Surroundings | None = None
+        self._motion = Motion(state=State.STANDING, reason="nothing is wanted yet")
+        self._told: tuple[int, State] | None = None
+        self._whereabouts = Whereabouts(self.config.speed, self.config.turn_speed)
+        self._take(self.config)
+
+    def on_activate(self) -> None:
+        """Begin to command and to tell."""
+        self._command_again()
+        self._tell_again()
+
+    def on_deactivate(self) -> None:
+        """Leave the robot standing."""
+        self.cmd_vel.publish(Twist())
+
+    def on_parameters(self, new: Config) -> None:
+        """Go on with the new parameters; what was begun begins anew."""
+        assert isinstance(new, MotionControlConfig)
+        self._take(new)
+        self._begin()
+
+    @on("movement")
+    def want(self, movement: Movement) -> None:
+        """Take what is wanted now."""
+        now = self.clock.now()
+        self._freshness.note("movement", now, now)
+        last, self._movement = self._movement, movement
+        if last is None or (last.leg, last.behaviour) != (movement.leg, movement.behaviour):
+            self._done = False
+            self._begin()
+            self._drive()
+
+    @on("plan")
+    def follow(self, plan: Plan) -> None:
+        """Take a path, or that there is none."""
+        self._plan = plan
+        self._route()
+
+    @on("pose")
+    def locate(self, pose: PoseWithCovarianceStamped) -> None:
+        """Take where the robot is in the map."""
+        stamp = to_ns(pose.header.stamp)
+        self._freshness.note("pose", stamp, self.clock.now())
+        self._whereabouts.locate(stamp, planar_pose(pose.pose.pose))
+
+    @on("localization_health")
+    def heed(self, health: LocalizationHealth) -> None:
+        """Take how far that can be relied on."""
+        stamp = to_ns(health.header.stamp)
+        self._freshness.note("localization_health", stamp, self.clock.now())
+        limit = self.config.health_limit
+        if health.health < limit or not health.located:
+            self._lost = True
+        elif health.health >= min(1.0, limit + _REGAINED):
+            self._lost = False
+
+    @on("odom")
+    def move(self, odom: Odometry) -> None:
+        """Take how the robot moved."""
+        stamp, now = to_ns(odom.header.stamp), self.clock.now()
+        self._freshness.note("odom", stamp, now)
+        twist = odom.twist.twist
+        jumped = self._whereabouts.move(
+            stamp, planar_pose(odom.pose.pose), twist.linear.x, twist.angular.z
+        )
+        if jumped > 0.0:
+            self._pause = f"odometry on {self.odom.topic} jumped by {jumped:.2f} m"
+            self._paused_until = now + _PAUSE_NS
+            self.log.warning("%s: standing for a moment", self._pause)
+            self._space.forget()
+            self._movers.forget()
+            self._begin()
+            self._drive()
+
+    @on("scan")
+    def see(self, scan: LaserScan) -> None:
+        """Take what is around, and command at once by it."""
+        stamp = to_ns(scan.header.stamp)
+        swept_ns = round(scan.time_increment * max(0, scan.ranges.size - 1) * SECOND)
+        robot, end = self._whereabouts.odom(stamp), self._whereabouts.odom(stamp + swept_ns)
+        if robot is None or end is None:
+            return
+        self._freshness.note("scan", stamp, self.clock.now())
+        sweep = sweep_of(scan, self._mount, robot, end)
+        self._space.add(stamp, robot, sweep)
+        self._space.expect(self._movers.see(stamp / SECOND, sweep, self._whereabouts.turn))
+        self._view = view_of(scan, self._mount)
+        self._drive()
+
+    def _take(self, config: MotionControlConfig) -> None:
+        self._limits = config.limits()
+        self._mount: Pose = config.mount.pose
+        self._steering = Steering(self._limits)
+        self._movers = Movers()
+        self._space = SeenSpace(round(config.memory * SECOND), config.radius)
+
+    def _begin(self) -> None:
+        """Begin what is wanted anew, unless it is done."""
+        wanted = self._movement.behaviour if self._movement is not None else Movement.STAND
+        self._behaviour = None
+        if wanted == Movement.BACK_OFF:
+            self._behaviour = BackOff(self._limits)
+        elif wanted == Movement.LOOK_AROUND:
+            self._behaviour = LookAround(self._limits)
+        elif wanted == Movement.EXPLORE:
+            self._behaviour = Explore(self._limits)
+        elif wanted == Movement.FOLLOW:
+            self._route()
+
+    def _route(self) -> None:
+        """Follow the plan if it is of the leg that is wanted."""
+        movement, plan = self._movement, self._plan
+        if movement is None or movement.behaviour != Movement.FOLLOW:
+            return
+        if plan is None or plan.leg != movement.leg:
+            return
+        if plan.outcome != Plan.FOUND:
+            self._behaviour = None
+            return
+        poses = planar_poses(plan.poses)
+        goal = planar_pose(movement.goal)
+        route = Route(poses, goal)
+        if isinstance(self._behaviour, Follow):
+            self._behaviour.route = route
+            return
+        self._behaviour = Follow(
+            self._limits, route, movement.position_tolerance, movement.heading_tolerance
+        )
+
+    def _command_again(self) -> None:
+        period = round(SECOND / self.config.command_rate)
+        now = self.clock.now()
+        self.schedule(now + period, self._command_again)
+        if now - self._commanded_at > _JUST_NOW * period:
+            self._drive()
+
+    def _tell_again(self) -> None:
+        self.schedule(self.clock.now() + round(SECOND / self.config.status_rate), self._tell_again)
+        self._tell()
+
+    def _drive(self) -> None:
+        """Command what is to be done now, and tell if that is something else than before."""
+        now = self.clock.now()
+        self._commanded_at = now
+        self._motion, command = self._judge(now)
+        if command is STAND:
+            self._steering.stop(now)
+        self.cmd_vel.publish(Twist(linear=Vector3(x=command[0]), angular=Vector3(z=command[1])))
+        leg = self._movement.leg if self._movement is not None else 0
+        if self._told != (leg, self._motion.state):
+            self._told = (leg, self._motion.state)
+            reason = f": {self._motion.reason}" if self._motion.reason else ""
+            self.log.info("leg %d %s%s", leg, self._motion.state.name, reason)
+            self._tell()
+
+    def _judge(self, now: int) -> tuple[Motion, Command]:
+        stopped = self._stopped(now)
+        if stopped is not None:
+            return stopped, STAND
+        if self._behaviour is None:
+            return Motion(state=State.BLOCKED, reason=self._no_plan()), STAND
+        odom = self._whereabouts.odom(now)
+        if odom is None:  # its first time is yet to come
+            return Motion(state=State.STOPPED, reason=f"no odom yet on {self.odom.topic}"), STAND
+        speed, turn = self._whereabouts.speed, self._whereabouts.turn
+        around = self._space.around(odom, LOOK, speed, self._limits.speed)
+        self._around = around
+        pose = self._whereabouts.pose(now)
+        situation = Situation(now, odom, speed, turn, pose, self._space, around, self._view)
+        motion = self._behaviour.step(situation)
+        if motion.state is State.DONE:
+            self._done = True
+            return motion, STAND
+        return motion, self._steering.command(motion.wish, now, (speed, turn), around)
+
+    def _stopped(self, now: int) -> Motion | None:
+        """Why it must stand still; None if it may move."""
+        movement = self._movement
+        timeouts = self.config.timeouts
+        stale = self._freshness.complaint("movement", self.movement.topic, timeouts.movement, now)
+        if stale or movement is None:
+            return Motion(state=State.STOPPED, reason=stale)
+        if movement.behaviour == Movement.STAND:
+            return Motion(state=State.STANDING)
+        if self._done:
+            return Motion(state=State.DONE, reason=self._motion.reason)
+        stale = self._freshness.complaint("odom", self.odom.topic, timeouts.odom, now)
+        stale = stale or self._freshness.complaint("scan", self.scan.topic, timeouts.scan, now)
+        if not stale and now < self._paused_until:
+            stale = self._pause
+        if not stale and movement.behaviour == Movement.FOLLOW:
+            stale = self._unsure(now)
+        return Motion(state=State.STOPPED, reason=stale) if stale else None
+
+    def _unsure(self, now: int) -> str:
+        """Why the pose in the map cannot be relied on; empty if it can."""
+        timeouts, topic = self.config.timeouts, self.localization_health.topic
+        health = self.localization_health.latest
+        stale = self._freshness.complaint("pose", self.pose.topic, timeouts.pose, now)
+        stale = stale or self._freshness.complaint(
+            "localization_health", topic, timeouts.health, now
+        )
+        if not stale and self._lost and health is not None:
+            return f"the robot is lost, health {health.health:.2f}: {health.reason}"
+        if not stale and self._whereabouts.pose(now) is None:
+            return f"no pose on {self.pose.topic} since odometry began"
+        return stale
+
+    def _no_plan(self) -> str:
+        movement, plan = self._movement, self._plan
+        leg = movement.leg if movement is not None else 0
+        if plan is None or plan.leg != leg:
+            return f"no plan for leg {leg} yet on {self.plan.topic}"
+        return f"there is no path: {plan.reason}"
+
+    def _tell(self) -> None:
+        nearest = self._around.nearest if self._around is not None else LOOK
+        self.motion_status.publish(
+            MotionStatus(
+                header=Header(stamp=from_ns(self.clock.now()), frame_id="base_link"),
+                leg=self._movement.leg if self._movement is not None else 0,
+                state=int(self._motion.state),
+                reason=self._motion.reason,
+                distance_left=max(0.0, self._motion.left),
+                speed=self._whereabouts.speed,
+                clearance=max(0.0, nearest - self.config.radius),
+            )
+        )

@@ -1,0 +1,106 @@
+"""The parameters of motion control."""
+
+from __future__ import annotations
+
+import math
+
+from pydantic import Field
+
+from cairn.component.parameters import Config
+from components.motion_control.limits import Limits
+from planar.poses import Pose
+
+
+class Mount(Config):
+    """The scanner's pose on the robot."""
+
+    x: float = Field(0.0, ge=-2, le=2, description="x, ahead of the robot's middle [m].")
+    y: float = Field(0.0, ge=-2, le=2, description="y, left of the robot's middle [m].")
+    theta: float = Field(
+        0.0, ge=-2 * math.pi, le=2 * math.pi, description="Direction of its angle 0 [rad]."
+    )
+
+    @property
+    def pose(self) -> Pose:
+        """The scanner's pose in the robot's frame."""
+        return self.x, self.y, self.theta
+
+
+class Timeouts(Config):
+    """Ages of inputs from which the robot stands still."""
+
+    scan: float = Field(0.5, gt=0, le=10, description="Age of the newest scan [s].")
+    odom: float = Field(0.3, gt=0, le=10, description="Age of the newest odometry [s].")
+    pose: float = Field(1.0, gt=0, le=10, description="Age of the newest pose in the map [s].")
+    health: float = Field(2.0, gt=0, le=10, description="Age of the localization's health [s].")
+    movement: float = Field(1.5, gt=0, le=10, description="Age of what is wanted [s].")
+
+
+class MotionControlConfig(Config):
+    """Parameters of motion control."""
+
+    radius: float = Field(0.22, gt=0.05, le=2, description="Radius of the round robot [m].")
+    margin: float = Field(
+        0.05, ge=0.01, le=1, description="Space around the robot that is kept free [m]."
+    )
+    stop_distance: float = Field(
+        0.12,
+        ge=0,
+        le=2,
+        description="Further space before what blocks the path, where the robot stops [m].",
+    )
+    full_speed_clearance: float = Field(
+        0.2, gt=0, le=2, description="Space beside the robot that it needs for full speed [m]."
+    )
+    speed: float = Field(0.6, gt=0, le=3, description="Fastest speed ahead [m/s].")
+    creep_speed: float = Field(
+        0.15, gt=0, le=1, description="Speed where there is only the margin beside the robot [m/s]."
+    )
+    turn_speed: float = Field(1.5, gt=0, le=6, description="Fastest turn [rad/s].")
+    acceleration: float = Field(0.8, gt=0, le=10, description="Acceleration of commands [m/s^2].")
+    turn_acceleration: float = Field(
+        3.0, gt=0, le=30, description="Angular acceleration of commands [rad/s^2]."
+    )
+    braking: float = Field(
+        0.6,
+        gt=0,
+        le=10,
+        description="Deceleration that the robot is relied on for; less than it can [m/s^2].",
+    )
+    turn_braking: float = Field(
+        2.0, gt=0, le=30, description="Angular deceleration relied on [rad/s^2]."
+    )
+    latency: float = Field(
+        0.15, ge=0, le=1, description="Time from what is seen to when the base follows [s]."
+    )
+    lookahead: float = Field(
+        1.2, gt=0.1, le=5, description="How far ahead on the path the robot aims [s]."
+    )
+    memory: float = Field(
+        3.0, ge=0, le=30, description="How long what left the scanner's view still counts [s]."
+    )
+    health_limit: float = Field(
+        0.3, ge=0, le=1, description="Health of the localization below which no path is followed."
+    )
+    command_rate: float = Field(20.0, ge=5, le=100, description="Rate of commands at least [Hz].")
+    status_rate: float = Field(5.0, ge=1, le=50, description="Rate of the status at least [Hz].")
+    timeouts: Timeouts = Timeouts()
+    mount: Mount = Mount()
+
+    def limits(self) -> Limits:
+        """The parameters as the algorithm takes them."""
+        return Limits(
+            radius=self.radius,
+            margin=self.margin,
+            stop_distance=self.stop_distance,
+            full_speed_clearance=self.full_speed_clearance,
+            speed=self.speed,
+            creep_speed=min(self.creep_speed, self.speed),
+            turn_speed=self.turn_speed,
+            acceleration=self.acceleration,
+            turn_acceleration=self.turn_acceleration,
+            braking=min(self.braking, self.acceleration),
+            turn_braking=min(self.turn_braking, self.turn_acceleration),
+            latency=self.latency,
+            lookahead=self.lookahead,
+        )

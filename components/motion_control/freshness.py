@@ -1,0 +1,24 @@
+"""How old each input is, and which is too old to move by."""
+
+from __future__ import annotations
+
+from cairn.clock import SECOND
+
+
+class Freshness:
+    """The time of the newest message of each input, by the input's name."""
+
+    def __init__(self) -> None:
+        self._times: dict[str, int] = {}
+
+    def note(self, name: str, stamp: int, now: int) -> None:
+        """Note a message of `stamp` [ns] taken at `now` [ns]; one from the future is of now."""
+        self._times[name] = max(min(stamp, now), self._times.get(name, 0))
+
+    def complaint(self, name: str, topic: str, timeout_s: float, now: int) -> str:
+        """Why an input is too old, with its age and topic; empty if it is not."""
+        time = self._times.get(name)
+        if time is None:
+            return f"no {name} yet on {topic}"
+        age = (now - time) / SECOND
+        return "" if age <= timeout_s else f"no {name} for {age:.2f} s on {topic}"

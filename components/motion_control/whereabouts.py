@@ -1,0 +1,75 @@
+"""Where the robot is by its odometry and in the map, and how it moves."""
+
+from __future__ import annotations
+
+from cairn.clock import SECOND
+from planar.odometry import OdometryHistory
+from planar.poses import Pose, compose, distance, relative, wrap
+
+_HORIZON_NS = 5 * SECOND
+_AHEAD_S = 0.1  # the robot is taken to move on so long after the newest odometry
+
+# A step is impossible if it is so much faster than the robot, and so far beyond [m, rad].
+_FASTER, _FAR, _TURNED = 2.0, 0.1, 0.15
+
+
+class Whereabouts:
+    """The last poses by odometry, and the last one in the map, which odometry carries on."""
+
+    def __init__(self, speed: float, turn_speed: float) -> None:
+        self._fastest, self._fastest_turn = speed, turn_speed
+        self._history = OdometryHistory(_HORIZON_NS)
+        self._odom: Pose = (0.0, 0.0, 0.0)
+        self._pose: tuple[int, Pose] | None = None
+        self.speed = 0.0
+        self.turn = 0.0
+
+    def move(self, stamp: int, odom: Pose, speed: float, turn: float) -> float:
+        """Take odometry; the distance [m] that it jumped, 0 as a rule.
+
+        After a jump all that was known before is forgotten. Odometry older than the newest is
+        ignored.
+        """
+        newest = self._history.newest
+        jumped = 0.0
+        if newest is not None:
+            if stamp < newest:
+                return 0.0
+            seconds = (stamp - newest) / SECOND
+            apart = distance(self._odom, odom)
+            turned = abs(wrap(odom[2] - self._odom[2]))
+            if (
+                apart > _FASTER * self._fastest * seconds + _FAR
+                or turned > _FASTER * self._fastest_turn * seconds + _TURNED
+            ):
+                jumped = max(apart, 0.001)
+                self._history.clear()
+                self._pose = None
+        self._history.add(stamp, odom)
+        self._odom, self.speed, self.turn = odom, speed, turn
+        return jumped
+
+    def locate(self, stamp: int, pose: Pose) -> None:
+        """Take the pose in the map that the robot had at `stamp` [ns]."""
+        self._pose = (stamp, pose)
+
+    def odom(self, now: int) -> Pose | None:
+        """The pose in the odometry frame; a little after the newest one the robot moves on.
+
+        None if that is before all that is known.
+        """
+        newest = self._history.newest
+        if newest is None or now <= newest:
+            return self._history.at(now)
+        seconds = min(_AHEAD_S, (now - newest) / SECOND)
+        return compose(self._odom, (self.speed * seconds, 0.0, self.turn * seconds))
+
+    def pose(self, now: int) -> Pose | None:
+        """The pose in the map; None before the first, and if odometry began anew since."""
+        if self._pose is None:
+            return None
+        stamp, pose = self._pose
+        left, reached = self.odom(stamp), self.odom(now)
+        if left is None or reached is None:
+            return None
+        return compose(pose, relative(left, reached))

@@ -1,0 +1,32 @@
+"""The driver that replays a recorded laser scanner."""
+
+from __future__ import annotations
+
+from cairn.bus.qos import SENSOR
+from cairn.component.handlers import every
+from cairn.component.ports import Out
+from components.replay.driver import RecordingDriver
+from components.replay.due import Records
+from schemas.sensor_msgs import LaserScan
+
+
+class ReplayScanner(RecordingDriver):
+    """Replays laser scans, each at the time that it bears."""
+
+    scan: Out[LaserScan] = Out(qos=SENSOR)
+
+    def on_configure(self) -> None:
+        """Read the recording."""
+        recording = self.config.open()
+        scans = recording.scans()
+        if scans is None:
+            self.lacks("laser scans")
+            self.records = Records(())
+            return
+        self._messages = scans.messages
+        self.take(recording, scans.stamps)
+
+    @every(hz=100)
+    def replay(self) -> None:
+        """Publish what is due."""
+        self.publish_due(lambda index: self.scan.publish(self._messages[index]))

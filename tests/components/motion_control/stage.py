@@ -1,0 +1,155 @@
+"""Motion control on a bus in virtual time, driving a robot in a small world."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from cairn.bus.qos import LATCHED, RELIABLE, SENSOR, Qos
+from cairn.clock import SECOND, from_ns
+from components.motion_control.component import MotionControl
+from planar.messages import packed_poses, pose_message
+from planar.poses import Pose, compose, wrap
+from schemas.cairn_nav_msgs import LocalizationHealth, MotionStatus, Movement, Plan
+from schemas.geometry_msgs import (
+    PoseWithCovariance,
+    PoseWithCovarianceStamped,
+    Twist,
+    TwistWithCovariance,
+    Vector3,
+)
+from schemas.nav_msgs import Odometry
+from schemas.sensor_msgs import LaserScan
+from schemas.std_msgs import Header
+from tests.cairn.component.running import Lockstep, taken
+from tests.components.motion_control.world import Array, Robot, World
+
+BEGIN = 1000 * SECOND
+STEP = 20_000_000  # [ns] of the base
+
+
+class Stage:
+    """Sends what the other components would; `muted` topics are not sent any more."""
+
+    def __init__(self, world: World, robot: Robot, **parameters: Any) -> None:
+        self.lockstep = Lockstep()
+        self.world, self.robot = world, robot
+        self.muted: set[str] = set()
+        self.beams = 360
+        self.mount: Pose = (0.0, 0.0, 0.0)
+        self.health = LocalizationHealth(located=True, health=0.9)
+        self.movement = Movement()
+        self.commands: list[tuple[int, float, float]] = []
+        self.statuses: list[MotionStatus] = []
+        self.clearance = math.inf
+        self.random = np.random.default_rng(0)
+        self._cmd_vel = self.lockstep.read("cmd_vel", Twist, SENSOR)
+        self._status = self.lockstep.read("motion_status", MotionStatus)
+        self._tick = 0
+        self._command = (0.0, 0.0)
+        self._writers: dict[str, Any] = {}
+        self.lockstep.run_until(BEGIN)
+        self.part = self.lockstep.add(MotionControl, parameters=parameters)
+        self.part.activate()
+
+    @property
+    def now(self) -> int:
+        """Virtual time [ns]."""
+        return BEGIN + self._tick * STEP
+
+    @property
+    def status(self) -> MotionStatus:
+        """The newest status."""
+        return self.statuses[-1]
+
+    def want(self, leg: int, behaviour: int, goal: Pose = (0.0, 0.0, 0.0)) -> None:
+        """Want something from now on."""
+        self.movement = Movement(leg=leg, behaviour=behaviour, goal=pose_message(goal))
+        self._send("movement", self.movement, LATCHED)
+
+    def plan(self, leg: int, *points: tuple[float, float], **fields: Any) -> None:
+        """Give a path through these points."""
+        poses = packed_poses(np.array([(x, y, 0.0) for x, y in points]).reshape(-1, 3))
+        self._send("plan", Plan(leg=leg, poses=poses, **fields), LATCHED)
+
+    def wait(self, seconds: float, until: int | None = None) -> None:
+        """Let time pass, or until there is a status of that state."""
+        for _ in range(round(seconds * SECOND / STEP)):
+            self._step()
+            if until is not None and self.statuses and self.status.state == until:
+                break
+
+    def _step(self) -> None:
+        stamp = from_ns(self.now)
+        if self._tick % 25 == 0:
+            self._send("movement", self.movement, LATCHED)
+        twist = Twist(linear=Vector3(x=self.robot.speed), angular=Vector3(z=self.robot.turn))
+        self._send(
+            "odom",
+            Odometry(
+                header=Header(stamp=stamp, frame_id="odom"),
+                child_frame_id="base_link",
+                pose=PoseWithCovariance(pose=pose_message(self.robot.odom)),
+                twist=TwistWithCovariance(twist=twist),
+            ),
+            RELIABLE,
+        )
+        if self._tick % 5 == 0:
+            self._look(stamp)
+        self.lockstep.run_until(self.now + STEP - 1)
+        for command in taken(self._cmd_vel):
+            self._command = (command.linear.x, command.angular.z)
+            self.commands.append((self.now, *self._command))
+        self.statuses += taken(self._status)
+        self.robot.move(self._command, STEP / SECOND)
+        self._tick += 1
+        self.clearance = min(
+            self.clearance, self.world.distance(self._seconds, *self.robot.pose[:2]) - 0.22
+        )
+
+    @property
+    def _seconds(self) -> float:
+        return self._tick * STEP / SECOND
+
+    def _look(self, stamp: Any) -> None:
+        noise = self.random.normal(0.0, 0.005, self.beams)
+        step = 2 * math.pi / self.beams
+        angles: Array = np.arange(self.beams, dtype=np.float64) * step - math.pi
+        scanner = compose(self.robot.pose, self.mount)
+        ranges = self.world.ranges(self._seconds, scanner, angles, noise)
+        self._send(
+            "scan",
+            LaserScan(
+                header=Header(stamp=stamp, frame_id="laser"),
+                angle_min=float(np.float32(angles[0])),
+                angle_max=float(np.float32(angles[-1])),
+                angle_increment=float(np.float32(step)),
+                range_max=10.0,
+                ranges=ranges.astype(np.float32),
+            ),
+            SENSOR,
+        )
+        x, y, theta = self.robot.pose
+        dx, dy, turned = self.random.normal(0.0, 0.01, 3)
+        seen = pose_message((x + dx, y + dy, wrap(theta + turned)))
+        header = Header(stamp=stamp, frame_id="map")
+        pose = PoseWithCovarianceStamped(header=header, pose=PoseWithCovariance(pose=seen))
+        self._send("pose", pose, RELIABLE)
+        health = LocalizationHealth(
+            header=header,
+            located=self.health.located,
+            health=self.health.health,
+            reason=self.health.reason,
+        )
+        self._send("localization_health", health, RELIABLE)
+
+    def _send(self, topic: str, message: Any, qos: Qos) -> None:
+        if topic in self.muted:
+            return
+        if topic not in self._writers:
+            self._writers[topic] = self.lockstep.observer.advertise(
+                f"/robot/{topic}", type(message), qos
+            )
+        self._writers[topic].publish(message)

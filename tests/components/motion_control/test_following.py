@@ -1,0 +1,290 @@
+"""Following paths in a small world: to the goal, at speed, and never into anything."""
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from components.motion_control.behaviours import Follow, State
+from planar.poses import Pose, wrap
+from tests.components.motion_control.people import Walker
+from tests.components.motion_control.world import (
+    LIMITS,
+    Record,
+    Robot,
+    Wall,
+    World,
+    box,
+    drive,
+    route,
+)
+
+HALL = box(0, 0, 20, 20)
+ALL_ROUND, FRONT = 2 * math.pi, 1.5 * math.pi
+
+
+def follow(*points: tuple[float, float], heading: float = 0.0, within: float = 0.1) -> Follow:
+    return Follow(LIMITS, route(*points, heading=heading), within, within)
+
+
+def assert_reached(record: Record, goal: Pose) -> None:
+    x, y, heading = record.poses[-1]
+    assert record.states[-1] is State.DONE
+    assert record.clearance > 0.0
+    assert math.hypot(x - goal[0], y - goal[1]) < 0.1
+    assert abs(wrap(heading - goal[2])) < 0.1
+
+
+def reversals(record: Record) -> int:
+    """How often the robot changed the side that it turns to."""
+    turns = [turn for turn in record.turns if abs(turn) > 0.2]
+    return sum(a * b < 0 for a, b in pairwise(turns))
+
+
+def door(width: float, thickness: float = 0.1) -> list[Wall]:
+    half, t = width / 2, thickness / 2
+    return [
+        *box(0, half + 5, 2 * t, 10),
+        *box(0, -half - 5, 2 * t, 10),
+    ]
+
+
+def test_a_free_straight_path_is_driven_at_full_speed() -> None:
+    record = drive(World(HALL), Robot((-5, 0, 0)), follow((-5, 0), (5, 0)), 30)
+
+    assert_reached(record, (5, 0, 0))
+    on_the_way = [v for v, (x, _, _) in zip(record.speeds, record.poses, strict=True) if -4 < x < 4]
+    assert min(on_the_way) > 0.58
+    assert max(record.speeds) < 0.601
+    assert max(abs(y) for _, y, _ in record.poses) < 0.03
+    assert record.times[-1] < 20
+
+
+def test_a_corner_is_taken_without_stopping() -> None:
+    path = follow((-3, 0), (0, 0), (0, 3), heading=math.pi)
+
+    record = drive(World(HALL), Robot((-3, 0, 0)), path, 30)
+
+    assert_reached(record, (0, 3, math.pi))
+    near = [
+        v for v, (x, y, _) in zip(record.speeds, record.poses, strict=True) if x * x + y * y < 1
+    ]
+    assert min(near) > 0.25
+
+
+def test_a_corridor_around_a_corner_is_kept_clear_of() -> None:
+    walls = [(-4.0, 0.6, -0.6, 0.6), (-0.6, 0.6, -0.6, 4.0), (-4.0, -0.6, 0.6, -0.6)]
+    walls += [(0.6, -0.6, 0.6, 4.0)]
+
+    record = drive(
+        World(walls), Robot((-3, 0, 0)), follow((-3, 0), (0, 0), (0, 3), heading=math.pi / 2), 30
+    )
+
+    assert_reached(record, (0, 3, math.pi / 2))
+    assert record.clearance > 0.2
+
+
+def test_a_slalom_between_boxes_is_followed() -> None:
+    boxes = [wall for x in (-2, 0, 2) for wall in box(x, 0, 0.4, 0.4)]
+    points = [(-4, 0), (-2.8, 0.3), (-2, 0.65), (-1.2, 0.3), (-0.8, -0.3), (0, -0.65)]
+    points += [(0.8, -0.3), (1.2, 0.3), (2, 0.65), (2.8, 0.3), (4, 0)]
+
+    record = drive(World(HALL + boxes), Robot((-4, 0, 0)), follow(*points), 40)
+
+    assert_reached(record, (4, 0, 0))
+    assert record.clearance > 0.06
+
+
+def test_boxes_that_stand_on_the_path_are_gone_around() -> None:
+    boxes = [wall for x in (-2, 0, 2) for wall in box(x, 0, 0.4, 0.4)]
+
+    record = drive(World(HALL + boxes), Robot((-4, 0, 0)), follow((-4, 0), (4, 0)), 40)
+
+    assert_reached(record, (4, 0, 0))
+    assert record.clearance > 0.04
+    assert State.BLOCKED not in record.states
+
+
+@pytest.mark.parametrize("aside", [0.0, 0.08, -0.15])
+@pytest.mark.parametrize("view", [ALL_ROUND, FRONT])
+def test_a_narrow_door_is_passed_though_the_path_is_not_in_its_middle(
+    aside: float, view: float
+) -> None:
+    path = follow((-3, aside), (3, aside))
+
+    record = drive(World(HALL + door(0.9)), Robot((-3, 0, 0)), path, 30, view=view)
+
+    assert_reached(record, (3, aside, 0))
+    assert record.clearance > 0.05
+    assert reversals(record) < 8
+
+
+def test_a_narrow_door_is_passed_aslant() -> None:
+    path = follow((-3, 1.5), (-0.8, 0), (0.8, 0), (3, -1.5))
+
+    record = drive(World(HALL + door(0.9, 0.3)), Robot((-3, 1.5, 0)), path, 30)
+
+    assert_reached(record, (3, -1.5, 0))
+
+
+class Sudden(World):
+    """A world to which a wall is added 4 s after the beginning."""
+
+    def __init__(self, walls: list[Wall], later: list[Wall]) -> None:
+        super().__init__(walls)
+        self.first, self.then = walls, walls + later
+
+    def ranges(self, time, scanner, angles, noise):  # type: ignore[no-untyped-def]
+        self.walls = self.then if time >= 4.0 else self.first
+        return super().ranges(time, scanner, angles, noise)
+
+
+@pytest.mark.parametrize("ahead", [0.6, 0.8, 1.5])
+def test_it_stops_before_a_wall_that_appears_on_the_path(ahead: float) -> None:
+    at = -5 + 0.6 * 4 - 0.225 + ahead  # where the robot is by then, and so much further
+
+    record = drive(
+        Sudden(HALL, [(at, -10, at, 10)]), Robot((-5, 0, 0)), follow((-5, 0), (5, 0)), 10
+    )
+
+    assert record.clearance > 0.02
+    assert record.states[-1] is State.BLOCKED
+    assert "ahead on the path" in record.motions[-1].reason
+    assert record.speeds[-1] == pytest.approx(0.0, abs=1e-3)
+    assert max(abs(turn) for turn in record.turns[-100:]) < 1e-3
+
+
+@pytest.mark.parametrize("speed", [0.6, 1.0, 1.3])
+@pytest.mark.parametrize("begin", [1.0, 2.0, 3.0, 4.0])
+def test_a_person_who_crosses_is_not_touched(speed: float, begin: float) -> None:
+    robot = Robot((-5, 0, 0))
+    person = Walker(robot, (-2, -3), (0, speed), begin)
+
+    record = drive(World(HALL, person), robot, follow((-5, 0), (5, 0)), 60)
+
+    assert_reached(record, (5, 0, 0))
+    assert record.clearance > 0.04
+
+
+@pytest.mark.parametrize("aside", [0.0, 0.3, 0.6])
+def test_a_person_who_comes_towards_it_is_not_touched(aside: float) -> None:
+    robot = Robot((-5, 0, 0))
+    person = Walker(robot, (4.5, aside), (-1, 0), 0.0)
+
+    record = drive(World(HALL, person), robot, follow((-5, 0), (5, 0)), 60)
+
+    assert_reached(record, (5, 0, 0))
+    assert record.clearance > 0.04
+
+
+headings = st.floats(-math.pi, math.pi)
+
+
+@settings(max_examples=40, deadline=None, derandomize=True)
+@given(
+    x=st.floats(-2.5, 2.5),
+    y=st.floats(-2.5, 2.5),
+    heading=headings,
+    goal_heading=headings,
+    seed=st.integers(0, 99),
+)
+def test_the_goal_is_reached_from_anywhere(
+    x: float, y: float, heading: float, goal_heading: float, seed: int
+) -> None:
+    path = follow((x, y), (0.5, -0.5), heading=goal_heading)
+
+    record = drive(World(box(0, 0, 6, 6)), Robot((x, y, heading)), path, 30, seed=seed)
+
+    assert_reached(record, (0.5, -0.5, goal_heading))
+
+
+@settings(max_examples=25, deadline=None, derandomize=True)
+@given(
+    heading=headings, away=st.floats(-3.0, -0.15), length=st.floats(1, 3), seed=st.integers(0, 9)
+)
+def test_a_robot_a_centimetre_off_a_wall_gets_away(
+    heading: float, away: float, length: float, seed: int
+) -> None:
+    goal = length * math.cos(away), min(-0.1, length * math.sin(away))
+    wall = (-10.0, 0.23, 10.0, 0.23)
+    path = follow((0, 0), goal, heading=heading)
+
+    record = drive(World([*HALL, wall]), Robot((0, 0, heading)), path, 40, seed=seed)
+
+    assert_reached(record, (*goal, heading))
+
+
+@settings(max_examples=10, deadline=None, derandomize=True)
+@given(seed=st.integers(0, 10_000), view=st.sampled_from([ALL_ROUND, FRONT, math.pi]))
+def test_nothing_is_touched_among_clutter(seed: int, view: float) -> None:
+    random = np.random.default_rng(seed)
+    walls = box(0, 0, 12, 8)
+    for _ in range(16):
+        x, y, width, height = random.uniform((-4, -3, 0.1, 0.1), (4, 3, 1, 1))
+        walls += box(x, y, width, height)
+
+    record = drive(
+        World(walls), Robot((-5.5, 0, 0)), follow((-5.5, 0), (5.5, 0)), 20, seed=seed, view=view
+    )
+
+    assert record.clearance > 0.0
+
+
+@pytest.mark.parametrize("width", [0.7, 0.56])
+def test_a_gap_that_is_hardly_wide_enough_is_passed_slowly(width: float) -> None:
+    record = drive(World(HALL + door(width)), Robot((-3, 0, 0)), follow((-3, 0), (3, 0)), 40)
+
+    assert_reached(record, (3, 0, 0))
+    within = [v for v, (x, _, _) in zip(record.speeds, record.poses, strict=True) if abs(x) < 0.1]
+    assert max(within) < (0.5 if width == 0.7 else 0.25)
+
+
+def test_a_gap_that_is_too_narrow_is_not_tried() -> None:
+    record = drive(World(HALL + door(0.48)), Robot((-3, 0, 0)), follow((-3, 0), (3, 0)), 20)
+
+    assert record.states[-1] is State.BLOCKED
+    assert record.clearance > 0.03
+
+
+@pytest.mark.parametrize("room", [0.07, 0.03])
+def test_a_goal_close_to_a_wall_is_reached(room: float) -> None:
+    wall = (3.0, -5.0, 3.0, 5.0)
+    goal = 3.0 - 0.22 - room
+
+    record = drive(World([*HALL, wall]), Robot((0, 0, 0)), follow((0, 0), (goal, 0)), 30)
+
+    assert_reached(record, (goal, 0, 0))
+
+
+def test_a_path_that_is_far_away_is_not_gone_to() -> None:
+    record = drive(World(HALL), Robot((0, 3, 0)), follow((-5, 0), (5, 0)), 3)
+
+    assert record.states[-1] is State.BLOCKED
+    assert record.motions[-1].reason == "the path is 3.0 m away"
+
+
+def test_it_does_not_go_where_the_scanner_sees_nothing() -> None:
+    class Blind(World):
+        def ranges(self, time, scanner, angles, noise):  # type: ignore[no-untyped-def]
+            seen = super().ranges(time, scanner, angles, noise)
+            return seen if time < 2.0 else np.full_like(seen, np.nan)
+
+    record = drive(Blind(HALL), Robot((-5, 0, 0)), follow((-5, 0), (5, 0)), 10)
+
+    assert record.speeds[-1] == pytest.approx(0.0, abs=1e-3)
+    assert record.states[-1] is State.BLOCKED
+    assert "did not see" in record.motions[-1].reason
+
+
+def test_accelerations_are_kept_to() -> None:
+    record = drive(
+        World(HALL), Robot((-5, 0, 2.0)), follow((-5, 0), (-2, 0), (-2, 2), heading=1.0), 30
+    )
+
+    speeds, turns = np.diff(record.speeds), np.diff(record.turns)
+    assert abs(speeds).max() <= 0.8 * 0.02 + 1e-9
+    assert abs(turns).max() <= 3.0 * 0.02 + 1e-9
+    assert max(abs(np.array(record.turns))) < 1.501

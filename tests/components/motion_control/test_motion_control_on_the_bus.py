@@ -1,0 +1,272 @@
+"""The component on a bus in virtual time, its ports in the test's hands."""
+
+import math
+
+import numpy as np
+import pytest
+
+from cairn.clock import SECOND
+from schemas.cairn_nav_msgs import LocalizationHealth, MotionStatus, Movement, Plan
+from tests.components.motion_control.stage import Stage
+from tests.components.motion_control.world import Robot, World, box
+
+HALL = box(0, 0, 20, 20)
+STATES = MotionStatus
+
+
+def stage(*walls: tuple[float, float, float, float], **parameters: object) -> Stage:
+    return Stage(World([*HALL, *walls]), Robot((-3.0, 0.0, 0.0)), **parameters)
+
+
+def following(**parameters: object) -> Stage:
+    """A robot at full speed on its way to (3, 0)."""
+    it = stage(**parameters)
+    it.want(7, Movement.FOLLOW, (3.0, 0.0, 1.0))
+    it.plan(7, (-3, 0), (3, 0))
+    it.wait(3.0)
+    return it
+
+
+def test_a_plan_is_followed_to_the_goal_and_its_heading() -> None:
+    it = following()
+    assert it.status.state == STATES.MOVING
+    assert it.robot.speed == pytest.approx(0.6, abs=0.01)
+    assert it.status.distance_left == pytest.approx(3 - it.robot.pose[0], abs=0.2)
+
+    it.wait(15, until=STATES.DONE)
+
+    x, y, heading = it.robot.pose
+    assert it.status.state == STATES.DONE
+    assert it.status.leg == 7
+    assert math.hypot(x - 3, y) < 0.1
+    assert heading == pytest.approx(1.0, abs=0.1)
+
+
+def test_commands_come_at_least_at_20_hz_and_with_each_scan() -> None:
+    it = following()
+
+    times = np.array([time for time, _, _ in it.commands]) / SECOND
+
+    assert np.diff(times).max() < 0.061
+    assert 18 < len(times) / (times[-1] - times[0]) < 31
+
+
+def test_it_stays_done_and_stands_when_the_leg_is_done() -> None:
+    it = following()
+    it.wait(15, until=STATES.DONE)
+    it.statuses.clear()
+    it.commands.clear()
+
+    it.wait(2)
+
+    assert {status.state for status in it.statuses} == {STATES.DONE}
+    assert {command[1:] for command in it.commands} == {(0.0, 0.0)}
+
+
+def test_it_stands_when_nothing_else_is_wanted() -> None:
+    it = following()
+
+    it.want(8, Movement.STAND)
+    it.wait(1.5)
+
+    assert it.status.state == STATES.STANDING
+    assert it.status.leg == 8
+    assert it.robot.speed == 0.0
+
+
+@pytest.mark.parametrize(
+    ("topic", "timeout_s", "reason"),
+    [
+        ("scan", 0.5, "no scan for 0.5"),
+        ("odom", 0.3, "no odom for 0.3"),
+        ("pose", 1.0, "no pose for 1.0"),
+        ("movement", 1.5, "no movement for 1.5"),
+        ("localization_health", 2.0, "no localization_health for 2.0"),
+    ],
+)
+def test_a_stale_input_stops_it_and_is_named(topic: str, timeout_s: float, reason: str) -> None:
+    it = following()
+
+    it.muted.add(topic)
+    muted_at = it.now
+    it.wait(3.0, until=STATES.STOPPED)
+
+    assert it.status.reason.startswith(reason)
+    assert it.status.reason.endswith(f"on /robot/{topic}")
+    assert (it.now - muted_at) / SECOND < timeout_s + 0.6
+    it.wait(1.0)
+    assert it.robot.speed == 0.0
+    it.muted.clear()
+    it.wait(1.0)
+    assert it.status.state == STATES.MOVING
+    assert it.robot.speed > 0.3
+
+
+def test_it_says_what_never_came() -> None:
+    it = stage()
+    it.muted.add("scan")
+
+    it.want(1, Movement.LOOK_AROUND)
+    it.wait(0.5)
+
+    assert it.status.state == STATES.STOPPED
+    assert it.status.reason == "no scan yet on /robot/scan"
+
+
+def test_only_a_plan_of_the_same_leg_counts() -> None:
+    it = following()
+
+    it.want(8, Movement.FOLLOW, (3.0, 3.0, 0.0))
+    it.wait(2.0)
+
+    assert it.status.state == STATES.BLOCKED
+    assert it.status.reason == "no plan for leg 8 yet on /robot/plan"
+    assert it.robot.speed == 0.0
+    it.plan(8, (it.robot.pose[0], 0.0), (3.0, 3.0))
+    it.wait(20, until=STATES.DONE)
+    assert math.hypot(it.robot.pose[0] - 3, it.robot.pose[1] - 3) < 0.1
+
+
+def test_a_plan_of_another_leg_does_not_disturb() -> None:
+    it = following()
+
+    it.plan(8, (0, 0), (0, 3))
+    it.wait(0.5)
+
+    assert it.status.state == STATES.MOVING
+    assert it.robot.speed == pytest.approx(0.6, abs=0.01)
+
+
+def test_it_tells_why_there_is_no_path() -> None:
+    it = stage()
+
+    it.want(1, Movement.FOLLOW)
+    it.plan(1, outcome=Plan.UNREACHABLE, reason="no way through the door")
+    it.wait(0.5)
+
+    assert it.status.state == STATES.BLOCKED
+    assert it.status.reason == "there is no path: no way through the door"
+
+
+def test_a_path_is_exchanged_on_the_way() -> None:
+    it = following()
+
+    it.plan(7, (it.robot.pose[0], 0), (0, 1), (3, 0))
+    it.wait(20, until=STATES.DONE)
+
+    assert max(abs(command[2]) for command in it.commands) > 0.2
+    assert math.hypot(it.robot.pose[0] - 3, it.robot.pose[1]) < 0.1
+
+
+def test_a_goal_where_it_is_already_needs_no_way() -> None:
+    it = stage()
+
+    it.want(1, Movement.FOLLOW, (-3.0, 0.0, 2.0))
+    it.plan(1)
+    it.wait(10, until=STATES.DONE)
+
+    assert it.robot.pose[2] == pytest.approx(2.0, abs=0.1)
+    assert math.hypot(it.robot.pose[0] + 3, it.robot.pose[1]) < 0.05
+
+
+def test_a_lost_robot_stands_until_it_is_found() -> None:
+    it = following()
+
+    it.health = LocalizationHealth(located=True, health=0.1, reason="the scan does not fit")
+    it.wait(1.5)
+
+    assert it.status.state == STATES.STOPPED
+    assert it.status.reason == "the robot is lost, health 0.10: the scan does not fit"
+    assert it.robot.speed == 0.0
+    it.health = LocalizationHealth(located=True, health=0.8)
+    it.wait(1.0)
+    assert it.status.state == STATES.MOVING
+
+
+@pytest.mark.parametrize("behaviour", [Movement.BACK_OFF, Movement.LOOK_AROUND, Movement.EXPLORE])
+def test_recoveries_need_no_pose(behaviour: int) -> None:
+    it = stage()
+    it.muted |= {"pose", "localization_health"}
+
+    it.want(3, behaviour)
+    it.wait(20, until=STATES.DONE)
+
+    assert it.status.state == STATES.DONE
+    x, y, _ = it.robot.pose
+    gone = math.hypot(x + 3, y)
+    expected = {Movement.BACK_OFF: 0.3, Movement.LOOK_AROUND: 0.0, Movement.EXPLORE: 2.0}
+    assert gone == pytest.approx(expected[behaviour], abs=0.15)
+
+
+def test_a_jump_of_odometry_is_told_and_it_stands_for_a_moment(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    it = following()
+
+    x, y, heading = it.robot.odom
+    it.robot.odom = (x + 1.2, y, heading)
+    it.wait(0.2)
+
+    assert it.status.state == STATES.STOPPED
+    assert it.status.reason.startswith("odometry on /robot/odom jumped by 1.2")
+    assert "jumped by 1.2" in caplog.text
+    it.wait(15, until=STATES.DONE)
+    assert math.hypot(it.robot.pose[0] - 3, it.robot.pose[1]) < 0.1
+
+
+def test_what_blocks_the_path_is_told() -> None:
+    it = stage((0.0, -10.0, 0.0, 10.0))
+
+    it.want(1, Movement.FOLLOW, (3.0, 0.0, 0.0))
+    it.plan(1, (-3, 0), (3, 0))
+    it.wait(10, until=STATES.BLOCKED)
+
+    assert "ahead on the path" in it.status.reason
+    assert it.status.clearance == pytest.approx(it.clearance, abs=0.03)
+    assert it.clearance > 0.05
+
+
+def test_a_change_of_speed_is_obeyed_on_the_way() -> None:
+    it = following()
+
+    it.part.ask("set_parameters", speed=0.3)
+    it.wait(2.0)
+
+    assert it.robot.speed == pytest.approx(0.3, abs=0.01)
+    assert it.status.state == STATES.MOVING
+
+
+def test_it_leaves_the_robot_standing() -> None:
+    it = following()
+
+    it.part.ask("deactivate")
+    it.wait(1.5)
+
+    assert it.robot.speed == 0.0
+
+
+def test_a_scanner_that_sits_askew_is_understood() -> None:
+    it = stage((0.0, -10.0, 0.0, 10.0), mount={"x": 0.1, "theta": math.pi / 2})
+    it.mount = (0.1, 0.0, math.pi / 2)
+
+    it.want(1, Movement.FOLLOW, (3.0, 0.0, 0.0))
+    it.plan(1, (-3, 0), (3, 0))
+    it.wait(10, until=STATES.BLOCKED)
+
+    assert it.robot.pose[0] == pytest.approx(-0.4, abs=0.06)
+
+
+def test_another_number_of_beams_is_no_matter() -> None:
+    it = following()
+
+    it.beams = 90
+    it.wait(15, until=STATES.DONE)
+
+    assert it.status.state == STATES.DONE
+
+
+def test_runs_are_alike() -> None:
+    first, second = following(), following()
+
+    assert first.commands == second.commands
+    assert first.statuses == second.statuses

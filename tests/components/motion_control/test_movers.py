@@ -1,0 +1,78 @@
+"""Who moves, and where they will be."""
+
+import math
+
+import numpy as np
+
+from components.motion_control.movers import Movers
+from components.motion_control.sweep import Sweep
+from planar.poses import Pose
+from tests.components.motion_control.world import Array, Disc, World, box
+
+ANGLES = np.linspace(-math.pi, math.pi, 360, endpoint=False)
+HALL = box(0, 0, 12, 12)
+
+
+def looked(
+    world: World, times: np.ndarray, robot: Pose = (0, 0, 0), speed: float = 0.0
+) -> list[Array]:
+    """What is expected after each scan, when the robot goes straight ahead."""
+    movers, random = Movers(), np.random.default_rng(0)
+    expected = []
+    for time in times.tolist():
+        at = (robot[0] + speed * time, robot[1], robot[2])
+        ranges = world.ranges(time, at, ANGLES, random.normal(0, 0.01, ANGLES.size))
+        sweep = Sweep(ranges, float(ANGLES[0]), float(ANGLES[1] - ANGLES[0]), at, at)
+        expected.append(movers.see(time, sweep, 0.0))
+    return expected
+
+
+def test_a_person_is_expected_where_they_walk() -> None:
+    def person(time: float) -> list[Disc]:
+        return [(2.0, -1.5 + 1.0 * time, 0.25)]
+
+    last = looked(World(HALL, person), np.arange(0, 1.5, 0.1))[-1]
+
+    soon, late = last[last[:, 2] < 0.25], last[last[:, 2] > 1.35]
+    assert np.abs(soon[:, 1].mean() - (-1.5 + 1.4 + 0.2)) < 0.15
+    assert np.abs(late[:, 1].mean() - (-1.5 + 1.4 + 1.4)) < 0.25
+    assert np.abs(last[:, 0] - 1.8).max() < 0.3
+
+
+def test_a_person_is_noticed_within_half_a_second() -> None:
+    def person(time: float) -> list[Disc]:
+        return [(2.0, -1.5 + 1.0 * time, 0.25)]
+
+    expected = looked(World(HALL, person), np.arange(0, 1.0, 0.1))
+
+    assert next(k for k, rows in enumerate(expected) if len(rows)) <= 5
+
+
+def test_nothing_that_stands_is_taken_for_a_mover_by_a_robot_that_moves() -> None:
+    things = [
+        *box(1, 1, 0.4, 0.4),
+        *box(2.5, -0.8, 0.2, 0.6),
+        *box(3, 1.5, 0.1, 0.1),
+        (0.0, 2.0, 4.0, 2.0),
+    ]
+
+    def pillar(_: float) -> list[Disc]:
+        return [(1.8, -0.7, 0.15)]
+
+    expected = looked(World(HALL + things, pillar), np.arange(0, 5, 0.1), (-1, 0, 0), 0.6)
+
+    assert sum(len(rows) for rows in expected) == 0
+
+
+def test_movers_are_forgotten() -> None:
+    movers = Movers()
+    world = World(HALL, lambda time: [(2.0, -1 + time, 0.25)])
+    for k in range(8):
+        ranges = world.ranges(0.1 * k, (0, 0, 0), ANGLES, np.zeros(ANGLES.size))
+        sweep = Sweep(ranges, float(ANGLES[0]), float(ANGLES[1] - ANGLES[0]), (0, 0, 0), (0, 0, 0))
+        rows = movers.see(0.1 * k, sweep, 0.0)
+    assert len(rows) > 0
+
+    movers.forget()
+
+    assert len(movers.see(0.8, sweep, 0.0)) == 0

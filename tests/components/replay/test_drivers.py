@@ -1,0 +1,199 @@
+"""The drivers replay any recording at its recorded times, whole or in part."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from cairn.bus.qos import Qos
+from cairn.clock import SECOND, to_ns
+from cairn.component.runtime import End
+from cairn.deployment.load import load_deployment
+from cairn.placement.lockstep_run import LockstepRun
+from components.replay.carmen import CarmenRecording
+from components.replay.clock import ReplayClock
+from components.replay.formats import open_recording
+from components.replay.odometry import ReplayOdometry
+from components.replay.recording import RecordingError
+from components.replay.scanner import ReplayScanner
+from components.replay.sightings import ReplaySightings
+from components.replay.truth import ReplayTruth
+from schemas.nav_msgs import Odometry
+from tests.components.replay.conftest import FR079, FR101, LEGS, Write, odom
+
+StageOf = Callable[..., Any]
+
+MANY = Qos("reliable", "transient_local", 100_000)
+BEGIN = 1211.520329  # fr079's first record [s]
+
+
+def test_scans_are_published_at_their_recorded_times(stage: StageOf) -> None:
+    scans = CarmenRecording(FR101).scans()
+    assert scans is not None
+    it = stage(ReplayScanner, 158.0, recording=str(FR101)).begin()
+
+    it.wait(30.0)
+
+    sent = it.taken("scan")
+    assert [to_ns(s.header.stamp) for s in sent] == [
+        stamp for stamp in scans.stamps if stamp <= 188 * SECOND
+    ]
+    assert len(sent) > 5
+    assert np.array_equal(sent[3].ranges, scans.messages[3].ranges, equal_nan=True)
+
+
+def test_a_bag_without_odometry_replays_its_scans_and_says_so(
+    stage: StageOf, caplog: pytest.LogCaptureFixture
+) -> None:
+    first, _ = open_recording(LEGS).span()
+    scanner = stage(ReplayScanner, first / SECOND, recording=str(LEGS)).begin()
+    wheels = stage(ReplayOdometry, first / SECOND, recording=str(LEGS)).begin()
+
+    scanner.wait(2.0)
+    wheels.wait(2.0)
+
+    assert 20 <= len(scanner.taken("scan")) <= 21
+    assert wheels.taken("odom") == []
+    assert wheels.taken("reached")
+    assert f"{LEGS} holds no odometry: nothing to replay" in [r.message for r in caplog.records]
+
+
+def test_a_laser_recording_has_no_sightings(
+    stage: StageOf, caplog: pytest.LogCaptureFixture
+) -> None:
+    it = stage(ReplaySightings, 158.0, recording=str(FR101)).begin()
+
+    it.wait(1.0)
+
+    assert it.taken("objects") == []
+    assert any("holds no sightings of landmarks" in r.message for r in caplog.records)
+
+
+def test_what_was_assumed_of_a_recording_is_logged(
+    stage: StageOf, caplog: pytest.LogCaptureFixture
+) -> None:
+    stage(ReplayClock, 0.0, recording=str(FR079)).begin()
+
+    assert any("of driving backwards as ahead" in r.message for r in caplog.records)
+
+
+def test_corrected_poses_are_replayed_as_truth(stage: StageOf) -> None:
+    truth = CarmenRecording(FR101).truth()
+    assert truth is not None
+    it = stage(ReplayTruth, 158.0, recording=str(FR101)).begin()
+
+    it.wait(10.0)
+
+    sent = it.taken("truth")
+    assert sent
+    assert sent[0].header.frame_id == "map"
+    assert sent[0].pose.position.x == pytest.approx(truth.poses[0, 0])
+    assert it.taken("true_map") == []
+
+
+@pytest.mark.parametrize("driver", [ReplayOdometry, ReplayScanner, ReplayTruth])
+def test_a_part_of_a_recording_is_replayed(stage: StageOf, driver: Any) -> None:
+    port = {ReplayOdometry: "odom", ReplayScanner: "scan", ReplayTruth: "truth"}[driver]
+    it = stage(driver, BEGIN + 499.0, recording=str(FR079), begin_s=500.0, end_s=503.0).begin()
+
+    it.wait(10.0)
+
+    stamps = [to_ns(m.header.stamp) / SECOND - BEGIN for m in it.taken(port)]
+    assert len(stamps) > 3
+    assert stamps[0] == pytest.approx(500.2, abs=0.3)
+    assert stamps[-1] == pytest.approx(502.8, abs=0.3)
+
+
+def test_the_clock_runs_over_the_part_that_is_replayed(stage: StageOf) -> None:
+    it = stage(
+        ReplayClock, 50.0, recording=str(FR101), begin_s=100.0, end_s=110.0, rate=10.0
+    ).begin()
+
+    it.wait(2.0)
+
+    times = [to_ns(m.clock) / SECOND for m in it.taken("time")]
+    first = CarmenRecording(FR101).span()[0] / SECOND
+    assert times[0] == pytest.approx(first + 100.0)
+    assert first + 110.0 < times[-1] < first + 111.2
+    assert it.ends == [End(True, "the recording is at its end")]
+
+
+def test_a_part_that_lies_behind_the_end_is_refused(stage: StageOf) -> None:
+    it = stage(ReplayScanner, 0.0, recording=str(FR101), begin_s=2000.0)
+
+    with pytest.raises(RecordingError, match=r"nothing is left .* the recording is 923.6 s long"):
+        it.runtime.component.on_configure()
+
+
+def test_a_data_set_of_several_robots_wants_a_robots_number(dataset: Path) -> None:
+    with pytest.raises(RecordingError, match="of several robots: give `robot`, 1 to 5"):
+        open_recording(dataset)
+
+
+@pytest.mark.parametrize(
+    ("content", "told"),
+    [
+        (b"\x89PNG\r\n\x1a\n", "is no recording that can be read .it begins with b'.x89PNG"),
+        (b"hello world\n", "is no recording that can be read"),
+        (b"", "is no recording that can be read"),
+        (b"\x1f\x8bcut", "line 1: the gzip stream is broken"),
+    ],
+)
+def test_what_is_no_recording_is_refused_with_what_is_one(
+    tmp_path: Path, content: bytes, told: str
+) -> None:
+    path = tmp_path / "thing"
+    path.write_bytes(content)
+
+    with pytest.raises(RecordingError, match=told):
+        open_recording(path)
+
+
+def test_a_missing_recording_and_a_wrong_folder_are_told(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match=r"no such file or folder. Give an MRCLAM folder"):
+        open_recording(tmp_path / "nowhere")
+    (tmp_path / "notes.txt").write_text("x")
+    with pytest.raises(RecordingError, match=r"is no recording .it holds: notes.txt"):
+        open_recording(tmp_path)
+
+
+def test_a_whole_replay_in_lockstep_from_time_zero(write: Write, tmp_path: Path) -> None:
+    """A log may begin at time 0, which is when simulated clocks stand."""
+    log = str(write(*(odom(k / 10, k / 10) for k in range(31))))
+    page = {
+        "cairn": 1,
+        "robot": "robot",
+        "clock": "simulated",
+        "components": {
+            "base": {
+                "plugin": "components.replay.odometry:ReplayOdometry",
+                "parameters": {"recording": log},
+            },
+            "clock": {
+                "plugin": "components.replay.clock:ReplayClock",
+                "parameters": {"recording": log, "rate": 10.0},
+                "topics": {"time": "clock"},
+                "significant": True,
+                "restart": "transient",
+            },
+        },
+    }
+    file = tmp_path / "run.yaml"
+    file.write_text(yaml.safe_dump(page, sort_keys=False))
+
+    run = LockstepRun(load_deployment(file), seed=0)
+    outside = run.bus.node("/robot/outside", pytest.fail)
+    odometry = outside.subscribe("/robot/odom", Odometry, MANY, _nothing)
+    assert run.run(_nothing).normal
+
+    stamps = []
+    while (message := odometry.take()) is not None:
+        stamps.append(to_ns(message.header.stamp))
+    assert stamps == [k * SECOND // 10 for k in range(31)]
+
+
+def _nothing() -> None:
+    pass

@@ -1,0 +1,126 @@
+"""The drivers publish each record at its recorded time, and go on where the replay stands."""
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cairn.clock import SECOND, from_ns, to_ns
+from cairn.component.runtime import End
+from components.replay.clock import ReplayClock
+from components.replay.dead_reckoning import reckon
+from components.replay.mrclam_files import Dataset
+from components.replay.odometry import ReplayOdometry
+from components.replay.sightings import ReplaySightings
+from components.replay.truth import ReplayTruth
+from schemas.rosgraph_msgs import Clock
+
+StageOf = Callable[..., Any]
+
+
+def test_odometry_is_published_at_its_recorded_time(stage: StageOf, dataset: Path) -> None:
+    rows = Dataset(dataset).odometry(2)
+    it = stage(ReplayOdometry, rows[0, 0], recording=str(dataset), robot=2).begin()
+
+    it.wait(5.0)
+
+    sent = it.taken("odom")
+    due = rows[rows[:, 0] <= rows[0, 0] + 5.0]
+    assert [to_ns(o.header.stamp) for o in sent] == [round(t * 1e6) * 1000 for t in due[:, 0]]
+    assert [o.twist.twist.linear.x for o in sent] == due[:, 1].tolist()
+    assert [o.twist.twist.angular.z for o in sent] == due[:, 2].tolist()
+
+
+def test_a_driver_started_anew_skips_what_passed_and_keeps_its_odometry_frame(
+    stage: StageOf, dataset: Path
+) -> None:
+    rows = Dataset(dataset).odometry(2)
+    at = rows[0, 0] + 300.0
+    it = stage(ReplayOdometry, at, recording=str(dataset), robot=2).begin()
+
+    it.wait(1.0)
+
+    first = it.taken("odom")[0]
+    index = int(np.searchsorted(rows[:, 0], at - 0.5))
+    assert to_ns(first.header.stamp) / SECOND == pytest.approx(rows[index, 0])
+    assert first.pose.pose.position.x == pytest.approx(reckon(rows).poses[index, 0])
+    assert math.sqrt(first.pose.covariance[0]) > 1.0
+
+
+def test_sightings_of_one_time_make_one_message_without_robots(
+    stage: StageOf, dataset: Path
+) -> None:
+    seen = Dataset(dataset).sightings(5)
+    subjects = Dataset(dataset).subjects()
+    it = stage(ReplaySightings, seen.time[0], recording=str(dataset), robot=5).begin()
+
+    it.wait(60.0)
+
+    messages = it.taken("objects")
+    stamps = [to_ns(m.header.stamp) for m in messages]
+    due = [
+        (t, subjects[b])
+        for t, b in zip(seen.time.tolist(), seen.barcode.tolist(), strict=True)
+        if t <= seen.time[0] + 60.0 and subjects.get(b, 0) >= 6
+    ]
+    assert len(set(stamps)) == len(stamps) == len({t for t, _ in due})
+    assert [o.object_id for m in messages for o in m.objects] == [subject for _, subject in due]
+
+
+def test_an_unknown_barcode_is_told_once_and_ignored(
+    stage: StageOf, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    (tmp_path / "Barcodes.dat").write_text("6 63\n")
+    records = "".join(f"{100 + k}.0 {code} 2.0 0.1\n" for k, code in enumerate([63, 99, 99, 63]))
+    (tmp_path / "Robot1_Measurement.dat").write_text(records)
+    it = stage(ReplaySightings, 100.0, recording=str(tmp_path), robot=1).begin()
+
+    it.wait(10.0)
+
+    assert [m.objects[0].object_id for m in it.taken("objects")] == [6, 6]
+    assert [r.message for r in caplog.records if "barcode" in r.message] == [
+        "barcode 99 is not in Barcodes.dat: ignored"
+    ]
+
+
+def test_truth_is_thinned_and_the_surveyed_map_told(stage: StageOf, dataset: Path) -> None:
+    first, _ = Dataset(dataset).span(2)
+    it = stage(ReplayTruth, first, recording=str(dataset), robot=2).begin()
+
+    it.wait(10.0)
+
+    assert 40 <= len(it.taken("truth")) <= 101
+    (surveyed,) = it.taken("true_map")
+    assert {o.object_id for o in surveyed.objects} == set(range(6, 21))
+
+
+def test_the_clock_runs_at_its_rate_to_the_end_of_the_recording(
+    stage: StageOf, dataset: Path
+) -> None:
+    first, last = Dataset(dataset).span(2)
+    it = stage(ReplayClock, 1000.0, recording=str(dataset), robot=2, rate=100.0, tick_s=0.5).begin()
+
+    it.wait(0.5 + (last - first) / 100.0 + 0.1)
+
+    times = [to_ns(m.clock) / SECOND for m in it.taken("time")]
+    assert times[0] == pytest.approx(first)
+    assert np.diff(times) == pytest.approx(np.full(len(times) - 1, 0.5))
+    assert last < times[-1] <= last + 1.6
+    assert it.ends == [End(True, "the recording is at its end")]
+
+
+def test_a_clock_started_anew_goes_on_where_the_replay_stands(
+    stage: StageOf, dataset: Path
+) -> None:
+    first, _ = Dataset(dataset).span(2)
+    it = stage(ReplayClock, 1000.0, recording=str(dataset), robot=2, rate=10.0).begin()
+    reached = round((first + 200.0) * SECOND)
+    it.give("reached", Clock(clock=from_ns(reached)))
+
+    it.wait(1.0)
+
+    times = [to_ns(m.clock) for m in it.taken("time")]
+    assert reached < times[0] < reached + SECOND

@@ -1,0 +1,135 @@
+"""Data sets of any number and robot are read; damaged ones are refused by name, line and remedy."""
+
+import gzip
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from components.replay.mrclam_files import Dataset
+from components.replay.recording import RecordingError
+
+
+@pytest.fixture
+def copy(dataset: Path, tmp_path: Path) -> Path:
+    """A data set with plain, short files of robot 2."""
+    folder = tmp_path / "set"
+    folder.mkdir()
+    for name in ("Barcodes.dat", "Landmark_Groundtruth.dat"):
+        shutil.copyfile(dataset / name, folder / name)
+    for kind in ("Odometry", "Measurement", "Groundtruth"):
+        text = gzip.decompress((dataset / f"Robot2_{kind}.dat.gz").read_bytes())
+        lines = text.splitlines(keepends=True)[:60]
+        (folder / f"Robot2_{kind}.dat").write_bytes(b"".join(lines))
+    return folder
+
+
+@pytest.mark.parametrize("robot", [2, 5])
+def test_a_whole_recording_is_read(dataset: Path, robot: int) -> None:
+    recording = Dataset(dataset)
+
+    odometry = recording.odometry(robot)
+    sightings = recording.sightings(robot)
+
+    assert odometry.shape[1] == 3
+    assert len(odometry) > 60_000
+    assert np.all(np.diff(odometry[:, 0]) >= 0)
+    assert len(sightings.time) > 4_000
+    assert recording.truth(robot).shape[1] == 4
+    assert {s.subject for s in recording.landmarks()} == set(range(6, 21))
+    assert recording.subjects()[63] == 6
+    first, last = recording.span(robot)
+    assert first == odometry[0, 0]
+    assert 880 < last - first < 890
+
+
+def test_windows_line_ends_comments_and_blank_lines_change_nothing(copy: Path) -> None:
+    before = Dataset(copy).odometry(2)
+    path = copy / "Robot2_Odometry.dat"
+    text = path.read_text().replace("\n", "\r\n")
+    path.write_bytes((text + "\r\n# the end\r\n\r\n").encode())
+
+    assert np.array_equal(Dataset(copy).odometry(2), before)
+
+
+@pytest.mark.parametrize(
+    ("line", "complaint"),
+    [
+        ("1248444189.9 0.1", "2 columns where 3 belong"),
+        ("1248444189.9 0.1 fast", "not a number"),
+        ("1248444189.9 nan 0.1", "not a finite number"),
+        ("1248444100.0 0.1 0.1", "time runs backwards, from 1248444190."),
+    ],
+)
+def test_a_damaged_line_is_named(copy: Path, line: str, complaint: str) -> None:
+    path = copy / "Robot2_Odometry.dat"
+    path.write_text(path.read_text() + line + "\n")
+
+    with pytest.raises(RecordingError) as refused:
+        Dataset(copy).odometry(2)
+
+    assert f"{path}, line 61: {complaint}" in str(refused.value)
+    assert "take a fresh copy" in str(refused.value)
+
+
+def test_a_gzip_file_that_was_cut_off_is_named(dataset: Path, copy: Path) -> None:
+    (copy / "Robot2_Odometry.dat").unlink()
+    whole = (dataset / "Robot2_Odometry.dat.gz").read_bytes()
+    (copy / "Robot2_Odometry.dat.gz").write_bytes(whole[: len(whole) // 2])
+
+    with pytest.raises(RecordingError, match=r"Robot2_Odometry.dat.gz, line \d+: the gzip stream"):
+        Dataset(copy).odometry(2)
+
+
+@pytest.mark.parametrize("content", [b"", b"# only a comment\n"])
+def test_an_empty_file_is_named(copy: Path, content: bytes) -> None:
+    (copy / "Robot2_Measurement.dat").write_bytes(content)
+
+    with pytest.raises(RecordingError, match=r"Robot2_Measurement.dat holds no record"):
+        Dataset(copy).sightings(2)
+
+
+def test_a_binary_file_is_no_data_set(copy: Path) -> None:
+    (copy / "Barcodes.dat").write_bytes(b"\x89PNG\r\n\xff\xfe")
+
+    with pytest.raises(RecordingError, match=r"Barcodes.dat, line 1: not a text file"):
+        Dataset(copy).subjects()
+
+
+@pytest.mark.parametrize(
+    ("name", "record", "told"),
+    [
+        ("Measurement", "1248444999.0 63 -1.0 0.1", r"range \[m\] is -1, not from 1e-06 to 10000"),
+        ("Measurement", "1248444999.0 6.5 1.0 0.1", r"barcode 6.5 is not a whole number"),
+        ("Measurement", "1248444999.0 1e300 1.0 0.1", r"barcode is 1e\+300, not from 0 to 1e\+06"),
+        ("Measurement", "2000000000.0 63 1.0 0.1", r"\d+ s pass since the record before"),
+        ("Measurement", "5000000000.0 63 1.0 0.1", r"time \[s\] is 5e\+09, not from 0 to"),
+        ("Odometry", "1248448000.0 1e300 0.0", r"forward \[m/s\] is 1e\+300, not from -100 to 100"),
+    ],
+)
+def test_a_number_that_cannot_be_is_refused_with_its_line(
+    copy: Path, name: str, record: str, told: str
+) -> None:
+    path = copy / f"Robot2_{name}.dat"
+    text = path.read_text()
+    path.write_text(f"{text}{record}\n")
+
+    with pytest.raises(
+        RecordingError, match=rf"{path.name}, line {text.count(chr(10)) + 1}: {told}"
+    ):
+        Dataset(copy).span(2)
+
+
+def test_files_of_different_runs_are_refused(copy: Path) -> None:
+    (copy / "Robot2_Measurement.dat").write_text("100.0 63 1.0 0.1\n")
+
+    with pytest.raises(RecordingError, match="the files are not of one run"):
+        Dataset(copy).span(2)
+
+
+def test_a_missing_robot_or_folder_is_told_with_what_is_there(copy: Path, tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match=r"neither Robot4_Odometry.dat nor .*Barcodes.dat"):
+        Dataset(copy).odometry(4)
+    with pytest.raises(RecordingError, match="no such folder"):
+        Dataset(tmp_path / "nowhere").odometry(2)
