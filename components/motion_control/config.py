@@ -2,28 +2,11 @@
 
 from __future__ import annotations
 
-import math
-
 from pydantic import Field
 
+from cairn.component.mount import Mount
 from cairn.component.parameters import Config
 from components.motion_control.limits import Limits
-from planar.poses import Pose
-
-
-class Mount(Config):
-    """The scanner's pose on the robot."""
-
-    x: float = Field(0.0, ge=-2, le=2, description="x, ahead of the robot's middle [m].")
-    y: float = Field(0.0, ge=-2, le=2, description="y, left of the robot's middle [m].")
-    theta: float = Field(
-        0.0, ge=-2 * math.pi, le=2 * math.pi, description="Direction of its angle 0 [rad]."
-    )
-
-    @property
-    def pose(self) -> Pose:
-        """The scanner's pose in the robot's frame."""
-        return self.x, self.y, self.theta
 
 
 class Timeouts(Config):

@@ -138,7 +138,7 @@ class PathPlanner(Component):
         self._recent.see(
             stamp,
             pose,
-            beams_of(scan, (mount.x, mount.y, mount.theta)),
+            beams_of(scan, mount.pose),
             (config.radius, config.obstacle_range),
             round(config.obstacle_memory_s * SECOND),
         )

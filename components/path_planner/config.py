@@ -2,22 +2,11 @@
 
 from __future__ import annotations
 
-import math
-
 from pydantic import Field
 
+from cairn.component.mount import Mount
 from cairn.component.parameters import Config
 from components.path_planner.cost_map import Costs
-
-
-class Mount(Config):
-    """Where the scanner sits on the robot, in frame base_link."""
-
-    x: float = Field(0.0, ge=-5, le=5, description="Ahead of the robot's centre [m].")
-    y: float = Field(0.0, ge=-5, le=5, description="To the left of the robot's centre [m].")
-    theta: float = Field(
-        0.0, ge=-2 * math.pi, le=2 * math.pi, description="Direction it looks in [rad]."
-    )
 
 
 class PathPlannerConfig(Config):
