@@ -26,10 +26,17 @@ GATE = 13.8
 
 @dataclass(frozen=True)
 class Innovation:
-    """A sighting against a prediction: normalised innovation squared and its Gaussian density."""
+    """A sighting against a prediction: normalised innovation squared, and the Gaussian's density
+    [1/(m rad)] where they meet exactly.
+    """
 
     nis: float
-    density: float
+    peak: float
+
+    @property
+    def density(self) -> float:
+        """The density at the sighting; 0 far enough from the prediction."""
+        return self.peak * math.exp(-0.5 * self.nis)
 
 
 def innovation(pose: Estimate, sighting: Sighting, landmark: Landmark) -> Innovation:
@@ -54,8 +61,7 @@ def innovation(pose: Estimate, sighting: Sighting, landmark: Landmark) -> Innova
         + np.diag([sighting.range_variance, sighting.bearing_variance])
     )
     nis = float(error @ np.linalg.solve(total, error))
-    density = math.exp(-0.5 * nis) / (2.0 * math.pi * math.sqrt(float(np.linalg.det(total))))
-    return Innovation(nis, density)
+    return Innovation(nis, 1.0 / (2.0 * math.pi * math.sqrt(float(np.linalg.det(total)))))
 
 
 def likelihood_ratio_similarity(seen: Innovation) -> float:
@@ -63,8 +69,7 @@ def likelihood_ratio_similarity(seen: Innovation) -> float:
 
     A prediction too vague to beat clutter even when met exactly says nothing: neutral.
     """
-    peak = seen.density * math.exp(min(0.5 * seen.nis, 700.0))
-    if peak < 4.0 * CLUTTER:
+    if seen.peak < 4.0 * CLUTTER:
         return NEUTRAL
     return clamp(seen.density / (seen.density + CLUTTER))
 

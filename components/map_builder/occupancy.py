@@ -26,6 +26,10 @@ _CONTRADICTS, _FORGETS = -0.2, -0.4
 # An end this near an obstacle of the map [cells] is that obstacle, seen from a pose that is not
 # quite right.
 _NEAR = 2
+# Up to this share of the reach even what is dark returns a ray.
+_SURE_SHARE = 0.35
+# Until an obstacle is so old [s], what is seen beside it belongs to it, and is drawn as well.
+_YOUNG_S = 60.0
 # A ray tells nothing of what lies this far [cells] before its end, or where it grazes a surface.
 _END_CELLS = 3.0
 _GRAZES_M = 1.5
@@ -44,7 +48,8 @@ class Occupancy:
     """Free, occupied and unknown cells, changed by rays.
 
     A new obstacle is one that stood for `settle_s` seconds: who walks past leaves no trace. An
-    obstacle of the map is gone when rays pass where it stood.
+    obstacle of the map is gone when rays pass where it stood. A ray without a return says nothing
+    of far obstacles, because what is dark returns none.
     """
 
     def __init__(self, grid: OccupancyCells, settle_s: float) -> None:
@@ -76,7 +81,18 @@ class Occupancy:
         self._scans += 1
         box = np.array([self.cells.shape[0], self.cells.shape[1], -1, -1])
         _mark_ends(ends, hit, self._ends, self._scans)
-        _pass(starts, ends, keep, self._ends, self._scans, self._odds, self.cells, self._since, box)
+        _pass(
+            starts,
+            ends,
+            hit,
+            keep,
+            self._ends,
+            self._scans,
+            self._odds,
+            self.cells,
+            self._since,
+            box,
+        )
         _end(
             ends,
             hit,
@@ -166,12 +182,13 @@ def _mark_ends(
 
 
 @compiled(
-    "void(float64[:, ::1], float64[:, ::1], float64[::1], int32[:, ::1], int64, float32[:, ::1],"
-    " int8[:, ::1], float32[:, ::1], int64[::1])"
+    "void(float64[:, ::1], float64[:, ::1], boolean[::1], float64[::1], int32[:, ::1], int64,"
+    " float32[:, ::1], int8[:, ::1], float32[:, ::1], int64[::1])"
 )
 def _pass(
     starts: NDArray[np.float64],
     ends: NDArray[np.float64],
+    hit: NDArray[np.bool_],
     keep: NDArray[np.float64],
     marks: NDArray[np.int32],
     scan: int,
@@ -188,12 +205,15 @@ def _pass(
         if length <= keep[i]:
             continue
         until = 1.0 - keep[i] / length
+        sure = 1.0 if hit[i] else _SURE_SHARE
         column, row = math.floor(x), math.floor(y)
         step_x, next_x, every_x = first_step(x, dx)
         step_y, next_y, every_y = first_step(y, dy)
         at = 0.0
         while at < until:
             if not (0 <= row < rows and 0 <= column < columns):
+                break
+            if at > sure and cells[row, column] == OCCUPIED:
                 break
             if marks[row, column] != scan:
                 _passed(odds, cells, since, row, column, box)
@@ -234,7 +254,9 @@ def _end(
         known = False
         for r in range(max(0, row - _NEAR), min(rows, row + _NEAR + 1)):
             for c in range(max(0, column - _NEAR), min(columns, column + _NEAR + 1)):
-                if cells[r, c] == OCCUPIED and odds[r, c] >= 0.9 * _MOST:
+                # NaN: from the beginning.
+                young = now - since[r, c] < _YOUNG_S
+                if cells[r, c] == OCCUPIED and not young:
                     known = True
         if known:
             continue

@@ -52,7 +52,7 @@ class MotionControl(Component):
     """
 
     config: MotionControlConfig
-    movement: In[Movement] = In(qos=LATCHED)
+    movement: In[Movement] = In(qos=LATCHED.with_depth(5))
     plan: In[Plan] = In(qos=LATCHED)
     pose: In[PoseWithCovarianceStamped]
     localization_health: In[LocalizationHealth]

@@ -44,7 +44,7 @@ class PathPlanner(Component):
     """
 
     config: PathPlannerConfig
-    movement: In[Movement] = In(qos=LATCHED)
+    movement: In[Movement] = In(qos=LATCHED.with_depth(5))
     map: In[OccupancyGrid] = In(qos=LATCHED)
     map_updates: In[OccupancyGridUpdate] = In(qos=RELIABLE.with_depth(50))
     pose: In[PoseWithCovarianceStamped]

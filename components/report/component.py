@@ -1,7 +1,6 @@
 """The component that follows a run, knows the truth, and writes the report."""
 
 import json
-import math
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -19,13 +18,26 @@ from cairn.errors import CairnError
 from components.report.journal import Journal, Value
 from components.report.record import RunRecord
 from components.report.table import render_table
+from planar.messages import planar_pose, planar_poses
 from schemas.cairn_msgs import ComponentStatus, VisualMap, VisualMapChange, VisualObject
-from schemas.geometry_msgs import Pose, PoseStamped, PoseWithCovarianceStamped
+from schemas.cairn_nav_msgs import Collision, MoveOrder, MoveStatus
+from schemas.geometry_msgs import PoseStamped, PoseWithCovarianceStamped
+from schemas.nav_msgs import OccupancyGrid
 
 _MANY = RELIABLE.with_depth(500)
 _STATES = {
     VisualObject.LIVE: "live",
     VisualObject.RELOCATING: "relocating",
+}
+_MOVES = {
+    MoveStatus.LOADING: "loading",
+    MoveStatus.LOCALIZING: "localizing",
+    MoveStatus.PLANNING: "planning",
+    MoveStatus.DRIVING: "driving",
+    MoveStatus.RECOVERING: "recovering",
+    MoveStatus.SUCCEEDED: "succeeded",
+    MoveStatus.FAILED: "failed",
+    MoveStatus.CANCELLED: "cancelled",
 }
 
 
@@ -45,14 +57,20 @@ class Report(Component):
     pose: In[PoseWithCovarianceStamped] = In(qos=_MANY)
     truth: In[PoseStamped] = In(qos=_MANY, optional=True)
     true_map: In[VisualMap] = In(qos=LATCHED, optional=True)
-    visual_map: In[VisualMap] = In(qos=LATCHED.with_depth(100))
-    visual_map_changes: In[VisualMapChange] = In(qos=_MANY)
+    visual_map: In[VisualMap] = In(qos=LATCHED.with_depth(100), optional=True)
+    visual_map_changes: In[VisualMapChange] = In(qos=_MANY, optional=True)
+    map: In[OccupancyGrid] = In(qos=LATCHED.with_depth(10), optional=True)
+    order: In[MoveOrder] = In(qos=LATCHED.with_depth(20), optional=True)
+    move_status: In[MoveStatus] = In(qos=LATCHED.with_depth(100), optional=True)
+    collisions: In[Collision] = In(qos=RELIABLE.with_depth(100), optional=True)
     component_status: In[ComponentStatus] = In(qos=LATCHED.with_depth(500), optional=True)
 
     def on_configure(self) -> None:
         """Begin a record; see that the folder can be written before the run, not after."""
         self._record = RunRecord()
         self._virtual = False
+        self._grids: tuple[OccupancyGrid, OccupancyGrid] | None = None
+        self._moved: tuple[int, str, int] | None = None
         self._journal: Journal | None = None
         if self.config.directory:
             folder = Path(self.config.directory)
@@ -67,13 +85,13 @@ class Report(Component):
     def follow(self, pose: PoseWithCovarianceStamped) -> None:
         """Keep the estimated pose."""
         self._begin()
-        self._note("estimated", to_ns(pose.header.stamp), *_pose(pose.pose.pose))
+        self._note("estimated", to_ns(pose.header.stamp), *planar_pose(pose.pose.pose))
 
     @on("truth")
     def follow_truth(self, truth: PoseStamped) -> None:
         """Keep the true pose."""
         self._begin()
-        self._note("was_truly_at", to_ns(truth.header.stamp), *_pose(truth.pose))
+        self._note("was_truly_at", to_ns(truth.header.stamp), *planar_pose(truth.pose))
 
     @on("true_map")
     def know_truth(self, true_map: VisualMap) -> None:
@@ -101,6 +119,41 @@ class Report(Component):
         elif change.kind == VisualMapChange.RESTORED:
             self._note("was_restored", thing, change.new_x, change.new_y)
 
+    @on("map")
+    def follow_grid(self, message: OccupancyGrid) -> None:
+        """Keep the grid map as it was first, and as it is now."""
+        self._grids = (self._grids[0] if self._grids else message, message)
+
+    @on("order")
+    def follow_orders(self, order: MoveOrder) -> None:
+        """Keep the goals of an order."""
+        if len(order.goals):
+            goals: list[Value] = [list(row) for row in planar_poses(order.goals).tolist()]
+            self._note("ordered", order.order_id, goals)
+
+    @on("move_status")
+    def follow_moves(self, status: MoveStatus) -> None:
+        """Keep how an order gets on, when that changes."""
+        state = _MOVES[status.state]
+        now = (status.order_id, state, status.goal)
+        if now == self._moved:
+            return
+        self._moved = now
+        self._note(
+            "moved_on",
+            status.order_id,
+            state,
+            status.goal,
+            status.reason,
+            status.elapsed,
+            status.recoveries,
+        )
+
+    @on("collisions")
+    def note_collision(self, touch: Collision) -> None:
+        """Keep a collision."""
+        self._note("collided", to_ns(touch.header.stamp), touch.what, touch.x, touch.y, touch.speed)
+
     @on("component_status")
     def count_losses(self, status: ComponentStatus) -> None:
         """Keep every port's counters of messages dropped and refused."""
@@ -123,7 +176,7 @@ class Report(Component):
         summary = self._record.summary(None if self._virtual else time.monotonic())
         text = json.dumps(summary, indent=1, sort_keys=False, allow_nan=False)
         with _told(folder):
-            draw_map(self._record, folder / "map.png")
+            draw_map(self._record, self._grids, folder / "map.png")
             draw_reliability(self._record, folder / "reliability.png")
             (folder / "report.txt").write_text(render_table(summary), encoding="utf-8")
             (folder / "report.json").write_text(text + "\n", encoding="utf-8")
@@ -149,9 +202,3 @@ def _told(folder: Path) -> Iterator[None]:
             f"the report cannot be written to {error.filename or folder}: {error.strerror}; give "
             "another folder (`--report`), or make room there"
         ) from error
-
-
-def _pose(pose: Pose) -> tuple[float, float, float]:
-    q = pose.orientation
-    yaw = math.atan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y * q.y + q.z * q.z))
-    return pose.position.x, pose.position.y, yaw

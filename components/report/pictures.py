@@ -5,36 +5,56 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.transforms import Affine2D
 
 from components.report.record import ObjectRecord, RunRecord
+from planar.grid import grid_of
+from planar.poses import compose
+from schemas.nav_msgs import OccupancyGrid
 
 _TRUE = "#9a9a9a"
 _ESTIMATE = "#1f6fb4"
 _OLD = "#c8321e"
 _NEW = "#1d8a3a"
+_OLD_CELLS = "#f0b8ae"
+_OCCUPIED = 65
 _CHANGED = ("#c8321e", "#7a3fb0", "#d98200", "#0f8f8a", "#b0307e", "#5b6d00")
 
 
-def draw_map(record: RunRecord, file: Path) -> None:
-    """Draw the true and the estimated path and each object's old, new and true place."""
+def draw_map(
+    record: RunRecord, grids: tuple[OccupancyGrid, OccupancyGrid] | None, file: Path
+) -> None:
+    """Draw the true and the estimated path and each object's old, new and true place.
+
+    `grids` are the grid map as it was first and as it is now: what has changed is coloured.
+    """
     figure = Figure(figsize=(9, 9), layout="constrained")
     axes = figure.add_subplot()
+    if grids is not None:
+        _draw_grids(axes, *grids)
+    _draw_goals(axes, record)
     true, estimate = record.true_track(), record.track()
     axes.plot(true[:, 0], true[:, 1], color=_TRUE, linewidth=2.0, alpha=0.7)
     axes.plot(estimate[:, 0], estimate[:, 1], color=_ESTIMATE, linewidth=0.8)
     for thing in record.objects.values():
         _draw_object(axes, thing)
     _place_labels(axes, record.objects.values())
-    axes.set_aspect("equal", adjustable="datalim")
+    axes.set_aspect("equal", adjustable="datalim" if grids is None else "box")
     axes.set_xlabel("x [m]")
     axes.set_ylabel("y [m]")
     axes.grid(alpha=0.25)
     error = record.error().position_rmse
-    title = "The repaired visual map"
+    title = "The repaired map" if grids is not None else "The repaired visual map"
     axes.set_title(title + (f": position error {error:.3f} m rms" if error is not None else ""))
-    figure.legend(handles=_legend(), loc="outside lower center", ncols=3, frameon=False)
+    figure.legend(
+        handles=_legend(record, grids is not None),
+        loc="outside lower center",
+        ncols=3,
+        frameon=False,
+    )
     _save(figure, file)
 
 
@@ -77,6 +97,49 @@ def draw_reliability(record: RunRecord, file: Path) -> None:
     _save(figure, file)
 
 
+def _draw_grids(axes: Axes, first: OccupancyGrid, last: OccupancyGrid) -> None:
+    before, now = grid_of(first).values, grid_of(last).values
+    picture = np.full((*now.shape, 3), 0.85)
+    picture[(now >= 0) & (now < _OCCUPIED)] = 1.0
+    picture[now >= _OCCUPIED] = 0.25
+    if before.shape == now.shape:
+        was, is_now = before >= _OCCUPIED, now >= _OCCUPIED
+        picture[was & ~is_now] = to_rgb(_OLD_CELLS)
+        picture[is_now & ~was] = to_rgb(_NEW)
+    frame = grid_of(last).frame
+    x, y, theta = frame.origin
+    height, width = (count * frame.resolution for count in now.shape)
+    image = axes.imshow(picture, origin="lower", extent=(0, width, 0, height), zorder=0)
+    image.set_transform(Affine2D().rotate(theta).translate(x, y) + axes.transData)
+    corners = [compose(frame.origin, (a, b, 0.0))[:2] for a in (0, width) for b in (0, height)]
+    (left, bottom), (right, top) = np.min(corners, axis=0), np.max(corners, axis=0)
+    axes.set_xlim(left, right)
+    axes.set_ylim(bottom, top)
+
+
+def _draw_goals(axes: Axes, record: RunRecord) -> None:
+    number = 0
+    labels: dict[tuple[float, float], list[str]] = {}
+    for _, order in sorted(record.orders.items()):
+        for index, (x, y, theta) in enumerate(order.goals):
+            number += 1
+            reached = index < order.reached or order.state == "succeeded"
+            color = _NEW if reached else _OLD
+            axes.plot(x, y, "D", color=color, markersize=6, alpha=0.8)
+            axes.annotate(
+                "", (x + 0.35 * np.cos(theta), y + 0.35 * np.sin(theta)), (x, y),
+                arrowprops={"arrowstyle": "->", "color": color},
+            )  # fmt: skip
+            labels.setdefault((round(x, 1), round(y, 1)), []).append(str(number))
+    for place, numbers in labels.items():
+        axes.annotate(
+            f"goal {', '.join(numbers)}", place, (-8, -14), textcoords="offset points", fontsize=8,
+            color=_NEW,
+        )  # fmt: skip
+    for touch in record.collisions:
+        axes.plot(touch.x, touch.y, "*", color="red", markersize=14)
+
+
 def _draw_object(axes: Axes, thing: ObjectRecord) -> None:
     if thing.true_place is not None:
         axes.plot(*thing.true_place, "+", color="black", markersize=11, markeredgewidth=1.3)
@@ -116,13 +179,21 @@ def _place_labels(axes: Axes, things: Iterable[ObjectRecord]) -> None:
         )  # fmt: skip
 
 
-def _legend() -> list[Line2D]:
+def _legend(record: RunRecord, with_grid: bool) -> list[Line2D]:
     def mark(marker: str, color: str, label: str) -> Line2D:
         return Line2D(
             [], [], color=color, marker=marker, linestyle="", fillstyle="none", markersize=8,
             markeredgewidth=1.8, label=label,
         )  # fmt: skip
 
+    more = []
+    if record.orders:
+        more.append(mark("D", _NEW, "goal reached"))
+    if with_grid:
+        more.append(Line2D([], [], color=_OLD_CELLS, linewidth=6, label="cells freed"))
+        more.append(Line2D([], [], color=_NEW, linewidth=6, label="cells occupied anew"))
+    if record.collisions:
+        more.append(mark("*", "red", "collision"))
     return [
         Line2D([], [], color=_TRUE, linewidth=2, label="true path"),
         Line2D([], [], color=_ESTIMATE, label="estimated path"),
@@ -130,6 +201,7 @@ def _legend() -> list[Line2D]:
         mark("o", _ESTIMATE, "landmark in the map"),
         mark("x", _OLD, "removed: where the map had it"),
         mark("o", _NEW, "registered: where it is now"),
+        *more,
     ]
 
 

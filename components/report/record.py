@@ -8,10 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from components.report.moves import Moves
+from components.report.orders import OrderRecord, Touch
 from components.report.track import TrackError, track_error
 
 _LONGEST_GAP_NS = 1_000_000_000
 _NS = 1e-9
+_CARRIED_M = 0.5
 
 
 @dataclass
@@ -38,6 +40,8 @@ class RunRecord:
     truth_stamps: list[int] = field(default_factory=list)
     truth: list[tuple[float, float, float]] = field(default_factory=list)
     objects: dict[int, ObjectRecord] = field(default_factory=dict)
+    orders: dict[int, OrderRecord] = field(default_factory=dict)
+    collisions: list[Touch] = field(default_factory=list)
     # Messages dropped and refused by each port of each incarnation of a component.
     counts: dict[tuple[str, int], tuple[int, int]] = field(default_factory=dict)
     begin: int | None = None
@@ -94,6 +98,28 @@ class RunRecord:
     def was_restored(self, object_id: int, x: float, y: float) -> None:
         """Note that an object never left a place [m]; NaN: that it is still to be found."""
         self.object(object_id).moves.restored(_place(x, y))
+
+    def ordered(self, order_id: int, goals: list[tuple[float, float, float]]) -> None:
+        """Note an order to move and its goals (x, y [m], heading [rad])."""
+        order = self.orders.setdefault(order_id, OrderRecord(order_id))
+        order.goals = [(x, y, theta) for x, y, theta in goals]
+
+    def moved_on(
+        self, order_id: int, state: str, reached: int, reason: str, seconds: float, recoveries: int
+    ) -> None:
+        """Note how an order gets on: state, goals reached, time taken [s]."""
+        order = self.orders.setdefault(order_id, OrderRecord(order_id))
+        order.state, order.reached, order.reason = state, reached, reason
+        order.seconds, order.recoveries = seconds, recoveries
+
+    def collided(self, stamp: int, what: str, x: float, y: float, speed: float) -> None:
+        """Note a collision [m, m/s]."""
+        self.collisions.append(Touch(stamp, what, x, y, speed))
+
+    def driven_m(self) -> float:
+        """The way truly driven [m]; steps of more than half a metre are not driven but carried."""
+        steps = np.hypot(*np.diff(self.true_track()[:, :2], axis=0).T)
+        return float(steps[steps < _CARRIED_M].sum())
 
     def lost(self, port: str, incarnation: int, dropped: int, invalid: int) -> None:
         """Note the counters of a port (`localizer.odom`) of an incarnation of its component."""
@@ -155,6 +181,18 @@ class RunRecord:
             "invalid": self._totals(1),
             "objects": [self._object(record) for _, record in sorted(self.objects.items())],
             "wall_s": _rounded(wall_s),
+            "driven_m": _rounded(self.driven_m()),
+            "orders": [order.summary() for _, order in sorted(self.orders.items())],
+            "collisions": [
+                {
+                    "at_s": self.seconds(touch.stamp),
+                    "with": touch.what,
+                    "x": _rounded(touch.x),
+                    "y": _rounded(touch.y),
+                    "speed": _rounded(touch.speed),
+                }
+                for touch in self.collisions
+            ],
         }
 
     def _at(self, stamp: int) -> None:

@@ -23,6 +23,8 @@ def render_table(summary: dict[str, Any]) -> str:
         table.add_row(*_row(thing), style="bold" if moved else None)
     if table.rows:  # else nobody told of a map
         console.print(table)
+    for line in _orders(summary):
+        console.print(line)
     console.print(_closing(summary))
     file = console.file
     assert isinstance(file, io.StringIO)
@@ -53,6 +55,25 @@ def _row(thing: dict[str, Any]) -> tuple[str, ...]:
 
 def _place(x: float | None, y: float | None) -> str:
     return "" if x is None or y is None else f"{x:.2f}, {y:.2f}"
+
+
+def _orders(summary: dict[str, Any]) -> list[str]:
+    """A line for each order to move, and one for what they took together."""
+    lines = []
+    for order in summary["orders"]:
+        why = f": {order['reason']}" if order["reason"] not in ("", "arrived") else ""
+        again = f", {order['recoveries']} recoveries" if order["recoveries"] else ""
+        reached = min(order["reached"], len(order["goals"]))
+        lines.append(
+            f"order to {len(order['goals'])} goals {order['state']}{why}: {reached} reached in "
+            f"{order['seconds']:.0f} s{again}"
+        )
+    if lines:
+        touched = [f"{touch['with']} at {touch['at_s']:.0f} s" for touch in summary["collisions"]]
+        lines.append(
+            f"{summary['driven_m']:.1f} m driven, collisions: {', '.join(touched) or 'none'}"
+        )
+    return lines
 
 
 def _closing(summary: dict[str, Any]) -> str:

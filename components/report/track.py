@@ -5,6 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from planar.poses import wrap_all
+
 
 @dataclass(frozen=True)
 class TrackError:
@@ -58,15 +60,12 @@ def track_error(
     )
     share = np.where((gap > longest_gap_ns) & (stamps >= estimate_stamps[after]), 1.0, share)
     step = estimate[after] - estimate[before]
-    step[:, 2] = wrap(step[:, 2])
+    step[:, 2] = wrap_all(step[:, 2])
     believed = estimate[before] + share[:, None] * step
     difference = believed - true
-    return TrackError(stamps, np.hypot(difference[:, 0], difference[:, 1]), wrap(difference[:, 2]))
-
-
-def wrap(angle: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Angles in rad, wrapped to -pi .. pi."""
-    return (angle + np.pi) % (2 * np.pi) - np.pi
+    return TrackError(
+        stamps, np.hypot(difference[:, 0], difference[:, 1]), wrap_all(difference[:, 2])
+    )
 
 
 def _rms(values: NDArray[np.float64]) -> float | None:

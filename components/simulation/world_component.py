@@ -21,7 +21,7 @@ from components.simulation.scene import Scene as StandingThings
 from components.simulation.scene import problems_of
 from components.simulation.state_file import keep_state, kept_state
 from components.simulation.world import Contact, Slip, World
-from components.simulation.world_file import Furniture, Person, VisibleObject, read_world
+from components.simulation.world_file import Event, Furniture, Person, VisibleObject, read_world
 from planar.messages import packed_poses, planar_pose, pose_message
 from planar.poses import Pose
 from schemas.cairn_msgs import VisualMap, VisualObject
@@ -54,6 +54,9 @@ class WorldConfig(Config):
     world: Path = Field(description="World file (YAML).")
     radius: float = Field(0.22, gt=0, le=5, description="Radius of the robot [m].")
     slip: SlipConfig = Field(SlipConfig(), description="How the wheels slip.")
+    events: tuple[Event, ...] = Field(
+        (), description="What happens, beside the events of the world file."
+    )
     state_file: Path | None = Field(
         None,
         description="Where to keep the state of the world, so that one whose process died goes on; "
@@ -81,6 +84,7 @@ class SimulatedWorld(Component):
         """Read the world and see that it can be."""
         config = self.config
         file = read_world(config.world)
+        file = file.model_copy(update={"events": [*file.events, *config.events]})
         problems = problems_of(StandingThings.of(file), file.robot.pose, config.radius)
         if problems:
             raise CairnError(f"{config.world}: " + "; ".join(problems))

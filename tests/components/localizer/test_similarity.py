@@ -11,6 +11,7 @@ from components.localizer.object_likelihood import Landmark, Sighting, object_lo
 from components.localizer.particles import Estimate
 from components.localizer.ring import draw_ring
 from components.localizer.similarity import (
+    LEAST,
     convergence_radius,
     implied_place,
     innovation,
@@ -98,3 +99,13 @@ def test_no_sighting_rules_a_pose_out(x: float, y: float, theta: float, trust: f
     fit = object_log_likelihood(poses, seen(2.0), landmark)[0]
 
     assert math.log(1 - trust) - 4.6 - 1e-9 <= fit <= 1e-9
+
+
+def test_an_object_far_from_where_a_sure_pose_expects_it_is_contradicted_not_passed_over() -> None:
+    sure = Estimate((0.0, 0.0, 0.0), np.diag([1e-4, 1e-4, 1e-6]))
+    seen = Sighting(1, 2.0, 0.0, 1e-4, 1e-5)
+
+    found = innovation(sure, seen, Landmark(1, -7.0, 5.0))
+
+    assert found.nis > 1500.0
+    assert likelihood_ratio_similarity(found) == LEAST

@@ -22,7 +22,7 @@ def rays(points: NDArray[np.float64]) -> Rays:
         np.zeros((len(points), 2)),
         np.arctan2(points[:, 1], points[:, 0]),
         np.hypot(points[:, 0], points[:, 1]),
-        5.6,
+        10.0,
     )
 
 
@@ -83,16 +83,20 @@ def test_who_walks_past_leaves_no_trace_and_who_stays_is_forgotten_once_gone() -
     random = np.random.default_rng(0)
     for k in range(60):
         walker = (3.0, 1.0 + 0.1 * k % 3, 3.4, 1.4 + 0.1 * k % 3)
-        occupancy.integrate(0.2 * k, pose, rays(scanned(room((*ROOM, walker)), pose, random)))
+        occupancy.integrate(
+            0.2 * k, pose, rays(scanned(room((*ROOM, walker)), pose, random, reach=10.0))
+        )
     assert np.array_equal(occupancy.cells, room().values)
 
     stander = (3.0, 1.8, 3.4, 2.2)
     for k in range(60, 120):
-        occupancy.integrate(0.2 * k, pose, rays(scanned(room((*ROOM, stander)), pose, random)))
+        occupancy.integrate(
+            0.2 * k, pose, rays(scanned(room((*ROOM, stander)), pose, random, reach=10.0))
+        )
     assert share_occupied(occupancy, (2.95, 1.8, 3.1, 2.2)) > 0.15
 
     for k in range(120, 180):
-        occupancy.integrate(0.2 * k, pose, rays(scanned(room(), pose, random)))
+        occupancy.integrate(0.2 * k, pose, rays(scanned(room(), pose, random, reach=10.0)))
     assert share_occupied(occupancy, (2.9, 1.7, 3.5, 2.3)) == 0.0
 
 
