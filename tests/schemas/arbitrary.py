@@ -15,8 +15,11 @@ from hypothesis.extra import numpy as hnp
 
 import schemas
 from schemas.cairn_msgs import VisualMapChange, VisualObject
+from schemas.cairn_nav_msgs import Plan
+from schemas.cairn_sim_msgs import Scene
 from schemas.covariance import Covariance2, Covariance3
 from schemas.geometry_msgs import Pose
+from schemas.map_msgs import OccupancyGridUpdate
 from schemas.message import type_name
 from schemas.nav_msgs import MapMetaData, OccupancyGrid
 from schemas.packed import Packed
@@ -39,6 +42,8 @@ def _every_message() -> dict[str, type[Any]]:
 
 
 EVERY_MESSAGE = _every_message()
+# Of what ROS 2 has, what the store of definitions that tests compare with holds.
+OF_ROS_2 = [name for name in EVERY_MESSAGE if not name.startswith(("cairn_", "map_msgs/"))]
 
 
 def samples(cls: type[Any], count: int) -> list[Any]:
@@ -90,8 +95,7 @@ def _field(hint: Any) -> st.SearchStrategy[Any]:
         return _arrays(mark.ros_type, mark.length, only_finite=mark.check is finite)
     if typing.get_origin(hint) is Packed:
         (element,) = typing.get_args(hint)
-        assert element is Pose
-        return _poses()
+        return _packed(7 if element is Pose else len(fields(element)))
     if typing.get_origin(hint) is tuple:
         return st.lists(_field(typing.get_args(hint)[0]), max_size=3).map(tuple)
     return arbitrary(hint)
@@ -126,9 +130,10 @@ def _arrays(
     return hnp.arrays(dtype, size, elements=hnp.from_dtype(dtype, **elements))
 
 
-def _poses() -> st.SearchStrategy[Any]:
+def _packed(columns: int, rows: int | None = None) -> st.SearchStrategy[Any]:
     numbers = st.floats(allow_nan=False, allow_infinity=False)
-    return hnp.arrays(np.float64, st.tuples(st.integers(0, 4), st.just(7)), elements=numbers)
+    count = st.integers(0, 4) if rows is None else st.just(rows)
+    return hnp.arrays(np.float64, st.tuples(count, st.just(columns)), elements=numbers)
 
 
 def _covariances(size: int) -> st.SearchStrategy[Any]:
@@ -183,6 +188,38 @@ def _grids(draw: st.DrawFn) -> Any:
     return draw(_built(OccupancyGrid, info=info, data=cells))
 
 
+@st.composite
+def _grid_updates(draw: st.DrawFn) -> Any:
+    width, height = draw(st.integers(0, 4)), draw(st.integers(0, 5))
+    cells = hnp.arrays(np.int8, width * height, elements=st.integers(-1, 100))
+    return draw(
+        _built(OccupancyGridUpdate, width=st.just(width), height=st.just(height), data=cells)
+    )
+
+
+def _plans() -> st.SearchStrategy[Plan]:
+    none = st.just(math.nan)
+    return st.one_of(
+        _built(Plan, nearest_x=METRES, nearest_y=METRES),
+        _built(Plan, nearest_x=none, nearest_y=none),
+    )
+
+
+@st.composite
+def _scenes(draw: st.DrawFn) -> Any:
+    segments, objects = draw(st.integers(0, 3)), draw(st.integers(0, 3))
+    return draw(
+        _built(
+            Scene,
+            segments=_arrays("float64", 4 * segments),
+            surfaces=_arrays("uint8", segments),
+            object_ids=_arrays("uint32", objects),
+            object_names=st.lists(TEXT, min_size=objects, max_size=objects).map(tuple),
+            object_poses=_packed(7, objects),
+        )
+    )
+
+
 def _visual_objects() -> st.SearchStrategy[VisualObject]:
     return st.one_of(
         _built(VisualObject, candidate_x=METRES, candidate_y=METRES),
@@ -202,6 +239,9 @@ _WITH_RULES_BETWEEN_FIELDS = {
     LaserScan: _scans,
     Image: _images,
     OccupancyGrid: _grids,
+    OccupancyGridUpdate: _grid_updates,
+    Plan: _plans,
+    Scene: _scenes,
     VisualObject: _visual_objects,
     VisualMapChange: _changes,
 }

@@ -11,14 +11,12 @@ from schemas.geometry_msgs import PoseArray, PoseStamped, PoseWithCovarianceStam
 from schemas.nav_msgs import OccupancyGrid, Odometry, Path
 from schemas.sensor_msgs import Image, LaserScan
 from schemas.std_msgs import String
-from tests.schemas.arbitrary import EVERY_MESSAGE
+from tests.schemas.arbitrary import EVERY_MESSAGE, OF_ROS_2
 
 ROS = get_typestore(Stores.ROS2_JAZZY)
 
 
-@pytest.mark.parametrize(
-    "name", [name for name in EVERY_MESSAGE if not name.startswith("cairn_msgs/")]
-)
+@pytest.mark.parametrize("name", OF_ROS_2)
 def test_standard_messages_are_defined_as_in_ros_2_jazzy(name: str, codec: Codec) -> None:
     cls = EVERY_MESSAGE[name]
     assert codec.type_hash(cls) == ROS.hash_rihs01(name)

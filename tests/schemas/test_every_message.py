@@ -19,16 +19,14 @@ from rosbags.typesys import Stores, get_typestore
 from cairn.bus.codec import Codec
 from schemas.message import InvalidMessage
 from schemas.packed import Packed
-from tests.schemas.arbitrary import EVERY_MESSAGE, arbitrary, samples
+from tests.schemas.arbitrary import EVERY_MESSAGE, OF_ROS_2, arbitrary, samples
 from tests.schemas.damage import damaged
 
 CODEC = Codec()
 ROS = get_typestore(Stores.ROS2_JAZZY)
 
 every_message = pytest.mark.parametrize("name", EVERY_MESSAGE)
-standard_message = pytest.mark.parametrize(
-    "name", [name for name in EVERY_MESSAGE if not name.startswith("cairn_msgs/")]
-)
+standard_message = pytest.mark.parametrize("name", OF_ROS_2)
 few = settings(max_examples=40, deadline=None)
 
 
