@@ -6,7 +6,15 @@ import sys
 from rich.console import Console
 from rich.table import Table
 
-BENCHMARKS = ("roundtrip", "latency", "startup", "lockstep", "replay")
+BENCHMARKS = (
+    "roundtrip",
+    "latency",
+    "startup",
+    "lockstep",
+    "replay",
+    "planning",
+    "navigation",
+)
 
 
 def main() -> int:

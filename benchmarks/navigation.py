@@ -1,0 +1,156 @@
+"""Navigation in the simulated room: speed in lockstep; processor and latency in real processes."""
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import psutil
+import yaml
+
+from benchmarks.lockstep import ROOT
+from benchmarks.result import Figure
+from benchmarks.running import free_port, results
+from cairn.bus.qos import SENSOR
+from cairn.clock import SECOND, to_ns
+from cairn.component.component import Component
+from cairn.component.handlers import on
+from cairn.component.ports import In
+from schemas.geometry_msgs import Twist
+from schemas.sensor_msgs import LaserScan
+
+_SIM = ROOT / "deploy" / "sim.yaml"
+_TOUR = ROOT / "deploy" / "demo_tour.yaml"
+_PARTICLES = 2000
+_BEGINS_S, _MEASURED_S = 10.0, 30.0
+
+
+class Stopwatch(Component):
+    """Times from a scan's last beam to the next command that comes here."""
+
+    scan: In[LaserScan] = In(qos=SENSOR)
+    cmd_vel: In[Twist] = In(qos=SENSOR)
+
+    def on_activate(self) -> None:
+        """Begin."""
+        self._times_ms: list[float] = []
+        self._last_beam: int | None = None
+
+    @on("scan")
+    def begin(self, scan: LaserScan) -> None:
+        """A scan has come; what counts is when its last beam was measured."""
+        sweep = scan.time_increment * (scan.ranges.size - 1)
+        self._last_beam = to_ns(scan.header.stamp) + round(sweep * SECOND)
+
+    @on("cmd_vel")
+    def stop(self, _: Twist) -> None:
+        """A command has come."""
+        if self._last_beam is not None:
+            self._times_ms.append((self.clock.now() - self._last_beam) / 1e6)
+            self._last_beam = None
+
+    def on_deactivate(self) -> None:
+        """Tell."""
+        ordered = sorted(self._times_ms)
+        last = len(ordered) - 1
+        found = {"median_ms": ordered[last // 2], "p95_ms": ordered[int(0.95 * last)]}
+        self.log.info("RESULT %s", json.dumps({**found, "count": len(ordered)}))
+
+
+def measure() -> list[Figure]:
+    """A tour in lockstep on one core, and the same in real time."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        report, took = _in_lockstep(folder / "lockstep")
+        busy, latency = _in_real_time(folder)
+    return [
+        Figure(
+            "tour of the room in lockstep, one core: times real time, start and report included",
+            report["recorded_s"] / took,
+            "x",
+            at_least=20,
+            note=f"{report['recorded_s']:.0f} s in {took:.1f} s",
+        ),
+        Figure("the same: position error", report["position_rmse_m"], "m rms", at_most=0.05),
+        Figure("the same: collisions", float(len(report["collisions"])), "", at_most=0),
+        Figure(
+            f"all processes at 10 scans a second and {_PARTICLES} particles: of two cores",
+            100.0 * busy / 2.0,
+            "%",
+            at_most=60,
+        ),
+        Figure(
+            "last beam of a scan to velocity command: p95",
+            latency["p95_ms"],
+            "ms",
+            at_most=50,
+            note=f"median {latency['median_ms']:.1f} ms of {latency['count']}",
+        ),
+    ]
+
+
+def _in_lockstep(folder: Path) -> tuple[dict[str, Any], float]:
+    command = [*_command(folder), "--overlay", str(_TOUR), "--lockstep"]
+    began = time.monotonic()
+    core = min(os.sched_getaffinity(0))
+    done = subprocess.run(
+        ["taskset", "-c", str(core), *command],
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    took = time.monotonic() - began
+    if done.returncode != 0:
+        raise RuntimeError(f"{' '.join(command)} failed:\n{done.stdout}\n{done.stderr}")
+    report: dict[str, Any] = json.loads((folder / "report.json").read_text())
+    return report, took
+
+
+def _in_real_time(folder: Path) -> tuple[float, dict[str, float]]:
+    """Processors in use on average while the robot drives, and the latencies."""
+    overlay = folder / "measured.yaml"
+    localizer = {"parameters": {"particles": _PARTICLES}}
+    automove = {"children": {"localizer": localizer}}
+    stopwatch = {"plugin": "benchmarks.navigation:Stopwatch"}
+    overlay.write_text(
+        yaml.safe_dump(
+            {
+                "components": {
+                    "mobile_supervisor": {"children": {"automove": automove}},
+                    "stopwatch": stopwatch,
+                }
+            }
+        )
+    )
+    command = _command(folder / "real")
+    command += ["--overlay", str(_TOUR), "--overlay", str(overlay)]
+    command += ["--set", f"bus.listen=tcp/127.0.0.1:{free_port()}"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as up:
+        time.sleep(_BEGINS_S)  # what is measured is a stretch of time
+        before = _used_s(up.pid)
+        time.sleep(_MEASURED_S)
+        used_s = _used_s(up.pid) - before
+        output, _ = up.communicate(timeout=300)
+    if up.returncode != 0:
+        raise RuntimeError(f"{' '.join(command)} failed:\n{output}")
+    return used_s / _MEASURED_S, results(output)[0]
+
+
+def _used_s(pid: int) -> float:
+    """Processor time [s] that a process and all below it have used."""
+    root = psutil.Process(pid)
+    total = 0.0
+    for process in [root, *root.children(recursive=True)]:
+        times = process.cpu_times()
+        total += times.user + times.system
+    return total
+
+
+def _command(folder: Path) -> list[str]:
+    up = [sys.executable, "-m", "cairn.cli.main", "up", str(_SIM)]
+    return [*up, "--report", str(folder), "--plain"]
