@@ -1,0 +1,148 @@
+"""The map builder's grid map on the bus: told, changed by sure poses alone, kept on disk."""
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cairn.clock import from_ns
+from cairn.errors import CairnError
+from components.map_builder.component import MapBuilder
+from planar.grid import FREE, OCCUPIED, Grid, grid_of
+from planar.map_file import read_map, write_map
+from planar.messages import with_covariance
+from planar.poses import Pose
+from schemas.cairn_nav_msgs import LocalizationHealth
+from schemas.geometry_msgs import PoseWithCovarianceStamped
+from schemas.nav_msgs import Odometry
+from schemas.sensor_msgs import LaserScan
+from schemas.std_msgs import Header
+from tests.components.localizer.room import ROOM, Box, room, scanned
+
+StageOf = Callable[..., Any]
+BEGIN = 1000.0
+HERE: Pose = (2.0, 2.0, 0.0)
+NEW: Box = (3.5, 1.7, 3.9, 2.3)
+
+
+def scan_of(world: Grid[np.int8], stamp: Header, random: np.random.Generator) -> LaserScan:
+    points = scanned(world, HERE, random, beams=241, reach=9.0)
+    ranges = np.full(241, np.inf, np.float32)
+    step = math.radians(1.0)
+    number = np.rint((np.arctan2(points[:, 1], points[:, 0]) + 120 * step) / step).astype(int)
+    ranges[number] = np.hypot(points[:, 0], points[:, 1])
+    return LaserScan(
+        header=stamp,
+        angle_min=-120 * step,
+        angle_max=120 * step,
+        angle_increment=step,
+        range_min=0.05,
+        range_max=9.0,
+        ranges=ranges,
+    )
+
+
+def watch(it: Any, world: Grid[np.int8], seconds: float, sd: float = 0.02) -> None:
+    """The robot stands and scans the world, its position known to `sd` [m]."""
+    random = np.random.default_rng(0)
+    began = it.executor.now()
+    for k in range(round(seconds / 0.2)):
+        it.wait(max(0.0, (began + k * 200_000_000 - it.executor.now()) / 1e9))
+        header = Header(stamp=from_ns(it.executor.now()), frame_id="map")
+        it.give("odom", Odometry(header=header))
+        it.give("scan", scan_of(world, header, random))
+        told = with_covariance(HERE, np.diag([sd**2, sd**2, 0.01**2]))
+        it.give("pose", PoseWithCovarianceStamped(header=header, pose=told))
+        it.give(
+            "localization_health",
+            LocalizationHealth(
+                header=header, located=True, health=1.0, position_sd=sd, heading_sd=0.01
+            ),
+        )
+
+
+@pytest.fixture
+def grid_file(tmp_path: Path) -> Path:
+    file = tmp_path / "map.yaml"
+    write_map(file, room())
+    return file
+
+
+def test_the_map_is_latched_and_what_changes_is_told_in_windows(
+    stage: StageOf, grid_file: Path
+) -> None:
+    it = stage(MapBuilder, BEGIN, grid_file=str(grid_file)).begin()
+    (first,) = it.taken("map")
+    assert np.array_equal(grid_of(first).values, room().values)
+
+    watch(it, room((*ROOM, NEW)), 15.0)
+    it.wait(6.0)
+
+    updates = it.taken("map_updates")
+    assert updates
+    put_together = np.array(grid_of(first).values)
+    for update in updates:
+        rows = slice(update.y, update.y + update.height)
+        columns = slice(update.x, update.x + update.width)
+        put_together[rows, columns] = update.data.reshape(update.height, update.width)
+    last = grid_of(it.taken("map")[-1]).values
+    assert np.array_equal(put_together, last)
+    row, column = first_cell = (40, 70)
+    assert last[row, column] == OCCUPIED, first_cell
+    assert grid_of(first).values[row, column] == FREE
+
+
+def test_while_the_pose_is_unsure_the_map_waits_and_says_so(
+    stage: StageOf, grid_file: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level("INFO")
+    it = stage(MapBuilder, BEGIN, grid_file=str(grid_file)).begin()
+    watch(it, room(), 1.0)
+
+    watch(it, room((*ROOM, NEW)), 15.0, sd=0.4)
+
+    assert it.taken("map_updates") == []
+    assert "the grid map waits: the position is uncertain by 0.40 m" in caplog.text
+
+
+def test_a_map_builder_that_comes_back_goes_on_with_what_it_drew(
+    stage: StageOf, grid_file: Path, tmp_path: Path
+) -> None:
+    copy = tmp_path / "copy.yaml"
+    first = stage(MapBuilder, BEGIN, grid_file=str(grid_file), grid_copy=str(copy)).begin()
+    watch(first, room((*ROOM, NEW)), 15.0)
+    first.end()
+
+    again = stage(MapBuilder, BEGIN + 20.0, grid_file=str(grid_file), grid_copy=str(copy)).begin()
+    (told,) = again.taken("map")
+    assert grid_of(told).values[40, 70] == OCCUPIED
+    assert np.array_equal(read_map(copy).values, grid_of(told).values)
+    assert np.array_equal(read_map(grid_file).values, room().values)
+
+    earlier = stage(
+        MapBuilder, BEGIN - 500.0, grid_file=str(grid_file), grid_copy=str(copy)
+    ).begin()
+    (told,) = earlier.taken("map")
+    assert grid_of(told).values[40, 70] == FREE  # the copy is of another run
+
+
+def test_a_missing_map_is_told_of_before_anything_moves(stage: StageOf, tmp_path: Path) -> None:
+    with pytest.raises(CairnError, match=r"none\.yaml: no such map"):
+        stage(MapBuilder, BEGIN, grid_file=str(tmp_path / "none.yaml")).begin()
+    with pytest.raises(CairnError, match="there is no map to keep"):
+        stage(MapBuilder, BEGIN)
+
+
+def test_a_pose_for_which_there_is_no_scan_changes_nothing(stage: StageOf, grid_file: Path) -> None:
+    it = stage(MapBuilder, BEGIN, grid_file=str(grid_file)).begin()
+    header = Header(stamp=from_ns(it.executor.now()), frame_id="map")
+    told = with_covariance(HERE, np.diag([1e-4, 1e-4, 1e-4]))
+
+    it.give("pose", PoseWithCovarianceStamped(header=header, pose=told))
+    it.give("localization_health", LocalizationHealth(header=header, located=True, health=1.0))
+    it.wait(3.0)
+
+    assert it.taken("map_updates") == []
