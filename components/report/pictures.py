@@ -31,7 +31,8 @@ def draw_map(
 
     `grids` are the grid map as it was first and as it is now: what has changed is coloured.
     """
-    figure = Figure(figsize=(9, 9), layout="constrained")
+    shape = 1.0 if grids is None else grids[1].info.height / max(1, grids[1].info.width)
+    figure = Figure(figsize=(9, max(5.0, 9 * shape + 1.5 * (shape < 1))), layout="constrained")
     axes = figure.add_subplot()
     if grids is not None:
         _draw_grids(axes, *grids)
