@@ -13,9 +13,9 @@ from cairn.cli.tables import line, print_json
 from cairn.cli.tables import show as show_rows
 from cairn.errors import CairnError
 from components.map_builder.importing import altered, imported_grid, importer, write_map
-from planar.map_file import write_map as write_grid
 from components.map_builder.objects import MapObject
 from components.map_builder.store import open_map
+from planar.map_file import write_map as write_grid
 
 app = typer.Typer(help="Visual maps and grid maps: import and show them.", no_args_is_help=True)
 

@@ -18,12 +18,12 @@ from cairn.component.ports import In, Out
 from components.map_builder.grid_keeper import GridKeeper
 from components.map_builder.grid_updates import GridUpdates
 from components.map_builder.keeper import MapKeeper, NumberedChange
-from planar.map_file import read_map
 from components.map_builder.messages import change_message, evidence_of, map_message
 from components.map_builder.objects import Kind
 from components.map_builder.posed_scans import PosedScans
 from components.map_builder.store import open_map
 from planar.grid import map_message as grid_message
+from planar.map_file import read_map
 from planar.messages import planar_pose
 from schemas.cairn_msgs import ObjectEvidenceArray, VisualMap, VisualMapChange
 from schemas.cairn_nav_msgs import LocalizationHealth

@@ -15,10 +15,16 @@ from planar.poses import Pose
 from planar.scans import beams_of
 from schemas.sensor_msgs import LaserScan
 
+Array = NDArray[np.float64]
+
 # From this share of the rays that reached a cell on, it is occupied if they ended there.
 _OCCUPIED_SHARE = 0.3
 # Empty cells around what was seen [m].
 _BORDER_M = 1.0
+# A surface is told from beams so many places apart whose ends lie no farther apart than this [m].
+_BESIDE, _TOGETHER_M = 3, 1.0
+# Rays that graze a surface more than this (sine of the angle between them) are taken to do so.
+_GRAZING = 0.1
 
 
 def build_map(
@@ -28,22 +34,23 @@ def build_map(
 
     Of the rays that reached a cell the share that ended there tells whether it is occupied (the
     counting model: Haehnel, Burgard, Thrun 2003). Rays longer than `reach` [m] count as
-    passing only. Raises `ValueError` if there is no scan.
+    passing only. A ray tells nothing of the cells in front of its end that lie within a cell's
+    size of the surface that it hit: where it grazes a wall, errors of a few centimetres lead it
+    through a good many cells of that wall. Raises `ValueError` if there is no scan.
     """
     segments = [
-        _segments(pose, scan, mount, min(reach, scan.range_max)) for pose, scan in posed_scans
+        _segments(pose, scan, mount, min(reach, scan.range_max), resolution)
+        for pose, scan in posed_scans
     ]
     if not segments:
         raise ValueError("there is no scan with a pose")
-    starts = np.concatenate([s for s, _, _ in segments])
-    ends = np.concatenate([e for _, e, _ in segments])
-    hit = np.concatenate([h for _, _, h in segments])
+    starts, ends, hit, told = (np.concatenate(part) for part in zip(*segments, strict=True))
     least = np.minimum(starts.min(axis=0), ends.min(axis=0)) - _BORDER_M
     most = np.maximum(starts.max(axis=0), ends.max(axis=0)) + _BORDER_M
     columns, rows = np.ceil((most - least) / resolution).astype(int)
     ended = np.zeros((rows, columns), np.int32)
     passed = np.zeros((rows, columns), np.int32)
-    _count((starts - least) / resolution, (ends - least) / resolution, hit, ended, passed)
+    _count((starts - least) / resolution, (ends - least) / resolution, hit, told, ended, passed)
     cells = np.full((rows, columns), UNKNOWN, np.int8)
     reached = ended + passed
     cells[reached > 0] = FREE
@@ -52,13 +59,18 @@ def build_map(
 
 
 def _segments(
-    pose: Pose, scan: LaserScan, mount: Pose, reach: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
+    pose: Pose, scan: LaserScan, mount: Pose, reach: float, resolution: float
+) -> tuple[Array, Array, NDArray[np.bool_], Array]:
+    """Begins and ends (n, 2) [m] of the rays, which of them hit something, and up to what share
+    of each (n,) it tells that cells are free.
+    """
     beams = beams_of(scan, mount)
-    told = ~np.isnan(beams.ranges)
-    ranges, angles = beams.ranges[told], beams.angles[told] + pose[2]
+    valid = ~np.isnan(beams.ranges)
+    blind = resolution / _sines(beams.angles, np.where(beams.hit, beams.ranges, math.nan))
+    ranges, angles = beams.ranges[valid], beams.angles[valid] + pose[2]
     hit = ranges <= reach
     length = np.where(hit, ranges, reach)
+    told = np.where(hit, 1.0 - blind[valid] / np.maximum(length, resolution), 1.0)
     cosine, sine = math.cos(pose[2]), math.sin(pose[2])
     start = np.array(
         [
@@ -68,14 +80,38 @@ def _segments(
     )
     starts = np.tile(start, (ranges.size, 1))
     ends = starts + np.column_stack((length * np.cos(angles), length * np.sin(angles)))
-    return starts, ends, hit
+    return starts, ends, hit, told
 
 
-@compiled("void(float64[:, ::1], float64[:, ::1], boolean[::1], int32[:, ::1], int32[:, ::1])")
+def _sines(angles: Array, ranges: Array) -> Array:
+    """Sine (n,) of the angle between each beam and the surface that it hit, 1 if not known.
+
+    The surface runs from what the beams some places before hit to what those after it hit.
+    """
+    sines = np.ones(ranges.size)
+    if ranges.size <= 2 * _BESIDE:
+        return sines
+    x, y = ranges * np.cos(angles), ranges * np.sin(angles)
+    along_x = x[2 * _BESIDE :] - x[: -2 * _BESIDE]
+    along_y = y[2 * _BESIDE :] - y[: -2 * _BESIDE]
+    apart = np.hypot(along_x, along_y)
+    middle = angles[_BESIDE:-_BESIDE]
+    across = np.abs(along_y * np.cos(middle) - along_x * np.sin(middle))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        inner = np.where(apart <= _TOGETHER_M, np.clip(across / apart, _GRAZING, 1.0), 1.0)
+    sines[_BESIDE:-_BESIDE] = inner
+    return sines
+
+
+@compiled(
+    "void(float64[:, ::1], float64[:, ::1], boolean[::1], float64[::1],"
+    " int32[:, ::1], int32[:, ::1])"
+)
 def _count(
-    starts: NDArray[np.float64],
-    ends: NDArray[np.float64],
+    starts: Array,
+    ends: Array,
     hit: NDArray[np.bool_],
+    told: Array,
     ended: NDArray[np.int32],
     passed: NDArray[np.int32],
 ) -> None:
@@ -87,7 +123,8 @@ def _count(
         step_x, next_x, every_x = first_step(x, dx)
         step_y, next_y, every_y = first_step(y, dy)
         for _ in range(abs(last_column - column) + abs(last_row - row)):
-            passed[row, column] += 1
+            if min(next_x, next_y) <= told[i]:
+                passed[row, column] += 1
             if next_x < next_y:
                 next_x += every_x
                 column += step_x

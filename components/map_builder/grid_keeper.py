@@ -9,8 +9,8 @@ from pathlib import Path
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from cairn.errors import CairnError
-from planar.map_file import read_map, write_map
 from components.map_builder.occupancy import Occupancy, Window
+from planar.map_file import read_map, write_map
 from planar.poses import Pose
 from planar.sweep import Rays
 
