@@ -13,6 +13,7 @@ BENCHMARKS = (
     "lockstep",
     "replay",
     "planning",
+    "world",
     "navigation",
 )
 

@@ -1,6 +1,6 @@
 """Cairn's own messages of the simulation: what the drivers of a robot know of its world."""
 
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
 
@@ -10,6 +10,7 @@ from schemas.packed import Packed
 from schemas.primitives import (
     FiniteFloat64,
     Float64Array,
+    Scalar,
     String,
     UInt8,
     UInt8Array,
@@ -21,16 +22,20 @@ from schemas.std_msgs import Header
 
 @message("cairn_sim_msgs/msg/WheelMotion")
 class WheelMotion:
-    """What the wheels of the base really did since the last message: speeds [m/s], [rad/s]."""
+    """How the wheels of the base really turned for `seconds` [s] until the stamp.
+
+    `forward` [m/s] and `turn` [rad/s] are their mean speeds.
+    """
 
     header: Header = Header()
+    seconds: Annotated[float, Scalar("float64", at_least=0)] = 0.0
     forward: FiniteFloat64 = 0.0
     turn: FiniteFloat64 = 0.0
 
 
 @message("cairn_sim_msgs/msg/WorldState")
 class WorldState:
-    """What moves: the robot's true pose and velocity, and people as x, y, radius [m] (in z)."""
+    """What moves: the robot's true pose and speeds [m/s, rad/s]; people as x, y, radius [m] (z)."""
 
     header: Header = Header()
     robot: Pose = Pose()

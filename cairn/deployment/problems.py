@@ -47,6 +47,10 @@ class DeploymentError(CairnError):
         lines = [f"the deployment has {count} problem{'s' if count > 1 else ''}:"]
         super().__init__("\n  ".join([*lines, *map(str, self.problems)]))
 
+    def __reduce__(self) -> tuple[type["DeploymentError"], tuple[tuple[Problem, ...]]]:
+        """How it gets from one process to another: by its problems, not by its text."""
+        return DeploymentError, (self.problems,)
+
 
 def one_of(name: str, known: Iterable[str]) -> str:
     """The remedy for an unknown name: the close matches, or else all known names."""

@@ -28,6 +28,8 @@ from schemas.nav_msgs import OccupancyGrid
 from schemas.std_msgs import Header
 
 _ENDS = (MoveStatus.SUCCEEDED, MoveStatus.FAILED, MoveStatus.CANCELLED)
+# Who is carried off with turning wheels needs room to stop [m].
+_STOPS_M = 0.35
 # Steps of the truth longer than this [m] are not driven: the robot was carried.
 _CARRIED_M = 0.5
 
@@ -91,6 +93,7 @@ class NavigationExaminer(Component):
         if not self.config.file.parent.is_dir():
             raise CairnError(f"{self.config.file}: there is no folder {self.config.file.parent}")
         self._free: FreeGoals | None = None
+        self._roomy: FreeGoals | None = None
         self._history = OdometryHistory(5 * SECOND)
         self._here: Pose | None = None
         self._quality = LocalizationQuality()
@@ -110,7 +113,9 @@ class NavigationExaminer(Component):
     def learn(self, message: OccupancyGrid) -> None:
         """Take the first map: the world as it was surveyed."""
         if self._free is None:
-            self._free = FreeGoals(grid_of(message), self.config.radius, self.config.clearance)
+            config, grid = self.config, grid_of(message)
+            self._free = FreeGoals(grid, config.radius, config.clearance)
+            self._roomy = FreeGoals(grid, config.radius, config.clearance + _STOPS_M)
 
     @on("truth")
     def follow(self, truth: PoseStamped) -> None:
@@ -175,7 +180,7 @@ class NavigationExaminer(Component):
         waited = (now - attempt.began_ns) / SECOND
         due = len(self._results) + 1 == self.config.kidnap_at and not attempt.kidnapped
         if due and waited >= self.config.kidnap_after:
-            self._carry_off(self._free, self._here, attempt, now)
+            self._carry_off(self._here, attempt, now)
         if waited > self.config.limit:
             self._close(False, f"not there after {self.config.limit:.0f} s", 0)
 
@@ -189,9 +194,11 @@ class NavigationExaminer(Component):
         self._attempt = _Attempt(goal, now, free.shortest(here, goal))
         self.goal_pose.publish(PoseStamped(header=Header(frame_id="map"), pose=pose_message(goal)))
 
-    def _carry_off(self, free: FreeGoals, here: Pose, attempt: _Attempt, now: int) -> None:
-        place = free.draw(here, self.config.least_distance, self.random)
+    def _carry_off(self, here: Pose, attempt: _Attempt, now: int) -> None:
         attempt.kidnapped = True
+        if self._roomy is None:
+            return
+        place = self._roomy.draw(here, self.config.least_distance, self.random)
         if place is not None:
             attempt.carried_ns = now
             self.kidnap.publish(

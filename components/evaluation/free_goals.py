@@ -32,6 +32,8 @@ class FreeGoals:
 
     def draw(self, start: Pose, least_m: float, random: np.random.Generator) -> Pose | None:
         """A goal at least `least_m` [m] from `start` that can be reached; None if there is none."""
+        if not len(self._roomy):
+            return None
         for _ in range(_TRIES):
             row, column = self._roomy[random.integers(0, len(self._roomy))]
             x, y = self._grid.frame.point(int(row), int(column))

@@ -7,6 +7,8 @@ import logging
 from dataclasses import dataclass
 from pathlib import Path
 
+import yaml
+
 from cairn.deployment.load import load_deployment
 from cairn.errors import CairnError
 from cairn.placement.lockstep_run import LockstepRun
@@ -43,6 +45,7 @@ def run_trial(trial: Trial, scratch: str) -> RunResult:
             f"settings.map={trial.map_file}",
             f"settings.visual_map={trial.visual_map}",
             f"settings.report={folder}",
+            f"settings.start={_start(trial.world)}",
             *trial.sets,
         ],
     )
@@ -51,6 +54,13 @@ def run_trial(trial: Trial, scratch: str) -> RunResult:
         raise CairnError(f"the run of seed {trial.seed} failed: {end.reason}")
     found = RunResult.model_validate_json(result.read_text(encoding="utf-8"))
     return found.model_copy(update={"seed": trial.seed})
+
+
+def _start(world: Path) -> str:
+    """Where the world file puts the robot: the start that it knows."""
+    robot = yaml.safe_load(world.read_text(encoding="utf-8"))["robot"]
+    start = {"x": robot["x"], "y": robot["y"], "theta": robot.get("theta", 0.0)}
+    return json.dumps(start)
 
 
 def _overlay(trial: Trial, result: Path) -> str:

@@ -71,6 +71,12 @@ class MapBuilderConfig(Config):
         le=3600,
         description="How long an obstacle must stand to get into the grid map [s].",
     )
+    undo_s: float = Field(
+        60.0,
+        ge=0,
+        le=120,
+        description="How far back changes of the grid map are undone when the robot was lost [s].",
+    )
     least_health: float = Field(
         0.6, ge=0, le=1, description="Health of the pose from which scans are put in [1]."
     )
@@ -155,11 +161,19 @@ class MapBuilder(Component):
 
     @on("relocalised")
     def take_back(self, pose: PoseWithCovarianceStamped) -> None:
-        """Undo what the robot judged while it was lost."""
-        keeper = self._open()
+        """Undo what the robot judged and drew while it was lost."""
+        keeper, grid = self._open(), self._open_grid()
+        stamp_ns = to_ns(pose.header.stamp)
         if keeper is not None:
-            stamp_ns = to_ns(pose.header.stamp)
             self._tell(stamp_ns, *keeper.take_back(stamp_ns))
+        if grid is not None:
+            window = grid.take_back(stamp_ns / SECOND - self.config.undo_s)
+            self._updates.add(window)
+            if window is not None:
+                self.log.info(
+                    "the robot was lost: the grid map is again as it was %.0f s ago",
+                    self.config.undo_s,
+                )
 
     @on("odom")
     def follow(self, odom: Odometry) -> None:

@@ -52,6 +52,12 @@ class GridKeeper:
         self._changed |= window is not None
         return window
 
+    def take_back(self, stamp_s: float) -> Window | None:
+        """Undo what was changed since `stamp_s` [s]; gives what has changed by that."""
+        window = self._occupancy.take_back(stamp_s)
+        self._changed |= window is not None
+        return window
+
     def save(self, now_ns: int) -> None:
         """Write the working copy if anything has changed since it was written."""
         if self._copy is None or not self._changed:

@@ -19,8 +19,7 @@ class GridUpdates:
         """Take a window that has changed."""
         if window is None:
             return
-        height, width = window.values.shape
-        box = (window.row, window.column, window.row + height, window.column + width)
+        box = window.box
         if self._box is not None:
             top, left, bottom, right = self._box
             box = (min(top, box[0]), min(left, box[1]), max(bottom, box[2]), max(right, box[3]))

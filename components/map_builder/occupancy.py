@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,6 +29,8 @@ _CONTRADICTS, _FORGETS = -0.2, -0.4
 _NEAR = 2
 # Up to this share of the reach even what is dark returns a ray.
 _SURE_SHARE = 0.35
+# How long changes can be taken back [s].
+_UNDONE_S = 120.0
 # Until an obstacle is so old [s], what is seen beside it belongs to it, and is drawn as well.
 _YOUNG_S = 60.0
 # A ray tells nothing of what lies this far [cells] before its end, or where it grazes a surface.
@@ -42,6 +45,21 @@ class Window:
     row: int
     column: int
     values: NDArray[np.int8]
+
+    @property
+    def rows(self) -> slice:
+        """The rows of the map that it covers."""
+        return slice(self.row, self.row + self.values.shape[0])
+
+    @property
+    def columns(self) -> slice:
+        """The columns of the map that it covers."""
+        return slice(self.column, self.column + self.values.shape[1])
+
+    @property
+    def box(self) -> tuple[int, int, int, int]:
+        """First row and column, and those after the last."""
+        return self.rows.start, self.columns.start, self.rows.stop, self.columns.stop
 
 
 class Occupancy:
@@ -64,12 +82,32 @@ class Occupancy:
         self._since: NDArray[np.float32] = np.full(self.cells.shape, np.nan, np.float32)
         self._ends = np.zeros(self.cells.shape, np.int32)
         self._scans = 0
+        self._before = self.cells.copy()
+        self._changes: deque[tuple[float, Window]] = deque()
         self._began: float | None = None
 
     @property
     def grid(self) -> OccupancyCells:
         """The map as it is now."""
         return Grid(self.cells, self.frame)
+
+    def take_back(self, stamp_s: float) -> Window | None:
+        """Undo what was changed since `stamp_s` [s]; gives what has changed by that."""
+        box = None
+        while self._changes and self._changes[-1][0] >= stamp_s:
+            _, window = self._changes.pop()
+            rows, columns = window.rows, window.columns
+            self.cells[rows, columns] = self._before[rows, columns] = window.values
+            odds, since = self._odds[rows, columns], self._since[rows, columns]
+            odds[window.values == FREE] = _LEAST
+            odds[window.values == OCCUPIED] = _MOST
+            odds[window.values == UNKNOWN] = 0.0
+            since[:] = np.nan
+            box = window.box if box is None else _joined(box, window.box)
+        if box is None:
+            return None
+        top, left, bottom, right = box
+        return Window(top, left, self.cells[top:bottom, left:right].copy())
 
     def integrate(self, stamp_s: float, pose: Pose, rays: Rays) -> Window | None:
         """Take the rays of a scan from `pose`; gives what has changed, None if nothing has."""
@@ -79,6 +117,8 @@ class Occupancy:
         if not len(hit):
             return None
         self._scans += 1
+        while self._changes and self._changes[0][0] < stamp_s - _UNDONE_S:
+            self._changes.popleft()
         box = np.array([self.cells.shape[0], self.cells.shape[1], -1, -1])
         _mark_ends(ends, hit, self._ends, self._scans)
         _pass(
@@ -106,7 +146,22 @@ class Occupancy:
         top, left, bottom, right = (int(edge) for edge in box)
         if bottom < 0:
             return None
-        return Window(top, left, self.cells[top : bottom + 1, left : right + 1].copy())
+        window = Window(top, left, self.cells[top : bottom + 1, left : right + 1].copy())
+        rows, columns = window.rows, window.columns
+        self._changes.append((stamp_s, Window(top, left, self._before[rows, columns].copy())))
+        self._before[rows, columns] = window.values
+        return window
+
+
+def _joined(
+    one: tuple[int, int, int, int], other: tuple[int, int, int, int]
+) -> tuple[int, int, int, int]:
+    return (
+        min(one[0], other[0]),
+        min(one[1], other[1]),
+        max(one[2], other[2]),
+        max(one[3], other[3]),
+    )
 
 
 def _in_cells(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
 from pydantic import Field
 
 from cairn.bus.qos import RELIABLE, SENSOR
@@ -11,12 +10,16 @@ from cairn.component.component import Component
 from cairn.component.handlers import every, on
 from cairn.component.parameters import Config, ParameterRefused
 from cairn.component.ports import In, Out
-from components.simulation.wheels import BaseLimits, EncoderErrors, Wheels
+from components.simulation.encoders import EncoderErrors, Encoders
+from components.simulation.wheels import BaseLimits, Wheels
 from planar.messages import with_covariance
 from schemas.cairn_sim_msgs import WheelMotion
 from schemas.geometry_msgs import Twist, TwistWithCovariance, Vector3
 from schemas.nav_msgs import Odometry
 from schemas.std_msgs import Header
+
+# A step longer than this [s] was held up: meanwhile the wheels stood.
+_LONGEST_S = 0.1
 
 
 class SimulatedBaseConfig(Config):
@@ -58,23 +61,24 @@ class SimulatedBase(Component):
     def on_configure(self) -> None:
         """Draw this base's errors of scale."""
         config = self.config
-        scales = self.random.standard_normal(2)
+        self._wheels = Wheels(
+            BaseLimits(
+                config.speed,
+                config.turn,
+                config.acceleration,
+                config.turn_acceleration,
+                config.lag_s,
+                config.command_timeout_s,
+            )
+        )
         errors = EncoderErrors(
-            config.way_scale_sd * float(scales[0]),
-            config.turn_scale_sd * float(scales[1]),
+            config.way_scale_sd,
+            config.turn_scale_sd,
             config.way,
             config.turn_error,
             config.turn_per_metre,
         )
-        limits = BaseLimits(
-            config.speed,
-            config.turn,
-            config.acceleration,
-            config.turn_acceleration,
-            config.lag_s,
-            config.command_timeout_s,
-        )
-        self._wheels = Wheels(limits, errors, self.random)
+        self._encoders = Encoders(errors, self.random)
         self._stepped: int | None = None
 
     def on_parameters(self, new: Config) -> None:  # noqa: ARG002 - none can be changed
@@ -90,24 +94,24 @@ class SimulatedBase(Component):
     def step(self) -> None:
         """Turn the wheels; tell what they did and what they measured."""
         now = self.clock.now()
-        seconds = 0.02 if self._stepped is None else (now - self._stepped) / SECOND
-        self._stepped = now
-        if seconds <= 0.0:
+        last, self._stepped = self._stepped, now
+        if last is None or now <= last:
             return
-        wheels = self._wheels
-        forward, turn = wheels.step(now / SECOND, seconds)
+        seconds = min((now - last) / SECOND, _LONGEST_S)
+        forward, turn = self._wheels.step(now / SECOND, seconds)
+        self._encoders.measure(forward * seconds, turn * seconds)
         stamp = from_ns(now)
         self.wheel_motion.publish(
-            WheelMotion(header=Header(stamp=stamp), forward=forward, turn=turn)
+            WheelMotion(header=Header(stamp=stamp), seconds=seconds, forward=forward, turn=turn)
         )
-        covariance = np.diag([wheels.way_variance, wheels.way_variance, wheels.turn_variance])
+        seen_forward, seen_turn = self._encoders.speeds(forward, turn)
         self.odom.publish(
             Odometry(
                 header=Header(stamp=stamp, frame_id="odom"),
                 child_frame_id="base_link",
-                pose=with_covariance(wheels.pose, covariance),
+                pose=with_covariance(self._encoders.pose, self._encoders.covariance),
                 twist=TwistWithCovariance(
-                    twist=Twist(linear=Vector3(x=forward), angular=Vector3(z=turn))
+                    twist=Twist(linear=Vector3(x=seen_forward), angular=Vector3(z=seen_turn))
                 ),
             )
         )

@@ -20,8 +20,8 @@ from cairn.cli.connection import (
 )
 from cairn.cli.tables import line, show
 from cairn.errors import CairnError
+from components.simulation.checks import problems_of
 from components.simulation.pictures import draw_world
-from components.simulation.scene import Scene, problems_of
 from components.simulation.world_file import read_world
 
 app = typer.Typer(
@@ -46,7 +46,7 @@ Radius = Annotated[float, typer.Option(min=0.01, help="Radius of the robot [m]."
 def check(file: File, radius: Radius = 0.22) -> None:
     """Say what is in a world file, or what is wrong with it."""
     world = read_world(file)
-    problems = problems_of(Scene.of(world), world.robot.pose, radius)
+    problems = problems_of(world, radius)
     if problems:
         raise CairnError(f"{file}: " + "; ".join(problems))
     line(

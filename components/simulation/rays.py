@@ -56,7 +56,7 @@ def _cast(
             bx, by = segments[j, 2] - x, segments[j, 3] - y
             off_a = cosine * ay - sine * ax
             off_b = cosine * by - sine * bx
-            if off_a * off_b > 0.0 or off_a == off_b:
+            if (off_a > 0.0) == (off_b > 0.0):
                 continue
             along_a = cosine * ax + sine * ay
             along_b = cosine * bx + sine * by

@@ -13,7 +13,7 @@ from components.simulation.scanning import Surroundings
 from planar.poses import Pose, compose, wrap
 
 # What lies this near before an object's middle does not hide it: what it hangs on [m].
-_BEHIND_M = 0.1
+BEHIND_M = 0.1
 
 
 @dataclass(frozen=True)
@@ -63,12 +63,13 @@ def recognised(
 ) -> list[Recognised]:
     """What is recognised from a robot's pose, range and bearing from the robot's base."""
     camera = compose(robot, mount)
+    opaque = around.without_glass
     found = []
     for thing in things:
         # Drawn for each thing, seen or not: what one does changes nothing for the others.
         chance, confusion = random.random(2)
         noise = random.standard_normal(2)
-        if chance >= eye.detected or not _visible(eye, camera, thing, around):
+        if chance >= eye.detected or not _visible(eye, camera, thing, opaque):
             continue
         x, y, _ = thing.pose
         dx, dy = x - robot[0], y - robot[1]
@@ -77,7 +78,7 @@ def recognised(
         object_id = thing.object_id
         if confusion < eye.mistaken and len(things) > 1:
             others = [other.object_id for other in things if other.object_id != object_id]
-            object_id = others[int(random.integers(0, len(others)))]
+            object_id = others[int(confusion / eye.mistaken * len(others))]
         found.append(
             Recognised(
                 object_id,
@@ -90,7 +91,7 @@ def recognised(
     return found
 
 
-def _visible(eye: Eye, camera: Pose, thing: Thing, around: Surroundings) -> bool:
+def _visible(eye: Eye, camera: Pose, thing: Thing, opaque: Surroundings) -> bool:
     dx, dy = thing.pose[0] - camera[0], thing.pose[1] - camera[1]
     distance = math.hypot(dx, dy)
     if not eye.nearest <= distance <= eye.farthest:
@@ -101,6 +102,6 @@ def _visible(eye: Eye, camera: Pose, thing: Thing, around: Surroundings) -> bool
     if abs(wrap(direction + math.pi - thing.pose[2])) > eye.facing:
         return False
     start = np.array([[camera[0], camera[1]]])
-    reach = distance - _BEHIND_M
-    ranges, _ = cast(start, np.array([direction]), around.segments, around.people, reach)
+    reach = distance - BEHIND_M
+    ranges, _ = cast(start, np.array([direction]), opaque.segments, opaque.people, reach)
     return bool(math.isinf(ranges[0]))

@@ -78,9 +78,10 @@ class SimulatedRecognizer(Component):
     def look(self) -> None:
         """Tell what is recognised now, if anything is."""
         now = self.clock.now()
-        robot = self._watch.robot_at(now)
-        if robot is None:
+        poses = self._watch.robot_at(now, np.zeros(1))
+        if poses is None:
             return
+        x, y, theta = poses[0].tolist()
         config = self.config
         eye = Eye(
             config.field_of_view,
@@ -94,7 +95,9 @@ class SimulatedRecognizer(Component):
             config.mistaken,
         )
         watch = self._watch
-        found = recognised(eye, robot, config.mount.pose, watch.things, watch.around, self.random)
+        found = recognised(
+            eye, (x, y, theta), config.mount.pose, watch.things, watch.around, self.random
+        )
         if not found:
             return
         self.objects.publish(

@@ -17,8 +17,7 @@ from cairn.component.ports import In, Out
 from cairn.errors import CairnError
 from components.simulation.scanner_models import MODELS
 from components.simulation.scanning import Beams, Faults, sweep
-from components.simulation.watching import WorldWatch
-from planar.poses import compose
+from components.simulation.watching import WorldWatch, composed
 from schemas.cairn_sim_msgs import Scene, WorldState
 from schemas.sensor_msgs import LaserScan
 from schemas.std_msgs import Header
@@ -85,7 +84,8 @@ class SimulatedScanner(Component):
 
     def on_activate(self) -> None:
         """Begin to turn."""
-        self.schedule(self.clock.now() + self._period, self._sweep)
+        self._due = self.clock.now() + self._period
+        self.schedule(self._due, self._sweep)
 
     def on_parameters(self, new: Config) -> None:  # noqa: ARG002 - none can be changed
         """A scanner stays the one that it is."""
@@ -103,23 +103,18 @@ class SimulatedScanner(Component):
 
     def _sweep(self) -> None:
         now = self.clock.now()
-        self.schedule(now + self._period, self._sweep)
+        self._due += self._period
+        if self._due <= now:  # it was held up: sweeps that were missed are not made up for
+            self._due = now + self._period
+        self.schedule(self._due, self._sweep)
         beams, model = self._beams, self._model
-        took = float(beams.times[-1])
-        began = now - round(took * SECOND)
-        begins, ends = self._watch.robot_at(began), self._watch.robot_at(now)
-        if begins is None or ends is None:
+        began = now - round(float(beams.times[-1]) * SECOND)
+        robot = self._watch.robot_at(began, beams.times)
+        if robot is None:
             return
-        mount = self.config.mount.pose
-        ranges = sweep(
-            model,
-            beams,
-            self._faults,
-            compose(begins, mount),
-            compose(ends, mount),
-            self._watch.around,
-            self.random,
-        )
+        scanner = composed(robot, self.config.mount.pose)
+        around = self._watch.around
+        ranges = sweep(model, beams, self._faults, scanner, around, self.random)
         skip = self.config.skip
         self.scan.publish(
             LaserScan(

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from components.simulation.rays import cast
 from components.simulation.scanner_models import ScannerModel
 from components.simulation.scene import SURFACES
-from planar.poses import Pose, wrap
 
 Array = NDArray[np.float64]
 
@@ -53,30 +52,35 @@ class Surroundings:
     surfaces: NDArray[np.uint8]
     people: Array
 
+    @property
+    def without_glass(self) -> Surroundings:
+        """What is left where glass does not count."""
+        solid = self.surfaces != SURFACES["glass"]
+        return Surroundings(self.segments[solid], self.surfaces[solid], self.people)
+
 
 def sweep(
     model: ScannerModel,
     beams: Beams,
     faults: Faults,
-    begins: Pose,
-    ends: Pose,
+    poses: Array,
     around: Surroundings,
     random: np.random.Generator,
 ) -> NDArray[np.float32]:
-    """Ranges (n,) [m] while the scanner moves evenly between two poses: inf nothing, NaN failed."""
+    """Ranges (n,) [m] of beams sent from `poses` (n, 3) [m, rad] of the scanner.
+
+    Infinite where nothing was met, NaN where the beam failed.
+    """
     count = beams.angles.size
-    share = beams.times / beams.times[-1] if count > 1 and beams.times[-1] > 0 else np.zeros(count)
-    starts = np.empty((count, 2))
-    starts[:, 0] = begins[0] + share * (ends[0] - begins[0])
-    starts[:, 1] = begins[1] + share * (ends[1] - begins[1])
-    angles = begins[2] + share * wrap(ends[2] - begins[2]) + beams.angles
+    starts = np.ascontiguousarray(poses[:, :2])
+    angles = poses[:, 2] + beams.angles
     ranges, hit = cast(starts, angles, around.segments, around.people, model.most)
-    surfaces = _surfaces(hit, around)
-    _look_through_glass(ranges, hit, surfaces, starts, angles, model, faults, around, random)
+    surfaces = _surfaces(hit, around.surfaces)
+    _look_through_glass(ranges, surfaces, starts, angles, model.most, faults, around, random)
     dark = surfaces == SURFACES["dark"]
     ranges[dark & (ranges > faults.dark_reach * model.most)] = math.inf
     met = np.isfinite(ranges)
-    deviation = np.hypot(model.noise_m, model.noise_share * np.where(met, ranges, 0.0))
+    deviation = np.maximum(model.noise_m, model.noise_share * np.where(met, ranges, 0.0))
     ranges += deviation * random.standard_normal(count)
     ranges[met & (ranges < model.least)] = math.nan
     ranges[ranges >= model.most] = math.inf
@@ -85,21 +89,20 @@ def sweep(
     return ranges.astype(np.float32)
 
 
-def _surfaces(hit: NDArray[np.int64], around: Surroundings) -> NDArray[np.uint8]:
+def _surfaces(hit: NDArray[np.int64], standing: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """The surface that each ray has met; people, and nothing, count as plain."""
-    surfaces = np.zeros(hit.size, np.uint8)
-    standing = (hit >= 0) & (hit < around.surfaces.size)
-    surfaces[standing] = around.surfaces[hit[standing]]
+    surfaces = np.full(hit.size, SURFACES["plain"], np.uint8)
+    met = (hit >= 0) & (hit < standing.size)
+    surfaces[met] = standing[hit[met]]
     return surfaces
 
 
 def _look_through_glass(
     ranges: Array,
-    hit: NDArray[np.int64],
     surfaces: NDArray[np.uint8],
     starts: Array,
     angles: Array,
-    model: ScannerModel,
+    reach: float,
     faults: Faults,
     around: Surroundings,
     random: np.random.Generator,
@@ -107,18 +110,9 @@ def _look_through_glass(
     """Let most rays that met glass go on to what is behind it."""
     through = np.nonzero(surfaces == SURFACES["glass"])[0]
     through = through[random.random(through.size) >= faults.glass_returns]
-    if not through.size:
-        return
-    solid = np.nonzero(around.surfaces != SURFACES["glass"])[0]
-    behind, what = cast(
-        np.ascontiguousarray(starts[through]),
-        np.ascontiguousarray(angles[through]),
-        np.ascontiguousarray(around.segments[solid]),
-        around.people,
-        model.most,
-    )
-    ranges[through] = behind
-    standing = (what >= 0) & (what < solid.size)
-    surfaces[through] = SURFACES["plain"]
-    surfaces[through[standing]] = around.surfaces[solid[what[standing]]]
-    hit[through] = what
+    if through.size:
+        solid = around.without_glass
+        ranges[through], behind = cast(
+            starts[through], angles[through], solid.segments, solid.people, reach
+        )
+        surfaces[through] = _surfaces(behind, solid.surfaces)

@@ -1,9 +1,11 @@
-"""What stands in the world: walls, furniture and objects, and how they are moved about."""
+"""What stands in the world: walls, furniture and objects, and where there is room."""
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, field
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 import shapely
@@ -16,99 +18,189 @@ from planar.poses import Pose, compose
 
 SURFACES: dict[Surface, int] = {"plain": 0, "dark": 1, "glass": 2}
 # Things that overlap by less than this [m] touch each other.
-_TOUCH_M = 0.02
+TOUCH_M = 0.02
 
 
-@dataclass
+@dataclass(frozen=True)
+class Standing:
+    """What stops beams: segments (m, 4) x1, y1, x2, y2 [m], their surfaces and names (m,)."""
+
+    segments: NDArray[np.float64]
+    surfaces: NDArray[np.uint8]
+    names: tuple[str, ...]
+
+
+@dataclass(frozen=True)
 class Scene:
-    """What stands, by name. `version` goes up with every change."""
+    """What stands, by name. `version` goes up with every change; a change gives a new scene."""
 
-    walls: list[Wall]
-    furniture: dict[str, Furniture]
-    objects: dict[str, VisibleObject]
+    walls: tuple[Wall, ...]
+    furniture: Mapping[str, Furniture]
+    objects: Mapping[str, VisibleObject]
     version: int = 0
-    _names: list[str] = field(default_factory=list)
 
     @staticmethod
     def of(world: WorldFile) -> Scene:
         """The scene at the beginning."""
         return Scene(
-            list(world.walls),
+            tuple(world.walls),
             {one.name: one for one in world.furniture},
             {one.called: one for one in world.objects},
         )
 
-    def move(self, name: str, pose: Pose) -> None:
-        """Put furniture or an object somewhere else; `CairnError` if there is no such thing."""
-        x, y, theta = pose
-        new = {"x": x, "y": y, "theta": theta}
-        if name in self.furniture:
-            self.furniture[name] = self.furniture[name].model_copy(update=new)
-        elif name in self.objects:
-            self.objects[name] = self.objects[name].model_copy(update=new)
-        else:
-            raise unknown(name, [*self.furniture, *self.objects])
-        self.version += 1
-
-    def remove(self, name: str) -> None:
-        """Take furniture or an object away; `CairnError` if there is no such thing."""
-        if name in self.furniture:
-            del self.furniture[name]
-        elif name in self.objects:
-            del self.objects[name]
-        else:
-            raise unknown(name, [*self.furniture, *self.objects])
-        self.version += 1
-
-    def add(self, thing: Furniture | VisibleObject) -> None:
-        """Put something new there; `CairnError` if its name, or its number, is taken."""
-        name = thing.name if isinstance(thing, Furniture) else thing.called
-        if name in self.furniture or name in self.objects:
-            raise CairnError(f"there is a {name} already; give another name")
-        if isinstance(thing, Furniture):
-            self.furniture[name] = thing
-        else:
-            if any(one.id == thing.id for one in self.objects.values()):
-                raise CairnError(f"there is an object {thing.id} already; give another id")
-            self.objects[name] = thing
-        self.version += 1
+    @property
+    def names(self) -> list[str]:
+        """Of all that can be moved."""
+        return [*self.furniture, *self.objects]
 
     def pose_of(self, name: str) -> Pose:
         """Where a thing stands; `CairnError` if there is no such thing."""
-        thing = self.furniture.get(name) or self.objects.get(name)
-        if thing is None:
-            raise unknown(name, [*self.furniture, *self.objects])
-        return thing.pose
+        return self._thing(name).pose
 
-    def segments(self) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
-        """All that stops beams: segments (m, 4) x1, y1, x2, y2 [m] and their surfaces (m,)."""
+    def moved(self, poses: Mapping[str, Pose]) -> Scene:
+        """With furniture and objects put elsewhere, all at once.
+
+        `CairnError` if there is no such thing, or it would overlap another.
+        """
+        new = self
+        for name, (x, y, theta) in poses.items():
+            thing = self._thing(name)
+            new = new._with(thing.model_copy(update={"x": x, "y": y, "theta": theta}))
+        for name in poses:
+            new.refuse_overlaps(name)
+        return new
+
+    def without(self, name: str) -> Scene:
+        """With a piece of furniture or an object taken away; `CairnError` if it is not there."""
+        self._thing(name)
+        return replace(
+            self,
+            furniture={key: one for key, one in self.furniture.items() if key != name},
+            objects={key: one for key, one in self.objects.items() if key != name},
+            version=self.version + 1,
+        )
+
+    def joined(self, thing: Furniture | VisibleObject) -> Scene:
+        """With something new; `CairnError` if its name or number is taken, or it overlaps."""
+        if isinstance(thing, VisibleObject):
+            twins = [name for name, one in self.objects.items() if one.id == thing.id]
+            if twins:
+                raise CairnError(f"{twins[0]} has the id {thing.id} already; give another id")
+        if thing.called in self.names:
+            raise CairnError(f"there is a {thing.called} already; give another name")
+        new = self._with(thing)
+        new.refuse_overlaps(thing.called)
+        return new
+
+    def refuse_overlaps(self, name: str, but: Collection[str] = ()) -> None:
+        """`CairnError` if a piece of furniture overlaps a wall or another one that is not in `but`.
+
+        Also if its outline is none.
+        """
+        shape = self.shapes.get(name)
+        if name not in self.furniture or shape is None:
+            return
+        if not shape.is_valid or shape.area <= 0:
+            raise CairnError(f"the outline of {name} crosses itself or is empty; mend it")
+        core = shape.buffer(-_shrink(shape))
+        for other, its_shape in self.shapes.items():
+            if other == name or other in but or other in self.objects:
+                continue
+            rest = its_shape
+            if other in self.furniture:
+                rest = its_shape.buffer(-_shrink(its_shape))
+            common = core.intersection(rest)
+            if not common.is_empty:
+                where = common.centroid
+                raise CairnError(
+                    f"{name} overlaps {other} at ({where.x:.2f}, {where.y:.2f}); move one of them"
+                )
+
+    @cached_property
+    def standing(self) -> Standing:
+        """All that stops beams."""
         rows: list[tuple[float, float, float, float]] = []
         surfaces: list[int] = []
         names: list[str] = []
-        for number, wall in enumerate(self.walls, start=1):
-            for begin, end in zip(wall.points, wall.points[1:], strict=False):
+
+        def line(points: list[tuple[float, float]], surface: Surface, name: str) -> None:
+            for begin, end in pairwise(points):
                 rows.append((*begin, *end))
-                surfaces.append(SURFACES[wall.surface])
-                names.append(f"wall {number}")
+                surfaces.append(SURFACES[surface])
+                names.append(name)
+
+        for number, wall in enumerate(self.walls, start=1):
+            line(wall.points, wall.surface, f"wall {number}")
         for one in self.furniture.values():
             corners = corners_of(one)
-            for begin, end in zip(corners, [*corners[1:], corners[0]], strict=True):
-                rows.append((*begin, *end))
-                surfaces.append(SURFACES[one.surface])
-                names.append(one.name)
+            line([*corners, corners[0]], one.surface, one.name)
         for thing in self.objects.values():
             if thing.solid:
-                half = thing.width / 2
-                left, right = compose(thing.pose, (0, half, 0)), compose(thing.pose, (0, -half, 0))
-                rows.append((left[0], left[1], right[0], right[1]))
-                surfaces.append(SURFACES["plain"])
-                names.append(thing.called)
-        self._names = names
-        return np.array(rows, np.float64).reshape(-1, 4), np.array(surfaces, np.uint8)
+                line(_ends_of(thing), "plain", thing.called)
+        segments = np.array(rows, np.float64).reshape(-1, 4)
+        return Standing(segments, np.array(surfaces, np.uint8), tuple(names))
 
-    def name_of_segment(self, number: int) -> str:
-        """What a segment of the last `segments()` belongs to."""
-        return self._names[number]
+    @cached_property
+    def shapes(self) -> dict[str, BaseGeometry]:
+        """What takes room, by name: walls and panels as lines, furniture as polygons."""
+        shapes: dict[str, BaseGeometry] = {}
+        for number, wall in enumerate(self.walls, start=1):
+            shapes[f"wall {number}"] = shapely.LineString(wall.points)
+        for name, piece in self.furniture.items():
+            shapes[name] = shapely.Polygon(corners_of(piece))
+        for name, thing in self.objects.items():
+            if thing.solid:
+                shapes[name] = shapely.LineString(_ends_of(thing))
+        return shapes
+
+    def refuse_place(self, what: str, x: float, y: float, radius: float) -> None:
+        """`CairnError` if something stands within `radius` [m] of a place, or it is outside."""
+        spot = shapely.Point(x, y)
+        name, room = min(
+            ((name, shape.distance(spot)) for name, shape in self.shapes.items()),
+            key=lambda found: found[1],
+        )
+        if room < radius:
+            raise CairnError(
+                f"{what} cannot be at ({x:.2f}, {y:.2f}): {name} is {room:.2f} m from there, and "
+                f"it takes {radius:g} m; choose another place"
+            )
+        if self.outside(x, y, radius):
+            raise CairnError(
+                f"{what} cannot be at ({x:.2f}, {y:.2f}): that is outside of the walls, or they "
+                "leave a gap; choose a place within, or close them"
+            )
+
+    def outside(self, x: float, y: float, radius: float) -> bool:
+        """Whether something of that radius [m] could go from there to beyond the walls."""
+        solid = shapely.union_all(list(self.shapes.values()))
+        left, bottom, right, top = solid.buffer(2.0 * radius + 1.0).bounds
+        around = shapely.box(left, bottom, right, top)
+        spot, corner = shapely.Point(x, y), shapely.Point(left, bottom)
+        # Lines part the plane only with some width.
+        parts = shapely.get_parts(around.difference(solid.buffer(max(radius, 0.01))))
+        beyond = next(part for part in parts if part.covers(corner))
+        return bool(beyond.covers(spot) or not around.covers(spot))
+
+    def _with(self, thing: Furniture | VisibleObject) -> Scene:
+        version = self.version + 1
+        if isinstance(thing, Furniture):
+            furniture = {**self.furniture, thing.called: thing}
+            return replace(self, furniture=furniture, version=version)
+        return replace(self, objects={**self.objects, thing.called: thing}, version=version)
+
+    def _thing(self, name: str) -> Furniture | VisibleObject:
+        thing = self.furniture.get(name) or self.objects.get(name)
+        if thing is None:
+            raise unknown(name, self.names)
+        return thing
+
+
+def _shrink(shape: BaseGeometry) -> float:
+    """By how much [m] to shrink a piece of furniture, so that what only touches it does not overlap
+    it: half of what counts as a touch, and less of what is thin.
+    """
+    return float(min(TOUCH_M / 2, 0.4 * shapely.minimum_clearance(shape)))
 
 
 def unknown(name: str, known: list[str]) -> CairnError:
@@ -121,64 +213,6 @@ def corners_of(one: Furniture) -> list[tuple[float, float]]:
     return [compose(one.pose, (x, y, 0.0))[:2] for x, y in one.corners]
 
 
-def problems_of(scene: Scene, robot: Pose, radius: float) -> list[str]:
-    """What cannot be in a world, each as a sentence: things that overlap, a robot inside one."""
-    problems = []
-    shapes = {}
-    for one in scene.furniture.values():
-        shape = shapely.Polygon(corners_of(one))
-        if not shape.is_valid or shape.area <= 0:
-            problems.append(f"the outline of {one.name} crosses itself or is empty")
-        else:
-            shapes[one.name] = shape
-    names = list(shapes)
-    for i, name in enumerate(names):
-        for other in names[i + 1 :]:
-            problems += _overlap(shapes[name], shapes[other], name, other)
-        for number, wall in enumerate(scene.walls, start=1):
-            line = shapely.LineString(wall.points)
-            problems += _overlap(shapes[name], line, name, f"wall {number}")
-    problems += _double_walls(scene.walls)
-    spot = shapely.Point(robot[0], robot[1])
-    for name, shape in shapes.items():
-        if shape.distance(spot) < radius:
-            problems.append(f"the robot begins at ({robot[0]:g}, {robot[1]:g}) inside {name}")
-    for number, wall in enumerate(scene.walls, start=1):
-        if shapely.LineString(wall.points).distance(spot) < radius:
-            problems.append(f"the robot begins at ({robot[0]:g}, {robot[1]:g}) in wall {number}")
-    if not all(math.isfinite(value) for value in robot):
-        problems.append("the robot's pose must be finite")
-    return problems
-
-
-def _overlap(one: BaseGeometry, other: BaseGeometry, name: str, other_name: str) -> list[str]:
-    common = one.buffer(-_TOUCH_M).intersection(
-        other.buffer(-_TOUCH_M) if other.geom_type == "Polygon" else other
-    )
-    if common.is_empty:
-        return []
-    where = common.centroid
-    return [f"{name} overlaps {other_name} at ({where.x:.2f}, {where.y:.2f}); move one of them"]
-
-
-def _double_walls(walls: list[Wall]) -> list[str]:
-    """Walls that lie on one another for more than a touch."""
-    pieces = [
-        (number, shapely.LineString([begin, end]))
-        for number, wall in enumerate(walls, start=1)
-        for begin, end in zip(wall.points, wall.points[1:], strict=False)
-    ]
-    problems = []
-    for i, (number, piece) in enumerate(pieces):
-        if piece.length == 0:
-            problems.append(f"wall {number} has two equal points one after the other")
-            continue
-        for other_number, other in pieces[i + 1 :]:
-            common = piece.intersection(other)
-            if common.length > _TOUCH_M:
-                where = common.centroid
-                problems.append(
-                    f"wall {number} and wall {other_number} lie on one another at "
-                    f"({where.x:.2f}, {where.y:.2f}); leave one out"
-                )
-    return problems
+def _ends_of(panel: VisibleObject) -> list[tuple[float, float]]:
+    half = panel.width / 2
+    return [compose(panel.pose, (0.0, side, 0.0))[:2] for side in (half, -half)]

@@ -8,7 +8,8 @@ import cv2
 import numpy as np
 
 from cairn.errors import CairnError
-from components.simulation.scene import Scene, corners_of, problems_of
+from components.simulation.checks import problems_of
+from components.simulation.scene import Scene
 from components.simulation.world_file import WorldFile, read_world
 from planar.grid import FREE, OCCUPIED, UNKNOWN, Frame, Grid, OccupancyCells
 from schemas.cairn_msgs import VisualMap, VisualObject
@@ -16,6 +17,8 @@ from schemas.cairn_msgs import VisualMap, VisualObject
 RESOLUTION = 0.05
 # Unknown cells around the world [m].
 _BORDER_M = 0.5
+# A survey asks for this much room around the robot's start, whatever the robot's radius [m].
+_ROOM_M = 0.05
 
 
 def surveyed_grid(file: Path) -> OccupancyCells:
@@ -23,15 +26,17 @@ def surveyed_grid(file: Path) -> OccupancyCells:
 
     What the robot cannot see from within is unknown. People are not surveyed.
     """
-    world = read_world(file)
-    _check(file, world)
-    return grid_of_world(world)
+    world = _checked(file)
+    try:
+        return grid_of_world(world)
+    except CairnError as error:
+        raise CairnError(f"{file}: {error}") from error
 
 
 def grid_of_world(world: WorldFile) -> OccupancyCells:
-    """The grid map of a world."""
+    """The grid map of a world; `CairnError` if its walls leave a gap."""
     scene = Scene.of(world)
-    segments, _ = scene.segments()
+    segments = scene.standing.segments
     ends = segments.reshape(-1, 2)
     # Half a cell off round numbers, on which walls stand: they pass through the middle of cells.
     least = ends.min(axis=0) - _BORDER_M - RESOLUTION / 2
@@ -46,14 +51,14 @@ def grid_of_world(world: WorldFile) -> OccupancyCells:
         column = np.floor((x1 + share * (x2 - x1) - least[0]) / RESOLUTION).astype(int)
         row = np.floor((y1 + share * (y2 - y1) - least[1]) / RESOLUTION).astype(int)
         solid[row, column] = 1
-    inside = np.zeros((rows, columns), np.uint8)
-    for piece in scene.furniture.values():
-        corners = (np.array(corners_of(piece)) - least) / RESOLUTION - 0.5
-        cv2.fillPoly(inside, [np.rint(corners).astype(np.int32)], 1)
     cells = np.full((rows, columns), UNKNOWN, np.int8)
     row, column = frame.cell(world.robot.x, world.robot.y)
-    reached = ((solid == 0) & (inside == 0)).astype(np.uint8)
+    reached = 1 - solid
+    # Over sides, not corners: so outlines keep it out of furniture, too.
     cv2.floodFill(reached, None, (column, row), 2, flags=4)
+    border = np.concatenate((reached[[0, -1]].ravel(), reached[:, [0, -1]].ravel()))
+    if np.any(border == 2):
+        raise CairnError("the walls leave a gap to the outside; close it, `cairn world draw` shows")
     cells[reached == 2] = FREE
     cells[(solid == 1)] = OCCUPIED
     return Grid(cells, frame)
@@ -61,8 +66,7 @@ def grid_of_world(world: WorldFile) -> OccupancyCells:
 
 def surveyed_objects(file: Path) -> VisualMap:
     """The objects of a world file, where they stand at the beginning."""
-    world = read_world(file)
-    _check(file, world)
+    world = _checked(file)
     return VisualMap(
         objects=tuple(
             VisualObject(
@@ -78,7 +82,9 @@ def surveyed_objects(file: Path) -> VisualMap:
     )
 
 
-def _check(file: Path, world: WorldFile) -> None:
-    problems = problems_of(Scene.of(world), world.robot.pose, 0.0)
+def _checked(file: Path) -> WorldFile:
+    world = read_world(file)
+    problems = problems_of(world, _ROOM_M)
     if problems:
         raise CairnError(f"{file}: " + "; ".join(problems))
+    return world

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
+from logging import INFO, WARNING
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from pydantic import Field, ValidationError
 
 from cairn.bus.qos import LATCHED, RELIABLE
@@ -17,14 +16,23 @@ from cairn.component.handlers import every, on
 from cairn.component.parameters import Config, ParameterRefused
 from cairn.component.ports import In, Out
 from cairn.errors import CairnError
-from components.simulation.scene import Scene as StandingThings
-from components.simulation.scene import problems_of
-from components.simulation.state_file import keep_state, kept_state
+from components.simulation.checks import problems_of
+from components.simulation.messages import scene_message, true_map
+from components.simulation.state_file import StateFile
 from components.simulation.world import Contact, Slip, World
-from components.simulation.world_file import Event, Furniture, Person, VisibleObject, read_world
-from planar.messages import packed_poses, planar_pose, pose_message
+from components.simulation.world_file import (
+    Event,
+    Furniture,
+    Name,
+    Person,
+    Placed,
+    VisibleObject,
+    read_world,
+    what_is_wrong,
+)
+from planar.messages import planar_pose, pose_message
 from planar.poses import Pose
-from schemas.cairn_msgs import VisualMap, VisualObject
+from schemas.cairn_msgs import VisualMap
 from schemas.cairn_nav_msgs import Collision
 from schemas.cairn_sim_msgs import Scene, WheelMotion, WorldState
 from schemas.geometry_msgs import Point, PoseStamped
@@ -33,8 +41,6 @@ from schemas.std_msgs import Header
 
 # Without word from the wheels for this long [s] they stand still.
 _STALE_S = 0.3
-# A step of the wheels longer than this [s] was not told in time: they did it no longer than this.
-_LONGEST_S = 0.1
 _TRUTH_EVERY = SECOND // 10
 
 
@@ -64,6 +70,18 @@ class WorldConfig(Config):
     )
 
 
+class _Named(Config):
+    """What a request is about."""
+
+    name: Name
+
+
+class _NamedPlace(Placed):
+    """The same, and where it is put."""
+
+    name: Name
+
+
 class SimulatedWorld(Component):
     """Holds the true state of the simulated world and lets time pass in it.
 
@@ -83,13 +101,15 @@ class SimulatedWorld(Component):
     def on_configure(self) -> None:
         """Read the world and see that it can be."""
         config = self.config
-        file = read_world(config.world)
-        file = file.model_copy(update={"events": [*file.events, *config.events]})
-        problems = problems_of(StandingThings.of(file), file.robot.pose, config.radius)
+        world = read_world(config.world)
+        world = world.model_copy(update={"events": [*world.events, *config.events]})
+        problems = problems_of(world, config.radius)
         if problems:
             raise CairnError(f"{config.world}: " + "; ".join(problems))
         slip = Slip(config.slip.way, config.slip.turn, config.slip.turn_per_metre)
-        self._world = World(file, config.radius, slip, self.random)
+        self._world = World(world, config.radius, slip, self.random)
+        self._state_file = StateFile(config.state_file) if config.state_file else None
+        self._unkept = False
         self._told_version = -1
         self._began = self._heard = self._stepped = self._truth_at = 0
         self._speeds = (0.0, 0.0)
@@ -107,17 +127,13 @@ class SimulatedWorld(Component):
 
     @on("wheel_motion")
     def drive(self, motion: WheelMotion) -> None:
-        """Let time pass as the wheels did."""
-        stamp = to_ns(motion.header.stamp)
-        seconds = (stamp - self._stepped) / SECOND
+        """Let the robot go as the wheels turned, and time pass."""
         self._heard = self.clock.now()
-        if seconds <= 0.0:
-            return
-        self._speeds = (motion.forward, motion.turn)
-        contact = self._world.drive(min(seconds, _LONGEST_S), motion.forward, motion.turn)
-        self._pass(stamp, seconds)
-        if contact is not None:
-            self._report(stamp, contact)
+        follows, contacts = self._world.drive(motion.seconds, motion.forward, motion.turn)
+        self._speeds = (motion.forward if follows else 0.0, motion.turn)
+        self._pass(to_ns(motion.header.stamp))
+        for contact in contacts:
+            self._report(contact)
 
     @on("kidnap")
     def carry(self, pose: PoseStamped) -> None:
@@ -129,23 +145,33 @@ class SimulatedWorld(Component):
 
     @every(hz=20)
     def go_on(self) -> None:
-        """Let time pass while no wheels turn; let happen what is due."""
+        """Let happen what is due; let time pass while no wheels turn."""
         now = self.clock.now()
-        for told in self._world.happen((now - self._began) / SECOND):
-            self.log.info("%s", told)
+        for happening in self._world.happen((now - self._began) / SECOND):
+            self.log.log(INFO if happening.done else WARNING, "%s", happening.told)
         if self._world.scene.version != self._told_version:
             self._tell_scene()
-        if now - self._heard > _STALE_S * SECOND and now > self._stepped:
+        if now - self._heard > _STALE_S * SECOND:
             self._speeds = (0.0, 0.0)
-            self._pass(now, (now - self._stepped) / SECOND)
+            self._pass(now)
 
     @every(hz=10)
     def keep(self) -> None:
         """Keep the state, for one that comes after."""
-        file = self.config.state_file
-        if file is not None:
-            elapsed = (self.clock.now() - self._began) / SECOND
-            keep_state(file, self._world, elapsed)
+        if self._state_file is None:
+            return
+        try:
+            self._state_file.keep(self._world, (self.clock.now() - self._began) / SECOND)
+            self._unkept = False
+        except OSError as error:
+            if not self._unkept:
+                self.log.warning(
+                    "the state of the world cannot be kept in %s: %s; after a crash it would "
+                    "begin anew",
+                    self._state_file.file,
+                    error.strerror,
+                )
+            self._unkept = True
 
     def on_request(self, verb: str, arguments: Mapping[str, Any]) -> Any:
         """Look at the world or change it: list, move, remove, add, person, kidnap."""
@@ -162,32 +188,31 @@ class SimulatedWorld(Component):
         if change is None:
             return super().on_request(verb, arguments)
         try:
-            change(dict(arguments))
-        except (ValidationError, KeyError, TypeError) as error:
-            raise CairnError(f"{self.name}: {verb} {dict(arguments)!r}: {error}") from error
+            change(arguments)
+        except ValidationError as error:
+            raise CairnError(f"{verb}: {what_is_wrong(error)}") from error
         if self._world.scene.version != self._told_version:
             self._tell_scene()
         return None
 
-    def _move(self, given: dict[str, Any]) -> None:
-        self._world.move(str(given["name"]), _pose(given))
+    def _move(self, given: Mapping[str, Any]) -> None:
+        there = _NamedPlace.model_validate(given)
+        self._world.move(there.name, there.pose)
 
-    def _remove(self, given: dict[str, Any]) -> None:
-        self._world.remove(str(given["name"]))
+    def _remove(self, given: Mapping[str, Any]) -> None:
+        self._world.remove(_Named.model_validate(given).name)
 
-    def _furniture(self, given: dict[str, Any]) -> None:
-        self._world.scene.add(Furniture.model_validate(given))
-        self._world.renewed()
+    def _furniture(self, given: Mapping[str, Any]) -> None:
+        self._world.add(Furniture.model_validate(given))
 
-    def _object(self, given: dict[str, Any]) -> None:
-        self._world.scene.add(VisibleObject.model_validate(given))
-        self._world.renewed()
+    def _object(self, given: Mapping[str, Any]) -> None:
+        self._world.add(VisibleObject.model_validate(given))
 
-    def _person(self, given: dict[str, Any]) -> None:
+    def _person(self, given: Mapping[str, Any]) -> None:
         self._world.add_person(Person.model_validate(given))
 
-    def _kidnap(self, given: dict[str, Any]) -> None:
-        self._world.carry(_pose(given))
+    def _kidnap(self, given: Mapping[str, Any]) -> None:
+        self._world.carry(Placed.model_validate(given).pose)
 
     def _listed(self) -> list[dict[str, Any]]:
         world = self._world
@@ -202,9 +227,11 @@ class SimulatedWorld(Component):
             rows.append({"kind": "person", "name": walker.person.name, **place})
         return rows
 
-    def _pass(self, stamp: int, seconds: float) -> None:
+    def _pass(self, stamp: int) -> None:
+        """Let time pass until a stamp [ns], and tell what moves."""
+        stamp = max(stamp, self._stepped)
+        self._world.walk(min((stamp - self._stepped) / SECOND, 1.0))
         self._stepped = stamp
-        self._world.walk(min(seconds, 1.0))
         header = Header(stamp=from_ns(stamp), frame_id="map")
         robot = pose_message(self._world.robot)
         self.world_state.publish(
@@ -220,7 +247,7 @@ class SimulatedWorld(Component):
             self._truth_at = stamp
             self.truth.publish(PoseStamped(header=header, pose=robot))
 
-    def _report(self, stamp: int, contact: Contact) -> None:
+    def _report(self, contact: Contact) -> None:
         self.log.warning(
             "collision with %s at (%.2f, %.2f), %.2f m/s",
             contact.what,
@@ -230,7 +257,7 @@ class SimulatedWorld(Component):
         )
         self.collisions.publish(
             Collision(
-                header=Header(stamp=from_ns(stamp), frame_id="map"),
+                header=Header(stamp=from_ns(self._stepped), frame_id="map"),
                 what=contact.what,
                 x=contact.x,
                 y=contact.y,
@@ -239,50 +266,20 @@ class SimulatedWorld(Component):
         )
 
     def _tell_scene(self) -> None:
-        world = self._world
-        self._told_version = world.scene.version
-        segments, surfaces = world.surroundings
-        things = list(world.scene.objects.values())
+        scene = self._world.scene
+        self._told_version = scene.version
         header = Header(stamp=from_ns(self.clock.now()), frame_id="map")
-        poses = np.array([thing.pose for thing in things], np.float64).reshape(-1, 3)
-        self.scene.publish(
-            Scene(
-                header=header,
-                segments=segments.ravel(),
-                surfaces=surfaces,
-                object_ids=np.array([thing.id for thing in things], np.uint32),
-                object_names=tuple(thing.called for thing in things),
-                object_poses=packed_poses(poses),
-            )
-        )
-        self.true_map.publish(
-            VisualMap(
-                header=header,
-                version=max(0, world.scene.version),
-                objects=tuple(
-                    VisualObject(object_id=thing.id, name=thing.called, x=thing.x, y=thing.y)
-                    for thing in things
-                ),
-            )
-        )
+        self.scene.publish(scene_message(header, scene))
+        self.true_map.publish(true_map(header, scene))
 
     def _resume(self) -> None:
-        file = self.config.state_file
-        state = kept_state(file) if file is not None else None
+        state = self._state_file.kept() if self._state_file is not None else None
         if state is None:
             self.log.warning("the world begins anew: the robot stands where it began")
             return
         state.put_into(self._world)
         self._began = self.clock.now() - round(state.elapsed_s * SECOND)
-        self._world.skip_events(state.elapsed_s)
         self.log.info("the world goes on at %.1f s", state.elapsed_s)
-
-
-def _pose(given: Mapping[str, Any]) -> Pose:
-    pose = (float(given["x"]), float(given["y"]), float(given.get("theta", 0.0)))
-    if not all(math.isfinite(value) for value in pose):
-        raise CairnError(f"a place must be finite, not {pose}")
-    return pose
 
 
 def _place(pose: Pose) -> dict[str, float]:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Hashable
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import yaml
 from pydantic import Field, ValidationError, model_validator
@@ -13,6 +14,7 @@ from cairn.component.parameters import Config
 from cairn.errors import CairnError
 
 Metres = Annotated[float, Field(ge=-10_000, le=10_000)]
+Length = Annotated[float, Field(gt=0, le=1000)]
 Place = tuple[Metres, Metres]
 Surface = Literal["plain", "dark", "glass"]
 Name = Annotated[str, Field(min_length=1, max_length=60, pattern=r"^[A-Za-z0-9_.-]+$")]
@@ -45,10 +47,15 @@ class Furniture(Placed):
     outline: list[Place] = Field(
         default_factory=list, description="Corners x, y in its own frame [m]; or give size."
     )
-    size: tuple[float, float] | None = Field(
+    size: tuple[Length, Length] | None = Field(
         None, description="Width and depth [m] of a rectangle around its pose, instead of outline."
     )
     surface: Surface = Field("plain", description="What a beam meets.")
+
+    @property
+    def called(self) -> str:
+        """Its name."""
+        return self.name
 
     @model_validator(mode="after")
     def _one_shape(self) -> Furniture:
@@ -56,8 +63,6 @@ class Furniture(Placed):
             raise ValueError("give outline or size, one of them")
         if self.outline and len(self.outline) < 3:
             raise ValueError("an outline has at least 3 corners")
-        if self.size is not None and min(self.size) <= 0:
-            raise ValueError("width and depth must be above 0")
         return self
 
     @property
@@ -78,7 +83,9 @@ class VisibleObject(Placed):
     """A textured object that the camera knows; theta is the direction in which it faces."""
 
     id: int = Field(ge=1, le=1_000_000, description="Its number in the visual map [1].")
-    name: str = Field("", max_length=60, description="Its name; object_ID if none is given.")
+    name: Annotated[str, Field(max_length=60, pattern=r"^[A-Za-z0-9_.-]*$")] = Field(
+        "", description="Its name; object_ID if none is given."
+    )
     width: float = Field(0.3, gt=0, le=10, description="Its width [m].")
     solid: bool = Field(False, description="Whether it stops beams and the robot: a panel.")
 
@@ -141,26 +148,52 @@ class WorldFile(Config):
         if twins:
             raise ValueError(f"several things are called {', '.join(twins)}")
         ids = [one.id for one in self.objects]
-        if len(set(ids)) < len(ids):
-            raise ValueError("two objects have the same id")
+        twins = sorted({str(one) for one in ids if ids.count(one) > 1})
+        if twins:
+            raise ValueError(f"several objects have the id {', '.join(twins)}")
         return self
 
 
 def read_world(file: Path) -> WorldFile:
     """The world of a file; `CairnError` names file, place, value and remedy."""
     try:
-        found = yaml.safe_load(file.read_text(encoding="utf-8"))
+        found = yaml.load(file.read_text(encoding="utf-8"), _OneKeyLoader)
     except FileNotFoundError as error:
         raise CairnError(f"{file}: no such world file") from error
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise CairnError(f"{file}: not a world file: {error}") from error
+    except yaml.MarkedYAMLError as error:
+        where = error.problem_mark
+        place = f":{where.line + 1}:{where.column + 1}" if where else ""
+        raise CairnError(f"{file}{place}: not YAML: {error.problem}") from error
+    except (OSError, UnicodeDecodeError, yaml.YAMLError, RecursionError) as error:
+        raise CairnError(f"{file}: cannot be read: {error}") from error
     if not isinstance(found, dict):
-        raise CairnError(f"{file}: not a world file: it holds no keys")
+        raise CairnError(f"{file}: not a world file: it needs the keys walls and robot")
     try:
         return WorldFile.model_validate(found)
     except ValidationError as error:
-        told = [_told(one["loc"], one["msg"], one["type"], one["input"]) for one in error.errors()]
-        raise CairnError(f"{file}: " + "; ".join(told)) from error
+        raise CairnError(f"{file}: {what_is_wrong(error)}") from error
+
+
+def what_is_wrong(error: ValidationError) -> str:
+    """What a model does not take, in one line: where, the value, and what it must be."""
+    return "; ".join(
+        _told(one["loc"], one["msg"], one["type"], one["input"]) for one in error.errors()
+    )
+
+
+class _OneKeyLoader(yaml.SafeLoader):
+    """Plain YAML in which a key given twice is an error, not a loss."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
+        """A mapping; its keys must differ."""
+        seen = set()
+        for key, _ in node.value:
+            if str(key.value) in seen:
+                raise yaml.constructor.ConstructorError(
+                    None, None, f"the key {key.value} is given twice; remove one", key.start_mark
+                )
+            seen.add(str(key.value))
+        return super().construct_mapping(node, deep)
 
 
 def _told(place: tuple[int | str, ...], why: str, kind: str, given: object) -> str:
@@ -168,5 +201,8 @@ def _told(place: tuple[int | str, ...], why: str, kind: str, given: object) -> s
     for part in place:
         path += f"[{part}]" if isinstance(part, int) else f".{part}" if path else part
     why = why.removeprefix("Value error, ")
+    why = {"missing": "must be given", "extra_forbidden": "there is no such key"}.get(
+        kind, f"{why[0].lower()}{why[1:]}"
+    )
     shown = "" if kind in ("missing", "value_error") else f" = {str(given)[:60]!r}"
-    return f"{path}{shown}: {why[0].lower()}{why[1:]}" if path else why
+    return f"{path}{shown}: {why}" if path else why

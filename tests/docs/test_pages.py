@@ -9,7 +9,14 @@ from typing import Any
 
 import pytest
 
-PAGES = ("README.md", "docs/architecture.md", "docs/components.md", "docs/localization.md")
+PAGES = (
+    "README.md",
+    "docs/architecture.md",
+    "docs/components.md",
+    "docs/localization.md",
+    "docs/navigation.md",
+    "docs/simulation.md",
+)
 # Those that need no running robot, in any page; the others are tried by the tests of the CLI.
 OFFLINE = ("cairn check deploy/", "cairn schema ", "cairn plugins", "cairn map ")
 BEGINNING = """\

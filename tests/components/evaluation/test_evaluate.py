@@ -59,4 +59,4 @@ def test_a_world_that_cannot_be_is_told_of(tmp_path: Path) -> None:
     )
 
     assert answer.code == 1
-    assert "table overlaps desk at (2.20, 2.00)" in answer.err
+    assert "desk overlaps table at (2.20, 2.00); move one of them" in answer.err

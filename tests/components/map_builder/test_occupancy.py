@@ -154,3 +154,21 @@ def test_a_map_is_drawn_from_scans_of_known_poses() -> None:
         assert (drawn.values[row - 1 : row + 2, column - 1 : column + 2] == value).any()
     row, column = drawn.frame.cell(4.75, 3.3)
     assert drawn.values[row, column] == UNKNOWN
+
+
+def test_what_was_drawn_while_the_robot_was_lost_can_be_taken_back() -> None:
+    occupancy = Occupancy(room(), 8.0)
+    now = pass_by(occupancy, room((*(box for box in ROOM if box != OLD), NEW)), 0.0)
+    found = occupancy.cells.copy()
+    lost_at = now
+    random = np.random.default_rng(3)
+    for k in range(100):
+        seen = scanned(room(), (2.0, 2.0, 0.1 * k), random)
+        occupancy.integrate(now + 0.2 * k, (6.0, 5.0, 0.1 * k), rays(seen))
+    assert not np.array_equal(occupancy.cells, found)
+
+    window = occupancy.take_back(lost_at)
+
+    assert window is not None
+    assert np.array_equal(occupancy.cells, found)
+    assert occupancy.take_back(lost_at) is None

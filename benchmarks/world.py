@@ -1,0 +1,148 @@
+"""The simulated world: rays a second on one core, and what a simulated second costs in lockstep."""
+
+import math
+import time
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.result import Figure
+from cairn.bus.lockstep_bus import LockstepBus
+from cairn.bus.qos import SENSOR
+from cairn.clock import SECOND
+from cairn.component.component import Component
+from cairn.component.lifecycle import Transition
+from cairn.component.runtime import Assignment, End, Runtime
+from cairn.placement.lockstep import LockstepExecutor
+from components.simulation.base import SimulatedBase
+from components.simulation.rays import cast
+from components.simulation.recognizer import SimulatedRecognizer
+from components.simulation.scanner import SimulatedScanner
+from components.simulation.scene import Scene
+from components.simulation.world_component import SimulatedWorld
+from components.simulation.world_file import read_world
+from schemas.geometry_msgs import Twist, Vector3
+
+Array = NDArray[np.float64]
+WORLDS = Path(__file__).parent.parent / "deploy" / "worlds"
+REACH = 10.0
+
+
+def in_python(x: float, y: float, angle: float, segments: list[list[float]]) -> float:
+    """The range [m] of one ray against segments, as one would write it down."""
+    cosine, sine = math.cos(angle), math.sin(angle)
+    best = REACH
+    for x1, y1, x2, y2 in segments:
+        dx, dy = x2 - x1, y2 - y1
+        across = cosine * dy - sine * dx
+        if across == 0.0:
+            continue
+        along = ((x1 - x) * dy - (y1 - y) * dx) / across
+        share = ((x1 - x) * sine - (y1 - y) * cosine) / across
+        if 0.0 <= share <= 1.0 and 0.0 <= along < best:
+            best = along
+    return best if best < REACH else math.inf
+
+
+def in_numpy(starts: Array, angles: Array, segments: Array) -> Array:
+    """The same for all rays and segments at once."""
+    cosine, sine = np.cos(angles)[:, None], np.sin(angles)[:, None]
+    x1, y1 = segments[:, 0] - starts[:, :1], segments[:, 1] - starts[:, 1:]
+    dx, dy = segments[:, 2] - segments[:, 0], segments[:, 3] - segments[:, 1]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        across = cosine * dy - sine * dx
+        along = (x1 * dy - y1 * dx) / across
+        share = (x1 * sine - y1 * cosine) / across
+    along[~((share >= 0.0) & (share <= 1.0) & (along >= 0.0) & (along < REACH))] = math.inf
+    nearest: Array = along.min(axis=1)
+    return nearest
+
+
+def rays() -> list[Figure]:
+    """Sweeps of 1081 rays from places all over the hall."""
+    segments = Scene.of(read_world(WORLDS / "hall.yaml")).standing.segments
+    nobody = np.zeros((0, 3))
+    random = np.random.default_rng(0)
+    sweeps = 40
+    starts = random.uniform((0.5, 1.0), (19.5, 14.5), (sweeps, 2)).repeat(1081, axis=0)
+    angles = np.tile(np.linspace(-math.pi, math.pi, 1081), sweeps)
+    ranges, _ = cast(starts, angles, segments, nobody, REACH)
+    began = time.process_time()
+    for _ in range(20):
+        cast(starts, angles, segments, nobody, REACH)
+    rate = 20 * angles.size / (time.process_time() - began)
+    began = time.process_time()
+    vectorised = np.concatenate(
+        [
+            in_numpy(starts[one : one + 1081], angles[one : one + 1081], segments)
+            for one in range(0, angles.size, 1081)
+        ]
+    )
+    numpy_rate = angles.size / (time.process_time() - began)
+    count, rows = 4000, segments.tolist()
+    began = time.process_time()
+    plain = [
+        in_python(x, y, angle, rows)
+        for (x, y), angle in zip(starts[:count].tolist(), angles[:count].tolist(), strict=True)
+    ]
+    python_rate = count / (time.process_time() - began)
+    wrong = np.sum(~np.isclose(ranges, vectorised, atol=1e-9))
+    wrong += np.sum(~np.isclose(ranges[:count], plain, atol=1e-9))
+    return [
+        Figure("hall: rays a second", rate / 1e6, "million", at_least=2),
+        Figure("hall: times as fast as numpy", rate / numpy_rate, "x", at_least=3,
+               note=f"numpy {numpy_rate / 1e6:.2g} million"),
+        Figure("hall: times as fast as a loop in Python", rate / python_rate, "x", at_least=50,
+               note=f"Python {python_rate / 1e3:.2g} thousand"),
+        Figure("hall: rays on which they do not agree", float(wrong), "", at_most=0),
+    ]  # fmt: skip
+
+
+def simulated(world: str, seconds: float) -> float:
+    """CPU ms a simulated second of world, base, scanner and recogniser, driven in a curve."""
+    executor, bus, ends = LockstepExecutor(SECOND), LockstepBus(), list[End]()
+    parts: dict[str, tuple[type[Component], dict[str, object]]] = {
+        "world": (SimulatedWorld, {"world": str(WORLDS / world)}),
+        "base": (SimulatedBase, {}),
+        "range_scanner": (SimulatedScanner, {"rate": 10, "skip": 3}),
+        "object_recognizer": (SimulatedRecognizer, {}),
+    }
+    for name, (component, parameters) in parts.items():
+        runtime = Runtime(
+            component,
+            Assignment(name=name, plugin=name, parameters=parameters),
+            bus,
+            executor.scheduler(),
+            executor,
+            ends.append,
+        )
+        runtime.transition(Transition.CONFIGURE)
+        runtime.transition(Transition.ACTIVATE)
+    writer = bus.node("/robot/driver", _ignore).advertise("/robot/cmd_vel", Twist, SENSOR)
+    command = Twist(linear=Vector3(x=0.3), angular=Vector3(z=1.2))
+
+    def drive() -> None:
+        writer.publish(command)
+        executor.at(executor.now() + SECOND // 10, drive)
+
+    drive()
+    began, until = time.process_time(), executor.now() + round(seconds * SECOND)
+    executor.run(lambda: executor.now() >= until or bool(ends))
+    if ends:
+        raise RuntimeError(f"the simulation ended: {ends[0]}")
+    return 1000.0 * (time.process_time() - began) / seconds
+
+
+def measure() -> list[Figure]:
+    """Rays against what stands in the hall; the whole simulation in three worlds."""
+    limits = {"room": 12.0, "office": 12.0, "hall": 16.0}
+    return rays() + [
+        Figure(f"{world}: the simulation, CPU for a simulated second",
+               min(simulated(f"{world}.yaml", 20.0) for _ in range(3)), "ms", at_most=limit)
+        for world, limit in limits.items()
+    ]  # fmt: skip
+
+
+def _ignore(complaint: str) -> None:
+    """Complaints to whoever drives."""

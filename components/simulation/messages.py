@@ -1,0 +1,37 @@
+"""The scene as messages: for the drivers of sensors, and as the map that would be true."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from components.simulation.scene import Scene
+from planar.messages import packed_poses
+from schemas import cairn_sim_msgs
+from schemas.cairn_msgs import VisualMap, VisualObject
+from schemas.std_msgs import Header
+
+
+def scene_message(header: Header, scene: Scene) -> cairn_sim_msgs.Scene:
+    """What stands, for drivers."""
+    things = list(scene.objects.values())
+    poses = np.array([thing.pose for thing in things], np.float64).reshape(-1, 3)
+    return cairn_sim_msgs.Scene(
+        header=header,
+        segments=scene.standing.segments.ravel(),
+        surfaces=scene.standing.surfaces,
+        object_ids=np.array([thing.id for thing in things], np.uint32),
+        object_names=tuple(thing.called for thing in things),
+        object_poses=packed_poses(poses),
+    )
+
+
+def true_map(header: Header, scene: Scene) -> VisualMap:
+    """The visual map as it would have to be."""
+    return VisualMap(
+        header=header,
+        version=scene.version,
+        objects=tuple(
+            VisualObject(object_id=thing.id, name=thing.called, x=thing.x, y=thing.y)
+            for thing in scene.objects.values()
+        ),
+    )

@@ -1,0 +1,13 @@
+"""What the tests of the simulation share."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from tests.components.simulation.stage import Simulation
+
+
+@pytest.fixture
+def begin(tmp_path: Path) -> Callable[..., Simulation]:
+    return lambda **more: Simulation(tmp_path, **more)

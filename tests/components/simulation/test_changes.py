@@ -1,0 +1,113 @@
+"""What is changed in the world, and parts begun anew: all drivers follow."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cairn.bus.qos import LATCHED
+from cairn.clock import SECOND, to_ns
+from cairn.errors import CairnError
+from components.simulation.base import SimulatedBase
+from components.simulation.recognizer import SimulatedRecognizer
+from components.simulation.scanner import SimulatedScanner
+from planar.messages import planar_pose
+from planar.poses import distance
+from schemas.cairn_msgs import VisualMap
+from tests.cairn.component.running import taken
+from tests.components.simulation.stage import EXACT, MOUNT, OBJECTS, TABLE, Simulation
+
+Begin = Callable[..., Simulation]
+
+
+def test_what_is_moved_is_moved_for_the_sensors_too(begin: Begin) -> None:
+    simulation = begin(furniture=[TABLE], objects=OBJECTS)
+    simulation.drive(0.5, 0, 0)
+    simulation.taken("scan"), simulation.taken("objects")
+    simulation.world.ask("move", name="table", x=4.5, y=2.0, theta=0.0)
+    simulation.drive(0.5, 0, 0)
+    scan = simulation.taken("scan")[-1]
+
+    ahead = round((-0.2 - scan.angle_min) / scan.angle_increment)
+    assert scan.ranges[ahead] == pytest.approx(4.1 - 3.1, abs=0.08)
+    assert simulation.taken("objects") == []
+    simulation.world.ask("remove", name="table")
+    simulation.world.ask("move", name="object_1", x=5.0, y=2.5, theta=3.1416)
+    simulation.drive(0.5, 0, 0)
+    assert simulation.taken("objects")[-1].objects[0].range == pytest.approx(2.06, abs=0.3)
+
+
+@pytest.mark.parametrize(
+    ("verb", "arguments", "told"),
+    [
+        ("move", {"name": "table", "x": 3, "y": 2}, "table would stand on the robot"),
+        ("move", {"name": "sofa", "x": 3, "y": 2}, "there is no sofa; there are object_1, "),
+        ("move", {"name": "table", "x": float("nan"), "y": 2}, "move: x = 'nan': "),
+        ("move", {"name": "table"}, "move: x: must be given; y: must be given"),
+        ("furniture", {"name": "b", "x": 1, "y": 1}, "furniture: give outline or size"),
+        ("kidnap", {"x": 0.1, "y": 2}, "wall 1 is 0.10 m from there"),
+        ("person", {"name": "a", "waypoints": []}, "person: waypoints = "),
+        ("dance", {}, "dance"),
+    ],
+)
+def test_wrong_requests_are_refused_with_the_reason(
+    begin: Begin, verb: str, arguments: dict[str, Any], told: str
+) -> None:
+    simulation = begin(furniture=[TABLE], objects=OBJECTS)
+
+    with pytest.raises(CairnError, match=told):
+        simulation.world.ask(verb, **arguments)
+    assert simulation.world.state == "active"
+
+
+def test_a_kidnapped_robot_is_elsewhere_though_no_wheel_has_turned(begin: Begin) -> None:
+    simulation = begin()
+    simulation.drive(0.5, 0, 0)
+    simulation.world.ask("kidnap", x=1.0, y=1.0, theta=1.0)
+    simulation.drive(0.5, 0, 0)
+
+    last = simulation.taken("truth")[-1]
+    assert last.header.frame_id == "map"
+    assert planar_pose(last.pose) == pytest.approx((1.0, 1.0, 1.0))
+    assert planar_pose(simulation.taken("odom")[-1].pose.pose) == (0.0, 0.0, 0.0)
+
+
+def test_events_happen_on_time_and_the_true_map_follows(begin: Begin) -> None:
+    event = {"at": 2.0, "move": "object_2", "to": {"x": 0.0, "y": 1.0}}
+    simulation = begin(objects=OBJECTS, events=[event])
+    maps = simulation.lockstep.read("true_map", VisualMap, LATCHED)
+    simulation.drive(4.0, 0, 0)
+
+    first, second = taken(maps)
+    assert to_ns(second.header.stamp) == pytest.approx(3 * SECOND, abs=SECOND // 20)
+    assert [thing.y for thing in first.objects] == [2.0, 2.0]
+    assert [thing.y for thing in second.objects] == [2.0, 1.0]
+
+
+def test_a_base_begun_anew_counts_from_its_origin_while_the_robot_stays(begin: Begin) -> None:
+    simulation = begin()
+    simulation.drive(2.0, 0.4, 0.0)
+    simulation.base.ask("shutdown")
+    before = simulation.taken("truth")[-1]
+    simulation.rerun(SimulatedBase, **EXACT)
+    simulation.taken("odom")
+    simulation.drive(0.2, 0.0, 0.0)
+
+    assert planar_pose(simulation.taken("odom")[0].pose.pose) == (0.0, 0.0, 0.0)
+    now = simulation.taken("truth")[-1]
+    assert distance(planar_pose(now.pose), planar_pose(before.pose)) < 0.05
+
+
+def test_sensors_begun_anew_know_what_stands(begin: Begin) -> None:
+    simulation = begin(objects=OBJECTS)
+    simulation.drive(0.5, 0, 0)
+    simulation.scanner.ask("shutdown")
+    simulation.recognizer.ask("shutdown")
+    simulation.taken("scan"), simulation.taken("objects")
+    simulation.rerun(SimulatedScanner, mount=MOUNT)
+    simulation.rerun(SimulatedRecognizer, detected=1.0)
+    simulation.drive(0.5, 0, 0)
+
+    assert np.isfinite(simulation.taken("scan")[-1].ranges).mean() > 0.9
+    assert simulation.taken("objects")

@@ -1,0 +1,172 @@
+"""`cairn world` on a running simulation, in real processes; parts that are killed come back."""
+
+import os
+import signal
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+import yaml
+
+from tests.commands import Answer, await_status, cairn
+from tests.components.simulation.worlds import box
+from tests.launching import Run, launching
+
+TABLE = {"name": "table", "x": 1.5, "y": 3.0, "size": [0.8, 0.8]}
+OBJECTS = [{"id": 1, "x": 6.0, "y": 2.0, "theta": 3.1416}]
+ADA = {"name": "ada", "waypoints": [[5.0, 3.5]]}
+
+COMPONENTS = """
+    external_topics: [cmd_vel]
+    supervision: {{max_restarts: 9}}
+    components:
+      world:
+        plugin: simulated_world
+        parameters: {{world: "{folder}/world.yaml", state_file: "{folder}/state.json"}}
+      base: {{plugin: simulated_base}}
+      range_scanner: {{plugin: simulated_scanner, parameters: {{rate: 10}}}}
+      object_recognizer: {{plugin: simulated_recognizer}}
+    """
+
+World = Callable[..., Answer]
+
+
+@pytest.fixture(scope="module")
+def simulation(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Run]:
+    """A world with base, scanner and recogniser, running."""
+    folder = tmp_path_factory.mktemp("simulation")
+    file = folder / "world.yaml"
+    file.write_text(yaml.safe_dump(box(furniture=[TABLE], objects=OBJECTS, people=[ADA])))
+    with launching(folder) as launch:
+        run = launch(COMPONENTS.format(folder=folder))
+        run.await_line("object_recognizer active")
+        yield run
+        assert run.stop() == 0
+
+
+@pytest.fixture
+def world(simulation: Run) -> World:
+    """Runs `cairn world` commands against it."""
+
+    def against(*arguments: str) -> Answer:
+        return cairn("world", *arguments, connect=simulation.endpoint)
+
+    return against
+
+
+def listed(world: World) -> dict[str, dict[str, Any]]:
+    return {row["name"]: row for row in world("list", "--json").json}
+
+
+def place(row: dict[str, Any]) -> tuple[float, float, float]:
+    return row["x"], row["y"], row["theta"]
+
+
+def test_list_tells_what_stands_who_walks_and_where_the_robot_is(world: World) -> None:
+    rows = listed(world)
+
+    assert {name: row["kind"] for name, row in rows.items()} == {
+        "robot": "robot",
+        "table": "furniture",
+        "object_1": "object",
+        "ada": "person",
+    }
+    assert place(rows["table"]) == (1.5, 3.0, 0.0)
+    assert "heading [rad]" in world("list").out
+
+
+def test_things_are_added_moved_and_removed(world: World) -> None:
+    assert world("add", "crate", "4.5", "1.4", "30deg", "--size", "0.5,0.4").out == "crate added\n"
+    assert world("add", "poster", "2", "0", "90deg", "--object", "7").code == 0
+    assert world("person", "eve", "1,0.5", "5,0.5", "--speed", "0.5").out == "eve comes\n"
+    rows = listed(world)
+    assert place(rows["crate"]) == pytest.approx((4.5, 1.4, 0.5236), abs=1e-4)
+    assert rows["poster"]["kind"] == "object"
+    assert rows["eve"]["kind"] == "person"
+
+    assert world("move", "crate", "4.4", "1.3", "-90deg").out == "crate moved\n"
+    assert place(listed(world)["crate"]) == pytest.approx((4.4, 1.3, -1.5708), abs=1e-4)
+    for name in ("crate", "poster", "eve"):
+        assert world("remove", name).out == f"{name} taken away\n"
+    assert set(listed(world)) == {"robot", "table", "object_1", "ada"}
+
+
+def test_the_robot_is_carried_off(world: World) -> None:
+    assert world("kidnap", "5", "1", "90deg").out == "carried off\n"
+    assert place(listed(world)["robot"]) == pytest.approx((5.0, 1.0, 0.5 * 3.14159), abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("command", "told"),
+    [
+        (["kidnap", "0.1", "2"], "cannot be at (0.10, 2.00): wall 1 is 0.10 m from there"),
+        (["kidnap", "-3", "2"], "outside of the walls"),
+        (["move", "sofa", "1", "1"], "there is no sofa; there are ada, object_1, table"),
+        (["move", "table", "north", "1"], "'north' is not a number"),
+        (["move", "table", "nan", "1"], "nan: give a finite number"),
+        (["move", "table", "0.1", "1"], "table overlaps wall 1 at (0.00, 1.00)"),
+        (["add", "table", "1", "1"], "there is a table already; give another name"),
+        (["add", "it", "1", "1", "--size", "big"], "--size big: write it as WIDTH,DEPTH"),
+        (["add", "it", "3", "1", "--size", "0,1"], "size[0] = '0.0': input should be greater"),
+        (["person", "eve", "1;2"], "1;2: write a place as X,Y"),
+        (["person", "eve", "0.5,3", "3,3"], "eve cannot walk from (0.5, 3) to (3, 3): table is in"),
+        (["remove", "my desk"], "name = 'my desk': "),
+    ],
+)
+def test_what_cannot_be_is_refused_with_the_reason(
+    world: World, command: list[str], told: str
+) -> None:
+    before = listed(world)["table"]
+
+    answer = world(*command)
+
+    assert answer.code == 1
+    assert told in answer.err
+    assert answer.err.count("\n") == 1
+    assert listed(world)["table"] == before
+
+
+def test_without_a_world_it_is_told_how_to_start_one(simulation: Run) -> None:
+    answer = cairn("world", "list", "--robot", "nobody", connect=simulation.endpoint)
+
+    assert answer.code == 1
+    assert "no simulated world runs" in answer.err
+
+
+def test_a_killed_world_goes_on_as_it_was(simulation: Run, world: World) -> None:
+    world("kidnap", "4", "1")
+    world("move", "table", "1.2", "2.5")
+    until(lambda: '"x":1.2' in (simulation.report.parent / "state.json").read_text())
+    os.kill(simulation.pid_of("world"), signal.SIGKILL)
+
+    simulation.await_line("the world goes on at")
+    await_status("/robot/world", lambda row: row["state"] == "active", simulation.endpoint)
+    rows = listed(world)
+    assert place(rows["table"]) == (1.2, 2.5, 0.0)
+    assert place(rows["robot"])[:2] == (4.0, 1.0)
+
+
+@pytest.mark.parametrize("part", ["base", "range_scanner", "object_recognizer"])
+def test_a_killed_driver_comes_back_and_works(simulation: Run, part: str) -> None:
+    topic = {"base": "odom", "range_scanner": "scan", "object_recognizer": "objects"}[part]
+    cairn("world", "kidnap", "3", "2", connect=simulation.endpoint)
+    old = simulation.pid_of(part)
+    os.kill(old, signal.SIGKILL)
+
+    await_status(
+        f"/robot/{part}",
+        lambda row: row["state"] == "active" and row["pid"] != old,
+        simulation.endpoint,
+    )
+    answer = cairn("topic", "echo", topic, "--count", "1", connect=simulation.endpoint)
+    assert answer.code == 0
+    assert "stamp" in answer.out
+
+
+def until(holds: Callable[[], bool], limit_s: float = 10.0) -> None:
+    """Wait until a file is as wanted: nobody tells of that."""
+    deadline = time.monotonic() + limit_s
+    while not holds():
+        assert time.monotonic() < deadline
+        time.sleep(0.02)

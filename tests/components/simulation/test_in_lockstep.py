@@ -1,0 +1,180 @@
+"""World and drivers together: truth, odometry, scans and objects agree."""
+
+import hashlib
+import math
+from collections.abc import Callable
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cairn.bus.codec import Codec
+from cairn.clock import SECOND, to_ns
+from cairn.errors import CairnError
+from components.simulation.rays import cast
+from components.simulation.scanner import SimulatedScanner
+from components.simulation.scene import Scene
+from components.simulation.world_file import read_world
+from planar.messages import planar_pose
+from planar.poses import compose, distance, wrap
+from tests.components.simulation.stage import (
+    OBJECTS,
+    TABLE,
+    Simulation,
+    poses_of,
+    script,
+)
+
+Begin = Callable[..., Simulation]
+
+
+def test_truth_and_odometry_tell_the_same_way_at_the_same_times(begin: Begin) -> None:
+    simulation = begin(furniture=[TABLE], objects=OBJECTS)
+    script(simulation)
+    odom, truth = poses_of(simulation.taken("odom")), poses_of(simulation.taken("truth"))
+
+    together = sorted(set(odom) & set(truth))
+    assert len(together) >= 65
+    for stamp in together:
+        there = compose((3.0, 2.0, 0.0), odom[stamp])
+        assert distance(there, truth[stamp]) < 1e-9
+        assert wrap(there[2] - truth[stamp][2]) == pytest.approx(0, abs=1e-9)
+    way = [distance(truth[a], truth[b]) for a, b in pairwise(together)]
+    assert sum(way) > 1.0
+
+
+def test_scans_show_the_world_from_where_the_robot_was_at_each_beam(begin: Begin) -> None:
+    simulation = begin(furniture=[TABLE], objects=OBJECTS)
+    script(simulation)
+    states = simulation.taken("world_state")
+    stamps = np.array([to_ns(state.header.stamp) for state in states], float)
+    poses = np.array([planar_pose(state.robot) for state in states])
+    poses[:, 2] = np.unwrap(poses[:, 2])
+    segments = Scene.of(read_world(simulation.file)).standing.segments
+
+    off = []
+    for scan in simulation.taken("scan"):
+        beams = np.arange(scan.ranges.size)
+        times = to_ns(scan.header.stamp) + beams * scan.time_increment * SECOND
+        if not (stamps[0] <= times[0] and times[-1] <= stamps[-1]):
+            continue
+        robots = np.column_stack([np.interp(times, stamps, column) for column in poses.T])
+        mounted = np.array([compose(tuple(one), (0.1, 0.0, 0.2)) for one in robots.tolist()])
+        angles = mounted[:, 2] + scan.angle_min + beams * scan.angle_increment
+        true, _ = cast(mounted[:, :2].copy(), angles, segments, np.zeros((0, 3)), 10.0)
+        off.append(scan.ranges - true)
+
+    errors = np.concatenate(off)
+    assert len(off) >= 65
+    # At corners a ray may meet either side.
+    assert np.mean(np.abs(errors) < 4 * 0.015) > 0.995
+    assert np.median(errors) == pytest.approx(0.0, abs=5e-4)
+    assert 1.4826 * np.median(np.abs(errors)) == pytest.approx(0.015, rel=0.03)
+
+
+def test_scans_come_at_their_rate_stamped_at_their_first_beam(begin: Begin) -> None:
+    simulation = begin()
+    simulation.drive(1.05, 0.0, 0.0)
+    scans = simulation.taken("scan")
+
+    assert np.diff([to_ns(scan.header.stamp) for scan in scans]) == pytest.approx(SECOND // 10)
+    swept_ns = 1080 * scans[0].time_increment * SECOND
+    ended = to_ns(scans[0].header.stamp) + swept_ns
+    assert ended == pytest.approx(1.1 * SECOND, abs=1000)
+    assert scans[0].scan_time == pytest.approx(0.1)
+
+
+def test_objects_are_seen_at_range_and_bearing_from_the_true_pose(begin: Begin) -> None:
+    simulation = begin(objects=OBJECTS)
+    simulation.drive(3.0, 0.0, 0.4)
+    truth = {
+        to_ns(state.header.stamp): planar_pose(state.robot)
+        for state in simulation.taken("world_state")
+    }
+    seen = [one for one in simulation.taken("objects") if to_ns(one.header.stamp) in truth]
+
+    assert len(seen) >= 4
+    for message in seen:
+        x, y, theta = truth[to_ns(message.header.stamp)]
+        (one,) = message.objects
+        assert one.object_id == 1
+        assert one.range == pytest.approx(
+            math.hypot(6 - x, 2 - y), abs=5 * one.covariance[0] ** 0.5
+        )
+        bearing = wrap(math.atan2(2 - y, 6 - x) - theta)
+        assert wrap(one.bearing - bearing) == pytest.approx(0, abs=5 * one.covariance[3] ** 0.5)
+
+
+def test_odometry_strays_by_what_it_says_and_its_speed_is_measured(begin: Begin) -> None:
+    simulation = begin(exact=False)
+    simulation.drive(2.0, 0.4, 0.3)
+    last = simulation.taken("odom")[-1]
+    covariance = last.pose.covariance.reshape(6, 6)
+
+    assert covariance[0, 0] > 0
+    assert covariance[5, 5] > 0
+    assert np.all(np.linalg.eigvalsh(covariance[np.ix_([0, 1, 5], [0, 1, 5])]) > 0)
+    assert last.twist.twist.linear.x == pytest.approx(0.4, rel=0.05)
+    assert last.twist.twist.linear.x != 0.4
+
+
+def test_without_commands_the_robot_stops_and_without_a_base_time_goes_on(begin: Begin) -> None:
+    simulation = begin(people=[{"name": "ada", "waypoints": [[0.5, 3.5], [5, 3.5]], "speed": 1.0}])
+    simulation.drive(1.0, 0.5, 0.0)
+    simulation.now += 2 * SECOND
+    simulation.lockstep.run_until(simulation.now)
+    stopped = poses_of(simulation.taken("truth"))
+    simulation.base.ask("shutdown")
+    simulation.now += 2 * SECOND
+    simulation.lockstep.run_until(simulation.now)
+    states = simulation.taken("world_state")
+
+    last = [stopped[stamp] for stamp in sorted(stopped)[-8:]]
+    assert len(set(last)) == 1
+    assert to_ns(states[-1].header.stamp) > simulation.now - SECOND // 10
+    assert states[-1].people.array[0, 0] > states[-30].people.array[0, 0]
+
+
+def test_a_collision_is_told_once_with_place_and_speed(begin: Begin) -> None:
+    simulation = begin()
+    simulation.drive(9.0, 0.6, 0.0)
+
+    (hit,) = simulation.taken("collisions")
+    assert hit.what == "wall 1"
+    assert hit.x == pytest.approx(5.78, abs=0.013)
+    assert hit.speed == pytest.approx(0.6)
+    state = simulation.taken("world_state")[-1]
+    assert (state.forward, state.turn) == (0.0, 0.0)
+
+
+def test_the_same_seed_gives_the_same_bytes(tmp_path: Path) -> None:
+    sums = []
+    for _ in range(2):
+        simulation = Simulation(
+            tmp_path,
+            exact=False,
+            furniture=[TABLE],
+            objects=OBJECTS,
+            people=[{"name": "ada", "waypoints": [[0.5, 0.5], [5, 0.5]]}],
+        )
+        script(simulation)
+        digest, codec = hashlib.sha256(), Codec()
+        for topic in ("odom", "scan", "world_state", "objects"):
+            messages = simulation.taken(topic)
+            assert len(messages) >= 5
+            for message in messages:
+                digest.update(codec.encode(message))
+        sums.append(digest.hexdigest())
+
+    assert sums[0] == sums[1]
+
+
+def test_a_wrong_scanner_is_told_when_it_is_configured(tmp_path: Path) -> None:
+    simulation = Simulation(tmp_path)
+    for parameters, told in (
+        ({"rate": 50}, "rate = 50 Hz, but a UST-10LX turns 40 times a second"),
+        ({"first": 1.0, "last": 0.9}, "leave no two beams of a UST-10LX"),
+    ):
+        with pytest.raises(CairnError, match=told):
+            simulation.rerun(SimulatedScanner, **parameters)

@@ -1,0 +1,113 @@
+"""Objects are recognised where a camera would see them, and as often as asked."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from components.simulation.recognition import Eye, Recognised, Thing, recognised
+from components.simulation.scanning import Surroundings
+from components.simulation.scene import SURFACES
+from planar.poses import Pose
+
+EYE = Eye(
+    field_of_view=math.radians(60),
+    nearest=0.4,
+    farthest=5.0,
+    facing=math.radians(70),
+    range_sd=0.01,
+    range_sd_m2=0.01,
+    bearing_sd=0.02,
+    detected=1.0,
+    mistaken=0.0,
+)
+ROBOT: Pose = (0.0, 0.0, 0.0)
+NOWHERE = Surroundings(np.zeros((0, 4)), np.zeros(0, np.uint8), np.zeros((0, 3)))
+
+
+def facing(x: float, y: float, object_id: int = 1, aside: float = 0.0) -> Thing:
+    """An object that looks at the origin, or aside of it [rad]."""
+    return Thing(object_id, (x, y, math.atan2(-y, -x) + aside))
+
+
+def seen(
+    things: Sequence[Thing],
+    around: Surroundings = NOWHERE,
+    eye: Eye = EYE,
+    mount: Pose = (0.0, 0.0, 0.0),
+    seed: int = 0,
+) -> list[Recognised]:
+    return recognised(eye, ROBOT, mount, things, around, np.random.default_rng(seed))
+
+
+def across(x: float, surface: str = "plain") -> Surroundings:
+    """Something that stands across the view."""
+    number = SURFACES[surface]  # type: ignore[index]
+    return Surroundings(
+        np.array([[x, -1.0, x, 1.0]]), np.array([number], np.uint8), np.zeros((0, 3))
+    )
+
+
+@pytest.mark.parametrize(
+    ("thing", "there"),
+    [
+        (facing(2, 0), True),
+        (facing(2 * math.cos(0.5), 2 * math.sin(0.5)), True),
+        (facing(2 * math.cos(0.55), 2 * math.sin(0.55)), False),
+        (facing(-2, 0), False),
+        (facing(0.3, 0), False),
+        (facing(5.1, 0), False),
+        (facing(2, 0, aside=math.radians(69)), True),
+        (facing(2, 0, aside=math.radians(-71)), False),
+        (facing(2, 0, aside=math.pi), False),
+    ],
+)
+def test_an_object_is_seen_in_view_in_reach_and_from_its_front(thing: Thing, there: bool) -> None:
+    assert bool(seen([thing])) == there
+
+
+def test_what_stands_before_it_hides_it_but_not_what_it_hangs_on() -> None:
+    assert not seen([facing(2, 0)], across(1.0))
+    assert seen([facing(2, 0)], across(2.0))
+    assert seen([facing(2, 0)], across(3.0))
+    assert seen([facing(2, 0)], across(1.0, "glass"))
+    person = Surroundings(np.zeros((0, 4)), np.zeros(0, np.uint8), np.array([[1.0, 0.0, 0.25]]))
+    assert not seen([facing(2, 0)], person)
+
+
+def test_range_and_bearing_are_from_the_base_wherever_the_camera_sits() -> None:
+    (one,) = seen([facing(3, 0.5)], mount=(0.5, 0.2, 0.4))
+
+    assert one.range_m == pytest.approx(math.hypot(3, 0.5), abs=4 * one.range_sd)
+    assert one.bearing == pytest.approx(math.atan2(0.5, 3), abs=4 * one.bearing_sd)
+
+
+def test_errors_have_the_stated_deviation() -> None:
+    found = [seen([facing(2, 0)], seed=seed)[0] for seed in range(800)]
+
+    assert found[0].range_sd == pytest.approx(0.05)
+    assert np.std([(one.range_m - 2) / one.range_sd for one in found]) == pytest.approx(1, abs=0.1)
+    assert np.std([one.bearing / one.bearing_sd for one in found]) == pytest.approx(1, abs=0.1)
+
+
+def test_objects_are_missed_and_mistaken_as_often_as_asked() -> None:
+    eye = replace(EYE, detected=0.7, mistaken=0.2)
+    things = [facing(2, 0, 1), facing(-2, 0, 2), facing(-2, 1, 3)]
+    random = np.random.default_rng(0)
+    found = [recognised(eye, ROBOT, (0, 0, 0), things, NOWHERE, random) for _ in range(2000)]
+    ids = [one.object_id for sighting in found for one in sighting]
+
+    assert len(ids) / 2000 == pytest.approx(0.7, abs=0.04)
+    assert sum(one != 1 for one in ids) / len(ids) == pytest.approx(0.2, abs=0.04)
+    assert ids.count(2) == pytest.approx(ids.count(3), rel=0.35)
+
+
+def test_what_one_object_does_changes_nothing_for_the_others() -> None:
+    eye = replace(EYE, mistaken=0.5)
+    other = facing(3, 0.2, 2)
+    for seed in range(20):
+        with_it = seen([facing(2, -0.5, 1), other], eye=eye, seed=seed)[-1]
+        without = seen([facing(-2, -0.5, 1), other], eye=eye, seed=seed)[-1]
+        assert with_it == without

@@ -1,0 +1,58 @@
+"""A world whose process was killed goes on where it was."""
+
+from pathlib import Path
+
+import pytest
+
+from components.simulation.state_file import StateFile
+from components.simulation.world import World
+from tests.components.simulation.worlds import world_of
+
+TABLE = {"name": "table", "x": 1.5, "y": 2.0, "size": [0.8, 0.8]}
+
+
+def world() -> World:
+    return world_of(
+        furniture=[TABLE, {**TABLE, "name": "crate", "x": 4.6}],
+        objects=[{"id": 1, "x": 0.0, "y": 3.0}],
+        people=[{"name": "ada", "waypoints": [[1.0, 3.4], [5.0, 3.4]], "pause": 3.0}],
+        events=[{"at": 1, "remove": "crate"}, {"at": 9, "remove": "table"}],
+    )
+
+
+def test_it_goes_on_where_it_was(tmp_path: Path) -> None:
+    file = StateFile(tmp_path / "world.json")
+    before = world()
+    file.keep(before, 0.5)
+    for number in range(200):
+        before.drive(0.02, 0.2, 0.1)
+        before.walk(0.02)
+        before.happen(number * 0.02)
+    before.move("object_1", (6.0, 1.0, 3.1))
+    file.keep(before, 4.0)
+
+    after = world()
+    kept = file.kept()
+    assert kept is not None
+    kept.put_into(after)
+
+    assert after.robot == before.robot
+    assert after.walkers == before.walkers
+    assert after.scene.furniture == before.scene.furniture
+    assert after.scene.objects == before.scene.objects
+    assert after.happen(8.0) == []
+    assert [one.told for one in after.happen(9.0)] == ["table is taken away"]
+
+
+@pytest.mark.parametrize("text", [None, "", "{}", '{"elapsed_s": 1', "\xff"])
+def test_what_cannot_be_read_is_no_state(tmp_path: Path, text: str | None) -> None:
+    path = tmp_path / "world.json"
+    if text is not None:
+        path.write_text(text, encoding="latin-1")
+
+    assert StateFile(path).kept() is None
+
+
+def test_a_disk_that_takes_nothing_is_the_callers_matter(tmp_path: Path) -> None:
+    with pytest.raises(OSError, match="No such file"):
+        StateFile(tmp_path / "gone" / "world.json").keep(world(), 0.0)

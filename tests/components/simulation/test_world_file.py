@@ -1,0 +1,206 @@
+"""Wrong world files are refused with file, place, value and remedy."""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from cairn.errors import CairnError
+from components.simulation.checks import problems_of
+from components.simulation.world_file import WorldFile, read_world
+from tests.commands import cairn
+from tests.components.simulation.worlds import RADIUS, box
+
+WORLDS = Path(__file__).parents[3] / "deploy" / "worlds"
+DESK = {"name": "desk", "x": 1.0, "y": 1.0, "size": [0.8, 0.6]}
+
+KNOT = [[0, 0], [1, 1], [1, 0], [0, 1]]
+
+UNREADABLE: dict[str, tuple[str, str]] = {
+    "syntax": ("walls: [", r":1:9: not YAML: expected"),
+    "empty": ("", "needs the keys walls and robot"),
+    "a list": ("- 1", "needs the keys walls and robot"),
+    "a key twice": ("robot: {x: 1, y: 1}\nrobot: {x: 2, y: 2}", ":2:1: not YAML: the key robot is"),
+    "no walls": ("robot: {x: 1, y: 1}", "walls: must be given"),
+}
+
+
+@pytest.mark.parametrize("case", UNREADABLE)
+def test_a_file_that_is_no_world_is_told_with_its_place(case: str, tmp_path: Path) -> None:
+    text, told = UNREADABLE[case]
+    file = tmp_path / "world.yaml"
+    file.write_text(text)
+
+    with pytest.raises(CairnError, match=told) as found:
+        read_world(file)
+    assert str(found.value).startswith(str(file))
+    assert "\n" not in str(found.value)
+
+
+WRONG: dict[str, tuple[dict[str, Any], str]] = {
+    "an unknown key": ({"colour": "red"}, "colour = 'red': there is no such key"),
+    "a number that is none": ({"robot": {"x": float("nan"), "y": 1}}, "robot.x = 'nan': "),
+    "furniture without shape": (
+        {"furniture": [{"name": "desk", "x": 1, "y": 1}]},
+        r"furniture\[0\]: give outline or size, one of them",
+    ),
+    "a size below nothing": (
+        {"furniture": [{**DESK, "size": [0.8, -1]}]},
+        r"furniture\[0\].size\[1\] = '-1': input should be greater than 0",
+    ),
+    "a name with spaces": ({"furniture": [{**DESK, "name": "my desk"}]}, r"furniture\[0\].name = "),
+    "twin names": ({"furniture": [DESK, DESK]}, "several things are called desk"),
+    "twin ids": (
+        {"objects": [{"id": 1, "x": 0, "y": 1}, {"id": 1, "name": "b", "x": 0, "y": 2}]},
+        "several objects have the id 1",
+    ),
+    "an event of no kind": ({"events": [{"at": 1}]}, r"events\[0\]: give exactly one of move, "),
+    "an event in the past": ({"events": [{"at": -1, "remove": "a"}]}, r"events\[0\].at = '-1'"),
+    "move without to": ({"events": [{"at": 1, "move": "a"}]}, "move and to go together"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_a_wrong_value_is_told_with_its_place(case: str, tmp_path: Path) -> None:
+    changed, told = WRONG[case]
+    file = tmp_path / "world.yaml"
+    file.write_text(yaml.safe_dump(box(**changed)))
+
+    with pytest.raises(CairnError, match=told) as found:
+        read_world(file)
+    assert str(found.value).startswith(f"{file}: ")
+
+
+def test_a_file_that_is_not_there_is_told(tmp_path: Path) -> None:
+    with pytest.raises(CairnError, match=r"none.yaml: no such world file"):
+        read_world(tmp_path / "none.yaml")
+
+
+IMPOSSIBLE: dict[str, tuple[dict[str, Any], str]] = {
+    "furniture in furniture": (
+        {"furniture": [DESK, {**DESK, "name": "shelf", "x": 1.5}]},
+        r"shelf overlaps desk at \(1.25, 1.00\); move one of them",
+    ),
+    "furniture in a wall": (
+        {"furniture": [{**DESK, "x": 0.2}]},
+        r"desk overlaps wall 1 at \(0.00, 1.00\); move one of them",
+    ),
+    "a knot": (
+        {"furniture": [{"name": "knot", "x": 1, "y": 1, "outline": KNOT}]},
+        "the outline of knot crosses itself",
+    ),
+    "walls on one another": (
+        {"walls": [*box()["walls"], {"points": [[1, 0], [2, 0]]}]},
+        r"wall 1 and wall 2 lie on one another at \(1.50, 0.00\); leave one out",
+    ),
+    "a point twice": (
+        {"walls": [*box()["walls"], {"points": [[1, 1], [1, 1]]}]},
+        r"wall 2 has the point \(1, 1\) twice in a row; leave one out",
+    ),
+    "the robot inside furniture": (
+        {"furniture": [{**DESK, "x": 3, "y": 2, "size": [2, 2]}]},
+        r"robot: it cannot be at \(3.00, 2.00\): desk is 0.00 m from there",
+    ),
+    "the robot outside": ({"robot": {"x": 9, "y": 9}}, "outside of the walls"),
+    "an open world": (
+        {"walls": [{"points": [[0, 0], [6, 0], [6, 4], [0, 4], [0, 1]]}]},
+        "they leave a gap; choose a place within, or close them",
+    ),
+    "an object inside furniture": (
+        {"furniture": [DESK], "objects": [{"id": 4, "x": 1.0, "y": 1.0}]},
+        "object_4 at .* is hidden inside desk",
+    ),
+    "an object that faces outwards": (
+        {"objects": [{"id": 4, "x": 0, "y": 1.0, "theta": 3.1416}]},
+        r"object_4 at \(0, 1\) is outside of the walls or faces outwards",
+    ),
+    "somebody through furniture": (
+        {"furniture": [DESK], "people": [{"name": "ada", "waypoints": [[1, 3], [1, 0.4]]}]},
+        r"ada cannot walk from \(1, 3\) to \(1, 0.4\): desk is in the way",
+    ),
+    "somebody on the robot": (
+        {"people": [{"name": "ada", "waypoints": [[3.2, 2], [5, 2]]}]},
+        r"ada begins at \(3.2, 2\), on the robot",
+    ),
+    "somebody outside": (
+        {"people": [{"name": "ada", "waypoints": [[8, 2]]}]},
+        r"ada begins at \(8, 2\), outside",
+    ),
+    "an event about nothing": (
+        {"events": [{"at": 5, "remove": "sofa"}]},
+        "the event at 5 s cannot happen: there is no sofa; there are none",
+    ),
+    "an event after which it is gone": (
+        {"furniture": [DESK], "events": [
+            {"at": 5, "move": "desk", "to": {"x": 2, "y": 3}}, {"at": 4, "remove": "desk"}]},
+        "the event at 5 s cannot happen: there is no desk",
+    ),
+    "an event without room": (
+        {"furniture": [DESK], "events": [{"at": 5, "move": "desk", "to": {"x": 6, "y": 2}}]},
+        "the event at 5 s cannot happen: desk overlaps wall 1",
+    ),
+    "a kidnapping into a wall": (
+        {"events": [{"at": 5, "kidnap": {"x": 7, "y": 2}}]},
+        "the event at 5 s cannot happen: the robot cannot be at",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", IMPOSSIBLE)
+def test_a_world_that_cannot_be_is_told_and_not_run(case: str, tmp_path: Path) -> None:
+    changed, told = IMPOSSIBLE[case]
+    file = tmp_path / "world.yaml"
+    file.write_text(yaml.safe_dump(box(**changed)))
+
+    assert re.search(told, "; ".join(problems_of(read_world(file), RADIUS)))
+    answer = cairn("world", "check", str(file))
+    assert answer.code == 1
+    assert answer.err.startswith(f"cairn: {file}: ")
+
+
+@pytest.mark.parametrize("name", ["room", "office", "hall"])
+def test_our_worlds_are_possible(name: str) -> None:
+    assert problems_of(read_world(WORLDS / f"{name}.yaml"), RADIUS) == []
+
+
+def test_touching_is_not_overlapping() -> None:
+    pair = [DESK, {**DESK, "name": "shelf", "x": 1.8}, {**DESK, "name": "box", "x": 0.4, "y": 2.0}]
+
+    assert problems_of(WorldFile.model_validate(box(furniture=pair)), RADIUS) == []
+
+
+def test_check_counts_and_draw_writes_a_picture(tmp_path: Path) -> None:
+    file, picture = tmp_path / "world.yaml", tmp_path / "world.png"
+    people = [{"name": "ada", "waypoints": [[1, 3], [5, 3]]}]
+    file.write_text(yaml.safe_dump(box(furniture=[DESK], people=people)))
+
+    assert cairn("world", "check", str(file)).out == (
+        f"{file}: 1 walls, 1 pieces of furniture, 0 objects, 1 people, 0 events\n"
+    )
+    assert cairn("world", "draw", str(file), str(picture)).code == 0
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    wrong = cairn("world", "draw", str(file), str(tmp_path / "world.xyz"))
+    assert wrong.code == 1
+    assert "cannot be written" in wrong.err
+
+
+def test_events_within_closed_walls_can_happen() -> None:
+    person = {"name": "ada", "waypoints": [[1.0, 1.0], [1.0, 3.0]]}
+    events = [
+        {"at": 1, "kidnap": {"x": 5.0, "y": 3.0}},
+        {"at": 2, "move": "ada", "to": {"x": 2.0, "y": 1.0}},
+    ]
+
+    assert problems_of(WorldFile.model_validate(box(people=[person], events=events)), RADIUS) == []
+
+
+def test_more_than_a_touch_is_an_overlap_however_thin() -> None:
+    table = {"name": "table", "x": 1.0, "y": 1.0, "size": [1.0, 1.0]}
+    chair = {"name": "chair", "x": 1.97, "y": 1.0, "size": [1.0, 1.0]}
+    panel = {"name": "panel", "x": 1.45, "y": 1.0, "size": [0.03, 0.6]}
+
+    for other in (chair, panel):
+        world = WorldFile.model_validate(box(furniture=[table, other]))
+        assert any("overlaps" in problem for problem in problems_of(world, RADIUS))

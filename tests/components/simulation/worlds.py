@@ -1,0 +1,28 @@
+"""Small worlds for the tests."""
+
+from typing import Any
+
+import numpy as np
+
+from components.simulation.world import Slip, World
+from components.simulation.world_file import WorldFile
+
+RADIUS = 0.22
+NO_SLIP = Slip(0.0, 0.0, 0.0)
+
+
+def box(width: float = 6.0, depth: float = 4.0, **more: Any) -> dict[str, Any]:
+    """A closed room from (0, 0) to (width, depth), the robot in its middle, as in a file."""
+    corners = [[0.0, 0.0], [width, 0.0], [width, depth], [0.0, depth], [0.0, 0.0]]
+    middle = {"x": width / 2, "y": depth / 2}
+    return {"walls": [{"points": corners}], "robot": middle, **more}
+
+
+def world_of(slip: Slip = NO_SLIP, **more: Any) -> World:
+    """A world in such a room."""
+    return World(world_file(**more), RADIUS, slip, np.random.default_rng(0))
+
+
+def world_file(**more: Any) -> WorldFile:
+    """The same as it is read."""
+    return WorldFile.model_validate(box(**more))
