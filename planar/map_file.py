@@ -90,6 +90,8 @@ def write_map(file: Path, grid: OccupancyCells, mode: Mode = "trinary") -> None:
             "negate": 0,
             "occupied_thresh": 1.0 if mode == "scale" else 0.65,
             "free_thresh": 0.0 if mode == "scale" else 0.196,
+            "width": values.shape[1],
+            "height": values.shape[0],
         },
         sort_keys=False,
     )

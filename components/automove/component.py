@@ -1,18 +1,20 @@
 """The component that carries out orders to move with the plugins it loads for them."""
 
+import re
 from typing import Literal
 
 from pydantic import Field
 
 from cairn.bus.qos import LATCHED
-from cairn.clock import SECOND, from_ns
+from cairn.clock import SECOND, from_ns, to_ns
 from cairn.component.handlers import every, on
 from cairn.component.parameters import Config
 from cairn.component.ports import In, Out
 from cairn.supervision.component import SupervisorComponent
 from cairn.supervision.supervisor import StartFailed
 from components.automove.course import Course, Patience, Seen
-from planar.messages import planar_pose, planar_poses
+from components.automove.legs import Legs
+from planar.messages import planar_pose, planar_poses, pose_message
 from schemas.cairn_nav_msgs import (
     LocalizationHealth,
     MotionStatus,
@@ -26,6 +28,7 @@ from schemas.std_msgs import Header
 
 # How often what is wanted is told again, so that the others know that this component lives [ns].
 _REPEAT = SECOND // 2
+_NUMBER = re.compile(r"[0-9.]+")
 
 
 class AutoMoveConfig(Config):
@@ -43,7 +46,11 @@ class AutoMoveConfig(Config):
         0.10, gt=0, le=3.2, description="How well turned at a goal is there [rad]."
     )
     recoveries: int = Field(
-        6, ge=0, le=100, description="Recoveries without progress before it gives up [1]."
+        6,
+        ge=0,
+        le=100,
+        description="Recoveries without progress before it gives up; three at most "
+        "where the map has no way to the goal [1].",
     )
     least_health: float = Field(
         0.3, ge=0, le=1, description="Health of the pose below which the robot stands still [1]."
@@ -78,26 +85,29 @@ class AutoMove(SupervisorComponent):
     _told_at = 0
 
     def on_configure(self) -> None:
-        """Nothing was seen yet."""
+        """Nothing was seen yet, and nothing is wanted."""
         self._seen = Seen()
-        self._leg = 0
+        self._legs = Legs()
 
     def on_activate(self) -> None:
         """Load what the configuration says is loaded before any order."""
         super().on_activate()
         if self.config.load_plugins == "on_activation":
-            self._load_plugins()
+            for child in self.children.status():
+                self._load(child.name)
 
     @on("order")
     def take(self, order: MoveOrder) -> None:
         """Take an order: a new one pre-empts the old, one without goals takes it back."""
         course = self._course
-        if course is not None and course.order_id == order.order_id:
-            if not len(order.goals) and not course.over:
+        if not len(order.goals):
+            if course is not None and not course.over and course.order_id == order.order_id:
                 course.cancel()
-                self.decide()
+                self._note_change(course)
             return
-        if not len(order.goals) or order.first >= len(order.goals):
+        if course is not None and course.order_id == order.order_id:
+            return  # the order under way, told again
+        if order.first >= len(order.goals):
             return
         if course is not None and not course.over:
             self.log.info("order %d is pre-empted by order %d", course.order_id, order.order_id)
@@ -111,7 +121,7 @@ class AutoMove(SupervisorComponent):
     @on("motion_status")
     def note_motion(self, status: MotionStatus) -> None:
         """Keep what motion control does; an end of it is acted on at once."""
-        self._seen.motion = status
+        self._seen.motion, self._seen.motion_s = status, self.clock.now() / SECOND
         if status.state == MotionStatus.DONE:
             self.decide()
 
@@ -123,7 +133,7 @@ class AutoMove(SupervisorComponent):
     @on("localization_health")
     def note_health(self, health: LocalizationHealth) -> None:
         """Keep how sure that is."""
-        self._seen.health = health
+        self._seen.health, self._seen.health_s = health, self.clock.now() / SECOND
 
     @every(hz=10)
     def decide(self) -> None:
@@ -131,76 +141,78 @@ class AutoMove(SupervisorComponent):
         course = self._course
         if course is None:
             return
-        before = course.state
+        before = course.state, course.leg
         course.tick(self.clock.now() / SECOND, self._seen)
-        if course.state != before:
-            self._log(course)
-        self._tell(course)
+        if (course.state, course.leg) != before:
+            self._note_change(course)
+        else:
+            self._tell(course)
 
     def _begin(self, order: MoveOrder) -> None:
         config = self.config
-        now = self.clock.now()
-        # Legs are told apart from those of a forerunner of this component: ten a second at most.
-        self._leg = max(self._course.leg if self._course else 0, now // (SECOND // 10)) & 0x7FFFFFFF
-        patience = Patience(
-            recoveries=config.recoveries,
-            least_health=config.least_health,
-            stopped_s=config.stopped,
-        )
-        goals = [(x, y, theta) for x, y, theta in planar_poses(order.goals).tolist()]
+        now, given = self.clock.now(), to_ns(order.header.stamp)
         self._course = course = Course(
             order_id=order.order_id,
-            goals=goals,
+            goals=[(x, y, theta) for x, y, theta in planar_poses(order.goals).tolist()],
             at=order.first,
-            leg=self._leg,
-            began_s=now / SECOND,
-            patience=patience,
-            position_tolerance=config.position_tolerance,
-            heading_tolerance=config.heading_tolerance,
+            next_leg=lambda: self._legs.next(self.clock.now()),
+            # One that a forerunner of this component began goes on.
+            began_s=(min(given, now) or now) / SECOND,
+            patience=Patience(
+                recoveries=config.recoveries,
+                least_health=config.least_health,
+                stopped_s=config.stopped,
+            ),
         )
+        x, y, _ = course.goal
         self.log.info(
-            "order %d: %d goals, the next at (%.2f, %.2f)",
-            order.order_id,
-            len(goals),
-            course.goal[0],
-            course.goal[1],
-        )
-        course.state = MoveStatus.LOADING
-        self._tell(course)
-        try:
-            self._load_plugins()
-        except StartFailed as error:  # those that are loaded already go on with their work
-            course.fail(f"the plugins cannot be loaded: {error}")
-            self.log.error("order %d cannot be carried out: %s", order.order_id, error)
-        else:
-            course.state = MoveStatus.LOCALIZING
-        self._tell(course)
+            "order %d: goal %d of %d at (%.2f, %.2f)",
+            order.order_id, course.at + 1, len(course.goals), x, y,
+        )  # fmt: skip
+        self._load_plugins(course)
+        self._note_change(course)
+        self.decide()
 
-    def _load_plugins(self) -> None:
-        for child in self.children.status():
-            try:
-                self.children.load(child.name)
-            except StartFailed:
-                if self.children.stop_requested:  # nobody needs the plugins any more
-                    return
+    def _load_plugins(self, course: Course) -> None:
+        """Load what is not loaded yet, and tell what takes its time."""
+        try:
+            for child in self.children.status():
+                if child.state != "active":
+                    course.reason = child.name
+                    self._tell(course)
+                self._load(child.name)
+        except StartFailed as error:  # those that are loaded already go on with their work
+            course.fail(f"not all plugins can be loaded: {error}")
+        else:
+            course.loaded(self.clock.now() / SECOND)
+
+    def _load(self, name: str) -> None:
+        try:
+            self.children.load(name)
+        except StartFailed:
+            if not self.children.stop_requested:  # else nobody needs the plugins any more
                 raise
+
+    def _note_change(self, course: Course) -> None:
+        self._log(course)
+        self._tell(course)
 
     def _tell(self, course: Course) -> None:
         now = self.clock.now()
-        told = (course.leg, course.state, course.at, course.reason)
+        # Ages within a reason change all the time: that is no news.
+        told = (course.leg, course.state, course.at, _NUMBER.sub("", course.reason))
         if told == self._told and now - self._told_at < _REPEAT:
             return
         self._told, self._told_at = told, now
         header = Header(stamp=from_ns(now), frame_id="map")
-        wanted = course.movement()
         self.movement.publish(
             Movement(
                 header=header,
-                leg=wanted.leg,
-                behaviour=wanted.behaviour,
-                goal=wanted.goal,
-                position_tolerance=wanted.position_tolerance,
-                heading_tolerance=wanted.heading_tolerance,
+                leg=course.leg,
+                behaviour=course.behaviour,
+                goal=pose_message(course.goal),
+                position_tolerance=self.config.position_tolerance,
+                heading_tolerance=self.config.heading_tolerance,
             )
         )
         left_m = 0.0 if course.over else course.distance_left(self._seen)
@@ -221,11 +233,14 @@ class AutoMove(SupervisorComponent):
 
     def _log(self, course: Course) -> None:
         x, y, _ = course.goal
-        if course.state == MoveStatus.FAILED:
-            self.log.error("order %d failed: %s", course.order_id, course.reason)
-        elif course.state == MoveStatus.RECOVERING:
-            self.log.warning("recovering: %s", course.reason)
-        elif course.state == MoveStatus.SUCCEEDED:
-            self.log.info("order %d: arrived at (%.2f, %.2f)", course.order_id, x, y)
-        elif course.state == MoveStatus.DRIVING:
-            self.log.info("driving to (%.2f, %.2f)", x, y)
+        match course.state:
+            case MoveStatus.LOCALIZING if course.reason:
+                self.log.warning("the robot stands: %s", course.reason)
+            case MoveStatus.DRIVING:
+                self.log.info("driving to (%.2f, %.2f)", x, y)
+            case MoveStatus.RECOVERING:
+                self.log.warning("recovering: %s", course.reason)
+            case MoveStatus.SUCCEEDED | MoveStatus.CANCELLED:
+                self.log.info("order %d: %s", course.order_id, course.reason)
+            case MoveStatus.FAILED:
+                self.log.error("order %d failed: %s", course.order_id, course.reason)

@@ -3,29 +3,31 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
-from planar.messages import pose_message
 from planar.poses import Pose, distance
 from schemas.cairn_nav_msgs import LocalizationHealth, MotionStatus, Movement, MoveStatus, Plan
 
-# What is tried, one after the other, when the robot is lost, and when it cannot get on.
-_WHEN_LOST = ("wait", "look_around", "explore", "look_around", "explore", "look_around")
-_WHEN_STUCK = ("wait", "look_around", "back_off", "wait", "look_around", "wait")
+# What is tried, one after the other, when the robot is lost; when it cannot get on; when there is
+# no way to its goal, which looking around seldom changes, but waiting may.
+_WHEN_LOST = ("wait", "look around", "explore", "look around", "explore", "look around")
+_WHEN_STUCK = ("wait", "look around", "back off", "wait", "look around", "wait")
+_WHEN_NO_WAY = ("wait", "look around", "wait")
 _BEHAVIOUR = {
     "wait": Movement.STAND,
-    "look_around": Movement.LOOK_AROUND,
+    "look around": Movement.LOOK_AROUND,
     "explore": Movement.EXPLORE,
-    "back_off": Movement.BACK_OFF,
+    "back off": Movement.BACK_OFF,
 }
 # So much nearer to its goal [m] and whatever was in the way is overcome.
 _PROGRESS_M = 0.3
+_ENDS = (MoveStatus.SUCCEEDED, MoveStatus.FAILED, MoveStatus.CANCELLED)
 
 
 @dataclass(frozen=True)
 class Patience:
-    """How long to wait for what; all in seconds but the first two."""
+    """How long to wait for what [s], how often to recover [1], how sure to be of the pose [1]."""
 
     recoveries: int = 6
     least_health: float = 0.3
@@ -37,15 +39,18 @@ class Patience:
     planning_s: float = 10.0
     waiting_s: float = 4.0
     behaviour_s: float = 30.0
+    silent_s: float = 2.0
 
 
 @dataclass
 class Seen:
-    """The last that the other components told; None before the first."""
+    """The last that the other components told, and when [s]; None before the first."""
 
     health: LocalizationHealth | None = None
+    health_s: float = -math.inf
     plan: Plan | None = None
     motion: MotionStatus | None = None
+    motion_s: float = -math.inf
     pose: Pose | None = None
 
 
@@ -53,214 +58,222 @@ class Seen:
 class Course:
     """One order: goals (in frame map) from number `at` on, and how far it has come.
 
-    `tick` looks at what was seen and decides; `movement` is then what the planner and motion
-    control are to do, and `state`, `reason` how it gets on. `leg` numbers what is wanted: it goes
-    up with every new want.
+    `tick` looks at what was seen and decides; `leg`, `behaviour` and `goal` are then what the
+    planner and motion control are to do, and `state`, `reason` how it gets on. `leg` numbers what
+    is wanted: every new want has a new one, of `next_leg`.
     """
 
     order_id: int
     goals: Sequence[Pose]
     at: int
-    leg: int
+    next_leg: Callable[[], int]
     began_s: float
-    patience: Patience
-    position_tolerance: float
-    heading_tolerance: float
-    state: int = MoveStatus.LOCALIZING
+    patience: Patience = field(default_factory=Patience)
+    state: int = MoveStatus.LOADING
     reason: str = ""
     recoveries: int = 0
     behaviour: int = Movement.STAND
+    leg: int = field(init=False)
     _tries: int = 0
-    _since_s: float = field(init=False)
-    _good_s: float = field(init=False)
-    _nearest_m: float = math.inf
-    _progress_s: float = field(init=False)
+    _sequence: Sequence[str] = ()
     _trouble: str = ""
-    _lost: bool = False
+    _attempt: str = ""
+    _nearest_m: float = math.inf
+    # Since when: this state; the last sure pose; nearer to the goal; not stopped; not blocked [s].
+    _since_s: float = field(init=False)
+    _sure_s: float = field(init=False)
+    _progress_s: float = field(init=False)
+    _running_s: float = field(init=False)
+    _moving_s: float = field(init=False)
 
     def __post_init__(self) -> None:
-        """Begin to wait now."""
-        self._since_s = self._good_s = self._progress_s = self.began_s
+        """Stand; begin to wait now."""
+        self.leg = self.next_leg()
+        self._begin(self.began_s)
 
     @property
     def over(self) -> bool:
         """Whether the order has its result."""
-        return self.state in (MoveStatus.SUCCEEDED, MoveStatus.FAILED, MoveStatus.CANCELLED)
+        return self.state in _ENDS
 
     @property
     def goal(self) -> Pose:
         """The goal being driven to, or the last one."""
         return self.goals[min(self.at, len(self.goals) - 1)]
 
+    def loaded(self, now_s: float) -> None:
+        """All that it takes is loaded: find out where the robot is."""
+        self.state, self.reason = MoveStatus.LOCALIZING, ""
+        self._begin(now_s)
+
     def cancel(self) -> None:
         """Take the order back."""
-        self._end(MoveStatus.CANCELLED, "cancelled")
+        self._end(MoveStatus.CANCELLED, "taken back")
 
     def fail(self, reason: str) -> None:
         """Give up."""
         self._end(MoveStatus.FAILED, reason)
 
-    def movement(self) -> Movement:
-        """What the planner and motion control are to do now."""
-        return Movement(
-            leg=self.leg,
-            behaviour=self.behaviour,
-            goal=pose_message(self.goal),
-            position_tolerance=self.position_tolerance,
-            heading_tolerance=self.heading_tolerance,
-        )
-
     def distance_left(self, seen: Seen) -> float:
-        """To the goal [m]: along the path, or as the crow flies as long as there is none."""
-        if seen.motion is not None and seen.motion.leg == self.leg and self._following(seen):
-            return seen.motion.distance_left
+        """To the goal [m]: along the path, or as the crow flies as long as none is followed."""
+        motion = seen.motion
+        driving = self.state == MoveStatus.DRIVING
+        # Without a way to go, motion control tells no distance.
+        if driving and motion is not None and motion.leg == self.leg and motion.distance_left > 0.0:
+            return motion.distance_left
         return distance(seen.pose, self.goal) if seen.pose is not None else 0.0
 
     def tick(self, now_s: float, seen: Seen) -> None:
         """Decide anew."""
-        if self.over:
+        doubt = self._doubt(now_s, seen)
+        if self.over or self.state == MoveStatus.LOADING:
             return
-        if self._located(seen):
-            self._good_s = now_s
+        if not doubt or now_s - seen.health_s > self.patience.silent_s:
+            self._sure_s = now_s  # motion control stops for inputs that are missing, and says which
         if self.state == MoveStatus.LOCALIZING:
-            self._localize(now_s, seen)
+            self._localize(now_s, seen, doubt)
         elif self.state == MoveStatus.RECOVERING:
-            self._recover(now_s, seen)
-        elif now_s - self._good_s > self.patience.unsure_s:
-            self._want(now_s, MoveStatus.LOCALIZING, Movement.STAND, _doubt(seen))
+            self._recover(now_s, seen, doubt)
+        elif now_s - self._sure_s > self.patience.unsure_s:
+            self._want(now_s, MoveStatus.LOCALIZING, Movement.STAND, doubt)
         elif self.state == MoveStatus.PLANNING:
             self._plan(now_s, seen)
         else:
             self._drive(now_s, seen)
 
-    def _localize(self, now_s: float, seen: Seen) -> None:
-        if self._located(seen):
+    def _localize(self, now_s: float, seen: Seen, doubt: str) -> None:
+        waited = now_s - self._since_s
+        if not doubt:
             self._want(now_s, MoveStatus.PLANNING, Movement.FOLLOW, "")
-        elif now_s - self._since_s > self.patience.unlocated_s:
-            self._try_next(now_s, _WHEN_LOST, _doubt(seen))
+            return
+        self.reason = doubt
+        if now_s - seen.health_s > self.patience.silent_s:  # moving would not make it talk
+            if waited > self.patience.stopped_s:
+                self.fail(doubt)
+        elif waited > self.patience.unlocated_s:
+            self._try_next(now_s, _WHEN_LOST, doubt)
 
     def _plan(self, now_s: float, seen: Seen) -> None:
-        plan = seen.plan
-        if plan is None or plan.leg != self.leg or plan.outcome == Plan.NOT_READY:
-            if now_s - self._since_s > self.patience.planning_s:
-                told = plan.reason if plan is not None and plan.leg == self.leg else ""
-                self._try_next(now_s, _WHEN_STUCK, told or "the planner gives no answer")
+        waited = now_s - self._since_s
+        plan = seen.plan if seen.plan is not None and seen.plan.leg == self.leg else None
+        if plan is None or plan.outcome == Plan.NOT_READY:
+            self.reason = plan.reason if plan is not None else ""
+            if waited > self.patience.planning_s:
+                self._try_next(now_s, _WHEN_STUCK, self.reason or "the planner gives no answer")
+        elif plan.outcome == Plan.FOUND:
+            self.state, self.reason = MoveStatus.DRIVING, ""
+            self._nearest_m = math.inf
+            self._begin(now_s)
         elif plan.outcome == Plan.OUTSIDE_MAP:
             self.fail(f"no path: {plan.reason}")
-        elif plan.outcome == Plan.FOUND:
-            self.state = MoveStatus.DRIVING
-            self._since_s = self._progress_s = now_s
-            self._nearest_m = math.inf
-            self.reason = ""
-        elif now_s - self._since_s > self.patience.blocked_s:
-            self._try_next(now_s, _WHEN_STUCK, _no_path(plan))
+        else:
+            self.reason = f"no path: {plan.reason}"
+            if waited > self.patience.blocked_s:
+                hemmed_in = plan.outcome == Plan.START_BLOCKED
+                self._try_next(now_s, _WHEN_STUCK if hemmed_in else _WHEN_NO_WAY, self.reason)
 
     def _drive(self, now_s: float, seen: Seen) -> None:
-        motion = seen.motion
-        if motion is None or motion.leg != self.leg:
-            self._wait_for_motion(now_s, "motion control gives no answer")
+        halted, motion = self._halted(now_s, seen)
+        if halted or motion is None:
             return
         if motion.state == MotionStatus.DONE:
             self._reached(now_s)
             return
         left = motion.distance_left
-        if left < self._nearest_m - _PROGRESS_M:
+        if 0.0 < left < self._nearest_m - _PROGRESS_M:
             if self._nearest_m < math.inf:
                 self._tries = 0
             self._nearest_m, self._progress_s = left, now_s
         if motion.state == MotionStatus.MOVING:
-            self._since_s = now_s
+            self._moving_s = now_s
             self.reason = ""
             if now_s - self._progress_s > self.patience.stuck_s:
                 self._try_next(now_s, _WHEN_STUCK, "the robot moves but gets no nearer")
             return
-        self.reason = motion.reason
-        if motion.state == MotionStatus.STOPPED:
-            self._wait_for_motion(now_s, motion.reason)
-        elif now_s - self._since_s > self.patience.blocked_s:
-            plan = seen.plan
-            no_path = plan is not None and plan.leg == self.leg and plan.outcome != Plan.FOUND
-            reason = _no_path(plan) if plan is not None and no_path else motion.reason
-            self._try_next(now_s, _WHEN_STUCK, reason)
+        plan = seen.plan
+        no_path = plan is not None and plan.leg == self.leg and plan.outcome != Plan.FOUND
+        self.reason = f"no path: {plan.reason}" if plan is not None and no_path else motion.reason
+        if now_s - self._moving_s > self.patience.blocked_s:
+            self._try_next(now_s, _WHEN_STUCK, self.reason)
 
-    def _wait_for_motion(self, now_s: float, reason: str) -> None:
-        self.reason = reason
-        if now_s - self._since_s > self.patience.stopped_s:
-            self.fail(reason)
+    def _halted(self, now_s: float, seen: Seen) -> tuple[bool, MotionStatus | None]:
+        """Whether motion control cannot work now; give up when that lasts too long."""
+        motion = seen.motion
+        silent_s = now_s - seen.motion_s
+        if silent_s > self.patience.silent_s and motion is not None:
+            self.reason = f"nothing was heard of motion control for {silent_s:.1f} s"
+        elif motion is None or motion.leg != self.leg:
+            self.reason = "motion control has not answered yet"
+        elif motion.state == MotionStatus.STOPPED:
+            self.reason = motion.reason
+        else:
+            self._running_s = now_s
+            return False, motion
+        self._moving_s = now_s
+        if now_s - self._running_s > self.patience.stopped_s:
+            self.fail(self.reason)
+        return True, motion
 
-    def _recover(self, now_s: float, seen: Seen) -> None:
+    def _recover(self, now_s: float, seen: Seen, doubt: str) -> None:
         waited = now_s - self._since_s
         if self.behaviour == Movement.STAND:
             over = waited > self.patience.waiting_s
         else:
-            motion = seen.motion
-            ended = (
-                motion is not None
-                and motion.leg == self.leg
-                and motion.state in (MotionStatus.DONE, MotionStatus.BLOCKED)
-            )
+            halted, motion = self._halted(now_s, seen)
+            if halted or motion is None:
+                return
+            self.reason = self._attempt
+            ended = motion.state in (MotionStatus.DONE, MotionStatus.BLOCKED)
             over = ended or waited > self.patience.behaviour_s
-            # A robot that was lost and has found itself need not look any further.
-            over = over or (self._lost and self._located(seen) and waited > 1.0)
-        if over:
+        # A robot that was lost and has found itself need not look any further.
+        found = self._sequence is _WHEN_LOST and not doubt and waited > self.patience.unsure_s
+        if over or found:
             self._want(now_s, MoveStatus.LOCALIZING, Movement.STAND, self._trouble)
 
     def _reached(self, now_s: float) -> None:
         self._tries = 0
-        if self.at + 1 >= len(self.goals):
-            self.at = len(self.goals)
-            self._end(MoveStatus.SUCCEEDED, "arrived")
-            return
+        x, y, _ = self.goal
         self.at += 1
-        self._want(now_s, MoveStatus.PLANNING, Movement.FOLLOW, "")
+        if self.at >= len(self.goals):
+            self._end(MoveStatus.SUCCEEDED, f"arrived at ({x:.2f}, {y:.2f})")
+        else:
+            self._want(now_s, MoveStatus.PLANNING, Movement.FOLLOW, "")
 
-    def _try_next(self, now_s: float, sequence: Sequence[str], reason: str) -> None:
-        if self._tries >= self.patience.recoveries:
-            self.fail(f"{reason} (after {self._tries} recoveries)")
+    def _try_next(self, now_s: float, sequence: Sequence[str], trouble: str) -> None:
+        most = self.patience.recoveries
+        if sequence is _WHEN_NO_WAY:
+            most = min(most, len(sequence))
+        if self._tries >= most:
+            tried = f" (after {self._tries} recoveries)" if self._tries else ""
+            self.fail(trouble + tried)
             return
         what = sequence[self._tries % len(sequence)]
         self._tries += 1
         self.recoveries += 1
-        self._trouble = reason
-        self._lost = sequence is _WHEN_LOST
-        self._want(
-            now_s,
-            MoveStatus.RECOVERING,
-            _BEHAVIOUR[what],
-            f"{reason}: {what.replace('_', ' ')} ({self._tries} of {self.patience.recoveries})",
-        )
+        self._sequence, self._trouble = sequence, trouble
+        self._attempt = f"{what} ({self._tries} of {most}): {trouble}"
+        self._want(now_s, MoveStatus.RECOVERING, _BEHAVIOUR[what], self._attempt)
 
     def _want(self, now_s: float, state: int, behaviour: int, reason: str) -> None:
         self.state, self.behaviour, self.reason = state, behaviour, reason
-        self.leg += 1
-        self._since_s = self._progress_s = now_s
-        self._good_s = now_s
+        self.leg = self.next_leg()
+        self._begin(now_s)
+
+    def _begin(self, now_s: float) -> None:
+        self._since_s = self._sure_s = self._progress_s = now_s
+        self._running_s = self._moving_s = now_s
 
     def _end(self, state: int, reason: str) -> None:
-        self.state, self.reason = state, reason
-        self.behaviour = Movement.STAND
-        self.leg += 1
+        self.state, self.behaviour, self.reason = state, Movement.STAND, reason
+        self.leg = self.next_leg()
 
-    def _following(self, seen: Seen) -> bool:
-        return (
-            self.state == MoveStatus.DRIVING
-            and seen.motion is not None
-            and seen.motion.state != MotionStatus.STANDING
-        )
-
-    def _located(self, seen: Seen) -> bool:
-        health = seen.health
-        return health is not None and health.located and health.health >= self.patience.least_health
-
-
-def _doubt(seen: Seen) -> str:
-    if seen.health is None:
-        return "the localizer has told nothing yet"
-    return seen.health.reason or "the robot is not located"
-
-
-def _no_path(plan: Plan) -> str:
-    nearest = ""
-    if math.isfinite(plan.nearest_x):
-        nearest = f"; the nearest reachable place is ({plan.nearest_x:.2f}, {plan.nearest_y:.2f})"
-    return f"no path: {plan.reason}{nearest}"
+    def _doubt(self, now_s: float, seen: Seen) -> str:
+        """Why the robot's pose cannot be relied on; empty if it can."""
+        health, silent_s = seen.health, now_s - seen.health_s
+        if health is None:
+            return "the localizer has told nothing yet"
+        if silent_s > self.patience.silent_s:
+            return f"nothing was heard of the localizer for {silent_s:.1f} s"
+        if health.located and health.health >= self.patience.least_health:
+            return ""
+        return health.reason or f"the health of the pose is {health.health:.2f}"

@@ -1,7 +1,7 @@
 """The control component of the navigation framework: takes orders to move and sees them done."""
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
@@ -19,15 +19,17 @@ from planar.messages import packed_poses, planar_pose
 from schemas.cairn_nav_msgs import MoveOrder, MoveStatus
 from schemas.geometry_msgs import PoseStamped
 from schemas.std_msgs import Header
+from supervisors.mobile.orders import FARTHEST, Goal, Order, checked_goals, save, saved
 
-Goal = tuple[float, float, float]
-Coordinate = Annotated[float, Field(ge=-1e5, le=1e5)]
+Coordinate = Annotated[float, Field(ge=-FARTHEST, le=FARTHEST)]
 
 _ENDS = {
     MoveStatus.SUCCEEDED: "succeeded",
     MoveStatus.FAILED: "failed",
     MoveStatus.CANCELLED: "cancelled",
 }
+# An order that is under way whenever this component dies may be why it does.
+_RESUMED_AT_MOST = 3
 
 
 class MobileSupervisorConfig(Config):
@@ -42,106 +44,152 @@ class MobileSupervisorConfig(Config):
     finish: bool = Field(
         False, description="Whether to end once the mission is done, and with it the deployment."
     )
+    state_file: Path | None = Field(
+        None,
+        description="Where to keep the order, so that a supervisor whose process died goes on with "
+        "it; none: it is lost, and the robot stands.",
+    )
 
 
 class MobileSupervisor(SupervisorComponent):
     """Keeps the base, the range scanner and AutoMove running (paper, step 1).
 
-    Takes orders to move (requests `go` and `cancel`, topic `goal_pose`, parameter `mission`), loads
-    AutoMove on the first, and keeps each order until it has its result, so that an AutoMove that
-    was started anew goes on with it.
+    Takes orders to move (requests `go`, `cancel` and `order`, topic `goal_pose`, parameter
+    `mission`), loads AutoMove on the first, and keeps each order until it has its result, so that
+    an AutoMove that was started anew goes on with it.
     """
 
     config: MobileSupervisorConfig
 
     goal_pose: In[PoseStamped] = In(optional=True)
-    move_status: In[MoveStatus] = In(qos=LATCHED, optional=True)
+    move_status: In[MoveStatus] = In(qos=LATCHED.with_depth(20), optional=True)
     order: Out[MoveOrder] = Out(qos=LATCHED)
 
-    _order_id = 0
-    _goals: tuple[Goal, ...] = ()
-    _at = 0
-    _mission_id = 0
+    _order: Order | None = None
+
+    def on_configure(self) -> None:
+        """See that the order can be kept; one of an earlier run is not carried out."""
+        file = self.config.state_file
+        if file is None:
+            return
+        if not file.parent.is_dir():
+            raise CairnError(f"{file.parent}: no such folder to keep the order in (state_file)")
+        if self.restarts == 0:
+            file.unlink(missing_ok=True)
 
     def on_activate(self) -> None:
-        """Start the children; begin with the mission, if there is one."""
+        """Start the children; begin with the mission, or go on with the order there was."""
         super().on_activate()
-        if self.config.mission and self.restarts == 0:
-            self._mission_id = self._go(self.config.mission)
+        if self.restarts > 0:
+            self._resume()
+        elif self.config.mission:
+            self._go(self.config.mission, mission=True)
 
     def on_request(self, verb: str, arguments: Mapping[str, Any]) -> Any:
-        """Take `go` with `goals` [[x, y, heading], ...], `cancel`, or a supervisor's request."""
+        """Answer `go` with `goals` [[x, y, heading], ...], `cancel`, `order`; else a supervisor's.
+
+        `cancel` may name the `order_id` that it means.
+        """
         if verb == "go" and set(arguments) == {"goals"}:
-            return {"order_id": self._go(checked_goals(arguments["goals"]))}
-        if verb == "cancel" and not arguments:
-            return {"order_id": self._cancel()}
+            return {"order_id": self._go(checked_goals(arguments["goals"])).order_id}
+        if verb == "cancel" and set(arguments) <= {"order_id"}:
+            return {"order_id": self._cancel(arguments.get("order_id"))}
+        if verb == "order" and not arguments:
+            return self._order.model_dump(mode="json") if self._order is not None else None
         return super().on_request(verb, arguments)
 
     @on("goal_pose")
     def go_to(self, goal: PoseStamped) -> None:
         """Take a goal from RViz or any other node."""
+        frame = goal.header.frame_id
         try:
-            self._go((planar_pose(goal.pose),))
+            if frame not in ("", "map"):
+                raise CairnError(f"its goal on {self.goal_pose.topic} is in frame {frame}, not map")
+            self._go(checked_goals([planar_pose(goal.pose)]))
         except CairnError as error:
             self.log.error("the order to move is not carried out: %s", error)
 
     @on("move_status")
     def follow(self, status: MoveStatus) -> None:
         """Note how far the order has come; let go of it when it has its result."""
-        if status.order_id != self._order_id or not self._goals:
+        order = self._order
+        if order is None or order.result or status.order_id != order.order_id:
             return
         if status.state in _ENDS:
-            self.log.info(
-                "order %d %s: %s", status.order_id, _ENDS[status.state], status.reason or "-"
-            )
-            self._goals = ()
-            self._tell()
-            if status.order_id == self._mission_id and self.config.finish:
-                self.finish(f"the mission {_ENDS[status.state]}: {status.reason}")
-        elif status.goal > self._at:
-            self._at = status.goal
-            self._tell()
+            self._close(order, f"{_ENDS[status.state]}: {status.reason}")
+        elif status.goal > order.first:
+            self._take(order.model_copy(update={"first": status.goal}))
 
-    def _go(self, goals: Sequence[Goal]) -> int:
-        try:
-            self.children.load(self.config.automove)
-        except StartFailed as error:
-            raise CairnError(f"AutoMove cannot be loaded: {error}") from error
+    def _go(self, goals: tuple[Goal, ...], *, mission: bool = False) -> Order:
+        self._load_automove()
+        last = self._order.order_id if self._order is not None else 0
         # Larger than any that a forerunner of this supervisor gave.
-        self._order_id = max(self._order_id + 1, self.clock.now() // SECOND & 0x7FFFFFFF)
-        self._goals, self._at = tuple(goals), 0
-        self._tell()
-        return self._order_id
+        now = self.clock.now()
+        order_id = max(last + 1, now // SECOND & 0x7FFFFFFF)
+        order = Order(order_id=order_id, given_ns=now, goals=goals, mission=mission)
+        x, y, _ = goals[-1]
+        via = f" by way of {len(goals) - 1} others" if len(goals) > 1 else ""
+        self.log.info("order %d: go to (%.2f, %.2f)%s", order_id, x, y, via)
+        self._take(order)
+        return order
 
-    def _cancel(self) -> int:
-        if not self._goals:
-            raise CairnError(f"{self.name}: there is no order to cancel")
-        # Kept until AutoMove says that it stands.
-        self.order.publish(self._message(()))
-        return self._order_id
+    def _load_automove(self) -> None:
+        name = self.config.automove
+        if name not in {child.name for child in self.children.status()}:
+            raise CairnError(f"{self.name} has no child {name} to carry out orders to move")
+        try:
+            self.children.load(name)
+        except StartFailed as error:
+            raise CairnError(f"{name} cannot be loaded: {error}") from error
 
-    def _tell(self) -> None:
-        self.order.publish(self._message(self._goals))
+    def _cancel(self, order_id: Any) -> int:
+        order = self._order
+        if order is None or order.result or order_id not in (None, order.order_id):
+            which = "to cancel" if order_id is None else f"{order_id} under way"
+            raise CairnError(f"{self.name}: there is no order {which}")
+        self._close(order, "cancelled: taken back")
+        return order.order_id
 
-    def _message(self, goals: Sequence[Goal]) -> MoveOrder:
-        return MoveOrder(
-            header=Header(stamp=from_ns(self.clock.now()), frame_id="map"),
-            order_id=self._order_id,
-            first=self._at,
-            goals=packed_poses(np.array(goals, np.float64).reshape(-1, 3)),
+    def _resume(self) -> None:
+        file = self.config.state_file
+        try:
+            order = saved(file) if file is not None else None
+            if order is None or order.result:
+                self._order = order
+                return
+            if order.resumed >= _RESUMED_AT_MOST:
+                why = f"failed: given up after {self.name} was started anew {order.resumed} times"
+                self.log.error("order %d %s", order.order_id, why)
+                self._close(order, why)
+                return
+            self._load_automove()
+        except CairnError as error:
+            self.log.error("the order to move is not gone on with: %s", error)
+            return
+        self.log.warning("going on with order %d", order.order_id)
+        self._take(order.model_copy(update={"resumed": order.resumed + 1}))
+
+    def _close(self, order: Order, result: str) -> None:
+        self.log.info("order %d %s", order.order_id, result)
+        self._take(order.model_copy(update={"result": result}))
+        if order.mission and self.config.finish:
+            self.finish(f"the mission {result}")
+
+    def _take(self, order: Order) -> None:
+        """Keep the order as it is now, and tell it to AutoMove."""
+        self._order = order
+        file = self.config.state_file
+        if file is not None:
+            try:
+                save(file, order)
+            except OSError as error:
+                self.log.error("the order cannot be kept in %s: %s", file, error.strerror)
+        goals = () if order.result else order.goals
+        self.order.publish(
+            MoveOrder(
+                header=Header(stamp=from_ns(order.given_ns), frame_id="map"),
+                order_id=order.order_id,
+                first=order.first,
+                goals=packed_poses(np.array(goals, np.float64).reshape(-1, 3)),
+            )
         )
-
-
-def checked_goals(given: Any) -> list[Goal]:
-    """Goals of a request; `CairnError` says which is wrong."""
-    if not isinstance(given, list) or not given:
-        raise CairnError("an order to move has at least one goal")
-    goals = []
-    for number, goal in enumerate(given, start=1):
-        numbers = isinstance(goal, list) and all(isinstance(v, int | float) for v in goal)
-        if not numbers or len(goal) != 3:
-            raise CairnError(f"goal {number} = {goal!r}: give x [m], y [m] and heading [rad]")
-        if not all(math.isfinite(value) and abs(value) <= 1e5 for value in goal):
-            raise CairnError(f"goal {number} = {goal!r}: x, y and heading must be finite")
-        goals.append((float(goal[0]), float(goal[1]), float(goal[2])))
-    return goals

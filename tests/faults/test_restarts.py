@@ -125,21 +125,25 @@ def test_an_order_to_move_loads_the_plugins_which_load_and_unload_alone(
         """
     external_topics: [goal_pose]
     components:
-      automove:
-        plugin: automove
+      mobile_supervisor:
+        plugin: mobile_supervisor
         children:
-          beacon: {plugin: test_beacon, load: on_order}
-          reader: {plugin: test_reader, load: on_order}
+          automove:
+            plugin: automove
+            load: on_order
+            children:
+              beacon: {plugin: test_beacon, load: on_order}
+              reader: {plugin: test_reader, load: on_order}
     """
     )
-    active = run.await_line("automove active")
-    automove = run.pid_of("automove")
+    active = run.await_line("mobile_supervisor active")
 
     order_to_move(run, 1.0, 2.0)
 
-    ordered = run.await_line("ordered to move to 1.00, 2.00: loading plugins", after=active)
+    ordered = run.await_line(r"mobile_supervisor: order \d+: go to \(1.00, 2.00\)", after=active)
     run.await_line("automove: reader active", after=ordered)
-    beacon, reader = run.pid_of("beacon"), run.pid_of("reader")
+    automove, beacon = run.pid_of("automove"), run.pid_of("beacon")
+    reader = run.pid_of("reader")
 
     unloaded = cairn("unload", "reader", connect=run.endpoint)
     assert (unloaded.code, unloaded.out) == (0, "reader: unloaded\n")
@@ -158,21 +162,25 @@ def test_an_order_to_move_that_cannot_be_carried_out_is_told_and_can_be_repeated
         """
     external_topics: [goal_pose]
     components:
-      automove:
-        plugin: automove
+      mobile_supervisor:
+        plugin: mobile_supervisor
         children:
-          base:
-            plugin: test_faulty
+          automove:
+            plugin: automove
             load: on_order
-            parameters: {fault: raise, where: on_activate}
+            children:
+              base:
+                plugin: test_faulty
+                load: on_order
+                parameters: {fault: raise, where: on_activate}
     """
     )
-    seen = run.await_line("automove active")
+    seen = run.await_line("mobile_supervisor active")
     for _ in range(2):
         order_to_move(run, 1.0, 2.0)
         seen = run.await_line(
-            "ERROR   robot.automove: the order to move cannot be carried out: base: activate "
-            "failed: ValueError: broken on purpose",
+            r"robot.mobile_supervisor: order \d+ failed: not all plugins can be loaded: base: "
+            "activate failed: ValueError: broken on purpose",
             after=seen,
         )
     assert run.stop() == 0

@@ -1,0 +1,223 @@
+"""Gives an order to move from a terminal and tells how it gets on, until its result."""
+
+from __future__ import annotations
+
+import math
+import queue
+import re
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+from cairn.bus import rmw
+from cairn.bus.codec import Codec
+from cairn.bus.control import ControlError, request
+from cairn.cli.connection import Connection
+from cairn.cli.tables import line, print_json
+from cairn.errors import CairnError
+from schemas.cairn_nav_msgs import MoveStatus
+from schemas.message import InvalidMessage, type_name
+
+_STATES = {
+    MoveStatus.LOADING: "loading",
+    MoveStatus.LOCALIZING: "localizing",
+    MoveStatus.PLANNING: "planning",
+    MoveStatus.DRIVING: "driving",
+    MoveStatus.RECOVERING: "recovering",
+    MoveStatus.SUCCEEDED: "succeeded",
+    MoveStatus.FAILED: "failed",
+    MoveStatus.CANCELLED: "cancelled",
+}
+_ENDS = (MoveStatus.SUCCEEDED, MoveStatus.FAILED, MoveStatus.CANCELLED)
+# AutoMove tells twice a second how it gets on; what is told is repeated so often, if it is no news.
+_REPEAT_S = 5.0
+# After so long without a word the supervisor is asked, again and again; it may be started anew and
+# go on with the order; after so long it has not, and after so long nobody has [s].
+_SILENT_S, _LOST_S, _GONE_S = 3.0, 8.0, 20.0
+_LOADING_S = 60.0
+_ANSWER_S = 5.0
+_NUMBER = re.compile(r"[0-9.]+")
+
+
+class Operator:
+    """Whoever gives orders to one mobile supervisor."""
+
+    def __init__(self, connection: Connection, supervisor: str) -> None:
+        """`supervisor` is its full name (`/robot/mobile_supervisor`)."""
+        self._connection = connection
+        self._supervisor = supervisor
+        self._codec = Codec()
+
+    def go(self, goals: Sequence[Sequence[float]]) -> int:
+        """Give an order; its number."""
+        asked = {"goals": [list(goal) for goal in goals]}
+        return int(self._ask("go", asked, _LOADING_S)["order_id"])
+
+    def cancel(self, order: int | None = None) -> int:
+        """Take an order back, the one under way if none is named; its number."""
+        asked = {} if order is None else {"order_id": order}
+        return int(self._ask("cancel", asked, _LOADING_S)["order_id"])
+
+    def order(self) -> dict[str, Any] | None:
+        """The last order with its result, empty if it is under way; None if there was none."""
+        order: dict[str, Any] | None = self._ask("order", {}, _ANSWER_S)
+        return order
+
+    def linked(self) -> bool:
+        """Whether the deployment is still there."""
+        session = self._connection.session
+        return not session.is_closed() and bool(session.info.routers_zid())
+
+    @contextmanager
+    def statuses(self) -> Iterator[queue.Queue[Any]]:
+        """All that is told of orders from now on, as samples."""
+        topic = f"{self._supervisor.rpartition('/')[0]}/move_status"
+        key = rmw.data_key(
+            self._connection.domain,
+            topic,
+            type_name(MoveStatus),
+            self._codec.type_hash(MoveStatus),
+        )
+        with self._connection.listen(key, latched=True) as samples:
+            yield samples
+
+    def next_status(self, samples: queue.Queue[Any], wait_s: float) -> MoveStatus | None:
+        """The next that is told; None if nothing comes in time, or it is not readable."""
+        try:
+            sample = samples.get(timeout=wait_s)
+            return self._codec.decode(MoveStatus, sample.payload.to_bytes())
+        except (queue.Empty, InvalidMessage):
+            return None
+
+    def _ask(self, verb: str, arguments: dict[str, Any], limit_s: float) -> Any:
+        connection = self._connection
+        return request(
+            connection.session,
+            connection.domain,
+            self._supervisor,
+            verb,
+            arguments,
+            timeout_s=limit_s,
+        )
+
+
+def follow(operator: Operator, goals: Sequence[Sequence[float]], *, as_json: bool) -> None:
+    """Give an order and tell how it gets on; Ctrl-C cancels it.
+
+    Raises `CairnError` if it does not end at its goal.
+    """
+    order: int | None = None
+    with operator.statuses() as samples:
+        try:
+            order = operator.go(goals)
+            if not as_json:
+                line(f"order {order}: go to {', then '.join(map(_place, goals))}; Ctrl-C cancels")
+            status = _await_end(operator, order, samples, as_json=as_json)
+        except KeyboardInterrupt:
+            operator.cancel(order)
+            print_json({"order_id": order, "state": "cancelled"}) if as_json else line(
+                "cancelled: the robot stops"
+            )
+            raise
+    if as_json:
+        print_json(_fields(status))
+    state = _STATES[status.state]
+    if status.state != MoveStatus.SUCCEEDED:
+        raise CairnError(f"order {order} {state} after {status.elapsed:.1f} s: {status.reason}")
+    if not as_json:
+        line(f"{status.elapsed:6.1f} s  {status.reason}")
+
+
+def _await_end(
+    operator: Operator, order: int, samples: queue.Queue[Any], *, as_json: bool
+) -> MoveStatus:
+    last = MoveStatus(order_id=order)
+    told: tuple[int, int, str] | None = None
+    told_at = 0.0
+    heard = asked = time.monotonic()
+    while True:
+        status = operator.next_status(samples, 0.5)
+        now = time.monotonic()
+        if status is not None and status.order_id > order:
+            raise CairnError(f"order {order} was pre-empted by order {status.order_id}")
+        if status is not None and status.order_id == order:
+            last, heard = status, now
+            if status.state in _ENDS:
+                return status
+            news = (status.state, status.goal, _NUMBER.sub("", status.reason))
+            if not as_json and (news != told or now - told_at >= _REPEAT_S):
+                told, told_at = news, now
+                line(_sentence(status))
+        elif now - heard > _SILENT_S and now - asked > 1.0:
+            asked = now
+            if not operator.linked():
+                raise CairnError(f"order {order}: the deployment has ended, and with it the order")
+            try:
+                ended = _result(order, operator.order(), last, now - heard)
+            except ControlError as error:
+                if now - heard > _GONE_S:
+                    raise CairnError(
+                        f"nothing was heard of order {order} for {now - heard:.0f} s: {error}"
+                    ) from error
+                continue
+            if ended is not None:
+                return ended
+            if now - heard > _LOADING_S:
+                raise CairnError(
+                    f"AutoMove has said nothing of order {order} for {now - heard:.0f} s; see "
+                    "`cairn ps` and `cairn logs`"
+                )
+
+
+def _result(
+    order: int, found: dict[str, Any] | None, last: MoveStatus, silent_s: float
+) -> MoveStatus | None:
+    """The result by the supervisor's word, None if the order is under way."""
+    if found is None or int(found["order_id"]) < order:
+        if silent_s < _LOST_S:
+            return None
+        raise CairnError(
+            f"order {order} was lost: its supervisor was started anew and does not know it; the "
+            "robot stands"
+        )
+    if int(found["order_id"]) > order:
+        raise CairnError(f"order {order} was pre-empted by order {found['order_id']}")
+    state, _, reason = str(found["result"]).partition(": ")
+    for number, name in _STATES.items():
+        if state == name:
+            return MoveStatus(
+                order_id=order,
+                state=number,
+                goal=last.goal,
+                goals=last.goals,
+                elapsed=last.elapsed,
+                recoveries=last.recoveries,
+                reason=reason,
+            )
+    return None
+
+
+def _place(goal: Sequence[float]) -> str:
+    return f"({goal[0]:.2f}, {goal[1]:.2f}, {math.degrees(goal[2]):.0f} deg)"
+
+
+def _sentence(status: MoveStatus) -> str:
+    of = f"goal {status.goal + 1} of {status.goals}: " if status.goals > 1 else ""
+    left = ""
+    if status.state == MoveStatus.DRIVING and status.distance_left > 0.0:
+        left = f": {status.distance_left:.1f} m left, about {status.time_left:.0f} s"
+    why = f"{', but' if left else ':'} {status.reason}" if status.reason else ""
+    return f"{status.elapsed:6.1f} s  {of}{_STATES[status.state]}{left}{why}"
+
+
+def _fields(status: MoveStatus) -> dict[str, object]:
+    return {
+        "order_id": status.order_id,
+        "state": _STATES[status.state],
+        "goal": status.goal,
+        "goals": status.goals,
+        "elapsed_s": status.elapsed,
+        "recoveries": status.recoveries,
+        "reason": status.reason,
+    }

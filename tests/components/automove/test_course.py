@@ -1,0 +1,306 @@
+"""How an order is carried out, step by step, on told situations alone."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from typing import Any
+
+import pytest
+
+from components.automove.course import Course, Patience, Seen
+from schemas.cairn_nav_msgs import LocalizationHealth, MotionStatus, Movement, MoveStatus, Plan
+
+SURE = LocalizationHealth(located=True, health=0.9)
+LOST = LocalizationHealth(located=True, health=0.1, reason="the map explains 20% of the scan")
+
+
+class Journey:
+    """A course whose planner and motion control answer as a test says."""
+
+    def __init__(self, *goals: tuple[float, float, float], **patience: Any) -> None:
+        self.now = 100.0
+        self.seen = Seen(pose=(0.0, 0.0, 0.0))
+        self.health: LocalizationHealth | None = SURE
+        self.plan: dict[str, Any] | None = {"outcome": Plan.FOUND}
+        self.motion: dict[str, Any] | None = {"state": MotionStatus.MOVING}
+        self.course = Course(
+            order_id=1,
+            goals=goals or ((3.0, 4.0, 0.0),),
+            at=0,
+            next_leg=itertools.count(1).__next__,
+            began_s=self.now,
+            patience=Patience(**patience),
+        )
+        self.told: list[tuple[int, int, str]] = []
+        self.course.loaded(self.now)
+
+    def run(self, seconds: float) -> Journey:
+        """Let that much time pass, a tenth of a second at a time."""
+        for _ in range(round(seconds * 10)):
+            self.now += 0.1
+            if self.health is not None:
+                self.seen.health, self.seen.health_s = self.health, self.now
+            leg = self.course.leg
+            wanted = self.course.behaviour
+            if self.plan is not None and wanted == Movement.FOLLOW:
+                self.seen.plan = Plan(leg=leg, **self.plan)
+            if self.motion is not None:
+                standing = {"state": MotionStatus.STANDING}
+                given = standing if wanted == Movement.STAND else self.motion
+                self.seen.motion, self.seen.motion_s = MotionStatus(leg=leg, **given), self.now
+            self.course.tick(self.now, self.seen)
+            row = (self.course.state, self.course.behaviour, self.course.reason)
+            if not self.told or self.told[-1][:2] != row[:2]:
+                self.told.append(row)
+        return self
+
+    @property
+    def states(self) -> list[int]:
+        return [state for state, _, _ in self.told]
+
+    @property
+    def tried(self) -> list[int]:
+        return [what for state, what, _ in self.told if state == MoveStatus.RECOVERING]
+
+
+def test_it_plans_and_drives_once_the_robot_is_located_and_ends_when_motion_is_done() -> None:
+    journey = Journey().run(1.0)
+    assert journey.states == [MoveStatus.PLANNING, MoveStatus.DRIVING]
+    assert journey.course.behaviour == Movement.FOLLOW
+
+    journey.motion = {"state": MotionStatus.DONE}
+    journey.run(0.1)
+
+    assert journey.course.state == MoveStatus.SUCCEEDED
+    assert journey.course.reason == "arrived at (3.00, 4.00)"
+    assert journey.course.behaviour == Movement.STAND
+    assert journey.course.over
+
+
+def test_every_want_has_a_leg_of_its_own_and_old_answers_change_nothing() -> None:
+    journey = Journey((1.0, 0.0, 0.0), (2.0, 0.0, 0.0)).run(1.0)
+    first = journey.course.leg
+    journey.motion = {"state": MotionStatus.DONE}
+    journey.run(0.1)
+    assert (journey.course.at, journey.course.state) == (1, MoveStatus.PLANNING)
+    assert journey.course.leg != first
+
+    journey.course.tick(journey.now, journey.seen)  # plan and motion are still those of before
+
+    assert (journey.course.at, journey.course.state) == (1, MoveStatus.PLANNING)
+
+
+def test_a_course_begins_with_the_goal_that_it_is_told() -> None:
+    course = Course(
+        order_id=1,
+        goals=((1.0, 0.0, 0.0), (2.0, 0.0, 0.0)),
+        at=1,
+        next_leg=itertools.count(1).__next__,
+        began_s=0.0,
+    )
+    assert course.goal == (2.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("health", [None, LOST])
+def test_nothing_moves_before_the_robot_is_located(health: LocalizationHealth | None) -> None:
+    journey = Journey()
+    journey.health = health
+    journey.run(1.5)
+    assert journey.course.state == MoveStatus.LOCALIZING
+    assert journey.course.behaviour == Movement.STAND
+    assert journey.course.reason in (LOST.reason, "the localizer has told nothing yet")
+
+
+def test_a_silent_localizer_is_not_looked_for_by_driving() -> None:
+    journey = Journey(stopped_s=5.0)
+    journey.health = None
+    journey.run(6.0)
+    assert journey.states == [MoveStatus.LOCALIZING, MoveStatus.FAILED]
+    assert journey.course.reason == "the localizer has told nothing yet"
+
+    journey = Journey()
+    journey.run(1.0)
+    journey.health = None
+    journey.run(1.5)
+    assert journey.course.state == MoveStatus.DRIVING  # motion control stops by itself, and says so
+
+
+def test_a_lost_robot_stands_then_looks_for_itself_in_turn_and_gives_up() -> None:
+    journey = Journey().run(1.0)
+    journey.health = LOST
+    journey.run(2.0)
+    assert (journey.course.state, journey.course.behaviour) == (
+        MoveStatus.LOCALIZING,
+        Movement.STAND,
+    )
+
+    journey.run(300.0)
+
+    look, explore = Movement.LOOK_AROUND, Movement.EXPLORE
+    assert journey.tried == [Movement.STAND, look, explore, look, explore, look]
+    assert journey.course.state == MoveStatus.FAILED
+    assert journey.course.reason == "the map explains 20% of the scan (after 6 recoveries)"
+    assert journey.course.recoveries == 6
+
+
+def test_a_robot_that_finds_itself_stops_looking_and_drives_on() -> None:
+    journey = Journey().run(1.0)
+    journey.health = LOST
+    journey.run(10.0)
+    assert journey.course.behaviour == Movement.LOOK_AROUND
+
+    journey.health = SURE
+    journey.run(2.0)
+
+    assert journey.course.state == MoveStatus.DRIVING
+
+
+def test_a_short_doubt_does_not_stop_it() -> None:
+    journey = Journey().run(1.0)
+    journey.health = LOST
+    journey.run(0.8)
+    journey.health = SURE
+    journey.run(1.0)
+    assert journey.states == [MoveStatus.PLANNING, MoveStatus.DRIVING]
+
+
+def test_what_blocks_it_is_waited_for_then_driven_around_and_progress_counts_anew() -> None:
+    journey = Journey().run(1.0)
+    journey.motion = {"state": MotionStatus.BLOCKED, "reason": "a wall", "distance_left": 4.0}
+    journey.run(2.5)
+    assert (journey.course.state, journey.course.reason) == (MoveStatus.DRIVING, "a wall")
+    journey.run(10.0)
+    assert journey.tried[0] == Movement.STAND
+    assert journey.course.recoveries > 1
+
+    for left in (4.0, 3.5):
+        journey.motion = {"state": MotionStatus.MOVING, "distance_left": left}
+        journey.run(6.0)
+    assert journey.course.state == MoveStatus.DRIVING
+    journey.motion = {"state": MotionStatus.BLOCKED, "reason": "a wall", "distance_left": 3.5}
+    journey.run(3.2)
+    assert journey.course.reason == "wait (1 of 6): a wall"
+
+
+def test_it_gives_up_after_all_recoveries_and_tells_why() -> None:
+    journey = Journey().run(1.0)
+    journey.motion = {"state": MotionStatus.BLOCKED, "reason": "a wall"}
+    journey.run(200.0)
+    assert journey.tried == [
+        Movement.STAND,
+        Movement.LOOK_AROUND,
+        Movement.BACK_OFF,
+        Movement.STAND,
+        Movement.LOOK_AROUND,
+        Movement.STAND,
+    ]
+    assert journey.course.reason == "a wall (after 6 recoveries)"
+
+
+def test_without_recoveries_it_gives_up_at_once() -> None:
+    journey = Journey(recoveries=0).run(1.0)
+    journey.motion = {"state": MotionStatus.BLOCKED, "reason": "a wall"}
+    journey.run(3.5)
+    assert (journey.course.state, journey.course.reason) == (MoveStatus.FAILED, "a wall")
+
+
+def test_a_robot_that_moves_but_gets_no_nearer_recovers() -> None:
+    journey = Journey().run(1.0)
+    journey.motion = {"state": MotionStatus.MOVING, "distance_left": 2.0}
+    journey.run(21.0)
+    assert journey.course.state == MoveStatus.RECOVERING
+    assert journey.course.reason == "wait (1 of 6): the robot moves but gets no nearer"
+
+
+@pytest.mark.parametrize(
+    ("outcome", "tries"), [(Plan.UNREACHABLE, 3), (Plan.GOAL_BLOCKED, 3), (Plan.START_BLOCKED, 6)]
+)
+def test_no_path_is_waited_for_and_then_told_in_the_planners_words(
+    outcome: int, tries: int
+) -> None:
+    journey = Journey()
+    journey.plan = {"outcome": outcome, "reason": "the goal is in a wall"}
+    journey.motion = {"state": MotionStatus.DONE}
+    journey.run(1.0)
+    assert journey.course.reason == "no path: the goal is in a wall"
+    journey.run(200.0)
+    assert len(journey.tried) == tries
+    assert journey.course.state == MoveStatus.FAILED
+    assert journey.course.reason == f"no path: the goal is in a wall (after {tries} recoveries)"
+
+
+def test_a_goal_outside_the_map_is_given_up_at_once() -> None:
+    journey = Journey()
+    journey.plan = {"outcome": Plan.OUTSIDE_MAP, "reason": "the goal is outside the map"}
+    journey.run(0.3)
+    assert journey.states == [MoveStatus.PLANNING, MoveStatus.FAILED]
+    assert journey.course.reason == "no path: the goal is outside the map"
+
+
+def test_a_planner_that_gives_no_answer_is_told_of() -> None:
+    journey = Journey(planning_s=5.0)
+    journey.plan = None
+    journey.run(6.0)
+    assert journey.course.reason == "wait (1 of 6): the planner gives no answer"
+
+
+def test_a_missing_input_is_waited_for_and_then_named() -> None:
+    journey = Journey(stopped_s=5.0).run(1.0)
+    journey.motion = {"state": MotionStatus.STOPPED, "reason": "no scan for 0.6 s on /robot/scan"}
+    journey.run(4.0)
+    assert journey.course.state == MoveStatus.DRIVING
+    assert journey.course.reason == "no scan for 0.6 s on /robot/scan"
+
+    journey.motion = {"state": MotionStatus.MOVING}
+    journey.run(1.0)
+    assert (journey.course.state, journey.course.reason) == (MoveStatus.DRIVING, "")
+
+    journey.motion = {"state": MotionStatus.STOPPED, "reason": "no scan for 0.6 s on /robot/scan"}
+    journey.run(5.5)
+    assert journey.course.state == MoveStatus.FAILED
+    assert journey.course.reason == "no scan for 0.6 s on /robot/scan"
+
+
+def test_an_input_missing_while_it_recovers_is_named_too() -> None:
+    journey = Journey(stopped_s=5.0).run(1.0)
+    journey.health = LOST
+    journey.run(10.0)
+    journey.motion = {"state": MotionStatus.STOPPED, "reason": "no odom for 0.6 s on /robot/odom"}
+    journey.run(1.0)
+    assert journey.course.reason == "no odom for 0.6 s on /robot/odom"
+    journey.run(5.0)
+    assert journey.course.state == MoveStatus.FAILED
+
+
+def test_a_silent_motion_control_is_told_with_the_time_it_has_been_silent() -> None:
+    journey = Journey(stopped_s=5.0).run(1.0)
+    journey.motion = None
+    journey.run(3.0)
+    assert journey.course.state == MoveStatus.DRIVING
+    assert journey.course.reason == "nothing was heard of motion control for 3.0 s"
+    journey.run(5.0)
+    assert journey.course.state == MoveStatus.FAILED
+
+
+def test_a_cancelled_course_stands_and_stays_so() -> None:
+    journey = Journey().run(1.0)
+    leg = journey.course.leg
+    journey.course.cancel()
+    journey.run(1.0)
+    assert journey.course.state == MoveStatus.CANCELLED
+    assert journey.course.behaviour == Movement.STAND
+    assert journey.course.leg != leg
+
+
+def test_the_distance_left_is_along_the_path_where_one_is_followed() -> None:
+    journey = Journey()
+    assert journey.course.distance_left(journey.seen) == pytest.approx(5.0)
+    journey.motion = {"state": MotionStatus.MOVING, "distance_left": 7.0}
+    journey.run(1.0)
+    assert journey.course.distance_left(journey.seen) == 7.0
+    journey.motion = {"state": MotionStatus.STOPPED, "reason": "no scan"}
+    journey.run(0.5)
+    assert journey.course.distance_left(journey.seen) == pytest.approx(5.0)
+    assert journey.course.distance_left(Seen()) == 0.0
+    assert math.isinf(Seen().health_s)

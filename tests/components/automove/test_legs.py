@@ -1,0 +1,38 @@
+"""Numbers of legs never come twice, whoever begins anew."""
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from components.automove.legs import Legs
+
+NOW = 1_795_261_862_000_000_000
+UINT32 = 2**32
+
+
+@given(st.lists(st.integers(0, 3_000_000), min_size=1, max_size=200))
+def test_numbers_differ_and_fit_their_message_whatever_time_passes_between(
+    steps: list[int],
+) -> None:
+    legs, now, given_out = Legs(), NOW, []
+    for step in steps:
+        now += step
+        given_out.append(legs.next(now))
+    assert len(set(given_out)) == len(given_out)
+    assert all(0 < leg < UINT32 for leg in given_out)
+
+
+def test_a_successor_begins_beyond_all_numbers_of_its_forerunner() -> None:
+    forerunner = Legs()
+    given_out = [forerunner.next(NOW + ms * 1_000_000) for ms in range(0, 100, 2)]
+    assert Legs().next(NOW + 100_000_000) not in given_out
+
+
+def test_numbers_go_on_when_they_overflow_and_when_the_clock_is_set_back() -> None:
+    wrap = (UINT32 - 1) * 1_000_000
+    legs = Legs()
+    assert [legs.next(wrap), legs.next(wrap), legs.next(wrap)] == [UINT32 - 1, 1, 2]
+    assert legs.next(wrap - 10_000_000) == 3
+
+
+def test_a_run_on_virtual_time_begins_with_one() -> None:
+    assert Legs().next(0) == 1

@@ -1,0 +1,117 @@
+"""The whole navigation on virtual time: orders, a world to change, and what came of it."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+
+from cairn.deployment.load import load_deployment
+from planar.grid import OccupancyCells, grid_of
+from planar.messages import planar_pose, pose_message
+from planar.poses import Pose, distance
+from schemas.cairn_nav_msgs import Collision, MotionStatus, MoveStatus
+from schemas.geometry_msgs import PoseStamped
+from schemas.nav_msgs import OccupancyGrid
+from schemas.std_msgs import Header
+from tests.navigation.deployed import Deployed, taken
+
+DEPLOY = Path(__file__).parents[2] / "deploy"
+SIM = DEPLOY / "sim.yaml"
+ENDS = (MoveStatus.SUCCEEDED, MoveStatus.FAILED, MoveStatus.CANCELLED)
+
+
+class Drive(Deployed):
+    """`sim.yaml` in lockstep in the hands of a test."""
+
+    def __init__(self, folder: Path, *sets: str, seed: int = 1) -> None:
+        super().__init__(load_deployment(SIM, sets=[f"settings.report={folder}", *sets]), seed)
+        self._statuses = self.read("move_status", MoveStatus)
+        self._motions = self.read("motion_status", MotionStatus)
+        self._collisions = self.read("collisions", Collision)
+        self._truths = self.read("truth", PoseStamped)
+        self._maps = self.read("map", OccupancyGrid)
+        self.statuses: list[MoveStatus] = []
+        self.motions: list[MotionStatus] = []
+        self.collisions: list[Collision] = []
+        self.truth: Pose = (math.nan, math.nan, math.nan)
+        self._awaited = 0
+
+    def go(self, x: float, y: float, theta: float = 0.0, frame: str = "map") -> None:
+        """Send a goal as RViz does."""
+        pose = pose_message((x, y, theta))
+        self.publish("goal_pose", PoseStamped(header=Header(frame_id=frame), pose=pose))
+
+    def await_end(self, limit_s: float = 300.0) -> MoveStatus:
+        """Let time pass until an order has its result, another than was awaited before."""
+
+        def ended() -> bool:
+            last = self.statuses[-1] if self.statuses else MoveStatus()
+            return last.state in ENDS and last.order_id != self._awaited
+
+        self.await_that(ended, limit_s)
+        self._awaited = self.statuses[-1].order_id
+        return self.statuses[-1]
+
+    def await_state(self, state: int, limit_s: float = 60.0) -> MoveStatus:
+        """Let time pass until an order is in that state."""
+        self.await_that(lambda: bool(self.statuses) and self.statuses[-1].state == state, limit_s)
+        return self.statuses[-1]
+
+    def await_goal(self, number: int) -> None:
+        """Let time pass until goal `number` of the order is being driven to."""
+        self.await_that(lambda: bool(self.statuses) and self.statuses[-1].goal == number)
+
+    def arrives(self, goal: tuple[float, float], limit_s: float = 300.0) -> None:
+        """The order under way must end at its goal, truly, without touching anything."""
+        end = self.await_end(limit_s)
+        assert end.state == MoveStatus.SUCCEEDED, str(self)
+        assert distance(self.truth, (*goal, 0.0)) < 0.25
+        assert self.collisions == []
+
+    def stands(self) -> bool:
+        """Whether the robot truly does not move for a second."""
+        before = self.truth
+        self.wait(1.0)
+        return distance(before, self.truth) < 0.005
+
+    def grid(self) -> OccupancyCells:
+        """The grid map as it was last told as a whole."""
+        maps = taken(self._maps)
+        assert maps, "no new map was told"
+        return grid_of(maps[-1])
+
+    def states(self) -> list[int]:
+        """The states told, each once in a row."""
+        return [
+            status.state
+            for number, status in enumerate(self.statuses)
+            if number == 0 or self.statuses[number - 1].state != status.state
+        ]
+
+    def look(self) -> bool:
+        """Take what was told."""
+        self.statuses += taken(self._statuses)
+        self.motions += taken(self._motions)
+        self.collisions += taken(self._collisions)
+        for truth in taken(self._truths):
+            self.truth = planar_pose(truth.pose)
+        return False
+
+    def __str__(self) -> str:
+        """What was told, for a test that fails."""
+        rows: list[str] = []
+        for status in self.statuses:
+            row = f"{status.order_id} {status.state} {status.goal} {status.reason}"
+            if not rows or rows[-1] != row:
+                rows.append(row)
+        return "\n".join([f"at {self.truth}, {self.now:.1f} s", *rows[-25:]])
+
+
+def share_occupied(grid: OccupancyCells, x: float, y: float, half_m: float = 0.35) -> float:
+    """Share of the cells around a place that hold an obstacle."""
+    row, column = grid.frame.cell(x, y)
+    half = round(half_m / grid.frame.resolution)
+    window = grid.values[row - half : row + half + 1, column - half : column + half + 1]
+    return float(np.mean(window >= 65))

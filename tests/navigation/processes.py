@@ -1,0 +1,157 @@
+"""The simulated robot in real processes: orders by `cairn go`, and what truly happens."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from cairn.bus.qos import RELIABLE
+from cairn.bus.session import open_peer
+from cairn.bus.zenoh_bus import ZenohBus
+from planar.messages import planar_pose
+from planar.poses import Pose, distance
+from schemas.cairn_nav_msgs import Collision
+from schemas.geometry_msgs import PoseStamped
+from tests.launching import CAIRN, Run, free_port, launching
+from tests.navigation.driving import SIM
+
+UNTIL_READY = "vision_supervisor active"
+
+
+class Robot:
+    """A running `cairn up deploy/sim.yaml`, watched from outside."""
+
+    def __init__(self, run: Run, bus: ZenohBus) -> None:
+        self.run = run
+        self.collisions: list[Collision] = []
+        self._truths: list[tuple[float, Pose]] = []
+        self._changed = threading.Condition()
+        node = bus.node("/examiner", print)
+        self._truth = node.subscribe("/robot/truth", PoseStamped, RELIABLE, self._follow)
+        self._collision = node.subscribe("/robot/collisions", Collision, RELIABLE, self._note)
+
+    @property
+    def place(self) -> Pose:
+        """Where the robot truly is."""
+        with self._changed:
+            assert self._changed.wait_for(lambda: bool(self._truths), 10.0), self.run
+            return self._truths[-1][1]
+
+    def go(self, *words: str) -> Going:
+        """Give an order, as from a terminal."""
+        return Going([*words, "--connect", self.run.endpoint])
+
+    def kill(self, component: str) -> None:
+        """Kill a component's process."""
+        os.kill(self.run.pid_of(component), signal.SIGKILL)
+
+    def await_moved(self, metres: float, limit_s: float = 20.0) -> None:
+        """Wait until the robot has come so far from where it is now."""
+        begin = self.place
+        self._await(lambda: distance(begin, self._truths[-1][1]) >= metres, limit_s, "moves")
+
+    def await_stand(self, since: float, limit_s: float = 10.0) -> float:
+        """Wait until the robot has stood for 0.25 s; how long after `since` that began [s]."""
+
+        def began() -> float | None:
+            truths = [(at, pose) for at, pose in self._truths if at >= since]
+            for number, (at, pose) in enumerate(truths):
+                later = [other for when, other in truths[number:] if when - at >= 0.25]
+                if later and distance(pose, later[0]) < 0.005:
+                    return at - since
+            return None
+
+        self._await(lambda: began() is not None, limit_s, "stands")
+        took = began()
+        assert took is not None
+        return took
+
+    def _await(self, so: Callable[[], bool], limit_s: float, what: str) -> None:
+        with self._changed:
+            assert self._changed.wait_for(so, limit_s), (
+                f"not within {limit_s} s: {what}; {self.run}"
+            )
+
+    def _follow(self) -> None:
+        with self._changed:
+            while (truth := self._truth.take()) is not None:
+                self._truths.append((time.monotonic(), planar_pose(truth.pose)))
+            self._changed.notify_all()
+
+    def _note(self) -> None:
+        while (collision := self._collision.take()) is not None:
+            self.collisions.append(collision)
+
+
+class Going:
+    """A running `cairn go`: its lines as they come, and its end."""
+
+    def __init__(self, arguments: list[str], **how: Any) -> None:
+        self.lines: list[str] = []
+        self.process = subprocess.Popen(
+            [CAIRN, "go", *arguments],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            stdin=subprocess.DEVNULL,
+            text=True,
+            env={**os.environ, "PYTHONUNBUFFERED": "1"},
+            **how,
+        )
+        self._changed = threading.Condition()
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    def await_word(self, word: str, limit_s: float = 20.0) -> None:
+        """Wait until it has said that."""
+        with self._changed:
+            found = self._changed.wait_for(
+                lambda: any(word in line for line in self.lines), limit_s
+            )
+        assert found, f"no {word!r} within {limit_s} s; {self}"
+
+    def await_end(self, limit_s: float = 60.0) -> int:
+        """Wait for its end; its exit code."""
+        try:
+            code = self.process.wait(limit_s)
+        except subprocess.TimeoutExpired:
+            raise AssertionError(f"it does not end within {limit_s} s; {self}") from None
+        self._reader.join(10.0)
+        return code
+
+    def __str__(self) -> str:
+        return "it said:\n" + "".join(self.lines)
+
+    def _read(self) -> None:
+        assert self.process.stdout is not None
+        for line in self.process.stdout:
+            with self._changed:
+                self.lines.append(line)
+                self._changed.notify_all()
+        self.process.stdout.close()
+
+
+@contextmanager
+def robot_in(folder: Path, *sets: str) -> Iterator[Robot]:
+    """Start the deployment; at the end nothing of it is left."""
+    with launching(folder) as launch:
+        endpoint = f"tcp/127.0.0.1:{free_port()}"
+        kept = "components.mobile_supervisor.parameters.state_file=${report}/order.json"
+        given = [f"bus.listen={endpoint}", kept, *sets]
+        arguments = [str(SIM), *(word for one in given for word in ("--set", one))]
+        run = Run(arguments, folder / "report", endpoint, {}, None)
+        launch.runs.append(run)
+        run.await_line(UNTIL_READY)
+        bus = ZenohBus(open_peer([endpoint]))
+        try:
+            yield Robot(run, bus)
+        finally:
+            with contextlib.suppress(Exception):
+                bus.close()

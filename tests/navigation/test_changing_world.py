@@ -1,0 +1,113 @@
+"""What changes while the robot drives: furniture, objects, people, its own prison."""
+
+from collections.abc import Callable
+
+from planar.poses import distance
+from schemas.cairn_msgs import VisualMap
+from schemas.cairn_nav_msgs import MoveStatus
+from tests.navigation.deployed import taken
+from tests.navigation.driving import Drive, share_occupied
+
+DriveOf = Callable[..., Drive]
+
+
+def test_moved_furniture_vanishes_from_the_grid_map_and_appears_where_it_is(
+    drive: DriveOf,
+) -> None:
+    robot = drive()
+    robot.go(1.2, 3.4)
+    robot.arrives((1.2, 3.4))
+    assert share_occupied(robot.grid(), 2.4, 2.3) > 0.1
+
+    robot.ask("world", "move", name="box", x=2.6, y=4.6, theta=0.6)
+    for goal in ((3.2, 1.6), (1.2, 5.4), (3.2, 1.6)):
+        robot.go(*goal)
+        robot.arrives(goal)
+    robot.wait(6.0)
+
+    grid = robot.grid()
+    assert share_occupied(grid, 2.4, 2.3) == 0.0
+    assert share_occupied(grid, 2.6, 4.6) > 0.1
+
+
+def test_a_moved_object_is_found_again_and_the_visual_map_repaired(drive: DriveOf) -> None:
+    robot = drive()
+    maps = robot.read("visual_map", VisualMap)
+    robot.go(3.0, 5.6)
+    robot.arrives((3.0, 5.6))
+
+    robot.ask("world", "move", name="object_3", x=6.9, y=7.0, theta=-1.5708)
+    for goal in ((5.6, 5.6), (3.0, 5.6), (5.6, 5.6), (3.0, 5.6)):
+        robot.go(*goal)
+        robot.arrives(goal)
+
+    places = {one.object_id: (one.x, one.y, 0.0) for one in taken(maps)[-1].objects}
+    assert not any(distance(place, (3.8, 7.0, 0.0)) < 0.5 for place in places.values())
+    assert any(distance(place, (6.9, 7.0, 0.0)) < 0.3 for place in places.values()), places
+
+
+def test_a_person_who_stands_on_the_goal_is_waited_for(drive: DriveOf) -> None:
+    robot = drive()
+    robot.ask("world", "person", name="guard", waypoints=[[4.0, 1.4]])
+    robot.go(4.0, 1.4)
+    robot.await_state(MoveStatus.RECOVERING)
+    assert "no path: the goal (4.00, 1.40)" in robot.statuses[-1].reason
+
+    robot.ask("world", "remove", name="guard")
+
+    robot.arrives((4.0, 1.4))
+    assert robot.statuses[-1].recoveries > 0
+
+
+def test_a_person_who_stays_on_the_goal_has_the_robot_give_up(drive: DriveOf) -> None:
+    robot = drive()
+    robot.ask("world", "person", name="guard", waypoints=[[4.0, 1.4]])
+    robot.go(4.0, 1.4)
+
+    end = robot.await_end(120.0)
+
+    assert end.state == MoveStatus.FAILED
+    assert end.reason.startswith("no path: the goal (4.00, 1.40)")
+    assert "nearest place that can be reached" in end.reason
+    assert robot.collisions == []
+    assert robot.stands()
+
+
+def walled_in(robot: Drive) -> None:
+    robot.go(1.2, 1.4)
+    robot.arrives((1.2, 1.4))
+    x, y, _ = robot.truth
+    for name, dx, dy, size in [
+        ("east", 0.7, 0.0, [0.2, 1.2]),
+        ("north", 0.0, 0.75, [1.6, 0.2]),
+        ("west", -0.7, 0.0, [0.2, 1.2]),
+        ("south", 0.0, -0.75, [1.6, 0.2]),
+    ]:
+        robot.ask("world", "furniture", name=name, x=x + dx, y=y + dy, size=size)
+
+
+def test_a_robot_that_is_walled_in_gives_up_with_the_nearest_place(drive: DriveOf) -> None:
+    robot = drive()
+    walled_in(robot)
+
+    robot.go(7.0, 3.0)
+    end = robot.await_end(200.0)
+
+    assert end.state == MoveStatus.FAILED
+    assert end.reason.startswith("no path: ")
+    assert "nearest place that can be reached" in end.reason
+    assert "recoveries" in end.reason
+    assert robot.collisions == []
+    assert robot.stands()
+
+
+def test_a_robot_whose_walls_go_away_drives_on(drive: DriveOf) -> None:
+    robot = drive()
+    walled_in(robot)
+    robot.go(3.0, 3.4)
+    robot.await_state(MoveStatus.RECOVERING)
+
+    for name in ("east", "north"):
+        robot.ask("world", "remove", name=name)
+
+    robot.arrives((3.0, 3.4))

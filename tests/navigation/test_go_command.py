@@ -1,0 +1,110 @@
+"""`cairn go` as an operator sees it: what it says, how it ends, and what Ctrl-C does."""
+
+import re
+import signal
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.commands import cairn
+from tests.navigation.processes import Robot, robot_in
+
+
+@pytest.fixture(scope="module")
+def robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Robot]:
+    with robot_in(tmp_path_factory.mktemp("robot")) as robot:
+        yield robot
+
+
+def test_it_tells_every_step_and_ends_with_0_when_the_robot_is_there(robot: Robot) -> None:
+    going = robot.go("2.0", "1.2", "10deg")
+
+    assert going.await_end() == 0
+
+    said = [re.sub(r"\d+(\.\d+)?", "N", line).strip() for line in going.lines]
+    assert said[0] == "order N: go to (N, N, N deg); Ctrl-C cancels"
+    assert said[1:5] == [
+        "N s  loading: map_builder",
+        "N s  loading: localizer",
+        "N s  loading: path_planner",
+        "N s  loading: motion_control",
+    ]
+    assert "N s  planning" in said
+    assert "N s  driving: N m left, about N s" in said
+    assert re.search(r"s  arrived at \(2.00, 1.20\)$", going.lines[-1].strip())
+
+
+def test_a_goal_outside_the_map_ends_with_1_and_a_sentence(robot: Robot) -> None:
+    going = robot.go("-3.5", "-2")
+
+    assert going.await_end() == 1
+
+    assert re.match(
+        r"cairn: order \d+ failed after \d+\.\d s: no path: the goal \(-3.50, -2.00\) is outside "
+        r"the map; the nearest place that can be reached, \(",
+        going.lines[-1],
+    ), going
+
+
+def test_as_json_it_prints_the_result_alone(robot: Robot) -> None:
+    answer = cairn("go", "2.4", "1.2", "--json", connect=robot.run.endpoint)
+
+    assert (answer.code, answer.err) == (0, "")
+    assert answer.json["state"] == "succeeded"
+    assert answer.json["reason"] == "arrived at (2.40, 1.20)"
+    assert answer.json["elapsed_s"] > 0
+
+
+def test_ctrl_c_cancels_its_own_order_and_the_robot_stands(robot: Robot) -> None:
+    going = robot.go("6.6", "1.8")
+    going.await_word("driving")
+    robot.await_moved(0.3)
+
+    going.process.send_signal(signal.SIGINT)
+
+    assert robot.await_stand(time.monotonic()) < 2.5
+    assert going.await_end() == 130
+    assert going.lines[-1] == "cancelled: the robot stops\n"
+    answer = cairn("go", "--cancel", connect=robot.run.endpoint)
+    assert (answer.code, answer.err) == (
+        1,
+        "cairn: mobile_supervisor: there is no order to cancel\n",
+    )
+
+
+def test_whoever_is_pre_empted_is_told_and_takes_nothing_back(robot: Robot) -> None:
+    first = robot.go("6.6", "1.8")
+    first.await_word("driving")
+    answer = cairn("go", "1.4", "1.2", "--no-wait", "--json", connect=robot.run.endpoint)
+    order = answer.json["order_id"]
+
+    assert first.await_end() == 1
+
+    assert re.fullmatch(rf"cairn: order \d+ was pre-empted by order {order}\n", first.lines[-1])
+    cancelled = cairn("go", "--cancel", connect=robot.run.endpoint)
+    assert (cancelled.code, cancelled.out) == (0, f"order {order} is cancelled\n")
+
+
+def test_an_order_that_its_supervisor_lost_is_told_of(robot: Robot) -> None:
+    going = robot.go("5.0", "1.5")
+    going.await_word("driving")
+    (Path(robot.run.report) / "order.json").unlink()
+
+    robot.kill("mobile_supervisor")
+
+    assert going.await_end() == 1
+    assert "was lost: its supervisor was started anew and does not know it" in going.lines[-1]
+
+
+def test_the_end_of_the_deployment_is_noticed(robot: Robot) -> None:
+    going = robot.go("1.2", "1.2")
+    going.await_word("order ")
+
+    robot.run.stop()
+
+    assert going.await_end() == 1
+    assert re.fullmatch(
+        r"cairn: order \d+: the deployment has ended, and with it the order\n", going.lines[-1]
+    ), going

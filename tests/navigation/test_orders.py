@@ -1,0 +1,138 @@
+"""Orders to move, carried out by the whole system: arrive, pre-empt, cancel, refuse, give up."""
+
+import math
+import re
+from collections.abc import Callable
+
+import pytest
+
+from cairn.errors import CairnError
+from schemas.cairn_nav_msgs import MotionStatus, MoveStatus
+from tests.navigation.driving import Drive
+
+DriveOf = Callable[..., Drive]
+
+
+def test_an_order_shows_all_its_steps_and_ends_where_it_should(drive: DriveOf) -> None:
+    robot = drive()
+    robot.wait(1.0)
+
+    robot.go(7.5, 5.0, math.radians(90))
+    robot.arrives((7.5, 5.0))
+
+    assert robot.states() == [
+        MoveStatus.LOADING,
+        MoveStatus.LOCALIZING,
+        MoveStatus.PLANNING,
+        MoveStatus.DRIVING,
+        MoveStatus.SUCCEEDED,
+    ]
+    loaded = [s.reason for s in robot.statuses if s.state == MoveStatus.LOADING]
+    assert loaded == ["map_builder", "localizer", "path_planner", "motion_control"]
+    driving = [s for s in robot.statuses if s.state == MoveStatus.DRIVING]
+    assert driving[0].distance_left == pytest.approx(7.9, abs=0.5)
+    assert driving[0].time_left == pytest.approx(driving[0].distance_left / 0.4, rel=0.01)
+    assert driving[-1].distance_left < 0.5
+    assert robot.statuses[-1].reason == "arrived at (7.50, 5.00)"
+    assert robot.truth[2] == pytest.approx(math.radians(90), abs=0.15)
+    assert robot.stands()
+
+
+def test_a_new_goal_pre_empts_the_old_one(drive: DriveOf) -> None:
+    robot = drive()
+    robot.go(7.5, 5.0)
+    robot.await_state(MoveStatus.DRIVING)
+    robot.wait(4.0)
+    first = robot.statuses[-1].order_id
+
+    robot.go(1.2, 3.0)
+    robot.arrives((1.2, 3.0))
+
+    assert robot.statuses[-1].order_id > first
+    assert [s.state for s in robot.statuses if s.order_id == first][-1] == MoveStatus.DRIVING
+
+
+def test_a_cancelled_order_leaves_the_robot_standing(drive: DriveOf) -> None:
+    robot = drive()
+    order = robot.ask("mobile_supervisor", "go", goals=[[7.5, 5.0, 0.0]])["order_id"]
+    robot.await_state(MoveStatus.DRIVING)
+    robot.wait(4.0)
+
+    assert robot.ask("mobile_supervisor", "cancel", order_id=order) == {"order_id": order}
+
+    assert robot.await_end(1.0).state == MoveStatus.CANCELLED
+    robot.wait(1.0)
+    assert robot.stands()
+    assert robot.motions[-1].state == MotionStatus.STANDING
+    assert robot.ask("mobile_supervisor", "order")["result"] == "cancelled: taken back"
+    with pytest.raises(CairnError, match=f"there is no order {order} under way"):
+        robot.ask("mobile_supervisor", "cancel", order_id=order)
+
+
+def test_several_goals_are_driven_to_one_after_the_other(drive: DriveOf) -> None:
+    robot = drive()
+    goals = [[3.0, 1.2, 0.0], [6.4, 1.8, 1.5], [6.6, 3.2, 1.5]]
+    robot.ask("mobile_supervisor", "go", goals=goals)
+
+    for number, (x, y, _) in enumerate(goals[:-1], start=1):
+        robot.await_goal(number)
+        assert math.dist(robot.truth[:2], (x, y)) < 0.25
+    robot.arrives((6.6, 3.2))
+
+    assert {s.goals for s in robot.statuses} == {3}
+
+
+@pytest.mark.parametrize(
+    ("goal", "reason"),
+    [
+        ((4.4, 3.4), r"no path: the goal \(4.40, 3.40\) .*nearest place that can be reached, \("),
+        ((-3.0, 2.0), r"no path: the goal \(-3.00, 2.00\) is outside the map; the nearest place"),
+        ((200.0, 2.0), r"no path: the goal \(200.00, 2.00\) is outside the map; the nearest place"),
+    ],
+    ids=["in the table", "west of the map", "far away"],
+)
+def test_a_goal_where_no_robot_can_be_is_given_up_with_the_nearest_place(
+    drive: DriveOf, goal: tuple[float, float], reason: str
+) -> None:
+    robot = drive()
+    robot.go(*goal)
+
+    end = robot.await_end(45.0)
+
+    assert end.state == MoveStatus.FAILED
+    assert re.match(reason, end.reason), end.reason
+    assert robot.collisions == []
+    robot.go(1.5, 1.2)
+    robot.arrives((1.5, 1.2))
+
+
+def test_what_is_no_goal_is_refused_and_the_order_under_way_goes_on(drive: DriveOf) -> None:
+    robot = drive()
+    robot.go(3.0, 1.2)
+    robot.await_state(MoveStatus.DRIVING)
+
+    for goals, why in [
+        ([[math.nan, 1.0, 0.0]], "must be finite"),
+        ([[1.0, 1e9, 0.0]], "not beyond"),
+        ([[1.0, 2.0]], "give x"),
+        ([["1", "2", "3"]], "give x"),
+        ([], "at least one goal"),
+    ]:
+        with pytest.raises(CairnError, match=why):
+            robot.ask("mobile_supervisor", "go", goals=goals)
+    robot.go(7.0, 5.0, frame="odom")
+
+    robot.arrives((3.0, 1.2))
+    assert len({status.order_id for status in robot.statuses}) == 1
+
+
+def test_a_mission_is_driven_and_ends_the_deployment(drive: DriveOf) -> None:
+    robot = drive("settings.mission=[[3.0, 1.2, 0.0], [1.2, 1.2, 3.1]]", "settings.finish=true")
+
+    robot.await_that(lambda: robot.run.end is not None, 60.0)
+
+    assert robot.run.end is not None
+    assert robot.run.end.normal
+    assert robot.run.end.reason == (
+        "mobile_supervisor has finished: the mission succeeded: arrived at (1.20, 1.20)"
+    )

@@ -1,0 +1,169 @@
+"""Inputs that cease, components that begin anew, maps that are none."""
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+from cairn.errors import CairnError
+from schemas.cairn_nav_msgs import MotionStatus, MoveStatus
+from tests.navigation.driving import DEPLOY, Drive
+
+DriveOf = Callable[..., Drive]
+
+
+def test_a_silent_scanner_stops_the_robot_which_says_so_and_goes_on_when_it_is_back(
+    drive: DriveOf,
+) -> None:
+    robot = drive()
+    robot.go(7.0, 5.0)
+    robot.await_state(MoveStatus.DRIVING)
+    robot.wait(4.0)
+
+    robot.ask("mobile_supervisor", "unload", name="range_scanner")
+
+    robot.wait(2.0)
+    assert robot.stands()
+    assert robot.motions[-1].state == MotionStatus.STOPPED
+    assert re.fullmatch(r"no scan for 2\.\d+ s on /robot/scan", robot.statuses[-1].reason)
+    robot.ask("mobile_supervisor", "load", name="range_scanner")
+    robot.arrives((7.0, 5.0))
+
+
+def test_a_scanner_that_stays_silent_ends_the_order_with_its_name(drive: DriveOf) -> None:
+    robot = drive()
+    robot.go(7.0, 5.0)
+    robot.await_state(MoveStatus.DRIVING)
+    robot.ask("mobile_supervisor", "unload", name="range_scanner")
+
+    end = robot.await_end(40.0)
+
+    assert end.state == MoveStatus.FAILED
+    assert re.match(r"no scan for \d+\.\d+ s on /robot/scan", end.reason)
+    assert robot.stands()
+
+
+@pytest.mark.parametrize(
+    "component", ["map_builder", "localizer", "path_planner", "motion_control"]
+)
+def test_a_plugin_that_begins_anew_on_the_way_does_not_end_the_order(
+    drive: DriveOf, component: str
+) -> None:
+    robot = drive()
+    robot.go(6.6, 1.8)
+    robot.await_state(MoveStatus.DRIVING)
+    robot.wait(3.0)
+
+    robot.ask("automove", "restart", name=component)
+
+    robot.arrives((6.6, 1.8))
+    assert len({status.order_id for status in robot.statuses}) == 1
+
+
+@pytest.mark.parametrize("component", ["base", "range_scanner", "automove"])
+def test_a_component_below_the_supervisor_that_begins_anew_does_not_end_the_order(
+    drive: DriveOf, component: str
+) -> None:
+    robot = drive()
+    robot.ask("mobile_supervisor", "go", goals=[[3.0, 1.2, 0.0], [6.6, 1.8, 0.0]])
+    robot.await_goal(1)
+    robot.wait(2.0)
+
+    robot.ask("mobile_supervisor", "restart", name=component)
+
+    robot.arrives((6.6, 1.8))
+    assert len({status.order_id for status in robot.statuses}) == 1
+    assert all(s.goal > 0 for s in robot.statuses if s.elapsed > 30.0)
+
+
+KEPT = "components.mobile_supervisor.parameters.state_file=${report}/order.json"
+
+
+def test_a_supervisor_that_begins_anew_goes_on_with_the_order_it_kept(drive: DriveOf) -> None:
+    robot = drive(KEPT)
+    order = robot.ask("mobile_supervisor", "go", goals=[[3.0, 1.2, 0.0], [6.6, 1.8, 0.0]])
+    robot.await_goal(1)
+
+    robot.ask("root", "restart", name="mobile_supervisor")
+
+    robot.arrives((6.6, 1.8))
+    assert {status.order_id for status in robot.statuses} == {order["order_id"]}
+    assert robot.ask("mobile_supervisor", "order")["resumed"] == 1
+
+
+def test_a_supervisor_that_finds_no_order_lets_the_robot_stand(
+    drive: DriveOf, tmp_path: Path
+) -> None:
+    robot = drive(KEPT)
+    robot.go(6.6, 1.8)
+    robot.await_state(MoveStatus.DRIVING)
+    robot.wait(3.0)
+    (tmp_path / "order.json").unlink()
+
+    robot.ask("root", "restart", name="mobile_supervisor")
+
+    robot.wait(2.0)
+    assert robot.stands()
+    assert robot.ask("mobile_supervisor", "order") is None
+
+
+AT_START = (
+    "components.mobile_supervisor.children.automove.load=at_start",
+    "components.mobile_supervisor.children.automove.parameters.load_plugins=on_activation",
+)
+
+
+def no_map(folder: Path) -> Path:
+    return folder / "nowhere.yaml"
+
+
+def map_of_another_size(folder: Path) -> Path:
+    text = (DEPLOY / "maps" / "room.yaml").read_text(encoding="utf-8")
+    file = folder / "small.yaml"
+    text = re.sub("image: .*", "image: small.pgm", text) + "width: 201\nheight: 161\n"
+    file.write_text(text, encoding="utf-8")
+    Image.new("L", (7, 5), 254).save(folder / "small.pgm")
+    return file
+
+
+def no_picture(folder: Path) -> Path:
+    file = map_of_another_size(folder)
+    (folder / "small.pgm").write_bytes(b"P5 not a picture")
+    return file
+
+
+@pytest.mark.parametrize(
+    ("make", "cause"),
+    [
+        (no_map, "nowhere.yaml"),
+        (map_of_another_size, "small.pgm"),
+        (no_picture, "small.pgm"),
+    ],
+)
+def test_a_map_that_is_none_fails_the_deployment_at_once_with_one_cause(
+    drive: DriveOf, tmp_path: Path, make: Callable[[Path], Path], cause: str
+) -> None:
+    robot = drive(f"settings.map={make(tmp_path)}", *AT_START)
+
+    with pytest.raises(CairnError, match=cause):
+        robot.wait(1.0)
+
+    assert robot.run.end is not None
+    assert not robot.run.end.normal
+    assert robot.run.end.reason.count(cause) == 1
+    assert robot.now == 0.0
+
+
+def test_a_map_that_is_none_fails_an_order_at_once_with_its_cause(
+    drive: DriveOf, tmp_path: Path
+) -> None:
+    robot = drive(f"settings.map={no_map(tmp_path)}")
+    robot.go(3.0, 1.2)
+
+    end = robot.await_end(5.0)
+
+    assert end.state == MoveStatus.FAILED
+    assert end.reason.startswith("not all plugins can be loaded: map_builder: ")
+    assert "nowhere.yaml" in end.reason

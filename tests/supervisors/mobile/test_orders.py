@@ -1,0 +1,234 @@
+"""The mobile supervisor: takes orders, keeps them until their result, and through its own end."""
+
+import math
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cairn.bus.qos import LATCHED
+from cairn.deployment.load import load_deployment
+from cairn.errors import CairnError
+from planar.messages import planar_poses, pose_message
+from schemas.cairn_nav_msgs import MoveOrder, MoveStatus
+from schemas.geometry_msgs import PoseStamped
+from schemas.std_msgs import Header
+from supervisors.mobile.orders import checked_goals, saved
+from tests.navigation.deployed import Deployed, taken
+
+TREE = """
+cairn: 1
+robot: robot
+components:
+  mobile_supervisor:
+    plugin: mobile_supervisor
+    restart: transient
+    significant: true
+    parameters: {state_file: "${here}/order.json"}
+    children:
+      automove: {plugin: test_beacon, load: on_order}
+"""
+DeployedOf = Callable[..., Deployed]
+
+
+@pytest.fixture
+def deployed(tmp_path: Path) -> Iterator[DeployedOf]:
+    made: list[Deployed] = []
+
+    def make(*sets: str, text: str = TREE) -> Deployed:
+        file = tmp_path / "deployment.yaml"
+        file.write_text(text, encoding="utf-8")
+        made.append(Deployed(load_deployment(file, sets=sets)))
+        return made[-1]
+
+    yield make
+    for one in made:
+        one.end()
+
+
+def goals_of(order: MoveOrder) -> list[list[float]]:
+    rows: list[list[float]] = planar_poses(order.goals).round(6).tolist()
+    return rows
+
+
+def tell(robot: Deployed, **status: Any) -> None:
+    robot.publish("move_status", MoveStatus(**status), LATCHED)
+
+
+def test_an_order_is_told_latched_and_kept_until_its_result(
+    deployed: DeployedOf, tmp_path: Path
+) -> None:
+    robot = deployed()
+    orders = robot.read("order", MoveOrder)
+    goals = [[1.0, -2.0, 0.5], [3.0, 4.0, 0.0]]
+    number = robot.ask("mobile_supervisor", "go", goals=goals)["order_id"]
+    (first,) = taken(orders)
+    assert (first.order_id, first.first, goals_of(first)) == (number, 0, goals)
+
+    tell(robot, order_id=number, state=MoveStatus.DRIVING, goal=1, goals=2)
+    (again,) = taken(orders)
+    assert (again.order_id, again.first, goals_of(again)) == (number, 1, goals)
+    kept = saved(tmp_path / "order.json")
+    assert kept is not None
+    assert (kept.order_id, kept.first, kept.result) == (number, 1, "")
+
+    tell(robot, order_id=number, state=MoveStatus.SUCCEEDED, goal=2, goals=2, reason="arrived")
+    (over,) = taken(orders)
+    assert (over.order_id, len(over.goals)) == (number, 0)
+    assert robot.ask("mobile_supervisor", "order")["result"] == "succeeded: arrived"
+
+
+def test_numbers_of_orders_go_up_and_a_word_on_an_old_one_changes_nothing(
+    deployed: DeployedOf,
+) -> None:
+    robot = deployed()
+    orders = robot.read("order", MoveOrder)
+    one = robot.ask("mobile_supervisor", "go", goals=[[1.0, 2.0, 0.0]])["order_id"]
+    two = robot.ask("mobile_supervisor", "go", goals=[[3.0, 2.0, 0.0]])["order_id"]
+    assert two > one
+    taken(orders)
+    tell(robot, order_id=one, state=MoveStatus.FAILED)
+    assert taken(orders) == []
+    assert robot.ask("mobile_supervisor", "order")["result"] == ""
+
+
+def test_an_order_is_taken_back_once(deployed: DeployedOf) -> None:
+    robot = deployed()
+    orders = robot.read("order", MoveOrder)
+    with pytest.raises(CairnError, match="there is no order to cancel"):
+        robot.ask("mobile_supervisor", "cancel")
+    number = robot.ask("mobile_supervisor", "go", goals=[[1.0, 2.0, 0.0]])["order_id"]
+    with pytest.raises(CairnError, match="there is no order 3 under way"):
+        robot.ask("mobile_supervisor", "cancel", order_id=3)
+    assert robot.ask("mobile_supervisor", "cancel", order_id=number) == {"order_id": number}
+    assert [len(order.goals) for order in taken(orders)] == [1, 0]
+    with pytest.raises(CairnError, match="there is no order to cancel"):
+        robot.ask("mobile_supervisor", "cancel")
+
+
+def test_a_goal_pose_is_an_order_unless_it_is_of_another_frame(deployed: DeployedOf) -> None:
+    robot = deployed()
+    orders = robot.read("order", MoveOrder)
+    for frame in ("map", "", "odom"):
+        pose = pose_message((-1.0, 2.0, 0.5))
+        robot.publish("goal_pose", PoseStamped(header=Header(frame_id=frame), pose=pose))
+    assert [goals_of(order) for order in taken(orders)] == [[[-1.0, 2.0, 0.5]]] * 2
+
+
+def test_a_supervisor_that_begins_anew_goes_on_where_the_order_was(deployed: DeployedOf) -> None:
+    robot = deployed()
+    orders = robot.read("order", MoveOrder)
+    goals = [[1.0, 2.0, 0.0], [3.0, 4.0, 0.0]]
+    number = robot.ask("mobile_supervisor", "go", goals=goals)["order_id"]
+    tell(robot, order_id=number, state=MoveStatus.DRIVING, goal=1, goals=2)
+    taken(orders)
+
+    robot.ask("root", "restart", name="mobile_supervisor")
+
+    (again,) = taken(orders)
+    assert (again.order_id, again.first, goals_of(again)) == (number, 1, goals)
+
+
+def test_an_order_that_is_over_stays_so_and_its_number_is_not_given_again(
+    deployed: DeployedOf,
+) -> None:
+    robot = deployed()
+    orders = robot.read("order", MoveOrder)
+    number = robot.ask("mobile_supervisor", "go", goals=[[1.0, 2.0, 0.0]])["order_id"]
+    tell(robot, order_id=number, state=MoveStatus.FAILED, reason="no path")
+    taken(orders)
+
+    robot.ask("root", "restart", name="mobile_supervisor")
+
+    assert taken(orders) == []
+    assert robot.ask("mobile_supervisor", "order")["result"] == "failed: no path"
+    assert robot.ask("mobile_supervisor", "go", goals=[[1.0, 2.0, 0.0]])["order_id"] > number
+
+
+def test_an_order_is_not_gone_on_with_for_ever(deployed: DeployedOf) -> None:
+    robot = deployed()
+    robot.ask("mobile_supervisor", "go", goals=[[1.0, 2.0, 0.0]])
+    for _ in range(4):
+        robot.wait(20.0)
+        robot.ask("root", "restart", name="mobile_supervisor")
+    assert robot.ask("mobile_supervisor", "order")["result"] == (
+        "failed: given up after mobile_supervisor was started anew 3 times"
+    )
+
+
+@pytest.mark.parametrize("text", ["", "{}", '{"order_id": 1, "goals": [[NaN, 0, 0]]}', "\x00"])
+def test_a_kept_order_that_cannot_be_read_is_not_gone_on_with(
+    deployed: DeployedOf, tmp_path: Path, text: str
+) -> None:
+    robot = deployed()
+    orders = robot.read("order", MoveOrder)
+    robot.ask("mobile_supervisor", "go", goals=[[1.0, 2.0, 0.0]])
+    taken(orders)
+    (tmp_path / "order.json").write_text(text, encoding="utf-8")
+
+    robot.ask("root", "restart", name="mobile_supervisor")
+
+    assert taken(orders) == []
+    assert robot.ask("mobile_supervisor", "order") is None
+
+
+def test_an_order_of_an_earlier_run_is_not_carried_out(
+    deployed: DeployedOf, tmp_path: Path
+) -> None:
+    first = deployed()
+    first.ask("mobile_supervisor", "go", goals=[[1.0, 2.0, 0.0]])
+    first.end()
+    second = deployed()
+    orders = second.read("order", MoveOrder)
+
+    second.ask("root", "restart", name="mobile_supervisor")
+
+    assert taken(orders) == []
+    assert not (tmp_path / "order.json").exists()
+
+
+def test_a_mission_begins_at_once_and_its_end_ends_the_deployment(deployed: DeployedOf) -> None:
+    sets = (
+        "components.mobile_supervisor.parameters.mission=[[1, 2, 0]]",
+        "components.mobile_supervisor.parameters.finish=true",
+    )
+    robot = deployed(*sets)
+    orders = robot.read("order", MoveOrder)
+    robot.wait(0.0)
+    (order,) = taken(orders)
+
+    tell(robot, order_id=order.order_id, state=MoveStatus.FAILED, reason="no path")
+
+    robot.await_that(lambda: robot.run.end is not None)
+    assert robot.run.end is not None
+    assert robot.run.end.reason == ("mobile_supervisor has finished: the mission failed: no path")
+
+
+def test_without_automove_an_order_is_refused(deployed: DeployedOf) -> None:
+    robot = deployed("components.mobile_supervisor.parameters.automove=driver")
+    with pytest.raises(CairnError, match="mobile_supervisor has no child driver"):
+        robot.ask("mobile_supervisor", "go", goals=[[1.0, 2.0, 0.0]])
+
+
+def test_a_folder_that_is_none_is_told_at_once(deployed: DeployedOf) -> None:
+    robot = deployed("components.mobile_supervisor.parameters.state_file=/nowhere/order.json")
+    with pytest.raises(CairnError, match="/nowhere: no such folder to keep the order in"):
+        robot.begin()
+
+
+@pytest.mark.parametrize(
+    ("given", "why"),
+    [
+        ([], "at least one goal"),
+        (None, "at least one goal"),
+        ([[1.0, 2.0]], r"goal 1 = \[1.0, 2.0\]: give x \[m\], y \[m\] and heading"),
+        ([[0, 0, 0], [1.0, math.nan, 0.0]], "goal 2 = .*must be finite"),
+        ([[1.0, -2e5, 0.0]], "not beyond 100000"),
+        ([[True, 0, 0]], "goal 1"),
+        (["0,0,0"], "goal 1"),
+    ],
+)
+def test_what_is_no_goal_is_refused_with_its_number(given: Any, why: str) -> None:
+    with pytest.raises(CairnError, match=why):
+        checked_goals(given)
