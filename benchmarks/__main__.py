@@ -13,6 +13,8 @@ BENCHMARKS = (
     "lockstep",
     "replay",
     "planning",
+    "localization_scan",
+    "localization_logs",
     "world",
     "navigation",
 )

@@ -10,10 +10,15 @@ from numpy.typing import NDArray
 
 from components.localizer.localization import Frame, Localization, Settings
 from components.localizer.object_likelihood import Landmark, Sighting
+from components.localizer.odometry import CommandedTrack
 from components.map_builder.objects import Change, Evidence, MapObject, Place, State, Verdict
 from components.map_builder.visual_map import VisualMap
 from components.replay.mrclam_files import Dataset
 from components.replay.sighting_noise import range_bearing_variance
+
+# As the parameters of a commanded base; its poses matter only over gaps, which MRCLAM has not.
+LAG_S, GAINS = 0.17, (0.95, 0.93)
+STILL = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -96,7 +101,9 @@ def run(
     update_map: bool = True,
     begin: float = 0.0,
 ) -> Outcome:
-    localization = Localization(settings, np.random.default_rng(seed))
+    localization = Localization(
+        settings, CommandedTrack(LAG_S, *GAINS), np.random.default_rng(seed)
+    )
     visual_map = VisualMap(objects)
     localization.use_map(landmarks_of(visual_map))
     if start is not None:
@@ -115,7 +122,7 @@ def run(
     times, forward, turn = rows[:, 0].tolist(), rows[:, 1].tolist(), rows[:, 2].tolist()
     for t, sightings in events:
         while k < count and times[k] <= t:
-            localization.command(times[k], forward[k], turn[k])
+            localization.command(times[k], STILL, forward[k], turn[k])
             k += 1
         if sightings is None:
             localization.advance(t)

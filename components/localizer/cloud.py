@@ -12,19 +12,20 @@ from numpy.typing import NDArray
 from components.localizer.motion import Increment, MotionModel, move_cloud
 from components.localizer.particles import (
     Estimate,
-    effective_count,
     estimate,
     narrow,
     normalised,
     redraw,
     systematic_choice,
 )
+from planar.compiled import compiled
 
 Array = NDArray[np.float64]
 
 # Bins of the KLD bound: 0.25 m, 0.25 m, 10 degrees; error of the distribution 2 %, held with 99 %.
-_BIN = np.array([[0.25], [0.25], [math.radians(10.0)]])
+_BIN = np.array([0.25, 0.25, math.radians(10.0)])
 _KLD_ERROR, _KLD_QUANTILE = 0.02, NormalDist().inv_cdf(0.99)
+_FEW_BINS = 20_000
 # Below this share of effective poses a likelihood is taken in stages.
 _TOO_POOR = 0.05
 
@@ -65,13 +66,13 @@ class Cloud:
 
     def fuse(self, log_likelihood: Callable[[Array], Array]) -> None:
         """Weigh all poses (3, n) by a log-likelihood (n,); resample if few of them are left."""
-        contribution = log_likelihood(self.poses)
-        weighed = self.log_weights + contribution
-        share = float(effective_count(weighed)) / self.count
+        weighed = self.log_weights + log_likelihood(self.poses)
+        weights = normalised(weighed)
+        share = 1.0 / (float(weights @ weights) * self.count)
         if share >= 0.5:
             self.log_weights = weighed - weighed.max()
         elif share >= _TOO_POOR:
-            self._redraw(weighed)
+            self._redraw(weights)
         else:
             rows = self.poses[:, None, :]
             weights = self.log_weights[None, :]
@@ -87,8 +88,7 @@ class Cloud:
         drawn: Array = self.poses[:, chosen]
         return drawn
 
-    def _redraw(self, weighed: Array) -> None:
-        weights = normalised(weighed)
+    def _redraw(self, weights: Array) -> None:
         count = min(self.most, max(self.least, kld_count(self.poses, weights)))
         drawn = redraw(self.poses, weights, 0.2, self.random, count)
         self.poses = np.ascontiguousarray(drawn)
@@ -101,12 +101,46 @@ def kld_count(poses: Array, weights: Array) -> int:
     From the number k of bins that poses (3, n) of weights (n,) lie in: n = (k - 1) / 2e (1 - 2 /
     9(k - 1) + z sqrt(2 / 9(k - 1)))^3 with error e and quantile z.
     """
-    kept = poses[:, weights > 0.1 / weights.size]
-    bins = np.floor(kept / _BIN).astype(np.int64)
-    keys = (bins[0] * 1_000_003 + bins[1]) * 1_000_003 + bins[2]
-    occupied = np.unique(keys).size
+    keys = np.empty(weights.size, np.int64)
+    kept, span = _bins(np.ascontiguousarray(poses), weights, _BIN, 0.1 / weights.size, keys)
+    # Up to so many bins it is quicker to count in all of them than to sort.
+    if span <= _FEW_BINS:
+        occupied = int(np.count_nonzero(np.bincount(keys[:kept])))
+    else:
+        occupied = np.unique(keys[:kept]).size
     if occupied < 2:
         return 0
     term = 2.0 / (9.0 * (occupied - 1))
     bound = (1.0 - term + math.sqrt(term) * _KLD_QUANTILE) ** 3
     return math.ceil((occupied - 1) / (2.0 * _KLD_ERROR) * bound)
+
+
+@compiled(
+    "Tuple((int64, float64))(float64[:, ::1], float64[::1], float64[::1], float64, int64[::1])"
+)
+def _bins(
+    poses: Array, weights: Array, size: Array, least: float, keys: NDArray[np.int64]
+) -> tuple[int, float]:
+    """Keys of the bins of poses that weigh more than `least`; how many, and how many bins span
+    them.
+    """
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    for i in range(weights.size):
+        if weights[i] > least:
+            for axis in range(3):
+                low[axis] = min(low[axis], poses[axis, i])
+                high[axis] = max(high[axis], poses[axis, i])
+    first, spans = np.zeros(3), np.zeros(3)
+    for axis in range(3):
+        first[axis] = math.floor(low[axis] / size[axis])
+        spans[axis] = math.floor(high[axis] / size[axis]) - first[axis] + 1.0
+    count = 0
+    for i in range(weights.size):
+        if weights[i] > least:
+            key = np.int64(0)
+            for axis in range(3):
+                place = math.floor(poses[axis, i] / size[axis]) - first[axis]
+                key = key * np.int64(spans[axis]) + np.int64(place)
+            keys[count] = key
+            count += 1
+    return count, spans[0] * spans[1] * spans[2]

@@ -100,7 +100,7 @@ class Localizer(Component):
         self._localization = Localization(self.config.settings(), self._track, self.random)
         self._held: Held[_Sweep | list[Sighting]] = Held(self.config.hold_s)
         self._history = OdometryHistory(5 * SECOND)
-        self._published = self._scanned = -math.inf
+        self._published = self._scanned = self._measured = -math.inf
         self._was_located = False
         self._jumps = 0
         self._told: dict[str, int] = {}
@@ -271,10 +271,13 @@ class Localizer(Component):
         ended = self._history.at(round(ends * SECOND))
         if began is None or ended is None:
             began = ended = (0.0, 0.0, 0.0)
-        points = rays_of(sweep.scan, self.config.mount.pose, relative(began, ended)).points()
-        if np.isnan(sweep.scan.ranges).all():
+        rays = rays_of(sweep.scan, self.config.mount.pose, relative(began, ended))
+        points = rays.points()
+        if np.isnan(rays.ranges).all():
             self._complain("blind", f"a scan on {self.scan.topic} holds no measurement at all")
         self._scanned = ends
+        if len(points):
+            self._measured = ends
         found = self._localization.scan(ends, points)
         if found:
             self._tell_found(ends)
@@ -333,7 +336,7 @@ class Localizer(Component):
 
     def _tell_health(self, header: Header) -> None:
         health: Health = self._localization.health()
-        silent_s = self._track.latest - self._scanned
+        silent_s = self._track.latest - self._measured
         if self._localization.map is not None and silent_s > SILENT_S:
             health = without_scans(health, silent_s, self.scan.topic)
         cloud = self._localization.bank.cloud

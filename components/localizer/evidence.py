@@ -18,6 +18,8 @@ from planar.poses import Pose
 
 Array = NDArray[np.float64]
 
+_LOOSE = 4  # of more scans a pose that is a little off explains nothing
+
 
 @dataclass(frozen=True)
 class Evidence:
@@ -50,14 +52,13 @@ class Evidence:
             )
         return total
 
+    def loose(self, poses: Array) -> Array:
+        """The same of the newest scans, taken loosely, so that poses nearby explain them: (n,)."""
+        return self._loosely(poses, _LOOSE)
+
     def first_look(self, poses: Array) -> Array:
-        """The same of the sightings and the newest scan, which is taken loosely: (n,)."""
-        total = self.sightings.log_likelihood(poses, self.now, self.moved_s, self.landmarks)
-        if self.map is not None:
-            total += self.scan_share * self.scans.log_likelihood(
-                poses, self.now, self.map.wide.log_likelihood, 1
-            )
-        return total
+        """The same of the sightings and the newest scan alone: (n,)."""
+        return self._loosely(poses, 1)
 
     def fit(self, pose: Estimate) -> float:
         """Share of the scans' beams that the map explains from a pose; NaN without scans."""
@@ -68,3 +69,11 @@ class Evidence:
     def support(self, pose: Estimate, left_out: int | None = None) -> Support:
         """How many places of objects agree with a pose, and how many contradict it."""
         return self.sightings.support(pose, self.now, self.moved_s, self.landmarks, left_out)
+
+    def _loosely(self, poses: Array, newest: int) -> Array:
+        total = self.sightings.log_likelihood(poses, self.now, self.moved_s, self.landmarks)
+        if self.map is not None:
+            total += self.scan_share * self.scans.log_likelihood(
+                poses, self.now, self.map.wide.log_likelihood, newest
+            )
+        return total

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from components.localizer.bank import Bank
 from components.localizer.cloud import Cloud
 from components.localizer.evidence import Evidence
-from components.localizer.health import FITS, LOST, Health, health_of
+from components.localizer.health import FITS, LOST, Health, health_of, not_yet_sure
 from components.localizer.judge import Judge, Judgement
 from components.localizer.motion import MotionModel, move_pose
 from components.localizer.object_likelihood import Landmark, Sighting
@@ -23,6 +23,7 @@ from components.localizer.recent import RecentSightings, Support
 from components.localizer.recent_scans import RecentScans
 from components.localizer.recovery import Recovery
 from components.localizer.scan_map import ScanMap
+from components.localizer.slip import SlipWatch
 from planar.grid import OccupancyCells
 from planar.poses import Pose
 
@@ -87,6 +88,7 @@ class Localization:
         self.bank = Bank(cloud, settings.judge_particles, settings.judges)
         self.judge = Judge(settings.mode, settings.ring_samples, random)
         self.recovery = Recovery(settings.search_particles, random)
+        self.slip = SlipWatch(random)
         self.landmarks: dict[int, Landmark] = {}
         self.map: ScanMap | None = None
         self.located = False
@@ -102,6 +104,7 @@ class Localization:
         """Begin (again) from a known pose: x [m], y [m], theta [rad] and covariance (3, 3)."""
         self.bank.scatter(pose, covariance)
         self._forget()
+        self.slip.forget()
         self.located = True
         self.recovery.believe()
 
@@ -156,7 +159,9 @@ class Localization:
         if not self.located:
             return LOST
         pose = self.bank.estimate()
-        return health_of(pose, self._support(pose, None), self._fit)
+        health = health_of(pose, self._support(pose, None), self._fit)
+        sure = self.recovery.sure(self.track.integrated_to)
+        return health if sure else not_yet_sure(health)
 
     def scan(self, stamp: float, points: Array) -> bool:
         """Fuse a scan of `stamp` [s], end points (m, 2) [m] in the base's frame; True if the robot
@@ -173,6 +178,16 @@ class Localization:
         scan_map = self.map
         self.bank.fuse_scan(lambda poses: share * scan_map.field.log_likelihood(poses, chosen))
         pose = self.bank.estimate()
+        slipped = self.slip.look(
+            pose, chosen, scan_map.field, self._share(len(chosen)), self._reckoned
+        )
+        if slipped is not None:
+            # What was seen before is tied to now by a motion that was not made.
+            self._forget()
+            self._settle(slipped)
+            self.recovery.doubt(stamp)
+            self._scans.add(chosen, self._reckoned)
+            pose = self.bank.estimate()
         fit = scan_map.field.fit(pose.mean, chosen)
         self._fit = fit if self._fit is None else (1 - _NEWEST) * self._fit + _NEWEST * fit
         if self.recovery.suspects(self._fit):

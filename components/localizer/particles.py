@@ -9,9 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from components.localizer.object_likelihood import wrap
+from planar.compiled import compiled
 
 Array = NDArray[np.float64]
+
+# Headings no farther apart [rad] have the same mean along the circle and along the line.
+_NARROW = 0.5
 
 
 @dataclass(frozen=True)
@@ -36,15 +39,7 @@ def normalised(log_weights: Array) -> Array:
 
 def estimate(poses: Array, log_weights: Array) -> Estimate:
     """Weighted mean and covariance of `poses` (3, n); the heading's mean is circular."""
-    weights = normalised(log_weights)
-    x = float(weights @ poses[0])
-    y = float(weights @ poses[1])
-    theta = math.atan2(float(weights @ np.sin(poses[2])), float(weights @ np.cos(poses[2])))
-    offset = np.empty_like(poses)
-    offset[0] = poses[0] - x
-    offset[1] = poses[1] - y
-    offset[2] = wrap(poses[2] - theta)
-    return Estimate((x, y, theta), (offset * weights) @ offset.T)
+    return _moments_of(np.ascontiguousarray(poses), normalised(log_weights))
 
 
 def effective_count(log_weights: Array) -> Array:
@@ -59,10 +54,9 @@ def systematic_choice(weights: Array, count: int, random: np.random.Generator) -
 
     `weights` (n,) sum to one. One random number, O(n); Kitagawa 1996.
     """
-    cumulative = np.cumsum(weights)
-    points = (np.arange(count) + random.random()) * (cumulative[-1] / count)
-    chosen: NDArray[np.intp] = np.searchsorted(cumulative, points, side="right")
-    return np.minimum(chosen, weights.size - 1, out=chosen)
+    chosen = np.empty(count, np.int64)
+    _choose(np.ascontiguousarray(weights), float(weights.sum()), random.random(), chosen)
+    return chosen
 
 
 def redraw(
@@ -80,14 +74,13 @@ def redraw(
     cloud's own covariance (Liu and West 2001), so copies differ and the spread is unchanged.
     """
     count = poses.shape[1] if count is None else count
-    chosen = poses[:, systematic_choice(weights, count, random)]
-    theta = math.atan2(float(np.sin(chosen[2]).mean()), float(np.cos(chosen[2]).mean()))
-    centre = np.array([chosen[0].mean(), chosen[1].mean(), theta])[:, None]
-    offset = chosen - centre
-    offset[2] = wrap(offset[2])
-    covariance = offset @ offset.T / count + np.diag([1e-6, 1e-6, 1e-8])
-    noise = np.linalg.cholesky(covariance) @ random.standard_normal((3, count))
-    drawn: Array = centre + math.sqrt(1.0 - bandwidth**2) * offset + bandwidth * noise
+    drawn = np.ascontiguousarray(poses[:, systematic_choice(weights, count, random)])
+    cloud = _moments_of(drawn, np.full(count, 1.0 / count))
+    root = np.zeros((3, 3))
+    _root(cloud.covariance + np.diag([1e-6, 1e-6, 1e-8]), root)
+    # What counts of the kernel is its covariance; a uniform one is drawn in a third of the time.
+    noise = math.sqrt(12.0) * (random.random((3, count)) - 0.5)
+    _kernel(drawn, noise, *cloud.mean, root, math.sqrt(1.0 - bandwidth**2), bandwidth)
     return drawn
 
 
@@ -146,3 +139,93 @@ def _log_mean(log_weights: Array, contribution: Array) -> Array:
     mean = (weights * np.exp(contribution - peak[:, None])).sum(axis=1)
     result: Array = np.log(np.maximum(mean, 1e-300)) + peak
     return result
+
+
+@compiled("void(float64[::1], float64, float64, int64[::1])")
+def _choose(weights: Array, total: float, begin: float, chosen: NDArray[np.int64]) -> None:
+    last, count = weights.size - 1, chosen.size
+    index, reached = 0, weights[0]
+    for k in range(count):
+        point = (k + begin) * (total / count)
+        while reached <= point and index < last:
+            index += 1
+            reached += weights[index]
+        chosen[k] = index
+
+
+@compiled()
+def _wrapped(angle: float) -> float:
+    return angle - 2.0 * math.pi * math.floor(angle / (2.0 * math.pi) + 0.5)
+
+
+def _moments_of(poses: Array, weights: Array) -> Estimate:
+    mean, covariance = np.empty(3), np.empty((3, 3))
+    _moments(poses, weights, mean, covariance)
+    return Estimate((float(mean[0]), float(mean[1]), float(mean[2])), covariance)
+
+
+@compiled("void(float64[:, ::1], float64[::1], float64[::1], float64[:, ::1])")
+def _moments(poses: Array, weights: Array, mean: Array, covariance: Array) -> None:
+    x = y = turned = widest = 0.0
+    first = poses[2, 0]
+    for i in range(poses.shape[1]):
+        x += weights[i] * poses[0, i]
+        y += weights[i] * poses[1, i]
+        turn = _wrapped(poses[2, i] - first)
+        turned += weights[i] * turn
+        widest = max(widest, abs(turn))
+    if widest > _NARROW:
+        ahead = aside = 0.0
+        for i in range(poses.shape[1]):
+            ahead += weights[i] * math.cos(poses[2, i] - first)
+            aside += weights[i] * math.sin(poses[2, i] - first)
+        turned = math.atan2(aside, ahead)
+    mean[0], mean[1], mean[2] = x, y, _wrapped(first + turned)
+    xx = xy = yy = xt = yt = tt = 0.0
+    for i in range(poses.shape[1]):
+        dx, dy = poses[0, i] - x, poses[1, i] - y
+        turn = _wrapped(poses[2, i] - mean[2])
+        xx += weights[i] * dx * dx
+        xy += weights[i] * dx * dy
+        yy += weights[i] * dy * dy
+        xt += weights[i] * dx * turn
+        yt += weights[i] * dy * turn
+        tt += weights[i] * turn * turn
+    covariance[0, 0], covariance[1, 1], covariance[2, 2] = xx, yy, tt
+    covariance[0, 1] = covariance[1, 0] = xy
+    covariance[0, 2] = covariance[2, 0] = xt
+    covariance[1, 2] = covariance[2, 1] = yt
+
+
+@compiled("void(float64[:, ::1], float64[:, ::1])")
+def _root(covariance: Array, root: Array) -> None:
+    """Cholesky's lower triangle of a covariance (3, 3)."""
+    for i in range(3):
+        for j in range(i + 1):
+            rest = covariance[i, j]
+            for k in range(j):
+                rest -= root[i, k] * root[j, k]
+            root[i, j] = math.sqrt(max(rest, 0.0)) if i == j else rest / root[j, j]
+
+
+@compiled(
+    "void(float64[:, ::1], float64[:, ::1], float64, float64, float64, float64[:, ::1], float64,"
+    " float64)"
+)
+def _kernel(
+    poses: Array,
+    noise: Array,
+    x: float,
+    y: float,
+    theta: float,
+    root: Array,
+    shrink: float,
+    bandwidth: float,
+) -> None:
+    """Draw poses in towards the mean and move them by `root` @ `noise`, in place."""
+    for i in range(poses.shape[1]):
+        turn = _wrapped(poses[2, i] - theta)
+        a, b, c = bandwidth * noise[0, i], bandwidth * noise[1, i], bandwidth * noise[2, i]
+        poses[0, i] = x + shrink * (poses[0, i] - x) + root[0, 0] * a
+        poses[1, i] = y + shrink * (poses[1, i] - y) + root[1, 0] * a + root[1, 1] * b
+        poses[2, i] = theta + shrink * turn + root[2, 0] * a + root[2, 1] * b + root[2, 2] * c

@@ -10,14 +10,17 @@ from numpy.typing import NDArray
 from components.localizer.evidence import Evidence
 from components.localizer.health import FITS
 from components.localizer.particles import Estimate, estimate
+from components.localizer.recent import carry
 from components.localizer.search import Found, search
-from planar.poses import wrap
+from planar.poses import Pose, compose, distance, relative, wrap
 
 Array = NDArray[np.float64]
 
 # A robot that was found is looked for anew this long [s]: it may have been found in a wrong place
 # that explains what little was seen.
 PROBATION_S = 30.0
+# So many looks must find it there again before that place is sure.
+_CONFIRMATIONS = 3
 # By so much [nats] another pose must explain the recent sightings better: errors that successive
 # sightings have in common are worth 2 to 4.
 BETTER = 6.0
@@ -40,15 +43,28 @@ class Recovery:
         self.random = random
         self._searched_at = -math.inf
         self._first_seen = math.inf
-        self._guess: Estimate | None = None
+        self._places: tuple[Array, Pose] | None = None  # those of the last look, as the guess
+        self._guess: tuple[Pose, Pose] | None = None  # and the dead-reckoned pose of that time
         self._probation_ends = -math.inf
+        self._confirmations = _CONFIRMATIONS
         self._fit = 1.0
 
     def believe(self) -> None:
         """Take the robot's place as known."""
         self._probation_ends = -math.inf
+        self._confirmations = _CONFIRMATIONS
         self._fit = 1.0
-        self._guess = None
+        self._guess = self._places = None
+
+    def sure(self, stamp: float) -> bool:
+        """Whether no other place than where the robot was found is likely any more."""
+        return self._confirmations >= _CONFIRMATIONS or stamp >= self._probation_ends
+
+    def doubt(self, stamp: float) -> None:
+        """Look for the robot for a while, as at `stamp` [s] it was found where it may not be."""
+        self._probation_ends = stamp + PROBATION_S
+        self._confirmations = 0
+        self._fit = 1.0
 
     def suspects(self, fit: float) -> bool:
         """Take how well scans fit of late; True when the robot seems to be somewhere else now."""
@@ -78,10 +94,9 @@ class Recovery:
         firm = found.support.agreeing >= 2 or found.fit >= FITS
         if found.share >= 0.9 and (firm or (waited >= 15.0 and not evidence.scanned)):
             # Two modes take turns while little was seen: believe the one that stays.
-            again = self._guess is not None and _close(self._guess, found.pose)
-            self._guess = found.pose
-            if again:
-                return self._found(stamp, found.poses)
+            if self._again(found.pose.mean, evidence.now):
+                self.doubt(stamp)
+                return found.poses
         elif (
             not evidence.scanned
             and waited >= 10.0
@@ -89,7 +104,8 @@ class Recovery:
         ):
             # One place alone leaves an arc around it open; its width is stated, and the filter
             # narrows it sooner than waiting does.
-            return self._found(stamp, found.everywhere)
+            self.doubt(stamp)
+            return found.everywhere
         return None
 
     def recover(self, stamp: float, evidence: Evidence, here: Estimate) -> Array | None:
@@ -97,9 +113,14 @@ class Recovery:
         self._searched_at = stamp
         found = self._search(evidence)
         if found is None or found.share < 0.9 or found.pose.spread > 0.5:
+            self._confirmations = 0
             return None
+        if _close(here.mean, found.pose.mean):
+            self._confirmations += 1
+            return None
+        self._confirmations = 0
         support = found.support
-        if support.contradicting > support.agreeing or _close(here, found.pose):
+        if support.contradicting > support.agreeing:
             return None
         fits = evidence.scanned and found.fit >= max(FITS, evidence.fit(here) + _FITS_BETTER)
         if not fits and support.agreeing < 2:
@@ -108,19 +129,29 @@ class Recovery:
         if found.score - float(score[0]) < BETTER:
             return None
         # Places that look alike take turns, as long as little was seen: believe the one that stays.
-        again = self._guess is not None and _close(self._guess, found.pose)
-        self._guess = found.pose
-        return self._found(stamp, found.poses) if again or support.agreeing >= 2 else None
+        again = self._again(found.pose.mean, evidence.now)
+        if not again and support.agreeing < 2:
+            return None
+        self.doubt(stamp)
+        return found.poses
+
+    def _again(self, pose: Pose, now: Pose) -> bool:
+        """Whether the last look found the robot where it is found now, carried on by odometry."""
+        guess, self._guess = self._guess, (pose, now)
+        return guess is not None and _close(compose(guess[0], relative(guess[1], now)), pose)
 
     def _search(self, evidence: Evidence) -> Found | None:
-        return search(evidence, self.search_particles, self.random)
+        known = None
+        if self._places is not None:
+            places, then = self._places
+            known = carry(places, relative(then, evidence.now))
+        found = search(evidence, self.search_particles, self.random, known)
+        if found is None or found.places is None:
+            self._places = None
+        else:
+            self._places = (found.places, evidence.now)
+        return found
 
-    def _found(self, stamp: float, poses: Array) -> Array:
-        self._probation_ends = stamp + PROBATION_S
-        self._fit = 1.0
-        return poses
 
-
-def _close(a: Estimate, b: Estimate) -> bool:
-    apart = math.hypot(a.mean[0] - b.mean[0], a.mean[1] - b.mean[1])
-    return apart < 0.5 and abs(wrap(a.mean[2] - b.mean[2])) < 0.35
+def _close(a: Pose, b: Pose) -> bool:
+    return distance(a, b) < 0.5 and abs(wrap(a[2] - b[2])) < 0.35

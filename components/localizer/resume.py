@@ -18,8 +18,9 @@ from planar.poses import Pose, compose, distance, relative
 _HOLDS_S = 60.0
 # What may have happened unseen: deviation of the position [m] and the heading [rad].
 _UNSEEN_M, _UNSEEN_RAD = 0.05, 0.05
-# Faster than this [m/s] odometry has not gone on but begun anew.
-_FASTEST = 3.0
+# Faster than this [m/s] odometry has not gone on but begun anew; so it has if it is this near its
+# origin [m], and was not before.
+_FASTEST, _FRESH_M = 3.0, 0.25
 
 
 class LastPose(BaseModel):
@@ -63,7 +64,9 @@ def resumed(file: Path, stamp_s: float, odom: Pose, log: logging.Logger) -> Esti
     step = relative(last.odometry, odom)
     covariance = np.array(last.covariance).reshape(3, 3)
     unseen_m, unseen_rad = _UNSEEN_M, _UNSEEN_RAD
-    if math.hypot(step[0], step[1]) > _FASTEST * age_s + 0.1:
+    far = math.hypot(step[0], step[1])
+    fresh = math.hypot(odom[0], odom[1]) < _FRESH_M
+    if far > _FASTEST * age_s + 0.1 or (fresh and far > 2.0 * _FRESH_M):
         # Odometry began anew meanwhile: it does not tell how the robot moved.
         step, unseen_m, unseen_rad = (0.0, 0.0, 0.0), 0.3, 0.3
     covariance += np.diag([unseen_m**2, unseen_m**2, unseen_rad**2])

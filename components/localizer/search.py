@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,12 @@ from planar.poses import relative
 Array = NDArray[np.float64]
 
 # Poses drawn per square metre of free space, and at most.
-_PER_M2, _MOST = 70.0, 120_000
+_PER_M2, _MOST = 300.0, 200_000
+# Share of the log-likelihood and jitter [m] (and 0.7 of it [rad]) of each round of annealing.
+_ANNEALING = ((0.4, 0.10), (0.7, 0.05), (1.0, 0.03))
+_KEPT = 16  # places of a look that the next one looks at again
+# Places that are looked at closer, poses drawn at each, and how far around it [m, m, rad].
+_MODES, _PER_MODE, _AROUND = 36, 120, np.array([[0.2], [0.2], [0.15]])
 
 
 @dataclass(frozen=True)
@@ -24,7 +29,8 @@ class Found:
     """Samples (3, n) of the best mode, their statistics, its share of the posterior, its support.
 
     `score` is the log-likelihood of what was seen of late at the mode's mean, `fit` the share of
-    the scans that fits there (NaN without scans); `everywhere` holds the samples of all modes.
+    the scans that fits there (NaN without scans); `everywhere` holds the samples of all modes,
+    `places` (3, m) the best pose of each, best first, where they were told apart.
     """
 
     poses: Array
@@ -34,14 +40,18 @@ class Found:
     score: float
     fit: float
     everywhere: Array
+    places: Array | None = None
 
 
-def search(evidence: Evidence, count: int, random: np.random.Generator) -> Found | None:
+def search(
+    evidence: Evidence, count: int, random: np.random.Generator, known: Array | None = None
+) -> Found | None:
     """Draw poses wherever the robot may be and keep what explains most.
 
     `count` on rings around every object seen of late in turn, carried to now by odometry, so that
     one object that was moved cannot hide the truth; with scans and a map, poses all over the free
-    space too; then annealed on all that was seen. None if nothing was seen.
+    space too, and at places `known` (3, m) [m, m, rad] from looks before. None if nothing was
+    seen.
     """
     drawn = _on_rings(evidence, count, random)
     if evidence.map is not None and evidence.scanned:
@@ -53,11 +63,41 @@ def search(evidence: Evidence, count: int, random: np.random.Generator) -> Found
     if not poses.shape[1]:
         return None
     if evidence.scanned:
-        poses = _thinned(poses, evidence.first_look(poses), 4000, 0.12, random)
+        poses = _thinned(poses, evidence.first_look(poses), 20_000, 0.10, random)
+        poses = _thinned(poses, 0.5 * evidence.loose(poses), 5000, 0.08, random)
+        before = [] if known is None else _apart(known, _KEPT)
+        new = _apart(poses[:, np.argsort(-evidence.loose(poses))], _MODES - len(before))
+        return _best_of(_modes(before + new, evidence, random), evidence)
     size = max(200, count // 10)
-    for temper, jitter in ((0.4, 0.10), (0.7, 0.05), (1.0, 0.03)):
+    for temper, jitter in _ANNEALING:
         poses = _thinned(poses, temper * evidence.log_likelihood(poses), size, jitter, random)
     return _best_mode(poses, evidence)
+
+
+def _modes(heads: list[Array], evidence: Evidence, random: np.random.Generator) -> list[Array]:
+    """Samples (3, n) around each of some places, every one annealed by itself.
+
+    Annealed together, places that look alike would be lost one after the other by chance, and the
+    last one would seem to be the only one.
+    """
+    modes = [head + _AROUND * random.standard_normal((3, _PER_MODE)) for head in heads]
+    for temper, jitter in _ANNEALING:
+        fits = np.split(temper * evidence.log_likelihood(np.hstack(modes)), len(modes))
+        modes = [
+            _thinned(mode, fit, _PER_MODE, jitter, random)
+            for mode, fit in zip(modes, fits, strict=True)
+        ]
+    return modes
+
+
+def _apart(poses: Array, count: int) -> list[Array]:
+    """The first poses (3, 1) of (3, n), each far from those before it, at most `count`."""
+    left = poses
+    heads: list[Array] = []
+    while left.shape[1] and len(heads) < count:
+        heads.append(left[:, :1])
+        left = left[:, ~_near(left, left[:, :1], 0.5)[0]]
+    return heads
 
 
 def _on_rings(evidence: Evidence, count: int, random: np.random.Generator) -> list[Array]:
@@ -85,20 +125,39 @@ def _thinned(
 
 
 def _best_mode(poses: Array, evidence: Evidence) -> Found:
+    """The densest place, not the single best sample: weight within 0.5 m and 0.5 rad."""
     log_weights = evidence.log_likelihood(poses)
     weights = normalised(log_weights)
-    # The densest place, not the single best sample: weight within 0.5 m and 0.5 rad.
     heads = np.argsort(-weights)[:50]
     near = _near(poses, poses[:, heads], 0.5)
     share = near @ weights
     best = int(np.argmax(share))
-    members = near[best]
+    return _found(poses, log_weights, near[best], float(share[best]), evidence)
+
+
+def _best_of(modes: list[Array], evidence: Evidence) -> Found:
+    """The mode that explains most; its share by what each of the others explains at best."""
+    poses = np.hstack(modes)
+    log_weights = evidence.log_likelihood(poses)
+    best = int(np.argmax(log_weights))
+    near = _near(poses, poses[:, best : best + 1], 0.5)[0]
+    elsewhere = np.where(near, -np.inf, log_weights).reshape(len(modes), -1).max(axis=1)
+    others = float(np.exp(elsewhere - log_weights[best]).sum())
+    tops = log_weights.reshape(len(modes), -1).argmax(axis=1) + np.arange(len(modes)) * _PER_MODE
+    tops = tops[np.argsort(-log_weights[tops])]
+    found = _found(poses, log_weights, near, 1.0 / (1.0 + others), evidence)
+    return replace(found, places=poses[:, tops])
+
+
+def _found(
+    poses: Array, log_weights: Array, members: NDArray[np.bool_], share: float, evidence: Evidence
+) -> Found:
     pose = estimate(poses[:, members], log_weights[members])
     mean = np.asarray(pose.mean)[:, None]
     return Found(
         poses=poses[:, members],
         pose=pose,
-        share=float(share[best]),
+        share=share,
         support=evidence.support(pose),
         score=float(evidence.log_likelihood(mean)[0]),
         fit=evidence.fit(pose),

@@ -49,7 +49,9 @@ def scanned(
     inside = grid.values[row, column] == OCCUPIED
     hit = inside.any(axis=1)
     far = ranges[inside.argmax(axis=1)] + noise * random.standard_normal(beams)
-    return np.column_stack((far * np.cos(angles), far * np.sin(angles)))[hit]
+    ends = np.column_stack((far * np.cos(angles), far * np.sin(angles)))
+    points: NDArray[np.float64] = ends[hit]
+    return points
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,196 @@
+"""Recent scans, the search for the robot, slips of the wheels, and when what is found is sure."""
+
+import math
+from itertools import count
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from components.localizer.evidence import Evidence
+from components.localizer.localization import Localization, Settings
+from components.localizer.motion import MotionModel
+from components.localizer.odometry import MeasuredTrack
+from components.localizer.recent import RecentSightings
+from components.localizer.recent_scans import RecentScans
+from components.localizer.scan_map import ScanMap
+from components.localizer.search import search
+from components.localizer.slip import SlipWatch
+from planar.grid import OccupancyCells
+from planar.poses import Pose, compose, relative
+from tests.components.localizer.room import Box, Moment, apart, drive, room, scanned
+
+START = (2.0, 2.0, 0.0)
+# Turned half round it looks the same.
+SYMMETRIC: tuple[Box, ...] = ((1.0, 1.0, 2.0, 2.0), (7.0, 5.0, 8.0, 6.0))
+SCAN_SHARE = 0.14
+Array = NDArray[np.float64]
+
+
+def evidence(grid: OccupancyCells, *poses: Pose, seed: int = 0) -> Evidence:
+    """What a robot saw that came through these poses, with odometry that is right."""
+    random = np.random.default_rng(seed)
+    scans = RecentScans()
+    for pose in poses:
+        scans.add(scanned(grid, pose, random, beams=60), relative(poses[0], pose))
+    now = relative(poses[0], poses[-1])
+    return Evidence(RecentSightings(), scans, {}, ScanMap(grid, 0.1, 0.05), SCAN_SHARE, now, 0.0)
+
+
+def robot(grid: OccupancyCells, seed: int = 0) -> Localization:
+    model = MotionModel(0.0, 0.0, 0.02, 0.04, 0.03)
+    one = Localization(
+        Settings(particles=500, motion=model), MeasuredTrack(), np.random.default_rng(seed)
+    )
+    one.use_grid(grid)
+    return one
+
+
+def through(one: Localization, moment: Moment) -> bool:
+    one.command(moment.time, moment.odometry, 0.0, 0.0)
+    return one.scan(moment.time, moment.points)
+
+
+def test_scans_are_kept_from_different_poses_only() -> None:
+    scans = RecentScans(keep=3)
+    for k in range(20):
+        scans.add(np.array([[1.0, 0.0]]), (0.1 * k, 0.0, 0.0))
+    assert len(scans) == 3
+
+    scans.clear()
+    for _ in range(20):
+        scans.add(np.array([[1.0, 0.0]]), (0.0, 0.0, 0.0))
+    assert len(scans) <= 2
+
+
+def test_scans_are_carried_back_to_where_they_were_taken() -> None:
+    grid = room()
+    poses = [(2.0, 2.0, 0.0), (2.5, 2.0, 0.2), (3.0, 2.1, 0.4)]
+    seen = evidence(grid, *poses)
+
+    true, off = np.array([poses[-1]]).T, np.array([(3.3, 2.1, 0.4)]).T
+
+    assert seen.scans.fit(poses[-1], seen.now, seen.map.field) > 0.95  # type: ignore[union-attr]
+    assert seen.log_likelihood(true)[0] > seen.log_likelihood(off)[0] + 5.0
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_search_finds_the_pose_that_explains_the_scans(seed: int) -> None:
+    seen = evidence(room(), (2.0, 2.0, 0.3), (2.5, 2.1, 0.5), (2.9, 2.4, 1.0), seed=seed)
+
+    found = search(seen, 5000, np.random.default_rng(seed))
+
+    assert found is not None
+    away, turned = apart(found.pose.mean, (2.9, 2.4, 1.0))
+    assert away < 0.15
+    assert turned < 0.1
+    assert found.fit > 0.9
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_no_place_of_two_that_look_alike_has_the_most_of_the_share(seed: int) -> None:
+    seen = evidence(room(SYMMETRIC), (3.0, 3.0, 0.3), (3.4, 3.2, 0.5), seed=seed)
+
+    found = search(seen, 5000, np.random.default_rng(seed))
+
+    assert found is not None
+    assert found.share < 0.9
+    assert found.places is not None
+    tops = [tuple(top) for top in found.places.T[:4]]
+    for alike in ((3.4, 3.2, 0.5), (9.0 - 3.4, 7.0 - 3.2, 0.5 + math.pi)):
+        assert min(apart(top, alike)[0] for top in tops) < 0.2
+
+
+def test_nothing_seen_is_nowhere_found() -> None:
+    nothing = Evidence(RecentSightings(), RecentScans(), {}, None, 0.1, (0.0, 0.0, 0.0), 0.0)
+
+    assert search(nothing, 1000, np.random.default_rng(0)) is None
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_robot_in_a_symmetric_room_is_found_nowhere(seed: int) -> None:
+    grid = room(SYMMETRIC)
+    one = robot(grid, seed)
+
+    for moment in drive(grid, (3.0, 3.0, 0.3), 20.0, seed):
+        through(one, moment)
+
+    assert not one.located or one.health().value < 0.5
+    assert one.health().reason
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_found_robot_is_sure_only_after_more_looks(seed: int) -> None:
+    grid = room()
+    one = robot(grid, seed)
+    values: list[float] = []
+
+    for moment in drive(grid, START, 20.0, seed):
+        through(one, moment)
+        if one.located:
+            values.append(one.health().value)
+            assert apart(one.pose().mean, moment.pose)[0] < 0.4
+
+    assert max(values[:20]) < 0.5
+    assert values[-1] > 0.9
+
+
+@pytest.mark.parametrize("slip", [(0.4, 0.1, 0.0), (0.0, 0.0, 0.5), (-0.3, 0.2, -0.4)])
+def test_wheels_that_slip_are_found_out_by_two_scans(slip: Pose) -> None:
+    grid = room()
+    one = robot(grid)
+    one.locate(START, np.diag([0.01**2, 0.01**2, 0.01**2]))
+    slipped = compose(START, slip)
+    random = np.random.default_rng(1)
+
+    for k in count():
+        here = START if k < 5 else slipped
+        one.command(0.1 * k, (0.0, 0.0, 0.0), 0.0, 0.0)
+        one.scan(0.1 * k, scanned(grid, here, random))
+        if k == 20:
+            break
+
+    away, turned = apart(one.pose().mean, slipped)
+    assert away < 0.08
+    assert turned < 0.05
+    assert "not ruled out" in one.health().reason
+
+
+def test_people_all_around_are_no_slip() -> None:
+    grid = room()
+    watch = SlipWatch(np.random.default_rng(0))
+    scan_map = ScanMap(grid, 0.1, 0.05)
+    random = np.random.default_rng(2)
+    one = robot(grid)
+    one.locate(START, np.diag([0.01**2, 0.01**2, 0.01**2]))
+    here = one.pose()
+
+    for _ in range(20):
+        points = scanned(grid, START, random, beams=60)
+        hidden = random.random(len(points)) < 0.5
+        points[hidden] *= random.uniform(0.2, 0.8, (int(hidden.sum()), 1))
+        found = watch.look(here, points, scan_map.field, 0.35, (0.0, 0.0, 0.0))
+        assert found is None
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_carried_robot_is_found_and_never_well_in_the_wrong_place(seed: int) -> None:
+    grid = room()
+    one = robot(grid, seed)
+    one.locate(START, np.diag([0.01**2, 0.01**2, 0.01**2]))
+    moments = list(drive(grid, START, 5.0, seed))
+    # Set down elsewhere, odometry knows nothing of it.
+    last = moments[-1]
+    for moment in drive(grid, (6.8, 5.5, 2.0), 25.0, seed + 10):
+        odometry = compose(last.odometry, moment.odometry)
+        moments.append(Moment(last.time + 0.1 + moment.time, moment.pose, odometry, moment.points))
+
+    wrong = 0
+    for moment in moments:
+        through(one, moment)
+        away = apart(one.pose().mean, moment.pose)[0]
+        wrong += away > 0.5 and one.health().value >= 0.5
+
+    assert apart(one.pose().mean, moments[-1].pose)[0] < 0.2
+    # The running mean of the fit takes a few scans to fall.
+    assert wrong <= 8

@@ -1,0 +1,106 @@
+"""How a pose's health is judged, and how a localizer goes on where another ended."""
+
+import logging
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from components.localizer.health import health_of, not_yet_sure, without_scans
+from components.localizer.particles import Estimate
+from components.localizer.recent import Support
+from components.localizer.resume import resumed, save
+from planar.poses import Pose
+
+LOG = logging.getLogger(__name__)
+NOTHING = Support(0, 0)
+
+
+def pose(spread_m: float = 0.05, heading: float = 0.02) -> Estimate:
+    return Estimate((0.0, 0.0, 0.0), np.diag([spread_m**2 / 2, spread_m**2 / 2, heading**2]))
+
+
+def test_a_good_pose_has_full_health_and_no_reason() -> None:
+    health = health_of(pose(), Support(3, 0), 0.9)
+
+    assert (health.value, health.reason) == (1.0, "")
+
+
+@pytest.mark.parametrize(
+    ("estimate", "support", "fit", "word"),
+    [
+        (pose(spread_m=0.5), NOTHING, 0.9, "position is uncertain by 0.50 m"),
+        (pose(heading=0.4), NOTHING, 0.9, "heading is uncertain by 0.40 rad"),
+        (pose(), NOTHING, 0.3, "map explains 30% of the scan"),
+        (pose(), Support(1, 3), None, "1 agree with the pose and 3 contradict"),
+    ],
+)
+def test_the_worst_side_decides_and_is_named(
+    estimate: Estimate, support: Support, fit: float | None, word: str
+) -> None:
+    health = health_of(estimate, support, fit)
+
+    assert health.value < 0.35
+    assert word in health.reason
+
+
+def test_objects_that_contradict_weigh_less_where_the_scan_fits() -> None:
+    assert health_of(pose(), Support(0, 3), 0.9).value == 0.5
+    assert health_of(pose(), Support(0, 3), None).value == 0.0
+
+
+def test_what_is_not_sure_or_not_scanned_is_worth_half_at_most() -> None:
+    well = health_of(pose(), NOTHING, 0.9)
+    ill = health_of(pose(spread_m=0.55), NOTHING, 0.9)
+
+    assert not_yet_sure(well).value < 0.5
+    assert "not ruled out" in not_yet_sure(well).reason
+    assert not_yet_sure(ill) == ill
+    silent = without_scans(well, 3.2, "/robot/scan")
+    assert (silent.value, silent.reason) == (
+        0.5,
+        "no scan on /robot/scan that hit anything for 3.2 s",
+    )
+
+
+def test_the_last_pose_is_carried_on_by_odometry(tmp_path: Path) -> None:
+    file = tmp_path / "pose.json"
+    save(file, 100.0, (1.0, 2.0, 0.5), np.diag([1e-4, 1e-4, 1e-4]), (5.0, 5.0, 0.5))
+
+    found = resumed(file, 102.0, (5.0 + np.cos(0.5), 5.0 + np.sin(0.5), 0.5), LOG)
+
+    assert found is not None
+    assert found.mean == pytest.approx((1.0 + np.cos(0.5), 2.0 + np.sin(0.5), 0.5))
+    assert found.spread < 0.1
+
+
+def test_odometry_that_began_anew_leaves_the_robot_where_it_was(tmp_path: Path) -> None:
+    file = tmp_path / "pose.json"
+    save(file, 100.0, (1.0, 2.0, 0.5), np.diag([1e-4, 1e-4, 1e-4]), (50.0, 5.0, 0.5))
+
+    found = resumed(file, 101.0, (0.0, 0.0, 0.0), LOG)
+
+    assert found is not None
+    assert found.mean == pytest.approx((1.0, 2.0, 0.5))
+    assert found.spread > 0.3
+
+
+@pytest.mark.parametrize("now_s", [99.0, 161.0])
+def test_a_pose_of_another_time_is_not_used(tmp_path: Path, now_s: float) -> None:
+    file = tmp_path / "pose.json"
+    where: Pose = (1.0, 2.0, 0.5)
+    save(file, 100.0, where, np.eye(3), where)
+
+    assert resumed(file, now_s, where, LOG) is None
+
+
+@pytest.mark.parametrize("text", ["", "{", '{"stamp_s": NaN}', '{"stamp_s": 1.0, "pose": [1]}'])
+def test_a_damaged_file_is_told_and_not_used(
+    tmp_path: Path, text: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    file = tmp_path / "pose.json"
+    file.write_text(text, encoding="utf-8")
+
+    assert resumed(file, 100.0, (0.0, 0.0, 0.0), LOG) is None
+    assert "does not hold a pose" in caplog.text
+    assert resumed(tmp_path / "none.json", 100.0, (0.0, 0.0, 0.0), LOG) is None

@@ -1,0 +1,273 @@
+"""The localizer with a scanner on the bus: bad scans, bad odometry, other maps, and no sensors."""
+
+import math
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from cairn.clock import from_ns
+from components.localizer.component import Localizer
+from planar.grid import FREE, OCCUPIED, Frame, Grid, OccupancyCells, map_message
+from planar.messages import planar_pose, pose_message
+from planar.poses import Pose, compose
+from schemas.builtin_interfaces import Time
+from schemas.geometry_msgs import PoseWithCovariance, PoseWithCovarianceStamped
+from schemas.map_msgs import OccupancyGridUpdate
+from schemas.nav_msgs import Odometry
+from schemas.sensor_msgs import LaserScan
+from schemas.std_msgs import Header
+from tests.components.localizer.room import Moment, apart, drive, room
+
+StageOf = Callable[..., Any]
+BEGIN = 1000.0
+AT: Pose = (2.0, 2.0, 0.0)
+START = {"x": AT[0], "y": AT[1], "theta": AT[2], "position_sd": 0.02, "heading_sd": 0.02}
+BEAMS, STEP = 241, math.radians(1.0)
+
+
+def header(time: float, frame: str) -> Header:
+    return Header(stamp=from_ns(round((BEGIN + time) * 1e6) * 1000), frame_id=frame)
+
+
+def odometry(time: float, pose: Pose) -> Odometry:
+    return Odometry(
+        header=header(time, "odom"),
+        child_frame_id="base_link",
+        pose=PoseWithCovariance(pose=pose_message(pose)),
+    )
+
+
+def ranges_of(moment: Moment) -> NDArray[np.float32]:
+    ranges = np.full(BEAMS, np.inf, np.float32)
+    angles = np.arctan2(moment.points[:, 1], moment.points[:, 0])
+    places = np.rint((angles + BEAMS // 2 * STEP) / STEP).astype(int)
+    ranges[np.clip(places, 0, BEAMS - 1)] = np.hypot(moment.points[:, 0], moment.points[:, 1])
+    return ranges
+
+
+def scan(time: float, ranges: NDArray[np.float32]) -> LaserScan:
+    step = STEP * (BEAMS - 1) / max(1, ranges.size - 1)
+    return LaserScan(
+        header=header(time, "laser"),
+        angle_min=-(BEAMS // 2) * STEP,
+        angle_max=(BEAMS // 2) * STEP,
+        angle_increment=step,
+        range_min=0.05,
+        range_max=8.0,
+        ranges=ranges,
+    )
+
+
+def grid_message(grid: OccupancyCells) -> Any:
+    return map_message(header(0.0, "map"), grid, Time())
+
+
+def begun(stage: StageOf, start: dict[str, float] | None = START, mapped: bool = True) -> Any:
+    it = stage(Localizer, BEGIN, start=start, search_particles=5000).begin()
+    if mapped:
+        it.give("map", grid_message(room()))
+    return it
+
+
+def travel(
+    it: Any,
+    moments: Iterable[Moment],
+    change: Callable[[NDArray[np.float32]], NDArray[np.float32] | None] = lambda ranges: ranges,
+    shift: Pose = (0.0, 0.0, 0.0),
+) -> None:
+    """Give odometry and scans in time; `change` alters each scan, None leaves it out."""
+    for moment in moments:
+        it.wait(max(0.0, BEGIN + moment.time - it.executor.now() / 1e9))
+        it.give("odom", odometry(moment.time, compose(shift, moment.odometry)))
+        ranges = change(ranges_of(moment))
+        if ranges is not None:
+            it.give("scan", scan(moment.time, ranges))
+
+
+def journey(seconds: float = 12.0, seed: int = 0) -> list[Moment]:
+    return list(drive(room(), AT, seconds, seed))
+
+
+def last_error(it: Any, moments: list[Moment]) -> float:
+    message = it.taken("pose")[-1]
+    stamp = message.header.stamp
+    time = stamp.sec + stamp.nanosec / 1e9 - BEGIN
+    moment = min(moments, key=lambda m: abs(m.time - time))
+    return apart(planar_pose(message.pose.pose), moment.pose)[0]
+
+
+def last_health(it: Any) -> Any:
+    return it.taken("localization_health")[-1]
+
+
+def test_each_scan_gives_a_pose_and_a_health_of_its_stamp(stage: StageOf) -> None:
+    it, moments = begun(stage), journey()
+
+    travel(it, moments)
+
+    poses, healths = it.taken("pose"), it.taken("localization_health")
+    assert [p.header.stamp for p in poses] == [h.header.stamp for h in healths]
+    assert len(poses) >= 0.95 * len(moments)
+    assert healths[-1].health > 0.9
+
+
+def test_a_robot_that_is_anywhere_is_found_by_scans(stage: StageOf) -> None:
+    it, moments = begun(stage, None), journey()
+
+    travel(it, moments)
+
+    assert last_error(it, moments) < 0.1
+    healths = it.taken("localization_health")
+    assert not healths[0].located
+    assert healths[-1].health > 0.9
+
+
+@pytest.mark.parametrize(
+    ("ranges", "word"),
+    [
+        (np.full(BEAMS, np.nan, np.float32), "holds no measurement at all"),
+        (np.full(BEAMS, np.inf, np.float32), ""),
+        (np.zeros(0, np.float32), ""),
+        (np.full(BEAMS, -np.inf, np.float32), "holds no measurement at all"),
+    ],
+)
+def test_scans_that_tell_nothing_leave_odometry(
+    stage: StageOf, ranges: NDArray[np.float32], word: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    it, moments = begun(stage), journey(6.0)
+
+    travel(it, moments[:30])
+    travel(it, moments[30:], lambda _: ranges)
+
+    assert last_error(it, moments) < 0.2
+    assert word in caplog.text
+    health = last_health(it)
+    assert health.health <= 0.5
+    assert "no scan on /robot/scan that hit anything for" in health.reason
+
+
+def test_the_number_of_beams_may_change(stage: StageOf) -> None:
+    it, moments = begun(stage), journey()
+    numbers = iter(np.tile([BEAMS, 61, 21, 1], len(moments)))
+
+    travel(it, moments, lambda ranges: ranges[:: (BEAMS - 1) // max(1, next(numbers) - 1)].copy())
+
+    assert last_error(it, moments) < 0.1
+
+
+def test_odometry_that_jumps_is_told_and_left_out(
+    stage: StageOf, caplog: pytest.LogCaptureFixture
+) -> None:
+    it, moments = begun(stage), journey()
+
+    travel(it, moments[:60])
+    travel(it, moments[60:], shift=(30.0, -20.0, 2.0))
+
+    assert "odometry on /robot/odom jumped" in caplog.text
+    assert last_error(it, moments) < 0.1
+
+
+def test_time_that_runs_backwards_is_ignored(
+    stage: StageOf, caplog: pytest.LogCaptureFixture
+) -> None:
+    it, moments = begun(stage), journey()
+    travel(it, moments[:60])
+
+    it.give("odom", odometry(1.0, (9.0, 9.0, 1.0)))
+    it.give("scan", scan(1.0, ranges_of(moments[10])))
+    travel(it, moments[60:])
+
+    assert "runs backwards" in caplog.text
+    assert "s late: ignored" in caplog.text
+    assert last_error(it, moments) < 0.1
+
+
+def test_a_map_of_another_size_takes_the_place_of_the_first(stage: StageOf) -> None:
+    it, moments = begun(stage), journey()
+    travel(it, moments[:60])
+    small = room()
+    cells = np.full((small.values.shape[0] + 40, small.values.shape[1] + 60), FREE, np.int8)
+    cells[20:-20, 20:-40] = small.values
+
+    it.give("map", grid_message(Grid(cells, Frame(0.05, (-1.0, -1.0, 0.0)))))
+    travel(it, moments[60:])
+
+    assert last_error(it, moments) < 0.1
+    assert last_health(it).health > 0.9
+
+
+def update(x: int, y: int, values: NDArray[np.int8]) -> OccupancyGridUpdate:
+    rows, columns = values.shape
+    return OccupancyGridUpdate(
+        header=header(0.0, "map"), x=x, y=y, width=columns, height=rows, data=values.ravel()
+    )
+
+
+def test_updates_renew_the_map_and_those_off_it_are_told(
+    stage: StageOf, caplog: pytest.LogCaptureFixture
+) -> None:
+    # The map lacks the box in the middle until it is told of it.
+    it, moments = begun(stage, mapped=False), journey()
+    boxes = ((1.0, 5.0, 2.2, 5.6), (7.2, 0.0, 9.0, 1.2))
+    it.give("map", grid_message(room(boxes)))
+
+    it.give("map_updates", update(80, 60, np.full((12, 30), OCCUPIED, np.int8)))
+    it.give("map_updates", update(170, 0, np.full((10, 30), FREE, np.int8)))
+    it.give("map_updates", update(-3, 0, np.full((10, 30), FREE, np.int8)))
+    travel(it, moments)
+
+    assert "is off the map" in caplog.text
+    assert last_error(it, moments) < 0.1
+    assert last_health(it).health > 0.9
+
+
+def test_an_update_before_any_map_is_harmless(stage: StageOf) -> None:
+    it, moments = begun(stage, mapped=False), journey(3.0)
+
+    it.give("map_updates", update(0, 0, np.full((10, 30), FREE, np.int8)))
+    travel(it, moments)
+
+    assert last_error(it, moments) < 0.1
+
+
+def test_without_any_sensor_the_pose_follows_odometry(stage: StageOf) -> None:
+    it, moments = begun(stage), journey(6.0)
+
+    travel(it, moments, lambda _: None)
+
+    assert last_error(it, moments) < 0.2
+    health = last_health(it)
+    assert health.health <= 0.5
+    assert "no scan on /robot/scan" in health.reason
+
+
+def test_an_operator_finds_a_lost_robot(stage: StageOf) -> None:
+    it, moments = begun(stage, None), journey()
+    travel(it, moments[:30], lambda _: np.full(BEAMS, np.inf, np.float32))
+    assert it.taken("pose") == []
+    covariance = np.zeros(36)
+    covariance[[0, 7, 35]] = 0.01
+
+    told = PoseWithCovariance(pose=pose_message(moments[29].pose), covariance=covariance)
+    it.give("initialpose", PoseWithCovarianceStamped(header=header(3.0, "map"), pose=told))
+    travel(it, moments[30:])
+
+    assert last_error(it, moments) < 0.1
+    assert last_health(it).health > 0.9
+
+
+def test_a_wrong_word_of_an_operator_is_not_believed_for_long(stage: StageOf) -> None:
+    it, moments = begun(stage), journey(25.0)
+    travel(it, moments[:30])
+    covariance = np.zeros(36)
+    covariance[[0, 7, 35]] = 0.01
+
+    told = PoseWithCovariance(pose=pose_message((7.0, 5.5, 2.5)), covariance=covariance)
+    it.give("initialpose", PoseWithCovarianceStamped(header=header(3.0, "map"), pose=told))
+    travel(it, moments[30:])
+
+    assert last_error(it, moments) < 0.1
+    assert it.taken("relocalised")

@@ -1,0 +1,82 @@
+"""What odometry tells between any two times, and what it is not believed."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from components.localizer.motion import Increment, MotionModel, move_pose, step_of
+from components.localizer.odometry import CommandedTrack, MeasuredTrack
+from planar.poses import Pose, relative
+
+
+def measured(*poses: Pose, every_s: float = 0.1) -> MeasuredTrack:
+    track = MeasuredTrack()
+    for k, pose in enumerate(poses):
+        assert track.append(k * every_s, pose, 0.0, 0.0)
+    return track
+
+
+def test_measured_motion_is_shared_out_by_time() -> None:
+    track = measured((0.0, 0.0, 0.0), (0.1, 0.0, 0.0), (0.2, 0.0, 0.0))
+    track.advance(0.0)
+
+    assert track.advance(0.05).ahead == pytest.approx(0.05)
+    assert track.preview(0.2).ahead == pytest.approx(0.15)
+    assert track.advance(0.15).ahead == pytest.approx(0.10)
+    assert track.advance(9.0).ahead == pytest.approx(0.05)
+
+
+def test_standing_still_is_no_motion() -> None:
+    track = measured((1.0, 2.0, 3.0), (1.0, 2.0, 3.0))
+    track.advance(0.0)
+
+    assert track.advance(0.1) == Increment(0.0, 0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("jump", [(5.0, 0.0, 0.0), (0.1, 0.0, 2.5), (-3.0, 4.0, 0.0)])
+def test_a_jump_that_no_wheels_can_make_is_left_out(jump: Pose) -> None:
+    x, y, theta = jump
+    after = (x + 0.1 * math.cos(theta), y + 0.1 * math.sin(theta), theta)
+    track = measured((0.0, 0.0, 0.0), (0.1, 0.0, 0.0), jump, after)
+    track.advance(0.0)
+
+    step = track.advance(0.3)
+
+    assert track.jumps == 1
+    assert (step.ahead, step.aside, step.turned) == pytest.approx((0.2, 0.0, 0.0), abs=1e-9)
+
+
+@pytest.mark.parametrize("track", [MeasuredTrack(), CommandedTrack(0.1)])
+def test_time_that_runs_backwards_is_refused(track: MeasuredTrack | CommandedTrack) -> None:
+    assert track.append(1.0, (0.0, 0.0, 0.0), 0.0, 0.0)
+    assert not track.append(0.9, (9.0, 0.0, 0.0), 1.0, 1.0)
+    assert track.append(1.0, (0.0, 0.0, 0.0), 0.0, 0.0)
+
+
+def test_a_command_is_carried_out_late_and_short() -> None:
+    track = CommandedTrack(lag_s=0.2, forward_gain=0.9)
+    track.append(0.0, (0.0, 0.0, 0.0), 1.0, 0.0)
+    track.advance(0.0)
+
+    assert track.advance(0.2).ahead == 0.0
+    assert track.advance(1.2).ahead == pytest.approx(0.9)
+
+
+@given(st.tuples(st.floats(-1, 1), st.floats(-1, 1), st.floats(-3, 3)))
+def test_an_increment_leads_where_it_was_taken_from(target: Pose) -> None:
+    begin = (0.3, -2.0, 1.0)
+    there = relative(begin, move_pose(begin, step_of(target)))
+
+    assert there[:2] == pytest.approx(target[:2], abs=1e-9)
+    assert math.sin(there[2] - target[2]) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_noise_grows_with_the_root_of_the_way() -> None:
+    model = MotionModel(0.0, 0.0, 0.02, 0.04, 0.03)
+    short = np.array(model.deviations(Increment(1.0, 0.0, 0.0, 1.0)))
+    long = np.array(model.deviations(Increment(4.0, 0.0, 0.0, 4.0)))
+
+    np.testing.assert_allclose(long, 2.0 * short)

@@ -1,0 +1,77 @@
+"""Maps drawn of posed scans: walls seen at grazing angles stay, and nothing else appears."""
+
+import math
+
+import numpy as np
+
+from components.map_builder.counting import build_map
+from planar.distance import distance_field
+from planar.grid import OCCUPIED, OccupancyCells
+from planar.poses import Pose
+from schemas.sensor_msgs import LaserScan
+from tests.components.localizer.room import Box, room, scanned
+
+STEP = math.radians(0.5)
+LENGTH = 16.0
+
+
+def corridor() -> OccupancyCells:
+    """2 m wide, between two blocks."""
+    blocks: tuple[Box, ...] = ((0.0, 0.0, LENGTH, 1.0), (0.0, 3.0, LENGTH, 4.0))
+    return room(blocks, LENGTH, 4.0)
+
+
+def driven(grid: OccupancyCells, seed: int) -> list[tuple[Pose, LaserScan]]:
+    """Scans along the corridor, their poses off by 7 cm and a degree."""
+    random = np.random.default_rng(seed)
+    posed = []
+    for x in np.arange(0.5, LENGTH - 0.5, 0.25):
+        true = (float(x), 2.0, 0.0 if random.random() < 0.5 else math.pi)
+        points = scanned(grid, true, random, math.radians(180), 361, 15.0, 0.02)
+        ranges = np.full(361, np.inf, np.float32)
+        places = np.rint((np.arctan2(points[:, 1], points[:, 0]) + math.pi / 2) / STEP)
+        ranges[np.clip(places.astype(int), 0, 360)] = np.hypot(points[:, 0], points[:, 1])
+        off = 0.07 * random.standard_normal(2)
+        turned = 0.02 * random.standard_normal()
+        scan = LaserScan(
+            angle_min=-math.pi / 2,
+            angle_max=math.pi / 2,
+            angle_increment=STEP,
+            range_min=0.05,
+            range_max=20.0,
+            ranges=ranges,
+        )
+        posed.append(((true[0] + off[0], true[1] + off[1], true[2] + turned), scan))
+    return posed
+
+
+def test_corridor_walls_are_whole_and_nothing_stands_between_them() -> None:
+    grid = corridor()
+
+    drawn = build_map(driven(grid, 0), 0.05, (0.0, 0.0, 0.0), 15.0)
+
+    found = np.array([drawn.frame.point(r, c) for r, c in np.argwhere(drawn.values == OCCUPIED)])
+    for wall_y in (1.0, 3.0):
+        along = np.arange(1.0, LENGTH - 1.0, 0.05)
+        near = found[np.abs(found[:, 1] - wall_y) < 0.12]
+        gaps = np.abs(near[:, 0] - along[:, None]).min(axis=1)
+        assert np.mean(gaps < 0.05) > 0.97
+    to_wall = distance_field(np.asarray(grid.values == OCCUPIED), 0.05)
+    rows = np.clip((found[:, 1] / 0.05).astype(int), 0, grid.values.shape[0] - 1)
+    columns = np.clip((found[:, 0] / 0.05).astype(int), 0, grid.values.shape[1] - 1)
+    assert to_wall[rows, columns].max() < 0.2
+
+
+def test_who_walked_past_leaves_nothing() -> None:
+    grid = corridor()
+    posed = driven(grid, 1)
+    with_person = room(
+        ((0.0, 0.0, LENGTH, 1.0), (0.0, 3.0, LENGTH, 4.0), (7.0, 2.2, 7.3, 2.5)), LENGTH, 4.0
+    )
+    posed[10:14] = driven(with_person, 1)[10:14]
+
+    drawn = build_map(posed, 0.05, (0.0, 0.0, 0.0), 15.0)
+
+    top, left = drawn.frame.cell(6.8, 2.0)
+    bottom, right = drawn.frame.cell(7.5, 2.7)
+    assert not np.any(drawn.values[top:bottom, left:right] == OCCUPIED)

@@ -1,0 +1,71 @@
+"""Localization on parts of real recordings, in maps of other parts of them."""
+
+import math
+
+import numpy as np
+import pytest
+
+from benchmarks.localization_logs import (
+    FOLDER,
+    Log,
+    draw_map,
+    drive,
+    from_known_start,
+    load,
+    localization,
+    mapped_by_stretches,
+)
+from planar.grid import OccupancyCells
+
+Place = tuple[Log, OccupancyCells]
+
+
+def place(name: str) -> Place:
+    log = load(FOLDER / f"{name}_corrected.log.gz")
+    return log, draw_map(log, mapped_by_stretches(log))
+
+
+@pytest.fixture(scope="module")
+def fr079() -> Place:
+    return place("fr079")
+
+
+@pytest.fixture(scope="module")
+def fr101() -> Place:
+    return place("fr101")
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_wheels_that_tell_of_turns_not_made_do_not_lose_the_robot(fr079: Place, seed: int) -> None:
+    log, grid = fr079
+    every = np.ones(len(log.scans), bool)
+
+    outcome = from_known_start(log, grid, every, seed, 940.0, 1060.0)
+
+    judged = ~mapped_by_stretches(log)[log.scan_at >= 940.0][: len(outcome.error)]
+    assert np.median(outcome.error[judged]) < 0.1
+    assert outcome.error.max() < 0.6
+    assert np.mean(outcome.error <= 3.0 * outcome.stated) > 0.9
+
+
+def test_scans_three_seconds_apart_hold_the_robot(fr101: Place) -> None:
+    log, grid = fr101
+
+    outcome = from_known_start(log, grid, np.ones(len(log.scans), bool), 0, 0.0, 400.0)
+
+    assert np.median(outcome.error) < 0.1
+    assert outcome.error.max() < 0.5
+
+
+@pytest.mark.parametrize("begin_s", [110.0, 350.0, 590.0, 790.0])
+def test_the_robot_is_found_in_an_office_building(fr101: Place, begin_s: float) -> None:
+    log, grid = fr101
+    robot = localization(grid, 1)
+    robot.advance(begin_s)
+
+    every = np.ones(len(log.scans), bool)
+    outcome = drive(robot, log, every, begin_s, begin_s + 90.0, until_found=True)
+
+    assert not math.isnan(outcome.error[-1])
+    assert outcome.error[-1] < 0.5
+    assert robot.health().value < 0.5  # as long as it is not confirmed
