@@ -49,8 +49,8 @@ class AutoMoveConfig(Config):
         6,
         ge=0,
         le=100,
-        description="Recoveries without progress before it gives up; three at most "
-        "where the map has no way to the goal [1].",
+        description="Recoveries without progress before it gives up; twice as many where the "
+        "robot is lost, three at most where the map has no way to the goal [1].",
     )
     least_health: float = Field(
         0.3, ge=0, le=1, description="Health of the pose below which the robot stands still [1]."

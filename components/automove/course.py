@@ -241,7 +241,9 @@ class Course:
 
     def _try_next(self, now_s: float, sequence: Sequence[str], trouble: str) -> None:
         most = self.patience.recoveries
-        if sequence is _WHEN_NO_WAY:
+        if sequence is _WHEN_LOST:
+            most *= 2  # where places look alike it takes some way until one stands out
+        elif sequence is _WHEN_NO_WAY:
             most = min(most, len(sequence))
         if self._tries >= most:
             tried = f" (after {self._tries} recoveries)" if self._tries else ""

@@ -198,7 +198,7 @@ class MapBuilder(Component):
             return
         waits = self._scans.waiting
         ready = self._scans.ready(health)
-        if self._scans.waiting != waits:
+        if bool(self._scans.waiting) != bool(waits):
             if self._scans.waiting:
                 self.log.info("the grid map waits: %s", self._scans.waiting)
             else:

@@ -135,13 +135,13 @@ def test_a_lost_robot_stands_then_looks_for_itself_in_turn_and_gives_up() -> Non
         Movement.STAND,
     )
 
-    journey.run(300.0)
+    journey.run(600.0)
 
     look, explore = Movement.LOOK_AROUND, Movement.EXPLORE
-    assert journey.tried == [Movement.STAND, look, explore, look, explore, look]
+    assert journey.tried == 2 * [Movement.STAND, look, explore, look, explore, look]
     assert journey.course.state == MoveStatus.FAILED
-    assert journey.course.reason == "the map explains 20% of the scan (after 6 recoveries)"
-    assert journey.course.recoveries == 6
+    assert journey.course.reason == "the map explains 20% of the scan (after 12 recoveries)"
+    assert journey.course.recoveries == 12
 
 
 def test_a_robot_that_finds_itself_stops_looking_and_drives_on() -> None:
