@@ -12,6 +12,7 @@ from schemas.cairn_nav_msgs import LocalizationHealth, MotionStatus, Movement, M
 # What is tried, one after the other, when the robot is lost; when it cannot get on; when there is
 # no way to its goal, which looking around seldom changes, but waiting may.
 _WHEN_LOST = ("wait", "look around", "explore", "look around", "explore", "look around")
+_WHEN_UNSURE = ("look around", "explore", "look around")
 _WHEN_STUCK = ("wait", "look around", "back off", "wait", "look around", "wait")
 _WHEN_NO_WAY = ("wait", "look around", "wait")
 _BEHAVIOUR = {
@@ -31,6 +32,7 @@ class Patience:
 
     recoveries: int = 6
     least_health: float = 0.3
+    sure_health: float = 0.5
     unsure_s: float = 1.0
     unlocated_s: float = 2.0
     blocked_s: float = 3.0
@@ -177,7 +179,11 @@ class Course:
         if halted or motion is None:
             return
         if motion.state == MotionStatus.DONE:
-            self._reached(now_s)
+            if self._sure(seen):
+                self._reached(now_s)
+            else:
+                why = seen.health.reason if seen.health is not None else ""
+                self._try_next(now_s, _WHEN_UNSURE, f"at the goal, if the pose is right: {why}")
             return
         left = motion.distance_left
         if 0.0 < left < self._nearest_m - _PROGRESS_M:
@@ -226,8 +232,9 @@ class Course:
             ended = motion.state in (MotionStatus.DONE, MotionStatus.BLOCKED)
             over = ended or waited > self.patience.behaviour_s
         # A robot that was lost and has found itself need not look any further.
-        found = self._sequence is _WHEN_LOST and not doubt and waited > self.patience.unsure_s
-        if over or found:
+        found = self._sequence is _WHEN_LOST and not doubt
+        found = found or (self._sequence is _WHEN_UNSURE and self._sure(seen))
+        if over or (found and waited > self.patience.unsure_s):
             self._want(now_s, MoveStatus.LOCALIZING, Movement.STAND, self._trouble)
 
     def _reached(self, now_s: float) -> None:
@@ -241,7 +248,7 @@ class Course:
 
     def _try_next(self, now_s: float, sequence: Sequence[str], trouble: str) -> None:
         most = self.patience.recoveries
-        if sequence is _WHEN_LOST:
+        if sequence in (_WHEN_LOST, _WHEN_UNSURE):
             most *= 2  # where places look alike it takes some way until one stands out
         elif sequence is _WHEN_NO_WAY:
             most = min(most, len(sequence))
@@ -255,6 +262,10 @@ class Course:
         self._sequence, self._trouble = sequence, trouble
         self._attempt = f"{what} ({self._tries} of {most}): {trouble}"
         self._want(now_s, MoveStatus.RECOVERING, _BEHAVIOUR[what], self._attempt)
+
+    def _sure(self, seen: Seen) -> bool:
+        """Whether the pose is so sure that a goal counts as reached."""
+        return seen.health is not None and seen.health.health >= self.patience.sure_health
 
     def _want(self, now_s: float, state: int, behaviour: int, reason: str) -> None:
         self.state, self.behaviour, self.reason = state, behaviour, reason

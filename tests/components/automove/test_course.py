@@ -304,3 +304,13 @@ def test_the_distance_left_is_along_the_path_where_one_is_followed() -> None:
     assert journey.course.distance_left(journey.seen) == pytest.approx(5.0)
     assert journey.course.distance_left(Seen()) == 0.0
     assert math.isinf(Seen().health_s)
+
+
+def test_a_goal_is_not_reached_by_a_robot_that_is_not_sure_where_it_is() -> None:
+    journey = Journey().run(1.0)
+    journey.health = LocalizationHealth(located=True, health=0.45, reason="found but now")
+    journey.motion = {"state": MotionStatus.DONE}
+    journey.run(0.1)
+    assert journey.course.state == MoveStatus.RECOVERING
+    assert journey.course.behaviour == Movement.LOOK_AROUND
+    assert "found but now" in journey.course.reason
