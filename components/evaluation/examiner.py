@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 from pydantic import Field
@@ -70,9 +70,8 @@ class _Attempt:
     shortest: float
     driven: float = 0.0
     carried_ns: int | None = None
-    carried_s: float | None = None
     kidnapped: bool = False
-    found_s: float | None = field(default=None)
+    found_s: float | None = None
 
 
 class NavigationExaminer(Component):

@@ -8,12 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planar.distance import distance_field
-from planar.grid import OCCUPIED, UNKNOWN, OccupancyCells
+from planar.grid import UNKNOWN, OccupancyCells
 from planar.path_shape import taut
 from planar.poses import Pose
 from planar.shortest_path import CLOSED, MARGIN, PathSearch, priced
 
 _TRIES = 1000
+# From this probability [%] on a cell is an obstacle.
+_OBSTACLE = 65
 
 
 class FreeGoals:
@@ -21,7 +23,7 @@ class FreeGoals:
 
     def __init__(self, grid: OccupancyCells, radius: float, clearance: float) -> None:
         self._grid = grid
-        blocked = (grid.values >= 65) | (grid.values == UNKNOWN)
+        blocked = (grid.values >= _OBSTACLE) | (grid.values == UNKNOWN)
         room = distance_field(blocked, grid.frame.resolution)
         self._prices = priced(*grid.values.shape)
         inner = self._prices[MARGIN:-MARGIN, MARGIN:-MARGIN]
@@ -79,5 +81,5 @@ def painted(grid: OccupancyCells) -> NDArray[np.uint8]:
     """The map as a picture: white free, black occupied, grey unknown; row 0 at the bottom."""
     picture = np.full(grid.values.shape, 200, np.uint8)
     picture[(grid.values >= 0) & (grid.values <= 25)] = 255
-    picture[grid.values >= OCCUPIED - 35] = 0
+    picture[grid.values >= _OBSTACLE] = 0
     return picture

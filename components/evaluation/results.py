@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -106,8 +105,3 @@ def _triple(
 ) -> tuple[float, float, float]:
     one, two, three = (round(float(value), 4) for value in values)
     return one, two, three
-
-
-def finite(value: float) -> float | None:
-    """A number that JSON can hold, or None."""
-    return value if math.isfinite(value) else None

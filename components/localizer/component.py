@@ -14,6 +14,7 @@ from cairn.component.handlers import every, on
 from cairn.component.parameters import Config, ParameterRefused
 from cairn.component.ports import In, Out
 from cairn.errors import CairnError
+from components.localizer.complaints import Complaints
 from components.localizer.config import LocalizerConfig
 from components.localizer.health import Health, without_scans
 from components.localizer.localization import Localization
@@ -103,7 +104,7 @@ class Localizer(Component):
         self._published = self._scanned = self._measured = -math.inf
         self._was_located = False
         self._jumps = 0
-        self._told: dict[str, int] = {}
+        self._complaints = Complaints(self.log)
 
     def on_parameters(self, new: Config) -> None:  # noqa: ARG002 - none can be changed
         """The clouds are laid out once."""
@@ -113,7 +114,7 @@ class Localizer(Component):
     def use_grid(self, message: OccupancyGrid) -> None:
         """Take a grid map."""
         if message.data.size == 0:
-            self._complain("map", f"the map on {self.map.topic} is empty: ignored")
+            self._complaints.tell("map", f"the map on {self.map.topic} is empty: ignored")
             return
         self._localization.use_grid(grid_of(message))
 
@@ -125,7 +126,7 @@ class Localizer(Component):
             return
         values = update.data.reshape(update.height, update.width)
         if not here.fits(update.y, update.x, values):
-            self._complain("update", f"an update on {self.map_updates.topic} is off the map")
+            self._complaints.tell("update", f"an update on {self.map_updates.topic} is off the map")
             return
         here.renew(update.y, update.x, values)
 
@@ -150,10 +151,12 @@ class Localizer(Component):
         if latest == -math.inf:
             self._begin(odom, stamp, pose)
         elif stamp - latest > GAP_S:
-            self._complain("gap", f"no odometry on {self.odom.topic} for {stamp - latest:.1f} s")
+            self._complaints.tell(
+                "gap", f"no odometry on {self.odom.topic} for {stamp - latest:.1f} s"
+            )
         twist = odom.twist.twist
         if not self._localization.command(stamp, pose, twist.linear.x, twist.angular.z):
-            self._complain(
+            self._complaints.tell(
                 self.odom.topic,
                 f"time on {self.odom.topic} runs backwards, from {latest:.3f} s to {stamp:.3f} s: "
                 "ignored",
@@ -173,7 +176,9 @@ class Localizer(Component):
         ends = began + sweep_s(scan)
         if ends < self._track.integrated_to - LATE_S:
             late_s = self._track.integrated_to - ends
-            self._complain("late scan", f"a scan of {began:.3f} s is {late_s:.1f} s late: ignored")
+            self._complaints.tell(
+                "late scan", f"a scan of {began:.3f} s is {late_s:.1f} s late: ignored"
+            )
             return
         self._held.add(ends, _Sweep(scan, began))
         self._work_off()
@@ -185,7 +190,9 @@ class Localizer(Component):
         reached = self._track.integrated_to
         if stamp < reached - LATE_S:
             late_s = reached - stamp
-            self._complain("late", f"sightings of {stamp:.3f} s are {late_s:.1f} s late: ignored")
+            self._complaints.tell(
+                "late", f"sightings of {stamp:.3f} s are {late_s:.1f} s late: ignored"
+            )
             return
         self._held.add(stamp, sightings_of(message))
         self._work_off()
@@ -213,7 +220,7 @@ class Localizer(Component):
         try:
             save(file, at, estimate.mean, estimate.covariance, odom)
         except OSError as error:
-            self._complain("resume", f"the pose cannot be kept in {file}: {error.strerror}")
+            self._complaints.tell("resume", f"the pose cannot be kept in {file}: {error.strerror}")
 
     def _begin(self, odom: Odometry, stamp: float, pose: Pose) -> None:
         self._localization.advance(stamp)
@@ -246,14 +253,16 @@ class Localizer(Component):
             self._jumps = track.jumps
             self._history.clear()
             self._localization.doubt(JUMP_M, JUMP_RAD)
-            self._complain("jump", f"odometry on {self.odom.topic} jumped: that step is left out")
+            self._complaints.tell(
+                "jump", f"odometry on {self.odom.topic} jumped: that step is left out"
+            )
 
     def _work_off(self) -> None:
         track = self._track
         now = self.clock.now() / SECOND
         for stamp, item in self._held.release(track.latest, now):
             if stamp > track.latest:
-                self._complain(
+                self._complaints.tell(
                     "wait", f"what was seen at {stamp:.3f} s found no odometry of that time"
                 )
             if isinstance(item, _Sweep):
@@ -274,7 +283,9 @@ class Localizer(Component):
         rays = rays_of(sweep.scan, self.config.mount.pose, relative(began, ended))
         points = rays.points()
         if np.isnan(rays.ranges).all():
-            self._complain("blind", f"a scan on {self.scan.topic} holds no measurement at all")
+            self._complaints.tell(
+                "blind", f"a scan on {self.scan.topic} holds no measurement at all"
+            )
         self._scanned = ends
         if len(points):
             self._measured = ends
@@ -346,11 +357,6 @@ class Localizer(Component):
 
     def _header(self, stamp: float) -> Header:
         return Header(stamp=from_ns(round(stamp * SECOND)), frame_id="map")
-
-    def _complain(self, about: str, what: str) -> None:
-        count = self._told[about] = self._told.get(about, 0) + 1
-        if count & (count - 1) == 0:  # the 1st, 2nd, 4th, 8th ...: told, never flooding the log
-            self.log.warning("%s (%d times so far)", what, count)
 
 
 def _seconds(stamp: Time) -> float:

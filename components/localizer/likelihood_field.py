@@ -87,10 +87,13 @@ class LikelihoodField:
         """Renew the cells of a window; obstacles as far around it as they can matter."""
         reach = self._reach
         rows, columns = self._obstacles.shape
-        t, l = max(0, top - reach), max(0, left - reach)  # noqa: E741
-        b, r = min(rows, bottom + reach), min(columns, right + reach)
-        distance = distance_field(self._obstacles[t:b, l:r], self.frame.resolution)
-        inner = distance[top - t : bottom - t, left - l : right - l]
+        first_row, first_column = max(0, top - reach), max(0, left - reach)
+        last_row, last_column = min(rows, bottom + reach), min(columns, right + reach)
+        around = self._obstacles[first_row:last_row, first_column:last_column]
+        distance = distance_field(around, self.frame.resolution)
+        inner = distance[
+            top - first_row : bottom - first_row, left - first_column : right - first_column
+        ]
         self.cells[top + 1 : bottom + 1, left + 1 : right + 1] = self._values(inner)
 
     def _values(self, distance: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -70,7 +70,8 @@ def test_scans_are_carried_back_to_where_they_were_taken() -> None:
 
     true, off = np.array([poses[-1]]).T, np.array([(3.3, 2.1, 0.4)]).T
 
-    assert seen.scans.fit(poses[-1], seen.now, seen.map.field) > 0.95  # type: ignore[union-attr]
+    assert seen.map is not None
+    assert seen.scans.fit(poses[-1], seen.now, seen.map.field) > 0.95
     assert seen.log_likelihood(true)[0] > seen.log_likelihood(off)[0] + 5.0
 
 

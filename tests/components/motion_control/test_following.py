@@ -13,6 +13,7 @@ from planar.poses import Pose, wrap
 from tests.components.motion_control.people import Walker
 from tests.components.motion_control.world import (
     LIMITS,
+    Array,
     Record,
     Robot,
     Wall,
@@ -137,7 +138,7 @@ class Sudden(World):
         super().__init__(walls)
         self.first, self.then = walls, walls + later
 
-    def ranges(self, time, scanner, angles, noise):  # type: ignore[no-untyped-def]
+    def ranges(self, time: float, scanner: Pose, angles: Array, noise: Array) -> Array:
         self.walls = self.then if time >= 4.0 else self.first
         return super().ranges(time, scanner, angles, noise)
 
@@ -268,7 +269,7 @@ def test_a_path_that_is_far_away_is_not_gone_to() -> None:
 
 def test_it_does_not_go_where_the_scanner_sees_nothing() -> None:
     class Blind(World):
-        def ranges(self, time, scanner, angles, noise):  # type: ignore[no-untyped-def]
+        def ranges(self, time: float, scanner: Pose, angles: Array, noise: Array) -> Array:
             seen = super().ranges(time, scanner, angles, noise)
             return seen if time < 2.0 else np.full_like(seen, np.nan)
 

@@ -3,7 +3,7 @@
 import bz2
 import gzip
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -46,10 +46,12 @@ def test_a_raw_log_gives_odometry_and_scans_and_no_truth(write: Write) -> None:
 
 
 @pytest.mark.parametrize("compress", [gzip.compress, bz2.compress])
-def test_a_compressed_log_is_known_by_its_content(write: Write, compress: object) -> None:
+def test_a_compressed_log_is_known_by_its_content(
+    write: Write, compress: Callable[[bytes], bytes]
+) -> None:
     path = write(*drive(2))
     before = CarmenRecording(path).span()
-    path.write_bytes(compress(path.read_bytes()))  # type: ignore[operator]
+    path.write_bytes(compress(path.read_bytes()))
 
     assert CarmenRecording(path).span() == before
 

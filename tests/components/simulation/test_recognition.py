@@ -10,6 +10,7 @@ import pytest
 from components.simulation.recognition import Eye, Recognised, Thing, recognised
 from components.simulation.scanning import Surroundings
 from components.simulation.scene import SURFACES
+from components.simulation.world_file import Surface
 from planar.poses import Pose
 
 EYE = Eye(
@@ -42,9 +43,9 @@ def seen(
     return recognised(eye, ROBOT, mount, things, around, np.random.default_rng(seed))
 
 
-def across(x: float, surface: str = "plain") -> Surroundings:
+def across(x: float, surface: Surface = "plain") -> Surroundings:
     """Something that stands across the view."""
-    number = SURFACES[surface]  # type: ignore[index]
+    number = SURFACES[surface]
     return Surroundings(
         np.array([[x, -1.0, x, 1.0]]), np.array([number], np.uint8), np.zeros((0, 3))
     )

@@ -10,6 +10,7 @@ import pytest
 from components.simulation.scanner_models import MODELS
 from components.simulation.scanning import Beams, Faults, Surroundings, sweep
 from components.simulation.scene import SURFACES
+from components.simulation.world_file import Surface
 from planar.poses import Pose, compose, relative
 from planar.sweep import rays_of
 from schemas.sensor_msgs import LaserScan
@@ -27,11 +28,11 @@ SHEETS = {
 }
 
 
-def square(half: float, surface: str = "plain") -> Surroundings:
+def square(half: float, surface: Surface = "plain") -> Surroundings:
     """Four walls around the origin."""
     corners = [(-half, -half), (half, -half), (half, half), (-half, half), (-half, -half)]
     rows = [(*a, *b) for a, b in pairwise(corners)]
-    surfaces = np.full(4, SURFACES[surface], np.uint8)  # type: ignore[index]
+    surfaces = np.full(4, SURFACES[surface], np.uint8)
     return Surroundings(np.array(rows), surfaces, np.zeros((0, 3)))
 
 

@@ -1,0 +1,19 @@
+"""What a localizer complains of, told without flooding its log."""
+
+from __future__ import annotations
+
+import logging
+
+
+class Complaints:
+    """Counts complaints by what they are about, and logs some of them."""
+
+    def __init__(self, log: logging.Logger) -> None:
+        self._log = log
+        self._told: dict[str, int] = {}
+
+    def tell(self, about: str, what: str) -> None:
+        """Log the 1st, 2nd, 4th, 8th ... complaint about something."""
+        count = self._told[about] = self._told.get(about, 0) + 1
+        if count & (count - 1) == 0:
+            self._log.warning("%s (%d times so far)", what, count)
