@@ -17,9 +17,14 @@ from cairn.errors import CairnError, StoppedByForce
 COMMANDS_GROUP = "cairn.commands"
 """Entry points of this group add subcommands: a `typer.Typer`, or a function as typer takes it."""
 
+_HELP = ["-h", "--help"]
 
-def build() -> typer.Typer:
-    """The whole command line, commands of installed packages included."""
+
+def build(asked: str | None = None) -> typer.Typer:
+    """The command line, with the installed packages' command of the name asked for, or with all.
+
+    A package's commands may take a second to import: who asks for another need not wait for them.
+    """
     app = typer.Typer(
         name="cairn",
         help="Component-based robot middleware over Zenoh, and the navigation built on it.",
@@ -27,7 +32,7 @@ def build() -> typer.Typer:
         add_completion=False,
         pretty_exceptions_enable=False,
         rich_markup_mode=None,
-        context_settings={"max_content_width": 100, "help_option_names": ["-h", "--help"]},
+        context_settings={"max_content_width": 100, "help_option_names": _HELP},
     )
     app.callback()(_options)
     app.command("up")(up.up)
@@ -43,6 +48,8 @@ def build() -> typer.Typer:
     app.add_typer(param.app, name="param")
     app.add_typer(schema.app, name="schema")
     for point in sorted(entry_points(group=COMMANDS_GROUP), key=lambda point: point.name):
+        if asked not in (None, point.name):
+            continue
         try:
             found = point.load()
             if isinstance(found, typer.Typer):
@@ -78,7 +85,7 @@ def main() -> None:
     logging.captureWarnings(True)
     try:
         _check_folder()
-        build()()
+        build(next((word for word in sys.argv[1:] if word not in _HELP), None))()
     except StoppedByForce as error:
         _complain(str(error))
         os._exit(1)  # Python's own end can abort while threads are at work

@@ -9,17 +9,17 @@ from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from cairn.cli.connection import Json
 from cairn.cli.tables import line, note, print_json
 from cairn.errors import CairnError
+from components.evaluation.pictures import draw_tracks, draw_ways
 from components.evaluation.results import RunResult, Summary, summed_up
-
-if TYPE_CHECKING:
-    from components.evaluation.runs import Trial
+from components.evaluation.runs import Trial, run_trial
+from planar.map_file import read_map
 
 app = typer.Typer(help="Evaluate what the robot does, by many runs.", no_args_is_help=True)
 
@@ -54,9 +54,6 @@ def navigation(
 
     Ends with status 1 if a goal was not reached or anything was hit.
     """
-    # Kernels and pictures take a second to import: not before every other `cairn` command.
-    from components.evaluation.runs import Trial
-
     numbers = _seeds(seeds)
     out.mkdir(parents=True, exist_ok=True)
     map_file = _surveyed(world, out)
@@ -115,8 +112,6 @@ def _surveyed(world: Path, out: Path) -> Path:
 
 
 def _run(trials: list[Trial], workers: int, *, quiet: bool) -> list[RunResult]:
-    from components.evaluation.runs import run_trial
-
     runs: list[RunResult] = []
     with (
         TemporaryDirectory(prefix="cairn-evaluation-") as scratch,
@@ -134,9 +129,6 @@ def _run(trials: list[Trial], workers: int, *, quiet: bool) -> list[RunResult]:
 
 
 def _write(out: Path, map_file: Path, runs: list[RunResult], summary: Summary) -> None:
-    from components.evaluation.pictures import draw_tracks, draw_ways
-    from planar.map_file import read_map
-
     grid = read_map(map_file)
     draw_tracks(grid, runs, out / "tracks.png")
     draw_ways(runs, out / "ways.png")

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from cairn.errors import CairnError
+from components.map_builder.counting import build_map
 from components.map_builder.objects import Change, Kind, MapObject, Place
 from components.map_builder.store import create_map
 from planar.grid import OccupancyCells
@@ -45,9 +46,6 @@ def imported_grid(
     if name in entry_points(group=GRID_IMPORTERS_GROUP).names:
         read: Callable[[Path], OccupancyCells] = _loaded(name, GRID_IMPORTERS_GROUP, "grid maps")
         return read(path)
-    # Kernels take half a second to import: not before every other `cairn` command.
-    from components.map_builder.counting import build_map
-
     scans: Callable[[Path], PosedScans] = _loaded(name, POSED_SCANS_GROUP, "grid maps")
     try:
         return build_map(scans(path), resolution, mount, reach)

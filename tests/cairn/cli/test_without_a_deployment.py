@@ -1,6 +1,5 @@
 """Commands that need no running deployment, and those that miss it."""
 
-import json
 import os
 import subprocess
 from pathlib import Path
@@ -129,7 +128,15 @@ def test_help_is_given_for_every_command() -> None:
     for name in ("up", "check", "ps", "graph", "topic", "param", "plugins", "schema", "load"):
         assert f"\n  {name} " in shown
         assert cairn(name, "--help").code == 0
-    assert json.dumps(shown)
+
+
+def test_packages_add_commands_and_a_broken_one_does_no_harm() -> None:
+    broken = "command test-broken (cairn_test_plugins.broken:app) cannot be loaded"
+
+    assert cairn("test-greet", "-5").out == "hello, -5\n"
+    assert broken in cairn("test-broken").err
+    assert broken in cairn("--help").err
+    assert cairn("plugins").err == ""
 
 
 def test_a_full_disk_under_its_output_is_told() -> None:
