@@ -224,7 +224,7 @@ class MotionControl(Component):
         if self._told != (leg, self._motion.state):
             self._told = (leg, self._motion.state)
             reason = f": {self._motion.reason}" if self._motion.reason else ""
-            self.log.info("leg %d %s%s", leg, self._motion.state.name, reason)
+            self.log.info("%s%s", self._motion.state.name.lower(), reason)
             self._tell()
 
     def _judge(self, now: int) -> tuple[Motion, Command]:
@@ -282,9 +282,8 @@ class MotionControl(Component):
 
     def _no_plan(self) -> str:
         movement, plan = self._movement, self._plan
-        leg = movement.leg if movement is not None else 0
-        if plan is None or plan.leg != leg:
-            return f"no plan for leg {leg} yet on {self.plan.topic}"
+        if plan is None or plan.leg != (movement.leg if movement is not None else 0):
+            return f"no plan of this leg yet on {self.plan.topic}"
         return f"there is no path: {plan.reason}"
 
     def _tell(self) -> None:

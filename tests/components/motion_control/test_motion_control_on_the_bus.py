@@ -120,7 +120,7 @@ def test_only_a_plan_of_the_same_leg_counts() -> None:
     it.wait(2.0)
 
     assert it.status.state == STATES.BLOCKED
-    assert it.status.reason == "no plan for leg 8 yet on /robot/plan"
+    assert it.status.reason == "no plan of this leg yet on /robot/plan"
     assert it.robot.speed == 0.0
     it.plan(8, (it.robot.pose[0], 0.0), (3.0, 3.0))
     it.wait(20, until=STATES.DONE)
