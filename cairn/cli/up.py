@@ -54,7 +54,7 @@ def up(
 ) -> None:
     """Run a deployment until it is done or Ctrl-C; nothing is left running.
 
-    Exit status 0 if it ended as it should, 1 if it failed.
+    Exit status 0 if it ended as it should, 1 if it failed, or was to do what it could not.
     """
     folder = (report or _folder_of_run(file)).absolute()
     began = time.monotonic()
@@ -81,7 +81,7 @@ def up(
     table = folder / _CLOSING_TABLE
     if table.exists():
         line(table.read_text(encoding="utf-8"))
-    if not end.normal:
+    if not (end.normal and end.success):
         raise CairnError(f"{file.name} failed: {end.reason.rstrip('.')}; logs: {folder / 'logs'}")
     took = time.monotonic() - began
     line(f"ended: {end.reason}; logs and report: {folder} (took {took:.1f} s)")

@@ -25,7 +25,7 @@ class Context(Protocol):
         """Run `call` once at that time of the component's clock, while active."""
         ...
 
-    def finish(self, reason: str) -> None:
+    def finish(self, reason: str, *, success: bool = True) -> None:
         """End the component normally once the current handler returns."""
         ...
 
@@ -90,9 +90,13 @@ class Component:
         """Run `call` once when `self.clock` reaches `at` [ns]; forgotten on deactivation."""
         self._context.schedule(at, call)
 
-    def finish(self, reason: str) -> None:
-        """End normally (not a failure) once the current handler returns."""
-        self._context.finish(reason)
+    def finish(self, reason: str, *, success: bool = True) -> None:
+        """End normally, not to be restarted, once the current handler returns.
+
+        Without `success` its work is over, but what it was to do was not done: if that ends the
+        deployment, `cairn up` ends with exit status 1.
+        """
+        self._context.finish(reason, success=success)
 
     def on_configure(self) -> None:
         """Take memory, open devices and files; raise to say why it cannot be done."""

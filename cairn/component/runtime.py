@@ -50,10 +50,14 @@ class Assignment:
 
 @dataclass(frozen=True)
 class End:
-    """How a component ended: normally (it finished, or was told to stop), or by a failure."""
+    """How a component ended: normally (it finished, or was told to stop), or by a failure.
+
+    One that finished did so with `success` or without.
+    """
 
     normal: bool
     reason: str
+    success: bool = True
 
 
 class Runtime:
@@ -82,7 +86,7 @@ class Runtime:
         self._state = State.UNCONFIGURED
         self._walking: Transition | None = None
         self._busy: tuple[str, float] | None = None
-        self._finishing = ""
+        self._finishing: End | None = None
         self._reason = f"restarted: {assignment.former_end}" if assignment.former_end else ""
         self._recoveries = Recoveries()
         simulated = assignment.simulated_time and component.clock_source == "deployment"
@@ -108,9 +112,9 @@ class Runtime:
         name = getattr(call, "__name__", "scheduled call")
         self._timing.at(at, partial(self.run, name, call))
 
-    def finish(self, reason: str) -> None:
+    def finish(self, reason: str, *, success: bool = True) -> None:
         """End normally once the current handler returns."""
-        self._finishing = reason or "finished"
+        self._finishing = End(True, reason or "finished", success)
 
     def transition(self, transition: Transition) -> None:
         """Walk one step of the life cycle.
@@ -131,7 +135,7 @@ class Runtime:
             self._walking = None
         self._state = end
         if transition is Transition.SHUTDOWN:
-            self._ended(End(True, self._finishing or "shut down"))
+            self._ended(self._finishing or End(True, "shut down"))
         else:
             self.heartbeat.publish()
             self._finish_if_asked()
@@ -271,14 +275,18 @@ class Runtime:
             self._busy = outer
 
     def _finish_if_asked(self) -> None:
-        if self._finishing and self._walking is None and self._state is not State.FINALIZED:
+        if (
+            self._finishing is not None
+            and self._walking is None
+            and self._state is not State.FINALIZED
+        ):
             with suppress(CairnError):  # `_fail` has told it, and ended
                 self.transition(Transition.SHUTDOWN)
 
     def _fail(self, failure: "_Failure", *, last: bool = False) -> bool:
         self._reason = f"{failure.where}: {self._explained(failure.error)}"
         self.log.error("%s", self._reason, exc_info=failure.error)
-        self._finishing = ""
+        self._finishing = None
         self._ports.unsubscribe()
         self._timing.stop()
         recovered = False

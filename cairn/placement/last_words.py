@@ -4,7 +4,7 @@ from collections import deque
 from pathlib import Path
 
 from cairn.supervision.child import ChildEnd
-from cairn.supervision.child_process import ChildExit
+from cairn.supervision.child_process import WITHOUT_SUCCESS, ChildExit
 
 _TAIL_BYTES = 4000
 _TAIL_LINES = 20
@@ -35,7 +35,8 @@ class LastWords:
             return ChildEnd(False, f"{exit_.manner} {where}")
         words, last_line = self._tail(exit_.pid)
         if exit_.normal:
-            return ChildEnd(True, words or f"{exit_.manner} of its own accord")
+            success = exit_.code != WITHOUT_SUCCESS
+            return ChildEnd(True, words or f"{exit_.manner} of its own accord", success)
         if words:
             return ChildEnd(False, f"failed {where}: {words}")
         said = f": {last_line}" if last_line else ""

@@ -285,7 +285,11 @@ class InProcessChild:
             return None
         self._household.close()
         end = self._hosted.end
-        return ChildEnd(end.normal, end.reason if end.normal else f"failed: {end.reason}")
+        return (
+            ChildEnd(True, end.reason, end.success)
+            if end.normal
+            else ChildEnd(False, f"failed: {end.reason}")
+        )
 
 
 def _in_short(error: SpawnFailed, name: str, log: Path) -> str:

@@ -161,8 +161,12 @@ class _LockstepChild:
         """Its end."""
         if self.end is None:
             return None
-        reason = self.end.reason
-        return ChildEnd(self.end.normal, reason if self.end.normal else f"failed: {reason}")
+        end = self.end
+        return (
+            ChildEnd(True, end.reason, end.success)
+            if end.normal
+            else ChildEnd(False, f"failed: {end.reason}")
+        )
 
     def _note_end(self, end: End) -> Any:
         self.end = end

@@ -14,6 +14,7 @@ from cairn.placement.attendance import Attendance
 from cairn.placement.last_words import closing_words
 from cairn.placement.launchers import TRACEBACK_SIGNAL, Household
 from cairn.placement.order import Order
+from cairn.supervision.child_process import WITHOUT_SUCCESS
 
 _SWITCH_INTERVAL_S = 0.0005
 """A computing handler lets the threads that receive messages in after at most so long."""
@@ -53,7 +54,10 @@ def _run(household: Household) -> tuple[int, str]:
         household.close()
     if hosted.end is None:
         return 1, "its loop ended without a word"
-    return (0 if hosted.end.normal else 1), hosted.end.reason
+    end = hosted.end
+    if not end.normal:
+        return 1, end.reason
+    return (0 if end.success else WITHOUT_SUCCESS), end.reason
 
 
 def _nothing_more() -> None:

@@ -32,10 +32,14 @@ class ChildSpec:
 
 @dataclass(frozen=True)
 class ChildEnd:
-    """How a child ended; the reason is a sentence's part, such as "was killed by SIGSEGV"."""
+    """How a child ended; the reason is a sentence's part, such as "was killed by SIGSEGV".
+
+    A child whose work is done ended normally, with `success` or without.
+    """
 
     normal: bool
     reason: str
+    success: bool = True
 
 
 class Child(Protocol):

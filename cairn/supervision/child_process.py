@@ -6,6 +6,9 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import dataclass
 
+WITHOUT_SUCCESS = 100
+"""The exit code of a process whose work is over, but was not done."""
+
 
 @dataclass(frozen=True)
 class ChildExit:
@@ -18,8 +21,8 @@ class ChildExit:
 
     @property
     def normal(self) -> bool:
-        """Whether it ended by itself and successfully."""
-        return self.code == 0
+        """Whether it ended by itself and with its work over, with success or without."""
+        return self.code in (0, WITHOUT_SUCCESS)
 
     @property
     def manner(self) -> str:

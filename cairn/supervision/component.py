@@ -165,9 +165,10 @@ class SupervisorComponent(Component):
         self._see_to_the_end()
 
     def _see_to_the_end(self) -> None:
-        if self.children.finished:
+        end = self.children.finished
+        if end is not None:
             self._insist_on_good_order()
-            self.finish(self.children.finished)
+            self.finish(end.reason, success=end.success)
 
     def _insist_on_good_order(self) -> None:
         if self._failed_stops:  # a report that was not written, perhaps: that is no success
@@ -187,7 +188,7 @@ class SupervisorComponent(Component):
                 self.log.warning("%s is being stopped: %s", event.child, reason)
             case "ended" if not event.normal:
                 self.log.warning("%s %s", event.child, reason)
-            case "ended" | "finished" | "stopped":
+            case "ended" | "stopped":
                 what = "ended" if event.what == "ended" else "stopped"
                 level = logging.INFO if event.normal else logging.WARNING
                 self.log.log(level, "%s %s: %s", event.child, what, reason)

@@ -12,7 +12,6 @@ What = Literal[
     "stopped",
     "ended",  # by itself
     "hung",  # killed for not returning from a handler
-    "finished",  # says that its work is done
     "given_up",  # the supervisor itself fails
 ]
 State = Literal["unloaded", "starting", "active", "stopping", "ended"]

@@ -29,21 +29,7 @@ class StartFailed(CairnError):  # noqa: N818 - reads as what happened
 
 
 @dataclass(frozen=True)
-class _Ended:
-    name: str
-    incarnation: int
-    end: ChildEnd
-
-
-@dataclass(frozen=True)
 class _Hung:
-    name: str
-    incarnation: int
-    reason: str
-
-
-@dataclass(frozen=True)
-class _Finished:
     name: str
     incarnation: int
     reason: str
@@ -52,8 +38,8 @@ class _Finished:
 class Supervisor:
     """Starts, restarts and stops children in one thread, the owner's.
 
-    `child_ended`, `child_hung`, `child_finished` and `request_stop` may be called from any thread
-    and from signal handlers: they only take note. The owner then calls `reconcile`.
+    `child_hung` and `request_stop` may be called from any thread and from signal handlers: they
+    only take note. The owner then calls `reconcile`, as whenever a child may have ended.
 
     `observe` is told all that happens. `progress` is called before each step with what is about to
     be done and how long it may take at most [s], so that the owner can say that it is not hung.
@@ -78,13 +64,13 @@ class Supervisor:
         self._policy = Policy(policies, strategy, intensity)
         self._observe = observe
         self._now = now
-        self._inbox: deque[_Ended | _Hung | _Finished] = deque()
+        self._inbox: deque[_Hung] = deque()
         self._stop_requested = False
-        self._finished = ""
+        self._finished: ChildEnd | None = None
 
     @property
-    def finished(self) -> str:
-        """Why all is done, "" if it is not: a significant child ended normally, all are stopped."""
+    def finished(self) -> ChildEnd | None:
+        """Why all is done, None if it is not: a significant child ended normally; all stopped."""
         return self._finished
 
     @property
@@ -96,21 +82,14 @@ class Supervisor:
         """All children in start order."""
         return [slot.status() for slot in self._slots.values()]
 
-    def child_ended(self, name: str, incarnation: int, end: ChildEnd) -> None:
-        """Note that a child ended; a former incarnation's end changes nothing."""
-        self._slot(name)
-        self._inbox.append(_Ended(name, incarnation, end))
-
     def child_hung(self, name: str, incarnation: int, handler: str, seconds: float) -> None:
-        """Note that a child has been in a handler for too long: it will be killed."""
+        """Note that a child has been in a handler for too long: it will be killed.
+
+        A former incarnation's changes nothing.
+        """
         self._slot(name)
         reason = f"hung in {handler} for {seconds:.1f} s and was killed"
         self._inbox.append(_Hung(name, incarnation, reason))
-
-    def child_finished(self, name: str, incarnation: int, reason: str) -> None:
-        """Note that a child says its work is done: it will be stopped, which is a normal end."""
-        self._slot(name)
-        self._inbox.append(_Finished(name, incarnation, reason))
 
     def request_stop(self) -> None:
         """Have nothing started any more, from the next step on; `stop_all` is then to be called."""
@@ -123,7 +102,7 @@ class Supervisor:
         fail, as `Policy` tells. Returns when all are active, or a stop was requested, or all is
         `finished`. Raises as `reconcile`.
         """
-        self._finished = ""
+        self._finished = None
         for name, slot in self._slots.items():
             if slot.spec.load == "at_start":
                 self._policy.load(name)
@@ -196,15 +175,8 @@ class Supervisor:
             slot = self._slots[note.name]
             if slot.child is None or note.incarnation != slot.incarnation:
                 continue  # about a former incarnation
-            match note:
-                case _Ended(end=end):
-                    self._ended(slot, "ended", end)
-                case _Hung(reason=reason):
-                    slot.kill()
-                    self._ended(slot, "hung", ChildEnd(False, reason))
-                case _Finished(reason=reason):
-                    slot.stop()
-                    self._ended(slot, "finished", ChildEnd(True, reason))
+            slot.kill()
+            self._ended(slot, "hung", ChildEnd(False, note.reason))
         for slot in self._slots.values():
             found = slot.look()
             if found is not None:
@@ -213,14 +185,16 @@ class Supervisor:
     def _ended(self, slot: Slot, what: What, end: ChildEnd) -> None:
         slot.ended(what, end)
         name, at_s = slot.spec.name, self._now()
-        self._apply(self._policy.ended(name, normal=end.normal, at_s=at_s, reason=end.reason))
+        decision = self._policy.ended(name, normal=end.normal, at_s=at_s, reason=end.reason)
+        if decision.finished:
+            self._finished = ChildEnd(True, decision.finished, end.success)
+        self._apply(decision)
 
     def _apply(self, decision: Decision) -> None:
         for name in decision.stop:
             self._slots[name].stop()
         for name in decision.start:
             self._slots[name].restarts += self._slots[name].incarnation > 0
-        self._finished = decision.finished or self._finished
         if decision.give_up:
             self._give_up(decision.give_up)
 

@@ -116,7 +116,8 @@ class MobileSupervisor(SupervisorComponent):
         if order is None or order.result or status.order_id != order.order_id:
             return
         if status.state in _ENDS:
-            self._close(order, f"{_ENDS[status.state]}: {status.reason}")
+            done = status.state == MoveStatus.SUCCEEDED
+            self._close(order, f"{_ENDS[status.state]}: {status.reason}", success=done)
         elif status.goal > order.first:
             self._take(order.model_copy(update={"first": status.goal}))
 
@@ -169,11 +170,11 @@ class MobileSupervisor(SupervisorComponent):
         self.log.warning("going on with order %d", order.order_id)
         self._take(order.model_copy(update={"resumed": order.resumed + 1}))
 
-    def _close(self, order: Order, result: str) -> None:
+    def _close(self, order: Order, result: str, *, success: bool = False) -> None:
         self.log.info("order %d %s", order.order_id, result)
         self._take(order.model_copy(update={"result": result}))
         if order.mission and self.config.finish:
-            self.finish(f"the mission {result}")
+            self.finish(f"the mission {result}", success=success)
 
     def _take(self, order: Order) -> None:
         """Keep the order as it is now, and tell it to AutoMove."""

@@ -124,15 +124,3 @@ def test_what_is_no_goal_is_refused_and_the_order_under_way_goes_on(drive: Drive
 
     robot.arrives((3.0, 1.2))
     assert len({status.order_id for status in robot.statuses}) == 1
-
-
-def test_a_mission_is_driven_and_ends_the_deployment(drive: DriveOf) -> None:
-    robot = drive("settings.mission=[[3.0, 1.2, 0.0], [1.2, 1.2, 3.1]]", "settings.finish=true")
-
-    robot.await_that(lambda: robot.run.end is not None, 60.0)
-
-    assert robot.run.end is not None
-    assert robot.run.end.normal
-    assert robot.run.end.reason == (
-        "mobile_supervisor has finished: the mission succeeded: arrived at (1.20, 1.20)"
-    )

@@ -5,7 +5,8 @@ from pathlib import Path
 import pytest
 
 from cairn.placement.last_words import LastWords, closing_words
-from cairn.supervision.child_process import ChildExit
+from cairn.supervision.child import ChildEnd
+from cairn.supervision.child_process import WITHOUT_SUCCESS, ChildExit
 
 
 @pytest.fixture
@@ -58,3 +59,12 @@ def test_without_a_log(log: Path) -> None:
         f"ended with exit code 3 (process 7, log {log})"
     )
     assert words.end_of(ChildExit(7, "base", 0, None)).normal
+
+
+def test_work_that_is_over_but_not_done_is_a_normal_end_without_success(log: Path) -> None:
+    words = LastWords(log)
+    log.write_text(closing_words(7, "2 of 3 goals were reached"))
+
+    end = words.end_of(ChildExit(7, "base", WITHOUT_SUCCESS, None))
+
+    assert end == ChildEnd(True, "2 of 3 goals were reached", success=False)

@@ -59,20 +59,12 @@ def test_a_child_that_ended_is_restarted_and_the_reason_kept(world: World) -> No
     supervisor = world.supervisor("base", "scanner")
     supervisor.start_all()
     world.take_steps()
-    supervisor.child_ended("base", 1, CRASH)
+    world.children["base"].end = CRASH
     supervisor.reconcile()
     assert world.steps == START_BASE
     status = supervisor.status()[0]
     assert (status.state, status.incarnation, status.restarts) == ("active", 2, 1)
     assert status.reason == "was killed by SIGSEGV"
-
-
-def test_an_end_is_found_by_looking_even_if_nobody_told_of_it(world: World) -> None:
-    supervisor = world.supervisor("base")
-    supervisor.start_all()
-    world.children["base"].end = CRASH
-    supervisor.reconcile()
-    assert world.children["base"].incarnation == 2
 
 
 def test_late_news_of_a_former_incarnation_change_nothing(world: World) -> None:
@@ -81,9 +73,7 @@ def test_late_news_of_a_former_incarnation_change_nothing(world: World) -> None:
     world.children["base"].end = CRASH
     supervisor.reconcile()
     world.take_steps()
-    supervisor.child_ended("base", 1, CRASH)
     supervisor.child_hung("base", 1, "drive", 5.0)
-    supervisor.child_finished("base", 1, "arrived")
     supervisor.reconcile()
     assert world.steps == []
     assert supervisor.status()[0].incarnation == 2
@@ -263,26 +253,17 @@ def test_the_loss_of_the_launcher_is_passed_on_and_counts_for_no_child(world: Wo
     assert world.running() == ["base", "scanner"]
 
 
-def test_a_child_that_has_finished_is_stopped_in_good_order(world: World) -> None:
-    supervisor = world.supervisor("base", ChildSpec("calibration", restart="transient"))
-    supervisor.start_all()
-    world.take_steps()
-    supervisor.child_finished("calibration", 1, "offsets found")
-    supervisor.reconcile()
-    assert world.steps == ["deactivate calibration", "shutdown calibration"]
-    assert ("finished", "offsets found") in world.told("calibration")
-    assert world.running() == ["base"]
-
-
-def test_the_normal_end_of_a_significant_child_stops_all(world: World) -> None:
+@pytest.mark.parametrize("end", [DONE, ChildEnd(True, "not all offsets found", success=False)])
+def test_the_normal_end_of_a_significant_child_stops_all(world: World, end: ChildEnd) -> None:
     supervisor = world.supervisor("base", ChildSpec("replay", significant=True))
     supervisor.start_all()
     world.take_steps()
-    supervisor.child_ended("replay", 1, DONE)
-    world.children["replay"].end = DONE
+    world.children["replay"].end = end
     supervisor.reconcile()
     assert world.steps == STOP_BASE
-    assert supervisor.finished == "replay has finished: ended with exit code 0"
+    assert supervisor.finished == ChildEnd(
+        True, f"replay has finished: {end.reason}", success=end.success
+    )
     supervisor.reconcile()
     assert world.running() == []
 

@@ -1,0 +1,59 @@
+"""Missions: goals that the deployment gives, at whose end it ends itself."""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.launching import Launching, Run, free_port, launching
+from tests.navigation.driving import SIM, Drive
+
+DriveOf = Callable[..., Drive]
+THERE = "settings.mission=[[3.0, 1.2, 0.0], [1.2, 1.2, 3.1]]"
+OUTSIDE = "settings.mission=[[50.0, 1.2, 0.0]]"
+FINISH = "settings.finish=true"
+
+
+@pytest.fixture
+def launch(tmp_path: Path) -> Iterator[Launching]:
+    with launching(tmp_path) as launch:
+        yield launch
+
+
+def test_a_mission_is_driven_and_ends_the_deployment(drive: DriveOf) -> None:
+    robot = drive(THERE, FINISH)
+
+    robot.await_that(lambda: robot.run.end is not None, 60.0)
+
+    assert robot.run.end is not None
+    assert robot.run.end.normal
+    assert robot.run.end.success
+    assert robot.run.end.reason == (
+        "mobile_supervisor has finished: the mission succeeded: arrived at (1.20, 1.20)"
+    )
+
+
+def test_a_mission_that_fails_ends_the_deployment_without_success(drive: DriveOf) -> None:
+    robot = drive(OUTSIDE, FINISH)
+
+    robot.await_that(lambda: robot.run.end is not None, 60.0)
+
+    assert robot.run.end is not None
+    assert robot.run.end.normal
+    assert not robot.run.end.success
+    assert "the mission failed: " in robot.run.end.reason
+
+
+def test_a_mission_that_fails_in_real_processes_ends_with_status_1(
+    tmp_path: Path, launch: Launching
+) -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    sets = ("--set", OUTSIDE, "--set", FINISH, "--set", f"bus.listen={endpoint}")
+    run = Run([str(SIM), *sets], tmp_path / "report", endpoint, {}, None)
+    launch.runs.append(run)
+
+    assert run.await_end(60.0) == 1
+
+    run.await_line("cairn: sim.yaml failed: mobile_supervisor has finished: the mission failed: ")
+    assert "was killed" not in str(run)
+    assert "restarted" not in str(run)
