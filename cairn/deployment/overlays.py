@@ -1,6 +1,7 @@
 """Changes laid over a deployment: further files, and `--set path=value`.
 
-Mappings are merged key by key, everything else is replaced, null removes a key (RFC 7386).
+Mappings are merged key by key, everything else is replaced, null removes a key (RFC 7386); among
+the settings it is a value, as nobody could use a setting that is not there.
 """
 
 from collections.abc import Iterator, Mapping
@@ -24,7 +25,9 @@ def _merged(base: Node, over: Node, path: Steps, problems: list[Problem]) -> Nod
     entries = dict(base.entries)
     for key, node in over.value.items():
         steps = (*path, key)
-        if node.value is not None:
+        if node.value is None and path[:1] == ("settings",):
+            entries[key] = node
+        elif node.value is not None:
             nothing = Node({}, node.at, node.key_at)
             entries[key] = _merged(entries.get(key, nothing), node, steps, problems)
         elif entries.pop(key, None) is None:

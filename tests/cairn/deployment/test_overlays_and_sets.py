@@ -140,6 +140,16 @@ def test_overlays_are_merged_in_order_and_null_removes(write: Write) -> None:
     assert deployment.member("base").spec.topics == {}
 
 
+def test_null_is_a_value_among_the_settings(write: Write) -> None:
+    base = write(ROBOT)
+
+    by_set = load_deployment(base, sets=["file=null"])
+    by_overlay = load_deployment(base, [write("settings: {file: null}", "over.yaml")])
+
+    assert by_set.member("localizer").spec.parameters == {"particles": 500, "map_file": None}
+    assert by_overlay.settings == by_set.settings
+
+
 def test_a_problem_is_shown_in_the_file_its_value_comes_from(write: Write) -> None:
     base = write(ROBOT, "robot.yaml")
     lab = write(
