@@ -141,13 +141,16 @@ def test_overlays_are_merged_in_order_and_null_removes(write: Write) -> None:
 
 
 def test_null_is_a_value_among_the_settings(write: Write) -> None:
-    base = write(ROBOT)
+    base = write(ROBOT.replace("rate: 10.0", "rate: 10.0, start: {x: 1.0}"))
+    nothing = write("settings: {recording: {start: null}}", "nothing.yaml")
 
-    by_set = load_deployment(base, sets=["file=null"])
-    by_overlay = load_deployment(base, [write("settings: {file: null}", "over.yaml")])
+    by_set = load_deployment(base, sets=["recording.start=null"])
+    by_overlay = load_deployment(base, [nothing])
+    given_again = load_deployment(base, [nothing], ["recording.start={x: 2.0}"])
 
-    assert by_set.member("localizer").spec.parameters == {"particles": 500, "map_file": None}
+    assert by_set.settings["recording"]["start"] is None
     assert by_overlay.settings == by_set.settings
+    assert given_again.settings["recording"]["start"] == {"x": 2.0}
 
 
 def test_a_problem_is_shown_in_the_file_its_value_comes_from(write: Write) -> None:
