@@ -1,7 +1,8 @@
 """Cairn's own messages of navigation: orders to move, plans, motion and how well all that goes."""
 
+import re
 from math import isinf, isnan, nan
-from typing import Annotated, ClassVar
+from typing import Annotated, ClassVar, Final
 
 from schemas.geometry_msgs import Pose
 from schemas.message import message, refuse
@@ -132,6 +133,26 @@ class MoveStatus:
     elapsed: NotNegative = 0.0
     recoveries: UInt32 = 0
     reason: String = ""
+
+
+MOVE_STATES: Final = {
+    MoveStatus.LOADING: "loading",
+    MoveStatus.LOCALIZING: "localizing",
+    MoveStatus.PLANNING: "planning",
+    MoveStatus.DRIVING: "driving",
+    MoveStatus.RECOVERING: "recovering",
+    MoveStatus.SUCCEEDED: "succeeded",
+    MoveStatus.FAILED: "failed",
+    MoveStatus.CANCELLED: "cancelled",
+}
+"""What the states of a `MoveStatus` are called."""
+MOVE_ENDS: Final = frozenset({MoveStatus.SUCCEEDED, MoveStatus.FAILED, MoveStatus.CANCELLED})
+"""The states that are the result of an order."""
+
+
+def without_numbers(reason: str) -> str:
+    """The words of a reason: ages and distances within it change all the time, which is no news."""
+    return re.sub(r"[0-9.]+", "", reason)
 
 
 @message("cairn_nav_msgs/msg/LocalizationHealth")

@@ -1,6 +1,5 @@
 """The component that carries out orders to move with the plugins it loads for them."""
 
-import re
 from typing import Literal
 
 from pydantic import Field
@@ -22,13 +21,13 @@ from schemas.cairn_nav_msgs import (
     MoveOrder,
     MoveStatus,
     Plan,
+    without_numbers,
 )
 from schemas.geometry_msgs import PoseWithCovarianceStamped
 from schemas.std_msgs import Header
 
 # How often what is wanted is told again, so that the others know that this component lives [ns].
 _REPEAT = SECOND // 2
-_NUMBER = re.compile(r"[0-9.]+")
 
 
 class AutoMoveConfig(Config):
@@ -199,8 +198,7 @@ class AutoMove(SupervisorComponent):
 
     def _tell(self, course: Course) -> None:
         now = self.clock.now()
-        # Ages within a reason change all the time: that is no news.
-        told = (course.leg, course.state, course.at, _NUMBER.sub("", course.reason))
+        told = (course.leg, course.state, course.at, without_numbers(course.reason))
         if told == self._told and now - self._told_at < _REPEAT:
             return
         self._told, self._told_at = told, now

@@ -7,7 +7,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from planar.poses import Pose, distance
-from schemas.cairn_nav_msgs import LocalizationHealth, MotionStatus, Movement, MoveStatus, Plan
+from schemas.cairn_nav_msgs import (
+    MOVE_ENDS,
+    LocalizationHealth,
+    MotionStatus,
+    Movement,
+    MoveStatus,
+    Plan,
+)
 
 # What is tried, one after the other, when the robot is lost; when it cannot get on; when there is
 # no way to its goal, which looking around seldom changes, but waiting may.
@@ -23,7 +30,6 @@ _BEHAVIOUR = {
 }
 # So much nearer to its goal [m] and whatever was in the way is overcome.
 _PROGRESS_M = 0.3
-_ENDS = (MoveStatus.SUCCEEDED, MoveStatus.FAILED, MoveStatus.CANCELLED)
 
 
 @dataclass(frozen=True)
@@ -96,7 +102,7 @@ class Course:
     @property
     def over(self) -> bool:
         """Whether the order has its result."""
-        return self.state in _ENDS
+        return self.state in MOVE_ENDS
 
     @property
     def goal(self) -> Pose:

@@ -20,7 +20,7 @@ from components.report.record import RunRecord
 from components.report.table import render_table
 from planar.messages import planar_pose, planar_poses
 from schemas.cairn_msgs import ComponentStatus, VisualMap, VisualMapChange, VisualObject
-from schemas.cairn_nav_msgs import Collision, MoveOrder, MoveStatus
+from schemas.cairn_nav_msgs import MOVE_STATES, Collision, MoveOrder, MoveStatus
 from schemas.geometry_msgs import PoseStamped, PoseWithCovarianceStamped
 from schemas.nav_msgs import OccupancyGrid
 
@@ -28,16 +28,6 @@ _MANY = RELIABLE.with_depth(500)
 _STATES = {
     VisualObject.LIVE: "live",
     VisualObject.RELOCATING: "relocating",
-}
-_MOVES = {
-    MoveStatus.LOADING: "loading",
-    MoveStatus.LOCALIZING: "localizing",
-    MoveStatus.PLANNING: "planning",
-    MoveStatus.DRIVING: "driving",
-    MoveStatus.RECOVERING: "recovering",
-    MoveStatus.SUCCEEDED: "succeeded",
-    MoveStatus.FAILED: "failed",
-    MoveStatus.CANCELLED: "cancelled",
 }
 
 
@@ -134,7 +124,7 @@ class Report(Component):
     @on("move_status")
     def follow_moves(self, status: MoveStatus) -> None:
         """Keep how an order gets on, when that changes."""
-        state = _MOVES[status.state]
+        state = MOVE_STATES[status.state]
         now = (status.order_id, state, status.goal)
         if now == self._moved:
             return

@@ -16,18 +16,13 @@ from cairn.errors import CairnError
 from cairn.supervision.component import SupervisorComponent
 from cairn.supervision.supervisor import StartFailed
 from planar.messages import packed_poses, planar_pose
-from schemas.cairn_nav_msgs import MoveOrder, MoveStatus
+from schemas.cairn_nav_msgs import MOVE_ENDS, MOVE_STATES, MoveOrder, MoveStatus
 from schemas.geometry_msgs import PoseStamped
 from schemas.std_msgs import Header
 from supervisors.mobile.orders import FARTHEST, Goal, Order, checked_goals, save, saved
 
 Coordinate = Annotated[float, Field(ge=-FARTHEST, le=FARTHEST)]
 
-_ENDS = {
-    MoveStatus.SUCCEEDED: "succeeded",
-    MoveStatus.FAILED: "failed",
-    MoveStatus.CANCELLED: "cancelled",
-}
 # An order that is under way whenever this component dies may be why it does.
 _RESUMED_AT_MOST = 3
 
@@ -115,9 +110,9 @@ class MobileSupervisor(SupervisorComponent):
         order = self._order
         if order is None or order.result or status.order_id != order.order_id:
             return
-        if status.state in _ENDS:
+        if status.state in MOVE_ENDS:
             done = status.state == MoveStatus.SUCCEEDED
-            self._close(order, f"{_ENDS[status.state]}: {status.reason}", success=done)
+            self._close(order, f"{MOVE_STATES[status.state]}: {status.reason}", success=done)
         elif status.goal > order.first:
             self._take(order.model_copy(update={"first": status.goal}))
 

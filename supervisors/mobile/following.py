@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import queue
-import re
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -16,20 +15,9 @@ from cairn.bus.control import ControlError, request
 from cairn.cli.connection import Connection
 from cairn.cli.tables import line, print_json
 from cairn.errors import CairnError
-from schemas.cairn_nav_msgs import MoveStatus
+from schemas.cairn_nav_msgs import MOVE_ENDS, MOVE_STATES, MoveStatus, without_numbers
 from schemas.message import InvalidMessage, type_name
 
-_STATES = {
-    MoveStatus.LOADING: "loading",
-    MoveStatus.LOCALIZING: "localizing",
-    MoveStatus.PLANNING: "planning",
-    MoveStatus.DRIVING: "driving",
-    MoveStatus.RECOVERING: "recovering",
-    MoveStatus.SUCCEEDED: "succeeded",
-    MoveStatus.FAILED: "failed",
-    MoveStatus.CANCELLED: "cancelled",
-}
-_ENDS = (MoveStatus.SUCCEEDED, MoveStatus.FAILED, MoveStatus.CANCELLED)
 # AutoMove tells twice a second how it gets on; what is told is repeated so often, if it is no news.
 _REPEAT_S = 5.0
 # After so long without a word the supervisor is asked, again and again; it may be started anew and
@@ -37,7 +25,6 @@ _REPEAT_S = 5.0
 _SILENT_S, _LOST_S, _GONE_S = 3.0, 8.0, 20.0
 _LOADING_S = 60.0
 _ANSWER_S = 5.0
-_NUMBER = re.compile(r"[0-9.]+")
 
 
 class Operator:
@@ -122,7 +109,7 @@ def follow(operator: Operator, goals: Sequence[Sequence[float]], *, as_json: boo
             raise
     if as_json:
         print_json(_fields(status))
-    state = _STATES[status.state]
+    state = MOVE_STATES[status.state]
     if status.state != MoveStatus.SUCCEEDED:
         raise CairnError(f"order {order} {state} after {status.elapsed:.1f} s: {status.reason}")
     if not as_json:
@@ -143,9 +130,9 @@ def _await_end(
             raise CairnError(f"order {order} was pre-empted by order {status.order_id}")
         if status is not None and status.order_id == order:
             last, heard = status, now
-            if status.state in _ENDS:
+            if status.state in MOVE_ENDS:
                 return status
-            news = (status.state, status.goal, _NUMBER.sub("", status.reason))
+            news = (status.state, status.goal, without_numbers(status.reason))
             if not as_json and (news != told or now - told_at >= _REPEAT_S):
                 told, told_at = news, now
                 line(_sentence(status))
@@ -184,7 +171,7 @@ def _result(
     if int(found["order_id"]) > order:
         raise CairnError(f"order {order} was pre-empted by order {found['order_id']}")
     state, _, reason = str(found["result"]).partition(": ")
-    for number, name in _STATES.items():
+    for number, name in MOVE_STATES.items():
         if state == name:
             return MoveStatus(
                 order_id=order,
@@ -208,13 +195,13 @@ def _sentence(status: MoveStatus) -> str:
     if status.state == MoveStatus.DRIVING and status.distance_left > 0.0:
         left = f": {status.distance_left:.1f} m left, about {status.time_left:.0f} s"
     why = f"{', but' if left else ':'} {status.reason}" if status.reason else ""
-    return f"{status.elapsed:6.1f} s  {of}{_STATES[status.state]}{left}{why}"
+    return f"{status.elapsed:6.1f} s  {of}{MOVE_STATES[status.state]}{left}{why}"
 
 
 def _fields(status: MoveStatus) -> dict[str, object]:
     return {
         "order_id": status.order_id,
-        "state": _STATES[status.state],
+        "state": MOVE_STATES[status.state],
         "goal": status.goal,
         "goals": status.goals,
         "elapsed_s": status.elapsed,

@@ -11,7 +11,7 @@ from cairn.deployment.load import load_deployment
 from planar.grid import OccupancyCells, grid_of
 from planar.messages import planar_pose, pose_message
 from planar.poses import Pose, distance
-from schemas.cairn_nav_msgs import Collision, MotionStatus, MoveStatus
+from schemas.cairn_nav_msgs import MOVE_ENDS, Collision, MotionStatus, MoveStatus
 from schemas.geometry_msgs import PoseStamped
 from schemas.nav_msgs import OccupancyGrid
 from schemas.std_msgs import Header
@@ -19,7 +19,6 @@ from tests.navigation.deployed import Deployed, taken
 
 DEPLOY = Path(__file__).parents[2] / "deploy"
 SIM = DEPLOY / "sim.yaml"
-ENDS = (MoveStatus.SUCCEEDED, MoveStatus.FAILED, MoveStatus.CANCELLED)
 
 
 class Drive(Deployed):
@@ -48,7 +47,7 @@ class Drive(Deployed):
 
         def ended() -> bool:
             last = self.statuses[-1] if self.statuses else MoveStatus()
-            return last.state in ENDS and last.order_id != self._awaited
+            return last.state in MOVE_ENDS and last.order_id != self._awaited
 
         self.await_that(ended, limit_s)
         self._awaited = self.statuses[-1].order_id
