@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-import os
+from io import BytesIO
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -14,6 +14,7 @@ from PIL import Image
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from cairn.errors import CairnError
+from cairn.files import replace_file
 from planar.grid import FREE, OCCUPIED, UNKNOWN, Frame, Grid, OccupancyCells
 
 Mode = Literal["trinary", "scale", "raw"]
@@ -65,7 +66,7 @@ def read_map(file: Path) -> OccupancyCells:
 def write_map(file: Path, grid: OccupancyCells, mode: Mode = "trinary") -> None:
     """Write a map as YAML file `file` and a PGM (raw, trinary) or PNG (scale) beside it.
 
-    Both are replaced at once or not at all. What was read is written the same in its mode;
+    Each is replaced at once or not at all. What was read is written the same in its mode;
     trinary keeps only free, occupied, unknown. Raises `CairnError` if it cannot be written.
     """
     image = file.with_suffix(".png" if mode == "scale" else ".pgm")
@@ -81,6 +82,9 @@ def write_map(file: Path, grid: OccupancyCells, mode: Mode = "trinary") -> None:
         light[(values >= FREE) & (values <= 25)] = 254
         light[values >= 65] = 0
         picture = Image.fromarray(light)
+    # Pillow does not tell of a file that was cut off by a full disk.
+    encoded = BytesIO()
+    picture.save(encoded, format="PNG" if mode == "scale" else "PPM")
     text = yaml.safe_dump(
         {
             "image": image.name,
@@ -96,12 +100,8 @@ def write_map(file: Path, grid: OccupancyCells, mode: Mode = "trinary") -> None:
         sort_keys=False,
     )
     try:
-        part = image.with_name(image.name + ".part")
-        picture.save(part, format="PNG" if mode == "scale" else "PPM")
-        os.replace(part, image)
-        part = file.with_name(file.name + ".part")
-        part.write_text(text, encoding="utf-8")
-        os.replace(part, file)
+        replace_file(image, encoded.getvalue())
+        replace_file(file, text.encode())
     except OSError as error:
         raise CairnError(
             f"the map cannot be written to {file}: {error.strerror or error}; give another folder, "

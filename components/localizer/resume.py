@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import logging
 import math
-import os
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from cairn.files import replace_file
 from components.localizer.particles import Estimate
 from planar.poses import Pose, compose, distance, relative
 
@@ -44,9 +44,8 @@ def save(
         covariance=tuple(covariance.ravel().tolist()),
         odometry=odom,
     )
-    part = file.with_name(file.name + ".part")
-    part.write_text(last.model_dump_json(), encoding="utf-8")
-    os.replace(part, file)
+    # Until a robot that lost power is up again, the pose is too old to be gone on from.
+    replace_file(file, last.model_dump_json().encode(), durable=False)
 
 
 def resumed(file: Path, stamp_s: float, odom: Pose, log: logging.Logger) -> Estimate | None:

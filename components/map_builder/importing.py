@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from cairn.errors import CairnError
+from cairn.files import replacing
 from components.map_builder.counting import build_map
 from components.map_builder.objects import Change, Kind, MapObject, Place
 from components.map_builder.store import create_map
@@ -94,9 +95,7 @@ def altered(
 
 def write_map(path: Path, source: str, objects: Sequence[MapObject], stamp_ns: int = 0) -> None:
     """Write a new map file with the given objects, each with its change IMPORTED."""
-    partial = path.with_name(path.name + ".partial")
-    partial.unlink(missing_ok=True)
-    with create_map(partial, source) as store:
+    with replacing(path) as part, create_map(part, source) as store:
         changes = [
             (
                 version,
@@ -106,4 +105,3 @@ def write_map(path: Path, source: str, objects: Sequence[MapObject], stamp_ns: i
             for version, o in enumerate(objects, start=1)
         ]
         store.commit([replace(o) for o in objects], (), changes)
-    partial.replace(path)

@@ -13,6 +13,7 @@ from pathlib import Path
 from types import TracebackType
 
 from cairn.errors import CairnError
+from cairn.files import replacing
 from components.map_builder.objects import Change, Evidence, MapObject
 from components.map_builder.rows import (
     change_row,
@@ -200,15 +201,12 @@ def copy_map(original: Path, copy: Path) -> None:
         copy.parent.mkdir(parents=True, exist_ok=True)
         for stale in (copy, *_companions(copy)):
             stale.unlink(missing_ok=True)
-        partial = copy.with_name(copy.name + ".partial")
-        partial.unlink(missing_ok=True)
-        target = sqlite3.connect(partial, isolation_level=None)
-        try:
+        with (
+            replacing(copy) as part,
+            closing(sqlite3.connect(part, isolation_level=None)) as target,
+        ):
             source._connection.backup(target)
             target.execute("UPDATE origin SET digest = ?", (digest_of(original),))
-        finally:
-            target.close()
-        partial.replace(copy)
 
 
 def digest_of(path: Path) -> str:

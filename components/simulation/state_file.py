@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from cairn.files import replace_file
 from components.simulation.people import Walker
 from components.simulation.scene import Scene
 from components.simulation.world import World
@@ -77,9 +77,9 @@ class StateFile:
             walkers=[_Walker(**vars(walker)) for walker in world.walkers],
             things=_Things(furniture=[], objects=[]),
         ).model_dump_json(exclude={"things"})
-        part = self.file.with_name(self.file.name + ".part")
-        part.write_text(f'{moving[:-1]},"things":{self._things}}}', encoding="utf-8")
-        os.replace(part, self.file)
+        state = f'{moving[:-1]},"things":{self._things}}}'
+        # Ten times a second nobody waits for a disk; a world does not outlive its computer.
+        replace_file(self.file, state.encode(), durable=False)
 
     def kept(self) -> KeptWorld | None:
         """The state in the file; None if there is none that can be read."""

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-import os
 from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from cairn.errors import CairnError
+from cairn.files import replace_file
 
 Goal = tuple[float, float, float]
 FARTHEST = 1e5
@@ -58,9 +58,7 @@ def _checked(number: int, goal: Any) -> Goal:
 
 def save(file: Path, order: Order) -> None:
     """Replace the file, at once or not at all; raises `OSError`."""
-    part = file.with_name(file.name + ".part")
-    part.write_text(order.model_dump_json(), encoding="utf-8")
-    os.replace(part, file)
+    replace_file(file, order.model_dump_json().encode())
 
 
 def saved(file: Path) -> Order | None:

@@ -11,6 +11,7 @@ from PIL import Image
 from cairn.errors import CairnError
 from planar.grid import FREE, OCCUPIED, UNKNOWN, Frame, Grid
 from planar.map_file import Mode, read_map, write_map
+from tests.disk import room_for
 
 
 def described(folder: Path, **keys: object) -> Path:
@@ -121,6 +122,18 @@ def test_a_wrong_file_is_told_of_by_name_and_value(
 
     assert named in str(told.value)
     assert "map.yaml" in str(told.value) or "other.pgm" in str(told.value)
+
+
+def test_a_full_disk_is_told_of_and_leaves_the_old_map_as_it_was(tmp_path: Path) -> None:
+    file = tmp_path / "map.yaml"
+    old = Grid(np.full((40, 40), OCCUPIED, np.int8), Frame(0.05))
+    write_map(file, old)
+
+    with room_for(1000), pytest.raises(CairnError, match=r"map\.yaml: File too large; .* room"):
+        write_map(file, Grid(np.zeros((40, 40), np.int8), Frame(0.05)))
+
+    assert np.array_equal(read_map(file).values, old.values)
+    assert sorted(one.name for one in tmp_path.iterdir()) == ["map.pgm", "map.yaml"]
 
 
 def test_a_damaged_image_and_a_missing_map_are_told_of(tmp_path: Path) -> None:
