@@ -51,8 +51,18 @@ class AutoMoveConfig(Config):
         description="Recoveries without progress before it gives up; twice as many where the "
         "robot is lost, three at most where the map has no way to the goal [1].",
     )
+    recoveries_per_goal: int = Field(
+        30,
+        ge=0,
+        le=1000,
+        description="Recoveries on the way to one goal, with progress or without, before it gives "
+        "up [1].",
+    )
     least_health: float = Field(
         0.3, ge=0, le=1, description="Health of the pose below which the robot stands still [1]."
+    )
+    sure_health: float = Field(
+        0.5, ge=0, le=1, description="Health of the pose from which a goal counts as reached [1]."
     )
     stopped: float = Field(
         15.0, gt=0, le=600, description="How long inputs may be missing before it gives up [s]."
@@ -159,7 +169,9 @@ class AutoMove(SupervisorComponent):
             began_s=(min(given, now) or now) / SECOND,
             patience=Patience(
                 recoveries=config.recoveries,
+                recoveries_per_goal=config.recoveries_per_goal,
                 least_health=config.least_health,
+                sure_health=config.sure_health,
                 stopped_s=config.stopped,
             ),
         )

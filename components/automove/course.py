@@ -28,8 +28,12 @@ _BEHAVIOUR = {
     "explore": Movement.EXPLORE,
     "back off": Movement.BACK_OFF,
 }
-# So much nearer to its goal [m] and whatever was in the way is overcome.
+# So much nearer to its goal than before [m] and whatever was in the way is overcome.
 _PROGRESS_M = 0.3
+# What is so much longer [m] than what was left is another way: no recovery goes back so far on the
+# same. Only so many longer ways to a goal are begun [1], or a robot sent to and fro between blocked
+# ones would seem to get on for ever.
+_DETOUR_M, _DETOURS = 1.0, 10
 
 
 @dataclass(frozen=True)
@@ -37,6 +41,7 @@ class Patience:
     """How long to wait for what [s], how often to recover [1], how sure to be of the pose [1]."""
 
     recoveries: int = 6
+    recoveries_per_goal: int = 30
     least_health: float = 0.3
     sure_health: float = 0.5
     unsure_s: float = 1.0
@@ -82,10 +87,14 @@ class Course:
     recoveries: int = 0
     behaviour: int = Movement.STAND
     leg: int = field(init=False)
+    # Without progress; for the goals before this one; longer ways to this goal [1].
     _tries: int = 0
+    _recovered_before: int = 0
+    _detours: int = 0
     _sequence: Sequence[str] = ()
     _trouble: str = ""
     _attempt: str = ""
+    # The least that was left to this goal, of the way being taken [m].
     _nearest_m: float = math.inf
     # Since when: this state; the last sure pose; nearer to the goal; not stopped; not blocked [s].
     _since_s: float = field(init=False)
@@ -170,7 +179,6 @@ class Course:
                 self._try_next(now_s, _WHEN_STUCK, self.reason or "the planner gives no answer")
         elif plan.outcome == Plan.FOUND:
             self.state, self.reason = MoveStatus.DRIVING, ""
-            self._nearest_m = math.inf
             self._begin(now_s)
         elif plan.outcome == Plan.OUTSIDE_MAP:
             self.fail(f"no path: {plan.reason}")
@@ -191,11 +199,8 @@ class Course:
                 why = seen.health.reason if seen.health is not None else ""
                 self._try_next(now_s, _WHEN_UNSURE, f"at the goal, if the pose is right: {why}")
             return
-        left = motion.distance_left
-        if 0.0 < left < self._nearest_m - _PROGRESS_M:
-            if self._nearest_m < math.inf:
-                self._tries = 0
-            self._nearest_m, self._progress_s = left, now_s
+        if motion.distance_left > 0.0:
+            self._note_progress(now_s, motion.distance_left)
         if motion.state == MotionStatus.MOVING:
             self._moving_s = now_s
             self.reason = ""
@@ -207,6 +212,21 @@ class Course:
         self.reason = f"no path: {plan.reason}" if plan is not None and no_path else motion.reason
         if now_s - self._moving_s > self.patience.blocked_s:
             self._try_next(now_s, _WHEN_STUCK, self.reason)
+
+    def _note_progress(self, now_s: float, left_m: float) -> None:
+        """Count the tries anew where less is left than ever, be it of another way.
+
+        What a recovery undid and is driven again is no progress, or a robot that goes back from an
+        obstacle and up to it again would never give up. But a way around the obstacle may be much
+        longer than what was left: to get on along it is progress, though the robot has been nearer.
+        """
+        if left_m > self._nearest_m + _DETOUR_M and self._detours < _DETOURS:
+            self._detours += 1
+            self._nearest_m, self._progress_s = left_m, now_s
+        elif left_m < self._nearest_m - _PROGRESS_M:
+            if self._nearest_m < math.inf:
+                self._tries = 0
+            self._nearest_m, self._progress_s = left_m, now_s
 
     def _halted(self, now_s: float, seen: Seen) -> tuple[bool, MotionStatus | None]:
         """Whether motion control cannot work now; give up when that lasts too long."""
@@ -244,7 +264,8 @@ class Course:
             self._want(now_s, MoveStatus.LOCALIZING, Movement.STAND, self._trouble)
 
     def _reached(self, now_s: float) -> None:
-        self._tries = 0
+        self._tries = self._detours = 0
+        self._recovered_before, self._nearest_m = self.recoveries, math.inf
         x, y, _ = self.goal
         self.at += 1
         if self.at >= len(self.goals):
@@ -261,6 +282,12 @@ class Course:
         if self._tries >= most:
             tried = f" (after {self._tries} recoveries)" if self._tries else ""
             self.fail(trouble + tried)
+            return
+        here = self.recoveries - self._recovered_before
+        if here >= self.patience.recoveries_per_goal:
+            self.fail(
+                f"{trouble} (after {here} recoveries on the way to this goal, the most allowed)"
+            )
             return
         what = sequence[self._tries % len(sequence)]
         self._tries += 1

@@ -45,10 +45,10 @@ DeployedOf = Callable[..., Deployed]
 def deployed(tmp_path: Path) -> Iterator[DeployedOf]:
     made: list[Deployed] = []
 
-    def make(text: str) -> Deployed:
+    def make(text: str, *sets: str) -> Deployed:
         file = tmp_path / "deployment.yaml"
         file.write_text(text, encoding="utf-8")
-        made.append(Deployed(load_deployment(file)))
+        made.append(Deployed(load_deployment(file, sets=sets)))
         return made[-1]
 
     yield make
@@ -116,6 +116,30 @@ def test_what_is_wanted_is_told_on_change_and_twice_a_second(deployed: DeployedO
     robot.publish("motion_status", MotionStatus(leg=wanted.leg, state=MotionStatus.DONE))
     assert taken(statuses)[-1].state == MoveStatus.SUCCEEDED
     assert taken(movements)[-1].behaviour == Movement.STAND
+
+
+@pytest.mark.parametrize(
+    ("sets", "state"),
+    [
+        ((), MoveStatus.SUCCEEDED),
+        (("components.automove.parameters.sure_health=0.8",), MoveStatus.RECOVERING),
+    ],
+)
+def test_how_sure_a_robot_at_its_goal_must_be_is_configured(
+    deployed: DeployedOf, sets: tuple[str, ...], state: int
+) -> None:
+    robot = deployed(PLUGINS, *sets)
+    statuses, movements = robot.read("move_status", MoveStatus), robot.read("movement", Movement)
+    robot.publish("localization_health", LocalizationHealth(located=True, health=0.7))
+    robot.publish("order", order(1, (1.0, 2.0, 0.5)), LATCHED)
+    robot.wait(0.1)
+    leg = taken(movements)[-1].leg
+    robot.publish("plan", Plan(leg=leg), LATCHED)
+    robot.wait(0.2)
+
+    robot.publish("motion_status", MotionStatus(leg=leg, state=MotionStatus.DONE))
+
+    assert taken(statuses)[-1].state == state
 
 
 def test_an_age_that_grows_within_a_reason_is_no_news(deployed: DeployedOf) -> None:

@@ -4,64 +4,14 @@ from __future__ import annotations
 
 import itertools
 import math
-from typing import Any
 
 import pytest
 
-from components.automove.course import Course, Patience, Seen
+from components.automove.course import Course, Seen
 from schemas.cairn_nav_msgs import LocalizationHealth, MotionStatus, Movement, MoveStatus, Plan
+from tests.components.automove.journey import SURE, Journey
 
-SURE = LocalizationHealth(located=True, health=0.9)
 LOST = LocalizationHealth(located=True, health=0.1, reason="the map explains 20% of the scan")
-
-
-class Journey:
-    """A course whose planner and motion control answer as a test says."""
-
-    def __init__(self, *goals: tuple[float, float, float], **patience: Any) -> None:
-        self.now = 100.0
-        self.seen = Seen(pose=(0.0, 0.0, 0.0))
-        self.health: LocalizationHealth | None = SURE
-        self.plan: dict[str, Any] | None = {"outcome": Plan.FOUND}
-        self.motion: dict[str, Any] | None = {"state": MotionStatus.MOVING}
-        self.course = Course(
-            order_id=1,
-            goals=goals or ((3.0, 4.0, 0.0),),
-            at=0,
-            next_leg=itertools.count(1).__next__,
-            began_s=self.now,
-            patience=Patience(**patience),
-        )
-        self.told: list[tuple[int, int, str]] = []
-        self.course.loaded(self.now)
-
-    def run(self, seconds: float) -> Journey:
-        """Let that much time pass, a tenth of a second at a time."""
-        for _ in range(round(seconds * 10)):
-            self.now += 0.1
-            if self.health is not None:
-                self.seen.health, self.seen.health_s = self.health, self.now
-            leg = self.course.leg
-            wanted = self.course.behaviour
-            if self.plan is not None and wanted == Movement.FOLLOW:
-                self.seen.plan = Plan(leg=leg, **self.plan)
-            if self.motion is not None:
-                standing = {"state": MotionStatus.STANDING}
-                given = standing if wanted == Movement.STAND else self.motion
-                self.seen.motion, self.seen.motion_s = MotionStatus(leg=leg, **given), self.now
-            self.course.tick(self.now, self.seen)
-            row = (self.course.state, self.course.behaviour, self.course.reason)
-            if not self.told or self.told[-1][:2] != row[:2]:
-                self.told.append(row)
-        return self
-
-    @property
-    def states(self) -> list[int]:
-        return [state for state, _, _ in self.told]
-
-    @property
-    def tried(self) -> list[int]:
-        return [what for state, what, _ in self.told if state == MoveStatus.RECOVERING]
 
 
 def test_it_plans_and_drives_once_the_robot_is_located_and_ends_when_motion_is_done() -> None:
@@ -236,6 +186,20 @@ def test_a_goal_outside_the_map_is_given_up_at_once() -> None:
     journey.run(0.3)
     assert journey.states == [MoveStatus.PLANNING, MoveStatus.FAILED]
     assert journey.course.reason == "no path: the goal is outside the map"
+
+
+def test_a_robot_that_seems_to_be_outside_the_map_recovers_and_drives_on() -> None:
+    journey = Journey()
+    outside = "the robot at (-0.10, 3.00) is outside the map"
+    journey.plan = {"outcome": Plan.START_BLOCKED, "reason": outside}
+    journey.run(5.0)
+    assert journey.course.state == MoveStatus.RECOVERING
+    assert journey.course.reason == f"wait (1 of 6): no path: {outside}"
+
+    journey.plan = {"outcome": Plan.FOUND}
+    journey.run(5.0)
+
+    assert journey.course.state == MoveStatus.DRIVING
 
 
 def test_a_planner_that_gives_no_answer_is_told_of() -> None:

@@ -1,0 +1,103 @@
+"""A course whose planner and motion control answer as a test says."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from typing import Any
+
+from components.automove.course import Course, Patience, Seen
+from schemas.cairn_nav_msgs import LocalizationHealth, MotionStatus, Movement, MoveStatus, Plan
+
+SURE = LocalizationHealth(located=True, health=0.9)
+
+
+class Journey:
+    """What the planner, motion control and the localizer tell is what was set last."""
+
+    def __init__(self, *goals: tuple[float, float, float], **patience: Any) -> None:
+        self.now = 100.0
+        self.seen = Seen(pose=(0.0, 0.0, 0.0))
+        self.health: LocalizationHealth | None = SURE
+        self.plan: dict[str, Any] | None = {"outcome": Plan.FOUND}
+        self.motion: dict[str, Any] | None = {"state": MotionStatus.MOVING}
+        self.course = Course(
+            order_id=1,
+            goals=goals or ((3.0, 4.0, 0.0),),
+            at=0,
+            next_leg=itertools.count(1).__next__,
+            began_s=self.now,
+            patience=Patience(**patience),
+        )
+        self.told: list[tuple[int, int, str]] = []
+        self.course.loaded(self.now)
+
+    def run(self, seconds: float) -> Journey:
+        """Let that much time pass, a tenth of a second at a time."""
+        for _ in range(round(seconds * 10)):
+            self.now += 0.1
+            if self.health is not None:
+                self.seen.health, self.seen.health_s = self.health, self.now
+            leg = self.course.leg
+            wanted = self.course.behaviour
+            if self.plan is not None and wanted == Movement.FOLLOW:
+                self.seen.plan = Plan(leg=leg, **self.plan)
+            if self.motion is not None:
+                standing = {"state": MotionStatus.STANDING}
+                given = standing if wanted == Movement.STAND else self.motion
+                self.seen.motion, self.seen.motion_s = MotionStatus(leg=leg, **given), self.now
+            self.course.tick(self.now, self.seen)
+            row = (self.course.state, self.course.behaviour, self.course.reason)
+            if not self.told or self.told[-1][:2] != row[:2]:
+                self.told.append(row)
+        return self
+
+    @property
+    def states(self) -> list[int]:
+        """The states, each once in a row."""
+        return [state for state, _, _ in self.told]
+
+    @property
+    def tried(self) -> list[int]:
+        """The recoveries."""
+        return [what for state, what, _ in self.told if state == MoveStatus.RECOVERING]
+
+
+class Way(Journey):
+    """A robot on a way that has a length, and obstacles on it."""
+
+    SPEED = 0.4  # [m/s]
+    BACK_OFF = 0.4  # [m]
+
+    def __init__(self, left: float, *goals: tuple[float, float, float], **patience: Any) -> None:
+        super().__init__(*goals, **patience)
+        self.left = left
+        self._back = 0.0
+
+    def drive(self, limit_s: float, blocked: Callable[[float], bool] = lambda _: False) -> Way:
+        """Follow the way, which is `blocked` or not with so much left, at most so long."""
+        until = self.now + limit_s
+        while self.now < until and not self.course.over:
+            self.motion = self._moved(self.course.behaviour, blocked)
+            self.run(0.1)
+        return self
+
+    def drive_until_blocked_at(self, left: float) -> None:
+        """Follow the way until the robot recovers from an obstacle with so much left."""
+        before = self.course.recoveries
+        while self.course.recoveries == before and not self.course.over:
+            self.drive(0.1, lambda now_left: now_left <= left)
+
+    def _moved(self, wanted: int, blocked: Callable[[float], bool]) -> dict[str, Any]:
+        if wanted == Movement.BACK_OFF and self._back < self.BACK_OFF:
+            self._back += 0.02
+            self.left += 0.02
+            return {"state": MotionStatus.MOVING}
+        self._back = 0.0
+        if wanted != Movement.FOLLOW or self.left <= 0.0:
+            return {"state": MotionStatus.DONE}
+        if blocked(self.left):
+            state = MotionStatus.BLOCKED
+            return {"state": state, "reason": "a wall", "distance_left": self.left}
+        self.left = max(0.0, self.left - self.SPEED / 10)
+        return {"state": MotionStatus.MOVING, "distance_left": self.left}

@@ -1,0 +1,89 @@
+"""An order always comes to its end: what counts as progress, and what bounds the recoveries."""
+
+from __future__ import annotations
+
+from schemas.cairn_nav_msgs import MotionStatus, MoveStatus
+from tests.components.automove.journey import Way
+
+
+def test_what_a_recovery_undid_and_is_driven_again_is_no_progress() -> None:
+    way = Way(10.0).drive(3600.0, blocked=lambda left: left <= 9.0)
+
+    assert way.course.state == MoveStatus.FAILED
+    assert way.course.reason == "a wall (after 6 recoveries)"
+    assert way.course.recoveries == 6
+
+
+def test_progress_that_never_ends_at_the_goal_is_given_up_too() -> None:
+    way = Way(100.0, recoveries_per_goal=20)
+    for left in range(99, 0, -1):
+        way.drive_until_blocked_at(left)
+
+    assert way.course.state == MoveStatus.FAILED
+    assert way.course.reason == (
+        "a wall (after 20 recoveries on the way to this goal, the most allowed)"
+    )
+    assert way.course.recoveries == 20
+
+
+def test_every_goal_has_recoveries_of_its_own() -> None:
+    goals = ((1.0, 0.0, 0.0), (2.0, 0.0, 0.0), (3.0, 0.0, 0.0))
+    way = Way(2.0, *goals, recoveries_per_goal=1)
+    for number in range(len(goals)):
+        way.left = 2.0
+        way.drive_until_blocked_at(1.0)
+        assert way.course.recoveries == number + 1
+        while way.course.at == number:
+            way.drive(0.1)
+
+    assert way.course.state == MoveStatus.SUCCEEDED
+
+
+def test_a_long_way_around_what_is_in_the_way_is_progress() -> None:
+    way = Way(10.0, recoveries=2)
+    for _ in range(2):
+        way.drive_until_blocked_at(1.0)
+
+    way.left = 30.0
+    for left in (25.0, 15.0, 5.0):
+        way.drive_until_blocked_at(left)
+    way.drive(60.0)
+
+    assert way.course.state == MoveStatus.SUCCEEDED
+    assert way.course.recoveries == 5
+
+
+def test_a_robot_that_takes_a_long_way_around_is_not_stuck() -> None:
+    way = Way(10.0).drive(22.0)
+    assert way.left < 1.5
+
+    way.left = 30.0  # planned anew on the way
+    way.drive(100.0)
+
+    assert way.course.state == MoveStatus.SUCCEEDED
+    assert way.course.recoveries == 0
+
+
+def test_a_robot_sent_to_and_fro_between_two_blocked_ways_gives_up() -> None:
+    way = Way(5.0)
+    for _ in range(100):
+        way.left = 5.0
+        way.drive(30.0, blocked=lambda left: left <= 1.0)
+        way.left = 20.0
+        way.drive(30.0, blocked=lambda left: left <= 16.0)
+
+    assert way.course.state == MoveStatus.FAILED
+    assert way.course.recoveries <= 30
+
+
+def test_a_robot_whose_way_changes_for_ever_while_it_moves_gives_up() -> None:
+    way = Way(5.0)
+    for _ in range(300):
+        for length in (5.0, 20.0):
+            way.left = length
+            way.drive(5.0)
+
+    assert way.course.state == MoveStatus.FAILED
+    assert way.course.reason == "the robot moves but gets no nearer (after 6 recoveries)"
+    assert way.motion is not None
+    assert way.motion["state"] != MotionStatus.BLOCKED
