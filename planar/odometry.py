@@ -4,8 +4,29 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections import deque
+from enum import Enum, auto
 
+from cairn.clock import SECOND
 from planar.poses import Pose, between, compose, inverse
+
+# Drivers that stamp from several threads, or in batches, mix up a period or two of their 20 Hz or
+# more; for no longer than this [ns] a robot stands still in its history when time is set back.
+_DISORDER_NS = SECOND // 10
+
+
+def began_anew(newest: int, stamp: int) -> bool:
+    """Whether time was set back, if `stamp` [ns] comes after `newest`; else it is mere disorder."""
+    return stamp < newest - _DISORDER_NS
+
+
+class Added(Enum):
+    """What became of a pose that an `OdometryHistory` was given."""
+
+    IN_ORDER = auto()
+    IGNORED = auto()
+    """It is a little older than the newest one."""
+    ANEW = auto()
+    """Time was set back: it is the first one now, all before is forgotten."""
 
 
 class OdometryHistory:
@@ -21,16 +42,23 @@ class OdometryHistory:
         """Time [ns] of the newest pose, None before the first."""
         return self._stamps[-1] if self._stamps else None
 
-    def add(self, stamp: int, pose: Pose) -> bool:
-        """Take a pose; False if it is older than the newest one."""
+    def add(self, stamp: int, pose: Pose) -> Added:
+        """Take a pose, unless it is a little older than the newest one.
+
+        One that is much older tells that time began anew, and so does the history.
+        """
+        added = Added.IN_ORDER
         if self._stamps and stamp < self._stamps[-1]:
-            return False
+            if not began_anew(self._stamps[-1], stamp):
+                return Added.IGNORED
+            self.clear()
+            added = Added.ANEW
         self._stamps.append(stamp)
         self._poses.append(pose)
         while len(self._stamps) > 2 and self._stamps[0] < stamp - self._horizon:
             self._stamps.popleft()
             self._poses.popleft()
-        return True
+        return added
 
     def at(self, stamp: int) -> Pose | None:
         """The pose at a time, between two of them in proportion; None before the oldest.

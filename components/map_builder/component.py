@@ -10,11 +10,13 @@ from pydantic import Field, model_validator
 
 from cairn.bus.qos import LATCHED, RELIABLE, SENSOR
 from cairn.clock import SECOND, from_ns, to_ns
+from cairn.component.complaints import Complaints
 from cairn.component.component import Component
 from cairn.component.handlers import every, on
 from cairn.component.mount import Mount
 from cairn.component.parameters import Config, ParameterRefused
 from cairn.component.ports import In, Out
+from cairn.errors import CairnError
 from components.map_builder.grid_keeper import GridKeeper
 from components.map_builder.grid_updates import GridUpdates
 from components.map_builder.keeper import MapKeeper, NumberedChange
@@ -25,6 +27,7 @@ from components.map_builder.store import open_map
 from planar.grid import map_message as grid_message
 from planar.map_file import read_map
 from planar.messages import planar_pose
+from planar.odometry import Added
 from schemas.cairn_msgs import ObjectEvidenceArray, VisualMap, VisualMapChange
 from schemas.cairn_nav_msgs import LocalizationHealth
 from schemas.geometry_msgs import PoseWithCovarianceStamped
@@ -124,6 +127,7 @@ class MapBuilder(Component):
             config.mount.pose, config.scans_per_s, config.least_health, config.most_spread
         )
         self._updates = GridUpdates()
+        self._complaints = Complaints(self.log)
         self._full_map_at = self._saved_at = 0
 
     def on_activate(self) -> None:
@@ -133,12 +137,12 @@ class MapBuilder(Component):
 
     def on_deactivate(self) -> None:
         """Commit what is left."""
+        if self._grid is not None:
+            self._save_grid(self._grid)
+            self._grid = None
         if self._keeper is not None:
             keeper, self._keeper = self._keeper, None
             keeper.close()
-        if self._grid is not None:
-            self._grid.save(self.clock.now())
-            self._grid = None
 
     def on_error(self, error: Exception) -> bool:  # noqa: ARG002 - any error ends it
         """Let go of the file; what was committed is safe."""
@@ -178,7 +182,9 @@ class MapBuilder(Component):
     @on("odom")
     def follow(self, odom: Odometry) -> None:
         """Remember how the robot moved while its scanner swept."""
-        self._scans.moved(to_ns(odom.header.stamp), planar_pose(odom.pose.pose))
+        stamp_ns = to_ns(odom.header.stamp)
+        if self._scans.moved(stamp_ns, planar_pose(odom.pose.pose)) is Added.ANEW:
+            self.log.warning("odometry on %s went back in time: begun anew", self.odom.topic)
 
     @on("scan")
     def look(self, scan: LaserScan) -> None:
@@ -221,7 +227,14 @@ class MapBuilder(Component):
         self._tell_grid(now)
         if now - self._saved_at >= _SAVE_S * SECOND:
             self._saved_at = now
-            self._grid.save(now)
+            self._save_grid(self._grid)
+
+    def _save_grid(self, grid: GridKeeper) -> None:
+        try:
+            grid.save(self.clock.now())
+        except CairnError as error:
+            # The map that the robot drives by is in memory, and what was told of it holds.
+            self._complaints.tell("grid", f"the grid map is not kept: {error}")
 
     def _open_both(self) -> None:
         self._open()

@@ -6,7 +6,7 @@ from collections import deque
 from dataclasses import dataclass
 
 from cairn.clock import SECOND, to_ns
-from planar.odometry import OdometryHistory
+from planar.odometry import Added, OdometryHistory
 from planar.poses import Pose, compose, relative
 from planar.sweep import Rays, rays_of, sweep_s
 from schemas.cairn_nav_msgs import LocalizationHealth
@@ -43,10 +43,9 @@ class PosedScans:
         self._given_ns: int | None = None
         self.waiting = "there is no pose yet"
 
-    def moved(self, stamp_ns: int, pose: Pose) -> None:
+    def moved(self, stamp_ns: int, pose: Pose) -> Added:
         """Take a pose of odometry."""
-        if not self._history.add(stamp_ns, pose):
-            self._history.clear()
+        return self._history.add(stamp_ns, pose)
 
     def scanned(self, scan: LaserScan) -> None:
         """Take a scan."""

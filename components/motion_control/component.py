@@ -7,7 +7,7 @@ import math
 from cairn.bus.qos import LATCHED, RELIABLE, SENSOR
 from cairn.clock import SECOND, from_ns, to_ns
 from cairn.component.component import Component
-from cairn.component.handlers import on
+from cairn.component.handlers import every, on
 from cairn.component.parameters import Config
 from cairn.component.ports import In, Out
 from components.motion_control.behaviours import (
@@ -30,6 +30,7 @@ from components.motion_control.steering import STAND, Command, Steering
 from components.motion_control.sweep import sweep_of, view_of
 from components.motion_control.whereabouts import Whereabouts
 from planar.messages import planar_pose, planar_poses
+from planar.odometry import began_anew
 from planar.poses import Pose
 from schemas.cairn_nav_msgs import LocalizationHealth, MotionStatus, Movement, Plan
 from schemas.geometry_msgs import PoseWithCovarianceStamped, Twist, Vector3
@@ -37,12 +38,13 @@ from schemas.nav_msgs import Odometry
 from schemas.sensor_msgs import LaserScan
 from schemas.std_msgs import Header
 
-# After a jump of odometry the robot stands for so long [ns].
+# After a break in odometry or time the robot stands for so long [ns].
 _PAUSE_NS = SECOND // 2
 # Health must be so much above the limit before a path is followed again.
 _REGAINED = 0.05
 # A timed command is left out when a scan has just brought one, within this share of the period.
 _JUST_NOW = 0.5
+_COMMAND_HZ, _STATUS_HZ = 20.0, 5.0  # at least
 
 
 class MotionControl(Component):
@@ -77,11 +79,6 @@ class MotionControl(Component):
         self._told: tuple[int, State] | None = None
         self._whereabouts = Whereabouts(self.config.speed, self.config.turn_speed)
         self._take(self.config)
-
-    def on_activate(self) -> None:
-        """Begin to command and to tell."""
-        self._command_again()
-        self._tell_again()
 
     def on_deactivate(self) -> None:
         """Leave the robot standing."""
@@ -134,16 +131,12 @@ class MotionControl(Component):
         stamp, now = to_ns(odom.header.stamp), self.clock.now()
         self._freshness.note("odom", stamp, now)
         twist = odom.twist.twist
-        jumped = self._whereabouts.move(
+        broken = self._whereabouts.move(
             stamp, planar_pose(odom.pose.pose), twist.linear.x, twist.angular.z
         )
-        if jumped > 0.0:
-            self._pause = f"odometry on {self.odom.topic} jumped by {jumped:.2f} m"
-            self._paused_until = now + _PAUSE_NS
+        if broken:
+            self._begin_anew(now, f"odometry on {self.odom.topic} {broken}")
             self.log.warning("%s: standing for a moment", self._pause)
-            self._space.forget()
-            self._movers.forget()
-            self._begin()
             self._drive()
 
     @on("scan")
@@ -157,9 +150,32 @@ class MotionControl(Component):
         self._freshness.note("scan", stamp, self.clock.now())
         sweep = sweep_of(scan, self._mount, robot, end)
         self._space.add(stamp, robot, sweep)
-        self._space.expect(self._movers.see(stamp / SECOND, sweep, self._whereabouts.turn))
+        self._space.expect(self._movers.see(stamp, sweep, self._whereabouts.turn))
         self._view = view_of(scan, self._mount)
         self._drive()
+
+    @every(hz=_COMMAND_HZ)
+    def command(self) -> None:
+        """Command even if no scan comes."""
+        since = self.clock.now() - self._commanded_at
+        if since < 0 or since > _JUST_NOW * SECOND / _COMMAND_HZ:
+            self._drive()
+
+    @every(hz=_STATUS_HZ)
+    def tell(self) -> None:
+        """Tell how it goes."""
+        nearest = self._around.nearest if self._around is not None else LOOK
+        self.motion_status.publish(
+            MotionStatus(
+                header=Header(stamp=from_ns(self.clock.now()), frame_id="base_link"),
+                leg=self._movement.leg if self._movement is not None else 0,
+                state=int(self._motion.state),
+                reason=self._motion.reason,
+                distance_left=max(0.0, self._motion.left),
+                speed=self._whereabouts.speed,
+                clearance=max(0.0, nearest - self.config.radius),
+            )
+        )
 
     def _take(self, config: MotionControlConfig) -> None:
         self._limits = config.limits()
@@ -167,6 +183,14 @@ class MotionControl(Component):
         self._steering = Steering(self._limits)
         self._movers = Movers()
         self._space = SeenSpace(round(config.memory * SECOND), config.radius)
+
+    def _begin_anew(self, now: int, why: str) -> None:
+        """Forget what was seen, and stand for a moment."""
+        self._pause, self._paused_until = why, now + _PAUSE_NS
+        self._commanded_at = now
+        self._space.forget()
+        self._movers.forget()
+        self._begin()
 
     def _begin(self) -> None:
         """Begin what is wanted anew, unless it is done."""
@@ -201,20 +225,11 @@ class MotionControl(Component):
             self._limits, route, movement.position_tolerance, movement.heading_tolerance
         )
 
-    def _command_again(self) -> None:
-        period = round(SECOND / self.config.command_rate)
-        now = self.clock.now()
-        self.schedule(now + period, self._command_again)
-        if now - self._commanded_at > _JUST_NOW * period:
-            self._drive()
-
-    def _tell_again(self) -> None:
-        self.schedule(self.clock.now() + round(SECOND / self.config.status_rate), self._tell_again)
-        self._tell()
-
     def _drive(self) -> None:
         """Command what is to be done now, and tell if that is something else than before."""
         now = self.clock.now()
+        if began_anew(self._commanded_at, now):
+            self._begin_anew(now, "time was set back")
         self._commanded_at = now
         self._motion, command = self._judge(now)
         if command is STAND:
@@ -225,7 +240,7 @@ class MotionControl(Component):
             self._told = (leg, self._motion.state)
             reason = f": {self._motion.reason}" if self._motion.reason else ""
             self.log.info("%s%s", self._motion.state.name.lower(), reason)
-            self._tell()
+            self.tell()
 
     def _judge(self, now: int) -> tuple[Motion, Command]:
         stopped = self._stopped(now)
@@ -285,17 +300,3 @@ class MotionControl(Component):
         if plan is None or plan.leg != (movement.leg if movement is not None else 0):
             return f"no plan of this leg yet on {self.plan.topic}"
         return f"there is no path: {plan.reason}"
-
-    def _tell(self) -> None:
-        nearest = self._around.nearest if self._around is not None else LOOK
-        self.motion_status.publish(
-            MotionStatus(
-                header=Header(stamp=from_ns(self.clock.now()), frame_id="base_link"),
-                leg=self._movement.leg if self._movement is not None else 0,
-                state=int(self._motion.state),
-                reason=self._motion.reason,
-                distance_left=max(0.0, self._motion.left),
-                speed=self._whereabouts.speed,
-                clearance=max(0.0, nearest - self.config.radius),
-            )
-        )

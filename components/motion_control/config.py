@@ -65,8 +65,6 @@ class MotionControlConfig(Config):
     health_limit: float = Field(
         0.3, ge=0, le=1, description="Health of the localization below which no path is followed."
     )
-    command_rate: float = Field(20.0, ge=5, le=100, description="Rate of commands at least [Hz].")
-    status_rate: float = Field(5.0, ge=1, le=50, description="Rate of the status at least [Hz].")
     timeouts: Timeouts = Timeouts()
     mount: Mount = Mount()
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from cairn.clock import SECOND
+from planar.odometry import began_anew
 
 
 class Freshness:
@@ -13,12 +14,17 @@ class Freshness:
 
     def note(self, name: str, stamp: int, now: int) -> None:
         """Note a message of `stamp` [ns] taken at `now` [ns]; one from the future is of now."""
-        self._times[name] = max(min(stamp, now), self._times.get(name, 0))
+        newest = self._times.get(name, 0)
+        if began_anew(newest, now):
+            newest = 0
+        self._times[name] = max(min(stamp, now), newest)
 
     def complaint(self, name: str, topic: str, timeout_s: float, now: int) -> str:
         """Why an input is too old, with its age and topic; empty if it is not."""
         time = self._times.get(name)
         if time is None:
             return f"no {name} yet on {topic}"
+        if began_anew(time, now):
+            return f"no {name} since time was set back on {topic}"
         age = (now - time) / SECOND
         return "" if age <= timeout_s else f"no {name} for {age:.2f} s on {topic}"

@@ -9,9 +9,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from cairn.clock import SECOND
 from components.motion_control.seen_space import REACH
 from components.motion_control.sweep import Sweep
 from planar.compiled import compiled
+from planar.odometry import began_anew
 
 Array = NDArray[np.float64]
 
@@ -69,14 +71,25 @@ class Movers:
 
     def __init__(self) -> None:
         self._things: list[_Thing] = []
+        self._ahead = np.empty((0, 3))
+        self._newest = -1
         self._found = np.empty((_MOST, 2))
 
-    def see(self, time: float, sweep: Sweep, turn: float) -> Array:
-        """Take the scan of `time` [s], when the robot turned by `turn` [rad/s].
+    def see(self, stamp: int, sweep: Sweep, turn: float) -> Array:
+        """Take the scan of `stamp` [ns], when the robot turned by `turn` [rad/s].
 
         Returns where movers will be in the next moments: x, y [m] in the odometry frame and how
-        far ahead that is [s] (n, 3).
+        far ahead that is [s] (n, 3). A scan no later than the last one tells nothing new.
         """
+        if began_anew(self._newest, stamp):
+            self.forget()
+        elif stamp <= self._newest:
+            return self._ahead
+        self._newest = stamp
+        self._ahead = self._expect(stamp / SECOND, sweep, turn)
+        return self._ahead
+
+    def _expect(self, time: float, sweep: Sweep, turn: float) -> Array:
         self._things = [t for t in self._things if time - t.places[-1][0] < _FORGOTTEN_S]
         if abs(turn) > _TURNING or sweep.ranges.size < _FEWEST:
             return np.empty((0, 3))
@@ -105,6 +118,7 @@ class Movers:
     def forget(self) -> None:
         """Forget all, as when odometry begins anew."""
         self._things = []
+        self._ahead = np.empty((0, 3))
 
     def _expected(self, time: float, x: float, y: float) -> _Thing | None:
         best, least = None, _SAME

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from components.motion_control.sweep import Sweep
 from planar.compiled import compiled
+from planar.odometry import began_anew
 from planar.poses import Pose
 
 Array = NDArray[np.float64]
@@ -65,6 +66,8 @@ class SeenSpace:
         """Take the scan of that time [ns], when the robot was at `robot` in the odometry frame."""
         if sweep.ranges.size == 0:
             return
+        if began_anew(self._newest, stamp):
+            self.forget()
         self._newest = stamp
         self._count = _absorb(
             self._points,

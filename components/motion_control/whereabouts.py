@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from cairn.clock import SECOND
-from planar.odometry import OdometryHistory
+from planar.odometry import Added, OdometryHistory
 from planar.poses import Pose, compose, distance, relative, wrap
 
 _HORIZON_NS = 5 * SECOND
@@ -24,30 +24,33 @@ class Whereabouts:
         self.speed = 0.0
         self.turn = 0.0
 
-    def move(self, stamp: int, odom: Pose, speed: float, turn: float) -> float:
-        """Take odometry; the distance [m] that it jumped, 0 as a rule.
+    def move(self, stamp: int, odom: Pose, speed: float, turn: float) -> str:
+        """Take odometry, unless it is a little older than the newest.
 
-        After a jump all that was known before is forgotten. Odometry older than the newest is
-        ignored.
+        Says what broke it off, "" as a rule: all that was known before is forgotten then.
         """
         newest = self._history.newest
-        jumped = 0.0
-        if newest is not None:
-            if stamp < newest:
-                return 0.0
-            seconds = (stamp - newest) / SECOND
-            apart = distance(self._odom, odom)
-            turned = abs(wrap(odom[2] - self._odom[2]))
-            if (
-                apart > _FASTER * self._fastest * seconds + _FAR
-                or turned > _FASTER * self._fastest_turn * seconds + _TURNED
-            ):
-                jumped = max(apart, 0.001)
-                self._history.clear()
-                self._pose = None
-        self._history.add(stamp, odom)
+        added = self._history.add(stamp, odom)
+        if added is Added.IGNORED:
+            return ""
+        broken = ""
+        if newest is not None and added is Added.ANEW:
+            broken = f"went back in time by {(newest - stamp) / SECOND:.1f} s"
+        elif newest is not None and self._is_jump(odom, (stamp - newest) / SECOND):
+            broken = f"jumped by {distance(self._odom, odom):.2f} m"
+            self._history.clear()
+            self._history.add(stamp, odom)
+        if broken:
+            self._pose = None
         self._odom, self.speed, self.turn = odom, speed, turn
-        return jumped
+        return broken
+
+    def _is_jump(self, odom: Pose, seconds: float) -> bool:
+        turned = abs(wrap(odom[2] - self._odom[2]))
+        return (
+            distance(self._odom, odom) > _FASTER * self._fastest * seconds + _FAR
+            or turned > _FASTER * self._fastest_turn * seconds + _TURNED
+        )
 
     def locate(self, stamp: int, pose: Pose) -> None:
         """Take the pose in the map that the robot had at `stamp` [ns]."""

@@ -21,7 +21,7 @@ from components.path_planner.planning import (
 from components.path_planner.sightings import RecentObstacles
 from planar.grid import OccupancyCells, grid_of
 from planar.messages import planar_pose
-from planar.odometry import OdometryHistory
+from planar.odometry import Added, OdometryHistory
 from planar.poses import Pose
 from planar.scans import beams_of
 from schemas.cairn_nav_msgs import LocalizationHealth, Movement, Plan
@@ -103,9 +103,14 @@ class PathPlanner(Component):
     def follow(self, odom: Odometry) -> None:
         """Remember how the robot moves."""
         stamp = to_ns(odom.header.stamp)
-        if not self._history.add(stamp, planar_pose(odom.pose.pose)):
-            self._history.clear()
-            self._history.add(stamp, planar_pose(odom.pose.pose))
+        if self._history.add(stamp, planar_pose(odom.pose.pose)) is Added.ANEW:
+            self.log.warning(
+                "odometry on %s went back in time: what was seen is forgotten", self.odom.topic
+            )
+            self._planned_at = self._looked_at = self._checked_at = 0
+            if self._costs is not None:
+                self._recent = RecentObstacles(self._costs.frame, self._costs.shape)
+                self._costs.overlay(self._recent.cells())
 
     @on("pose")
     def locate(self, message: PoseWithCovarianceStamped) -> None:

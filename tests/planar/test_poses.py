@@ -15,7 +15,6 @@ from planar.messages import (
     pose_message,
     with_covariance,
 )
-from planar.odometry import OdometryHistory
 from planar.poses import Pose, between, compose, inverse, relative, wrap
 
 metres = st.floats(-100.0, 100.0)
@@ -74,26 +73,3 @@ def test_headings_are_interpolated_the_short_way_round() -> None:
 
     assert middle[0] == 0.5
     assert abs(middle[2]) == pytest.approx(math.pi)
-
-
-def test_odometry_tells_poses_between_its_messages_and_guesses_none() -> None:
-    history = OdometryHistory(1_000)
-    for stamp, x in ((100, 0.0), (200, 1.0), (300, 3.0)):
-        assert history.add(stamp, (x, 0.0, 0.0))
-
-    assert history.at(50) is None
-    assert history.at(150) == (0.5, 0.0, 0.0)
-    assert history.at(999) == (3.0, 0.0, 0.0)
-    assert history.carried((10.0, 10.0, math.pi / 2), 150, 250) == pytest.approx(
-        (10.0, 11.5, math.pi / 2)
-    )
-    assert not history.add(250, (9.0, 9.0, 9.0))
-
-
-def test_odometry_is_forgotten_after_its_horizon() -> None:
-    history = OdometryHistory(1_000)
-    for stamp in range(0, 5_000, 100):
-        history.add(stamp, (stamp / 100, 0.0, 0.0))
-
-    assert history.at(1_000) is None
-    assert history.at(4_500) == (45.0, 0.0, 0.0)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cairn.clock import from_ns
+from cairn.clock import SECOND, from_ns
 from cairn.errors import CairnError
 from components.map_builder.component import MapBuilder
 from planar.grid import FREE, OCCUPIED, Grid, grid_of
@@ -45,13 +45,17 @@ def scan_of(world: Grid[np.int8], stamp: Header, random: np.random.Generator) ->
     )
 
 
-def watch(it: Any, world: Grid[np.int8], seconds: float, sd: float = 0.02) -> None:
-    """The robot stands and scans the world, its position known to `sd` [m]."""
+def watch(it: Any, world: Grid[np.int8], seconds: float, sd: float = 0.02, back_s: int = 0) -> None:
+    """The robot stands and scans the world, its position known to `sd` [m].
+
+    All stamps are set back by `back_s` [s].
+    """
     random = np.random.default_rng(0)
     began = it.executor.now()
     for k in range(round(seconds / 0.2)):
         it.wait(max(0.0, (began + k * 200_000_000 - it.executor.now()) / 1e9))
-        header = Header(stamp=from_ns(it.executor.now()), frame_id="map")
+        stamp = from_ns(it.executor.now() - back_s * SECOND)
+        header = Header(stamp=stamp, frame_id="map")
         it.give("odom", Odometry(header=header))
         it.give("scan", scan_of(world, header, random))
         told = with_covariance(HERE, np.diag([sd**2, sd**2, 0.01**2]))
@@ -106,6 +110,20 @@ def test_while_the_pose_is_unsure_the_map_waits_and_says_so(
 
     assert it.taken("map_updates") == []
     assert "the grid map waits: the position is uncertain by 0.40 m" in caplog.text
+
+
+def test_when_time_is_set_back_it_says_so_once_and_draws_on(
+    stage: StageOf, grid_file: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    it = stage(MapBuilder, BEGIN, grid_file=str(grid_file)).begin()
+    watch(it, room(), 5.0)
+    it.taken("map")
+
+    watch(it, room((*ROOM, NEW)), 15.0, back_s=600)
+    it.wait(6.0)
+
+    assert caplog.text.count("odometry on /robot/odom went back in time") == 1
+    assert grid_of(it.taken("map")[-1]).values[40, 70] == OCCUPIED
 
 
 def test_a_map_builder_that_comes_back_goes_on_with_what_it_drew(

@@ -21,6 +21,7 @@ from schemas.geometry_msgs import (
     Vector3,
 )
 from schemas.nav_msgs import Odometry
+from schemas.rosgraph_msgs import Clock
 from schemas.sensor_msgs import LaserScan
 from schemas.std_msgs import Header
 from tests.cairn.component.running import Lockstep, taken
@@ -31,10 +32,16 @@ STEP = 20_000_000  # [ns] of the base
 
 
 class Stage:
-    """Sends what the other components would; `muted` topics are not sent any more."""
+    """Sends what the other components would; `muted` topics are not sent any more.
 
-    def __init__(self, world: World, robot: Robot, **parameters: Any) -> None:
+    With `simulated_time` the component's clock is told, and may be `set_back`.
+    """
+
+    def __init__(
+        self, world: World, robot: Robot, *, simulated_time: bool = False, **parameters: Any
+    ) -> None:
         self.lockstep = Lockstep()
+        self.back = 0
         self.world, self.robot = world, robot
         self.muted: set[str] = set()
         self.beams = 360
@@ -51,13 +58,19 @@ class Stage:
         self._command = (0.0, 0.0)
         self._writers: dict[str, Any] = {}
         self.lockstep.run_until(BEGIN)
-        self.part = self.lockstep.add(MotionControl, parameters=parameters)
+        self.part = self.lockstep.add(
+            MotionControl, parameters=parameters, simulated_time=simulated_time
+        )
         self.part.activate()
 
     @property
     def now(self) -> int:
         """Virtual time [ns]."""
         return BEGIN + self._tick * STEP
+
+    def set_back(self, seconds: float) -> None:
+        """Set back all clocks."""
+        self.back += round(seconds * SECOND)
 
     @property
     def status(self) -> MotionStatus:
@@ -82,7 +95,8 @@ class Stage:
                 break
 
     def _step(self) -> None:
-        stamp = from_ns(self.now)
+        stamp = from_ns(self.now - self.back)
+        self._send("clock", Clock(clock=stamp), RELIABLE)
         if self._tick % 25 == 0:
             self._send("movement", self.movement, LATCHED)
         twist = Twist(linear=Vector3(x=self.robot.speed), angular=Vector3(z=self.robot.turn))

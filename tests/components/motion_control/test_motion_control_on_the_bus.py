@@ -1,6 +1,7 @@
 """The component on a bus in virtual time, its ports in the test's hands."""
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,11 +15,11 @@ HALL = box(0, 0, 20, 20)
 STATES = MotionStatus
 
 
-def stage(*walls: tuple[float, float, float, float], **parameters: object) -> Stage:
+def stage(*walls: tuple[float, float, float, float], **parameters: Any) -> Stage:
     return Stage(World([*HALL, *walls]), Robot((-3.0, 0.0, 0.0)), **parameters)
 
 
-def following(**parameters: object) -> Stage:
+def following(**parameters: Any) -> Stage:
     """A robot at full speed on its way to (3, 0)."""
     it = stage(**parameters)
     it.want(7, Movement.FOLLOW, (3.0, 0.0, 1.0))
@@ -100,6 +101,41 @@ def test_a_stale_input_stops_it_and_is_named(topic: str, timeout_s: float, reaso
     it.wait(1.0)
     assert it.status.state == STATES.MOVING
     assert it.robot.speed > 0.3
+
+
+@pytest.mark.parametrize("back_s", [1.0, 600.0])
+def test_when_time_is_set_back_it_stands_for_a_moment_and_goes_on(
+    back_s: float, caplog: pytest.LogCaptureFixture
+) -> None:
+    it = following(simulated_time=True)
+
+    it.set_back(back_s)
+    it.wait(0.1)
+
+    assert it.status.state == STATES.STOPPED
+    it.wait(2.0)
+    assert it.status.state == STATES.MOVING
+    assert it.robot.speed == pytest.approx(0.6, abs=0.05)
+    it.wait(15, until=STATES.DONE)
+    assert math.hypot(it.robot.pose[0] - 3, it.robot.pose[1]) < 0.1
+    assert caplog.text.count(f"odometry on /robot/odom went back in time by {back_s:.1f} s") == 1
+
+
+@pytest.mark.parametrize("topic", ["scan", "odom", "pose", "movement", "localization_health"])
+def test_what_ends_as_time_is_set_back_is_stale_at_once(topic: str) -> None:
+    it = following(simulated_time=True)
+
+    it.muted.add(topic)
+    it.set_back(600.0)
+    it.wait(1.5)
+
+    assert it.status.state == STATES.STOPPED
+    assert it.status.reason == f"no {topic} since time was set back on /robot/{topic}"
+    assert it.robot.speed == 0.0
+    it.commands.clear()
+    it.wait(1.0)
+    assert {command[1:] for command in it.commands} == {(0.0, 0.0)}
+    assert len(it.commands) >= 15
 
 
 def test_it_says_what_never_came() -> None:

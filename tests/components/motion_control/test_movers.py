@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 
+from cairn.clock import SECOND
 from components.motion_control.movers import Movers
 from components.motion_control.sweep import Sweep
 from planar.poses import Pose
@@ -23,7 +24,7 @@ def looked(
         at = (robot[0] + speed * time, robot[1], robot[2])
         ranges = world.ranges(time, at, ANGLES, random.normal(0, 0.01, ANGLES.size))
         sweep = Sweep(ranges, float(ANGLES[0]), float(ANGLES[1] - ANGLES[0]), at, at)
-        expected.append(movers.see(time, sweep, 0.0))
+        expected.append(movers.see(round(time * SECOND), sweep, 0.0))
     return expected
 
 
@@ -64,15 +65,35 @@ def test_nothing_that_stands_is_taken_for_a_mover_by_a_robot_that_moves() -> Non
     assert sum(len(rows) for rows in expected) == 0
 
 
+def test_a_scan_that_is_told_twice_tells_nothing_new() -> None:
+    def person(time: float) -> list[Disc]:
+        return [(2.0, -1.5 + 1.0 * time, 0.25)]
+
+    twice = looked(World(HALL, person), np.repeat(np.arange(0, 1.5, 0.3), 2))
+
+    assert len(twice[-1]) > 0
+    for first, again in zip(twice[0::2], twice[1::2], strict=True):
+        assert np.array_equal(first, again)
+
+
+def test_movers_are_noticed_after_time_was_set_back() -> None:
+    def person(time: float) -> list[Disc]:
+        return [(2.0, -1.5 + 1.0 * time, 0.25)]
+
+    times = np.concatenate((np.arange(100, 101, 0.1), np.arange(0, 1.0, 0.1)))
+
+    assert len(looked(World(HALL, person), times)[-1]) > 0
+
+
 def test_movers_are_forgotten() -> None:
     movers = Movers()
     world = World(HALL, lambda time: [(2.0, -1 + time, 0.25)])
     for k in range(8):
         ranges = world.ranges(0.1 * k, (0, 0, 0), ANGLES, np.zeros(ANGLES.size))
         sweep = Sweep(ranges, float(ANGLES[0]), float(ANGLES[1] - ANGLES[0]), (0, 0, 0), (0, 0, 0))
-        rows = movers.see(0.1 * k, sweep, 0.0)
+        rows = movers.see(k * SECOND // 10, sweep, 0.0)
     assert len(rows) > 0
 
     movers.forget()
 
-    assert len(movers.see(0.8, sweep, 0.0)) == 0
+    assert len(movers.see(2 * SECOND, sweep, 0.0)) == 0

@@ -145,13 +145,27 @@ def test_an_impossible_step_of_odometry_is_a_jump() -> None:
     it.move(0, (0.0, 0.0, 0.0), 0.5, 0.0)
     it.locate(0, (1.0, 2.0, 0.0))
 
-    assert it.move(SECOND // 50, (0.02, 0.0, 0.0), 0.5, 0.0) == 0.0
-    assert it.move(2 * SECOND // 50, (0.5, 0.0, 0.0), 0.5, 0.0) == pytest.approx(0.48)
+    assert it.move(SECOND // 50, (0.02, 0.0, 0.0), 0.5, 0.0) == ""
+    assert it.move(2 * SECOND // 50, (0.5, 0.0, 0.0), 0.5, 0.0) == "jumped by 0.48 m"
     assert it.pose(2 * SECOND // 50) is None
-    assert it.move(3 * SECOND // 50, (0.5, 0.0, 1.0), 0.5, 0.0) > 0.0
-    assert it.move(5 * SECOND, (2.5, 0.0, 1.0), 0.5, 0.0) == 0.0  # a gap, but no jump
-    assert it.move(SECOND, (9.0, 0.0, 1.0), 0.5, 0.0) == 0.0  # old: ignored
+    assert it.move(3 * SECOND // 50, (0.5, 0.0, 1.0), 0.5, 0.0) == "jumped by 0.00 m"
+    assert it.move(5 * SECOND, (2.5, 0.0, 1.0), 0.5, 0.0) == ""  # a gap, but no jump
+    assert it.move(5 * SECOND - 10, (9.0, 0.0, 1.0), 0.5, 0.0) == ""  # late: ignored
     assert it.odom(5 * SECOND) == (2.5, 0.0, 1.0)
+
+
+def test_the_robot_is_where_odometry_says_when_time_was_set_back() -> None:
+    it = Whereabouts(0.6, 1.5)
+    for k in range(100):
+        it.move(100 * SECOND + k * SECOND // 50, (0.01 * k, 0.0, 0.0), 0.5, 0.0)
+    it.locate(100 * SECOND, (7.0, 0.0, 0.0))
+
+    told = it.move(100 * SECOND, (1.0, 0.0, 0.0), 0.5, 0.0)
+    it.move(100 * SECOND + SECOND // 50, (1.01, 0.0, 0.0), 0.5, 0.0)
+
+    assert told == "went back in time by 2.0 s"
+    assert it.odom(100 * SECOND + SECOND // 50) == (1.01, 0.0, 0.0)
+    assert it.pose(100 * SECOND + SECOND // 50) is None
 
 
 def test_stale_inputs_are_named_with_their_age() -> None:
@@ -169,3 +183,15 @@ def test_a_message_from_the_future_is_not_fresh_for_longer() -> None:
     it.note("scan", 99 * SECOND, 10 * SECOND)
 
     assert it.complaint("scan", "/r/scan", 0.5, 11 * SECOND) == "no scan for 1.00 s on /r/scan"
+
+
+def test_what_was_fresh_is_stale_when_time_is_set_back_until_it_comes_again() -> None:
+    it = Freshness()
+    it.note("scan", 100 * SECOND, 100 * SECOND)
+
+    stale = it.complaint("scan", "/r/scan", 0.5, 40 * SECOND)
+    it.note("scan", 40 * SECOND, 40 * SECOND)
+
+    assert stale == "no scan since time was set back on /r/scan"
+    assert it.complaint("scan", "/r/scan", 0.5, 40 * SECOND) == ""
+    assert it.complaint("scan", "/r/scan", 0.5, 41 * SECOND) == "no scan for 1.00 s on /r/scan"

@@ -163,7 +163,7 @@ def drive(
             sweep = Sweep(ranges, float(angles[0]), float(angles[1] - angles[0]), robot.odom,
                           robot.odom)  # fmt: skip
             space.add(now, robot.odom, sweep)
-            space.expect(movers.see(time, sweep, robot.turn))
+            space.expect(movers.see(now, sweep, robot.turn))
             x, y, theta = robot.pose
             dx, dy, turned = random.normal(0, pose_noise, 3)
             believed, base = (x + dx, y + dy, wrap(theta + turned)), robot.odom

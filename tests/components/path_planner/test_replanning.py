@@ -4,8 +4,13 @@ from typing import Any
 
 import pytest
 
+from cairn.bus.qos import LATCHED, SENSOR
+from cairn.clock import SECOND, from_ns
+from components.path_planner.component import PathPlanner
 from planar.messages import planar_poses
 from schemas.cairn_nav_msgs import Plan
+from schemas.rosgraph_msgs import Clock
+from tests.cairn.component.running import Lockstep, taken
 from tests.components.path_planner.happening import (
     DOOR,
     THERE,
@@ -15,11 +20,14 @@ from tests.components.path_planner.happening import (
     window,
 )
 from tests.components.path_planner.rooms import (
+    Box,
     as_map,
     follow,
     health,
+    odom_at,
     pose_at,
     room,
+    scan_of,
     stand,
 )
 
@@ -68,6 +76,38 @@ def test_what_was_seen_on_an_earlier_leg_is_not_planned_around(begun: Any) -> No
     it.give("movement", follow(there, leg=3))
 
     assert clear_of(it.taken("plan")[0], [box]) < 0.1
+
+
+def test_when_time_is_set_back_what_was_seen_is_forgotten_and_what_is_seen_counts(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    before, after = (2.5, 1.7, 2.9, 2.4), (2.5, 1.0, 2.9, 1.7)
+    here = (1.0, 1.8, 0.0)
+    lockstep = Lockstep()
+    lockstep.add(PathPlanner, simulated_time=True).activate()
+    plans = lockstep.read("plan", Plan)
+    lockstep.publish("map", as_map(room()), qos=LATCHED)
+
+    def see(box: Box, begin: float) -> Plan:
+        """The last plan of half a second's look at a room with a box."""
+        for k in range(5):
+            time = begin + 0.1 * k
+            lockstep.publish("clock", Clock(clock=from_ns(round(time * SECOND))))
+            lockstep.publish("odom", odom_at((0.0, 0.0, 0.0), time))
+            lockstep.publish("pose", pose_at(here, time))
+            lockstep.publish("movement", follow((4.0, 2.3, 0.0)), qos=LATCHED)
+            lockstep.run()
+            lockstep.publish("scan", scan_of(room([box]), here, time), qos=SENSOR)
+            lockstep.run()
+        plan: Plan = taken(plans)[-1]
+        return plan
+
+    first, second = see(before, 1000.0), see(after, 400.0)
+
+    assert clear_of(first, [before]) > 0.19
+    assert clear_of(second, [after]) > 0.19
+    assert clear_of(second, [before]) < 0.19
+    assert caplog.text.count("odometry on /robot/odom went back in time") == 1
 
 
 def test_a_door_that_somebody_stands_in_is_told_until_they_leave(begun: Any) -> None:
@@ -140,6 +180,46 @@ def test_a_map_that_has_grown_is_planned_on(begun: Any) -> None:
     it.wait(1.5)
 
     assert outside.outcome == Plan.OUTSIDE_MAP
+    assert [plan.outcome for plan in it.taken("plan")] == [Plan.FOUND]
+
+
+def test_a_wall_across_the_path_is_noticed_in_a_map_that_begins_elsewhere(begun: Any) -> None:
+    it = begun(room())
+    it.give("movement", follow(THERE))
+    (straight,) = it.taken("plan")
+
+    grown = {"size": (14.0, 12.0), "origin": (-5.0, -5.0, 0.0)}
+    it.give("map", as_map(room([(1.0, 1.0, 4.0, 4.0)], **grown)))
+    assert it.taken("plan") == []  # the path is as free as it was
+    it.give("map", as_map(room([(9.5, 5.2, 9.6, 12.0)], **grown)))  # at x = 4.5, from y = 0.2
+
+    (around,) = it.taken("plan")
+    assert around.outcome == Plan.FOUND
+    assert around.length > straight.length + 0.5
+
+
+def test_a_path_that_leaves_a_map_that_has_shrunk_is_planned_anew_at_once(begun: Any) -> None:
+    it = begun(room())
+    it.give("movement", follow(THERE))
+    it.taken("plan")
+
+    it.give("map", as_map(room(size=(3.0, 3.0))))
+
+    (plan,) = it.taken("plan")
+    assert plan.outcome == Plan.OUTSIDE_MAP
+    assert "the goal (8.00, 6.00) is outside the map" in plan.reason
+
+
+def test_a_robot_off_the_map_is_planned_for_as_soon_as_it_is_back(begun: Any) -> None:
+    it = begun(room(), pose=(-0.1, 3.0, 0.0))
+    it.give("movement", follow(THERE))
+    (off,) = it.taken("plan")
+
+    it.give("pose", pose_at((1.0, 3.0, 0.0), now(it)))
+    it.wait(1.5)
+
+    assert off.outcome == Plan.START_BLOCKED
+    assert off.reason == "the robot at (-0.10, 3.00) is outside the map"
     assert [plan.outcome for plan in it.taken("plan")] == [Plan.FOUND]
 
 
