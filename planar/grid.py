@@ -18,6 +18,12 @@ from schemas.std_msgs import Header
 FREE, OCCUPIED, UNKNOWN = 0, 100, -1
 """Values of an occupancy grid's cells; 1 to 99 are probabilities in percent."""
 
+OCCUPIED_FROM, FREE_TO = 65, 25
+"""Probabilities [%] from which on a cell is an obstacle, and up to which it is free.
+
+As map_server's defaults have it, occupied_thresh 0.65 and free_thresh 0.25. In between neither.
+"""
+
 Value = TypeVar("Value", bound=np.generic)
 
 

@@ -15,7 +15,16 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 
 from cairn.errors import CairnError
 from cairn.files import replace_file
-from planar.grid import FREE, OCCUPIED, UNKNOWN, Frame, Grid, OccupancyCells
+from planar.grid import (
+    FREE,
+    FREE_TO,
+    OCCUPIED,
+    OCCUPIED_FROM,
+    UNKNOWN,
+    Frame,
+    Grid,
+    OccupancyCells,
+)
 
 Mode = Literal["trinary", "scale", "raw"]
 
@@ -79,8 +88,8 @@ def write_map(file: Path, grid: OccupancyCells, mode: Mode = "trinary") -> None:
         picture = Image.fromarray(np.dstack((light, np.where(unknown, 0, 255).astype(np.uint8))))
     else:
         light = np.full(values.shape, 205, np.uint8)
-        light[(values >= FREE) & (values <= 25)] = 254
-        light[values >= 65] = 0
+        light[(values >= FREE) & (values <= FREE_TO)] = 254
+        light[values >= OCCUPIED_FROM] = 0
         picture = Image.fromarray(light)
     # Pillow does not tell of a file that was cut off by a full disk.
     encoded = BytesIO()
@@ -92,7 +101,7 @@ def write_map(file: Path, grid: OccupancyCells, mode: Mode = "trinary") -> None:
             "resolution": grid.frame.resolution,
             "origin": list(grid.frame.origin),
             "negate": 0,
-            "occupied_thresh": 1.0 if mode == "scale" else 0.65,
+            "occupied_thresh": 1.0 if mode == "scale" else OCCUPIED_FROM / 100,
             "free_thresh": 0.0 if mode == "scale" else 0.196,
             "width": values.shape[1],
             "height": values.shape[0],

@@ -7,12 +7,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from planar.grid import OccupancyCells
+from planar.grid import FREE_TO, OccupancyCells
 
 Array = NDArray[np.float64]
-
-# Up to this probability [%] a cell is free (map_server: free_thresh 0.25).
-_FREE = 25
 
 
 class FreeSpace:
@@ -20,7 +17,7 @@ class FreeSpace:
 
     def __init__(self, grid: OccupancyCells) -> None:
         self._frame = grid.frame
-        self._cells = np.argwhere((grid.values >= 0) & (grid.values <= _FREE))
+        self._cells = np.argwhere((grid.values >= 0) & (grid.values <= FREE_TO))
 
     @property
     def area(self) -> float:

@@ -9,15 +9,15 @@ from numpy.typing import NDArray
 
 from planar.compiled import compiled
 from planar.distance import distance_field
-from planar.grid import Frame, OccupancyCells
+from planar.grid import OCCUPIED_FROM, Frame, OccupancyCells
 from planar.poses import Pose
 
 Array = NDArray[np.float64]
 
-# From this probability [%] on a cell is an obstacle (map_server: occupied_thresh 0.65).
-_OBSTACLE = 65
 # A beam is explained by the map if it ends so near an obstacle [m].
 _EXPLAINED_M = 0.12
+# Deviations up to which a beam counts as one of the obstacle, not of something else.
+_NEAR = 3.0
 
 
 class LikelihoodField:
@@ -37,14 +37,14 @@ class LikelihoodField:
         rows, columns = grid.values.shape
         far = np.float32(math.log(stray))
         self.cells: NDArray[np.float32] = np.full((rows + 2, columns + 2), far, np.float32)
-        self._obstacles: NDArray[np.bool_] = np.asarray(grid.values >= _OBSTACLE)
+        self._obstacles: NDArray[np.bool_] = np.asarray(grid.values >= OCCUPIED_FROM)
         self._rebuild(0, rows, 0, columns)
 
     def renew(self, row: int, column: int, values: NDArray[np.int8]) -> None:
         """Take new occupancy `values` (rows, columns) of the window that begins at a cell."""
         rows, columns = self._obstacles.shape
         bottom, right = row + values.shape[0], column + values.shape[1]
-        self._obstacles[row:bottom, column:right] = values >= _OBSTACLE
+        self._obstacles[row:bottom, column:right] = values >= OCCUPIED_FROM
         reach = self._reach
         self._rebuild(
             max(0, row - reach),
@@ -70,6 +70,22 @@ class LikelihoodField:
         """Share (0 to 1) of the end points (m, 2) that lie within 0.12 m of an obstacle."""
         if not len(points):
             return math.nan
+        explained = self._values(np.full(1, _EXPLAINED_M, np.float32))[0]
+        return float(np.mean(self._each(pose, points) >= explained))
+
+    def deviation(self, pose: Pose, points: Array) -> float:
+        """Root of the mean square of the end points' distances [m] to the nearest obstacle.
+
+        Of those (m, 2) [m] that lie within three deviations of one; NaN if none does.
+        """
+        peak = (np.exp(self._each(pose, points)) - self.stray) / (1.0 - self.stray)
+        near = peak[peak > math.exp(-0.5 * _NEAR**2)]
+        if not near.size:
+            return math.nan
+        return self.sigma * math.sqrt(float(np.mean(np.maximum(0.0, -2.0 * np.log(near)))))
+
+    def _each(self, pose: Pose, points: Array) -> NDArray[np.float32]:
+        """The log-likelihood (m,) of each end point (m, 2) [m]."""
         each = np.empty(len(points), np.float32)
         _gather(
             pose[0],
@@ -81,7 +97,7 @@ class LikelihoodField:
             *self.frame.origin,
             each,
         )
-        return float(np.mean(each >= self._values(np.full(1, _EXPLAINED_M, np.float32))[0]))
+        return each
 
     def _rebuild(self, top: int, bottom: int, left: int, right: int) -> None:
         """Renew the cells of a window; obstacles as far around it as they can matter."""

@@ -11,7 +11,16 @@ from numpy.typing import NDArray
 
 from components.map_builder.ray_walk import first_step
 from planar.compiled import compiled
-from planar.grid import FREE, OCCUPIED, UNKNOWN, Frame, Grid, OccupancyCells
+from planar.grid import (
+    FREE,
+    FREE_TO,
+    OCCUPIED,
+    OCCUPIED_FROM,
+    UNKNOWN,
+    Frame,
+    Grid,
+    OccupancyCells,
+)
 from planar.poses import Pose
 from planar.sweep import Rays
 
@@ -74,8 +83,8 @@ class Occupancy:
         self.frame: Frame = grid.frame
         self.settle_s = settle_s
         self.cells: NDArray[np.int8] = np.full(grid.values.shape, UNKNOWN, np.int8)
-        self.cells[(grid.values >= 0) & (grid.values <= 25)] = FREE
-        self.cells[grid.values >= 65] = OCCUPIED
+        self.cells[(grid.values >= 0) & (grid.values <= FREE_TO)] = FREE
+        self.cells[grid.values >= OCCUPIED_FROM] = OCCUPIED
         self._odds = np.zeros(self.cells.shape, np.float32)
         self._odds[self.cells == FREE] = _LEAST
         self._odds[self.cells == OCCUPIED] = _MOST

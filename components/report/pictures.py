@@ -11,7 +11,7 @@ from matplotlib.lines import Line2D
 from matplotlib.transforms import Affine2D
 
 from components.report.record import ObjectRecord, RunRecord
-from planar.grid import grid_of
+from planar.grid import OCCUPIED_FROM, grid_of
 from planar.poses import compose
 from schemas.nav_msgs import OccupancyGrid
 
@@ -20,7 +20,6 @@ _ESTIMATE = "#1f6fb4"
 _OLD = "#c8321e"
 _NEW = "#1d8a3a"
 _OLD_CELLS = "#f0b8ae"
-_OCCUPIED = 65
 _CHANGED = ("#c8321e", "#7a3fb0", "#d98200", "#0f8f8a", "#b0307e", "#5b6d00")
 
 
@@ -101,10 +100,10 @@ def draw_reliability(record: RunRecord, file: Path) -> None:
 def _draw_grids(axes: Axes, first: OccupancyGrid, last: OccupancyGrid) -> None:
     before, now = grid_of(first).values, grid_of(last).values
     picture = np.full((*now.shape, 3), 0.85)
-    picture[(now >= 0) & (now < _OCCUPIED)] = 1.0
-    picture[now >= _OCCUPIED] = 0.25
+    picture[(now >= 0) & (now < OCCUPIED_FROM)] = 1.0
+    picture[now >= OCCUPIED_FROM] = 0.25
     if before.shape == now.shape:
-        was, is_now = before >= _OCCUPIED, now >= _OCCUPIED
+        was, is_now = before >= OCCUPIED_FROM, now >= OCCUPIED_FROM
         picture[was & ~is_now] = to_rgb(_OLD_CELLS)
         picture[is_now & ~was] = to_rgb(_NEW)
     frame = grid_of(last).frame
