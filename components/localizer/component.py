@@ -9,12 +9,12 @@ import numpy as np
 
 from cairn.bus.qos import LATCHED, RELIABLE, SENSOR
 from cairn.clock import SECOND, from_ns, to_ns
+from cairn.component.complaints import Complaints
 from cairn.component.component import Component
 from cairn.component.handlers import every, on
 from cairn.component.parameters import Config, ParameterRefused
 from cairn.component.ports import In, Out
 from cairn.errors import CairnError
-from components.localizer.complaints import Complaints
 from components.localizer.config import LocalizerConfig
 from components.localizer.health import Health, without_scans
 from components.localizer.localization import Localization

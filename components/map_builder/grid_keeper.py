@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import hashlib
-import logging
 from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from cairn.errors import CairnError
+from cairn.files import replace_file
 from components.map_builder.occupancy import Occupancy, Window
+from components.map_builder.working_copy import LOG, gone_on_with
+from planar.grid import OccupancyCells
 from planar.map_file import read_map, write_map
 from planar.poses import Pose
 from planar.sweep import Rays
@@ -36,9 +38,10 @@ class GridKeeper:
         self, map_file: Path, working_copy: Path | None, now_ns: int, settle_s: float
     ) -> None:
         self._copy = working_copy
-        self._source = _digest(map_file)
-        here = _gone_on_with(map_file, working_copy, self._source, now_ns)
-        self._occupancy = Occupancy(read_map(here), settle_s)
+        original = read_map(map_file)
+        self._source = _digest(original)
+        left = _left(working_copy, self._source, now_ns) if working_copy is not None else None
+        self._occupancy = Occupancy(left or original, settle_s)
         self._changed = False
 
     @property
@@ -59,12 +62,22 @@ class GridKeeper:
         return window
 
     def save(self, now_ns: int) -> None:
-        """Write the working copy if anything has changed since it was written."""
+        """Write the working copy if anything has changed since it was written.
+
+        Raises `CairnError` if it cannot be written; what has changed is written by the next call.
+        """
         if self._copy is None or not self._changed:
             return
         write_map(self._copy, self._occupancy.grid)
         origin = _Origin(source=self._source, stamp_ns=now_ns)
-        _sidecar(self._copy).write_text(origin.model_dump_json(), encoding="utf-8")
+        sidecar = _sidecar(self._copy)
+        try:
+            replace_file(sidecar, origin.model_dump_json().encode())
+        except OSError as error:
+            raise CairnError(
+                f"{sidecar} cannot be written: {error.strerror}; make room there, or remove what "
+                "is in its place"
+            ) from error
         self._changed = False
 
 
@@ -72,23 +85,26 @@ def _sidecar(copy: Path) -> Path:
     return copy.with_suffix(".origin.json")
 
 
-def _digest(map_file: Path) -> str:
-    try:
-        return hashlib.sha256(map_file.read_bytes()).hexdigest()
-    except OSError as error:
-        raise CairnError(
-            f"{map_file}: cannot be read: {error.strerror}; give a map_server YAML file"
-        ) from error
+def _digest(map_: OccupancyCells) -> str:
+    """What identifies the content of a grid map, whichever files it stands in."""
+    content = hashlib.sha256(repr((map_.values.shape, map_.frame)).encode())
+    content.update(map_.values.tobytes())
+    return content.hexdigest()
 
 
-def _gone_on_with(map_file: Path, copy: Path | None, source: str, now_ns: int) -> Path:
-    if copy is None:
-        return map_file
+def _left(copy: Path, source: str, now_ns: int) -> OccupancyCells | None:
+    """The map of a working copy that can be gone on with; the log is told why it cannot."""
+    sidecar = _sidecar(copy)
     try:
-        origin = _Origin.model_validate_json(_sidecar(copy).read_text(encoding="utf-8"))
-    except (OSError, ValidationError):
-        return map_file
-    if origin.source != source or origin.stamp_ns > now_ns or not copy.exists():
-        return map_file
-    logging.getLogger("cairn.map_builder").info("going on with the working copy %s", copy)
-    return copy
+        origin = _Origin.model_validate_json(sidecar.read_bytes())
+        cells = read_map(copy)
+    except FileNotFoundError:
+        return None
+    except (OSError, CairnError) as error:
+        LOG.warning("making the working copy %s anew: %s", copy, error)
+        return None
+    except ValidationError:
+        LOG.warning("making the working copy %s anew: %s tells of no map", copy, sidecar)
+        return None
+    ahead = origin.stamp_ns > now_ns
+    return cells if gone_on_with(copy, same=origin.source == source, ahead=ahead) else None

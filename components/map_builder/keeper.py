@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -15,6 +14,7 @@ from components.map_builder.store import (
     open_map,
 )
 from components.map_builder.visual_map import VisualMap
+from components.map_builder.working_copy import gone_on_with
 
 NumberedChange = tuple[int, Change]
 
@@ -101,15 +101,11 @@ class MapKeeper:
 def _working_file(map_file: Path, working_copy: Path | None, now_ns: int) -> Path:
     if working_copy is None:
         return map_file
-    log = logging.getLogger("cairn.map_builder")
     if working_copy.exists():
         with open_map(working_copy, read_only=True) as left:
             same = left.digest() == digest_of(map_file)
             ahead = left.last_stamp_ns() > now_ns
-        if same and not ahead:
-            log.info("going on with the working copy %s", working_copy)
+        if gone_on_with(working_copy, same=same, ahead=ahead):
             return working_copy
-        why = "its evidence is of a later time" if same else "it is a copy of another map"
-        log.info("making the working copy %s anew: %s", working_copy, why)
     copy_map(map_file, working_copy)
     return working_copy

@@ -1,6 +1,8 @@
 """The map builder's grid map on the bus: told, changed by sure poses alone, kept on disk."""
 
 import math
+import re
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -21,6 +23,7 @@ from schemas.nav_msgs import Odometry
 from schemas.sensor_msgs import LaserScan
 from schemas.std_msgs import Header
 from tests.components.localizer.room import ROOM, Box, room, scanned
+from tests.disk import room_for
 
 StageOf = Callable[..., Any]
 BEGIN = 1000.0
@@ -145,6 +148,102 @@ def test_a_map_builder_that_comes_back_goes_on_with_what_it_drew(
     ).begin()
     (told,) = earlier.taken("map")
     assert grid_of(told).values[40, 70] == FREE  # the copy is of another run
+
+
+def test_a_lost_folder_is_complained_of_now_and_then_and_written_to_once_it_is_there_again(
+    stage: StageOf, grid_file: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    folder = tmp_path / "kept"
+    folder.mkdir()
+    copy = folder / "copy.yaml"
+    it = stage(MapBuilder, BEGIN, grid_file=str(grid_file), grid_copy=str(copy)).begin()
+    shutil.rmtree(folder)
+
+    watch(it, room((*ROOM, NEW)), 15.0)
+    it.wait(100.0)
+
+    told = [line for line in caplog.messages if "the grid map is not kept" in line]
+    assert 2 <= len(told) <= 4
+    assert "No such file" in told[0]
+    assert it.ends == []
+    last = grid_of(it.taken("map")[-1]).values
+    assert last[40, 70] == OCCUPIED
+
+    folder.mkdir()
+    it.wait(11.0)
+    assert np.array_equal(read_map(copy).values, last)
+
+
+def test_what_is_in_the_place_of_the_copys_origin_does_not_end_the_map_builder_either(
+    stage: StageOf, grid_file: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    (tmp_path / "copy.origin.json").mkdir()
+    copy = tmp_path / "copy.yaml"
+    it = stage(MapBuilder, BEGIN, grid_file=str(grid_file), grid_copy=str(copy)).begin()
+    watch(it, room((*ROOM, NEW)), 15.0)
+    it.end()
+
+    assert "copy.origin.json cannot be written: Is a directory" in caplog.text
+    assert it.ends == []
+
+
+def test_a_full_disk_leaves_the_last_copy_that_was_written(
+    stage: StageOf, grid_file: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    copy = tmp_path / "copy.yaml"
+    first = stage(MapBuilder, BEGIN, grid_file=str(grid_file), grid_copy=str(copy)).begin()
+    watch(first, room((*ROOM, NEW)), 15.0)
+    first.end()
+    written = read_map(copy).values
+
+    again = stage(MapBuilder, BEGIN + 20.0, grid_file=str(grid_file), grid_copy=str(copy)).begin()
+    watch(again, room(), 8.0)
+    with room_for(1000):
+        again.end()
+
+    assert "the grid map is not kept" in caplog.text
+    assert "File too large" in caplog.text
+    assert np.array_equal(read_map(copy).values, written)
+
+
+@pytest.mark.parametrize(
+    ("file", "content", "why"),
+    [
+        ("copy.origin.json", b"", r"copy\.origin\.json tells of no map"),
+        ("copy.origin.json", b'{"source": "\xff', r"copy\.origin\.json tells of no map"),
+        ("copy.pgm", b"P5\n180 140\n255\nshort", r"copy\.pgm: not an image"),
+        ("copy.pgm", None, r"copy\.pgm: no such image"),
+        ("copy.yaml", b"", r"copy\.yaml: not a map_server YAML file"),
+        ("map.pgm", b"", "it is a copy of another map"),
+    ],
+)
+def test_a_copy_that_cannot_be_gone_on_with_is_told_of_and_made_anew(
+    stage: StageOf,
+    grid_file: Path,
+    tmp_path: Path,
+    caplog: pytest.LogCaptureFixture,
+    file: str,
+    content: bytes | None,
+    why: str,
+) -> None:
+    caplog.set_level("INFO")
+    copy = tmp_path / "copy.yaml"
+    first = stage(MapBuilder, BEGIN, grid_file=str(grid_file), grid_copy=str(copy)).begin()
+    watch(first, room((*ROOM, NEW)), 15.0)
+    first.end()
+    if file == "map.pgm":  # painted over by hand
+        write_map(grid_file, room(ROOM[:2]))
+    elif content is None:
+        (tmp_path / file).unlink()
+    else:
+        (tmp_path / file).write_bytes(content)
+
+    again = stage(MapBuilder, BEGIN + 20.0, grid_file=str(grid_file), grid_copy=str(copy)).begin()
+
+    (told,) = again.taken("map")
+    assert np.array_equal(grid_of(told).values, read_map(grid_file).values)
+    (line,) = [line for line in caplog.messages if "working copy" in line]
+    assert re.search(rf"making the working copy .*copy\.yaml anew: .*{why}", line)
 
 
 def test_a_missing_map_is_told_of_before_anything_moves(stage: StageOf, tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""What a localizer complains of, told without flooding its log."""
+"""What a component complains of again and again, told without flooding its log."""
 
 from __future__ import annotations
 
