@@ -26,15 +26,10 @@ def centres(cells: NDArray[np.int64]) -> Points:
     return cells[:, ::-1].astype(np.float64) + 0.5
 
 
-def cost_along(prices: Prices, points: Points) -> float:
-    """Cost of the polyline in cells of the least price; infinite if it touches a closed cell."""
-    return float(_cost(prices.reshape(-1), prices.shape[1], _owned(points)))
-
-
 def first_closed(prices: Prices, points: Points, closed: int = CLOSED) -> int:
     """Number of the first segment of the polyline that touches a cell of at least that price.
 
-    -1 if there is none.
+    All that is off the grid is closed. -1 if there is none.
     """
     return int(_first_closed(prices.reshape(-1), prices.shape[1], _owned(points), closed))
 
@@ -62,7 +57,10 @@ def _owned(points: Points) -> Points:
 def _along(
     prices: Prices, stride: int, x0: float, y0: float, x1: float, y1: float, closed: int
 ) -> float:
-    """Cost of a straight way in cells of the least price; infinite over a closed cell."""
+    """Cost of a straight way in cells of the least price; infinite over a closed cell.
+
+    Both of its ends must be on the grid.
+    """
     dx, dy = x1 - x0, y1 - y0
     column, row = math.floor(x0) + MARGIN, math.floor(y0) + MARGIN
     columns = abs(math.floor(x1) + MARGIN - column)
@@ -111,20 +109,18 @@ def _along(
     return total * math.hypot(dx, dy) / LEAST
 
 
-@compiled("float64(uint8[::1], int64, float64[:,::1])")
-def _cost(prices: Prices, stride: int, points: Points) -> float:
-    total = 0.0
-    for i in range(len(points) - 1):
-        total += _along(prices, stride, points[i, 0], points[i, 1], points[i + 1, 0],
-                        points[i + 1, 1], CLOSED)  # fmt: skip
-    return total
+@compiled()
+def _on_grid(prices: Prices, stride: int, x: float, y: float) -> bool:
+    rows, columns = prices.size // stride - 2 * MARGIN, stride - 2 * MARGIN
+    return 0 <= x < columns and 0 <= y < rows
 
 
 @compiled("int64(uint8[::1], int64, float64[:,::1], int64)")
 def _first_closed(prices: Prices, stride: int, points: Points, closed: int) -> int:
     for i in range(len(points) - 1):
-        if _along(prices, stride, points[i, 0], points[i, 1], points[i + 1, 0],
-                  points[i + 1, 1], closed) == math.inf:  # fmt: skip
+        x0, y0, x1, y1 = points[i, 0], points[i, 1], points[i + 1, 0], points[i + 1, 1]
+        on_grid = _on_grid(prices, stride, x0, y0) and _on_grid(prices, stride, x1, y1)
+        if not on_grid or _along(prices, stride, x0, y0, x1, y1, closed) == math.inf:
             return i
     return -1
 

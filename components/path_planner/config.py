@@ -29,9 +29,6 @@ class PathPlannerConfig(Config):
     allow_unknown: bool = Field(
         False, description="Whether paths may lead through cells that nobody has seen."
     )
-    occupied: int = Field(
-        65, ge=1, le=100, description="Probability from which a cell is an obstacle [%]."
-    )
     step: float = Field(0.1, ge=0.02, le=1, description="Distance of a path's poses [m].")
     mount: Mount = Mount()
     obstacle_memory_s: float = Field(
@@ -83,6 +80,5 @@ class PathPlannerConfig(Config):
             reach=self.reach,
             weight=self.weight,
             slack=self.slack,
-            occupied=self.occupied,
             allow_unknown=self.allow_unknown,
         )

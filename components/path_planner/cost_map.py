@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from planar.compiled import compiled
 from planar.distance import distance_field
-from planar.grid import Frame, Grid, OccupancyCells
+from planar.grid import OCCUPIED_FROM, Frame, Grid, OccupancyCells
 from planar.shortest_path import CLOSED, DEAREST, LEAST, MARGIN, Cell, Prices, priced
 
 BLOCKED = 255
@@ -23,15 +23,14 @@ class Costs:
 
     `radius` of the robot [m]; cells whose centres are within it and half a cell of an obstacle's
     are closed. Beyond, a cell costs up to `weight` times its length more, falling to none over
-    `reach` [m]. Cells closed by less than `slack` [m] do not break a path that exists. Cells of
-    `occupied` percent and more are obstacles; unknown ones are closed unless `allow_unknown`.
+    `reach` [m]. Cells closed by less than `slack` [m] do not break a path that exists. Unknown
+    cells are closed unless `allow_unknown`.
     """
 
     radius: float
     reach: float
     weight: float
     slack: float
-    occupied: int
     allow_unknown: bool
 
 
@@ -48,12 +47,15 @@ class CostMap:
         self.costs = costs
         self._values = np.array(grid.values, np.int8)
         self._table = _table(costs, grid.frame.resolution)
-        self._far = math.isqrt(self._table.size - 2) + 1
+        self._near = max(HELD_M, 1.5 * grid.frame.resolution)
+        self._far = max(
+            math.isqrt(self._table.size - 2) + 1, math.ceil(self._near / grid.frame.resolution)
+        )
         self._held = np.zeros((rows, columns), np.bool_)
         self.map_prices: Prices = priced(rows, columns)
         self._price(0, rows, 0, columns)
         self.prices: Prices = self.map_prices.copy()
-        self._seen = np.empty((0, 2), np.int64)
+        self._overlaid = self._seen = np.empty((0, 2), np.int64)
         self._stained = (0, 0, 0, 0)
 
     @property
@@ -95,27 +97,17 @@ class CostMap:
         self._price(top, bottom, left, right)
         window = np.s_[top + MARGIN : bottom + MARGIN, left + MARGIN : right + MARGIN]
         self.prices[window] = self.map_prices[window]
-        self._stamp()
+        self._lay()
         return True
 
-    def overlay(self, cells: NDArray[np.int64]) -> bool:
+    def overlay(self, cells: NDArray[np.int64]) -> None:
         """Lay the obstacles that the scanner sees, rows and columns (n, 2) of the map, on top.
 
-        Those which the map holds anyway are left out. False if nothing has changed.
+        Those count which the map of the moment does not hold, nor an obstacle right beside.
         """
-        cells = cells[~self.holds(cells)]
-        if cells.shape == self._seen.shape and np.array_equal(cells, self._seen):
-            return False
-        top, bottom, left, right = self._stained
-        self.prices[top:bottom, left:right] = self.map_prices[top:bottom, left:right]
-        self._seen = np.ascontiguousarray(cells)
-        self._stamp()
-        return True
-
-    def holds(self, cells: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Which of the cells (n, 2) of the map are obstacles of it, or right beside one."""
-        held: NDArray[np.bool_] = self._held[cells[:, 0], cells[:, 1]]
-        return held
+        if not np.array_equal(cells, self._overlaid):
+            self._overlaid = cells
+            self._lay()
 
     def unknown(self, cell: Cell) -> bool:
         """Whether a cell of the map is closed because nobody knows what is there."""
@@ -123,12 +115,13 @@ class CostMap:
 
     def obstacle(self, cell: Cell) -> bool:
         """Whether a cell of the map is an obstacle."""
-        return bool(self._values[cell] >= self.costs.occupied)
+        return bool(self._values[cell] >= OCCUPIED_FROM)
 
-    def inside(self, cell: Cell) -> bool:
-        """Whether a cell lies on the map."""
+    def cell(self, x: float, y: float) -> Cell | None:
+        """The cell that holds the place x, y [m]; None if it is outside the map."""
+        column, row = self.frame.cells(x, y)
         rows, columns = self.shape
-        return 0 <= cell[0] < rows and 0 <= cell[1] < columns
+        return (int(row), int(column)) if 0 <= row < rows and 0 <= column < columns else None
 
     @property
     def overlaid(self) -> bool:
@@ -147,7 +140,7 @@ class CostMap:
         rows, columns = self.shape
         up, low = max(0, top - self._far), min(rows, bottom + self._far)
         west, east = max(0, left - self._far), min(columns, right + self._far)
-        obstacles = self._values[up:low, west:east] >= self.costs.occupied
+        obstacles = self._values[up:low, west:east] >= OCCUPIED_FROM
         resolution = self.frame.resolution
         distance = distance_field(obstacles, resolution)[
             top - up : bottom - up, left - west : right - west
@@ -160,10 +153,14 @@ class CostMap:
             self.costs.allow_unknown,
             self.map_prices[top + MARGIN : bottom + MARGIN, left + MARGIN : right + MARGIN],
         )
-        near = max(HELD_M, 1.5 * resolution)
-        np.less_equal(distance, near, out=self._held[top:bottom, left:right])
+        np.less_equal(distance, self._near, out=self._held[top:bottom, left:right])
 
-    def _stamp(self) -> None:
+    def _lay(self) -> None:
+        """Take off what lay on top of the map, and lay on what it does not hold now."""
+        top, bottom, left, right = self._stained
+        self.prices[top:bottom, left:right] = self.map_prices[top:bottom, left:right]
+        held = self._held[self._overlaid[:, 0], self._overlaid[:, 1]]
+        self._seen = np.ascontiguousarray(self._overlaid[~held])
         if not len(self._seen):
             self._stained = (0, 0, 0, 0)
             return

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from components.path_planner.cost_map import BLOCKED, CostMap, nearest_open
+from planar.grid import Frame
 from planar.path_shape import centres, first_closed, stepped, taut
 from planar.poses import Pose
 from planar.shortest_path import CLOSED, MARGIN, Cell, PathSearch, Prices
@@ -18,6 +19,8 @@ Array = NDArray[np.float64]
 
 # A robot that stands in an obstacle by no more than this [m] finds the way out of it.
 ESCAPE_M = 0.4
+# Nothing is so far off [m] that its square in cells were too large a number.
+_NOWHERE_M = 1e9
 
 
 class Outcome(IntEnum):
@@ -33,19 +36,30 @@ class Outcome(IntEnum):
 
 @dataclass(frozen=True)
 class Route:
-    """A path: poses (n, 3) in frame map, and the same places (n, 2) in cells of the map.
+    """A path: poses (n, 3) in frame map, and the same places (n, 2) in cells of a map at `frame`.
 
     The first `leaving` segments lead a robot that seems to stand in an obstacle out of it.
     """
 
     poses: Array
     points: Array
+    frame: Frame
     leaving: int
 
     def length(self, since: int = 0) -> float:
         """The way along it [m], from its pose of that number on."""
         steps = np.diff(self.poses[since:, :2], axis=0)
         return float(np.hypot(steps[:, 0], steps[:, 1]).sum())
+
+    def cells_at(self, frame: Frame) -> Array:
+        """The places (n, 2) in cells of a map that lies at `frame`.
+
+        Taken from the poses only if they must be: rounded, a place on the edge of a cell may come
+        to lie in the closed cell beside it.
+        """
+        if frame == self.frame:
+            return self.points
+        return _cells(frame, self.poses)
 
 
 @dataclass(frozen=True)
@@ -72,20 +86,19 @@ class Planner:
 
     def plan(self, costs: CostMap, start: Pose, goal: Pose) -> Answer:
         """A path of poses about `step_m` apart from the robot's pose to the goal's."""
-        if not all(map(math.isfinite, goal)):
-            return Answer(Outcome.OUTSIDE_MAP, reason=f"the goal {_place(goal)} is not a place")
+        if not all(abs(value) < _NOWHERE_M for value in goal):
+            return Answer(Outcome.OUTSIDE_MAP, reason=f"the goal {goal} is not a place")
         self.prepare(costs)
-        frame = costs.frame
-        begin = frame.cell(start[0], start[1]) if all(map(math.isfinite, start)) else (-1, -1)
-        if not costs.inside(begin):
+        begin = costs.cell(start[0], start[1])
+        if begin is None:
             return Answer(
-                Outcome.OUTSIDE_MAP, reason=f"the robot at {_place(start)} is outside the map"
+                Outcome.START_BLOCKED, reason=f"the robot at {_place(start)} is outside the map"
             )
         way_out = self._way_out(costs, start, begin)
         if isinstance(way_out, Answer):
             return way_out
-        target = frame.cell(goal[0], goal[1])
-        if not costs.inside(target):
+        target = costs.cell(goal[0], goal[1])
+        if target is None:
             return self._instead(
                 costs, way_out, goal, Outcome.OUTSIDE_MAP, f"{_place(goal)} is outside the map"
             )
@@ -175,7 +188,7 @@ class Planner:
         poses[:-1, 2] = np.arctan2(mean[:, 1], mean[:, 0])
         poses[0, :2] = start[:2]
         poses[-1] = goal
-        return Route(poses, points, int(leaving))
+        return Route(poses, points, frame, int(leaving))
 
 
 def remaining(route: Route, pose: Pose) -> tuple[int, float]:
@@ -186,9 +199,12 @@ def remaining(route: Route, pose: Pose) -> tuple[int, float]:
 
 
 def obstructed(costs: CostMap, route: Route, since: int) -> int | None:
-    """Number of the route's first pose, from number `since` on, with the way behind it blocked."""
+    """Number of the route's first pose, from number `since` on, with the way behind it blocked.
+
+    The map may be another than the route was planned on; what lies off it is blocked.
+    """
     first = max(since, route.leaving)
-    at = first_closed(costs.prices, route.points[first:], BLOCKED)
+    at = first_closed(costs.prices, route.cells_at(costs.frame)[first:], BLOCKED)
     return None if at < 0 else first + at
 
 
@@ -212,6 +228,14 @@ def _places(costs: CostMap, points: Array) -> tuple[Array, Array]:
     x, y = points[:, 0] * costs.frame.resolution, points[:, 1] * costs.frame.resolution
     cosine, sine = math.cos(theta), math.sin(theta)
     return ox + cosine * x - sine * y, oy + sine * x + cosine * y
+
+
+def _cells(frame: Frame, poses: Array) -> Array:
+    """Points (n, 2) in cells of the places of poses."""
+    ox, oy, theta = frame.origin
+    dx, dy = poses[:, 0] - ox, poses[:, 1] - oy
+    cosine, sine = math.cos(theta), math.sin(theta)
+    return np.column_stack((cosine * dx + sine * dy, cosine * dy - sine * dx)) / frame.resolution
 
 
 def _place(pose: tuple[float, ...]) -> str:

@@ -86,13 +86,14 @@ class RecentObstacles:
         dy = (rows + 0.5 - y) * self._frame.resolution
         apart = np.hypot(dx, dy)
         count = beams.angles.size
-        if count < 2:
+        if count < 2 or beams.angles[0] == beams.angles[1]:  # no telling how wide a beam is
             return np.zeros(cells.size, np.bool_)
         first, step = beams.angles[0], beams.angles[1] - beams.angles[0]
         bearing = np.arctan2(dy, dx) - turn - first
         full = 2.0 * math.pi
         nearest = np.rint((bearing % full if step > 0 else -(-bearing % full)) / step)
-        nearest %= round(full / abs(step))  # the first beam follows the last of a full turn
+        # The first beam follows the last of a full turn.
+        nearest %= max(1.0, np.rint(full / abs(step)))
         known = nearest < count
         ranges = beams.ranges[np.where(known, nearest, 0).astype(np.int64)]
         through: NDArray[np.bool_] = known & (ranges > apart + _BEHIND_M)

@@ -2,9 +2,12 @@
 
 import heapq
 import math
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+
+from planar.shortest_path import LEAST, MARGIN, Prices
 
 Cell = tuple[int, int]
 
@@ -30,6 +33,22 @@ def clear(
         enter = np.maximum(enter, np.minimum(one, other))
         leave = np.minimum(leave, np.maximum(one, other))
     return bool(np.all(missed | (enter > leave + 1e-9)))
+
+
+def cost_along(prices: Prices, points: NDArray[np.float64]) -> float:
+    """Cost of a polyline of points (column, row) [cells], in cells of the least price."""
+    total = 0.0
+    for a, b in pairwise(points):
+        crossings = [np.array([0.0, 1.0])]
+        for low, high, step in zip(np.minimum(a, b), np.maximum(a, b), b - a, strict=True):
+            lines = np.arange(math.ceil(low), math.floor(high) + 1)
+            if step != 0.0:
+                crossings.append((lines - (low if step > 0 else high)) / step)
+        shares = np.unique(np.concatenate(crossings))
+        middles = a + (shares[:-1, None] + np.diff(shares)[:, None] / 2) * (b - a)
+        columns, rows = np.floor(middles).astype(int).T + MARGIN
+        total += math.dist(a, b) * float(np.diff(shares) @ prices[rows, columns]) / LEAST
+    return total
 
 
 def shortest(closed: NDArray[np.bool_], start: Cell, goal: Cell) -> float:

@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from planar.path_shape import centres, cost_along, taut
+from planar.path_shape import centres, taut
 from planar.shortest_path import CLOSED, DEAREST, LEAST, MARGIN, Cell, PathSearch, Prices, priced
-from tests.planar.any_angle import shortest
+from tests.planar.any_angle import cost_along, shortest
 
 MOVES = [
     (y, x) for y in range(-2, 3) for x in range(-2, 3) if {abs(y), abs(x)} in ({0, 1}, {1}, {1, 2})

@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from planar.path_shape import centres, cost_along, first_closed, stepped, taut
+from planar.path_shape import centres, first_closed, stepped, taut
 from planar.shortest_path import CLOSED, LEAST, MARGIN, PathSearch, Prices, priced
-from tests.planar.any_angle import clear
+from tests.planar.any_angle import clear, cost_along
 
 INNER = np.s_[MARGIN:-MARGIN, MARGIN:-MARGIN]
 
@@ -30,14 +30,16 @@ def turns(points: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.abs(turned)
 
 
-def test_cost_is_length_times_price_and_infinite_over_closed_cells() -> None:
-    prices = with_wall()
-    prices[INNER][:, :5] = 2 * LEAST
+@pytest.mark.parametrize(("price", "goes_around"), [(LEAST, False), (12 * LEAST, True)])
+def test_a_path_is_cut_short_over_what_is_not_too_dear(price: int, goes_around: bool) -> None:
+    prices = priced(20, 20)
+    prices[INNER][8:, 8:12] = price
+    bow = np.array([[4.5, 12.5], [4.5, 4.5], [15.5, 4.5], [15.5, 12.5]])
 
-    assert cost_along(prices, np.array([[0.5, 1.0], [8.5, 1.0]])) == pytest.approx(4.5 * 2 + 3.5)
-    assert cost_along(prices, np.array([[6.0, 1.0], [9.0, 5.0]])) == pytest.approx(5.0)
-    assert cost_along(prices, np.array([[9.5, 8.5], [11.5, 8.5]])) == math.inf
-    assert cost_along(prices, np.array([[-3.0, 1.0], [2.0, 1.0]])) == math.inf
+    line = taut(prices, bow)
+
+    assert (len(line) > 2) == goes_around
+    assert cost_along(prices, line) < (19.5 if goes_around else 11.0 + 1e-6)
 
 
 def test_the_first_closed_segment_is_named() -> None:
@@ -47,12 +49,25 @@ def test_the_first_closed_segment_is_named() -> None:
     assert first_closed(with_wall(), points[:2]) == -1
 
 
+@pytest.mark.parametrize(
+    ("x", "y"), [(-6.5, 3.5), (26.5, 3.5), (3.5, -6.5), (3.5, 26.5), (math.nan, 3.5), (1e300, 3.5)]
+)
+def test_what_is_off_the_grid_is_closed_whatever_lies_there_in_memory(x: float, y: float) -> None:
+    memory = np.full(100 * 24, LEAST, np.uint8)
+    prices = memory[: 24 * 24].reshape(24, 24)
+    points = np.array([[2.5, 2.5], [4.5, 2.5], [x, y], [x + 1.0, y]])
+
+    assert first_closed(prices, points[:2]) == -1
+    assert first_closed(prices, points[2:]) == 0
+    assert first_closed(prices, points) == 1
+
+
 def test_a_line_through_the_corner_between_two_cells_touches_both() -> None:
     prices = priced(4, 4)
     prices[INNER][0, 1] = 255
     line = np.array([[0.5, 0.5], [1.5, 1.5]])
 
-    assert cost_along(prices, line) == math.inf
+    assert first_closed(prices, line) == 0
 
 
 @settings(max_examples=40, deadline=None)

@@ -1,5 +1,6 @@
 """When the path planner plans anew: something in the way, off the path, a shorter way."""
 
+from functools import partial
 from typing import Any
 
 import pytest
@@ -188,10 +189,10 @@ def test_a_wall_across_the_path_is_noticed_in_a_map_that_begins_elsewhere(begun:
     it.give("movement", follow(THERE))
     (straight,) = it.taken("plan")
 
-    grown = {"size": (14.0, 12.0), "origin": (-5.0, -5.0, 0.0)}
-    it.give("map", as_map(room([(1.0, 1.0, 4.0, 4.0)], **grown)))
+    grown = partial(room, size=(14.0, 12.0), origin=(-5.0, -5.0, 0.0))
+    it.give("map", as_map(grown([(1.0, 1.0, 4.0, 4.0)])))
     assert it.taken("plan") == []  # the path is as free as it was
-    it.give("map", as_map(room([(9.5, 5.2, 9.6, 12.0)], **grown)))  # at x = 4.5, from y = 0.2
+    it.give("map", as_map(grown([(9.5, 5.7, 9.6, 12.0)])))  # at x = 4.5, from y = 0.7
 
     (around,) = it.taken("plan")
     assert around.outcome == Plan.FOUND
@@ -199,15 +200,15 @@ def test_a_wall_across_the_path_is_noticed_in_a_map_that_begins_elsewhere(begun:
 
 
 def test_a_path_that_leaves_a_map_that_has_shrunk_is_planned_anew_at_once(begun: Any) -> None:
-    it = begun(room())
-    it.give("movement", follow(THERE))
+    it = begun(room(), pose=(1.0, 1.5, 0.0))
+    it.give("movement", follow((8.0, 1.5, 0.0)))
     it.taken("plan")
 
-    it.give("map", as_map(room(size=(3.0, 3.0))))
+    it.give("map", as_map(room(size=(9.0, 3.0), origin=(-5.0, 0.0, 0.0))))  # to x = 4
 
     (plan,) = it.taken("plan")
     assert plan.outcome == Plan.OUTSIDE_MAP
-    assert "the goal (8.00, 6.00) is outside the map" in plan.reason
+    assert "the goal (8.00, 1.50) is outside the map" in plan.reason
 
 
 def test_a_robot_off_the_map_is_planned_for_as_soon_as_it_is_back(begun: Any) -> None:
