@@ -24,6 +24,7 @@ from components.localizer.recent_scans import RecentScans
 from components.localizer.recovery import Recovery
 from components.localizer.scan_map import ScanMap
 from components.localizer.slip import SlipWatch
+from components.localizer.stated import StatedCovariance
 from planar.grid import OccupancyCells
 from planar.poses import Pose
 
@@ -31,8 +32,6 @@ Array = NDArray[np.float64]
 
 # Share of the newest scan in the running mean of how well scans fit.
 _NEWEST = 0.2
-# The error of the grid map itself, which no cloud shows: a centimetre and 0.2 degrees.
-_MAP_COVARIANCE = np.diag([0.01**2, 0.01**2, 0.0035**2])
 # Where the robot may be anywhere, less of a scan counts: what no map holds (people, furniture that
 # was moved) fits some place or other by chance.
 _SEARCH_SHARE = 0.4
@@ -95,6 +94,7 @@ class Localization:
         self._sightings = RecentSightings()
         self._scans = RecentScans()
         self._fit: float | None = None
+        self._stated = StatedCovariance()
         self._reckoned: Pose = (0.0, 0.0, 0.0)
         self._moved_s = 0.0
         self._since_scan = (0.0, 0.0)
@@ -144,11 +144,11 @@ class Localization:
             self.bank.widen(deviation_m, deviation_rad)
 
     def pose(self) -> Estimate:
-        """The pose at the time last advanced to; its covariance includes the map's own error."""
+        """The pose at the time last advanced to, with an honest covariance."""
         known = self.bank.estimate()
         if self.map is None:
             return known
-        return Estimate(known.mean, known.covariance + _MAP_COVARIANCE)
+        return Estimate(known.mean, self._stated.of(known, self.map.field.frame.resolution))
 
     def ahead(self, pose: Pose, stamp: float) -> Pose:
         """Where a robot that is at `pose` now is expected at the later time `stamp` [s]."""
@@ -174,10 +174,13 @@ class Localization:
         self._scans.add(chosen, self._reckoned)
         if not self.located:
             return self._find(stamp)
-        share = self._share_of_scan(len(chosen))
+        new = self._new_of_scan()
+        share = self._share(len(chosen)) * new
         scan_map = self.map
+        before = self.bank.estimate()
         self.bank.fuse_scan(lambda poses: share * scan_map.field.log_likelihood(poses, chosen))
         pose = self.bank.estimate()
+        self._stated.corrected(before, pose, new)
         slipped = self.slip.look(
             pose, chosen, scan_map.field, self._share(len(chosen)), self._reckoned
         )
@@ -188,6 +191,9 @@ class Localization:
             self.recovery.doubt(stamp)
             self._scans.add(chosen, self._reckoned)
             pose = self.bank.estimate()
+        self._stated.fitted(
+            scan_map.field.deviation(pose.mean, chosen), scan_map.field.frame.resolution
+        )
         fit = scan_map.field.fit(pose.mean, chosen)
         self._fit = fit if self._fit is None else (1 - _NEWEST) * self._fit + _NEWEST * fit
         if self.recovery.suspects(self._fit):
@@ -290,12 +296,11 @@ class Localization:
     def _share(self, beams: int) -> float:
         return self.settings.scan_share * 60.0 / max(beams, 20)
 
-    def _share_of_scan(self, beams: int) -> float:
-        """How much of a scan's log-likelihood counts: the more, the further since the last one."""
+    def _new_of_scan(self) -> float:
+        """The share of a scan that counts as new: the more, the further since the last one."""
         far, turned = self._since_scan
         self._since_scan = (0.0, 0.0)
-        new = min(1.0, max(_ON_THE_SPOT, far / _NEW_M + turned / _NEW_RAD))
-        return self._share(beams) * new
+        return min(1.0, max(_ON_THE_SPOT, far / _NEW_M + turned / _NEW_RAD))
 
     def _find(self, stamp: float) -> bool:
         found = self.recovery.find(stamp, self._evidence())
@@ -314,9 +319,11 @@ class Localization:
     def _settle(self, poses: Array) -> None:
         self.bank.settle(poses)
         self._fit = None
+        self._stated = StatedCovariance()
         self.located = True
 
     def _forget(self) -> None:
         self._sightings.clear()
         self._scans.clear()
         self._fit = None
+        self._stated = StatedCovariance()

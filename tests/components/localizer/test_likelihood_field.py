@@ -30,6 +30,17 @@ def at(field: LikelihoodField, *pose: float, point: tuple[float, float] = (1.0, 
     return float(value[0])
 
 
+def test_the_deviation_is_that_of_the_beams_that_end_near_an_obstacle() -> None:
+    field = field_of([(20, 30)])
+    x, y = field.frame.point(20, 30)
+    points = np.array([(x, y), (x + 0.1, y), (x, y + 0.2), (x + 0.5, y)])
+
+    assert field.deviation((0.0, 0.0, 0.0), points) == pytest.approx(
+        math.sqrt((0.1**2 + 0.2**2) / 3), rel=0.01
+    )
+    assert math.isnan(field.deviation((0.0, 0.0, 0.0), points[3:]))
+
+
 def test_a_beam_counts_by_its_distance_to_the_nearest_obstacle() -> None:
     field = field_of([(20, 30)])
 

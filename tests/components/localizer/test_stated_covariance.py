@@ -1,0 +1,88 @@
+"""The covariance that is stated: scaled by what corrections were, with the map's own error."""
+
+import math
+
+import numpy as np
+import pytest
+
+from benchmarks.localization_scan import START, floor, new_robot, wander
+from components.evaluation.localization_quality import SIGMAS
+from components.localizer.particles import Estimate
+from components.localizer.stated import StatedCovariance
+
+CELL_M = 0.05
+EXACT_M = 0.027  # what exact beams deviate from a map of such cells
+
+
+def cloud(deviation: float, x: float = 0.0) -> Estimate:
+    return Estimate((x, 0.0, 0.0), np.diag([deviation**2, deviation**2, deviation**2]))
+
+
+def after_corrections(of: float) -> StatedCovariance:
+    """Of a cloud that shrinks from 0.05 to 0.03 m with each scan, and is moved by so much [m]."""
+    stated = StatedCovariance()
+    for k in range(200):
+        stated.corrected(cloud(0.05), cloud(0.03, of * (-1) ** k), 1.0)
+    return stated
+
+
+def deviation(stated: StatedCovariance) -> float:
+    return math.sqrt(stated.of(cloud(0.03), CELL_M)[0, 0])
+
+
+def test_a_filter_that_is_corrected_as_it_expects_states_its_cloud() -> None:
+    expected = math.sqrt(2 * (0.05**2 - 0.03**2))
+
+    assert deviation(after_corrections(expected)) == pytest.approx(0.03, rel=0.05)
+
+
+def test_corrections_smaller_than_expected_make_the_stated_covariance_narrower() -> None:
+    assert deviation(after_corrections(0.01)) < 0.015
+
+
+def test_corrections_larger_than_expected_make_it_wider_within_limits() -> None:
+    assert 0.05 < deviation(after_corrections(0.12)) < deviation(after_corrections(5.0)) < 0.1
+
+
+def test_scans_taken_on_the_spot_say_little() -> None:
+    expected = math.sqrt(2 * (0.05**2 - 0.03**2))
+    still, moving = after_corrections(expected), after_corrections(expected)
+    for _ in range(20):
+        still.corrected(cloud(0.05), cloud(0.03), 0.03)
+        moving.corrected(cloud(0.05), cloud(0.03), 1.0)
+
+    assert deviation(still) == pytest.approx(0.03, rel=0.05)
+    assert deviation(moving) < 0.022
+
+
+def test_what_beams_deviate_beyond_the_cells_of_the_map_is_the_maps_error() -> None:
+    exact, crooked = StatedCovariance(), StatedCovariance()
+    exact.fitted(EXACT_M, CELL_M)
+    crooked.fitted(math.hypot(EXACT_M, 0.04), CELL_M)
+
+    assert deviation(exact) == pytest.approx(math.hypot(0.03, CELL_M / 8), rel=0.01)
+    assert deviation(crooked) == pytest.approx(math.hypot(0.03, CELL_M / 8, 0.04), rel=0.01)
+
+
+def test_a_scan_that_explains_nothing_changes_nothing() -> None:
+    stated = StatedCovariance()
+    before = deviation(stated)
+
+    stated.fitted(math.nan, CELL_M)
+
+    assert deviation(stated) == before
+
+
+def test_the_truth_lies_within_the_stated_sigmas_as_often_as_it_should() -> None:
+    grid = floor(9.0, 4, 7)
+    robot = new_robot(grid, 7)
+    robot.locate(START, np.diag([0.05**2, 0.05**2, 0.03**2]))
+
+    errors, covariances, _ = wander(robot, grid, START, 30.0, 7)
+
+    pairs = zip(errors[20:, :2], covariances[20:, :2, :2], strict=True)
+    squares = np.array([error @ np.linalg.solve(covariance, error) for error, covariance in pairs])
+    one, two, three = (float(np.mean(squares <= limit)) for limit in SIGMAS)
+    assert 0.5 < one < 0.95
+    assert two > 0.9
+    assert three > 0.98
