@@ -52,13 +52,18 @@ def go(
     with connected(connect, domain) as connection:
         operator = Operator(connection, _supervisor(connection, robot))
         if cancel:
-            order = operator.cancel()
-            print_json({"order_id": order}) if json else line(f"order {order} is cancelled")
+            _tell(operator.cancel(), "cancelled", as_json=json)
         elif wait:
             follow(operator, goals, as_json=json)
         else:
-            order = operator.go(goals)
-            print_json({"order_id": order}) if json else line(f"order {order} is given")
+            _tell(operator.go(goals), "given", as_json=json)
+
+
+def _tell(order: int, what: str, *, as_json: bool) -> None:
+    if as_json:
+        print_json({"order_id": order})
+    else:
+        line(f"order {order} is {what}")
 
 
 def _supervisor(connection: Connection, robot: str) -> str:

@@ -19,7 +19,15 @@ from planar.messages import packed_poses, planar_pose
 from schemas.cairn_nav_msgs import MOVE_ENDS, MOVE_STATES, MoveOrder, MoveStatus
 from schemas.geometry_msgs import PoseStamped
 from schemas.std_msgs import Header
-from supervisors.mobile.orders import FARTHEST, Goal, Order, checked_goals, save, saved
+from supervisors.mobile.orders import (
+    FARTHEST,
+    Goal,
+    Order,
+    checked_goals,
+    checked_token,
+    save,
+    saved,
+)
 
 Coordinate = Annotated[float, Field(ge=-FARTHEST, le=FARTHEST)]
 
@@ -37,7 +45,9 @@ class MobileSupervisorConfig(Config):
         "automove", description="The child that carries orders out; loaded on the first order."
     )
     finish: bool = Field(
-        False, description="Whether to end once the mission is done, and with it the deployment."
+        False,
+        description="Whether to end once the mission is done, and with it the deployment; where an "
+        "order pre-empts the mission, once that order is.",
     )
     state_file: Path | None = Field(
         None,
@@ -83,12 +93,14 @@ class MobileSupervisor(SupervisorComponent):
     def on_request(self, verb: str, arguments: Mapping[str, Any]) -> Any:
         """Answer `go` with `goals` [[x, y, heading], ...], `cancel`, `order`; else a supervisor's.
 
-        `cancel` may name the `order_id` that it means.
+        `go` may choose a `token` for its order. `cancel` may name the `order_id` or the `token`
+        that it means, else it is whichever order is under way.
         """
-        if verb == "go" and set(arguments) == {"goals"}:
-            return {"order_id": self._go(checked_goals(arguments["goals"])).order_id}
-        if verb == "cancel" and set(arguments) <= {"order_id"}:
-            return {"order_id": self._cancel(arguments.get("order_id"))}
+        if verb == "go" and {"goals"} <= set(arguments) <= {"goals", "token"}:
+            goals, token = checked_goals(arguments["goals"]), checked_token(arguments.get("token"))
+            return {"order_id": self._go(goals, token=token).order_id}
+        if verb == "cancel" and set(arguments) <= {"order_id", "token"}:
+            return {"order_id": self._cancel(**arguments)}
         if verb == "order" and not arguments:
             return self._order.model_dump(mode="json") if self._order is not None else None
         return super().on_request(verb, arguments)
@@ -116,16 +128,30 @@ class MobileSupervisor(SupervisorComponent):
         elif status.goal > order.first:
             self._take(order.model_copy(update={"first": status.goal}))
 
-    def _go(self, goals: tuple[Goal, ...], *, mission: bool = False) -> Order:
+    def _go(
+        self, goals: tuple[Goal, ...], *, mission: bool = False, token: str | None = None
+    ) -> Order:
         self._load_automove()
-        last = self._order.order_id if self._order is not None else 0
+        before = self._order
+        last = before.order_id if before is not None else 0
         # Larger than any that a forerunner of this supervisor gave.
         now = self.clock.now()
         order_id = max(last + 1, now // SECOND & 0x7FFFFFFF)
-        order = Order(order_id=order_id, given_ns=now, goals=goals, mission=mission)
+        order = Order(
+            order_id=order_id,
+            given_ns=now,
+            goals=goals,
+            mission=mission,
+            in_place_of_mission=before is not None and before.of_mission and not before.result,
+            token=token,
+        )
         x, y, _ = goals[-1]
         via = f" by way of {len(goals) - 1} others" if len(goals) > 1 else ""
         self.log.info("order %d: go to (%.2f, %.2f)%s", order_id, x, y, via)
+        if order.in_place_of_mission and self.config.finish:
+            self.log.warning(
+                "the mission is pre-empted: the deployment ends with order %d", order_id
+            )
         self._take(order)
         return order
 
@@ -138,11 +164,13 @@ class MobileSupervisor(SupervisorComponent):
         except StartFailed as error:
             raise CairnError(f"{name} cannot be loaded: {error}") from error
 
-    def _cancel(self, order_id: Any) -> int:
+    def _cancel(self, *, order_id: Any = None, token: Any = None) -> int:
         order = self._order
         if order is None or order.result or order_id not in (None, order.order_id):
             which = "to cancel" if order_id is None else f"{order_id} under way"
             raise CairnError(f"{self.name}: there is no order {which}")
+        if token not in (None, order.token):
+            raise CairnError(f"{self.name}: it is another's order that is under way")
         self._close(order, "cancelled: taken back")
         return order.order_id
 
@@ -168,8 +196,13 @@ class MobileSupervisor(SupervisorComponent):
     def _close(self, order: Order, result: str, *, success: bool = False) -> None:
         self.log.info("order %d %s", order.order_id, result)
         self._take(order.model_copy(update={"result": result}))
-        if order.mission and self.config.finish:
+        if not self.config.finish:
+            return
+        if order.mission:
             self.finish(f"the mission {result}", success=success)
+        elif order.in_place_of_mission:  # not before: the robot must not stop under its operator
+            which = f"order {order.order_id}"
+            self.finish(f"the mission was pre-empted by {which}, which {result}", success=False)
 
     def _take(self, order: Order) -> None:
         """Keep the order as it is now, and tell it to AutoMove."""

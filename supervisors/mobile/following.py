@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import queue
+import secrets
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -13,7 +14,7 @@ from cairn.bus import rmw
 from cairn.bus.codec import Codec
 from cairn.bus.control import ControlError, request
 from cairn.cli.connection import Connection
-from cairn.cli.tables import line, print_json
+from cairn.cli.tables import line, note, print_json
 from cairn.errors import CairnError
 from schemas.cairn_nav_msgs import MOVE_ENDS, MOVE_STATES, MoveStatus, without_numbers
 from schemas.message import InvalidMessage, type_name
@@ -35,16 +36,20 @@ class Operator:
         self._connection = connection
         self._supervisor = supervisor
         self._codec = Codec()
+        self._token = secrets.token_hex(8)
 
     def go(self, goals: Sequence[Sequence[float]]) -> int:
         """Give an order; its number."""
-        asked = {"goals": [list(goal) for goal in goals]}
+        asked = {"goals": [list(goal) for goal in goals], "token": self._token}
         return int(self._ask("go", asked, _LOADING_S)["order_id"])
 
-    def cancel(self, order: int | None = None) -> int:
-        """Take an order back, the one under way if none is named; its number."""
-        asked = {} if order is None else {"order_id": order}
-        return int(self._ask("cancel", asked, _LOADING_S)["order_id"])
+    def cancel(self) -> int:
+        """Take back whichever order is under way; its number."""
+        return int(self._ask("cancel", {}, _LOADING_S)["order_id"])
+
+    def cancel_own(self) -> int:
+        """Take back the order that was given here, answered or not yet; its number."""
+        return int(self._ask("cancel", {"token": self._token}, _LOADING_S)["order_id"])
 
     def order(self) -> dict[str, Any] | None:
         """The last order with its result, empty if it is under way; None if there was none."""
@@ -94,7 +99,6 @@ def follow(operator: Operator, goals: Sequence[Sequence[float]], *, as_json: boo
 
     Raises `CairnError` if it does not end at its goal.
     """
-    order: int | None = None
     with operator.statuses() as samples:
         try:
             order = operator.go(goals)
@@ -102,10 +106,7 @@ def follow(operator: Operator, goals: Sequence[Sequence[float]], *, as_json: boo
                 line(f"order {order}: go to {', then '.join(map(_place, goals))}; Ctrl-C cancels")
             status = _await_end(operator, order, samples, as_json=as_json)
         except KeyboardInterrupt:
-            operator.cancel(order)
-            print_json({"order_id": order, "state": "cancelled"}) if as_json else line(
-                "cancelled: the robot stops"
-            )
+            _take_back(operator, as_json=as_json)
             raise
     if as_json:
         print_json(_fields(status))
@@ -114,6 +115,18 @@ def follow(operator: Operator, goals: Sequence[Sequence[float]], *, as_json: boo
         raise CairnError(f"order {order} {state} after {status.elapsed:.1f} s: {status.reason}")
     if not as_json:
         line(f"{status.elapsed:6.1f} s  {status.reason}")
+
+
+def _take_back(operator: Operator, *, as_json: bool) -> None:
+    try:
+        order = operator.cancel_own()
+    except CairnError as error:  # it has just ended, was pre-empted, or its deployment has gone
+        note(f"nothing is cancelled: {error}")
+        return
+    if as_json:
+        print_json({"order_id": order, "state": "cancelled"})
+    else:
+        line("cancelled: the robot stops")
 
 
 def _await_end(

@@ -14,14 +14,16 @@ from cairn.files import replace_file
 Goal = tuple[float, float, float]
 FARTHEST = 1e5
 """No coordinate of a goal is larger [m]."""
+_LONGEST_TOKEN = 64
 
 
 class Order(BaseModel):
     """An order to move: goals x, y [m], heading [rad] in frame map, from number `first` on.
 
     `given_ns` is when it was given, in the supervisor's time. `result` is empty as long as it is
-    carried out. `mission`: it is the deployment's own. `resumed` counts how often a supervisor that
-    was started anew went on with it.
+    carried out. `mission`: it is the deployment's own; `in_place_of_mission`: it, or one before it,
+    pre-empted the mission. `resumed` counts how often a supervisor that was started anew went on
+    with it. By `token` whoever gave it can cancel it without knowing its number.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
@@ -32,7 +34,14 @@ class Order(BaseModel):
     first: int = 0
     result: str = ""
     mission: bool = False
+    in_place_of_mission: bool = False
     resumed: int = 0
+    token: str | None = None
+
+    @property
+    def of_mission(self) -> bool:
+        """Whether the mission ends with it: it is the mission, or stands in its place."""
+        return self.mission or self.in_place_of_mission
 
 
 def checked_goals(given: Any) -> tuple[Goal, ...]:
@@ -54,6 +63,13 @@ def _checked(number: int, goal: Any) -> Goal:
             f"and not beyond {FARTHEST:g}"
         )
     return float(goal[0]), float(goal[1]), float(goal[2])
+
+
+def checked_token(given: Any) -> str | None:
+    """The token of a request, None if none is given; `CairnError` if it is none."""
+    if given is not None and not (isinstance(given, str) and 0 < len(given) <= _LONGEST_TOKEN):
+        raise CairnError(f"token = {given!r:.80}: give 1 to {_LONGEST_TOKEN} characters")
+    return given
 
 
 def save(file: Path, order: Order) -> None:

@@ -1,10 +1,12 @@
 """Missions: goals that the deployment gives, at whose end it ends itself."""
 
+import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
+from schemas.cairn_nav_msgs import MoveStatus
 from tests.launching import Launching, Run, free_port, launching
 from tests.navigation.driving import SIM, Drive
 
@@ -42,6 +44,37 @@ def test_a_mission_that_fails_ends_the_deployment_without_success(drive: DriveOf
     assert robot.run.end.normal
     assert not robot.run.end.success
     assert "the mission failed: " in robot.run.end.reason
+
+
+def test_a_mission_that_is_pre_empted_ends_the_deployment_once_the_operators_order_is_done(
+    drive: DriveOf,
+) -> None:
+    robot = drive(THERE, FINISH)
+    robot.await_state(MoveStatus.DRIVING)
+
+    robot.go(2.0, 1.2)
+    robot.arrives((2.0, 1.2))
+
+    robot.await_that(lambda: robot.run.end is not None, 5.0)
+    assert robot.run.end is not None
+    assert robot.run.end.normal
+    assert not robot.run.end.success
+    assert re.fullmatch(
+        r"mobile_supervisor has finished: the mission was pre-empted by order \d+, which "
+        r"succeeded: arrived at \(2.00, 1.20\)",
+        robot.run.end.reason,
+    )
+
+
+def test_without_finish_a_pre_empted_mission_ends_nothing(drive: DriveOf) -> None:
+    robot = drive(THERE)
+    robot.await_state(MoveStatus.DRIVING)
+
+    robot.go(2.0, 1.2)
+    robot.arrives((2.0, 1.2))
+
+    robot.wait(1.0)
+    assert robot.run.end is None
 
 
 def test_a_mission_that_fails_in_real_processes_ends_with_status_1(

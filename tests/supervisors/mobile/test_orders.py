@@ -29,6 +29,10 @@ components:
     children:
       automove: {plugin: test_beacon, load: on_order}
 """
+MISSION = (
+    "components.mobile_supervisor.parameters.mission=[[1, 2, 0]]",
+    "components.mobile_supervisor.parameters.finish=true",
+)
 DeployedOf = Callable[..., Deployed]
 
 
@@ -105,6 +109,26 @@ def test_an_order_is_taken_back_once(deployed: DeployedOf) -> None:
     assert [len(order.goals) for order in taken(orders)] == [1, 0]
     with pytest.raises(CairnError, match="there is no order to cancel"):
         robot.ask("mobile_supervisor", "cancel")
+
+
+def test_an_order_is_taken_back_by_the_token_that_it_was_given_with(deployed: DeployedOf) -> None:
+    robot = deployed()
+    goals = [[1.0, 2.0, 0.0]]
+    number = robot.ask("mobile_supervisor", "go", goals=goals, token="mine")["order_id"]
+    for other in ("yours", ""):
+        with pytest.raises(CairnError, match="it is another's order that is under way"):
+            robot.ask("mobile_supervisor", "cancel", token=other)
+    assert robot.ask("mobile_supervisor", "cancel", token="mine") == {"order_id": number}
+
+    robot.ask("mobile_supervisor", "go", goals=goals)  # without a token
+    with pytest.raises(CairnError, match="it is another's order"):
+        robot.ask("mobile_supervisor", "cancel", token="mine")
+
+
+@pytest.mark.parametrize("token", ["", 7, "x" * 65])
+def test_what_is_no_token_is_refused(deployed: DeployedOf, token: Any) -> None:
+    with pytest.raises(CairnError, match=r"token = .*: give 1 to 64 characters"):
+        deployed().ask("mobile_supervisor", "go", goals=[[1.0, 2.0, 0.0]], token=token)
 
 
 def test_a_goal_pose_is_an_order_unless_it_is_of_another_frame(deployed: DeployedOf) -> None:
@@ -189,11 +213,7 @@ def test_an_order_of_an_earlier_run_is_not_carried_out(
 
 
 def test_a_mission_begins_at_once_and_its_end_ends_the_deployment(deployed: DeployedOf) -> None:
-    sets = (
-        "components.mobile_supervisor.parameters.mission=[[1, 2, 0]]",
-        "components.mobile_supervisor.parameters.finish=true",
-    )
-    robot = deployed(*sets)
+    robot = deployed(*MISSION)
     orders = robot.read("order", MoveOrder)
     robot.wait(0.0)
     (order,) = taken(orders)
@@ -203,6 +223,24 @@ def test_a_mission_begins_at_once_and_its_end_ends_the_deployment(deployed: Depl
     robot.await_that(lambda: robot.run.end is not None)
     assert robot.run.end is not None
     assert robot.run.end.reason == ("mobile_supervisor has finished: the mission failed: no path")
+
+
+def test_a_supervisor_that_begins_anew_knows_that_the_mission_was_pre_empted(
+    deployed: DeployedOf,
+) -> None:
+    robot = deployed(*MISSION)
+    robot.ask("mobile_supervisor", "go", goals=[[3.0, 4.0, 0.0]])
+    number = robot.ask("mobile_supervisor", "go", goals=[[5.0, 6.0, 0.0]])["order_id"]
+
+    robot.ask("root", "restart", name="mobile_supervisor")
+    tell(robot, order_id=number, state=MoveStatus.SUCCEEDED, reason="arrived")
+
+    robot.await_that(lambda: robot.run.end is not None)
+    assert robot.run.end is not None
+    assert robot.run.end.reason == (
+        f"mobile_supervisor has finished: the mission was pre-empted by order {number}, which "
+        "succeeded: arrived"
+    )
 
 
 def test_without_automove_an_order_is_refused(deployed: DeployedOf) -> None:
