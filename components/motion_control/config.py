@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from pydantic import Field
+from typing import Self
+
+from pydantic import Field, model_validator
 
 from cairn.component.mount import Mount
 from cairn.component.parameters import Config
@@ -22,7 +24,8 @@ class Timeouts(Config):
 class MotionControlConfig(Config):
     """Parameters of motion control."""
 
-    radius: float = Field(0.22, gt=0.05, le=2, description="Radius of the round robot [m].")
+    # What was seen is looked at up to 1.6 m from the robot's centre.
+    radius: float = Field(0.22, gt=0.05, le=1, description="Radius of the round robot [m].")
     margin: float = Field(
         0.05, ge=0.01, le=1, description="Space around the robot that is kept free [m]."
     )
@@ -68,6 +71,27 @@ class MotionControlConfig(Config):
     timeouts: Timeouts = Timeouts()
     mount: Mount = Mount()
 
+    @model_validator(mode="after")
+    def _agrees(self) -> Self:
+        """Refuse what the robot cannot do, rather than do something else."""
+        for least, most in (
+            ("creep_speed", "speed"),
+            ("braking", "acceleration"),
+            ("turn_braking", "turn_acceleration"),
+        ):
+            low, high = getattr(self, least), getattr(self, most)
+            if low > high:
+                raise ValueError(
+                    f"{least} {low:g} is more than {most} {high:g}: "
+                    f"lower {least} to {high:g} or less, or raise {most}"
+                )
+        if self.full_speed_clearance <= self.margin:
+            raise ValueError(
+                f"full_speed_clearance {self.full_speed_clearance:g} is not more than margin "
+                f"{self.margin:g}: raise full_speed_clearance, or lower margin"
+            )
+        return self
+
     def limits(self) -> Limits:
         """The parameters as the algorithm takes them."""
         return Limits(
@@ -76,12 +100,12 @@ class MotionControlConfig(Config):
             stop_distance=self.stop_distance,
             full_speed_clearance=self.full_speed_clearance,
             speed=self.speed,
-            creep_speed=min(self.creep_speed, self.speed),
+            creep_speed=self.creep_speed,
             turn_speed=self.turn_speed,
             acceleration=self.acceleration,
             turn_acceleration=self.turn_acceleration,
-            braking=min(self.braking, self.acceleration),
-            turn_braking=min(self.turn_braking, self.turn_acceleration),
+            braking=self.braking,
+            turn_braking=self.turn_braking,
             latency=self.latency,
             lookahead=self.lookahead,
         )

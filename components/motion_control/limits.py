@@ -36,7 +36,7 @@ class Limits:
 
     def speed_beside(self, clearance: float) -> float:
         """The speed [m/s] that a clearance [m] between robot and obstacle allows."""
-        share = (clearance - self.margin) / max(1e-6, self.full_speed_clearance - self.margin)
+        share = (clearance - self.margin) / (self.full_speed_clearance - self.margin)
         return self.creep_speed + (self.speed - self.creep_speed) * min(1.0, max(0.0, share))
 
     def speed_in(self, curvature: float) -> float:

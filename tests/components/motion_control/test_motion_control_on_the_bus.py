@@ -272,6 +272,14 @@ def test_a_change_of_speed_is_obeyed_on_the_way() -> None:
     assert it.status.state == STATES.MOVING
 
 
+def test_the_largest_robot_drives_in_open_space() -> None:
+    it = following(radius=1.0)
+
+    assert it.status.state == STATES.MOVING
+    it.wait(15, until=STATES.DONE)
+    assert math.hypot(it.robot.pose[0] - 3, it.robot.pose[1]) < 0.1
+
+
 def test_it_leaves_the_robot_standing() -> None:
     it = following()
 

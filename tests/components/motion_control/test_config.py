@@ -1,0 +1,53 @@
+"""Parameters that do not agree with one another are refused."""
+
+import pytest
+from pydantic import ValidationError
+
+from components.motion_control.config import MotionControlConfig
+
+
+@pytest.mark.parametrize(
+    ("parameters", "complaint"),
+    [
+        (
+            {"speed": 0.1},
+            "creep_speed 0.15 is more than speed 0.1: "
+            "lower creep_speed to 0.1 or less, or raise speed",
+        ),
+        (
+            {"acceleration": 0.5},
+            "braking 0.6 is more than acceleration 0.5: "
+            "lower braking to 0.5 or less, or raise acceleration",
+        ),
+        (
+            {"turn_braking": 4.0},
+            "turn_braking 4 is more than turn_acceleration 3: "
+            "lower turn_braking to 3 or less, or raise turn_acceleration",
+        ),
+        (
+            {"margin": 0.2},
+            "full_speed_clearance 0.2 is not more than margin 0.2: "
+            "raise full_speed_clearance, or lower margin",
+        ),
+    ],
+)
+def test_values_that_do_not_agree_are_refused_with_the_remedy(
+    parameters: dict[str, float], complaint: str
+) -> None:
+    with pytest.raises(ValidationError) as refused:
+        MotionControlConfig.model_validate(parameters)
+
+    assert complaint in str(refused.value)
+
+
+def test_values_at_their_bounds_are_taken_as_they_are() -> None:
+    config = MotionControlConfig(speed=0.15, acceleration=0.6, turn_braking=3.0)
+
+    limits = config.limits()
+
+    assert (limits.creep_speed, limits.braking, limits.turn_braking) == (0.15, 0.6, 3.0)
+
+
+def test_a_robot_too_large_for_what_is_kept_of_its_scans_is_refused() -> None:
+    with pytest.raises(ValidationError, match="less than or equal to 1"):
+        MotionControlConfig(radius=1.1)
