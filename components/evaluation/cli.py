@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import os
-import subprocess
-import sys
 from concurrent.futures import ProcessPoolExecutor
+from json import dumps
 from multiprocessing import get_context
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -17,8 +16,10 @@ from cairn.cli.connection import Json
 from cairn.cli.tables import line, note, print_json
 from cairn.errors import CairnError
 from components.evaluation.pictures import draw_tracks, draw_ways
-from components.evaluation.results import RunResult, Summary, summed_up
+from components.evaluation.report import report_lines
+from components.evaluation.results import GoalResult, RunResult, Summary, summed_up
 from components.evaluation.runs import Trial, run_trial
+from components.evaluation.surveying import survey
 from planar.map_file import read_map
 
 app = typer.Typer(help="Evaluate what the robot does, by many runs.", no_args_is_help=True)
@@ -52,17 +53,20 @@ def navigation(
 ) -> None:
     """Send a simulated robot to random goals, in lockstep, and report how it did.
 
-    Ends with status 1 if a goal was not reached or anything was hit.
+    Ends with status 1 if a goal was not reached, anything was hit, or a run failed.
     """
     numbers = _seeds(seeds)
     out.mkdir(parents=True, exist_ok=True)
-    map_file = _surveyed(world, out)
+    map_file = (out / "surveyed.yaml").absolute()
+    visual_map = map_file.with_suffix(".cairn")
+    start = survey(world, map_file, visual_map)
     trials = [
         Trial(
             deployment=deployment.absolute(),
             world=world.absolute(),
             map_file=map_file,
-            visual_map=map_file.with_suffix(".cairn"),
+            visual_map=visual_map,
+            start=start,
             goals=goals,
             seed=seed,
             kidnap_at=(goals + 1) // 2 if kidnap else 0,
@@ -76,9 +80,10 @@ def navigation(
     if json:
         print_json({"world": str(world), "summary": summary.model_dump(mode="json")})
     else:
-        _show(world, runs, summary)
+        for told in report_lines(world.name, runs, summary):
+            line(told)
         line(f"report: {out}/runs.json, {out}/tracks.png, {out}/ways.png")
-    if summary.reached < summary.goals or summary.collisions:
+    if summary.reached < summary.goals or summary.collisions or summary.failed:
         raise typer.Exit(1)
 
 
@@ -94,36 +99,26 @@ def _seeds(text: str) -> range:
     return range(begin, end + 1)
 
 
-def _surveyed(world: Path, out: Path) -> Path:
-    """The maps of the world as it stands at the beginning, made by their importers."""
-    map_file = (out / "surveyed.yaml").absolute()
-    for file in (map_file, map_file.with_suffix(".cairn")):
-        command = [sys.executable, "-P", "-m", "cairn.cli.main", "map", "import", "world"]
-        done = subprocess.run(
-            [*command, str(world), str(file), "--force"],
-            capture_output=True,
-            text=True,
-            timeout=120,
-            check=False,
-        )
-        if done.returncode != 0:
-            raise CairnError(done.stderr.strip().removeprefix("cairn: "))
-    return map_file
-
-
 def _run(trials: list[Trial], workers: int, *, quiet: bool) -> list[RunResult]:
     runs: list[RunResult] = []
     with (
         TemporaryDirectory(prefix="cairn-evaluation-") as scratch,
         ProcessPoolExecutor(min(workers, len(trials)), mp_context=get_context("spawn")) as pool,
     ):
-        for run in pool.map(run_trial, trials, [scratch] * len(trials)):
+        begun = [pool.submit(run_trial, trial, scratch) for trial in trials]
+        for trial, future in zip(trials, begun, strict=True):
+            try:
+                run = future.result()
+            except Exception as error:  # whatever it is, the other runs are not to be lost
+                told = str(error) if isinstance(error, CairnError) else repr(error)
+                run = RunResult(seed=trial.seed, failure=told)
             runs.append(run)
             if not quiet:
                 reached = sum(goal.reached for goal in run.goals)
+                failed = f", failed: {run.failure}" if run.failure else ""
                 note(
                     f"seed {run.seed}: {reached} of {len(run.goals)} goals, "
-                    f"{len(run.collisions)} collisions"
+                    f"{len(run.collisions)} collisions{failed}"
                 )
     return runs
 
@@ -132,39 +127,17 @@ def _write(out: Path, map_file: Path, runs: list[RunResult], summary: Summary) -
     grid = read_map(map_file)
     draw_tracks(grid, runs, out / "tracks.png")
     draw_ways(runs, out / "ways.png")
+    about = {
+        model.__name__: {
+            name: field.description
+            for name, field in model.model_fields.items()
+            if field.description
+        }
+        for model in (Summary, RunResult, GoalResult)
+    }
     body = ",\n".join(run.model_dump_json() for run in runs)
-    text = f'{{"summary": {summary.model_dump_json()},\n"runs": [\n{body}\n]}}\n'
+    text = (
+        f'{{"summary": {summary.model_dump_json()},\n"about": {dumps(about)},\n'
+        f'"runs": [\n{body}\n]}}\n'
+    )
     (out / "runs.json").write_text(text, encoding="utf-8")
-
-
-def _show(world: Path, runs: list[RunResult], summary: Summary) -> None:
-    for run in runs:
-        for number, goal in enumerate(run.goals, start=1):
-            if not goal.reached:
-                line(
-                    f"seed {run.seed}, goal {number} at ({goal.x:.2f}, {goal.y:.2f}) not reached: "
-                    f"{goal.reason}"
-                )
-        for collision in run.collisions:
-            line(f"seed {run.seed}, collision: {collision}")
-    line(f"{world.name}: {summary.runs} runs")
-    line(f"  reached           {summary.reached} of {summary.goals}, {summary.reached_share:.1%}")
-    if summary.kidnapped:
-        line(f"  carried off       arrived {summary.kidnapped_reached} of {summary.kidnapped}")
-    line(f"  collisions        {summary.collisions}")
-    if summary.path_ratio_mean is not None and summary.path_ratio_p95 is not None:
-        line(
-            f"  way / shortest    {summary.path_ratio_mean:.3f} on average, "
-            f"{summary.path_ratio_p95:.3f} at most in 95 %"
-        )
-    if summary.seconds_mean is not None:
-        line(f"  time a goal       {summary.seconds_mean:.1f} s")
-    line(f"  recoveries        {summary.recoveries}")
-    if summary.error_median is not None and summary.error_p95 is not None:
-        line(
-            f"  position error    {summary.error_median:.3f} m median, "
-            f"{summary.error_p95:.3f} m in 95 %"
-        )
-    if summary.within is not None:
-        one, two, three = summary.within
-        line(f"  truth within      {one:.0%}, {two:.0%}, {three:.0%} in 1, 2, 3 sigma")

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections import deque
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from cairn.bus.qos import LATCHED, RELIABLE
@@ -15,23 +17,28 @@ from cairn.component.handlers import every, on
 from cairn.component.parameters import Config, ParameterRefused
 from cairn.component.ports import In, Out
 from cairn.errors import CairnError
-from components.evaluation.free_goals import FreeGoals
+from components.evaluation.attempt import Attempt, Tolerance
+from components.evaluation.free_goals import free_goal
 from components.evaluation.localization_quality import LocalizationQuality
 from components.evaluation.results import GoalResult, RunResult
-from planar.grid import grid_of
-from planar.messages import planar_covariance, planar_pose, pose_message
+from components.evaluation.shortest_ways import ShortestWays
+from planar.messages import planar_covariance, planar_pose, planar_poses, pose_message
 from planar.odometry import OdometryHistory
-from planar.poses import Pose, distance
-from schemas.cairn_nav_msgs import Collision, MoveStatus
+from planar.poses import Pose, distance, wrap
+from schemas.cairn_nav_msgs import MOVE_ENDS, Collision, MoveOrder, MoveStatus
+from schemas.cairn_sim_msgs import Scene
 from schemas.geometry_msgs import PoseStamped, PoseWithCovarianceStamped
-from schemas.nav_msgs import OccupancyGrid
 from schemas.std_msgs import Header
 
-_ENDS = (MoveStatus.SUCCEEDED, MoveStatus.FAILED, MoveStatus.CANCELLED)
 # Who is carried off with turning wheels needs room to stop [m].
 _STOPS_M = 0.35
 # Steps of the truth longer than this [m] are not driven: the robot was carried.
 _CARRIED_M = 0.5
+# A robot that does not move so long [ns] after it was to be carried off is not: somebody stands
+# there, and the world refuses.
+_CARRYING_NS = SECOND
+# Goals of orders differ from those given by less than this [m], [rad].
+_SAME = 1e-6
 
 
 class ExaminerConfig(Config):
@@ -41,7 +48,8 @@ class ExaminerConfig(Config):
     kidnap_at: int = Field(
         0,
         ge=0,
-        description="Number of the goal on the way to which the robot is carried off; 0: none [1].",
+        description="Number of the goal on the way to which the robot is carried off, or of the "
+        "next if that cannot be; 0: none [1].",
     )
     kidnap_after: float = Field(
         3.0, ge=0, le=600, description="How long after that order it is carried off [s]."
@@ -54,8 +62,17 @@ class ExaminerConfig(Config):
     limit: float = Field(
         300.0, gt=0, le=3600, description="How long the robot has for each goal [s]."
     )
-    tolerance: float = Field(
-        0.25, gt=0, le=5, description="How near to its goal the robot must truly be [m]."
+    position_tolerance: float = Field(
+        0.10, gt=0, le=2, description="How near to its goal the robot claims to be at its end [m]."
+    )
+    heading_tolerance: float = Field(
+        0.10, gt=0, le=3.2, description="How well turned it claims to be there [rad]."
+    )
+    position_allowance: float = Field(
+        0.05, ge=0, le=2, description="How much further from its goal it may truly be [m]."
+    )
+    heading_allowance: float = Field(
+        0.05, ge=0, le=3.2, description="How much further it may truly be turned [rad]."
     )
     settle: float = Field(
         3.0, ge=0, le=60, description="How long to wait before the first goal [s]."
@@ -63,88 +80,82 @@ class ExaminerConfig(Config):
     file: Path = Field(description="Where to write the result: a JSON file.")
 
 
-@dataclass
-class _Attempt:
-    goal: Pose
-    began_ns: int
-    shortest: float
-    driven: float = 0.0
-    carried_ns: int | None = None
-    kidnapped: bool = False
-    found_s: float | None = None
-
-
 class NavigationExaminer(Component):
-    """Orders the robot to random goals, one after the other, and judges it by the truth."""
+    """Orders the robot to random goals, one after the other, and judges it by the truth.
+
+    The world tells what stands in it (`scene`), where the robot truly is and what it touches; the
+    robot itself is only asked what it believes.
+    """
 
     config: ExaminerConfig
 
-    map: In[OccupancyGrid] = In(qos=LATCHED)
+    scene: In[Scene] = In(qos=LATCHED)
     truth: In[PoseStamped]
     pose: In[PoseWithCovarianceStamped]
-    move_status: In[MoveStatus] = In(qos=LATCHED)
-    collisions: In[Collision] = In(qos=RELIABLE.with_depth(100), optional=True)
+    order: In[MoveOrder] = In(qos=LATCHED)
+    move_status: In[MoveStatus] = In(qos=LATCHED.with_depth(20))
+    collisions: In[Collision] = In(qos=RELIABLE.with_depth(100))
     goal_pose: Out[PoseStamped]
     kidnap: Out[PoseStamped]
 
     def on_configure(self) -> None:
         """Nothing has begun."""
-        if not self.config.file.parent.is_dir():
-            raise CairnError(f"{self.config.file}: there is no folder {self.config.file.parent}")
-        self._free: FreeGoals | None = None
-        self._roomy: FreeGoals | None = None
+        config = self.config
+        if not config.file.parent.is_dir():
+            raise CairnError(f"{config.file}: there is no folder {config.file.parent}")
+        self._tolerance = Tolerance(
+            config.position_tolerance + config.position_allowance,
+            config.heading_tolerance + config.heading_allowance,
+        )
+        self._segments: NDArray[np.float64] | None = None
+        self._ways: ShortestWays | None = None
         self._history = OdometryHistory(5 * SECOND)
         self._here: Pose | None = None
+        self._told: deque[PoseWithCovarianceStamped] = deque()
         self._quality = LocalizationQuality()
         self._results: list[GoalResult] = []
         self._collisions: list[str] = []
         self._track: list[tuple[float, float]] = []
-        self._attempt: _Attempt | None = None
-        self._order_id = 0
+        self._attempt: Attempt | None = None
         self._began_ns: int | None = None
-        self._told: Pose | None = None
+        self._carrying_ns: int | None = None
 
     def on_parameters(self, new: Config) -> None:  # noqa: ARG002 - none can be changed
         """An examination keeps its rules."""
         raise ParameterRefused("the examiner takes its parameters when it is configured")
 
-    @on("map")
-    def learn(self, message: OccupancyGrid) -> None:
-        """Take the first map: the world as it was surveyed."""
-        if self._free is None:
-            config, grid = self.config, grid_of(message)
-            self._free = FreeGoals(grid, config.radius, config.clearance)
-            self._roomy = FreeGoals(grid, config.radius, config.clearance + _STOPS_M)
+    @on("scene")
+    def learn(self, scene: Scene) -> None:
+        """Take what stands from now on: ways of later goals are measured in that."""
+        self._segments, self._ways = scene.segments.reshape(-1, 4), None
 
     @on("truth")
     def follow(self, truth: PoseStamped) -> None:
-        """Measure the way the robot really takes."""
+        """Measure the way the robot really takes, and judge what waited for the truth."""
         here, stamp = planar_pose(truth.pose), to_ns(truth.header.stamp)
         if self._began_ns is None:
             self._began_ns = stamp
-        before, self._here = self._here, here
-        if before is not None and distance(before, here) > _CARRIED_M:
-            self._history.clear()
-        elif before is not None and self._attempt is not None:
+        before, self._here = self._here or here, here
+        if distance(before, here) > _CARRIED_M:
+            self._judge_ended(stamp, before)
+            self._note_carried(stamp)
+        elif self._attempt is not None:
             self._attempt.driven += distance(before, here)
         self._history.add(stamp, here)
         if not self._track or math.dist(self._track[-1], here[:2]) > 0.1:
             self._track.append((round(here[0], 3), round(here[1], 3)))
+        while self._told and to_ns(self._told[0].header.stamp) <= stamp:
+            self._compare(self._told.popleft())
+        self._judge_ended(stamp, here)
 
     @on("pose")
-    def compare(self, pose: PoseWithCovarianceStamped) -> None:
-        """Compare the pose told with the truth of that time."""
-        told = self._told = planar_pose(pose.pose.pose)
-        stamp = to_ns(pose.header.stamp)
-        true = self._history.at(stamp)
-        if true is None or self._history.newest is None or stamp > self._history.newest:
-            return
-        attempt = self._attempt
-        if attempt is not None and attempt.carried_ns is not None and attempt.found_s is None:
-            if distance(told, true) > 0.5:
-                return
-            attempt.found_s = max(0.0, (stamp - attempt.carried_ns) / SECOND)
-        self._quality.add(told, planar_covariance(pose.pose), true)
+    def note_pose(self, pose: PoseWithCovarianceStamped) -> None:
+        """Compare the pose told with the truth of that time, once that is known."""
+        newest = self._history.newest
+        if newest is not None and to_ns(pose.header.stamp) <= newest:
+            self._compare(pose)
+        else:
+            self._told.append(pose)
 
     @on("collisions")
     def note_collision(self, collision: Collision) -> None:
@@ -153,97 +164,133 @@ class NavigationExaminer(Component):
             f"{collision.what} at ({collision.x:.2f}, {collision.y:.2f}), {collision.speed:.2f} m/s"
         )
 
+    @on("order")
+    def note_order(self, order: MoveOrder) -> None:
+        """Learn which number the goal under way has: a result of another one is not its result."""
+        attempt = self._attempt
+        goals = planar_poses(order.goals).tolist()
+        if attempt is None or len(goals) != 1:
+            return
+        (x, y, theta), goal = goals[0], attempt.goal
+        off = max(abs(x - goal[0]), abs(y - goal[1]), abs(wrap(theta - goal[2])))
+        if off < _SAME:
+            attempt.order_id = order.order_id
+
     @on("move_status")
     def judge(self, status: MoveStatus) -> None:
-        """Judge an order by its result."""
+        """Take the result of the order; it is judged by the next truth."""
         attempt = self._attempt
-        if attempt is None or status.order_id <= self._order_id or status.state not in _ENDS:
+        if attempt is None or status.order_id != attempt.order_id or attempt.end is not None:
             return
-        if to_ns(status.header.stamp) < attempt.began_ns:
-            return
-        self._order_id = status.order_id
-        self._close(status.state == MoveStatus.SUCCEEDED, status.reason, status.recoveries)
+        attempt.recoveries = status.recoveries
+        if status.state in MOVE_ENDS:
+            attempt.end = status
 
     @every(hz=5)
     def examine(self) -> None:
         """Give the next goal; carry the robot off; end what takes too long."""
-        now = self.clock.now()
-        if self._free is None or self._here is None or self._began_ns is None:
+        now, here, began_ns = self.clock.now(), self._here, self._began_ns
+        if self._segments is None or here is None or began_ns is None:
             return
-        if now - self._began_ns < self.config.settle * SECOND:
+        if now - began_ns < self.config.settle * SECOND:
             return
         attempt = self._attempt
-        if attempt is None:
-            self._next(self._free, self._here, now)
-            return
-        waited = (now - attempt.began_ns) / SECOND
-        due = len(self._results) + 1 == self.config.kidnap_at and not attempt.kidnapped
-        if due and waited >= self.config.kidnap_after:
-            self._carry_off(self._here, attempt, now)
-        if waited > self.config.limit:
-            self._close(False, f"not there after {self.config.limit:.0f} s", 0)
-
-    def _next(self, free: FreeGoals, here: Pose, now: int) -> None:
-        if len(self._results) >= self.config.goals:
+        if attempt is not None:
+            self._attend(attempt, here, now)
+        if self._attempt is None and len(self._results) < self.config.goals:
+            self._give_goal(here, now)
+        elif self._attempt is None:
             self._write(now)
+
+    def _judge_ended(self, stamp: int, here: Pose) -> None:
+        attempt = self._attempt
+        if attempt is None or attempt.end is None:
             return
-        goal = free.draw(here, self.config.least_distance, self.random)
+        if to_ns(attempt.end.header.stamp) <= stamp:
+            self._close(attempt, here)
+
+    def _attend(self, attempt: Attempt, here: Pose, now: int) -> None:
+        waited = (now - attempt.began_ns) / SECOND
+        at = self.config.kidnap_at
+        carried = attempt.carried_ns is not None or self._kidnapped()
+        due = 0 < at <= len(self._results) + 1 and not carried and attempt.end is None
+        if due and waited >= self.config.kidnap_after:
+            self._carry_off(here, now)
+        if waited > self.config.limit:  # the next goal pre-empts the order
+            self._close(attempt, here, f"not there after {self.config.limit:.0f} s")
+
+    def _give_goal(self, here: Pose, now: int) -> None:
+        config, ways = self.config, self._ways_now()
+        room = config.radius + config.clearance
+        goal = free_goal(ways, here, config.least_distance, room, self.random)
         if goal is None:
-            raise CairnError(f"{self.name}: no goal can be reached from ({here[0]}, {here[1]})")
-        self._attempt = _Attempt(goal, now, free.shortest(here, goal))
+            raise CairnError(f"no goal can be reached from ({here[0]:.2f}, {here[1]:.2f})")
+        self._attempt = Attempt(goal, now, ways.length(here[:2], goal[:2]))
         self.goal_pose.publish(PoseStamped(header=Header(frame_id="map"), pose=pose_message(goal)))
 
-    def _carry_off(self, here: Pose, attempt: _Attempt, now: int) -> None:
-        attempt.kidnapped = True
-        if self._roomy is None:
+    def _carry_off(self, here: Pose, now: int) -> None:
+        """Ask for it; again, to another place, as long as the truth does not show it."""
+        if self._carrying_ns is not None and now - self._carrying_ns < _CARRYING_NS:
             return
-        place = self._roomy.draw(here, self.config.least_distance, self.random)
-        if place is not None:
-            attempt.carried_ns = now
-            self.kidnap.publish(
-                PoseStamped(header=Header(frame_id="map"), pose=pose_message(place))
-            )
+        config = self.config
+        room = config.radius + config.clearance + _STOPS_M
+        least = max(config.least_distance, 2.0 * _CARRIED_M)
+        place = free_goal(self._ways_now(), here, least, room, self.random)
+        self._carrying_ns = now
+        if place is None:
+            self.log.warning("there is no place with room enough to carry the robot to")
+            return
+        self.log.info("the robot is to be carried to (%.2f, %.2f)", place[0], place[1])
+        self.kidnap.publish(PoseStamped(header=Header(frame_id="map"), pose=pose_message(place)))
 
-    def _close(self, succeeded: bool, reason: str, recoveries: int) -> None:
-        attempt, self._attempt = self._attempt, None
-        if attempt is None or self._here is None:
+    def _note_carried(self, stamp: int) -> None:
+        """By us or by the world's events: nobody knows where the robot was on the way."""
+        self._history.clear()
+        if self._attempt is not None:
+            self._attempt.carried_ns, self._attempt.found_ns = stamp, None
+
+    def _kidnapped(self) -> bool:
+        return any(result.kidnapped for result in self._results)
+
+    def _compare(self, pose: PoseWithCovarianceStamped) -> None:
+        stamp, told = to_ns(pose.header.stamp), planar_pose(pose.pose.pose)
+        true = self._history.at(stamp)
+        if true is None:  # older than what is known, or from before the robot was carried off
             return
-        error = distance(self._here, attempt.goal)
-        there = error <= self.config.tolerance
-        if succeeded and not there:
-            reason = f"said to be there, but was {error:.2f} m off"
-        self._results.append(
-            GoalResult(
-                x=attempt.goal[0],
-                y=attempt.goal[1],
-                reached=succeeded and there,
-                reason=reason,
-                shortest=attempt.shortest,
-                driven=attempt.driven,
-                seconds=(self.clock.now() - attempt.began_ns) / SECOND,
-                recoveries=recoveries,
-                end_error=error,
-                kidnapped=attempt.kidnapped,
-                relocalised_s=attempt.found_s,
-            )
-        )
-        self.log.info("goal %d: %s", len(self._results), self._results[-1])
+        if self._attempt is not None and self._attempt.lost(stamp, told, true):
+            return
+        self._quality.add(told, planar_covariance(pose.pose), true)
+
+    def _ways_now(self) -> ShortestWays:
+        if self._ways is None:
+            assert self._segments is not None  # or nothing is examined yet
+            self._ways = ShortestWays(self._segments, self.config.radius)
+        return self._ways
+
+    def _close(self, attempt: Attempt, here: Pose, given_up: str = "") -> None:
+        self._attempt = None
+        result = attempt.judged(here, self.clock.now(), self._tolerance, given_up)
+        self._results.append(result)
+        self.log.info("goal %d: %s", len(self._results), result)
 
     def _write(self, now: int) -> None:
         quality = self._quality
+        missed = self.config.kidnap_at > 0 and not self._kidnapped()
         result = RunResult(
             seed=0,
+            failure="the robot was to be carried off and never was" if missed else "",
             goals=self._results,
             collisions=self._collisions,
             error_median=quality.percentile(50),
             error_p95=quality.percentile(95),
             error_max=quality.percentile(100),
+            error_counts=quality.counts(),
             within=quality.within(),
             simulated_s=(now - (self._began_ns or 0)) / SECOND,
             track=self._track,
         )
         try:
-            self.config.file.write_text(result.model_dump_json(indent=1), encoding="utf-8")
+            self.config.file.write_text(result.model_dump_json(), encoding="utf-8")
         except OSError as error:
             raise CairnError(
                 f"the result cannot be written to {self.config.file}: {error.strerror}"

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 
 import numpy as np
 from numpy.typing import NDArray
 
+from components.evaluation.results import ERROR_STEP_M
 from planar.poses import Pose
 
 # Of a Gaussian in two dimensions 68.3, 95.4 and 99.7 % lie within these NIS.
@@ -25,12 +27,17 @@ class LocalizationQuality:
         error = np.array([told[0] - true[0], told[1] - true[1]])
         self.errors.append(math.hypot(*error))
         place = covariance[:2, :2]
-        if np.linalg.det(place) > 0:
-            self._nis.append(float(error @ np.linalg.solve(place, error)))
+        # One that is none states no error at all, and the truth is never within that.
+        sound = np.linalg.det(place) > 0 and np.trace(place) > 0
+        self._nis.append(float(error @ np.linalg.solve(place, error)) if sound else math.inf)
 
     def percentile(self, percent: float) -> float | None:
         """Percentile of the errors [m]; None without any."""
         return float(np.percentile(self.errors, percent)) if self.errors else None
+
+    def counts(self) -> dict[int, int]:
+        """How many poses had an error of so many `ERROR_STEP_M`."""
+        return dict(sorted(Counter(round(error / ERROR_STEP_M) for error in self.errors).items()))
 
     def within(self) -> tuple[float, float, float] | None:
         """Shares of the poses whose truth lay within 1, 2, 3 standard deviations."""

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
-from components.evaluation.free_goals import painted
 from components.evaluation.results import RunResult
 from planar.grid import OccupancyCells
+
+# From this probability [%] on a cell is an obstacle.
+_OBSTACLE = 65
+# Steps of the truth longer than this [m] are not driven.
+_CARRIED_M = 0.5
 
 
 def draw_tracks(grid: OccupancyCells, runs: Sequence[RunResult], file: Path) -> None:
@@ -20,9 +26,9 @@ def draw_tracks(grid: OccupancyCells, runs: Sequence[RunResult], file: Path) -> 
     axes = figure.add_subplot()
     x, y, _ = grid.frame.origin
     extent = (x, x + width, y, y + height)
-    axes.imshow(painted(grid), cmap="gray", vmin=0, vmax=255, origin="lower", extent=extent)
+    axes.imshow(_painted(grid), cmap="gray", vmin=0, vmax=255, origin="lower", extent=extent)
     for run in runs:
-        track = np.array(run.track).reshape(-1, 2)
+        track = _broken_where_carried(np.array(run.track).reshape(-1, 2))
         axes.plot(track[:, 0], track[:, 1], color="tab:blue", linewidth=0.6, alpha=0.5)
     goals = [goal for run in runs for goal in run.goals]
     for reached, marker, colour in ((True, "o", "tab:green"), (False, "x", "tab:red")):
@@ -55,10 +61,25 @@ def draw_ways(runs: Sequence[RunResult], file: Path) -> None:
         ("error_median", "median", "tab:blue"),
         ("error_p95", "95 % of the time below", "tab:orange"),
     ):
-        values = [getattr(run, key) or 0.0 for run in runs]
+        # A run without poses has no error: NaN is not drawn.
+        values = [math.nan if (error := getattr(run, key)) is None else error for run in runs]
         right.plot(seeds, values, "o", markersize=4, color=colour, label=label)
     right.set_xlabel("seed")
     right.set_ylabel("error of the position [m]")
     right.set_ylim(bottom=0.0)
     right.legend(frameon=False)
     figure.savefig(file, dpi=110)
+
+
+def _broken_where_carried(track: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The track with a gap wherever the robot did not drive: lines through walls would mislead."""
+    carried = np.flatnonzero(np.hypot(*np.diff(track, axis=0).T) > _CARRIED_M) + 1
+    return np.insert(track, carried, math.nan, axis=0)
+
+
+def _painted(grid: OccupancyCells) -> NDArray[np.uint8]:
+    """The map as a picture: white free, black occupied, grey unknown; row 0 at the bottom."""
+    picture = np.full(grid.values.shape, 200, np.uint8)
+    picture[(grid.values >= 0) & (grid.values <= 25)] = 255
+    picture[grid.values >= _OBSTACLE] = 0
+    return picture

@@ -7,22 +7,25 @@ import logging
 from dataclasses import dataclass
 from pathlib import Path
 
-import yaml
-
 from cairn.deployment.load import load_deployment
+from cairn.deployment.model import Deployment
 from cairn.errors import CairnError
 from cairn.placement.lockstep_run import LockstepRun
 from components.evaluation.results import RunResult
+from planar.poses import Pose
+
+_POSE = ("x", "y", "theta")
 
 
 @dataclass(frozen=True)
 class Trial:
-    """What is run: deployment, world and its maps, and the examination."""
+    """What is run: deployment, world, its maps, where the robot starts, and the examination."""
 
     deployment: Path
     world: Path
     map_file: Path
     visual_map: Path
+    start: Pose
     goals: int
     seed: int
     kidnap_at: int
@@ -35,9 +38,18 @@ def run_trial(trial: Trial, scratch: str) -> RunResult:
     folder.mkdir()
     logging.getLogger("cairn").setLevel(logging.CRITICAL)  # failures are in the result
     result = folder / "result.json"
+    end = LockstepRun(examination(trial, folder, result), trial.seed).run(lambda: None)
+    if not end.normal or not result.exists():
+        raise CairnError(end.reason)
+    found = RunResult.model_validate_json(result.read_text(encoding="utf-8"))
+    return found.model_copy(update={"seed": trial.seed})
+
+
+def examination(trial: Trial, folder: Path, result: Path) -> Deployment:
+    """The deployment with an examiner in it, which writes the result; `folder` is for files."""
     overlay = folder / "examination.yaml"
     overlay.write_text(_overlay(trial, result), encoding="utf-8")
-    deployment = load_deployment(
+    return load_deployment(
         trial.deployment,
         [overlay],
         [
@@ -45,22 +57,10 @@ def run_trial(trial: Trial, scratch: str) -> RunResult:
             f"settings.map={trial.map_file}",
             f"settings.visual_map={trial.visual_map}",
             f"settings.report={folder}",
-            f"settings.start={_start(trial.world)}",
+            f"settings.start={json.dumps(dict(zip(_POSE, trial.start, strict=True)))}",
             *trial.sets,
         ],
     )
-    end = LockstepRun(deployment, trial.seed).run(lambda: None)
-    if not end.normal or not result.exists():
-        raise CairnError(f"the run of seed {trial.seed} failed: {end.reason}")
-    found = RunResult.model_validate_json(result.read_text(encoding="utf-8"))
-    return found.model_copy(update={"seed": trial.seed})
-
-
-def _start(world: Path) -> str:
-    """Where the world file puts the robot: the start that it knows."""
-    robot = yaml.safe_load(world.read_text(encoding="utf-8"))["robot"]
-    start = {"x": robot["x"], "y": robot["y"], "theta": robot.get("theta", 0.0)}
-    return json.dumps(start)
 
 
 def _overlay(trial: Trial, result: Path) -> str:
@@ -72,6 +72,7 @@ def _overlay(trial: Trial, result: Path) -> str:
         "parameters": {
             "goals": trial.goals,
             "kidnap_at": trial.kidnap_at,
+            "radius": "${radius}",
             "file": str(result),
         },
     }

@@ -1,8 +1,14 @@
 """`cairn evaluate navigation`, as a user runs it: goals reached in the room, and a report."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
+import pytest
+
+from components.evaluation import cli
+from components.evaluation.results import GoalResult, RunResult
+from components.evaluation.runs import Trial, examination
 from tests.commands import cairn
 
 ROOT = Path(__file__).parents[3]
@@ -33,6 +39,11 @@ def test_a_robot_reaches_its_goals_though_it_is_carried_off(tmp_path: Path) -> N
     runs = json.loads((tmp_path / "out" / "runs.json").read_text())["runs"]
     assert runs[0]["seed"] == 3
     assert runs[0]["error_median"] < 0.05
+    assert summary["relocalised"] == 1
+    assert summary["end_error_p95"] < 0.15
+    for goal in runs[0]["goals"]:
+        assert goal["shortest"] >= 1.5
+        assert goal["driven"] >= 0.95 * goal["shortest"]
     for picture in ("tracks.png", "ways.png"):
         assert (tmp_path / "out" / picture).read_bytes().startswith(b"\x89PNG")
 
@@ -60,3 +71,95 @@ def test_a_world_that_cannot_be_is_told_of(tmp_path: Path) -> None:
 
     assert answer.code == 1
     assert "desk overlaps table at (2.20, 2.00); move one of them" in answer.err
+
+
+GOOD = GoalResult(
+    x=3.0, y=2.0, theta=0.0, reached=True, claimed=True, reason="arrived", shortest=2.0,
+    driven=2.1, seconds=6.0, recoveries=0, end_error=0.02, end_turn=0.01,
+)  # fmt: skip
+MISSED = GOOD.model_copy(update={"reached": False, "end_error": 0.3})
+
+
+def trial(*sets: str) -> Trial:
+    return Trial(
+        deployment=ROOT / "deploy" / "sim.yaml",
+        world=ROOT / "deploy" / "worlds" / "room.yaml",
+        map_file=ROOT / "deploy" / "maps" / "room.yaml",
+        visual_map=ROOT / "deploy" / "maps" / "room.cairn",
+        start=(2.0, 1.5, 0.3),
+        goals=4,
+        seed=1,
+        kidnap_at=0,
+        sets=sets,
+    )
+
+
+def as_told(trial: Trial, scratch: str) -> RunResult:
+    """A run by the number of its seed; called in processes of their own."""
+    if trial.seed == 9:
+        raise ValueError("this seed went wrong")
+    return {
+        0: RunResult(seed=0, goals=[GOOD], track=[(1.0, 1.0), (3.0, 2.0)]),
+        1: RunResult(seed=1, goals=[GOOD, MISSED]),
+        2: RunResult(seed=2, goals=[GOOD], collisions=["table at (1.00, 1.00), 0.20 m/s"]),
+        3: RunResult(seed=3, goals=[GOOD], failure="never carried off"),
+    }[trial.seed]
+
+
+@pytest.mark.parametrize(
+    ("seeds", "code", "told"),
+    [
+        ("0", 0, "reached           1 of 1"),
+        ("0..1", 1, "seed 1, goal 2 at (3.00, 2.00) not reached"),
+        ("2", 1, "seed 2, collision: table"),
+        ("3", 1, "seed 3 failed: never carried off"),
+        ("9", 1, "seed 9 failed: ValueError('this seed went wrong')"),
+    ],
+)
+def test_its_exit_status_tells_whether_all_went_well(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, seeds: str, code: int, told: str
+) -> None:
+    monkeypatch.setattr(cli, "run_trial", as_told)
+
+    answer = cairn(
+        "evaluate",
+        "navigation",
+        "--world",
+        str(ROOT / "deploy" / "worlds" / "room.yaml"),
+        "--seeds",
+        seeds,
+        "--out",
+        str(tmp_path / "out"),
+        "--workers",
+        "1",
+    )
+
+    assert answer.code == code, answer
+    assert told in answer.out
+
+
+def test_a_run_that_fails_does_not_lose_the_others(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    trials = [replace(trial(), seed=seed) for seed in (0, 9, 1)]
+    monkeypatch.setattr(cli, "run_trial", as_told)
+
+    runs = cli._run(trials, 1, quiet=True)
+
+    assert [(run.seed, len(run.goals)) for run in runs] == [(0, 1), (9, 0), (1, 2)]
+    assert [bool(run.failure) for run in runs] == [False, True, False]
+
+
+def test_the_examiner_measures_for_the_robot_that_drives(tmp_path: Path) -> None:
+    found = examination(trial("settings.radius=0.3"), tmp_path, tmp_path / "result.json")
+
+    assert found.components["examiner"].parameters["radius"] == 0.3
+    assert found.components["world"].parameters["radius"] == 0.3
+
+
+def test_the_robot_starts_where_the_world_has_it(tmp_path: Path) -> None:
+    found = examination(trial(), tmp_path, tmp_path / "result.json")
+
+    automove = found.components["mobile_supervisor"].children["automove"]
+    start = automove.children["localizer"].parameters["start"]
+    assert start == {"x": 2.0, "y": 1.5, "theta": 0.3}

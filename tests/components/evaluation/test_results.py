@@ -7,23 +7,25 @@ import pytest
 
 from cairn.errors import CairnError
 from components.evaluation.cli import _seeds
-from components.evaluation.free_goals import FreeGoals
 from components.evaluation.localization_quality import LocalizationQuality
+from components.evaluation.report import report_lines
 from components.evaluation.results import GoalResult, RunResult, summed_up
-from tests.components.localizer.room import room
 
 
 def goal(reached: bool, shortest: float, driven: float, kidnapped: bool = False) -> GoalResult:
     return GoalResult(
         x=0.0,
         y=0.0,
+        theta=0.0,
         reached=reached,
+        claimed=True,
         reason="",
         shortest=shortest,
         driven=driven,
         seconds=10.0,
         recoveries=1,
-        end_error=0.0,
+        end_error=0.02 if reached else 0.2,
+        end_turn=0.01,
         kidnapped=kidnapped,
         relocalised_s=2.0 if kidnapped else None,
     )
@@ -37,6 +39,7 @@ def run(*goals: GoalResult, collisions: int = 0) -> RunResult:
         error_median=0.02,
         error_p95=0.05,
         error_max=0.1,
+        error_counts={200: 10},
         within=(0.6, 0.9, 1.0),
         simulated_s=100.0,
         track=[(0.0, 0.0)],
@@ -58,6 +61,48 @@ def test_goals_ways_and_collisions_of_all_runs_are_summed_up() -> None:
     assert summary.within == (0.6, 0.9, 1.0)
 
 
+def told_of(error_m: float, poses: int, within: tuple[float, float, float]) -> RunResult:
+    counts = {round(error_m * 1e4): poses}
+    return run(goal(True, 4.0, 4.4)).model_copy(update={"error_counts": counts, "within": within})
+
+
+def test_errors_are_those_of_all_poses_of_all_runs() -> None:
+    good = [told_of(0.004, 100, (1.0, 1.0, 1.0))] * 9
+    bad = told_of(3.0, 300, (0.0, 0.0, 0.2))
+
+    summary = summed_up([*good, bad])
+
+    assert summary.error_median == pytest.approx(0.004)
+    assert summary.error_p95 == pytest.approx(3.0)  # for 300 of 1200 poses it was that far off
+    assert summary.within == (0.75, 0.75, 0.8)
+
+
+def test_ends_are_of_goals_where_the_robot_said_to_be_there() -> None:
+    silent = goal(False, 4.0, 1.0).model_copy(update={"claimed": False, "end_error": 5.0})
+
+    summary = summed_up([run(goal(True, 4.0, 4.4), goal(False, 4.0, 4.4), silent)])
+
+    assert summary.end_error_median == pytest.approx(0.11)
+    assert summary.end_turn_p95 == pytest.approx(0.01)
+
+
+def test_the_report_tells_what_went_wrong_and_what_is_left_out_of_the_errors() -> None:
+    never = goal(True, 4.0, 4.4, kidnapped=True).model_copy(update={"relocalised_s": None})
+    runs = [
+        run(goal(False, 4.0, 4.4), goal(True, 1.0, 8.0, kidnapped=True), never, collisions=1),
+        RunResult(seed=2, failure="the robot was to be carried off and never was"),
+    ]
+
+    told = "\n".join(report_lines("hall.yaml", runs, summed_up(runs)))
+
+    assert "seed 1, goal 1 at (0.00, 0.00) not reached: " in told
+    assert "seed 1, collision: table at (1.00, 1.00), 0.20 m/s" in told
+    assert "seed 2 failed: the robot was to be carried off and never was" in told
+    assert "failed            1 of 2 runs" in told
+    assert "found itself      1 of 2, in 2.0 s median, 2.0 s at worst" in told
+    assert "both but from being carried off until it found itself" in told
+
+
 def test_nothing_reached_has_no_ratio() -> None:
     summary = summed_up([run(goal(False, 4.0, 1.0))])
 
@@ -76,19 +121,13 @@ def test_an_honest_covariance_holds_the_truth_as_often_as_a_gaussian_does() -> N
     assert quality.percentile(50) == pytest.approx(0.05 * math.sqrt(2 * math.log(2)), rel=0.05)
 
 
-def test_goals_are_drawn_where_the_robot_can_stand_and_ways_to_them_are_shortest() -> None:
-    free = FreeGoals(room(), 0.22, 0.15)
-    random = np.random.default_rng(1)
-    start = (2.0, 2.0, 0.0)
+def test_who_states_no_error_at_all_is_never_within_it() -> None:
+    quality = LocalizationQuality()
+    for covariance in (np.zeros((3, 3)), np.diag([-1.0, -1.0, 1.0]), np.diag([1.0, 0.0, 1.0])):
+        quality.add((0.0, 0.0, 0.0), covariance, (5.0, 5.0, 0.0))
+    quality.add((0.0, 0.0, 0.0), np.eye(3), (0.1, 0.0, 0.0))
 
-    goals = [free.draw(start, 1.5, random) for _ in range(50)]
-
-    for drawn in goals:
-        assert drawn is not None
-        straight = math.dist(drawn[:2], start[:2])
-        assert straight >= 1.5
-        assert 0.97 * straight <= free.shortest(start, drawn) < 3.0 * straight
-    assert free.shortest(start, (4.75, 3.3, 0.0)) == math.inf  # in the middle of a box
+    assert quality.within() == (0.25, 0.25, 0.25)
 
 
 def test_seeds_are_given_as_a_range() -> None:
