@@ -60,7 +60,7 @@ class Deployed:
     def ask(self, component: str, verb: str, **arguments: Any) -> Any:
         """What a component answers to a request; what follows at once has happened then."""
         self.begin()
-        answer = self._runtime(component).request(verb, arguments)
+        answer = self._place(component).runtime.request(verb, arguments)
         self.wait(0.0)
         return answer
 
@@ -93,12 +93,16 @@ class Deployed:
         if self.run.end is None and self._began:
             self.run._root.runtime.transition(Transition.SHUTDOWN)
 
-    def _runtime(self, component: str) -> Any:
+    def silence(self, component: str) -> None:
+        """Have a component do nothing any more, like a process that was stopped."""
+        self._place(component)._scheduler.stop()
+
+    def _place(self, component: str) -> Any:
         places = [self.run._root]
         while places:
             place = places.pop()
             if place.runtime.name == component:
-                return place.runtime
+                return place
             places += [child.place for child in place._children if child.end is None]
         raise AssertionError(f"there is no {component}")
 

@@ -58,21 +58,19 @@ class Robot:
         begin = self.place
         self._await(lambda: distance(begin, self._truths[-1][1]) >= metres, limit_s, "moves")
 
-    def await_stand(self, since: float, limit_s: float = 10.0) -> float:
-        """Wait until the robot has stood for 0.25 s; how long after `since` that began [s]."""
+    def await_stand(self, limit_s: float = 10.0) -> None:
+        """Wait until the robot has stood for 0.25 s."""
+        since = time.monotonic()
 
-        def began() -> float | None:
+        def stands() -> bool:
             truths = [(at, pose) for at, pose in self._truths if at >= since]
             for number, (at, pose) in enumerate(truths):
                 later = [other for when, other in truths[number:] if when - at >= 0.25]
                 if later and distance(pose, later[0]) < 0.005:
-                    return at - since
-            return None
+                    return True
+            return False
 
-        self._await(lambda: began() is not None, limit_s, "stands")
-        took = began()
-        assert took is not None
-        return took
+        self._await(stands, limit_s, "stands")
 
     def _await(self, so: Callable[[], bool], limit_s: float, what: str) -> None:
         with self._changed:

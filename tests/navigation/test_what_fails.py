@@ -9,7 +9,7 @@ from PIL import Image
 
 from cairn.errors import CairnError
 from schemas.cairn_nav_msgs import MotionStatus, MoveStatus
-from tests.navigation.driving import DEPLOY, Drive
+from tests.navigation.driving import DEPLOY, STOPS_S, Drive
 
 DriveOf = Callable[..., Drive]
 
@@ -43,6 +43,24 @@ def test_a_scanner_that_stays_silent_ends_the_order_with_its_name(drive: DriveOf
     assert end.state == MoveStatus.FAILED
     assert re.match(r"no scan for \d+\.\d+ s on /robot/scan", end.reason)
     assert robot.stands()
+
+
+@pytest.mark.parametrize(
+    ("component", "missed_after_s"),
+    [("motion_control", 0.3), ("range_scanner", 0.5), ("localizer", 1.0), ("automove", 1.5)],
+)
+def test_a_silent_component_leaves_the_robot_standing_in_time(
+    drive: DriveOf, component: str, missed_after_s: float
+) -> None:
+    robot = drive()
+    robot.go(6.6, 1.8)
+    robot.await_state(MoveStatus.DRIVING)
+    robot.wait(3.0)
+
+    robot.silence(component)
+
+    assert missed_after_s < robot.time_to_stand() <= missed_after_s + STOPS_S
+    assert robot.collisions == []
 
 
 @pytest.mark.parametrize(
