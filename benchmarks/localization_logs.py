@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.result import Figure
+from components.evaluation.localization_quality import SIGMAS
 from components.localizer.config import MeasuredBase
 from components.localizer.localization import Localization, Settings
 from components.localizer.odometry import MeasuredTrack
@@ -60,14 +61,14 @@ class Log:
 @dataclass(frozen=True)
 class Outcome:
     """At each scan that was given: time [s], errors [m] and [rad] (NaN while not located),
-    health, stated deviation [m].
+    health, squared Mahalanobis distance of the true position by the stated covariance.
     """
 
     time: Array
     error: Array
     turned: Array
     health: Array
-    stated: Array
+    squares: Array
 
 
 def load(path: Path) -> Log:
@@ -140,7 +141,9 @@ def drive(
         x, y, theta = log.truth[k].tolist()
         error = math.hypot(pose.mean[0] - x, pose.mean[1] - y)
         turned = abs(wrap(pose.mean[2] - theta))
-        rows.append((time, error, turned, robot.health().value, pose.spread))
+        off = np.array([pose.mean[0] - x, pose.mean[1] - y])
+        square = float(off @ np.linalg.solve(pose.covariance[:2, :2], off))
+        rows.append((time, error, turned, robot.health().value, square))
         if until_found:
             break
     return Outcome(*np.array(rows).reshape(-1, 5).T)
@@ -219,6 +222,7 @@ def measure_log(name: str, seed: int = 0) -> list[Figure]:
 def _driven(what: str, outcome: Outcome, judged: NDArray[np.bool_]) -> list[Figure]:
     error = outcome.error[judged]
     lost = lost_stretches(outcome)
+    one, two, three = (float(np.mean(outcome.squares[judged] <= limit)) for limit in SIGMAS)
     return [
         Figure(f"{what}: position error, median", float(np.median(error)), "m", at_most=0.15,
                note=f"rms {math.sqrt(np.mean(error**2)):.3f}, 95 % {np.percentile(error, 95):.3f},"
@@ -230,6 +234,8 @@ def _driven(what: str, outcome: Outcome, judged: NDArray[np.bool_]) -> list[Figu
         Figure(f"{what}: said to be well (0.5 up) while off by more than {LOST_M:g} m",
                float(np.mean((error > LOST_M) & (outcome.health[judged] >= 0.5))), "of scans",
                at_most=0.005),
+        Figure(f"{what}: truth within 1 sigma as stated", one, "of scans", at_least=0.55,
+               note=f"within 2: {two:.3f}, 3: {three:.3f}"),
     ]  # fmt: skip
 
 

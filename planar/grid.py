@@ -61,6 +61,18 @@ class Frame:
         return ox + cosine * along - sine * across, oy + sine * along + cosine * across
 
 
+def changed_window(old: NDArray[Value], new: NDArray[Value]) -> tuple[slice, slice] | None:
+    """The least window, rows and columns, that holds all cells in which two grids of one size
+    differ; None if none does.
+    """
+    other = old != new
+    rows = np.flatnonzero(other.any(axis=1))
+    if not rows.size:
+        return None
+    columns = np.flatnonzero(other.any(axis=0))
+    return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
+
+
 @dataclass(frozen=True)
 class Grid(Generic[Value]):
     """Cell values (rows, columns), row 0 at the origin, and where they lie."""

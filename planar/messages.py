@@ -46,6 +46,14 @@ def planar_covariance(pose: PoseWithCovariance) -> Array:
     return covariance
 
 
+def is_covariance(covariance: Array) -> bool:
+    """Whether a matrix (n, n) is one: symmetric, and no direction has a negative variance."""
+    if not np.isfinite(covariance).all() or not np.allclose(covariance, covariance.T):
+        return False
+    variances = np.linalg.eigvalsh(covariance)
+    return bool(variances[0] >= -1e-9 * max(1.0, variances[-1]))
+
+
 def packed_poses(rows: Array) -> Packed[Pose]:
     """Planar poses (n, 3) as a sequence of messages."""
     packed = np.zeros((rows.shape[0], 7))

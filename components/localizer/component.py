@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,6 +14,7 @@ from cairn.component.handlers import every, on
 from cairn.component.parameters import Config, ParameterRefused
 from cairn.component.ports import In, Out
 from cairn.errors import CairnError
+from components.localizer.beginning import first_pose, pointed_out
 from components.localizer.config import LocalizerConfig
 from components.localizer.health import Health, without_scans
 from components.localizer.localization import Localization
@@ -28,9 +28,9 @@ from components.localizer.messages import (
 from components.localizer.object_likelihood import Sighting
 from components.localizer.odometry import MeasuredTrack
 from components.localizer.order import Held
-from components.localizer.resume import resumed, save
+from components.localizer.resume import save
 from planar.grid import grid_of
-from planar.messages import packed_poses, planar_covariance, planar_pose, with_covariance
+from planar.messages import packed_poses, planar_pose, with_covariance
 from planar.odometry import OdometryHistory
 from planar.poses import Pose, compose, inverse, relative
 from planar.sweep import rays_of, sweep_s
@@ -55,19 +55,11 @@ POSE_EVERY_S = 0.0999
 SCANS_S = 0.5
 # Without scans for longer [s] the pose is less sure than it says.
 SILENT_S = 1.0
-# A start is known as long as odometry has drifted less than this from its origin [m].
-START_HOLDS_M = 0.5
+# So many records of odometry in a row that are older than the newest: time was set back.
+OLDER_IN_A_ROW = 5
 # How far [m], [rad] the robot may have come while odometry jumped.
 JUMP_M, JUMP_RAD = 0.15, 0.15
 SHOWN = 200  # poses of the cloud on topic `particles`
-
-
-@dataclass(frozen=True)
-class _Sweep:
-    """A scan waiting for odometry: its time is that of its last beam."""
-
-    scan: LaserScan
-    began_s: float
 
 
 class Localizer(Component):
@@ -97,14 +89,17 @@ class Localizer(Component):
         folder = self.config.resume_file.parent if self.config.resume_file else None
         if folder is not None and not folder.is_dir():
             raise CairnError(f"{folder}: no such folder to keep the last pose in (resume_file)")
+        self._was_located = False
+        self._complaints = Complaints(self.log)
+        self._lay_out()
+
+    def _lay_out(self) -> None:
         self._track = self.config.base.track()
         self._localization = Localization(self.config.settings(), self._track, self.random)
-        self._held: Held[_Sweep | list[Sighting]] = Held(self.config.hold_s)
+        self._held: Held[LaserScan | list[Sighting]] = Held(self.config.hold_s)
         self._history = OdometryHistory(5 * SECOND)
         self._published = self._scanned = self._measured = -math.inf
-        self._was_located = False
-        self._jumps = 0
-        self._complaints = Complaints(self.log)
+        self._jumps = self._older = 0
 
     def on_parameters(self, new: Config) -> None:  # noqa: ARG002 - none can be changed
         """The clouds are laid out once."""
@@ -138,9 +133,9 @@ class Localizer(Component):
     @on("initialpose")
     def begin_at(self, given: PoseWithCovarianceStamped) -> None:
         """Take an operator's word for where the robot is."""
-        where = planar_pose(given.pose.pose)
-        self._localization.locate(where, planar_covariance(given.pose))
-        self.log.info("told to be at (%.2f m, %.2f m, %.2f rad)", *where)
+        where = pointed_out(given.pose)
+        self._localization.locate(where.mean, where.covariance)
+        self.log.info("told to be at (%.2f m, %.2f m, %.2f rad)", *where.mean)
 
     @on("odom")
     def follow(self, odom: Odometry) -> None:
@@ -149,19 +144,27 @@ class Localizer(Component):
         pose = planar_pose(odom.pose.pose)
         latest = self._track.latest
         if latest == -math.inf:
-            self._begin(odom, stamp, pose)
+            self._localization.advance(stamp)
+            known = first_pose(self.config, odom, stamp, self.log)
+            if known is not None:
+                self._localization.locate(known.mean, known.covariance)
         elif stamp - latest > GAP_S:
             self._complaints.tell(
                 "gap", f"no odometry on {self.odom.topic} for {stamp - latest:.1f} s"
             )
         twist = odom.twist.twist
         if not self._localization.command(stamp, pose, twist.linear.x, twist.angular.z):
-            self._complaints.tell(
-                self.odom.topic,
-                f"time on {self.odom.topic} runs backwards, from {latest:.3f} s to {stamp:.3f} s: "
-                "ignored",
-            )
-            return
+            self._older += 1
+            if self._older < OLDER_IN_A_ROW:
+                self._complaints.tell(
+                    self.odom.topic,
+                    f"time on {self.odom.topic} runs backwards, from {latest:.3f} s to "
+                    f"{stamp:.3f} s: ignored",
+                )
+                return
+            self._set_back(stamp)
+            self._localization.command(stamp, pose, twist.linear.x, twist.angular.z)
+        self._older = 0
         self._note_jump()
         self._history.add(to_ns(odom.header.stamp), pose)
         self._work_off()
@@ -172,30 +175,18 @@ class Localizer(Component):
     @on("scan")
     def look(self, scan: LaserScan) -> None:
         """Take a scan; it waits until odometry has reached its last beam."""
-        began = _seconds(scan.header.stamp)
-        ends = began + sweep_s(scan)
-        if ends < self._track.integrated_to - LATE_S:
-            late_s = self._track.integrated_to - ends
-            self._complaints.tell(
-                "late scan", f"a scan of {began:.3f} s is {late_s:.1f} s late: ignored"
-            )
-            return
-        self._held.add(ends, _Sweep(scan, began))
-        self._work_off()
+        ends = _seconds(scan.header.stamp) + sweep_s(scan)
+        if self._in_time(ends, self.scan.topic):
+            self._held.add(ends, scan)
+            self._work_off()
 
     @on("objects")
     def see(self, message: RecognizedObjectArray) -> None:
         """Take recognised objects; they wait until odometry has reached their time."""
         stamp = _seconds(message.header.stamp)
-        reached = self._track.integrated_to
-        if stamp < reached - LATE_S:
-            late_s = reached - stamp
-            self._complaints.tell(
-                "late", f"sightings of {stamp:.3f} s are {late_s:.1f} s late: ignored"
-            )
-            return
-        self._held.add(stamp, sightings_of(message))
-        self._work_off()
+        if self._in_time(stamp, self.objects.topic):
+            self._held.add(stamp, sightings_of(message))
+            self._work_off()
 
     @every(hz=2)
     def publish_particles(self) -> None:
@@ -222,30 +213,25 @@ class Localizer(Component):
         except OSError as error:
             self._complaints.tell("resume", f"the pose cannot be kept in {file}: {error.strerror}")
 
-    def _begin(self, odom: Odometry, stamp: float, pose: Pose) -> None:
-        self._localization.advance(stamp)
-        file = self.config.resume_file
-        last = resumed(file, stamp, pose, self.log) if file else None
-        if last is not None:
-            self._localization.locate(last.mean, last.covariance)
-            return
-        start = self.config.start
-        if start is None:
-            self.log.info("start unknown: looking for the robot by what it sees")
-            return
-        covariance = planar_covariance(odom.pose)
-        drift = math.sqrt(covariance[0, 0] + covariance[1, 1])
-        if drift > START_HOLDS_M:
-            self.log.warning(
-                "the known start no longer holds, as odometry has drifted by some %.1f m since: "
-                "looking for the robot by what it sees",
-                drift,
-            )
-            return
-        spread = np.diag([start.position_sd**2, start.position_sd**2, start.heading_sd**2])
-        self._localization.locate(
-            compose((start.x, start.y, start.theta), pose), spread + covariance
-        )
+    def _in_time(self, stamp: float, topic: str) -> bool:
+        late_s = self._track.integrated_to - stamp
+        ahead_s = stamp - self.clock.now() / SECOND
+        if late_s > LATE_S:
+            why = f"{late_s:.1f} s late"
+        elif ahead_s > self.config.hold_s:
+            why = f"{ahead_s:.1f} s ahead of the clock; set that of its driver"
+        else:
+            return True
+        self._complaints.tell(topic, f"what {topic} tells of {stamp:.3f} s is ignored: it is {why}")
+        return False
+
+    def _set_back(self, stamp: float) -> None:
+        """Go on from the last pose, on a time that was set back to `stamp` [s]."""
+        last, by_s = self._localization, self._track.latest - stamp
+        self.log.warning("time on %s was set back by %.3f s", self.odom.topic, by_s)
+        self._lay_out()
+        self._localization.go_on_from(last, stamp)
+        self._localization.doubt(JUMP_M, JUMP_RAD)
 
     def _note_jump(self) -> None:
         track = self._track
@@ -265,7 +251,7 @@ class Localizer(Component):
                 self._complaints.tell(
                     "wait", f"what was seen at {stamp:.3f} s found no odometry of that time"
                 )
-            if isinstance(item, _Sweep):
+            if isinstance(item, LaserScan):
                 self._fuse_scan(stamp, item)
             else:
                 self._fuse_objects(stamp, item)
@@ -275,12 +261,11 @@ class Localizer(Component):
                 break
             self._localization.advance(track.integrated_to + STEP_S)
 
-    def _fuse_scan(self, ends: float, sweep: _Sweep) -> None:
-        began = self._history.at(to_ns(sweep.scan.header.stamp))
+    def _fuse_scan(self, ends: float, scan: LaserScan) -> None:
+        began = self._history.at(to_ns(scan.header.stamp))
         ended = self._history.at(round(ends * SECOND))
-        if began is None or ended is None:
-            began = ended = (0.0, 0.0, 0.0)
-        rays = rays_of(sweep.scan, self.config.mount.pose, relative(began, ended))
+        moved = (0.0, 0.0, 0.0) if began is None or ended is None else relative(began, ended)
+        rays = rays_of(scan, self.config.mount.pose, moved)
         points = rays.points()
         if np.isnan(rays.ranges).all():
             self._complaints.tell(
@@ -292,12 +277,13 @@ class Localizer(Component):
         found = self._localization.scan(ends, points)
         if found:
             self._tell_found(ends)
-        if not self._localization.located:
-            self._tell_health(sweep.scan.header)
+        # Without odometry of its time nobody can tell where the odometry frame lies.
+        if not self._localization.located or began is None:
+            self._tell_health(scan.header)
             return
         estimate = self._localization.pose()
-        at_first_beam = compose(estimate.mean, inverse(relative(began, ended)))
-        header = Header(stamp=sweep.scan.header.stamp, frame_id="map")
+        at_first_beam = compose(estimate.mean, inverse(moved))
+        header = Header(stamp=scan.header.stamp, frame_id="map")
         self._publish(header, at_first_beam, began, estimate.covariance)
 
     def _fuse_objects(self, stamp: float, sightings: list[Sighting]) -> None:

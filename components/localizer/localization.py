@@ -108,6 +108,14 @@ class Localization:
         self.located = True
         self.recovery.believe()
 
+    def go_on_from(self, other: Localization, stamp: float) -> None:
+        """Take the maps and the pose that another one had, at the time `stamp` [s] of this one."""
+        self.landmarks, self.map = other.landmarks, other.map
+        self.advance(stamp)
+        if other.located:
+            pose = other.pose()
+            self.locate(pose.mean, pose.covariance)
+
     def use_map(self, landmarks: Iterable[Landmark]) -> None:
         """Take a new state of the visual map."""
         before = self.landmarks
@@ -122,7 +130,8 @@ class Localization:
 
     def use_grid(self, grid: OccupancyCells) -> None:
         """Take a new grid map."""
-        self.map = ScanMap(grid, self.settings.beam_sd_m, self.settings.stray)
+        if self.map is None or not self.map.take(grid):
+            self.map = ScanMap(grid, self.settings.beam_sd_m, self.settings.stray)
 
     def command(self, stamp: float, pose: Pose, forward: float, turn: float) -> bool:
         """Take odometry (pose, velocities [m/s, rad/s]); False if older than the newest one."""

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from components.localizer.free_space import FreeSpace
 from components.localizer.likelihood_field import LikelihoodField
-from planar.grid import Grid, OccupancyCells
+from planar.grid import Grid, OccupancyCells, changed_window
 
 # Deviation of a beam [m] for a first look at the whole map, where few poses are drawn near any.
 _WIDE_M = 0.35
@@ -38,6 +38,15 @@ class ScanMap:
         if self._free is None:
             self._free = FreeSpace(self._grid)
         return self._free
+
+    def take(self, grid: OccupancyCells) -> bool:
+        """Take a new map in place of the last; False if it lies elsewhere or has another size."""
+        if grid.frame != self._grid.frame or grid.values.shape != self._grid.values.shape:
+            return False
+        window = changed_window(self._grid.values, grid.values)
+        if window is not None:
+            self.renew(window[0].start, window[1].start, grid.values[window])
+        return True
 
     def fits(self, row: int, column: int, values: NDArray[np.int8]) -> bool:
         """Whether a window of cells lies on the map."""

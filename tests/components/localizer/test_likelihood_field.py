@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from components.localizer.likelihood_field import LikelihoodField
+from components.localizer.scan_map import ScanMap
 from planar.grid import FREE, OCCUPIED, UNKNOWN, Frame, Grid
 from planar.poses import Pose
 
@@ -103,3 +104,23 @@ def test_a_map_without_obstacles_explains_nothing() -> None:
 
     assert at(field, 0.5, 0.5, 0.0) == pytest.approx(math.log(STRAY), abs=1e-5)
     assert field.fit((0.5, 0.5, 0.0), np.array([[1.0, 0.0]])) == 0.0
+
+
+def test_a_map_taken_anew_is_as_one_made_of_it() -> None:
+    random = np.random.default_rng(0)
+    first = random.choice([FREE, OCCUPIED, UNKNOWN], (40, 60), p=[0.9, 0.05, 0.05]).astype(np.int8)
+    second = first.copy()
+    second[5:12, 20:50] = OCCUPIED
+    frame = Frame(0.05, (1.0, -2.0, 0.3))
+    kept = ScanMap(Grid(first, frame), SIGMA, STRAY)
+    poses = random.uniform((0.0, -2.0, -3.0), (3.0, 0.0, 3.0), (20, 3)).T.copy()
+    points = random.uniform(-2.0, 2.0, (30, 2))
+
+    same, other = kept.take(Grid(second, frame)), kept.take(Grid(second[:30], frame))
+
+    assert (same, other) == (True, False)
+    made = ScanMap(Grid(second, frame), SIGMA, STRAY)
+    for ours, theirs in ((kept.field, made.field), (kept.wide, made.wide)):
+        np.testing.assert_array_equal(
+            ours.log_likelihood(poses, points), theirs.log_likelihood(poses, points)
+        )

@@ -190,7 +190,7 @@ def test_time_that_runs_backwards_is_told_and_ignored(
     travel(it, moments[60:])
 
     assert "time on /robot/odom runs backwards, from 1011.800 s to 1000.600 s" in caplog.text
-    assert "sightings of 1000.000 s are 11.8 s late: ignored" in caplog.text
+    assert "tells of 1000.000 s is ignored: it is 11.8 s late" in caplog.text
     assert error(it.taken("pose")[-1], moments) < 0.3
 
 

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -181,7 +182,89 @@ def test_time_that_runs_backwards_is_ignored(
     travel(it, moments[60:])
 
     assert "runs backwards" in caplog.text
-    assert "s late: ignored" in caplog.text
+    assert "what /robot/scan tells of 1001.000 s is ignored: it is " in caplog.text
+    assert last_error(it, moments) < 0.1
+
+
+def test_time_that_was_set_back_is_gone_on_with(
+    stage: StageOf, caplog: pytest.LogCaptureFixture
+) -> None:
+    it, moments = begun(stage), journey()
+    travel(it, moments[:60])
+
+    for moment in moments[60:]:  # the clock of the robot was 500 s fast
+        it.give("odom", odometry(moment.time - 500.0, moment.odometry))
+        it.give("scan", scan(moment.time - 500.0, ranges_of(moment)))
+    shown = it.taken("pose")[-1]
+
+    assert "time on /robot/odom was set back by 49" in caplog.text
+    assert caplog.text.count("was set back") == 1
+    assert shown.header.stamp.sec == int(BEGIN + moments[-1].time - 500.0)
+    assert apart(planar_pose(shown.pose.pose), moments[-1].pose)[0] < 0.1
+
+
+def test_scans_of_a_clock_that_is_fast_are_told_and_not_kept(
+    stage: StageOf, caplog: pytest.LogCaptureFixture
+) -> None:
+    it, moments = begun(stage), journey()
+    travel(it, moments[:60])
+
+    it.give("scan", scan(86_400.0, ranges_of(moments[60])))
+    travel(it, moments[60:])
+
+    assert "s ahead of the clock; set that of its driver" in caplog.text
+    assert last_error(it, moments) < 0.1
+
+
+def test_of_a_scan_without_odometry_no_transform_is_told(stage: StageOf) -> None:
+    it, moments = begun(stage), journey()
+    travel(it, moments[:60])
+    before = it.taken("tf")[-1].transforms[0]
+
+    # It begins before odometry does after its jump.
+    it.give("scan", scan(moments[60].time, ranges_of(moments[60])))
+    it.give("odom", odometry(moments[60].time + 0.05, (30.0, -20.0, 2.0)))
+
+    for message in it.taken("tf"):
+        for transform in message.transforms:
+            moved = np.hypot(
+                transform.transform.translation.x - before.transform.translation.x,
+                transform.transform.translation.y - before.transform.translation.y,
+            )
+            assert moved < 0.1 or moved > 20.0
+
+
+@pytest.mark.parametrize("variance", [-1.0, 0.0])
+def test_a_base_that_states_no_covariance_has_none(stage: StageOf, variance: float) -> None:
+    it = begun(stage)
+    first = odometry(0.0, (0.0, 0.0, 0.0))
+    covariance = np.zeros(36)
+    covariance[[0, 7, 35]] = variance
+    stated = PoseWithCovariance(pose=first.pose.pose, covariance=covariance)
+
+    it.give("odom", replace(first, pose=stated))
+    it.give("odom", odometry(0.2, (0.0, 0.0, 0.0)))
+
+    assert planar_pose(it.taken("pose")[-1].pose.pose) == pytest.approx(AT, abs=0.05)
+
+
+def test_an_operator_need_not_state_a_covariance(stage: StageOf) -> None:
+    it, moments = begun(stage, None), journey()
+    none = np.zeros(36)
+    for given in (none, np.where(np.arange(36) == 7, -1.0, none)):
+        it.give("odom", odometry(0.0, moments[0].odometry))
+        it.give(
+            "initialpose",
+            PoseWithCovarianceStamped(
+                header=header(0.0, "map"),
+                pose=PoseWithCovariance(
+                    pose=pose_message((AT[0] + 0.3, AT[1], 0.1)), covariance=given
+                ),
+            ),
+        )
+
+    travel(it, moments)
+
     assert last_error(it, moments) < 0.1
 
 
