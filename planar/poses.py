@@ -51,6 +51,11 @@ def distance(a: Pose, b: Pose) -> float:
     return math.hypot(a[0] - b[0], a[1] - b[1])
 
 
+def apart(a: Pose, b: Pose, metres: float, radians: float) -> bool:
+    """Whether two poses differ by more than so much in position or in heading."""
+    return distance(a, b) > metres or abs(wrap(a[2] - b[2])) > radians
+
+
 def between(a: Pose, b: Pose, share: float) -> Pose:
     """The pose that lies `share` (0 to 1) of the way from `a` to `b`, along a straight line."""
     turn = wrap(b[2] - a[2])

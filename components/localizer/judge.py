@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from components.localizer.object_likelihood import Landmark, Sighting, object_log_likelihood
 from components.localizer.particles import Estimate
-from components.localizer.recent import moved_apart
+from components.localizer.recent import ANOTHER_M, ANOTHER_RAD
 from components.localizer.ring import converge, draw_ring
 from components.localizer.similarity import (
     GATE,
@@ -24,7 +24,7 @@ from components.localizer.similarity import (
     likelihood_ratio_similarity,
     paper_similarity,
 )
-from planar.poses import Pose
+from planar.poses import Pose, apart, wrap
 
 Array = NDArray[np.float64]
 
@@ -133,7 +133,7 @@ class Judge:
     ) -> tuple[float, Verdict]:
         x, y, _ = implied_place(pose, sighting)
         known = self._contradictions.setdefault(sighting.object_id, [])
-        if not known or moved_apart(known[-1].seen_from, pose.mean):
+        if not known or apart(known[-1].seen_from, pose.mean, ANOTHER_M, ANOTHER_RAD):
             known.append(_Contradiction(x, y, pose.mean))
             del known[:-20]
         together = sum(math.hypot(c.x - x, c.y - y) < SAME_PLACE for c in known)
@@ -167,7 +167,7 @@ class Judge:
         )
         if found is None:
             return NEUTRAL, 0.0
-        turn = (found.mean[2] - pose.mean[2] + math.pi) % (2.0 * math.pi) - math.pi
+        turn = wrap(found.mean[2] - pose.mean[2])
         # 1 m/rad: a move along the circle round the robot shows in the heading alone.
         distance = math.hypot(found.mean[0] - pose.mean[0], found.mean[1] - pose.mean[1], turn)
         return paper_similarity(convergence_radius(pose), distance), distance

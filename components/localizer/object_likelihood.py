@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from planar.poses import wrap_all
+
 # Log-density of a sighting that has nothing to do with the object's place in the map, relative
 # to the peak of the sighting's own Gaussian (NIS 9.2).
 STRAY = -4.6
@@ -38,16 +40,6 @@ class Landmark:
     live: bool = True
 
 
-def wrap(angle: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Angles [rad] brought into [-pi, pi)."""
-    return (angle + math.pi) % (2.0 * math.pi) - math.pi
-
-
-def wrap_one(angle: float) -> float:
-    """One angle [rad] brought into [-pi, pi)."""
-    return (angle + math.pi) % (2.0 * math.pi) - math.pi
-
-
 def object_log_likelihood(
     poses: NDArray[np.float64], sighting: Sighting, landmark: Landmark
 ) -> NDArray[np.float64]:
@@ -64,7 +56,7 @@ def object_log_likelihood(
     spread = 0.5 * (landmark.xx + landmark.yy)
     range_variance = sighting.range_variance + spread
     bearing_variance = sighting.bearing_variance + spread / max(sighting.range_m, 0.3) ** 2
-    bearing_error = wrap(np.arctan2(dy, dx) - poses[2] - sighting.bearing)
+    bearing_error = wrap_all(np.arctan2(dy, dx) - poses[2] - sighting.bearing)
     nis = (distance - sighting.range_m) ** 2 / range_variance + bearing_error**2 / bearing_variance
     stray = (1.0 - landmark.reliability) * math.exp(STRAY)
     mixed: NDArray[np.float64] = np.log(landmark.reliability * np.exp(-0.5 * nis) + stray)

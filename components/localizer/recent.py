@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from components.localizer.object_likelihood import STRAY, Landmark, Sighting, wrap
+from components.localizer.object_likelihood import STRAY, Landmark, Sighting
 from components.localizer.particles import Estimate
-from planar.poses import Pose, relative
+from planar.poses import Pose, apart, relative, wrap_all
 
 Array = NDArray[np.float64]
 
@@ -19,6 +19,8 @@ AGREES, CONTRADICTS = 9.2, 13.8  # NIS (2 dof): 99 % and 99.9 %
 # An object counts as two sightings at most: more of them share their error.
 OBJECT_WORTH = 2.0
 TOGETHER = 0.6  # [m]
+# From poses that differ by more than this [m], [rad] sightings are independent.
+ANOTHER_M, ANOTHER_RAD = 0.15, 0.2
 
 
 @dataclass(frozen=True)
@@ -45,12 +47,6 @@ class Support:
     def firm(self) -> bool:
         """At least two places agree, and twice as many as contradict."""
         return self.agreeing >= 2 and self.agreeing >= 2 * self.contradicting
-
-
-def moved_apart(a: Pose, b: Pose) -> bool:
-    """Whether two poses differ enough (0.15 m or 0.2 rad) to give independent sightings."""
-    turn = (a[2] - b[2] + math.pi) % (2.0 * math.pi) - math.pi
-    return math.hypot(a[0] - b[0], a[1] - b[1]) > 0.15 or abs(turn) > 0.2
 
 
 class RecentSightings:
@@ -82,7 +78,7 @@ class RecentSightings:
         kept = [e for e in self.entries if moved_s - e.moved_s <= self.horizon_s]
         for sighting in sightings:
             same = [e for e in kept if e.sighting.object_id == sighting.object_id]
-            if same and not moved_apart(same[-1].at, at):
+            if same and not apart(same[-1].at, at, ANOTHER_M, ANOTHER_RAD):
                 # The newest pose is the better one: its odometry has drifted least.
                 kept.remove(same[-1])
             elif len(same) >= self.per_object:
@@ -183,7 +179,7 @@ class RecentSightings:
         dx = place[:, :1] - (poses[0] + back[:, :1] * cosine - back[:, 1:2] * sine)
         dy = place[:, 1:] - (poses[1] + back[:, :1] * sine + back[:, 1:2] * cosine)
         distance = np.sqrt(dx * dx + dy * dy)
-        bearing = wrap(np.arctan2(dy, dx) - poses[2] - back[:, 2:] - seen[:, 1:])
+        bearing = wrap_all(np.arctan2(dy, dx) - poses[2] - back[:, 2:] - seen[:, 1:])
         result: Array = (distance - seen[:, :1]) ** 2 / range_variance[:, None]
         result += bearing**2 / bearing_variance[:, None]
         return result

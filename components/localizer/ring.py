@@ -8,8 +8,9 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from components.localizer.object_likelihood import Landmark, Sighting, wrap
+from components.localizer.object_likelihood import Landmark, Sighting
 from components.localizer.particles import Estimate, estimate, normalised, systematic_choice
+from planar.poses import wrap_all
 
 Array = NDArray[np.float64]
 
@@ -33,7 +34,7 @@ def draw_ring(
     poses = np.empty((3, count))
     poses[0] = landmark.x + reach * np.cos(around)
     poses[1] = landmark.y + reach * np.sin(around)
-    poses[2] = wrap(around + math.pi - bearing)
+    poses[2] = wrap_all(around + math.pi - bearing)
     return poses
 
 

@@ -11,7 +11,7 @@ from components.localizer.evidence import Evidence
 from components.localizer.particles import Estimate, estimate, normalised, systematic_choice
 from components.localizer.recent import Support, carry
 from components.localizer.ring import draw_ring
-from planar.poses import relative
+from planar.poses import relative, wrap_all
 
 Array = NDArray[np.float64]
 
@@ -170,6 +170,6 @@ def _near(poses: Array, centres: Array, reach: float) -> NDArray[np.bool_]:
         poses[0] - centres[0][:, None],
         poses[1] - centres[1][:, None],
     )
-    turn = np.abs(np.angle(np.exp(1j * (poses[2] - centres[2][:, None]))))
+    turn = np.abs(wrap_all(poses[2] - centres[2][:, None]))
     near: NDArray[np.bool_] = (apart < reach) & (turn < reach)
     return near

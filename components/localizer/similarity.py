@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from components.localizer.object_likelihood import Landmark, Sighting, wrap_one
+from components.localizer.object_likelihood import Landmark, Sighting
 from components.localizer.particles import Estimate
+from planar.poses import wrap
 
 Array = NDArray[np.float64]
 
@@ -47,7 +48,7 @@ def innovation(pose: Estimate, sighting: Sighting, landmark: Landmark) -> Innova
     error = np.array(
         [
             sighting.range_m - distance,
-            wrap_one(sighting.bearing - math.atan2(dy, dx) + theta),
+            wrap(sighting.bearing - math.atan2(dy, dx) + theta),
         ]
     )
     by_place = np.array([[dx / distance, dy / distance], [-dy / distance**2, dx / distance**2]])

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from components.map_builder.reliability import INITIAL, REGISTRATION, REMOVAL, update
+from planar.poses import Pose, apart
 
 Array = NDArray[np.float64]
-Pose = tuple[float, float, float]
 
 # Density [1/m^2] of a sighting of an object that stands anywhere in view: 4 m by 60 degrees.
 CLUTTER = 1.0 / (0.5 * 4.0**2 * math.radians(60.0))
@@ -20,6 +20,8 @@ CLUTTER = 1.0 / (0.5 * 4.0**2 * math.radians(60.0))
 COMMON_ERROR = 0.15  # [m]
 # A candidate no farther than this from where the object stood has not moved.
 UNMOVED = 0.35  # [m]
+# From poses that differ by more than this [m], [rad] sightings are independent.
+ANOTHER_M, ANOTHER_RAD = 0.15, 0.2
 # A candidate begins with the reliability that its old place had when it was removed.
 CARRIED_OVER = 0.1
 
@@ -132,7 +134,9 @@ def _judge_live(known: MapObject, evidence: Evidence) -> tuple[MapObject, Change
     if evidence.verdict not in (Verdict.AGREES, Verdict.DISAGREES) or evidence.similarity == 0.5:
         return known, None
     # Sightings from one pose share their error: the first one counts.
-    if known.judged_from is not None and not moved_apart(known.judged_from, evidence.robot):
+    if known.judged_from is not None and not apart(
+        known.judged_from, evidence.robot, ANOTHER_M, ANOTHER_RAD
+    ):
         return known, None
     reliability = update(known.reliability, evidence.similarity)
     judged = replace(
@@ -144,10 +148,10 @@ def _judge_live(known: MapObject, evidence: Evidence) -> tuple[MapObject, Change
     if reliability <= REMOVAL:
         start = Candidate(evidence.implied, CARRIED_OVER, 1, evidence.robot)
         removed = replace(judged, state=State.RELOCATING, candidate=start)
-        apart = known.place.distance(evidence.implied) if known.place else math.nan
+        away_m = known.place.distance(evidence.implied) if known.place else math.nan
         reason = (
             f"reliability fell to {reliability:.2f}; the last sighting implies a place "
-            f"{apart:.2f} m away (distance of equation 1: {evidence.distance:.2f})"
+            f"{away_m:.2f} m away (distance of equation 1: {evidence.distance:.2f})"
         )
         return removed, Change(
             known.object_id, Kind.REMOVED, known.place, None, reliability, reason
@@ -177,7 +181,7 @@ def _judge_candidate(known: MapObject, evidence: Evidence) -> tuple[MapObject, C
     fresh = Candidate(evidence.implied, CARRIED_OVER, 1, evidence.robot)
     if candidate is None:
         return replace(seen, candidate=fresh), None
-    if not moved_apart(candidate.seen_from, evidence.robot):
+    if not apart(candidate.seen_from, evidence.robot, ANOTHER_M, ANOTHER_RAD):
         return known, None
     similarity = place_similarity(candidate.place, evidence.implied)
     if similarity < 0.5 and candidate.reliability <= 0.15:
@@ -236,12 +240,6 @@ def fuse(place: Place, implied: Place) -> Place:
         float(0.5 * (left[0, 1] + left[1, 0])),
         float(left[1, 1]),
     )
-
-
-def moved_apart(a: Pose, b: Pose) -> bool:
-    """Whether two robot poses differ enough (0.15 m or 0.2 rad) to give independent sightings."""
-    turn = (a[2] - b[2] + math.pi) % (2.0 * math.pi) - math.pi
-    return math.hypot(a[0] - b[0], a[1] - b[1]) > 0.15 or abs(turn) > 0.2
 
 
 def _covariance(place: Place) -> Array:

@@ -15,9 +15,11 @@ from benchmarks.localization_logs import (
     localization,
     mapped_by_stretches,
 )
+from components.evaluation.localization_quality import SIGMAS
 from planar.grid import OccupancyCells
 
 Place = tuple[Log, OccupancyCells]
+THREE_SIGMA = SIGMAS[2]
 
 
 def place(name: str) -> Place:
@@ -45,7 +47,7 @@ def test_wheels_that_tell_of_turns_not_made_do_not_lose_the_robot(fr079: Place, 
     judged = ~mapped_by_stretches(log)[log.scan_at >= 940.0][: len(outcome.error)]
     assert np.median(outcome.error[judged]) < 0.1
     assert outcome.error.max() < 0.6
-    assert np.mean(outcome.error <= 3.0 * outcome.stated) > 0.9
+    assert np.mean(outcome.squares <= THREE_SIGMA) > 0.9
 
 
 def test_scans_three_seconds_apart_hold_the_robot(fr101: Place) -> None:
