@@ -1,4 +1,4 @@
-"""`cairn go`: orders to move, and how they get on."""
+"""`cairn go`: orders to move, and how they get on; `cairn locate`: where the robot is."""
 
 import math
 from typing import Annotated
@@ -18,6 +18,7 @@ from cairn.cli.connection import (
 from cairn.cli.tables import line, print_json
 from cairn.errors import CairnError
 from supervisors.mobile.following import Operator, follow
+from supervisors.mobile.locating import point_out
 
 _SUPERVISOR = "mobile_supervisor"
 
@@ -59,6 +60,26 @@ def go(
             _tell(operator.go(goals), "given", as_json=json)
 
 
+def locate(
+    place: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="X Y [HEADING]",
+            help="Where the robot is, in metres in the map; heading in radians, or as 90deg; 0 if "
+            "not given.",
+        ),
+    ],
+    connect: Connect = DEFAULT_CONNECT,
+    domain: Domain = 0,
+    robot: Robot = "",
+) -> None:
+    """Tell a robot where it is, to about half a metre and 15 degrees."""
+    x, y, heading = _pose(place, "place")
+    with connected(connect, domain) as connection:
+        topic = point_out(connection, robot, (x, y, heading))
+    line(f"told on {topic}; `cairn topic echo localization_health` shows how sure the robot is")
+
+
 def _tell(order: int, what: str, *, as_json: bool) -> None:
     if as_json:
         print_json({"order_id": order})
@@ -81,16 +102,15 @@ def parse_goals(words: list[str]) -> list[list[float]]:
     if not words:
         raise CairnError("give a goal, such as `cairn go 7.5 5.0 90deg`, or --cancel")
     if any("," in word for word in words):
-        return [_goal(word.split(",")) for word in words]
-    return [_goal(words)]
+        return [_pose(word.split(","), "goal") for word in words]
+    return [_pose(words, "goal")]
 
 
-def _goal(parts: list[str]) -> list[float]:
-    given = " ".join(parts)
+def _pose(parts: list[str], what: str) -> list[float]:
+    given = f"{what} {' '.join(parts)}"
     if len(parts) not in (2, 3):
-        raise CairnError(
-            f"goal {given}: write it as X Y [HEADING]; several goals each as X,Y[,HEADING]"
-        )
+        several = "; several goals each as X,Y[,HEADING]" if what == "goal" else ""
+        raise CairnError(f"{given}: write it as X Y [HEADING]{several}")
     x, y = (_number(part, given) for part in parts[:2])
     heading = 0.0
     if len(parts) == 3:
@@ -105,7 +125,7 @@ def _number(text: str, given: str) -> float:
     try:
         value = float(text)
     except ValueError:
-        raise CairnError(f"goal {given}: {text!r} is not a number") from None
+        raise CairnError(f"{given}: {text!r} is not a number") from None
     if not math.isfinite(value):
-        raise CairnError(f"goal {given}: {text} must be finite")
+        raise CairnError(f"{given}: {text} must be finite")
     return value

@@ -17,6 +17,15 @@ def robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Robot]:
         yield robot
 
 
+def test_nobody_can_be_told_where_the_robot_is_before_there_is_a_localizer(robot: Robot) -> None:
+    answer = cairn("locate", "1", "1", connect=robot.run.endpoint)
+
+    assert answer.code == 1
+    assert answer.err.startswith(
+        "cairn: nobody reads initialpose here: the localizer is loaded with the first order"
+    )
+
+
 def test_it_tells_every_step_and_ends_with_0_when_the_robot_is_there(robot: Robot) -> None:
     going = robot.go("2.0", "1.2", "10deg")
 
@@ -33,6 +42,17 @@ def test_it_tells_every_step_and_ends_with_0_when_the_robot_is_there(robot: Robo
     assert "N s  planning" in said
     assert "N s  driving: N m left, about N s" in said
     assert re.search(r"s  arrived at \(2.00, 1.20\)$", going.lines[-1].strip())
+
+
+def test_the_robot_is_told_where_it_is(robot: Robot) -> None:
+    x, y, theta = robot.place
+    lines = len(robot.run.lines)
+
+    answer = cairn("locate", str(x), str(y), str(theta), connect=robot.run.endpoint)
+
+    assert (answer.code, answer.err) == (0, "")
+    assert answer.out.startswith("told on /robot/initialpose; ")
+    robot.run.await_line(re.escape(f"told to be at ({x:.2f} m, {y:.2f} m, "), after=lines)
 
 
 def test_a_goal_outside_the_map_ends_with_1_and_a_sentence(robot: Robot) -> None:

@@ -51,3 +51,16 @@ def test_without_a_deployment_it_says_so() -> None:
     answer = cairn("go", "1", "-2", "--connect", "tcp/127.0.0.1:1")
     assert answer.code == 1
     assert "tcp/127.0.0.1:1" in answer.err
+
+
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        (["1"], "place 1: write it as X Y [HEADING]"),
+        (["1", "-two"], "place 1 -two: '-two' is not a number"),
+        (["1", "2", "inf"], "place 1 2 inf: inf must be finite"),
+    ],
+)
+def test_what_is_no_place_is_refused_before_anything_is_told(words: list[str], why: str) -> None:
+    answer = cairn("locate", *words)
+    assert (answer.code, answer.err) == (1, f"cairn: {why}\n")

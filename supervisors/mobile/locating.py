@@ -1,0 +1,49 @@
+"""Tells a localizer from a terminal where the robot is."""
+
+from __future__ import annotations
+
+import secrets
+import time
+
+import zenoh
+
+from cairn.bus import rmw
+from cairn.bus.codec import Codec
+from cairn.cli.connection import Connection, resolve
+from cairn.errors import CairnError
+from planar.messages import pose_message
+from planar.poses import Pose
+from schemas.geometry_msgs import PoseWithCovariance, PoseWithCovarianceStamped
+from schemas.message import type_name
+from schemas.std_msgs import Header
+
+_TOPIC = "initialpose"
+_TYPE = type_name(PoseWithCovarianceStamped)
+
+
+def point_out(connection: Connection, robot: str, pose: Pose) -> str:
+    """Publish a pose in frame map for the localizer; the topic. `CairnError` if nobody reads it."""
+    topics = {
+        end.topic
+        for end in connection.endpoints()
+        if end.kind == "MS" and end.type_name == _TYPE and end.topic.endswith(f"/{_TOPIC}")
+    }
+    if not topics:
+        raise CairnError(
+            f"nobody reads {_TOPIC} here: the localizer is loaded with the first order to move; "
+            "until then its parameter `start` says where the robot is"
+        )
+    topic = resolve(sorted(topics), _TOPIC, robot)
+    codec = Codec()
+    connection.session.put(
+        rmw.data_key(connection.domain, topic, _TYPE, codec.type_hash(PoseWithCovarianceStamped)),
+        codec.encode(
+            PoseWithCovarianceStamped(
+                header=Header(frame_id="map"), pose=PoseWithCovariance(pose=pose_message(pose))
+            )
+        ),
+        encoding=zenoh.Encoding.APPLICATION_CDR.with_schema(_TYPE),
+        congestion_control=zenoh.CongestionControl.BLOCK,
+        attachment=rmw.Attachment(1, time.time_ns(), secrets.token_bytes(16)).encode(),
+    )
+    return topic

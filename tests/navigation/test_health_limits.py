@@ -1,0 +1,34 @@
+"""Who acts on the health of the pose: the defaults fit each other, as docs/navigation.md says."""
+
+from pathlib import Path
+
+from components.automove.component import AutoMoveConfig
+from components.localizer.health import Health, not_yet_sure, without_scans
+from components.localizer.recent import Support
+from components.map_builder.component import MapBuilderConfig
+from components.motion_control.config import MotionControlConfig
+from components.path_planner.config import PathPlannerConfig
+
+BEST = Health(1.0, "", Support(0, 0), None)
+JUST_FOUND = not_yet_sure(BEST).value
+BLIND = without_scans(BEST, 2.0, "scan").value
+AUTOMOVE, MOTION = AutoMoveConfig(), MotionControlConfig()
+
+
+def test_a_robot_just_found_may_move_but_has_not_arrived() -> None:
+    assert MOTION.health_limit + 0.05 <= JUST_FOUND
+    assert AUTOMOVE.least_health <= JUST_FOUND < AUTOMOVE.sure_health
+
+
+def test_a_robot_whose_scans_hit_nothing_may_arrive() -> None:
+    assert AUTOMOVE.sure_health <= BLIND
+
+
+def test_whoever_motion_control_takes_for_lost_is_looked_for() -> None:
+    assert MOTION.health_limit <= AUTOMOVE.least_health
+    assert PathPlannerConfig().least_health <= MOTION.health_limit
+
+
+def test_neither_draws_into_the_map() -> None:
+    builder = MapBuilderConfig(grid_file=Path("map.yaml"))
+    assert max(JUST_FOUND, BLIND) < builder.least_health
