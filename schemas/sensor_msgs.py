@@ -1,5 +1,6 @@
 """ROS 2 package sensor_msgs: laser scans and camera images."""
 
+import math
 from typing import Annotated
 
 import numpy as np
@@ -34,7 +35,7 @@ class LaserScan:
     """One sweep of a planar laser: `ranges` [m] at angles from `angle_min` on, left positive [rad].
 
     As in REP 117 a range is -inf if the object is too near, +inf if nothing was hit, and NaN if
-    the measurement failed.
+    the measurement failed. Where there are ranges, `range_max` [m] must be given.
     """
 
     header: Header = Header()
@@ -49,7 +50,7 @@ class LaserScan:
     intensities: Float32Array = empty(np.float32)
 
     def __post_init__(self) -> None:
-        """Check that angles, ranges and intensities agree in number."""
+        """Check that angles, ranges and intensities agree in number, and the limits of ranges."""
         beams = self.ranges.size
         if self.intensities.size not in (0, beams):
             refuse(self, "intensities", self.intensities, f"must be none or {beams}, as the ranges")
@@ -58,6 +59,11 @@ class LaserScan:
                 self, "range_max", self.range_max, f"must be range_min = {self.range_min} or more"
             )
         if beams:
+            # A range from range_max on is no return: left at 0, all would be free.
+            if not 0.0 < self.range_max < math.inf:
+                refuse(self, "range_max", self.range_max, "must be above 0 and finite")
+            if self.range_min < 0.0:
+                refuse(self, "range_min", self.range_min, "must be at least 0")
             step = self.angle_increment
             last = self.angle_min + (beams - 1) * step
             # Some drivers count the beams, some the gaps: one step of freedom. The increment is

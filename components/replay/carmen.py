@@ -25,6 +25,7 @@ from components.replay.text_lines import damaged
 from components.replay.wheel_odometry import agree, deviations, velocities
 from planar.poses import Pose
 from schemas.cairn_msgs import VisualMap
+from schemas.message import InvalidMessage
 from schemas.sensor_msgs import LaserScan
 from schemas.std_msgs import Header
 
@@ -155,15 +156,18 @@ class CarmenRecording:
         ranges = np.where(line.ranges >= longest, np.float32(math.inf), line.ranges)
         if longest <= _SICK_ERRORS:
             ranges[line.ranges > _SICK_ERRORS] = math.nan
-        return LaserScan(
-            header=Header(stamp=from_ns(stamp), frame_id="laser"),
-            angle_min=line.beams.first,
-            angle_max=line.beams.first + (ranges.size - 1) * line.beams.step,
-            angle_increment=line.beams.step,
-            range_min=_SHORTEST,
-            range_max=longest,
-            ranges=ranges,
-        )
+        try:
+            return LaserScan(
+                header=Header(stamp=from_ns(stamp), frame_id="laser"),
+                angle_min=line.beams.first,
+                angle_max=line.beams.first + (ranges.size - 1) * line.beams.step,
+                angle_increment=line.beams.step,
+                range_min=_SHORTEST,
+                range_max=longest,
+                ranges=ranges,
+            )
+        except InvalidMessage as error:
+            raise damaged(self._path, line.line, str(error)) from error
 
 
 def posed_scans(path: Path) -> Iterator[tuple[Pose, LaserScan]]:

@@ -147,6 +147,7 @@ def _scans(draw: st.DrawFn) -> Any:
     first, step = draw(st.floats(-3, 3, width=32)), draw(st.floats(-1, 1, width=32))
     last = first + max(0, beams - 1) * step
     nearest = draw(st.floats(0, 1, width=32))
+    farthest = [nearest or 30.0, 30.0] if beams else [nearest, math.inf]
     intensities = draw(st.sampled_from([0, beams]))
     return draw(
         _built(
@@ -155,7 +156,7 @@ def _scans(draw: st.DrawFn) -> Any:
             angle_max=st.sampled_from([last, last + step]),
             angle_increment=st.just(step),
             range_min=st.just(nearest),
-            range_max=st.sampled_from([nearest, 30.0, math.inf]),
+            range_max=st.sampled_from(farthest),
             ranges=_arrays("float32", beams),
             intensities=_arrays("float32", intensities),
         )

@@ -61,7 +61,7 @@ def test_a_message_without_fields_is_no_message() -> None:
 
 
 def test_nothing_in_a_message_can_be_changed() -> None:
-    scan = LaserScan(ranges=np.ones(1, np.float32))
+    scan = LaserScan(range_max=8.0, ranges=np.ones(1, np.float32))
     with pytest.raises(FrozenInstanceError):
         scan.angle_min = 1.0  # type: ignore[misc]
     with pytest.raises(ValueError, match="read-only"):
@@ -132,8 +132,9 @@ def test_double_precision_arrays_are_not_rounded_silently_but_python_floats_are(
     with pytest.raises(InvalidMessage, match="fit float32"):
         LaserScan(ranges=[1e39])  # type: ignore[arg-type]
     exact = np.array([0.5, np.nan, np.inf])
-    assert LaserScan(ranges=exact.astype(np.float32)) == LaserScan(ranges=exact)
-    assert LaserScan(ranges=[0.1]).ranges[0] == np.float32(0.1)  # type: ignore[arg-type]
+    single = exact.astype(np.float32)
+    assert LaserScan(range_max=8.0, ranges=single) == LaserScan(range_max=8.0, ranges=exact)
+    assert LaserScan(range_max=8.0, ranges=[0.1]).ranges[0] == np.float32(0.1)  # type: ignore[arg-type]
 
 
 def test_a_single_precision_field_holds_what_the_wire_carries() -> None:
@@ -164,7 +165,10 @@ def test_a_held_message_may_be_given_as_a_mapping() -> None:
 
 
 def test_messages_are_equal_if_all_that_they_hold_is() -> None:
-    one, same, other = (LaserScan(ranges=np.float32([1, np.nan, r])) for r in (2, 2, 3))  # type: ignore[arg-type]
+    one, same, other = (
+        LaserScan(range_max=8.0, ranges=np.float32([1, np.nan, r]))  # type: ignore[arg-type]
+        for r in (2, 2, 3)
+    )
     assert one == same
     assert hash(one) == hash(same)
     assert one != other

@@ -47,9 +47,8 @@ def grid(cells: Any, width: int, height: int, resolution: float = 0.05) -> Occup
 
 
 def scan(beams: int, first: float, last: float, step: float, **more: Any) -> LaserScan:
-    return LaserScan(
-        angle_min=first, angle_max=last, angle_increment=step, ranges=np.ones(beams, "f4"), **more
-    )
+    told: dict[str, Any] = {"range_max": 8.0, "ranges": np.ones(beams, "f4")}
+    return LaserScan(angle_min=first, angle_max=last, angle_increment=step, **(told | more))
 
 
 @pytest.mark.parametrize(
@@ -91,6 +90,9 @@ def scan(beams: int, first: float, last: float, step: float, **more: Any) -> Las
             "intensities = float32[2] [1. 1.]: must be none or 3, as the ranges",
         ),
         (lambda: LaserScan(range_min=2.0, range_max=1.0), "range_max = 1.0: must be range_min = 2"),
+        (lambda: scan(1, 0.0, 0.0, 0.0, range_max=0.0), "range_max = 0.0: must be above 0 and fin"),
+        (lambda: scan(1, 0.0, 0.0, 0.0, range_max=INF), "range_max = inf: must be above 0 and fin"),
+        (lambda: scan(1, 0.0, 0.0, 0.0, range_min=-1.0), "range_min = -1.0: must be at least 0"),
         (lambda: LaserScan(range_max=NAN), "range_max = nan: must be range_min = 0.0 or more"),
         (
             lambda: Image(height=2, step=3, data=np.zeros(5, np.uint8)),
@@ -148,7 +150,7 @@ def test_refused(make: Callable[[], object], error: str) -> None:
         lambda: Quaternion(w=0.0),
         lambda: PoseWithCovariance(covariance=[-1.0] * 36),  # type: ignore[arg-type]
         lambda: grid([], 0, 0, 0.0),
-        lambda: LaserScan(ranges=[NAN, INF, -INF]),  # type: ignore[arg-type]
+        lambda: scan(3, 0.0, 0.0, 0.0, ranges=[NAN, INF, -INF]),
         lambda: LaserScan(range_max=INF),
         lambda: scan(682, -2.0923, 2.0862, 2 * math.pi / 1024),
         lambda: scan(682, 2.0923, -2.0862, -2 * math.pi / 1024),

@@ -104,7 +104,7 @@ def test_packed_sequences_are_views_of_the_bytes_too(codec: Codec) -> None:
 
 
 def test_bytes_that_may_change_later_are_copied(codec: Codec) -> None:
-    buffer = bytearray(codec.encode(LaserScan(ranges=[1.0, 1.0])))  # type: ignore[arg-type]
+    buffer = bytearray(codec.encode(LaserScan(range_max=8.0, ranges=[1.0, 1.0])))  # type: ignore[arg-type]
     received = codec.decode(LaserScan, memoryview(buffer))
     buffer[:] = bytes(len(buffer))
     assert received.ranges.tolist() == [1.0, 1.0]

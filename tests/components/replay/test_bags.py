@@ -325,11 +325,20 @@ def test_scans_of_a_bag_that_were_stamped_late_get_their_own_time(tmp_path: Path
     assert to_ns(own.messages[0].header.stamp) == own.stamps[0]
 
 
-def test_a_scan_that_cannot_be_is_told_with_its_topic_and_number(tmp_path: Path) -> None:
-    at = BEGIN * SECOND
-    bag = ros2(tmp_path / "bag", [("/scan", at, scan(BEGIN, angle_max=3.0))])
+@pytest.mark.parametrize(
+    ("fields", "told"),
+    [
+        ({"angle_max": 3.0}, "angle_max = 3.0"),
+        ({"range_min": 0.0, "range_max": 0.0}, "range_max = 0.0: must be above 0 and finite"),
+    ],
+)
+def test_a_scan_that_cannot_be_is_told_with_its_file_topic_and_number(
+    tmp_path: Path, fields: dict[str, float], told: str
+) -> None:
+    scans = [scan(BEGIN), scan(BEGIN + 1, **fields)]
+    bag = ros2(tmp_path / "bag", [("/scan", (BEGIN + k) * SECOND, m) for k, m in enumerate(scans)])
 
-    with pytest.raises(RecordingError, match=r"topic /scan: message 1: .*angle_max"):
+    with pytest.raises(RecordingError, match=rf"{bag}, topic /scan: message 2: .*{told}"):
         open_recording(bag)
 
 

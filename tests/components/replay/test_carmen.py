@@ -183,6 +183,14 @@ def test_a_simulators_true_poses_are_the_truth(write: Write) -> None:
     assert truth.poses.tolist() == [[1.0, 2.0, 0.5]]
 
 
+def test_a_scan_that_cannot_be_is_told_with_its_line(write: Write) -> None:
+    laser = "0 -1.5 3.0 1.5 0.01 0.01 0 3 1 1 1 0"  # it reaches 1 cm
+    path = write(odom(0.0, 0.0), f"RAWLASER1 {laser} 0.1 host 0.1")
+
+    with pytest.raises(RecordingError, match=rf"{path}, line 2: .*range_max = 0.0"):
+        CarmenRecording(path).scans()
+
+
 def test_a_recording_may_begin_at_any_time(write: Write) -> None:
     recording = CarmenRecording(write(odom(0.0, 0.0), odom(0.1, 0.1)))
 
