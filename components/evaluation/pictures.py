@@ -11,10 +11,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from components.evaluation.results import RunResult
-from planar.grid import OccupancyCells
+from planar.grid import FREE_TO, OCCUPIED_FROM, OccupancyCells
 
-# From this probability [%] on a cell is an obstacle.
-_OBSTACLE = 65
 # Steps of the truth longer than this [m] are not driven.
 _CARRIED_M = 0.5
 
@@ -80,6 +78,6 @@ def _broken_where_carried(track: NDArray[np.float64]) -> NDArray[np.float64]:
 def _painted(grid: OccupancyCells) -> NDArray[np.uint8]:
     """The map as a picture: white free, black occupied, grey unknown; row 0 at the bottom."""
     picture = np.full(grid.values.shape, 200, np.uint8)
-    picture[(grid.values >= 0) & (grid.values <= 25)] = 255
-    picture[grid.values >= _OBSTACLE] = 0
+    picture[(grid.values >= 0) & (grid.values <= FREE_TO)] = 255
+    picture[grid.values >= OCCUPIED_FROM] = 0
     return picture
