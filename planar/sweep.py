@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +17,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Rays:
-    """Rays in the frame of the base as it was when the sweep ended.
+    """Rays in the frame of the base as it was when the sweep ended, unless `placed` elsewhere.
 
     `starts` (n, 2) [m], directions `angles` (n,) [rad], `ranges` (n,) [m]: finite where something
     was hit, +inf where nothing was within `reach` [m], NaN where the ray tells nothing.
@@ -35,6 +36,15 @@ class Rays:
         points[:, 0] += ranges * np.cos(angles)
         points[:, 1] += ranges * np.sin(angles)
         return points
+
+    def placed(self, base: Pose) -> Rays:
+        """The rays in the frame in which the base was at `base` when the sweep ended."""
+        x, y, turn = base
+        cosine, sine = math.cos(turn), math.sin(turn)
+        starts = np.empty_like(self.starts)
+        starts[:, 0] = x + cosine * self.starts[:, 0] - sine * self.starts[:, 1]
+        starts[:, 1] = y + sine * self.starts[:, 0] + cosine * self.starts[:, 1]
+        return Rays(starts, self.angles + turn, self.ranges, self.reach)
 
 
 def sweep_s(scan: LaserScan) -> float:

@@ -34,7 +34,7 @@ def _keep(squared: float, radius: float, least: float) -> float:
 @compiled(
     "void(float64[:,::1], float64[::1], float64[::1], float64, float64, float64[::1], float64[::1])"
 )
-def sweep(
+def arc_clearances(
     points: Array,
     curvatures: Array,
     lengths: Array,

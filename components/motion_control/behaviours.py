@@ -9,7 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
-from components.motion_control.arcs import open_ways, sweep
+from components.motion_control.arcs import arc_clearances, open_ways
 from components.motion_control.limits import Limits
 from components.motion_control.local_planner import STILL, LocalPlanner, Place, Wish
 from components.motion_control.route import Route
@@ -165,7 +165,9 @@ class BackOff:
             return self._turned_about(self._about, situation, gone, left)
         limits = self._limits
         points = situation.around.points * -1.0
-        sweep(points, self._zero, self._zero, limits.kept, limits.touching, self._free, self._clear)
+        arc_clearances(
+            points, self._zero, self._zero, limits.kept, limits.touching, self._free, self._clear
+        )
         free = float(self._free[0])
         if free < self._LEAST:
             return self._hindered(gone, f"an obstacle {free + limits.margin:.2f} m behind")

@@ -27,11 +27,11 @@ from components.motion_control.movers import Movers
 from components.motion_control.route import Route
 from components.motion_control.seen_space import SeenSpace, Surroundings
 from components.motion_control.steering import STAND, Command, Steering
-from components.motion_control.sweep import sweep_of, view_of
 from components.motion_control.whereabouts import Whereabouts
 from planar.messages import planar_pose, planar_poses
 from planar.odometry import began_anew
-from planar.poses import Pose
+from planar.poses import Pose, relative
+from planar.sweep import rays_of, sweep_s
 from schemas.cairn_nav_msgs import LocalizationHealth, MotionStatus, Movement, Plan
 from schemas.geometry_msgs import PoseWithCovarianceStamped, Twist, Vector3
 from schemas.nav_msgs import Odometry
@@ -143,15 +143,15 @@ class MotionControl(Component):
     def see(self, scan: LaserScan) -> None:
         """Take what is around, and command at once by it."""
         stamp = to_ns(scan.header.stamp)
-        swept_ns = round(scan.time_increment * max(0, scan.ranges.size - 1) * SECOND)
-        robot, end = self._whereabouts.odom(stamp), self._whereabouts.odom(stamp + swept_ns)
+        ended = stamp + round(sweep_s(scan) * SECOND)
+        robot, end = self._whereabouts.odom(stamp), self._whereabouts.odom(ended)
         if robot is None or end is None:
             return
         self._freshness.note("scan", stamp, self.clock.now())
-        sweep = sweep_of(scan, self._mount, robot, end)
-        self._space.add(stamp, robot, sweep)
-        self._space.expect(self._movers.see(stamp, sweep, self._whereabouts.turn))
-        self._view = view_of(scan, self._mount)
+        rays = rays_of(scan, self._mount, relative(robot, end)).placed(end)
+        self._space.add(stamp, robot, rays)
+        self._space.expect(self._movers.see(stamp, rays, self._whereabouts.turn))
+        self._view = _view(scan, self._mount)
         self._drive()
 
     @every(hz=_COMMAND_HZ)
@@ -300,3 +300,9 @@ class MotionControl(Component):
         if plan is None or plan.leg != (movement.leg if movement is not None else 0):
             return f"no plan of this leg yet on {self.plan.topic}"
         return f"there is no path: {plan.reason}"
+
+
+def _view(scan: LaserScan, mount: Pose) -> tuple[float, float]:
+    """The part of a circle around the robot that is seen: middle and half the width [rad]."""
+    middle = mount[2] + 0.5 * (scan.angle_min + scan.angle_max)
+    return middle, 0.5 * abs(scan.angle_max - scan.angle_min)

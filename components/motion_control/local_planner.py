@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from components.motion_control.arcs import FAR, free_again, free_along, open_ways, sweep
+from components.motion_control.arcs import FAR, arc_clearances, free_again, free_along, open_ways
 from components.motion_control.detour import WITHIN, DetourSearch
 from components.motion_control.limits import Limits
 from components.motion_control.route import AHEAD, SPACING, Route
@@ -133,7 +133,7 @@ class LocalPlanner:
         if not around.seen_ahead:
             return Wish(blocked=_UNSEEN)
         curvature = max(-1.0, min(1.0, 2.0 * off))
-        self._sweep(around.points, np.array([curvature]), np.array([0.3]))
+        self._check(around.points, np.array([curvature]), np.array([0.3]))
         pace = self._pace(curvature, self._free[0], self._clear[0])
         pace = min(_STRAIGHT_SPEED, self._limits.speed_before(left), pace)
         if pace <= 0.01:
@@ -226,9 +226,11 @@ class LocalPlanner:
         self._side = math.copysign(1.0, angle)
         return angle
 
-    def _sweep(self, points: Array, curvatures: Array, lengths: Array) -> None:
+    def _check(self, points: Array, curvatures: Array, lengths: Array) -> None:
         limits = self._limits
-        sweep(points, curvatures, lengths, self._room, limits.touching, self._free, self._clear)
+        arc_clearances(
+            points, curvatures, lengths, self._room, limits.touching, self._free, self._clear
+        )
 
     def _pursue(self, way: Array, aim: float, points: Array) -> tuple[float, float, float] | None:
         """Curvature, free way and clearance of the arc to the farthest point that it can reach."""
@@ -239,7 +241,7 @@ class LocalPlanner:
         curvatures = np.clip(2.0 * targets[:, 1] / apart, -8.0, 8.0)
         halves = np.arctan2(targets[:, 1], targets[:, 0])
         lengths = np.sqrt(apart) / np.maximum(0.1, np.sinc(halves / math.pi))
-        self._sweep(points, curvatures, lengths)
+        self._check(points, curvatures, lengths)
         best = None
         for i in range(_AIMS.size):
             needed = lengths[i] - (_NEARLY if aims[i] == last else 0.0)

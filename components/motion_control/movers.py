@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from cairn.clock import SECOND
 from components.motion_control.seen_space import REACH
-from components.motion_control.sweep import Sweep
 from planar.compiled import compiled
 from planar.odometry import began_anew
+from planar.sweep import Rays
 
 Array = NDArray[np.float64]
 
@@ -22,10 +22,13 @@ Array = NDArray[np.float64]
 _JOINED, _LARGEST, _BEFORE = 0.2, 0.9, 0.3
 _FEWEST = 3  # beams
 _MOST = 64  # things that are looked at
+# Beams go once around if no more than this is left out [rad]: the robot may turn meanwhile.
+_SEAM = 0.2
 
 _SAME = 0.35  # a thing is looked for so far [m] from where it is expected
-_WATCHED_S = (0.35, 0.65)  # a speed is told by the way made in so much time [s]
-_FORGOTTEN_S = 0.35
+# A speed is told by the way made in so much time [ns].
+_LEAST_WATCHED, _MOST_WATCHED = 350_000_000, 650_000_000
+_FORGOTTEN = 350_000_000  # [ns]
 _SLOWEST, _FASTEST = 0.35, 2.5  # what counts as moving [m/s]
 # Robots that turn faster [rad/s] than this see all things move a little.
 _TURNING = 0.8
@@ -35,8 +38,8 @@ _TIMES = np.arange(1, 8) * 0.2
 _HALF_WIDTH = 0.15
 
 
-_Seen = tuple[float, float, float]
-"""Time [s], x and y [m] in the odometry frame."""
+_Seen = tuple[int, float, float]
+"""Time [ns], x and y [m] in the odometry frame."""
 
 
 @dataclass
@@ -48,8 +51,8 @@ class _Thing:
     def velocity(self) -> tuple[float, float]:
         """Velocity [m/s], zero as long as it is not known or not steady."""
         newest = self.places[-1]
-        watched = [p for p in self.places if newest[0] - p[0] <= _WATCHED_S[1]]
-        if newest[0] - watched[0][0] < _WATCHED_S[0] or len(watched) < 3:
+        watched = [p for p in self.places if newest[0] - p[0] <= _MOST_WATCHED]
+        if newest[0] - watched[0][0] < _LEAST_WATCHED or len(watched) < 3:
             return 0.0, 0.0
         oldest, middle = watched[0], watched[len(watched) // 2]
         first, then = _speed(oldest, middle), _speed(middle, newest)
@@ -62,7 +65,7 @@ class _Thing:
 
 
 def _speed(a: _Seen, b: _Seen) -> tuple[float, float]:
-    seconds = b[0] - a[0]
+    seconds = (b[0] - a[0]) / SECOND
     return (b[1] - a[1]) / seconds, (b[2] - a[2]) / seconds
 
 
@@ -73,10 +76,11 @@ class Movers:
         self._things: list[_Thing] = []
         self._ahead = np.empty((0, 3))
         self._newest = -1
-        self._found = np.empty((_MOST, 2))
 
-    def see(self, stamp: int, sweep: Sweep, turn: float) -> Array:
+    def see(self, stamp: int, rays: Rays, turn: float) -> Array:
         """Take the scan of `stamp` [ns], when the robot turned by `turn` [rad/s].
+
+        The rays are in the odometry frame.
 
         Returns where movers will be in the next moments: x, y [m] in the odometry frame and how
         far ahead that is [s] (n, 3). A scan no later than the last one tells nothing new.
@@ -86,30 +90,21 @@ class Movers:
         elif stamp <= self._newest:
             return self._ahead
         self._newest = stamp
-        self._ahead = self._expect(stamp / SECOND, sweep, turn)
+        self._ahead = self._expect(stamp, rays, turn)
         return self._ahead
 
-    def _expect(self, time: float, sweep: Sweep, turn: float) -> Array:
-        self._things = [t for t in self._things if time - t.places[-1][0] < _FORGOTTEN_S]
-        if abs(turn) > _TURNING or sweep.ranges.size < _FEWEST:
+    def _expect(self, stamp: int, rays: Rays, turn: float) -> Array:
+        self._things = [t for t in self._things if stamp - t.places[-1][0] < _FORGOTTEN]
+        if abs(turn) > _TURNING:
             return np.empty((0, 3))
-        count = _things(
-            sweep.ranges,
-            sweep.first_angle,
-            sweep.step,
-            *sweep.start,
-            *sweep.end,
-            sweep.is_whole_turn,
-            self._found,
-        )
         seen: list[_Thing] = []
-        for x, y in self._found[:count].tolist():
-            thing = self._expected(time, x, y)
+        for x, y in _things(rays).tolist():
+            thing = self._expected(stamp, x, y)
             if thing is None:
                 thing = _Thing()
             else:
                 self._things.remove(thing)
-            thing.places.append((time, x, y))
+            thing.places.append((stamp, x, y))
             seen.append(thing)
         self._things += seen
         ahead = [_ahead(thing) for thing in seen]
@@ -120,12 +115,13 @@ class Movers:
         self._things = []
         self._ahead = np.empty((0, 3))
 
-    def _expected(self, time: float, x: float, y: float) -> _Thing | None:
+    def _expected(self, stamp: int, x: float, y: float) -> _Thing | None:
         best, least = None, _SAME
         for thing in self._things:
             then, px, py = thing.places[-1]
             vx, vy = thing.velocity()
-            apart = math.hypot(px + vx * (time - then) - x, py + vy * (time - then) - y)
+            seconds = (stamp - then) / SECOND
+            apart = math.hypot(px + vx * seconds - x, py + vy * seconds - y)
             if apart < least:
                 best, least = thing, apart
         return best
@@ -146,67 +142,58 @@ def _ahead(thing: _Thing) -> Array:
     return np.vstack((left, right))
 
 
-@compiled(
-    "int64(float64[::1], float64, float64, float64, float64, float64, float64, float64, float64,"
-    " boolean, float64[:,::1])"
-)
-def _things(
-    ranges: Array,
-    first: float,
-    step: float,
-    x0: float,
-    y0: float,
-    theta0: float,
-    x1: float,
-    y1: float,
-    theta1: float,
-    closed: bool,
-    found: Array,
-) -> int:
-    """Middles of small things that stand before their background; their number."""
-    beams = ranges.size
-    turned = (theta1 - theta0 + math.pi) % (2.0 * math.pi) - math.pi
-    begin = 0
-    if closed:  # not in the middle of a thing
-        while begin < beams - 1 and abs(ranges[begin] - ranges[begin - 1]) < _JOINED:
-            begin += 1
-    count = 0
-    members = 0
-    sum_x, sum_y, first_x, first_y, last_x, last_y = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    largest = 0.0
-    last_range = math.inf
-    before, foremost = math.inf, False
-    for k in range(beams + 1):
-        i = (begin + k) % beams
-        span = ranges[i] if k < beams or closed else math.inf
-        if math.isnan(span):
-            continue
-        share = i / max(1, beams - 1)
-        angle = theta0 + share * turned + first + i * step
-        hit = span < REACH
-        x = y = 0.0
-        if hit:
-            x = x0 + share * (x1 - x0) + span * math.cos(angle)
-            y = y0 + share * (y1 - y0) + span * math.sin(angle)
-        gap = max(_JOINED, 3.0 * abs(step) * min(span, REACH))
-        joined = members > 0 and hit and k < beams and math.hypot(x - last_x, y - last_y) < gap
-        if members > 0 and not joined:
-            stands_out = foremost and span > last_range + _BEFORE
-            if stands_out and members >= _FEWEST and largest < _LARGEST and count < _MOST:
-                found[count, 0], found[count, 1] = sum_x / members, sum_y / members
-                count += 1
-            members = 0
-        if k == beams:
-            break
-        if hit:
-            if members == 0:
-                foremost = before > span + _BEFORE
-                sum_x, sum_y, largest = 0.0, 0.0, 0.0
-                first_x, first_y = x, y
-            sum_x += x
-            sum_y += y
-            largest = max(largest, math.hypot(x - first_x, y - first_y))
-            members += 1
-            last_x, last_y, last_range = x, y, span
-        before = span
+def _things(rays: Rays) -> Array:
+    """Middles (n, 2) [m] of small things that stand before their background."""
+    told = ~np.isnan(rays.ranges)
+    angles, ranges, starts = rays.angles[told], rays.ranges[told], rays.starts[told]
+    if ranges.size < _FEWEST:
+        return np.empty((0, 2))
+    near = np.minimum(ranges, REACH)
+    points = starts + near[:, None] * np.column_stack((np.cos(angles), np.sin(angles)))
+    span = abs(rays.angles[-1] - rays.angles[0])
+    step = span / (rays.angles.size - 1)
+    ends = np.array([math.inf, math.inf])
+    if span + step > 2.0 * math.pi - _SEAM:  # begin between two things, not within one
+        begin = int(np.argmax(np.abs(near - np.roll(near, 1)) >= _JOINED))
+        ranges, points = np.roll(ranges, -begin), np.roll(points, -begin, axis=0)
+        ends = ranges[[-1, 0]]
+    found = np.empty((_MOST, 2))
+    gaps = np.maximum(_JOINED, 3.0 * step * np.minimum(ranges, REACH))
+    count = _small(np.concatenate((ends[:1], ranges, ends[1:])), points, gaps, found)
+    return found[:count]
+
+
+@compiled()
+def _stands_out(ranges: Array, points: Array, first: int, end: int) -> bool:
+    """Whether the points from `first` to before `end` are a small thing before its background."""
+    if end - first < _FEWEST:
+        return False
+    if min(ranges[first] - ranges[first + 1], ranges[end + 1] - ranges[end]) <= _BEFORE:
+        return False
+    for i in range(first, end):
+        dx, dy = points[i, 0] - points[first, 0], points[i, 1] - points[first, 1]
+        if math.hypot(dx, dy) >= _LARGEST:
+            return False
+    return True
+
+
+@compiled("int64(float64[::1], float64[:,::1], float64[::1], float64[:,::1])")
+def _small(ranges: Array, points: Array, gaps: Array, found: Array) -> int:
+    """Fill `found` with the middles of points that belong together and stand out; their number.
+
+    `ranges` has one more at each end than `points`; nearer than `gaps` to the one before, a point
+    belongs to the same thing.
+    """
+    size = points.shape[0]
+    count = first = 0
+    for k in range(1, size + 1):
+        if k < size and ranges[k] < REACH and ranges[k + 1] < REACH:
+            apart = math.hypot(points[k, 0] - points[k - 1, 0], points[k, 1] - points[k - 1, 1])
+            if apart < gaps[k]:
+                continue
+        if count < found.shape[0] and _stands_out(ranges, points, first, k):
+            found[count, 0] = points[first:k, 0].mean()
+            found[count, 1] = points[first:k, 1].mean()
+            count += 1
+        first = k
     return count

@@ -11,10 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from components.motion_control.sweep import Sweep
+from components.motion_control.seen_cells import CELL, SEEN_REACH, SeenCells
 from planar.compiled import compiled
 from planar.odometry import began_anew
 from planar.poses import Pose
+from planar.sweep import Rays
 
 Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
@@ -22,9 +23,6 @@ Stamps = NDArray[np.int64]
 # Points beyond this distance [m] from the robot are of no use to it.
 REACH = 4.0
 _ROOM = 8192  # points; more than some scans of the finest scanner within reach
-# Cells of the seen space [m], how many there are each way, and how far from the robot they are
-# looked at: cells 6.4 m apart share a place, which no robot comes to within the memory's time.
-_CELL, _CELLS, _SEEN_REACH = 0.1, 64, 1.6
 # Space counts as seen if so much of it was, as single beams may fail; it is looked at so far [m]
 # ahead of a robot that stands.
 _SEEN_SHARE, _SEEN_AHEAD = 0.8, 0.3
@@ -57,34 +55,29 @@ class SeenSpace:
         self._points = np.empty((_ROOM, 2))
         self._stamps = np.empty(_ROOM, np.int64)
         self._count = 0
-        self._seen = np.full((_CELLS, _CELLS), -(2**62), np.int64)
+        self._cells = SeenCells()
         self._local = np.empty((_ROOM, 2))
         self._coming = np.empty((0, 3))
         self._newest = 0
 
-    def add(self, stamp: int, robot: Pose, sweep: Sweep) -> None:
-        """Take the scan of that time [ns], when the robot was at `robot` in the odometry frame."""
-        if sweep.ranges.size == 0:
+    def add(self, stamp: int, robot: Pose, rays: Rays) -> None:
+        """Take the scan of that time [ns], when the robot was at `robot` in the odometry frame.
+
+        The rays are in that frame too.
+        """
+        if rays.ranges.size == 0:
             return
         if began_anew(self._newest, stamp):
             self.forget()
         self._newest = stamp
-        self._count = _absorb(
-            self._points,
-            self._stamps,
-            self._count,
-            self._seen,
-            sweep.ranges,
-            sweep.first_angle,
-            sweep.step,
-            *sweep.start,
-            *sweep.end,
-            robot[0],
-            robot[1],
-            self._radius,
-            stamp,
-            stamp - self._memory,
-        )
+        beams = rays.starts, rays.angles, rays.ranges
+        x, y, _ = robot
+        oldest = stamp - self._memory
+        self._count = _drop(self._points, self._stamps, self._count, *beams, x, y, oldest)
+        self._make_room(rays.ranges.size)
+        self._count = _append(self._points, self._stamps, self._count, *beams, stamp)
+        self._cells.stand(stamp, x, y, self._radius)
+        self._cells.see(stamp, rays)
 
     def expect(self, coming: Array) -> None:
         """Take where movers will be, instead of what was expected before.
@@ -112,7 +105,7 @@ class SeenSpace:
             self._radius,
             self._local,
         )
-        ahead = min(_SEEN_REACH - self._radius - _CELL, _SEEN_AHEAD + speed * abs(speed), free)
+        ahead = min(SEEN_REACH - self._radius - CELL, _SEEN_AHEAD + speed * abs(speed), free)
         seen = self.is_seen(robot, 0.0, ahead, self._newest - self._memory)
         return Surroundings(self._local[:count], nearest, seen)
 
@@ -122,107 +115,95 @@ class SeenSpace:
         `direction` [rad] from the robot's heading, `length` [m] of the way.
         """
         x, y, heading = robot
-        share = _seen_share(self._seen, x, y, heading + direction, length, self._radius, since)
+        share = self._cells.share(x, y, heading + direction, length, self._radius, since)
         return share >= _SEEN_SHARE
 
     def forget(self) -> None:
         """Forget all, as when odometry begins anew."""
         self._count = 0
         self._coming = np.empty((0, 3))
-        self._seen[:] = -(2**62)
+        self._cells.forget()
+
+    def _make_room(self, size: int) -> None:
+        """Let the oldest points go where there is no room for so many more."""
+        surplus = min(self._count, max(0, self._count + size - _ROOM))
+        kept = self._count - surplus
+        self._points[:kept] = self._points[surplus : self._count]
+        self._stamps[:kept] = self._stamps[surplus : self._count]
+        self._count = kept
+
+
+@compiled()
+def _is_seen_anew(starts: Array, angles: Array, ranges: Array, x: float, y: float) -> bool:
+    """Whether the beam towards a place passes it, or ends there."""
+    last = ranges.size - 1
+    step = (angles[last] - angles[0]) / max(1, last)
+    whole = 2.0 * math.pi / abs(step) if step != 0.0 else math.inf
+    beam = last // 2
+    for _ in range(2):  # the beam tells from where it was sent, and that again which one it is
+        off = math.atan2(y - starts[beam, 1], x - starts[beam, 0]) - angles[beam]
+        place = beam + (off / step if step != 0.0 else 0.0)
+        nearest = math.floor((place + 0.5) % whole)
+        beam = min(last, nearest)
+    dx, dy = x - starts[beam, 0], y - starts[beam, 1]
+    cosine, sine = math.cos(angles[beam]), math.sin(angles[beam])
+    along, across = cosine * dx + sine * dy, cosine * dy - sine * dx
+    return (
+        nearest <= last
+        and along >= 0.0
+        and abs(across) < _ACROSS
+        and ranges[beam] >= along - _ALONG
+    )
 
 
 @compiled(
-    "int64(float64[:,::1], int64[::1], int64, int64[:,::1], float64[::1], float64, float64,"
-    " float64, float64, float64, float64, float64, float64, float64, float64, float64,"
-    " int64, int64)"
+    "int64(float64[:,::1], int64[::1], int64, float64[:,::1], float64[::1], float64[::1], float64,"
+    " float64, int64)"
 )
-def _absorb(
+def _drop(
     points: Array,
     stamps: Stamps,
     count: int,
-    seen: Stamps,
+    starts: Array,
+    angles: Array,
     ranges: Array,
-    first: float,
-    step: float,
-    x0: float,
-    y0: float,
-    theta0: float,
-    x1: float,
-    y1: float,
-    theta1: float,
     robot_x: float,
     robot_y: float,
-    radius: float,
-    now: int,
     oldest: int,
 ) -> int:
-    """Drop points that are too old or seen anew, then add the scan's; the new count."""
-    beams = ranges.size
-    dx, dy = x1 - x0, y1 - y0
-    turned = (theta1 - theta0 + math.pi) % (2.0 * math.pi) - math.pi
-    around = 2.0 * math.pi / abs(step) if step != 0.0 else 2.0 * beams
+    """Drop points that are too old, too far from the robot, or seen anew; how many are left."""
     kept = 0
     for i in range(count):
-        if stamps[i] < oldest:
+        x, y = points[i, 0], points[i, 1]
+        apart = (x - robot_x) ** 2 + (y - robot_y) ** 2
+        if stamps[i] < oldest or apart > REACH * REACH:
             continue
-        px, py = points[i, 0], points[i, 1]
-        fx, fy = px - robot_x, py - robot_y
-        if fx * fx + fy * fy > REACH * REACH:
-            continue
-        share = 0.5
-        beam = -1
-        distance, across = 0.0, 0.0
-        for _ in range(2):  # the beam tells when it was taken, and so where the scanner was
-            sx, sy = x0 + share * dx, y0 + share * dy
-            theta = theta0 + share * turned
-            distance = math.hypot(px - sx, py - sy)
-            bearing = math.atan2(py - sy, px - sx) - theta - first
-            place = (bearing / step) if step != 0.0 else 0.0
-            place = (place + 0.5) % around - 0.5
-            beam = math.floor(place + 0.5)
-            across = abs(place - beam) * abs(step) * distance
-            share = min(1.0, max(0.0, place / max(1, beams - 1)))
-        if (
-            0 <= beam < beams
-            and across < _ACROSS
-            and not math.isnan(ranges[beam])
-            and ranges[beam] >= distance - _ALONG
-        ):
-            continue
-        points[kept, 0], points[kept, 1], stamps[kept] = px, py, stamps[i]
-        kept += 1
-    if kept + beams > points.shape[0]:  # the oldest go
-        surplus = min(kept, kept + beams - points.shape[0])
-        for i in range(surplus, kept):
-            points[i - surplus, 0], points[i - surplus, 1] = points[i, 0], points[i, 1]
-            stamps[i - surplus] = stamps[i]
-        kept -= surplus
-    reach = math.ceil(radius / _CELL)
-    row, column = math.floor(robot_y / _CELL), math.floor(robot_x / _CELL)
-    for r in range(row - reach, row + reach + 1):
-        for c in range(column - reach, column + reach + 1):
-            cx, cy = (c + 0.5) * _CELL - robot_x, (r + 0.5) * _CELL - robot_y
-            if cx * cx + cy * cy <= (radius + 0.5 * _CELL) ** 2:
-                seen[r % _CELLS, c % _CELLS] = now
-    for beam in range(beams):
-        span = ranges[beam]
-        if math.isnan(span):
-            continue
-        share = beam / max(1, beams - 1)
-        sx, sy = x0 + share * dx, y0 + share * dy
-        angle = theta0 + share * turned + first + beam * step
-        cosine, sine = math.cos(angle), math.sin(angle)
-        marked = min(span, _SEEN_REACH)
-        for k in range(int(marked / (0.5 * _CELL)) + 1):
-            r = math.floor((sy + 0.5 * _CELL * k * sine) / _CELL) % _CELLS
-            c = math.floor((sx + 0.5 * _CELL * k * cosine) / _CELL) % _CELLS
-            seen[r, c] = now
-        if span < REACH and kept < points.shape[0]:
-            points[kept, 0], points[kept, 1] = sx + span * cosine, sy + span * sine
-            stamps[kept] = now
+        if not _is_seen_anew(starts, angles, ranges, x, y):
+            points[kept, 0], points[kept, 1], stamps[kept] = x, y, stamps[i]
             kept += 1
     return kept
+
+
+@compiled(
+    "int64(float64[:,::1], int64[::1], int64, float64[:,::1], float64[::1], float64[::1], int64)"
+)
+def _append(
+    points: Array,
+    stamps: Stamps,
+    count: int,
+    starts: Array,
+    angles: Array,
+    ranges: Array,
+    stamp: int,
+) -> int:
+    """Add what the rays hit, as far as there is room; how many points there are then."""
+    for i in range(ranges.size):
+        if ranges[i] < REACH and count < points.shape[0]:
+            points[count, 0] = starts[i, 0] + ranges[i] * math.cos(angles[i])
+            points[count, 1] = starts[i, 1] + ranges[i] * math.sin(angles[i])
+            stamps[count] = stamp
+            count += 1
+    return count
 
 
 @compiled(
@@ -269,25 +250,3 @@ def _around(
             local[found, 1] = cosine * dy - sine * dx
             found += 1
     return found, math.sqrt(nearest), free
-
-
-@compiled("float64(int64[:,::1], float64, float64, float64, float64, float64, int64)")
-def _seen_share(
-    seen: Stamps, x: float, y: float, angle: float, length: float, half: float, since: int
-) -> float:
-    """Share of the cells within `half` [m] of a line that were seen since that time."""
-    cosine, sine = math.cos(angle), math.sin(angle)
-    reach = math.ceil((length + half) / _CELL) + 1
-    row, column = math.floor(y / _CELL), math.floor(x / _CELL)
-    cells = known = 0
-    for r in range(row - reach, row + reach + 1):
-        for c in range(column - reach, column + reach + 1):
-            dx, dy = (c + 0.5) * _CELL - x, (r + 0.5) * _CELL - y
-            along, across = cosine * dx + sine * dy, cosine * dy - sine * dx
-            beyond = along - min(max(along, 0.0), length)
-            # The robot's own place is seen in any case.
-            if beyond * beyond + across * across <= half * half < dx * dx + dy * dy:
-                cells += 1
-                if seen[r % _CELLS, c % _CELLS] >= since:
-                    known += 1
-    return 1.0 if cells == 0 else known / cells

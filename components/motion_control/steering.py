@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from components.motion_control.arcs import sweep
+from components.motion_control.arcs import arc_clearances
 from components.motion_control.limits import Limits
 from components.motion_control.local_planner import Wish
 from components.motion_control.seen_space import Surroundings
@@ -64,6 +64,8 @@ class Steering:
             points = points * np.array([-1.0, 1.0])
             turn = -turn
         bend = np.array([turn / abs(forward)])
-        sweep(points, bend, np.zeros(1), limits.tight, limits.touching, self._free, self._clear)
+        arc_clearances(
+            points, bend, np.zeros(1), limits.tight, limits.touching, self._free, self._clear
+        )
         most = limits.speed_before(self._free[0] - _TOUCH)
         return math.copysign(min(abs(forward), most), forward)

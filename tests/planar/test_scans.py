@@ -69,6 +69,16 @@ def test_each_ray_of_a_sweep_is_put_where_the_robot_was() -> None:
     assert sweep_s(taken) == pytest.approx(0.04)
 
 
+def test_rays_may_be_placed_where_the_robot_was() -> None:
+    base, mount = (2.0, -1.0, 2.5), (0.2, 0.1, 0.3)
+    rays = rays_of(scan([1.0, 2.0], time_increment=0.1), mount, (0.3, 0.0, 0.4))
+
+    placed = rays.placed(base)
+
+    expected = [compose(base, (x, y, 0.0))[:2] for x, y in rays.points().tolist()]
+    assert placed.points() == pytest.approx(np.array(expected))
+
+
 def test_cells_and_points_of_a_turned_grid_belong_together() -> None:
     frame = Frame(0.1, (1.0, 2.0, math.pi / 6))
     for row, column in ((0, 0), (3, 7), (-2, 5)):

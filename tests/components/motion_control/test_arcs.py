@@ -7,14 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from components.motion_control.arcs import FAR, free_along, open_ways, sees, sweep
+from components.motion_control.arcs import FAR, arc_clearances, free_along, open_ways, sees
 
 RADIUS, LEAST = 0.27, 0.23
 
 
 def swept(points: np.ndarray, curvature: float, length: float = 0.5) -> tuple[float, float]:
     free, clear = np.empty(1), np.empty(1)
-    sweep(points, np.array([curvature]), np.array([length]), RADIUS, LEAST, free, clear)
+    arc_clearances(points, np.array([curvature]), np.array([length]), RADIUS, LEAST, free, clear)
     return float(free[0]), float(clear[0])
 
 

@@ -6,9 +6,8 @@ import numpy as np
 
 from cairn.clock import SECOND
 from components.motion_control.movers import Movers
-from components.motion_control.sweep import Sweep
 from planar.poses import Pose
-from tests.components.motion_control.world import Array, Disc, World, box
+from tests.components.motion_control.world import Array, Disc, World, box, rays_from
 
 ANGLES = np.linspace(-math.pi, math.pi, 360, endpoint=False)
 HALL = box(0, 0, 12, 12)
@@ -23,8 +22,8 @@ def looked(
     for time in times.tolist():
         at = (robot[0] + speed * time, robot[1], robot[2])
         ranges = world.ranges(time, at, ANGLES, random.normal(0, 0.01, ANGLES.size))
-        sweep = Sweep(ranges, float(ANGLES[0]), float(ANGLES[1] - ANGLES[0]), at, at)
-        expected.append(movers.see(round(time * SECOND), sweep, 0.0))
+        rays = rays_from(at, ANGLES, ranges)
+        expected.append(movers.see(round(time * SECOND), rays, 0.0))
     return expected
 
 
@@ -90,10 +89,10 @@ def test_movers_are_forgotten() -> None:
     world = World(HALL, lambda time: [(2.0, -1 + time, 0.25)])
     for k in range(8):
         ranges = world.ranges(0.1 * k, (0, 0, 0), ANGLES, np.zeros(ANGLES.size))
-        sweep = Sweep(ranges, float(ANGLES[0]), float(ANGLES[1] - ANGLES[0]), (0, 0, 0), (0, 0, 0))
-        rows = movers.see(k * SECOND // 10, sweep, 0.0)
+        rays = rays_from((0, 0, 0), ANGLES, ranges)
+        rows = movers.see(k * SECOND // 10, rays, 0.0)
     assert len(rows) > 0
 
     movers.forget()
 
-    assert len(movers.see(2 * SECOND, sweep, 0.0)) == 0
+    assert len(movers.see(2 * SECOND, rays, 0.0)) == 0

@@ -6,15 +6,17 @@ import numpy as np
 import pytest
 
 from components.motion_control.seen_space import SeenSpace
-from components.motion_control.sweep import Sweep
 from planar.poses import Pose
+from planar.sweep import Rays, rays_of
+from schemas.sensor_msgs import LaserScan
+from tests.components.motion_control.world import rays_from
 
 SECOND = 1_000_000_000
 ANGLES = np.radians(np.arange(-135.0, 136.0))
 
 
-def sweep(ranges: np.ndarray, at: Pose = (0, 0, 0)) -> Sweep:
-    return Sweep(ranges, float(ANGLES[0]), math.radians(1), at, at)
+def rays(ranges: np.ndarray, at: Pose = (0, 0, 0)) -> Rays:
+    return rays_from(at, ANGLES, ranges)
 
 
 def one_hit(bearing: float, distance: float) -> np.ndarray:
@@ -25,13 +27,13 @@ def one_hit(bearing: float, distance: float) -> np.ndarray:
 
 def test_what_left_the_view_still_counts_for_a_while() -> None:
     space = SeenSpace(3 * SECOND, 0.22)
-    space.add(0, (0, 0, 0), sweep(one_hit(0.0, 1.0)))
+    space.add(0, (0, 0, 0), rays(one_hit(0.0, 1.0)))
     turned = (0.0, 0.0, math.pi)
 
-    space.add(2 * SECOND, turned, sweep(one_hit(0.0, 2.0), turned))
+    space.add(2 * SECOND, turned, rays(one_hit(0.0, 2.0), turned))
     near = space.around(turned, 3.0)
     seen = sorted(near.points.round(6).tolist())
-    space.add(4 * SECOND, turned, sweep(one_hit(0.0, 2.0), turned))
+    space.add(4 * SECOND, turned, rays(one_hit(0.0, 2.0), turned))
     later = space.around(turned, 3.0)
 
     assert seen == [[-1.0, 0.0], [2.0, 0.0]]
@@ -41,46 +43,59 @@ def test_what_left_the_view_still_counts_for_a_while() -> None:
 
 def test_what_a_beam_passes_through_is_gone() -> None:
     space = SeenSpace(3 * SECOND, 0.22)
-    space.add(0, (0, 0, 0), sweep(one_hit(0.5, 1.0)))
+    space.add(0, (0, 0, 0), rays(one_hit(0.5, 1.0)))
 
-    space.add(SECOND // 10, (0, 0, 0), sweep(np.full(ANGLES.size, np.inf)))
+    space.add(SECOND // 10, (0, 0, 0), rays(np.full(ANGLES.size, np.inf)))
 
     assert len(space.around((0, 0, 0), 3.0).points) == 0
 
 
 def test_a_beam_that_tells_nothing_clears_nothing() -> None:
     space = SeenSpace(3 * SECOND, 0.22)
-    space.add(0, (0, 0, 0), sweep(one_hit(0.5, 1.0)))
+    space.add(0, (0, 0, 0), rays(one_hit(0.5, 1.0)))
 
-    space.add(SECOND // 10, (0, 0, 0), sweep(np.full(ANGLES.size, np.nan)))
+    space.add(SECOND // 10, (0, 0, 0), rays(np.full(ANGLES.size, np.nan)))
 
     assert len(space.around((0, 0, 0), 3.0).points) == 1
 
 
 def test_what_is_hidden_behind_something_is_kept() -> None:
     space = SeenSpace(3 * SECOND, 0.22)
-    space.add(0, (0, 0, 0), sweep(one_hit(0.0, 2.0)))
+    space.add(0, (0, 0, 0), rays(one_hit(0.0, 2.0)))
 
-    space.add(SECOND // 10, (0, 0, 0), sweep(one_hit(0.0, 1.0)))
+    space.add(SECOND // 10, (0, 0, 0), rays(one_hit(0.0, 1.0)))
 
     assert sorted(space.around((0, 0, 0), 3.0).points[:, 0].round(6).tolist()) == [1.0, 2.0]
 
 
 def test_a_robot_that_turns_during_a_scan_sees_things_in_their_places() -> None:
     space = SeenSpace(3 * SECOND, 0.22)
-    middle = one_hit(0.0, 2.0)  # taken halfway between the two headings
+    ended = (0.0, 0.0, 0.2)
 
-    space.add(
-        0, (0, 0, 0), Sweep(middle, float(ANGLES[0]), math.radians(1), (0, 0, 0), (0, 0, 0.2))
-    )
+    def turning(ranges: np.ndarray) -> Rays:
+        scan = LaserScan(
+            angle_min=float(ANGLES[0]),
+            angle_max=float(ANGLES[-1]),
+            angle_increment=math.radians(1),
+            time_increment=1e-4,
+            range_max=10.0,
+            ranges=ranges.astype(np.float32),
+        )
+        return rays_of(scan, (0, 0, 0), ended).placed(ended)
 
-    x, y = space.around((0, 0, 0), 3.0).points[0]
-    assert math.atan2(y, x) == pytest.approx(0.1, abs=1e-6)
+    # The beam straight ahead is taken halfway between the two headings.
+    space.add(0, (0, 0, 0), turning(one_hit(0.0, 2.0)))
+    (there,) = space.around((0, 0, 0), 3.0).points.tolist()
+    space.add(SECOND // 10, (0, 0, 0), turning(one_hit(0.0, 3.0)))
+    (beyond,) = space.around((0, 0, 0), 4.0).points.tolist()
+
+    assert there == pytest.approx((2 * math.cos(0.1), 2 * math.sin(0.1)), abs=1e-5)
+    assert beyond == pytest.approx((3 * math.cos(0.1), 3 * math.sin(0.1)), abs=1e-5)
 
 
 def test_only_what_was_seen_of_late_counts_as_seen() -> None:
     space = SeenSpace(3 * SECOND, 0.22)
-    space.add(SECOND, (0, 0, 0), sweep(np.full(ANGLES.size, np.inf)))
+    space.add(SECOND, (0, 0, 0), rays(np.full(ANGLES.size, np.inf)))
 
     assert space.is_seen((0, 0, 0), 0.0, 0.5, 0)
     assert space.is_seen((0, 0, 0), math.pi / 2, 0.5, 0)
@@ -88,23 +103,57 @@ def test_only_what_was_seen_of_late_counts_as_seen() -> None:
     assert not space.is_seen((0, 0, 0), 0.0, 0.5, 2 * SECOND)
 
 
+def test_a_place_far_away_is_not_taken_for_one_that_was_seen() -> None:
+    space = SeenSpace(30 * SECOND, 0.22)
+    space.add(SECOND, (0, 0, 0), rays(np.full(ANGLES.size, np.inf)))
+
+    assert not any(
+        space.is_seen((0.1 * x, 0.1 * y, 0), 0.0, 0.5, SECOND)
+        for x in range(-160, 161, 8)
+        for y in range(-160, 161, 8)
+        if max(abs(x), abs(y)) > 30
+    )
+
+
+@pytest.mark.parametrize("radius", [0.1, 0.5, 1.0])
+def test_in_open_space_robots_of_all_sizes_see_what_is_ahead(radius: float) -> None:
+    space = SeenSpace(3 * SECOND, radius)
+    space.add(SECOND, (0, 0, 0), rays(np.full(ANGLES.size, np.inf)))
+
+    assert space.around((0, 0, 0), 3.3, 0.6, 0.6).seen_ahead
+    assert not space.around((0, 0, math.pi), 3.3, 0.6, 0.6).seen_ahead
+
+
+def test_a_beam_at_either_side_of_the_seam_of_a_whole_turn_clears() -> None:
+    around = np.linspace(-math.pi, math.pi, 360, endpoint=False)
+    for shift in np.linspace(-1.0, 1.0, 9):
+        space = SeenSpace(3 * SECOND, 0.22)
+        space.add(0, (0, 0, 0), rays_from((0, 0, 0), np.array([math.pi + math.radians(shift)]),
+                                          np.array([1.0])))  # fmt: skip
+
+        space.add(SECOND // 10, (0, 0, 0), rays_from((0, 0, 0), around, np.full(360, np.inf)))
+
+        assert len(space.around((0, 0, 0), 3.0).points) == 0, shift
+
+
 def test_scans_of_any_size_are_taken() -> None:
     space = SeenSpace(3 * SECOND, 0.22)
 
-    space.add(0, (0, 0, 0), Sweep(np.empty(0), 0.0, 0.0, (0, 0, 0), (0, 0, 0)))
-    space.add(1, (0, 0, 0), Sweep(np.array([1.0]), 0.0, 0.0, (0, 0, 0), (0, 0, 0)))
+    space.add(0, (0, 0, 0), rays_from((0, 0, 0), np.empty(0), np.empty(0)))
+    space.add(1, (0, 0, 0), rays_from((0, 0, 0), np.array([1.0]), np.array([1.0])))
+    around = np.linspace(-math.pi, math.pi, 7200, endpoint=False)
     for k in range(30):
         many = np.full(7200, 1.0 + 0.02 * k)
-        space.add(2 + k, (0, 0, 0), Sweep(many, -math.pi, math.pi / 3600, (0, 0, 0), (0, 0, 0)))
+        space.add(2 + k, (0, 0, 0), rays_from((0, 0, 0), around, many))
 
-    around = space.around((0, 0, 0), 3.0)
-    assert len(around.points) <= 8192
-    assert np.isfinite(around.points).all()
+    points = space.around((0, 0, 0), 3.0).points
+    assert len(points) <= 8192
+    assert np.isfinite(points).all()
 
 
 def test_what_is_to_come_counts_where_the_robot_may_meet_it() -> None:
     space = SeenSpace(3 * SECOND, 0.22)
-    space.add(0, (0, 0, 0), sweep(np.full(ANGLES.size, np.inf)))
+    space.add(0, (0, 0, 0), rays(np.full(ANGLES.size, np.inf)))
     space.expect(np.array([[1.0, 0.0, 0.4], [2.5, 0.0, 0.4], [0.1, 0.0, 1.4]]))
 
     around = space.around((0, 0, 0), 3.0, speed=0.6, fastest=0.6)

@@ -14,8 +14,8 @@ from components.motion_control.movers import Movers
 from components.motion_control.route import Route
 from components.motion_control.seen_space import SeenSpace
 from components.motion_control.steering import Steering
-from components.motion_control.sweep import Sweep
 from planar.poses import Pose, compose, relative, wrap
+from planar.sweep import Rays
 
 Array = NDArray[np.float64]
 Wall = tuple[float, float, float, float]
@@ -160,10 +160,9 @@ def drive(
         scans = tick % 5 == 0
         if scans:
             ranges = world.ranges(time, robot.pose, angles, random.normal(0, noise, beams))
-            sweep = Sweep(ranges, float(angles[0]), float(angles[1] - angles[0]), robot.odom,
-                          robot.odom)  # fmt: skip
-            space.add(now, robot.odom, sweep)
-            space.expect(movers.see(now, sweep, robot.turn))
+            rays = rays_from(robot.odom, angles, ranges)
+            space.add(now, robot.odom, rays)
+            space.expect(movers.see(now, rays, robot.turn))
             x, y, theta = robot.pose
             dx, dy, turned = random.normal(0, pose_noise, 3)
             believed, base = (x + dx, y + dy, wrap(theta + turned)), robot.odom
@@ -197,6 +196,12 @@ def drive(
         if ended > 10:
             break
     return record
+
+
+def rays_from(at: Pose, angles: Array, ranges: Array) -> Rays:
+    """What a scanner in the robot's middle tells that stands still at a pose."""
+    starts = np.tile(np.array(at[:2], np.float64), (ranges.size, 1))
+    return Rays(starts, at[2] + angles, ranges, 10.0)
 
 
 def route(*points: tuple[float, float], heading: float = 0.0) -> Route:
