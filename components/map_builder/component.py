@@ -254,7 +254,9 @@ class MapBuilder(Component):
         config = self.config
         if self._grid is None and config.grid_file is not None:
             now = self.clock.now()
-            self._grid = GridKeeper(config.grid_file, config.grid_copy, now, config.settle_s)
+            self._grid = GridKeeper(
+                config.grid_file, config.grid_copy, now, config.settle_s, config.undo_s
+            )
             self._saved_at = now
             self._tell_full_map(now)
         return self._grid

@@ -9,7 +9,8 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from cairn.errors import CairnError
 from cairn.files import replace_file
-from components.map_builder.occupancy import Occupancy, Window
+from components.map_builder.occupancy import Occupancy
+from components.map_builder.window import Window
 from components.map_builder.working_copy import LOG, gone_on_with
 from planar.grid import OccupancyCells
 from planar.map_file import read_map, write_map
@@ -35,13 +36,18 @@ class GridKeeper:
     """
 
     def __init__(
-        self, map_file: Path, working_copy: Path | None, now_ns: int, settle_s: float
+        self,
+        map_file: Path,
+        working_copy: Path | None,
+        now_ns: int,
+        settle_s: float,
+        undo_s: float,
     ) -> None:
         self._copy = working_copy
         original = read_map(map_file)
         self._source = _digest(original)
         left = _left(working_copy, self._source, now_ns) if working_copy is not None else None
-        self._occupancy = Occupancy(left or original, settle_s)
+        self._occupancy = Occupancy(left or original, settle_s, undo_s)
         self._changed = False
 
     @property

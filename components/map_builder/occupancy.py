@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections import deque
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from components.map_builder.ray_walk import first_step
+from components.map_builder.undo import Undo
+from components.map_builder.window import Window
 from planar.compiled import compiled
 from planar.grid import (
     FREE,
@@ -24,22 +24,22 @@ from planar.grid import (
 from planar.poses import Pose
 from planar.sweep import Rays
 
-# Log-odds. What the map holds begins at the limits, so that it takes many contrary rays.
+# Log-odds. What the map holds begins at the limits, so that it takes many contrary scans.
 _LEAST, _MOST = -2.0, 3.5
 # From here on a cell is occupied, down to there free; in between it stays what it was.
 _OCCUPIED, _FREE = 0.6, -0.6
-# A ray that ends in a cell: confirms an obstacle of the map, or speaks for a new one.
+# A ray that ends: confirms an obstacle of the map, or speaks for a new one.
 _CONFIRMS, _SUGGESTS = 1.0, 0.3
-# One that passes a cell: speaks against an obstacle of the map, or forgets a suggestion. The first
-# is small against what confirms: glass lets most rays pass.
+# A scan of which rays pass a cell, and none ends near it: speaks once against an obstacle of the
+# map, or forgets a suggestion. The first is small against what confirms: glass lets most rays pass.
 _CONTRADICTS, _FORGETS = -0.2, -0.4
 # An end this near an obstacle of the map [cells] is that obstacle, seen from a pose that is not
 # quite right.
 _NEAR = 2
+# One this near confirms it [cells].
+_BESIDE = 1
 # Up to this share of the reach even what is dark returns a ray.
 _SURE_SHARE = 0.35
-# How long changes can be taken back [s].
-_UNDONE_S = 120.0
 # Until an obstacle is so old [s], what is seen beside it belongs to it, and is drawn as well.
 _YOUNG_S = 60.0
 # A ray tells nothing of what lies this far [cells] before its end, or where it grazes a surface.
@@ -47,52 +47,27 @@ _END_CELLS = 3.0
 _GRAZES_M = 1.5
 
 
-@dataclass(frozen=True)
-class Window:
-    """A part of a map: from row, column on; `values` (rows, columns)."""
-
-    row: int
-    column: int
-    values: NDArray[np.int8]
-
-    @property
-    def rows(self) -> slice:
-        """The rows of the map that it covers."""
-        return slice(self.row, self.row + self.values.shape[0])
-
-    @property
-    def columns(self) -> slice:
-        """The columns of the map that it covers."""
-        return slice(self.column, self.column + self.values.shape[1])
-
-    @property
-    def box(self) -> tuple[int, int, int, int]:
-        """First row and column, and those after the last."""
-        return self.rows.start, self.columns.start, self.rows.stop, self.columns.stop
-
-
 class Occupancy:
     """Free, occupied and unknown cells, changed by rays.
 
     A new obstacle is one that stood for `settle_s` seconds: who walks past leaves no trace. An
     obstacle of the map is gone when rays pass where it stood. A ray without a return says nothing
-    of far obstacles, because what is dark returns none.
+    of far obstacles, because what is dark returns none. Changes of the last `undo_s` seconds can be
+    taken back.
     """
 
-    def __init__(self, grid: OccupancyCells, settle_s: float) -> None:
+    def __init__(self, grid: OccupancyCells, settle_s: float, undo_s: float) -> None:
         self.frame: Frame = grid.frame
         self.settle_s = settle_s
         self.cells: NDArray[np.int8] = np.full(grid.values.shape, UNKNOWN, np.int8)
         self.cells[(grid.values >= 0) & (grid.values <= FREE_TO)] = FREE
         self.cells[grid.values >= OCCUPIED_FROM] = OCCUPIED
-        self._odds = np.zeros(self.cells.shape, np.float32)
-        self._odds[self.cells == FREE] = _LEAST
-        self._odds[self.cells == OCCUPIED] = _MOST
+        self._odds = _certain(self.cells)
         self._since: NDArray[np.float32] = np.full(self.cells.shape, np.nan, np.float32)
-        self._ends = np.zeros(self.cells.shape, np.int32)
+        # The number of the last scan that spoke for a cell, negative if it spoke against it.
+        self._spoke = np.zeros(self.cells.shape, np.int32)
         self._scans = 0
-        self._before = self.cells.copy()
-        self._changes: deque[tuple[float, Window]] = deque()
+        self._undo = Undo(self.cells, undo_s)
         self._began: float | None = None
 
     @property
@@ -101,22 +76,17 @@ class Occupancy:
         return Grid(self.cells, self.frame)
 
     def take_back(self, stamp_s: float) -> Window | None:
-        """Undo what was changed since `stamp_s` [s]; gives what has changed by that."""
-        box = None
-        while self._changes and self._changes[-1][0] >= stamp_s:
-            _, window = self._changes.pop()
-            rows, columns = window.rows, window.columns
-            self.cells[rows, columns] = self._before[rows, columns] = window.values
-            odds, since = self._odds[rows, columns], self._since[rows, columns]
-            odds[window.values == FREE] = _LEAST
-            odds[window.values == OCCUPIED] = _MOST
-            odds[window.values == UNKNOWN] = 0.0
-            since[:] = np.nan
-            box = window.box if box is None else _joined(box, window.box)
-        if box is None:
-            return None
-        top, left, bottom, right = box
-        return Window(top, left, self.cells[top:bottom, left:right].copy())
+        """Undo what was changed since `stamp_s` [s]; gives what has changed by that.
+
+        Evidence that has changed nothing yet is dropped, of whatever time it is.
+        """
+        window = self._undo.take_back(stamp_s)
+        if self._began is not None:
+            # What was not decided yet is of doubtful poses, too.
+            self._odds = _certain(self.cells)
+            lost = self._since >= stamp_s - self._began
+            self._since[lost | (self.cells != OCCUPIED)] = np.nan
+        return window
 
     def integrate(self, stamp_s: float, pose: Pose, rays: Rays) -> Window | None:
         """Take the rays of a scan from `pose`; gives what has changed, None if nothing has."""
@@ -126,16 +96,14 @@ class Occupancy:
         if not len(hit):
             return None
         self._scans += 1
-        while self._changes and self._changes[0][0] < stamp_s - _UNDONE_S:
-            self._changes.popleft()
         box = np.array([self.cells.shape[0], self.cells.shape[1], -1, -1])
-        _mark_ends(ends, hit, self._ends, self._scans)
+        _confirm(ends, hit, self._spoke, self._scans, self._odds, self.cells)
         _pass(
             starts,
             ends,
             hit,
             keep,
-            self._ends,
+            self._spoke,
             self._scans,
             self._odds,
             self.cells,
@@ -156,21 +124,16 @@ class Occupancy:
         if bottom < 0:
             return None
         window = Window(top, left, self.cells[top : bottom + 1, left : right + 1].copy())
-        rows, columns = window.rows, window.columns
-        self._changes.append((stamp_s, Window(top, left, self._before[rows, columns].copy())))
-        self._before[rows, columns] = window.values
+        self._undo.note(stamp_s, window)
         return window
 
 
-def _joined(
-    one: tuple[int, int, int, int], other: tuple[int, int, int, int]
-) -> tuple[int, int, int, int]:
-    return (
-        min(one[0], other[0]),
-        min(one[1], other[1]),
-        max(one[2], other[2]),
-        max(one[3], other[3]),
-    )
+def _certain(cells: NDArray[np.int8]) -> NDArray[np.float32]:
+    """Log-odds of a map that nothing speaks against."""
+    odds = np.zeros(cells.shape, np.float32)
+    odds[cells == FREE] = _LEAST
+    odds[cells == OCCUPIED] = _MOST
+    return odds
 
 
 def _in_cells(
@@ -231,18 +194,28 @@ def _passed(
             _grow(box, row, column)
 
 
-@compiled("void(float64[:, ::1], boolean[::1], int32[:, ::1], int64)")
-def _mark_ends(
-    ends: NDArray[np.float64], hit: NDArray[np.bool_], marks: NDArray[np.int32], scan: int
+@compiled(
+    "void(float64[:, ::1], boolean[::1], int32[:, ::1], int64, float32[:, ::1], int8[:, ::1])"
+)
+def _confirm(
+    ends: NDArray[np.float64],
+    hit: NDArray[np.bool_],
+    spoke: NDArray[np.int32],
+    scan: int,
+    odds: NDArray[np.float32],
+    cells: NDArray[np.int8],
 ) -> None:
-    rows, columns = marks.shape
+    rows, columns = spoke.shape
     for i in range(len(ends)):
         if not hit[i]:
             continue
         row, column = math.floor(ends[i, 1]), math.floor(ends[i, 0])
         for r in range(max(0, row - _NEAR), min(rows, row + _NEAR + 1)):
             for c in range(max(0, column - _NEAR), min(columns, column + _NEAR + 1)):
-                marks[r, c] = scan
+                spoke[r, c] = scan
+                beside = abs(r - row) <= _BESIDE and abs(c - column) <= _BESIDE
+                if beside and cells[r, c] == OCCUPIED:
+                    odds[r, c] = min(_MOST, odds[r, c] + _CONFIRMS)
 
 
 @compiled(
@@ -254,7 +227,7 @@ def _pass(
     ends: NDArray[np.float64],
     hit: NDArray[np.bool_],
     keep: NDArray[np.float64],
-    marks: NDArray[np.int32],
+    spoke: NDArray[np.int32],
     scan: int,
     odds: NDArray[np.float32],
     cells: NDArray[np.int8],
@@ -279,7 +252,8 @@ def _pass(
                 break
             if at > sure and cells[row, column] == OCCUPIED:
                 break
-            if marks[row, column] != scan:
+            if abs(spoke[row, column]) != scan:
+                spoke[row, column] = -scan
                 _passed(odds, cells, since, row, column, box)
             if next_x < next_y:
                 at = next_x
@@ -313,7 +287,6 @@ def _end(
         if not (0 <= row < rows and 0 <= column < columns):
             continue
         if cells[row, column] == OCCUPIED:
-            odds[row, column] = min(_MOST, odds[row, column] + _CONFIRMS)
             continue
         known = False
         for r in range(max(0, row - _NEAR), min(rows, row + _NEAR + 1)):

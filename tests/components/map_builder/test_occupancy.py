@@ -1,8 +1,10 @@
 """A grid map follows what the scanner sees: what moved vanishes and appears; passers-by do not."""
 
 import math
+import tracemalloc
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
 from components.map_builder.counting import build_map
@@ -54,7 +56,7 @@ def share_occupied(occupancy: Occupancy, box: Box) -> float:
 
 
 def test_moved_furniture_vanishes_from_its_old_place_and_appears_in_its_new_one() -> None:
-    occupancy = Occupancy(room(), 8.0)
+    occupancy = Occupancy(room(), 8.0, 60.0)
     world = room((*(box for box in ROOM if box != OLD), NEW))
     now = 0.0
 
@@ -67,7 +69,7 @@ def test_moved_furniture_vanishes_from_its_old_place_and_appears_in_its_new_one(
 
 
 def test_a_still_room_stays_as_it_is_however_often_it_is_seen() -> None:
-    occupancy = Occupancy(room(), 8.0)
+    occupancy = Occupancy(room(), 8.0, 60.0)
     now = 0.0
 
     for seed in range(5):
@@ -78,7 +80,7 @@ def test_a_still_room_stays_as_it_is_however_often_it_is_seen() -> None:
 
 
 def test_who_walks_past_leaves_no_trace_and_who_stays_is_forgotten_once_gone() -> None:
-    occupancy = Occupancy(room(), 8.0)
+    occupancy = Occupancy(room(), 8.0, 60.0)
     pose = (2.0, 2.0, 0.0)
     random = np.random.default_rng(0)
     for k in range(60):
@@ -100,9 +102,57 @@ def test_who_walks_past_leaves_no_trace_and_who_stays_is_forgotten_once_gone() -
     assert share_occupied(occupancy, (2.9, 1.7, 3.5, 2.3)) == 0.0
 
 
+def seen_through(occupancy: Occupancy, began_s: float, scans: int, far_m: float = 2.0) -> None:
+    """The robot stands at (5, 10) and its rays pass what is `far_m` [m] ahead of it."""
+    around = np.linspace(-math.pi, math.pi, 481, endpoint=False)
+    through = Rays(np.zeros((481, 2)), around, np.full(481, far_m + 1.5), 10.0)
+    for k in range(scans):
+        occupancy.integrate(began_s + 0.2 * k, (5.01, 10.01, 0.0), through)
+
+
+def a_post(far_m: float = 2.0) -> tuple[Occupancy, tuple[int, int]]:
+    cells = np.zeros((400, 400), np.int8)
+    row, column = 200, 100 + round(far_m / RESOLUTION)
+    cells[row, column] = OCCUPIED
+    return Occupancy(Grid(cells, Frame(RESOLUTION)), 8.0, 60.0), (row, column)
+
+
+@pytest.mark.parametrize("far_m", [0.5, 1.0, 2.0, 4.0])
+def test_what_is_seen_through_for_four_seconds_is_gone_however_near_it_is(far_m: float) -> None:
+    occupancy, post = a_post(far_m)
+
+    seen_through(occupancy, 0.0, 15, far_m)
+    assert occupancy.cells[post] == OCCUPIED
+
+    seen_through(occupancy, 3.0, 7, far_m)
+    assert occupancy.cells[post] == FREE
+
+
+@pytest.mark.parametrize("far_m", [2.0, 3.0, 4.0, 6.0])
+def test_a_mapped_pane_that_returns_one_ray_in_ten_stays_while_it_is_looked_at(
+    far_m: float,
+) -> None:
+    random = np.random.default_rng(0)
+    cells = np.zeros((400, 400), np.int8)
+    pane = 100 + round(far_m / RESOLUTION)
+    cells[:, pane] = OCCUPIED
+    occupancy = Occupancy(Grid(cells, Frame(RESOLUTION)), 8.0, 60.0)
+    angles = np.radians(np.arange(-60.0, 60.0, 0.75))
+
+    for k in range(150):
+        returned = random.random(angles.size) < 0.1
+        ranges = np.where(returned, far_m + 0.025, far_m + 3.025) / np.cos(angles)
+        ranges += random.normal(0.0, 0.015, angles.size)
+        ranges[ranges > 10.0] = math.inf
+        seen = Rays(np.zeros((angles.size, 2)), angles, ranges, 10.0)
+        occupancy.integrate(0.2 * k, (5.0, 10.01, 0.0), seen)
+
+    assert (occupancy.cells[180:220, pane] == OCCUPIED).mean() > 0.75
+
+
 def test_only_what_has_changed_is_told() -> None:
     grid = Grid(np.zeros((20, 40), np.int8), Frame(0.1))
-    occupancy = Occupancy(grid, 0.0)
+    occupancy = Occupancy(grid, 0.0, 60.0)
     wall = rays(np.array([[1.0, 0.0]]))
 
     told = [occupancy.integrate(0.2 * k, (1.05, 1.05, 0.0), wall) for k in range(20)]
@@ -114,7 +164,7 @@ def test_only_what_has_changed_is_told() -> None:
 
 
 def test_rays_off_the_map_and_without_a_return_are_harmless() -> None:
-    occupancy = Occupancy(Grid(np.full((10, 10), UNKNOWN, np.int8), Frame(0.1)), 0.0)
+    occupancy = Occupancy(Grid(np.full((10, 10), UNKNOWN, np.int8), Frame(0.1)), 0.0, 60.0)
     far = Rays(
         np.zeros((3, 2)), np.array([0.0, 2.0, 4.0]), np.array([50.0, math.inf, math.nan]), 80.0
     )
@@ -157,7 +207,7 @@ def test_a_map_is_drawn_from_scans_of_known_poses() -> None:
 
 
 def test_what_was_drawn_while_the_robot_was_lost_can_be_taken_back() -> None:
-    occupancy = Occupancy(room(), 8.0)
+    occupancy = Occupancy(room(), 8.0, 60.0)
     now = pass_by(occupancy, room((*(box for box in ROOM if box != OLD), NEW)), 0.0)
     found = occupancy.cells.copy()
     lost_at = now
@@ -172,3 +222,58 @@ def test_what_was_drawn_while_the_robot_was_lost_can_be_taken_back() -> None:
     assert window is not None
     assert np.array_equal(occupancy.cells, found)
     assert occupancy.take_back(lost_at) is None
+
+
+def drive_into_the_unknown(
+    occupancy: Occupancy, scans: int, began_s: float = 0.0
+) -> list[NDArray[np.int8]]:
+    """A long drive with scans that change much; gives the map before each of them."""
+    random = np.random.default_rng(0)
+    angles = np.linspace(-2.35, 2.35, 541)
+    before = []
+    for k in range(scans):
+        before.append(occupancy.cells.copy())
+        seen = Rays(np.zeros((541, 2)), angles, random.uniform(2.0, 25.0, 541), 30.0)
+        pose = (10.0 + 0.1 * k, 20.0 + k % 7, 0.3 * k)
+        occupancy.integrate(began_s + 0.2 * k, pose, seen)
+    return before
+
+
+def nothing_known(undo_s: float) -> Occupancy:
+    return Occupancy(Grid(np.full((800, 800), UNKNOWN, np.int8), Frame(RESOLUTION)), 1.0, undo_s)
+
+
+def test_changes_are_taken_back_exactly_to_any_time_that_is_kept_and_no_further() -> None:
+    occupancy = nothing_known(undo_s=20.0)
+    before = drive_into_the_unknown(occupancy, 200)
+
+    for scan in (199, 170, 101):
+        occupancy.take_back(0.2 * scan - 0.1)
+        assert np.array_equal(occupancy.cells, before[scan])
+
+    assert occupancy.take_back(0.0) is not None
+    oldest = next(k for k in range(200) if np.array_equal(before[k], occupancy.cells))
+    assert oldest == pytest.approx(99, abs=1)
+
+
+def test_what_can_be_taken_back_takes_little_more_memory_than_the_map() -> None:
+    occupancy = nothing_known(undo_s=60.0)
+    tracemalloc.start()
+    try:
+        began, _ = tracemalloc.get_traced_memory()
+        for drive in range(3):
+            drive_into_the_unknown(occupancy, 100, 20.0 * drive)
+            grown, _ = tracemalloc.get_traced_memory()
+            assert grown - began < 6 * occupancy.cells.nbytes
+    finally:
+        tracemalloc.stop()
+
+
+def test_what_was_half_decided_while_the_robot_was_lost_is_forgotten() -> None:
+    occupancy, post = a_post()
+    seen_through(occupancy, 0.0, 15)
+
+    assert occupancy.take_back(0.0) is None
+    seen_through(occupancy, 3.0, 15)
+
+    assert occupancy.cells[post] == OCCUPIED
