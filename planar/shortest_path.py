@@ -22,6 +22,17 @@ LEAST, DEAREST, CLOSED = 16, 253, 254
 
 # Lengths of a step straight on, aslant, and of a knight's move, times 12: 0.07 % and 0.6 % off.
 _STRAIGHT, _ASLANT, _KNIGHT = 12, 17, 27
+# The sixteen steps, rows and columns, in the order in which `_price_steps` prices them: in each
+# quadrant straight on, aslant, and the knight's moves of two columns and of two rows.
+_STEPS = np.array(
+    [
+        (0, 1), (1, 1), (1, 2), (2, 1),
+        (-1, 0), (-1, 1), (-1, 2), (-2, 1),
+        (1, 0), (1, -1), (1, -2), (2, -1),
+        (0, -1), (-1, -1), (-1, -2), (-2, -1),
+    ],
+    np.int64,
+)  # fmt: skip
 # Cost over which a bucket reaches, as a power of two: a sixth of the shortest step, 384, so that
 # few cells are entered again; and more buckets than the dearest step goes ahead,
 # (27 * 4 * 253 / 2 + 864) / 2**6 = 227.
@@ -122,6 +133,35 @@ def _ahead(rows: int, columns: int) -> int:
     return (a - b) * (_KNIGHT * 32) + (2 * b - a) * (_ASLANT * 32)
 
 
+@compiled()
+def _price_steps(prices: Prices, stride: int, cell: np.int64, costs: NDArray[np.int64]) -> None:
+    """What each of the `_STEPS` from a cell costs; 0 for one that is closed."""
+    here = np.int64(prices[np.uintp(cell)])
+    for side in range(2):
+        x = 1 - 2 * side
+        right = np.int64(prices[np.uintp(cell + x)])
+        for end in range(2):
+            y = (1 - 2 * end) * stride
+            down = np.int64(prices[np.uintp(cell + y)])
+            k = 8 * side + 4 * end
+            straight = right if side == end else down
+            costs[np.uintp(k)] = _STRAIGHT * (here + straight) if straight < CLOSED else 0
+            costs[np.uintp(k + 1)] = costs[np.uintp(k + 2)] = costs[np.uintp(k + 3)] = 0
+            aslant = np.int64(prices[np.uintp(cell + y + x)])
+            if aslant >= CLOSED:
+                continue
+            if right < CLOSED:
+                far = np.int64(prices[np.uintp(cell + y + 2 * x)])
+                if far < CLOSED:
+                    costs[np.uintp(k + 2)] = (_KNIGHT * (here + right + aslant + far)) >> 1
+                if down < CLOSED:
+                    costs[np.uintp(k + 1)] = _ASLANT * (here + aslant)
+            if down < CLOSED:
+                far = np.int64(prices[np.uintp(cell + 2 * y + x)])
+                if far < CLOSED:
+                    costs[np.uintp(k + 3)] = (_KNIGHT * (here + down + aslant + far)) >> 1
+
+
 @compiled(
     "Tuple((int64, int64, int64))(uint8[::1], int64, uint32[::1], int64, int64, int64,"
     " int32[::1], uint32[::1], int32[::1])"
@@ -143,22 +183,8 @@ def _search(
     (`uintp`) spare the check for those that count from the end: 15 % of the time.
     """
     heads = np.full(_BUCKETS, -1, np.int32)
-    costs = np.empty(16, np.int64)  # of the moves in order, 0 for one that is closed
-    downs = np.empty(16, np.int64)
-    rights = np.empty(16, np.int64)
-    moves = np.empty(16, np.int64)
-    for side in range(2):
-        for end in range(2):
-            for kind in range(4):
-                k = 8 * side + 4 * end + kind
-                y, x = 1 - 2 * end, 1 - 2 * side
-                if kind == 0:  # straight: along the columns, or along the rows
-                    y, x = (0, x) if end == side else (y, 0)
-                elif kind == 2:
-                    x *= 2
-                elif kind == 3:
-                    y *= 2
-                downs[k], rights[k], moves[k] = y, x, y * stride + x
+    costs = np.empty(len(_STEPS), np.int64)
+    moves = _STEPS[:, 0] * stride + _STEPS[:, 1]
     width = np.uint32(stride)
     goal_row, goal_column = goal // stride, goal % stride
     nearest, least = np.int64(start), np.int64(2**62)
@@ -186,38 +212,15 @@ def _search(
             return _FOUND, cell, top + _DEAREST_STEP
         if total > _TOP:
             return _OVERFLOW, nearest, top
-        if used + 16 > cells.size:
+        if used + len(_STEPS) > cells.size:
             return _CROWDED, nearest, top + _DEAREST_STEP
         row = np.int64(np.uint32(cell) // width)
         r, c = goal_row - row, goal_column - (cell - row * stride)
         apart = r * r + c * c
         if apart < least:
             least, nearest = apart, cell
-        here = np.int64(prices[np.uintp(cell)])
-        for side in range(2):
-            x = 1 - 2 * side
-            e = np.int64(prices[np.uintp(cell + x)])
-            for end in range(2):
-                y = (1 - 2 * end) * stride
-                v = np.int64(prices[np.uintp(cell + y)])
-                k = 8 * side + 4 * end
-                straight = e if side == end else v
-                costs[np.uintp(k)] = _STRAIGHT * (here + straight) if straight < CLOSED else 0
-                costs[np.uintp(k + 1)] = costs[np.uintp(k + 2)] = costs[np.uintp(k + 3)] = 0
-                d = np.int64(prices[np.uintp(cell + y + x)])
-                if d >= CLOSED:
-                    continue
-                if e < CLOSED:
-                    far = np.int64(prices[np.uintp(cell + y + 2 * x)])
-                    if far < CLOSED:
-                        costs[np.uintp(k + 2)] = (_KNIGHT * (here + e + d + far)) >> 1
-                    if v < CLOSED:
-                        costs[np.uintp(k + 1)] = _ASLANT * (here + d)
-                if v < CLOSED:
-                    far = np.int64(prices[np.uintp(cell + 2 * y + x)])
-                    if far < CLOSED:
-                        costs[np.uintp(k + 3)] = (_KNIGHT * (here + v + d + far)) >> 1
-        for k in range(16):
+        _price_steps(prices, stride, cell, costs)
+        for k in range(len(_STEPS)):
             if costs[np.uintp(k)] == 0:
                 continue
             there = cell + moves[np.uintp(k)]
@@ -232,7 +235,7 @@ def _search(
             else:
                 node = used
                 used += 1
-            ahead = cost + _ahead(r - downs[np.uintp(k)], c - rights[np.uintp(k)])
+            ahead = cost + _ahead(r - _STEPS[np.uintp(k), 0], c - _STEPS[np.uintp(k), 1])
             bucket = (ahead >> _BUCKET) & (_BUCKETS - 1)
             cells[np.uintp(node)] = there
             totals[np.uintp(node)] = cost
