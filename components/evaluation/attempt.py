@@ -40,8 +40,8 @@ class Attempt:
     found_ns: int | None = None
 
     def lost(self, stamp: int, told: Pose, true: Pose) -> bool:
-        """Whether the robot was carried off by then and has not found itself with this pose."""
-        if self.carried_ns is None or stamp < self.carried_ns:
+        """Whether the robot was carried off and has not found itself with this pose either."""
+        if self.carried_ns is None:
             return False
         near = distance(told, true) <= _FOUND_M and abs(wrap(told[2] - true[2])) <= _FOUND_RAD
         if self.found_ns is None and near:

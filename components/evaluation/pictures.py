@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from components.evaluation.results import RunResult
@@ -35,10 +36,11 @@ def draw_tracks(grid: OccupancyCells, runs: Sequence[RunResult], file: Path) -> 
             xs, ys = zip(*places, strict=True)
             label = f"{len(places)} goals {'reached' if reached else 'not reached'}"
             axes.scatter(xs, ys, s=18, marker=marker, color=colour, label=label, zorder=3)
+    axes.set_title("true ways, broken where the robot was carried off", fontsize="medium")
     axes.set_xlabel("x [m]")
     axes.set_ylabel("y [m]")
     if goals:
-        axes.legend(loc="upper center", bbox_to_anchor=(0.5, 1.08), ncols=2, frameon=False)
+        figure.legend(loc="outside upper center", ncols=2, frameon=False)
     figure.savefig(file, dpi=110)
 
 
@@ -57,13 +59,14 @@ def draw_ways(runs: Sequence[RunResult], file: Path) -> None:
     seeds = [run.seed for run in runs]
     for key, label, colour in (
         ("error_median", "median", "tab:blue"),
-        ("error_p95", "95 % of the time below", "tab:orange"),
+        ("error_p95", "95 % of the poses below", "tab:orange"),
     ):
         # A run without poses has no error: NaN is not drawn.
         values = [math.nan if (error := getattr(run, key)) is None else error for run in runs]
         right.plot(seeds, values, "o", markersize=4, color=colour, label=label)
     right.set_xlabel("seed")
-    right.set_ylabel("error of the position [m]")
+    right.xaxis.set_major_locator(MaxNLocator(integer=True))
+    right.set_ylabel("error of the position, unless lost [m]")
     right.set_ylim(bottom=0.0)
     right.legend(frameon=False)
     figure.savefig(file, dpi=110)

@@ -63,9 +63,9 @@ class Examination:
         )
         self.stage.give("scene", scene)
 
-    def truth(self) -> None:
-        """Tell where the robot is now."""
-        header = Header(stamp=from_ns(self.now), frame_id="map")
+    def truth(self, ago_s: float = 0.0) -> None:
+        """Tell where the robot is now, or that it was there a while ago."""
+        header = Header(stamp=from_ns(self.now - round(ago_s * SECOND)), frame_id="map")
         self.stage.give("truth", PoseStamped(header=header, pose=pose_message(self.robot)))
 
     def told(self, pose: Pose, ago_s: float = 0.0, sigma: float = 0.01) -> None:
