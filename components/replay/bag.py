@@ -15,6 +15,7 @@ from components.replay.recording import (
     RecordingError,
     Scans,
     Sightings,
+    Source,
     Trajectory,
     from_deviations,
 )
@@ -58,15 +59,22 @@ class BagRecording:
         bag = read_bag(path, self._choose)
         self._types = {"/" + topic.lstrip("/"): kind for topic, kind in bag.types.items()}
         self._messages = {"/" + topic.lstrip("/"): of for topic, of in bag.messages.items()}
+        self._counts = {"/" + topic.lstrip("/"): count for topic, count in bag.counts.items()}
         self._notes = bag.notes
         self._scan_delay = round(scan_delay_s * SECOND)
-        self._scans = self._read(self._topic("scan", (_SCAN,)), self._to_scans)
-        self._odometry = self._read(self._topic("odom", (_ODOMETRY,)), self._to_odometry)
-        if self._odometry is None:
-            transforms = [of for t, of in self._messages.items() if self._types[t] in _TF]
-            self._odometry = self._from_tf([pair for of in transforms for pair in of])
+        scan, odom = self._topic("scan", (_SCAN,)), self._topic("odom", (_ODOMETRY,))
         truth = self._topic("truth", tuple(_TRUE)) if "truth" in self._named else None
+        self._scans = self._read(scan, self._to_scans)
+        self._odometry = self._read(odom, self._to_odometry)
+        self._replayed = {topic: kind for topic, kind in ((scan, "scan"), (odom, "odom")) if topic}
+        if self._odometry is None:
+            transforms = {t: of for t, of in self._messages.items() if self._types[t] in _TF}
+            self._odometry = self._from_tf([pair for of in transforms.values() for pair in of])
+            if self._odometry is not None:
+                self._replayed |= dict.fromkeys(transforms, "odom")
         self._truth = self._read(truth, self._to_trajectory)
+        if truth is not None:
+            self._replayed[truth] = "truth"
         if self._scans is None and self._odometry is None:
             raise RecordingError(
                 f"{path} holds neither laser scans nor odometry: nothing to replay. Its topics "
@@ -98,6 +106,13 @@ class BagRecording:
         """None: no message of ROS's own tells of landmarks."""
         return None
 
+    def sources(self) -> Sequence[Source]:
+        """The bag's topics."""
+        return [
+            Source(self._replayed.get(topic), topic, kind, self._counts.get(topic, 0))
+            for topic, kind in sorted(self._types.items())
+        ]
+
     def notes(self) -> Sequence[str]:
         """What was lost or assumed."""
         return self._notes
@@ -123,7 +138,7 @@ class BagRecording:
         if len(found) > 1 and f"/{kind}" not in found:
             raise RecordingError(
                 f"{self._path} has several topics of {types[0]}: {', '.join(found)}. Name one "
-                f"with the parameter topics.{kind}."
+                f"with the parameter topics.{kind} (`cairn recording show`: --{kind})."
             )
         return f"/{kind}" if f"/{kind}" in found else next(iter(found), None)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from collections import Counter
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,9 +24,13 @@ _SUFFIXES = {b"\x89MCAP0\r\n": ".mcap", b"SQLite format 3\x00": ".db3"}
 
 @dataclass(frozen=True)
 class BagFile:
-    """What was read: time of receipt [ns] and message, by topic; and what was lost: sentences."""
+    """What was read: time of receipt [ns] and message, by topic; and what was lost: sentences.
+
+    `types` and `counts` are those of all topics.
+    """
 
     types: Mapping[str, str]
+    counts: Mapping[str, int]
     messages: Mapping[str, list[tuple[int, Any]]]
     notes: list[str]
 
@@ -62,6 +67,9 @@ def read_bag(path: Path, choose: Choice) -> BagFile:
 def _by_index(path: Path, choose: Choice) -> BagFile:
     with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
         types = {connection.topic: connection.msgtype for connection in reader.connections}
+        counts = Counter[str]()
+        for connection in reader.connections:
+            counts[connection.topic] += connection.msgcount
         chosen = choose(types)
         messages: dict[str, list[tuple[int, Any]]] = {topic: [] for topic in chosen}
         connections = [c for c in reader.connections if c.topic in chosen]
@@ -69,7 +77,7 @@ def _by_index(path: Path, choose: Choice) -> BagFile:
         for connection, received, raw in reader.messages(connections) if connections else ():
             message = reader.deserialize(raw, connection.msgtype)
             messages[connection.topic].append((received, message))
-    return BagFile(types, messages, [])
+    return BagFile(types, counts, messages, [])
 
 
 def _in_sequence(path: Path, choose: Choice, cause: str) -> BagFile:
@@ -101,7 +109,7 @@ def _in_sequence(path: Path, choose: Choice, cause: str) -> BagFile:
             messages[connection.topic].append((received, message))
     if cause:
         notes.insert(0, f"its index is broken ({cause}): read in sequence, {len(found)} messages")
-    return BagFile(types, messages, notes)
+    return BagFile(types, Counter(c.topic for c, _, _ in found), messages, notes)
 
 
 def _is_ros1(path: Path, magic: bytes = b"#ROS") -> bool:

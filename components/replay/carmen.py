@@ -17,6 +17,7 @@ from components.replay.recording import (
     RecordingError,
     Scans,
     Sightings,
+    Source,
     Trajectory,
     from_deviations,
     nanoseconds,
@@ -52,6 +53,7 @@ class CarmenRecording:
         self._log = read_log(path)
         kinds = [kind for kind in _KINDS if kind in self._log.lasers]
         lasers = self._log.lasers[kinds[0]] if kinds else []
+        self._kind = kinds[0] if kinds else ""
         wheels = chained(self._log.odometry, lasers)
         self._lasers = _in_order(path, lasers)
         times = np.array([line.time for line in self._lasers])
@@ -116,6 +118,23 @@ class CarmenRecording:
         """None: CARMEN logs have no landmarks."""
         return None
 
+    def sources(self) -> Sequence[Source]:
+        """The kinds of the log's lines."""
+        log = self._log
+        found = (
+            [Source("odom", "ODOM", "wheel odometry", len(log.odometry))] if log.odometry else []
+        )
+        if self._odometry is not None and not found:
+            found = [Source("odom", self._kind, "robot's pose", len(self._lasers))]
+        for kind, lines in log.lasers.items():
+            replayed = "scan" if kind == self._kind else None
+            found.append(Source(replayed, kind, "laser scan", len(lines)))
+        if log.true_poses:
+            found.append(Source("truth", "TRUEPOS", "simulator's pose", len(log.true_poses)))
+        elif self._corrected is not None:
+            found.append(Source("truth", self._kind, "corrected pose", len(self._lasers)))
+        return [*found, *(Source(None, kind, "", n) for kind, n in sorted(log.others.items()))]
+
     def notes(self) -> Sequence[str]:
         """What was assumed or left out."""
         return self._notes
@@ -125,8 +144,8 @@ class CarmenRecording:
         if self._corrected is None:
             raise RecordingError(
                 f"{self._path} holds no corrected poses: those of its scans are raw odometry, "
-                "or there are none. Give a log that a SLAM program has corrected, or build the "
-                "map by replaying this one (deploy/replay_carmen.yaml)."
+                "or there are none. Give a log that a SLAM program has corrected, such as that of "
+                "CARMEN's vasco or GMapping: no map is drawn of uncorrected odometry here."
             )
         for stamp, line in zip(self._laser_stamps, self._lasers, strict=True):
             assert line.laser is not None  # else nothing was found corrected

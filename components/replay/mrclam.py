@@ -15,6 +15,7 @@ from components.replay.recording import (
     Scans,
     Sighting,
     Sightings,
+    Source,
     Trajectory,
     from_deviations,
     nanoseconds,
@@ -76,6 +77,16 @@ class MrclamRecording:
     def surveyed(self) -> VisualMap:
         """The landmarks as surveyed."""
         return read_landmarks(self._folder)
+
+    def sources(self) -> Sequence[Source]:
+        """The robot's three files."""
+        data, robot = self._dataset, self._robot
+        return [
+            Source("odom", f"Robot{robot}_Odometry", "commands", len(data.odometry(robot))),
+            Source("objects", f"Robot{robot}_Measurement", "sightings",
+                   data.sightings(robot).time.size),
+            Source("truth", f"Robot{robot}_Groundtruth", "motion capture", len(data.truth(robot))),
+        ]  # fmt: skip
 
     def notes(self) -> Sequence[str]:
         """None: these files are read whole or refused."""

@@ -73,6 +73,19 @@ class Sightings:
     frames: Sequence[Sequence[Sighting]]
 
 
+@dataclass(frozen=True)
+class Source:
+    """A series of records as the recording names it, and how many there are.
+
+    `kind` is what it is replayed as: scan, odom, objects, truth; None if it is not replayed.
+    """
+
+    kind: str | None
+    topic: str
+    type: str
+    count: int
+
+
 class Recording(Protocol):
     """A recording; each method reads what it needs and raises `RecordingError`.
 
@@ -96,6 +109,9 @@ class Recording(Protocol):
 
     def surveyed(self) -> VisualMap | None:
         """Where the landmarks stand."""
+
+    def sources(self) -> Sequence[Source]:
+        """What was recorded, that which is not replayed too."""
 
     def notes(self) -> Sequence[str]:
         """What of the recording was lost, left out or had to be assumed: sentences."""

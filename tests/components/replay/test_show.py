@@ -1,0 +1,126 @@
+"""`cairn recording show` tells and draws what a recording holds."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from cairn.clock import SECOND
+from components.replay.pictures import rough_map
+from components.replay.recording import Odometry, Scans
+from schemas.sensor_msgs import LaserScan
+from tests.commands import cairn
+from tests.components.replay.conftest import FR079, LEGS, OLD_BAG, Write, flaser, odom
+from tests.components.replay.test_bags import Messages, odometry, ros2, scan
+
+
+@pytest.mark.parametrize(("file", "count"), [(LEGS, 121), (OLD_BAG, 20)])
+def test_a_bag_of_a_urg_is_told_with_its_scanner(file: Path, count: int) -> None:
+    told = cairn("recording", "show", str(file), "--json").json
+
+    (stream,) = told["streams"]
+    assert (stream["replayed_as"], stream["topic"]) == ("scan", "/scan")
+    assert (stream["type"], stream["count"]) == ("sensor_msgs/msg/LaserScan", count)
+    assert stream["rate_hz"] == pytest.approx(10.0, abs=0.1)
+    assert stream["span_s"] == pytest.approx((count - 1) / 10.0, abs=0.1)
+    assert told["scanner"]["beams"] == 512
+    assert told["scanner"]["last_deg"] - told["scanner"]["first_deg"] == pytest.approx(179.6, abs=1)
+    assert told["scanner"]["range_max_m"] == pytest.approx(5.6)
+    assert (told["odometry"], told["true_poses"]) == (False, False)
+
+
+def test_the_table_names_streams_and_what_is_missing() -> None:
+    answer = cairn("recording", "show", str(LEGS))
+
+    assert "scan         /scan  sensor_msgs/msg/LaserScan    121     11.96      10.03" in answer.out
+    assert "scanner: 179.6 deg (-90.0 to 89.6), 512 beams of 0.352 deg, 0.02 to 5.6 m" in answer.out
+    assert "odometry: none\ntrue poses: none\n" in answer.out
+
+
+def test_a_corrected_log_has_odometry_and_true_poses() -> None:
+    told = cairn("recording", "show", str(FR079), "--json").json
+
+    kinds = {row["replayed_as"]: (row["topic"], row["count"]) for row in told["streams"]}
+    assert kinds == {"odom": ("ODOM", 8951), "scan": ("FLASER", 2765), "truth": ("FLASER", 2765)}
+    assert (told["odometry"], told["true_poses"]) == (True, True)
+    assert any("driving backwards" in note for note in told["notes"])
+
+
+def test_a_data_set_without_scanner_is_told_and_drawn(dataset: Path, tmp_path: Path) -> None:
+    picture = tmp_path / "way.png"
+
+    answer = cairn("recording", "show", str(dataset), "--robot", "2", "--out", str(picture))
+
+    assert "scanner: none\nodometry: yes\ntrue poses: yes\n" in answer.out
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_topics_that_are_not_replayed_are_counted_and_truth_can_be_named(tmp_path: Path) -> None:
+    messages: Messages = [
+        ("/scan", SECOND, scan(1.0)),
+        ("/odom", SECOND, odometry(1.0, 0.0)),
+        ("/mocap", SECOND, odometry(1.0, 0.0)),
+    ]
+    path = ros2(tmp_path / "run", messages)
+
+    told = cairn("recording", "show", str(path), "--json").json
+    kinds = {row["topic"]: (row["replayed_as"], row["count"]) for row in told["streams"]}
+    assert kinds == {"/mocap": (None, 1), "/odom": ("odom", 1), "/scan": ("scan", 1)}
+    assert told["true_poses"] is False
+
+    told = cairn("recording", "show", str(path), "--truth", "/mocap", "--json").json
+    assert told["true_poses"] is True
+
+
+def test_of_several_topics_one_is_asked_for_and_taken(tmp_path: Path) -> None:
+    path = ros2(tmp_path / "run", [("/front", SECOND, scan(1.0)), ("/rear", SECOND, scan(1.0))])
+
+    refused = cairn("recording", "show", str(path))
+    assert refused.code == 1
+    assert "several topics" in refused.err
+    assert "--scan" in refused.err
+    told = cairn("recording", "show", str(path), "--scan", "/rear", "--json").json
+    kinds = {row["topic"]: row["replayed_as"] for row in told["streams"]}
+    assert kinds == {"/front": None, "/rear": "scan"}
+
+
+def test_the_picture_has_scans_and_with_odometry_a_map_beside(write: Write, tmp_path: Path) -> None:
+    log = write(odom(1.0, 0.0), odom(2.0, 0.5), flaser(1.5, 0.25))
+    alone, both = tmp_path / "alone.png", tmp_path / "both.png"
+
+    for file, picture in ((LEGS, alone), (log, both)):
+        answer = cairn("recording", "show", str(file), "--out", str(picture))
+        assert answer.code == 0
+        assert f"{picture} written" in answer.err
+    one, two = (Image.open(file).size for file in (alone, both))
+    assert two[0] > 1.8 * one[0]
+
+
+def test_scans_are_placed_where_odometry_has_the_robot_at_their_time() -> None:
+    """A post at (3, 1), seen between two records of a robot that drives on and turns."""
+    poses = np.array([[0.0, 1.0, 0.0], [2.0, 1.0, 0.0], [3.0, 0.0, 3.1], [3.0, 0.0, -3.1]])
+    odometry = Odometry([0, 2 * SECOND, 3 * SECOND, 4 * SECOND], poses, np.zeros(0), np.zeros(0))
+    seen = [(0, 0.0, 3.0), (1, 0.0, 2.0), (2, 0.0, 1.0), (3.5, -0.5 * math.pi, 1.0), (5, 0.0, 1.0)]
+    scans = Scans(
+        [round(at * SECOND) for at, _, _ in seen],
+        [
+            LaserScan(
+                angle_min=bearing, angle_max=bearing + 0.1, angle_increment=0.1, range_min=0.1,
+                range_max=9.0, ranges=np.array([metres, math.inf], np.float32),
+            )
+            for _, bearing, metres in seen
+        ],
+    )  # fmt: skip
+
+    points = rough_map(scans, odometry)
+
+    assert points == pytest.approx(np.array([[3.0, 1.0]] * 4), abs=1e-6)  # the last is too late
+
+
+def test_a_picture_that_cannot_be_written_is_told(tmp_path: Path) -> None:
+    answer = cairn("recording", "show", str(LEGS), "--out", str(tmp_path / "picture.xyz"))
+
+    assert answer.code == 1
+    assert "picture.xyz cannot be written" in answer.err
