@@ -30,6 +30,7 @@ class _Walker(BaseModel):
     paused_s: float
     blocked_s: float
     backwards: bool
+    detour: list[tuple[float, float, float]] = []
 
 
 class KeptWorld(BaseModel):

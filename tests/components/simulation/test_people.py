@@ -3,6 +3,7 @@
 import math
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -38,12 +39,75 @@ def test_they_walk_from_place_to_place_at_their_speed_and_pause() -> None:
         assert at * STEP >= 0.5 - STEP
 
 
-def test_they_stop_for_a_robot_ahead_and_after_a_while_turn_round() -> None:
+def least_gap(one: Walker, way: np.ndarray, robot: tuple[float, float]) -> float:
+    return float(np.hypot(*(way - robot).T).min()) - RADIUS - one.person.radius
+
+
+def corridor(half: float, end: float = 9.0) -> np.ndarray:
+    return np.array([[-9.0, -half, end, -half], [-9.0, half, end, half], [end, -half, end, half]])
+
+
+def test_they_stop_for_a_robot_ahead_then_walk_around_it_where_there_is_room() -> None:
     one = walker((0, 0), (6, 0), speed=1.0)
-    places = walked(one, 14.0, (3.0, 0.0))
+
+    stops = walked(one, 5.0, (3.0, 0.0))
+    assert 0.5 < least_gap(one, stops, (3.0, 0.0)) <= 0.6
+
+    way = walked(one, 5.5, (3.0, 0.0))
+    assert way[:, 0].max() == 6.0
+    assert least_gap(one, way, (3.0, 0.0)) > 0.1
+
+
+def test_where_there_is_no_room_they_turn_round_after_a_while() -> None:
+    one = walker((0, 0), (6, 0), speed=1.0)
+
+    places = walked(one, 14.0, (3.0, 0.0), corridor(0.7))
 
     assert 1.5 < places[:, 0].max() < 3.0 - RADIUS - one.person.radius
     assert places[-1, 0] < 1.9  # on the way back or forth again
+
+
+def test_who_has_only_one_way_to_go_steps_aside_so_that_the_robot_can_come_in() -> None:
+    door = [[3.5, -2.0, 3.5, -0.45], [3.5, 0.45, 3.5, 2.0]]
+    room = np.array([*door, [3.5, -2.0, 7.0, -2.0], [3.5, 2.0, 7.0, 2.0], [7.0, -2.0, 7.0, 2.0]])
+    one = walker((0, 0), (5, 0), speed=1.0)
+    one.x, one.y = 5.0, 0.0  # at the end, and the robot in the door
+
+    way = walked(one, 9.0, (4.0, 0.0), room)
+
+    assert np.abs(way[:, 1]).max() >= 0.5
+    assert math.hypot(one.x - 4.0, one.y) > 1.0
+
+
+def test_a_place_that_the_robot_stands_on_is_left_out() -> None:
+    one = walker((0, 0), (3, 0), (3, 3), speed=1.0)
+
+    way = walked(one, 11.0, (3.0, 0.0))
+
+    assert np.hypot(*(way - (3.0, 3.0)).T).min() < 0.1
+    assert least_gap(one, way, (3.0, 0.0)) > 0.1
+
+
+def test_who_has_but_one_place_stands_there_whoever_comes() -> None:
+    one = walker((4.0, 1.4))
+
+    way = walked(one, 20.0, (4.5, 1.4))
+
+    assert np.ptp(way, axis=0).max() == 0.0
+
+
+@pytest.mark.parametrize("robot", [(1.2, 0.0), (1.8, 0.4), (3.0, 0.0), (3.0, 0.8)])
+def test_no_standing_robot_holds_up_a_walker_in_a_room_for_ever(
+    robot: tuple[float, float],
+) -> None:
+    walls = np.array([[-1, -1, 4, -1], [4, -1, 4, 3], [4, 3, -1, 3], [-1, 3, -1, -1]], float)
+    one = walker((0, 0), (3, 0), (3, 2), (3, 0), speed=0.5, pause=3.0)
+
+    way = walked(one, 180.0, robot, walls)
+
+    for begin in range(0, len(way), len(way) // 4):
+        assert np.ptp(way[begin : begin + len(way) // 4], axis=0).max() > 1.0
+    assert least_gap(one, way, robot) > 0.1 - 1e-9
 
 
 @given(
