@@ -11,8 +11,9 @@ from cairn.component.parameters import Config
 from cairn.component.ports import In, Out
 from cairn.supervision.component import SupervisorComponent
 from cairn.supervision.supervisor import StartFailed
-from components.automove.course import Course, Patience, Seen
+from components.automove.course import Course, Seen
 from components.automove.legs import Legs
+from components.automove.recoveries import Patience
 from planar.messages import planar_pose, planar_poses, pose_message
 from schemas.cairn_nav_msgs import (
     LocalizationHealth,
@@ -136,8 +137,8 @@ class AutoMove(SupervisorComponent):
 
     @on("pose")
     def note_pose(self, pose: PoseWithCovarianceStamped) -> None:
-        """Keep where the robot is."""
-        self._seen.pose = planar_pose(pose.pose.pose)
+        """Keep where the robot is, and where it came from."""
+        self._seen.note_pose(planar_pose(pose.pose.pose))
 
     @on("localization_health")
     def note_health(self, health: LocalizationHealth) -> None:
@@ -220,7 +221,7 @@ class AutoMove(SupervisorComponent):
                 header=header,
                 leg=course.leg,
                 behaviour=course.behaviour,
-                goal=pose_message(course.goal),
+                goal=pose_message(course.target),
                 position_tolerance=self.config.position_tolerance,
                 heading_tolerance=self.config.heading_tolerance,
             )

@@ -6,6 +6,15 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
+from components.automove.recoveries import (
+    BEHAVIOUR,
+    WHEN_LOST,
+    WHEN_NO_WAY,
+    WHEN_STUCK,
+    WHEN_UNSURE,
+    Patience,
+)
+from components.automove.trail import Trail
 from planar.poses import Pose, distance
 from schemas.cairn_nav_msgs import (
     MOVE_ENDS,
@@ -16,43 +25,14 @@ from schemas.cairn_nav_msgs import (
     Plan,
 )
 
-# What is tried, one after the other, when the robot is lost; when it cannot get on; when there is
-# no way to its goal, which looking around seldom changes, but waiting may.
-_WHEN_LOST = ("wait", "look around", "explore", "look around", "explore", "look around")
-_WHEN_UNSURE = ("look around", "explore", "look around")
-_WHEN_STUCK = ("wait", "look around", "back off", "wait", "look around", "wait")
-_WHEN_NO_WAY = ("wait", "look around", "wait")
-_BEHAVIOUR = {
-    "wait": Movement.STAND,
-    "look around": Movement.LOOK_AROUND,
-    "explore": Movement.EXPLORE,
-    "back off": Movement.BACK_OFF,
-}
 # So much nearer to its goal than before [m] and whatever was in the way is overcome.
 _PROGRESS_M = 0.3
 # What is so much longer [m] than what was left is another way: no recovery goes back so far on the
 # same. Only so many longer ways to a goal are begun [1], or a robot sent to and fro between blocked
 # ones would seem to get on for ever.
-_DETOUR_M, _DETOURS = 1.0, 10
-
-
-@dataclass(frozen=True)
-class Patience:
-    """How long to wait for what [s], how often to recover [1], how sure to be of the pose [1]."""
-
-    recoveries: int = 6
-    recoveries_per_goal: int = 30
-    least_health: float = 0.3
-    sure_health: float = 0.5
-    unsure_s: float = 1.0
-    unlocated_s: float = 2.0
-    blocked_s: float = 3.0
-    stopped_s: float = 15.0
-    stuck_s: float = 20.0
-    planning_s: float = 10.0
-    waiting_s: float = 4.0
-    behaviour_s: float = 30.0
-    silent_s: float = 2.0
+_DETOUR_M, _DETOURS = 2.0, 10
+# What gives way goes no farther [m], though the way back may have become longer.
+_MOST_BACK_M = 1.8
 
 
 @dataclass
@@ -65,13 +45,19 @@ class Seen:
     motion: MotionStatus | None = None
     motion_s: float = -math.inf
     pose: Pose | None = None
+    trail: Trail = field(default_factory=Trail)
+
+    def note_pose(self, pose: Pose) -> None:
+        """Note where the robot is, and where it came from."""
+        self.pose = pose
+        self.trail.note(pose)
 
 
 @dataclass
 class Course:
     """One order: goals (in frame map) from number `at` on, and how far it has come.
 
-    `tick` looks at what was seen and decides; `leg`, `behaviour` and `goal` are then what the
+    `tick` looks at what was seen and decides; `leg`, `behaviour` and `target` are then what the
     planner and motion control are to do, and `state`, `reason` how it gets on. `leg` numbers what
     is wanted: every new want has a new one, of `next_leg`.
     """
@@ -87,6 +73,8 @@ class Course:
     recoveries: int = 0
     behaviour: int = Movement.STAND
     leg: int = field(init=False)
+    # Where it goes while it gives way.
+    refuge: Pose | None = None
     # Without progress; for the goals before this one; longer ways to this goal [1].
     _tries: int = 0
     _recovered_before: int = 0
@@ -117,6 +105,11 @@ class Course:
     def goal(self) -> Pose:
         """The goal being driven to, or the last one."""
         return self.goals[min(self.at, len(self.goals) - 1)]
+
+    @property
+    def target(self) -> Pose:
+        """What is planned to now: the goal, or where the robot gives way."""
+        return self.refuge or self.goal
 
     def loaded(self, now_s: float) -> None:
         """All that it takes is loaded: find out where the robot is."""
@@ -168,7 +161,7 @@ class Course:
             if waited > self.patience.stopped_s:
                 self.fail(doubt)
         elif waited > self.patience.unlocated_s:
-            self._try_next(now_s, _WHEN_LOST, doubt)
+            self._try_next(now_s, seen, WHEN_LOST, doubt)
 
     def _plan(self, now_s: float, seen: Seen) -> None:
         waited = now_s - self._since_s
@@ -176,7 +169,9 @@ class Course:
         if plan is None or plan.outcome == Plan.NOT_READY:
             self.reason = plan.reason if plan is not None else ""
             if waited > self.patience.planning_s:
-                self._try_next(now_s, _WHEN_STUCK, self.reason or "the planner gives no answer")
+                self._try_next(
+                    now_s, seen, WHEN_STUCK, self.reason or "the planner gives no answer"
+                )
         elif plan.outcome == Plan.FOUND:
             self.state, self.reason = MoveStatus.DRIVING, ""
             self._begin(now_s)
@@ -186,7 +181,7 @@ class Course:
             self.reason = f"no path: {plan.reason}"
             if waited > self.patience.blocked_s:
                 hemmed_in = plan.outcome == Plan.START_BLOCKED
-                self._try_next(now_s, _WHEN_STUCK if hemmed_in else _WHEN_NO_WAY, self.reason)
+                self._try_next(now_s, seen, WHEN_STUCK if hemmed_in else WHEN_NO_WAY, self.reason)
 
     def _drive(self, now_s: float, seen: Seen) -> None:
         halted, motion = self._halted(now_s, seen)
@@ -197,7 +192,9 @@ class Course:
                 self._reached(now_s)
             else:
                 why = seen.health.reason if seen.health is not None else ""
-                self._try_next(now_s, _WHEN_UNSURE, f"at the goal, if the pose is right: {why}")
+                self._try_next(
+                    now_s, seen, WHEN_UNSURE, f"at the goal, if the pose is right: {why}"
+                )
             return
         if motion.distance_left > 0.0:
             self._note_progress(now_s, motion.distance_left)
@@ -205,13 +202,13 @@ class Course:
             self._moving_s = now_s
             self.reason = ""
             if now_s - self._progress_s > self.patience.stuck_s:
-                self._try_next(now_s, _WHEN_STUCK, "the robot moves but gets no nearer")
+                self._try_next(now_s, seen, WHEN_STUCK, "the robot moves but gets no nearer")
             return
         plan = seen.plan
         no_path = plan is not None and plan.leg == self.leg and plan.outcome != Plan.FOUND
         self.reason = f"no path: {plan.reason}" if plan is not None and no_path else motion.reason
         if now_s - self._moving_s > self.patience.blocked_s:
-            self._try_next(now_s, _WHEN_STUCK, self.reason)
+            self._try_next(now_s, seen, WHEN_STUCK, self.reason)
 
     def _note_progress(self, now_s: float, left_m: float) -> None:
         """Count the tries anew where less is left than ever, be it of another way.
@@ -250,6 +247,10 @@ class Course:
         waited = now_s - self._since_s
         if self.behaviour == Movement.STAND:
             over = waited > self.patience.waiting_s
+        elif self.behaviour == Movement.FOLLOW:
+            if doubt or self._has_given_way(now_s, seen):
+                self._want(now_s, MoveStatus.RECOVERING, Movement.STAND, self._attempt)
+            return
         else:
             halted, motion = self._halted(now_s, seen)
             if halted or motion is None:
@@ -258,10 +259,25 @@ class Course:
             ended = motion.state in (MotionStatus.DONE, MotionStatus.BLOCKED)
             over = ended or waited > self.patience.behaviour_s
         # A robot that was lost and has found itself need not look any further.
-        found = self._sequence is _WHEN_LOST and not doubt
-        found = found or (self._sequence is _WHEN_UNSURE and self._sure(seen))
+        found = self._sequence is WHEN_LOST and not doubt
+        found = found or (self._sequence is WHEN_UNSURE and self._sure(seen))
         if over or (found and waited > self.patience.unsure_s):
             self._want(now_s, MoveStatus.LOCALIZING, Movement.STAND, self._trouble)
+
+    def _has_given_way(self, now_s: float, seen: Seen) -> bool:
+        """Whether the robot is where it gives way, or cannot get there soon."""
+        plan = seen.plan if seen.plan is not None and seen.plan.leg == self.leg else None
+        if plan is not None and (plan.outcome != Plan.FOUND or plan.length > _MOST_BACK_M):
+            return True
+        halted, motion = self._halted(now_s, seen)
+        if halted or motion is None:
+            return False
+        self.reason = self._attempt
+        if motion.state == MotionStatus.MOVING:
+            self._moving_s = now_s
+        blocked = now_s - self._moving_s > self.patience.unsure_s
+        too_long = now_s - self._since_s > self.patience.behaviour_s
+        return motion.state == MotionStatus.DONE or blocked or too_long
 
     def _reached(self, now_s: float) -> None:
         self._tries = self._detours = 0
@@ -273,11 +289,11 @@ class Course:
         else:
             self._want(now_s, MoveStatus.PLANNING, Movement.FOLLOW, "")
 
-    def _try_next(self, now_s: float, sequence: Sequence[str], trouble: str) -> None:
+    def _try_next(self, now_s: float, seen: Seen, sequence: Sequence[str], trouble: str) -> None:
         most = self.patience.recoveries
-        if sequence in (_WHEN_LOST, _WHEN_UNSURE):
+        if sequence in (WHEN_LOST, WHEN_UNSURE):
             most *= 2  # where places look alike it takes some way until one stands out
-        elif sequence is _WHEN_NO_WAY:
+        elif sequence is WHEN_NO_WAY:
             most = min(most, len(sequence))
         if self._tries >= most:
             tried = f" (after {self._tries} recoveries)" if self._tries else ""
@@ -294,7 +310,11 @@ class Course:
         self.recoveries += 1
         self._sequence, self._trouble = sequence, trouble
         self._attempt = f"{what} ({self._tries} of {most}): {trouble}"
-        self._want(now_s, MoveStatus.RECOVERING, _BEHAVIOUR[what], self._attempt)
+        refuge = seen.trail.back() if what == "give way" else None
+        stays = what == "give way" and refuge is None
+        behaviour = Movement.STAND if stays else BEHAVIOUR[what]
+        self._want(now_s, MoveStatus.RECOVERING, behaviour, self._attempt)
+        self.refuge = refuge
 
     def _sure(self, seen: Seen) -> bool:
         """Whether the pose is so sure that a goal counts as reached."""
@@ -302,6 +322,7 @@ class Course:
 
     def _want(self, now_s: float, state: int, behaviour: int, reason: str) -> None:
         self.state, self.behaviour, self.reason = state, behaviour, reason
+        self.refuge = None
         self.leg = self.next_leg()
         self._begin(now_s)
 
@@ -311,6 +332,7 @@ class Course:
 
     def _end(self, state: int, reason: str) -> None:
         self.state, self.behaviour, self.reason = state, Movement.STAND, reason
+        self.refuge = None
         self.leg = self.next_leg()
 
     def _doubt(self, now_s: float, seen: Seen) -> str:

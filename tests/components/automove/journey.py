@@ -6,7 +6,8 @@ import itertools
 from collections.abc import Callable
 from typing import Any
 
-from components.automove.course import Course, Patience, Seen
+from components.automove.course import Course, Seen
+from components.automove.recoveries import Patience
 from schemas.cairn_nav_msgs import LocalizationHealth, MotionStatus, Movement, MoveStatus, Plan
 
 SURE = LocalizationHealth(located=True, health=0.9)
@@ -67,7 +68,7 @@ class Way(Journey):
     """A robot on a way that has a length, and obstacles on it."""
 
     SPEED = 0.4  # [m/s]
-    BACK_OFF = 0.4  # [m]
+    BACK_OFF, GIVE_WAY = 0.4, 1.4  # [m]
 
     def __init__(self, left: float, *goals: tuple[float, float, float], **patience: Any) -> None:
         super().__init__(*goals, **patience)
@@ -93,7 +94,13 @@ class Way(Journey):
             self._back += 0.02
             self.left += 0.02
             return {"state": MotionStatus.MOVING}
+        if self.course.refuge is not None and self._back < self.GIVE_WAY:
+            self._back += 0.04
+            self.left += 0.04
+            return {"state": MotionStatus.MOVING, "distance_left": 0.5}
         self._back = 0.0
+        if self.course.refuge is not None:
+            return {"state": MotionStatus.DONE}
         if wanted != Movement.FOLLOW or self.left <= 0.0:
             return {"state": MotionStatus.DONE}
         if blocked(self.left):

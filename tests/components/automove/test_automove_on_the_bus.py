@@ -8,7 +8,7 @@ import pytest
 
 from cairn.bus.qos import LATCHED
 from cairn.deployment.load import load_deployment
-from planar.messages import packed_poses, planar_pose
+from planar.messages import packed_poses, planar_pose, pose_message
 from schemas.cairn_nav_msgs import (
     LocalizationHealth,
     MotionStatus,
@@ -17,6 +17,7 @@ from schemas.cairn_nav_msgs import (
     MoveStatus,
     Plan,
 )
+from schemas.geometry_msgs import PoseWithCovariance, PoseWithCovarianceStamped
 from tests.navigation.deployed import Deployed, taken
 
 PLUGINS = """
@@ -116,6 +117,28 @@ def test_what_is_wanted_is_told_on_change_and_twice_a_second(deployed: DeployedO
     robot.publish("motion_status", MotionStatus(leg=wanted.leg, state=MotionStatus.DONE))
     assert taken(statuses)[-1].state == MoveStatus.SUCCEEDED
     assert taken(movements)[-1].behaviour == Movement.STAND
+
+
+def test_where_to_give_way_is_wanted_of_the_planner(deployed: DeployedOf) -> None:
+    robot = deployed(PLUGINS)
+    movements = robot.read("movement", Movement)
+    for x in range(11):
+        pose = PoseWithCovariance(pose=pose_message((0.2 * x, 0.0, 0.0)))
+        robot.publish("pose", PoseWithCovarianceStamped(pose=pose))
+    robot.publish("localization_health", LocalizationHealth(located=True, health=0.9))
+    robot.publish("order", order(1, (4.0, 0.0, 0.5)), LATCHED)
+
+    goals = []
+    for _ in range(120):
+        robot.publish("localization_health", LocalizationHealth(located=True, health=0.9))
+        for wanted in taken(movements):
+            if wanted.behaviour == Movement.FOLLOW:
+                goals.append(planar_pose(wanted.goal)[0])
+                robot.publish("plan", Plan(leg=wanted.leg, outcome=Plan.GOAL_BLOCKED), LATCHED)
+        robot.wait(0.1)
+
+    assert goals[0] == pytest.approx(4.0)
+    assert pytest.approx(0.6) in goals
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,122 @@
+"""A robot that is in somebody's way goes back to where it came from, waits, and plans anew."""
+
+from __future__ import annotations
+
+import pytest
+
+from components.automove.trail import Trail
+from planar.poses import Pose
+from schemas.cairn_nav_msgs import LocalizationHealth, MotionStatus, Movement, MoveStatus, Plan
+from tests.components.automove.journey import Journey, Way
+
+LOST = LocalizationHealth(located=True, health=0.1, reason="lost")
+NO_WAY = {"outcome": Plan.UNREACHABLE, "reason": "somebody is there"}
+STEP = 0.11
+
+
+def came(journey: Journey) -> None:
+    """Let the robot have come 2.2 m along the x axis."""
+    for step in range(21):
+        journey.seen.note_pose((step * STEP, 0.0, 0.0))
+
+
+def gives_way(**more: object) -> Journey:
+    """A robot for which there is no way, when it goes back as waiting did not help."""
+    journey = Journey()
+    came(journey)
+    journey.plan = NO_WAY
+    while journey.course.refuge is None:
+        journey.run(0.1)
+    journey.plan = {"outcome": Plan.FOUND, **more}
+    return journey
+
+
+def test_it_goes_back_along_its_way_waits_there_and_plans_to_its_goal_anew() -> None:
+    journey = gives_way()
+    assert journey.tried == [Movement.STAND, Movement.FOLLOW]
+    assert journey.course.behaviour == Movement.FOLLOW
+    assert journey.course.target == pytest.approx((8 * STEP, 0.0, 0.0))
+    assert journey.course.goal == (3.0, 4.0, 0.0)
+    assert journey.course.reason == "give way (2 of 3): no path: somebody is there"
+
+    journey.run(4.0)
+    assert journey.course.behaviour == Movement.FOLLOW
+    journey.motion = {"state": MotionStatus.DONE}
+    journey.run(0.1)
+    assert (journey.course.state, journey.course.behaviour) == (
+        MoveStatus.RECOVERING,
+        Movement.STAND,
+    )
+    assert journey.course.target == journey.course.goal
+    journey.motion = {"state": MotionStatus.MOVING}
+    journey.run(3.5)
+    assert journey.course.behaviour == Movement.STAND
+
+    journey.run(1.0)
+
+    assert (journey.course.state, journey.course.recoveries) == (MoveStatus.DRIVING, 2)
+    assert journey.course.target == (3.0, 4.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    "there",
+    [
+        {"plan": {"outcome": Plan.START_BLOCKED}},
+        {"plan": {"outcome": Plan.FOUND, "length": 5.0}},
+        {"motion": {"state": MotionStatus.BLOCKED}},
+        {"health": LOST},
+    ],
+)
+def test_it_waits_where_it_is_when_it_cannot_get_back_soon(there: dict[str, object]) -> None:
+    journey = gives_way()
+    for name, value in there.items():
+        setattr(journey, name, value)
+
+    journey.run(1.5)
+
+    assert journey.course.state == MoveStatus.RECOVERING
+    assert journey.course.behaviour == Movement.STAND
+    assert journey.course.reason.startswith("give way (2 of 3)")
+
+
+def test_a_way_back_that_never_ends_is_given_up() -> None:
+    journey = gives_way()
+    journey.run(31.0)
+    assert journey.course.behaviour == Movement.STAND
+
+
+def test_a_robot_that_came_from_nowhere_waits_instead() -> None:
+    journey = Journey()
+    journey.plan = NO_WAY
+    journey.run(60.0)
+    assert journey.tried == [Movement.STAND, Movement.STAND, Movement.LOOK_AROUND]
+    assert journey.course.state == MoveStatus.FAILED
+
+
+def test_what_is_driven_again_after_giving_way_is_no_progress() -> None:
+    way = Way(10.0)
+    came(way)
+    way.drive(3600.0, blocked=lambda left: left <= 9.0)
+
+    assert Movement.FOLLOW in way.tried
+    assert way.course.reason == "a wall (after 6 recoveries)"
+    assert way.course.recoveries == 6
+
+
+def back_from(*metres: float) -> Pose | None:
+    trail = Trail()
+    for x in metres:
+        trail.note((x, 0.0, 0.0))
+    return trail.back()
+
+
+def test_the_last_place_that_is_far_enough_is_gone_back_to() -> None:
+    there_and_back = [STEP * step for step in (*range(30), *range(30, 10, -1))]
+    assert back_from(*there_and_back) == pytest.approx((23 * STEP, 0.0, 0.0))
+    assert back_from(*(STEP * step for step in range(9))) == (0.0, 0.0, 0.0)
+    assert back_from(0.0, 0.4) is None
+    assert back_from() is None
+
+
+def test_places_from_before_the_pose_was_corrected_are_forgotten() -> None:
+    assert back_from(*(STEP * step for step in range(30)), 7.0, 7.3) is None
