@@ -28,6 +28,10 @@ _ROOM = 8192  # points; more than some scans of the finest scanner within reach
 _SEEN_SHARE, _SEEN_AHEAD = 0.8, 0.3
 # A beam clears a point that it passes, or sees anew, within these distances along and across [m].
 _ALONG, _ACROSS = 0.1, 0.06
+# So near to the robot [m] its next step could touch it: there a beam that goes on this far [m]
+# behind a point clears it only if another one did from so far aside [rad]. Else beams beside a thin
+# wall's end, or along the wall, would clear what is still there.
+_NEAR, _BEHIND, _ASIDE = 0.13, 0.05, 0.2
 # Where a mover will be matters if the robot may be within this distance [m] of it by then, and
 # will not have gone so far [m] beyond it.
 _MEETING, _PASSED = 0.9, 0.6
@@ -54,6 +58,9 @@ class SeenSpace:
         self._radius = robot_radius
         self._points = np.empty((_ROOM, 2))
         self._stamps = np.empty(_ROOM, np.int64)
+        self._doubts = np.empty(
+            _ROOM
+        )  # directions of the beams that passed them first [rad], or nan
         self._count = 0
         self._cells = SeenCells()
         self._local = np.empty((_ROOM, 2))
@@ -73,9 +80,10 @@ class SeenSpace:
         beams = rays.starts, rays.angles, rays.ranges
         x, y, _ = robot
         oldest = stamp - self._memory
-        self._count = _drop(self._points, self._stamps, self._count, *beams, x, y, oldest)
+        held = self._points, self._stamps, self._doubts
+        self._count = _drop(*held, self._count, *beams, x, y, self._radius + _NEAR, oldest)
         self._make_room(rays.ranges.size)
-        self._count = _append(self._points, self._stamps, self._count, *beams, stamp)
+        self._count = _append(*held, self._count, *beams, stamp)
         self._cells.stand(stamp, x, y, self._radius)
         self._cells.see(stamp, rays)
 
@@ -112,9 +120,11 @@ class SeenSpace:
     def is_seen(self, robot: Pose, direction: float, length: float, since: int) -> bool:
         """Whether what the robot sweeps going straight that way was seen since that time [ns].
 
-        `direction` [rad] from the robot's heading, `length` [m] of the way.
+        `direction` [rad] from the robot's heading, `length` [m] of the way. What was seen before
+        the memory begins does not count, as what stood there is forgotten.
         """
         x, y, heading = robot
+        since = max(since, self._newest - self._memory)
         share = self._cells.share(x, y, heading + direction, length, self._radius, since)
         return share >= _SEEN_SHARE
 
@@ -130,12 +140,16 @@ class SeenSpace:
         kept = self._count - surplus
         self._points[:kept] = self._points[surplus : self._count]
         self._stamps[:kept] = self._stamps[surplus : self._count]
+        self._doubts[:kept] = self._doubts[surplus : self._count]
         self._count = kept
 
 
 @compiled()
-def _is_seen_anew(starts: Array, angles: Array, ranges: Array, x: float, y: float) -> bool:
-    """Whether the beam towards a place passes it, or ends there."""
+def _behind(starts: Array, angles: Array, ranges: Array, x: float, y: float) -> tuple[float, float]:
+    """How far [m] the beam towards a place goes on behind it, and the beam's direction [rad].
+
+    Negative where it ends before; nan if no beam tells.
+    """
     last = ranges.size - 1
     step = (angles[last] - angles[0]) / max(1, last)
     whole = 2.0 * math.pi / abs(step) if step != 0.0 else math.inf
@@ -148,48 +162,56 @@ def _is_seen_anew(starts: Array, angles: Array, ranges: Array, x: float, y: floa
     dx, dy = x - starts[beam, 0], y - starts[beam, 1]
     cosine, sine = math.cos(angles[beam]), math.sin(angles[beam])
     along, across = cosine * dx + sine * dy, cosine * dy - sine * dx
-    return (
-        nearest <= last
-        and along >= 0.0
-        and abs(across) < _ACROSS
-        and ranges[beam] >= along - _ALONG
-    )
+    if nearest > last or along < 0.0 or abs(across) >= _ACROSS:
+        return math.nan, 0.0
+    return ranges[beam] - along, math.atan2(sine, cosine)
 
 
 @compiled(
-    "int64(float64[:,::1], int64[::1], int64, float64[:,::1], float64[::1], float64[::1], float64,"
-    " float64, int64)"
+    "int64(float64[:,::1], int64[::1], float64[::1], int64, float64[:,::1], float64[::1],"
+    " float64[::1], float64, float64, float64, int64)"
 )
 def _drop(
     points: Array,
     stamps: Stamps,
+    doubts: Array,
     count: int,
     starts: Array,
     angles: Array,
     ranges: Array,
     robot_x: float,
     robot_y: float,
+    near: float,
     oldest: int,
 ) -> int:
     """Drop points that are too old, too far from the robot, or seen anew; how many are left."""
     kept = 0
     for i in range(count):
-        x, y = points[i, 0], points[i, 1]
+        x, y, doubt = points[i, 0], points[i, 1], doubts[i]
         apart = (x - robot_x) ** 2 + (y - robot_y) ** 2
         if stamps[i] < oldest or apart > REACH * REACH:
             continue
-        if not _is_seen_anew(starts, angles, ranges, x, y):
-            points[kept, 0], points[kept, 1], stamps[kept] = x, y, stamps[i]
-            kept += 1
+        behind, direction = _behind(starts, angles, ranges, x, y)
+        if behind >= -_ALONG:
+            if apart > near * near or behind <= _BEHIND:
+                continue
+            if math.isnan(doubt):
+                doubt = direction
+            elif math.cos(direction - doubt) < math.cos(_ASIDE):
+                continue
+        points[kept, 0], points[kept, 1], stamps[kept], doubts[kept] = x, y, stamps[i], doubt
+        kept += 1
     return kept
 
 
 @compiled(
-    "int64(float64[:,::1], int64[::1], int64, float64[:,::1], float64[::1], float64[::1], int64)"
+    "int64(float64[:,::1], int64[::1], float64[::1], int64, float64[:,::1], float64[::1],"
+    " float64[::1], int64)"
 )
 def _append(
     points: Array,
     stamps: Stamps,
+    doubts: Array,
     count: int,
     starts: Array,
     angles: Array,
@@ -201,7 +223,7 @@ def _append(
         if ranges[i] < REACH and count < points.shape[0]:
             points[count, 0] = starts[i, 0] + ranges[i] * math.cos(angles[i])
             points[count, 1] = starts[i, 1] + ranges[i] * math.sin(angles[i])
-            stamps[count] = stamp
+            stamps[count], doubts[count] = stamp, math.nan
             count += 1
     return count
 

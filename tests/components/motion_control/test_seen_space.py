@@ -160,3 +160,38 @@ def test_what_is_to_come_counts_where_the_robot_may_meet_it() -> None:
 
     assert around.points.tolist() == [[1.0, 0.0]]
     assert around.nearest == 3.0
+
+
+def test_beside_the_robot_a_point_is_gone_only_when_seen_through_from_two_sides() -> None:
+    space = SeenSpace(3 * SECOND, 0.22)
+    nothing = np.full(ANGLES.size, np.inf)
+    space.add(0, (0, 0, 0), rays(one_hit(0.0, 0.3)))
+
+    for k in range(1, 6):  # as beams along a thin wall, or past its end, would
+        space.add(k * SECOND // 10, (0, 0, 0), rays(nothing))
+    along = space.around((0, 0, 0), 3.0).points.copy()
+    aside = (0.0, 0.1, 0.0)
+    space.add(SECOND, aside, rays(nothing, aside))
+
+    assert along.round(6).tolist() == [[0.3, 0.0]]
+    assert len(space.around(aside, 3.0).points) == 0
+
+
+def test_beside_the_robot_a_point_that_is_hit_anew_is_replaced() -> None:
+    space = SeenSpace(3 * SECOND, 0.22)
+    space.add(0, (0, 0, 0), rays(one_hit(0.0, 0.3)))
+
+    space.add(SECOND // 10, (0, 0, 0), rays(one_hit(0.0, 0.34)))
+
+    assert space.around((0, 0, 0), 3.0).points.round(6).tolist() == [[0.34, 0.0]]
+
+
+def test_space_whose_obstacles_are_forgotten_does_not_count_as_seen() -> None:
+    space = SeenSpace(3 * SECOND, 0.22)
+    away = (0.0, 0.0, math.pi)
+    space.add(0, (0, 0, 0), rays(np.full(ANGLES.size, np.inf)))
+    assert space.is_seen((0, 0, 0), 0.0, 0.3, 0)
+
+    space.add(round(3.5 * SECOND), away, rays(np.full(ANGLES.size, np.inf), away))
+
+    assert not space.is_seen((0, 0, 0), 0.0, 0.3, 0)
