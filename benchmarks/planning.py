@@ -18,7 +18,7 @@ from planar.grid import Frame, OccupancyCells
 from planar.shortest_path import CLOSED, MARGIN
 
 RESOLUTION = 0.05
-COSTS = Costs(radius=0.22, reach=0.5, weight=1.0, slack=0.05, allow_unknown=False)
+COSTS = Costs(radius=0.22, reach=0.45, weight=1.0, margin=0.05, allow_unknown=False)
 LENGTH_ALONE = replace(COSTS, weight=0.0)
 LIMITS_MS = {200: 0.5, 1000: 20.0, 4000: 350.0}
 SIDES = ((0, 1), (1, 0), (1, 1), (1, -1))

@@ -13,11 +13,17 @@ class PathPlannerConfig(Config):
     """Parameters of the path planner; all may be changed while it runs."""
 
     radius: float = Field(0.22, gt=0, le=5, description="Radius of the robot [m].")
+    margin: float = Field(
+        0.05,
+        ge=0,
+        le=1,
+        description="Space around the robot that a way must have: motion control's `margin` [m].",
+    )
     reach: float = Field(
-        0.5,
+        0.45,
         ge=0,
         le=5,
-        description="How far beyond the radius obstacles make the way dearer [m].",
+        description="How far beyond the margin obstacles make the way dearer [m].",
     )
     weight: float = Field(
         1.0,
@@ -47,13 +53,6 @@ class PathPlannerConfig(Config):
         le=1,
         description="Localization health below which the scanner's obstacles are not placed [1].",
     )
-    slack: float = Field(
-        0.05,
-        ge=0,
-        le=1,
-        description="An obstacle that comes nearer to a path than the radius breaks it only if by "
-        "more than this [m].",
-    )
     off_path: float = Field(
         0.5, gt=0, le=10, description="Distance from the path that makes a new one due [m]."
     )
@@ -79,6 +78,6 @@ class PathPlannerConfig(Config):
             radius=self.radius,
             reach=self.reach,
             weight=self.weight,
-            slack=self.slack,
+            margin=self.margin,
             allow_unknown=self.allow_unknown,
         )

@@ -14,23 +14,24 @@ from planar.grid import OCCUPIED_FROM, Frame, Grid, OccupancyCells
 from planar.shortest_path import CLOSED, DEAREST, LEAST, MARGIN, Cell, Prices, priced
 
 BLOCKED = 255
-"""Price of a cell that is closed even if obstacles lie `slack` farther off than they seem."""
+"""Price of a cell where the robot itself does not fit, let alone its margin."""
 
 
 @dataclass(frozen=True)
 class Costs:
     """How obstacles make cells dear.
 
-    `radius` of the robot [m]; cells whose centres are within it and half a cell of an obstacle's
-    are closed. Beyond, a cell costs up to `weight` times its length more, falling to none over
-    `reach` [m]. Cells closed by less than `slack` [m] do not break a path that exists. Unknown
-    cells are closed unless `allow_unknown`.
+    Cells whose centres are within the robot's `radius`, its `margin` and half a cell [m] of an
+    obstacle's are closed: no path leads through what motion control will not pass. Those closed by
+    the margin alone do not break a path that exists, and the goal may be there. Beyond, a cell
+    costs up to `weight` times its length more, falling to none over `reach` [m]. Unknown cells are
+    closed unless `allow_unknown`.
     """
 
     radius: float
     reach: float
     weight: float
-    slack: float
+    margin: float
     allow_unknown: bool
 
 
@@ -193,13 +194,14 @@ def nearest_open(prices: Prices, row: float, column: float) -> tuple[Cell, float
 
 def _table(costs: Costs, resolution: float) -> NDArray[np.uint8]:
     """Price by squared distance [cells^2] to the nearest obstacle; the last one holds beyond."""
-    closed = costs.radius + 0.5 * resolution
+    blocked = costs.radius + 0.5 * resolution
+    closed = blocked + costs.margin
     last = math.ceil((closed + costs.reach) / resolution)
     distance = np.sqrt(np.arange(last * last + 2, dtype=np.float64)) * resolution
     share = np.clip(1.0 - (distance - closed) / max(costs.reach, 1e-9), 0.0, 1.0)
     price = np.minimum(np.rint(LEAST * (1.0 + costs.weight * share**2)), DEAREST)
     price[distance <= closed + 1e-9] = CLOSED
-    price[distance <= max(0.0, closed - costs.slack) + 1e-9] = BLOCKED
+    price[distance <= blocked + 1e-9] = BLOCKED
     price[-1] = LEAST
     table: NDArray[np.uint8] = price.astype(np.uint8)
     return table

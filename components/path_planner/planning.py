@@ -38,13 +38,15 @@ class Outcome(IntEnum):
 class Route:
     """A path: poses (n, 3) in frame map, and the same places (n, 2) in cells of a map at `frame`.
 
-    The first `leaving` segments lead a robot that seems to stand in an obstacle out of it.
+    The first `leaving` segments lead a robot that seems to stand in an obstacle out of it, the last
+    `entering` ones to a goal that is too near to an obstacle to be passed.
     """
 
     poses: Array
     points: Array
     frame: Frame
     leaving: int
+    entering: int
 
     def length(self, since: int = 0) -> float:
         """The way along it [m], from its pose of that number on."""
@@ -102,12 +104,13 @@ class Planner:
             return self._instead(
                 costs, way_out, goal, Outcome.OUTSIDE_MAP, f"{_place(goal)} is outside the map"
             )
-        if _closed(costs.prices, target):
+        way_in = self._way_in(costs, goal, target)
+        if way_in is None:
             return self._instead(
                 costs, way_out, goal, Outcome.GOAL_BLOCKED,
                 f"{_place(goal)} {_why_closed(costs, target)}",
             )  # fmt: skip
-        way = self._search.way(costs.prices, way_out, target)
+        way = self._search.way(costs.prices, way_out, way_in)
         if way.cells is None:
             return self._unreachable(costs, way_out, start, goal, way.nearest)
         return Answer(Outcome.FOUND, self._route(costs, costs.prices, way.cells, start, goal))
@@ -126,6 +129,17 @@ class Planner:
             off = found[1] * costs.frame.resolution
             reason += f"; the nearest free place, {_place(place)}, is {off:.2f} m away"
         return Answer(Outcome.START_BLOCKED, reason=reason)
+
+    def _way_in(self, costs: CostMap, goal: Pose, target: Cell) -> Cell | None:
+        """The cell to end in: the goal's, or the nearest from which the robot fits up to it."""
+        if not _closed(costs.prices, target):
+            return target
+        column, row = costs.frame.cells(goal[0], goal[1])
+        found = nearest_open(costs.prices, row, column)
+        if found is None or found[1] * costs.frame.resolution > ESCAPE_M:
+            return None
+        last = np.array([(found[0][1] + 0.5, found[0][0] + 0.5), (column, row)])
+        return found[0] if first_closed(costs.prices, last, BLOCKED) < 0 else None
 
     def _instead(
         self, costs: CostMap, begin: Cell, goal: Pose, outcome: Outcome, what: str
@@ -160,7 +174,8 @@ class Planner:
 
     def _why_unreachable(self, costs: CostMap, begin: Cell, start: Pose, goal: Pose) -> str:
         """Whether the map has no way, or which of the scanner's obstacles closes it."""
-        target = costs.frame.cell(goal[0], goal[1])
+        target = self._way_in(costs, goal, costs.frame.cell(goal[0], goal[1]))
+        assert target is not None  # or the goal would have been refused
         way = self._search.way(costs.map_prices, begin, target) if costs.overlaid else None
         if way is None or way.cells is None:
             return "there is no way"
@@ -175,11 +190,15 @@ class Planner:
         frame = costs.frame
         here, there = frame.cells(start[0], start[1]), frame.cells(goal[0], goal[1])
         leaving = _closed(prices, frame.cell(start[0], start[1]))
+        entering = _closed(prices, frame.cell(goal[0], goal[1]))
         head = np.empty((0, 2)) if leaving else np.array([here])
-        line = taut(prices, np.vstack((head, centres(cells), [there])))
+        tail = np.empty((0, 2)) if entering else np.array([there])
+        line = taut(prices, np.vstack((head, centres(cells), tail)))
         points = stepped(prices, line, self._step_m / frame.resolution)
         if leaving:
             points = np.vstack(([here], points))
+        if entering:
+            points = np.vstack((points, [there]))
         poses = np.empty((len(points), 3))
         poses[:, 0], poses[:, 1] = _places(costs, points)
         ahead = np.diff(poses[:, :2], axis=0)
@@ -188,7 +207,7 @@ class Planner:
         poses[:-1, 2] = np.arctan2(mean[:, 1], mean[:, 0])
         poses[0, :2] = start[:2]
         poses[-1] = goal
-        return Route(poses, points, frame, int(leaving))
+        return Route(poses, points, frame, int(leaving), int(entering))
 
 
 def remaining(route: Route, pose: Pose) -> tuple[int, float]:
@@ -219,7 +238,9 @@ def _why_closed(costs: CostMap, cell: Cell) -> str:
         return "is too near to what the scanner sees"
     if costs.obstacle(cell):
         return "is in an obstacle"
-    return f"is nearer than {costs.costs.radius:g} m to an obstacle"
+    fits = costs.prices[cell[0] + MARGIN, cell[1] + MARGIN] < BLOCKED
+    near = costs.costs.radius + (costs.costs.margin if fits else 0.0)
+    return f"is nearer than {near:g} m to an obstacle"
 
 
 def _places(costs: CostMap, points: Array) -> tuple[Array, Array]:
