@@ -7,6 +7,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import typer
 
 from cairn.cli.tables import line, print_json
@@ -15,6 +16,8 @@ from cairn.errors import CairnError
 from components.map_builder.importing import altered, imported_grid, importer, write_map
 from components.map_builder.objects import MapObject
 from components.map_builder.store import open_map
+from planar.grid import FREE, FREE_TO, OCCUPIED_FROM, UNKNOWN
+from planar.map_file import read_map as read_grid
 from planar.map_file import write_map as write_grid
 
 app = typer.Typer(help="Visual maps and grid maps: import and show them.", no_args_is_help=True)
@@ -49,7 +52,9 @@ def import_map(
     dataset: Annotated[Path, typer.Argument(help="What the importer reads: a folder or file.")],
     out: Annotated[
         Path,
-        typer.Argument(help="Map to write: a grid map if it ends in .yaml, else a visual map."),
+        typer.Argument(
+            metavar="MAP", help="Map to write: a grid map if it ends in .yaml, else a visual map."
+        ),
     ],
     displace: Annotated[
         list[str] | None,
@@ -59,7 +64,7 @@ def import_map(
         list[int] | None, typer.Option(metavar="ID", help="Leave an object out.")
     ] = None,
     resolution: Annotated[
-        float, typer.Option(min=0.005, max=1.0, help="Cells of a grid map drawn of scans [m].")
+        float, typer.Option(min=0.005, max=1.0, help="Size of a grid map's cells [m].")
     ] = 0.05,
     reach: Annotated[
         float, typer.Option(min=0.5, help="Longer rays show free space only [m].")
@@ -94,7 +99,12 @@ def show(
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
     history: Annotated[bool, typer.Option("--history", help="Print every change too.")] = False,
 ) -> None:
-    """Show the objects of a map file, where they stand and how far they are relied on."""
+    """Show the objects of a visual map, or the size and the cells of a grid map (.yaml)."""
+    if file.suffix in (".yaml", ".yml"):
+        if history:
+            raise CairnError(f"{file} is a grid map: these have no history.")
+        _show_grid(file, as_json)
+        return
     with open_map(file, read_only=True) as store:
         objects = [_object_row(known) for known in store.objects()]
         changes = [_change_row(*change) for change in store.history()] if history else []
@@ -108,6 +118,25 @@ def show(
     if history:
         line("")
         show_rows(changes, _CHANGE_COLUMNS, as_json=False, nothing="there is no change")
+
+
+def _show_grid(file: Path, as_json: bool) -> None:
+    grid = read_grid(file)
+    values, (width, height), (x, y, theta) = grid.values, grid.size_m, grid.frame.origin
+    shares = {
+        "free": float(np.mean((values >= FREE) & (values <= FREE_TO))),
+        "occupied": float(np.mean(values >= OCCUPIED_FROM)),
+        "unknown": float(np.mean(values == UNKNOWN)),
+    }
+    if as_json:
+        rows, columns = values.shape
+        size = {"width_m": width, "height_m": height, "columns": columns, "rows": rows}
+        origin = {"x": x, "y": y, "theta": theta}
+        print_json({"resolution": grid.frame.resolution, **size, "origin": origin, **shares})
+        return
+    line(f"{file.name}: {width:.2f} m x {height:.2f} m, cells of {grid.frame.resolution:g} m")
+    line(f"its corner is at ({x:.2f}, {y:.2f}) m, turned by {theta:.3f} rad")
+    line(", ".join(f"{kind} {100 * share:.1f} %" for kind, share in shares.items()))
 
 
 def _displacements(given: list[str]) -> dict[int, tuple[float, float]]:

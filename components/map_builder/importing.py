@@ -22,10 +22,12 @@ IMPORTERS_GROUP = "cairn.visual_map_importers"
 """Entry points of this group are functions from a path to the `VisualMap` found there."""
 
 GRID_IMPORTERS_GROUP = "cairn.grid_map_importers"
-"""Entry points of this group are functions from a path to the grid map found there."""
+"""Entry points of this group are functions from a path and a size of cells [m] to the grid map."""
 
 POSED_SCANS_GROUP = "cairn.posed_scan_importers"
 """Entry points of this group are functions from a path to scans and where they were taken."""
+
+_GRIDS = (GRID_IMPORTERS_GROUP, POSED_SCANS_GROUP)
 
 Importer = Callable[[Path], VisualMap]
 PosedScans = Iterator[tuple[Pose, LaserScan]]
@@ -45,8 +47,9 @@ def imported_grid(
     Raises `CairnError` if there is no such importer, or nothing to draw a map of.
     """
     if name in entry_points(group=GRID_IMPORTERS_GROUP).names:
-        read: Callable[[Path], OccupancyCells] = _loaded(name, GRID_IMPORTERS_GROUP, "grid maps")
-        return read(path)
+        read: Callable[[Path, float], OccupancyCells]
+        read = _loaded(name, GRID_IMPORTERS_GROUP, "grid maps")
+        return read(path, resolution)
     scans: Callable[[Path], PosedScans] = _loaded(name, POSED_SCANS_GROUP, "grid maps")
     try:
         return build_map(scans(path), resolution, mount, reach)
@@ -57,11 +60,27 @@ def imported_grid(
 def _loaded(name: str, group: str, what: str) -> Any:
     points = entry_points(group=group)
     if name not in points.names:
-        groups = {group, GRID_IMPORTERS_GROUP} if group == POSED_SCANS_GROUP else {group}
+        _refuse_other_kind(name, group)
+        groups = _GRIDS if group in _GRIDS else (group,)
         names = {known for one in groups for known in entry_points(group=one).names}
         known = ", ".join(sorted(names)) or "none is installed"
         raise CairnError(f"there is no importer {name!r} of {what}; known: {known}.")
     return points[name].load()
+
+
+def _refuse_other_kind(name: str, group: str) -> None:
+    """Say so if the importer is one of the other kind of maps."""
+    grids = {known for g in _GRIDS for known in entry_points(group=g).names}
+    if group == IMPORTERS_GROUP and name in grids:
+        raise CairnError(
+            f"{name} makes grid maps only, which are written as .yaml: give MAP a name that ends "
+            "in .yaml."
+        )
+    if group in _GRIDS and name in entry_points(group=IMPORTERS_GROUP).names:
+        raise CairnError(
+            f"{name} makes visual maps only: give MAP a name that does not end in .yaml, such as "
+            "map.cairn."
+        )
 
 
 def altered(

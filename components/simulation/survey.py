@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import cv2
@@ -21,41 +22,48 @@ _BORDER_M = 0.5
 _ROOM_M = 0.05
 
 
-def surveyed_grid(file: Path) -> OccupancyCells:
+def surveyed_grid(file: Path, resolution: float = RESOLUTION) -> OccupancyCells:
     """The grid map of a world file: what stands, and the space around the robot's start.
 
-    What the robot cannot see from within is unknown. People are not surveyed.
+    Cells have a size of `resolution` [m]. What the robot cannot see from within is unknown. People
+    are not surveyed.
     """
     world = _checked(file)
     try:
-        return grid_of_world(world)
+        return grid_of_world(world, resolution)
     except CairnError as error:
         raise CairnError(f"{file}: {error}") from error
 
 
-def grid_of_world(world: WorldFile) -> OccupancyCells:
-    """The grid map of a world; `CairnError` if its walls leave a gap."""
+def grid_of_world(world: WorldFile, resolution: float = RESOLUTION) -> OccupancyCells:
+    """The grid map of a world; `CairnError` if its walls leave a gap, or cells are too large."""
     scene = Scene.of(world)
     segments = scene.standing.segments
     ends = segments.reshape(-1, 2)
     # Half a cell off round numbers, on which walls stand: they pass through the middle of cells.
-    least = ends.min(axis=0) - _BORDER_M - RESOLUTION / 2
-    most = ends.max(axis=0) + _BORDER_M
-    columns, rows = np.ceil((most - least) / RESOLUTION).astype(int)
-    frame = Frame(RESOLUTION, (float(least[0]), float(least[1]), 0.0))
+    margin = math.ceil(_BORDER_M / resolution) * resolution
+    least = ends.min(axis=0) - margin - resolution / 2
+    most = ends.max(axis=0) + margin
+    columns, rows = np.ceil((most - least) / resolution).astype(int)
+    frame = Frame(resolution, (float(least[0]), float(least[1]), 0.0))
     solid = np.zeros((rows, columns), np.uint8)
     for x1, y1, x2, y2 in segments.tolist():
         # A cell is occupied where a wall passes through it.
         length = float(np.hypot(x2 - x1, y2 - y1))
-        share = np.linspace(0.0, 1.0, max(2, int(length / (0.2 * RESOLUTION)) + 1))
-        column = np.floor((x1 + share * (x2 - x1) - least[0]) / RESOLUTION).astype(int)
-        row = np.floor((y1 + share * (y2 - y1) - least[1]) / RESOLUTION).astype(int)
+        share = np.linspace(0.0, 1.0, max(2, int(length / (0.2 * resolution)) + 1))
+        column = np.floor((x1 + share * (x2 - x1) - least[0]) / resolution).astype(int)
+        row = np.floor((y1 + share * (y2 - y1) - least[1]) / resolution).astype(int)
         solid[row, column] = 1
     cells = np.full((rows, columns), UNKNOWN, np.int8)
-    row, column = frame.cell(world.robot.x, world.robot.y)
+    start = frame.cell(world.robot.x, world.robot.y)
+    if solid[start]:
+        raise CairnError(
+            f"with cells of {resolution:g} m the robot begins in an occupied one; choose a finer "
+            "--resolution"
+        )
     reached = 1 - solid
     # Over sides, not corners: so outlines keep it out of furniture, too.
-    cv2.floodFill(reached, None, (column, row), 2, flags=4)
+    cv2.floodFill(reached, None, start[::-1], 2, flags=4)
     border = np.concatenate((reached[[0, -1]].ravel(), reached[:, [0, -1]].ravel()))
     if np.any(border == 2):
         raise CairnError("the walls leave a gap to the outside; close it, `cairn world draw` shows")

@@ -3,11 +3,16 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
 from cairn.errors import CairnError
 from components.map_builder.cli import app
+from planar.grid import FREE, OCCUPIED, UNKNOWN, Frame, Grid
+from planar.map_file import read_map, write_map
+
+ROOM = Path(__file__).parents[3] / "deploy" / "worlds" / "room.yaml"
 
 
 def cairn_map(*arguments: object) -> Result:
@@ -85,6 +90,42 @@ def test_a_wrong_order_is_explained(
 def test_an_importer_that_does_not_exist_is_told_with_those_that_do(tmp_path: Path) -> None:
     with pytest.raises(CairnError, match=r"no importer 'mclam'.*known: .*mrclam"):
         cairn_map("import", "mclam", tmp_path, tmp_path / "hall.map")
+
+
+def test_an_importer_of_the_other_kind_of_maps_is_told(dataset: Path, tmp_path: Path) -> None:
+    with pytest.raises(CairnError, match=r"carmen makes grid maps only.* ends in .yaml"):
+        cairn_map("import", "carmen", tmp_path / "run.log", tmp_path / "map.png")
+    with pytest.raises(CairnError, match=r"mrclam makes visual maps only.* such as map.cairn"):
+        cairn_map("import", "mrclam", dataset, tmp_path / "map.yaml")
+
+
+def test_a_world_is_surveyed_with_cells_of_the_size_asked_for(tmp_path: Path) -> None:
+    out = tmp_path / "room.yaml"
+
+    told = cairn_map("import", "world", ROOM, out, "--resolution", "0.1").output
+
+    assert "cells of 0.1 m" in told
+    assert read_map(out).frame.resolution == 0.1
+
+
+def test_a_grid_map_is_shown_with_its_size_place_and_cells(tmp_path: Path) -> None:
+    file = tmp_path / "map.yaml"
+    cells = np.array([[FREE] * 4, [FREE, OCCUPIED, UNKNOWN, UNKNOWN]], np.int8)
+    write_map(file, Grid(cells, Frame(0.5, (-1.0, 2.0, 0.1))))
+
+    shown = json.loads(cairn_map("show", file, "--json").output)
+    assert shown == {
+        "resolution": 0.5, "width_m": 2.0, "height_m": 1.0, "columns": 4, "rows": 2,
+        "origin": {"x": -1.0, "y": 2.0, "theta": 0.1},
+        "free": 0.625, "occupied": 0.125, "unknown": 0.25,
+    }  # fmt: skip
+    assert cairn_map("show", file).output == (
+        "map.yaml: 2.00 m x 1.00 m, cells of 0.5 m\n"
+        "its corner is at (-1.00, 2.00) m, turned by 0.100 rad\n"
+        "free 62.5 %, occupied 12.5 %, unknown 25.0 %\n"
+    )
+    with pytest.raises(CairnError, match="no history"):
+        cairn_map("show", file, "--history")
 
 
 def test_the_table_and_its_history_name_objects_and_reasons(dataset: Path, tmp_path: Path) -> None:

@@ -265,6 +265,15 @@ def test_a_raw_log_has_no_posed_scans(write: Write) -> None:
         next(posed_scans(write(*drive(3))))
 
 
+def test_the_advice_for_a_raw_log_is_no_dead_end(write: Write) -> None:
+    """A replay would need the very map that is wanted."""
+    with pytest.raises(
+        RecordingError, match="Give a log that a SLAM program has corrected"
+    ) as told:
+        next(posed_scans(write(*drive(3))))
+    assert "replay" not in str(told.value).removeprefix(str(write()))
+
+
 def pose_at(stamps: Sequence[int], poses: Array, stamp: int) -> tuple[float, float, float]:
     x, y = (float(np.interp(stamp, stamps, poses[:, k])) for k in (0, 1))
     return x, y, float(np.interp(stamp, stamps, np.unwrap(poses[:, 2])))

@@ -60,6 +60,22 @@ def test_walls_pass_through_the_middle_of_cells() -> None:
     assert grid.values[row, column - 1] == UNKNOWN
 
 
+@pytest.mark.parametrize("resolution", [0.02, 0.1, 0.2])
+def test_cells_have_the_size_asked_for(resolution: float) -> None:
+    grid = grid_of_world(world_file(), resolution)
+
+    assert grid.frame.resolution == resolution
+    row, column = grid.frame.cell(0.0, 2.0)
+    assert grid.values[row, column] == OCCUPIED
+    assert grid.values[row, column + 1] == FREE
+    assert np.count_nonzero(grid.values == FREE) * resolution**2 == pytest.approx(24.0, rel=0.1)
+
+
+def test_cells_too_large_for_the_robots_start_are_refused() -> None:
+    with pytest.raises(CairnError, match=r"cells of 1 m the robot begins in an occupied one"):
+        grid_of_world(world_file(robot={"x": 0.4, "y": 2.0}), 1.0)
+
+
 def test_a_gap_in_the_walls_is_told_instead_of_mapped(tmp_path: Path) -> None:
     file = tmp_path / "open.yaml"
     walls = [{"points": [[0, 0], [6, 0], [6, 4], [0, 4], [0, 3 * RESOLUTION]]}]
