@@ -15,6 +15,10 @@ from cairn.errors import CairnError
 _UNFOLDED = 10_000  # columns, where the output is not a terminal but perhaps `grep`
 
 
+class OutputLost(CairnError):  # noqa: N818 - says what happened
+    """What a command prints cannot be written: the disk is full, or the terminal has gone."""
+
+
 def show(
     rows: Sequence[Mapping[str, Any]],
     columns: Mapping[str, str] | Sequence[str],
@@ -55,14 +59,14 @@ def print_json(value: Any) -> None:
 def line(text: str) -> None:
     """Print one line as it is.
 
-    Raises `BrokenPipeError` if nobody reads it any more, `CairnError` if the disk is full.
+    Raises `BrokenPipeError` if nobody reads it any more, `OutputLost` if the disk is full.
     """
     try:
         print(text, flush=True)  # noqa: T201 - a command's output
     except BrokenPipeError:
         raise
     except OSError as error:
-        raise CairnError(f"the output cannot be written: {error.strerror}") from error
+        raise OutputLost(f"the output cannot be written: {error.strerror}") from error
 
 
 def note(text: str) -> None:

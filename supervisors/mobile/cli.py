@@ -5,22 +5,12 @@ from typing import Annotated
 
 import typer
 
-from cairn.cli.connection import (
-    DEFAULT_CONNECT,
-    Connect,
-    Connection,
-    Domain,
-    Json,
-    Robot,
-    connected,
-    resolve,
-)
+from cairn.cli.connection import DEFAULT_CONNECT, Connect, Domain, Json, Robot, connected
 from cairn.cli.tables import line, print_json
 from cairn.errors import CairnError
-from supervisors.mobile.following import Operator, follow
+from supervisors.mobile.following import Operator, follow, refusals_told
 from supervisors.mobile.locating import point_out
-
-_SUPERVISOR = "mobile_supervisor"
+from supervisors.mobile.reaching import reach
 
 
 def go(
@@ -45,19 +35,22 @@ def go(
 ) -> None:
     """Send a robot to a goal; a new order pre-empts the old one, Ctrl-C cancels it.
 
-    Ends with status 0 if it arrives, 1 if not, 130 after Ctrl-C.
+    Ends with status 0 if it arrives, 1 if not; 130 after Ctrl-C, 143 after SIGTERM, 129 if its
+    terminal is closed, which cancel too.
     """
-    if cancel and goal:
-        raise CairnError("give a goal or --cancel, not both")
-    goals = [] if cancel else parse_goals(goal or [])
+    with refusals_told(as_json=json):
+        if cancel and goal:
+            raise CairnError("give a goal or --cancel, not both")
+        goals = [] if cancel else parse_goals(goal or [])
     with connected(connect, domain) as connection:
-        operator = Operator(connection, _supervisor(connection, robot))
-        if cancel:
-            _tell(operator.cancel(), "cancelled", as_json=json)
-        elif wait:
+        with refusals_told(as_json=json):
+            operator = Operator(connection, reach(connection, robot))
+            if cancel:
+                _tell(operator.cancel(), "cancelled", as_json=json)
+            elif not wait:
+                _tell(operator.go(goals), "given", as_json=json)
+        if wait and not cancel:
             follow(operator, goals, as_json=json)
-        else:
-            _tell(operator.go(goals), "given", as_json=json)
 
 
 def locate(
@@ -85,16 +78,6 @@ def _tell(order: int, what: str, *, as_json: bool) -> None:
         print_json({"order_id": order})
     else:
         line(f"order {order} is {what}")
-
-
-def _supervisor(connection: Connection, robot: str) -> str:
-    names = [name for name, status in connection.statuses().items() if status.plugin == _SUPERVISOR]
-    if not names:
-        raise CairnError(
-            f"no {_SUPERVISOR} runs here that takes orders to move; start one, as with "
-            "`cairn up deploy/sim.yaml`"
-        )
-    return resolve(names, names[0].rpartition("/")[2], robot)
 
 
 def parse_goals(words: list[str]) -> list[list[float]]:

@@ -5,19 +5,21 @@ from __future__ import annotations
 import math
 import queue
 import secrets
+import signal
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any
 
 from cairn.bus import rmw
 from cairn.bus.codec import Codec
-from cairn.bus.control import ControlError, request
+from cairn.bus.control import ControlError, NoAnswer, request
 from cairn.cli.connection import Connection
-from cairn.cli.tables import line, note, print_json
+from cairn.cli.tables import OutputLost, line, note, print_json
 from cairn.errors import CairnError
 from schemas.cairn_nav_msgs import MOVE_ENDS, MOVE_STATES, MoveStatus, without_numbers
 from schemas.message import InvalidMessage, type_name
+from supervisors.mobile.reaching import await_active, linked
 
 # AutoMove tells twice a second how it gets on; what is told is repeated so often, if it is no news.
 _REPEAT_S = 5.0
@@ -45,11 +47,11 @@ class Operator:
 
     def cancel(self) -> int:
         """Take back whichever order is under way; its number."""
-        return int(self._ask("cancel", {}, _LOADING_S)["order_id"])
+        return self._cancel({})
 
     def cancel_own(self) -> int:
         """Take back the order that was given here, answered or not yet; its number."""
-        return int(self._ask("cancel", {"token": self._token}, _LOADING_S)["order_id"])
+        return self._cancel({"token": self._token})
 
     def order(self) -> dict[str, Any] | None:
         """The last order with its result, empty if it is under way; None if there was none."""
@@ -58,8 +60,7 @@ class Operator:
 
     def linked(self) -> bool:
         """Whether the deployment is still there."""
-        session = self._connection.session
-        return not session.is_closed() and bool(session.info.routers_zid())
+        return linked(self._connection)
 
     @contextmanager
     def statuses(self) -> Iterator[queue.Queue[Any]]:
@@ -82,6 +83,14 @@ class Operator:
         except (queue.Empty, InvalidMessage):
             return None
 
+    def _cancel(self, which: dict[str, Any]) -> int:
+        try:
+            answer = self._ask("cancel", which, _LOADING_S)
+        except NoAnswer:  # it hung and was killed; started anew, it goes on with the order
+            await_active(self._connection, self._supervisor)
+            answer = self._ask("cancel", which, _LOADING_S)
+        return int(answer["order_id"])
+
     def _ask(self, verb: str, arguments: dict[str, Any], limit_s: float) -> Any:
         connection = self._connection
         return request(
@@ -94,18 +103,31 @@ class Operator:
         )
 
 
-def follow(operator: Operator, goals: Sequence[Sequence[float]], *, as_json: bool) -> None:
-    """Give an order and tell how it gets on; Ctrl-C cancels it.
+@contextmanager
+def refusals_told(*, as_json: bool) -> Iterator[None]:
+    """Print a refusal as JSON, if that is asked for, before it goes on as the error that it is."""
+    try:
+        yield
+    except CairnError as error:
+        if as_json:
+            state = "unanswered" if isinstance(error, NoAnswer) else "refused"
+            print_json({"state": state, "reason": str(error)})
+        raise
 
-    Raises `CairnError` if it does not end at its goal.
+
+def follow(operator: Operator, goals: Sequence[Sequence[float]], *, as_json: bool) -> None:
+    """Give an order and tell how it gets on; Ctrl-C, SIGTERM and a closed terminal cancel it.
+
+    Raises `CairnError` if it does not end at its goal, `SystemExit` after SIGTERM or SIGHUP.
     """
-    with operator.statuses() as samples:
+    with _exit_on(signal.SIGTERM, signal.SIGHUP), operator.statuses() as samples:
         try:
-            order = operator.go(goals)
+            with refusals_told(as_json=as_json):
+                order = operator.go(goals)
             if not as_json:
                 line(f"order {order}: go to {', then '.join(map(_place, goals))}; Ctrl-C cancels")
             status = _await_end(operator, order, samples, as_json=as_json)
-        except KeyboardInterrupt:
+        except (KeyboardInterrupt, SystemExit, BrokenPipeError, OutputLost):
             _take_back(operator, as_json=as_json)
             raise
     if as_json:
@@ -117,16 +139,35 @@ def follow(operator: Operator, goals: Sequence[Sequence[float]], *, as_json: boo
         line(f"{status.elapsed:6.1f} s  {status.reason}")
 
 
-def _take_back(operator: Operator, *, as_json: bool) -> None:
+@contextmanager
+def _exit_on(*numbers: signal.Signals) -> Iterator[None]:
+    """Turn signals into `SystemExit` with the status that a shell gives them."""
+    heeded = [one for one in numbers if signal.getsignal(one) is not signal.SIG_IGN]  # nohup
+
+    def leave(number: int, _frame: object) -> None:
+        for one in heeded:  # a terminal that closes may hang up twice
+            signal.signal(one, signal.SIG_IGN)
+        raise SystemExit(128 + number)
+
+    before = {number: signal.signal(number, leave) for number in heeded}
     try:
-        order = operator.cancel_own()
-    except CairnError as error:  # it has just ended, was pre-empted, or its deployment has gone
-        note(f"nothing is cancelled: {error}")
-        return
-    if as_json:
-        print_json({"order_id": order, "state": "cancelled"})
-    else:
-        line("cancelled: the robot stops")
+        yield
+    finally:
+        for number, former in before.items():
+            signal.signal(number, former)
+
+
+def _take_back(operator: Operator, *, as_json: bool) -> None:
+    with suppress(OSError, OutputLost):  # whoever is told may have closed the terminal
+        try:
+            order = operator.cancel_own()
+        except CairnError as error:  # it has just ended, was pre-empted, or its robot has gone
+            note(f"nothing is cancelled: {error}")
+            return
+        if as_json:
+            print_json({"order_id": order, "state": "cancelled"})
+        else:
+            line("cancelled: the robot stops")
 
 
 def _await_end(

@@ -1,13 +1,17 @@
 """`cairn go` as an operator sees it: what it says, how it ends, and what Ctrl-C does."""
 
+import os
+import pty
 import re
 import signal
+import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from tests.commands import cairn
+from tests.launching import CAIRN
 from tests.navigation.processes import Robot, robot_in
 
 
@@ -91,6 +95,82 @@ def test_ctrl_c_cancels_its_own_order_and_the_robot_stands(robot: Robot) -> None
         1,
         "cairn: mobile_supervisor: there is no order to cancel\n",
     )
+
+
+def test_sigterm_cancels_its_own_order_and_the_robot_stands(robot: Robot) -> None:
+    going = robot.go("1.4", "1.2")
+    going.await_word("driving")
+    robot.await_moved(0.3)
+
+    going.process.send_signal(signal.SIGTERM)
+
+    robot.await_stand()
+    assert going.await_end() == 128 + signal.SIGTERM
+    assert going.lines[-1] == "cancelled: the robot stops\n"
+
+
+def test_a_terminal_that_is_closed_cancels_its_order(robot: Robot) -> None:
+    child, terminal = pty.fork()
+    if child == 0:
+        os.execv(CAIRN, [CAIRN, "go", "6.6", "1.8", "--connect", robot.run.endpoint])
+    said = b""
+    while b"driving" not in said:
+        said += os.read(terminal, 4096)
+    robot.await_moved(0.3)
+
+    os.close(terminal)
+
+    robot.await_stand()
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 128 + signal.SIGHUP
+
+
+def test_an_order_whose_teller_is_not_read_any_more_is_cancelled(robot: Robot) -> None:
+    lines = len(robot.run.lines)
+    going = subprocess.Popen(
+        [CAIRN, "go", "6.6", "1.8", "--connect", robot.run.endpoint],
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    with going:
+        assert going.stdout is not None
+        assert "go to (6.60, 1.80" in going.stdout.readline()
+        going.stdout.close()
+
+        robot.run.await_line("cancelled: taken back", after=lines)
+        assert going.wait(20.0) == 1
+
+
+@pytest.mark.parametrize(
+    ("goal", "why"), [("nan", "must be finite"), ("2e5", "must be finite, and not beyond 100000")]
+)
+@pytest.mark.parametrize("how", ["--wait", "--no-wait"])
+def test_as_json_it_prints_why_a_goal_is_refused(
+    robot: Robot, goal: str, why: str, how: str
+) -> None:
+    answer = cairn("go", goal, "1", "--json", how, connect=robot.run.endpoint)
+
+    assert answer.code == 1
+    assert answer.json["state"] == "refused"
+    assert why in answer.json["reason"]
+    assert answer.err == f"cairn: {answer.json['reason']}\n"
+
+
+def test_an_order_is_taken_back_from_a_supervisor_that_hangs(robot: Robot) -> None:
+    going = robot.go("7.0", "5.0")
+    going.await_word("driving")
+    os.kill(robot.run.pid_of("mobile_supervisor"), signal.SIGSTOP)
+
+    answer = cairn("go", "--cancel", connect=robot.run.endpoint)
+
+    assert answer.code == 0
+    assert re.fullmatch(r"order \d+ is cancelled\n", answer.out)
+    assert answer.err == (
+        "mobile_supervisor does not answer; if it hangs it is killed and started anew: "
+        "waiting up to 30 s\n"
+    )
+    robot.await_stand()
+    assert going.await_end() == 1
+    assert "cancelled after" in going.lines[-1]
 
 
 def test_whoever_is_pre_empted_is_told_and_takes_nothing_back(robot: Robot) -> None:

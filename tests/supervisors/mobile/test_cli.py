@@ -1,12 +1,27 @@
 """Goals on the command line."""
 
 import math
+from collections.abc import Iterator
 
 import pytest
 
+from cairn.bus.session import open_router
+from cairn.cli.connection import connected
 from cairn.errors import CairnError
+from supervisors.mobile import reaching
 from supervisors.mobile.cli import parse_goals
+from supervisors.mobile.reaching import await_active
 from tests.commands import cairn
+from tests.launching import free_port
+
+
+@pytest.fixture
+def bus() -> Iterator[str]:
+    """A bus with nobody on it."""
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    router = open_router(endpoint)
+    yield endpoint
+    router.close()
 
 
 @pytest.mark.parametrize(
@@ -51,6 +66,25 @@ def test_without_a_deployment_it_says_so() -> None:
     answer = cairn("go", "1", "-2", "--connect", "tcp/127.0.0.1:1")
     assert answer.code == 1
     assert "tcp/127.0.0.1:1" in answer.err
+
+
+def test_where_no_supervisor_takes_orders_it_says_so_as_json_too(bus: str) -> None:
+    answer = cairn("go", "1", "2", "--json", connect=bus)
+
+    assert answer.code == 1
+    assert answer.json["state"] == "refused"
+    assert answer.json["reason"].startswith("no mobile_supervisor runs here")
+    assert answer.err == f"cairn: {answer.json['reason']}\n"
+
+
+def test_a_supervisor_that_stays_silent_is_told_with_what_stops_the_robot(
+    bus: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(reaching, "PATIENCE_S", 0.0)
+    with connected(bus, 0) as connection, pytest.raises(CairnError) as refused:
+        await_active(connection, "/robot/mobile_supervisor")
+    assert str(refused.value).startswith("mobile_supervisor has not answered for 0 s")
+    assert "press Ctrl-C twice where `cairn up` runs" in str(refused.value)
 
 
 @pytest.mark.parametrize(
