@@ -34,6 +34,14 @@ def first_closed(prices: Prices, points: Points, closed: int = CLOSED) -> int:
     return int(_first_closed(prices.reshape(-1), prices.shape[1], _owned(points), closed))
 
 
+def cost(prices: Prices, points: Points, closed: int = CLOSED) -> float:
+    """Cost of the polyline in cells of the least price; infinite over a cell of that price or more.
+
+    All that is off the grid is closed.
+    """
+    return float(_cost(prices.reshape(-1), prices.shape[1], _owned(points), closed))
+
+
 def taut(prices: Prices, points: Points) -> Points:
     """The polyline pulled taut between its ends: no dearer, and over no closed cell.
 
@@ -123,6 +131,17 @@ def _first_closed(prices: Prices, stride: int, points: Points, closed: int) -> i
         if not on_grid or _along(prices, stride, x0, y0, x1, y1, closed) == math.inf:
             return i
     return -1
+
+
+@compiled("float64(uint8[::1], int64, float64[:,::1], int64)")
+def _cost(prices: Prices, stride: int, points: Points, closed: int) -> float:
+    total = 0.0
+    for i in range(len(points) - 1):
+        x0, y0, x1, y1 = points[i, 0], points[i, 1], points[i + 1, 0], points[i + 1, 1]
+        if not (_on_grid(prices, stride, x0, y0) and _on_grid(prices, stride, x1, y1)):
+            return math.inf
+        total += _along(prices, stride, x0, y0, x1, y1, closed)
+    return total
 
 
 @compiled()

@@ -10,11 +10,13 @@ from cairn.component.parameters import Config
 from cairn.component.ports import In, Out
 from components.path_planner.config import PathPlannerConfig
 from components.path_planner.cost_map import CostMap
+from components.path_planner.hindrances import Hindrances
 from components.path_planner.messages import path_message, plan_message
 from components.path_planner.planning import (
     Answer,
     Outcome,
     Planner,
+    cost_left,
     obstructed,
     remaining,
 )
@@ -24,7 +26,7 @@ from planar.messages import planar_pose
 from planar.odometry import Added, OdometryHistory
 from planar.poses import Pose
 from planar.scans import beams_of
-from schemas.cairn_nav_msgs import LocalizationHealth, Movement, Plan
+from schemas.cairn_nav_msgs import LocalizationHealth, MotionStatus, Movement, Plan
 from schemas.geometry_msgs import PoseWithCovarianceStamped
 from schemas.map_msgs import OccupancyGridUpdate
 from schemas.nav_msgs import OccupancyGrid, Odometry, Path
@@ -34,6 +36,11 @@ from schemas.std_msgs import Header
 HISTORY_NS = 3 * SECOND
 # Nearer to the goal than this [m] a path is not exchanged for a better one.
 NEAR_M = 0.5
+# A path so much longer than what was left [m] is another way; what the scanner saw this near [m] to
+# where the last one was blocked is remembered longer, or it would be taken again once out of view.
+OTHER_M, AROUND_M = 1.0, 1.0
+# The robot stands so far [m] before where it does not get on.
+BEFORE_M = 0.4
 
 
 class PathPlanner(Component):
@@ -51,6 +58,7 @@ class PathPlanner(Component):
     localization_health: In[LocalizationHealth] = In(optional=True)
     odom: In[Odometry] = In(qos=RELIABLE.with_depth(1000))
     scan: In[LaserScan] = In(qos=SENSOR, optional=True)
+    motion_status: In[MotionStatus] = In(optional=True)
     plan: Out[Plan] = Out(qos=LATCHED)
     path: Out[Path] = Out(qos=LATCHED)
 
@@ -59,6 +67,7 @@ class PathPlanner(Component):
         self._planner = Planner(self.config.step)
         self._costs: CostMap | None = None
         self._recent: RecentObstacles | None = None
+        self._hindrances = Hindrances()
         self._history = OdometryHistory(HISTORY_NS)
         self._pose: tuple[int, Pose] | None = None
         self._wanted: Movement | None = None
@@ -108,9 +117,11 @@ class PathPlanner(Component):
                 "odometry on %s went back in time: what was seen is forgotten", self.odom.topic
             )
             self._planned_at = self._looked_at = self._checked_at = 0
+            self._hindrances = Hindrances()
             if self._costs is not None:
                 self._recent = RecentObstacles(self._costs.frame, self._costs.shape)
                 self._costs.overlay(self._recent.cells())
+                self._costs.hinder(())
 
     @on("pose")
     def locate(self, message: PoseWithCovarianceStamped) -> None:
@@ -150,6 +161,24 @@ class PathPlanner(Component):
         self._costs.overlay(self._recent.cells())
         self._check()
 
+    @on("motion_status")
+    def heed(self, status: MotionStatus) -> None:
+        """Look for another way when motion control does not get on along the path."""
+        pose, answer, wanted = self._now_at(), self._answer, self._wanted
+        if wanted is None or status.leg != wanted.leg or pose is None:
+            return
+        if answer is None or answer.route is None or self._costs is None:
+            return
+        now = self.clock.now()
+        if not self._hindrances.is_stuck(now, status, pose):
+            return
+        since, _ = remaining(answer.route, pose)
+        x, y, _ = answer.route.poses[answer.route.further(since, BEFORE_M)].tolist()
+        self.log.info("the robot does not get on at (%.2f, %.2f): avoiding it", x, y)
+        self._hindrances.add((x, y), now + round(self.config.avoided_s * SECOND))
+        self._costs.hinder(self._hindrances.places())
+        self._improve(longer=True)
+
     @on("movement")
     def want(self, movement: Movement) -> None:
         """Plan at once for a new leg; a repeated want changes nothing."""
@@ -186,10 +215,14 @@ class PathPlanner(Component):
         if self._recent is None or not self._recent.fits(grid.frame, self._costs.shape):
             self._recent = RecentObstacles(grid.frame, self._costs.shape)
         self._costs.overlay(self._recent.cells())
+        self._costs.hinder(self._hindrances.places())
 
     def _forget(self) -> None:
-        """Forget what the scanner has not seen for too long."""
+        """Forget what the scanner has not seen for too long, and what was avoided."""
         now = self.clock.now()
+        self._hindrances.forget(now)
+        if self._costs is not None:
+            self._costs.hinder(self._hindrances.places())
         if self._recent is not None and self._costs is not None:
             self._recent.forget(now - round(self.config.obstacle_memory_s * SECOND))
             self._costs.overlay(self._recent.cells())
@@ -231,8 +264,8 @@ class PathPlanner(Component):
         self._answer = None if answer.outcome is Outcome.NOT_READY else answer
         self._tell(answer)
 
-    def _improve(self) -> None:
-        """Exchange the path for another that is clearly shorter."""
+    def _improve(self, longer: bool = False) -> None:
+        """Exchange the path for another that is clearly shorter, or may be `longer` but cheaper."""
         pose, costs, answer = self._now_at(), self._costs, self._answer
         if pose is None or costs is None or answer is None or answer.route is None:
             return
@@ -241,10 +274,12 @@ class PathPlanner(Component):
         if left < NEAR_M:
             return
         fresh = self._fresh()
-        if fresh.route is not None and fresh.route.length() < (1 - self.config.gain) * left:
-            self.log.info(
-                "a path of %.1f m instead of %.1f m has opened", fresh.route.length(), left
-            )
+        if fresh.route is None:
+            return
+        share, length = 1 - self.config.gain, fresh.route.length()
+        cheaper = cost_left(costs, fresh.route) < share * cost_left(costs, answer.route, since)
+        if cheaper and (longer or length < share * left):
+            self.log.info("a path of %.1f m instead of %.1f m is taken", length, left)
             self._answer = fresh
             self._tell(fresh)
 
@@ -262,9 +297,20 @@ class PathPlanner(Component):
             self.log.info("%.2f m off the path: planning anew", off)
             self._replan()
         elif (at := obstructed(costs, answer.route, since)) is not None:
-            x, y, _ = answer.route.poses[at]
+            x, y, _ = answer.route.poses[at].tolist()
             self.log.info("the path is blocked at (%.2f, %.2f): planning anew", x, y)
+            left = answer.route.length(since)
             self._replan()
+            self._remember(x, y, left)
+
+    def _remember(self, x: float, y: float, left: float) -> None:
+        """Remember longer what blocked a path, `left` [m] long, if it has made another way due."""
+        answer, recent = self._answer, self._recent
+        if answer is None or answer.route is None or recent is None:
+            return
+        if answer.route.length() > left + OTHER_M:
+            until = self.clock.now() + round(self.config.avoided_s * SECOND)
+            recent.keep(x, y, AROUND_M, until)
 
     def _tell(self, answer: Answer) -> None:
         """Publish an answer, unless it is the last one's refusal again."""

@@ -44,6 +44,13 @@ class PathPlannerConfig(Config):
         description="How long what the scanner saw is an obstacle, unless seen empty [s]; 0: plan "
         "by the map alone.",
     )
+    avoided_s: float = Field(
+        60.0,
+        ge=0,
+        le=600,
+        description="How long a way on which the robot did not get on is avoided, if there is "
+        "another: where motion control stood blocked, and what the scanner saw there [s].",
+    )
     obstacle_range: float = Field(
         3.0, gt=0, le=100, description="How far off the scanner's obstacles count [m]."
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -38,8 +39,8 @@ class Costs:
 class CostMap:
     """Prices of a map's cells, kept up with its changes, and with what the scanner sees on top.
 
-    `map_prices` are those of the map alone, `prices` those with the scanner's obstacles; both have
-    the margin of `planar.shortest_path`.
+    `map_prices` are those of the map alone, `prices` those with the scanner's obstacles, and with
+    where motion control did not get on; both have the margin of `planar.shortest_path`.
     """
 
     def __init__(self, grid: OccupancyCells, costs: Costs) -> None:
@@ -56,7 +57,7 @@ class CostMap:
         self.map_prices: Prices = priced(rows, columns)
         self._price(0, rows, 0, columns)
         self.prices: Prices = self.map_prices.copy()
-        self._overlaid = self._seen = np.empty((0, 2), np.int64)
+        self._overlaid = self._seen = self._hindered = np.empty((0, 2), np.int64)
         self._stained = (0, 0, 0, 0)
 
     @property
@@ -108,6 +109,14 @@ class CostMap:
         """
         if not np.array_equal(cells, self._overlaid):
             self._overlaid = cells
+            self._lay()
+
+    def hinder(self, places: Sequence[tuple[float, float]]) -> None:
+        """Make all that is near these places x, y [m] as dear as can be, but close nothing."""
+        cells = [cell for x, y in places if (cell := self.cell(x, y)) is not None]
+        hindered = np.array(cells, np.int64).reshape(-1, 2)
+        if not np.array_equal(hindered, self._hindered):
+            self._hindered = hindered
             self._lay()
 
     def unknown(self, cell: Cell) -> bool:
@@ -162,20 +171,27 @@ class CostMap:
         self.prices[top:bottom, left:right] = self.map_prices[top:bottom, left:right]
         held = self._held[self._overlaid[:, 0], self._overlaid[:, 1]]
         self._seen = np.ascontiguousarray(self._overlaid[~held])
-        if not len(self._seen):
+        laid = np.vstack((self._seen, self._hindered))
+        if not len(laid):
             self._stained = (0, 0, 0, 0)
             return
         _stamp(self._seen, self._far, self._table, self.prices)
-        low, high = self._seen.min(axis=0), self._seen.max(axis=0)
+        around = math.ceil(HINDERED_M / self.frame.resolution)
+        _make_dear(self._hindered, around, self.prices)
+        far = max(self._far, around)
+        low, high = laid.min(axis=0), laid.max(axis=0)
         rows, columns = self.prices.shape
         self._stained = (
-            max(0, int(low[0]) + MARGIN - self._far),
-            min(rows, int(high[0]) + MARGIN + self._far + 1),
-            max(0, int(low[1]) + MARGIN - self._far),
-            min(columns, int(high[1]) + MARGIN + self._far + 1),
+            max(0, int(low[0]) + MARGIN - far),
+            min(rows, int(high[0]) + MARGIN + far + 1),
+            max(0, int(low[1]) + MARGIN - far),
+            min(columns, int(high[1]) + MARGIN + far + 1),
         )
 
 
+HINDERED_M = 0.45
+"""Where motion control did not get on, the way is dear within this distance [m]: as if some 13 m
+longer, straight through."""
 HELD_M = 0.15
 """What the scanner sees this near [m] to an obstacle of the map is that obstacle."""
 
@@ -243,6 +259,18 @@ def _stamp(cells: NDArray[np.int64], far: int, table: NDArray[np.uint8], prices:
                 apart = (r - row) * (r - row) + (c - column) * (c - column)
                 if apart < last and table[apart] > prices[r, c]:
                     prices[r, c] = table[apart]
+
+
+@compiled("void(int64[:,::1], int64, uint8[:,::1])")
+def _make_dear(cells: NDArray[np.int64], far: int, prices: Prices) -> None:
+    """Raise the prices around each cell to the highest of those that are not closed."""
+    for i in range(len(cells)):
+        row, column = cells[i, 0] + MARGIN, cells[i, 1] + MARGIN
+        for r in range(max(0, row - far), min(prices.shape[0], row + far + 1)):
+            for c in range(max(0, column - far), min(prices.shape[1], column + far + 1)):
+                within = (r - row) * (r - row) + (c - column) * (c - column) <= far * far
+                if within and prices[r, c] < CLOSED:
+                    prices[r, c] = DEAREST
 
 
 @compiled("UniTuple(int64, 2)(uint8[:,::1], float64, float64)")

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from components.path_planner.cost_map import BLOCKED, CostMap, nearest_open
 from planar.grid import Frame
-from planar.path_shape import centres, first_closed, stepped, taut
+from planar.path_shape import centres, cost, first_closed, stepped, taut
 from planar.poses import Pose
 from planar.shortest_path import CLOSED, MARGIN, Cell, PathSearch, Prices
 
@@ -52,6 +52,12 @@ class Route:
         """The way along it [m], from its pose of that number on."""
         steps = np.diff(self.poses[since:, :2], axis=0)
         return float(np.hypot(steps[:, 0], steps[:, 1]).sum())
+
+    def further(self, since: int, length: float) -> int:
+        """Number of its pose that is so far [m] beyond that of number `since`, or its last one."""
+        steps = np.diff(self.poses[since:, :2], axis=0)
+        along = np.cumsum(np.hypot(steps[:, 0], steps[:, 1]))
+        return min(since + 1 + int(np.searchsorted(along, length)), len(self.poses) - 1)
 
     def cells_at(self, frame: Frame) -> Array:
         """The places (n, 2) in cells of a map that lies at `frame`.
@@ -215,6 +221,12 @@ def remaining(route: Route, pose: Pose) -> tuple[int, float]:
     apart = np.hypot(route.poses[:, 0] - pose[0], route.poses[:, 1] - pose[1])
     nearest = int(np.argmin(apart))
     return nearest, float(apart[nearest])
+
+
+def cost_left(costs: CostMap, route: Route, since: int = 0) -> float:
+    """What the route costs from its pose number `since` on, in cells of the least price."""
+    first = max(since, route.leaving)
+    return cost(costs.prices, route.cells_at(costs.frame)[first:], BLOCKED)
 
 
 def obstructed(costs: CostMap, route: Route, since: int) -> int | None:

@@ -44,13 +44,24 @@ class RecentObstacles:
             cells, stamps = self._cells[kept], self._stamps[kept]
             kept = ~self._seen_through(cells, pose, beams)
             cells, stamps = cells[kept], stamps[kept]
-            old = ~np.isin(cells, seen, assume_unique=True)
-            cells = np.concatenate((cells[old], seen))
-            stamps = np.concatenate((stamps[old], np.full(seen.size, stamp, np.int64)))
+            anew = np.isin(cells, seen, assume_unique=True)
+            fresh = np.full(seen.size, stamp, np.int64)
+            again = np.isin(seen, cells, assume_unique=True)
+            fresh[again] = np.maximum(stamp, stamps[anew])  # both in ascending order of cells
+            cells = np.concatenate((cells[~anew], seen))
+            stamps = np.concatenate((stamps[~anew], fresh))
             order = np.argsort(cells)
             self._cells, self._stamps = cells[order], stamps[order]
         else:
             self._cells, self._stamps = seen, np.full(seen.size, stamp, np.int64)
+
+    def keep(self, x: float, y: float, within: float, stamp: int) -> None:
+        """Remember what is within a distance [m] of a place [m] as if seen at that time [ns]."""
+        rows, columns = np.divmod(self._cells, self._shape[1])
+        column, row = self._frame.cells(x, y)
+        apart = np.hypot(rows + 0.5 - row, columns + 0.5 - column) * self._frame.resolution
+        near = apart <= within
+        self._stamps[near] = np.maximum(self._stamps[near], stamp)
 
     def forget(self, before: int) -> None:
         """Forget what was last seen before a time [ns]."""

@@ -13,7 +13,7 @@ from components.path_planner.cost_map import BLOCKED, CostMap, Costs, nearest_op
 from components.path_planner.sightings import RecentObstacles
 from planar.grid import Frame, OccupancyCells
 from planar.scans import Beams
-from planar.shortest_path import CLOSED, LEAST, MARGIN, priced
+from planar.shortest_path import CLOSED, DEAREST, LEAST, MARGIN, priced
 from tests.components.path_planner.rooms import room
 
 COSTS = Costs(radius=0.22, reach=0.45, weight=1.0, margin=0.05, allow_unknown=False)
@@ -103,6 +103,20 @@ def test_what_the_scanner_sees_closes_cells_like_an_obstacle_of_the_map_until_it
     np.testing.assert_array_equal(costs.prices, CostMap(box, COSTS).prices)
     costs.overlay(cells[:0])
 
+    np.testing.assert_array_equal(costs.prices, before)
+
+
+def test_near_where_the_robot_did_not_get_on_the_way_is_dear_and_no_more_closed() -> None:
+    costs = CostMap(room(), COSTS)
+    before = costs.prices.copy()
+
+    costs.hinder([(4.0, 0.5), (99.0, 99.0)])  # beside a wall; outside the map
+    near = costs.prices[10 + MARGIN, 80 + MARGIN : 89 + MARGIN].copy()
+    closed = costs.prices >= CLOSED
+    costs.hinder([])
+
+    assert set(near.tolist()) == {DEAREST}
+    np.testing.assert_array_equal(closed, before >= CLOSED)
     np.testing.assert_array_equal(costs.prices, before)
 
 

@@ -9,7 +9,7 @@ from cairn.bus.qos import LATCHED, SENSOR
 from cairn.clock import SECOND, from_ns
 from components.path_planner.component import PathPlanner
 from planar.messages import planar_poses
-from schemas.cairn_nav_msgs import Plan
+from schemas.cairn_nav_msgs import MotionStatus, Plan
 from schemas.rosgraph_msgs import Clock
 from tests.cairn.component.running import Lockstep, taken
 from tests.components.path_planner.happening import (
@@ -170,6 +170,80 @@ def test_a_way_that_the_map_opens_is_taken_if_it_is_clearly_shorter(begun: Any) 
 
     assert long.length > short.length + 2
     assert it.taken("plan") == []
+
+
+TWO_DOORS = [(4.5, 0.0, 4.6, 2.0), (4.5, 2.8, 4.6, 5.2), (4.5, 6.0, 4.6, 7.0)]
+BEYOND = (8.0, 2.4, 0.0)
+
+
+def stand_blocked(it: Any, duration: float, state: int = MotionStatus.BLOCKED) -> None:
+    """Let motion control tell for some time, five times a second, that it does not get on."""
+    for _ in range(round(duration * 5)):
+        it.wait(0.2)
+        it.give("motion_status", MotionStatus(leg=1, state=state))
+
+
+@pytest.mark.parametrize(
+    ("state", "seconds"), [(MotionStatus.BLOCKED, 2.6), (MotionStatus.MOVING, 6.6)]
+)
+def test_where_motion_control_does_not_get_on_the_other_way_is_taken_and_kept(
+    begun: Any, state: int, seconds: float
+) -> None:
+    it = begun(room(TWO_DOORS), pose=(4.0, 2.4, 0.0))
+    it.give("movement", follow(BEYOND))
+    (straight,) = it.taken("plan")
+
+    stand_blocked(it, seconds, state)
+    (around,) = it.taken("plan")
+    it.wait(20.0)
+
+    assert straight.length < 4.1
+    assert planar_poses(around.poses)[:, 1].max() > 5.2
+    assert it.taken("plan") == []
+
+
+def test_where_there_is_no_other_way_motion_control_tries_on(begun: Any) -> None:
+    it = begun(room(DOOR), pose=(4.0, 2.4, 0.0))
+    it.give("movement", follow(BEYOND))
+    it.taken("plan")
+
+    stand_blocked(it, 10.0)
+    kept = it.taken("plan")
+    it.give("movement", stand(leg=2))
+    it.give("movement", follow(BEYOND, leg=3))
+
+    assert kept == []
+    assert [plan.outcome for plan in it.taken("plan")] == [Plan.FOUND]
+
+
+def test_a_robot_that_stands_for_an_input_that_is_missing_is_not_sent_another_way(
+    begun: Any,
+) -> None:
+    it = begun(room(TWO_DOORS), pose=(4.0, 2.4, 0.0))
+    it.give("movement", follow(BEYOND))
+    it.taken("plan")
+
+    stand_blocked(it, 10.0, MotionStatus.STOPPED)
+
+    assert it.taken("plan") == []
+
+
+def test_a_way_that_was_seen_blocked_is_not_taken_again_as_soon_as_it_is_out_of_view(
+    begun: Any,
+) -> None:
+    here, blocking = (3.0, 2.4, 0.0), (4.3, 2.0, 4.5, 2.8)
+    it = begun(room(TWO_DOORS), pose=here)
+    it.give("movement", follow(BEYOND))
+    stay(it, room([*TWO_DOORS, blocking]), 0.5, here)
+    around = it.taken("plan")[-1]
+
+    it.wait(20.0)  # seen no more, neither there nor gone
+    kept = it.taken("plan")
+    stay(it, room(TWO_DOORS), 2.0, here)
+
+    assert planar_poses(around.poses)[:, 1].max() > 5.2
+    assert kept == []
+    assert it.taken("plan")[-1].length < 5.1
 
 
 def test_a_map_that_has_grown_is_planned_on(begun: Any) -> None:
