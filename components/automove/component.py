@@ -50,7 +50,7 @@ class AutoMoveConfig(Config):
         ge=0,
         le=100,
         description="Recoveries without progress before it gives up; twice as many where the "
-        "robot is lost, three at most where the map has no way to the goal [1].",
+        "robot is lost, four at most where the map has no way to the goal [1].",
     )
     recoveries_per_goal: int = Field(
         30,

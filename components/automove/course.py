@@ -310,7 +310,7 @@ class Course:
         self.recoveries += 1
         self._sequence, self._trouble = sequence, trouble
         self._attempt = f"{what} ({self._tries} of {most}): {trouble}"
-        refuge = seen.trail.back() if what == "give way" else None
+        refuge = seen.trail.back(self.goal) if what == "give way" else None
         stays = what == "give way" and refuge is None
         behaviour = Movement.STAND if stays else BEHAVIOUR[what]
         self._want(now_s, MoveStatus.RECOVERING, behaviour, self._attempt)

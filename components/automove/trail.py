@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 
 from planar.poses import Pose, distance
@@ -27,8 +28,11 @@ class Trail:
         if gone >= _SPACING_M:
             self._places.append(pose)
 
-    def back(self) -> Pose | None:
-        """The last place that is far enough from here, else the farthest; None if all are near."""
+    def back(self, goal: Pose) -> Pose | None:
+        """The last place that is far enough from here, else the farthest; None if all are near.
+
+        There the robot faces its goal, to see when the way is free again.
+        """
         far = 0.0
         farthest = None
         for place in reversed(self._places):
@@ -37,4 +41,7 @@ class Trail:
                 far, farthest = apart, place
             if far >= _BACK_M:
                 break
-        return farthest if far >= _LEAST_M else None
+        if farthest is None or far < _LEAST_M:
+            return None
+        x, y, _ = farthest
+        return x, y, math.atan2(goal[1] - y, goal[0] - x)

@@ -164,7 +164,7 @@ def test_a_robot_that_moves_but_gets_no_nearer_recovers() -> None:
 
 
 @pytest.mark.parametrize(
-    ("outcome", "tries"), [(Plan.UNREACHABLE, 3), (Plan.GOAL_BLOCKED, 3), (Plan.START_BLOCKED, 6)]
+    ("outcome", "tries"), [(Plan.UNREACHABLE, 4), (Plan.GOAL_BLOCKED, 4), (Plan.START_BLOCKED, 6)]
 )
 def test_no_path_is_waited_for_and_then_told_in_the_planners_words(
     outcome: int, tries: int

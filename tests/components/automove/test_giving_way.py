@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 
 from components.automove.trail import Trail
@@ -35,9 +37,11 @@ def test_it_goes_back_along_its_way_waits_there_and_plans_to_its_goal_anew() -> 
     journey = gives_way()
     assert journey.tried == [Movement.STAND, Movement.FOLLOW]
     assert journey.course.behaviour == Movement.FOLLOW
-    assert journey.course.target == pytest.approx((8 * STEP, 0.0, 0.0))
+    x, y, theta = journey.course.target
+    assert (x, y) == pytest.approx((8 * STEP, 0.0))
+    assert theta == pytest.approx(math.atan2(4.0, 3.0 - x))  # it watches its goal from there
     assert journey.course.goal == (3.0, 4.0, 0.0)
-    assert journey.course.reason == "give way (2 of 3): no path: somebody is there"
+    assert journey.course.reason == "give way (2 of 4): no path: somebody is there"
 
     journey.run(4.0)
     assert journey.course.behaviour == Movement.FOLLOW
@@ -76,7 +80,7 @@ def test_it_waits_where_it_is_when_it_cannot_get_back_soon(there: dict[str, obje
 
     assert journey.course.state == MoveStatus.RECOVERING
     assert journey.course.behaviour == Movement.STAND
-    assert journey.course.reason.startswith("give way (2 of 3)")
+    assert journey.course.reason.startswith("give way (2 of 4)")
 
 
 def test_a_way_back_that_never_ends_is_given_up() -> None:
@@ -88,8 +92,9 @@ def test_a_way_back_that_never_ends_is_given_up() -> None:
 def test_a_robot_that_came_from_nowhere_waits_instead() -> None:
     journey = Journey()
     journey.plan = NO_WAY
-    journey.run(60.0)
-    assert journey.tried == [Movement.STAND, Movement.STAND, Movement.LOOK_AROUND]
+    journey.run(200.0)
+    stand, look = Movement.STAND, Movement.LOOK_AROUND
+    assert journey.tried == [stand, stand, look, look]
     assert journey.course.state == MoveStatus.FAILED
 
 
@@ -107,7 +112,7 @@ def back_from(*metres: float) -> Pose | None:
     trail = Trail()
     for x in metres:
         trail.note((x, 0.0, 0.0))
-    return trail.back()
+    return trail.back((9.0, 0.0, 1.0))
 
 
 def test_the_last_place_that_is_far_enough_is_gone_back_to() -> None:
