@@ -5,9 +5,10 @@ import logging
 import shutil
 import signal
 import sys
+import threading
 import time
-from collections.abc import Callable, Iterable
-from contextlib import ExitStack
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import ExitStack, contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any
@@ -36,6 +37,7 @@ from schemas.rcl_interfaces import Log
 _RUNS_KEPT = 20
 _REPORT_SETTING = "report"
 _CLOSING_TABLE = "report.txt"
+_LONG_IMPORT_S = 4.0
 
 
 def up(
@@ -65,7 +67,8 @@ def up(
             modules = [name for document in documents for name in modules_named(document)]
             zygote = stack.enter_context(started_zygote(modules))
         where = _report_setting(documents, folder)
-        deployment = assembled(sources, [*where, *(set_ or ())])
+        with _long_import_told():
+            deployment = assembled(sources, [*where, *(set_ or ())])
         _prepare(folder)
         title = f"{file.name}: robot {deployment.robot}" + (", lockstep" if lockstep else "")
         live = sys.stdout.isatty() and not plain
@@ -128,6 +131,23 @@ def _run_lockstep(
         for number, former in before.items():
             signal.signal(number, former)
         root_logger.removeHandler(handler)
+
+
+@contextmanager
+def _long_import_told() -> Iterator[None]:
+    """Say what is waited for while a deployment's check imports its plugins, if that is long."""
+    text = (
+        "importing the plugins; the first start after an installation compiles kernels, about a "
+        "minute"
+    )
+    timer = threading.Timer(_LONG_IMPORT_S, note, [text])
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+        timer.join()
 
 
 def _folder_of_run(file: Path) -> Path:

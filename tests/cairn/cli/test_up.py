@@ -1,5 +1,6 @@
 """`cairn up`: lines, lockstep, report, and how it ends."""
 
+import fcntl
 import os
 import pty
 import re
@@ -7,6 +8,7 @@ import select
 import subprocess
 import time
 from pathlib import Path
+from textwrap import dedent
 
 from tests.commands import cairn
 from tests.launching import CAIRN, LIMIT_S, Launching, free_port
@@ -38,6 +40,32 @@ def test_prints_lines_and_keeps_logs_in_the_report_folder(launch: Launching) -> 
     run.await_line("heard 20")  # lines of different processes come in no certain order
     assert "heard 20, the last was 20" in run.log_of("listener")
     assert "talker active" in run.log_of("root")
+
+
+def test_what_is_waited_for_is_told_once_while_plugins_take_long_to_import(
+    launch: Launching, tmp_path: Path
+) -> None:
+    module = """
+        import fcntl
+        from cairn.component.component import Component
+        with open({gate!r}) as gate:
+            fcntl.flock(gate, fcntl.LOCK_SH)
+        class Slow(Component):
+            def on_activate(self):
+                self.finish("done")
+        """
+    gate = tmp_path / "gate"
+    (tmp_path / "slow_plugin.py").write_text(dedent(module).format(gate=str(gate)))
+    with gate.open("w") as held:
+        fcntl.flock(held, fcntl.LOCK_EX)
+        run = launch(
+            "components: {slow: {plugin: slow_plugin:Slow, restart: transient, significant: true}}",
+            environment={"PYTHONPATH": str(tmp_path)},
+        )
+        run.await_line("importing the plugins; the first start after an installation compiles")
+
+    assert run.await_end() == 0
+    assert sum("importing the plugins" in line for line in run.lines) == 1
 
 
 def test_a_report_folder_is_used_again_without_the_old_logs(
