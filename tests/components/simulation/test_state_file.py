@@ -29,6 +29,7 @@ def test_it_goes_on_where_it_was(tmp_path: Path) -> None:
         before.walk(0.02)
         before.happen(number * 0.02)
     before.move("object_1", (6.0, 1.0, 3.1))
+    before.walkers[0].detour = [(2.0, 3.0, 4.0)]
     file.keep(before, 4.0)
 
     after = world()
