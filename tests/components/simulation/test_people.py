@@ -8,9 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from components.simulation.people import Walker
+from components.simulation.rays import clearance
 from components.simulation.world_file import Person
 
-OPEN = np.zeros((0, 4))
+OPEN, NOBODY = np.zeros((0, 4)), np.zeros((0, 3))
 STEP = 0.02
 RADIUS = 0.22
 
@@ -108,6 +109,7 @@ def test_no_standing_robot_holds_up_a_walker_in_a_room_for_ever(
     for begin in range(0, len(way), len(way) // 4):
         assert np.ptp(way[begin : begin + len(way) // 4], axis=0).max() > 1.0
     assert least_gap(one, way, robot) > 0.1 - 1e-9
+    assert min(clearance(x, y, walls, NOBODY)[0] for x, y in way[::10]) >= one.person.radius
 
 
 @given(
