@@ -37,6 +37,12 @@ class Rays:
         points[:, 1] += ranges * np.sin(angles)
         return points
 
+    def misses(self) -> tuple[Array, Array]:
+        """Where the rays that hit nothing within reach start and end: x, y (m, 2) [m] of both."""
+        missed = np.isposinf(self.ranges)
+        starts, angles = self.starts[missed], self.angles[missed]
+        return starts, starts + self.reach * np.column_stack((np.cos(angles), np.sin(angles)))
+
     def placed(self, base: Pose) -> Rays:
         """The rays in the frame in which the base was at `base` when the sweep ended."""
         x, y, turn = base

@@ -74,7 +74,9 @@ def navigation(
         )
         for seed in numbers
     ]
-    runs = _run(trials, workers or os.cpu_count() or 1, quiet=json)
+    logs = (out / "logs").absolute()
+    logs.mkdir(exist_ok=True)
+    runs = _run(trials, logs, workers or os.cpu_count() or 1, quiet=json)
     summary = summed_up(runs)
     _write(out, map_file, runs, summary)
     if json:
@@ -82,7 +84,7 @@ def navigation(
     else:
         for told in report_lines(world.name, runs, summary):
             line(told)
-        line(f"report: {out}/runs.json, {out}/tracks.png, {out}/ways.png")
+        line(f"report: {out}/runs.json, {out}/tracks.png, {out}/ways.png, {out}/logs")
     if summary.reached < summary.goals or summary.collisions or summary.failed:
         raise typer.Exit(1)
 
@@ -99,13 +101,13 @@ def _seeds(text: str) -> range:
     return range(begin, end + 1)
 
 
-def _run(trials: list[Trial], workers: int, *, quiet: bool) -> list[RunResult]:
+def _run(trials: list[Trial], logs: Path, workers: int, *, quiet: bool) -> list[RunResult]:
     runs: list[RunResult] = []
     with (
         TemporaryDirectory(prefix="cairn-evaluation-") as scratch,
         ProcessPoolExecutor(min(workers, len(trials)), mp_context=get_context("spawn")) as pool,
     ):
-        begun = [pool.submit(run_trial, trial, scratch) for trial in trials]
+        begun = [pool.submit(run_trial, trial, scratch, logs) for trial in trials]
         for trial, future in zip(trials, begun, strict=True):
             try:
                 run = future.result()

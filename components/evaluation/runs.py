@@ -7,6 +7,7 @@ import logging
 from dataclasses import dataclass
 from pathlib import Path
 
+from cairn.cli.log_file import log_file
 from cairn.deployment.load import load_deployment
 from cairn.deployment.model import Deployment
 from cairn.errors import CairnError
@@ -32,13 +33,15 @@ class Trial:
     sets: tuple[str, ...]
 
 
-def run_trial(trial: Trial, scratch: str) -> RunResult:
-    """Run it; raises `CairnError` if the deployment fails."""
+def run_trial(trial: Trial, scratch: str, logs: Path) -> RunResult:
+    """Run it, with its log in the folder `logs`; raises `CairnError` if the deployment fails."""
     folder = Path(scratch) / f"seed-{trial.seed}"
     folder.mkdir()
-    logging.getLogger("cairn").setLevel(logging.CRITICAL)  # failures are in the result
+    logging.getLogger("cairn").propagate = False  # a run's failures are in its log and its result
     result = folder / "result.json"
-    end = LockstepRun(examination(trial, folder, result), trial.seed).run(lambda: None)
+    run = LockstepRun(examination(trial, folder, result), trial.seed)
+    with log_file(logs / f"seed-{trial.seed}.log", run.executor.now):
+        end = run.run(lambda: None)
     if not end.normal or not result.exists():
         raise CairnError(end.reason)
     found = RunResult.model_validate_json(result.read_text(encoding="utf-8"))

@@ -16,7 +16,7 @@ from cairn.component.ports import In, Out
 from cairn.errors import CairnError
 from components.localizer.beginning import first_pose, pointed_out
 from components.localizer.config import LocalizerConfig
-from components.localizer.health import Health, without_scans
+from components.localizer.health import Health
 from components.localizer.localization import Localization
 from components.localizer.messages import (
     evidence_message,
@@ -29,6 +29,7 @@ from components.localizer.object_likelihood import Sighting
 from components.localizer.odometry import MeasuredTrack
 from components.localizer.order import Held
 from components.localizer.resume import save
+from components.localizer.scanner_watch import ScannerWatch
 from planar.grid import grid_of
 from planar.messages import packed_poses, planar_pose, with_covariance
 from planar.odometry import OdometryHistory
@@ -53,8 +54,6 @@ GAP_S = 1.5
 POSE_EVERY_S = 0.0999
 # While scans come at least this often [s], each gives a pose; else odometry does.
 SCANS_S = 0.5
-# Without scans for longer [s] the pose is less sure than it says.
-SILENT_S = 1.0
 # So many records of odometry in a row that are older than the newest: time was set back.
 OLDER_IN_A_ROW = 5
 # How far [m], [rad] the robot may have come while odometry jumped.
@@ -98,7 +97,8 @@ class Localizer(Component):
         self._localization = Localization(self.config.settings(), self._track, self.random)
         self._held: Held[LaserScan | list[Sighting]] = Held(self.config.hold_s)
         self._history = OdometryHistory(5 * SECOND)
-        self._published = self._scanned = self._measured = -math.inf
+        self._scanner = ScannerWatch()
+        self._published = self._scanned = -math.inf
         self._jumps = self._older = 0
 
     def on_parameters(self, new: Config) -> None:  # noqa: ARG002 - none can be changed
@@ -266,15 +266,10 @@ class Localizer(Component):
         ended = self._history.at(round(ends * SECOND))
         moved = (0.0, 0.0, 0.0) if began is None or ended is None else relative(began, ended)
         rays = rays_of(scan, self.config.mount.pose, moved)
-        points = rays.points()
-        if np.isnan(rays.ranges).all():
-            self._complaints.tell(
-                "blind", f"a scan on {self.scan.topic} holds no measurement at all"
-            )
         self._scanned = ends
-        if len(points):
-            self._measured = ends
-        found = self._localization.scan(ends, points)
+        found = self._localization.scan(ends, rays.points(), rays.misses())
+        if not self._scanner.note(ends, rays, self._localization.contradicted):
+            self._complaints.tell("blind", f"a scan on {self.scan.topic} tells nothing")
         if found:
             self._tell_found(ends)
         # Without odometry of its time nobody can tell where the odometry frame lies.
@@ -333,9 +328,8 @@ class Localizer(Component):
 
     def _tell_health(self, header: Header) -> None:
         health: Health = self._localization.health()
-        silent_s = self._track.latest - self._measured
-        if self._localization.map is not None and silent_s > SILENT_S:
-            health = without_scans(health, silent_s, self.scan.topic)
+        if self._localization.map is not None:
+            health = self._scanner.limited(health, self._track.latest, self.scan.topic)
         cloud = self._localization.bank.cloud
         located = self._localization.located
         pose = self._localization.pose() if located else None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 
 from components.localizer.particles import Estimate
@@ -14,7 +13,6 @@ _SPREAD_M, _HEADING, _FIT = (0.15, 0.60), (0.10, 0.50), (0.60, 0.25)
 FITS = 0.5
 # The most that a pose is worth which was found but may yet turn out to be another.
 _UNSURE = 0.45
-_NOT_SURE = "the robot was found but now, and other places are not ruled out yet"
 
 
 @dataclass(frozen=True)
@@ -56,17 +54,10 @@ def health_of(pose: Estimate, support: Support, fit: float | None) -> Health:
     return Health(value, reason if value < 1.0 else "", support, fit)
 
 
-def not_yet_sure(health: Health) -> Health:
-    """What is left of a health while other places explain what was seen nearly as well."""
+def not_yet_sure(health: Health, why: str) -> Health:
+    """What is left of a health while the robot may be somewhere else; `why` is a sentence."""
     value = min(health.value, _UNSURE)
-    return replace(health, value=value, reason=health.reason or _NOT_SURE)
-
-
-def without_scans(health: Health, silent_s: float, topic: str) -> Health:
-    """What is left of a health when no scan on `topic` has hit anything for some seconds."""
-    value = min(health.value, 0.5)
-    since = f"for {silent_s:.1f} s" if math.isfinite(silent_s) else "so far"
-    return replace(health, value=value, reason=f"no scan on {topic} that hit anything {since}")
+    return replace(health, value=value, reason=health.reason or why)
 
 
 def _between(measure: float, full: float, none: float) -> float:

@@ -84,6 +84,24 @@ class LikelihoodField:
             return math.nan
         return self.sigma * math.sqrt(float(np.mean(np.maximum(0.0, -2.0 * np.log(near)))))
 
+    def clear(self, pose: Pose, starts: Array, ends: Array) -> float:
+        """Share (0 to 1) of rays, from `starts` to `ends` (m, 2) [m, base frame], that meet no
+        obstacle; NaN without any.
+        """
+        if not len(starts):
+            return math.nan
+        met = _met(
+            pose[0],
+            pose[1],
+            pose[2],
+            np.ascontiguousarray(starts),
+            np.ascontiguousarray(ends),
+            self._obstacles,
+            self.frame.resolution,
+            *self.frame.origin,
+        )
+        return 1.0 - met / len(starts)
+
     def _each(self, pose: Pose, points: Array) -> NDArray[np.float32]:
         """The log-likelihood (m,) of each end point (m, 2) [m]."""
         each = np.empty(len(points), np.float32)
@@ -191,3 +209,41 @@ def _gather(
         column = min(max(column, 0.0), columns - 1.0)
         row = min(max(row, 0.0), rows - 1.0)
         each[b] = field[int(row), int(column)]
+
+
+@compiled(
+    "int64(float64, float64, float64, float64[:, ::1], float64[:, ::1], boolean[:, ::1], float64,"
+    " float64, float64, float64)"
+)
+def _met(
+    x: float,
+    y: float,
+    theta: float,
+    starts: Array,
+    ends: Array,
+    obstacles: NDArray[np.bool_],
+    resolution: float,
+    origin_x: float,
+    origin_y: float,
+    origin_theta: float,
+) -> int:
+    """How many of the rays meet an obstacle: looked for once in each length of a cell."""
+    rows, columns = obstacles.shape
+    dx, dy = x - origin_x, y - origin_y
+    across, along = math.sin(origin_theta), math.cos(origin_theta)
+    base_x = (along * dx + across * dy) / resolution
+    base_y = (along * dy - across * dx) / resolution
+    cosine, sine = math.cos(theta - origin_theta), math.sin(theta - origin_theta)
+    count = 0
+    for i in range(starts.shape[0]):
+        from_x, from_y = starts[i, 0] / resolution, starts[i, 1] / resolution
+        far_x, far_y = ends[i, 0] / resolution - from_x, ends[i, 1] / resolution - from_y
+        steps = int(math.hypot(far_x, far_y)) + 1
+        for k in range(steps + 1):
+            px, py = from_x + far_x * k / steps, from_y + far_y * k / steps
+            column = math.floor(base_x + cosine * px - sine * py)
+            row = math.floor(base_y + sine * px + cosine * py)
+            if 0 <= row < rows and 0 <= column < columns and obstacles[int(row), int(column)]:
+                count += 1
+                break
+    return count

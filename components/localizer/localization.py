@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from components.localizer.bank import Bank
 from components.localizer.cloud import Cloud
 from components.localizer.evidence import Evidence
-from components.localizer.health import FITS, LOST, Health, health_of, not_yet_sure
+from components.localizer.health import LOST, Health, health_of, not_yet_sure
 from components.localizer.judge import Judge, Judgement
 from components.localizer.motion import MotionModel, move_pose
 from components.localizer.object_likelihood import Landmark, Sighting
@@ -22,6 +22,7 @@ from components.localizer.particles import Estimate
 from components.localizer.recent import RecentSightings, Support
 from components.localizer.recent_scans import RecentScans
 from components.localizer.recovery import Recovery
+from components.localizer.scan_fit import ScanFit
 from components.localizer.scan_map import ScanMap
 from components.localizer.slip import SlipWatch
 from components.localizer.stated import StatedCovariance
@@ -30,11 +31,11 @@ from planar.poses import Pose
 
 Array = NDArray[np.float64]
 
-# Share of the newest scan in the running mean of how well scans fit.
-_NEWEST = 0.2
 # Where the robot may be anywhere, less of a scan counts: what no map holds (people, furniture that
 # was moved) fits some place or other by chance.
 _SEARCH_SHARE = 0.4
+# The starts and ends of no rays.
+NO_RAYS = (np.empty((0, 2)), np.empty((0, 2)))
 # Motion after which a scan tells something new [m], [rad]; of one that was taken on the spot
 # little counts, as its errors repeat.
 _NEW_M, _NEW_RAD, _ON_THE_SPOT = 0.15, 0.15, 0.03
@@ -93,7 +94,7 @@ class Localization:
         self.located = False
         self._sightings = RecentSightings()
         self._scans = RecentScans()
-        self._fit: float | None = None
+        self._fit = ScanFit()
         self._stated = StatedCovariance()
         self._reckoned: Pose = (0.0, 0.0, 0.0)
         self._moved_s = 0.0
@@ -159,6 +160,11 @@ class Localization:
             return known
         return Estimate(known.mean, self._stated.of(known, self.map.field.frame.resolution))
 
+    @property
+    def contradicted(self) -> bool:
+        """Whether the newest scan hit nothing, although the map has obstacles within its reach."""
+        return self._fit.contradicted
+
     def ahead(self, pose: Pose, stamp: float) -> Pose:
         """Where a robot that is at `pose` now is expected at the later time `stamp` [s]."""
         return move_pose(pose, self.track.preview(stamp))
@@ -168,16 +174,22 @@ class Localization:
         if not self.located:
             return LOST
         pose = self.bank.estimate()
-        health = health_of(pose, self._support(pose, None), self._fit)
-        sure = self.recovery.sure(self.track.integrated_to)
-        return health if sure else not_yet_sure(health)
+        health = health_of(pose, self._support(pose, None), self._fit.value)
+        doubt = self.recovery.doubts(self.track.integrated_to)
+        return not_yet_sure(health, doubt) if doubt else health
 
-    def scan(self, stamp: float, points: Array) -> bool:
+    def scan(self, stamp: float, points: Array, misses: tuple[Array, Array] = NO_RAYS) -> bool:
         """Fuse a scan of `stamp` [s], end points (m, 2) [m] in the base's frame; True if the robot
         was lost and has found itself.
+
+        `misses` are the starts and ends (m, 2) [m] of rays that hit nothing.
         """
         self.advance(stamp)
-        if self.map is None or not len(points):
+        if self.map is None:
+            return False
+        if not len(points):
+            if self.located:
+                self._fit.note(self.map.field, self.bank.estimate().mean, points, 0, *misses)
             return False
         chosen = self._chosen(points)
         self._scans.add(chosen, self._reckoned)
@@ -190,22 +202,24 @@ class Localization:
         self.bank.fuse_scan(lambda poses: share * scan_map.field.log_likelihood(poses, chosen))
         pose = self.bank.estimate()
         self._stated.corrected(before, pose, new)
-        slipped = self.slip.look(
-            pose, chosen, scan_map.field, self._share(len(chosen)), self._reckoned
-        )
+        slipped = None
+        # A robot that may be somewhere else altogether is looked for in all the map.
+        if self.recovery.sure(stamp):
+            slipped = self.slip.look(
+                pose, chosen, scan_map.field, self._share(len(chosen)), self._reckoned
+            )
         if slipped is not None:
             # What was seen before is tied to now by a motion that was not made.
             self._forget()
             self._settle(slipped)
-            self.recovery.doubt(stamp)
+            self.recovery.doubt(stamp, self._reckoned)
             self._scans.add(chosen, self._reckoned)
             pose = self.bank.estimate()
         self._stated.fitted(
             scan_map.field.deviation(pose.mean, chosen), scan_map.field.frame.resolution
         )
-        fit = scan_map.field.fit(pose.mean, chosen)
-        self._fit = fit if self._fit is None else (1 - _NEWEST) * self._fit + _NEWEST * fit
-        if self.recovery.suspects(self._fit):
+        self._fit.note(scan_map.field, pose.mean, chosen, len(points), *misses)
+        if self._fit.value is not None and self.recovery.suspects(self._fit.value):
             # What was seen before speaks of another place, should the robot have been carried.
             self._scans.clear()
             self._sightings.clear()
@@ -255,14 +269,11 @@ class Localization:
             pose, self._reckoned, self._moved_s, self.landmarks, left_out
         )
 
-    def _fits(self) -> bool:
-        return self._fit is not None and self._fit >= FITS
-
     def _vouched(self, support: Support) -> bool:
         """Whether scans or other objects speak for a pose."""
         if support.firm:
             return True
-        return self._fits() and support.contradicting <= max(1, support.agreeing)
+        return self._fit.vouches and support.contradicting <= max(1, support.agreeing)
 
     def _healthy(self, pose: Estimate, support: Support) -> tuple[bool, str]:
         limit = self.settings.healthy_spread_m
@@ -287,7 +298,7 @@ class Localization:
             pose,
             self.landmarks,
             self._vouched(support),
-            support.agreeing >= support.contradicting or self._fits(),
+            support.agreeing >= support.contradicting or self._fit.vouches,
             pose.spread <= self.settings.healthy_spread_m,
             lambda poses: evidence.log_likelihood(poses, object_id),
         )
@@ -327,12 +338,12 @@ class Localization:
 
     def _settle(self, poses: Array) -> None:
         self.bank.settle(poses)
-        self._fit = None
+        self._fit.forget()
         self._stated = StatedCovariance()
         self.located = True
 
     def _forget(self) -> None:
         self._sightings.clear()
         self._scans.clear()
-        self._fit = None
+        self._fit.forget()
         self._stated = StatedCovariance()

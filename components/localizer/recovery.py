@@ -19,18 +19,22 @@ Array = NDArray[np.float64]
 # A robot that was found is looked for anew this long [s]: it may have been found in a wrong place
 # that explains what little was seen.
 PROBATION_S = 30.0
-# So many looks must find it there again before that place is sure.
-_CONFIRMATIONS = 3
+# So many looks, from poses so far apart [m], must find it there again before that place is sure:
+# what a robot sees that stands does not get truer by being seen again. Or nothing may speak against
+# it on so long a way [m].
+_CONFIRMATIONS, _CONFIRMED_AFTER_M, _UNDISPUTED_M = 3, 0.2, 1.0
 # By so much [nats] another pose must explain the recent sightings better: errors that successive
 # sightings have in common are worth 2 to 4.
 BETTER = 6.0
-# By so much more of the scan another pose must fit.
-_FITS_BETTER = 0.15
-# Scans that fit less than this are a reason to look elsewhere now and then; less than that, to
-# do so at once and to forget what was seen before.
-_WARY, _SUSPICIOUS = 0.8, 0.5
+# Scans that fit less than this are a reason to look elsewhere now and then; less than that, or
+# than this share of what they usually do, to do so at once and to forget what was seen before.
+_WARY, _SUSPICIOUS, _OF_USUAL = 0.8, 0.5, 0.65
+# Share of the newest scan in how well they usually fit; of one that fits much worse, less: a
+# carried robot is not to get used to its wrong place.
+_NEWEST, _NEWEST_OF_BAD = 0.02, 0.001
 # How often to look [s].
 _WARY_EVERY_S, _EVERY_S = 3.0, 1.0
+_NOT_SURE = "the robot was found but now, and other places are not ruled out yet"
 
 
 class Recovery:
@@ -47,36 +51,59 @@ class Recovery:
         self._guess: tuple[Pose, Pose] | None = None  # and the dead-reckoned pose of that time
         self._probation_ends = -math.inf
         self._confirmations = _CONFIRMATIONS
-        self._fit = 1.0
+        self._confirmed_at: Pose = (0.0, 0.0, 0.0)  # dead-reckoned, as all poses here
+        self._found_at: Pose = (0.0, 0.0, 0.0)
+        self._away_m = 0.0
+        self._fit = self._usual = 1.0
 
     def believe(self) -> None:
         """Take the robot's place as known."""
         self._probation_ends = -math.inf
         self._confirmations = _CONFIRMATIONS
-        self._fit = 1.0
+        self._fit = self._usual = 1.0
         self._guess = self._places = None
 
     def sure(self, stamp: float) -> bool:
         """Whether no other place than where the robot was found is likely any more."""
-        return self._confirmations >= _CONFIRMATIONS or stamp >= self._probation_ends
+        return not self.doubts(stamp)
 
-    def doubt(self, stamp: float) -> None:
-        """Look for the robot for a while, as at `stamp` [s] it was found where it may not be."""
+    def doubts(self, stamp: float) -> str:
+        """Why the robot may be somewhere else, in words; "" if nothing speaks for that."""
+        if self._suspicious:
+            return f"scans fit the map by {self._fit:.0%}, usually by {self._usual:.0%}"
+        if self._confirmations >= _CONFIRMATIONS:
+            return ""
+        undisputed = stamp >= self._probation_ends and self._away_m >= _UNDISPUTED_M
+        return "" if undisputed else _NOT_SURE
+
+    def doubt(self, stamp: float, now: Pose) -> None:
+        """Look for the robot for a while, as at `stamp` [s] it was found where it may not be.
+
+        `now` is the dead-reckoned pose.
+        """
         self._probation_ends = stamp + PROBATION_S
         self._confirmations = 0
-        self._fit = 1.0
+        self._confirmed_at = self._found_at = now
+        self._away_m = 0.0
+        self._fit = self._usual = 1.0
 
     def suspects(self, fit: float) -> bool:
         """Take how well scans fit of late; True when the robot seems to be somewhere else now."""
-        before, self._fit = self._fit, fit
-        return fit < _SUSPICIOUS <= before
+        before, self._fit = self._suspicious, fit
+        newest = _NEWEST if fit >= 0.8 * self._usual else _NEWEST_OF_BAD
+        self._usual += newest * (fit - self._usual)
+        return self._suspicious and not before
+
+    @property
+    def _suspicious(self) -> bool:
+        return self._fit < max(_SUSPICIOUS, _OF_USUAL * self._usual)
 
     def due(self, stamp: float, contradicted: bool) -> bool:
         """Whether to search at `stamp` [s]; `contradicted` by an object seen just now."""
         since = stamp - self._searched_at
-        if contradicted or self._fit < _SUSPICIOUS:
+        if contradicted or self._suspicious:
             return since >= _EVERY_S
-        if stamp < self._probation_ends:
+        if not self.sure(stamp):
             return since >= 2.0 * _EVERY_S
         return self._fit < _WARY and since >= _WARY_EVERY_S
 
@@ -95,7 +122,7 @@ class Recovery:
         if found.share >= 0.9 and (firm or (waited >= 15.0 and not evidence.scanned)):
             # Two modes take turns while little was seen: believe the one that stays.
             if self._again(found.pose.mean, evidence.now):
-                self.doubt(stamp)
+                self.doubt(stamp, evidence.now)
                 return found.poses
         elif (
             not evidence.scanned
@@ -104,36 +131,47 @@ class Recovery:
         ):
             # One place alone leaves an arc around it open; its width is stated, and the filter
             # narrows it sooner than waiting does.
-            self.doubt(stamp)
+            self.doubt(stamp, evidence.now)
             return found.everywhere
         return None
 
     def recover(self, stamp: float, evidence: Evidence, here: Estimate) -> Array | None:
         """Poses (3, n) of a robot believed to be `here`, if it is clearly somewhere else."""
         self._searched_at = stamp
+        self._away_m = max(self._away_m, distance(evidence.now, self._found_at))
         found = self._search(evidence)
-        if found is None or found.share < 0.9 or found.pose.spread > 0.5:
+        if found is None or found.pose.spread > 0.5:
             self._confirmations = 0
             return None
         if _close(here.mean, found.pose.mean):
-            self._confirmations += 1
+            self._confirm(found.share >= 0.9, evidence.now)
             return None
         self._confirmations = 0
-        support = found.support
-        if support.contradicting > support.agreeing:
-            return None
-        fits = evidence.scanned and found.fit >= max(FITS, evidence.fit(here) + _FITS_BETTER)
-        if not fits and support.agreeing < 2:
-            return None
         score = evidence.log_likelihood(np.asarray(here.mean)[:, None])
         if found.score - float(score[0]) < BETTER:
+            return None
+        # As long as another place explains more, time does not make this one sure.
+        self._probation_ends = stamp + PROBATION_S
+        support = found.support
+        if found.share < 0.9 or support.contradicting > support.agreeing:
+            return None
+        fits = evidence.scanned and found.fit >= max(FITS, evidence.fit(here))
+        if not fits and support.agreeing < 2:
             return None
         # Places that look alike take turns, as long as little was seen: believe the one that stays.
         again = self._again(found.pose.mean, evidence.now)
         if not again and support.agreeing < 2:
             return None
-        self.doubt(stamp)
+        self.doubt(stamp, evidence.now)
         return found.poses
+
+    def _confirm(self, clearly: bool, now: Pose) -> None:
+        """Note that a look found the robot where it is believed to be."""
+        if not clearly:
+            self._confirmations = 0
+        elif distance(now, self._confirmed_at) >= _CONFIRMED_AFTER_M:
+            self._confirmations += 1
+            self._confirmed_at = now
 
     def _again(self, pose: Pose, now: Pose) -> bool:
         """Whether the last look found the robot where it is found now, carried on by odometry."""

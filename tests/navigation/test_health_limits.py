@@ -2,16 +2,28 @@
 
 from pathlib import Path
 
+import numpy as np
+
 from components.automove.component import AutoMoveConfig
-from components.localizer.health import Health, not_yet_sure, without_scans
+from components.localizer.health import Health, not_yet_sure
 from components.localizer.recent import Support
+from components.localizer.scanner_watch import ScannerWatch
 from components.map_builder.component import MapBuilderConfig
 from components.motion_control.config import MotionControlConfig
 from components.path_planner.config import PathPlannerConfig
+from planar.sweep import Rays
 
 BEST = Health(1.0, "", Support(0, 0), None)
-JUST_FOUND = not_yet_sure(BEST).value
-BLIND = without_scans(BEST, 2.0, "scan").value
+JUST_FOUND = not_yet_sure(BEST, "why").value
+
+
+def out_of_reach() -> float:
+    """The health of a robot whose scanner reaches nothing."""
+    watch, ranges = ScannerWatch(), np.full(60, np.inf)
+    watch.note(2.0, Rays(np.zeros((60, 2)), np.zeros(60), ranges, 10.0), contradicted=False)
+    return watch.limited(BEST, 2.0, "scan").value
+
+
 AUTOMOVE, MOTION = AutoMoveConfig(), MotionControlConfig()
 
 
@@ -21,7 +33,7 @@ def test_a_robot_just_found_may_move_but_has_not_arrived() -> None:
 
 
 def test_a_robot_whose_scans_hit_nothing_may_arrive() -> None:
-    assert AUTOMOVE.sure_health <= BLIND
+    assert AUTOMOVE.sure_health <= out_of_reach()
 
 
 def test_whoever_motion_control_takes_for_lost_is_looked_for() -> None:
@@ -31,4 +43,4 @@ def test_whoever_motion_control_takes_for_lost_is_looked_for() -> None:
 
 def test_neither_draws_into_the_map() -> None:
     builder = MapBuilderConfig(grid_file=Path("map.yaml"))
-    assert max(JUST_FOUND, BLIND) < builder.least_health
+    assert max(JUST_FOUND, out_of_reach()) < builder.least_health

@@ -94,7 +94,7 @@ def trial(*sets: str) -> Trial:
     )
 
 
-def as_told(trial: Trial, scratch: str) -> RunResult:
+def as_told(trial: Trial, scratch: str, logs: Path) -> RunResult:
     """A run by the number of its seed; called in processes of their own."""
     if trial.seed == 9:
         raise ValueError("this seed went wrong")
@@ -144,7 +144,7 @@ def test_a_run_that_fails_does_not_lose_the_others(
     trials = [replace(trial(), seed=seed) for seed in (0, 9, 1)]
     monkeypatch.setattr(cli, "run_trial", as_told)
 
-    runs = cli._run(trials, 1, quiet=True)
+    runs = cli._run(trials, tmp_path, 1, quiet=True)
 
     assert [(run.seed, len(run.goals)) for run in runs] == [(0, 1), (9, 0), (1, 2)]
     assert [bool(run.failure) for run in runs] == [False, True, False]

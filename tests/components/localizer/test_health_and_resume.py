@@ -6,11 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from components.localizer.health import health_of, not_yet_sure, without_scans
+from components.localizer.health import health_of, not_yet_sure
 from components.localizer.particles import Estimate
 from components.localizer.recent import Support
 from components.localizer.resume import resumed, save
+from components.localizer.scanner_watch import ScannerWatch
 from planar.poses import Pose
+from planar.sweep import Rays
 
 LOG = logging.getLogger(__name__)
 NOTHING = Support(0, 0)
@@ -49,18 +51,43 @@ def test_objects_that_contradict_weigh_less_where_the_scan_fits() -> None:
     assert health_of(pose(), Support(0, 3), None).value == 0.0
 
 
-def test_what_is_not_sure_or_not_scanned_is_worth_half_at_most() -> None:
+def test_what_is_not_sure_is_worth_half_at_most() -> None:
     well = health_of(pose(), NOTHING, 0.9)
     ill = health_of(pose(spread_m=0.55), NOTHING, 0.9)
 
-    assert not_yet_sure(well).value < 0.5
-    assert "not ruled out" in not_yet_sure(well).reason
-    assert not_yet_sure(ill) == ill
-    silent = without_scans(well, 3.2, "/robot/scan")
-    assert (silent.value, silent.reason) == (
-        0.5,
-        "no scan on /robot/scan that hit anything for 3.2 s",
-    )
+    assert not_yet_sure(well, "why").value < 0.5
+    assert not_yet_sure(well, "why").reason == "why"
+    assert not_yet_sure(ill, "why") == ill
+
+
+def rays(hits: int, misses: int, unknown: int) -> Rays:
+    ranges = np.repeat([2.0, np.inf, np.nan], [hits, misses, unknown])
+    return Rays(np.zeros((ranges.size, 2)), np.zeros(ranges.size), ranges, 10.0)
+
+
+@pytest.mark.parametrize(
+    ("seen", "contradicted", "least", "most", "why"),
+    [
+        (rays(20, 40, 0), False, 1.0, 1.0, ""),
+        (rays(0, 60, 0), False, 0.5, 0.5, "no scan on /scan that hits anything for 2.0 s"),
+        (rays(0, 60, 0), True, 0.0, 0.2, "no scan on /scan that tells anything for 2.0 s"),
+        (rays(0, 0, 60), False, 0.0, 0.2, "no scan on /scan that tells anything for 2.0 s"),
+        (rays(0, 0, 0), False, 0.0, 0.2, "no scan on /scan that tells anything for 2.0 s"),
+        (rays(1, 0, 59), False, 0.0, 0.2, "no scan on /scan that tells anything for 2.0 s"),
+    ],
+)
+def test_the_less_scans_tell_the_less_the_pose_is_worth(
+    seen: Rays, contradicted: bool, least: float, most: float, why: str
+) -> None:
+    well, watch = health_of(pose(), NOTHING, 0.9), ScannerWatch()
+    watch.note(8.0, rays(60, 0, 0), contradicted=False)
+
+    for tenth in range(20):
+        watch.note(8.1 + 0.1 * tenth, seen, contradicted)
+    found = watch.limited(well, 10.0, "/scan")
+
+    assert least <= found.value <= most
+    assert found.reason == why
 
 
 def test_the_last_pose_is_carried_on_by_odometry(tmp_path: Path) -> None:
