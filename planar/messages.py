@@ -8,8 +8,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planar import poses
-from schemas.geometry_msgs import Point, Pose, PoseWithCovariance, Quaternion
+from schemas.geometry_msgs import (
+    Point,
+    Pose,
+    PoseWithCovariance,
+    Quaternion,
+    Transform,
+    TransformStamped,
+    Vector3,
+)
 from schemas.packed import Packed
+from schemas.std_msgs import Header
 
 Array = NDArray[np.float64]
 
@@ -31,6 +40,17 @@ def planar_pose(pose: Pose) -> poses.Pose:
     q = pose.orientation
     yaw = math.atan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y * q.y + q.z * q.z))
     return pose.position.x, pose.position.y, yaw
+
+
+def transform_message(header: Header, child_frame: str, pose: poses.Pose) -> TransformStamped:
+    """Where a frame is in that of the header: `pose`."""
+    there = pose_message(pose)
+    translation = Vector3(x=there.position.x, y=there.position.y)
+    return TransformStamped(
+        header=header,
+        child_frame_id=child_frame,
+        transform=Transform(translation=translation, rotation=there.orientation),
+    )
 
 
 def with_covariance(pose: poses.Pose, covariance: Array) -> PoseWithCovariance:

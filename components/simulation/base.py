@@ -12,14 +12,16 @@ from cairn.component.parameters import Config, ParameterRefused
 from cairn.component.ports import In, Out
 from components.simulation.encoders import EncoderErrors, Encoders
 from components.simulation.wheels import BaseLimits, Wheels
-from planar.messages import with_covariance
+from planar.messages import transform_message, with_covariance
 from schemas.cairn_sim_msgs import WheelMotion
 from schemas.geometry_msgs import Twist, TwistWithCovariance, Vector3
 from schemas.nav_msgs import Odometry
 from schemas.std_msgs import Header
+from schemas.tf2_msgs import TFMessage
 
 # A step longer than this [s] was held up: meanwhile the wheels stood.
 _LONGEST_S = 0.1
+_ODOM, _BASE = "odom", "base_link"  # frames
 
 
 class SimulatedBaseConfig(Config):
@@ -49,13 +51,15 @@ class SimulatedBaseConfig(Config):
 class SimulatedBase(Component):
     """Carries out velocity commands in the simulated world; tells what its wheels measured.
 
-    The wheels stop when commands go stale.
+    It tells that as odometry and as transform `odom` to `base_link`. The wheels stop when commands
+    go stale.
     """
 
     config: SimulatedBaseConfig
 
     cmd_vel: In[Twist] = In(qos=SENSOR)
     odom: Out[Odometry] = Out(qos=RELIABLE.with_depth(1000))
+    tf: Out[TFMessage]
     wheel_motion: Out[WheelMotion] = Out(qos=RELIABLE.with_depth(200))
 
     def on_configure(self) -> None:
@@ -105,13 +109,16 @@ class SimulatedBase(Component):
             WheelMotion(header=Header(stamp=stamp), seconds=seconds, forward=forward, turn=turn)
         )
         seen_forward, seen_turn = self._encoders.speeds(forward, turn)
+        header = Header(stamp=stamp, frame_id=_ODOM)
         self.odom.publish(
             Odometry(
-                header=Header(stamp=stamp, frame_id="odom"),
-                child_frame_id="base_link",
+                header=header,
+                child_frame_id=_BASE,
                 pose=with_covariance(self._encoders.pose, self._encoders.covariance),
                 twist=TwistWithCovariance(
                     twist=Twist(linear=Vector3(x=seen_forward), angular=Vector3(z=seen_turn))
                 ),
             )
         )
+        there = transform_message(header, _BASE, self._encoders.pose)
+        self.tf.publish(TFMessage(transforms=(there,)))

@@ -18,9 +18,13 @@ from cairn.errors import CairnError
 from components.simulation.scanner_models import MODELS
 from components.simulation.scanning import Beams, Faults, sweep
 from components.simulation.watching import WorldWatch, composed
+from planar.messages import transform_message
 from schemas.cairn_sim_msgs import Scene, WorldState
 from schemas.sensor_msgs import LaserScan
 from schemas.std_msgs import Header
+from schemas.tf2_msgs import TFMessage
+
+_FRAME = "laser"
 
 ModelName = Literal["URG-04LX", "URG-04LX-UG01", "UTM-30LX", "UST-10LX", "UST-20LX", "PBS-03JN"]
 
@@ -58,6 +62,7 @@ class SimulatedScanner(Component):
     world_state: In[WorldState] = In(qos=RELIABLE.with_depth(200))
     scene: In[Scene] = In(qos=LATCHED)
     scan: Out[LaserScan] = Out(qos=SENSOR)
+    tf_static: Out[TFMessage] = Out(qos=LATCHED)
 
     def on_configure(self) -> None:
         """Lay out the beams."""
@@ -83,7 +88,10 @@ class SimulatedScanner(Component):
             )
 
     def on_activate(self) -> None:
-        """Begin to turn."""
+        """Tell where it sits on the robot; begin to turn."""
+        header = Header(stamp=from_ns(self.clock.now()), frame_id="base_link")
+        mounted = transform_message(header, _FRAME, self.config.mount.pose)
+        self.tf_static.publish(TFMessage(transforms=(mounted,)))
         self._due = self.clock.now() + self._period
         self.schedule(self._due, self._sweep)
 
@@ -118,7 +126,7 @@ class SimulatedScanner(Component):
         skip = self.config.skip
         self.scan.publish(
             LaserScan(
-                header=Header(stamp=from_ns(began), frame_id="laser"),
+                header=Header(stamp=from_ns(began), frame_id=_FRAME),
                 angle_min=float(beams.angles[0]),
                 angle_max=float(beams.angles[-1]),
                 angle_increment=skip * model.increment,

@@ -5,7 +5,7 @@ from typing import Any
 
 import yaml
 
-from cairn.bus.qos import SENSOR
+from cairn.bus.qos import LATCHED, SENSOR
 from cairn.clock import SECOND, to_ns
 from cairn.component.component import Component
 from components.simulation.base import SimulatedBase
@@ -20,6 +20,7 @@ from schemas.cairn_sim_msgs import WorldState
 from schemas.geometry_msgs import PoseStamped, Twist, Vector3
 from schemas.nav_msgs import Odometry
 from schemas.sensor_msgs import LaserScan
+from schemas.tf2_msgs import TFMessage
 from tests.cairn.component.running import Lockstep, Placed, taken
 from tests.components.simulation.worlds import box
 
@@ -45,8 +46,10 @@ class Simulation:
             "objects": RecognizedObjectArray,
             "collisions": Collision,
             "world_state": WorldState,
+            "tf": TFMessage,
         }
         self._readers = {name: self.lockstep.read(name, kind) for name, kind in topics.items()}
+        self._readers["tf_static"] = self.lockstep.read("tf_static", TFMessage, qos=LATCHED)
         slip = {"slip": NO_SLIP} if exact else {}
         self.world = self._add(SimulatedWorld, world=str(self.file), **slip)
         self.base = self._add(SimulatedBase, **(EXACT if exact else {}))

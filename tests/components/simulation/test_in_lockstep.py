@@ -18,6 +18,7 @@ from components.simulation.scene import Scene
 from components.simulation.world_file import read_world
 from planar.messages import planar_pose
 from planar.poses import compose, distance, wrap
+from schemas.geometry_msgs import Vector3
 from tests.components.simulation.stage import (
     OBJECTS,
     TABLE,
@@ -42,6 +43,34 @@ def test_truth_and_odometry_tell_the_same_way_at_the_same_times(begin: Begin) ->
         assert wrap(there[2] - truth[stamp][2]) == pytest.approx(0, abs=1e-9)
     way = [distance(truth[a], truth[b]) for a, b in pairwise(together)]
     assert sum(way) > 1.0
+
+
+def test_each_odometry_is_a_transform_too(begin: Begin) -> None:
+    simulation = begin()
+    script(simulation)
+    odometry, told = simulation.taken("odom"), simulation.taken("tf")
+
+    assert len(told) == len(odometry) > 300
+    for odom, message in zip(odometry, told, strict=True):
+        (transform,) = message.transforms
+        assert transform.header == odom.header
+        assert (transform.header.frame_id, transform.child_frame_id) == ("odom", "base_link")
+        place, turned = odom.pose.pose.position, odom.pose.pose.orientation
+        assert transform.transform.translation == Vector3(x=place.x, y=place.y)
+        assert transform.transform.rotation == turned
+
+
+def test_the_scanners_place_on_the_robot_is_a_static_transform(begin: Begin) -> None:
+    simulation = begin()
+    simulation.drive(1.0, 0.0, 0.0)
+    (message,) = simulation.taken("tf_static")
+    scan = simulation.taken("scan")[-1]
+
+    (transform,) = message.transforms
+    assert transform.header.frame_id == simulation.taken("odom")[-1].child_frame_id
+    assert transform.child_frame_id == scan.header.frame_id
+    assert transform.transform.translation == Vector3(x=0.1)
+    assert 2 * math.asin(transform.transform.rotation.z) == pytest.approx(0.2)
 
 
 def test_scans_show_the_world_from_where_the_robot_was_at_each_beam(begin: Begin) -> None:
