@@ -14,6 +14,9 @@ from schemas.sensor_msgs import LaserScan
 
 Array = NDArray[np.float64]
 
+# A scan of which less than this share of the rays tells anything tells nothing.
+_LEAST = 0.1
+
 
 @dataclass(frozen=True)
 class Rays:
@@ -36,6 +39,12 @@ class Rays:
         points[:, 0] += ranges * np.cos(angles)
         points[:, 1] += ranges * np.sin(angles)
         return points
+
+    @property
+    def tell(self) -> bool:
+        """Whether at least a tenth of the rays tells anything."""
+        known = int(np.count_nonzero(~np.isnan(self.ranges)))
+        return known > 0 and known >= _LEAST * self.ranges.size
 
     def misses(self) -> tuple[Array, Array]:
         """Where the rays that hit nothing within reach start and end: x, y (m, 2) [m] of both."""

@@ -10,10 +10,8 @@ import numpy as np
 from components.localizer.health import Health
 from planar.sweep import Rays
 
-# For so long [s] a scanner may tell nothing, or hit nothing.
-_SILENT_S = 1.0
-# A scan of which less than this share of the beams tells anything tells nothing.
-_LEAST = 0.1
+# For so long [s] scans may tell nothing, and may hit nothing or not come at all.
+_UNTOLD_S, _SILENT_S = 0.6, 1.0
 # The most that a pose is worth without scans that hit anything, and without such as tell anything.
 _NO_HITS, _BLIND = 0.5, 0.2
 
@@ -23,14 +21,15 @@ class ScannerWatch:
 
     def __init__(self) -> None:
         self._told = self._hit = -math.inf
+        self._blind = False
 
     def note(self, stamp: float, rays: Rays, contradicted: bool) -> bool:
         """Take a scan of that time [s]; False if it tells nothing.
 
         `contradicted`: it hit nothing, although the map has obstacles within its reach.
         """
-        known = int(np.count_nonzero(~np.isnan(rays.ranges)))
-        if contradicted or known == 0 or known < _LEAST * rays.ranges.size:
+        self._blind = contradicted or not rays.tell
+        if self._blind:
             return False
         self._told = stamp
         if np.isfinite(rays.ranges).any():
@@ -39,12 +38,12 @@ class ScannerWatch:
 
     def limited(self, health: Health, now: float, topic: str) -> Health:
         """What is left of a health at the time `now` [s] with the scans on `topic`."""
-        for since, what, most in (
-            (now - self._told, "tells", _BLIND),
-            (now - self._hit, "hits", _NO_HITS),
-        ):
-            if since > _SILENT_S:
-                how_long = f"for {since:.1f} s" if math.isfinite(since) else "so far"
-                why = f"no scan on {topic} that {what} anything {how_long}"
-                return replace(health, value=min(health.value, most), reason=why)
-        return health
+        if self._blind and now - self._told > _UNTOLD_S:
+            most, since, what = _BLIND, now - self._told, "tells"
+        elif now - self._hit > _SILENT_S:
+            most, since, what = _NO_HITS, now - self._hit, "hits"
+        else:
+            return health
+        how_long = f"for {since:.1f} s" if math.isfinite(since) else "so far"
+        why = f"no scan on {topic} that {what} anything {how_long}"
+        return replace(health, value=min(health.value, most), reason=why)

@@ -74,6 +74,7 @@ class MotionControl(Component):
         self._paused_until, self._pause = 0, ""
         self._commanded_at = 0
         self._view = (0.0, math.pi)
+        self._scan_told = True
         self._around: Surroundings | None = None
         self._motion = Motion(state=State.STANDING, reason="nothing is wanted yet")
         self._told: tuple[int, State] | None = None
@@ -147,8 +148,12 @@ class MotionControl(Component):
         robot, end = self._whereabouts.odom(stamp), self._whereabouts.odom(ended)
         if robot is None or end is None:
             return
-        self._freshness.note("scan", stamp, self.clock.now())
         rays = rays_of(scan, self._mount, relative(robot, end)).placed(end)
+        if rays.tell:
+            self._freshness.note("scan", stamp, self.clock.now())
+        elif self._scan_told:
+            self.log.warning("the beams of the scan on %s tell nothing", self.scan.topic)
+        self._scan_told = rays.tell
         self._space.add(stamp, robot, rays)
         self._space.expect(self._movers.see(stamp, rays, self._whereabouts.turn))
         self._view = _view(scan, self._mount)
@@ -274,7 +279,10 @@ class MotionControl(Component):
         if self._done:
             return Motion(state=State.DONE, reason=self._motion.reason)
         stale = self._freshness.complaint("odom", self.odom.topic, timeouts.odom, now)
-        stale = stale or self._freshness.complaint("scan", self.scan.topic, timeouts.scan, now)
+        what = "scan" if self._scan_told else "scan that tells anything"
+        stale = stale or self._freshness.complaint(
+            "scan", self.scan.topic, timeouts.scan, now, what
+        )
         if not stale and now < self._paused_until:
             stale = self._pause
         if not stale and movement.behaviour == Movement.FOLLOW:

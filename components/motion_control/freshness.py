@@ -19,12 +19,12 @@ class Freshness:
             newest = 0
         self._times[name] = max(min(stamp, now), newest)
 
-    def complaint(self, name: str, topic: str, timeout_s: float, now: int) -> str:
-        """Why an input is too old, with its age and topic; empty if it is not."""
+    def complaint(self, name: str, topic: str, timeout_s: float, now: int, called: str = "") -> str:
+        """Why an input, `called` so in words, is too old, with its age and topic; else empty."""
         time = self._times.get(name)
         if time is None:
-            return f"no {name} yet on {topic}"
+            return f"no {called or name} yet on {topic}"
         if began_anew(time, now):
-            return f"no {name} since time was set back on {topic}"
+            return f"no {called or name} since time was set back on {topic}"
         age = (now - time) / SECOND
-        return "" if age <= timeout_s else f"no {name} for {age:.2f} s on {topic}"
+        return "" if age <= timeout_s else f"no {called or name} for {age:.2f} s on {topic}"

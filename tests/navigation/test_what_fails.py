@@ -1,14 +1,21 @@
 """Inputs that cease, components that begin anew, maps that are none."""
 
+import math
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from PIL import Image
 
+from cairn.bus.qos import SENSOR
 from cairn.errors import CairnError
+from planar.poses import distance
 from schemas.cairn_nav_msgs import MotionStatus, MoveStatus
+from schemas.sensor_msgs import LaserScan
+from tests.navigation.deployed import taken
 from tests.navigation.driving import DEPLOY, STOPS_S, Drive
 
 DriveOf = Callable[..., Drive]
@@ -43,6 +50,48 @@ def test_a_scanner_that_stays_silent_ends_the_order_with_its_name(drive: DriveOf
     assert end.state == MoveStatus.FAILED
     assert re.match(r"no scan for \d+\.\d+ s on /robot/scan", end.reason)
     assert robot.stands()
+
+
+def spoilt(scan: LaserScan, how: str) -> LaserScan:
+    ranges = np.full(scan.ranges.size, math.inf if how == "hits nothing" else math.nan, np.float32)
+    return replace(scan, ranges=ranges[:0] if how == "no beams" else ranges)
+
+
+@pytest.mark.parametrize("how", ["unknown", "no beams", "hits nothing"])
+def test_scans_that_tell_nothing_stop_the_robot_before_what_it_cannot_see(
+    drive: DriveOf, how: str
+) -> None:
+    scanner = "components.range_scanner.topics.scan=true_scan"
+    robot = drive(scanner, "external_topics=[scan]")
+    scans, spoils = robot.read("true_scan", LaserScan), False
+
+    def relay(seconds: float) -> None:
+        for _ in range(round(seconds / 0.05)):
+            robot.wait(0.05)
+            for scan in taken(scans):
+                robot.publish("scan", spoilt(scan, how) if spoils else scan, SENSOR)
+
+    relay(1.0)
+    robot.go(7.0, 5.0)
+    relay(4.0)
+    assert robot.states()[-1] == MoveStatus.DRIVING
+    spoils = True
+    relay(0.2)
+    x, y, theta = robot.truth
+    ahead = (x + 1.4 * math.cos(theta), y + 1.4 * math.sin(theta))
+    robot.ask("world", "furniture", name="barrier", x=ahead[0], y=ahead[1], size=[0.4, 0.4])
+    relay(6.0)
+
+    assert robot.collisions == []
+    assert robot.statuses[-1].state != MoveStatus.SUCCEEDED
+    assert re.search(
+        r"no scan( on /robot/scan)? that tells anything for", robot.statuses[-1].reason
+    )
+    spoils = False
+    before = robot.truth
+    relay(20.0)
+    assert distance(before, robot.truth) > 0.5
+    assert robot.collisions == []
 
 
 @pytest.mark.parametrize(
