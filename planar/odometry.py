@@ -6,12 +6,11 @@ from bisect import bisect_right
 from collections import deque
 from enum import Enum, auto
 
-from cairn.clock import SECOND
 from planar.poses import Pose, between, compose, inverse
 
 # Drivers that stamp from several threads, or in batches, mix up a period or two of their 20 Hz or
 # more; for no longer than this [ns] a robot stands still in its history when time is set back.
-_DISORDER_NS = SECOND // 10
+_DISORDER_NS = 100_000_000
 
 
 def began_anew(newest: int, stamp: int) -> bool:
