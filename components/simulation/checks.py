@@ -8,15 +8,16 @@ import shapely
 
 from cairn.errors import CairnError
 from components.simulation.recognition import BEHIND_M
-from components.simulation.scene import TOUCH_M, Scene
-from components.simulation.world_file import Event, Person, VisibleObject, Wall, WorldFile
+from components.simulation.scene import Scene
+from components.simulation.walls import gaps_around, wall_problems
+from components.simulation.world_file import Event, Person, VisibleObject, WorldFile
 from planar.poses import Pose, compose
 
 
 def problems_of(world: WorldFile, radius: float) -> list[str]:
     """What is wrong with a world for a robot of `radius` [m], each as a sentence."""
     scene = Scene.of(world)
-    problems = _double_walls(world.walls)
+    problems = wall_problems(world.walls)
     later = set(scene.furniture)
     for name in scene.furniture:
         try:
@@ -27,8 +28,9 @@ def problems_of(world: WorldFile, radius: float) -> list[str]:
     if problems:
         return problems  # the rest would only follow from these
     robot = world.robot.pose
-    problems += _refused(scene, "robot: it", robot, radius)
-    if not problems:  # else all objects might be outside, too
+    problems += _refused(scene, robot, radius)
+    if not problems:  # else all might be outside, too
+        problems += _outside(scene)
         problems += [told for thing in world.objects for told in _hidden(scene, thing)]
     for person in world.people:
         problems += way_problems(scene, person)
@@ -59,12 +61,24 @@ def way_problems(scene: Scene, person: Person) -> list[str]:
     return problems
 
 
-def _refused(scene: Scene, what: str, place: Pose, radius: float) -> list[str]:
+def _refused(scene: Scene, robot: Pose, radius: float) -> list[str]:
     try:
-        scene.refuse_place(what, place[0], place[1], radius)
+        scene.refuse_place("robot: it", robot[0], robot[1], radius)
     except CairnError as error:
-        return [str(error)]
+        outside = scene.outside(robot[0], robot[1], radius)
+        gaps = gaps_around(scene, robot, radius) if outside else []
+        return [f"the walls leave a gap {gap}; close it" for gap in gaps] or [str(error)]
     return []
+
+
+def _outside(scene: Scene) -> list[str]:
+    problems = []
+    for name in scene.furniture:
+        try:
+            scene.refuse_outside(name)
+        except CairnError as error:
+            problems.append(str(error))
+    return problems
 
 
 def _hidden(scene: Scene, thing: VisibleObject) -> list[str]:
@@ -90,32 +104,6 @@ def _on_robot(person: Person, robot: Pose, radius: float) -> list[str]:
     if shapely.Point(x, y).distance(shapely.Point(robot[0], robot[1])) >= radius + person.radius:
         return []
     return [f"{person.name} begins at ({x:g}, {y:g}), on the robot; move one of them"]
-
-
-def _double_walls(walls: list[Wall]) -> list[str]:
-    """Walls that lie on one another for more than a touch."""
-    pieces = [
-        (number, shapely.LineString([begin, end]))
-        for number, wall in enumerate(walls, start=1)
-        for begin, end in zip(wall.points, wall.points[1:], strict=False)
-    ]
-    problems = []
-    for i, (number, piece) in enumerate(pieces):
-        if piece.length == 0:
-            x, y = piece.coords[0]
-            problems.append(
-                f"wall {number} has the point ({x:g}, {y:g}) twice in a row; leave one out"
-            )
-            continue
-        for other_number, other in pieces[i + 1 :]:
-            common = piece.intersection(other)
-            if common.length > TOUCH_M:
-                where = common.centroid
-                problems.append(
-                    f"wall {number} and wall {other_number} lie on one another at "
-                    f"({where.x:.2f}, {where.y:.2f}); leave one out"
-                )
-    return problems
 
 
 def _event_problems(world: WorldFile, scene: Scene) -> list[str]:

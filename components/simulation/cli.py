@@ -18,10 +18,12 @@ from cairn.cli.connection import (
     connected,
     resolve,
 )
-from cairn.cli.tables import line, show
+from cairn.cli.tables import line, note, show
 from cairn.errors import CairnError
 from components.simulation.checks import problems_of
 from components.simulation.pictures import draw_world
+from components.simulation.scene import Scene
+from components.simulation.walls import cut_off
 from components.simulation.world_file import read_world
 
 app = typer.Typer(
@@ -53,6 +55,11 @@ def check(file: File, radius: Radius = 0.22) -> None:
         f"{file}: {len(world.walls)} walls, {len(world.furniture)} pieces of furniture, "
         f"{len(world.objects)} objects, {len(world.people)} people, {len(world.events)} events"
     )
+    for part in cut_off(Scene.of(world), world.robot.pose, radius):
+        note(
+            f"{file}: warning: {part.area:.1f} m2 around ({part.x:.2f}, {part.y:.2f}) cannot be "
+            f"reached from the start by a robot of {radius:g} m radius"
+        )
 
 
 @app.command()
@@ -110,8 +117,9 @@ def add(
     y: Y,
     theta: Theta = "0",
     size: Annotated[
-        str, typer.Option(metavar="WIDTH,DEPTH", help="Of a piece of furniture [m].")
-    ] = "0.5,0.5",
+        str | None,
+        typer.Option(metavar="WIDTH,DEPTH", help="Of a piece of furniture [m]; else 0.5,0.5."),
+    ] = None,
     as_object: Annotated[
         int | None, typer.Option("--object", metavar="ID", help="Add an object of this number.")
     ] = None,
@@ -122,13 +130,12 @@ def add(
     """Add a piece of furniture, or an object that faces along its heading."""
     given: dict[str, Any] = {"name": name, **_place(x, y, theta)}
     if as_object is not None:
+        if size is not None:
+            raise CairnError("--object has no --size: give one of them; objects are 0.3 m wide")
         _ask("object", {**given, "id": as_object}, connect, domain, robot)
     else:
-        try:
-            width, depth = (float(part) for part in size.split(","))
-        except ValueError:
-            raise CairnError(f"--size {size}: write it as WIDTH,DEPTH, such as 0.5,0.4") from None
-        _ask("furniture", {**given, "size": [width, depth]}, connect, domain, robot)
+        both = _pair(size or "0.5,0.5", "--size {}: write it as WIDTH,DEPTH, such as 0.5,0.4")
+        _ask("furniture", {**given, "size": both}, connect, domain, robot)
     line(f"{name} added")
 
 
@@ -136,19 +143,15 @@ def add(
 def person(
     name: Name,
     places: Annotated[list[str], typer.Argument(help="Where they walk.", metavar="X,Y...")],
-    speed: Annotated[float, typer.Option(min=0.0, max=3.0, help="Walking speed [m/s].")] = 0.8,
+    speed: Annotated[float, typer.Option(help="Walking speed, 0 to 3 [m/s].")] = 0.8,
     connect: Connect = DEFAULT_CONNECT,
     domain: Domain = 0,
     robot: Robot = "",
 ) -> None:
     """Let somebody come who walks from place to place."""
-    waypoints = []
-    for place in places:
-        try:
-            px, py = (float(part) for part in place.split(","))
-        except ValueError:
-            raise CairnError(f"{place}: write a place as X,Y, such as 2.5,3") from None
-        waypoints.append([px, py])
+    if not math.isfinite(speed):
+        raise CairnError(f"--speed {speed} is not a finite number")
+    waypoints = [_pair(place, "{}: write a place as X,Y, such as 2.5,3") for place in places]
     given = {"name": name, "waypoints": waypoints, "speed": speed}
     _ask("person", given, connect, domain, robot)
     line(f"{name} comes")
@@ -189,11 +192,23 @@ def _place(x: str, y: str, theta: str) -> dict[str, float]:
     return {"x": _number(x), "y": _number(y), "theta": math.remainder(heading, 2 * math.pi)}
 
 
+def _pair(text: str, told: str) -> list[float]:
+    """Two numbers with a comma between; `told` is what to say of anything else."""
+    parts = text.split(",")
+    if len(parts) != 2:
+        raise CairnError(told.format(text))
+    try:
+        pair = [_number(part) for part in parts]
+    except CairnError as error:
+        raise CairnError(f"{told.format(text)} ({error})") from None
+    return pair
+
+
 def _number(text: str) -> float:
     try:
         value = float(text)
     except ValueError:
         raise CairnError(f"{text!r} is not a number") from None
     if not math.isfinite(value):
-        raise CairnError(f"{text}: give a finite number")
+        raise CairnError(f"{text} is not a finite number")
     return value

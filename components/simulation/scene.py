@@ -19,6 +19,8 @@ from planar.poses import Pose, compose
 SURFACES: dict[Surface, int] = {"plain": 0, "dark": 1, "glass": 2}
 # Things that overlap by less than this [m] touch each other.
 TOUCH_M = 0.02
+# Less room than this [m^2] between furniture and walls is no place within the walls.
+_ROOM_M2 = 0.01
 
 
 @dataclass(frozen=True)
@@ -60,7 +62,7 @@ class Scene:
     def moved(self, poses: Mapping[str, Pose]) -> Scene:
         """With furniture and objects put elsewhere, all at once.
 
-        `CairnError` if there is no such thing, or it would overlap another.
+        `CairnError` if there is no such thing, or it would overlap another or be outside.
         """
         new = self
         for name, (x, y, theta) in poses.items():
@@ -68,6 +70,7 @@ class Scene:
             new = new._with(thing.model_copy(update={"x": x, "y": y, "theta": theta}))
         for name in poses:
             new.refuse_overlaps(name)
+            new.refuse_outside(name)
         return new
 
     def without(self, name: str) -> Scene:
@@ -81,7 +84,7 @@ class Scene:
         )
 
     def joined(self, thing: Furniture | VisibleObject) -> Scene:
-        """With something new; `CairnError` if its name or number is taken, or it overlaps."""
+        """With something new; `CairnError` if its name or id is taken, or it cannot be there."""
         if isinstance(thing, VisibleObject):
             twins = [name for name, one in self.objects.items() if one.id == thing.id]
             if twins:
@@ -90,6 +93,7 @@ class Scene:
             raise CairnError(f"there is a {thing.called} already; give another name")
         new = self._with(thing)
         new.refuse_overlaps(thing.called)
+        new.refuse_outside(thing.called)
         return new
 
     def refuse_overlaps(self, name: str, but: Collection[str] = ()) -> None:
@@ -115,6 +119,24 @@ class Scene:
                 raise CairnError(
                     f"{name} overlaps {other} at ({where.x:.2f}, {where.y:.2f}); move one of them"
                 )
+
+    def refuse_outside(self, name: str) -> None:
+        """`CairnError` if a piece of furniture stands wholly outside of the walls."""
+        piece, shape = self.furniture.get(name), self.shapes.get(name)
+        if piece is None or shape is None:
+            return
+        around = self._around(0.0)
+        others = [its_shape for other, its_shape in self.shapes.items() if other != name]
+        without = _beyond(others, around, 0.0)
+        if not without.covers(shape.representative_point()):
+            return
+        # What closes a gap in the walls, as a door does, stands neither outside nor inside.
+        behind = without.difference(_beyond(list(self.shapes.values()), around, 0.0))
+        if behind.difference(shape.buffer(2 * TOUCH_M)).area < _ROOM_M2:
+            raise CairnError(
+                f"{name} cannot be at ({piece.x:.2f}, {piece.y:.2f}): that is outside of the "
+                "walls, or they leave a gap; choose a place within, or close them"
+            )
 
     @cached_property
     def standing(self) -> Standing:
@@ -173,14 +195,15 @@ class Scene:
 
     def outside(self, x: float, y: float, radius: float) -> bool:
         """Whether something of that radius [m] could go from there to beyond the walls."""
-        solid = shapely.union_all(list(self.shapes.values()))
-        left, bottom, right, top = solid.buffer(2.0 * radius + 1.0).bounds
-        around = shapely.box(left, bottom, right, top)
-        spot, corner = shapely.Point(x, y), shapely.Point(left, bottom)
-        # Lines part the plane only with some width.
-        parts = shapely.get_parts(around.difference(solid.buffer(max(radius, 0.01))))
-        beyond = next(part for part in parts if part.covers(corner))
+        spot, around = shapely.Point(x, y), self._around(radius)
+        beyond = _beyond(list(self.shapes.values()), around, radius)
         return bool(beyond.covers(spot) or not around.covers(spot))
+
+    def _around(self, radius: float) -> shapely.Polygon:
+        """A rectangle around all, with room outside for something of that radius [m]."""
+        return shapely.box(
+            *shapely.union_all(list(self.shapes.values())).buffer(2 * radius + 1).bounds
+        )
 
     def _with(self, thing: Furniture | VisibleObject) -> Scene:
         version = self.version + 1
@@ -194,6 +217,15 @@ class Scene:
         if thing is None:
             raise unknown(name, self.names)
         return thing
+
+
+def _beyond(shapes: list[BaseGeometry], around: shapely.Polygon, radius: float) -> BaseGeometry:
+    """Where something of that radius [m] could be, coming from beyond all shapes."""
+    # Lines part the plane only with some width.
+    solid = shapely.union_all(shapes).buffer(max(radius, 0.01))
+    corner = shapely.Point(around.bounds[:2])
+    parts: list[BaseGeometry] = list(shapely.get_parts(around.difference(solid)))
+    return next(part for part in parts if part.covers(corner))
 
 
 def _shrink(shape: BaseGeometry) -> float:

@@ -11,6 +11,7 @@ import numpy as np
 from cairn.errors import CairnError
 from components.simulation.checks import problems_of
 from components.simulation.scene import Scene
+from components.simulation.walls import gaps_around
 from components.simulation.world_file import WorldFile, read_world
 from planar.grid import FREE, OCCUPIED, UNKNOWN, Frame, Grid, OccupancyCells
 from schemas.cairn_msgs import VisualMap, VisualObject
@@ -66,7 +67,9 @@ def grid_of_world(world: WorldFile, resolution: float = RESOLUTION) -> Occupancy
     cv2.floodFill(reached, None, start[::-1], 2, flags=4)
     border = np.concatenate((reached[[0, -1]].ravel(), reached[:, [0, -1]].ravel()))
     if np.any(border == 2):
-        raise CairnError("the walls leave a gap to the outside; close it, `cairn world draw` shows")
+        gaps = gaps_around(scene, world.robot.pose, 0.0)
+        where = " and one ".join(map(str, gaps)) or "to the outside"
+        raise CairnError(f"the walls leave a gap {where}; close it")
     cells[reached == 2] = FREE
     cells[(solid == 1)] = OCCUPIED
     return Grid(cells, frame)

@@ -18,6 +18,7 @@ from cairn.component.ports import In, Out
 from cairn.errors import CairnError
 from components.simulation.checks import problems_of
 from components.simulation.messages import scene_message, true_map
+from components.simulation.refusals import what_is_wrong
 from components.simulation.state_file import StateFile
 from components.simulation.world import Contact, Slip, World
 from components.simulation.world_file import (
@@ -28,7 +29,6 @@ from components.simulation.world_file import (
     Placed,
     VisibleObject,
     read_world,
-    what_is_wrong,
 )
 from planar.messages import planar_pose, pose_message
 from planar.poses import Pose
@@ -80,6 +80,16 @@ class _NamedPlace(Placed):
     """The same, and where it is put."""
 
     name: Name
+
+
+_CHANGES: dict[str, type[Config]] = {
+    "move": _NamedPlace,
+    "remove": _Named,
+    "furniture": Furniture,
+    "object": VisibleObject,
+    "person": Person,
+    "kidnap": Placed,
+}
 
 
 class SimulatedWorld(Component):
@@ -177,42 +187,29 @@ class SimulatedWorld(Component):
         """Look at the world or change it: list, move, remove, add, person, kidnap."""
         if verb == "list" and not arguments:
             return self._listed()
-        change = {
-            "move": self._move,
-            "remove": self._remove,
-            "furniture": self._furniture,
-            "object": self._object,
-            "person": self._person,
-            "kidnap": self._kidnap,
-        }.get(verb)
-        if change is None:
+        model = _CHANGES.get(verb)
+        if model is None:
             return super().on_request(verb, arguments)
         try:
-            change(arguments)
+            self._change(model.model_validate(arguments))
         except ValidationError as error:
-            raise CairnError(f"{verb}: {what_is_wrong(error)}") from error
+            raise CairnError(f"{verb}: {what_is_wrong(error, model)}") from error
         if self._world.scene.version != self._told_version:
             self._tell_scene()
         return None
 
-    def _move(self, given: Mapping[str, Any]) -> None:
-        there = _NamedPlace.model_validate(given)
-        self._world.move(there.name, there.pose)
-
-    def _remove(self, given: Mapping[str, Any]) -> None:
-        self._world.remove(_Named.model_validate(given).name)
-
-    def _furniture(self, given: Mapping[str, Any]) -> None:
-        self._world.add(Furniture.model_validate(given))
-
-    def _object(self, given: Mapping[str, Any]) -> None:
-        self._world.add(VisibleObject.model_validate(given))
-
-    def _person(self, given: Mapping[str, Any]) -> None:
-        self._world.add_person(Person.model_validate(given))
-
-    def _kidnap(self, given: Mapping[str, Any]) -> None:
-        self._world.carry(Placed.model_validate(given).pose)
+    def _change(self, given: Config) -> None:
+        match given:
+            case _NamedPlace():
+                self._world.move(given.name, given.pose)
+            case _Named():
+                self._world.remove(given.name)
+            case Furniture() | VisibleObject():
+                self._world.add(given)
+            case Person():
+                self._world.add_person(given)
+            case Placed():
+                self._world.carry(given.pose)
 
     def _listed(self) -> list[dict[str, Any]]:
         world = self._world

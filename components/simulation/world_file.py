@@ -12,6 +12,7 @@ from pydantic import Field, ValidationError, model_validator
 
 from cairn.component.parameters import Config
 from cairn.errors import CairnError
+from components.simulation.refusals import what_is_wrong
 
 Metres = Annotated[float, Field(ge=-10_000, le=10_000)]
 Length = Annotated[float, Field(gt=0, le=1000)]
@@ -171,14 +172,7 @@ def read_world(file: Path) -> WorldFile:
     try:
         return WorldFile.model_validate(found)
     except ValidationError as error:
-        raise CairnError(f"{file}: {what_is_wrong(error)}") from error
-
-
-def what_is_wrong(error: ValidationError) -> str:
-    """What a model does not take, in one line: where, the value, and what it must be."""
-    return "; ".join(
-        _told(one["loc"], one["msg"], one["type"], one["input"]) for one in error.errors()
-    )
+        raise CairnError(f"{file}: {what_is_wrong(error, WorldFile)}") from error
 
 
 class _OneKeyLoader(yaml.SafeLoader):
@@ -194,15 +188,3 @@ class _OneKeyLoader(yaml.SafeLoader):
                 )
             seen.add(str(key.value))
         return super().construct_mapping(node, deep)
-
-
-def _told(place: tuple[int | str, ...], why: str, kind: str, given: object) -> str:
-    path = ""
-    for part in place:
-        path += f"[{part}]" if isinstance(part, int) else f".{part}" if path else part
-    why = why.removeprefix("Value error, ")
-    why = {"missing": "must be given", "extra_forbidden": "there is no such key"}.get(
-        kind, f"{why[0].lower()}{why[1:]}"
-    )
-    shown = "" if kind in ("missing", "value_error") else f" = {str(given)[:60]!r}"
-    return f"{path}{shown}: {why}" if path else why

@@ -1,5 +1,6 @@
 """Wrong world files are refused with file, place, value and remedy."""
 
+import math
 import re
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from tests.components.simulation.worlds import RADIUS, box
 WORLDS = Path(__file__).parents[3] / "deploy" / "worlds"
 DESK = {"name": "desk", "x": 1.0, "y": 1.0, "size": [0.8, 0.6]}
 
+LEFT = {"robot": {"x": 1.0, "y": 2.0}}
 KNOT = [[0, 0], [1, 1], [1, 0], [0, 1]]
 
 UNREADABLE: dict[str, tuple[str, str]] = {
@@ -40,7 +42,25 @@ def test_a_file_that_is_no_world_is_told_with_its_place(case: str, tmp_path: Pat
 
 
 WRONG: dict[str, tuple[dict[str, Any], str]] = {
-    "an unknown key": ({"colour": "red"}, "colour = 'red': there is no such key"),
+    "an unknown key": ({"colour": "red"}, "colour = 'red': there is no such key; expected one of"),
+    "a key misspelt": ({"furnitures": []}, "there is no such key; did you mean furniture?"),
+    "a key misspelt within": (
+        {"events": [{"at": 1, "add_furniture": {**DESK, "sise": [1, 1]}}]},
+        r"events\[0\].add_furniture.sise = .*; did you mean size",
+    ),
+    "a wall without its key": (
+        {"walls": [[[0, 0], [1, 1]]]},
+        r"walls\[0\] = .*: must be a mapping with the keys points, ",
+    ),
+    "a wall of one point": (
+        {"walls": [{"points": [[0, 0]]}]},
+        r"points = .*: must have at least 2 items, not 1$",
+    ),
+    "degrees": ({"robot": {"x": 1, "y": 1, "theta": "9deg"}}, "theta = '9deg': must be a number"),
+    "a mirror": (
+        {"walls": [{"points": [[0, 0], [1, 0]], "surface": "mirror"}]},
+        "surface = 'mirror': must be 'plain', 'dark' or 'glass'",
+    ),
     "a number that is none": ({"robot": {"x": float("nan"), "y": 1}}, "robot.x = 'nan': "),
     "furniture without shape": (
         {"furniture": [{"name": "desk", "x": 1, "y": 1}]},
@@ -48,7 +68,7 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "a size below nothing": (
         {"furniture": [{**DESK, "size": [0.8, -1]}]},
-        r"furniture\[0\].size\[1\] = '-1': input should be greater than 0",
+        r"furniture\[0\].size\[1\] = '-1': must be greater than 0",
     ),
     "a name with spaces": ({"furniture": [{**DESK, "name": "my desk"}]}, r"furniture\[0\].name = "),
     "twin names": ({"furniture": [DESK, DESK]}, "several things are called desk"),
@@ -106,7 +126,41 @@ IMPOSSIBLE: dict[str, tuple[dict[str, Any], str]] = {
     "the robot outside": ({"robot": {"x": 9, "y": 9}}, "outside of the walls"),
     "an open world": (
         {"walls": [{"points": [[0, 0], [6, 0], [6, 4], [0, 4], [0, 1]]}]},
-        "they leave a gap; choose a place within, or close them",
+        r"the walls leave a gap of 1.00 m from \(0.00, 0.00\) to \(0.00, 1.00\); close it",
+    ),
+    "an open world with a door within": (
+        {"walls": [
+            {"points": [[0, 0], [6, 0], [6, 4], [0, 4], [0, 2]]},
+            {"points": [[3, 0], [3, 1.5]]}, {"points": [[3, 2.5], [3, 4]]}], **LEFT},
+        r"the walls leave a gap of 2.00 m from \(0.00, 0.00\) to \(0.00, 2.00\); close it$",
+    ),
+    "a wall that ends before another": (
+        {"walls": [{"points": [[0, 0], [6, 0], [6, 4]]}, {"points": [[5, 4], [0, 4], [0, 0]]}]},
+        r"the walls leave a gap of 1.00 m from .*\(6.00, 4.00\).*; close it$",
+    ),
+    "a world with two gaps": (
+        {"walls": [{"points": [[0, 0], [6, 0], [6, 3]]}, {"points": [[6, 4], [0, 4], [0, 1]]}]},
+        r"gap of 1.00 m from .*; close it; the walls leave a gap of 1.00 m from .*; close it$",
+    ),
+    "a wall that crosses itself": (
+        {"walls": [{"points": [[0, 0], [6, 4], [6, 0], [0, 4], [0, 0]]}], **LEFT},
+        r"wall 1 crosses itself at \(3.00, 2.00\); mend the order of its points",
+    ),
+    "a wall beside another": (
+        {"walls": [*box()["walls"], {"points": [[1, 0.01], [4, 0.01]]}]},
+        r"wall 2 runs less than 0.02 m beside wall 1 at \(2.50, 0.01\)",
+    ),
+    "furniture outside": (
+        {"furniture": [{**DESK, "x": 9}]},
+        r"desk cannot be at \(9.00, 1.00\): that is outside of the walls",
+    ),
+    "furniture that leans on the outside": (
+        {"furniture": [{**DESK, "x": 6.4}]},
+        r"desk cannot be at \(6.40, 1.00\): that is outside of the walls",
+    ),
+    "an event that puts furniture outside": (
+        {"furniture": [DESK], "events": [{"at": 5, "move": "desk", "to": {"x": 9, "y": 2}}]},
+        r"the event at 5 s cannot happen: desk cannot be at \(9.00, 2.00\)",
     ),
     "an object inside furniture": (
         {"furniture": [DESK], "objects": [{"id": 4, "x": 1.0, "y": 1.0}]},
@@ -163,6 +217,38 @@ def test_a_world_that_cannot_be_is_told_and_not_run(case: str, tmp_path: Path) -
 @pytest.mark.parametrize("name", ["room", "office", "hall"])
 def test_our_worlds_are_possible(name: str) -> None:
     assert problems_of(read_world(WORLDS / f"{name}.yaml"), RADIUS) == []
+
+
+def test_walls_may_meet_at_any_angle_and_furniture_may_close_them() -> None:
+    """A wall bent inwards, a part of a circle, a narrow wedge, a door in the outer wall."""
+    corners = [[0, 0], [6, 0], [6, 4], [3, 4], [3, 2]]
+    arc = [[1.0 + 0.5 * math.cos(a / 9), 3.0 + 0.5 * math.sin(a / 9)] for a in range(40)]
+    walls = [
+        {"points": corners}, {"points": [[3, 4], [1, 4]]}, {"points": [[0, 4], [0, 0]]},
+        {"points": arc}, {"points": [[6, 0], [4, 0.3]]},
+    ]  # fmt: skip
+    door = {"name": "door", "x": 0.5, "y": 4.0, "size": [1.0, 0.1]}
+    world = WorldFile.model_validate(
+        {"walls": walls, "furniture": [door], "robot": {"x": 2.0, "y": 1.0}}
+    )
+
+    assert problems_of(world, RADIUS) == []
+
+
+@pytest.mark.parametrize(("until", "warned"), [(4.0, True), (3.6, True), (3.5, False)])
+def test_check_warns_of_what_the_robot_cannot_reach(
+    until: float, warned: bool, tmp_path: Path
+) -> None:
+    file = tmp_path / "world.yaml"
+    walls = [*box()["walls"], {"points": [[3, 0], [3, until]]}]
+    file.write_text(yaml.safe_dump({"walls": walls, **LEFT}))
+
+    answer = cairn("world", "check", str(file))
+
+    assert answer.code == 0
+    assert answer.out.startswith(f"{file}: 2 walls")
+    assert ("12.0 m2 around (4.50, " in answer.err) == warned
+    assert ("cannot be reached from the start by a robot of 0.22 m radius" in answer.err) == warned
 
 
 def test_touching_is_not_overlapping() -> None:
