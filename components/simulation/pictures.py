@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+import shapely
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon
@@ -14,6 +16,7 @@ from components.simulation.scene import corners_of
 from components.simulation.world_file import WorldFile
 
 _COLOURS = {"plain": "tab:gray", "dark": "black", "glass": "tab:cyan"}
+_WIDTH_IN, _LABEL_PT, _ARROW_M = 9.0, 7.0, 0.35
 
 
 def draw_world(world: WorldFile, radius: float, file: Path) -> None:
@@ -21,7 +24,7 @@ def draw_world(world: WorldFile, radius: float, file: Path) -> None:
     points = np.array([point for wall in world.walls for point in wall.points])
     (left, bottom), (right, top) = points.min(axis=0), points.max(axis=0)
     width, height = right - left, top - bottom
-    figure = Figure(figsize=(9.0, max(3.0, 9.0 * height / width)), layout="constrained")
+    figure = Figure(figsize=(_WIDTH_IN, max(3.0, _WIDTH_IN * height / width)), layout="constrained")
     axes = figure.add_subplot()
     for wall in world.walls:
         xs, ys = zip(*wall.points, strict=True)
@@ -29,9 +32,10 @@ def draw_world(world: WorldFile, radius: float, file: Path) -> None:
     for piece in world.furniture:
         colour = _COLOURS[piece.surface]
         axes.add_patch(Polygon(corners_of(piece), facecolor=colour, alpha=0.4, edgecolor=colour))
-        axes.text(piece.x, piece.y, piece.name, ha="center", va="center", fontsize=7)
+    for name, (x, y) in label_places(world, (width + 1.0) / _WIDTH_IN).items():
+        axes.text(x, y, name, ha="center", va="center", fontsize=_LABEL_PT)
     for thing in world.objects:
-        _arrow(axes, thing.pose, 0.35, "tab:red")
+        _arrow(axes, thing.pose, _ARROW_M, "tab:red")
         axes.text(thing.x, thing.y, f"  {thing.id}", color="tab:red", fontsize=8)
     for person in world.people:
         xs, ys = zip(*person.waypoints, person.waypoints[0], strict=True)
@@ -45,6 +49,43 @@ def draw_world(world: WorldFile, radius: float, file: Path) -> None:
     axes.set_xlabel("x [m]")
     axes.set_ylabel("y [m]")
     figure.savefig(file, dpi=100)
+
+
+def label_places(world: WorldFile, metres_per_inch: float) -> dict[str, tuple[float, float]]:
+    """The middle of each piece of furniture's name [m]: on it if it is large enough, else beside.
+
+    Beside it is where the name covers no other piece, name or object, if there is such a place.
+    """
+    outlines = {piece.name: shapely.Polygon(corners_of(piece)) for piece in world.furniture}
+    point = metres_per_inch / 72.0
+    high, gap = 1.2 * _LABEL_PT * point, 0.3 * _LABEL_PT * point
+    objects = [shapely.Point(thing.x, thing.y).buffer(_ARROW_M) for thing in world.objects]
+    taken = [*outlines.values(), *objects]
+    places = {}
+    for name, outline in outlines.items():
+        left, bottom, right, top = outline.bounds
+        wide = 0.6 * _LABEL_PT * len(name) * point
+        x, y = (left + right) / 2, (bottom + top) / 2
+        if right - left < wide or top - bottom < 1.5 * high:
+            off_x, off_y = (right - left + wide) / 2 + gap, (top - bottom + high) / 2 + gap
+            around = [
+                (x + right_of * off_x, y + above * off_y)
+                for right_of, above in ((1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, -1))
+            ]
+            covered = [_covered(_box(place, wide, high), taken) for place in around]
+            x, y = around[covered.index(min(covered))]
+            taken.append(_box((x, y), wide, high))
+        places[name] = (x, y)
+    return places
+
+
+def _box(middle: tuple[float, float], wide: float, high: float) -> shapely.Polygon:
+    x, y = middle
+    return shapely.box(x - wide / 2, y - high / 2, x + wide / 2, y + high / 2)
+
+
+def _covered(box: shapely.Polygon, taken: Sequence[shapely.Polygon]) -> float:
+    return float(sum(box.intersection(one).area for one in taken))
 
 
 def _arrow(axes: Axes, pose: tuple[float, float, float], length: float, colour: str) -> None:

@@ -10,6 +10,7 @@ import yaml
 
 from cairn.errors import CairnError
 from components.simulation.checks import problems_of
+from components.simulation.pictures import label_places
 from components.simulation.world_file import WorldFile, read_world
 from tests.commands import cairn
 from tests.components.simulation.worlds import RADIUS, box
@@ -270,6 +271,26 @@ def test_check_counts_and_draw_writes_a_picture(tmp_path: Path) -> None:
     wrong = cairn("world", "draw", str(file), str(tmp_path / "world.xyz"))
     assert wrong.code == 1
     assert "cannot be written" in wrong.err
+
+
+def test_names_stand_beside_small_furniture_and_cover_nothing() -> None:
+    legs = [
+        {"name": f"table_leg{k}", "x": 2.0 + 0.4 * (k % 2), "y": 1.0 + 0.6 * (k // 2),
+         "size": [0.05, 0.05]}
+        for k in range(4)
+    ]  # fmt: skip
+    sofa = {"name": "sofa", "x": 4.0, "y": 3.0, "size": [1.5, 0.8]}
+    world = WorldFile.model_validate(box(furniture=[*legs, sofa]))
+
+    places = label_places(world, 0.8)
+
+    assert places["sofa"] == (4.0, 3.0)
+    wide, high = 0.4, 0.08  # about what a name takes [m] at that scale
+    for name, (x, y) in places.items():
+        for leg in legs:
+            assert abs(x - leg["x"]) > wide / 2 or abs(y - leg["y"]) > high / 2
+        for other, (other_x, other_y) in places.items():
+            assert other == name or abs(x - other_x) > wide or abs(y - other_y) > high
 
 
 def test_events_within_closed_walls_can_happen() -> None:
