@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from components.motion_control.config import MotionControlConfig
+from components.path_planner.config import PathPlannerConfig
 from components.path_planner.cost_map import CostMap, Costs
 from components.path_planner.planning import Answer, Outcome, Planner, Route
 from planar.grid import OccupancyCells
@@ -246,3 +248,9 @@ def test_a_goal_in_what_only_the_scanner_sees_is_told_as_such() -> None:
 
     assert answer.outcome is Outcome.GOAL_BLOCKED
     assert "the goal (5.40, 3.10) is too near to what the scanner sees" in answer.reason
+
+
+def test_planner_and_motion_control_take_the_same_robot_and_margin() -> None:
+    planner, control = PathPlannerConfig(), MotionControlConfig()
+
+    assert (planner.radius, planner.margin) == (control.radius, control.margin)
