@@ -29,10 +29,7 @@ _PLANAR = np.array([0, 1, 5])
 def pose_message(pose: poses.Pose) -> Pose:
     """A planar pose as a message."""
     x, y, theta = pose
-    return Pose(
-        position=Point(x=x, y=y),
-        orientation=Quaternion(z=math.sin(theta / 2), w=math.cos(theta / 2)),
-    )
+    return Pose(position=Point(x=x, y=y), orientation=_rotation(theta))
 
 
 def planar_pose(pose: Pose) -> poses.Pose:
@@ -44,13 +41,9 @@ def planar_pose(pose: Pose) -> poses.Pose:
 
 def transform_message(header: Header, child_frame: str, pose: poses.Pose) -> TransformStamped:
     """Where a frame is in that of the header: `pose`."""
-    there = pose_message(pose)
-    translation = Vector3(x=there.position.x, y=there.position.y)
-    return TransformStamped(
-        header=header,
-        child_frame_id=child_frame,
-        transform=Transform(translation=translation, rotation=there.orientation),
-    )
+    x, y, theta = pose
+    transform = Transform(translation=Vector3(x=x, y=y), rotation=_rotation(theta))
+    return TransformStamped(header=header, child_frame_id=child_frame, transform=transform)
 
 
 def with_covariance(pose: poses.Pose, covariance: Array) -> PoseWithCovariance:
@@ -89,3 +82,7 @@ def planar_poses(packed: Packed[Pose]) -> Array:
     x, y, z, w = packed.array[:, 3:].T
     rows[:, 2] = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
     return rows
+
+
+def _rotation(theta: float) -> Quaternion:
+    return Quaternion(z=math.sin(theta / 2), w=math.cos(theta / 2))
