@@ -274,7 +274,7 @@ def test_check_counts_and_draw_writes_a_picture(tmp_path: Path) -> None:
 
 
 def test_names_stand_beside_small_furniture_and_cover_nothing() -> None:
-    legs = [
+    legs: list[dict[str, Any]] = [
         {"name": f"table_leg{k}", "x": 2.0 + 0.4 * (k % 2), "y": 1.0 + 0.6 * (k // 2),
          "size": [0.05, 0.05]}
         for k in range(4)
