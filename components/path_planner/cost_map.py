@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from planar.compiled import compiled
 from planar.distance import distance_field
-from planar.grid import OCCUPIED_FROM, Frame, Grid, OccupancyCells
+from planar.grid import OCCUPIED_FROM, Frame, Grid, OccupancyCells, changed_window
 from planar.shortest_path import CLOSED, DEAREST, LEAST, MARGIN, Cell, Prices, priced
 
 BLOCKED = 255
@@ -75,14 +75,9 @@ class CostMap:
         """Take a new map in place of the last; False if it lies elsewhere or has another size."""
         if grid.frame != self.frame or grid.values.shape != self.shape:
             return False
-        other = grid.values != self._values
-        rows = np.flatnonzero(other.any(axis=1))
-        if rows.size:
-            columns = np.flatnonzero(other.any(axis=0))
-            top, left = rows[0], columns[0]
-            self.update(
-                int(top), int(left), grid.values[top : rows[-1] + 1, left : columns[-1] + 1]
-            )
+        window = changed_window(self._values, grid.values)
+        if window is not None:
+            self.update(window[0].start, window[1].start, grid.values[window])
         return True
 
     def update(self, row: int, column: int, values: NDArray[np.int8]) -> bool:
