@@ -28,8 +28,9 @@ from planar.sweep import Rays
 _LEAST, _MOST = -2.0, 3.5
 # From here on a cell is occupied, down to there free; in between it stays what it was.
 _OCCUPIED, _FREE = 0.6, -0.6
-# A ray that ends: confirms an obstacle of the map, or speaks for a new one.
-_CONFIRMS, _SUGGESTS = 1.0, 0.3
+# A ray that ends: confirms an obstacle of the map, of which it says more than many that pass, as
+# glass returns few; or speaks for a new one.
+_CONFIRMS, _SUGGESTS = 3.0, 0.3
 # A scan of which rays pass a cell, and none ends near it: speaks once against an obstacle of the
 # map, or forgets a suggestion. The first is small against what confirms: glass lets most rays pass.
 _CONTRADICTS, _FORGETS = -0.2, -0.4
