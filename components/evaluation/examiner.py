@@ -26,12 +26,15 @@ from planar.messages import planar_covariance, planar_pose, planar_poses, pose_m
 from planar.odometry import OdometryHistory
 from planar.poses import Pose, distance, wrap
 from schemas.cairn_nav_msgs import MOVE_ENDS, Collision, MoveOrder, MoveStatus
-from schemas.cairn_sim_msgs import Scene
+from schemas.cairn_sim_msgs import Scene, WorldState
 from schemas.geometry_msgs import PoseStamped, PoseWithCovarianceStamped
 from schemas.std_msgs import Header
 
 # Who is carried off with turning wheels needs room to stop [m].
 _STOPS_M = 0.35
+# Nobody walks within this [m] of where it is set down: its last scan is of another place.
+_APART_M = 1.5
+_TRIES = 30
 # Steps of the truth longer than this [m] are not driven: the robot was carried.
 _CARRIED_M = 0.5
 # A robot that does not move so long [ns] after it was to be carried off is not: somebody stands
@@ -90,6 +93,7 @@ class NavigationExaminer(Component):
     config: ExaminerConfig
 
     scene: In[Scene] = In(qos=LATCHED)
+    world_state: In[WorldState] = In(qos=RELIABLE.with_depth(200), optional=True)
     truth: In[PoseStamped]
     pose: In[PoseWithCovarianceStamped]
     order: In[MoveOrder] = In(qos=LATCHED)
@@ -232,16 +236,26 @@ class NavigationExaminer(Component):
         """Ask for it; again, to another place, as long as the truth does not show it."""
         if self._carrying_ns is not None and now - self._carrying_ns < _CARRYING_NS:
             return
-        config = self.config
-        room = config.radius + config.clearance + _STOPS_M
-        least = max(config.least_distance, 2.0 * _CARRIED_M)
-        place = free_goal(self._ways_now(), here, least, room, self.random)
+        place = self._place_to_carry_to(here)
         self._carrying_ns = now
         if place is None:
             self.log.warning("there is no place with room enough to carry the robot to")
             return
         self.log.info("the robot is to be carried to (%.2f, %.2f)", place[0], place[1])
         self.kidnap.publish(PoseStamped(header=Header(frame_id="map"), pose=pose_message(place)))
+
+    def _place_to_carry_to(self, here: Pose) -> Pose | None:
+        config, state = self.config, self.world_state.latest
+        room = config.radius + config.clearance + _STOPS_M
+        least = max(config.least_distance, 2.0 * _CARRIED_M)
+        people = np.empty((0, 3)) if state is None else state.people.array
+        for _ in range(_TRIES):
+            place = free_goal(self._ways_now(), here, least, room, self.random)
+            if place is None:
+                return None
+            if (np.hypot(people[:, 0] - place[0], people[:, 1] - place[1]) >= _APART_M).all():
+                return place
+        return None
 
     def _note_carried(self, stamp: int) -> None:
         """By us or by the world's events: nobody knows where the robot was on the way."""

@@ -14,8 +14,9 @@ from components.evaluation.results import RunResult
 from planar.messages import packed_poses, planar_pose, pose_message, with_covariance
 from planar.poses import Pose
 from schemas.cairn_nav_msgs import Collision, MoveOrder, MoveStatus
-from schemas.cairn_sim_msgs import Scene
-from schemas.geometry_msgs import PoseStamped, PoseWithCovarianceStamped
+from schemas.cairn_sim_msgs import Scene, WorldState
+from schemas.geometry_msgs import Point, PoseStamped, PoseWithCovarianceStamped
+from schemas.packed import Packed
 from schemas.std_msgs import Header
 
 Corners = tuple[float, float, float, float]  # left, bottom, right, top [m]
@@ -62,6 +63,11 @@ class Examination:
             segments=np.array(segments).ravel(), surfaces=np.zeros(len(segments), np.uint8)
         )
         self.stage.give("scene", scene)
+
+    def people(self, *places: tuple[float, float]) -> None:
+        """Let people stand there."""
+        rows = np.array([(x, y, 0.25) for x, y in places])
+        self.stage.give("world_state", WorldState(people=Packed(Point, rows)))
 
     def truth(self, ago_s: float = 0.0) -> None:
         """Tell where the robot is now, or that it was there a while ago."""

@@ -244,6 +244,19 @@ def test_where_the_world_refuses_another_place_is_tried(begin: Begin) -> None:
     assert result.relocalised_s == pytest.approx(0.0)
 
 
+def test_nobody_is_near_where_the_robot_is_set_down(begin: Begin) -> None:
+    people = [(3.0, 8.0), (6.0, 2.5), (6.0, 7.5), (9.0, 5.0)]
+    examination = begin(goals=1, kidnap_at=1, kidnap_after=1.0)
+    examination.goal()
+    examination.people(*people)
+    examination.stand(12.0)
+
+    places = examination.carried_to()
+
+    assert len(places) >= 8
+    assert min(math.dist(place[:2], one) for place in places for one in people) >= 1.5
+
+
 def test_a_run_in_which_the_robot_was_never_carried_off_has_failed(begin: Begin) -> None:
     examination = begin(goals=2, kidnap_at=1, kidnap_after=1.0)
     for _ in range(2):
