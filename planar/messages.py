@@ -22,8 +22,8 @@ from schemas.std_msgs import Header
 
 Array = NDArray[np.float64]
 
-# Where x, y and yaw stand in a message's row-major 6 x 6 covariance.
-_PLANAR = np.array([0, 1, 5])
+# Where the rows and columns of x, y and yaw stand in a message's row-major 6 x 6 covariance.
+_PLANAR = (6 * np.array([0, 1, 5])[:, None] + np.array([0, 1, 5])).ravel()
 
 
 def pose_message(pose: poses.Pose) -> Pose:
@@ -48,14 +48,14 @@ def transform_message(header: Header, child_frame: str, pose: poses.Pose) -> Tra
 
 def with_covariance(pose: poses.Pose, covariance: Array) -> PoseWithCovariance:
     """A planar pose and its covariance (3, 3) over x, y, yaw as a message."""
-    full = np.zeros((6, 6))
-    full[np.ix_(_PLANAR, _PLANAR)] = 0.5 * (covariance + covariance.T)
-    return PoseWithCovariance(pose=pose_message(pose), covariance=full.ravel())
+    full = np.zeros(36)
+    full[_PLANAR] = 0.5 * (covariance + covariance.T).ravel()
+    return PoseWithCovariance(pose=pose_message(pose), covariance=full)
 
 
 def planar_covariance(pose: PoseWithCovariance) -> Array:
     """The covariance (3, 3) over x, y, yaw of a message."""
-    covariance: Array = pose.covariance.reshape(6, 6)[np.ix_(_PLANAR, _PLANAR)]
+    covariance: Array = pose.covariance[_PLANAR].reshape(3, 3)
     return covariance
 
 
