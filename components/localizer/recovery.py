@@ -26,6 +26,8 @@ _CONFIRMATIONS, _CONFIRMED_AFTER_M, _UNDISPUTED_M = 3, 0.2, 1.0
 # By so much [nats] another pose must explain the recent sightings better: errors that successive
 # sightings have in common are worth 2 to 4.
 BETTER = 6.0
+# By so much [nats], and the other pose is refuted.
+REFUTED = 25.0
 # Scans that fit less than this are a reason to look elsewhere now and then; less than that, or
 # than this share of what they usually do, to do so at once and to forget what was seen before.
 _WARY, _SUSPICIOUS, _OF_USUAL = 0.8, 0.5, 0.65
@@ -153,7 +155,9 @@ class Recovery:
         # As long as another place explains more, time does not make this one sure.
         self._probation_ends = stamp + PROBATION_S
         support = found.support
-        if found.share < 0.9 or support.contradicting > support.agreeing:
+        # A robot that is certainly not here had better look on from the likeliest place.
+        refuted = found.score - float(score[0]) >= REFUTED and found.fit >= FITS
+        if (found.share < 0.9 and not refuted) or support.contradicting > support.agreeing:
             return None
         fits = evidence.scanned and found.fit >= max(FITS, evidence.fit(here))
         if not fits and support.agreeing < 2:
