@@ -58,6 +58,10 @@ class Robot:
         begin = self.place
         self._await(lambda: distance(begin, self._truths[-1][1]) >= metres, limit_s, "moves")
 
+    def await_near(self, place: Pose, metres: float, limit_s: float = 20.0) -> None:
+        """Wait until the robot is so near to a place."""
+        self._await(lambda: distance(place, self._truths[-1][1]) <= metres, limit_s, "comes near")
+
     def await_stand(self, limit_s: float = 10.0) -> None:
         """Wait until the robot has stood for 0.25 s."""
         since = time.monotonic()

@@ -21,8 +21,21 @@ def robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Robot]:
         yield robot
 
 
-def test_nobody_can_be_told_where_the_robot_is_before_there_is_a_localizer(robot: Robot) -> None:
-    answer = cairn("locate", "1", "1", connect=robot.run.endpoint)
+@pytest.fixture
+def fresh_robot(tmp_path: Path) -> Iterator[Robot]:
+    with robot_in(tmp_path) as robot:
+        yield robot
+
+
+def far_place(robot: Robot) -> tuple[str, str]:
+    """A place on the other side of the room, wherever the tests before have left the robot."""
+    return ("6.6", "1.8") if robot.place[0] < 4.0 else ("1.4", "1.2")
+
+
+def test_nobody_can_be_told_where_the_robot_is_before_there_is_a_localizer(
+    fresh_robot: Robot,
+) -> None:
+    answer = cairn("locate", "1", "1", connect=fresh_robot.run.endpoint)
 
     assert answer.code == 1
     assert answer.err.startswith(
@@ -30,8 +43,10 @@ def test_nobody_can_be_told_where_the_robot_is_before_there_is_a_localizer(robot
     )
 
 
-def test_it_tells_every_step_and_ends_with_0_when_the_robot_is_there(robot: Robot) -> None:
-    going = robot.go("2.0", "1.2", "10deg")
+def test_it_tells_every_step_and_ends_with_0_when_the_robot_is_there(
+    fresh_robot: Robot,
+) -> None:
+    going = fresh_robot.go("2.0", "1.2", "10deg")
 
     assert going.await_end() == 0
 
@@ -49,6 +64,7 @@ def test_it_tells_every_step_and_ends_with_0_when_the_robot_is_there(robot: Robo
 
 
 def test_the_robot_is_told_where_it_is(robot: Robot) -> None:
+    assert robot.go("2.0", "1.2").await_end() == 0
     x, y, theta = robot.place
     lines = len(robot.run.lines)
 
@@ -81,7 +97,7 @@ def test_as_json_it_prints_the_result_alone(robot: Robot) -> None:
 
 
 def test_ctrl_c_cancels_its_own_order_and_the_robot_stands(robot: Robot) -> None:
-    going = robot.go("6.6", "1.8")
+    going = robot.go(*far_place(robot))
     going.await_word("driving")
     robot.await_moved(0.3)
 
@@ -98,7 +114,7 @@ def test_ctrl_c_cancels_its_own_order_and_the_robot_stands(robot: Robot) -> None
 
 
 def test_sigterm_cancels_its_own_order_and_the_robot_stands(robot: Robot) -> None:
-    going = robot.go("1.4", "1.2")
+    going = robot.go(*far_place(robot))
     going.await_word("driving")
     robot.await_moved(0.3)
 
@@ -110,9 +126,10 @@ def test_sigterm_cancels_its_own_order_and_the_robot_stands(robot: Robot) -> Non
 
 
 def test_a_terminal_that_is_closed_cancels_its_order(robot: Robot) -> None:
+    x, y = far_place(robot)
     child, terminal = pty.fork()
     if child == 0:
-        os.execv(CAIRN, [CAIRN, "go", "6.6", "1.8", "--connect", robot.run.endpoint])
+        os.execv(CAIRN, [CAIRN, "go", x, y, "--connect", robot.run.endpoint])
     said = b""
     while b"driving" not in said:
         said += os.read(terminal, 4096)
@@ -127,13 +144,13 @@ def test_a_terminal_that_is_closed_cancels_its_order(robot: Robot) -> None:
 def test_an_order_whose_teller_is_not_read_any_more_is_cancelled(robot: Robot) -> None:
     lines = len(robot.run.lines)
     going = subprocess.Popen(
-        [CAIRN, "go", "6.6", "1.8", "--connect", robot.run.endpoint],
+        [CAIRN, "go", *far_place(robot), "--connect", robot.run.endpoint],
         stdout=subprocess.PIPE,
         text=True,
     )
     with going:
         assert going.stdout is not None
-        assert "go to (6.60, 1.80" in going.stdout.readline()
+        assert "go to (" in going.stdout.readline()
         going.stdout.close()
 
         robot.run.await_line("cancelled: taken back", after=lines)
@@ -156,7 +173,7 @@ def test_as_json_it_prints_why_a_goal_is_refused(
 
 
 def test_an_order_is_taken_back_from_a_supervisor_that_hangs(robot: Robot) -> None:
-    going = robot.go("7.0", "5.0")
+    going = robot.go(*far_place(robot))
     going.await_word("driving")
     os.kill(robot.run.pid_of("mobile_supervisor"), signal.SIGSTOP)
 
@@ -174,9 +191,9 @@ def test_an_order_is_taken_back_from_a_supervisor_that_hangs(robot: Robot) -> No
 
 
 def test_whoever_is_pre_empted_is_told_and_takes_nothing_back(robot: Robot) -> None:
-    first = robot.go("6.6", "1.8")
+    first = robot.go(*far_place(robot))
     first.await_word("driving")
-    answer = cairn("go", "1.4", "1.2", "--no-wait", "--json", connect=robot.run.endpoint)
+    answer = cairn("go", "4.0", "5.0", "--no-wait", "--json", connect=robot.run.endpoint)
     order = answer.json["order_id"]
 
     assert first.await_end() == 1
@@ -187,7 +204,7 @@ def test_whoever_is_pre_empted_is_told_and_takes_nothing_back(robot: Robot) -> N
 
 
 def test_an_order_that_its_supervisor_lost_is_told_of(robot: Robot) -> None:
-    going = robot.go("5.0", "1.5")
+    going = robot.go(*far_place(robot))
     going.await_word("driving")
     (Path(robot.run.report) / "order.json").unlink()
 
@@ -197,11 +214,11 @@ def test_an_order_that_its_supervisor_lost_is_told_of(robot: Robot) -> None:
     assert "was lost: its supervisor was started anew and does not know it" in going.lines[-1]
 
 
-def test_the_end_of_the_deployment_is_noticed(robot: Robot) -> None:
-    going = robot.go("1.2", "1.2")
+def test_the_end_of_the_deployment_is_noticed(fresh_robot: Robot) -> None:
+    going = fresh_robot.go(*far_place(fresh_robot))
     going.await_word("order ")
 
-    robot.run.stop()
+    fresh_robot.run.stop()
 
     assert going.await_end() == 1
     assert re.fullmatch(
