@@ -16,6 +16,12 @@ def distance_field(obstacles: NDArray[np.bool_], resolution: float) -> NDArray[n
     if not obstacles.any():
         return np.full(obstacles.shape, np.inf, np.float32)
     free = np.logical_not(obstacles).view(np.uint8)
-    cells = cv2.distanceTransform(free, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    # Intel's routine in its place rounds by where in memory the arrays lie: not the same each time.
+    used = cv2.ipp.useIPP()
+    cv2.ipp.setUseIPP(False)
+    try:
+        cells = cv2.distanceTransform(free, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    finally:
+        cv2.ipp.setUseIPP(used)
     field: NDArray[np.float32] = np.asarray(cells, np.float32) * np.float32(resolution)
     return field

@@ -1,0 +1,22 @@
+"""A run in lockstep comes out the same each time, to the last bit."""
+
+import subprocess
+from pathlib import Path
+
+from tests.launching import CAIRN
+from tests.navigation.driving import DEPLOY, SIM
+
+TOUR = DEPLOY / "demo_tour.yaml"
+PLACES = "mission=[[6.5, 1.8, 0.8], [3.4, 5.4, 3.1]]"
+
+
+def test_two_processes_drive_the_same_tour_to_the_last_bit(tmp_path: Path) -> None:
+    up = [CAIRN, "up", str(SIM), "--overlay", str(TOUR), "--set", PLACES, "--lockstep"]
+    for folder in ("one", "other"):
+        where = ["--report", str(tmp_path / folder)]
+        done = subprocess.run([*up, *where], capture_output=True, text=True, timeout=60)
+        assert done.returncode == 0, done
+
+    for name in ("pose.json", "map.pgm", "report.json", "world.json"):
+        one, other = (tmp_path / folder / name for folder in ("one", "other"))
+        assert one.read_bytes() == other.read_bytes(), name
