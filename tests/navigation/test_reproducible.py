@@ -17,6 +17,6 @@ def test_two_processes_drive_the_same_tour_to_the_last_bit(tmp_path: Path) -> No
         done = subprocess.run([*up, *where], capture_output=True, text=True, timeout=60)
         assert done.returncode == 0, done
 
-    for name in ("pose.json", "map.pgm", "report.json", "world.json"):
+    for name in ("pose.json", "map.pgm", "report.json", "world.jsonl"):
         one, other = (tmp_path / folder / name for folder in ("one", "other"))
         assert one.read_bytes() == other.read_bytes(), name

@@ -1,6 +1,7 @@
 """A world whose process was killed goes on where it was."""
 
 from pathlib import Path
+from unittest.mock import patch
 
 import pytest
 
@@ -20,15 +21,18 @@ def world() -> World:
     )
 
 
-def test_it_goes_on_where_it_was(tmp_path: Path) -> None:
-    file = StateFile(tmp_path / "world.json")
+@pytest.mark.parametrize("moved", [True, False])
+def test_it_goes_on_where_it_was(tmp_path: Path, moved: bool) -> None:
+    file = StateFile(tmp_path / "world.jsonl")
     before = world()
     file.keep(before, 0.5)
     for number in range(200):
         before.drive(0.02, 0.2, 0.1)
         before.walk(0.02)
         before.happen(number * 0.02)
-    before.move("object_1", (6.0, 1.0, 3.1))
+        file.keep(before, number * 0.02)
+    if moved:
+        before.move("object_1", (6.0, 1.0, 3.1))
     before.walkers[0].detour = [(2.0, 3.0, 4.0)]
     file.keep(before, 4.0)
 
@@ -45,9 +49,9 @@ def test_it_goes_on_where_it_was(tmp_path: Path) -> None:
     assert [one.told for one in after.happen(9.0)] == ["table is taken away"]
 
 
-@pytest.mark.parametrize("text", [None, "", "{}", '{"elapsed_s": 1', "\xff"])
+@pytest.mark.parametrize("text", [None, "", "\n", "{}\n{}\n", '{"elapsed_s": 1', "\xff"])
 def test_what_cannot_be_read_is_no_state(tmp_path: Path, text: str | None) -> None:
-    path = tmp_path / "world.json"
+    path = tmp_path / "world.jsonl"
     if text is not None:
         path.write_text(text, encoding="latin-1")
 
@@ -56,4 +60,45 @@ def test_what_cannot_be_read_is_no_state(tmp_path: Path, text: str | None) -> No
 
 def test_a_disk_that_takes_nothing_is_the_callers_matter(tmp_path: Path) -> None:
     with pytest.raises(OSError, match="No such file"):
-        StateFile(tmp_path / "gone" / "world.json").keep(world(), 0.0)
+        StateFile(tmp_path / "gone" / "world.jsonl").keep(world(), 0.0)
+
+
+def test_a_line_that_was_cut_short_does_not_count(tmp_path: Path) -> None:
+    path = tmp_path / "world.jsonl"
+    file = StateFile(path)
+    for elapsed_s in (1.0, 2.0):
+        file.keep(world(), elapsed_s)
+    path.write_bytes(path.read_bytes()[:-5])
+
+    kept = file.kept()
+
+    assert kept is not None
+    assert kept.elapsed_s == 1.0
+
+
+def test_it_does_not_grow_without_end_and_always_holds_the_newest_state(tmp_path: Path) -> None:
+    path = tmp_path / "world.jsonl"
+    file = StateFile(path)
+    for number in range(2000):
+        file.keep(world(), float(number))
+
+    assert path.stat().st_size < 300_000
+    kept = file.kept()
+    assert kept is not None
+    assert kept.elapsed_s == 1999.0
+
+
+def test_after_a_disk_that_was_full_nothing_of_half_a_line_is_left(tmp_path: Path) -> None:
+    path = tmp_path / "world.jsonl"
+    file = StateFile(path)
+    file.keep(world(), 1.0)
+    with path.open("ab") as half, patch.object(Path, "open", side_effect=OSError("no space left")):
+        half.write(b'{"elapsed_s":2')
+        with pytest.raises(OSError, match="no space"):
+            file.keep(world(), 2.0)
+    file.keep(world(), 3.0)
+
+    kept = file.kept()
+
+    assert kept is not None
+    assert kept.elapsed_s == 3.0
