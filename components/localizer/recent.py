@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from components.localizer.object_likelihood import STRAY, Landmark, Sighting
 from components.localizer.particles import Estimate
-from planar.poses import Pose, apart, relative, wrap_all
+from planar.poses import Pose, apart, wrap_all
 
 Array = NDArray[np.float64]
 
@@ -154,35 +154,40 @@ class RecentSightings:
         covariance: Array | None,
     ) -> Array:
         """NIS (entries, n) of each entry from each pose, the drift since it was made included."""
-        back = np.array([relative(now, entry.at) for entry in entries])
-        place = np.array(
-            [
-                (landmarks[e.sighting.object_id].x, landmarks[e.sighting.object_id].y)
-                for e in entries
-            ]
+        rows = []
+        for entry in entries:
+            made = entry.sighting
+            mark = landmarks[made.object_id]
+            errors = made.range_variance, made.bearing_variance
+            rows.append(
+                (*entry.at, entry.moved_s, made.range_m, made.bearing, *errors, mark.x, mark.y)
+            )
+        # Columns (entries, 1), to be met by a row of poses.
+        x, y, theta, made_at, seen, bearing, range_variance, bearing_variance, mark_x, mark_y = (
+            np.array(rows).T[:, :, None]
         )
-        seen = np.array([(e.sighting.range_m, e.sighting.bearing) for e in entries])
-        variance = np.array(
-            [(e.sighting.range_variance, e.sighting.bearing_variance) for e in entries]
-        )
-        age = moved_s - np.array([e.moved_s for e in entries])
-        reach = np.maximum(seen[:, 0], 0.3)
+        age = moved_s - made_at
         place_variance = self.drift**2 * age
         turn_variance = self.turn_drift**2 * age
         if covariance is not None:
             place_variance = place_variance + 0.5 * (covariance[0, 0] + covariance[1, 1])
             turn_variance = turn_variance + covariance[2, 2]
-        range_variance = variance[:, 0] + place_variance
-        bearing_variance = variance[:, 1] + place_variance / reach**2 + turn_variance
+        range_variance = range_variance + place_variance
+        reach = np.maximum(seen, 0.3)
+        bearing_variance = bearing_variance + place_variance / reach**2 + turn_variance
 
+        # Where each was made from, as seen from now; from there, what it should have told.
+        along, across = math.cos(now[2]), math.sin(now[2])
+        ahead = along * (x - now[0]) + across * (y - now[1])
+        aside = along * (y - now[1]) - across * (x - now[0])
+        turned = wrap_all(theta - now[2])
         cosine, sine = np.cos(poses[2]), np.sin(poses[2])
-        dx = place[:, :1] - (poses[0] + back[:, :1] * cosine - back[:, 1:2] * sine)
-        dy = place[:, 1:] - (poses[1] + back[:, :1] * sine + back[:, 1:2] * cosine)
-        distance = np.sqrt(dx * dx + dy * dy)
-        bearing = wrap_all(np.arctan2(dy, dx) - poses[2] - back[:, 2:] - seen[:, 1:])
-        result: Array = (distance - seen[:, :1]) ** 2 / range_variance[:, None]
-        result += bearing**2 / bearing_variance[:, None]
-        return result
+        dx = mark_x - (poses[0] + ahead * cosine - aside * sine)
+        dy = mark_y - (poses[1] + ahead * sine + aside * cosine)
+        error = wrap_all(np.arctan2(dy, dx) - poses[2] - turned - bearing)
+        nis: Array = (np.sqrt(dx * dx + dy * dy) - seen) ** 2 / range_variance
+        nis += error**2 / bearing_variance
+        return nis
 
 
 def _places(objects: Sequence[Landmark]) -> int:
