@@ -4,6 +4,7 @@ import dataclasses
 import re
 import struct
 from collections.abc import Callable
+from math import isfinite
 from operator import attrgetter
 from typing import Any, NoReturn, TypeVar, cast, dataclass_transform, get_type_hints
 
@@ -62,7 +63,7 @@ def message(name: str) -> Callable[[type[T]], type[T]]:
         if not names:
             raise TypeError(f"{name}: a message has at least one field")
         for attribute, value in (
-            ("__init__", _constructor(name, names)),
+            ("__init__", _constructor(name, names, *_plain_fields(made, check))),
             ("__eq__", _equality(names)),
             ("__hash__", _hashing(name, names)),
             ("__ros_type__", name),
@@ -95,8 +96,20 @@ def refuse(message: object, path: str, value: object, reason: str) -> NoReturn:
     raise InvalidMessage(type_name(type(message)), path, value, reason)
 
 
-def _constructor(name: str, fields: tuple[str, ...]) -> Callable[..., None]:
+def _constructor(
+    name: str, fields: tuple[str, ...], plain: dict[str, type[Any]], defaults: dict[str, Any]
+) -> Callable[..., None]:
     def __init__(self: Any, /, *args: Any, **kwargs: Any) -> None:  # noqa: N807
+        # Most messages are points, rotations and what is made of these: valid at a glance.
+        if defaults and not args:
+            for field, value in kwargs.items():
+                kind = plain.get(field)
+                if type(value) is not kind or (kind is float and not isfinite(value)):
+                    break
+            else:
+                self.__dict__.update(defaults)
+                self.__dict__.update(kwargs)
+                return
         try:
             self.__pydantic_validator__.validate_python(
                 ArgsKwargs(args, kwargs), self_instance=self
@@ -109,6 +122,26 @@ def _constructor(name: str, fields: tuple[str, ...]) -> Callable[..., None]:
         raise invalid
 
     return __init__
+
+
+def _plain_fields(
+    cls: type[Any], check: Callable[[Any], None] | None
+) -> tuple[dict[str, type[Any]], dict[str, Any]]:
+    """The fields of which any finite float, or any message of a type, is valid; all defaults.
+
+    Nothing if the message has other fields, too, or something to check between them.
+    """
+    plain: dict[str, type[Any]] = {}
+    for field, hint in get_type_hints(cls, include_extras=True).items():
+        mark = mark_of(hint)
+        if mark in (Scalar("float64"), Scalar("float64", finite=True)):
+            plain[field] = float
+        elif isinstance(hint, type) and "__ros_type__" in hint.__dict__:
+            plain[field] = hint
+    defaults = {field.name: field.default for field in dataclasses.fields(cls)}
+    if check or any(type(default) is not plain.get(field) for field, default in defaults.items()):
+        return {}, {}
+    return plain, defaults
 
 
 def _translated(name: str, fields: tuple[str, ...], error: ValidationError) -> InvalidMessage:

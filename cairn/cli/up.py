@@ -1,5 +1,6 @@
 """`cairn up FILE`: runs a deployment in the foreground, and owns every process of it."""
 
+import gc
 import json
 import logging
 import shutil
@@ -119,6 +120,9 @@ def _run_lockstep(
         if events % 1000 == 0:
             watch.refresh()
 
+    # What was imported and built so far lives as long as the process: garbage collection need not
+    # go through it again and again, nor take it apart at the end.
+    gc.freeze()
     handler = _ViewHandler(view, run.executor.now)
     root_logger = logging.getLogger("cairn")
     root_logger.addHandler(handler)
