@@ -99,13 +99,11 @@ class Bank:
                 total += part(poses, sighting)
             return total
 
-        def all_but_its_own(poses: Array) -> Array:
+        def all_but_its_own(poses: Array, rows: NDArray[np.intp]) -> Array:
             total = np.zeros(poses.shape[1:])
             for sighting in sightings:
                 added = part(poses, sighting)
-                row = self._row_of.get(sighting.object_id)
-                if row is not None:
-                    added[row] = 0.0
+                added[rows == self._row_of.get(sighting.object_id, -1)] = 0.0
                 total += added
             return total
 
@@ -116,7 +114,7 @@ class Bank:
     def fuse_scan(self, log_likelihood: Callable[[Array], Array]) -> None:
         """Fuse a scan, of which `log_likelihood` says how well it fits poses (3, n): (n,)."""
 
-        def of_rows(poses: Array) -> Array:
+        def of_rows(poses: Array, _: NDArray[np.intp]) -> Array:
             return log_likelihood(poses.reshape(3, -1)).reshape(poses.shape[1:])
 
         self.cloud.fuse(log_likelihood)

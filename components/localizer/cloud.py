@@ -76,7 +76,7 @@ class Cloud:
         else:
             rows = self.poses[:, None, :]
             weights = self.log_weights[None, :]
-            narrow(rows, weights, lambda p: log_likelihood(p[:, 0])[None, :], self.random)
+            narrow(rows, weights, lambda p, _: log_likelihood(p[:, 0])[None, :], self.random)
 
     def estimate(self) -> Estimate:
         """Mean and covariance."""

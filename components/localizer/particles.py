@@ -87,21 +87,20 @@ def redraw(
 def narrow(
     poses: Array,
     log_weights: Array,
-    log_likelihood: Callable[[Array], Array],
+    log_likelihood: Callable[[Array, NDArray[np.intp]], Array],
     random: np.random.Generator,
     bandwidth: float = 0.25,
     rounds: int = 8,
-) -> Array:
+) -> None:
     """Fuse a log-likelihood into clouds `poses` (3, rows, n), `log_weights` (rows, n), in place.
 
+    `log_likelihood` is asked for (k, n) of the poses (3, k, n) of the rows with the numbers (k,).
     Where the likelihood would leave fewer than half of a row's samples effective, it is taken
     in stages, each followed by a redraw (progressive correction: Musso, Oudjane, Le Gland 2001),
     so that a few hundred samples survive the first sighting after a long blind stretch.
-    Returns the log-evidence (rows,): log of the mean likelihood under the weights before.
     """
     rows, count = log_weights.shape
-    contribution = log_likelihood(poses)
-    evidence = _log_mean(log_weights, contribution)
+    contribution = log_likelihood(poses, np.arange(rows))
     left = np.ones(rows)
     for stage in range(rounds):
         full = log_weights + contribution * left[:, None]
@@ -112,12 +111,12 @@ def narrow(
         share = _shares(log_weights, contribution, left, poor)
         staged = log_weights + contribution * share[:, None]
         weights = normalised(staged)
-        for row in np.nonzero(poor)[0]:
+        redrawn = np.nonzero(poor)[0]
+        for row in redrawn:
             poses[:, row] = redraw(poses[:, row], weights[row], bandwidth, random)
-            log_weights[row] = 0.0
+        log_weights[redrawn] = 0.0
         left = np.where(poor, left - share, left)
-        contribution = log_likelihood(poses)
-    return evidence
+        contribution[redrawn] = log_likelihood(poses[:, redrawn], redrawn)
 
 
 def _shares(log_weights: Array, contribution: Array, left: Array, poor: NDArray[np.bool_]) -> Array:
@@ -131,14 +130,6 @@ def _shares(log_weights: Array, contribution: Array, left: Array, poor: NDArray[
             break
         share[thin] *= 0.5
     return share
-
-
-def _log_mean(log_weights: Array, contribution: Array) -> Array:
-    weights = normalised(log_weights)
-    peak = contribution.max(axis=1)
-    mean = (weights * np.exp(contribution - peak[:, None])).sum(axis=1)
-    result: Array = np.log(np.maximum(mean, 1e-300)) + peak
-    return result
 
 
 @compiled("void(float64[::1], float64, float64, int64[::1])")

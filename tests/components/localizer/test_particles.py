@@ -73,7 +73,7 @@ def test_narrowing_finds_the_posterior_that_few_samples_lie_in(
     poses = random.standard_normal((3, 1, 500)) * np.array([1.0, 0.1, 0.1])[:, None, None]
     log_weights = np.zeros((1, 500))
 
-    narrow(poses, log_weights, lambda p: -0.5 * ((p[0] - place) / sd) ** 2, random)
+    narrow(poses, log_weights, lambda p, _: -0.5 * ((p[0] - place) / sd) ** 2, random)
 
     found = estimate(poses[:, 0], log_weights[0])
     posterior_variance = 1 / (1 + 1 / sd**2)
