@@ -34,7 +34,7 @@ class Movement:
 
     `leg` counts the wants: a plan and a motion status carry the leg that they belong to. STAND:
     stand still. FOLLOW: plan to `goal` and follow the plan. BACK_OFF, LOOK_AROUND, EXPLORE: without
-    a plan go back a little, turn once around, go where there is room.
+    a plan go back a little, turn once around, go `distance` [m] to where there is room.
     """
 
     STAND: ClassVar[UInt8] = 0
@@ -47,6 +47,7 @@ class Movement:
     leg: UInt32 = 0
     behaviour: Annotated[int, Scalar("uint8", at_most=4)] = 0
     goal: Pose = Pose()
+    distance: NotNegative = 0.0
     position_tolerance: NotNegative = 0.1
     heading_tolerance: NotNegative = 0.1
 

@@ -222,6 +222,7 @@ class AutoMove(SupervisorComponent):
                 leg=course.leg,
                 behaviour=course.behaviour,
                 goal=pose_message(course.target),
+                distance=course.explores_m,
                 position_tolerance=self.config.position_tolerance,
                 heading_tolerance=self.config.heading_tolerance,
             )

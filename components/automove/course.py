@@ -31,6 +31,9 @@ _PROGRESS_M = 0.3
 # same. Only so many longer ways to a goal are begun [1], or a robot sent to and fro between blocked
 # ones would seem to get on for ever.
 _DETOUR_M, _DETOURS = 2.0, 10
+# What explores goes so far [m] at first, twice as far each time, and at most so far: where a place
+# looks like another, it takes some way until one of them shows.
+_EXPLORES_M, _EXPLORES_MOST_M = 2.0, 8.0
 # What gives way goes no farther [m], though the way back may have become longer.
 _MOST_BACK_M = 1.8
 
@@ -73,12 +76,14 @@ class Course:
     recoveries: int = 0
     behaviour: int = Movement.STAND
     leg: int = field(init=False)
-    # Where it goes while it gives way.
+    # Where it goes while it gives way; how far it goes while it explores [m].
     refuge: Pose | None = None
-    # Without progress; for the goals before this one; longer ways to this goal [1].
+    explores_m: float = _EXPLORES_M
+    # Without progress; for the goals before this one; to this goal: longer ways, explorations [1].
     _tries: int = 0
     _recovered_before: int = 0
     _detours: int = 0
+    _explorations: int = 0
     _sequence: Sequence[str] = ()
     _trouble: str = ""
     _attempt: str = ""
@@ -280,7 +285,7 @@ class Course:
         return motion.state == MotionStatus.DONE or blocked or too_long
 
     def _reached(self, now_s: float) -> None:
-        self._tries = self._detours = 0
+        self._tries = self._detours = self._explorations = 0
         self._recovered_before, self._nearest_m = self.recoveries, math.inf
         x, y, _ = self.goal
         self.at += 1
@@ -310,6 +315,9 @@ class Course:
         self.recoveries += 1
         self._sequence, self._trouble = sequence, trouble
         self._attempt = f"{what} ({self._tries} of {most}): {trouble}"
+        if what == "explore":
+            self.explores_m = min(_EXPLORES_M * 2.0**self._explorations, _EXPLORES_MOST_M)
+            self._explorations += 1
         refuge = seen.trail.back(self.goal) if what == "give way" else None
         stays = what == "give way" and refuge is None
         behaviour = Movement.STAND if stays else BEHAVIOUR[what]

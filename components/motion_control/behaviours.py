@@ -220,7 +220,7 @@ class LookAround:
 
 
 class Explore:
-    """Goes some way towards where there is most room."""
+    """Goes `length` [m] towards where there is most room."""
 
     # There must be so much room [m] to set out; it keeps so far [m] from what ends the room.
     _ROOM, _APART = 0.6, 0.3
@@ -229,7 +229,7 @@ class Explore:
     _TRIES = 4
     REACH = 4.0
 
-    def __init__(self, limits: Limits, length: float = 2.0) -> None:
+    def __init__(self, limits: Limits, length: float) -> None:
         self._limits = limits
         self._left = length
         self._planner = LocalPlanner(limits)

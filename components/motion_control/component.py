@@ -199,14 +199,15 @@ class MotionControl(Component):
 
     def _begin(self) -> None:
         """Begin what is wanted anew, unless it is done."""
-        wanted = self._movement.behaviour if self._movement is not None else Movement.STAND
+        movement = self._movement if self._movement is not None else Movement()
+        wanted = movement.behaviour
         self._behaviour = None
         if wanted == Movement.BACK_OFF:
             self._behaviour = BackOff(self._limits)
         elif wanted == Movement.LOOK_AROUND:
             self._behaviour = LookAround(self._limits)
         elif wanted == Movement.EXPLORE:
-            self._behaviour = Explore(self._limits)
+            self._behaviour = Explore(self._limits, movement.distance)
         elif wanted == Movement.FOLLOW:
             self._route()
 

@@ -94,6 +94,19 @@ def test_a_lost_robot_stands_then_looks_for_itself_in_turn_and_gives_up() -> Non
     assert journey.course.recoveries == 12
 
 
+def test_who_explores_in_vain_goes_twice_as_far_the_next_time() -> None:
+    journey = Journey().run(1.0)
+    journey.health = LOST
+
+    far = []
+    for _ in range(400):
+        journey.run(1.0)
+        if journey.course.behaviour == Movement.EXPLORE and journey.course.explores_m not in far:
+            far.append(journey.course.explores_m)
+
+    assert far == [2.0, 4.0, 8.0]
+
+
 def test_a_robot_that_finds_itself_stops_looking_and_drives_on() -> None:
     journey = Journey().run(1.0)
     journey.health = LOST

@@ -77,9 +77,13 @@ class Stage:
         """The newest status."""
         return self.statuses[-1]
 
-    def want(self, leg: int, behaviour: int, goal: Pose = (0.0, 0.0, 0.0)) -> None:
+    def want(
+        self, leg: int, behaviour: int, goal: Pose = (0.0, 0.0, 0.0), distance: float = 0.0
+    ) -> None:
         """Want something from now on."""
-        self.movement = Movement(leg=leg, behaviour=behaviour, goal=pose_message(goal))
+        self.movement = Movement(
+            leg=leg, behaviour=behaviour, goal=pose_message(goal), distance=distance
+        )
         self._send("movement", self.movement, LATCHED)
 
     def plan(self, leg: int, *points: tuple[float, float], **fields: Any) -> None:

@@ -67,7 +67,7 @@ def test_it_turns_once_around() -> None:
 def test_it_explores_towards_the_room() -> None:
     walls = [(-1.0, -1.0, 4.0, -1.0), (-1.0, 1.0, 4.0, 1.0), (-1.0, -1.0, -1.0, 1.0)]
 
-    record = drive(World(walls + HALL), Robot((0, 0, 2.0)), Explore(LIMITS), 30)
+    record = drive(World(walls + HALL), Robot((0, 0, 2.0)), Explore(LIMITS, 2.0), 30)
 
     assert record.states[-1] is State.DONE
     assert record.poses[-1][0] > 1.7
@@ -75,7 +75,7 @@ def test_it_explores_towards_the_room() -> None:
 
 
 def test_it_looks_behind_for_room_that_it_does_not_see() -> None:
-    record = drive(World(HALL), Robot((-9.7, 0, 3.1)), Explore(LIMITS), 30, view=math.pi)
+    record = drive(World(HALL), Robot((-9.7, 0, 3.1)), Explore(LIMITS, 2.0), 30, view=math.pi)
 
     assert record.states[-1] is State.DONE
     assert record.poses[-1][0] > -8.0
@@ -83,7 +83,9 @@ def test_it_looks_behind_for_room_that_it_does_not_see() -> None:
 
 
 def test_it_says_that_there_is_no_room_to_explore() -> None:
-    record = drive(World(box(0, 0, 0.9, 0.9)), Robot((0, 0, 0)), Explore(LIMITS), 60, until=None)
+    record = drive(
+        World(box(0, 0, 0.9, 0.9)), Robot((0, 0, 0)), Explore(LIMITS, 2.0), 60, until=None
+    )
 
     assert record.states[-1] is State.BLOCKED
     assert record.motions[-1].reason == "no room of 0.6 m to go to"

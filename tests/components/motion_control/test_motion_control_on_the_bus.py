@@ -224,13 +224,13 @@ def test_recoveries_need_no_pose(behaviour: int) -> None:
     it = stage()
     it.muted |= {"pose", "localization_health"}
 
-    it.want(3, behaviour)
+    it.want(3, behaviour, distance=2.5)
     it.wait(20, until=STATES.DONE)
 
     assert it.status.state == STATES.DONE
     x, y, _ = it.robot.pose
     gone = math.hypot(x + 3, y)
-    expected = {Movement.BACK_OFF: 0.3, Movement.LOOK_AROUND: 0.0, Movement.EXPLORE: 2.0}
+    expected = {Movement.BACK_OFF: 0.3, Movement.LOOK_AROUND: 0.0, Movement.EXPLORE: 2.5}
     assert gone == pytest.approx(expected[behaviour], abs=0.15)
 
 
