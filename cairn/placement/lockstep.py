@@ -3,6 +3,7 @@
 import heapq
 import itertools
 from collections.abc import Callable
+from functools import partial
 
 from cairn.errors import CairnError
 
@@ -24,6 +25,10 @@ class LockstepExecutor:
     def at(self, time: int, call: Callable[[], None]) -> None:
         """Have `call` made at virtual time `time`, at once if that is past."""
         heapq.heappush(self._events, (max(time, self._now), next(self._order), call))
+
+    def soon(self, call: Callable[[], None]) -> None:
+        """Have `call` made now, after what was to be made now before."""
+        heapq.heappush(self._events, (self._now, next(self._order), call))
 
     def scheduler(self) -> "LockstepScheduler":
         """The place of one component in the executor."""
@@ -65,18 +70,18 @@ class LockstepScheduler:
 
     def post(self, call: Callable[[], None]) -> None:
         """Have `call` made now, after what was posted before."""
-        self._executor.at(self._executor.now(), lambda: self._make(call))
+        self._executor.soon(partial(self._make, call))
 
     def deliver(self, call: Callable[[], None]) -> None:
         """The same."""
-        self.post(call)
+        self._executor.soon(partial(self._make, call))
 
     def wake_at(self, time: int) -> None:
         """Have the due timers run at virtual time `time`."""
         if self._wake_at is not None and self._wake_at <= time:
             return
         self._wake_at = time
-        self._executor.at(time, lambda: self._wake(time))
+        self._executor.at(time, partial(self._wake, time))
 
     def bind(self, on_time: Callable[[], None]) -> None:
         """Name the function that runs due timers."""
