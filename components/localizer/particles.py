@@ -104,28 +104,25 @@ def narrow(
     left = np.ones(rows)
     for stage in range(rounds):
         full = log_weights + contribution * left[:, None]
-        poor = effective_count(full) < 0.5 * count
-        if stage == rounds - 1 or not poor.any():
+        poor = np.nonzero(effective_count(full) < 0.5 * count)[0]
+        if stage == rounds - 1 or not poor.size:
             log_weights[:] = full - full.max(axis=1, keepdims=True)
             break
-        share = _shares(log_weights, contribution, left, poor)
-        staged = log_weights + contribution * share[:, None]
-        weights = normalised(staged)
-        redrawn = np.nonzero(poor)[0]
-        for row in redrawn:
-            poses[:, row] = redraw(poses[:, row], weights[row], bandwidth, random)
-        log_weights[redrawn] = 0.0
-        left = np.where(poor, left - share, left)
-        contribution[redrawn] = log_likelihood(poses[:, redrawn], redrawn)
+        share = _shares(log_weights[poor], contribution[poor], left[poor])
+        weights = normalised(log_weights[poor] + contribution[poor] * share[:, None])
+        for row, of_row in zip(poor, weights, strict=True):
+            poses[:, row] = redraw(poses[:, row], of_row, bandwidth, random)
+        log_weights[poor] = 0.0
+        left[poor] -= share
+        contribution[poor] = log_likelihood(poses[:, poor], poor)
 
 
-def _shares(log_weights: Array, contribution: Array, left: Array, poor: NDArray[np.bool_]) -> Array:
+def _shares(log_weights: Array, contribution: Array, left: Array) -> Array:
     """Largest share (by halving) of what is left that keeps 30 % of the samples effective."""
     count = log_weights.shape[1]
     share = left.copy()
     for _ in range(6):
         thin = effective_count(log_weights + contribution * share[:, None]) < 0.3 * count
-        thin &= poor
         if not thin.any():
             break
         share[thin] *= 0.5
