@@ -36,6 +36,10 @@ _DETOUR_M, _DETOURS = 2.0, 10
 _EXPLORES_M, _EXPLORES_MOST_M = 2.0, 8.0
 # What gives way goes no farther [m], though the way back may have become longer.
 _MOST_BACK_M = 1.8
+# What is nearer to where it can get than this [m] sees no more from there.
+_NEAR_M = 1.0
+# So long it may take for each metre as the crow flies [s/m], beside what a recovery may take.
+_SLOWEST_S_PER_M = 5.0
 
 
 @dataclass
@@ -76,14 +80,17 @@ class Course:
     recoveries: int = 0
     behaviour: int = Movement.STAND
     leg: int = field(init=False)
-    # Where it goes while it gives way; how far it goes while it explores [m].
-    refuge: Pose | None = None
+    # Where it goes instead while it gives way or goes near; how far it goes while it explores [m].
+    instead: Pose | None = None
     explores_m: float = _EXPLORES_M
     # Without progress; for the goals before this one; to this goal: longer ways, explorations [1].
     _tries: int = 0
     _recovered_before: int = 0
     _detours: int = 0
     _explorations: int = 0
+    # The longest way [m] and time [s] to where it goes instead.
+    _most_m: float = math.inf
+    _most_s: float = math.inf
     _sequence: Sequence[str] = ()
     _trouble: str = ""
     _attempt: str = ""
@@ -113,8 +120,8 @@ class Course:
 
     @property
     def target(self) -> Pose:
-        """What is planned to now: the goal, or where the robot gives way."""
-        return self.refuge or self.goal
+        """What is planned to now: the goal, or where the robot goes instead."""
+        return self.instead or self.goal
 
     def loaded(self, now_s: float) -> None:
         """All that it takes is loaded: find out where the robot is."""
@@ -253,7 +260,7 @@ class Course:
         if self.behaviour == Movement.STAND:
             over = waited > self.patience.waiting_s
         elif self.behaviour == Movement.FOLLOW:
-            if doubt or self._has_given_way(now_s, seen):
+            if doubt or self._is_there_instead(now_s, seen):
                 self._want(now_s, MoveStatus.RECOVERING, Movement.STAND, self._attempt)
             return
         else:
@@ -269,10 +276,10 @@ class Course:
         if over or (found and waited > self.patience.unsure_s):
             self._want(now_s, MoveStatus.LOCALIZING, Movement.STAND, self._trouble)
 
-    def _has_given_way(self, now_s: float, seen: Seen) -> bool:
-        """Whether the robot is where it gives way, or cannot get there soon."""
+    def _is_there_instead(self, now_s: float, seen: Seen) -> bool:
+        """Whether the robot is where it goes instead, or cannot get there soon."""
         plan = seen.plan if seen.plan is not None and seen.plan.leg == self.leg else None
-        if plan is not None and (plan.outcome != Plan.FOUND or plan.length > _MOST_BACK_M):
+        if plan is not None and (plan.outcome != Plan.FOUND or plan.length > self._most_m):
             return True
         halted, motion = self._halted(now_s, seen)
         if halted or motion is None:
@@ -281,7 +288,7 @@ class Course:
         if motion.state == MotionStatus.MOVING:
             self._moving_s = now_s
         blocked = now_s - self._moving_s > self.patience.unsure_s
-        too_long = now_s - self._since_s > self.patience.behaviour_s
+        too_long = now_s - self._since_s > self._most_s
         return motion.state == MotionStatus.DONE or blocked or too_long
 
     def _reached(self, now_s: float) -> None:
@@ -311,6 +318,9 @@ class Course:
             )
             return
         what = sequence[self._tries % len(sequence)]
+        instead = self._set_out(what, seen)
+        if what == "go near" and instead is None:
+            what = "look around"
         self._tries += 1
         self.recoveries += 1
         self._sequence, self._trouble = sequence, trouble
@@ -318,11 +328,27 @@ class Course:
         if what == "explore":
             self.explores_m = min(_EXPLORES_M * 2.0**self._explorations, _EXPLORES_MOST_M)
             self._explorations += 1
-        refuge = seen.trail.back(self.goal) if what == "give way" else None
-        stays = what == "give way" and refuge is None
-        behaviour = Movement.STAND if stays else BEHAVIOUR[what]
+        behaviour = BEHAVIOUR[what]
+        if behaviour == Movement.FOLLOW and instead is None:
+            behaviour = Movement.STAND
         self._want(now_s, MoveStatus.RECOVERING, behaviour, self._attempt)
-        self.refuge = refuge
+        self.instead = instead
+
+    def _set_out(self, what: str, seen: Seen) -> Pose | None:
+        """Where to go instead of the goal to recover so, if there is such a place."""
+        self._most_s = self.patience.behaviour_s
+        if what == "give way":
+            self._most_m = _MOST_BACK_M
+            return seen.trail.back(self.goal)
+        here, plan = seen.pose, seen.plan
+        if what != "go near" or here is None or plan is None or math.isnan(plan.nearest_x):
+            return None
+        x, y = plan.nearest_x, plan.nearest_y
+        place = x, y, math.atan2(self.goal[1] - y, self.goal[0] - x)
+        apart = distance(here, place)
+        self._most_m = math.inf
+        self._most_s += _SLOWEST_S_PER_M * apart
+        return place if apart >= _NEAR_M else None
 
     def _sure(self, seen: Seen) -> bool:
         """Whether the pose is so sure that a goal counts as reached."""
@@ -330,7 +356,7 @@ class Course:
 
     def _want(self, now_s: float, state: int, behaviour: int, reason: str) -> None:
         self.state, self.behaviour, self.reason = state, behaviour, reason
-        self.refuge = None
+        self.instead = None
         self.leg = self.next_leg()
         self._begin(now_s)
 
@@ -340,7 +366,7 @@ class Course:
 
     def _end(self, state: int, reason: str) -> None:
         self.state, self.behaviour, self.reason = state, Movement.STAND, reason
-        self.refuge = None
+        self.instead = None
         self.leg = self.next_leg()
 
     def _doubt(self, now_s: float, seen: Seen) -> str:

@@ -8,17 +8,19 @@ from schemas.cairn_nav_msgs import Movement
 
 # What is tried, one after the other, when the robot is lost; when it cannot get on; when there is
 # no way to its goal, where waiting may help, or giving way to somebody for whom the robot is in the
-# way, or looking around until the map has forgotten somebody who stood there and has left.
+# way, or going near, to see whether what is in the way still stands, or looking around until the
+# map has forgotten somebody who stood there and has left.
 WHEN_LOST = ("wait", "look around", "explore", "look around", "explore", "look around")
 WHEN_UNSURE = ("look around", "explore", "look around")
 WHEN_STUCK = ("wait", "look around", "back off", "give way", "look around", "wait")
-WHEN_NO_WAY = ("wait", "give way", "look around", "look around")
+WHEN_NO_WAY = ("wait", "give way", "go near", "look around")
 BEHAVIOUR = {
     "wait": Movement.STAND,
     "look around": Movement.LOOK_AROUND,
     "explore": Movement.EXPLORE,
     "back off": Movement.BACK_OFF,
     "give way": Movement.FOLLOW,
+    "go near": Movement.FOLLOW,
 }
 
 

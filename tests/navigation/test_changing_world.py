@@ -59,6 +59,19 @@ def test_a_person_who_stands_on_the_goal_is_waited_for(drive: DriveOf) -> None:
     assert robot.statuses[-1].recoveries > 0
 
 
+def test_what_was_taken_away_out_of_sight_is_gone_near_to_and_found_gone(drive: DriveOf) -> None:
+    robot = drive("settings.scanner=URG-04LX")
+    robot.go(1.2, 3.0)
+    robot.arrives((1.2, 3.0))
+    robot.ask("world", "remove", name="crate")
+
+    robot.go(6.6, 5.6)
+
+    robot.arrives((6.6, 5.6))
+    reasons = [status.reason for status in robot.statuses]
+    assert any(reason.startswith("go near") for reason in reasons), robot
+
+
 def test_a_person_who_stays_on_the_goal_has_the_robot_give_up(drive: DriveOf) -> None:
     robot = drive()
     robot.ask("world", "person", name="guard", waypoints=[[4.0, 1.4]])

@@ -96,7 +96,7 @@ def test_a_goal_where_no_robot_can_be_is_given_up_with_the_nearest_place(
     robot = drive()
     robot.go(*goal)
 
-    end = robot.await_end(45.0)
+    end = robot.await_end(60.0)
 
     assert end.state == MoveStatus.FAILED
     assert re.match(reason, end.reason), end.reason

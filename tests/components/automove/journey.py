@@ -94,12 +94,12 @@ class Way(Journey):
             self._back += 0.02
             self.left += 0.02
             return {"state": MotionStatus.MOVING}
-        if self.course.refuge is not None and self._back < self.GIVE_WAY:
+        if self.course.instead is not None and self._back < self.GIVE_WAY:
             self._back += 0.04
             self.left += 0.04
             return {"state": MotionStatus.MOVING, "distance_left": 0.5}
         self._back = 0.0
-        if self.course.refuge is not None:
+        if self.course.instead is not None:
             return {"state": MotionStatus.DONE}
         if wanted != Movement.FOLLOW or self.left <= 0.0:
             return {"state": MotionStatus.DONE}

@@ -27,7 +27,7 @@ def gives_way(**more: object) -> Journey:
     journey = Journey()
     came(journey)
     journey.plan = NO_WAY
-    while journey.course.refuge is None:
+    while journey.course.instead is None:
         journey.run(0.1)
     journey.plan = {"outcome": Plan.FOUND, **more}
     return journey

@@ -1,0 +1,64 @@
+"""A robot without a way to its goal goes as near as it can: the map may hold what has left."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from schemas.cairn_nav_msgs import MotionStatus, Movement, MoveStatus, Plan
+from tests.components.automove.journey import Journey
+
+STAND, LOOK, FOLLOW = Movement.STAND, Movement.LOOK_AROUND, Movement.FOLLOW
+
+
+def no_way(**nearest: float) -> Journey:
+    """A robot at (0, 0) whose goal (3, 4) holds something."""
+    journey = Journey()
+    journey.plan = {"outcome": Plan.GOAL_BLOCKED, "reason": "something is there", **nearest}
+    return journey
+
+
+def goes_near() -> Journey:
+    """The same when it sets out for the nearest place, and there is a way."""
+    journey = no_way(nearest_x=2.0, nearest_y=4.0)
+    while journey.course.instead is None:
+        journey.run(0.1)
+    journey.plan = {"outcome": Plan.FOUND, "length": 7.0}
+    return journey
+
+
+def test_it_goes_to_the_nearest_place_looks_from_there_and_plans_anew() -> None:
+    journey = goes_near()
+    assert journey.tried == [STAND, STAND, FOLLOW]
+    assert journey.course.target == pytest.approx((2.0, 4.0, 0.0))
+    assert journey.course.reason == "go near (3 of 4): no path: something is there"
+    journey.run(40.0)
+    assert journey.course.behaviour == FOLLOW
+    journey.motion = {"state": MotionStatus.DONE}
+    journey.run(0.1)
+    assert (journey.course.state, journey.course.behaviour) == (MoveStatus.RECOVERING, STAND)
+    journey.motion = {"state": MotionStatus.MOVING}
+    journey.run(5.0)
+
+    assert journey.course.state == MoveStatus.DRIVING
+    assert journey.course.target == (3.0, 4.0, 0.0)
+
+
+def test_a_way_there_that_never_ends_is_given_up() -> None:
+    journey = goes_near()
+    journey.run(54.0)
+    assert journey.course.reason.startswith("go near")
+    assert journey.course.behaviour == STAND
+
+
+@pytest.mark.parametrize("nearest", [(0.6, 0.7), (math.nan, math.nan)])
+def test_it_looks_around_when_it_is_near_or_there_is_no_such_place(
+    nearest: tuple[float, float],
+) -> None:
+    journey = no_way(nearest_x=nearest[0], nearest_y=nearest[1])
+    journey.run(200.0)
+
+    assert journey.tried == [STAND, STAND, LOOK, LOOK]
+    assert journey.course.state == MoveStatus.FAILED
+    assert journey.course.reason == "no path: something is there (after 4 recoveries)"
