@@ -15,9 +15,11 @@ Array = NDArray[np.float64]
 # Shares of the newest scan in the running means.
 _NEWEST_STEP, _NEWEST_FIT = 0.05, 0.05
 # Added to what corrections are and should be, so that tiny ones say nothing [m^2], [rad^2].
-_LITTLE = np.array([1e-6, 1e-7])
+_LITTLE_M2, _LITTLE_RAD2 = 1e-6, 1e-7
 # A cloud is said to be at most so much narrower or wider than it is.
 _NARROWEST, _WIDEST = 0.2, 3.0
+# And to lag behind at most by so many of its deviations.
+_LONGEST_LAG = 6.0
 # Beams that measure exactly deviate so much from a map of cells, and bring the pose so far off
 # [cells]; what is beyond is the map's error, which turns the robot so much [rad / m].
 _DEVIATION_OF_CELLS, _ERROR_OF_CELLS = 0.54, 0.125
@@ -31,24 +33,31 @@ class StatedCovariance:
 
     The cloud is as wide as its models of motion and beams make it. A filter whose models are right
     is corrected by each scan as far as the cloud shrinks with it, on average; by that its width is
-    scaled (innovation-based estimation, Mehra 1970). Added is the error of the map, which all beams
-    share, so that no cloud shows it: as large as the beams' deviation from the map beyond what
-    cells of its size explain.
+    scaled (innovation-based estimation, Mehra 1970), along each of its axes by itself: what is seen
+    across a corridor says nothing of how far along it the robot is. Added is how far it lags behind
+    where corrections always point the same way, as odometry errs steadily; and the error of the
+    map, which all beams share, so that no cloud shows it: as large as the beams' deviation from the
+    map beyond what cells of its size explain.
     """
 
     def __init__(self) -> None:
-        self._made, self._due = np.zeros(2), np.zeros(2)
+        # Running means of corrections over x, y [m] in the map, of their squares [m^2], of what was
+        # due, and over the heading [rad^2].
+        self._mean = np.zeros(2)
+        self._made, self._due = np.zeros((2, 2)), np.zeros((2, 2))
+        self._turn_made = self._turn_due = 0.0
         self._beyond: float | None = None
 
     def corrected(self, before: Estimate, after: Estimate, share: float) -> None:
         """Note what a scan, of which `share` (0 to 1) is new, made of the cloud."""
         x, y, theta = (b - a for a, b in zip(before.mean, after.mean, strict=True))
-        shrunk = np.diag(before.covariance) - np.diag(after.covariance)
-        made = np.array([x * x + y * y, wrap(theta) ** 2])
-        due = np.maximum(0.0, [shrunk[0] + shrunk[1], shrunk[2]])
+        shrunk = before.covariance - after.covariance
         newest = _NEWEST_STEP * share
-        self._made += newest * (made - self._made)
-        self._due += newest * (due - self._due)
+        self._mean += newest * (np.array([x, y]) - self._mean)
+        self._made += newest * (np.array([[x * x, x * y], [x * y, y * y]]) - self._made)
+        self._due += newest * (shrunk[:2, :2] - self._due)
+        self._turn_made += newest * (wrap(theta) ** 2 - self._turn_made)
+        self._turn_due += newest * (max(0.0, shrunk[2, 2]) - self._turn_due)
 
     def fitted(self, deviation: float, resolution: float) -> None:
         """Note by how much [m, rms; NaN: unknown] beams deviate from a map of such cells [m]."""
@@ -60,11 +69,46 @@ class StatedCovariance:
 
     def of(self, cloud: Estimate, resolution: float) -> Array:
         """The covariance (3, 3) to state, on a map of cells of that size [m]."""
-        scale = np.clip(
-            np.sqrt((self._made + _LITTLE) / (self._due + _LITTLE)), _NARROWEST, _WIDEST
-        )
-        each = np.diag([scale[0], scale[0], scale[1]])
+        spread = cloud.covariance[:2, :2]
+        each, behind = np.zeros((3, 3)), np.zeros((3, 3))
+        angle = 0.5 * math.atan2(2.0 * spread[0, 1], spread[0, 0] - spread[1, 1])
+        for axis in (_direction(angle), _direction(angle + 0.5 * math.pi)):
+            scale = _scale(_along(axis, self._made), _along(axis, self._due), _LITTLE_M2)
+            each[:2, :2] += scale * np.outer(axis, axis)
+        way = _direction(math.atan2(self._mean[1], self._mean[0]))
+        made, due, variance = (_along(way, one) for one in (self._made, self._due, spread))
+        lag = _lag(math.hypot(*self._mean), made, due, variance)
+        behind[:2, :2] = lag * np.outer(way, way)
+        each[2, 2] = _scale(self._turn_made, self._turn_due, _LITTLE_RAD2)
         off = (_ERROR_OF_CELLS * resolution) ** 2 + (self._beyond or 0.0)
         turn = _LEAST_TURN**2 + _TURN_PER_M**2 * (self._beyond or 0.0)
-        stated: Array = each @ cloud.covariance @ each + np.diag([off, off, turn])
+        stated: Array = each @ cloud.covariance @ each + behind + np.diag([off, off, turn])
         return stated
+
+
+def _direction(angle: float) -> Array:
+    return np.array([math.cos(angle), math.sin(angle)])
+
+
+def _along(axis: Array, matrix: Array) -> float:
+    return float(axis @ matrix @ axis)
+
+
+def _scale(made: float, due: float, little: float) -> float:
+    """By how much corrections of the mean square `made` are wider than those that were `due`."""
+    ratio = math.sqrt((made + little) / (max(0.0, due) + little))
+    return min(max(ratio, _NARROWEST), _WIDEST)
+
+
+def _lag(mean: float, made: float, due: float, variance: float) -> float:
+    """Square [m^2] of how far the pose lags behind, should odometry err steadily.
+
+    Scans then correct it by the same again and again, `mean` [m]: of what is missing, that share by
+    which a cloud of that variance [m^2] shrank when `due` was taken off. What corrections at
+    random, of the mean square `made`, leave in a running mean is no lag.
+    """
+    steady = mean * mean - 4.0 * _NEWEST_STEP * made
+    if steady <= 0.0:
+        return 0.0
+    gain = (max(0.0, due) + _LITTLE_M2) / (variance + max(0.0, due) + _LITTLE_M2)
+    return min(steady / gain**2, _LONGEST_LAG**2 * variance)

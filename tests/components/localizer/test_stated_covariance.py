@@ -31,7 +31,7 @@ def deviation(stated: StatedCovariance) -> float:
 
 
 def test_a_filter_that_is_corrected_as_it_expects_states_its_cloud() -> None:
-    expected = math.sqrt(2 * (0.05**2 - 0.03**2))
+    expected = math.sqrt(0.05**2 - 0.03**2)
 
     assert deviation(after_corrections(expected)) == pytest.approx(0.03, rel=0.05)
 
@@ -45,7 +45,7 @@ def test_corrections_larger_than_expected_make_it_wider_within_limits() -> None:
 
 
 def test_scans_taken_on_the_spot_say_little() -> None:
-    expected = math.sqrt(2 * (0.05**2 - 0.03**2))
+    expected = math.sqrt(0.05**2 - 0.03**2)
     still, moving = after_corrections(expected), after_corrections(expected)
     for _ in range(20):
         still.corrected(cloud(0.05), cloud(0.03), 0.03)
@@ -53,6 +53,34 @@ def test_scans_taken_on_the_spot_say_little() -> None:
 
     assert deviation(still) == pytest.approx(0.03, rel=0.05)
     assert deviation(moving) < 0.022
+
+
+def test_what_is_corrected_across_a_corridor_says_nothing_along_it() -> None:
+    stated = StatedCovariance()
+    before, after = np.diag([0.3**2, 0.05**2, 0.01]), np.diag([0.3**2, 0.01**2, 0.01])
+    for k in range(200):
+        y = 0.005 * (-1) ** k
+        stated.corrected(Estimate((0, 0, 0), before), Estimate((0, y, 0), after), 1.0)
+
+    told = stated.of(Estimate((0.0, 0.0, 0.0), after), CELL_M)
+
+    assert math.sqrt(told[0, 0]) == pytest.approx(0.3, rel=0.02)
+    assert math.sqrt(told[1, 1]) < 0.01
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.7])
+def test_what_is_always_corrected_the_same_way_lags_behind_by_much_more(turn: float) -> None:
+    stated = StatedCovariance()
+    before, after = np.diag([0.02**2] * 3), np.diag([0.018**2] * 3)
+    for _ in range(200):  # a fifth of what is missing is made up for each time
+        x, y = 0.004 * math.cos(turn), 0.004 * math.sin(turn)
+        stated.corrected(Estimate((0, 0, 0), before), Estimate((x, y, 0), after), 1.0)
+
+    told = stated.of(Estimate((0.0, 0.0, 0.0), after), CELL_M)
+
+    ahead, left = np.array([math.cos(turn), math.sin(turn)]), [-math.sin(turn), math.cos(turn)]
+    assert math.sqrt(ahead @ told[:2, :2] @ ahead) == pytest.approx(0.02, rel=0.2)
+    assert math.sqrt(left @ told[:2, :2] @ left) < 0.01
 
 
 def test_what_beams_deviate_beyond_the_cells_of_the_map_is_the_maps_error() -> None:
@@ -74,15 +102,16 @@ def test_a_scan_that_explains_nothing_changes_nothing() -> None:
 
 
 def test_the_truth_lies_within_the_stated_sigmas_as_often_as_it_should() -> None:
-    grid = floor(9.0, 4, 7)
-    robot = new_robot(grid, 7)
-    robot.locate(START, np.diag([0.05**2, 0.05**2, 0.03**2]))
+    squares: list[float] = []
+    for seed in (7, 8, 9):
+        grid = floor(9.0, 4, seed)
+        robot = new_robot(grid, seed)
+        robot.locate(START, np.diag([0.05**2, 0.05**2, 0.03**2]))
+        errors, covariances, _ = wander(robot, grid, START, 30.0, seed)
+        pairs = zip(errors[20:, :2], covariances[20:, :2, :2], strict=True)
+        squares += [error @ np.linalg.solve(covariance, error) for error, covariance in pairs]
 
-    errors, covariances, _ = wander(robot, grid, START, 30.0, 7)
-
-    pairs = zip(errors[20:, :2], covariances[20:, :2, :2], strict=True)
-    squares = np.array([error @ np.linalg.solve(covariance, error) for error, covariance in pairs])
-    one, two, three = (float(np.mean(squares <= limit)) for limit in SIGMAS)
-    assert 0.5 < one < 0.95
+    one, two, three = (float(np.mean(np.array(squares) <= limit)) for limit in SIGMAS)
+    assert 0.5 < one < 0.92
     assert two > 0.9
     assert three > 0.98
