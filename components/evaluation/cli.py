@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
 from json import dumps
 from multiprocessing import get_context
 from pathlib import Path
@@ -18,8 +20,8 @@ from cairn.errors import CairnError
 from components.evaluation.pictures import draw_tracks, draw_ways
 from components.evaluation.report import report_lines
 from components.evaluation.results import GoalResult, RunResult, Summary, summed_up
-from components.evaluation.runs import Trial, run_trial
-from components.evaluation.surveying import survey
+from components.evaluation.runs import Trial, examination, run_trial
+from components.evaluation.surveying import robot_start, scripted_events, survey
 from planar.map_file import read_map
 
 app = typer.Typer(help="Evaluate what the robot does, by many runs.", no_args_is_help=True)
@@ -39,9 +41,13 @@ def navigation(
         bool, typer.Option("--kidnap", help="Carry the robot off once in each run.")
     ] = False,
     out: Annotated[Path, typer.Option(help="Folder for the report.")] = Path("evaluation"),
-    deployment: Annotated[Path, typer.Option(help="The deployment that is run.")] = Path(
-        "deploy/sim.yaml"
-    ),
+    deployment: Annotated[
+        Path,
+        typer.Option(
+            help="The deployment that is run. The default is relative to the current folder: it is "
+            "found in Cairn's checkout only."
+        ),
+    ] = Path("deploy/sim.yaml"),
     set_: Annotated[
         list[str] | None,
         typer.Option("--set", help="Change a value of the deployment: path=value.", metavar="SET"),
@@ -56,10 +62,14 @@ def navigation(
     Ends with status 1 if a goal was not reached, anything was hit, or a run failed.
     """
     numbers = _seeds(seeds)
-    out.mkdir(parents=True, exist_ok=True)
+    if not os.access(deployment, os.R_OK):
+        raise CairnError(
+            f"{deployment}: no such deployment, or none that can be read; name yours with "
+            "--deployment FILE"
+        )
     map_file = (out / "surveyed.yaml").absolute()
     visual_map = map_file.with_suffix(".cairn")
-    start = survey(world, map_file, visual_map)
+    start = robot_start(world)
     trials = [
         Trial(
             deployment=deployment.absolute(),
@@ -74,11 +84,18 @@ def navigation(
         )
         for seed in numbers
     ]
+    with TemporaryDirectory(prefix="cairn-evaluation-") as scratch:
+        folder = Path(scratch)
+        examined = examination(trials[0], folder, folder / "result.json")
+    events = scripted_events(world, examined)
     logs = (out / "logs").absolute()
-    logs.mkdir(exist_ok=True)
+    with _writing(out):
+        logs.mkdir(parents=True, exist_ok=True)
+        survey(world, map_file, visual_map)
     runs = _run(trials, logs, workers or os.cpu_count() or 1, quiet=json)
-    summary = summed_up(runs)
-    _write(out, map_file, runs, summary)
+    summary = summed_up(runs, events)
+    with _writing(out):
+        _write(out, map_file, runs, summary)
     if json:
         print_json({"world": str(world), "summary": summary.model_dump(mode="json")})
     else:
@@ -99,6 +116,19 @@ def _seeds(text: str) -> range:
     if not 0 <= begin <= end:
         raise CairnError(f"--seeds {text}: A must not be negative nor larger than B")
     return range(begin, end + 1)
+
+
+@contextmanager
+def _writing(out: Path) -> Iterator[None]:
+    """Tell what keeps the report from being written."""
+    try:
+        yield
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename else ""
+        raise CairnError(
+            f"the report's folder {out} cannot be written: {where}{error.strerror or error}; name "
+            "another one with --out, or make room there"
+        ) from error
 
 
 def _run(trials: list[Trial], logs: Path, workers: int, *, quiet: bool) -> list[RunResult]:

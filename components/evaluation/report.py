@@ -15,6 +15,7 @@ def report_lines(world: str, runs: Sequence[RunResult], summary: Summary) -> Ite
     if summary.failed:
         yield f"  failed            {summary.failed} of {summary.runs} runs"
     yield f"  reached           {summary.reached} of {summary.goals}, {summary.reached_share:.1%}"
+    yield from _events(summary)
     if summary.kidnapped:
         yield from _carried_off(summary)
     yield f"  collisions        {summary.collisions}"
@@ -55,6 +56,21 @@ def _what_went_wrong(run: RunResult) -> Iterator[str]:
             )
     for collision in run.collisions:
         yield f"seed {run.seed}, collision: {collision}"
+
+
+def _events(summary: Summary) -> Iterator[str]:
+    """Which events of the world were not tested in every run: they came after its end."""
+    runs = summary.runs - summary.failed
+    missed = {event: count for event, count in summary.events.items() if count < runs}
+    if not missed:
+        return
+    every = "every run that did not fail" if summary.failed else "every run"
+    parts = [f"{len(summary.events) - len(missed)} of {len(summary.events)} came due in {every}"]
+    parts += [
+        f'"{event}" in {f"{count} of {runs}" if count else "none"}'
+        for event, count in missed.items()
+    ]
+    yield f"  events            {'; '.join(parts)}"
 
 
 def _carried_off(summary: Summary) -> Iterator[str]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,6 +70,11 @@ class Summary(BaseModel):
 
     runs: int
     failed: int = Field(description="Runs that failed, or that did not do what was asked.")
+    failures: dict[int, str] = Field(description="Why each of these failed, by its seed.")
+    events: dict[str, int] = Field(
+        description="In how many of the runs that did not fail each scripted event of the world "
+        "came due before the end."
+    )
     goals: int
     reached: int
     reached_share: float
@@ -99,8 +104,12 @@ class Summary(BaseModel):
     simulated_s: float
 
 
-def summed_up(runs: Sequence[RunResult]) -> Summary:
-    """The figures of all runs; ways of goals at which the robot was kidnapped are left out."""
+def summed_up(runs: Sequence[RunResult], events: Mapping[str, float]) -> Summary:
+    """The figures of all runs; `events` says when [s] each scripted event of the world comes due.
+
+    Ways of goals at which the robot was kidnapped are left out.
+    """
+    durations = [run.simulated_s for run in runs if not run.failure]
     goals = [goal for run in runs for goal in run.goals]
     plain = [g for g in goals if g.reached and not g.kidnapped and g.shortest > 0]
     ratios = [g.driven / g.shortest for g in plain]
@@ -112,6 +121,10 @@ def summed_up(runs: Sequence[RunResult]) -> Summary:
     return Summary(
         runs=len(runs),
         failed=sum(bool(run.failure) for run in runs),
+        failures={run.seed: run.failure for run in runs if run.failure},
+        events={
+            event: sum(duration >= at for duration in durations) for event, at in events.items()
+        },
         goals=len(goals),
         reached=reached,
         reached_share=reached / len(goals) if goals else 0.0,

@@ -1,6 +1,7 @@
 """`cairn evaluate navigation`, as a user runs it: goals reached in the room, and a report."""
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,7 +10,7 @@ import pytest
 from components.evaluation import cli
 from components.evaluation.results import GoalResult, RunResult
 from components.evaluation.runs import Trial, examination
-from tests.commands import cairn
+from tests.commands import Answer, cairn
 
 ROOT = Path(__file__).parents[3]
 
@@ -99,8 +100,8 @@ def as_told(trial: Trial, scratch: str, logs: Path) -> RunResult:
     if trial.seed == 9:
         raise ValueError("this seed went wrong")
     return {
-        0: RunResult(seed=0, goals=[GOOD], track=[(1.0, 1.0), (3.0, 2.0)]),
-        1: RunResult(seed=1, goals=[GOOD, MISSED]),
+        0: RunResult(seed=0, goals=[GOOD], track=[(1.0, 1.0), (3.0, 2.0)], simulated_s=60.0),
+        1: RunResult(seed=1, goals=[GOOD, MISSED], simulated_s=40.0),
         2: RunResult(seed=2, goals=[GOOD], collisions=["table at (1.00, 1.00), 0.20 m/s"]),
         3: RunResult(seed=3, goals=[GOOD], failure="never carried off"),
     }[trial.seed]
@@ -126,6 +127,8 @@ def test_its_exit_status_tells_whether_all_went_well(
         "navigation",
         "--world",
         str(ROOT / "deploy" / "worlds" / "room.yaml"),
+        "--deployment",
+        str(ROOT / "deploy" / "sim.yaml"),
         "--seeds",
         seeds,
         "--out",
@@ -136,6 +139,116 @@ def test_its_exit_status_tells_whether_all_went_well(
 
     assert answer.code == code, answer
     assert told in answer.out
+
+
+def evaluated(out: Path, *arguments: str, world: Path = ROOT / "deploy/worlds/room.yaml") -> Answer:
+    """The answer to an evaluation of one run at a time."""
+    return cairn(
+        "evaluate", "navigation", "--world", str(world), "--out", str(out), "--workers", "1",
+        *arguments,
+    )  # fmt: skip
+
+
+SIM = ("--deployment", str(ROOT / "deploy" / "sim.yaml"))
+
+
+def a_file(folder: Path) -> Path:
+    (folder / "file").touch()
+    return folder / "file"
+
+
+def a_folder_with_a_file_called_logs(folder: Path) -> Path:
+    (folder / "logs").touch()
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("make", "cause"),
+    [
+        (a_file, "Not a directory"),
+        (a_folder_with_a_file_called_logs, "File exists"),
+        (lambda _: Path("/proc/evaluation"), "No such file or directory"),
+    ],
+)
+def test_a_folder_that_cannot_be_written_is_told_of_before_any_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, make: Callable[[Path], Path], cause: str
+) -> None:
+    monkeypatch.setattr(cli, "run_trial", as_told)
+    out = make(tmp_path)
+
+    answer = evaluated(out, *SIM)
+
+    assert (answer.code, answer.out) == (1, "")
+    assert answer.err.startswith(f"cairn: the report's folder {out} cannot be written: ")
+    assert f"{cause}; name another one with --out" in answer.err
+    assert len(answer.err.splitlines()) == 1
+
+
+def test_a_report_that_cannot_be_written_in_the_end_is_told_of(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cli, "run_trial", as_told)
+    (tmp_path / "runs.json").mkdir()
+
+    answer = evaluated(tmp_path, *SIM, "--seeds", "0", "--json")
+
+    assert (answer.code, answer.out) == (1, "")
+    assert f"folder {tmp_path} cannot be written: {tmp_path}/runs.json: Is a dir" in answer.err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (("--deployment", "nope.yaml"), "name yours with --deployment FILE"),
+        ((*SIM, "--set", "components.bas.parameters.x=3"), "there is no component bas; did you"),
+    ],
+)
+def test_a_deployment_that_cannot_start_is_told_of_once_before_any_run(
+    tmp_path: Path, arguments: tuple[str, ...], told: str
+) -> None:
+    answer = evaluated(tmp_path / "out", *arguments)
+
+    assert (answer.code, answer.out) == (1, "")
+    assert answer.err.count(told) == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_its_json_tells_why_runs_failed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cli, "run_trial", as_told)
+
+    answer = evaluated(tmp_path, *SIM, "--seeds", "2..3", "--json")
+
+    assert answer.code == 1
+    assert answer.json["summary"]["failures"] == {"3": "never carried off"}
+
+
+def test_events_that_came_due_after_the_end_of_a_run_are_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cli, "run_trial", as_told)
+    world = tmp_path / "world.yaml"
+    world.write_text(
+        (ROOT / "deploy" / "worlds" / "room.yaml").read_text()
+        + "events:\n"
+        + "  - {at: 90, kidnap: {x: 2, y: 2}}\n"
+        + "  - {at: 50, swap: [object_1, object_2]}\n"
+        + "  - {at: 10, remove: crate}\n"
+    )
+    more = "[{at: 60, add_person: {name: visitor, waypoints: [[6, 2]]}}]"
+    sets = ("--set", f"components.world.parameters.events={more}")
+
+    answer = evaluated(tmp_path, *SIM, *sets, "--seeds", "0..1", world=world)
+
+    assert (
+        '  events            1 of 4 came due in every run; "swap object_1 and object_2 at 50 s" '
+        'in 1 of 2; "add visitor at 60 s" in 1 of 2; "kidnap at 90 s" in none\n'
+    ) in answer.out, answer
+    assert json.loads((tmp_path / "runs.json").read_text())["summary"]["events"] == {
+        "remove crate at 10 s": 2,
+        "swap object_1 and object_2 at 50 s": 1,
+        "add visitor at 60 s": 1,
+        "kidnap at 90 s": 0,
+    }
 
 
 def test_a_run_that_fails_does_not_lose_the_others(

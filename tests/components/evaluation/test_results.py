@@ -51,7 +51,8 @@ def test_goals_ways_and_collisions_of_all_runs_are_summed_up() -> None:
         [
             run(goal(True, 4.0, 4.4), goal(False, 4.0, 9.0)),
             run(goal(True, 2.0, 2.6), goal(True, 1.0, 8.0, kidnapped=True), collisions=2),
-        ]
+        ],
+        {},
     )
 
     assert (summary.goals, summary.reached, summary.collisions) == (4, 3, 2)
@@ -70,7 +71,7 @@ def test_errors_are_those_of_all_poses_of_all_runs() -> None:
     good = [told_of(0.004, 100, (1.0, 1.0, 1.0))] * 9
     bad = told_of(3.0, 300, (0.0, 0.0, 0.2))
 
-    summary = summed_up([*good, bad])
+    summary = summed_up([*good, bad], {})
 
     assert summary.error_median == pytest.approx(0.004)
     assert summary.error_p95 == pytest.approx(3.0)  # for 300 of 1200 poses it was that far off
@@ -80,7 +81,7 @@ def test_errors_are_those_of_all_poses_of_all_runs() -> None:
 def test_ends_are_of_goals_where_the_robot_said_to_be_there() -> None:
     silent = goal(False, 4.0, 1.0).model_copy(update={"claimed": False, "end_error": 5.0})
 
-    summary = summed_up([run(goal(True, 4.0, 4.4), goal(False, 4.0, 4.4), silent)])
+    summary = summed_up([run(goal(True, 4.0, 4.4), goal(False, 4.0, 4.4), silent)], {})
 
     assert summary.end_error_median == pytest.approx(0.11)
     assert summary.end_turn_p95 == pytest.approx(0.01)
@@ -93,7 +94,7 @@ def test_the_report_tells_what_went_wrong_and_what_is_left_out_of_the_errors() -
         RunResult(seed=2, failure="the robot was to be carried off and never was"),
     ]
 
-    told = "\n".join(report_lines("hall.yaml", runs, summed_up(runs)))
+    told = "\n".join(report_lines("hall.yaml", runs, summed_up(runs, {})))
 
     assert "seed 1, goal 1 at (0.00, 0.00) not reached: " in told
     assert "seed 1, collision: table at (1.00, 1.00), 0.20 m/s" in told
@@ -103,8 +104,17 @@ def test_the_report_tells_what_went_wrong_and_what_is_left_out_of_the_errors() -
     assert "both but from being carried off until it found itself" in told
 
 
+def test_events_are_told_of_only_if_a_run_that_did_not_fail_missed_them() -> None:
+    failed = RunResult(seed=2, failure="the robot was to be carried off and never was")
+
+    for at, told in ((100.0, ""), (101.0, "0 of 1 came due in every run that did not fail; ")):
+        summary = summed_up([run(), failed], {"kidnap": at})
+        lines = [line for line in report_lines("hall.yaml", [], summary) if "events" in line]
+        assert lines == ([f'  events            {told}"kidnap" in none'] if told else [])
+
+
 def test_nothing_reached_has_no_ratio() -> None:
-    summary = summed_up([run(goal(False, 4.0, 1.0))])
+    summary = summed_up([run(goal(False, 4.0, 1.0))], {})
 
     assert summary.reached_share == 0.0
     assert summary.path_ratio_mean is None
