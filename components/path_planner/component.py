@@ -21,9 +21,9 @@ from components.path_planner.planning import (
     remaining,
 )
 from components.path_planner.sightings import RecentObstacles
+from components.path_planner.whereabouts import Moved, Whereabouts
 from planar.grid import OccupancyCells, grid_of
 from planar.messages import planar_pose
-from planar.odometry import Added, OdometryHistory
 from planar.poses import Pose
 from planar.scans import beams_of
 from schemas.cairn_nav_msgs import LocalizationHealth, MotionStatus, Movement, Plan
@@ -33,7 +33,6 @@ from schemas.nav_msgs import OccupancyGrid, Odometry, Path
 from schemas.sensor_msgs import LaserScan
 from schemas.std_msgs import Header
 
-HISTORY_NS = 3 * SECOND
 # Nearer to the goal than this [m] a path is not exchanged for a better one.
 NEAR_M = 0.5
 # A path so much longer than what was left [m] is another way; what the scanner saw this near [m] to
@@ -68,8 +67,7 @@ class PathPlanner(Component):
         self._costs: CostMap | None = None
         self._recent: RecentObstacles | None = None
         self._hindrances = Hindrances()
-        self._history = OdometryHistory(HISTORY_NS)
-        self._pose: tuple[int, Pose] | None = None
+        self._whereabouts = Whereabouts()
         self._wanted: Movement | None = None
         self._answer: Answer | None = None
         self._planned_at = 0
@@ -112,7 +110,12 @@ class PathPlanner(Component):
     def follow(self, odom: Odometry) -> None:
         """Remember how the robot moves."""
         stamp = to_ns(odom.header.stamp)
-        if self._history.add(stamp, planar_pose(odom.pose.pose)) is Added.ANEW:
+        moved = self._whereabouts.move(stamp, planar_pose(odom.pose.pose))
+        if moved is Moved.JUMPED:
+            self.log.warning(
+                "odometry on %s jumped: waiting for a pose since then", self.odom.topic
+            )
+        elif moved is Moved.SET_BACK:
             self.log.warning(
                 "odometry on %s went back in time: what was seen is forgotten", self.odom.topic
             )
@@ -126,7 +129,7 @@ class PathPlanner(Component):
     @on("pose")
     def locate(self, message: PoseWithCovarianceStamped) -> None:
         """Take where the robot is; plan if that was all that was missing."""
-        self._pose = to_ns(message.header.stamp), planar_pose(message.pose.pose)
+        self._whereabouts.locate(to_ns(message.header.stamp), planar_pose(message.pose.pose))
         if self._due():
             self._check()
 
@@ -146,7 +149,7 @@ class PathPlanner(Component):
             return
         self._looked_at = now
         stamp = to_ns(scan.header.stamp)
-        pose = self._pose_at(stamp)
+        pose = self._whereabouts.at(stamp)
         health = self.localization_health.latest
         if pose is None or (health is not None and health.health < config.least_health):
             return
@@ -227,26 +230,21 @@ class PathPlanner(Component):
             self._recent.forget(now - round(self.config.obstacle_memory_s * SECOND))
             self._costs.overlay(self._recent.cells())
 
-    def _pose_at(self, stamp: int) -> Pose | None:
-        """Where the robot is at a time, by the last pose and odometry since."""
-        if self._pose is None:
-            return None
-        since, pose = self._pose
-        return self._history.carried(pose, since, stamp) or pose
-
     def _missing(self) -> str:
         """What is still missing for a plan; nothing if all is there."""
         health = self.localization_health.latest
         if self._costs is None:
             return f"no map has come on {self.map.topic} yet"
-        if self._pose is None:
+        if self._whereabouts.lost:
+            return f"no pose on {self.pose.topic} since odometry on {self.odom.topic} began anew"
+        if self._now_at() is None:
             return f"no pose has come on {self.pose.topic} yet"
         if health is not None and not health.located:
             return f"the robot is not located: {health.reason or 'no reason given'}"
         return ""
 
     def _now_at(self) -> Pose | None:
-        return self._pose_at(self.clock.now())
+        return self._whereabouts.at(self.clock.now())
 
     def _fresh(self) -> Answer:
         """Plan from where the robot is now."""

@@ -11,7 +11,7 @@ from pydantic import Field
 from cairn.bus.qos import LATCHED, RELIABLE
 from cairn.clock import to_ns
 from cairn.component.component import Component
-from cairn.component.handlers import on
+from cairn.component.handlers import every, on
 from cairn.component.parameters import Config
 from cairn.component.ports import In
 from cairn.errors import CairnError
@@ -71,16 +71,21 @@ class Report(Component):
                     self._record, folder / "record.jsonl", self.log, resume=resume
                 )
 
+    @every(hz=10)
+    def begin(self) -> None:
+        """Note when the run began: as soon as its clock tells a time, whatever else comes."""
+        if self._record.began_s is None and self.clock.now():
+            # How long the computer takes is the one thing that `clock` does not tell.
+            self._note("begins", time.monotonic(), self.clock.now())
+
     @on("pose")
     def follow(self, pose: PoseWithCovarianceStamped) -> None:
         """Keep the estimated pose."""
-        self._begin()
         self._note("estimated", to_ns(pose.header.stamp), *planar_pose(pose.pose.pose))
 
     @on("truth")
     def follow_truth(self, truth: PoseStamped) -> None:
         """Keep the true pose."""
-        self._begin()
         self._note("was_truly_at", to_ns(truth.header.stamp), *planar_pose(truth.pose))
 
     @on("true_map")
@@ -162,6 +167,8 @@ class Report(Component):
         # Matplotlib takes half a second and 40 MB: not before the run is over.
         from components.report.pictures import draw_map, draw_reliability
 
+        if self.clock.now():  # a report begun anew at the very end may not have heard of it
+            self._note("ends", self.clock.now())
         folder = Path(self.config.directory)
         summary = self._record.summary(None if self._virtual else time.monotonic())
         text = json.dumps(summary, indent=1, sort_keys=False, allow_nan=False)
@@ -172,11 +179,6 @@ class Report(Component):
             (folder / "report.json").write_text(text + "\n", encoding="utf-8")
             self._journal.remove()
         self.log.info("report written to %s", folder)
-
-    def _begin(self) -> None:
-        if self._record.began_s is None:
-            # How long the computer takes is the one thing that `clock` does not tell.
-            self._note("begins", time.monotonic())
 
     def _note(self, what: str, *values: Value) -> None:
         if self._journal is not None:

@@ -49,9 +49,14 @@ class RunRecord:
     began_s: float | None = None  # by the computer's monotonic clock
     map_stamp: int | None = None
 
-    def begins(self, monotonic_s: float) -> None:
-        """Note when the first message came, by the computer's monotonic clock [s]."""
+    def begins(self, monotonic_s: float, stamp: int) -> None:
+        """Note when the run began, by the computer's monotonic clock [s] and by the robot's."""
         self.began_s = monotonic_s
+        self._at(stamp)
+
+    def ends(self, stamp: int) -> None:
+        """Note when the run ended."""
+        self._at(stamp)
 
     def estimated(self, stamp: int, x: float, y: float, yaw: float) -> None:
         """Keep an estimated pose [m, m, rad]."""

@@ -81,8 +81,10 @@ def _closing(summary: dict[str, Any]) -> str:
     losses = ", ".join(f"{count} at {port}" for port, count in lost.items()) or "none"
     recorded, wall = summary["recorded_s"], summary["wall_s"]
     speed = f", {wall:.1f} s taken, {recorded / wall:.1f} times real time" if wall else ""
-    if summary["position_rmse_m"] is None:
-        errors = "no pose to compare with the truth"
+    if summary["first_pose_s"] is None:
+        errors = "the localizer told no pose"
+    elif summary["position_rmse_m"] is None:
+        errors = "no truth to compare the poses with"
     else:
         errors = (
             f"position error {summary['position_rmse_m']:.3f} m rms "

@@ -9,6 +9,7 @@ import pytest
 from cairn.component.lifecycle import Transition
 from components.path_planner.planning import Outcome
 from planar.messages import planar_poses
+from planar.poses import Pose, compose
 from schemas.cairn_nav_msgs import Plan
 from tests.components.path_planner.happening import (
     BEGIN,
@@ -91,6 +92,91 @@ def test_odometry_carries_the_robot_on_since_its_last_pose(begun: Any) -> None:
 
     poses = planar_poses(it.taken("plan")[0].poses)
     assert poses[0, :2] == pytest.approx((1.0, 1.5))
+
+
+def driven_away(begun: Any) -> Any:
+    """A robot on its way to THERE, 3.8 m from where its odometry began."""
+    it = begun(room(), pose=None)
+    it.give("odom", odom_at((3.0, 2.3, 0.0), BEGIN))
+    it.give("pose", pose_at((4.0, 4.0, 0.0), BEGIN))
+    it.give("movement", follow(THERE))
+    assert [plan.outcome for plan in it.taken("plan")] == [Plan.FOUND]
+    return it
+
+
+def test_no_pose_is_carried_on_when_odometry_begins_anew(
+    begun: Any, caplog: pytest.LogCaptureFixture
+) -> None:
+    it = driven_away(begun)
+
+    it.wait(2.0)
+    it.give("odom", odom_at((0.0, 0.0, 0.0), BEGIN + 2.0))
+    it.give("pose", pose_at((4.0, 4.0, 0.0), BEGIN + 0.5))  # from before the jump, and late
+    it.wait(3.0)
+    kept = it.taken("plan")
+    it.give("pose", pose_at((4.5, 4.5, 0.0), now(it)))
+
+    assert kept == []
+    assert "jumped: waiting for a pose since then" in caplog.text
+    assert "off the path" not in caplog.text
+    assert it.taken("plan") == []  # the path known is good
+
+
+def test_a_leg_wanted_after_odometry_began_anew_waits_for_a_pose(begun: Any) -> None:
+    it = driven_away(begun)
+
+    it.wait(2.0)
+    it.give("odom", odom_at((0.0, 0.0, 0.0), BEGIN + 2.0))
+    it.give("movement", follow(THERE, leg=2))
+    it.give("pose", pose_at((4.0, 4.0, 0.0), BEGIN + 1.9))
+    (refused,) = it.taken("plan")
+    it.give("odom", odom_at((0.1, 0.0, 0.0), now(it) + 0.1))
+    it.give("pose", pose_at((4.5, 4.5, 0.0), BEGIN + 2.0))
+
+    assert refused.outcome == Plan.NOT_READY
+    assert refused.reason == "no pose on /robot/pose since odometry on /robot/odom began anew"
+    (found,) = it.taken("plan")
+    assert tuple(planar_poses(found.poses)[0, :2]) == (4.5, 4.5)
+
+
+def test_a_pose_from_after_the_jump_that_came_before_odometry_counts(begun: Any) -> None:
+    it = driven_away(begun)
+    it.wait(2.0)
+    it.give("pose", pose_at((5.0, 5.0, 0.0), BEGIN + 2.0))
+
+    it.give("odom", odom_at((0.0, 0.0, 0.0), BEGIN + 1.98))
+    it.give("movement", follow(THERE, leg=2))
+
+    (plan,) = it.taken("plan")
+    assert tuple(planar_poses(plan.poses)[0, :2]) == (5.0, 5.0)
+
+
+def test_a_pose_from_before_time_was_set_back_is_not_planned_from(begun: Any) -> None:
+    it = driven_away(begun)
+
+    it.give("odom", odom_at((3.0, 2.3, 0.0), BEGIN - 50.0))
+    it.give("movement", follow(THERE, leg=2))
+    it.give("pose", pose_at((4.5, 4.5, 0.0), BEGIN - 50.0))
+
+    refused, found = it.taken("plan")
+    assert refused.outcome == Plan.NOT_READY
+    assert tuple(planar_poses(found.poses)[0, :2]) == (4.5, 4.5)
+
+
+@pytest.mark.parametrize(
+    ("seconds", "step"), [(0.05, (0.15, 0.0, 0.3)), (1.0, (1.0, 0.0, 2.0))], ids=["fast", "seldom"]
+)
+def test_fast_robots_and_odometry_told_seldom_are_carried_on(
+    begun: Any, seconds: float, step: Pose
+) -> None:
+    it = driven_away(begun)
+
+    it.wait(seconds)
+    it.give("odom", odom_at(compose((3.0, 2.3, 0.0), step), now(it)))
+    it.give("movement", follow(THERE, leg=2))
+
+    (plan,) = it.taken("plan")
+    assert planar_poses(plan.poses)[0, :2] == pytest.approx((4.0 + step[0], 4.0))
 
 
 def test_a_restarted_planner_goes_on_with_the_leg_that_is_latched(begun: Any) -> None:

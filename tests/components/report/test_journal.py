@@ -14,7 +14,7 @@ NAN = float("nan")
 
 
 def told(journal: Journal) -> None:
-    journal.tell("begins", 100.0)
+    journal.tell("begins", 100.0, 10**9)
     journal.tell("stands_truly_at", 3, 1.0, 2.0)
     journal.tell(
         "mapped", 10**9, [[3, "box", 1.0, 2.0, "live", 0.5], [4, "can", NAN, NAN, "live", 0.5]]

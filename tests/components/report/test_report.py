@@ -1,0 +1,71 @@
+"""What a report says of a run, whatever of it came."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from components.report.component import Report
+from planar.messages import pose_message
+from schemas.geometry_msgs import PoseStamped
+from schemas.std_msgs import Header
+from tests.components.path_planner.rooms import pose_at, seconds
+
+BEGIN = 100.0
+
+
+@pytest.fixture
+def report(stage: Callable[..., Any], tmp_path: Path) -> Any:
+    return stage(Report, BEGIN, directory=str(tmp_path)).begin()
+
+
+def told(it: Any, folder: Path) -> tuple[dict[str, Any], str]:
+    """The report at the end of a run: its values, and its text."""
+    it.end()
+    values = json.loads((folder / "report.json").read_text(encoding="utf-8"))
+    return values, (folder / "report.txt").read_text(encoding="utf-8")
+
+
+def test_a_run_without_a_pose_lasts_as_long_as_its_clock_tells(report: Any, tmp_path: Path) -> None:
+    report.wait(12.0)
+
+    values, text = told(report, tmp_path)
+
+    assert values["recorded_s"] == pytest.approx(12.0, abs=0.2)
+    assert values["first_pose_s"] is None
+    assert text.startswith("the localizer told no pose\n12 s recorded")
+
+
+def test_a_run_whose_poses_cease_lasts_on(report: Any, tmp_path: Path) -> None:
+    report.give("truth", truth_at(BEGIN))
+    report.give("pose", pose_at((0.0, 0.1, 0.0), BEGIN))
+    report.wait(30.0)
+
+    values, text = told(report, tmp_path)
+
+    assert (values["recorded_s"], values["first_pose_s"]) == (30.0, 0.0)
+    assert text.startswith("position error 0.100 m rms")
+
+
+def test_a_run_without_the_truth_says_so(report: Any, tmp_path: Path) -> None:
+    report.give("pose", pose_at((0.0, 0.1, 0.0), BEGIN))
+
+    _, text = told(report, tmp_path)
+
+    assert text.startswith("no truth to compare the poses with\n")
+
+
+def test_a_run_whose_clock_never_told_a_time_is_of_no_length(
+    stage: Callable[..., Any], tmp_path: Path
+) -> None:
+    values, text = told(stage(Report, 0.0, directory=str(tmp_path)).begin(), tmp_path)
+
+    assert (values["recorded_s"], values["wall_s"]) == (0.0, None)
+    assert "0 s recorded; dropped: none" in text
+
+
+def truth_at(time: float) -> PoseStamped:
+    header = Header(stamp=seconds(time), frame_id="map")
+    return PoseStamped(header=header, pose=pose_message((0.0, 0.0, 0.0)))
