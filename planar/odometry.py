@@ -6,16 +6,29 @@ from bisect import bisect_right
 from collections import deque
 from enum import Enum, auto
 
-from planar.poses import Pose, between, compose, inverse
+from planar.poses import Pose, apart, between, compose, inverse
 
 # Drivers that stamp from several threads, or in batches, mix up a period or two of their 20 Hz or
 # more; for no longer than this [ns] a robot stands still in its history when time is set back.
 _DISORDER_NS = 100_000_000
+# Time stamps jitter, and a step may look longer than it was by so much [m], [rad].
+_GRACE_M, _GRACE_RAD = 0.1, 0.15
+# In a gap the wheels drive on for no longer than that [s]: their driver has died, or says nothing.
+_DRIVES_ON_S = 0.5
 
 
 def began_anew(newest: int, stamp: int) -> bool:
     """Whether time was set back, if `stamp` [ns] comes after `newest`; else it is mere disorder."""
     return stamp < newest - _DISORDER_NS
+
+
+def jumped(before: Pose, after: Pose, seconds: float, fastest: float, fastest_turn: float) -> bool:
+    """Whether no wheels make that step in that time, if they do `fastest` [m/s] and [rad/s].
+
+    A driver that is started anew counts from its origin again, and is silent before.
+    """
+    driven_s = min(seconds, _DRIVES_ON_S)
+    return apart(before, after, fastest * driven_s + _GRACE_M, fastest_turn * driven_s + _GRACE_RAD)
 
 
 class Added(Enum):

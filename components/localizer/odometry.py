@@ -9,6 +9,7 @@ from dataclasses import replace
 from typing import Protocol
 
 from components.localizer.motion import Increment, step_of
+from planar.odometry import jumped
 from planar.poses import Pose, between, relative
 
 
@@ -128,10 +129,8 @@ class MeasuredTrack:
             return False
         if self._poses:
             step = relative(self._raw, pose)
-            # A few centimetres and degrees of grace: time stamps jitter.
-            reach = self.fastest * (stamp - self.latest) + 0.05
-            turned = self.turning * (stamp - self.latest) + 0.05
-            if math.hypot(step[0], step[1]) > reach or abs(step[2]) > turned:
+            seconds = stamp - self.latest
+            if jumped(self._raw, pose, seconds, self.fastest, self.turning):
                 self.jumps += 1
                 step = (0.0, 0.0, 0.0)
             here = self._poses[-1]

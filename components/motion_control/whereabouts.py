@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from cairn.clock import SECOND
-from planar.odometry import Added, OdometryHistory
-from planar.poses import Pose, compose, distance, relative, wrap
+from planar.odometry import Added, OdometryHistory, jumped
+from planar.poses import Pose, compose, distance, relative
 
 _HORIZON_NS = 5 * SECOND
 _AHEAD_S = 0.1  # the robot is taken to move on so long after the newest odometry
 
-# A step is impossible if it is so much faster than the robot, and so far beyond [m, rad].
-_FASTER, _FAR, _TURNED = 2.0, 0.1, 0.15
+# A step is impossible if it is so much faster than the robot.
+_FASTER = 2.0
 
 
 class Whereabouts:
@@ -46,11 +46,8 @@ class Whereabouts:
         return broken
 
     def _is_jump(self, odom: Pose, seconds: float) -> bool:
-        turned = abs(wrap(odom[2] - self._odom[2]))
-        return (
-            distance(self._odom, odom) > _FASTER * self._fastest * seconds + _FAR
-            or turned > _FASTER * self._fastest_turn * seconds + _TURNED
-        )
+        fastest, fastest_turn = _FASTER * self._fastest, _FASTER * self._fastest_turn
+        return jumped(self._odom, odom, seconds, fastest, fastest_turn)
 
     def locate(self, stamp: int, pose: Pose) -> None:
         """Take the pose in the map that the robot had at `stamp` [ns]."""

@@ -5,15 +5,13 @@ from __future__ import annotations
 from enum import Enum, auto
 
 from cairn.clock import SECOND
-from planar.odometry import Added, OdometryHistory
-from planar.poses import Pose, distance, wrap
+from planar.odometry import Added, OdometryHistory, jumped
+from planar.poses import Pose
 
 _HORIZON_NS = 3 * SECOND
 
-# A step is a jump if it is so much faster than robots are [m/s, rad/s], and so far beyond [m, rad].
-# In a gap the wheels drive on for no longer than that [s]: their driver has died, or says nothing.
-_FASTEST, _FASTEST_TURN, _FAR, _TURNED = 2.0, 4.0, 0.1, 0.15
-_DRIVES_ON_S = 0.5
+# A step is a jump if it is faster than this [m/s, rad/s].
+_FASTEST, _FASTEST_TURN = 2.0, 4.0
 
 
 class Moved(Enum):
@@ -73,8 +71,4 @@ class Whereabouts:
         return self._history.carried(pose, since, stamp) or pose
 
     def _is_jump(self, odom: Pose, seconds: float) -> bool:
-        drives = min(seconds, _DRIVES_ON_S)
-        return (
-            distance(self._odom, odom) > _FASTEST * drives + _FAR
-            or abs(wrap(odom[2] - self._odom[2])) > _FASTEST_TURN * drives + _TURNED
-        )
+        return jumped(self._odom, odom, seconds, _FASTEST, _FASTEST_TURN)

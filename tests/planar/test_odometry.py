@@ -5,7 +5,7 @@ import math
 import pytest
 
 from cairn.clock import SECOND
-from planar.odometry import Added, OdometryHistory
+from planar.odometry import Added, OdometryHistory, jumped
 
 
 def test_odometry_tells_poses_between_its_messages_and_guesses_none() -> None:
@@ -53,3 +53,20 @@ def test_when_time_is_set_back_odometry_begins_anew_and_says_so_once(back: int) 
     assert history.at(newest - back - 1) is None
     assert history.at(newest - back + SECOND // 50) == (2.0, 0.0, 0.0)
     assert history.newest == newest - back + SECOND // 25
+
+
+@pytest.mark.parametrize(
+    ("step", "seconds", "jump"),
+    [
+        ((0.1, 0.0, 0.2), 0.05, False),
+        ((0.3, 0.0, 0.0), 0.05, True),
+        ((0.0, 0.0, 1.0), 0.05, True),
+        ((0.0, 0.0, 2 * math.pi), 0.05, False),
+        ((1.0, 0.0, 0.0), 0.5, False),
+        ((2.0, 0.0, 0.0), 3.0, True),  # a driver started anew after a silence
+    ],
+)
+def test_a_step_that_no_wheels_make_is_a_jump(
+    step: tuple[float, float, float], seconds: float, jump: bool
+) -> None:
+    assert jumped((0.0, 0.0, 0.0), step, seconds, 2.0, 4.0) is jump
