@@ -13,7 +13,7 @@ from pydantic import ConfigDict, ValidationError
 from pydantic.dataclasses import dataclass as pydantic_dataclass
 from pydantic_core import ArgsKwargs
 
-from schemas.primitives import Scalar, mark_of
+from schemas.primitives import Scalar, Text, mark_of
 
 T = TypeVar("T")
 
@@ -100,11 +100,15 @@ def _constructor(
     name: str, fields: tuple[str, ...], plain: dict[str, type[Any]], defaults: dict[str, Any]
 ) -> Callable[..., None]:
     def __init__(self: Any, /, *args: Any, **kwargs: Any) -> None:  # noqa: N807
-        # Most messages are points, rotations and what is made of these: valid at a glance.
+        # Most messages are points, headers and what is made of these: valid at a glance.
         if defaults and not args:
             for field, value in kwargs.items():
                 kind = plain.get(field)
-                if type(value) is not kind or (kind is float and not isfinite(value)):
+                if type(value) is not kind:
+                    break
+                if kind is float and not isfinite(value):
+                    break
+                if kind is str and not (value.isascii() and value.isprintable()):
                     break
             else:
                 self.__dict__.update(defaults)
@@ -127,7 +131,7 @@ def _constructor(
 def _plain_fields(
     cls: type[Any], check: Callable[[Any], None] | None
 ) -> tuple[dict[str, type[Any]], dict[str, Any]]:
-    """The fields of which any finite float, or any message of a type, is valid; all defaults.
+    """The fields of which any finite float, plain text or message of a type is valid; all defaults.
 
     Nothing if the message has other fields, too, or something to check between them.
     """
@@ -136,6 +140,8 @@ def _plain_fields(
         mark = mark_of(hint)
         if mark in (Scalar("float64"), Scalar("float64", finite=True)):
             plain[field] = float
+        elif mark == Text():
+            plain[field] = str
         elif isinstance(hint, type) and "__ros_type__" in hint.__dict__:
             plain[field] = hint
     defaults = {field.name: field.default for field in dataclasses.fields(cls)}

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from components.localizer.particles import Estimate
+from planar.compiled import compiled
 from planar.poses import wrap
 
 Array = NDArray[np.float64]
@@ -20,6 +21,8 @@ _LITTLE_M2, _LITTLE_RAD2 = 1e-6, 1e-7
 _NARROWEST, _WIDEST = 0.2, 3.0
 # And to lag behind at most by so many of its deviations.
 _LONGEST_LAG = 6.0
+# Corrections at random leave this share of their mean square in their running mean, seldom more.
+_AT_RANDOM = 4.0 * _NEWEST_STEP
 # Beams that measure exactly deviate so much from a map of cells, and bring the pose so far off
 # [cells]; what is beyond is the map's error, which turns the robot so much [rad / m].
 _DEVIATION_OF_CELLS, _ERROR_OF_CELLS = 0.54, 0.125
@@ -69,16 +72,8 @@ class StatedCovariance:
 
     def of(self, cloud: Estimate, resolution: float) -> Array:
         """The covariance (3, 3) to state, on a map of cells of that size [m]."""
-        spread = cloud.covariance[:2, :2]
         each, behind = np.zeros((3, 3)), np.zeros((3, 3))
-        angle = 0.5 * math.atan2(2.0 * spread[0, 1], spread[0, 0] - spread[1, 1])
-        for axis in (_direction(angle), _direction(angle + 0.5 * math.pi)):
-            scale = _scale(_along(axis, self._made), _along(axis, self._due), _LITTLE_M2)
-            each[:2, :2] += scale * np.outer(axis, axis)
-        way = _direction(math.atan2(self._mean[1], self._mean[0]))
-        made, due, variance = (_along(way, one) for one in (self._made, self._due, spread))
-        lag = _lag(math.hypot(*self._mean), made, due, variance)
-        behind[:2, :2] = lag * np.outer(way, way)
+        _axes(cloud.covariance, self._mean, self._made, self._due, each, behind)
         each[2, 2] = _scale(self._turn_made, self._turn_due, _LITTLE_RAD2)
         off = (_ERROR_OF_CELLS * resolution) ** 2 + (self._beyond or 0.0)
         turn = _LEAST_TURN**2 + _TURN_PER_M**2 * (self._beyond or 0.0)
@@ -86,20 +81,29 @@ class StatedCovariance:
         return stated
 
 
-def _direction(angle: float) -> Array:
-    return np.array([math.cos(angle), math.sin(angle)])
-
-
-def _along(axis: Array, matrix: Array) -> float:
-    return float(axis @ matrix @ axis)
-
-
+@compiled("float64(float64, float64, float64)")
 def _scale(made: float, due: float, little: float) -> float:
     """By how much corrections of the mean square `made` are wider than those that were `due`."""
     ratio = math.sqrt((made + little) / (max(0.0, due) + little))
     return min(max(ratio, _NARROWEST), _WIDEST)
 
 
+@compiled()
+def _along(x: float, y: float, matrix: Array) -> float:
+    """The variance of a direction."""
+    return float(x * x * matrix[0, 0] + 2.0 * x * y * matrix[0, 1] + y * y * matrix[1, 1])
+
+
+@compiled()
+def _add(x: float, y: float, value: float, matrix: Array) -> None:
+    """Add a variance in a direction."""
+    matrix[0, 0] += value * x * x
+    matrix[0, 1] += value * x * y
+    matrix[1, 0] += value * x * y
+    matrix[1, 1] += value * y * y
+
+
+@compiled()
 def _lag(mean: float, made: float, due: float, variance: float) -> float:
     """Square [m^2] of how far the pose lags behind, should odometry err steadily.
 
@@ -107,8 +111,27 @@ def _lag(mean: float, made: float, due: float, variance: float) -> float:
     which a cloud of that variance [m^2] shrank when `due` was taken off. What corrections at
     random, of the mean square `made`, leave in a running mean is no lag.
     """
-    steady = mean * mean - 4.0 * _NEWEST_STEP * made
+    steady = mean * mean - _AT_RANDOM * made
     if steady <= 0.0:
         return 0.0
     gain = (max(0.0, due) + _LITTLE_M2) / (variance + max(0.0, due) + _LITTLE_M2)
     return min(steady / gain**2, _LONGEST_LAG**2 * variance)
+
+
+@compiled(
+    "void(float64[:, ::1], float64[::1], float64[:, ::1], float64[:, ::1], float64[:, ::1],"
+    " float64[:, ::1])"
+)
+def _axes(spread: Array, mean: Array, made: Array, due: Array, each: Array, behind: Array) -> None:
+    """Put into `each` by what to scale the x and y of a cloud, along each of its axes; into
+    `behind` what its lag adds.
+    """
+    angle = 0.5 * math.atan2(2.0 * spread[0, 1], spread[0, 0] - spread[1, 1])
+    for turn in (0.0, 0.5 * math.pi):
+        x, y = math.cos(angle + turn), math.sin(angle + turn)
+        _add(x, y, _scale(_along(x, y, made), _along(x, y, due), _LITTLE_M2), each)
+    way = math.atan2(mean[1], mean[0])
+    x, y = math.cos(way), math.sin(way)
+    length = math.hypot(mean[0], mean[1])
+    variance = _along(x, y, spread)
+    _add(x, y, _lag(length, _along(x, y, made), _along(x, y, due), variance), behind)
