@@ -179,8 +179,7 @@ class Runtime:
         except _Failure as failure:
             if self._fail(failure):
                 self._scheduler.post(self._recover)
-        if self._finishing is not None:
-            self._finish_if_asked()
+        self._finish_if_asked()
 
     def progress(self, what: str) -> None:
         """Tell the watch that a long call gets on: it is not hung."""

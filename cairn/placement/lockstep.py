@@ -74,7 +74,7 @@ class LockstepScheduler:
 
     def deliver(self, call: Callable[[], None]) -> None:
         """The same."""
-        self._executor.soon(partial(self._make, call))
+        self.post(call)
 
     def wake_at(self, time: int) -> None:
         """Have the due timers run at virtual time `time`."""

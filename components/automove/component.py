@@ -11,9 +11,10 @@ from cairn.component.parameters import Config
 from cairn.component.ports import In, Out
 from cairn.supervision.component import SupervisorComponent
 from cairn.supervision.supervisor import StartFailed
-from components.automove.course import Course, Seen
+from components.automove.course import Course
 from components.automove.legs import Legs
 from components.automove.recoveries import Patience
+from components.automove.seen import Seen
 from planar.messages import planar_pose, planar_poses, pose_message
 from schemas.cairn_nav_msgs import (
     LocalizationHealth,

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
+from components.automove.aside import Aside, give_way, go_near
 from components.automove.recoveries import (
     BEHAVIOUR,
     WHEN_LOST,
@@ -14,16 +15,9 @@ from components.automove.recoveries import (
     WHEN_UNSURE,
     Patience,
 )
-from components.automove.trail import Trail
+from components.automove.seen import Seen
 from planar.poses import Pose, distance
-from schemas.cairn_nav_msgs import (
-    MOVE_ENDS,
-    LocalizationHealth,
-    MotionStatus,
-    Movement,
-    MoveStatus,
-    Plan,
-)
+from schemas.cairn_nav_msgs import MOVE_ENDS, MotionStatus, Movement, MoveStatus, Plan
 
 # So much nearer to its goal than before [m] and whatever was in the way is overcome.
 _PROGRESS_M = 0.3
@@ -34,30 +28,6 @@ _DETOUR_M, _DETOURS = 2.0, 10
 # What explores goes so far [m] at first, twice as far each time, and at most so far: where a place
 # looks like another, it takes some way until one of them shows.
 _EXPLORES_M, _EXPLORES_MOST_M = 2.0, 8.0
-# What gives way goes no farther [m], though the way back may have become longer.
-_MOST_BACK_M = 1.8
-# What is nearer to where it can get than this [m] sees no more from there.
-_NEAR_M = 1.0
-# So long it may take for each metre as the crow flies [s/m], beside what a recovery may take.
-_SLOWEST_S_PER_M = 5.0
-
-
-@dataclass
-class Seen:
-    """The last that the other components told, and when [s]; None before the first."""
-
-    health: LocalizationHealth | None = None
-    health_s: float = -math.inf
-    plan: Plan | None = None
-    motion: MotionStatus | None = None
-    motion_s: float = -math.inf
-    pose: Pose | None = None
-    trail: Trail = field(default_factory=Trail)
-
-    def note_pose(self, pose: Pose) -> None:
-        """Note where the robot is, and where it came from."""
-        self.pose = pose
-        self.trail.note(pose)
 
 
 @dataclass
@@ -81,16 +51,13 @@ class Course:
     behaviour: int = Movement.STAND
     leg: int = field(init=False)
     # Where it goes instead while it gives way or goes near; how far it goes while it explores [m].
-    instead: Pose | None = None
+    instead: Aside | None = None
     explores_m: float = _EXPLORES_M
     # Without progress; for the goals before this one; to this goal: longer ways, explorations [1].
     _tries: int = 0
     _recovered_before: int = 0
     _detours: int = 0
     _explorations: int = 0
-    # The longest way [m] and time [s] to where it goes instead.
-    _most_m: float = math.inf
-    _most_s: float = math.inf
     _sequence: Sequence[str] = ()
     _trouble: str = ""
     _attempt: str = ""
@@ -121,7 +88,7 @@ class Course:
     @property
     def target(self) -> Pose:
         """What is planned to now: the goal, or where the robot goes instead."""
-        return self.instead or self.goal
+        return self.goal if self.instead is None else self.instead.place
 
     def loaded(self, now_s: float) -> None:
         """All that it takes is loaded: find out where the robot is."""
@@ -259,8 +226,8 @@ class Course:
         waited = now_s - self._since_s
         if self.behaviour == Movement.STAND:
             over = waited > self.patience.waiting_s
-        elif self.behaviour == Movement.FOLLOW:
-            if doubt or self._is_there_instead(now_s, seen):
+        elif self.instead is not None:
+            if doubt or self._is_aside(now_s, seen, self.instead):
                 self._want(now_s, MoveStatus.RECOVERING, Movement.STAND, self._attempt)
             return
         else:
@@ -276,10 +243,10 @@ class Course:
         if over or (found and waited > self.patience.unsure_s):
             self._want(now_s, MoveStatus.LOCALIZING, Movement.STAND, self._trouble)
 
-    def _is_there_instead(self, now_s: float, seen: Seen) -> bool:
+    def _is_aside(self, now_s: float, seen: Seen, aside: Aside) -> bool:
         """Whether the robot is where it goes instead, or cannot get there soon."""
         plan = seen.plan if seen.plan is not None and seen.plan.leg == self.leg else None
-        if plan is not None and (plan.outcome != Plan.FOUND or plan.length > self._most_m):
+        if plan is not None and (plan.outcome != Plan.FOUND or plan.length > aside.most_m):
             return True
         halted, motion = self._halted(now_s, seen)
         if halted or motion is None:
@@ -288,7 +255,7 @@ class Course:
         if motion.state == MotionStatus.MOVING:
             self._moving_s = now_s
         blocked = now_s - self._moving_s > self.patience.unsure_s
-        too_long = now_s - self._since_s > self._most_s
+        too_long = now_s - self._since_s > aside.most_s
         return motion.state == MotionStatus.DONE or blocked or too_long
 
     def _reached(self, now_s: float) -> None:
@@ -318,9 +285,12 @@ class Course:
             )
             return
         what = sequence[self._tries % len(sequence)]
-        instead = self._set_out(what, seen)
-        if what == "go near" and instead is None:
-            what = "look around"
+        instead = None
+        if what == "give way":
+            instead = give_way(self.goal, seen, self.patience.behaviour_s)
+        elif what == "go near":
+            instead = go_near(self.goal, seen, self.patience.behaviour_s)
+            what = "look around" if instead is None else what
         self._tries += 1
         self.recoveries += 1
         self._sequence, self._trouble = sequence, trouble
@@ -333,22 +303,6 @@ class Course:
             behaviour = Movement.STAND
         self._want(now_s, MoveStatus.RECOVERING, behaviour, self._attempt)
         self.instead = instead
-
-    def _set_out(self, what: str, seen: Seen) -> Pose | None:
-        """Where to go instead of the goal to recover so, if there is such a place."""
-        self._most_s = self.patience.behaviour_s
-        if what == "give way":
-            self._most_m = _MOST_BACK_M
-            return seen.trail.back(self.goal)
-        here, plan = seen.pose, seen.plan
-        if what != "go near" or here is None or plan is None or math.isnan(plan.nearest_x):
-            return None
-        x, y = plan.nearest_x, plan.nearest_y
-        place = x, y, math.atan2(self.goal[1] - y, self.goal[0] - x)
-        apart = distance(here, place)
-        self._most_m = math.inf
-        self._most_s += _SLOWEST_S_PER_M * apart
-        return place if apart >= _NEAR_M else None
 
     def _sure(self, seen: Seen) -> bool:
         """Whether the pose is so sure that a goal counts as reached."""

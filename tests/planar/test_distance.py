@@ -4,12 +4,15 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
+from numpy.typing import NDArray
 
 from planar.distance import distance_field
 
 
 @given(arrays.arrays(np.bool_, arrays.array_shapes(min_dims=2, max_dims=2, max_side=20)))
-def test_each_cell_is_told_its_distance_to_the_nearest_obstacle(obstacles) -> None:  # type: ignore[no-untyped-def]
+def test_each_cell_is_told_its_distance_to_the_nearest_obstacle(
+    obstacles: NDArray[np.bool_],
+) -> None:
     field = distance_field(obstacles, 0.05)
 
     places = np.argwhere(obstacles)

@@ -7,7 +7,8 @@ import math
 
 import pytest
 
-from components.automove.course import Course, Seen
+from components.automove.course import Course
+from components.automove.seen import Seen
 from schemas.cairn_nav_msgs import LocalizationHealth, MotionStatus, Movement, MoveStatus, Plan
 from tests.components.automove.journey import SURE, Journey
 
