@@ -23,7 +23,7 @@ from components.map_builder.keeper import MapKeeper, NumberedChange
 from components.map_builder.messages import change_message, evidence_of, map_message
 from components.map_builder.objects import Kind
 from components.map_builder.posed_scans import PosedScans
-from components.map_builder.store import open_map
+from components.map_builder.store import MapFileError, open_map
 from planar.grid import map_message as grid_message
 from planar.map_file import read_map
 from planar.messages import planar_pose
@@ -221,13 +221,20 @@ class MapBuilder(Component):
             return
         self._open_both()
         if self._keeper is not None:
-            self._keeper.save_pending()
+            self._save_evidence(self._keeper)
         if self._grid is None:
             return
         self._tell_grid(now)
         if now - self._saved_at >= _SAVE_S * SECOND:
             self._saved_at = now
             self._save_grid(self._grid)
+
+    def _save_evidence(self, keeper: MapKeeper) -> None:
+        try:
+            keeper.save_pending()
+        except MapFileError as error:
+            # It stays pending, and goes with the next change, which is told once it is kept.
+            self._complaints.tell("evidence", f"evidence of objects is not kept yet: {error}")
 
     def _save_grid(self, grid: GridKeeper) -> None:
         try:

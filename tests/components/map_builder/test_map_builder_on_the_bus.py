@@ -11,10 +11,12 @@ from cairn.clock import from_ns
 from cairn.errors import CairnError
 from components.map_builder.component import MapBuilder
 from components.map_builder.importing import write_map
+from components.map_builder.store import open_map
 from schemas.cairn_msgs import ObjectEvidence, ObjectEvidenceArray, VisualMapChange, VisualObject
 from schemas.geometry_msgs import PoseWithCovarianceStamped
 from schemas.std_msgs import Header
 from tests.components.map_builder.evidence import surveyed
+from tests.disk import room_for
 
 StageOf = Callable[..., Any]
 
@@ -106,3 +108,21 @@ def test_a_file_that_is_no_map_is_told_before_anything_moves(
 
     with pytest.raises(CairnError, match=r"wrong\.map.*damaged or no map"):
         it.begin()
+
+
+def test_evidence_that_a_full_disk_does_not_take_is_kept_once_there_is_room(
+    stage: StageOf, map_file: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    it = stage(MapBuilder, 1000.0, map_file=str(map_file)).begin()
+    with room_for(1000):
+        it.give("object_evidence", frame(0, 0.9, 2.0))
+        it.wait(3.0)
+
+    assert it.ends == []
+    assert "evidence of objects is not kept yet: " in caplog.text
+
+    it.wait(2.0)
+
+    with open_map(map_file, read_only=True) as kept:
+        counts = {one.object_id: one.evidence_count for one in kept.objects()}
+    assert counts == {6: 0, 7: 1}
