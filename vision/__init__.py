@@ -1,0 +1,1 @@
+"""What cameras see: images, features, taught objects and where they are; knows no bus."""

@@ -1,0 +1,98 @@
+"""Local features of an image: SIFT keypoints with RootSIFT descriptors."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+LARGEST = 2_000_000
+"""Pixels of the largest image that is looked at as it is; larger ones are scaled down to that."""
+
+DESCRIPTOR = 128
+"""Numbers in a descriptor."""
+
+_QUANTISATION = 512.0  # as usual for SIFT: no element of a unit descriptor comes near 0.5
+
+
+@dataclass(frozen=True)
+class Features:
+    """The n features of one image, sorted by nothing in particular, but always in the same way.
+
+    `points` (n, 2) are x right and y down [px], (0, 0) the middle of the top left pixel; `scales`
+    (n,) the diameters of what was described [px]; `angles` (n,) its directions [rad], clockwise
+    from x; `descriptors` (n, 128) the square roots of SIFT's histograms (Arandjelovic and
+    Zisserman 2012), so that Euclidean distance between them is Hellinger's between histograms.
+    """
+
+    points: NDArray[np.float32]
+    scales: NDArray[np.float32]
+    angles: NDArray[np.float32]
+    descriptors: NDArray[np.uint8]
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    def at(self, indices: NDArray[np.intp] | NDArray[np.bool_]) -> Features:
+        """Only these features."""
+        return Features(
+            self.points[indices],
+            self.scales[indices],
+            self.angles[indices],
+            self.descriptors[indices],
+        )
+
+
+def extract(grey: NDArray[np.uint8], most: int = 0) -> Features:
+    """The features of a grey image (h, w), of any size; the `most` that stand out most, or all (0).
+
+    An image of more than `LARGEST` pixels is scaled down first, so that what is to be told about
+    it is told in bounded time; its features are given in pixels of the image itself. Raises
+    `ValueError` if it is no such image.
+    """
+    if grey.ndim != 2 or grey.dtype != np.uint8:
+        raise ValueError(f"a grey image is uint8 (h, w), not {grey.dtype} {grey.shape}")
+    if not grey.size:
+        return none()
+    factor = math.sqrt(LARGEST / grey.size)
+    if factor < 1.0:
+        height, width = grey.shape
+        smaller = (max(1, round(width * factor)), max(1, round(height * factor)))
+        grey = cv2.resize(grey, smaller, interpolation=cv2.INTER_AREA).astype(np.uint8, copy=False)
+        stretch = np.array([width / smaller[0], height / smaller[1]])
+    else:
+        stretch = np.ones(2)
+    # The precise upscaling: without it all points lie a quarter of a pixel off.
+    sift = cv2.SIFT.create(nfeatures=most, enable_precise_upscale=True)
+    keypoints, histograms = sift.detectAndCompute(grey, None)
+    if histograms is None or not keypoints:
+        return none()
+    table = np.array([(*k.pt, k.size, k.angle, k.response) for k in keypoints], np.float64)
+    order = np.lexsort((table[:, 2], table[:, 1], table[:, 0], -table[:, 4]))
+    order = order[: most or len(order)]
+    table = table[order]
+    return Features(
+        ((table[:, :2] + 0.5) * stretch - 0.5).astype(np.float32),
+        (table[:, 2] * math.sqrt(float(stretch.prod()))).astype(np.float32),
+        np.deg2rad(table[:, 3]).astype(np.float32),
+        _rooted(histograms[order].astype(np.float32, copy=False)),
+    )
+
+
+def none() -> Features:
+    """No features: those of a blank image."""
+    return Features(
+        np.zeros((0, 2), np.float32),
+        np.zeros(0, np.float32),
+        np.zeros(0, np.float32),
+        np.zeros((0, DESCRIPTOR), np.uint8),
+    )
+
+
+def _rooted(histograms: NDArray[np.float32]) -> NDArray[np.uint8]:
+    sums = np.maximum(histograms.sum(axis=1, keepdims=True), 1e-6)
+    rooted: NDArray[np.float32] = np.rint(np.sqrt(histograms / sums) * _QUANTISATION)
+    return np.minimum(rooted, 255.0).astype(np.uint8)
