@@ -23,7 +23,7 @@ from components.map_builder.keeper import MapKeeper, NumberedChange
 from components.map_builder.messages import change_message, evidence_of, map_message
 from components.map_builder.objects import Kind
 from components.map_builder.posed_scans import PosedScans
-from components.map_builder.store import MapFileError, open_map
+from components.map_builder.store import open_map
 from planar.grid import map_message as grid_message
 from planar.map_file import read_map
 from planar.messages import planar_pose
@@ -35,6 +35,7 @@ from schemas.map_msgs import OccupancyGridUpdate
 from schemas.nav_msgs import OccupancyGrid, Odometry
 from schemas.sensor_msgs import LaserScan
 from schemas.std_msgs import Header
+from vision.map_file import MapFileError
 
 # A full map follows its updates after this [s], for readers that come later.
 _FULL_MAP_S = 5.0

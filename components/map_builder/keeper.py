@@ -6,15 +6,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from components.map_builder.objects import Change, Evidence, MapObject
-from components.map_builder.store import (
-    Judged,
-    MapStore,
-    copy_map,
-    digest_of,
-    open_map,
-)
+from components.map_builder.store import Judged, MapStore, open_map
 from components.map_builder.visual_map import VisualMap
 from components.map_builder.working_copy import gone_on_with
+from vision.map_file import copy_map, digest_of
 
 NumberedChange = tuple[int, Change]
 

@@ -16,8 +16,9 @@ import pytest
 from components.map_builder.importing import write_map
 from components.map_builder.keeper import MapKeeper
 from components.map_builder.objects import Kind, State
-from components.map_builder.store import MapFileError, copy_map, open_map
+from components.map_builder.store import open_map
 from tests.components.map_builder.evidence import THERE, sighting, surveyed
+from vision.map_file import MapFileError, copy_map
 
 
 @pytest.fixture
@@ -175,7 +176,7 @@ def broken(path: Path, how: str) -> None:
         ("text", "damaged or no map"),
         ("empty", "not a visual map of Cairn"),
         ("foreign", "not a visual map of Cairn"),
-        ("newer", "has format 99, this Cairn reads format 1"),
+        ("newer", "has format 99, this Cairn reads formats up to 2"),
         ("missing", "no such map file"),
     ],
 )
@@ -195,7 +196,7 @@ def test_a_file_that_is_no_map_is_refused_by_name(
 def test_a_map_under_another_writer_says_so(
     map_file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("components.map_builder.store.LOCK_WAIT_S", 0.05)
+    monkeypatch.setattr("vision.map_file.LOCK_WAIT_S", 0.05)
     other = sqlite3.connect(map_file, isolation_level=None)
     other.execute("BEGIN EXCLUSIVE")
 
