@@ -3,9 +3,13 @@
 from math import isinf, isnan
 from typing import Annotated, ClassVar
 
+import numpy as np
+import numpy.typing as npt
+
 from schemas.covariance import Covariance2, Covariance3
 from schemas.message import message, refuse
 from schemas.primitives import (
+    Array,
     Bool,
     FiniteFloat64,
     Float64,
@@ -14,13 +18,17 @@ from schemas.primitives import (
     Text,
     UInt8,
     UInt32,
+    UInt32Array,
     UInt64,
+    empty,
+    finite,
     zeros,
 )
 from schemas.std_msgs import Header
 
 Probability = Annotated[float, Scalar("float64", at_least=0, at_most=1)]
 Distance = Annotated[float, Scalar("float64", above=0)]
+Corners = Annotated[npt.NDArray[np.float64], Array("float64", check=finite)]
 NotNegative = Annotated[float, Scalar("float64", at_least=0)]
 
 NAN = float("nan")
@@ -31,7 +39,8 @@ class RecognizedObject:
     """An object of the visual map, recognized by the camera: where it stands from the robot.
 
     `range` [m] and `bearing` [rad, left positive] with their covariance; `inliers` is the number
-    of matched features, 0 if that does not apply.
+    of matched features, 0 if that does not apply. `alternatives` are other objects that it may be
+    as well; `corners` are those of the object in the left image, u, v [px] of each, or none.
     """
 
     object_id: UInt32
@@ -39,33 +48,58 @@ class RecognizedObject:
     bearing: FiniteFloat64
     covariance: Covariance2 = zeros(4)
     inliers: UInt32 = 0
+    alternatives: UInt32Array = empty(np.uint32)
+    corners: Corners = empty(np.float64)
+
+    def __post_init__(self) -> None:
+        """Check that there are four corners or none."""
+        if self.corners.size not in (0, 8):
+            refuse(self, "corners", self.corners, "must be none, or 8 image coordinates")
 
 
 @message("cairn_msgs/msg/RecognizedObjectArray")
 class RecognizedObjectArray:
-    """The objects recognized in one image; the frame is the robot's base."""
+    """The objects recognized in one image, or none; the frame is the robot's base.
+
+    Between the bearings `view_right` and `view_left` [rad, left positive] and the ranges `nearest`
+    and `farthest` [m] an object could have been recognized; all zeros means that is not known.
+    """
 
     header: Header = Header()
     objects: tuple[RecognizedObject, ...] = ()
+    view_right: FiniteFloat64 = 0.0
+    view_left: FiniteFloat64 = 0.0
+    nearest: NotNegative = 0.0
+    farthest: NotNegative = 0.0
+
+    def __post_init__(self) -> None:
+        """Check that the limits of the view are in order."""
+        if not self.view_right <= self.view_left:
+            refuse(self, "view_left", self.view_left, f"must be {self.view_right} or more")
+        if not self.nearest <= self.farthest:
+            refuse(self, "farthest", self.farthest, f"must be nearest = {self.nearest} or more")
 
 
 @message("cairn_msgs/msg/ObjectEvidence")
 class ObjectEvidence:
-    """What one sighting says about an object's place in the map.
+    """What one sighting says about an object's place in the map, or that there was none.
 
     `similarity` is p(R, NR, i) of the paper's equation 1 and `distance` its d (in likelihood-ratio
     mode the square root of the normalized innovation squared); `x`, `y` [m] with `covariance` is
     where the sighting places the object in the map; `range`, `bearing` repeat the sighting.
+    `UNSEEN`: the object should have been in view, and nothing hides it, but it was not recognized;
+    `range` and `bearing` are those of its place in the map.
     """
 
     AGREES: ClassVar[UInt8] = 0
     DISAGREES: ClassVar[UInt8] = 1
     FALSE_MATCH: ClassVar[UInt8] = 2
     NOT_CONVERGED: ClassVar[UInt8] = 3
+    UNSEEN: ClassVar[UInt8] = 4
 
     object_id: UInt32
     similarity: Probability
-    verdict: Annotated[int, Scalar("uint8", at_most=3)]
+    verdict: Annotated[int, Scalar("uint8", at_most=4)]
     distance: NotNegative
     x: FiniteFloat64
     y: FiniteFloat64

@@ -76,7 +76,7 @@ class SimulatedRecognizer(Component):
 
     @every(hz=5)
     def look(self) -> None:
-        """Tell what is recognised now, if anything is."""
+        """Tell what is recognised now, be it nothing."""
         now = self.clock.now()
         poses = self._watch.robot_at(now, np.zeros(1))
         if poses is None:
@@ -98,11 +98,14 @@ class SimulatedRecognizer(Component):
         found = recognised(
             eye, (x, y, theta), config.mount.pose, watch.things, watch.around, self.random
         )
-        if not found:
-            return
+        middle, half = config.mount.theta, config.field_of_view / 2
         self.objects.publish(
             RecognizedObjectArray(
                 header=Header(stamp=from_ns(now), frame_id="base_link"),
+                view_right=middle - half,
+                view_left=middle + half,
+                nearest=min(config.nearest, config.farthest),
+                farthest=config.farthest,
                 objects=tuple(
                     RecognizedObject(
                         object_id=one.object_id,

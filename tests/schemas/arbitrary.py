@@ -14,7 +14,12 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 import schemas
-from schemas.cairn_msgs import VisualMapChange, VisualObject
+from schemas.cairn_msgs import (
+    RecognizedObject,
+    RecognizedObjectArray,
+    VisualMapChange,
+    VisualObject,
+)
 from schemas.cairn_nav_msgs import Plan
 from schemas.cairn_sim_msgs import Scene
 from schemas.covariance import Covariance2, Covariance3
@@ -221,6 +226,28 @@ def _scenes(draw: st.DrawFn) -> Any:
     )
 
 
+def _recognized() -> st.SearchStrategy[RecognizedObject]:
+    corners = st.sampled_from([0, 8]).flatmap(
+        lambda count: _arrays("float64", count, only_finite=True)
+    )
+    return _built(RecognizedObject, corners=corners)
+
+
+@st.composite
+def _recognized_arrays(draw: st.DrawFn) -> Any:
+    right, left = sorted(draw(st.tuples(METRES, METRES)))
+    nearest, farthest = sorted(draw(st.tuples(st.floats(0, 1e6), st.floats(0, 1e6))))
+    return draw(
+        _built(
+            RecognizedObjectArray,
+            view_right=st.just(right),
+            view_left=st.just(left),
+            nearest=st.just(nearest),
+            farthest=st.just(farthest),
+        )
+    )
+
+
 def _visual_objects() -> st.SearchStrategy[VisualObject]:
     return st.one_of(
         _built(VisualObject, candidate_x=METRES, candidate_y=METRES),
@@ -242,6 +269,8 @@ _WITH_RULES_BETWEEN_FIELDS = {
     OccupancyGrid: _grids,
     OccupancyGridUpdate: _grid_updates,
     Plan: _plans,
+    RecognizedObject: _recognized,
+    RecognizedObjectArray: _recognized_arrays,
     Scene: _scenes,
     VisualObject: _visual_objects,
     VisualMapChange: _changes,

@@ -15,6 +15,7 @@ from schemas.cairn_msgs import (
     ObjectEvidenceArray,
     PortStatus,
     RecognizedObject,
+    RecognizedObjectArray,
     VisualMapChange,
     VisualObject,
 )
@@ -113,7 +114,16 @@ def scan(beams: int, first: float, last: float, step: float, **more: Any) -> Las
             "similarity = 1.1: must be a finite number at least 0 an",
         ),
         (lambda: evidence(similarity=NAN), "similarity = nan: must be a finite number at least 0"),
-        (lambda: evidence(verdict=4), "verdict = 4: must be an integer from 0 to 3"),
+        (lambda: evidence(verdict=5), "verdict = 5: must be an integer from 0 to 4"),
+        (lambda: sighting(corners=[1.0, 2.0]), "must be none, or 8 image coordinates"),
+        (
+            lambda: RecognizedObjectArray(view_right=0.5, view_left=-0.5),
+            "view_left = -0.5: must be 0.5 or more",
+        ),
+        (
+            lambda: RecognizedObjectArray(nearest=3.0, farthest=1.0),
+            "farthest = 1.0: must be nearest = 3.0 or more",
+        ),
         (lambda: evidence(distance=-0.1), "distance = -0.1: must be a finite number at least 0"),
         (
             lambda: ObjectEvidenceArray(robot_covariance=[1, 0, 2, 0, 1, 0, 2, 0, 1]),  # type: ignore[arg-type]
