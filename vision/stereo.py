@@ -71,7 +71,8 @@ class StereoRig:
         if abs(baseline) < 1e-4:
             raise CairnError(
                 "the cameras have no baseline: p[3] of the right one must be -fx * baseline, "
-                f"but is {q[0, 3]:g}; calibrate the two cameras together with `cairn camera calibrate`"
+                f"but is {q[0, 3]:g}; calibrate the two cameras together with "
+                "`cairn camera calibrate`"
             )
         if baseline < 0 or abs(p[0, 3]) > _SAME_PX:
             raise CairnError(
