@@ -51,10 +51,7 @@ def connect(path: Path, *, read_only: bool = False) -> sqlite3.Connection:
     A file of a former format is upgraded, and if only read, a copy of it in memory. Raises
     `MapFileError`, which names the file, what is wrong with it and the remedy.
     """
-    if not path.is_file():
-        raise MapFileError(
-            f"{path}: no such map file. Make one with `cairn map import`, or correct the path."
-        )
+    _check_there(path)
     with told(path):
         connection = _connection(path, read_only)
         with _closed_on_error(connection):
@@ -95,6 +92,19 @@ def digest_of(path: Path) -> str:
         return _digest(connection)
 
 
+@contextmanager
+def peek(path: Path) -> Iterator[sqlite3.Connection]:
+    """Read a little of a file that was checked before, of whatever format; errors as `connect`."""
+    _check_there(path)
+    with told(path), closing(_connection(path, read_only=True)) as connection:
+        yield connection
+
+
+def at_rest(path: Path) -> bool:
+    """Whether no program has the file open for writing."""
+    return not any(companion.exists() for companion in companions(path))
+
+
 def companions(path: Path) -> list[Path]:
     """The files that SQLite keeps beside an open one."""
     return [path.with_name(path.name + suffix) for suffix in ("-wal", "-shm", "-journal")]
@@ -127,10 +137,16 @@ def writing(path: Path, connection: sqlite3.Connection) -> Iterator[sqlite3.Conn
         yield connection
 
 
+def _check_there(path: Path) -> None:
+    if not path.is_file():
+        raise MapFileError(
+            f"{path}: no such map file. Make one with `cairn map import`, or correct the path."
+        )
+
+
 def _connection(path: Path, read_only: bool = False) -> sqlite3.Connection:
     # A map at rest may stand where SQLite cannot make its lock files.
-    at_rest = not any(companion.exists() for companion in companions(path))
-    mode = "mode=rwc" if not read_only else "immutable=1" if at_rest else "mode=ro"
+    mode = "mode=rwc" if not read_only else "immutable=1" if at_rest(path) else "mode=ro"
     # A component's calls come one at a time, but not always on the same thread.
     return sqlite3.connect(
         f"{path.resolve().as_uri()}?{mode}",
