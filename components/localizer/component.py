@@ -24,8 +24,8 @@ from components.localizer.messages import (
     landmarks_of,
     sightings_of,
     transform_message,
+    view_of,
 )
-from components.localizer.object_likelihood import Sighting
 from components.localizer.odometry import MeasuredTrack
 from components.localizer.order import Held
 from components.localizer.resume import save
@@ -95,7 +95,7 @@ class Localizer(Component):
     def _lay_out(self) -> None:
         self._track = self.config.base.track()
         self._localization = Localization(self.config.settings(), self._track, self.random)
-        self._held: Held[LaserScan | list[Sighting]] = Held(self.config.hold_s)
+        self._held: Held[LaserScan | RecognizedObjectArray] = Held(self.config.hold_s)
         self._history = OdometryHistory(5 * SECOND)
         self._scanner = ScannerWatch()
         self._published = self._scanned = -math.inf
@@ -185,7 +185,7 @@ class Localizer(Component):
         """Take recognised objects; they wait until odometry has reached their time."""
         stamp = _seconds(message.header.stamp)
         if self._in_time(stamp, self.objects.topic):
-            self._held.add(stamp, sightings_of(message))
+            self._held.add(stamp, message)
             self._work_off()
 
     @every(hz=2)
@@ -281,15 +281,16 @@ class Localizer(Component):
         header = Header(stamp=scan.header.stamp, frame_id="map")
         self._publish(header, at_first_beam, began, estimate.covariance)
 
-    def _fuse_objects(self, stamp: float, sightings: list[Sighting]) -> None:
+    def _fuse_objects(self, stamp: float, seen: RecognizedObjectArray) -> None:
         was_located = self._localization.located
-        frame = self._localization.sight(stamp, sightings)
+        frame = self._localization.sight(stamp, sightings_of(seen), view_of(seen))
         if frame is None:
             if self._localization.located and not was_located:
                 self._tell_found(stamp)
             return
         header = self._header(stamp)
-        self.object_evidence.publish(evidence_message(header, frame))
+        if frame.judgements:
+            self.object_evidence.publish(evidence_message(header, frame))
         if frame.relocalised:
             self._tell_found(stamp)
 

@@ -10,6 +10,7 @@ from pydantic import Field
 
 from cairn.component.mount import Mount
 from cairn.component.parameters import Config
+from components.localizer.judge import Mode
 from components.localizer.localization import Settings
 from components.localizer.motion import MotionModel
 from components.localizer.odometry import CommandedTrack, MeasuredTrack, OdometryTrack
@@ -121,8 +122,10 @@ class LocalizerConfig(Config):
         description="Share of the log-likelihood of 60 beams that counts, as their errors repeat "
         "[1].",
     )
-    mode: Literal["lr", "paper"] = Field(
-        "lr", description="Similarity by likelihood ratio, or by new samples as in the paper."
+    mode: Mode = Field(
+        "lr",
+        description="Similarity by likelihood ratio, or by new samples as in the paper; to compare "
+        "with: the paper's rule to the letter, or a chi-square gate.",
     )
     ring_samples: int = Field(
         300, ge=50, le=10_000, description="New samples around an object in mode paper [1]."

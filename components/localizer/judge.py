@@ -19,10 +19,13 @@ from components.localizer.similarity import (
     GATE,
     NEUTRAL,
     convergence_radius,
+    gate_similarity,
     implied_place,
     innovation,
     likelihood_ratio_similarity,
     paper_similarity,
+    radius_to_the_letter,
+    similarity_to_the_letter,
 )
 from planar.poses import Pose, apart, wrap
 
@@ -32,6 +35,10 @@ VETO = 0.35  # [m] an implied place this near another live object may be that ob
 SAME_PLACE = 0.6  # [m] implied places this near each other speak of one place
 CORROBORATED, CORROBORATED_NEAR_ANOTHER = 3, 8  # contradictions from different poses
 BELIEVED = 1.0 - 1e-12
+
+# How a sighting is compared with the pose. "lr" and "paper" are for robots; "letter" (the paper's
+# equation 1 as it stands) and "chi_square" (a hard gate) are what these are measured against.
+Mode = Literal["lr", "paper", "letter", "chi_square"]
 UNCORROBORATED = 0.45  # similarity of a contradiction that stands alone
 
 
@@ -42,6 +49,7 @@ class Verdict(IntEnum):
     DISAGREES = 1
     FALSE_MATCH = 2
     NOT_CONVERGED = 3
+    UNSEEN = 4
 
 
 @dataclass(frozen=True)
@@ -72,9 +80,7 @@ class Judge:
     object that was moved is contradicted from many places and always implies the same one.
     """
 
-    def __init__(
-        self, mode: Literal["lr", "paper"], ring_samples: int, random: np.random.Generator
-    ) -> None:
+    def __init__(self, mode: Mode, ring_samples: int, random: np.random.Generator) -> None:
         self.mode = mode
         self.ring_samples = ring_samples
         self.random = random
@@ -89,6 +95,13 @@ class Judge:
         self.forget(sighting.object_id)
         verdict = Verdict.AGREES if healthy else Verdict.NOT_CONVERGED
         return _judgement(sighting, pose, NEUTRAL, verdict, 0.0, False)
+
+    def unseen(
+        self, pose: Estimate, landmark: Landmark, range_m: float, bearing: float
+    ) -> Judgement:
+        """A live object that should be in view at `range_m` [m], `bearing` [rad], and is not."""
+        expected = Sighting(landmark.object_id, range_m, bearing, 0.0, 0.0)
+        return _judgement(expected, pose, NEUTRAL, Verdict.UNSEEN, 0.0, False)
 
     def compare(
         self,
@@ -108,10 +121,16 @@ class Judge:
         landmark = landmarks[sighting.object_id]
         seen = innovation(pose, sighting, landmark)
         contradicts = seen.nis > GATE
-        if self.mode == "paper":
+        similarity, distance = likelihood_ratio_similarity(seen), math.sqrt(seen.nis)
+        if self.mode == "chi_square":
+            similarity = gate_similarity(seen)
+        elif self.mode != "lr":
             similarity, distance = self._by_new_samples(sighting, landmark, pose, others)
-        else:
-            similarity, distance = likelihood_ratio_similarity(seen), math.sqrt(seen.nis)
+        if self.mode in ("letter", "chi_square"):
+            sure = converged or self.mode == "letter"
+            similarity = similarity if sure else NEUTRAL
+            verdict = _plainly(similarity)
+            return _judgement(sighting, pose, similarity, verdict, distance, contradicts)
         # To speak against an object takes a firmer pose than to speak for it.
         trusted = vouched or (similarity > NEUTRAL and likely)
         verdict = Verdict.NOT_CONVERGED
@@ -137,10 +156,12 @@ class Judge:
             known.append(_Contradiction(x, y, pose.mean))
             del known[:-20]
         together = sum(math.hypot(c.x - x, c.y - y) < SAME_PLACE for c in known)
+        here = landmarks[sighting.object_id]
         near_another = any(
             other.live
             and other.object_id != sighting.object_id
             and math.hypot(other.x - x, other.y - y) < VETO
+            and not self._stands_at(other.object_id, here)
             for other in landmarks.values()
         )
         if near_another and together < CORROBORATED_NEAR_ANOTHER:
@@ -149,6 +170,13 @@ class Judge:
             return UNCORROBORATED, Verdict.DISAGREES
         return similarity, Verdict.DISAGREES
 
+    def _stands_at(self, object_id: int, place: Landmark) -> bool:
+        """Whether an object was seen where another one stood: the two have changed places."""
+        return any(
+            math.hypot(seen.x - place.x, seen.y - place.y) < VETO
+            for seen in self._contradictions.get(object_id, ())
+        )
+
     def _by_new_samples(
         self,
         sighting: Sighting,
@@ -156,7 +184,7 @@ class Judge:
         pose: Estimate,
         others: Callable[[Array], Array],
     ) -> tuple[float, float]:
-        """Mode "paper": similarity and distance [m] of new samples drawn around the object."""
+        """By the paper: similarity and distance [m] of new samples drawn around the object."""
         drawn = draw_ring(sighting, landmark, self.ring_samples, self.random)
         # New samples take the object at its word; else the others would draw them off its ring.
         believed = replace(landmark, reliability=BELIEVED)
@@ -170,7 +198,15 @@ class Judge:
         turn = wrap(found.mean[2] - pose.mean[2])
         # 1 m/rad: a move along the circle round the robot shows in the heading alone.
         distance = math.hypot(found.mean[0] - pose.mean[0], found.mean[1] - pose.mean[1], turn)
+        if self.mode == "letter":
+            return similarity_to_the_letter(radius_to_the_letter(pose), distance), distance
         return paper_similarity(convergence_radius(pose), distance), distance
+
+
+def _plainly(similarity: float) -> Verdict:
+    if similarity == NEUTRAL:
+        return Verdict.NOT_CONVERGED
+    return Verdict.AGREES if similarity > NEUTRAL else Verdict.DISAGREES
 
 
 def _judgement(

@@ -5,16 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from components.localizer.absence import AbsenceWatch, View
+from components.localizer.association import associated
 from components.localizer.bank import Bank
+from components.localizer.beams import BeamChoice
 from components.localizer.cloud import Cloud
 from components.localizer.evidence import Evidence
 from components.localizer.health import LOST, Health, health_of, not_yet_sure
-from components.localizer.judge import Judge, Judgement
+from components.localizer.judge import Judge, Judgement, Mode, Verdict
 from components.localizer.motion import MotionModel, move_pose
 from components.localizer.object_likelihood import Landmark, Sighting
 from components.localizer.odometry import OdometryTrack
@@ -36,9 +38,6 @@ Array = NDArray[np.float64]
 _SEARCH_SHARE = 0.4
 # The starts and ends of no rays.
 NO_RAYS = (np.empty((0, 2)), np.empty((0, 2)))
-# Motion after which a scan tells something new [m], [rad]; of one that was taken on the spot
-# little counts, as its errors repeat.
-_NEW_M, _NEW_RAD, _ON_THE_SPOT = 0.15, 0.15, 0.03
 
 
 @dataclass(frozen=True)
@@ -55,7 +54,7 @@ class Settings:
     beams: int = 60
     beam_sd_m: float = 0.1
     stray: float = 0.05
-    mode: Literal["lr", "paper"] = "lr"
+    mode: Mode = "lr"
     ring_samples: int = 300
     healthy_spread_m: float = 0.35
     motion: MotionModel = field(default_factory=MotionModel)
@@ -98,8 +97,8 @@ class Localization:
         self._stated = StatedCovariance()
         self._reckoned: Pose = (0.0, 0.0, 0.0)
         self._moved_s = 0.0
-        self._since_scan = (0.0, 0.0)
-        self._turn_of_beams = 0
+        self._beams = BeamChoice(settings.beams)
+        self._absence = AbsenceWatch()
 
     def locate(self, pose: Sequence[float], covariance: Array) -> None:
         """Begin (again) from a known pose: x [m], y [m], theta [rad] and covariance (3, 3)."""
@@ -143,8 +142,7 @@ class Localization:
         step = self.track.advance(stamp)
         self._reckoned = move_pose(self._reckoned, step)
         self._moved_s += step.moving_s
-        far, turned = self._since_scan
-        self._since_scan = far + math.hypot(step.ahead, step.aside), turned + abs(step.turned)
+        self._beams.moved(step)
         if self.located:
             self.bank.move(step)
 
@@ -185,17 +183,18 @@ class Localization:
         `misses` are the starts and ends (m, 2) [m] of rays that hit nothing.
         """
         self.advance(stamp)
+        self._absence.scanned(points, misses[1], self._reckoned)
         if self.map is None:
             return False
         if not len(points):
             if self.located:
                 self._fit.note(self.map.field, self.bank.estimate().mean, points, 0, *misses)
             return False
-        chosen = self._chosen(points)
+        chosen = self._beams.chosen(points)
         self._scans.add(chosen, self._reckoned)
         if not self.located:
             return self._find(stamp)
-        new = self._new_of_scan()
+        new = self._beams.take_new()
         share = self._share(len(chosen)) * new
         scan_map = self.map
         before = self.bank.estimate()
@@ -228,9 +227,17 @@ class Localization:
             return self._recover(stamp)
         return False
 
-    def sight(self, stamp: float, sightings: Sequence[Sighting]) -> Frame | None:
-        """Judge and fuse the objects seen at `stamp` [s]; None while the robot is not located."""
+    def sight(
+        self, stamp: float, seen: Sequence[Sighting], view: View | None = None
+    ) -> Frame | None:
+        """Judge and fuse the objects seen at `stamp` [s]; None while the robot is not located.
+
+        `view` is where they could have been seen, if that is known: what should be in it and was
+        not seen is judged as well.
+        """
         self.advance(stamp)
+        here = self.bank.estimate() if self.located else None
+        sightings = associated(seen, here, self.landmarks)
         live = [s for s in sightings if self._is_live(s.object_id)]
         self._sightings.add(sightings, self._reckoned, self._moved_s)
         if not self.located:
@@ -242,10 +249,16 @@ class Localization:
         before = self.bank.estimate()
         healthy, reason = self._healthy(before, self._support(before, None))
         judgements = tuple(self._judge(sighting, before, healthy) for sighting in sightings)
+        contradicted = any(one.contradicts for one in judgements)
+        agreed = [one.sighting.object_id for one in judgements if one.verdict is Verdict.AGREES]
+        self._absence.agreed(stamp, agreed)
+        if healthy and view is not None:
+            missed = self._absence.missed(stamp, view, seen, self.landmarks, before, self._reckoned)
+            judgements += tuple(self.judge.unseen(before, *one) for one in missed)
         if live:
             self.bank.fuse_objects(live, self.landmarks, self.settings.independence)
         relocalised = False
-        if self.recovery.due(stamp, contradicted=any(j.contradicts for j in judgements)):
+        if self.recovery.due(stamp, contradicted=contradicted):
             relocalised = self._recover(stamp)
         return Frame(before, healthy, reason, judgements, relocalised)
 
@@ -290,7 +303,8 @@ class Localization:
         object_id = sighting.object_id
         if not self._is_live(object_id):
             return self.judge.place(sighting, before, healthy)
-        pose = self.bank.estimate_without(object_id)
+        letter = self.settings.mode == "letter"
+        pose = before if letter else self.bank.estimate_without(object_id)
         evidence = self._evidence()
         support = self._support(pose, object_id)
         return self.judge.compare(
@@ -303,24 +317,8 @@ class Localization:
             lambda poses: evidence.log_likelihood(poses, object_id),
         )
 
-    def _chosen(self, points: Array) -> Array:
-        """At most `beams` of the points, evenly spaced, others from scan to scan."""
-        beams = self.settings.beams
-        if len(points) <= beams:
-            return points
-        self._turn_of_beams += 1
-        begin = (self._turn_of_beams * 0.618) % 1.0
-        places = (np.arange(beams) + begin) * (len(points) / beams)
-        return points[np.minimum(places.astype(np.intp), len(points) - 1)]
-
     def _share(self, beams: int) -> float:
         return self.settings.scan_share * 60.0 / max(beams, 20)
-
-    def _new_of_scan(self) -> float:
-        """The share of a scan that counts as new: the more, the further since the last one."""
-        far, turned = self._since_scan
-        self._since_scan = (0.0, 0.0)
-        return min(1.0, max(_ON_THE_SPOT, far / _NEW_M + turned / _NEW_RAD))
 
     def _find(self, stamp: float) -> bool:
         found = self.recovery.find(stamp, self._evidence())

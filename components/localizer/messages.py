@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from components.localizer.absence import View
 from components.localizer.health import Health
 from components.localizer.judge import Judgement
 from components.localizer.localization import Frame
@@ -54,9 +55,17 @@ def sightings_of(message: RecognizedObjectArray) -> list[Sighting]:
             bearing=o.bearing,
             range_variance=float(o.covariance[0]) or _RANGE_SD**2,
             bearing_variance=float(o.covariance[3]) or _BEARING_SD**2,
+            alternatives=tuple(o.alternatives.tolist()),
         )
         for o in message.objects
     ]
+
+
+def view_of(message: RecognizedObjectArray) -> View | None:
+    """Where an object could have been recognised; None if that is not known."""
+    if message.view_left <= message.view_right:
+        return None
+    return View(message.view_right, message.view_left, message.nearest, message.farthest)
 
 
 def transform_message(header: Header, pose: Pose, in_odometry: Pose) -> TFMessage:

@@ -17,13 +17,17 @@ STRAY = -4.6
 
 @dataclass(frozen=True)
 class Sighting:
-    """One recognised object: range [m], bearing [rad, left positive] and their variances."""
+    """One recognised object: range [m], bearing [rad, left positive] and their variances.
+
+    `alternatives` are other objects that it may be as well.
+    """
 
     object_id: int
     range_m: float
     bearing: float
     range_variance: float
     bearing_variance: float
+    alternatives: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,7 @@ MAP_SIGMA = 0.03
 POSE_FLOOR = 0.12
 # Outside this normalised innovation squared (2 dof, 99.9 %) a sighting contradicts a pose.
 GATE = 13.8
+ACCEPTED = 9.21  # inside this one (99 %) a gate takes it for granted
 
 
 @dataclass(frozen=True)
@@ -78,6 +79,24 @@ def likelihood_ratio_similarity(seen: Innovation) -> float:
 def paper_similarity(radius: float, distance: float) -> float:
     """Mode "paper": equation (1), r / d, 1 inside the bound; clamped. Both in metres."""
     return clamp(min(1.0, radius / max(distance, 1e-6)))
+
+
+def gate_similarity(seen: Innovation) -> float:
+    """Mode "chi_square": inside 99 % of the prediction it agrees, outside 99.9 % it does not."""
+    if seen.nis <= ACCEPTED:
+        return MOST
+    return LEAST if seen.nis > GATE else NEUTRAL
+
+
+def similarity_to_the_letter(radius: float, distance: float) -> float:
+    """Mode "letter": equation (1) as the paper has it, from 0 to 1; 1 for no distance at all."""
+    return 1.0 if distance <= radius else radius / distance
+
+
+def radius_to_the_letter(pose: Estimate) -> float:
+    """r of equation (1) [m] as two standard deviations of the cloud, however small it is."""
+    longest = float(np.linalg.eigvalsh(pose.covariance[:2, :2])[-1])
+    return 2.0 * math.sqrt(max(longest, 0.0))
 
 
 def clamp(similarity: float) -> float:
