@@ -1,0 +1,1 @@
+"""The experiments of the paper: one robot, many ways of keeping its visual map, one table."""

@@ -1,0 +1,31 @@
+"""The ways of keeping a visual map that are compared: what each pair of components is told."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Method:
+    """A localizer and a map builder with parameters of their own; `title` names it in reports."""
+
+    name: str
+    title: str
+    localizer: Mapping[str, Any] = field(default_factory=dict)
+    map_builder: Mapping[str, Any] = field(default_factory=dict)
+
+
+OURS = Method("ours", "ours (likelihood ratio)", {"mode": "lr"}, {"rule": "reliability"})
+LETTER = Method("letter", "paper, to the letter", {"mode": "letter"}, {"rule": "letter"})
+PAPER = Method("paper", "paper, clamped", {"mode": "paper"}, {"rule": "reliability"})
+CHI_SQUARE = Method(
+    "chi_square", "chi-square gate", {"mode": "chi_square"}, {"rule": "reliability"}
+)
+PERSISTENCE = Method(
+    "persistence", "persistence filter", {"mode": "lr"}, {"rule": "persistence"}
+)
+NO_UPDATE = Method("no_update", "no update", {"mode": "lr"}, {"update_objects": False})
+
+ABLATION = (OURS, LETTER, PAPER, CHI_SQUARE, PERSISTENCE, NO_UPDATE)
