@@ -51,5 +51,8 @@ _TAUGHT: Final = (
     "INSERT INTO taught_changes VALUES (0)",
 )
 
-FORMATS: Final[tuple[tuple[str, ...], ...]] = (_MAP, _TAUGHT)
+# From where an object is usually recognised: JSON, "" for nothing known.
+_VIEWPOINTS: Final = ("ALTER TABLE objects ADD COLUMN viewpoints TEXT NOT NULL DEFAULT ''",)
+
+FORMATS: Final[tuple[tuple[str, ...], ...]] = (_MAP, _TAUGHT + _VIEWPOINTS)
 """What each format adds to the one before, the first to an empty file."""

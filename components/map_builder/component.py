@@ -4,25 +4,23 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from pathlib import Path
-
-from pydantic import Field, model_validator
 
 from cairn.bus.qos import LATCHED, RELIABLE, SENSOR
 from cairn.clock import SECOND, from_ns, to_ns
 from cairn.component.complaints import Complaints
 from cairn.component.component import Component
 from cairn.component.handlers import every, on
-from cairn.component.mount import Mount
 from cairn.component.parameters import Config, ParameterRefused
 from cairn.component.ports import In, Out
 from cairn.errors import CairnError
+from components.map_builder.config import MapBuilderConfig
 from components.map_builder.grid_keeper import GridKeeper
 from components.map_builder.grid_updates import GridUpdates
 from components.map_builder.keeper import MapKeeper, NumberedChange
 from components.map_builder.messages import change_message, evidence_of, map_message
 from components.map_builder.objects import Kind
 from components.map_builder.posed_scans import PosedScans
+from components.map_builder.rules import rule_named
 from components.map_builder.store import open_map
 from planar.grid import map_message as grid_message
 from planar.map_file import read_map
@@ -40,59 +38,6 @@ from vision.map_file import MapFileError
 # A full map follows its updates after this [s], for readers that come later.
 _FULL_MAP_S = 5.0
 _SAVE_S = 10.0
-
-
-class MapBuilderConfig(Config):
-    """Parameters of the map builder."""
-
-    map_file: Path | None = Field(
-        None, description="The visual map: a file made by `cairn map import`; none: no visual map."
-    )
-    working_copy: Path | None = Field(
-        None,
-        description="Where to keep a copy that is changed instead of map_file; none: change "
-        "map_file itself. A copy of the same map, not later than now, is gone on with.",
-    )
-    learn_unknown: bool = Field(
-        True, description="Whether to place objects that are sighted but not in the map."
-    )
-    grid_file: Path | None = Field(
-        None, description="The grid map: a map_server YAML file; none: no grid map."
-    )
-    grid_copy: Path | None = Field(
-        None,
-        description="Where to keep the changed grid map (YAML); grid_file is never changed. A copy "
-        "of the same map, not later than now, is gone on with. None: keep it in memory.",
-    )
-    update_grid: bool = Field(True, description="Whether scans change the grid map.")
-    mount: Mount = Field(Mount(), description="Where the scanner sits on the robot.")
-    scans_per_s: float = Field(
-        5.0, gt=0, le=100, description="Scans that are put into the grid map, at most [1/s]."
-    )
-    settle_s: float = Field(
-        8.0,
-        ge=0,
-        le=3600,
-        description="How long an obstacle must stand to get into the grid map [s].",
-    )
-    undo_s: float = Field(
-        60.0,
-        ge=0,
-        le=120,
-        description="How far back changes of the grid map are undone when the robot was lost [s].",
-    )
-    least_health: float = Field(
-        0.6, ge=0, le=1, description="Health of the pose from which scans are put in [1]."
-    )
-    most_spread: float = Field(
-        0.15, gt=0, le=1, description="Position deviation up to which scans are put in [m]."
-    )
-
-    @model_validator(mode="after")
-    def _something_to_keep(self) -> MapBuilderConfig:
-        if self.map_file is None and self.grid_file is None:
-            raise ValueError("give map_file, grid_file, or both: there is no map to keep")
-        return self
 
 
 class MapBuilder(Component):
@@ -160,7 +105,7 @@ class MapBuilder(Component):
     def judge(self, frame: ObjectEvidenceArray) -> None:
         """Take one frame's evidence."""
         keeper = self._open()
-        if keeper is not None:
+        if keeper is not None and self.config.update_objects:
             stamp_ns = to_ns(frame.header.stamp)
             self._tell(stamp_ns, *keeper.apply(stamp_ns, evidence_of(frame)))
 
@@ -253,7 +198,12 @@ class MapBuilder(Component):
         if self._keeper is None and config.map_file is not None:
             now = self.clock.now()
             self._keeper = MapKeeper(
-                config.map_file, config.working_copy, now, config.learn_unknown
+                config.map_file,
+                config.working_copy,
+                now,
+                config.learn_unknown,
+                rule_named(config.rule),
+                config.undo_s,
             )
             self._tell(now, True, [])
         return self._keeper

@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from cairn.clock import SECOND
 from components.map_builder.objects import Change, Evidence, MapObject
+from components.map_builder.rule import Rule, judge
 from components.map_builder.store import Judged, MapStore, open_map
-from components.map_builder.visual_map import VisualMap
+from components.map_builder.visual_map import UNDO_S, VisualMap
 from components.map_builder.working_copy import gone_on_with
 from vision.map_file import copy_map, digest_of
 
@@ -24,11 +26,19 @@ class MapKeeper:
     """
 
     def __init__(
-        self, map_file: Path, working_copy: Path | None, now_ns: int, learn_unknown: bool
+        self,
+        map_file: Path,
+        working_copy: Path | None,
+        now_ns: int,
+        learn_unknown: bool,
+        rule: Rule = judge,
+        undo_s: float = UNDO_S,
     ) -> None:
         self.path = _working_file(map_file, working_copy, now_ns)
         self._store: MapStore = open_map(self.path)
-        self._map = VisualMap(self._store.objects(), learn_unknown)
+        self._map = VisualMap(
+            self._store.objects(), learn_unknown, rule, undo_s, self._store.taught_name
+        )
         self.version = self._store.version()
         self._pending: list[Judged] = []
 
@@ -41,7 +51,7 @@ class MapKeeper:
         self, stamp_ns: int, evidence: Sequence[Evidence]
     ) -> tuple[bool, list[NumberedChange]]:
         """Take one frame's evidence: whether any object is not as before, and the changes."""
-        outcome = self._map.apply(evidence)
+        outcome = self._map.apply(evidence, stamp_ns / SECOND)
         touched = False
         for piece, after in zip(evidence, outcome.after, strict=True):
             if after is not None:

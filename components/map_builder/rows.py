@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import math
+from dataclasses import asdict
 from typing import Any
 
 from components.map_builder.objects import (
@@ -13,6 +15,7 @@ from components.map_builder.objects import (
     Place,
     State,
 )
+from components.map_builder.viewpoints import NOWHERE, Cell, Viewpoints
 
 Row = tuple[Any, ...]
 
@@ -36,6 +39,7 @@ def object_row(known: MapObject) -> Row:
         *_place_row(found.place if found else None),
         found.reliability if found else None,
         found.sightings if found else None,
+        json.dumps(asdict(known.viewpoints)),
     )
 
 
@@ -60,8 +64,9 @@ def object_from_row(row: Row) -> MapObject:
             state=State(row[8]),
             evidence_count=_within("evidence_count", int(row[9]), 0, _MOST),
             candidate=candidate,
+            viewpoints=_viewpoints(str(row[17])),
         )
-    except (ValueError, TypeError) as error:
+    except (ValueError, TypeError, KeyError) as error:
         raise ValueError(f"object {row[0]}: {error}") from error
 
 
@@ -115,6 +120,25 @@ def _place(values: Row) -> Place | None:
     if place.xx < 0 or place.yy < 0 or place.xy**2 > place.xx * place.yy * (1 + 1e-9):
         raise ValueError(f"({place.xx}, {place.xy}, {place.yy}) is no covariance of its place")
     return place
+
+
+def _viewpoints(text: str) -> Viewpoints:
+    if not text:
+        return NOWHERE
+    held = json.loads(text)
+
+    def counts(name: str) -> tuple[tuple[Cell, int], ...]:
+        return tuple(
+            (_cell(cell), _within(f"number of times {name}", int(count), 0, _MOST))
+            for cell, count in held[name]
+        )
+
+    return Viewpoints(counts("seen"), counts("missed"), tuple(map(_cell, held["absent"])))
+
+
+def _cell(pair: Any) -> Cell:
+    sector, band = pair
+    return int(sector), int(band)
 
 
 def _probability(value: Any) -> float:

@@ -62,6 +62,14 @@ class MapStore:
             rows = self._connection.execute("SELECT * FROM objects ORDER BY object_id").fetchall()
             return list(map(object_from_row, rows))
 
+    def taught_name(self, object_id: int) -> str | None:
+        """The name under which an object was taught; None if it was not."""
+        with told(self.path):
+            row = self._connection.execute(
+                "SELECT name FROM taught_objects WHERE object_id = ?", (object_id,)
+            ).fetchone()
+        return str(row[0]) if row else None
+
     def version(self) -> int:
         """The number of changes made so far."""
         with told(self.path):
@@ -105,7 +113,7 @@ class MapStore:
         """Write objects, evidence and changes (version, stamp [ns], change), all or nothing."""
         with writing(self.path, self._connection) as transaction:
             transaction.executemany(
-                f"INSERT OR REPLACE INTO objects VALUES ({_marks(17)})", map(object_row, objects)
+                f"INSERT OR REPLACE INTO objects VALUES ({_marks(18)})", map(object_row, objects)
             )
             transaction.executemany(
                 f"INSERT INTO evidence VALUES ({_marks(18)})",

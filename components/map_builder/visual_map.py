@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 from components.map_builder.objects import (
@@ -13,11 +13,12 @@ from components.map_builder.objects import (
     MapObject,
     Place,
     State,
-    judge,
+    Verdict,
     unknown,
 )
+from components.map_builder.rule import Rule, judge
 
-JOURNAL_FRAMES = 60
+UNDO_S = 60.0
 
 
 @dataclass(frozen=True)
@@ -34,39 +35,50 @@ class Outcome:
 
 @dataclass(frozen=True)
 class _Undo:
-    frame: int
+    at_s: float
     before: MapObject
 
 
 class VisualMap:
-    """All objects by identifier, and the journal of the last 60 frames' losses of reliability."""
+    """All objects by identifier, and the journal of the last `undo_s` seconds' losses of trust.
 
-    def __init__(self, objects: Iterable[MapObject], learn_unknown: bool = True) -> None:
+    `name_of` tells what an object is called that the map does not hold yet.
+    """
+
+    def __init__(
+        self,
+        objects: Iterable[MapObject],
+        learn_unknown: bool = True,
+        rule: Rule = judge,
+        undo_s: float = UNDO_S,
+        name_of: Callable[[int], str | None] = lambda _: None,
+    ) -> None:
         self.objects: dict[int, MapObject] = {o.object_id: o for o in objects}
         self.learn_unknown = learn_unknown
-        self._frame = 0
+        self._rule = rule
+        self._undo_s = undo_s
+        self._name_of = name_of
         self._journal: deque[_Undo] = deque()
 
-    def apply(self, evidence: Sequence[Evidence]) -> Outcome:
-        """Take one frame's evidence."""
-        self._frame += 1
-        while self._journal and self._journal[0].frame <= self._frame - JOURNAL_FRAMES:
+    def apply(self, evidence: Sequence[Evidence], now_s: float) -> Outcome:
+        """Take one frame's evidence, of `now_s` [s]."""
+        while self._journal and self._journal[0].at_s < now_s - self._undo_s:
             self._journal.popleft()
         after: list[tuple[MapObject, bool] | None] = []
         changes: list[Change] = []
         for piece in evidence:
             known = self.objects.get(piece.object_id)
             if known is None:
-                if not self.learn_unknown:
+                if not self.learn_unknown or piece.verdict is Verdict.UNSEEN:
                     after.append(None)
                     continue
-                known = unknown(piece.object_id)
-            judged, change = judge(known, piece)
+                known = unknown(piece.object_id, self._name_of(piece.object_id))
+            judged, change = self._rule(known, piece, now_s)
             after.append((judged, judged is not known))
             if judged is known:
                 continue
             if _lost_trust(known, judged):
-                self._journal.append(_Undo(self._frame, known))
+                self._journal.append(_Undo(now_s, known))
             self.objects[piece.object_id] = judged
             if change is not None:
                 changes.append(change)

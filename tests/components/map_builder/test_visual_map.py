@@ -10,14 +10,14 @@ from tests.components.map_builder.evidence import HERE, THERE, sighting, surveye
 
 
 def kinds(visual_map: VisualMap, *frames: object) -> list[Kind]:
-    return [change.kind for frame in frames for change in visual_map.apply([frame]).changes]  # type: ignore[list-item]
+    return [change.kind for frame in frames for change in visual_map.apply([frame], 0.0).changes]  # type: ignore[list-item]
 
 
 def test_agreement_makes_an_object_reliable() -> None:
     visual_map = VisualMap([surveyed()])
 
     for step in range(5):
-        visual_map.apply([sighting(0.9, step)])
+        visual_map.apply([sighting(0.9, step)], 0.0)
 
     assert visual_map.objects[7].reliability == pytest.approx(0.98)
     assert visual_map.objects[7].evidence_count == 5
@@ -27,7 +27,7 @@ def test_sightings_from_one_pose_count_once() -> None:
     visual_map = VisualMap([surveyed()])
 
     for _ in range(50):
-        visual_map.apply([sighting(0.1, 0, THERE), sighting(0.9, 0)])
+        visual_map.apply([sighting(0.1, 0, THERE), sighting(0.9, 0)], 0.0)
 
     assert visual_map.objects[7].evidence_count == 1
 
@@ -51,7 +51,7 @@ def test_a_moved_object_is_removed_and_registered_at_its_new_place() -> None:
 def test_a_removed_object_is_not_registered_by_the_frame_that_removed_it() -> None:
     visual_map = VisualMap([surveyed()])
 
-    changes = visual_map.apply([sighting(0.1, 0, THERE)]).changes
+    changes = visual_map.apply([sighting(0.1, 0, THERE)], 0.0).changes
 
     assert [c.kind for c in changes] == [Kind.REMOVED]
     assert visual_map.objects[7].reliability <= 0.1 + 1e-9
@@ -95,7 +95,7 @@ def test_an_object_that_the_map_lacks_is_learned_from_several_poses() -> None:
 def test_unknown_objects_can_be_left_alone() -> None:
     visual_map = VisualMap([], learn_unknown=False)
 
-    outcome = visual_map.apply([sighting(0.5, 0, THERE)])
+    outcome = visual_map.apply([sighting(0.5, 0, THERE)], 0.0)
 
     assert outcome.after == (None,)
     assert visual_map.objects == {}
@@ -116,7 +116,7 @@ def test_nothing_is_judged_by_false_matches_or_a_lost_robot(
     visual_map = VisualMap([surveyed()])
 
     for step, (similarity, verdict) in enumerate(frames):
-        visual_map.apply([sighting(similarity, step, THERE, verdict, healthy=False)])
+        visual_map.apply([sighting(similarity, step, THERE, verdict, healthy=False)], 0.0)
 
     assert visual_map.objects[7] == surveyed()
 
@@ -125,7 +125,7 @@ def test_a_lost_robot_registers_nothing() -> None:
     visual_map = VisualMap([])
 
     for step in range(10):
-        visual_map.apply([sighting(0.5, step, THERE, healthy=False)])
+        visual_map.apply([sighting(0.5, step, THERE, healthy=False)], 0.0)
 
     assert visual_map.objects == {}
 
@@ -133,7 +133,7 @@ def test_a_lost_robot_registers_nothing() -> None:
 def test_what_a_lost_robot_judged_is_taken_back() -> None:
     visual_map = VisualMap([surveyed()])
     for step in range(4):
-        visual_map.apply([sighting(0.9, step)])
+        visual_map.apply([sighting(0.9, step)], 0.0)
     before = visual_map.objects[7]
     removed = kinds(visual_map, *(sighting(0.1, step, THERE) for step in range(4, 8)))
     assert removed[0] is Kind.REMOVED
@@ -148,8 +148,7 @@ def test_what_a_lost_robot_judged_is_taken_back() -> None:
 def test_a_registration_taken_back_leaves_the_object_without_a_place() -> None:
     visual_map = VisualMap([surveyed()])
     assert kinds(visual_map, sighting(0.1, 0, THERE)) == [Kind.REMOVED]
-    for _ in range(60):  # the removal is too long ago to be taken back
-        visual_map.apply([])
+    visual_map.apply([], 61.0)  # the removal is too long ago to be taken back
     seen = kinds(visual_map, *(sighting(0.5, step, THERE) for step in range(1, 4)))
     assert seen == [Kind.REGISTERED]
 
@@ -163,10 +162,10 @@ def test_a_registered_place_gets_better_with_agreeing_sightings() -> None:
     visual_map = VisualMap([])
     first = Place(3.8, 1.0, 0.04, 0.0, 0.04)
     for step in range(3):
-        visual_map.apply([sighting(0.5, step, first)])
+        visual_map.apply([sighting(0.5, step, first)], 0.0)
 
     for step in range(3, 30):
-        visual_map.apply([sighting(0.9, step, THERE)])
+        visual_map.apply([sighting(0.9, step, THERE)], 0.0)
 
     place = visual_map.objects[7].place
     assert place is not None
@@ -177,7 +176,7 @@ def test_a_surveyed_place_stays_as_surveyed() -> None:
     visual_map = VisualMap([surveyed()])
 
     for step in range(30):
-        visual_map.apply([sighting(0.9, step, Place(2.2, 1.2, 0.02, 0.0, 0.02))])
+        visual_map.apply([sighting(0.9, step, Place(2.2, 1.2, 0.02, 0.0, 0.02))], 0.0)
 
     place = visual_map.objects[7].place
     assert place is not None

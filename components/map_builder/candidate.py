@@ -1,0 +1,73 @@
+"""Where an object that was removed, or is not known, may stand now: a candidate place."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from components.map_builder.objects import (
+    CARRIED_OVER,
+    Candidate,
+    Change,
+    Evidence,
+    Kind,
+    MapObject,
+    State,
+    Verdict,
+)
+from components.map_builder.places import fuse, place_similarity
+from components.map_builder.reliability import REGISTRATION, update
+from components.map_builder.viewpoints import NOWHERE
+from planar.poses import apart
+
+# A candidate no farther than this from where the object stood has not moved.
+UNMOVED = 0.35  # [m]
+# From poses that differ by more than this [m], [rad] sightings are independent.
+ANOTHER_M, ANOTHER_RAD = 0.15, 0.2
+
+
+def judge_candidate(known: MapObject, evidence: Evidence) -> tuple[MapObject, Change | None]:
+    """What a sighting makes of an object that has no place in the map: a candidate for one.
+
+    Places that sightings from different poses agree on are registered.
+    """
+    if not evidence.healthy or evidence.verdict is Verdict.NOT_CONVERGED:
+        return known, None
+    seen = replace(known, evidence_count=known.evidence_count + 1)
+    candidate = known.candidate
+    fresh = Candidate(evidence.implied, CARRIED_OVER, 1, evidence.robot)
+    if candidate is None:
+        return replace(seen, candidate=fresh), None
+    if not apart(candidate.seen_from, evidence.robot, ANOTHER_M, ANOTHER_RAD):
+        return known, None
+    similarity = place_similarity(candidate.place, evidence.implied)
+    if similarity < 0.5 and candidate.reliability <= 0.15:
+        return replace(seen, candidate=fresh), None
+    reliability = update(candidate.reliability, similarity)
+    place = fuse(candidate.place, evidence.implied) if similarity >= 0.5 else candidate.place
+    moved = Candidate(place, reliability, candidate.sightings + 1, evidence.robot)
+    if reliability <= REGISTRATION:
+        return replace(seen, candidate=moved), None
+    return _register(seen, moved)
+
+
+def _register(known: MapObject, found: Candidate) -> tuple[MapObject, Change | None]:
+    old = known.place
+    unmoved = old is not None and old.distance(found.place) <= UNMOVED
+    place = old if unmoved and old is not None else found.place
+    registered = replace(
+        known,
+        place=place,
+        reliability=found.reliability,
+        state=State.LIVE,
+        candidate=None,
+        judged_from=found.seen_from,
+        viewpoints=NOWHERE,
+        missed_from=None,
+    )
+    if unmoved and old is not None:
+        kind = Kind.RESTORED
+        reason = f"seen again {old.distance(found.place):.2f} m from its place: it had not moved"
+    else:
+        kind = Kind.REGISTERED
+        reason = f"{found.sightings} sightings from different poses agree on the new place"
+    return registered, Change(known.object_id, kind, old, place, found.reliability, reason)

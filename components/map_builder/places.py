@@ -1,0 +1,48 @@
+"""Two places as one: how likely that is, and what they make together."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from components.map_builder.objects import Place
+
+Array = NDArray[np.float64]
+
+# Density [1/m^2] of a sighting of an object that stands anywhere in view: 4 m by 60 degrees.
+CLUTTER = 1.0 / (0.5 * 4.0**2 * math.radians(60.0))
+# A sighting's share of the robot's own error, which all its sightings of an hour have in common.
+COMMON_ERROR = 0.15  # [m]
+
+
+def place_similarity(candidate: Place, implied: Place) -> float:
+    """Odds that two implied places are one, against a sighting anywhere in view; in [0.1, 0.9]."""
+    total = _covariance(candidate) + _covariance(implied) + 0.06**2 * np.eye(2)
+    error = np.array([implied.x - candidate.x, implied.y - candidate.y])
+    nis = float(error @ np.linalg.solve(total, error))
+    density = math.exp(-0.5 * nis) / (2.0 * math.pi * math.sqrt(float(np.linalg.det(total))))
+    return min(0.9, max(0.1, density / (density + CLUTTER)))
+
+
+def fuse(place: Place, implied: Place) -> Place:
+    """Kalman update of a place by an implied place, whose error the robot's pose has part in."""
+    prior = _covariance(place)
+    noise = _covariance(implied) + COMMON_ERROR**2 * np.eye(2)
+    gain = prior @ np.linalg.inv(prior + noise)
+    x, y = np.array([place.x, place.y]) + gain @ np.array(
+        [implied.x - place.x, implied.y - place.y]
+    )
+    left = (np.eye(2) - gain) @ prior
+    return Place(
+        float(x),
+        float(y),
+        float(left[0, 0]),
+        float(0.5 * (left[0, 1] + left[1, 0])),
+        float(left[1, 1]),
+    )
+
+
+def _covariance(place: Place) -> Array:
+    return np.array([[place.xx, place.xy], [place.xy, place.yy]])
