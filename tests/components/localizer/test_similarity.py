@@ -13,10 +13,13 @@ from components.localizer.ring import draw_ring
 from components.localizer.similarity import (
     LEAST,
     convergence_radius,
+    gate_similarity,
     implied_place,
     innovation,
     likelihood_ratio_similarity,
     paper_similarity,
+    radius_to_the_letter,
+    similarity_to_the_letter,
 )
 
 number = st.floats(-20.0, 20.0)
@@ -61,6 +64,21 @@ def test_the_papers_similarity_is_radius_over_distance_clamped(
     radius: float, distance: float, similarity: float
 ) -> None:
     assert paper_similarity(radius, distance) == pytest.approx(similarity)
+
+
+def test_to_the_letter_similarity_is_bounded_by_nothing() -> None:
+    assert similarity_to_the_letter(0.2, 0.1) == 1.0
+    assert similarity_to_the_letter(0.2, 0.0) == 1.0
+    assert similarity_to_the_letter(0.2, 4.0) == pytest.approx(0.05)
+    assert similarity_to_the_letter(0.0, 1.0) == 0.0
+    assert radius_to_the_letter(pose(sd=0.001)) == pytest.approx(0.002)
+
+
+def test_a_gate_decides_by_one_sighting() -> None:
+    landmark = Landmark(1, 2.0, 0.0)
+
+    assert gate_similarity(innovation(pose(), seen(2.1), landmark)) == 0.9
+    assert gate_similarity(innovation(pose(), seen(3.0), landmark)) == 0.1
 
 
 def test_the_convergence_radius_has_a_floor() -> None:

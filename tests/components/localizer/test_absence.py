@@ -1,0 +1,92 @@
+"""What should be in view and is not recognised is told, unless something may hide it."""
+
+import math
+
+import numpy as np
+import pytest
+
+from components.localizer.absence import AbsenceWatch, View, expected, free_sight
+from components.localizer.object_likelihood import Landmark, Sighting
+from components.localizer.particles import Estimate
+
+AHEAD = View(-math.radians(30), math.radians(30), 0.4, 5.0)
+SURE = Estimate((0.0, 0.0, 0.0), np.diag([0.0004, 0.0004, 0.0001]))
+POSTER = Landmark(1, 3.0, 0.0)
+ELSEWHERE = Landmark(2, 2.0, 0.8)
+WALL = np.column_stack((np.full(61, 3.0), np.linspace(-1.5, 1.5, 61)))
+NO_MISSES = np.empty((0, 2))
+
+
+def watch(points: np.ndarray = WALL) -> AbsenceWatch:
+    it = AbsenceWatch()
+    it.scanned(points, NO_MISSES, (0.0, 0.0, 0.0))
+    it.agreed(10.0, [2])
+    return it
+
+
+def missed(
+    it: AbsenceWatch, *seen: Sighting, stamp: float = 10.0, poster: Landmark = POSTER
+) -> list[int]:
+    landmarks = {1: poster, 2: ELSEWHERE}
+    found = it.missed(
+        stamp, AHEAD, [Sighting(2, 2.2, 0.4, 0.01, 0.001), *seen], landmarks, SURE, (0.0, 0.0, 0.0)
+    )
+    return [landmark.object_id for landmark, _, _ in found]
+
+
+def test_a_poster_on_the_wall_ahead_that_is_not_recognised_is_missed() -> None:
+    assert missed(watch()) == [1]
+
+
+def test_one_that_is_recognised_is_not() -> None:
+    assert missed(watch(), Sighting(1, 3.0, 0.0, 0.01, 0.001)) == []
+
+
+def test_nor_is_one_that_may_have_been_recognised_as_another() -> None:
+    assert missed(watch(), Sighting(5, 3.0, 0.0, 0.01, 0.001, (1,))) == []
+
+
+def test_nor_is_one_that_was_removed_from_the_map() -> None:
+    assert missed(watch(), poster=Landmark(1, 3.0, 0.0, live=False)) == []
+
+
+def test_somebody_who_stands_before_it_hides_it() -> None:
+    person = np.column_stack((np.full(11, 1.5), np.linspace(-0.2, 0.2, 11)))
+
+    assert missed(watch(np.concatenate((WALL, person)))) == []
+
+
+def test_without_a_beam_in_its_direction_nothing_is_missed() -> None:
+    assert missed(watch(WALL[:20])) == []
+    assert missed(AbsenceWatch()) == []
+
+
+def test_a_camera_that_has_not_recognised_anything_of_late_misses_nothing() -> None:
+    assert missed(watch(), stamp=30.0) == []
+
+
+def test_the_scan_is_seen_from_where_the_robot_has_come_since() -> None:
+    """A person 1 m ahead; the robot has gone by."""
+    it = watch(np.array([[1.0, 0.0], [3.0, 0.0]]))
+    past = Estimate((1.5, 0.0, 0.0), SURE.covariance)
+
+    found = it.missed(10.0, AHEAD, [], {1: POSTER, 2: ELSEWHERE}, past, (1.5, 0.0, 0.0))
+
+    assert [landmark.object_id for landmark, _, _ in found] == [1]
+
+
+@pytest.mark.parametrize(("x", "y"), [(0.3, 0.0), (4.9, 0.0), (2.0, 1.1), (2.0, -1.1), (-3.0, 0.0)])
+def test_what_is_at_the_edge_of_the_view_is_not_expected(x: float, y: float) -> None:
+    assert expected(SURE, Landmark(1, x, y), AHEAD) is None
+
+
+def test_a_robot_that_is_not_sure_of_its_heading_expects_less() -> None:
+    unsure = Estimate((0.0, 0.0, 0.0), np.diag([0.0004, 0.0004, 0.04]))
+
+    assert expected(SURE, Landmark(1, 3.0, 0.6), AHEAD) is not None
+    assert expected(unsure, Landmark(1, 3.0, 0.6), AHEAD) is None
+
+
+def test_a_beam_that_hits_nothing_on_its_way_shows_that_the_sight_is_free() -> None:
+    assert free_sight(np.empty((0, 2)), np.array([[4.0, 0.01]]), 3.0, 0.0)
+    assert not free_sight(np.empty((0, 2)), np.array([[2.0, 0.01]]), 3.0, 0.0)

@@ -1,0 +1,74 @@
+"""The verdict on sightings: what stands alone waits, what is consistent counts."""
+
+import math
+
+import numpy as np
+import pytest
+
+from components.localizer.judge import Judge, Judgement, Mode, Verdict
+from components.localizer.object_likelihood import Landmark, Sighting
+from components.localizer.particles import Estimate
+from planar.poses import wrap
+
+A, B = Landmark(1, 3.0, 1.0, reliability=0.9), Landmark(2, 3.0, -1.0, reliability=0.9)
+MAP = {1: A, 2: B}
+
+
+def judged(judge: Judge, object_id: int, step: int, at: tuple[float, float]) -> Judgement:
+    """`object_id` is seen at a place from the pose that is `step` times 0.2 m along the way."""
+    pose = Estimate((0.2 * step, 0.0, 0.0), np.diag([0.001, 0.001, 0.0002]))
+    dx, dy = at[0] - pose.mean[0], at[1]
+    sighting = Sighting(object_id, math.hypot(dx, dy), wrap(math.atan2(dy, dx)), 0.0025, 0.0004)
+    return judge.compare(
+        sighting, pose, MAP, True, True, True, lambda poses: np.zeros(poses.shape[1])
+    )
+
+
+def judge_of(mode: Mode = "lr") -> Judge:
+    return Judge(mode, 300, np.random.default_rng(0))
+
+
+def test_a_contradiction_that_stands_alone_hardly_counts() -> None:
+    found = judged(judge_of(), 1, 0, (4.0, 2.0))
+
+    assert found.verdict is Verdict.DISAGREES
+    assert found.similarity == pytest.approx(0.45)
+
+
+def test_contradictions_from_three_places_that_agree_count() -> None:
+    judge = judge_of()
+
+    similarities = [judged(judge, 1, step, (4.0, 2.0)).similarity for step in range(4)]
+
+    assert similarities[:2] == [0.45, 0.45]
+    assert similarities[2:] == [0.1, 0.1]
+
+
+def test_what_is_seen_in_anothers_place_is_a_false_match_for_long() -> None:
+    judge = judge_of()
+
+    verdicts = [judged(judge, 1, step, (3.0, -1.0)).verdict for step in range(8)]
+
+    assert verdicts[:7] == [Verdict.FALSE_MATCH] * 7
+    assert verdicts[7] is Verdict.DISAGREES
+
+
+def test_two_objects_that_are_seen_in_each_others_places_were_exchanged() -> None:
+    judge = judge_of()
+    verdicts = []
+    for step in range(5):
+        first = judged(judge, 1, step, (3.0, -1.0))
+        second = judged(judge, 2, step, (3.0, 1.0))
+        verdicts.append((first.verdict, second.verdict))
+
+    assert verdicts[0][0] is Verdict.FALSE_MATCH
+    assert verdicts[4] == (Verdict.DISAGREES, Verdict.DISAGREES)
+    assert judged(judge, 1, 6, (3.0, -1.0)).similarity == pytest.approx(0.1)
+
+
+def test_a_gate_and_the_letter_wait_for_nothing() -> None:
+    assert judged(judge_of("chi_square"), 1, 0, (4.0, 2.0)).verdict is Verdict.DISAGREES
+    assert judged(judge_of("chi_square"), 1, 0, (4.0, 2.0)).similarity == pytest.approx(0.1)
+    assert judged(judge_of("chi_square"), 1, 0, (3.0, 1.0)).verdict is Verdict.AGREES
+    # Without anything else seen, samples on a ring do not converge: no evidence.
+    assert judged(judge_of("letter"), 1, 0, (4.0, 2.0)).verdict is Verdict.NOT_CONVERGED
