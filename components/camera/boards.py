@@ -20,6 +20,7 @@ Grey = NDArray[np.uint8]
 
 # In so many images another board is looked for, which takes long.
 _LOOKED_AT = 3
+_NAMED = 6
 
 
 @dataclass(frozen=True)
@@ -66,7 +67,7 @@ def look_for(board: Board, files: Sequence[Path]) -> Seen:
         )
         raise CairnError(
             f"a board of {board} inner corners is seen in {len(corners)} of {len(files)} images, "
-            f"not in {', '.join(without)}; {remedy}"
+            f"not in {_listed(list(without))}; {remedy}"
         )
     _check_whole(board, with_board)
     return Seen(size, corners, list(without))
@@ -82,6 +83,11 @@ def _size(sizes: Mapping[str, tuple[int, int]]) -> tuple[int, int]:
                 "take images of one camera, at one size"
             )
     return most
+
+
+def _listed(names: Sequence[str]) -> str:
+    more = len(names) - _NAMED
+    return ", ".join(names[:_NAMED]) + (f" and {more} more" if more > 0 else "")
 
 
 def _check_whole(board: Board, images: Sequence[Grey]) -> None:

@@ -52,8 +52,10 @@ def _files(given: Sequence[str]) -> list[Path]:
         path = Path(text)
         if path.is_dir():
             found += images_in(path)
-        elif path.exists() or not glob.has_magic(text):
+        elif path.exists():
             found.append(path)
+        elif not glob.has_magic(text):
+            raise CairnError(f"{text}: no such file or folder.")
         else:
             matched = [Path(name) for name in glob.glob(text)]
             if not matched:
