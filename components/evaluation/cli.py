@@ -15,6 +15,7 @@ from typing import Annotated
 import typer
 
 from cairn.cli.connection import Json
+from cairn.cli.seeds import seeds_of
 from cairn.cli.tables import line, note, print_json
 from cairn.errors import CairnError
 from components.evaluation.pictures import draw_tracks, draw_ways
@@ -61,7 +62,7 @@ def navigation(
 
     Ends with status 1 if a goal was not reached, anything was hit, or a run failed.
     """
-    numbers = _seeds(seeds)
+    numbers = seeds_of(seeds)
     if not os.access(deployment, os.R_OK):
         raise CairnError(
             f"{deployment}: no such deployment, or none that can be read; name yours with "
@@ -104,18 +105,6 @@ def navigation(
         line(f"report: {out}/runs.json, {out}/tracks.png, {out}/ways.png, {out}/logs")
     if summary.reached < summary.goals or summary.collisions or summary.failed:
         raise typer.Exit(1)
-
-
-def _seeds(text: str) -> range:
-    first, dots, last = text.partition("..")
-    try:
-        begin = int(first)
-        end = int(last) if dots else begin
-    except ValueError:
-        raise CairnError(f"--seeds {text}: write it as A..B, such as 0..19") from None
-    if not 0 <= begin <= end:
-        raise CairnError(f"--seeds {text}: A must not be negative nor larger than B")
-    return range(begin, end + 1)
 
 
 @contextmanager

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Literal
 
 from pydantic import Field
@@ -44,6 +45,9 @@ class SimulatedScannerConfig(Config):
     )
     skip: int = Field(1, ge=1, le=100, description="Every how many beams one is measured [1].")
     mount: Mount = Field(Mount(), description="Where the scanner sits on the robot.")
+    farthest: float | None = Field(
+        None, gt=0, le=100, description="Range, where it is less than the model's [m]."
+    )
     dropouts: float = Field(0.002, ge=0, le=1, description="Beams that fail [1].")
     dark_dropouts: float = Field(0.3, ge=0, le=1, description="Of those at dark surfaces [1].")
     dark_reach: float = Field(
@@ -67,7 +71,15 @@ class SimulatedScanner(Component):
     def on_configure(self) -> None:
         """Lay out the beams."""
         config = self.config
-        self._model = MODELS[config.model]
+        model = MODELS[config.model]
+        if config.farthest is not None:
+            model = replace(model, most=min(model.most, config.farthest))
+        if model.most <= model.least:
+            raise CairnError(
+                f"{self.name}: a {config.model} sees nothing nearer than {model.least:g} m; give "
+                "farthest more than that"
+            )
+        self._model = model
         self._beams = Beams.of(self._model, config.first, config.last, config.skip)
         if self._beams.angles.size < 2:
             raise CairnError(

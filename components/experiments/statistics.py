@@ -1,0 +1,102 @@
+"""Rates, means and percentiles of many runs, and how sure they are."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+Z95 = 1.959964
+_RESAMPLES = 2000
+
+
+class Rate(BaseModel):
+    """A share of cases, with its 95 % interval after Wilson (1927)."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    count: int = Field(description="Cases in which it was so.")
+    of: int = Field(description="All cases.")
+    rate: float | None = Field(description="The share; null if there is no case.")
+    low: float | None = Field(description="Lower end of the interval.")
+    high: float | None = Field(description="Upper end of the interval.")
+
+
+class Mean(BaseModel):
+    """A mean over runs, with its 95 % interval by resampling the runs (bootstrap)."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    runs: int = Field(description="How many runs it is of.")
+    mean: float | None = Field(description="The mean; null without runs.")
+    low: float | None = Field(description="Lower end of the interval.")
+    high: float | None = Field(description="Upper end of the interval.")
+
+
+class Spread(BaseModel):
+    """What half and what nine tenths of the cases do not exceed."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    cases: int = Field(description="How many cases it is of.")
+    median: float | None = Field(description="The median; null without cases.")
+    p90: float | None = Field(description="The 90th percentile.")
+
+
+def rate_of(count: int, of: int) -> Rate:
+    """A rate and its Wilson interval, which is sound for 0 and for all of few cases, too."""
+    if of == 0:
+        return Rate(count=0, of=0, rate=None, low=None, high=None)
+    share, z2 = count / of, Z95**2
+    middle = (share + z2 / (2 * of)) / (1 + z2 / of)
+    half = Z95 / (1 + z2 / of) * math.sqrt(share * (1 - share) / of + z2 / (4 * of**2))
+    low, high = max(0.0, middle - half), min(1.0, middle + half)
+    # At the ends the interval reaches them; rounding may leave a trace beside.
+    return Rate(
+        count=count,
+        of=of,
+        rate=share,
+        low=0.0 if count == 0 else low,
+        high=1.0 if count == of else high,
+    )
+
+
+def mean_of(values: Sequence[float] | NDArray[np.float64]) -> Mean:
+    """The mean of one value for each run, NaN left out."""
+    known = np.array([value for value in values if math.isfinite(value)], np.float64)
+    if known.size == 0:
+        return Mean(runs=0, mean=None, low=None, high=None)
+    low, high = _resampled(known)
+    return Mean(runs=known.size, mean=float(known.mean()), low=low, high=high)
+
+
+def root_mean_square_of(values: Sequence[float] | NDArray[np.float64]) -> Mean:
+    """The root of the mean square of one root mean square for each run, NaN left out."""
+    squares = mean_of(np.square(np.asarray(values, np.float64)))
+    if squares.mean is None or squares.low is None or squares.high is None:
+        return squares
+    return Mean(
+        runs=squares.runs,
+        mean=math.sqrt(squares.mean),
+        low=math.sqrt(squares.low),
+        high=math.sqrt(squares.high),
+    )
+
+
+def spread_of(values: Sequence[float]) -> Spread:
+    """Median and 90th percentile."""
+    if not values:
+        return Spread(cases=0, median=None, p90=None)
+    median, p90 = np.percentile(np.array(values, np.float64), [50, 90])
+    return Spread(cases=len(values), median=float(median), p90=float(p90))
+
+
+def _resampled(values: NDArray[np.float64]) -> tuple[float, float]:
+    # A generator of its own: the same runs give the same interval.
+    random = np.random.default_rng(0)
+    chosen = random.integers(values.size, size=(_RESAMPLES, values.size))
+    low, high = np.percentile(values[chosen].mean(axis=1), [2.5, 97.5])
+    return float(low), float(high)
