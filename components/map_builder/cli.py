@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any
@@ -13,12 +14,23 @@ import typer
 from cairn.cli.tables import line, print_json
 from cairn.cli.tables import show as show_rows
 from cairn.errors import CairnError
+from components.map_builder.explaining import (
+    chain_of,
+    object_called,
+    shortened,
+    standing_of,
+)
 from components.map_builder.importing import altered, imported_grid, importer, write_map
 from components.map_builder.objects import MapObject
 from components.map_builder.store import open_map
 from planar.grid import FREE, FREE_TO, OCCUPIED_FROM, UNKNOWN
 from planar.map_file import read_map as read_grid
 from planar.map_file import write_map as write_grid
+
+DEFAULT_MAP = Path("visual_map.cairn")
+VisualMapFile = Annotated[
+    Path, typer.Option("--map", envvar="CAIRN_VISUAL_MAP", help="The visual map.")
+]
 
 app = typer.Typer(help="Visual maps and grid maps: import and show them.", no_args_is_help=True)
 
@@ -120,6 +132,34 @@ def show(
         show_rows(changes, _CHANGE_COLUMNS, as_json=False, nothing="there is no change")
 
 
+@app.command()
+def why(
+    called: Annotated[str, typer.Argument(metavar="OBJECT", help="Its number or name.")],
+    file: VisualMapFile = DEFAULT_MAP,
+    last: Annotated[int, typer.Option(min=1, help="So many of the newest steps.")] = 30,
+    whole: Annotated[
+        bool, typer.Option("--all", help="Every step, each piece of evidence by itself.")
+    ] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON, every step.")] = False,
+) -> None:
+    """Tell why the visual map says what it says of an object: the chain of evidence."""
+    with open_map(file, read_only=True) as store:
+        known = object_called(store, called)
+        chain = chain_of(store, known)
+    if as_json:
+        rows = [asdict(step) | {"time": _time(step.stamp_ns)} for step in chain]
+        print_json({"object": _object_row(known), "now": standing_of(known), "steps": rows})
+        return
+    line(f"object {known.object_id} ({known.name}) {standing_of(known)}")
+    shown = chain if whole else shortened(chain)
+    if not whole and len(shown) > last:
+        line(f"... {len(shown) - last} steps before; --last N or --all has more")
+        shown = shown[-last:]
+    for step in shown:
+        times = f" ({step.times} times)" if step.times > 1 else ""
+        line(f"{_time(step.stamp_ns) or 'at first':>29}  {step.what}{times}")
+
+
 def _show_grid(file: Path, as_json: bool) -> None:
     grid = read_grid(file)
     values, (width, height), (x, y, theta) = grid.values, grid.size_m, grid.frame.origin
@@ -191,13 +231,18 @@ def _object_row(known: MapObject) -> dict[str, Any]:
     }
 
 
+def _time(stamp_ns: int) -> str | None:
+    if not stamp_ns:
+        return None
+    return datetime.fromtimestamp(stamp_ns / 1e9, UTC).isoformat(sep=" ", timespec="milliseconds")
+
+
 def _change_row(
     version: int, stamp_ns: int, object_id: int, kind: str, reliability: float, reason: str
 ) -> dict[str, Any]:
-    when = datetime.fromtimestamp(stamp_ns / 1e9, UTC) if stamp_ns else None
     return {
         "version": version,
-        "time": when.isoformat(sep=" ", timespec="milliseconds") if when else None,
+        "time": _time(stamp_ns),
         "stamp_ns": stamp_ns,
         "object_id": object_id,
         "kind": kind.lower(),

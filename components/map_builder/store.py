@@ -7,14 +7,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
+from typing import Any
 
-from components.map_builder.objects import Change, Evidence, MapObject
+from components.map_builder.objects import Change, Evidence, MapObject, State, Verdict
 from components.map_builder.rows import (
     change_row,
     evidence_row,
     object_from_row,
     object_row,
 )
+from planar.poses import Pose
 from vision import map_file
 from vision.map_file import told, writing
 
@@ -27,6 +29,34 @@ class Judged:
     evidence: Evidence
     after: MapObject
     counted: bool
+
+
+@dataclass(frozen=True)
+class KeptEvidence:
+    """A piece of evidence as it is kept, with what it left of the object; [ns], [m], [rad]."""
+
+    stamp_ns: int
+    similarity: float
+    verdict: Verdict
+    distance: float
+    implied: tuple[float, float]
+    robot: Pose
+    healthy: bool
+    counted: bool
+    reliability: float
+    candidate_reliability: float | None
+    state: State
+
+
+@dataclass(frozen=True)
+class KeptChange:
+    """A change of the map as it is kept; `new` is the place [m] after it, None if there is none."""
+
+    stamp_ns: int
+    kind: str
+    new: tuple[float, float] | None
+    reliability: float
+    reason: str
 
 
 class MapStore:
@@ -96,6 +126,30 @@ class MapStore:
                 "FROM changes ORDER BY version"
             ).fetchall()
 
+    def evidence_of(self, object_id: int) -> list[KeptEvidence]:
+        """All evidence for and against an object, the oldest first."""
+        with told(self.path):
+            rows = self._connection.execute(
+                "SELECT stamp_ns, similarity, verdict, distance, x, y, robot_x, robot_y, "
+                "robot_theta, healthy, counted, reliability, candidate_reliability, state "
+                "FROM evidence WHERE object_id = ? ORDER BY rowid",
+                (object_id,),
+            ).fetchall()
+            return [_kept(row) for row in rows]
+
+    def changes_of(self, object_id: int) -> list[KeptChange]:
+        """All changes of the map that were made to an object, the oldest first."""
+        with told(self.path):
+            rows = self._connection.execute(
+                "SELECT stamp_ns, kind, new_x, new_y, reliability, reason FROM changes "
+                "WHERE object_id = ? ORDER BY version",
+                (object_id,),
+            ).fetchall()
+            return [
+                KeptChange(stamp, kind, None if x is None else (x, y), reliability, reason)
+                for stamp, kind, x, y, reliability, reason in rows
+            ]
+
     def reliability_over_time(self, object_id: int) -> list[tuple[int, float]]:
         """Times [ns] and reliabilities of an object after each piece of evidence."""
         with told(self.path):
@@ -133,6 +187,27 @@ def create_map(path: Path, source: str) -> MapStore:
 def open_map(path: Path, *, read_only: bool = False) -> MapStore:
     """Open a map file; `MapFileError` names the file, what is wrong with it and the remedy."""
     return MapStore(path, map_file.connect(path, read_only=read_only))
+
+
+def _kept(row: tuple[Any, ...]) -> KeptEvidence:
+    stamp, similarity, verdict, distance, x, y, robot_x, robot_y, theta, *rest = row
+    healthy, counted, reliability, candidate_reliability, state = rest
+    try:
+        return KeptEvidence(
+            stamp_ns=int(stamp),
+            similarity=float(similarity),
+            verdict=Verdict[verdict],
+            distance=float(distance),
+            implied=(float(x), float(y)),
+            robot=(float(robot_x), float(robot_y), float(theta)),
+            healthy=bool(healthy),
+            counted=bool(counted),
+            reliability=float(reliability),
+            candidate_reliability=candidate_reliability,
+            state=State(state),
+        )
+    except (TypeError, KeyError) as error:
+        raise ValueError(f"evidence at {stamp}: {error}") from error
 
 
 def _marks(count: int) -> str:
