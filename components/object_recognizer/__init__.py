@@ -1,0 +1,1 @@
+"""The object recogniser: which taught objects the camera sees, and where they are."""

@@ -1,0 +1,50 @@
+"""Whether an image shows anything, and whether it is a new one."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.sensor_msgs import Image
+from vision.features import Features
+
+# Grey levels that nearly all pixels of an image in the dark, or into a lamp, are below, or above.
+_DARK, _BRIGHT = 40, 215
+_NEARLY_ALL: Final = 95.0  # [%]
+# An image with fewer features shows next to nothing, an object among it or not.
+_FEW = 25
+
+
+def blindness(grey: NDArray[np.uint8], features: Features) -> str:
+    """Why nothing could have been recognised in an image; empty if something could."""
+    sample = grey[::4, ::4]
+    if np.percentile(sample, _NEARLY_ALL) < _DARK:
+        return "it is too dark"
+    if np.percentile(sample, 100 - _NEARLY_ALL) > _BRIGHT:
+        return "it is too bright"
+    if len(features) < _FEW:
+        return f"there is hardly anything to see: {len(features)} features"
+    return ""
+
+
+class Standstill:
+    """Tells when a camera sends the same image again: noise makes no two alike."""
+
+    def __init__(self) -> None:
+        self._last: Image | None = None
+        self._since_ns = 0
+
+    def lasts_ns(self, image: Image, now_ns: int) -> int | None:
+        """How long the image has been the same, bit for bit; None if it is another one."""
+        last, self._last = self._last, image
+        same = (
+            last is not None
+            and (last.width, last.height, last.encoding)
+            == (image.width, image.height, image.encoding)
+            and np.array_equal(last.data, image.data)
+        )
+        if not same or now_ns < self._since_ns:
+            self._since_ns = now_ns
+        return now_ns - self._since_ns if same else None

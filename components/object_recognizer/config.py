@@ -1,0 +1,42 @@
+"""Parameters of the object recogniser."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pydantic import Field, model_validator
+
+from cairn.component.mount import Mount
+from cairn.component.parameters import Config
+from vision.verification import LEAST
+
+
+class ObjectRecognizerConfig(Config):
+    """What is recognised, and by which camera."""
+
+    map_file: Path = Field(
+        description="The visual map whose taught objects are recognised (`cairn object teach`). "
+        "Objects are taught to this file, never to the map builder's working copy of it, which is "
+        "the robot's own; what is taught while the robot runs is recognised a second later."
+    )
+    stereo: bool = Field(True, description="Whether there is a right camera.")
+    mount: Mount = Field(Mount(), description="Where the left camera sits on the robot.")
+    least_inliers: int = Field(
+        LEAST, ge=LEAST, le=1000, description="Matched features of an object that is told of."
+    )
+    nearest: float = Field(0.3, gt=0, le=100, description="Nearest object [m].")
+    farthest: float = Field(5.0, gt=0, le=100, description="Farthest object [m].")
+    most_features: int = Field(
+        2000,
+        ge=0,
+        le=100_000,
+        description="Features that are looked at in an image, at most, those that stand out most; "
+        "0: all of them.",
+    )
+    threads: int = Field(1, ge=1, le=64, description="Threads that OpenCV uses.")
+
+    @model_validator(mode="after")
+    def _somewhere(self) -> ObjectRecognizerConfig:
+        if not self.nearest < self.farthest:
+            raise ValueError(f"farthest = {self.farthest} must be above nearest = {self.nearest}")
+        return self

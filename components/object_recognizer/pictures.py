@@ -1,0 +1,82 @@
+"""Draws taught objects and what was recognised in an image."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from cairn.errors import CairnError
+from vision.recognition import Recognition
+from vision.taught import TaughtObject
+
+_COLOURS = ("tab:red", "tab:green", "tab:blue", "tab:orange", "tab:purple", "tab:cyan", "tab:pink")
+_DPI = 100
+
+
+def draw_views(known: TaughtObject, file: Path) -> None:
+    """The views of an object with their features; raises `CairnError` if it cannot be written."""
+    count = len(known.views)
+    figure = Figure(figsize=(5.0 * count, 5.0), layout="constrained")
+    for number, (axes, view) in enumerate(
+        zip(np.atleast_1d(figure.subplots(1, count)), known.views, strict=True)
+    ):
+        axes.imshow(view.picture, cmap="gray", vmin=0, vmax=255)
+        points, radii = view.features.points, view.features.scales / 2
+        axes.scatter(
+            points[:, 0], points[:, 1], s=radii**2, facecolors="none", edgecolors="tab:red",
+            linewidths=0.5,
+        )  # fmt: skip
+        axes.set_title(f"view {number}: {len(view.features)} features")
+        axes.axis("off")
+    figure.suptitle(known.name)
+    _save(figure, file)
+
+
+def draw_recognized(
+    grey: NDArray[np.uint8], found: Sequence[Recognition], labels: Sequence[str], file: Path
+) -> None:
+    """An image with outline, matched features and label of each object recognised in it.
+
+    Raises `CairnError` if it cannot be written.
+    """
+    height, width = grey.shape
+    scale = max(1.0, 600 / width)
+    figure = Figure(figsize=(scale * width / _DPI, scale * height / _DPI))
+    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+    axes.imshow(grey, cmap="gray", vmin=0, vmax=255)
+    axes.set_xlim(-0.5, width - 0.5)
+    axes.set_ylim(height - 0.5, -0.5)
+    axes.axis("off")
+    for number, (one, label) in enumerate(zip(found, labels, strict=True)):
+        _draw_one(axes, one, label, _COLOURS[number % len(_COLOURS)])
+    _save(figure, file)
+
+
+def _draw_one(axes: Axes, one: Recognition, label: str, colour: str) -> None:
+    outline = np.vstack((one.corners, one.corners[:1]))
+    axes.plot(outline[:, 0], outline[:, 1], color=colour, linewidth=2)
+    axes.scatter(one.image_points[:, 0], one.image_points[:, 1], s=6, color=colour)
+    (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
+    x, y = one.corners[one.corners[:, 1].argmin()]
+    axes.text(
+        float(np.clip(x, left, right)), float(np.clip(y, top + 12, bottom)), label,
+        color="white", fontsize=9, va="bottom", clip_on=True,
+        bbox={"facecolor": colour, "edgecolor": "none", "pad": 1.5, "alpha": 0.8},
+    )  # fmt: skip
+
+
+def _save(figure: Figure, file: Path) -> None:
+    try:
+        # Without the software's name the same picture gives the same bytes.
+        metadata = {"Software": None} if file.suffix == ".png" else {}
+        figure.savefig(file, dpi=_DPI, metadata=metadata)
+    except (OSError, ValueError) as error:
+        raise CairnError(
+            f"{file} cannot be written: {error}. Give a name that ends in .png, in a folder that "
+            "can be written."
+        ) from error

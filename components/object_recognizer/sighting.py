@@ -1,0 +1,119 @@
+"""Where a recognised object is: by stereo, by its size, and whether the two bear each other out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from components.object_recognizer.cameras import Cameras
+from vision.ranging import Located, by_size, by_stereo, fused
+from vision.recognition import Recognition
+from vision.stereo import disparities
+from vision.taught import TaughtObject
+
+Array = NDArray[np.float64]
+Grey = NDArray[np.uint8]
+Way = Literal["stereo", "size", "both", "none"]
+
+APART: Final = 0.25
+"""Ranges by stereo and by size that differ by a larger share are of no use."""
+
+# More disparities tell hardly more, but each takes its time.
+_MOST_POINTS = 60
+
+
+@dataclass(frozen=True)
+class Sighting:
+    """A recognised object and where it is, or why that is not known.
+
+    `located` is in the rectified left optical frame; `way` says by what. `ratio` is the distance
+    by stereo over that by size, where there are both. `doubt` says why `located` is None.
+    """
+
+    recognition: Recognition
+    located: Located | None
+    way: Way
+    ratio: float | None = None
+    doubt: str = ""
+
+    @property
+    def by_stereo(self) -> bool:
+        """Whether stereo has told a distance."""
+        return self.ratio is not None or self.way == "stereo"
+
+
+def sighted(
+    recognition: Recognition,
+    known: Mapping[int, TaughtObject],
+    cameras: Cameras,
+    left: Grey,
+    right: Grey | None,
+) -> Sighting:
+    """Where what was recognised in the rectified `left` image is.
+
+    `right` is the rectified right image, None if there is none.
+    """
+    taught = known[recognition.object_id]
+    view = taught.views[recognition.view]
+    middle = _middle(recognition, view.width, view.height)
+    stereo = size = None
+    if right is not None and cameras.right is not None:
+        step = max(1, recognition.inliers // _MOST_POINTS)
+        points = recognition.image_points[::step]
+        found = disparities(left, right, points, cameras.rig)
+        stereo = by_stereo(points, found, middle, cameras.rig)
+    if taught.size is not None:
+        size = by_size(
+            recognition.view_points,
+            recognition.image_points,
+            (view.width, view.height),
+            taught.size,
+            cameras.rig,
+        )
+    return _judged(recognition, taught, stereo, size, stereo_given=right is not None)
+
+
+def _judged(
+    recognition: Recognition,
+    taught: TaughtObject,
+    stereo: Located | None,
+    size: Located | None,
+    *,
+    stereo_given: bool,
+) -> Sighting:
+    if stereo is None or size is None:
+        one = size if stereo is None else stereo
+        if one is not None:
+            return Sighting(recognition, one, "size" if stereo is None else "stereo")
+        why = "its size is not known" if taught.size is None else "its size fits no pose"
+        pair = "stereo does not tell" if stereo_given else "there is no stereo"
+        doubt = f"{taught.name}: no range, for {why} and {pair}"
+        if taught.size is None:
+            doubt += f"; tell it by `cairn object teach '{taught.name}' --size W,H`"
+        return Sighting(recognition, None, "none", doubt=doubt)
+    far, near = (float(np.linalg.norm(one.position)) for one in (stereo, size))
+    ratio = far / near
+    if max(ratio, 1 / ratio) > 1 + APART:
+        doubt = f"{taught.name}: it is at {far:.2f} m by stereo, but at {near:.2f} m by its size"
+        return Sighting(recognition, None, "none", ratio, doubt)
+    both = fused(stereo, size)
+    assert both is not None
+    located = both.located if both.consistent else _either(stereo, size)
+    return Sighting(recognition, located, "both", ratio)
+
+
+def _either(one: Located, other: Located) -> Located:
+    """One of the two, but not known which: the mean and covariance of their mixture."""
+    off = (one.position - other.position) / 2
+    covariance = (one.covariance + other.covariance) / 2 + np.outer(off, off)
+    return Located((one.position + other.position) / 2, covariance)
+
+
+def _middle(recognition: Recognition, width: int, height: int) -> Array:
+    middle = np.array([[[(width - 1) / 2, (height - 1) / 2]]])
+    return np.asarray(cv2.perspectiveTransform(middle, recognition.homography)[0, 0], np.float64)

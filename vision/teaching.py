@@ -1,0 +1,91 @@
+"""From a photograph to a view that can be taught: cut out, checked, compared with what is known."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from cairn.errors import CairnError
+from vision.features import extract
+from vision.images import LEAST_SIDE
+from vision.recognition import Recognizer
+from vision.taught import TaughtObject, View
+
+Grey = NDArray[np.uint8]
+Box = tuple[int, int, int, int]
+
+LONGEST: Final = 800
+"""Sides of views [px]: what is finer in a photograph no camera sees from where robots look."""
+
+# What it is tried on: smaller, darker, and turned in front of a grey wall.
+_SMALLER, _DARKER, _TURNED_DEG = 0.6, 0.8, 12.0
+
+
+def cut(grey: Grey, box: Box) -> Grey:
+    """The part x, y, width, height [px] of an image; raises `CairnError` if it is not in there."""
+    x, y, width, height = box
+    rows, columns = grey.shape
+    if x < 0 or y < 0 or x + width > columns or y + height > rows:
+        raise CairnError(
+            f"the box {x},{y},{width},{height} reaches beyond the image of {columns} x {rows} "
+            "pixels: give X,Y,W,H within it"
+        )
+    if min(width, height) < LEAST_SIDE:
+        raise CairnError(
+            f"the box {x},{y},{width},{height} is too small: give at least {LEAST_SIDE} pixels "
+            "each way"
+        )
+    return grey[y : y + height, x : x + width]
+
+
+def view_of(grey: Grey) -> View:
+    """The view that a photograph (h, w) of the object alone is, at most `LONGEST` pixels a side."""
+    height, width = grey.shape
+    factor = LONGEST / max(width, height)
+    if factor < 1.0:
+        smaller = (max(1, round(width * factor)), max(1, round(height * factor)))
+        grey = cv2.resize(grey, smaller, interpolation=cv2.INTER_AREA).astype(np.uint8, copy=False)
+    picture = np.ascontiguousarray(grey)
+    return View(picture.shape[1], picture.shape[0], extract(picture), picture)
+
+
+def unfit(view: View) -> str:
+    """Why an object would not be recognised by this view; empty if it would.
+
+    It is tried: the picture, smaller, darker and turned, must be recognised by it.
+    """
+    if not len(view.features):
+        return "it shows nothing that stands out, such as a blank wall"
+    scene = _scene(view)
+    one = Recognizer([TaughtObject(0, "", None, (view,))])
+    if one.recognize(extract(scene), scene.shape[1], scene.shape[0]):
+        return ""
+    return (
+        f"its {len(view.features)} features are too few, or too much alike, to recognise it by: "
+        "give a sharp photograph of something with more detail"
+    )
+
+
+def look_alikes(view: View, known: Sequence[TaughtObject]) -> list[TaughtObject]:
+    """Those of the known objects that are recognised in this view."""
+    if not known:
+        return []
+    found = Recognizer(known).recognize(view.features, view.width, view.height)
+    numbers = {one.object_id for one in found}
+    numbers.update(other for one in found for other in one.alternatives)
+    return [taught for taught in known if taught.object_id in numbers]
+
+
+def _scene(view: View) -> Grey:
+    side = round(1.2 * max(view.width, view.height))
+    middle = ((view.width - 1) / 2, (view.height - 1) / 2)
+    turn = np.asarray(cv2.getRotationMatrix2D(middle, _TURNED_DEG, _SMALLER), np.float64)
+    turn[:, 2] += ((side - view.width) / 2, (side - view.height) / 2)
+    # Without this the picture would be full of what is finer than its pixels.
+    smooth = cv2.GaussianBlur(view.picture, (0, 0), 0.5 / _SMALLER)
+    moved = cv2.warpAffine(smooth, turn, (side, side), borderValue=128)
+    return np.asarray(cv2.convertScaleAbs(moved, alpha=_DARKER), np.uint8)
