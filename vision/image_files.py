@@ -12,7 +12,8 @@ from cairn.errors import CairnError
 
 Side = Literal["left", "right"]
 
-_SUFFIXES = (".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".ppm", ".tif", ".tiff", ".webp")
+SUFFIXES = (".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".ppm", ".tif", ".tiff", ".webp")
+"""How names of images end."""
 
 # `left` and `right` as a word of their own: left01, img_left, LeftImage; not bright, not leftover.
 _SIDE = re.compile(
@@ -40,9 +41,9 @@ def images_in(folder: Path) -> list[Path]:
                 children += (folder / name).iterdir()
     except OSError as error:
         raise CairnError(f"{folder} cannot be read: {error.strerror or error}.") from error
-    found = [child for child in children if child.suffix.lower() in _SUFFIXES and child.is_file()]
+    found = [child for child in children if child.suffix.lower() in SUFFIXES and child.is_file()]
     if not found:
-        raise CairnError(f"{folder} holds no images (files that end in {', '.join(_SUFFIXES)}).")
+        raise CairnError(f"{folder} holds no images (files that end in {', '.join(SUFFIXES)}).")
     return sorted(found, key=lambda path: (path.parent.name, natural(path)))
 
 

@@ -10,7 +10,9 @@ import numpy as np
 
 from cairn.clock import SECOND, from_ns
 from components.replay.bag_file import read_bag
+from components.replay.bag_images import bag_images, image_topics
 from components.replay.recording import (
+    Images,
     Odometry,
     RecordingError,
     Scans,
@@ -75,15 +77,21 @@ class BagRecording:
         self._truth = self._read(truth, self._to_trajectory)
         if truth is not None:
             self._replayed[truth] = "truth"
-        if self._scans is None and self._odometry is None:
+        self._image_topics, notes = image_topics(path, self._types, self._named)
+        self._notes += notes
+        self._replayed |= dict.fromkeys(self._image_topics, "images")
+        if self._scans is None and self._odometry is None and not self._image_topics:
             raise RecordingError(
-                f"{path} holds neither laser scans nor odometry: nothing to replay. Its topics "
-                f"are {', '.join(f'{t} ({kind})' for t, kind in sorted(self._types.items()))}."
+                f"{path} holds neither laser scans, odometry nor images: nothing to replay. Its "
+                f"topics are {', '.join(f'{t} ({kind})' for t, kind in sorted(self._types.items()))}."
             )
 
     def span(self) -> tuple[int, int]:
-        """Times [ns] of the first and the last scan or odometry."""
+        """Times [ns] of the first and the last scan or odometry, else image."""
         both = [x.stamps for x in (self._scans, self._odometry) if x is not None]
+        images = None if both else self.images()
+        if images is not None:
+            return images.stamps[0], images.stamps[-1]
         return min(stamps[0] for stamps in both), max(stamps[-1] for stamps in both)
 
     def odometry(self) -> Odometry | None:
@@ -97,6 +105,14 @@ class BagRecording:
     def sightings(self) -> Sightings | None:
         """None: no message of ROS's own tells of landmarks."""
         return None
+
+    def images(self) -> Images | None:
+        """The images of a camera's topic, or of a stereo camera's two."""
+        if not self._image_topics:
+            return None
+        images, notes = bag_images(self._path, self._image_topics)
+        self._notes += [note for note in notes if note not in self._notes]
+        return images
 
     def truth(self) -> Trajectory | None:
         """The poses of the topic that `topics` names for them."""

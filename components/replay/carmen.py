@@ -13,6 +13,7 @@ from cairn.clock import from_ns
 from components.replay.carmen_lines import LaserLine, OdometryLine, read_log
 from components.replay.carmen_poses import chained, corrected, signed
 from components.replay.recording import (
+    Images,
     Odometry,
     RecordingError,
     Scans,
@@ -103,6 +104,10 @@ class CarmenRecording:
 
     def sightings(self) -> Sightings | None:
         """None: CARMEN logs have none."""
+        return None
+
+    def images(self) -> Images | None:
+        """None: a log of laser and wheels holds none."""
         return None
 
     def truth(self) -> Trajectory | None:

@@ -17,6 +17,7 @@ def contents_of(recording: Recording) -> dict[str, Any]:
         "odom": recording.odometry(),
         "objects": recording.sightings(),
         "truth": recording.truth(),
+        "images": recording.images(),
     }
     rows = []
     for source in recording.sources():

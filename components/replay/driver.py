@@ -23,13 +23,18 @@ class Topics(Config):
     truth: str | None = Field(
         None, description="True poses: PoseStamped, PoseWithCovarianceStamped or Odometry."
     )
+    left_image: str | None = Field(
+        None, description="Images of the left camera, or the only one: Image or CompressedImage."
+    )
+    right_image: str | None = Field(None, description="Images of the right camera, the same.")
 
 
 class RecordingConfig(Config):
     """Which recording, and which part of it."""
 
     recording: Path = Field(
-        description="MRCLAM folder, CARMEN log, ROS 1 bag, ROS 2 bag's folder, or MCAP file."
+        description="MRCLAM folder, CARMEN log, ROS 1 bag, ROS 2 bag's folder, MCAP file, video, "
+        "or folder of images."
     )
     robot: int | None = Field(
         None, ge=1, le=5, description="Robot of an MRCLAM data set, 1 to 5 [1]."
@@ -48,10 +53,20 @@ class RecordingConfig(Config):
         description="How much later than its odometry the recording stamped its scans [s].",
     )
 
+    image_rate_hz: float | None = Field(
+        None,
+        ge=0.01,
+        le=1000,
+        description="Images per second of a folder whose files do not tell their times, or frames "
+        "per second of a video in place of its own [Hz].",
+    )
+
     def open(self) -> Recording:
         """The recording that these parameters name."""
         topics = {kind: name for kind, name in self.topics if name is not None}
-        return open_recording(self.recording, self.robot, topics, self.scan_delay_s)
+        return open_recording(
+            self.recording, self.robot, topics, self.scan_delay_s, self.image_rate_hz
+        )
 
     def part(self, recording: Recording) -> tuple[int, int]:
         """Times [ns] between which the recording is to be replayed."""

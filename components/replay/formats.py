@@ -9,13 +9,15 @@ from pathlib import Path
 from components.replay.bag import BagRecording
 from components.replay.carmen import CarmenRecording
 from components.replay.carmen_lines import MESSAGES
+from components.replay.image_recording import ImageRecording, holds_images
 from components.replay.mrclam import MrclamRecording
 from components.replay.recording import Recording, RecordingError
 from components.replay.text_lines import text_lines
+from components.replay.video import is_video
 
 _KINDS = (
     "an MRCLAM folder (Barcodes.dat and Robot<n>_*.dat), a CARMEN log, a ROS 1 bag, "
-    "the folder of a ROS 2 bag (with metadata.yaml), or an MCAP file"
+    "the folder of a ROS 2 bag (with metadata.yaml), an MCAP file, a video, or a folder of images"
 )
 _BAGS = (b"#ROSBAG V", b"#ROSRECORD V", b"\x89MCAP0\r\n", b"SQLite format 3\x00")
 # A CARMEN log may begin with comments and with hundreds of parameters.
@@ -27,12 +29,14 @@ def open_recording(
     robot: int | None = None,
     topics: Mapping[str, str] | None = None,
     scan_delay_s: float = 0.0,
+    image_rate_hz: float | None = None,
 ) -> Recording:
     """The recording at `path`.
 
     `robot` is the number of one of an MRCLAM data set's robots. `topics` names a bag's topics for
     `scan`, `odom` and `truth`, where their types do not tell. `scan_delay_s` is by how much scans
-    were stamped later than odometry of the same moment [s]. Raises `RecordingError`.
+    were stamped later than odometry of the same moment [s]. `image_rate_hz` is how many images or
+    frames a second holds, where nothing else tells. Raises `RecordingError`.
     """
     if path.is_dir():
         if (path / "metadata.yaml").is_file():
@@ -43,6 +47,8 @@ def open_recording(
                     f"{path} is an MRCLAM data set of several robots: give `robot`, 1 to 5."
                 )
             return MrclamRecording(path, robot)
+        if holds_images(path):
+            return ImageRecording(path, image_rate_hz)
         held = sorted(child.name for child in path.iterdir())[:8]
         raise RecordingError(
             f"{path} is no recording (it holds: {', '.join(held) or 'nothing'}). Give {_KINDS}."
@@ -52,6 +58,8 @@ def open_recording(
     begins = _begins(path)
     if begins.startswith(_BAGS):
         return BagRecording(path, topics or {}, scan_delay_s)
+    if is_video(path):
+        return ImageRecording(path, image_rate_hz)
     if _is_carmen(path):
         return CarmenRecording(path, scan_delay_s)
     raise RecordingError(

@@ -11,6 +11,7 @@ from components.replay.dead_reckoning import reckon
 from components.replay.landmarks import read_landmarks
 from components.replay.mrclam_files import ROBOTS, Dataset
 from components.replay.recording import (
+    Images,
     Odometry,
     Scans,
     Sighting,
@@ -68,6 +69,10 @@ class MrclamRecording:
                 variances = range_bearing_variance(range_m)
                 frames[-1].append(Sighting(barcode, subject, range_m, bearing, *variances))
         return Sightings(stamps, frames)
+
+    def images(self) -> Images | None:
+        """None: the data set tells what cameras made of their images."""
+        return None
 
     def truth(self) -> Trajectory:
         """Motion-capture poses."""

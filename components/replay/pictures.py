@@ -38,6 +38,11 @@ def draw_recording(recording: Recording, title: str, file: Path) -> None:
     The scanner is taken to sit at the robot's origin: a recording does not say where it sits.
     """
     scans, odometry = recording.scans(), recording.odometry()
+    if scans is None and odometry is None:
+        raise RecordingError(
+            f"{title} holds neither scans nor odometry: there is nothing to draw; look at its "
+            "images themselves"
+        )
     panels = (scans is not None) + (odometry is not None)
     figure = Figure(figsize=(7.5 * panels, 7.5), layout="constrained")
     axes = list(np.atleast_1d(figure.subplots(1, panels)))

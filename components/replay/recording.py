@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -14,6 +14,7 @@ from schemas.cairn_msgs import VisualMap
 from schemas.sensor_msgs import LaserScan
 
 Array = NDArray[np.float64]
+Grey = NDArray[np.uint8]
 
 
 class RecordingError(CairnError):
@@ -74,10 +75,26 @@ class Sightings:
 
 
 @dataclass(frozen=True)
+class Images:
+    """What one camera, or the two (`cameras`) of a stereo camera, took at `stamps` [ns] in order.
+
+    `load` gives the images (h, w), left first, of the stamp with an index; indices must not go
+    back. It raises `CairnError` if they cannot be read. All are of one `size`: width, height [px].
+    """
+
+    name: str
+    stamps: Sequence[int]
+    cameras: int
+    size: tuple[int, int]
+    load: Callable[[int], tuple[Grey, ...]]
+
+
+@dataclass(frozen=True)
 class Source:
     """A series of records as the recording names it, and how many there are.
 
-    `kind` is what it is replayed as: scan, odom, objects, truth; None if it is not replayed.
+    `kind` is what it is replayed as: scan, odom, objects, truth, images; None if it
+    is not replayed.
     """
 
     kind: str | None
@@ -103,6 +120,9 @@ class Recording(Protocol):
 
     def sightings(self) -> Sightings | None:
         """What the camera saw."""
+
+    def images(self) -> Images | None:
+        """What the cameras took."""
 
     def truth(self) -> Trajectory | None:
         """Where the robot was, as measured from outside or corrected afterwards."""

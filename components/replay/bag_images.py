@@ -1,0 +1,149 @@
+"""Images in ROS bags, read from the file as they are replayed: all at once they fill the memory."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from rosbags.highlevel import AnyReader
+from rosbags.typesys import Stores, get_typestore
+
+from cairn.clock import SECOND
+from components.replay.recording import Grey, Images, RecordingError
+from schemas.sensor_msgs import Image
+from vision.image_files import side_of
+from vision.images import grey_of
+
+IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
+"""The types of topics that hold images."""
+
+# Images of a pair that was taken at once differ by less than this [ns].
+_AT_ONCE = SECOND // 100
+
+
+def image_topics(
+    path: Path, types: Mapping[str, str], named: Mapping[str, str]
+) -> tuple[list[str], list[str]]:
+    """The topics of the left (or only) and of the right camera, with remarks.
+
+    `types` are those of the bag's topics, `named` the topics named for left_image and right_image.
+    There are none if the bag has no images, or it is not clear which to take. Raises
+    `RecordingError` if a named one is none of images.
+    """
+    found = sorted(topic for topic, kind in types.items() if kind in IMAGES)
+    given = [named[key] for key in ("left_image", "right_image") if key in named]
+    for topic in given:
+        if topic not in found:
+            raise RecordingError(
+                f"{path}: {topic} is no topic of images; there "
+                f"{'are ' + ', '.join(found) if found else 'is none'}."
+            )
+    if given or len(found) <= 1:
+        return given or found, []
+    sides = {side: [t for t in found if _side(t) == side] for side in ("left", "right")}
+    if all(len(topics) == 1 for topics in sides.values()):
+        return [*sides["left"], *sides["right"]], []
+    return [], [
+        f"several topics hold images, so none is replayed: {', '.join(found)}; name one with the "
+        "parameter topics.left_image, and a stereo camera's other with topics.right_image"
+    ]
+
+
+def bag_images(path: Path, topics: list[str]) -> tuple[Images, list[str]]:
+    """The images of one topic, or the pairs of two, with remarks on what is left out.
+
+    Raises `RecordingError` if they cannot be read.
+    """
+    stamps = [[stamp for stamp, _ in _messages(path, topic)] for topic in topics]
+    notes = []
+    chosen = [list(range(len(stamps[0])))]
+    if len(topics) == 2:
+        chosen = _paired(*stamps)
+        alone = sum(len(of) for of in stamps) - 2 * len(chosen[0])
+        if alone:
+            notes.append(f"{alone} images have no other of a pair, left out")
+    if not chosen[0]:
+        raise RecordingError(
+            f"{path} holds no {'pairs of ' * (len(topics) == 2)}images on {' and '.join(topics)}"
+            + (" taken at once (within 10 ms)." if len(topics) == 2 else ".")
+        )
+    height, width = _InOrder(path, topics[0], chosen[0]).image(0).shape
+    readers = [_InOrder(path, topic, of) for topic, of in zip(topics, chosen, strict=True)]
+
+    def load(index: int) -> tuple[Grey, ...]:
+        return tuple(reader.image(index) for reader in readers)
+
+    times = [stamps[0][number] for number in chosen[0]]
+    return Images(" and ".join(topics), times, len(topics), (width, height), load), notes
+
+
+class _InOrder:
+    """The images with given numbers of one topic; no earlier one than the last can be had."""
+
+    def __init__(self, path: Path, topic: str, numbers: list[int]) -> None:
+        self._name = f"{path}, topic {topic}"
+        self._numbers = numbers
+        self._messages = enumerate(_messages(path, topic))
+
+    def image(self, index: int) -> Grey:
+        for number, (_, message) in self._messages:
+            if number == self._numbers[index]:
+                return _grey(self._name, number, message)
+        raise RecordingError(f"{self._name} ends before image {index + 1}")
+
+
+def _messages(path: Path, topic: str) -> Iterator[tuple[int, Any]]:
+    """The messages of a topic with their stamps [ns]."""
+    try:
+        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+            of = [c for c in reader.connections if "/" + c.topic.lstrip("/") == topic]
+            for connection, _, raw in reader.messages(of):
+                message: Any = reader.deserialize(raw, connection.msgtype)
+                stamp = message.header.stamp
+                yield stamp.sec * SECOND + stamp.nanosec, message
+    except Exception as error:  # the library fails in any way on a broken bag
+        raise RecordingError(
+            f"{path}: its images cannot be read ({' '.join(str(error).split())}): mend the bag "
+            "with `rosbag reindex`, `ros2 bag reindex` or `mcap recover`"
+        ) from error
+
+
+def _paired(left: list[int], right: list[int]) -> list[list[int]]:
+    """The numbers of left and of right images that were taken at once."""
+    pairs: list[list[int]] = [[], []]
+    other = 0
+    for number, stamp in enumerate(left):
+        while other < len(right) and right[other] < stamp - _AT_ONCE:
+            other += 1
+        if other < len(right) and abs(right[other] - stamp) <= _AT_ONCE:
+            pairs[0].append(number)
+            pairs[1].append(other)
+            other += 1
+    return pairs
+
+
+def _grey(name: str, number: int, message: Any) -> Grey:
+    if hasattr(message, "format"):
+        pixels = cv2.imdecode(np.asarray(message.data, np.uint8), cv2.IMREAD_GRAYSCALE)
+        if pixels is None:
+            raise RecordingError(f"{name}: image {number + 1} ({message.format}) is damaged")
+        return np.asarray(pixels, np.uint8)
+    return grey_of(
+        Image(
+            height=message.height,
+            width=message.width,
+            encoding=message.encoding,
+            is_bigendian=message.is_bigendian,
+            step=message.step,
+            data=np.asarray(message.data, np.uint8).ravel(),
+        )
+    )
+
+
+def _side(topic: str) -> str | None:
+    """The camera that any part of a topic's name tells."""
+    sides = {side_of(Path(part)) for part in topic.strip("/").split("/")} - {None}
+    return sides.pop() if len(sides) == 1 else None

@@ -1,0 +1,138 @@
+"""The driver that replays a recorded camera or stereo camera."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from pydantic import Field
+
+from cairn.bus.qos import SENSOR
+from cairn.clock import from_ns
+from cairn.component.complaints import Complaints
+from cairn.component.handlers import every
+from cairn.component.ports import Out
+from cairn.errors import CairnError
+from components.replay.driver import RecordingConfig, RecordingDriver
+from components.replay.due import Records
+from components.replay.recording import Grey, Images
+from schemas.sensor_msgs import CameraInfo, Image
+from schemas.std_msgs import Header
+from vision.camera_file import read_camera
+from vision.stereo import StereoRig
+
+_FRAMES = ("left_camera_optical_frame", "right_camera_optical_frame")
+
+
+class ReplayCameraConfig(RecordingConfig):
+    """Which images, and how their cameras are calibrated."""
+
+    side_by_side: bool = Field(
+        False, description="Each image holds that of the left camera, and right of it the other's."
+    )
+    left_calibration: Path | None = Field(
+        None, description="camera_info YAML file of the left camera, or of the only one."
+    )
+    right_calibration: Path | None = Field(
+        None, description="camera_info YAML file of the right camera."
+    )
+
+
+class ReplayCamera(RecordingDriver):
+    """Replays the images of a camera, or of a stereo camera in pairs, each at its recorded time.
+
+    Images are sent grey and as they were taken; how to rectify them is told before them.
+    """
+
+    config: ReplayCameraConfig
+    left_image: Out[Image] = Out(qos=SENSOR.with_depth(2))
+    right_image: Out[Image] = Out(qos=SENSOR.with_depth(2))
+    left_info: Out[CameraInfo] = Out(qos=SENSOR.with_depth(2))
+    right_info: Out[CameraInfo] = Out(qos=SENSOR.with_depth(2))
+
+    def on_configure(self) -> None:
+        """Read times and sizes of the images, and the calibrations."""
+        recording = self.config.open()
+        images = recording.images()
+        if images is None:
+            self.lacks("images of one camera or of a stereo camera")
+            for note in recording.notes():
+                self.log.warning("%s: %s", self.config.recording, note)
+            self.records = Records(())
+            return
+        self._images = images
+        self._complaints = Complaints(self.log)
+        self._infos = self._calibrations(images)
+        self.take(recording, images.stamps)
+
+    @every(hz=100)
+    def replay(self) -> None:
+        """Publish what is due."""
+        self.publish_due(self._publish)
+
+    def _publish(self, index: int) -> None:
+        try:
+            taken = self._images.load(index)
+        except CairnError as error:
+            # A camera misses an image now and then, too.
+            self._complaints.tell("image", f"image {index + 1} is left out: {error}")
+            return
+        if self.config.side_by_side:
+            middle = taken[0].shape[1] // 2
+            taken = (taken[0][:, :middle], taken[0][:, middle:])
+        stamp = from_ns(self._images.stamps[index])
+        headers = [Header(stamp=stamp, frame_id=frame) for frame in _FRAMES]
+        infos = (self.left_info, self.right_info)
+        for info, known, header in zip(infos, self._infos, headers, strict=False):
+            info.publish(replace(known, header=header))
+        images = (self.left_image, self.right_image)
+        for image, pixels, header in zip(images, taken, headers, strict=False):
+            image.publish(_message(pixels, header))
+
+    def _calibrations(self, images: Images) -> list[CameraInfo]:
+        """What is told of each camera; without a calibration the size alone, as ROS has it."""
+        width, height = images.size
+        cameras = images.cameras
+        if self.config.side_by_side:
+            if cameras == 2 or width % 2:
+                raise CairnError(
+                    f"{self.config.recording}: side_by_side = true, but there "
+                    + ("are images of both cameras" if cameras == 2 else f"images are {width} wide")
+                    + ": set side_by_side to false"
+                )
+            width, cameras = width // 2, 2
+        files = (self.config.left_calibration, self.config.right_calibration)
+        if cameras == 1 and files[1] is not None:
+            raise CairnError(
+                f"{self.config.recording} holds images of one camera only, but right_calibration = "
+                f"{files[1]}: leave it out, or set side_by_side to true"
+            )
+        infos = []
+        for file, frame in zip(files[:cameras], _FRAMES, strict=False):
+            info = CameraInfo(width=width, height=height)
+            if file is None:
+                self.log.warning("%s: no calibration is given, so nothing can be ranged", frame)
+            else:
+                info = read_camera(file, frame)
+            if (info.width, info.height) != (width, height):
+                raise CairnError(
+                    f"{file} is of images of {info.width} x {info.height} pixels, but those of "
+                    f"{self.config.recording} are {width} x {height}: calibrate with such images"
+                )
+            infos.append(info)
+        if cameras == 2 and all(files):
+            StereoRig.of(*infos)
+        return infos
+
+
+def _message(pixels: Grey, header: Header) -> Image:
+    height, width = pixels.shape
+    return Image(
+        header=header,
+        height=height,
+        width=width,
+        encoding="mono8",
+        step=width,
+        data=np.ascontiguousarray(pixels).ravel(),
+    )

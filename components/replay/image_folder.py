@@ -1,0 +1,68 @@
+"""A folder of images as a recorded camera, or of left and right ones as a stereo camera."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from PIL import Image as Picture
+
+from components.replay.image_times import times_of
+from components.replay.recording import Grey, Images, RecordingError
+from vision.image_files import images_in, paired, side_of
+from vision.images import read_image
+
+
+def open_folder(folder: Path, rate_hz: float | None) -> tuple[Images, list[str]]:
+    """The images of a folder in order, with remarks on those left out.
+
+    Images with left and right in their names, or in folders of that name, are a stereo camera's.
+    Raises `CairnError` if there is none, one cannot be read, sizes or times are not as they must.
+    """
+    files = images_in(folder)
+    sides = [side_of(file) for file in files]
+    notes = []
+    columns: list[Sequence[Path]] = [files]
+    if {"left", "right"} <= set(sides):
+        of = paired(
+            (file for file, side in zip(files, sides, strict=True) if side == "left"),
+            (file for file, side in zip(files, sides, strict=True) if side == "right"),
+        )
+        if not of.pairs:
+            raise RecordingError(
+                f"{folder}: no left image belongs to a right one: names of a pair must be the "
+                "same but for left and right"
+            )
+        columns = [[a for a, _ in of.pairs], [b for _, b in of.pairs]]
+        alone = [*of.alone, *(f for f, side in zip(files, sides, strict=True) if side is None)]
+        if alone:
+            some = ", ".join(str(file.relative_to(folder)) for file in alone[:5])
+            notes.append(f"{len(alone)} images have no other of a pair, left out: {some}")
+    size = _size([file for column in columns for file in column])
+
+    def load(index: int) -> tuple[Grey, ...]:
+        return tuple(read_image(column[index]) for column in columns)
+
+    stamps = times_of(folder, columns[0], rate_hz)
+    return Images(folder.name, stamps, len(columns), size, load), notes
+
+
+def _size(files: Sequence[Path]) -> tuple[int, int]:
+    """Width and height [px] that all have, by their first bytes alone."""
+    sizes = {}
+    for file in files:
+        try:
+            with Picture.open(file) as picture:
+                sizes[file] = picture.size
+        except (OSError, ValueError, SyntaxError) as error:
+            raise RecordingError(
+                f"{file} cannot be read as an image ({error}): take it away, or a fresh copy"
+            ) from error
+    first, size = next(iter(sizes.items()))
+    for file, other in sizes.items():
+        if other != size:
+            raise RecordingError(
+                f"{file} is {other[0]} x {other[1]} pixels, but {first} is {size[0]} x {size[1]}: "
+                "a camera's images are all of one size; put others into folders of their own"
+            )
+    return size
