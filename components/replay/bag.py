@@ -82,8 +82,9 @@ class BagRecording:
         self._replayed |= dict.fromkeys(self._image_topics, "images")
         if self._scans is None and self._odometry is None and not self._image_topics:
             raise RecordingError(
-                f"{path} holds neither laser scans, odometry nor images: nothing to replay. Its "
-                f"topics are {', '.join(f'{t} ({kind})' for t, kind in sorted(self._types.items()))}."
+                f"{path} holds neither laser scans, odometry nor images: nothing to replay. "
+                "Its topics are "
+                f"{', '.join(f'{t} ({kind})' for t, kind in sorted(self._types.items()))}."
             )
 
     def span(self) -> tuple[int, int]:
