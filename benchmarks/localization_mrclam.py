@@ -25,7 +25,8 @@ import numpy as np
 
 from benchmarks.localization_replay import Recording, errors, load, run, stressed, true_pose
 from components.localizer.localization import Settings
-from components.map_builder.objects import Kind, MapObject, Place, State
+from components.map_builder.objects import Kind, MapObject, State
+from components.map_builder.place import Place
 from components.replay.mrclam_files import Dataset
 
 DISPLACED = {"one": 1, "two": 2, "removed": 2}

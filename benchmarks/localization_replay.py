@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from components.localizer.localization import Frame, Localization, Settings
 from components.localizer.object_likelihood import Landmark, Sighting
 from components.localizer.odometry import CommandedTrack
-from components.map_builder.objects import Change, Evidence, MapObject, Place, State, Verdict
+from components.map_builder.objects import Change, Evidence, MapObject, State, Verdict
+from components.map_builder.place import Place
 from components.map_builder.visual_map import VisualMap
 from components.replay.mrclam_files import Dataset
 from components.replay.sighting_noise import range_bearing_variance
@@ -164,7 +165,7 @@ def _update(
         )
         for j in frame.judgements
     ]
-    changes = list(visual_map.apply(evidence).changes)
+    changes = list(visual_map.apply(evidence, t).changes)
     if frame.relocalised:
         outcome.relocalised += 1
         changes += visual_map.take_back()[1]

@@ -14,7 +14,7 @@ from components.map_builder.objects import (
     State,
     Verdict,
 )
-from components.map_builder.places import fuse, place_similarity
+from components.map_builder.place import fuse, place_similarity
 from components.map_builder.reliability import REGISTRATION, update
 from components.map_builder.viewpoints import NOWHERE
 from planar.poses import apart
@@ -25,12 +25,17 @@ UNMOVED = 0.35  # [m]
 ANOTHER_M, ANOTHER_RAD = 0.15, 0.2
 
 
-def judge_candidate(known: MapObject, evidence: Evidence) -> tuple[MapObject, Change | None]:
+def judge_candidate(
+    known: MapObject, evidence: Evidence, now_s: float
+) -> tuple[MapObject, Change | None]:
     """What a sighting makes of an object that has no place in the map: a candidate for one.
 
-    Places that sightings from different poses agree on are registered.
+    Places that sightings from different poses agree on are registered; not those of an object that
+    is now here, now there.
     """
     if not evidence.healthy or evidence.verdict is Verdict.NOT_CONVERGED:
+        return known, None
+    if known.stays.doubted(now_s):
         return known, None
     seen = replace(known, evidence_count=known.evidence_count + 1)
     candidate = known.candidate
@@ -47,7 +52,19 @@ def judge_candidate(known: MapObject, evidence: Evidence) -> tuple[MapObject, Ch
     moved = Candidate(place, reliability, candidate.sightings + 1, evidence.robot)
     if reliability <= REGISTRATION:
         return replace(seen, candidate=moved), None
-    return _register(seen, moved)
+    stays = known.stays.come(place, now_s)
+    if stays.doubted(now_s):
+        return _doubted(replace(seen, stays=stays))
+    return _register(replace(seen, stays=stays), moved)
+
+
+def _doubted(known: MapObject) -> tuple[MapObject, Change | None]:
+    reason = (
+        "it is seen now here, now there: two things look alike; it is not relied on for ten "
+        "minutes. Take one of them away, or make them differ"
+    )
+    change = Change(known.object_id, Kind.REMOVED, known.place, None, CARRIED_OVER, reason)
+    return replace(known, candidate=None), change
 
 
 def _register(known: MapObject, found: Candidate) -> tuple[MapObject, Change | None]:

@@ -11,7 +11,8 @@ from typing import Any
 from cairn.errors import CairnError
 from cairn.files import replacing
 from components.map_builder.counting import build_map
-from components.map_builder.objects import Change, Kind, MapObject, Place
+from components.map_builder.objects import Change, Kind, MapObject
+from components.map_builder.place import Place
 from components.map_builder.store import create_map
 from planar.grid import OccupancyCells
 from planar.poses import Pose

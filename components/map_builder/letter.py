@@ -10,10 +10,10 @@ from components.map_builder.objects import (
     Evidence,
     Kind,
     MapObject,
-    Place,
     State,
     Verdict,
 )
+from components.map_builder.place import Place
 from components.map_builder.reliability import INITIAL
 
 _REMOVAL, _REGISTRATION = 0.1, 0.5

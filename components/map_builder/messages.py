@@ -7,7 +7,8 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from components.map_builder.objects import Change, Evidence, MapObject, Place, State, Verdict
+from components.map_builder.objects import Change, Evidence, MapObject, State, Verdict
+from components.map_builder.place import Place
 from schemas.builtin_interfaces import Time
 from schemas.cairn_msgs import ObjectEvidenceArray, VisualMap, VisualMapChange, VisualObject
 from schemas.std_msgs import Header

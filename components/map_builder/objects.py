@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from enum import IntEnum
 
+from components.map_builder.place import Place
 from components.map_builder.reliability import INITIAL
+from components.map_builder.stays import NONE, Stays
 from components.map_builder.viewpoints import NOWHERE, Viewpoints
 from planar.poses import Pose
 
@@ -42,21 +43,6 @@ class Verdict(IntEnum):
 
 
 @dataclass(frozen=True)
-class Place:
-    """A place in the map [m] and its covariance [m^2]."""
-
-    x: float
-    y: float
-    xx: float
-    xy: float
-    yy: float
-
-    def distance(self, other: Place) -> float:
-        """Metres between two places."""
-        return math.hypot(self.x - other.x, self.y - other.y)
-
-
-@dataclass(frozen=True)
 class Candidate:
     """A place that a removed object may have moved to."""
 
@@ -84,6 +70,7 @@ class MapObject:
     judged_from: Pose | None = None
     viewpoints: Viewpoints = NOWHERE
     missed_from: Pose | None = None
+    stays: Stays = NONE
 
 
 @dataclass(frozen=True)

@@ -38,7 +38,7 @@ class PersistenceFilter:
         if known.state is not State.LIVE:
             if evidence.verdict is Verdict.UNSEEN:
                 return known, None
-            return judge_candidate(known, evidence)
+            return judge_candidate(known, evidence, now_s)
         if not evidence.healthy:
             return known, None
         if known.judged_from is not None and not apart(

@@ -12,9 +12,9 @@ from components.map_builder.objects import (
     Change,
     Evidence,
     MapObject,
-    Place,
     State,
 )
+from components.map_builder.place import Place
 from components.map_builder.viewpoints import NOWHERE, Cell, Viewpoints
 
 Row = tuple[Any, ...]

@@ -14,11 +14,10 @@ from components.map_builder.objects import (
     Evidence,
     Kind,
     MapObject,
-    Place,
     State,
     Verdict,
 )
-from components.map_builder.places import fuse
+from components.map_builder.place import Place, fuse
 from components.map_builder.reliability import REMOVAL, update
 from components.map_builder.viewpoints import NOWHERE, cell_of
 from planar.poses import apart
@@ -33,15 +32,16 @@ Rule = Callable[[MapObject, Evidence, float], tuple[MapObject, Change | None]]
 
 def judge(known: MapObject, evidence: Evidence, now_s: float) -> tuple[MapObject, Change | None]:
     """The rule that keeps a robot's map, at whatever time."""
-    del now_s
     if evidence.verdict is Verdict.UNSEEN:
         return _judge_absence(known, evidence)
     if known.state is State.LIVE:
-        return _judge_live(known, evidence)
-    return judge_candidate(known, evidence)
+        return _judge_live(known, evidence, now_s)
+    return judge_candidate(known, evidence, now_s)
 
 
-def _judge_live(known: MapObject, evidence: Evidence) -> tuple[MapObject, Change | None]:
+def _judge_live(
+    known: MapObject, evidence: Evidence, now_s: float
+) -> tuple[MapObject, Change | None]:
     if evidence.verdict not in (Verdict.AGREES, Verdict.DISAGREES) or evidence.similarity == 0.5:
         return known, None
     # Sightings from one pose share their error: the first one counts.
@@ -62,7 +62,8 @@ def _judge_live(known: MapObject, evidence: Evidence) -> tuple[MapObject, Change
         judged = replace(judged, viewpoints=known.viewpoints.recognised(here), missed_from=None)
     if reliability <= REMOVAL:
         start = Candidate(evidence.implied, CARRIED_OVER, 1, evidence.robot)
-        removed = replace(judged, state=State.RELOCATING, candidate=start)
+        stays = known.stays.leave(place, now_s) if place else known.stays
+        removed = replace(judged, state=State.RELOCATING, candidate=start, stays=stays)
         away_m = place.distance(evidence.implied) if place else math.nan
         reason = (
             f"reliability fell to {reliability:.2f}; the last sighting implies a place "

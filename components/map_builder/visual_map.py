@@ -11,11 +11,11 @@ from components.map_builder.objects import (
     Evidence,
     Kind,
     MapObject,
-    Place,
     State,
     Verdict,
     unknown,
 )
+from components.map_builder.place import Place
 from components.map_builder.rule import Rule, judge
 
 UNDO_S = 60.0

@@ -4,7 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from components.map_builder.objects import Evidence, Kind, Place, State, Verdict
+from components.map_builder.objects import Evidence, Kind, State, Verdict
+from components.map_builder.place import Place
 from components.map_builder.viewpoints import NOWHERE, cell_of
 from components.map_builder.visual_map import VisualMap
 from planar.poses import Pose

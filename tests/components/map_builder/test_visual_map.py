@@ -4,7 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from components.map_builder.objects import Kind, Place, State, Verdict
+from components.map_builder.objects import Kind, State, Verdict
+from components.map_builder.place import Place
 from components.map_builder.visual_map import VisualMap
 from tests.components.map_builder.evidence import HERE, THERE, sighting, surveyed
 
@@ -68,6 +69,38 @@ def test_a_candidate_that_keeps_moving_is_never_registered() -> None:
 
     assert kinds(visual_map, *carried) == [Kind.REMOVED]
     assert visual_map.objects[7].state is State.RELOCATING
+
+
+def test_an_object_that_is_now_here_now_there_is_two_that_look_alike() -> None:
+    """Two posters of one kind, of which one was taught: each is seen in turn."""
+    visual_map = VisualMap([surveyed()])
+    reasons = []
+    for step in range(60):
+        place = HERE if step // 10 % 2 == 0 else THERE
+        agrees = visual_map.objects[7].place is not None and (
+            visual_map.objects[7].place.distance(place) < 0.3
+        )
+        frame = [sighting(0.9 if agrees else 0.1, step, Place(place.x, place.y, 0.02, 0.0, 0.02))]
+        reasons += [(c.kind, c.reason) for c in visual_map.apply(frame, float(step)).changes]
+
+    assert "two things look alike" in reasons[-1][1]
+    assert [kind for kind, _ in reasons if kind is Kind.REGISTERED] == [Kind.REGISTERED] * 2
+    assert visual_map.objects[7].state is State.RELOCATING
+
+
+def test_after_ten_minutes_an_object_that_seemed_to_be_two_gets_a_place_again() -> None:
+    visual_map = VisualMap([surveyed()])
+    for step in range(60):
+        place = HERE if step // 10 % 2 == 0 else THERE
+        known = visual_map.objects[7].place
+        agrees = known is not None and known.distance(place) < 0.3
+        visual_map.apply([sighting(0.9 if agrees else 0.1, step, place)], float(step))
+    before = visual_map.objects[7].state
+
+    for step in range(60, 66):
+        visual_map.apply([sighting(0.5, step, THERE)], 700.0)
+
+    assert (before, visual_map.objects[7].state) == (State.RELOCATING, State.LIVE)
 
 
 def test_an_object_removed_by_mistake_is_restored_to_its_surveyed_place() -> None:

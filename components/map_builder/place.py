@@ -1,13 +1,12 @@
-"""Two places as one: how likely that is, and what they make together."""
+"""Places in the map; two as one: how likely that is, and what they make together."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-
-from components.map_builder.objects import Place
 
 Array = NDArray[np.float64]
 
@@ -15,6 +14,21 @@ Array = NDArray[np.float64]
 CLUTTER = 1.0 / (0.5 * 4.0**2 * math.radians(60.0))
 # A sighting's share of the robot's own error, which all its sightings of an hour have in common.
 COMMON_ERROR = 0.15  # [m]
+
+
+@dataclass(frozen=True)
+class Place:
+    """A place in the map [m] and its covariance [m^2]."""
+
+    x: float
+    y: float
+    xx: float
+    xy: float
+    yy: float
+
+    def distance(self, other: Place) -> float:
+        """Metres between two places."""
+        return math.hypot(self.x - other.x, self.y - other.y)
 
 
 def place_similarity(candidate: Place, implied: Place) -> float:
