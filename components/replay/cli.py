@@ -36,7 +36,8 @@ def show_recording(
         Path,
         typer.Argument(
             metavar="FILE",
-            help="ROS 1 bag, ROS 2 bag's folder, MCAP file, CARMEN log, or MRCLAM folder.",
+            help="ROS 1 bag, ROS 2 bag's folder, MCAP file, CARMEN log, MRCLAM folder, video, or "
+            "folder of images.",
         ),
     ],
     out: Annotated[
@@ -50,12 +51,16 @@ def show_recording(
     ] = None,
     odom: Annotated[str | None, typer.Option(metavar="TOPIC", help="Odometry, the same.")] = None,
     truth: Annotated[str | None, typer.Option(metavar="TOPIC", help="A bag's true poses.")] = None,
+    image_rate: Annotated[
+        float | None,
+        typer.Option(min=0.01, max=1000, help="Images per second, where nothing tells [Hz]."),
+    ] = None,
     json: Json = False,
 ) -> None:
     """Show what is recorded: its streams, the scanner, and a picture of scans and way."""
     named = {"scan": scan, "odom": odom, "truth": truth}
     topics = {kind: topic for kind, topic in named.items() if topic is not None}
-    recording = open_recording(file, robot, topics)
+    recording = open_recording(file, robot, topics, image_rate_hz=image_rate)
     contents = contents_of(recording)
     if json:
         print_json(contents)
