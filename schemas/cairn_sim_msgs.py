@@ -48,7 +48,11 @@ class WorldState:
 class Scene:
     """What stands: `segments` x1, y1, x2, y2 [m], four each, with their `surfaces`; the objects.
 
-    `object_poses` face away from what they hang on; `object_ids` and `object_names` go with them.
+    For cameras each has one of `heights` [m], 0 if it is seen as an object; `solids` number what is
+    closed and has a top, from 1 on, 0 is a wall. `object_poses` face away from what they hang on;
+    all other `object_...` go with them: `object_sizes` are width, height [m], two each,
+    `object_zs` [m] the middles' heights, and `object_textures` files of pictures, "" for one that
+    is drawn for the id.
     """
 
     PLAIN: ClassVar[UInt8] = 0
@@ -58,14 +62,27 @@ class Scene:
     header: Header = Header()
     segments: Float64Array = empty(np.float64)
     surfaces: UInt8Array = empty(np.uint8)
+    heights: Float64Array = empty(np.float64)
+    solids: UInt32Array = empty(np.uint32)
     object_ids: UInt32Array = empty(np.uint32)
     object_names: tuple[String, ...] = ()
     object_poses: Packed[Pose] = Packed(Pose)
+    object_sizes: Float64Array = empty(np.float64)
+    object_zs: Float64Array = empty(np.float64)
+    object_textures: tuple[String, ...] = ()
 
     def __post_init__(self) -> None:
         """Check that the lengths agree."""
         if self.segments.size != 4 * self.surfaces.size:
             refuse(self, "segments", self.segments, f"must be 4 x {self.surfaces.size} numbers")
+        if not self.heights.size == self.solids.size == self.surfaces.size:
+            refuse(self, "surfaces", self.surfaces, "must be as many as heights and solids")
         objects = self.object_ids.size
-        if len(self.object_names) != objects or len(self.object_poses) != objects:
-            refuse(self, "object_ids", self.object_ids, "must be as many as names and poses")
+        theirs = (self.object_names, self.object_poses, self.object_zs, self.object_textures)
+        if any(len(one) != objects for one in theirs) or self.object_sizes.size != 2 * objects:
+            refuse(
+                self,
+                "object_ids",
+                self.object_ids,
+                "must be as many as names, poses, sizes, zs and textures",
+            )

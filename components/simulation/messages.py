@@ -15,13 +15,20 @@ def scene_message(header: Header, scene: Scene) -> cairn_sim_msgs.Scene:
     """What stands, for drivers."""
     things = list(scene.objects.values())
     poses = np.array([thing.pose for thing in things], np.float64).reshape(-1, 3)
+    sizes = np.array([thing.size for thing in things], np.float64).reshape(-1, 2)
+    standing = scene.standing
     return cairn_sim_msgs.Scene(
         header=header,
-        segments=scene.standing.segments.ravel(),
-        surfaces=scene.standing.surfaces,
+        segments=standing.segments.ravel(),
+        surfaces=standing.surfaces,
+        heights=standing.heights,
+        solids=standing.solids,
         object_ids=np.array([thing.id for thing in things], np.uint32),
         object_names=tuple(thing.called for thing in things),
         object_poses=packed_poses(poses),
+        object_sizes=sizes.ravel(),
+        object_zs=np.array([thing.z for thing in things], np.float64),
+        object_textures=tuple(str(thing.texture or "") for thing in things),
     )
 
 

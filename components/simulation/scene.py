@@ -25,11 +25,17 @@ _ROOM_M2 = 0.01
 
 @dataclass(frozen=True)
 class Standing:
-    """What stops beams: segments (m, 4) x1, y1, x2, y2 [m], their surfaces and names (m,)."""
+    """What stops beams: segments (m, 4) x1, y1, x2, y2 [m], their surfaces and names (m,).
+
+    `heights` (m,) [m] are 0 where a camera sees no side but an object's picture. Those of one piece
+    of furniture have its number from 1 on in `solids` (m,), all others 0.
+    """
 
     segments: NDArray[np.float64]
     surfaces: NDArray[np.uint8]
     names: tuple[str, ...]
+    heights: NDArray[np.float64]
+    solids: NDArray[np.uint32]
 
 
 @dataclass(frozen=True)
@@ -144,23 +150,39 @@ class Scene:
         rows: list[tuple[float, float, float, float]] = []
         surfaces: list[int] = []
         names: list[str] = []
+        heights: list[float] = []
+        solids: list[int] = []
 
-        def line(points: list[tuple[float, float]], surface: Surface, name: str) -> None:
+        def line(
+            points: list[tuple[float, float]],
+            surface: Surface,
+            name: str,
+            height: float = 0.0,
+            solid: int = 0,
+        ) -> None:
             for begin, end in pairwise(points):
                 rows.append((*begin, *end))
                 surfaces.append(SURFACES[surface])
                 names.append(name)
+                heights.append(height)
+                solids.append(solid)
 
         for number, wall in enumerate(self.walls, start=1):
-            line(wall.points, wall.surface, f"wall {number}")
-        for one in self.furniture.values():
+            line(wall.points, wall.surface, f"wall {number}", wall.height)
+        for number, one in enumerate(self.furniture.values(), start=1):
             corners = corners_of(one)
-            line([*corners, corners[0]], one.surface, one.name)
+            line([*corners, corners[0]], one.surface, one.name, one.height, number)
         for thing in self.objects.values():
             if thing.solid:
                 line(_ends_of(thing), "plain", thing.called)
         segments = np.array(rows, np.float64).reshape(-1, 4)
-        return Standing(segments, np.array(surfaces, np.uint8), tuple(names))
+        return Standing(
+            segments,
+            np.array(surfaces, np.uint8),
+            tuple(names),
+            np.array(heights),
+            np.array(solids, np.uint32),
+        )
 
     @cached_property
     def shapes(self) -> dict[str, BaseGeometry]:

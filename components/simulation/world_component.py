@@ -112,7 +112,8 @@ class SimulatedWorld(Component):
         """Read the world and see that it can be."""
         config = self.config
         world = read_world(config.world)
-        world = world.model_copy(update={"events": [*world.events, *config.events]})
+        more = [event.within(config.world.parent) for event in config.events]
+        world = world.model_copy(update={"events": [*world.events, *more]})
         problems = problems_of(world, config.radius)
         if problems:
             raise CairnError(f"{config.world}: " + "; ".join(problems))

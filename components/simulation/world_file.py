@@ -17,6 +17,7 @@ from components.simulation.refusals import what_is_wrong
 Metres = Annotated[float, Field(ge=-10_000, le=10_000)]
 Length = Annotated[float, Field(gt=0, le=1000)]
 Place = tuple[Metres, Metres]
+Height = Annotated[float, Field(gt=0, le=20)]
 Surface = Literal["plain", "dark", "glass"]
 Name = Annotated[str, Field(min_length=1, max_length=60, pattern=r"^[A-Za-z0-9_.-]+$")]
 
@@ -39,6 +40,7 @@ class Wall(Config):
 
     points: list[Place] = Field(min_length=2, description="Corners x, y [m], in order.")
     surface: Surface = Field("plain", description="What a beam meets.")
+    height: Height = Field(2.5, description="Its height [m], for cameras; beams always meet it.")
 
 
 class Furniture(Placed):
@@ -52,6 +54,7 @@ class Furniture(Placed):
         None, description="Width and depth [m] of a rectangle around its pose, instead of outline."
     )
     surface: Surface = Field("plain", description="What a beam meets.")
+    height: Height = Field(0.8, description="Its height [m], for cameras; beams always meet it.")
 
     @property
     def called(self) -> str:
@@ -87,13 +90,32 @@ class VisibleObject(Placed):
     name: Annotated[str, Field(max_length=60, pattern=r"^[A-Za-z0-9_.-]*$")] = Field(
         "", description="Its name; object_ID if none is given."
     )
-    width: float = Field(0.3, gt=0, le=10, description="Its width [m].")
+    width: float = Field(0.3, ge=0.01, le=10, description="Its width [m].")
+    height: float | None = Field(
+        None, ge=0.01, le=10, description="Its height [m]; none: as its width."
+    )
+    z: float = Field(1.0, gt=0, le=20, description="Height of its middle above the floor [m].")
+    texture: Path | None = Field(
+        None,
+        description="Picture on it, relative to the world file; none: one drawn for its id.",
+    )
     solid: bool = Field(False, description="Whether it stops beams and the robot: a panel.")
 
     @property
     def called(self) -> str:
         """Its name."""
         return self.name or f"object_{self.id}"
+
+    @property
+    def size(self) -> tuple[float, float]:
+        """Width and height [m]."""
+        return self.width, self.width if self.height is None else self.height
+
+    def within(self, folder: Path) -> VisibleObject:
+        """The same, its texture's path from there on."""
+        if self.texture is None:
+            return self
+        return self.model_copy(update={"texture": (folder / self.texture).absolute()})
 
 
 class Person(Config):
@@ -129,6 +151,12 @@ class Event(Config):
             raise ValueError("move and to go together")
         return self
 
+    def within(self, folder: Path) -> Event:
+        """The same, its object's texture from that folder on."""
+        if self.add_object is None:
+            return self
+        return self.model_copy(update={"add_object": self.add_object.within(folder)})
+
 
 class WorldFile(Config):
     """A world: what stands in it, who walks, what happens."""
@@ -156,7 +184,10 @@ class WorldFile(Config):
 
 
 def read_world(file: Path) -> WorldFile:
-    """The world of a file; `CairnError` names file, place, value and remedy."""
+    """The world of a file, the paths in it from its folder on.
+
+    `CairnError` names file, place, value and remedy.
+    """
     try:
         found = yaml.load(file.read_text(encoding="utf-8"), _OneKeyLoader)
     except FileNotFoundError as error:
@@ -170,9 +201,15 @@ def read_world(file: Path) -> WorldFile:
     if not isinstance(found, dict):
         raise CairnError(f"{file}: not a world file: it needs the keys walls and robot")
     try:
-        return WorldFile.model_validate(found)
+        world = WorldFile.model_validate(found)
     except ValidationError as error:
         raise CairnError(f"{file}: {what_is_wrong(error, WorldFile)}") from error
+    return world.model_copy(
+        update={
+            "objects": [thing.within(file.parent) for thing in world.objects],
+            "events": [event.within(file.parent) for event in world.events],
+        }
+    )
 
 
 class _OneKeyLoader(yaml.SafeLoader):

@@ -219,9 +219,14 @@ def _scenes(draw: st.DrawFn) -> Any:
             Scene,
             segments=_arrays("float64", 4 * segments),
             surfaces=_arrays("uint8", segments),
+            heights=_arrays("float64", segments),
+            solids=_arrays("uint32", segments),
             object_ids=_arrays("uint32", objects),
             object_names=st.lists(TEXT, min_size=objects, max_size=objects).map(tuple),
             object_poses=_packed(7, objects),
+            object_sizes=_arrays("float64", 2 * objects),
+            object_zs=_arrays("float64", objects),
+            object_textures=st.lists(TEXT, min_size=objects, max_size=objects).map(tuple),
         )
     )
 

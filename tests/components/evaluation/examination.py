@@ -59,8 +59,12 @@ class Examination:
     def show(self, *boxes: Corners) -> None:
         """Let this stand in the hall from now on."""
         segments = segments_of(HALL, *boxes)
+        count = len(segments)
         scene = Scene(
-            segments=np.array(segments).ravel(), surfaces=np.zeros(len(segments), np.uint8)
+            segments=np.array(segments).ravel(),
+            surfaces=np.zeros(count, np.uint8),
+            heights=np.full(count, 2.5),
+            solids=np.zeros(count, np.uint32),
         )
         self.stage.give("scene", scene)
 

@@ -1,0 +1,100 @@
+"""Pictures of what a camera sees: those on objects, and the weak pattern of all other surfaces."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from cairn.errors import CairnError
+
+Grey = NDArray[np.uint8]
+
+# The longer side of a picture on an object [px]: half a metre at half a metre shows no more.
+LONGEST_PX = 640
+_DRAWN_PX = 400
+_LARGEST_BYTES = 50_000_000
+# The pattern of surfaces: a square that repeats [texels], and how much its brightness varies [1].
+PATTERN_TEXELS = 256
+_PATTERN_SD = 0.04
+_PATTERN_SEED = 1
+
+
+def picture_of(texture: str | Path, object_id: int, size: tuple[float, float]) -> Grey:
+    """The picture (h, w) on an object of that size [m]: the file `texture`, or drawn if it is "".
+
+    Raises `CairnError` if the file cannot be read as a picture.
+    """
+    return read_picture(Path(texture)) if str(texture) else drawn_picture(object_id, size)
+
+
+def read_picture(file: Path) -> Grey:
+    """A picture in grey, at most `LONGEST_PX` long; `CairnError` if the file is none."""
+    try:
+        if file.stat().st_size > _LARGEST_BYTES:
+            raise CairnError(f"{file} is too large for a texture; scale it to {LONGEST_PX} px")
+        data = np.frombuffer(file.read_bytes(), np.uint8)
+    except FileNotFoundError as error:
+        raise CairnError(f"{file}: no such texture; mend its path or put the picture there") from (
+            error
+        )
+    except OSError as error:
+        raise CairnError(f"{file} cannot be read as a texture: {error.strerror}") from error
+    try:
+        found = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE) if data.size else None
+    except cv2.error as error:
+        raise CairnError(f"{file} is no picture for a texture: {error.err}") from error
+    if found is None or min(found.shape) < 8:
+        raise CairnError(f"{file} is no picture, or too small for a texture; give a PNG or JPEG")
+    shrink = min(1.0, LONGEST_PX / max(found.shape))
+    if shrink < 1.0:
+        found = cv2.resize(found, None, fx=shrink, fy=shrink, interpolation=cv2.INTER_AREA)
+    return np.asarray(found, np.uint8)
+
+
+def drawn_picture(object_id: int, size: tuple[float, float]) -> Grey:
+    """A picture full of corners and blobs of all sizes: another for each id, always the same."""
+    scale = _DRAWN_PX / max(size)
+    width, height = (max(16, round(side * scale)) for side in size)
+    random = np.random.default_rng(object_id)
+    picture = np.full((height, width), int(random.integers(60, 200)), np.uint8)
+    for part in np.geomspace(0.5, 0.03, 90).tolist():
+        _draw_shape(picture, part * min(width, height), random)
+    return np.asarray(cv2.GaussianBlur(picture, (0, 0), 0.7), np.uint8)
+
+
+def _draw_shape(picture: Grey, extent: float, random: np.random.Generator) -> None:
+    """Somewhere a polygon, an ellipse or some lines of about that extent [px]."""
+    height, width = picture.shape
+    middle = random.uniform((0, 0), (width, height))
+    grey = int(random.integers(5, 251))
+    kind = int(random.integers(3))
+    if kind == 0:
+        corners = int(random.integers(3, 7))
+        angles = np.sort(random.uniform(0, 2 * np.pi, corners))
+        reach = extent * random.uniform(0.3, 0.7, corners)
+        points = middle + reach[:, None] * np.column_stack((np.cos(angles), np.sin(angles)))
+        cv2.fillPoly(picture, [np.round(points * 16).astype(np.int32)], grey, cv2.LINE_AA, 4)
+    elif kind == 1:
+        axes = extent * random.uniform(0.15, 0.5, 2)
+        turn = float(random.uniform(0, 180))
+        box = (middle.tolist(), (2 * axes).tolist(), turn)
+        cv2.ellipse(picture, box, grey, -1, cv2.LINE_AA)
+    else:
+        for _ in range(3):
+            ends = middle + extent * random.uniform(-0.5, 0.5, (2, 2))
+            first, last = (tuple(end) for end in np.round(ends).astype(int).tolist())
+            thick = max(1, round(0.08 * extent))
+            cv2.line(picture, first, last, grey, thick, cv2.LINE_AA)
+
+
+def surface_pattern() -> NDArray[np.float32]:
+    """A square that repeats without seams: about 1, with weak blotches of all sizes."""
+    white = np.random.default_rng(_PATTERN_SEED).standard_normal((PATTERN_TEXELS, PATTERN_TEXELS))
+    frequency = np.fft.fftfreq(PATTERN_TEXELS)
+    steps = np.maximum(np.hypot(frequency[:, None], frequency), 8 / PATTERN_TEXELS)
+    blotches = np.fft.ifft2(np.fft.fft2(white) / steps).real
+    blotches -= blotches.mean()
+    return np.asarray(1.0 + _PATTERN_SD * blotches / blotches.std(), np.float32)
