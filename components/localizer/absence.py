@@ -15,8 +15,8 @@ from planar.poses import Pose, relative, wrap
 
 Array = NDArray[np.float64]
 
-# An object that lies nearer to the edge of the view than this [rad] may be cut off by it.
-_EDGE_RAD = 0.12
+# An object whose middle lies nearer to the edge of the view than this [m] may be cut off by it.
+_EDGE_M = 0.3
 # Share of the ranges in view that is not counted on at either end.
 _RANGE_MARGIN = 0.1
 # Beams within this [rad] of an object's direction tell whether anything stands before it.
@@ -25,9 +25,9 @@ _ASIDE_RAD = 0.06
 _BEFORE_M = 0.3
 
 
-# An object is missed only if another one was seen in its place no longer ago than this [s]: so
-# there was light, and the camera saw.
-_PROVEN_S = 5.0
+# An object is missed only if another one is recognised in the same image, or was no longer ago than
+# this [s] and none but this one was missed since: else it is the light or the camera that fails.
+_PROVEN_S = 30.0
 
 
 @dataclass(frozen=True)
@@ -47,6 +47,7 @@ class AbsenceWatch:
         self._points = self._misses = np.empty((0, 2))
         self._at: Pose = (0.0, 0.0, 0.0)
         self._agreed_at: dict[int, float] = {}
+        self._missed: set[int] = set()
 
     def scanned(self, points: Array, misses: Array, at: Pose) -> None:
         """Take a scan from the dead-reckoned pose `at`: what its beams hit (n, 2) [m], and where
@@ -56,7 +57,10 @@ class AbsenceWatch:
 
     def agreed(self, stamp: float, objects: Iterable[int]) -> None:
         """Take which objects were seen in their places at `stamp` [s]."""
-        self._agreed_at |= dict.fromkeys(objects, stamp)
+        seen = dict.fromkeys(objects, stamp)
+        self._agreed_at |= seen
+        if seen:
+            self._missed.clear()
 
     def missed(
         self,
@@ -79,18 +83,16 @@ class AbsenceWatch:
             if not landmark.live or landmark.object_id in named:
                 continue
             place = expected(pose, landmark, view)
-            if place is None or not self._proven(stamp, landmark.object_id):
-                continue
-            if free_sight(points, misses, *place):
+            if place is not None and free_sight(points, misses, *place):
                 found.append((landmark, *place))
-        return found
+        self._missed |= {landmark.object_id for landmark, _, _ in found}
+        return [one for one in found if self._proven(stamp, one[0].object_id)]
 
     def _proven(self, stamp: float, object_id: int) -> bool:
-        """Whether the camera has recognised another object of late."""
-        return any(
-            other != object_id and stamp - then <= _PROVEN_S
-            for other, then in self._agreed_at.items()
-        )
+        """Whether the camera recognises others: it is this object that is missing."""
+        ages = [stamp - then for other, then in self._agreed_at.items() if other != object_id]
+        within_s = _PROVEN_S if self._missed <= {object_id} else 0.0
+        return any(age <= within_s for age in ages)
 
 
 def expected(pose: Estimate, landmark: Landmark, view: View) -> tuple[float, float] | None:
@@ -104,7 +106,7 @@ def expected(pose: Estimate, landmark: Landmark, view: View) -> tuple[float, flo
     bearing = wrap(math.atan2(dy, dx) - theta)
     place = 0.5 * (landmark.xx + landmark.yy) + 0.5 * pose.spread**2
     deviation = math.sqrt(float(pose.covariance[2, 2]) + place / range_m**2)
-    edge = _EDGE_RAD + 2.0 * deviation
+    edge = _EDGE_M / range_m + 2.0 * deviation
     if not view.right + edge <= bearing <= view.left - edge:
         return None
     return range_m, bearing

@@ -62,7 +62,19 @@ def test_without_a_beam_in_its_direction_nothing_is_missed() -> None:
 
 
 def test_a_camera_that_has_not_recognised_anything_of_late_misses_nothing() -> None:
-    assert missed(watch(), stamp=30.0) == []
+    assert missed(watch(), stamp=41.0) == []
+
+
+def test_where_one_object_after_another_is_missed_it_is_the_light_that_fails() -> None:
+    it = watch()
+    dark = {1: POSTER, 3: Landmark(3, 2.9, 0.6)}
+
+    first = it.missed(10.5, AHEAD, [], dark, SURE, (0.0, 0.0, 0.0))
+    it.agreed(11.0, [2])
+    with_another = it.missed(11.0, AHEAD, [], dark, SURE, (0.0, 0.0, 0.0))
+
+    assert first == []
+    assert [landmark.object_id for landmark, _, _ in with_another] == [1, 3]
 
 
 def test_the_scan_is_seen_from_where_the_robot_has_come_since() -> None:
