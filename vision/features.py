@@ -20,7 +20,7 @@ _QUANTISATION = 512.0  # as usual for SIFT: no element of a unit descriptor come
 
 @dataclass(frozen=True)
 class Features:
-    """The n features of one image, sorted by nothing in particular, but always in the same way.
+    """The n features of one image, what stands out most first.
 
     `points` (n, 2) are x right and y down [px], (0, 0) the middle of the top left pixel; `scales`
     (n,) the diameters of what was described [px]; `angles` (n,) its directions [rad], clockwise
@@ -80,6 +80,19 @@ def extract(grey: NDArray[np.uint8], most: int = 0) -> Features:
         np.deg2rad(table[:, 3]).astype(np.float32),
         _rooted(histograms[order].astype(np.float32, copy=False)),
     )
+
+
+def varied(features: Features, most: int) -> Features:
+    """At most so many of the features, of all sizes alike, those that stand out most.
+
+    From far away only the coarse ones of an object are seen: they are few and do not stand out.
+    """
+    octaves = np.floor(np.log2(np.maximum(features.scales, 1.0)))
+    ranks = np.zeros(len(features), np.int64)
+    for octave in np.unique(octaves):
+        same = octaves == octave
+        ranks[same] = np.arange(same.sum())
+    return features.at(np.sort(np.argsort(ranks, kind="stable")[:most]))
 
 
 def none() -> Features:

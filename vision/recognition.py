@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,8 +21,9 @@ _RATIO = 0.85
 _UNLIKE = 290.0  # between descriptors of different things, where so few are known that all are far
 _SEEDS = 4
 _FAILURES = 3
-_SAME = 0.5
-_AS_WELL = 0.7
+_SAME = 0.5  # of the area that two quadrangles cover together, or of features that two claim
+_AS_WELL = 0.7  # times as strong as the strongest explanation
+_NESTED = 0.4  # times the share of the features that are found of the thing around it
 
 
 @dataclass(frozen=True)
@@ -164,22 +166,22 @@ class Recognizer:
         return count * divergence > math.log(count * len(self._entries))
 
     def _settled(self, scene: Scene, placed: list[tuple[int, Placed]]) -> list[Recognition]:
-        """One recognition for each thing that is seen, by the object that explains most of it."""
+        """One recognition for each thing that is seen, by the object that explains it best."""
         kept: list[tuple[Placed, Recognition]] = []
         for entry, candidate in sorted(placed, key=lambda each: -_strength(each[1])):
             found = self._recognition(scene, entry, candidate)
-            for place, (other, recognition) in enumerate(kept):
-                if _overlap(candidate, other) < _SAME:
-                    continue
-                known = (recognition.object_id, *recognition.alternatives)
-                if found.object_id not in known and _strength(candidate) >= _AS_WELL * _strength(
-                    other
-                ):
-                    alternatives = (*recognition.alternatives, found.object_id)
-                    kept[place] = (other, replace(recognition, alternatives=alternatives))
-                break
-            else:
+            rival = next(
+                (k for k, (other, _) in enumerate(kept) if _explains(other, candidate)), None
+            )
+            if rival is None:
                 kept.append((candidate, found))
+                continue
+            other, best = kept[rival]
+            known = (best.object_id, *best.alternatives)
+            as_well = _strength(candidate) >= _AS_WELL * _strength(other)
+            if as_well and found.object_id not in known:
+                alternatives = (*best.alternatives, found.object_id)
+                kept[rival] = (other, replace(best, alternatives=alternatives))
         return [recognition for _, recognition in kept]
 
     def _recognition(self, scene: Scene, entry: int, placed: Placed) -> Recognition:
@@ -197,11 +199,28 @@ class Recognizer:
 
 
 def _strength(placed: Placed) -> float:
-    """How well something explains what is seen: many features, and few that ought to be there."""
-    return len(placed.view_rows) * math.sqrt(placed.visible)
+    """How well something explains what is seen: by many features, few others being missed."""
+    return len(placed.view_rows) * math.sqrt(placed.share)
 
 
-def _overlap(one: Placed, other: Placed) -> float:
-    """The share of matched features of the image that both claim, of the fewer."""
-    both = len(np.intersect1d(one.image_rows, other.image_rows))
-    return both / min(len(one.image_rows), len(other.image_rows))
+def _explains(stronger: Placed, weaker: Placed) -> bool:
+    """Whether there is nothing at the weaker one's place but what the stronger one is there.
+
+    A thing may well be seen inside of another that it is a part of, or sticks to.
+    """
+    common = _common_area(stronger.corners, weaker.corners)
+    areas = cv2.contourArea(_quad(stronger.corners)), cv2.contourArea(_quad(weaker.corners))
+    if common > _SAME * (sum(areas) - common):
+        return True
+    both = len(np.intersect1d(stronger.image_rows, weaker.image_rows))
+    if both < _SAME * len(weaker.image_rows):
+        return False
+    return areas[1] > areas[0] or weaker.share < _NESTED * stronger.share
+
+
+def _common_area(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
+    return float(cv2.intersectConvexConvex(_quad(one), _quad(other))[0])
+
+
+def _quad(corners: NDArray[np.float64]) -> NDArray[np.float32]:
+    return corners.astype(np.float32)

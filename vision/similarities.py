@@ -86,8 +86,7 @@ def best_poses(
 def agreeing(table: NDArray[np.float64], match: int, diagonal: float) -> NDArray[np.bool_]:
     """Which rows agree with the pose that row `match` tells, for a view of that diagonal [px]."""
     members = np.zeros(len(table), np.bool_)
-    for row in range(len(table)):
-        members[row] = _agree(table, match, row, NEAR * diagonal)
+    _members(np.ascontiguousarray(table), match, NEAR * diagonal, members)
     return members
 
 
@@ -100,7 +99,7 @@ def chance(scale: float, diagonal: float, area: float) -> float:
     return min(1.0, place) * (_TURN / math.pi) * (_OCTAVES / 2.0)
 
 
-@numba.njit(error_model="numpy", cache=True)
+@numba.njit("b1(f8[:,::1], i8, i8, f8)", error_model="numpy", cache=True, nogil=True)
 def _agree(table: NDArray[np.float64], one: int, other: int, near: float) -> bool:
     octaves = table[other, 6] - table[one, 6]
     if octaves > _OCTAVES or octaves < -_OCTAVES:
@@ -115,6 +114,14 @@ def _agree(table: NDArray[np.float64], one: int, other: int, near: float) -> boo
     dx = table[other, 0] - table[one, 0] - (cosine * x - sine * y)
     dy = table[other, 1] - table[one, 1] - (sine * x + cosine * y)
     return bool(dx * dx + dy * dy <= near * near * (cosine * cosine + sine * sine))
+
+
+@numba.njit("void(f8[:,::1], i8, f8, b1[::1])", error_model="numpy", cache=True, nogil=True)
+def _members(
+    table: NDArray[np.float64], match: int, near: float, members: NDArray[np.bool_]
+) -> None:
+    for row in range(members.size):
+        members[row] = _agree(table, match, row, near)
 
 
 @numba.njit(

@@ -23,8 +23,9 @@ _LIKE = 290.0  # between descriptors: nine in ten of the same thing are nearer, 
 _TURN = math.radians(30.0)
 _OCTAVES = 0.8
 _FINEST = 2.0  # px, scale of the finest features that SIFT finds
-_LEAST_SHARE = 0.1
-_LEAST_SPREAD = 0.05
+_LEAST_SHARE = 0.05  # of the features that are to be seen: the rest may be covered
+_LEAST_DENSITY = 0.2  # the same where the matched ones lie, so where nothing covers it
+_LEAST_SPREAD = 0.03  # of the view's area, for what the matched ones enclose
 _SMALLEST = 12.0  # px, of a side in the image
 _PERSPECTIVE = 6.0  # the far corner at most so many times as far as the near one
 
@@ -33,10 +34,10 @@ Homography = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Placed:
-    """A view in an image: its homography, the rows matched in both, the share that is matched.
+    """A view in an image: homography (view to image), corners there (4, 2) [px], and the evidence.
 
-    `share` is among the features that are to be seen where the matched ones are; `visible` is the
-    share among all that are inside the image.
+    `view_rows` and `image_rows` (n,) are the features matched; `share` is how many were matched of
+    those of the view that are to be seen in the image.
     """
 
     homography: Homography
@@ -44,8 +45,6 @@ class Placed:
     view_rows: NDArray[np.intp]
     image_rows: NDArray[np.intp]
     share: float
-    visible: float
-    spread: float
 
 
 @dataclass(frozen=True)
@@ -173,35 +172,31 @@ def _guided(
 
 
 def _proven(scene: Scene, view: View, homography: Homography) -> Placed | None:
+    """The view at this place, unless what is matched may well be so by chance."""
     rows, mates = _guided(scene, view, homography, NEAR)
-    points = view.features.points[rows].astype(np.float64)
-    _, distinct = np.unique(np.rint(points), axis=0, return_index=True)
+    # A point that was described in two directions is one witness.
+    _, distinct = np.unique(np.rint(view.features.points[rows]), axis=0, return_index=True)
     rows, mates = rows[np.sort(distinct)], mates[np.sort(distinct)]
     if len(rows) < LEAST:
         return None
-    inside = _seen(homography, view, scene)[3]
+    seen = view.features.points[_seen(homography, view, scene)[3]]
     hull = cv2.convexHull(view.features.points[rows])
-    area = cv2.contourArea(hull)
-    among = np.array(
-        [
-            cv2.pointPolygonTest(hull, (float(x), float(y)), False) >= 0.0
-            for x, y in view.features.points[inside]
-        ]
-    )
-    share = len(rows) / max(1, int(among.sum()))
-    corners = cv2.perspectiveTransform(view.corners[None], homography)[0]
-    return Placed(
-        homography,
-        corners.astype(np.float64),
-        rows.astype(np.intp),
-        mates.astype(np.intp),
-        share,
-        len(rows) / max(1, int(inside.sum())),
-        area / (view.width * view.height),
-    )
+    within = sum(cv2.pointPolygonTest(hull, (float(x), float(y)), False) >= 0.0 for x, y in seen)
+    share = len(rows) / len(seen)
+    spread = cv2.contourArea(hull) / (view.width * view.height)
+    if share < _LEAST_SHARE or spread < _LEAST_SPREAD or len(rows) < _LEAST_DENSITY * within:
+        return None
+    corners = cv2.perspectiveTransform(view.corners[None], homography)[0].astype(np.float64)
+    return Placed(homography, corners, rows, mates, share)
 
 
-@numba.njit(error_model="numpy", cache=True, nogil=True)
+@numba.njit(
+    "void(f8[:,::1], f8[::1], f8[::1], f8[::1], u1[:,::1],"
+    " f8[:,::1], f8[::1], f8[::1], u1[:,::1], i8[::1], i4[::1])",
+    error_model="numpy",
+    cache=True,
+    nogil=True,
+)
 def _mate(
     places: NDArray[np.float64],
     radii: NDArray[np.float64],
