@@ -203,7 +203,7 @@ def _state(path: Path) -> tuple[int, int] | None:
 
     Of a file at rest no lock is taken when it is read, for it may stand in a read-only place.
     """
-    if not at_rest(path):
+    if not (path.is_file() and at_rest(path)):
         return None
     with told(path):
         state = path.stat()

@@ -18,6 +18,7 @@ Pose = tuple[float, float, float]
 _EDGE = 0.1
 # So much nearer than the farthest, and farther than the nearest, an object is surely in range.
 _SURELY = 0.1
+_STEPS = 12
 
 
 @dataclass(frozen=True)
@@ -59,23 +60,31 @@ def place_of(located: Located, mount: Pose) -> Place:
 
 
 def field_of(rig: StereoRig, mount: Pose, nearest: float, farthest: float) -> Field:
-    """Where seen from the robot an object of whatever range is in the image.
+    """Where seen from the robot an object is in the image, whatever its range.
 
-    Bearings of a camera that looks backwards may be beyond pi: right is always less than left.
+    A camera that is not in the robot's middle sees other bearings near by: `nearest` is taken as
+    much farther as needed to leave half of its view. Bearings of a camera that looks backwards may
+    be beyond pi: right is always less than left.
     """
-    x, y, theta = mount
     margin = _EDGE * rig.width
-    to_left = theta + math.atan((rig.cx - margin) / rig.fx)
-    to_right = theta - math.atan((rig.width - 1 - margin - rig.cx) / rig.fx)
-    left, right = math.inf, -math.inf
-    nearest, farthest = (1 + _SURELY) * nearest, (1 - _SURELY) * farthest
-    for away in (nearest, farthest):
-        left = min(left, _bearing(x, y, to_left, away))
-        right = max(right, _bearing(x, y, to_right, away))
-    return Field(right, left, nearest, farthest) if right < left and nearest < farthest else NOWHERE
+    to_left = mount[2] + math.atan((rig.cx - margin) / rig.fx)
+    to_right = mount[2] - math.atan((rig.width - 1 - margin - rig.cx) / rig.fx)
+    farthest *= 1 - _SURELY
+    lefts, rights = _bearing(mount, to_left, farthest), _bearing(mount, to_right, farthest)
+    for near in np.geomspace((1 + _SURELY) * nearest, farthest, _STEPS)[:-1].tolist():
+        if near <= math.hypot(mount[0], mount[1]):
+            continue
+        left = min(lefts, _bearing(mount, to_left, near))
+        right = max(rights, _bearing(mount, to_right, near))
+        if left - right >= 0.5 * (to_left - to_right):
+            return Field(right, left, near, farthest)
+    return NOWHERE
 
 
-def _bearing(x: float, y: float, direction: float, away: float) -> float:
-    """The bearing from the robot of what is in a direction from the camera, near that direction."""
-    seen = math.atan2(y + away * math.sin(direction), x + away * math.cos(direction))
+def _bearing(mount: Pose, direction: float, away: float) -> float:
+    """From the robot, of what is `away` from it and in a direction from the camera, near which."""
+    x, y, _ = mount
+    along = x * math.cos(direction) + y * math.sin(direction)
+    reach = -along + math.sqrt(along**2 - x**2 - y**2 + away**2)
+    seen = math.atan2(y + reach * math.sin(direction), x + reach * math.cos(direction))
     return direction + math.remainder(seen - direction, 2 * math.pi)

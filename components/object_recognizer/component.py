@@ -20,7 +20,7 @@ from components.object_recognizer.condition import Standstill, blindness
 from components.object_recognizer.config import ObjectRecognizerConfig
 from components.object_recognizer.known import KnownObjects
 from components.object_recognizer.pairing import Pair, Pairing
-from components.object_recognizer.sighting import Sighting, sighted
+from components.object_recognizer.sighting import Sighting, sighted, without_wrong_twins
 from schemas.cairn_msgs import RecognizedObject, RecognizedObjectArray
 from schemas.sensor_msgs import CameraInfo, Image
 from schemas.std_msgs import Header
@@ -62,11 +62,10 @@ class ObjectRecognizer(Component):
 
     def on_activate(self) -> None:
         """Wait for images."""
-        now = self.clock.now()
-        self._pairing = Pairing(now, stereo=self.config.stereo)
+        self._pairing = Pairing(stereo=self.config.stereo)
         self._standstills = {"left": Standstill(), "right": Standstill()}
         self._agreement = Agreement()
-        self._last_left = now
+        self._last_left = self.clock.now()
 
     def on_parameters(self, new: Config) -> None:
         """All but the file, the number of cameras and threads may be changed while it runs."""
@@ -104,8 +103,7 @@ class ObjectRecognizer(Component):
     def see_right(self, image: Image) -> None:
         """Look at a left image that has waited for this one, or keep this one for it."""
         if self.config.stereo and self._is_new("right", image, self.right_image.topic):
-            now = self.clock.now()
-            self._look_at(self._pairing.take_right(to_ns(image.header.stamp), image, now))
+            self._look_at(self._pairing.take_right(to_ns(image.header.stamp), image))
 
     @every(hz=1)
     def watch(self) -> None:
@@ -181,7 +179,9 @@ class ObjectRecognizer(Component):
         if blind or not self._known.objects:
             return NOWHERE, []
         found = self._known.recognizer.recognize(features, left.shape[1], left.shape[0])
-        sightings = [sighted(one, self._known.objects, cameras, left, right) for one in found]
+        sightings = without_wrong_twins(
+            [sighted(one, self._known.objects, cameras, left, right) for one in found]
+        )
         if right is not None and sightings and not any(one.by_stereo for one in sightings):
             self._refuse_swapped(left, right, features, cameras)
         placed = [(one, self._place(one)) for one in sightings]

@@ -23,38 +23,41 @@ class Pair:
 class Pairing:
     """Holds at most one image of each side: what is not paired when a newer one comes is lost."""
 
-    def __init__(self, now_ns: int, *, stereo: bool) -> None:
+    def __init__(self, *, stereo: bool) -> None:
         self._stereo = stereo
-        self._paired_at = now_ns
         self._left: tuple[int, Image] | None = None
         self._right: tuple[int, Image] | None = None
         self._alone: int | None = None
+        self._waiting_since: int | None = None
 
     def right_is_missing(self, now_ns: int) -> bool:
         """Whether images are taken without their right ones, which no longer come."""
-        return self._stereo and now_ns - self._paired_at > PATIENCE_NS
+        since = self._waiting_since
+        return self._stereo and since is not None and now_ns - since > PATIENCE_NS
 
     def take_left(self, stamp_ns: int, image: Image, now_ns: int) -> Pair | None:
         """What can be looked at now that this image has come."""
-        self._paired_at = min(self._paired_at, now_ns)  # time may be set back
         self._left = (stamp_ns, image)
-        pair = self._pair(now_ns)
-        if pair is None and (not self._stereo or self.right_is_missing(now_ns)):
-            self._left, self._alone = None, stamp_ns
-            pair = Pair(stamp_ns, image, None)
-        return pair
+        pair = self._pair()
+        if pair is not None:
+            return pair
+        if self._waiting_since is None or now_ns < self._waiting_since:  # time may be set back
+            self._waiting_since = now_ns
+        if self._stereo and not self.right_is_missing(now_ns):
+            return None
+        self._left, self._alone = None, stamp_ns
+        return Pair(stamp_ns, image, None)
 
-    def take_right(self, stamp_ns: int, image: Image, now_ns: int) -> Pair | None:
+    def take_right(self, stamp_ns: int, image: Image) -> Pair | None:
         """What can be looked at now that this image has come."""
         self._right = (stamp_ns, image)
         if stamp_ns == self._alone:
-            self._paired_at = now_ns  # they come again
-        return self._pair(now_ns)
+            self._waiting_since = None  # they come again
+        return self._pair()
 
-    def _pair(self, now_ns: int) -> Pair | None:
+    def _pair(self) -> Pair | None:
         left, right = self._left, self._right
         if left is None or right is None or left[0] != right[0]:
             return None
-        self._left = self._right = None
-        self._paired_at = now_ns
+        self._left = self._right = self._waiting_since = None
         return Pair(left[0], left[1], right[1])

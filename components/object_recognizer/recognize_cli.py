@@ -17,7 +17,7 @@ from components.object_recognizer.cameras import Cameras, cameras_of
 from components.object_recognizer.condition import blindness
 from components.object_recognizer.given import DEFAULT_MAP, MapFile
 from components.object_recognizer.pictures import draw_recognized
-from components.object_recognizer.sighting import Sighting, sighted
+from components.object_recognizer.sighting import Sighting, sighted, without_wrong_twins
 from vision.camera_file import read_camera
 from vision.features import extract
 from vision.images import Grey, read_image
@@ -132,7 +132,9 @@ def _seen(
     else:
         if right is not None and look_swapped(left, right, features.points[:_PROBES], cameras.rig):
             raise CairnError("left and right are swapped: give the left camera's image first")
-        sightings = [sighted(one, known, cameras, left, right) for one in found]
+        sightings = without_wrong_twins(
+            [sighted(one, known, cameras, left, right) for one in found]
+        )
         remarks += [one.doubt for one in sightings if one.doubt]
     return Seen(left, len(features), sightings, remarks)
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Final, Literal
 
 import cv2
@@ -61,12 +62,7 @@ def sighted(
     taught = known[recognition.object_id]
     view = taught.views[recognition.view]
     middle = _middle(recognition, view.width, view.height)
-    stereo = size = None
-    if right is not None and cameras.right is not None:
-        step = max(1, recognition.inliers // _MOST_POINTS)
-        points = recognition.image_points[::step]
-        found = disparities(left, right, points, cameras.rig)
-        stereo = by_stereo(points, found, middle, cameras.rig)
+    size = None
     if taught.size is not None:
         size = by_size(
             recognition.view_points,
@@ -75,7 +71,52 @@ def sighted(
             taught.size,
             cameras.rig,
         )
+    stereo = None
+    if right is not None and cameras.right is not None:
+        points = recognition.image_points[:: max(1, recognition.inliers // _MOST_POINTS)]
+        stereo = by_stereo(
+            points, disparities(left, right, points, cameras.rig), middle, cameras.rig
+        )
+        if stereo is not None and size is not None and _apart(stereo, size):
+            # Of two that look alike one may have been matched with the other.
+            expected = cameras.rig.fx * cameras.rig.baseline / float(size.position[2])
+            found = disparities(
+                left, right, points, cameras.rig,
+                least=expected * (1 - APART), most=expected * (1 + APART),
+            )  # fmt: skip
+            stereo = by_stereo(points, found, middle, cameras.rig) or stereo
     return _judged(recognition, taught, stereo, size, stereo_given=right is not None)
+
+
+def without_wrong_twins(sightings: Sequence[Sighting]) -> list[Sighting]:
+    """Doubts objects of unknown size that are seen more than once, as if of different sizes.
+
+    Stereo has then taken one of them for the other.
+    """
+    twins: dict[int, list[float]] = {}
+    for one in sightings:
+        if one.way in ("stereo", "none"):
+            twins.setdefault(one.recognition.object_id, []).append(_apparent_size(one))
+    wrong = {key for key, sizes in twins.items() if not max(sizes) <= (1 + APART) * min(sizes)}
+    return [
+        replace(
+            one,
+            located=None,
+            way="none",
+            doubt=f"{one.recognition.name}: seen more than once, and stereo takes one for the "
+            "other; tell its size",
+        )
+        if one.way == "stereo" and one.recognition.object_id in wrong
+        else one
+        for one in sightings
+    ]
+
+
+def _apparent_size(one: Sighting) -> float:
+    if one.located is None:
+        return math.inf
+    area = cv2.contourArea(one.recognition.corners.astype(np.float32))
+    return float(one.located.position[2]) * math.sqrt(area)
 
 
 def _judged(
@@ -98,13 +139,18 @@ def _judged(
         return Sighting(recognition, None, "none", doubt=doubt)
     far, near = (float(np.linalg.norm(one.position)) for one in (stereo, size))
     ratio = far / near
-    if max(ratio, 1 / ratio) > 1 + APART:
+    if _apart(stereo, size):
         doubt = f"{taught.name}: it is at {far:.2f} m by stereo, but at {near:.2f} m by its size"
         return Sighting(recognition, None, "none", ratio, doubt)
     both = fused(stereo, size)
     assert both is not None
     located = both.located if both.consistent else _either(stereo, size)
     return Sighting(recognition, located, "both", ratio)
+
+
+def _apart(one: Located, other: Located) -> bool:
+    ratio = float(np.linalg.norm(one.position) / np.linalg.norm(other.position))
+    return max(ratio, 1 / ratio) > 1 + APART
 
 
 def _either(one: Located, other: Located) -> Located:

@@ -9,15 +9,13 @@ from vision.taught import View
 
 
 def texture(seed: int, width: int = 160, height: int = 120) -> NDArray[np.uint8]:
-    """A picture with many features, another one for each seed."""
+    """A picture with features of all sizes, another one for each seed."""
     random = np.random.default_rng(seed)
-    coarse = random.integers(0, 256, (height // 8, width // 8), np.uint8)
-    picture = cv2.resize(coarse, (width, height), interpolation=cv2.INTER_CUBIC)
-    for _ in range(40):
-        x, y = int(random.integers(width)), int(random.integers(height))
-        shade, radius = int(random.integers(256)), int(random.integers(2, 12))
-        cv2.circle(picture, (x, y), radius, shade, -1)
-    return np.asarray(picture, np.uint8)
+    picture = np.zeros((height, width))
+    for cell in (4, 8, 16, 32):
+        coarse = random.normal(0, 1, (height // cell + 1, width // cell + 1))
+        picture += cv2.resize(coarse, (width, height), interpolation=cv2.INTER_CUBIC)
+    return np.clip(128 + 45 * picture, 0, 255).astype(np.uint8)
 
 
 def view(seed: int, width: int = 160, height: int = 120) -> View:

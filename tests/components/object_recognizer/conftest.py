@@ -1,0 +1,100 @@
+"""A map with taught objects, and a recogniser before a camera."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from cairn.clock import SECOND
+from components.object_recognizer.component import ObjectRecognizer
+from schemas.cairn_msgs import RecognizedObjectArray
+from schemas.sensor_msgs import CameraInfo
+from tests.components.conftest import Stage
+from tests.components.object_recognizer.scenes import (
+    SIZE,
+    Thing,
+    info,
+    message,
+    pair,
+    picture_of,
+)
+from vision.map_file import create
+from vision.taught_store import teach
+from vision.teaching import view_of
+
+BEGIN_S = 1000.0
+
+
+class Robot:
+    """A recogniser that gets an image every 0.2 s."""
+
+    def __init__(self, stage: Stage) -> None:
+        self.stage = stage
+        self._noise = 0
+
+    @property
+    def now_s(self) -> float:
+        return self.stage.executor.now() / SECOND
+
+    def know(self, left: CameraInfo | None = None, right: CameraInfo | None = None) -> Robot:
+        """Tell it of the cameras; by default of those of `scenes`."""
+        self.stage.give("left_info", left or info())
+        self.stage.give("right_info", right or info(right=True))
+        return self
+
+    def show(
+        self,
+        left: NDArray[np.generic] | None,
+        right: NDArray[np.generic] | None = None,
+        encoding: str = "mono8",
+    ) -> RecognizedObjectArray | None:
+        """Let it see a pair of images; what it makes of them, None if it tells nothing."""
+        self.stage.wait(0.2)
+        self.stage.taken("objects")
+        if left is not None:
+            self.stage.give("left_image", message(left, self.now_s, encoding))
+        if right is not None:
+            self.stage.give("right_image", message(right, self.now_s, encoding))
+        told = self.stage.taken("objects")
+        assert len(told) <= 1
+        return told[0] if told else None
+
+    def see(self, things: Sequence[Thing]) -> RecognizedObjectArray:
+        """Let it see these things with both cameras."""
+        self._noise += 1
+        told = self.show(*pair(things, self._noise))
+        assert told is not None
+        return told
+
+
+@pytest.fixture
+def map_file(tmp_path: Path) -> Path:
+    """A map to which objects 1, 2 and 3 are taught, the last without its size."""
+    path = tmp_path / "a.cairn"
+    create(path, "a test").close()
+    for seed in (1, 2, 3):
+        teach(path, f"poster {seed}", [view_of(picture_of(seed))], SIZE if seed < 3 else None)
+    return path
+
+
+@pytest.fixture
+def robot(stage: Callable[..., Stage], map_file: Path) -> Callable[..., Robot]:
+    def begin(**parameters: Any) -> Robot:
+        given = {"map_file": str(map_file), **parameters}
+        return Robot(stage(ObjectRecognizer, BEGIN_S, **given).begin())
+
+    return begin
+
+
+@pytest.fixture
+def complaints(caplog: pytest.LogCaptureFixture) -> Callable[[], str]:
+    """What was logged as a warning so far."""
+    return lambda: "\n".join(
+        record.getMessage() for record in caplog.records if record.levelno >= logging.WARNING
+    )

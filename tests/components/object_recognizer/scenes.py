@@ -1,0 +1,101 @@
+"""Flat objects before a stereo camera: images and CameraInfos, drawn by plain projection."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from cairn.clock import from_ns
+from schemas.sensor_msgs import CameraInfo, Image
+from schemas.std_msgs import Header
+from tests.vision.taught_objects import texture
+
+Grey = NDArray[np.uint8]
+
+WIDTH, HEIGHT, FOCAL, BASELINE = 640, 480, 500.0, 0.12
+SIZE = (0.4, 0.3)
+"""Of all objects [m]."""
+
+
+@dataclass(frozen=True)
+class Thing:
+    """A texture by its seed, its middle [m] in the left optical frame, turned to the left [rad]."""
+
+    seed: int
+    x: float
+    z: float
+    turned: float = 0.0
+    y: float = 0.0
+
+
+def picture_of(seed: int) -> Grey:
+    """What an object looks like, 1 mm a pixel."""
+    return texture(seed, 400, 300)
+
+
+def photograph(things: Sequence[Thing], right: bool = False, noise: int = 0) -> Grey:
+    """What the left or the right camera sees; `noise` is a seed."""
+    random = np.random.default_rng(noise)
+    image = cv2.resize(texture(1234, 320, 240), (WIDTH, HEIGHT)).astype(np.float32) * 0.4 + 60
+    for thing in sorted(things, key=lambda one: -one.z):
+        picture = picture_of(thing.seed)
+        across = np.array([math.cos(thing.turned), 0.0, math.sin(thing.turned)])
+        down = np.array([0.0, 1.0, 0.0])
+        middle = np.array([thing.x - (BASELINE if right else 0.0), thing.y, thing.z])
+        per_pixel = SIZE[0] / picture.shape[1]
+        corner = middle - per_pixel * (199.5 * across + 149.5 * down)
+        plane = np.column_stack((per_pixel * across, per_pixel * down, corner))
+        camera = np.array([[FOCAL, 0, WIDTH / 2], [0, FOCAL, HEIGHT / 2], [0, 0, 1]])
+        # Rendered four times as fine, so that far objects are as smooth as in a camera.
+        fine = np.diag([4.0, 4.0, 1.0])
+        fine[:2, 2] = 1.5
+        size = (4 * WIDTH, 4 * HEIGHT)
+        seen = cv2.warpPerspective(picture, fine @ camera @ plane, size)
+        mask = cv2.warpPerspective(np.ones_like(picture), fine @ camera @ plane, size)
+        small = cv2.resize(seen, (WIDTH, HEIGHT), interpolation=cv2.INTER_AREA)
+        there = cv2.resize(mask.astype(np.float32), (WIDTH, HEIGHT), interpolation=cv2.INTER_AREA)
+        image = image * (1 - there) + small * there
+    noisy = image + random.normal(0, 1.5, image.shape)
+    return np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
+
+
+def pair(things: Sequence[Thing], noise: int = 0) -> tuple[Grey, Grey]:
+    """The images of both cameras."""
+    return photograph(things, noise=2 * noise), photograph(things, right=True, noise=2 * noise + 1)
+
+
+def info(right: bool = False, baseline: float = BASELINE, focal: float = FOCAL) -> CameraInfo:
+    """What the driver tells of a camera."""
+    k = np.array([focal, 0, WIDTH / 2, 0, focal, HEIGHT / 2, 0, 0, 1])
+    p = np.array([focal, 0, WIDTH / 2, 0, 0, focal, HEIGHT / 2, 0, 0, 0, 1, 0], np.float64)
+    if right:
+        p[3] = -focal * baseline
+    side = "right" if right else "left"
+    return CameraInfo(
+        header=Header(frame_id=f"{side}_camera_optical_frame"),
+        width=WIDTH,
+        height=HEIGHT,
+        distortion_model="plumb_bob",
+        d=np.zeros(5),
+        k=k,
+        r=np.eye(3).ravel(),
+        p=p,
+    )
+
+
+def message(grey: NDArray[np.generic], stamp_s: float, encoding: str = "mono8") -> Image:
+    """An image as a driver sends it."""
+    rows = np.ascontiguousarray(grey).view(np.uint8).reshape(grey.shape[0], -1)
+    return Image(
+        header=Header(stamp=from_ns(round(stamp_s * 1e9)), frame_id="left_camera_optical_frame"),
+        height=grey.shape[0],
+        width=grey.shape[1],
+        encoding=encoding,
+        step=rows.shape[1],
+        data=rows.ravel(),
+    )
