@@ -14,8 +14,8 @@ Grey = NDArray[np.uint8]
 
 # Boards are found in images no larger than this [px], and measured in the whole image then.
 _SEARCHED = 1600
-# Half a window of refinement as a share of the distance between corners, and its limits [px]: it
-# must reach no second corner, and be no smaller than blur is wide.
+# Half a window of refinement as a share of the distance between corners, and its limits [px] in
+# an image of usual size: it must reach no second corner, and be no smaller than blur is wide.
 _WINDOW, _SMALLEST, _LARGEST = 0.3, 2, 15
 _ENOUGH = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-4)
 
@@ -52,7 +52,7 @@ def find_corners(grey: Grey, board: Board) -> Array | None:
         return None
     # The middle of a pixel is at whole numbers in both images.
     start = (np.asarray(corners, np.float32).reshape(-1, 1, 2) + 0.5) * reduced - 0.5
-    window = int(np.clip(round(_WINDOW * _spacing(start, board)), _SMALLEST, _LARGEST))
+    window = int(np.clip(_WINDOW * _spacing(start, board), _SMALLEST, _LARGEST * reduced).round())
     refined = cv2.cornerSubPix(grey, start.astype(np.float32), (window, window), (-1, -1), _ENOUGH)
     return np.asarray(refined, np.float64).reshape(-1, 2)
 

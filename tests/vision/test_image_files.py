@@ -1,0 +1,64 @@
+"""Left and right images are told apart and belong together by their names."""
+
+from pathlib import Path
+
+import pytest
+
+from cairn.errors import CairnError
+from vision.image_files import images_in, natural, paired, side_of
+
+
+@pytest.mark.parametrize(
+    ("name", "side"),
+    [
+        ("left01.jpg", "left"),
+        ("img_right_7.png", "right"),
+        ("LeftImage3.png", "left"),
+        ("frameRight.png", "right"),
+        ("right/0001.png", "right"),
+        ("left/right_of_it/0001.png", "right"),
+        ("bright01.png", None),
+        ("leftover.png", None),
+        ("left_and_right.png", None),
+        ("0001.png", None),
+    ],
+)
+def test_a_name_tells_the_camera(name: str, side: str | None) -> None:
+    assert side_of(Path("data") / name) == side
+
+
+def test_pairs_have_one_name_but_for_the_side_and_come_in_natural_order() -> None:
+    left = [Path(f"left{n}.png") for n in (10, 9, 1, 4)]
+    right = [Path(f"right{n}.png") for n in (1, 10, 9, 5)]
+
+    found = paired(left, right)
+
+    assert [a.name for a, _ in found.pairs] == ["left1.png", "left9.png", "left10.png"]
+    assert [b.name for _, b in found.pairs] == ["right1.png", "right9.png", "right10.png"]
+    assert [path.name for path in found.alone] == ["left4.png", "right5.png"]
+
+
+def test_folders_of_a_camera_each_are_looked_into(tmp_path: Path) -> None:
+    for side in ("left", "right"):
+        (tmp_path / side).mkdir()
+        for number in (2, 10):
+            (tmp_path / side / f"{number}.png").touch()
+    (tmp_path / "left" / "notes.txt").touch()
+
+    found = images_in(tmp_path)
+
+    assert [str(path.relative_to(tmp_path)) for path in found] == [
+        "left/2.png",
+        "left/10.png",
+        "right/2.png",
+        "right/10.png",
+    ]
+    assert [side_of(path) for path in found] == ["left", "left", "right", "right"]
+    assert sorted(found, key=natural)[0].name == "2.png"
+
+
+def test_a_folder_without_images_is_told(tmp_path: Path) -> None:
+    with pytest.raises(CairnError, match="holds no images"):
+        images_in(tmp_path)
+    with pytest.raises(CairnError, match="cannot be read"):
+        images_in(tmp_path / "none")
