@@ -7,7 +7,7 @@ from pathlib import Path
 
 from PIL import Image as Picture
 
-from components.replay.image_times import times_of
+from components.replay.image_times import check_order, times_of
 from components.replay.recording import Grey, Images, RecordingError
 from vision.image_files import images_in, paired, side_of
 from vision.images import read_image
@@ -40,10 +40,15 @@ def open_folder(folder: Path, rate_hz: float | None) -> tuple[Images, list[str]]
             notes.append(f"{len(alone)} images have no other of a pair, left out: {some}")
     size = _size([file for column in columns for file in column])
 
-    def load(index: int) -> tuple[Grey, ...]:
-        return tuple(read_image(column[index]) for column in columns)
+    rows = sorted(
+        zip(times_of(folder, columns[0], rate_hz), *columns, strict=True), key=lambda row: row[0]
+    )
+    stamps = [row[0] for row in rows]
+    check_order(folder, [row[1] for row in rows], stamps)
 
-    stamps = times_of(folder, columns[0], rate_hz)
+    def load(index: int) -> tuple[Grey, ...]:
+        return tuple(read_image(file) for file in rows[index][1:])
+
     return Images(folder.name, stamps, len(columns), size, load), notes
 
 

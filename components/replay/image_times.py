@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 
 from cairn.clock import SECOND
@@ -29,7 +30,7 @@ def at_rate(count: int, rate_hz: float) -> list[int]:
 def times_of(folder: Path, files: Sequence[Path], rate_hz: float | None) -> list[int]:
     """The times [ns] of a folder's images: by `times.txt`, their names, or `rate_hz`.
 
-    Raises `RecordingError` if none of them tells, or times do not increase.
+    Raises `RecordingError` if none of them tells, or a table without names is not in order.
     """
     table = folder / TIMES
     if table.is_file():
@@ -44,13 +45,17 @@ def times_of(folder: Path, files: Sequence[Path], rate_hz: float | None) -> list
             f"{TIMES} with a time [s] for each image, line by line; names such as {files[0].name} "
             "are no times since 1970"
         )
-    for file, earlier, later in zip(files[1:], stamps, stamps[1:], strict=False):
+    return stamps
+
+
+def check_order(folder: Path, files: Sequence[Path], stamps: Sequence[int]) -> None:
+    """Raise `RecordingError` unless each of the files was taken after the one before it."""
+    for (before, earlier), (file, later) in pairwise(zip(files, stamps, strict=True)):
         if later <= earlier:
             raise RecordingError(
-                f"{folder}: {file.name} was taken at {later / SECOND:.6f} s, not after the image "
-                f"before it, at {earlier / SECOND:.6f} s: put right names or {TIMES}"
+                f"{folder}: {file.name} was taken at {later / SECOND:.6f} s, not after "
+                f"{before.name}, at {earlier / SECOND:.6f} s: put right their names or {TIMES}"
             )
-    return stamps
 
 
 def _by_table(table: Path, files: Sequence[Path]) -> list[int]:
@@ -74,7 +79,9 @@ def _by_table(table: Path, files: Sequence[Path]) -> list[int]:
             f"{table} has {len(rows)} times, but there are {len(files)} images: give each a line, "
             "or put the image's name behind the time"
         )
-    return [stamp for stamp, _ in rows]
+    stamps = [stamp for stamp, _ in rows]
+    check_order(table.parent, files, stamps)
+    return stamps
 
 
 def _stamp(table: Path, number: int, word: str) -> int:
