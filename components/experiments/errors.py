@@ -55,9 +55,8 @@ def course_of(pair: PairSeries, world: WorldSeries, end_s: float) -> Course:
     """The course of a pair's errors and deviations from 0 to `end_s`."""
     count = max(1, round(end_s / STEP_S))
     off = np.abs(_offsets(pair, world))
-    position = np.hypot(off[:, 0], off[:, 1])
-    position_sd = np.sqrt(np.maximum(pair.variances[:, 0] + pair.variances[:, 2], 0.0))
-    heading_sd = np.sqrt(np.maximum(pair.variances[:, 3], 0.0))
+    position: Array = np.hypot(off[:, 0], off[:, 1])
+    xx, _, yy, turn = np.maximum(pair.variances, 0.0).T
     step = np.floor(pair.stamps / STEP_S).astype(np.int64)
     inside = (step >= 0) & (step < count)
     told = np.bincount(step[inside], minlength=count)
@@ -68,11 +67,11 @@ def course_of(pair: PairSeries, world: WorldSeries, end_s: float) -> Course:
             return np.asarray((total / told) ** (1.0 / power), np.float64)
 
     return Course(
-        (np.arange(count) + 0.5) * STEP_S,
+        np.asarray((np.arange(count) + 0.5) * STEP_S, np.float64),
         mean(position, 2),
         mean(off[:, 2], 2),
-        mean(position_sd),
-        mean(heading_sd),
+        mean(np.sqrt(xx + yy)),
+        mean(np.sqrt(turn)),
     )
 
 

@@ -1,4 +1,4 @@
-"""What came of one pair in one run: which moves it noticed, what it got wrong, how far it was off."""
+"""What came of one pair in one run: which moves it noticed, what it got wrong."""
 
 from __future__ import annotations
 
@@ -37,6 +37,7 @@ class MoveResult(BaseModel):
     beside: float = Field(description="Distance of its new place to the next other object [m].")
     sightings: int = Field(description="Sightings until the end of the run.")
     views: int = Field(description="Views until the end of the run.")
+    noticed: bool = Field(description="It was removed after the move, or registered.")
     removed_at: float | None = Field(description="When its old place was removed [s].")
     sightings_to_remove: int | None = Field(description="Sightings until then.")
     views_to_remove: int | None = Field(description="Views until then.")
@@ -117,9 +118,7 @@ def judged_world(seed: int, world: WorldSeries, changed_at: float) -> RunResult:
     )
 
 
-def judged_pair(
-    method: str, pair: PairSeries, world: WorldSeries, changed_at: float
-) -> PairResult:
+def judged_pair(method: str, pair: PairSeries, world: WorldSeries, changed_at: float) -> PairResult:
     """What came of a pair."""
     end = float(world.stamps[-1])
     removals = [one for one in pair.changes if one.kind == VisualMapChange.REMOVED]
@@ -186,11 +185,10 @@ def _judged_move(move: Move, pair: PairSeries, world: WorldSeries) -> MoveResult
     own_views = views(seen)
     changes = [one for one in pair.changes if one.object_id == move.object_id]
     removal = _first(changes, VisualMapChange.REMOVED, move.stamp)
+    # One that had been removed before, falsely, is noticed by being registered.
     since = move.stamp if removal is None else removal.stamp
     found = _first(changes, VisualMapChange.REGISTERED, since)
-    others = [
-        place for key, place in world.places(move.stamp).items() if key != move.object_id
-    ]
+    others = [place for key, place in world.places(move.stamp).items() if key != move.object_id]
     return MoveResult(
         object_id=move.object_id,
         moved_at=move.stamp,
@@ -198,6 +196,7 @@ def _judged_move(move: Move, pair: PairSeries, world: WorldSeries) -> MoveResult
         beside=min((math.dist(move.new, other) for other in others), default=math.inf),
         sightings=len(seen),
         views=len(own_views),
+        noticed=removal is not None or found is not None,
         removed_at=removal.stamp if removal else None,
         sightings_to_remove=_until([stamp for stamp, _ in seen], removal),
         views_to_remove=_until(own_views, removal),

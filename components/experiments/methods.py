@@ -23,9 +23,7 @@ PAPER = Method("paper", "paper, clamped", {"mode": "paper"}, {"rule": "reliabili
 CHI_SQUARE = Method(
     "chi_square", "chi-square gate", {"mode": "chi_square"}, {"rule": "reliability"}
 )
-PERSISTENCE = Method(
-    "persistence", "persistence filter", {"mode": "lr"}, {"rule": "persistence"}
-)
+PERSISTENCE = Method("persistence", "persistence filter", {"mode": "lr"}, {"rule": "persistence"})
 NO_UPDATE = Method("no_update", "no update", {"mode": "lr"}, {"update_objects": False})
 
 ABLATION = (OURS, LETTER, PAPER, CHI_SQUARE, PERSISTENCE, NO_UPDATE)

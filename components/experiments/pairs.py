@@ -148,3 +148,16 @@ def _outputs(spec: ComponentSpec) -> set[str]:
 
 def _ports(plugin: str) -> dict[str, PortSpec]:
     return ports_of(load_plugin(plugin))
+
+
+def changed_at(plan: Plan) -> float:
+    """When [s] the first event of the plan's world comes due; `CairnError` if it has none."""
+    events = plan.events
+    if events is None:
+        events = tuple(_member(plain(plan), WORLD).parameters.get("events", ()))
+    if not events:
+        raise CairnError(
+            "nothing is changed in the world of the deployment; give its component world an event, "
+            "as deploy/experiment.yaml does"
+        )
+    return min(float(event["at"]) for event in events)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -46,27 +46,28 @@ class Room:
     ) -> list[dict[str, Any]]:
         """`count` objects put elsewhere along the walls at `at` [s], as events of a world.
 
-        `distance` [m] away, or at least 0.6 m if None. `CairnError` if there is no room for so many.
+        `distance` [m] away, or at least 0.6 m if None. `CairnError` if there is no room for that
+        many.
         """
         places = list(self._places())
-        taken = {name: thing.pose for name, thing in self._scene.objects.items()}
-        names = sorted(taken)
+        objects = self._scene.objects
+        taken = [(name, thing.pose) for name, thing in objects.items()]
         events: list[dict[str, Any]] = []
-        for name in random.permutation(names).tolist():
+        for name in random.permutation(sorted(objects)).tolist():
             if len(events) == count:
                 break
-            thing = self._scene.objects[name]
-            free = [place for place in places if self._fits(place, thing, distance, taken)]
+            thing = objects[name]
+            free = [place for place in places if _fits(place, thing, distance, taken)]
             if not free:
                 continue
             x, y, theta = free[int(random.integers(len(free)))]
-            taken[f"{name} elsewhere"] = (x, y, theta)
+            taken.append(("", (x, y, theta)))
             events.append({"at": at, "move": name, "to": {"x": x, "y": y, "theta": theta}})
         if len(events) < count:
             how = "" if distance is None else f" by {distance:g} m"
             raise CairnError(
-                f"{self._file}: of {len(names)} objects only {len(events)} can be moved{how} along "
-                f"the walls, not {count}; ask for fewer with --moved, or for another "
+                f"{self._file}: of {len(objects)} objects only {len(events)} can be moved{how} "
+                f"along the walls, not {count}; ask for fewer with --moved, or for another "
                 "--move-distance"
             )
         return events
@@ -112,15 +113,13 @@ class Room:
         view = shapely.LineString([near, far])
         return bool(self._furniture.distance(view) >= _ROOM_M)
 
-    def _fits(
-        self, place: Pose, thing: VisibleObject, distance: float | None, taken: dict[str, Pose]
-    ) -> bool:
-        way = math.dist(place[:2], (thing.x, thing.y))
-        far_enough = (
-            way >= LEAST_MOVE_M if distance is None else abs(way - distance) <= _NEAR_ENOUGH_M
-        )
-        return far_enough and all(
-            math.dist(place[:2], other[:2]) >= APART_M
-            for name, other in taken.items()
-            if name != thing.called
-        )
+
+def _fits(
+    place: Pose, thing: VisibleObject, distance: float | None, taken: Sequence[tuple[str, Pose]]
+) -> bool:
+    """Whether a thing can be put there; `taken` is where all hang, by name, or are put ("")."""
+    way = math.dist(place[:2], (thing.x, thing.y))
+    far_enough = way >= LEAST_MOVE_M if distance is None else abs(way - distance) <= _NEAR_ENOUGH_M
+    return far_enough and all(
+        math.dist(place[:2], other[:2]) >= APART_M for name, other in taken if name != thing.called
+    )

@@ -36,23 +36,20 @@ def checked(plan: Plan) -> None:
         planned(plan, Path(scratch), Path(scratch))
 
 
-def run_all(
-    jobs: Sequence[Job], workers: int, tell: Callable[[Job, str], None]
-) -> dict[Job, str]:
+def run_all(jobs: Sequence[Job], workers: int, tell: Callable[[Job, str], None]) -> list[str]:
     """Run them, and give why each failed, "" if it did not; `tell` is told of each at its end."""
-    failures: dict[Job, str] = {}
+    failures = [""] * len(jobs)
     count = min(workers or os.cpu_count() or 1, len(jobs))
     with ProcessPoolExecutor(count, mp_context=get_context("spawn")) as pool:
-        begun = {pool.submit(run, job): job for job in jobs}
+        begun = {pool.submit(run, job): number for number, job in enumerate(jobs)}
         for future in as_completed(begun):
-            job = begun[future]
+            number = begun[future]
             try:
-                failure = future.result()
+                failures[number] = future.result()
             except Exception as error:  # whatever it is, the other runs are not to be lost
-                failure = str(error) if isinstance(error, CairnError) else repr(error)
-            failures[job] = failure
-            tell(job, failure)
-    return {job: failures[job] for job in jobs}
+                failures[number] = str(error) if isinstance(error, CairnError) else repr(error)
+            tell(jobs[number], failures[number])
+    return failures
 
 
 def run(job: Job) -> str:

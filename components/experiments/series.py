@@ -55,12 +55,13 @@ class WorldSeries:
     @property
     def moves(self) -> tuple[Move, ...]:
         """Which objects were put elsewhere, in order of time."""
-        found = []
-        for (_, before), (stamp, after) in zip(self.surveys, self.surveys[1:], strict=False):
-            for object_id in sorted(before.keys() & after.keys()):
-                if before[object_id] != after[object_id]:
-                    found.append(Move(stamp, object_id, before[object_id], after[object_id]))
-        return tuple(found)
+        steps = zip(self.surveys, self.surveys[1:], strict=False)
+        return tuple(
+            Move(stamp, object_id, before[object_id], after[object_id])
+            for (_, before), (stamp, after) in steps
+            for object_id in sorted(before.keys() & after.keys())
+            if before[object_id] != after[object_id]
+        )
 
     def truth(self, stamps: Array) -> Array:
         """True poses (n, 3) at stamps (n,), between those told in proportion."""
@@ -142,9 +143,7 @@ def read_world(file: Path) -> WorldSeries:
         elif what == "collision":
             collisions.append(f"{values[0]} at ({values[1]:.2f}, {values[2]:.2f})")
     rows = np.array(poses, np.float64).reshape(-1, 4)
-    return WorldSeries(
-        rows[:, 0], rows[:, 1:], tuple(surveys), tuple(sightings), tuple(collisions)
-    )
+    return WorldSeries(rows[:, 0], rows[:, 1:], tuple(surveys), tuple(sightings), tuple(collisions))
 
 
 def read_pair(file: Path) -> PairSeries:

@@ -86,6 +86,21 @@ def root_mean_square_of(values: Sequence[float] | NDArray[np.float64]) -> Mean:
     )
 
 
+def ratio_of(values: NDArray[np.float64], reference: NDArray[np.float64]) -> Mean:
+    """The mean of one value for each run over that of a reference for the same runs.
+
+    Runs are resampled with both of their values; those in which one is NaN are left out.
+    """
+    known = np.isfinite(values) & np.isfinite(reference)
+    if not known.any() or not reference[known].mean() > 0:
+        return Mean(runs=0, mean=None, low=None, high=None)
+    chosen = _choices(int(known.sum()))
+    ratios = values[known][chosen].mean(axis=1) / reference[known][chosen].mean(axis=1)
+    low, high = np.percentile(ratios, [2.5, 97.5])
+    ratio = values[known].mean() / reference[known].mean()
+    return Mean(runs=int(known.sum()), mean=float(ratio), low=float(low), high=float(high))
+
+
 def spread_of(values: Sequence[float]) -> Spread:
     """Median and 90th percentile."""
     if not values:
@@ -95,8 +110,10 @@ def spread_of(values: Sequence[float]) -> Spread:
 
 
 def _resampled(values: NDArray[np.float64]) -> tuple[float, float]:
-    # A generator of its own: the same runs give the same interval.
-    random = np.random.default_rng(0)
-    chosen = random.integers(values.size, size=(_RESAMPLES, values.size))
-    low, high = np.percentile(values[chosen].mean(axis=1), [2.5, 97.5])
+    low, high = np.percentile(values[_choices(values.size)].mean(axis=1), [2.5, 97.5])
     return float(low), float(high)
+
+
+def _choices(runs: int) -> NDArray[np.int64]:
+    # A generator of its own: the same runs give the same interval.
+    return np.random.default_rng(0).integers(runs, size=(_RESAMPLES, runs))

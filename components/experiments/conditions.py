@@ -1,0 +1,121 @@
+"""Section 4.1 of the paper: uncertainty and error over time, by what was changed and updated."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from components.experiments.errors import Course
+from components.experiments.statistics import Mean, mean_of, ratio_of
+
+Array = NDArray[np.float64]
+
+QUANTITIES = {
+    "position_sd": "uncertainty of the position [m]",
+    "heading_sd": "uncertainty of the orientation [rad]",
+    "position_error": "error of the position [m]",
+    "heading_error": "error of the orientation [rad]",
+}
+"""The attributes of a `Course`, and what they are."""
+
+BEFORE, AFTER, REPAIRED = "before", "after", "repaired"
+PHASES = {
+    BEFORE: "before the change",
+    AFTER: "after the change",
+    REPAIRED: "from the registration of the moved object on",
+}
+
+
+@dataclass(frozen=True)
+class Condition:
+    """What was changed, and whether the map follows; `title` names it in reports."""
+
+    name: str
+    title: str
+    colour: str
+    style: str
+
+
+UNCHANGED = Condition("unchanged", "environment unchanged", "tab:red", "-")
+NOT_UPDATED = Condition("not_updated", "changed, map not updated", "tab:blue", ":")
+UPDATED = Condition("updated", "changed, map updated", "tab:green", "--")
+CONDITIONS = (UNCHANGED, NOT_UPDATED, UPDATED)
+
+
+@dataclass(frozen=True)
+class Way:
+    """One way that was driven: its course by condition, and when [s] what happened."""
+
+    seed: int
+    courses: Mapping[str, Course]
+    changed_at: float
+    registered_at: float | None
+    end: float
+
+    def phase(self, condition: str, phase: str) -> Course:
+        """That part of a course; empty for `REPAIRED` if nothing was registered."""
+        begin, end = {
+            BEFORE: (0.0, self.changed_at),
+            AFTER: (self.changed_at, self.end),
+            REPAIRED: (self.end if self.registered_at is None else self.registered_at, self.end),
+        }[phase]
+        return self.courses[condition].between(begin, end)
+
+
+class Figure(BaseModel):
+    """One quantity of one condition in one phase: its mean over time, over all runs."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    condition: str
+    phase: str = Field(
+        description="before: until the change; after: from it on; repaired: from the registration "
+        "of the moved object on, the same time for all conditions."
+    )
+    quantity: str = Field(description="Deviation stated, or true error (rms); in m and rad.")
+    value: Mean
+    against_unchanged: Mean = Field(
+        description="Over that of the unchanged environment in the same phases of the same ways."
+    )
+
+
+def figures(ways: Sequence[Way]) -> list[Figure]:
+    """All figures of all conditions."""
+    found = []
+    for phase in PHASES:
+        for quantity in QUANTITIES:
+            reference = _means(ways, UNCHANGED.name, phase, quantity)
+            for condition in CONDITIONS:
+                values = _means(ways, condition.name, phase, quantity)
+                found.append(
+                    Figure(
+                        condition=condition.name,
+                        phase=phase,
+                        quantity=quantity,
+                        value=mean_of(values),
+                        against_unchanged=ratio_of(values, reference),
+                    )
+                )
+    return found
+
+
+def together(ways: Sequence[Way], condition: str, quantity: str) -> tuple[Array, Array]:
+    """Stamps (n,) [s] and the quantity (ways, n) over the time that all ways have."""
+    steps = min(way.courses[condition].stamps.size for way in ways)
+    rows = [getattr(way.courses[condition], quantity)[:steps] for way in ways]
+    return ways[0].courses[condition].stamps[:steps], np.array(rows, np.float64)
+
+
+def _means(ways: Sequence[Way], condition: str, phase: str, quantity: str) -> Array:
+    """Of each way (n,) the quantity's mean over time, of errors its root mean square; or NaN."""
+    power = 2 if quantity.endswith("_error") else 1
+    values = []
+    for way in ways:
+        row = getattr(way.phase(condition, phase), quantity)
+        known = row[np.isfinite(row)]
+        values.append(np.mean(known**power) ** (1 / power) if known.size else np.nan)
+    return np.array(values, np.float64)

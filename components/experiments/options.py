@@ -1,0 +1,70 @@
+"""What all experiments may be told on the command line."""
+
+from __future__ import annotations
+
+import os
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cairn.errors import CairnError
+
+Seeds = Annotated[str, typer.Option(help="Seeds A..B, a run or two each.")]
+Out = Annotated[Path, typer.Option(help="Folder for the report.")]
+Workers = Annotated[
+    int, typer.Option(min=0, help="Runs at a time; 0: as many as there are processors.")
+]
+Set = Annotated[
+    list[str] | None,
+    typer.Option("--set", help="Change a value of the deployment: path=value.", metavar="SET"),
+]
+DeploymentFile = Annotated[
+    Path,
+    typer.Option(
+        help="The robot. The default is relative to the current folder: it is found in Cairn's "
+        "checkout only."
+    ),
+]
+Overlay = Annotated[
+    Path,
+    typer.Option(
+        help="What is laid over it: tour, scanner, and what is moved. With --driver pixels that "
+        "with _pixels added to its name is laid over it, too."
+    ),
+]
+DEPLOYMENT, OVERLAY = Path("deploy/sim.yaml"), Path("deploy/experiment.yaml")
+
+
+class Driver(StrEnum):
+    """Who recognises objects."""
+
+    pixels = "pixels"
+    geometric = "geometric"
+
+
+DriverOption = Annotated[
+    Driver,
+    typer.Option(
+        help="pixels: a simulated stereo camera and the object recogniser; geometric: what a "
+        "recogniser would tell, by geometry, many times faster."
+    ),
+]
+
+
+def overlays(overlay: Path, driver: Driver) -> tuple[Path, ...]:
+    """The files that are laid over the deployment."""
+    if driver is Driver.geometric:
+        return (overlay,)
+    return (overlay, overlay.with_name(f"{overlay.stem}_{driver}{overlay.suffix}"))
+
+
+def refuse_unreadable(deployment: Path, over: tuple[Path, ...]) -> None:
+    """`CairnError` if the deployment or what is laid over it cannot be read."""
+    for file, option in ((deployment, "--deployment"), *((one, "--overlay") for one in over)):
+        if not os.access(file, os.R_OK):
+            raise CairnError(
+                f"{file}: no such deployment, or none that can be read; name yours with "
+                f"{option} FILE"
+            )

@@ -1,0 +1,135 @@
+"""`cairn experiment uncertainty`: what a change does to the pose, with and without an update."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from cairn.errors import CairnError
+from components.experiments import text
+from components.experiments.conditions import (
+    AFTER,
+    CONDITIONS,
+    NOT_UPDATED,
+    PHASES,
+    QUANTITIES,
+    REPAIRED,
+    UNCHANGED,
+    UPDATED,
+    Figure,
+    Way,
+    figures,
+)
+from components.experiments.errors import course_of
+from components.experiments.experiment import Observed, observed, write_report
+from components.experiments.judging import MoveResult, PairResult, RunResult
+from components.experiments.methods import NO_UPDATE, OURS
+from components.experiments.pairs import Plan, changed_at
+from components.experiments.pictures import draw_courses
+from components.experiments.runs import Job
+from components.experiments.statistics import Mean
+
+
+def run_uncertainty(
+    plan: Plan, seeds: Sequence[int], out: Path, workers: int, *, quiet: bool
+) -> tuple[list[str], dict[str, Any], bool]:
+    """Run it; the report's lines, its figures, and whether all runs did what they should.
+
+    The robot drives by scans alone, so that no condition changes its way.
+    """
+    at = changed_at(plan)
+    worlds = {"unchanged": replace(plan, events=()), "changed": plan}
+    jobs = [
+        Job(world, seed, out / "runs" / f"seed-{seed}" / name)
+        for seed in seeds
+        for name, world in worlds.items()
+    ]
+    runs, failures = observed(jobs, out, workers, at, quiet=quiet)
+    ways = list(_ways(runs, at))
+    if ways and not all(run.world.moves for run in runs if run.job.plan.events is None):
+        raise CairnError(
+            f"nothing was moved at {at:g} s in some run: the world refused it (see the runs' "
+            f"log.txt in {out}), or the tour was over before; change the event of the world"
+        )
+    found = figures(ways) if ways else []
+    lines = list(_lines(ways, found, failures))
+    body = {
+        "experiment": "uncertainty",
+        "seeds": list(seeds),
+        "changed_at": at,
+        "failures": failures,
+        "summary": [figure.model_dump(mode="json") for figure in found],
+        "runs": {run.job.called(out): run.result.model_dump(mode="json") for run in runs},
+    }
+    pictures = {}
+    if ways:
+        pictures = {
+            "fig9_position.png": partial(draw_courses, ways, ("position_sd", "position_error")),
+            "fig9_orientation.png": partial(draw_courses, ways, ("heading_sd", "heading_error")),
+        }
+    models = (Figure, Mean, RunResult, PairResult, MoveResult)
+    write_report(out, lines, body, models, pictures)
+    return lines, {key: body[key] for key in ("failures", "summary")}, not failures
+
+
+def _ways(runs: Sequence[Observed], at: float) -> Iterator[Way]:
+    """The ways of which both runs were done."""
+    unchanged = {run.job.seed: run for run in runs if run.job.plan.events is not None}
+    changed = {run.job.seed: run for run in runs if run.job.plan.events is None}
+    for seed in sorted(unchanged.keys() & changed.keys()):
+        still, moved = unchanged[seed], changed[seed]
+        end = min(still.result.seconds, moved.result.seconds)
+        courses = {
+            UNCHANGED.name: course_of(still.pairs[OURS.name], still.world, end),
+            NOT_UPDATED.name: course_of(moved.pairs[NO_UPDATE.name], moved.world, end),
+            UPDATED.name: course_of(moved.pairs[OURS.name], moved.world, end),
+        }
+        ours = next(pair for pair in moved.result.pairs if pair.method == OURS.name)
+        registered = [m.registered_at for m in ours.moves if m.registered_at is not None]
+        yield Way(seed, courses, at, max(registered, default=None), end)
+
+
+def _lines(
+    ways: Sequence[Way], found: Sequence[Figure], failures: Mapping[str, str]
+) -> Iterator[str]:
+    yield f"uncertainty: {len(ways)} ways, each in the room unchanged and changed"
+    for name, failure in failures.items():
+        yield f"{name} failed: {failure}"
+    if not ways:
+        return
+    registered = [way.registered_at for way in ways if way.registered_at is not None]
+    told = f"; the moved object was registered in {len(registered)} of {len(ways)}"
+    yield f"changed at {ways[0].changed_at:g} s{told}"
+    by_key = {(one.condition, one.phase, one.quantity): one for one in found}
+    for phase, what in PHASES.items():
+        yield ""
+        yield from text.table(
+            (what, *QUANTITIES.values()),
+            [
+                (
+                    condition.title,
+                    *(text.mean(by_key[condition.name, phase, q].value, 4) for q in QUANTITIES),
+                )
+                for condition in CONDITIONS
+            ],
+        )
+    yield ""
+    for phase in (AFTER, REPAIRED):
+        yield from text.table(
+            (f"against unchanged, {phase}", *QUANTITIES),
+            [
+                (
+                    condition.title,
+                    *(
+                        text.mean(by_key[condition.name, phase, q].against_unchanged)
+                        for q in QUANTITIES
+                    ),
+                )
+                for condition in (NOT_UPDATED, UPDATED)
+            ],
+        )
+        yield ""
+    yield "in brackets: 95 % intervals, by resampling the ways; errors are rms"
