@@ -16,9 +16,10 @@ PAGES = (
     "docs/localization.md",
     "docs/navigation.md",
     "docs/simulation.md",
+    "docs/vision.md",
 )
 # Those that need no running robot, in any page; the others are tried by the tests of the CLI.
-OFFLINE = ("cairn check deploy/", "cairn schema ", "cairn plugins", "cairn map ")
+OFFLINE = ("cairn check deploy/", "cairn schema ", "cairn plugins", "cairn map ", "cairn camera ")
 BEGINNING = """\
 from pydantic import Field
 
