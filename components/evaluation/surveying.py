@@ -6,7 +6,7 @@ from pathlib import Path
 
 from cairn.deployment.model import Deployment
 from components.map_builder.importing import altered, write_map
-from components.simulation.survey import surveyed_grid, surveyed_objects
+from components.simulation.survey import surveyed_grid, surveyed_objects, surveyed_pictures
 from components.simulation.world_file import Event, read_world
 from planar.map_file import write_map as write_grid
 from planar.poses import Pose
@@ -16,7 +16,8 @@ def survey(world: Path, map_file: Path, visual_map: Path) -> None:
     """Write the maps of a world as it stands at the beginning, as its importers survey it."""
     write_grid(map_file, surveyed_grid(world))
     objects = altered(surveyed_objects(world), {}, ())
-    write_map(visual_map, f"surveyed of {world.name}", objects)
+    source = f"surveyed of {world.name}"
+    write_map(visual_map, source, objects, taught=surveyed_pictures(world))
 
 
 def robot_start(world: Path) -> Pose:

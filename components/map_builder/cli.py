@@ -20,7 +20,13 @@ from components.map_builder.explaining import (
     shortened,
     standing_of,
 )
-from components.map_builder.importing import altered, imported_grid, importer, write_map
+from components.map_builder.importing import (
+    altered,
+    imported_grid,
+    importer,
+    taught_by,
+    write_map,
+)
 from components.map_builder.objects import MapObject
 from components.map_builder.store import open_map
 from planar.grid import FREE, FREE_TO, OCCUPIED_FROM, UNKNOWN
@@ -98,8 +104,9 @@ def import_map(
         return
     moves = _displacements(displace or [])
     objects = altered(importer(source)(dataset), moves, remove or [])
+    taught = taught_by(source, dataset)
     _make_room(out)
-    write_map(out, f"imported by {source} from {dataset.name}", objects)
+    write_map(out, f"imported by {source} from {dataset.name}", objects, taught=taught)
     moved = "".join(f", {key} displaced by ({dx:g}, {dy:g}) m" for key, (dx, dy) in moves.items())
     left_out = "".join(f", {key} left out" for key in remove or [])
     line(f"{out}: {len(objects)} objects{moved}{left_out}")

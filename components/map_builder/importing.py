@@ -18,6 +18,8 @@ from planar.grid import OccupancyCells
 from planar.poses import Pose
 from schemas.cairn_msgs import VisualMap
 from schemas.sensor_msgs import LaserScan
+from vision.taught import TaughtObject
+from vision.taught_store import teach
 
 IMPORTERS_GROUP = "cairn.visual_map_importers"
 """Entry points of this group are functions from a path to the `VisualMap` found there."""
@@ -27,6 +29,9 @@ GRID_IMPORTERS_GROUP = "cairn.grid_map_importers"
 
 POSED_SCANS_GROUP = "cairn.posed_scan_importers"
 """Entry points of this group are functions from a path to scans and where they were taken."""
+
+TAUGHT_GROUP = "cairn.taught_object_importers"
+"""Entry points of this group are functions from a path to the `TaughtObject`s found there."""
 
 _GRIDS = (GRID_IMPORTERS_GROUP, POSED_SCANS_GROUP)
 
@@ -38,6 +43,14 @@ def importer(name: str) -> Importer:
     """The importer of visual maps of that name; `CairnError` names those there are."""
     loaded: Importer = _loaded(name, IMPORTERS_GROUP, "visual maps")
     return loaded
+
+
+def taught_by(name: str, path: Path) -> Sequence[TaughtObject]:
+    """What the objects look like that the importer of that name finds; none if it cannot tell."""
+    if name not in entry_points(group=TAUGHT_GROUP).names:
+        return ()
+    read: Callable[[Path], Sequence[TaughtObject]] = _loaded(name, TAUGHT_GROUP, "taught objects")
+    return read(path)
 
 
 def imported_grid(
@@ -113,15 +126,29 @@ def altered(
     return objects
 
 
-def write_map(path: Path, source: str, objects: Sequence[MapObject], stamp_ns: int = 0) -> None:
-    """Write a new map file with the given objects, each with its change IMPORTED."""
-    with replacing(path) as part, create_map(part, source) as store:
-        changes = [
-            (
-                version,
-                stamp_ns,
-                Change(o.object_id, Kind.IMPORTED, None, o.place, o.reliability, source),
-            )
-            for version, o in enumerate(objects, start=1)
-        ]
-        store.commit([replace(o) for o in objects], (), changes)
+def write_map(
+    path: Path,
+    source: str,
+    objects: Sequence[MapObject],
+    stamp_ns: int = 0,
+    taught: Sequence[TaughtObject] = (),
+) -> None:
+    """Write a new map file with the given objects, each with its change IMPORTED.
+
+    Those of them that are in `taught` are recognised from it at once.
+    """
+    with replacing(path) as part:
+        with create_map(part, source) as store:
+            changes = [
+                (
+                    version,
+                    stamp_ns,
+                    Change(o.object_id, Kind.IMPORTED, None, o.place, o.reliability, source),
+                )
+                for version, o in enumerate(objects, start=1)
+            ]
+            store.commit([replace(o) for o in objects], (), changes)
+        known = {o.object_id for o in objects}
+        for one in taught:
+            if one.object_id in known:
+                teach(part, one.name, one.views, one.size)

@@ -19,7 +19,7 @@ from components.simulation.atlas import Atlas
 from components.simulation.camera_config import LIVE, SimulatedStereoCameraConfig
 from components.simulation.exposure import Film
 from components.simulation.lens import Distortion, Lens, camera_info
-from components.simulation.photography import photograph
+from components.simulation.photography import photograph, refuse_height
 from components.simulation.surfaces import Surfaces, surfaces_of
 from components.simulation.view import Station
 from components.simulation.watching import WorldWatch, composed
@@ -99,12 +99,7 @@ class SimulatedStereoCamera(Component):
         """Take what stands."""
         self._watch.take_scene(scene)
         self._stands = surfaces_of(scene)
-        ceiling = self._stands[0].ceiling
-        if self.config.z >= ceiling:
-            raise CairnError(
-                f"{self.name}: z = {self.config.z:g} m is not below the ceiling, which is as high "
-                f"as the highest wall, {ceiling:g} m; choose a lower z"
-            )
+        refuse_height(self.config.z, self._stands[0])
 
     @on("world_state")
     def watch(self, state: WorldState) -> None:

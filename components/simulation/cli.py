@@ -21,6 +21,8 @@ from cairn.cli.connection import (
 from cairn.cli.tables import line, note, show
 from cairn.errors import CairnError
 from components.simulation.checks import problems_of
+from components.simulation.columns import NEAR_M
+from components.simulation.photography import seen_from, write_picture
 from components.simulation.pictures import draw_world
 from components.simulation.scene import Scene
 from components.simulation.walls import cut_off
@@ -73,6 +75,29 @@ def draw(
         draw_world(read_world(file), radius, out)
     except (OSError, ValueError) as error:
         raise CairnError(f"{out} cannot be written: {error}") from error
+    line(f"{out} written")
+
+
+@app.command(context_settings=_NUMBERS)
+def see(
+    file: File,
+    x: X,
+    y: Y,
+    theta: Annotated[str, typer.Argument(help="Heading in radians, or as 90deg.")],
+    out: Annotated[Path, typer.Argument(help="Picture to write: PNG or JPEG.", metavar="PICTURE")],
+    right: Annotated[
+        bool, typer.Option("--right", help="What the right camera sees, not the left.")
+    ] = False,
+    height: Annotated[
+        float, typer.Option("--height", min=0.05, help="Of the camera above the floor [m].")
+    ] = 1.0,
+) -> None:
+    """Write what the simulated camera would see at a place of a world file, at its beginning."""
+    place = _place(x, y, theta)
+    world = read_world(file)
+    Scene.of(world).refuse_place("the camera", place["x"], place["y"], NEAR_M)
+    picture = seen_from(world, (place["x"], place["y"], place["theta"]), height, right)
+    write_picture(picture, out)
     line(f"{out} written")
 
 

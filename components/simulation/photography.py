@@ -3,16 +3,29 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from cairn.errors import CairnError
 from components.simulation.atlas import Atlas
-from components.simulation.camera_config import LightConfig, SensorConfig
+from components.simulation.camera_config import (
+    LightConfig,
+    SensorConfig,
+    SimulatedStereoCameraConfig,
+)
 from components.simulation.exposure import Film, Noise, blurred
-from components.simulation.lens import Distortion
-from components.simulation.surfaces import Surfaces
+from components.simulation.lens import Distortion, Lens
+from components.simulation.messages import scene_message
+from components.simulation.people import Walker, circles_of
+from components.simulation.scene import Scene
+from components.simulation.surfaces import Surfaces, surfaces_of
 from components.simulation.view import Station, ideal_image
+from components.simulation.world_file import WorldFile
+from planar.poses import Pose
+from schemas.std_msgs import Header
 
 Grey = NDArray[np.uint8]
 
@@ -42,3 +55,42 @@ def photograph(
     image = blurred(lens.bent(ideal), sensor.defocus, lens.ideal.focal * abs(turn))
     noise = Noise(sensor.read_noise, sensor.shot_noise)
     return film.exposed(image, brightness, sensor.vignetting, noise)
+
+
+def seen_from(world: WorldFile, pose: Pose, height: float, right: bool) -> Grey:
+    """What a camera of the default kind sees of a world at its beginning, from `height` [m].
+
+    Raises `CairnError` if that is not below the ceiling.
+    """
+    camera = SimulatedStereoCameraConfig()
+    surfaces, atlas = surfaces_of(scene_message(Header(), Scene.of(world)))
+    refuse_height(height, surfaces)
+    people = circles_of([Walker.of(person) for person in world.people])
+    return photograph(
+        surfaces.with_people(people),
+        atlas,
+        Station(pose, height).beside(camera.baseline if right else 0.0),
+        Distortion(Lens.of(camera.width, camera.height, camera.field_of_view), ()),
+        Film(camera.width, camera.height, np.random.default_rng(0)),
+        camera.light,
+        camera.sensor,
+    )
+
+
+def refuse_height(height: float, surfaces: Surfaces) -> None:
+    """`CairnError` if a camera so high [m] is not below the ceiling."""
+    if height >= surfaces.ceiling:
+        raise CairnError(
+            f"the camera is {height:g} m high, which is not below the ceiling; that is as high as "
+            f"the highest wall, {surfaces.ceiling:g} m: put the camera lower"
+        )
+
+
+def write_picture(picture: Grey, file: Path) -> None:
+    """Write an image; `CairnError` if that cannot be."""
+    try:
+        written = cv2.imwrite(str(file), picture)
+    except cv2.error as error:
+        raise CairnError(f"{file}: pictures are written as .png or .jpg ({error.err})") from error
+    if not written:
+        raise CairnError(f"{file} cannot be written; is there such a folder, and may you write?")

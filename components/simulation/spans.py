@@ -88,17 +88,12 @@ def _sum_to(strip: Array, y: float) -> float:
 
 
 @compiled()
-def _texel(levels: Float32, level_begins: Integers, level: int, x: float, y: float) -> float:
-    """The pattern at a place [texels of the finest level], between its four nearest texels."""
-    size = PATTERN_TEXELS >> level
-    scale = 1.0 / (1 << level)
-    x, y = x * scale - 0.5, y * scale - 0.5
+def _texel(levels: Float32, begin: int, size: int, x: float, y: float) -> float:
+    """The pattern at a place [texels], between the four nearest of the level that begins there."""
     column, row = math.floor(x), math.floor(y)
     rest_x, rest_y = x - column, y - row
-    mask = size - 1
-    left, right = column & mask, (column + 1) & mask
-    upper = level_begins[level] + (row & mask) * size
-    lower = level_begins[level] + ((row + 1) & mask) * size
+    left, right = column & (size - 1), (column + 1) & (size - 1)
+    upper, lower = begin + (row & (size - 1)) * size, begin + ((row + 1) & (size - 1)) * size
     above = levels[upper + left] + rest_x * (levels[upper + right] - levels[upper + left])
     below = levels[lower + left] + rest_x * (levels[lower + right] - levels[lower + left])
     return float(above + rest_y * (below - above))
@@ -151,23 +146,23 @@ def side(
     base = (below + (top - 0.5 - lens[3]) / lens[1] * depth) * scales[surface, 1]
     size = rows
     if repeats:
-        size = min(
-            len(strip) - 2,
-            max(rows, int(base + step * (bottom - top + 1)) + 2),
-        )
+        size = min(len(strip) - 2, int(base + step * (bottom - top + 1)) + 2)
     _cut(sums, begins[texture], columns, rows, repeats, min(x_a, x_b), max(x_a, x_b), size, strip)
+    wide = max(step, 1.0)
+    base += 0.5 * (step - wide)
     for r in range(top, bottom + 1):
-        y = base + (r - top) * step
         if left[r] <= 0.0:
             continue
-        lower, upper = y, y + step
-        if step < 1.0:
-            lower = y + 0.5 * step - 0.5
-            upper = lower + 1.0
-        lower, upper = max(0.0, min(lower, size - 0.5)), max(0.5, min(upper, size * 1.0))
-        cover = min(r + 0.5, last) - max(r - 0.5, first)
-        part = max(0.0, cover) * left[r]
-        mean = (_sum_to(strip, upper) - _sum_to(strip, lower)) / (upper - lower)
+        lower = base + (r - top) * step
+        upper = lower + wide
+        if lower >= 0.0 and upper <= size:
+            mean = (_sum_to(strip, upper) - _sum_to(strip, lower)) / wide
+        else:
+            lower, upper = max(0.0, min(lower, size - 0.5)), max(0.5, min(upper, 1.0 * size))
+            mean = (_sum_to(strip, upper) - _sum_to(strip, lower)) / (upper - lower)
+        part = left[r]
+        if r in (top, bottom):
+            part *= max(0.0, min(r + 0.5, last) - max(r - 0.5, first))
         value[r] += part * grey * mean
         left[r] -= part
 
@@ -205,20 +200,21 @@ def plane(
             min(away * unit[begin], _FURTHEST_M),
             min(away * unit[end - 1], _FURTHEST_M),
         )
-        light = light_at(camera[0] + depth * ahead_x, camera[1] + depth * ahead_y, spread)
-        step = light_at(camera[0] + further * ahead_x, camera[1] + further * ahead_y, spread)
+        light = grey * light_at(camera[0] + depth * ahead_x, camera[1] + depth * ahead_y, spread)
+        step = grey * light_at(camera[0] + further * ahead_x, camera[1] + further * ahead_y, spread)
         step = (step - light) / max(1, end - 1 - begin)
+        level = int(min(max(coarse[(begin + end) // 2] + coarser + 0.5, 0.0), _COARSEST))
+        at, size = level_begins[level], PATTERN_TEXELS >> level
+        per_m = TEXELS_PER_M / (1 << level)
+        begin_x, begin_y = per_m * camera[0] - 0.5, per_m * camera[1] - 0.5
+        step_x, step_y = per_m * away * ahead_x, per_m * away * ahead_y
         for r in range(begin, end):
             if left[r] <= 0.0:
                 continue
-            depth = min(away * unit[r], _FURTHEST_M)
-            x = TEXELS_PER_M * (camera[0] + depth * ahead_x)
-            y = TEXELS_PER_M * (camera[1] + depth * ahead_y)
-            level = min(max(coarse[r] + coarser, 0.0), _COARSEST - 1e-3)
-            fine = int(level)
-            texel = _texel(levels, level_begins, fine, x, y)
-            texel += (level - fine) * (_texel(levels, level_begins, fine + 1, x, y) - texel)
-            texel = 1.0 + contrast * (texel - 1.0)
-            part = max(0.0, min(r + 0.5, last) - max(r - 0.5, first)) * left[r]
-            value[r] += part * grey * (light + step * (r - begin)) * texel
+            x, y = begin_x + unit[r] * step_x, begin_y + unit[r] * step_y
+            part = left[r]
+            if r in (top, bottom):
+                part *= max(0.0, min(r + 0.5, last) - max(r - 0.5, first))
+            texel = 1.0 + contrast * (_texel(levels, at, size, x, y) - 1.0)
+            value[r] += part * (light + step * (r - begin)) * texel
             left[r] -= part

@@ -1,4 +1,4 @@
-"""A simulated world as a surveyor would map it: its grid map and its visual map."""
+"""A simulated world as a surveyor would map it: its grid map, its visual map, its pictures."""
 
 from __future__ import annotations
 
@@ -11,10 +11,13 @@ import numpy as np
 from cairn.errors import CairnError
 from components.simulation.checks import problems_of
 from components.simulation.scene import Scene
+from components.simulation.textures import picture_of
 from components.simulation.walls import gaps_around
 from components.simulation.world_file import WorldFile, read_world
 from planar.grid import FREE, OCCUPIED, UNKNOWN, Frame, Grid, OccupancyCells
 from schemas.cairn_msgs import VisualMap, VisualObject
+from vision.taught import TaughtObject
+from vision.teaching import view_of
 
 RESOLUTION = 0.05
 # Unknown cells around the world [m].
@@ -90,6 +93,19 @@ def surveyed_objects(file: Path) -> VisualMap:
             )
             for thing in world.objects
         )
+    )
+
+
+def surveyed_pictures(file: Path) -> tuple[TaughtObject, ...]:
+    """The objects of a world file as they would be taught: each by the picture on it, with size."""
+    return tuple(
+        TaughtObject(
+            thing.id,
+            thing.called,
+            thing.size,
+            (view_of(picture_of(thing.texture or "", thing.id, thing.size)),),
+        )
+        for thing in _checked(file).objects
     )
 
 

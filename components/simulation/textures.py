@@ -8,14 +8,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cairn.errors import CairnError
+from vision.images import read_image
 
 Grey = NDArray[np.uint8]
 
 # The longer side of a picture on an object [px]: half a metre at half a metre shows no more.
 LONGEST_PX = 640
 _DRAWN_PX = 400
-_LARGEST_BYTES = 50_000_000
 # The pattern of surfaces: a square that repeats [texels], and how much its brightness varies [1].
 PATTERN_TEXELS = 256
 _PATTERN_SD = 0.04
@@ -32,26 +31,12 @@ def picture_of(texture: str | Path, object_id: int, size: tuple[float, float]) -
 
 def read_picture(file: Path) -> Grey:
     """A picture in grey, at most `LONGEST_PX` long; `CairnError` if the file is none."""
-    try:
-        if file.stat().st_size > _LARGEST_BYTES:
-            raise CairnError(f"{file} is too large for a texture; scale it to {LONGEST_PX} px")
-        data = np.frombuffer(file.read_bytes(), np.uint8)
-    except FileNotFoundError as error:
-        raise CairnError(f"{file}: no such texture; mend its path or put the picture there") from (
-            error
-        )
-    except OSError as error:
-        raise CairnError(f"{file} cannot be read as a texture: {error.strerror}") from error
-    try:
-        found = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE) if data.size else None
-    except cv2.error as error:
-        raise CairnError(f"{file} is no picture for a texture: {error.err}") from error
-    if found is None or min(found.shape) < 8:
-        raise CairnError(f"{file} is no picture, or too small for a texture; give a PNG or JPEG")
+    found = read_image(file)
     shrink = min(1.0, LONGEST_PX / max(found.shape))
-    if shrink < 1.0:
-        found = cv2.resize(found, None, fx=shrink, fy=shrink, interpolation=cv2.INTER_AREA)
-    return np.asarray(found, np.uint8)
+    if shrink == 1.0:
+        return found
+    smaller = [max(1, round(shrink * side)) for side in found.shape[::-1]]
+    return np.asarray(cv2.resize(found, smaller, interpolation=cv2.INTER_AREA), np.uint8)
 
 
 def drawn_picture(object_id: int, size: tuple[float, float]) -> Grey:
@@ -60,7 +45,7 @@ def drawn_picture(object_id: int, size: tuple[float, float]) -> Grey:
     width, height = (max(16, round(side * scale)) for side in size)
     random = np.random.default_rng(object_id)
     picture = np.full((height, width), int(random.integers(60, 200)), np.uint8)
-    for part in np.geomspace(0.5, 0.03, 90).tolist():
+    for part in np.geomspace(0.5, 0.03, 220).tolist():
         _draw_shape(picture, part * min(width, height), random)
     return np.asarray(cv2.GaussianBlur(picture, (0, 0), 0.7), np.uint8)
 
