@@ -12,7 +12,8 @@ from cairn.cli.seeds import seeds_of
 from cairn.cli.tables import line, print_json
 from cairn.errors import CairnError
 from components.experiments.ablation import Ask, run_ablation
-from components.experiments.methods import ABLATION, NO_UPDATE, OURS, Method
+from components.experiments.map_update import run_map_update
+from components.experiments.methods import ABLATION, NO_UPDATE, OURS, PAPER, Method
 from components.experiments.options import (
     DEPLOYMENT,
     OVERLAY,
@@ -57,6 +58,26 @@ def uncertainty(
     plan = _plan(deployment, overlay, driver, set_, None, (OURS, NO_UPDATE))
     numbers = seeds_of(seeds)
     _tell(*run_uncertainty(plan, numbers, out.absolute(), workers, quiet=json), out=out, json=json)
+
+
+@app.command()
+def map_update(
+    driver: DriverOption = Driver.pixels,
+    seeds: Seeds = "0..29",
+    out: Out = Path("map-update"),
+    deployment: DeploymentFile = DEPLOYMENT,
+    overlay: Overlay = OVERLAY,
+    set_: Set = None,
+    workers: Workers = 0,
+    json: Json = False,
+) -> None:
+    """Move an object while the robot drives, and show how it repairs its map (figure 10).
+
+    Ends with status 1 if a run failed.
+    """
+    plan = _plan(deployment, overlay, driver, set_, OURS, (PAPER,))
+    numbers = seeds_of(seeds)
+    _tell(*run_map_update(plan, numbers, out.absolute(), workers, quiet=json), out=out, json=json)
 
 
 @app.command()

@@ -15,12 +15,16 @@ from components.experiments.statistics import Mean, mean_of, ratio_of
 Array = NDArray[np.float64]
 
 QUANTITIES = {
-    "position_sd": "uncertainty of the position [m]",
-    "heading_sd": "uncertainty of the orientation [rad]",
-    "position_error": "error of the position [m]",
-    "heading_error": "error of the orientation [rad]",
+    "position_spread": "samples' position [m]",
+    "position_sd": "stated position [m]",
+    "position_error": "error of position [m]",
+    "heading_spread": "samples' heading [rad]",
+    "heading_sd": "stated heading [rad]",
+    "heading_error": "error of heading [rad]",
 }
-"""The attributes of a `Course`, and what they are."""
+"""The attributes of a `Course`, and what they are: uncertainty (standard deviation) and error."""
+
+POSITION, HEADING = tuple(QUANTITIES)[:3], tuple(QUANTITIES)[3:]
 
 BEFORE, AFTER, REPAIRED = "before", "after", "repaired"
 PHASES = {
@@ -76,7 +80,10 @@ class Figure(BaseModel):
         description="before: until the change; after: from it on; repaired: from the registration "
         "of the moved object on, the same time for all conditions."
     )
-    quantity: str = Field(description="Deviation stated, or true error (rms); in m and rad.")
+    quantity: str = Field(
+        description="spread: standard deviation of the samples; sd: that which the pose states; "
+        "error: of the pose, rms. Of the position [m] or of the heading [rad]."
+    )
     value: Mean
     against_unchanged: Mean = Field(
         description="Over that of the unchanged environment in the same phases of the same ways."

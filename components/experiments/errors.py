@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,8 @@ FOUND_M, FOUND_RAD = 0.5, 0.5
 class Course:
     """Means of what was told within each step of `STEP_S`, NaN where nothing was told.
 
-    `stamps` (n,) are the middles of the steps [s]; errors and deviations in m and rad (n,).
+    `stamps` (n,) are the middles of the steps [s]; all others (n,) in m or rad: errors, the
+    deviations that the pose states, and those of the samples.
     """
 
     stamps: Array
@@ -31,17 +32,13 @@ class Course:
     heading_error: Array
     position_sd: Array
     heading_sd: Array
+    position_spread: Array
+    heading_spread: Array
 
     def between(self, begin: float, end: float) -> Course:
         """That part of it which lies within [begin, end) s."""
         inside = (self.stamps >= begin) & (self.stamps < end)
-        return Course(
-            self.stamps[inside],
-            self.position_error[inside],
-            self.heading_error[inside],
-            self.position_sd[inside],
-            self.heading_sd[inside],
-        )
+        return Course(*(getattr(self, field.name)[inside] for field in fields(self)))
 
     @property
     def lost_share(self) -> float:
@@ -55,23 +52,16 @@ def course_of(pair: PairSeries, world: WorldSeries, end_s: float) -> Course:
     """The course of a pair's errors and deviations from 0 to `end_s`."""
     count = max(1, round(end_s / STEP_S))
     off = np.abs(_offsets(pair, world))
-    position: Array = np.hypot(off[:, 0], off[:, 1])
     xx, _, yy, turn = np.maximum(pair.variances, 0.0).T
-    step = np.floor(pair.stamps / STEP_S).astype(np.int64)
-    inside = (step >= 0) & (step < count)
-    told = np.bincount(step[inside], minlength=count)
-
-    def mean(values: Array, power: int = 1) -> Array:
-        total = np.bincount(step[inside], weights=values[inside] ** power, minlength=count)
-        with np.errstate(invalid="ignore"):
-            return np.asarray((total / told) ** (1.0 / power), np.float64)
-
+    told, clouds = pair.stamps, pair.clouds
     return Course(
         np.asarray((np.arange(count) + 0.5) * STEP_S, np.float64),
-        mean(position, 2),
-        mean(off[:, 2], 2),
-        mean(np.sqrt(xx + yy)),
-        mean(np.sqrt(turn)),
+        np.sqrt(_by_step(told, off[:, 0] ** 2 + off[:, 1] ** 2, count)),
+        np.sqrt(_by_step(told, off[:, 2] ** 2, count)),
+        _by_step(told, np.sqrt(xx + yy), count),
+        _by_step(told, np.sqrt(turn), count),
+        _by_step(clouds[:, 0], np.sqrt(clouds[:, 1] + clouds[:, 2]), count),
+        _by_step(clouds[:, 0], np.sqrt(clouds[:, 3]), count),
     )
 
 
@@ -81,6 +71,15 @@ def found_after(pair: PairSeries, world: WorldSeries, carried_s: float) -> float
     near = (np.hypot(off[:, 0], off[:, 1]) <= FOUND_M) & (off[:, 2] <= FOUND_RAD)
     found = pair.stamps[near & (pair.stamps > carried_s)]
     return float(found[0] - carried_s) if found.size else None
+
+
+def _by_step(stamps: Array, values: Array, count: int) -> Array:
+    """Means (count,) of the values (n,) whose stamps (n,) lie in each step; NaN without any."""
+    step = np.floor(stamps / STEP_S).astype(np.int64)
+    inside = (step >= 0) & (step < count)
+    told = np.bincount(step[inside], minlength=count)
+    total = np.bincount(step[inside], weights=values[inside], minlength=count)
+    return np.asarray(np.where(told > 0, total / np.maximum(told, 1), np.nan), np.float64)
 
 
 def _offsets(pair: PairSeries, world: WorldSeries) -> Array:

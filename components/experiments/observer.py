@@ -7,6 +7,7 @@ import math
 from pathlib import Path
 from typing import IO
 
+import numpy as np
 from pydantic import Field
 
 from cairn.bus.qos import LATCHED, RELIABLE
@@ -16,7 +17,8 @@ from cairn.component.handlers import on
 from cairn.component.parameters import Config, ParameterRefused
 from cairn.component.ports import In
 from cairn.errors import CairnError
-from planar.messages import planar_covariance, planar_pose
+from planar.messages import planar_covariance, planar_pose, planar_poses
+from planar.poses import wrap_all
 from schemas.builtin_interfaces import Time
 from schemas.cairn_msgs import (
     ObjectEvidenceArray,
@@ -25,7 +27,7 @@ from schemas.cairn_msgs import (
     VisualMapChange,
 )
 from schemas.cairn_nav_msgs import Collision
-from schemas.geometry_msgs import PoseStamped, PoseWithCovarianceStamped
+from schemas.geometry_msgs import PoseArray, PoseStamped, PoseWithCovarianceStamped
 
 _MANY = RELIABLE.with_depth(500)
 
@@ -120,6 +122,7 @@ class PairObserver(Observer):
     visual_map: In[VisualMap] = In(qos=LATCHED.with_depth(100))
     visual_map_changes: In[VisualMapChange] = In(qos=_MANY)
     object_evidence: In[ObjectEvidenceArray] = In(qos=_MANY)
+    particles: In[PoseArray] = In(optional=True)
     relocalised: In[PoseWithCovarianceStamped] = In(optional=True)
 
     def on_configure(self) -> None:
@@ -134,6 +137,14 @@ class PairObserver(Observer):
         xx, xy, yy = covariance[0, 0], covariance[0, 1], covariance[1, 1]
         variances = [float(f"{value:.6g}") for value in (xx, xy, yy, covariance[2, 2])]
         self._write("pose", told.header.stamp, *_rounded(*pose), *variances)
+
+    @on("particles")
+    def look(self, cloud: PoseArray) -> None:
+        """Write how far the samples are spread: variances of x, y [m^2] and heading [rad^2]."""
+        x, y, theta = planar_poses(cloud.poses).T
+        middle = math.atan2(np.sin(theta).mean(), np.cos(theta).mean())
+        variances = (x.var(), y.var(), np.mean(wrap_all(theta - middle) ** 2))
+        self._write("cloud", cloud.header.stamp, *(float(f"{value:.6g}") for value in variances))
 
     @on("visual_map")
     def read(self, visual_map: VisualMap) -> None:

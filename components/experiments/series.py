@@ -113,11 +113,15 @@ class Evidence:
 
 @dataclass(frozen=True)
 class PairSeries:
-    """What one pair told: poses (n, 3) at stamps (n,) with variances xx, xy, yy, theta (n, 4)."""
+    """What one pair told: poses (n, 3) at stamps (n,) with variances xx, xy, yy, theta (n, 4).
+
+    `clouds` (m, 4) are stamps and variances of its samples: x, y, theta.
+    """
 
     stamps: Array
     poses: Array
     variances: Array
+    clouds: Array
     mapped: tuple[Mapped, ...]
     changes: tuple[Change, ...]
     evidence: tuple[Evidence, ...]
@@ -149,12 +153,15 @@ def read_world(file: Path) -> WorldSeries:
 def read_pair(file: Path) -> PairSeries:
     """What a pair told in a run; `CairnError` if the file cannot be read."""
     poses: list[list[float]] = []
+    clouds: list[list[float]] = []
     mapped: list[Mapped] = []
     changes: list[Change] = []
     evidence: list[Evidence] = []
     for what, stamp, values in _lines(file):
         if what == "pose":
             poses.append([stamp, *values])
+        elif what == "cloud":
+            clouds.append([stamp, *values])
         elif what == "object":
             key, x, y, state, reliability = values
             mapped.append(Mapped(stamp, key, (x, y), state == 0, reliability))
@@ -179,7 +186,13 @@ def read_pair(file: Path) -> PairSeries:
     # A pose of an earlier scan may be told after one of odometry.
     rows = np.array(sorted(poses), np.float64).reshape(-1, 8)
     return PairSeries(
-        rows[:, 0], rows[:, 1:4], rows[:, 4:], tuple(mapped), tuple(changes), tuple(evidence)
+        rows[:, 0],
+        rows[:, 1:4],
+        rows[:, 4:],
+        np.array(sorted(clouds), np.float64).reshape(-1, 4),
+        tuple(mapped),
+        tuple(changes),
+        tuple(evidence),
     )
 
 

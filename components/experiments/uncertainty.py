@@ -13,8 +13,10 @@ from components.experiments import text
 from components.experiments.conditions import (
     AFTER,
     CONDITIONS,
+    HEADING,
     NOT_UPDATED,
     PHASES,
+    POSITION,
     QUANTITIES,
     REPAIRED,
     UNCHANGED,
@@ -67,8 +69,8 @@ def run_uncertainty(
     pictures = {}
     if ways:
         pictures = {
-            "fig9_position.png": partial(draw_courses, ways, ("position_sd", "position_error")),
-            "fig9_orientation.png": partial(draw_courses, ways, ("heading_sd", "heading_error")),
+            "fig9_position.png": partial(draw_courses, ways, POSITION),
+            "fig9_orientation.png": partial(draw_courses, ways, HEADING),
         }
     models = (Figure, Mean, RunResult, PairResult, MoveResult)
     write_report(out, lines, body, models, pictures)
@@ -119,7 +121,7 @@ def _lines(
     yield ""
     for phase in (AFTER, REPAIRED):
         yield from text.table(
-            (f"against unchanged, {phase}", *QUANTITIES),
+            (f"against unchanged, {phase}", *QUANTITIES.values()),
             [
                 (
                     condition.title,
