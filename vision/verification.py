@@ -24,8 +24,9 @@ _TURN = math.radians(30.0)
 _OCTAVES = 0.8
 _FINEST = 2.0  # px, scale of the finest features that SIFT finds
 _LEAST_SHARE = 0.05  # of the features that are to be seen: the rest may be covered
-_LEAST_DENSITY = 0.2  # the same where the matched ones lie, so where nothing covers it
+_LEAST_DENSITY = 0.12  # the same where the matched ones lie, so where nothing covers it
 _LEAST_SPREAD = 0.03  # of the view's area, for what the matched ones enclose
+_BLURRED = 0.2
 _SMALLEST = 12.0  # px, of a side in the image
 _PERSPECTIVE = 6.0  # the far corner at most so many times as far as the near one
 
@@ -179,12 +180,17 @@ def _proven(scene: Scene, view: View, homography: Homography) -> Placed | None:
     rows, mates = rows[np.sort(distinct)], mates[np.sort(distinct)]
     if len(rows) < LEAST:
         return None
-    seen = view.features.points[_seen(homography, view, scene)[3]]
+    _, stretch, _, inside = _seen(homography, view, scene)
+    scales = view.features.scales * stretch
+    # A blurred image shows nothing finer than this: that it is missing tells nothing.
+    coarse = scales >= np.quantile(scales[rows], _BLURRED)
+    seen = view.features.points[inside & coarse]
     hull = cv2.convexHull(view.features.points[rows])
     within = sum(cv2.pointPolygonTest(hull, (float(x), float(y)), False) >= 0.0 for x, y in seen)
-    share = len(rows) / len(seen)
+    matched = int(coarse[rows].sum())
+    share = matched / len(seen)
     spread = cv2.contourArea(hull) / (view.width * view.height)
-    if share < _LEAST_SHARE or spread < _LEAST_SPREAD or len(rows) < _LEAST_DENSITY * within:
+    if share < _LEAST_SHARE or spread < _LEAST_SPREAD or matched < _LEAST_DENSITY * within:
         return None
     corners = cv2.perspectiveTransform(view.corners[None], homography)[0].astype(np.float64)
     return Placed(homography, corners, rows, mates, share)
