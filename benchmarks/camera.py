@@ -1,0 +1,66 @@
+"""How long a pair of images of the simulated stereo camera takes, of one core."""
+
+from __future__ import annotations
+
+import math
+import time
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.result import Figure
+from components.simulation.camera_config import LightConfig, SensorConfig
+from components.simulation.exposure import Film
+from components.simulation.lens import Distortion, Lens
+from components.simulation.messages import scene_message
+from components.simulation.people import Walker, circles_of
+from components.simulation.photography import photograph
+from components.simulation.scene import Scene
+from components.simulation.surfaces import surfaces_of
+from components.simulation.view import Station
+from components.simulation.world_file import read_world
+from schemas.std_msgs import Header
+
+_WORLDS = Path(__file__).parents[1] / "deploy" / "worlds"
+_BASELINE_M, _HEIGHT_M = 0.09, 1.0
+_POSES = 24
+
+
+def pair_ms(world: str, distortion: tuple[float, ...] = ()) -> float:
+    """Median processor time [ms] of a pair of 640 x 480 images, from places all over a world."""
+    found = read_world(_WORLDS / f"{world}.yaml")
+    scene = Scene.of(found)
+    surfaces, atlas = surfaces_of(scene_message(Header(), scene))
+    surfaces = surfaces.with_people(circles_of([Walker.of(one) for one in found.people]))
+    lens = Distortion(Lens.of(640, 480, math.radians(60)), distortion)
+    random = np.random.default_rng(0)
+    film = Film(640, 480, random)
+    ends = scene.standing.segments.reshape(-1, 2)
+    times: list[float] = []
+    while len(times) < _POSES:
+        x, y = random.uniform(ends.min(axis=0), ends.max(axis=0)).tolist()
+        if scene.outside(x, y, 0.3):
+            continue
+        left = Station((x, y, float(random.uniform(-math.pi, math.pi))), _HEIGHT_M)
+        began = time.thread_time()
+        for station in (left, left.beside(_BASELINE_M)):
+            photograph(surfaces, atlas, station, lens, film, LightConfig(), SensorConfig())
+        times.append(time.thread_time() - began)
+    return 1e3 * float(np.median(times))
+
+
+def measure() -> list[Figure]:
+    """All figures."""
+    figures = []
+    for world in ("room", "office", "hall"):
+        ms = pair_ms(world)
+        figures.append(
+            Figure(f"pair of 640 x 480 images, {world}.yaml", ms, "ms", at_most=12.0,
+                   note=f"{1e3 / ms:.0f} pairs a second")
+        )  # fmt: skip
+    ms = pair_ms("room", (-0.28, 0.08))
+    figures.append(
+        Figure("the same of room.yaml, through lenses with distortion", ms, "ms",
+               note=f"{1e3 / ms:.0f} pairs a second")
+    )  # fmt: skip
+    return figures

@@ -1,0 +1,307 @@
+"""The simulated stereo camera on the bus: what it sends, when, and what goes wrong when asked."""
+
+import hashlib
+import math
+from collections.abc import Callable
+from functools import partial
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from cairn.bus.codec import Codec
+from cairn.bus.qos import LATCHED
+from cairn.clock import SECOND, to_ns
+from cairn.component.parameters import ParameterRefused
+from cairn.errors import CairnError
+from components.simulation.camera import SimulatedStereoCamera
+from components.simulation.lens import Lens
+from components.simulation.textures import drawn_picture
+from components.simulation.view import Station, panel_corners
+from planar.messages import planar_pose
+from planar.poses import Pose, compose
+from schemas.geometry_msgs import TransformStamped
+from schemas.sensor_msgs import CameraInfo, Image
+from schemas.tf2_msgs import TFMessage
+from tests.cairn.component.running import Placed, taken
+from tests.components.simulation.seeing import cut_out
+from tests.components.simulation.stage import Simulation
+from vision.rectification import Rectifier
+from vision.stereo import StereoRig
+
+Begin = Callable[..., Simulation]
+
+POSTER = {"id": 7, "x": 6.0, "y": 2.0, "theta": math.pi, "width": 0.5, "height": 0.4}
+SHARP: dict[str, Any] = {
+    "light": {"drift": 0, "spread": 0},
+    "sensor": {"vignetting": 0, "defocus": 0, "read_noise": 0, "shot_noise": 0},
+}
+PORTS = {
+    "left_image": Image,
+    "right_image": Image,
+    "left_info": CameraInfo,
+    "right_info": CameraInfo,
+}
+
+
+class Watched:
+    """A simulation with a stereo camera, and what that sends."""
+
+    def __init__(self, begin: Begin, parameters: dict[str, Any], **world: Any) -> None:
+        self.simulation = begin(**{"objects": [POSTER], **world})
+        lockstep = self.simulation.lockstep
+        self._readers = {name: lockstep.read(name, kind) for name, kind in PORTS.items()}
+        self._places = lockstep.read("tf_static", TFMessage, qos=LATCHED)
+        self.camera: Placed[SimulatedStereoCamera]
+        self.camera = self.simulation.rerun(SimulatedStereoCamera, **parameters)
+
+    def stand(self, seconds: float = 1.0) -> None:
+        self.simulation.drive(seconds, 0.0, 0.0)
+
+    def taken(self, port: str) -> list[Any]:
+        return taken(self._readers[port])
+
+    def images(self, port: str = "left_image") -> list[NDArray[np.uint8]]:
+        return [message.data.reshape(message.height, -1) for message in self.taken(port)]
+
+    def places(self) -> list[TransformStamped]:
+        return [one for message in taken(self._places) for one in message.transforms]
+
+
+@pytest.fixture
+def watched(begin: Begin) -> Callable[..., Watched]:
+    def made(world: dict[str, Any] | None = None, **parameters: Any) -> Watched:
+        return Watched(begin, parameters, **(world or {}))
+
+    return made
+
+
+Make = Callable[..., Watched]
+
+
+def test_both_images_and_what_is_told_of_their_cameras_have_one_stamp(watched: Make) -> None:
+    it = watched(rate=10.0)
+    it.stand(1.05)
+    sent = {port: it.taken(port) for port in PORTS}
+
+    stamps = {
+        port: [to_ns(message.header.stamp) for message in messages]
+        for port, messages in sent.items()
+    }
+    assert stamps["left_image"] == stamps["right_image"] == stamps["left_info"]
+    assert stamps["left_info"] == stamps["right_info"]
+    assert len(stamps["left_image"]) >= 9
+    assert set(np.diff(stamps["left_image"])) == {SECOND // 10}
+    for side in ("left", "right"):
+        image, info = sent[f"{side}_image"][0], sent[f"{side}_info"][0]
+        assert (image.encoding, image.width, image.height, image.step) == ("mono8", 640, 480, 640)
+        assert image.header.frame_id == info.header.frame_id == f"{side}_camera_optical_frame"
+    rig = StereoRig.of(sent["left_info"][0], sent["right_info"][0])
+    assert rig.baseline == pytest.approx(0.09)
+    assert rig.fx == pytest.approx(320 / math.tan(math.radians(30)))
+    assert (rig.cx, rig.cy) == (319.5, 239.5)
+
+
+def test_an_image_shows_the_world_from_where_the_camera_was_at_its_stamp(watched: Make) -> None:
+    mount = {"x": 0.1, "y": 0.05, "theta": 0.1}
+    it = watched(mount=mount, z=1.2, **SHARP)
+    it.simulation.drive(2.0, 0.5, 0.2)
+    it.simulation.drive(2.0, 0.2, -0.4)
+    states = it.simulation.taken("world_state")
+    stamps = [to_ns(state.header.stamp) for state in states]
+    track = np.array([planar_pose(state.robot) for state in states])
+    lens = Lens.of(640, 480, math.radians(60))
+    picture = drawn_picture(7, (0.5, 0.4))
+
+    def shown(image: Image, late_s: float) -> float:
+        at = to_ns(image.header.stamp) + late_s * SECOND
+        x, y, theta = (float(np.interp(at, stamps, column)) for column in track.T)
+        pose: Pose = compose((x, y, theta), (mount["x"], mount["y"], mount["theta"]))
+        corners = panel_corners((6.0, 2.0, math.pi), (0.5, 0.4), 1.0, Station(pose, 1.2), lens)
+        if np.any(corners < 0) or np.any(corners > (639, 479)):
+            return math.nan
+        flat = cut_out(image.data.reshape(480, 640), corners, 100, 80)
+        small = picture.reshape(80, 4, 100, 4).mean(axis=(1, 3))
+        return float(np.corrcoef(flat.ravel(), small.ravel())[0, 1])
+
+    images = it.taken("left_image")
+    right = [shown(image, 0.0) for image in images]
+    late = [shown(image, 0.03) for image in images]
+    assert np.isfinite(right).sum() > 10
+    assert np.nanmin(right) > 0.9
+    assert np.nanmean(right) > np.nanmean(late) + 0.01
+
+
+def test_the_frames_of_the_cameras_are_optical_ones_on_the_robot(watched: Make) -> None:
+    it = watched(mount={"x": 0.2, "y": 0.05, "theta": math.pi / 2}, z=1.3)
+    places = {one.child_frame_id: one for one in it.places()}
+    left = places["left_camera_optical_frame"].transform
+    right = places["right_camera_optical_frame"].transform
+
+    assert (left.translation.x, left.translation.y, left.translation.z) == (0.2, 0.05, 1.3)
+    # It looks to the left of the robot: right of it is ahead.
+    assert right.translation.x == pytest.approx(0.29)
+    assert right.translation.y == pytest.approx(0.05)
+    q = left.rotation
+    w, axis = q.w, np.array((q.x, q.y, q.z))
+    for own, base in (((1, 0, 0), (1, 0, 0)), ((0, 1, 0), (0, 0, -1)), ((0, 0, 1), (0, 1, 0))):
+        vector = np.array(own, float)
+        turned = vector + 2 * np.cross(axis, np.cross(axis, vector) + w * vector)
+        assert turned == pytest.approx(np.array(base), abs=1e-9)
+
+
+def test_light_and_sensor_change_while_it_runs(watched: Make) -> None:
+    it = watched()
+    it.stand()
+    usual = it.images()[-1]
+    it.camera.ask("set_parameters", **{"light.level": 0.0})
+    it.stand()
+    dark = it.images()[-1]
+    it.camera.ask("set_parameters", **{"light.level": 1.0, "sensor.gain": 20.0})
+    it.stand()
+    bright = it.images()[-1]
+
+    assert 60 < usual.mean() < 200
+    assert dark.mean() < 2.0
+    assert dark.max() < 15
+    assert (bright == 255).mean() > 0.9
+
+
+def test_the_light_drifts_as_time_passes(watched: Make) -> None:
+    still = watched(light={"drift": 0})
+    still.stand(8.0)
+    it = watched(light={"drift": 0.3, "drift_s": 1.0})
+    it.stand(8.0)
+
+    assert np.ptp([image.mean() for image in still.images()]) < 0.5
+    assert np.ptp([image.mean() for image in it.images()]) > 30
+
+
+@pytest.mark.parametrize("name", ["width", "baseline", "rate", "z", "mount.x", "distortion"])
+def test_the_camera_itself_stays_the_one_that_it_is(watched: Make, name: str) -> None:
+    it = watched()
+    value = [0.1] if name == "distortion" else 64 if name == "width" else 0.5
+
+    with pytest.raises(ParameterRefused, match=f"takes {name.split('.')[0]} when it is configured"):
+        it.camera.ask("set_parameters", **{name: value})
+
+
+@pytest.mark.parametrize(
+    ("fault", "ports"),
+    [
+        ("none", {"left_image", "left_info", "right_image", "right_info"}),
+        ("left_missing", {"right_image", "right_info"}),
+        ("right_missing", {"left_image", "left_info"}),
+    ],
+)
+def test_a_camera_that_is_missing_sends_nothing(watched: Make, fault: str, ports: set[str]) -> None:
+    it = watched()
+    it.camera.ask("set_parameters", fault=fault)
+    it.stand()
+
+    assert {port for port in PORTS if it.taken(port)} == ports
+
+
+def test_a_frozen_camera_repeats_its_image_with_new_stamps(watched: Make) -> None:
+    it = watched(rate=10.0)
+    it.stand()
+    last = {port: it.images(port)[-1] for port in ("left_image", "right_image")}
+    it.camera.ask("set_parameters", fault="right_frozen")
+    it.stand()
+    left, right = it.images("left_image"), it.images("right_image")
+    assert all(np.array_equal(image, last["right_image"]) for image in right)
+    assert not any(np.array_equal(one, other) for one, other in pairwise(left))
+    it.camera.ask("set_parameters", fault="frozen")
+    it.stand()
+    stamps = [to_ns(message.header.stamp) for message in it.taken("left_info")]
+
+    assert all(np.array_equal(image, left[-1]) for image in it.images("left_image"))
+    assert all(np.array_equal(image, last["right_image"]) for image in it.images("right_image"))
+    assert len(set(stamps)) == len(stamps) >= 19
+
+
+def test_swapped_cameras_send_each_others_images(watched: Make) -> None:
+    it = watched(**SHARP)
+    it.stand()
+    left, right = it.images("left_image")[-1], it.images("right_image")[-1]
+    it.camera.ask("set_parameters", fault="swapped")
+    it.stand()
+
+    assert not np.array_equal(left, right)
+    assert np.array_equal(it.images("left_image")[-1], right)
+    assert np.array_equal(it.images("right_image")[-1], left)
+
+
+@pytest.mark.parametrize("distortion", [[-0.28, 0.08], [0.1, -0.05, 0.002, -0.001, 0.01]])
+def test_a_distorted_image_is_rectified_to_what_an_ideal_lens_shows(
+    watched: Make, distortion: list[float]
+) -> None:
+    bent = watched(distortion=distortion, **SHARP)
+    bent.stand()
+    ideal = watched(**SHARP)
+    ideal.stand()
+    raw, true = bent.images()[-1], ideal.images()[-1]
+    info = bent.taken("left_info")[-1]
+    straight = Rectifier(info).apply(raw)
+
+    assert info.distortion_model == "plumb_bob"
+    assert info.d.tolist()[: len(distortion)] == distortion
+    seen = straight > 0
+    assert seen.mean() > 0.8
+    off, bent_off = (np.abs(one.astype(float) - true)[seen] for one in (straight, raw))
+    assert np.percentile(off, 95) < 4
+    assert off.mean() < 0.4 * bent_off.mean()
+
+
+@pytest.mark.parametrize(
+    ("parameters", "told"),
+    [
+        ({"distortion": [-5.0]}, r"simulatedstereocamera: distortion = \[-5.0\] folds the image"),
+        ({"distortion": [0.1] * 6}, "distortion"),
+        ({"fault": "broken"}, "fault"),
+        ({"light": {"colour": 1}}, "colour"),
+    ],
+)
+def test_a_camera_that_cannot_be_is_told_of(
+    watched: Make, parameters: dict[str, Any], told: str
+) -> None:
+    with pytest.raises(CairnError, match=told):
+        watched(**parameters)
+
+
+def test_a_camera_above_the_ceiling_ends_with_the_reason(watched: Make) -> None:
+    it = watched(z=2.5)
+    it.stand()
+
+    (end,) = it.camera.ends
+    assert "the camera is 2.5 m high, which is not below the ceiling" in str(end)
+
+
+def test_the_same_seed_gives_the_same_bytes(tmp_path: Path) -> None:
+    def digest() -> str:
+        people = [{"name": "ada", "waypoints": [[4.5, 0.5], [4.5, 3.5]]}]
+        it = Watched(partial(Simulation, tmp_path), {"rate": 10.0}, people=people)
+        it.simulation.drive(1.0, 0.3, 0.5)
+        sums, codec = hashlib.sha256(), Codec()
+        for port in PORTS:
+            messages = it.taken(port)
+            assert len(messages) >= 8
+            for message in messages:
+                sums.update(codec.encode(message))
+        return sums.hexdigest()
+
+    assert digest() == digest()
+
+
+def test_noise_is_another_in_each_image(watched: Make) -> None:
+    it = watched()
+    it.stand()
+    (one, other), right = it.images("left_image")[-2:], it.images("right_image")[-1]
+
+    still = np.s_[0:100, 0:640]
+    off = (one.astype(float) - other)[still]
+    assert 1.5 < off.std() < 5
+    assert abs(np.corrcoef(off.ravel(), (right.astype(float) - one)[still].ravel())[0, 1]) < 0.8
