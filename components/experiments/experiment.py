@@ -49,9 +49,22 @@ def observed(
             note(f"{done} of {len(jobs)}: {job.called(out)} {what}")
 
     failures = run_all(jobs, workers, tell)
-    ended = list(zip(jobs, failures, strict=True))
-    runs = [_read(job, changed_at) for job, failure in ended if not failure]
-    return runs, {job.called(out): failure for job, failure in ended if failure}
+    runs: list[Observed] = []
+    failed: dict[str, str] = {}
+    for job, failure in zip(jobs, failures, strict=True):
+        if failure:
+            failed[job.called(out)] = failure
+            continue
+        run = _read(job, changed_at)
+        if run.result.sightings:
+            runs.append(run)
+        else:
+            failed[job.called(out)] = (
+                "no object was recognised in all of the run; if it is from pixels, see that the "
+                "visual map holds the objects' pictures (cairn object list): `cairn map import "
+                "world` makes one that does, for --set visual_map=FILE"
+            )
+    return runs, failed
 
 
 def _read(job: Job, changed_at: float) -> Observed:

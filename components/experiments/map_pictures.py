@@ -41,7 +41,7 @@ def draw_sequence(
     colours = ScalarMappable(Normalize(0.0, 1.0), _COLOURS)
     figure.colorbar(colours, ax=panels, label="reliability of an object", shrink=0.6)
     figure.supxlabel(
-        "squares: objects where the map has them; crosses: removed; rings: where objects truly are; "
+        "squares: objects where the map has them; crosses: removed; rings: where they truly are; "
         "dots: new samples; orange: the robot. Metres.",
         fontsize="small",
     )

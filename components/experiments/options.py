@@ -30,8 +30,8 @@ DeploymentFile = Annotated[
 Overlay = Annotated[
     Path,
     typer.Option(
-        help="What is laid over it: tour, scanner, and what is moved. With --driver pixels that "
-        "with _pixels added to its name is laid over it, too."
+        help="What is laid over it: tour, scanner, and what is moved. With --driver pixels the "
+        "pixels.yaml beside it is laid over it, too."
     ),
 ]
 DEPLOYMENT, OVERLAY = Path("deploy/sim.yaml"), Path("deploy/experiment.yaml")
@@ -57,7 +57,7 @@ def overlays(overlay: Path, driver: Driver) -> tuple[Path, ...]:
     """The files that are laid over the deployment."""
     if driver is Driver.geometric:
         return (overlay,)
-    return (overlay, overlay.with_name(f"{overlay.stem}_{driver}{overlay.suffix}"))
+    return (overlay, overlay.with_name(f"{driver}.yaml"))
 
 
 def refuse_unreadable(deployment: Path, over: tuple[Path, ...]) -> None:
