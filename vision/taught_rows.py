@@ -36,14 +36,15 @@ def view_row(object_id: int, view: View) -> Row:
     )
 
 
-def view_from_row(row: Row) -> View:
+def view_from_row(row: Row, with_picture: bool) -> View:
     """The view of a row as `view_row` made it; raises `ValueError` if it is none."""
     width, height = (_side(value) for value in row[1:3])
     features = _features(*row[3:7])
     beyond = (features.points < -0.5) | (features.points > (width - 0.5, height - 0.5))
     if beyond.any():
         raise ValueError("a feature lies outside of its picture")
-    return View(width, height, features, _picture(row[7], width, height))
+    picture = _picture(row[7], width, height) if with_picture else np.zeros((0, 0), np.uint8)
+    return View(width, height, features, picture)
 
 
 def size_from_row(width: Any, height: Any) -> tuple[float, float] | None:

@@ -31,15 +31,18 @@ class Taught:
         return next((known for known in self.objects if known.name == name), None)
 
 
-def read_taught(path: Path) -> Taught:
+def read_taught(path: Path, *, pictures: bool = True) -> Taught:
     """All objects that were taught to a map, by number.
+
+    Without `pictures` those of the views are left out (0 x 0), which are large and which nothing
+    is recognised by.
 
     Raises `MapFileError`, which names the file, what is wrong with it and the remedy.
     """
     for _ in range(_READINGS):
         before = _state(path)
         with closing(connect(path, read_only=True)) as connection, told(path):
-            taught = _taught(path, connection)
+            taught = _taught(path, connection, pictures)
         if before == _state(path):
             return taught
     raise MapFileError(f"{path} is written again and again while it is read. Try again later.")
@@ -62,7 +65,7 @@ def teach(path: Path, name: str, views: Sequence[View], size: Size | None = None
     `MapFileError` if the file cannot be written, `CairnError` if name or size cannot be, or if
     several objects of the map have the name.
     """
-    _check_name(name)
+    check_name(name)
     if size is not None:
         try:
             size_from_row(*size)
@@ -115,21 +118,22 @@ def _changing(path: Path) -> Iterator[sqlite3.Connection]:
         connection.execute("UPDATE taught_changes SET number = number + 1")
 
 
-def _taught(path: Path, connection: sqlite3.Connection) -> Taught:
+def _taught(path: Path, connection: sqlite3.Connection, pictures: bool) -> Taught:
     connection.execute("BEGIN")  # all of it as it was at one time
     objects = []
+    picture = "picture" if pictures else "NULL"
     for object_id, name, width, height in connection.execute(
         "SELECT object_id, name, width_m, height_m FROM taught_objects ORDER BY object_id"
     ).fetchall():
         rows = connection.execute(
-            "SELECT object_id, width, height, points, scales, angles, descriptors, picture "
+            f"SELECT object_id, width, height, points, scales, angles, descriptors, {picture} "
             "FROM taught_views WHERE object_id = ? ORDER BY view_id",
             (object_id,),
         )
         try:
             if not 0 <= object_id <= MOST_ID:
                 raise ValueError(f"its number is not from 0 to {MOST_ID}")
-            views = tuple(view_from_row(row) for row in rows)
+            views = tuple(view_from_row(row, pictures) for row in rows)
             if not views:
                 raise ValueError("it has no view")
             objects.append(TaughtObject(object_id, name, size_from_row(width, height), views))
@@ -180,7 +184,8 @@ def _check_free(path: Path, name: str, object_id: int, connection: sqlite3.Conne
         )
 
 
-def _check_name(name: str) -> None:
+def check_name(name: str) -> None:
+    """Raise `CairnError` if no object can have this name."""
     if not name.strip() or name != name.strip() or not name.isprintable():
         raise CairnError(
             f"{name!r} cannot be an object's name: give one of visible characters, without spaces "

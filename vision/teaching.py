@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cairn.errors import CairnError
-from vision.features import extract
+from vision.features import extract, varied
 from vision.images import LEAST_SIDE
 from vision.recognition import Recognizer
 from vision.taught import TaughtObject, View
@@ -20,6 +20,9 @@ Box = tuple[int, int, int, int]
 
 LONGEST: Final = 800
 """Sides of views [px]: what is finer in a photograph no camera sees from where robots look."""
+
+MOST: Final = 200
+"""Features of a view: more tell next to nothing more, and each is compared with every image's."""
 
 # What it is tried on: smaller, darker, and turned in front of a grey wall.
 _SMALLER, _DARKER, _TURNED_DEG = 0.6, 0.8, 12.0
@@ -43,14 +46,18 @@ def cut(grey: Grey, box: Box) -> Grey:
 
 
 def view_of(grey: Grey) -> View:
-    """The view that a photograph (h, w) of the object alone is, at most `LONGEST` pixels a side."""
+    """The view that a photograph (h, w) of the object alone is.
+
+    At most `LONGEST` pixels a side, with at most `MOST` features.
+    """
     height, width = grey.shape
     factor = LONGEST / max(width, height)
     if factor < 1.0:
         smaller = (max(1, round(width * factor)), max(1, round(height * factor)))
         grey = cv2.resize(grey, smaller, interpolation=cv2.INTER_AREA).astype(np.uint8, copy=False)
     picture = np.ascontiguousarray(grey)
-    return View(picture.shape[1], picture.shape[0], extract(picture), picture)
+    features = varied(extract(picture), MOST)
+    return View(picture.shape[1], picture.shape[0], features, picture)
 
 
 def unfit(view: View) -> str:
@@ -74,7 +81,8 @@ def look_alikes(view: View, known: Sequence[TaughtObject]) -> list[TaughtObject]
     """Those of the known objects that are recognised in this view."""
     if not known:
         return []
-    found = Recognizer(known).recognize(view.features, view.width, view.height)
+    features = extract(view.picture)
+    found = Recognizer(known).recognize(features, view.width, view.height)
     numbers = {one.object_id for one in found}
     numbers.update(other for one in found for other in one.alternatives)
     return [taught for taught in known if taught.object_id in numbers]

@@ -16,13 +16,13 @@ from components.object_recognizer.given import (
     check_shape,
     parsed_box,
     parsed_size,
-    taught_to,
 )
 from components.object_recognizer.pictures import draw_views
 from components.object_recognizer.running import map_of_recognizer, newest_image
 from vision.images import Grey, read_image
+from vision.map_file import create
 from vision.taught import TaughtObject, View
-from vision.taught_store import Taught, read_taught, remove_taught, teach
+from vision.taught_store import Taught, check_name, read_taught, remove_taught, teach
 from vision.teaching import cut, look_alikes, unfit, view_of
 
 app = typer.Typer(help="Objects that robots recognise: teach and show them.", no_args_is_help=True)
@@ -81,6 +81,7 @@ def teach_object(
         raise CairnError("give images or --camera, not both")
     if not (camera or images or size):
         raise CairnError("give images of the object, or --camera to take one of a running robot")
+    check_name(name)
     metres = parsed_size(size) if size else None
     sources: list[tuple[str, Grey]] = [(str(path), read_image(path)) for path in images or []]
     if camera:
@@ -162,7 +163,7 @@ def _report(
     is_new = not path.exists()
     if is_new and not views:
         raise CairnError(f"{path}: no such map file: give images of {name} to teach it")
-    taught = taught_to(path)
+    taught = Taught(0, ()) if is_new else read_taught(path)
     known = taught.named(name)
     stated = size or (known.size if known else None)
     remarks = [check_shape(source, view, stated) for source, view in views.items() if stated]
@@ -181,6 +182,7 @@ def _report(
             "it by --size W,H"
         )
     if is_new:
+        create(path, "made by cairn object teach").close()
         remarks.append(f"{path} is new: a map without places of objects")
     object_id = teach(path, name, list(views.values()), size)
     total = len(views) + (len(known.views) if known else 0)

@@ -123,7 +123,7 @@ class ObjectRecognizer(Component):
             )
 
     def _tell_known(self) -> None:
-        count = len(self._known.objects)
+        count = len(self._known.now.objects)
         if count:
             self.log.info("%d taught objects of %s are recognised", count, self.config.map_file)
         else:
@@ -176,11 +176,12 @@ class ObjectRecognizer(Component):
         blind = blindness(left, features)
         if blind:
             self._complaints.tell("blind", f"{self.left_image.topic}: {blind}")
-        if blind or not self._known.objects:
+        known = self._known.now
+        if blind or not known.objects:
             return NOWHERE, []
-        found = self._known.recognizer.recognize(features, left.shape[1], left.shape[0])
+        found = known.recognizer.recognize(features, left.shape[1], left.shape[0])
         sightings = without_wrong_twins(
-            [sighted(one, self._known.objects, cameras, left, right) for one in found]
+            [sighted(one, known.objects, cameras, left, right) for one in found]
         )
         if right is not None and sightings and not any(one.by_stereo for one in sightings):
             self._refuse_swapped(left, right, features, cameras)

@@ -9,9 +9,7 @@ from typing import Annotated
 import typer
 
 from cairn.errors import CairnError
-from vision.map_file import create
 from vision.taught import View
-from vision.taught_store import Taught, read_taught
 
 DEFAULT_MAP = Path("visual_map.cairn")
 
@@ -27,13 +25,6 @@ MapFile = Annotated[
 
 # Sides of a photograph and of the object, as shares of each other.
 _SLANTED, _WRONG = 1.1, 1.3
-
-
-def taught_to(path: Path) -> Taught:
-    """What was taught to a map; an empty map file is made if there is none."""
-    if not path.exists():
-        create(path, "made by cairn object teach").close()
-    return read_taught(path)
 
 
 def parsed_size(text: str) -> tuple[float, float]:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Mapping
+from concurrent.futures import Future
+from dataclasses import dataclass
 from pathlib import Path
 
 from vision.recognition import Recognizer
@@ -10,36 +13,53 @@ from vision.taught import TaughtObject
 from vision.taught_store import read_taught, taught_number
 
 
+@dataclass(frozen=True)
+class Known:
+    """What was taught as of a `number`, and what recognises it."""
+
+    number: int
+    objects: Mapping[int, TaughtObject]
+    recognizer: Recognizer
+
+
 class KnownObjects:
-    """What can be recognised at present."""
+    """What can be recognised at present.
+
+    What many objects are recognised by takes many seconds to build, so that is done by another
+    thread, while those that were known before are recognised.
+    """
 
     def __init__(self, path: Path) -> None:
         """Read the file; raises `MapFileError` if it cannot be."""
         self._path = path
-        self._read()
-
-    @property
-    def objects(self) -> Mapping[int, TaughtObject]:
-        """All taught objects, by number."""
-        return self._objects
-
-    @property
-    def recognizer(self) -> Recognizer:
-        """What recognises them."""
-        return self._recognizer
+        self.now = _read(path)
+        self._next: Future[Known] | None = None
 
     def refresh(self) -> bool:
-        """Read the file again if what was taught has changed; whether it has.
+        """Begin to read the file again if what was taught has changed; whether that is done.
 
         Raises `MapFileError` if it cannot be read, and is then as before.
         """
-        if taught_number(self._path) == self._number:
-            return False
-        self._read()
-        return True
+        if self._next is not None:
+            if not self._next.done():
+                return False
+            read, self._next = self._next, None
+            self.now = read.result()
+            return True
+        if taught_number(self._path) != self.now.number:
+            self._next = Future()
+            threading.Thread(target=_read_into, args=(self._next, self._path), daemon=True).start()
+        return False
 
-    def _read(self) -> None:
-        taught = read_taught(self._path)
-        self._recognizer = Recognizer(taught.objects)
-        self._objects = {known.object_id: known for known in taught.objects}
-        self._number = taught.number
+
+def _read(path: Path) -> Known:
+    taught = read_taught(path, pictures=False)
+    objects = {known.object_id: known for known in taught.objects}
+    return Known(taught.number, objects, Recognizer(taught.objects))
+
+
+def _read_into(future: Future[Known], path: Path) -> None:
+    try:
+        future.set_result(_read(path))
+    except Exception as error:  # whoever asks for the result gets it
+        future.set_exception(error)

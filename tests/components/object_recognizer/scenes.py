@@ -41,7 +41,7 @@ def picture_of(seed: int) -> Grey:
 def photograph(things: Sequence[Thing], right: bool = False, noise: int = 0) -> Grey:
     """What the left or the right camera sees; `noise` is a seed."""
     random = np.random.default_rng(noise)
-    image = cv2.resize(texture(1234, 320, 240), (WIDTH, HEIGHT)).astype(np.float32) * 0.4 + 60
+    image = cv2.resize(texture(1234, 160, 120), (WIDTH, HEIGHT)).astype(np.float32) * 0.4 + 60
     for thing in sorted(things, key=lambda one: -one.z):
         picture = picture_of(thing.seed)
         across = np.array([math.cos(thing.turned), 0.0, math.sin(thing.turned)])
@@ -51,10 +51,10 @@ def photograph(things: Sequence[Thing], right: bool = False, noise: int = 0) -> 
         corner = middle - per_pixel * (199.5 * across + 149.5 * down)
         plane = np.column_stack((per_pixel * across, per_pixel * down, corner))
         camera = np.array([[FOCAL, 0, WIDTH / 2], [0, FOCAL, HEIGHT / 2], [0, 0, 1]])
-        # Rendered four times as fine, so that far objects are as smooth as in a camera.
-        fine = np.diag([4.0, 4.0, 1.0])
-        fine[:2, 2] = 1.5
-        size = (4 * WIDTH, 4 * HEIGHT)
+        # Rendered twice as fine, so that far objects are as smooth as in a camera.
+        fine = np.diag([2.0, 2.0, 1.0])
+        fine[:2, 2] = 0.5
+        size = (2 * WIDTH, 2 * HEIGHT)
         seen = cv2.warpPerspective(picture, fine @ camera @ plane, size)
         mask = cv2.warpPerspective(np.ones_like(picture), fine @ camera @ plane, size)
         small = cv2.resize(seen, (WIDTH, HEIGHT), interpolation=cv2.INTER_AREA)

@@ -1,6 +1,8 @@
 """Taught objects before the camera are told of with where they are, and where any could be seen."""
 
+import logging
 import math
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -42,7 +44,7 @@ def test_errors_are_as_the_covariance_says(robot: Begin, stereo: bool, seed: int
     it = robot(stereo=stereo).know()
     random = np.random.default_rng(seed)
     nis = []
-    for _ in range(12):
+    for _ in range(8):
         thing = Thing(
             seed, random.uniform(-0.3, 0.3), random.uniform(1.0, 2.2), random.uniform(-0.5, 0.5)
         )
@@ -57,7 +59,7 @@ def test_errors_are_as_the_covariance_says(robot: Begin, stereo: bool, seed: int
     if seed == 3 and not stereo:
         assert nis == []  # neither its size is known nor is there stereo
         return
-    assert len(nis) >= 10
+    assert len(nis) >= 7
     assert np.mean(nis) < 4.0  # 2 if it is exact, less if it is careful
     assert max(nis) < 13.8
 
@@ -116,19 +118,28 @@ def test_what_is_recognised_but_not_told_of_is_not_missed(robot: Begin) -> None:
 
 
 def test_what_is_taught_while_it_runs_is_recognised(
-    robot: Begin, map_file: Path, complaints: Callable[[], str]
+    robot: Begin, map_file: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
+    caplog.set_level(logging.INFO)
     it = robot().know()
     assert it.see([Thing(7, 0.0, 1.5)]).objects == ()
 
     teach(map_file, "poster 7", [view_of(picture_of(7))], SIZE)
-    it.stage.wait(1.0)
+    await_log(it, caplog, "4 taught objects")
     assert [one.object_id for one in it.see([Thing(7, 0.0, 1.5)]).objects] == [4]
 
     remove_taught(map_file, "poster 7")
-    it.stage.wait(1.0)
+    await_log(it, caplog, "3 taught objects")
     assert it.see([Thing(7, 0.0, 1.5)]).objects == ()
-    assert complaints() == ""
+
+
+def await_log(it: Robot, caplog: pytest.LogCaptureFixture, text: str) -> None:
+    """Let time pass until the recogniser says that it has read the file again."""
+    deadline = time.monotonic() + 20
+    caplog.clear()
+    while text not in caplog.text:
+        it.stage.wait(1.0)
+        assert time.monotonic() < deadline
 
 
 def test_a_map_that_is_damaged_while_it_runs_is_told_and_what_was_known_is_kept(

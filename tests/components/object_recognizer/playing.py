@@ -1,0 +1,36 @@
+"""A stereo camera that looks at a poster, for deployments in real processes."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from cairn.bus.qos import SENSOR
+from cairn.clock import SECOND, from_ns
+from cairn.component.component import Component
+from cairn.component.handlers import every
+from cairn.component.ports import Out
+from schemas.sensor_msgs import CameraInfo, Image
+from tests.components.object_recognizer.scenes import Thing, info, message, pair
+
+
+class PosterCamera(Component):
+    """Sends the same picture with other noise, five times a second."""
+
+    left_image: Out[Image] = Out(qos=SENSOR.with_depth(2))
+    right_image: Out[Image] = Out(qos=SENSOR.with_depth(2))
+    left_info: Out[CameraInfo] = Out(qos=SENSOR.with_depth(2))
+    right_info: Out[CameraInfo] = Out(qos=SENSOR.with_depth(2))
+
+    def on_configure(self) -> None:
+        """Look once."""
+        self._pair = pair([Thing(1, 0.0, 1.5)])
+
+    @every(hz=5)
+    def tell(self) -> None:
+        """Send a pair."""
+        now = self.clock.now()
+        for port, one in ((self.left_info, info()), (self.right_info, info(right=True))):
+            port.publish(replace(one, header=replace(one.header, stamp=from_ns(now))))
+        for out, grey in zip((self.left_image, self.right_image), self._pair, strict=True):
+            noise = self.random.integers(0, 3, grey.shape, np.uint8)
+            out.publish(message(np.minimum(grey, 252) + noise, now / SECOND))

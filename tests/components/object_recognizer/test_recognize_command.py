@@ -1,0 +1,116 @@
+"""`cairn recognize`: what it finds in images, where, and what it refuses."""
+
+import math
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from tests.commands import cairn
+from tests.components.object_recognizer.scenes import SIZE, Thing, info, pair, picture_of
+from vision.camera_file import write_camera
+from vision.map_file import create
+from vision.taught_store import teach
+from vision.teaching import view_of
+
+THINGS = [Thing(1, -0.3, 1.5), Thing(3, 0.35, 1.8)]
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A map to which 1 is taught with its size and 3 without; a pair of images; calibrations."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("CAIRN_VISUAL_MAP", "a.cairn")
+    create(Path("a.cairn"), "a test").close()
+    teach(Path("a.cairn"), "poster", [view_of(picture_of(1))], SIZE)
+    teach(Path("a.cairn"), "clock", [view_of(picture_of(3))])
+    for name, image in zip(("left", "right"), pair(THINGS), strict=True):
+        cv2.imwrite(f"{name}.png", image)
+    write_camera(Path("left.yaml"), info(), "left")
+    write_camera(Path("right.yaml"), info(right=True), "right")
+    return tmp_path
+
+
+def test_what_is_found_is_told_with_its_outline(folder: Path) -> None:
+    found = cairn("recognize", "left.png", "--json", "--out", "found.png").json
+
+    assert {one["name"]: one["object_id"] for one in found["objects"]} == {"poster": 1, "clock": 2}
+    poster = next(one for one in found["objects"] if one["name"] == "poster")
+    (x, y), *_ = poster["corners"]
+    assert (x, y) == pytest.approx((320 + 500 * -0.5 / 1.5, 240 - 500 * 0.15 / 1.5), abs=2)
+    assert poster["inliers"] > 20
+    assert poster["alternatives"] == []
+    assert [poster[key] for key in ("range", "bearing", "covariance", "position", "ranged_by")] == (
+        [None] * 5
+    )
+    assert "no range: give the camera's calibration by --camera-info" in found["remarks"]
+    drawn = np.asarray(cv2.imread("found.png"))
+    assert (drawn[..., 0] != drawn[..., 2]).any()  # colours: outlines
+
+
+def test_a_calibration_gives_ranges_by_size_and_a_pair_by_both(folder: Path) -> None:
+    alone = cairn("recognize", "left.png", "--camera-info", "left.yaml", "--json").json
+    both = cairn(
+        "recognize", "left.png", "right.png", "--camera-info", "left.yaml",
+        "--camera-info", "right.yaml", "--json",
+    ).json  # fmt: skip
+
+    by_size, by_both = ({one["name"]: one for one in f["objects"]} for f in (alone, both))
+    assert by_size["poster"]["ranged_by"] == "size"
+    assert by_size["clock"]["range"] is None
+    assert "its size is not known and there is no stereo" in by_size["clock"]["doubt"]
+    assert by_both["poster"]["ranged_by"] == "both"
+    assert by_both["clock"]["ranged_by"] == "stereo"
+    for one, thing in ((by_both["poster"], THINGS[0]), (by_both["clock"], THINGS[1])):
+        assert one["range"] == pytest.approx(math.hypot(thing.x, thing.z), abs=0.05)
+        assert one["bearing"] == pytest.approx(math.atan2(-thing.x, thing.z), abs=0.01)
+        assert np.linalg.eigvalsh(np.reshape(one["covariance"], (2, 2))).min() > 0
+    assert by_both["poster"]["covariance"][0] < by_size["poster"]["covariance"][0]
+
+    told = cairn("recognize", "left.png", "--camera-info", "left.yaml").out
+    assert "m away, bearing +11.3 +- 0." in told
+
+
+def test_nothing_recognised_is_no_error(folder: Path) -> None:
+    cv2.imwrite("other.png", picture_of(9))
+    for image in ("other.png", cv2.imwrite("black.png", np.zeros((480, 640))) and "black.png"):
+        answer = cairn("recognize", str(image))
+        assert (answer.code, answer.out.strip()) == (0, "nothing recognised")
+        assert cairn("recognize", str(image), "--json").json["objects"] == []
+    assert "it is too dark" in cairn("recognize", "black.png").err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "why"),
+    [
+        (("missing.png",), "missing.png cannot be read"),
+        (("left.png", "--map", "b.cairn"), "b.cairn: no such map file"),
+        (("left.png", "--camera-info", "c.yaml"), "c.yaml: no such calibration"),
+        (("left.png", "--camera-info", "left.yaml", "--out", "no/found.png"), "cannot be written"),
+        (
+            ("right.png", "left.png", "--camera-info", "left.yaml", "--camera-info", "right.yaml"),
+            "left and right are swapped: give the left camera's image first",
+        ),
+        (
+            ("left.png", "right.png", "--camera-info", "right.yaml", "--camera-info", "left.yaml"),
+            "left and right are swapped",
+        ),
+        (("small.png", "--camera-info", "left.yaml"), "the image is 400 x 300 pixels"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_words(
+    folder: Path, arguments: tuple[str, ...], why: str
+) -> None:
+    cv2.imwrite("small.png", picture_of(1))
+    answer = cairn("recognize", *arguments)
+    assert answer.code == 1
+    assert why in answer.err
+
+
+def test_a_damaged_map_is_refused_by_name(folder: Path) -> None:
+    data = Path("a.cairn").read_bytes()
+    Path("a.cairn").write_bytes(data[: len(data) // 2])
+    answer = cairn("recognize", "left.png")
+    assert answer.code == 1
+    assert "a.cairn" in answer.err
