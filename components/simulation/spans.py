@@ -161,7 +161,7 @@ def side(
             lower, upper = max(0.0, min(lower, size - 0.5)), max(0.5, min(upper, 1.0 * size))
             mean = (_sum_to(strip, upper) - _sum_to(strip, lower)) / (upper - lower)
         part = left[r]
-        if r in (top, bottom):
+        if not top < r < bottom:
             part *= max(0.0, min(r + 0.5, last) - max(r - 0.5, first))
         value[r] += part * grey * mean
         left[r] -= part
@@ -213,7 +213,7 @@ def plane(
                 continue
             x, y = begin_x + unit[r] * step_x, begin_y + unit[r] * step_y
             part = left[r]
-            if r in (top, bottom):
+            if not top < r < bottom:
                 part *= max(0.0, min(r + 0.5, last) - max(r - 0.5, first))
             texel = 1.0 + contrast * (_texel(levels, at, size, x, y) - 1.0)
             value[r] += part * (light + step * (r - begin)) * texel
