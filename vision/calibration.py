@@ -29,8 +29,8 @@ FEWEST = 3
 # An image is left out if its error [px] is above this, and above this many times the median's:
 # then its corners are not where they seem.
 _BAD_PX, _BAD_TIMES = 1.0, 3.0
-# Images of more than this many times the median's error are told of, but used.
-_OUTLYING_TIMES = 2.0
+# Images of more than this error, and this many times the median's, are told of, but used.
+_OUTLYING_PX, _OUTLYING_TIMES = 0.3, 2.0
 # Above this share of it, the focal length's deviation makes a calibration doubtful.
 _VAGUE = 0.01
 # Boards turned less than this against each other [deg] are seen from one viewpoint.
@@ -75,7 +75,7 @@ class Calibration:
     def outlying(self) -> dict[str, float]:
         """Images that fit much worse than the others, with their errors [px]."""
         errors = self.errors
-        limit = _OUTLYING_TIMES * float(np.median(list(errors.values())))
+        limit = max(_OUTLYING_PX, _OUTLYING_TIMES * float(np.median(list(errors.values()))))
         return {name: error for name, error in errors.items() if error > limit}
 
     @property

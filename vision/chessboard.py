@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Grey = NDArray[np.uint8]
 
-# Boards are found in images no larger than this [px], and measured in the whole image then.
-_SEARCHED = 1600
+# Boards are found in images no larger than this [px], and measured in the whole image then; what
+# takes long is done in smaller ones.
+_SEARCHED, _SEARCHED_LONG = 1600, 900
 # Half a window of refinement as a share of the distance between corners, and its limits [px] in
 # an image of usual size: it must reach no second corner, and be no smaller than blur is wide.
 _WINDOW, _SMALLEST, _LARGEST = 0.3, 2, 15
@@ -41,12 +42,12 @@ class Board:
 
 def find_corners(grey: Grey, board: Board) -> Array | None:
     """The board's inner corners (n, 2) [px], row by row; None if the whole board is not seen."""
-    reduced = max(1.0, max(grey.shape) / _SEARCHED)
-    small = grey if reduced == 1.0 else _reduced(grey, reduced)
     size = (board.columns, board.rows)
+    small, reduced = _reduced(grey, _SEARCHED)
     found, corners = cv2.findChessboardCorners(small, size)
     if not found:
         # Slower, but it finds boards that are blurred or badly lit.
+        small, reduced = _reduced(grey, _SEARCHED_LONG)
         found, corners = cv2.findChessboardCornersSB(small, size, flags=cv2.CALIB_CB_EXHAUSTIVE)
     if not found:
         return None
@@ -84,7 +85,7 @@ def other_board(images: Sequence[Grey], board: Board, *, larger: bool = False) -
         for other in _near(board)
         if not larger or (other.columns >= board.columns and other.rows >= board.rows)
         if cv2.findChessboardCorners(
-            _reduced(image, max(1.0, max(image.shape) / _SEARCHED)), (other.columns, other.rows)
+            _reduced(image, _SEARCHED_LONG)[0], (other.columns, other.rows)
         )[0]
     ]
     return max(found, key=lambda other: other.columns * other.rows, default=None)
@@ -97,10 +98,13 @@ def _near(board: Board) -> Iterator[Board]:
                 yield Board(columns, rows, board.square)
 
 
-def _reduced(grey: Grey, by: float) -> Grey:
+def _reduced(grey: Grey, most: int) -> tuple[Grey, float]:
+    """The image with no side longer than `most` [px], and how many times larger it was."""
+    by = max(1.0, max(grey.shape) / most)
     if by == 1.0:
-        return grey
-    return np.asarray(cv2.resize(grey, None, fx=1 / by, fy=1 / by, interpolation=cv2.INTER_AREA))
+        return grey, by
+    small = cv2.resize(grey, None, fx=1 / by, fy=1 / by, interpolation=cv2.INTER_AREA)
+    return np.asarray(small, np.uint8), by
 
 
 def _spacing(corners: NDArray[np.floating], board: Board) -> float:
