@@ -18,6 +18,7 @@ BENCHMARKS = (
     "world",
     "camera",
     "navigation",
+    "vision",
 )
 
 

@@ -67,7 +67,7 @@ def measure() -> list[Figure]:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         report, took = _in_lockstep(folder / "lockstep")
-        busy, latency = _in_real_time(folder)
+        busy, latency = in_real_time(folder)
     return [
         Figure(
             "tours of the room in lockstep, one core: times real time, start and report included",
@@ -114,8 +114,11 @@ def _in_lockstep(folder: Path) -> tuple[dict[str, Any], float]:
     return report, took
 
 
-def _in_real_time(folder: Path) -> tuple[float, dict[str, float]]:
-    """Processors in use on average while the robot drives, and the latencies."""
+def in_real_time(folder: Path, *arguments: str) -> tuple[float, dict[str, float]]:
+    """Processors in use on average while the robot drives the tour, and the latencies.
+
+    `arguments` are more of them for `cairn up`; the report is in `folder`/real.
+    """
     overlay = folder / "measured.yaml"
     localizer = {"parameters": {"particles": _PARTICLES}}
     automove = {"children": {"localizer": localizer}}
@@ -132,7 +135,7 @@ def _in_real_time(folder: Path) -> tuple[float, dict[str, float]]:
     )
     command = _command(folder / "real")
     command += ["--overlay", str(_TOUR), "--overlay", str(overlay)]
-    command += ["--set", f"bus.listen=tcp/127.0.0.1:{free_port()}"]
+    command += ["--set", f"bus.listen=tcp/127.0.0.1:{free_port()}", *arguments]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as up:
         time.sleep(_BEGINS_S)  # what is measured is a stretch of time
         before = _used_s(up.pid)

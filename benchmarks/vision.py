@@ -1,0 +1,107 @@
+"""All processes in real time with a stereo camera: what they need, and whether anything queues."""
+
+import json
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import yaml
+
+from benchmarks.lockstep import ROOT
+from benchmarks.navigation import in_real_time
+from benchmarks.result import Figure
+from cairn.bus.qos import RELIABLE
+from cairn.clock import SECOND, to_ns
+from cairn.component.component import Component
+from cairn.component.handlers import on
+from cairn.component.ports import In
+from schemas.cairn_msgs import RecognizedObjectArray
+
+_PIXELS = ROOT / "deploy" / "pixels.yaml"
+_WORLD = ROOT / "deploy" / "worlds" / "room.yaml"
+_PERIOD_MS = 200.0
+
+
+class SightingWatch(Component):
+    """Times from an exposure to what was recognised in it."""
+
+    recognized_objects: In[RecognizedObjectArray] = In(qos=RELIABLE.with_depth(200))
+
+    def on_activate(self) -> None:
+        """Begin."""
+        self._times_ms: list[float] = []
+        self._seen = 0
+
+    @on("recognized_objects")
+    def note(self, frame: RecognizedObjectArray) -> None:
+        """What was recognised has come."""
+        self._times_ms.append((self.clock.now() - to_ns(frame.header.stamp)) / (SECOND / 1000))
+        self._seen += len(frame.objects)
+
+    def on_deactivate(self) -> None:
+        """Tell."""
+        ordered = sorted(self._times_ms)
+        last = len(ordered) - 1
+        self.log.info(
+            "SIGHTINGS %s",
+            json.dumps(
+                {
+                    "median_ms": ordered[last // 2],
+                    "p95_ms": ordered[int(0.95 * last)],
+                    "most_ms": ordered[last],
+                    "images": len(ordered),
+                    "objects": self._seen,
+                }
+            ),
+        )
+
+
+def measure() -> list[Figure]:
+    """The tour of the room in real processes, from pixels."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        visual_map = folder / "room.cairn"
+        subprocess.run(
+            [sys.executable, "-m", "cairn.cli.main", "map", "import", "world", _WORLD, visual_map],
+            check=True,
+            capture_output=True,
+            timeout=60,
+        )
+        watch = folder / "watch.yaml"
+        watch.write_text(
+            yaml.safe_dump({"components": {"watch": {"plugin": f"{__name__}:SightingWatch"}}})
+        )
+        busy, latency = in_real_time(
+            folder,
+            *("--overlay", str(_PIXELS), "--overlay", str(watch)),
+            *("--set", f"visual_map={visual_map}"),
+        )
+        report = json.loads((folder / "real" / "report.json").read_text())
+        log = next((folder / "real" / "logs").glob("watch*")).read_text()
+    seen = json.loads(log.partition("SIGHTINGS ")[2].splitlines()[0])
+    dropped = {port: count for port, count in report["dropped"].items() if count}
+    return [
+        Figure(
+            "all processes at 5 pairs of 640 x 480 and 10 scans a second: of two cores",
+            100.0 * busy / 2.0,
+            "%",
+            at_most=100,
+        ),
+        Figure(
+            "last beam of a scan to velocity command: p95",
+            latency["p95_ms"],
+            "ms",
+            at_most=50,
+            note=f"median {latency['median_ms']:.1f} ms of {latency['count']}",
+        ),
+        Figure(
+            "exposure to sightings: p95",
+            seen["p95_ms"],
+            "ms",
+            at_most=_PERIOD_MS,
+            note=f"median {seen['median_ms']:.0f} ms, {seen['images']} images, "
+            f"{seen['objects']} objects",
+        ),
+        Figure("messages dropped", sum(dropped.values()), "", at_most=0, note=", ".join(dropped)),
+    ]
