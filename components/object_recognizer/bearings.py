@@ -43,8 +43,11 @@ class Field:
 NOWHERE = Field()
 
 
-def place_of(located: Located, mount: Pose) -> Place:
-    """Where in the plane something is that was located from the camera at `mount`."""
+def place_of(located: Located, mount: Pose, bearing_sd: float = 0.0) -> Place:
+    """Where in the plane something is that was located from the camera at `mount`.
+
+    `bearing_sd` [rad] is how well it is known where the camera was looking at that moment.
+    """
     x, y, theta = mount
     cosine, sine = math.cos(theta), math.sin(theta)
     # The optical frame's x is to the right and its z ahead.
@@ -56,7 +59,8 @@ def place_of(located: Located, mount: Pose) -> Place:
     )
     jacobian = to_polar @ turn
     covariance = jacobian @ located.covariance[np.ix_((0, 2), (0, 2))] @ jacobian.T
-    return Place(distance, math.atan2(aside, ahead), (covariance + covariance.T) / 2)
+    covariance = (covariance + covariance.T) / 2 + np.diag((0.0, bearing_sd**2))
+    return Place(distance, math.atan2(aside, ahead), covariance)
 
 
 def field_of(rig: StereoRig, mount: Pose, nearest: float, farthest: float) -> Field:

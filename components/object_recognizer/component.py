@@ -16,7 +16,7 @@ from cairn.errors import CairnError
 from components.object_recognizer.agreement import Agreement
 from components.object_recognizer.bearings import NOWHERE, Field, Place, field_of, place_of
 from components.object_recognizer.cameras import Cameras, cameras_of, same_camera
-from components.object_recognizer.condition import Standstill, blindness
+from components.object_recognizer.condition import Standstill, blindness, shows_little
 from components.object_recognizer.config import ObjectRecognizerConfig
 from components.object_recognizer.known import KnownObjects
 from components.object_recognizer.pairing import Pair, Pairing
@@ -173,11 +173,11 @@ class ObjectRecognizer(Component):
         left = cameras.left.apply(self._grey(pair.left, self.left_image.topic))
         right = self._rectified_right(cameras, pair.right)
         features = extract(left, config.most_features)
-        blind = blindness(left, features)
+        blind = blindness(left)
         if blind:
             self._complaints.tell("blind", f"{self.left_image.topic}: {blind}")
         known = self._known.now
-        if blind or not known.objects:
+        if blind or shows_little(features) or not known.objects:
             return NOWHERE, []
         found = known.recognizer.recognize(features, left.shape[1], left.shape[0])
         sightings = without_wrong_twins(
@@ -207,7 +207,7 @@ class ObjectRecognizer(Component):
             self._complaints.tell(f"doubt {recognition.object_id}", sighting.doubt)
         if sighting.located is None or recognition.inliers < self.config.least_inliers:
             return None
-        return place_of(sighting.located, self.config.mount.pose)
+        return place_of(sighting.located, self.config.mount.pose, self.config.bearing_sd)
 
     def _refuse_swapped(
         self, left: Grey, right: Grey, features: Features, cameras: Cameras

@@ -17,16 +17,19 @@ _NEARLY_ALL: Final = 95.0  # [%]
 _FEW = 25
 
 
-def blindness(grey: NDArray[np.uint8], features: Features) -> str:
-    """Why nothing could have been recognised in an image; empty if something could."""
+def blindness(grey: NDArray[np.uint8]) -> str:
+    """Why the camera sees nothing; empty if it does."""
     sample = grey[::4, ::4]
     if np.percentile(sample, _NEARLY_ALL) < _DARK:
         return "it is too dark"
     if np.percentile(sample, 100 - _NEARLY_ALL) > _BRIGHT:
         return "it is too bright"
-    if len(features) < _FEW:
-        return f"there is hardly anything to see: {len(features)} features"
     return ""
+
+
+def shows_little(features: Features) -> bool:
+    """Whether hardly anything is in an image: before a blank wall, or with the lens covered."""
+    return len(features) < _FEW
 
 
 class Standstill:

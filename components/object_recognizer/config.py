@@ -26,6 +26,13 @@ class ObjectRecognizerConfig(Config):
     )
     nearest: float = Field(0.3, gt=0, le=100, description="Nearest object [m].")
     farthest: float = Field(5.0, gt=0, le=100, description="Farthest object [m].")
+    bearing_sd: float = Field(
+        0.005,
+        ge=0,
+        le=0.2,
+        description="How well the camera's aim is known while the robot turns: mount and stamps "
+        "[rad].",
+    )
     most_features: int = Field(
         2000,
         ge=0,

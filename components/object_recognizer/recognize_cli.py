@@ -123,7 +123,7 @@ def _seen(
         left = cameras.left.apply(left)
         right = _right(right, cameras, remarks)
     features = extract(left)
-    blind = blindness(left, features)
+    blind = blindness(left)
     if blind:
         remarks.append(f"the image shows little: {blind}")
     found = Recognizer(tuple(known.values())).recognize(features, left.shape[1], left.shape[0])
