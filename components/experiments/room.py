@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -49,7 +50,6 @@ class Room:
         `distance` [m] away, or at least 0.6 m if None. `CairnError` if there is no room for that
         many.
         """
-        places = list(self._places())
         objects = self._scene.objects
         taken = [(name, thing.pose) for name, thing in objects.items()]
         events: list[dict[str, Any]] = []
@@ -57,7 +57,7 @@ class Room:
             if len(events) == count:
                 break
             thing = objects[name]
-            free = [place for place in places if _fits(place, thing, distance, taken)]
+            free = [place for place in self._places if _fits(place, thing, distance, taken)]
             if not free:
                 continue
             x, y, theta = free[int(random.integers(len(free)))]
@@ -90,20 +90,16 @@ class Room:
             if reached.contains(shapely.Point(x, y)):
                 return x, y, float(random.uniform(-math.pi, math.pi))
 
-    def _places(self) -> Iterator[Pose]:
+    @cached_property
+    def _places(self) -> tuple[Pose, ...]:
         """Where an object could hang and be seen: along the walls, facing inwards."""
-        for wall in self._scene.walls:
-            for begin, end in pairwise(wall.points):
-                length = math.dist(begin, end)
-                along = math.atan2(end[1] - begin[1], end[0] - begin[0])
-                for reach in np.arange(_FROM_CORNERS_M, length - _FROM_CORNERS_M, _EVERY_M):
-                    for side in (math.pi / 2, -math.pi / 2):
-                        theta = math.remainder(along + side, math.tau)
-                        x = begin[0] + float(reach) * math.cos(along)
-                        y = begin[1] + float(reach) * math.sin(along)
-                        place = (round(x, 3), round(y, 3), round(theta, 4))
-                        if self._can_be_seen(place):
-                            yield place
+        return tuple(
+            place
+            for wall in self._scene.walls
+            for begin, end in pairwise(wall.points)
+            for place in _along(begin, end)
+            if self._can_be_seen(place)
+        )
 
     def _can_be_seen(self, place: Pose) -> bool:
         near = compose(place, (0.05, 0.0, 0.0))[:2]
@@ -112,6 +108,17 @@ class Room:
             return False
         view = shapely.LineString([near, far])
         return bool(self._furniture.distance(view) >= _ROOM_M)
+
+
+def _along(begin: tuple[float, float], end: tuple[float, float]) -> Iterator[Pose]:
+    """Places on a wall, facing away from it to either side."""
+    along = math.atan2(end[1] - begin[1], end[0] - begin[0])
+    for reach in np.arange(_FROM_CORNERS_M, math.dist(begin, end) - _FROM_CORNERS_M, _EVERY_M):
+        x = begin[0] + float(reach) * math.cos(along)
+        y = begin[1] + float(reach) * math.sin(along)
+        for side in (math.pi / 2, -math.pi / 2):
+            theta = math.remainder(along + side, math.tau)
+            yield round(x, 3), round(y, 3), round(theta, 4)
 
 
 def _fits(
