@@ -52,6 +52,14 @@ def test_the_carried_pairs_are_calibrated_as_well_as_published() -> None:
     assert found.doubts() == []
 
 
+def test_a_board_may_be_counted_from_another_end_in_the_right_image() -> None:
+    right = corners("right") | {"05": corners("right")["05"][::-1]}
+
+    found = calibrate_pair(corners("left"), right, PAIRS, SIZE, BOARD)
+
+    assert (len(found.errors), found.left_out) == (13, {})
+
+
 def test_rectified_corners_lie_in_the_same_rows_and_at_the_boards_distance() -> None:
     found = calibrate_pair(corners("left"), corners("right"), PAIRS, SIZE, BOARD)
 

@@ -23,6 +23,7 @@ from tests.vision.cameras import (
     plane_pair,
     projection,
 )
+from vision.alignment import aligned
 from vision.stereo import StereoRig, disparities, look_swapped
 
 ALOE = Path(__file__).parents[1] / "data" / "stereo"
@@ -87,9 +88,11 @@ def test_a_blank_wall_and_a_fence_have_no_disparity() -> None:
         128 + 80 * np.sin(2 * np.pi * (columns + shift) / 12) + 20 * np.sin(rows / 7)
         for shift in (0, 6)
     )
+    # What a sensor adds to all of its images has a disparity, but that of nothing.
+    stained = [blank[0], blank[0]]
     fence = [slats.astype(np.uint8), shifted.astype(np.uint8)]
 
-    for left, right in (blank, fence):
+    for left, right in (blank, stained, fence):
         assert np.isnan(disparities(left, right, places(1), RIG)).all()
 
 
@@ -102,6 +105,14 @@ def test_what_the_right_camera_does_not_see_has_none() -> None:
     found = disparities(left, right, hidden, RIG)
 
     assert np.isnan(found).mean() >= 0.9
+
+
+def test_a_match_that_is_off_by_pixels_is_not_bent_into_a_right_one() -> None:
+    left, right = plane_pair(3, (12.0, 0.0, 0.0))
+    points = places(3)
+
+    assert np.isfinite(aligned(left, right, points, np.full(100, 12.4), 7)).mean() > 0.9
+    assert np.isnan(aligned(left, right, points, np.full(100, 17.0), 7)).mean() > 0.95
 
 
 def test_points_at_the_border_and_none_at_all_are_no_error() -> None:
