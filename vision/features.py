@@ -71,7 +71,7 @@ def extract(grey: NDArray[np.uint8], most: int = 0) -> Features:
     if histograms is None or not keypoints:
         return none()
     table = np.array([(*k.pt, k.size, k.angle, k.response) for k in keypoints], np.float64)
-    order = np.lexsort((table[:, 2], table[:, 1], table[:, 0], -table[:, 4]))
+    order = np.lexsort((*table[:, :4].T, -table[:, 4]))
     order = order[: most or len(order)]
     table = table[order]
     return Features(

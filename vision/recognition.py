@@ -18,6 +18,7 @@ from vision.verification import Placed, Scene
 
 _NEIGHBOURS = 10
 _RATIO = 0.85
+_ALIKE = 90.0  # so near that it is the same, of however many objects, but not if one repeats it
 _UNLIKE = 290.0  # between descriptors of different things, where so few are known that all are far
 _SEEDS = 4
 _FAILURES = 3
@@ -101,6 +102,8 @@ class Recognizer:
 
     def recognize(self, features: Features, width: int, height: int) -> list[Recognition]:
         """The objects in an image of `width` x `height` [px] with these features, surest first."""
+        if not len(self._index):
+            return []
         scene = verification.scene_of(features, width, height)
         return self._settled(scene, list(self._placed(scene, self._matched(scene.features))))
 
@@ -112,8 +115,11 @@ class Recognizer:
         views of one, and repeated parts of it do not take each other's matches away.
         """
         found, distances = self._index.nearest(features.descriptors, _NEIGHBOURS)
-        ratios = distances / np.minimum(distances[:, -1:], _UNLIKE)
-        image, column = np.nonzero((found >= 0) & (ratios < _RATIO))
+        ratios = distances / np.clip(distances[:, -1:], 1.0, _UNLIKE)
+        owners = np.where(found >= 0, self._entry_of[found], -1)
+        once = (owners[:, :, None] == owners[:, None, :]).sum(axis=2) == 1
+        clear = (ratios < _RATIO) | (once & (distances < _ALIKE))
+        image, column = np.nonzero((found >= 0) & clear)
         rows = found[image, column].astype(np.intp)
         order = np.lexsort((ratios[image, column], self._entry_of[rows]))
         image, rows = image[order], rows[order]

@@ -23,10 +23,12 @@ _LIKE = 290.0  # between descriptors: nine in ten of the same thing are nearer, 
 _TURN = math.radians(30.0)
 _OCTAVES = 0.8
 _FINEST = 2.0  # px, scale of the finest features that SIFT finds
-_LEAST_SHARE = 0.05  # of the features that are to be seen: the rest may be covered
+_LEAST_SHARE = 0.1  # of the features that are to be seen: the rest may be covered
 _LEAST_DENSITY = 0.12  # the same where the matched ones lie, so where nothing covers it
 _LEAST_SPREAD = 0.03  # of the view's area, for what the matched ones enclose
-_BLURRED = 0.2
+_LEAST_PLACES = 5  # a homography takes any four places to any four others
+_APART = 0.08  # of the view's diagonal: nearer features are of one place, such as a dot or a ring
+_BLURRED = 0.2  # quantile of the matched features' scales below which none is missed
 _SMALLEST = 12.0  # px, of a side in the image
 _PERSPECTIVE = 6.0  # the far corner at most so many times as far as the near one
 
@@ -178,7 +180,7 @@ def _proven(scene: Scene, view: View, homography: Homography) -> Placed | None:
     # A point that was described in two directions is one witness.
     _, distinct = np.unique(np.rint(view.features.points[rows]), axis=0, return_index=True)
     rows, mates = rows[np.sort(distinct)], mates[np.sort(distinct)]
-    if len(rows) < LEAST:
+    if len(rows) < LEAST or _places(view, rows) < _LEAST_PLACES:
         return None
     _, stretch, _, inside = _seen(homography, view, scene)
     scales = view.features.scales * stretch
@@ -194,6 +196,17 @@ def _proven(scene: Scene, view: View, homography: Homography) -> Placed | None:
         return None
     corners = cv2.perspectiveTransform(view.corners[None], homography)[0].astype(np.float64)
     return Placed(homography, corners, rows, mates, share)
+
+
+def _places(view: View, rows: NDArray[np.intp]) -> int:
+    """How many of these features lie apart from each other, by `_APART`."""
+    points = view.features.points[rows].astype(np.float64)
+    apart = _APART * math.hypot(view.width, view.height)
+    chosen: list[NDArray[np.float64]] = []
+    for point in points:
+        if all(math.dist(point, other) > apart for other in chosen):
+            chosen.append(point)
+    return len(chosen)
 
 
 @numba.njit(

@@ -1,0 +1,93 @@
+"""Real photographs: what is in them is found, and what is not is not."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from tests.vision.scenes import taught
+from vision.features import extract
+from vision.recognition import Recognition, Recognizer
+
+DATA = Path(__file__).parents[1] / "data"
+
+FILES = {
+    name.split(".")[0]: DATA / "images" / name
+    for name in (
+        "blox.jpg",
+        "board.jpg",
+        "box.png",
+        "box_in_scene.png",
+        "building.jpg",
+        "chessboard.png",
+        "graf1.jpg",
+        "graf3.jpg",
+        "home.jpg",
+        "tsukuba_l.png",
+    )
+} | {"left01": DATA / "calibration" / "left01.jpg", "aloeL": DATA / "stereo" / "aloeL.jpg"}
+
+SAME = {frozenset(("box", "box_in_scene")), frozenset(("graf1", "graf3"))}
+
+
+def image_of(name: str) -> NDArray[np.uint8]:
+    image = cv2.imread(str(FILES[name]), cv2.IMREAD_GRAYSCALE)
+    assert image is not None
+    return image.astype(np.uint8, copy=False)
+
+
+def found_in(name: str, known: Recognizer) -> list[Recognition]:
+    image = image_of(name)
+    return known.recognize(extract(image, 3000), image.shape[1], image.shape[0])
+
+
+def test_the_box_is_found_in_its_scene() -> None:
+    (found,) = found_in("box_in_scene", Recognizer([taught(1, image_of("box"))]))
+
+    # As read off the picture by eye, and good to some pixels.
+    by_eye = [(118, 161), (285, 175), (268, 298), (89, 272)]
+    assert found.inliers > 40
+    assert np.linalg.norm(found.corners - by_eye, axis=1).max() < 5
+
+
+def test_the_graffiti_are_found_from_the_side_with_their_corners() -> None:
+    wall = image_of("graf1")
+    file = cv2.FileStorage(str(DATA / "images" / "H1to3p.xml"), cv2.FILE_STORAGE_READ)
+    truth = file.getNode("H13").mat()
+
+    (found,) = found_in("graf3", Recognizer([taught(1, wall)]))
+
+    corners = taught(1, wall).views[0].corners
+    expected = cv2.perspectiveTransform(corners[None], truth)[0]
+    assert np.linalg.norm(found.corners - expected, axis=1).max() < 8
+
+
+@pytest.fixture(scope="module")
+def everything() -> Recognizer:
+    return Recognizer([taught(n, image_of(name)) for n, name in enumerate(FILES)])
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_pictures_of_different_things_are_never_taken_for_each_other(
+    name: str, everything: Recognizer
+) -> None:
+    names = list(FILES)
+    found = found_in(name, everything)
+
+    claimed = {names[i] for each in found for i in (each.object_id, *each.alternatives)}
+    assert name in claimed
+    for other in claimed - {name}:
+        assert frozenset((name, other)) in SAME
+
+
+def test_nor_alone_one_by_one(everything: Recognizer) -> None:
+    """With few known, little tells what stands out: false matches would be likeliest then."""
+    alone = {each.name: Recognizer([each]) for each in everything.objects}
+    for n, name in enumerate(FILES):
+        image = image_of(name)
+        features = extract(image, 1500)
+        for m, other in enumerate(FILES):
+            found = alone[f"object {m}"].recognize(features, image.shape[1], image.shape[0])
+            assert not found or n == m or frozenset((name, other)) in SAME, (name, other)
