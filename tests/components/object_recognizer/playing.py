@@ -34,3 +34,11 @@ class PosterCamera(Component):
         for out, grey in zip((self.left_image, self.right_image), self._pair, strict=True):
             noise = self.random.integers(0, 3, grey.shape, np.uint8)
             out.publish(message(np.minimum(grey, 252) + noise, now / SECOND))
+
+
+class Ending(Component):
+    """Ends the run after three seconds."""
+
+    def on_activate(self) -> None:
+        """Wait."""
+        self.schedule(self.clock.now() + 3 * SECOND, lambda: self.finish("it was long enough"))

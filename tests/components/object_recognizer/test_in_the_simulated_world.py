@@ -1,0 +1,108 @@
+"""In lockstep in the simulated world: what its cameras see is recognised where it stands."""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from cairn.bus.qos import Qos
+from cairn.deployment.load import load_deployment
+from cairn.placement.lockstep_run import LockstepRun
+from schemas.cairn_msgs import RecognizedObject, RecognizedObjectArray
+from tests.commands import cairn
+
+WORLD = Path(__file__).parents[3] / "deploy" / "worlds" / "room.yaml"
+MANY = Qos("reliable", "transient_local", 100_000)
+MOUNT = {"x": 0.1, "y": 0.0, "theta": 0.0}
+START = {"x": 4.7, "y": 4.9, "theta": math.pi / 2}
+
+
+@pytest.fixture(scope="module")
+def surveyed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("surveyed") / "room.cairn"
+    assert cairn("map", "import", "world", str(WORLD), str(path)).code == 0
+    return path
+
+
+def seen(folder: Path, map_file: Path, fault: str) -> list[RecognizedObjectArray]:
+    """What is recognised by a robot that stands before objects 3 and 4 for three seconds."""
+    world = yaml.safe_load(WORLD.read_text(encoding="utf-8"))
+    world["robot"] = START
+    for thing in world["objects"]:
+        if "texture" in thing:
+            thing["texture"] = str(WORLD.parent / thing["texture"])
+    (folder / "world.yaml").write_text(yaml.safe_dump(world))
+    page: dict[str, Any] = {
+        "cairn": 1,
+        "components": {
+            "world": {
+                "plugin": "simulated_world",
+                "parameters": {"world": str(folder / "world.yaml")},
+            },
+            "base": {"plugin": "simulated_base"},
+            "camera": {
+                "plugin": "simulated_stereo_camera",
+                "parameters": {"mount": MOUNT, "fault": fault},
+            },
+            "recognizer": {
+                "plugin": "object_recognizer",
+                "parameters": {"mount": MOUNT, "map_file": str(map_file)},
+            },
+            "ending": {
+                "plugin": "tests.components.object_recognizer.playing:Ending",
+                "significant": True,
+                "restart": "transient",
+            },
+        },
+        "external_topics": ["cmd_vel"],
+    }
+    (folder / "run.yaml").write_text(yaml.safe_dump(page, sort_keys=False))
+    run = LockstepRun(load_deployment(folder / "run.yaml"), seed=0)
+    outside = run.bus.node("/robot/outside", pytest.fail)
+    objects = outside.subscribe("/robot/objects", RecognizedObjectArray, MANY, lambda: None)
+    assert run.run(lambda: None).normal
+    frames = []
+    while (frame := objects.take()) is not None:
+        frames.append(frame)
+    return frames
+
+
+def check(one: RecognizedObject) -> None:
+    """It is where the world has it."""
+    x, y = {3: (3.8, 7.0), 4: (5.6, 7.0)}[one.object_id]
+    ahead, left = y - START["y"], START["x"] - x
+    assert one.range == pytest.approx(math.hypot(ahead, left), abs=4 * math.sqrt(one.covariance[0]))
+    assert one.range == pytest.approx(math.hypot(ahead, left), rel=0.05)
+    assert one.bearing == pytest.approx(math.atan2(left, ahead), abs=0.01)
+
+
+def test_objects_in_view_are_recognised_where_they_stand(tmp_path: Path, surveyed: Path) -> None:
+    frames = seen(tmp_path, surveyed, "none")
+
+    assert len(frames) >= 12
+    told = [one for frame in frames for one in frame.objects]
+    assert {one.object_id for one in told} == {3, 4}
+    assert len(told) > 0.9 * 2 * len(frames)
+    for one in told:
+        check(one)
+
+
+@pytest.mark.parametrize("fault", ["right_missing", "right_frozen"])
+def test_one_camera_is_enough_where_sizes_are_known(
+    tmp_path: Path, surveyed: Path, fault: str
+) -> None:
+    told = [one for frame in seen(tmp_path, surveyed, fault)[-5:] for one in frame.objects]
+
+    assert {one.object_id for one in told} == {3, 4}
+    for one in told:
+        check(one)
+
+
+@pytest.mark.parametrize("fault", ["left_missing", "frozen", "swapped"])
+def test_cameras_that_fail_place_nothing(tmp_path: Path, surveyed: Path, fault: str) -> None:
+    frames = seen(tmp_path, surveyed, fault)
+
+    assert [one for frame in frames[1:] for one in frame.objects] == []
+    assert all(frame.farthest == 0 for frame in frames[1:])
