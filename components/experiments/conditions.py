@@ -36,18 +36,26 @@ PHASES = {
 
 @dataclass(frozen=True)
 class Condition:
-    """What was changed, and whether the map follows; `title` names it in reports."""
+    """What was changed, and whether the map follows; `title` names it in reports.
+
+    `reference` is the name of the same without a change: it shows what the change does, and
+    nothing else.
+    """
 
     name: str
     title: str
+    reference: str
     colour: str
     style: str
 
 
-UNCHANGED = Condition("unchanged", "environment unchanged", "tab:red", "-")
-NOT_UPDATED = Condition("not_updated", "changed, map not updated", "tab:blue", ":")
-UPDATED = Condition("updated", "changed, map updated", "tab:green", "--")
-CONDITIONS = (UNCHANGED, NOT_UPDATED, UPDATED)
+UNCHANGED = Condition("unchanged", "unchanged, map kept up", "unchanged", "tab:red", "-")
+UPDATED = Condition("updated", "changed, map kept up", "unchanged", "tab:green", "--")
+UNCHANGED_FIXED = Condition(
+    "unchanged_fixed", "unchanged, map fixed", "unchanged_fixed", "tab:orange", "-"
+)
+NOT_UPDATED = Condition("not_updated", "changed, map fixed", "unchanged_fixed", "tab:blue", ":")
+CONDITIONS = (UNCHANGED, UPDATED, UNCHANGED_FIXED, NOT_UPDATED)
 
 
 @dataclass(frozen=True)
@@ -86,7 +94,8 @@ class Figure(BaseModel):
     )
     value: Mean
     against_unchanged: Mean = Field(
-        description="Over that of the unchanged environment in the same phases of the same ways."
+        description="Over that of the unchanged environment, in the same phases of the same ways, "
+        "of a map that is kept up, or fixed, alike."
     )
 
 
@@ -95,8 +104,8 @@ def figures(ways: Sequence[Way]) -> list[Figure]:
     found = []
     for phase in PHASES:
         for quantity in QUANTITIES:
-            reference = _means(ways, UNCHANGED.name, phase, quantity)
             for condition in CONDITIONS:
+                reference = _means(ways, condition.reference, phase, quantity)
                 values = _means(ways, condition.name, phase, quantity)
                 found.append(
                     Figure(

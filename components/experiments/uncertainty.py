@@ -20,6 +20,7 @@ from components.experiments.conditions import (
     QUANTITIES,
     REPAIRED,
     UNCHANGED,
+    UNCHANGED_FIXED,
     UPDATED,
     Figure,
     Way,
@@ -86,8 +87,9 @@ def _ways(runs: Sequence[Observed], at: float) -> Iterator[Way]:
         end = min(still.result.seconds, moved.result.seconds)
         courses = {
             UNCHANGED.name: course_of(still.pairs[OURS.name], still.world, end),
-            NOT_UPDATED.name: course_of(moved.pairs[NO_UPDATE.name], moved.world, end),
             UPDATED.name: course_of(moved.pairs[OURS.name], moved.world, end),
+            UNCHANGED_FIXED.name: course_of(still.pairs[NO_UPDATE.name], still.world, end),
+            NOT_UPDATED.name: course_of(moved.pairs[NO_UPDATE.name], moved.world, end),
         }
         ours = next(pair for pair in moved.result.pairs if pair.method == OURS.name)
         registered = [m.registered_at for m in ours.moves if m.registered_at is not None]
@@ -130,7 +132,7 @@ def _lines(
                         for q in QUANTITIES
                     ),
                 )
-                for condition in (NOT_UPDATED, UPDATED)
+                for condition in (UPDATED, NOT_UPDATED)
             ],
         )
         yield ""

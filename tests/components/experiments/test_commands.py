@@ -70,8 +70,9 @@ def test_without_a_change_the_environment_is_the_same_to_the_last_bit(tmp_path: 
         (one["condition"], one["phase"], one["quantity"]): one["against_unchanged"]["mean"]
         for one in answer.json["summary"]
     }
-    assert figures["updated", "before", "position_error"] == 1.0
-    assert figures["updated", "before", "position_sd"] == 1.0
+    for condition in ("updated", "not_updated"):
+        for quantity in ("position_spread", "position_sd", "position_error"):
+            assert figures[condition, "before", quantity] == 1.0
     for picture in ("fig9_position.png", "fig9_orientation.png"):
         assert (tmp_path / picture).read_bytes().startswith(b"\x89PNG")
     unchanged, changed = (

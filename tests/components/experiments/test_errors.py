@@ -6,8 +6,10 @@ import pytest
 from components.experiments.conditions import (
     AFTER,
     BEFORE,
+    NOT_UPDATED,
     REPAIRED,
     UNCHANGED,
+    UNCHANGED_FIXED,
     UPDATED,
     Way,
     figures,
@@ -27,7 +29,12 @@ def course(*errors: float) -> Course:
 
 
 def way(unchanged: Course, other: Course, registered_at: float | None = 1.0) -> Way:
-    courses = {UNCHANGED.name: unchanged, UPDATED.name: other, "not_updated": other}
+    courses = {
+        UNCHANGED.name: unchanged,
+        UPDATED.name: other,
+        UNCHANGED_FIXED.name: other,
+        NOT_UPDATED.name: other,
+    }
     return Way(1, courses, 0.5, registered_at, 1.5)
 
 
@@ -77,6 +84,8 @@ def test_conditions_are_compared_in_the_same_phases_of_the_same_ways() -> None:
     after = found[UPDATED.name, AFTER, "position_sd"]
     assert after.value.mean == pytest.approx((1.5 + 6.0) / 2)
     assert after.against_unchanged.mean == pytest.approx(1.5)
+    # A map that is fixed is compared with itself.
+    assert found[NOT_UPDATED.name, AFTER, "position_sd"].against_unchanged.mean == 1.0
 
 
 def test_ways_are_drawn_over_the_time_that_all_of_them_have() -> None:
