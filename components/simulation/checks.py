@@ -33,7 +33,9 @@ def problems_of(world: WorldFile, radius: float) -> list[str]:
     if not problems:  # else all might be outside, too
         problems += _outside(scene)
         problems += [told for thing in world.objects for told in _hidden(scene, thing)]
-        problems += [told for thing in _all_objects(world) for told in _unseen(scene, thing)]
+        problems += [
+            told for thing in _all_objects(world) for told in unseen_problems(scene, thing)
+        ]
     for person in world.people:
         problems += way_problems(scene, person)
         problems += _on_robot(person, robot, radius)
@@ -60,6 +62,24 @@ def way_problems(scene: Scene, person: Person) -> list[str]:
             f"{person.name} begins at ({first[0]:g}, {first[1]:g}), outside of the walls; choose "
             "waypoints within"
         )
+    return problems
+
+
+def unseen_problems(scene: Scene, thing: VisibleObject) -> list[str]:
+    """What a camera could not see as it is told: its height, its picture."""
+    problems = []
+    ceiling = max(wall.height for wall in scene.walls)
+    half = 0.5 * thing.size[1]
+    if thing.z - half < 0.0 or thing.z + half > ceiling:
+        problems.append(
+            f"{thing.called} goes from {thing.z - half:g} m to {thing.z + half:g} m, but the floor "
+            f"is at 0 m and the highest wall ends at {ceiling:g} m; change its z or height"
+        )
+    if thing.texture is not None:
+        try:
+            read_picture(thing.texture)
+        except CairnError as error:
+            problems.append(f"{thing.called}: {error}")
     return problems
 
 
@@ -105,24 +125,6 @@ def _all_objects(world: WorldFile) -> list[VisibleObject]:
     """Those of the beginning and those of events."""
     later = [event.add_object for event in world.events if event.add_object is not None]
     return [*world.objects, *later]
-
-
-def _unseen(scene: Scene, thing: VisibleObject) -> list[str]:
-    """What a camera could not see as it is told: its height, its picture."""
-    problems = []
-    ceiling = max(wall.height for wall in scene.walls)
-    half = 0.5 * thing.size[1]
-    if thing.z - half < 0.0 or thing.z + half > ceiling:
-        problems.append(
-            f"{thing.called} goes from {thing.z - half:g} m to {thing.z + half:g} m, but the floor "
-            f"is at 0 m and the highest wall ends at {ceiling:g} m; change its z or height"
-        )
-    if thing.texture is not None:
-        try:
-            read_picture(thing.texture)
-        except CairnError as error:
-            problems.append(f"{thing.called}: {error}")
-    return problems
 
 
 def _on_robot(person: Person, robot: Pose, radius: float) -> list[str]:

@@ -16,7 +16,7 @@ from cairn.component.handlers import every, on
 from cairn.component.parameters import Config, ParameterRefused
 from cairn.component.ports import In, Out
 from cairn.errors import CairnError
-from components.simulation.checks import problems_of
+from components.simulation.checks import problems_of, unseen_problems
 from components.simulation.messages import scene_message, true_map
 from components.simulation.refusals import what_is_wrong
 from components.simulation.state_file import StateFile
@@ -205,8 +205,14 @@ class SimulatedWorld(Component):
                 self._world.move(given.name, given.pose)
             case _Named():
                 self._world.remove(given.name)
-            case Furniture() | VisibleObject():
+            case Furniture():
                 self._world.add(given)
+            case VisibleObject():
+                thing = given.within(self.config.world.parent)
+                problems = unseen_problems(self._world.scene, thing)
+                if problems:
+                    raise CairnError("; ".join(problems))
+                self._world.add(thing)
             case Person():
                 self._world.add_person(given)
             case Placed():
