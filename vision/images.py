@@ -85,7 +85,7 @@ def read_image(path: Path) -> Grey:
     except cv2.error as error:
         raise CairnError(f"{path} cannot be read as an image: {error.err}.") from error
     if pixels is None:
-        raise CairnError(f"{path} is no image that can be read: give a PNG, JPEG or TIFF file.")
+        raise CairnError(f"{path} is no image, or a truncated one: give a PNG, JPEG or TIFF file.")
     if pixels.dtype not in (np.uint8, np.uint16, np.float32):
         raise CairnError(f"{path} holds {pixels.dtype} numbers: give an image of 8 or 16 bits.")
     grey = _grey(pixels)

@@ -242,8 +242,8 @@ def _remedy(path: Path, error: sqlite3.Error) -> str:
         return "The disk fails: look into the system's log, and copy the file before all else"
     if "readonly" in text or "unable to open" in text:
         return (
-            "It, or its folder, cannot be written: give it write permission, or set the "
-            "parameter working_copy to a path that can be written"
+            "It, or its folder, cannot be written: give it write permission, or use a copy (which "
+            "the map builder makes by its parameter working_copy)"
         )
     if "locked" in text:
         return "Another program writes to it: stop that program"
