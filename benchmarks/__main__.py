@@ -16,6 +16,7 @@ BENCHMARKS = (
     "localization_scan",
     "localization_logs",
     "world",
+    "recognition",
     "camera",
     "navigation",
     "vision",
