@@ -80,6 +80,7 @@ def _register(known: MapObject, found: Candidate) -> tuple[MapObject, Change | N
         judged_from=found.seen_from,
         viewpoints=NOWHERE,
         missed_from=None,
+        held_back=0,
     )
     if unmoved and old is not None:
         kind = Kind.RESTORED

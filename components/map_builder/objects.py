@@ -57,7 +57,8 @@ class MapObject:
     """One object: `place` is None until it was ever registered.
 
     `judged_from` is the pose from which it was last judged by a sighting, `missed_from` the one
-    from which it was last not seen where it should have been.
+    from which it was last not seen where it should have been. `held_back` counts disagreements
+    that stood alone, and so hardly counted, since it last agreed.
     """
 
     object_id: int
@@ -71,6 +72,7 @@ class MapObject:
     viewpoints: Viewpoints = NOWHERE
     missed_from: Pose | None = None
     stays: Stays = NONE
+    held_back: int = 0
 
 
 @dataclass(frozen=True)

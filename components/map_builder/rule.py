@@ -22,6 +22,8 @@ from components.map_builder.reliability import REMOVAL, update
 from components.map_builder.viewpoints import NOWHERE, cell_of
 from planar.poses import apart
 
+# A disagreement of this similarity or more stands alone: the localizer has yet to see it borne out.
+_ALONE = 0.4
 # From poses that differ by more than this [m], [rad] an object is missed for reasons of their own.
 _MISSED_M, _MISSED_RAD = 0.4, 0.5
 
@@ -49,12 +51,18 @@ def _judge_live(
         known.judged_from, evidence.robot, ANOTHER_M, ANOTHER_RAD
     ):
         return known, None
+    alone = evidence.verdict is Verdict.DISAGREES and evidence.similarity >= _ALONE
     reliability = update(known.reliability, evidence.similarity)
+    if evidence.verdict is Verdict.DISAGREES and not alone:
+        # Others bear it out: they were right, and count as this one does.
+        for _ in range(known.held_back):
+            reliability = update(reliability, evidence.similarity)
     judged = replace(
         known,
         reliability=reliability,
         evidence_count=known.evidence_count + 1,
         judged_from=evidence.robot,
+        held_back=known.held_back + 1 if alone else 0,
     )
     place = known.place
     if evidence.verdict is Verdict.AGREES and evidence.healthy and place is not None:

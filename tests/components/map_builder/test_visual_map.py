@@ -49,6 +49,25 @@ def test_a_moved_object_is_removed_and_registered_at_its_new_place() -> None:
     assert known.reliability > 0.5
 
 
+def test_disagreements_that_stood_alone_count_once_others_bear_them_out() -> None:
+    visual_map = VisualMap([surveyed()])
+    agreed = [sighting(0.9, step) for step in range(4)]
+    alone = [sighting(0.45, step, THERE) for step in range(4, 6)]
+
+    assert kinds(visual_map, *agreed, *alone) == []
+    assert visual_map.objects[7].reliability > 0.95
+    assert kinds(visual_map, sighting(0.1, 6, THERE)) == [Kind.REMOVED]
+
+
+def test_disagreements_that_stood_alone_are_forgotten_when_it_agrees_again() -> None:
+    visual_map = VisualMap([surveyed()])
+    agreed = [sighting(0.9, step) for step in range(4)]
+    errors = [sighting(0.45, 4, THERE), sighting(0.45, 5, THERE), sighting(0.9, 6)]
+
+    assert kinds(visual_map, *agreed, *errors, sighting(0.1, 7, THERE)) == []
+    assert visual_map.objects[7].reliability > 0.8
+
+
 def test_a_removed_object_is_not_registered_by_the_frame_that_removed_it() -> None:
     visual_map = VisualMap([surveyed()])
 
