@@ -95,6 +95,7 @@ def test_both_images_and_what_is_told_of_their_cameras_have_one_stamp(watched: M
     assert stamps["left_info"] == stamps["right_info"]
     assert len(stamps["left_image"]) >= 9
     assert set(np.diff(stamps["left_image"])) == {SECOND // 10}
+    assert stamps["left_image"][-1] == 2 * SECOND - round(0.03 * SECOND)
     for side in ("left", "right"):
         image, info = sent[f"{side}_image"][0], sent[f"{side}_info"][0]
         assert (image.encoding, image.width, image.height, image.step) == ("mono8", 640, 480, 640)

@@ -44,7 +44,8 @@ def within(around: NDArray[np.float64], border: int = 2) -> NDArray[np.bool_]:
 
 
 @pytest.mark.parametrize(
-    ("away", "aslant"), [(0.7, 0), (0.8, 40), (1.0, 70), (1.5, -75), (2.0, 30), (4.5, 0), (4.5, 20)]
+    ("away", "aslant"),
+    [(0.4, 0), (0.7, 0), (0.8, 40), (1.0, 70), (1.5, -75), (2.0, 30), (4.5, 0), (4.5, 20)],
 )
 def test_a_picture_is_where_the_projection_says_to_a_tenth_of_a_pixel(
     away: float, aslant: int
@@ -159,6 +160,25 @@ def test_low_furniture_is_seen_over_to_its_far_edge() -> None:
     assert rows[0] == pytest.approx(far, abs=1.0)
     assert rows[-1] == pytest.approx(min(foot, 479), abs=1.5)
     assert changed[rows[0] : rows[-1] + 1].mean() > 0.95
+
+
+def test_from_above_a_table_its_top_is_seen_and_what_is_beyond() -> None:
+    pose = (4.0, 2.0, 0.0)  # above its middle
+    without, there = seen(pose), seen(pose, furniture=[{**LOW, "surface": "dark"}])
+    edge = LENS.cy + LENS.focal * (1.0 - 0.5) / 0.3
+
+    assert edge > 479  # it ends below the image
+    assert np.abs(there - without).max() < 1.0
+    near = [seen(pose, 0.6, furniture=things) for things in ([], [{**LOW, "surface": "dark"}])]
+    changed = np.abs(near[1] - near[0])[:, 320] > 1.0
+    first = int(np.ceil(LENS.cy + LENS.focal * (0.6 - 0.5) / 0.3))
+    assert not changed[: first - 1].any()
+    assert changed[first + 1 :].all()
+    beside = seen((3.0, 2.0, 0.0), 0.6, furniture=[{**LOW, "surface": "dark"}])[:, 320]
+    border = int(LENS.cy + LENS.focal * (0.6 - 0.5) / 0.7)
+    top, side = beside[border - 20 : border - 2].mean(), beside[border + 2 : border + 20].mean()
+    assert top > 1.05 * side
+    assert near[1][first + 1 :, 320].mean() == pytest.approx(top, rel=0.05)
 
 
 @given(st.floats(0.3, 5.7), st.floats(0.3, 3.7), st.floats(-3.1, 3.1), st.floats(0.1, 2.4))
