@@ -8,7 +8,7 @@ from components.automove.component import AutoMoveConfig
 from components.localizer.health import Health, not_yet_sure
 from components.localizer.recent import Support
 from components.localizer.scanner_watch import ScannerWatch
-from components.map_builder.component import MapBuilderConfig
+from components.map_builder.config import MapBuilderConfig
 from components.motion_control.config import MotionControlConfig
 from components.path_planner.config import PathPlannerConfig
 from planar.sweep import Rays

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
+from cairn.cli.seeds import seeds_of
 from cairn.errors import CairnError
-from components.evaluation.cli import _seeds
 from components.evaluation.localization_quality import LocalizationQuality
 from components.evaluation.report import report_lines
 from components.evaluation.results import GoalResult, RunResult, summed_up
@@ -141,8 +141,8 @@ def test_who_states_no_error_at_all_is_never_within_it() -> None:
 
 
 def test_seeds_are_given_as_a_range() -> None:
-    assert list(_seeds("3..5")) == [3, 4, 5]
-    assert list(_seeds("7")) == [7]
+    assert list(seeds_of("3..5")) == [3, 4, 5]
+    assert list(seeds_of("7")) == [7]
     for wrong in ("a..b", "5..3", "-1..2", ""):
         with pytest.raises(CairnError, match="--seeds"):
-            _seeds(wrong)
+            seeds_of(wrong)
