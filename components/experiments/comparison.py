@@ -31,8 +31,8 @@ class MethodSummary(BaseModel):
     method: str
     title: str
     recall: Rate = Field(
-        description="Moved objects that were removed or registered anew, of those sighted at "
-        "least 5 times after."
+        description="Moved objects that were removed, or before the move removed and then "
+        "registered rightly, of those sighted at least 5 times after."
     )
     recall_by_views: Rate = Field(
         description="The same of those sighted at least 5 times from poses that differ by 0.15 m "

@@ -37,7 +37,10 @@ class MoveResult(BaseModel):
     beside: float = Field(description="Distance of its new place to the next other object [m].")
     sightings: int = Field(description="Sightings until the end of the run.")
     views: int = Field(description="Views until the end of the run.")
-    noticed: bool = Field(description="It was removed after the move, or registered.")
+    noticed: bool = Field(
+        description="It was removed after the move; or before, and then registered within 0.3 m of "
+        "its new place."
+    )
     removed_at: float | None = Field(description="When its old place was removed [s].")
     sightings_to_remove: int | None = Field(description="Sightings until then.")
     views_to_remove: int | None = Field(description="Views until then.")
@@ -196,7 +199,7 @@ def _judged_move(move: Move, pair: PairSeries, world: WorldSeries) -> MoveResult
         beside=min((math.dist(move.new, other) for other in others), default=math.inf),
         sightings=len(seen),
         views=len(own_views),
-        noticed=removal is not None or found is not None,
+        noticed=removal is not None or (found is not None and _is_there(found, world)),
         removed_at=removal.stamp if removal else None,
         sightings_to_remove=_until([stamp for stamp, _ in seen], removal),
         views_to_remove=_until(own_views, removal),

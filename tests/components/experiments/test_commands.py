@@ -52,7 +52,7 @@ def test_an_ablation_compares_all_methods_on_the_same_data(tmp_path: Path) -> No
     ]
     (run,) = report["runs"]
     assert [move["moved_at"] for move in run["pairs"][0]["moves"]] == [6.0, 6.0]
-    assert report["about"]["MethodSummary"]["recall"].startswith("Moved objects that were removed")
+    assert report["about"]["MethodSummary"]["recall"].startswith("Moved objects that were removed,")
     assert (tmp_path / "ablation.png").read_bytes().startswith(b"\x89PNG")
     folder = tmp_path / "runs" / "seed-0"
     assert len(read_world(folder / "world.jsonl").moves) == 2

@@ -56,6 +56,8 @@ def test_who_was_removed_too_early_notices_the_move_by_registering() -> None:
 
     assert move.noticed
     assert move.removed_at is None
+    elsewhere = pair(changes=[removed(9.0, 1, OLD), registered(12.0, 1, OTHER)])
+    assert not judged(elsewhere, truth).moves[0].noticed
 
 
 def test_removing_what_stands_there_is_false_and_what_was_moved_is_not() -> None:
