@@ -11,12 +11,14 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from components.localizer.displacement import Displacements
 from components.localizer.object_likelihood import Landmark, Sighting, object_log_likelihood
 from components.localizer.particles import Estimate
 from components.localizer.recent import ANOTHER_M, ANOTHER_RAD
 from components.localizer.ring import converge, draw_ring
 from components.localizer.similarity import (
     GATE,
+    LEAST,
     NEUTRAL,
     convergence_radius,
     gate_similarity,
@@ -85,10 +87,12 @@ class Judge:
         self.ring_samples = ring_samples
         self.random = random
         self._contradictions: dict[int, list[_Contradiction]] = {}
+        self._displacements = Displacements()
 
     def forget(self, object_id: int) -> None:
         """Drop what was remembered of an object, as its place in the map changed."""
         self._contradictions.pop(object_id, None)
+        self._displacements.forget(object_id)
 
     def place(self, sighting: Sighting, pose: Estimate, healthy: bool) -> Judgement:
         """Where an object that the map does not hold stands: no similarity to judge."""
@@ -111,11 +115,13 @@ class Judge:
         vouched: bool,
         likely: bool,
         converged: bool,
+        scanned: bool,
         others: Callable[[Array], Array],
     ) -> Judgement:
         """Judge a live object against `pose`, to which it contributed nothing.
 
-        `vouched`: scans or other objects speak for that pose; `likely`: they rather do than not.
+        `vouched`: scans or other objects speak for that pose; `likely`: they rather do than not;
+        `scanned`: scans do, so it is exact to centimetres.
         `others` is the log-likelihood of poses by all that was seen of late but the object.
         """
         landmark = landmarks[sighting.object_id]
@@ -136,9 +142,13 @@ class Judge:
         verdict = Verdict.NOT_CONVERGED
         if not converged or not trusted or similarity == NEUTRAL:
             similarity = NEUTRAL
+        elif vouched and scanned and self._displacements.shifted(sighting, pose, landmark):
+            near = self._near_another(sighting, pose, landmarks)
+            similarity = NEUTRAL if near else LEAST
+            verdict = Verdict.FALSE_MATCH if near else Verdict.DISAGREES
         elif similarity > NEUTRAL:
             verdict = Verdict.AGREES
-            self.forget(sighting.object_id)
+            self._contradictions.pop(sighting.object_id, None)
         else:
             similarity, verdict = self._contradicted(sighting, pose, landmarks, similarity)
         return _judgement(sighting, pose, similarity, verdict, distance, contradicts)
@@ -156,19 +166,25 @@ class Judge:
             known.append(_Contradiction(x, y, pose.mean))
             del known[:-20]
         together = sum(math.hypot(c.x - x, c.y - y) < SAME_PLACE for c in known)
+        if together < CORROBORATED_NEAR_ANOTHER and self._near_another(sighting, pose, landmarks):
+            return NEUTRAL, Verdict.FALSE_MATCH
+        if together < CORROBORATED:
+            return UNCORROBORATED, Verdict.DISAGREES
+        return similarity, Verdict.DISAGREES
+
+    def _near_another(
+        self, sighting: Sighting, pose: Estimate, landmarks: Mapping[int, Landmark]
+    ) -> bool:
+        """Whether what was seen may be another object that stands where it was seen."""
+        x, y, _ = implied_place(pose, sighting)
         here = landmarks[sighting.object_id]
-        near_another = any(
+        return any(
             other.live
             and other.object_id != sighting.object_id
             and math.hypot(other.x - x, other.y - y) < VETO
             and not self._stands_at(other.object_id, here)
             for other in landmarks.values()
         )
-        if near_another and together < CORROBORATED_NEAR_ANOTHER:
-            return NEUTRAL, Verdict.FALSE_MATCH
-        if together < CORROBORATED:
-            return UNCORROBORATED, Verdict.DISAGREES
-        return similarity, Verdict.DISAGREES
 
     def _stands_at(self, object_id: int, place: Landmark) -> bool:
         """Whether an object was seen where another one stood: the two have changed places."""

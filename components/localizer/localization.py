@@ -286,7 +286,12 @@ class Localization:
         """Whether scans or other objects speak for a pose."""
         if support.firm:
             return True
-        return self._fit.vouches and support.contradicting <= max(1, support.agreeing)
+        if not self._fit.vouches:
+            return False
+        # Where several objects were moved, more may contradict than agree. So they do to a robot
+        # that is lost where it looks alike; but that one is not found here by a search.
+        few = support.contradicting <= max(1, support.agreeing)
+        return few or self.recovery.found_here(self.track.integrated_to)
 
     def _healthy(self, pose: Estimate, support: Support) -> tuple[bool, str]:
         limit = self.settings.healthy_spread_m
@@ -314,6 +319,7 @@ class Localization:
             self._vouched(support),
             support.agreeing >= support.contradicting or self._fit.vouches,
             pose.spread <= self.settings.healthy_spread_m,
+            self._fit.vouches,
             lambda poses: evidence.log_likelihood(poses, object_id),
         )
 

@@ -36,6 +36,8 @@ _WARY, _SUSPICIOUS, _OF_USUAL = 0.8, 0.5, 0.65
 _NEWEST, _NEWEST_OF_BAD = 0.02, 0.001
 # How often to look [s].
 _WARY_EVERY_S, _EVERY_S = 3.0, 1.0
+# For so long [s] a search that found the robot where it is believed to be speaks for that place.
+_HERE_S = 3.0
 _NOT_SURE = "the robot was found but now, and other places are not ruled out yet"
 
 
@@ -57,6 +59,7 @@ class Recovery:
         self._found_at: Pose = (0.0, 0.0, 0.0)
         self._away_m = 0.0
         self._fit = self._usual = 1.0
+        self._here_at = -math.inf
 
     def believe(self) -> None:
         """Take the robot's place as known."""
@@ -77,6 +80,12 @@ class Recovery:
             return ""
         undisputed = stamp >= self._probation_ends and self._away_m >= _UNDISPUTED_M
         return "" if undisputed else _NOT_SURE
+
+    def found_here(self, stamp: float) -> bool:
+        """Whether the last search, no longer ago than 3 s, found the robot where it is believed
+        to be, and clearly; `stamp` [s] is now.
+        """
+        return self.sure(stamp) and stamp - self._here_at <= _HERE_S
 
     def doubt(self, stamp: float, now: Pose) -> None:
         """Look for the robot for a while, as at `stamp` [s] it was found where it may not be.
@@ -146,8 +155,11 @@ class Recovery:
             self._confirmations = 0
             return None
         if _close(here.mean, found.pose.mean):
-            self._confirm(found.share >= 0.9, evidence.now)
+            clearly = found.share >= 0.9
+            self._here_at = stamp if clearly else -math.inf
+            self._confirm(clearly, evidence.now)
             return None
+        self._here_at = -math.inf
         self._confirmations = 0
         score = evidence.log_likelihood(np.asarray(here.mean)[:, None])
         if found.score - float(score[0]) < BETTER:

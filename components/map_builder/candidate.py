@@ -14,13 +14,14 @@ from components.map_builder.objects import (
     State,
     Verdict,
 )
-from components.map_builder.place import fuse, place_similarity
+from components.map_builder.place import Place, fuse, place_similarity, squared_distance
 from components.map_builder.reliability import REGISTRATION, update
 from components.map_builder.viewpoints import NOWHERE
 from planar.poses import apart
 
-# A candidate no farther than this from where the object stood has not moved.
-UNMOVED = 0.35  # [m]
+# A candidate no farther than this [m] from where the object stood has not moved, if its sightings
+# are not more exact than that: normalised distance squared (2 dof, 90 %).
+_UNMOVED_M, _UNMOVED_NIS = 0.35, 4.6
 # From poses that differ by more than this [m], [rad] sightings are independent.
 ANOTHER_M, ANOTHER_RAD = 0.15, 0.2
 
@@ -69,7 +70,7 @@ def _doubted(known: MapObject) -> tuple[MapObject, Change | None]:
 
 def _register(known: MapObject, found: Candidate) -> tuple[MapObject, Change | None]:
     old = known.place
-    unmoved = old is not None and old.distance(found.place) <= UNMOVED
+    unmoved = old is not None and _unmoved(old, found.place)
     place = old if unmoved and old is not None else found.place
     registered = replace(
         known,
@@ -89,3 +90,7 @@ def _register(known: MapObject, found: Candidate) -> tuple[MapObject, Change | N
         kind = Kind.REGISTERED
         reason = f"{found.sightings} sightings from different poses agree on the new place"
     return registered, Change(known.object_id, kind, old, place, found.reliability, reason)
+
+
+def _unmoved(old: Place, found: Place) -> bool:
+    return old.distance(found) <= _UNMOVED_M and squared_distance(old, found) <= _UNMOVED_NIS

@@ -33,11 +33,16 @@ class Place:
 
 def place_similarity(candidate: Place, implied: Place) -> float:
     """Odds that two implied places are one, against a sighting anywhere in view; in [0.1, 0.9]."""
-    total = _covariance(candidate) + _covariance(implied) + 0.06**2 * np.eye(2)
-    error = np.array([implied.x - candidate.x, implied.y - candidate.y])
-    nis = float(error @ np.linalg.solve(total, error))
+    total = _together(candidate, implied)
+    nis = squared_distance(candidate, implied)
     density = math.exp(-0.5 * nis) / (2.0 * math.pi * math.sqrt(float(np.linalg.det(total))))
     return min(0.9, max(0.1, density / (density + CLUTTER)))
+
+
+def squared_distance(one: Place, other: Place) -> float:
+    """The distance of two places, squared and in units of their covariances [1]."""
+    error = np.array([other.x - one.x, other.y - one.y])
+    return float(error @ np.linalg.solve(_together(one, other), error))
 
 
 def fuse(place: Place, implied: Place) -> Place:
@@ -56,6 +61,10 @@ def fuse(place: Place, implied: Place) -> Place:
         float(0.5 * (left[0, 1] + left[1, 0])),
         float(left[1, 1]),
     )
+
+
+def _together(one: Place, other: Place) -> Array:
+    return _covariance(one) + _covariance(other) + 0.06**2 * np.eye(2)
 
 
 def _covariance(place: Place) -> Array:

@@ -14,13 +14,15 @@ A, B = Landmark(1, 3.0, 1.0, reliability=0.9), Landmark(2, 3.0, -1.0, reliabilit
 MAP = {1: A, 2: B}
 
 
-def judged(judge: Judge, object_id: int, step: int, at: tuple[float, float]) -> Judgement:
+def judged(
+    judge: Judge, object_id: int, step: int, at: tuple[float, float], sd: float = 0.05
+) -> Judgement:
     """`object_id` is seen at a place from the pose that is `step` times 0.2 m along the way."""
     pose = Estimate((0.2 * step, 0.0, 0.0), np.diag([0.001, 0.001, 0.0002]))
     dx, dy = at[0] - pose.mean[0], at[1]
-    sighting = Sighting(object_id, math.hypot(dx, dy), wrap(math.atan2(dy, dx)), 0.0025, 0.0004)
+    sighting = Sighting(object_id, math.hypot(dx, dy), wrap(math.atan2(dy, dx)), sd**2, 0.0004)
     return judge.compare(
-        sighting, pose, MAP, True, True, True, lambda poses: np.zeros(poses.shape[1])
+        sighting, pose, MAP, True, True, True, True, lambda poses: np.zeros(poses.shape[1])
     )
 
 
@@ -64,6 +66,34 @@ def test_two_objects_that_are_seen_in_each_others_places_were_exchanged() -> Non
     assert verdicts[0][0] is Verdict.FALSE_MATCH
     assert verdicts[4] == (Verdict.DISAGREES, Verdict.DISAGREES)
     assert judged(judge, 1, 6, (3.0, -1.0)).similarity == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_an_object_that_was_moved_a_little_is_found_out_by_many_sightings(seed: int) -> None:
+    """Each sighting by itself agrees: it is as noisy as the move is wide."""
+    random = np.random.default_rng(seed)
+    judge = judge_of()
+
+    verdicts = []
+    for step in range(18):
+        dx, dy = 0.1 * random.standard_normal(2)
+        verdicts.append(judged(judge, 1, step, (3.33 + dx, 1.0 + dy), sd=0.15).verdict)
+
+    assert Verdict.AGREES in verdicts[:6]
+    assert verdicts[-3:] == [Verdict.DISAGREES] * 3
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_an_object_that_was_not_moved_agrees_for_ever(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    judge = judge_of()
+
+    verdicts = set()
+    for step in range(40):
+        dx, dy = 0.08 * random.standard_normal(2)
+        verdicts.add(judged(judge, 1, step % 10, (3.05 + dx, 1.0 + dy), sd=0.15).verdict)
+
+    assert verdicts == {Verdict.AGREES}
 
 
 def test_a_gate_and_the_letter_wait_for_nothing() -> None:
