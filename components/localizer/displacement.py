@@ -21,8 +21,9 @@ Array = NDArray[np.float64]
 _LEAST, _MOST = 6, 12
 # What sightings from all poses may have in common by errors of map and pose [m].
 _COMMON_M = 0.05
-# A shift of less than this [m] is nothing to anybody; one of more is seen from single sightings.
-_SMALL_M, _LARGE_M = 0.15, 0.6
+# A shift of less than this [m] is nothing to anybody; one of more is seen from single sightings,
+# and what lies farther off than that speaks of something else.
+_SMALL_M, _LARGE_M = 0.15, 0.8
 # Variance of a median over that of a mean, of many Gaussian numbers.
 _MEDIAN = 1.57
 
@@ -54,6 +55,8 @@ class Displacements:
         """Note a sighting from a sure pose; whether the object clearly stands beside its place."""
         known = self._implied.setdefault(sighting.object_id, deque(maxlen=_MOST))
         x, y, whole = implied_place(pose, sighting)
+        if math.hypot(x - landmark.x, y - landmark.y) > _LARGE_M:
+            return False
         exact = Estimate(pose.mean, np.zeros((3, 3)))
         noise = implied_place(exact, sighting)[2]
         if not known or apart(known[-1].seen_from, pose.mean, ANOTHER_M, ANOTHER_RAD):
@@ -62,7 +65,7 @@ class Displacements:
         if count < _LEAST:
             return False
         off = np.median([one.place for one in known], axis=0) - (landmark.x, landmark.y)
-        if not _SMALL_M <= math.hypot(*off) <= _LARGE_M:
+        if math.hypot(*off) < _SMALL_M:
             return False
         mapped = np.array([[landmark.xx, landmark.xy], [landmark.xy, landmark.yy]])
         common = whole - noise + mapped + (_COMMON_M**2 + MAP_SIGMA**2) * np.eye(2)
