@@ -30,7 +30,6 @@ class DescriptorIndex:
     def __init__(self, descriptors: NDArray[np.uint8]) -> None:
         lists = min(len(descriptors), round(3.0 * math.sqrt(len(descriptors))))
         self._centres = _centres(descriptors, lists)
-        self._norms = 0.5 * np.square(self._centres).sum(axis=1)
         nearest = self._nearest_centres(descriptors, 1)[:, 0] if lists else np.zeros(0, np.int32)
         self._order = np.argsort(nearest, kind="stable").astype(np.int32)
         self._rows = np.ascontiguousarray(descriptors[self._order])
@@ -57,21 +56,19 @@ class DescriptorIndex:
         return found, distances.astype(np.float32, copy=False)
 
     def _nearest_centres(self, descriptors: NDArray[np.uint8], count: int) -> NDArray[np.int32]:
+        # Not by a product of matrices: its library takes all cores for what is done in no time.
         chosen = np.empty((len(descriptors), count), np.int32)
-        for start in range(0, len(descriptors), 4096):  # so that memory stays bounded
-            part = slice(start, start + 4096)
-            away = self._norms - descriptors[part].astype(np.float32) @ self._centres.T
-            if count == 1:
-                chosen[part, 0] = away.argmin(axis=1)
-            else:
-                chosen[part] = np.argpartition(away, count - 1, axis=1)[:, :count]
+        squares = np.full((len(descriptors), count), _FARTHEST, np.int32)
+        only = np.zeros((len(descriptors), 1), np.int32)
+        ends = np.array([0, len(self._centres)], np.int32)
+        _scan(np.ascontiguousarray(descriptors), only, ends, self._centres, chosen, squares)
         return chosen
 
 
-def _centres(descriptors: NDArray[np.uint8], lists: int) -> NDArray[np.float32]:
+def _centres(descriptors: NDArray[np.uint8], lists: int) -> NDArray[np.uint8]:
     """Lloyd's k-means over every so manyth descriptor, started at every so manyth."""
     if not lists:
-        return np.zeros((0, DESCRIPTOR), np.float32)
+        return np.zeros((0, DESCRIPTOR), np.uint8)
     step = max(1, len(descriptors) // (lists * _SAMPLE))
     sample = descriptors[::step].astype(np.float32)
     centres = sample[np.linspace(0, len(sample) - 1, lists).astype(np.intp)].copy()
@@ -81,7 +78,7 @@ def _centres(descriptors: NDArray[np.uint8], lists: int) -> NDArray[np.float32]:
         used, starts = np.unique(nearest[order], return_index=True)
         sums = np.add.reduceat(sample[order], starts, axis=0)
         centres[used] = sums / np.diff(starts, append=len(order))[:, None]
-    return centres
+    return np.rint(centres).astype(np.uint8)
 
 
 @numba.njit(
