@@ -26,11 +26,11 @@ from benchmarks.pictures import (
     seen,
 )
 from benchmarks.result import Figure
-from vision.features import Features, extract, varied
+from vision.features import Features, extract
 from vision.recognition import Recognition, Recognizer
-from vision.taught import TaughtObject, View
+from vision.taught import TaughtObject
+from vision.teaching import view_of
 
-_FEATURES = 130  # of a view
 _SHOWN = 10  # objects, known in each database, that scenes show one of
 _SCENES, _EMPTY, _SWEPT = 60, 150, 40
 _LIMITS = {10: 1.3, 100: None, 1000: 2.0}
@@ -94,9 +94,7 @@ def measure() -> list[Figure]:
 
 
 def _taught(number: int, picture: Grey) -> TaughtObject:
-    features = varied(extract(picture), _FEATURES)
-    view = View(picture.shape[1], picture.shape[0], features, picture)
-    return TaughtObject(number, f"object {number}", None, (view,))
+    return TaughtObject(number, f"object {number}", None, (view_of(picture),))
 
 
 def _scene(taught: Sequence[TaughtObject], scenery: Scenery, random: np.random.Generator) -> _Scene:

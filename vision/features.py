@@ -15,6 +15,10 @@ LARGEST = 2_000_000
 DESCRIPTOR = 128
 """Numbers in a descriptor."""
 
+# Grey levels from the darkest to the brightest hundredth of an image that is worth calling lit; the
+# level of the darkest; the gain that gets it there, at most; and one that is not worth it.
+_SPAN, _LOWEST, _MOST_GAIN, _ENOUGH = 200.0, 10.0, 6.0, 1.3
+
 _QUANTISATION = 512.0  # as usual for SIFT: no element of a unit descriptor comes near 0.5
 
 
@@ -65,6 +69,7 @@ def extract(grey: NDArray[np.uint8], most: int = 0) -> Features:
         stretch = np.array([width / smaller[0], height / smaller[1]])
     else:
         stretch = np.ones(2)
+    grey = _in_good_light(grey)
     # The precise upscaling: without it all points lie a quarter of a pixel off.
     sift = cv2.SIFT.create(nfeatures=most, enable_precise_upscale=True)
     keypoints, histograms = sift.detectAndCompute(grey, None)
@@ -80,6 +85,20 @@ def extract(grey: NDArray[np.uint8], most: int = 0) -> Features:
         np.deg2rad(table[:, 3]).astype(np.float32),
         _rooted(histograms[order].astype(np.float32, copy=False)),
     )
+
+
+def _in_good_light(grey: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """An image whose grey levels span much, made of one that is dark or without contrast.
+
+    What stands out is measured in grey levels, so in bad light nothing would. The gain is at most
+    `_MOST_GAIN`: beyond it there is more noise than image.
+    """
+    low, high = np.percentile(grey[::4, ::4], [1.0, 99.0])
+    gain = min(_MOST_GAIN, _SPAN / max(high - low, 1.0))
+    if gain <= _ENOUGH:
+        return grey
+    levels = np.clip((np.arange(256) - low) * gain + _LOWEST, 0, 255).astype(np.uint8)
+    return np.asarray(cv2.LUT(grey, levels), np.uint8)
 
 
 def varied(features: Features, most: int) -> Features:

@@ -21,8 +21,8 @@ Box = tuple[int, int, int, int]
 LONGEST: Final = 800
 """Sides of views [px]: what is finer in a photograph no camera sees from where robots look."""
 
-MOST: Final = 200
-"""Features of a view: more tell next to nothing more, and each is compared with every image's."""
+MOST: Final = 300
+"""Features of a view: more tell hardly more, and each is compared with every image's."""
 
 # What it is tried on: smaller, darker, and turned in front of a grey wall.
 _SMALLER, _DARKER, _TURNED_DEG = 0.6, 0.8, 12.0

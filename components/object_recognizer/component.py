@@ -177,7 +177,7 @@ class ObjectRecognizer(Component):
         if blind:
             self._complaints.tell("blind", f"{self.left_image.topic}: {blind}")
         known = self._known.now
-        if blind or shows_little(features) or not known.objects:
+        if shows_little(features) or not known.objects:
             return NOWHERE, []
         found = known.recognizer.recognize(features, left.shape[1], left.shape[0])
         sightings = without_wrong_twins(
@@ -191,8 +191,8 @@ class ObjectRecognizer(Component):
             for one, place in placed
             if place is not None and config.nearest <= place.range <= config.farthest
         ]
-        if any(place is None for _, place in placed):
-            # What is seen, but not told of, must not be thought to be gone.
+        if blind or any(place is None for _, place in placed):
+            # What is seen but not told of, or is in the dark, must not be thought to be gone.
             return NOWHERE, told
         return field_of(cameras.rig, config.mount.pose, config.nearest, config.farthest), told
 

@@ -102,3 +102,10 @@ def test_varied_features_are_of_all_sizes() -> None:
 def test_what_is_no_grey_image_is_refused(image: NDArray[np.uint8]) -> None:
     with pytest.raises(ValueError, match="uint8"):
         extract(image)
+
+
+@pytest.mark.parametrize("light", [0.5, 0.2])
+def test_a_picture_in_the_dark_has_most_of_its_features(light: float) -> None:
+    dark = (PICTURE * light).astype(np.uint8)
+
+    assert len(extract(dark)) > 0.7 * len(extract(PICTURE))

@@ -43,7 +43,7 @@ def test_an_object_is_taught_listed_shown_and_removed(folder: Path) -> None:
 
     again = cairn("object", "teach", "cup", photo("b.png", picture_of(2)), "--json").json
     assert (again["object_id"], again["views"], again["map"]) == (1, 2, "visual_map.cairn")
-    assert again["taught"] == [{"image": "b.png", "width": 400, "height": 300, "features": 200}]
+    assert again["taught"] == [{"image": "b.png", "width": 400, "height": 300, "features": 300}]
     assert (again["look_alikes"], again["remarks"]) == ([], [])
 
     (row,) = cairn("object", "list", "--json").json
