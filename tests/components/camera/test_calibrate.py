@@ -161,7 +161,7 @@ def test_what_cannot_be_calibrated_is_refused_in_a_sentence(folder: Path, tmp_pa
         (left[:2], "2 images of a camera: a calibration needs 3 at least"),
         ([], "no images are given"),
         ([*left, small], f"{small} is 320 x 240 pixels, other images are 640 x 480"),
-        ([*left, text], f"{text} is no image that can be read"),
+        ([*left, text], f"{text} is no image, or a truncated one"),
         ([*left, tmp_path / "none.jpg"], "none.jpg: no such file or folder"),
         ([f"{tmp_path}/none*.jpg"], "no file has such a name"),
         (["--left", folder], "--left is given without the other"),

@@ -227,8 +227,9 @@ def test_events_that_came_due_after_the_end_of_a_run_are_told(
 ) -> None:
     monkeypatch.setattr(cli, "run_trial", as_told)
     world = tmp_path / "world.yaml"
+    room = ROOT / "deploy" / "worlds" / "room.yaml"
     world.write_text(
-        (ROOT / "deploy" / "worlds" / "room.yaml").read_text()
+        room.read_text().replace("textures/", f"{room.parent}/textures/")
         + "events:\n"
         + "  - {at: 90, kidnap: {x: 2, y: 2}}\n"
         + "  - {at: 50, swap: [object_1, object_2]}\n"

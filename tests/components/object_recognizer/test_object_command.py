@@ -49,14 +49,14 @@ def test_an_object_is_taught_listed_shown_and_removed(folder: Path) -> None:
     (row,) = cairn("object", "list", "--json").json
     assert row == {
         "object_id": 1, "name": "cup", "width_m": 0.4, "height_m": 0.3, "views": 2,
-        "features": 400,
+        "features": 600,
     }  # fmt: skip
     assert cairn("object", "list").out.splitlines()[1].split() == (
-        ["1", "cup", "0.40", "0.30", "2", "400"]
+        ["1", "cup", "0.40", "0.30", "2", "600"]
     )
 
     shown = cairn("object", "show", "cup", "--out", "cup_views.png", "--json").json
-    assert [view["features"] for view in shown["views"]] == [200, 200]
+    assert [view["features"] for view in shown["views"]] == [300, 300]
     assert np.std(np.asarray(cv2.imread("cup_views.png"))) > 10
 
     assert "no longer recognised" in cairn("object", "remove", "cup").out
