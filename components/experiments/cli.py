@@ -13,7 +13,7 @@ from cairn.cli.tables import line, print_json
 from cairn.errors import CairnError
 from components.experiments.ablation import Ask, run_ablation
 from components.experiments.map_update import run_map_update
-from components.experiments.methods import ABLATION, NO_UPDATE, OURS, PAPER, Method
+from components.experiments.methods import ABLATION, OURS, PAPER, Method
 from components.experiments.options import (
     DEPLOYMENT,
     OVERLAY,
@@ -29,7 +29,7 @@ from components.experiments.options import (
     refuse_unreadable,
 )
 from components.experiments.pairs import Plan
-from components.experiments.uncertainty import run_uncertainty
+from components.experiments.uncertainty import UNCERTAINTY, run_uncertainty
 
 app = typer.Typer(help="Run the experiments of the paper.", no_args_is_help=True)
 
@@ -55,7 +55,7 @@ def uncertainty(
     Each seed is a way, driven by scans alone, in the room as it is and in the room in which
     something is moved. Ends with status 1 if a run failed.
     """
-    plan = _plan(deployment, overlay, driver, set_, None, (OURS, NO_UPDATE))
+    plan = _plan(deployment, overlay, driver, set_, None, UNCERTAINTY)
     numbers = seeds_of(seeds)
     _tell(*run_uncertainty(plan, numbers, out.absolute(), workers, quiet=json), out=out, json=json)
 

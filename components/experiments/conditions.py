@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,6 +58,20 @@ NOT_UPDATED = Condition("not_updated", "changed, map fixed", "unchanged_fixed", 
 CONDITIONS = (UNCHANGED, UPDATED, UNCHANGED_FIXED, NOT_UPDATED)
 
 
+def at_its_word(condition: Condition) -> Condition:
+    """The same with objects that are fused as if all stood where the map says."""
+    return replace(
+        condition, name=f"word_{condition.name}", reference=f"word_{condition.reference}"
+    )
+
+
+AT_ITS_WORD = tuple(map(at_its_word, CONDITIONS))
+FUSIONS = {
+    "objects fused by their reliability": CONDITIONS,
+    "objects taken at their word": AT_ITS_WORD,
+}
+
+
 @dataclass(frozen=True)
 class Way:
     """One way that was driven: its course by condition, and when [s] what happened."""
@@ -83,7 +97,11 @@ class Figure(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
 
-    condition: str
+    condition: str = Field(
+        description="unchanged or changed room; map kept up (unchanged, updated) or fixed "
+        "(unchanged_fixed, not_updated); word_: with objects taken at their word, as if all stood "
+        "where the map says, instead of by their reliability."
+    )
     phase: str = Field(
         description="before: until the change; after: from it on; repaired: from the registration "
         "of the moved object on, the same time for all conditions."
@@ -104,7 +122,7 @@ def figures(ways: Sequence[Way]) -> list[Figure]:
     found = []
     for phase in PHASES:
         for quantity in QUANTITIES:
-            for condition in CONDITIONS:
+            for condition in (*CONDITIONS, *AT_ITS_WORD):
                 reference = _means(ways, condition.reference, phase, quantity)
                 values = _means(ways, condition.name, phase, quantity)
                 found.append(

@@ -26,4 +26,11 @@ CHI_SQUARE = Method(
 PERSISTENCE = Method("persistence", "persistence filter", {"mode": "lr"}, {"rule": "persistence"})
 NO_UPDATE = Method("no_update", "no update", {"mode": "lr"}, {"update_objects": False})
 
+# A filter without doubt, as the paper's seems to be: what it does when the map is wrong.
+_WORD = {"mode": "lr", "fusion": "at_its_word", "independence": 1.0}
+OURS_AT_ITS_WORD = Method("word", "ours, objects at their word", _WORD)
+NO_UPDATE_AT_ITS_WORD = Method(
+    "word_no_update", "no update, objects at their word", _WORD, {"update_objects": False}
+)
+
 ABLATION = (OURS, LETTER, PAPER, CHI_SQUARE, PERSISTENCE, NO_UPDATE)

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from components.experiments.comparison import MethodSummary
-from components.experiments.conditions import CONDITIONS, QUANTITIES, Way, together
+from components.experiments.conditions import FUSIONS, QUANTITIES, Condition, Way, together
 from components.experiments.statistics import Rate
 
 Array = NDArray[np.float64]
@@ -45,12 +45,38 @@ def _interval(axes: Axes, value: Rate, per: int, row: int, colour: str) -> None:
 
 
 def draw_courses(ways: Sequence[Way], quantities: Sequence[str], file: Path) -> None:
-    """Quantities over time for each condition: mean of all ways, and their standard deviation."""
-    figure = Figure(figsize=(9.0, 3.2 * len(quantities)), layout="constrained")
-    panels = figure.subplots(len(quantities), 1, sharex=True, squeeze=False)[:, 0]
+    """Quantities over time for each condition: mean of all ways, and their standard deviation.
+
+    A column for each way of fusing objects.
+    """
+    size = (7.0 * len(FUSIONS), 3.0 * len(quantities) + 0.4)
+    figure = Figure(figsize=size, layout="constrained")
+    panels = figure.subplots(
+        len(quantities), len(FUSIONS), sharex=True, sharey="row", squeeze=False
+    )
+    figure.suptitle(
+        f"mean of {len(ways)} ways, shaded: their standard deviation; vertical line: an object is "
+        "moved; dashed: it is registered anew (median)"
+    )
+    for column, (title, conditions) in zip(panels.T, FUSIONS.items(), strict=True):
+        _draw_column(column, ways, quantities, conditions)
+        column[0].set_title(title)
+        column[-1].set_xlabel("time [s]")
+    for row, quantity in zip(panels, quantities, strict=True):
+        row[0].set_ylabel(QUANTITIES[quantity])
+    panels[0, 0].legend(loc="upper left", frameon=False, fontsize="small")
+    figure.savefig(file, dpi=110)
+
+
+def _draw_column(
+    column: Sequence[Axes],
+    ways: Sequence[Way],
+    quantities: Sequence[str],
+    conditions: Sequence[Condition],
+) -> None:
     registered = [way.registered_at for way in ways if way.registered_at is not None]
-    for axes, quantity in zip(panels, quantities, strict=True):
-        for condition in CONDITIONS:
+    for axes, quantity in zip(column, quantities, strict=True):
+        for condition in conditions:
             stamps, rows = together(ways, condition.name, quantity)
             mean, spread = _mean_and_spread(rows)
             axes.plot(
@@ -66,15 +92,8 @@ def draw_courses(ways: Sequence[Way], quantities: Sequence[str], file: Path) -> 
         axes.axvline(ways[0].changed_at, color="black", linewidth=0.8)
         if registered:
             axes.axvline(float(np.median(registered)), color="gray", linewidth=0.8, linestyle="--")
-        axes.set_ylabel(QUANTITIES[quantity])
         axes.set_ylim(bottom=0.0)
         axes.grid(linewidth=0.3)
-    panels[-1].set_xlabel(
-        "time [s]; solid line: an object is moved, dashed: it is registered anew (median)"
-    )
-    panels[0].set_title(f"mean of {len(ways)} ways, shaded: standard deviation of the ways")
-    panels[0].legend(loc="upper left", frameon=False, fontsize="small")
-    figure.savefig(file, dpi=110)
 
 
 def _mean_and_spread(rows: Array) -> tuple[Array, Array]:

@@ -12,7 +12,7 @@ from cairn.errors import CairnError
 from components.experiments import text
 from components.experiments.conditions import (
     AFTER,
-    CONDITIONS,
+    FUSIONS,
     HEADING,
     NOT_UPDATED,
     PHASES,
@@ -24,16 +24,25 @@ from components.experiments.conditions import (
     UPDATED,
     Figure,
     Way,
+    at_its_word,
     figures,
 )
-from components.experiments.errors import course_of
+from components.experiments.errors import Course, course_of
 from components.experiments.experiment import Observed, observed, write_report
 from components.experiments.judging import MoveResult, PairResult, RunResult
-from components.experiments.methods import NO_UPDATE, OURS
+from components.experiments.methods import (
+    NO_UPDATE,
+    NO_UPDATE_AT_ITS_WORD,
+    OURS,
+    OURS_AT_ITS_WORD,
+)
 from components.experiments.pairs import Plan, changed_at
 from components.experiments.pictures import draw_courses
 from components.experiments.runs import Job
 from components.experiments.statistics import Mean
+
+UNCERTAINTY = (OURS, NO_UPDATE, OURS_AT_ITS_WORD, NO_UPDATE_AT_ITS_WORD)
+"""The pairs that follow each way."""
 
 
 def run_uncertainty(
@@ -85,12 +94,17 @@ def _ways(runs: Sequence[Observed], at: float) -> Iterator[Way]:
     for seed in sorted(unchanged.keys() & changed.keys()):
         still, moved = unchanged[seed], changed[seed]
         end = min(still.result.seconds, moved.result.seconds)
-        courses = {
-            UNCHANGED.name: course_of(still.pairs[OURS.name], still.world, end),
-            UPDATED.name: course_of(moved.pairs[OURS.name], moved.world, end),
-            UNCHANGED_FIXED.name: course_of(still.pairs[NO_UPDATE.name], still.world, end),
-            NOT_UPDATED.name: course_of(moved.pairs[NO_UPDATE.name], moved.world, end),
-        }
+        courses: dict[str, Course] = {}
+        for kept, fixed, of in (
+            (OURS, NO_UPDATE, lambda condition: condition),
+            (OURS_AT_ITS_WORD, NO_UPDATE_AT_ITS_WORD, at_its_word),
+        ):
+            courses |= {
+                of(UNCHANGED).name: course_of(still.pairs[kept.name], still.world, end),
+                of(UPDATED).name: course_of(moved.pairs[kept.name], moved.world, end),
+                of(UNCHANGED_FIXED).name: course_of(still.pairs[fixed.name], still.world, end),
+                of(NOT_UPDATED).name: course_of(moved.pairs[fixed.name], moved.world, end),
+            }
         ours = next(pair for pair in moved.result.pairs if pair.method == OURS.name)
         registered = [m.registered_at for m in ours.moves if m.registered_at is not None]
         yield Way(seed, courses, at, max(registered, default=None), end)
@@ -108,32 +122,36 @@ def _lines(
     told = f"; the moved object was registered in {len(registered)} of {len(ways)}"
     yield f"changed at {ways[0].changed_at:g} s{told}"
     by_key = {(one.condition, one.phase, one.quantity): one for one in found}
-    for phase, what in PHASES.items():
+    for fusion, conditions in FUSIONS.items():
         yield ""
-        yield from text.table(
-            (what, *QUANTITIES.values()),
-            [
-                (
-                    condition.title,
-                    *(text.mean(by_key[condition.name, phase, q].value, 4) for q in QUANTITIES),
-                )
-                for condition in CONDITIONS
-            ],
-        )
+        yield f"{fusion}:"
+        for phase, what in PHASES.items():
+            yield ""
+            yield from text.table(
+                (what, *QUANTITIES.values()),
+                [
+                    (
+                        condition.title,
+                        *(text.mean(by_key[condition.name, phase, q].value, 4) for q in QUANTITIES),
+                    )
+                    for condition in conditions
+                ],
+            )
+        changed = [condition for condition in conditions if condition.name != condition.reference]
+        for phase in (AFTER, REPAIRED):
+            yield ""
+            yield from text.table(
+                (f"against unchanged, {phase}", *QUANTITIES.values()),
+                [
+                    (
+                        condition.title,
+                        *(
+                            text.mean(by_key[condition.name, phase, q].against_unchanged)
+                            for q in QUANTITIES
+                        ),
+                    )
+                    for condition in changed
+                ],
+            )
     yield ""
-    for phase in (AFTER, REPAIRED):
-        yield from text.table(
-            (f"against unchanged, {phase}", *QUANTITIES.values()),
-            [
-                (
-                    condition.title,
-                    *(
-                        text.mean(by_key[condition.name, phase, q].against_unchanged)
-                        for q in QUANTITIES
-                    ),
-                )
-                for condition in (UPDATED, NOT_UPDATED)
-            ],
-        )
-        yield ""
     yield "in brackets: 95 % intervals, by resampling the ways; errors are rms"

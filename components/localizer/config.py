@@ -11,7 +11,7 @@ from pydantic import Field
 from cairn.component.mount import Mount
 from cairn.component.parameters import Config
 from components.localizer.judge import Mode
-from components.localizer.localization import Settings
+from components.localizer.localization import Fusion, Settings
 from components.localizer.motion import MotionModel
 from components.localizer.odometry import CommandedTrack, MeasuredTrack, OdometryTrack
 
@@ -127,6 +127,11 @@ class LocalizerConfig(Config):
         description="Similarity by likelihood ratio, or by new samples as in the paper; to compare "
         "with: the paper's rule to the letter, or a chi-square gate.",
     )
+    fusion: Fusion = Field(
+        "reliability",
+        description="An object has a say in the pose by its reliability; to compare with: at its "
+        "word, as if all stood where the map says.",
+    )
     ring_samples: int = Field(
         300, ge=50, le=10_000, description="New samples around an object in mode paper [1]."
     )
@@ -154,6 +159,7 @@ class LocalizerConfig(Config):
             beam_sd_m=self.beam_sd,
             stray=self.stray,
             mode=self.mode,
+            fusion=self.fusion,
             ring_samples=self.ring_samples,
             healthy_spread_m=self.healthy_spread,
             motion=self.base.model(),

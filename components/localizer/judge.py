@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import IntEnum
 from typing import Literal
 
@@ -12,7 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from components.localizer.displacement import Displacements
-from components.localizer.object_likelihood import Landmark, Sighting, object_log_likelihood
+from components.localizer.object_likelihood import (
+    Landmark,
+    Sighting,
+    believed,
+    object_log_likelihood,
+)
 from components.localizer.particles import Estimate
 from components.localizer.recent import ANOTHER_M, ANOTHER_RAD
 from components.localizer.ring import converge, draw_ring
@@ -36,7 +41,6 @@ Array = NDArray[np.float64]
 VETO = 0.35  # [m] an implied place this near another live object may be that object
 SAME_PLACE = 0.6  # [m] implied places this near each other speak of one place
 CORROBORATED, CORROBORATED_NEAR_ANOTHER = 3, 8  # contradictions from different poses
-BELIEVED = 1.0 - 1e-12
 
 # How a sighting is compared with the pose. "lr" and "paper" are for robots; "letter" (the paper's
 # equation 1 as it stands) and "chi_square" (a hard gate) are what these are measured against.
@@ -203,10 +207,10 @@ class Judge:
         """By the paper: similarity and distance [m] of new samples drawn around the object."""
         drawn = draw_ring(sighting, landmark, self.ring_samples, self.random)
         # New samples take the object at its word; else the others would draw them off its ring.
-        believed = replace(landmark, reliability=BELIEVED)
+        at_its_word = believed(landmark)
         found = converge(
             drawn,
-            lambda poses: others(poses) + object_log_likelihood(poses, sighting, believed),
+            lambda poses: others(poses) + object_log_likelihood(poses, sighting, at_its_word),
             self.random,
         )
         if found is None:

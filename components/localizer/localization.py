@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +19,7 @@ from components.localizer.evidence import Evidence
 from components.localizer.health import LOST, Health, health_of, not_yet_sure
 from components.localizer.judge import Judge, Judgement, Mode, Verdict
 from components.localizer.motion import MotionModel, move_pose
-from components.localizer.object_likelihood import Landmark, Sighting
+from components.localizer.object_likelihood import Landmark, Sighting, believed
 from components.localizer.odometry import OdometryTrack
 from components.localizer.particles import Estimate
 from components.localizer.recent import RecentSightings, Support
@@ -40,6 +41,10 @@ _SEARCH_SHARE = 0.4
 NO_RAYS = (np.empty((0, 2)), np.empty((0, 2)))
 
 
+# How objects are fused: by their reliability, or each as if it certainly stood in its place.
+Fusion = Literal["reliability", "at_its_word"]
+
+
 @dataclass(frozen=True)
 class Settings:
     """What can be tuned; units in the names or in `LocalizerConfig`."""
@@ -55,6 +60,7 @@ class Settings:
     beam_sd_m: float = 0.1
     stray: float = 0.05
     mode: Mode = "lr"
+    fusion: Fusion = "reliability"
     ring_samples: int = 300
     healthy_spread_m: float = 0.35
     motion: MotionModel = field(default_factory=MotionModel)
@@ -256,11 +262,17 @@ class Localization:
             missed = self._absence.missed(stamp, view, seen, self.landmarks, before, self._reckoned)
             judgements += tuple(self.judge.unseen(before, *one) for one in missed)
         if live:
-            self.bank.fuse_objects(live, self.landmarks, self.settings.independence)
+            self.bank.fuse_objects(live, self._fused(), self.settings.independence)
         relocalised = False
         if self.recovery.due(stamp, contradicted=contradicted):
             relocalised = self._recover(stamp)
         return Frame(before, healthy, reason, judgements, relocalised)
+
+    def _fused(self) -> Mapping[int, Landmark]:
+        """The objects as they are fused."""
+        if self.settings.fusion == "reliability":
+            return self.landmarks
+        return {key: believed(landmark) for key, landmark in self.landmarks.items()}
 
     def _is_live(self, object_id: int) -> bool:
         landmark = self.landmarks.get(object_id)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +44,11 @@ class Landmark:
     live: bool = True
 
 
+def believed(landmark: Landmark) -> Landmark:
+    """The same as if it certainly stood where the map says."""
+    return replace(landmark, reliability=1.0)
+
+
 def object_log_likelihood(
     poses: NDArray[np.float64], sighting: Sighting, landmark: Landmark
 ) -> NDArray[np.float64]:
@@ -51,7 +56,7 @@ def object_log_likelihood(
 
     A mixture: with probability `reliability` the object stands where the map says and the
     sighting is Gaussian in range and bearing; else the sighting is a stray of constant density.
-    So no single sighting can rule a pose out.
+    So no single sighting can rule a pose out, but one of an object whose reliability is 1.
     """
     dx = landmark.x - poses[0]
     dy = landmark.y - poses[1]
@@ -62,6 +67,9 @@ def object_log_likelihood(
     bearing_variance = sighting.bearing_variance + spread / max(sighting.range_m, 0.3) ** 2
     bearing_error = wrap_all(np.arctan2(dy, dx) - poses[2] - sighting.bearing)
     nis = (distance - sighting.range_m) ** 2 / range_variance + bearing_error**2 / bearing_variance
+    gaussian: NDArray[np.float64] = -0.5 * nis
+    if landmark.reliability >= 1.0:
+        return gaussian
     stray = (1.0 - landmark.reliability) * math.exp(STRAY)
-    mixed: NDArray[np.float64] = np.log(landmark.reliability * np.exp(-0.5 * nis) + stray)
+    mixed: NDArray[np.float64] = np.log(landmark.reliability * np.exp(gaussian) + stray)
     return mixed

@@ -5,6 +5,7 @@ import pytest
 
 from components.experiments.conditions import (
     AFTER,
+    AT_ITS_WORD,
     BEFORE,
     NOT_UPDATED,
     REPAIRED,
@@ -34,6 +35,7 @@ def way(unchanged: Course, other: Course, registered_at: float | None = 1.0) -> 
         UPDATED.name: other,
         UNCHANGED_FIXED.name: other,
         NOT_UPDATED.name: other,
+        **{condition.name: other for condition in AT_ITS_WORD},
     }
     return Way(1, courses, 0.5, registered_at, 1.5)
 

@@ -7,7 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from components.localizer.object_likelihood import Landmark, Sighting, object_log_likelihood
+from components.localizer.object_likelihood import (
+    Landmark,
+    Sighting,
+    believed,
+    object_log_likelihood,
+)
 from components.localizer.particles import Estimate
 from components.localizer.ring import draw_ring
 from components.localizer.similarity import (
@@ -127,3 +132,14 @@ def test_an_object_far_from_where_a_sure_pose_expects_it_is_contradicted_not_pas
 
     assert found.nis > 1500.0
     assert likelihood_ratio_similarity(found) == LEAST
+
+
+def test_an_object_at_its_word_rules_poses_out_and_one_of_some_reliability_does_not() -> None:
+    far = np.array([[10.0], [10.0], [0.0]])
+    landmark = Landmark(1, 2.0, 0.0, reliability=0.9)
+
+    doubted = object_log_likelihood(far, seen(2.0), landmark)
+    at_its_word = object_log_likelihood(far, seen(2.0), believed(landmark))
+
+    assert doubted[0] > -8.0
+    assert at_its_word[0] < -100.0
