@@ -64,6 +64,7 @@ def draw_courses(ways: Sequence[Way], quantities: Sequence[str], file: Path) -> 
         column[-1].set_xlabel("time [s]")
     for row, quantity in zip(panels, quantities, strict=True):
         row[0].set_ylabel(QUANTITIES[quantity])
+        row[0].set_ylim(bottom=0.0)  # once all is drawn: it ends the scaling
     panels[0, 0].legend(loc="upper left", frameon=False, fontsize="small")
     figure.savefig(file, dpi=110)
 
@@ -92,7 +93,6 @@ def _draw_column(
         axes.axvline(ways[0].changed_at, color="black", linewidth=0.8)
         if registered:
             axes.axvline(float(np.median(registered)), color="gray", linewidth=0.8, linestyle="--")
-        axes.set_ylim(bottom=0.0)
         axes.grid(linewidth=0.3)
 
 
