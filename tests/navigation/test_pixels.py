@@ -1,0 +1,49 @@
+"""From pixels to a repaired map: a stereo camera, the recogniser and navigation, in lockstep."""
+
+import json
+import math
+import subprocess
+from pathlib import Path
+
+from tests.launching import CAIRN
+from tests.navigation.driving import DEPLOY, SIM
+
+ROOM = DEPLOY / "worlds" / "room.yaml"
+START = "{x: 3.5, y: 2.0, theta: 0.0}"
+WAY = "mission=[[5.5, 2.3, 0.2], [7.2, 2.2, 0.2], [5.9, 2.6, -0.1], [7.2, 2.4, 0.1]]"
+MOVED = "[{at: 7, move: object_7, to: {x: 9.0, y: 1.9, theta: 3.1416}}]"
+
+
+def test_an_object_that_is_moved_before_the_camera_is_moved_in_the_map(tmp_path: Path) -> None:
+    world = tmp_path / "room.yaml"
+    text = ROOM.read_text().replace("textures/", f"{ROOM.parent}/textures/")
+    world.write_text(text.replace("robot: {x: 1.0, y: 1.0, theta: 0.0}", f"robot: {START}"))
+
+    done = subprocess.run(
+        [
+            *(CAIRN, "up", str(SIM), "--overlay", str(DEPLOY / "pixels.yaml")),
+            *("--set", WAY, "--set", f"start={START}", "--set", "finish=true"),
+            *("--set", f"world={world}", "--set", f"components.world.parameters.events={MOVED}"),
+            *("--set", "components.stereo_camera.parameters.rate=4"),
+            *("--lockstep", "--seed", "1", "--report", str(tmp_path / "out")),
+        ],
+        capture_output=True,
+        text=True,
+        timeout=100,
+    )
+
+    assert done.returncode == 0, done
+    repaired = tmp_path / "out" / "visual_map.cairn"
+    shown = json.loads(
+        subprocess.run(
+            [CAIRN, "map", "show", str(repaired), "--history", "--json"],
+            capture_output=True,
+            check=True,
+            timeout=30,
+        ).stdout
+    )
+    changes = [(c["object_id"], c["kind"]) for c in shown["changes"] if c["kind"] != "imported"]
+    assert (7, "removed") in changes
+    assert [object_id for object_id, kind in changes if kind != "refined"] == [7, 7]
+    [moved] = [o for o in shown["objects"] if o["object_id"] == 7]
+    assert math.hypot(moved["x"] - 9.0, moved["y"] - 1.9) < 0.1
