@@ -23,8 +23,9 @@ from numpy.typing import NDArray
 from benchmarks.result import Figure
 from components.evaluation.localization_quality import SIGMAS
 from components.localizer.config import MeasuredBase
-from components.localizer.localization import Localization, Settings
+from components.localizer.localization import Localization
 from components.localizer.odometry import MeasuredTrack
+from components.localizer.settings import Settings
 from components.map_builder.counting import build_map
 from components.replay.carmen import CarmenRecording
 from planar.grid import OccupancyCells

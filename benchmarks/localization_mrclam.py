@@ -24,7 +24,7 @@ from typing import Literal
 import numpy as np
 
 from benchmarks.localization_replay import Recording, errors, load, run, stressed, true_pose
-from components.localizer.localization import Settings
+from components.localizer.settings import Settings
 from components.map_builder.objects import Kind, MapObject, State
 from components.map_builder.place import Place
 from components.replay.mrclam_files import Dataset

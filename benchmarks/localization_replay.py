@@ -8,9 +8,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from components.localizer.localization import Frame, Localization, Settings
+from components.localizer.localization import Frame, Localization
 from components.localizer.object_likelihood import Landmark, Sighting
 from components.localizer.odometry import CommandedTrack
+from components.localizer.settings import Settings
 from components.map_builder.objects import Change, Evidence, MapObject, State, Verdict
 from components.map_builder.place import Place
 from components.map_builder.visual_map import VisualMap

@@ -19,9 +19,10 @@ from components.evaluation.localization_quality import SIGMAS
 from components.localizer.cloud import Cloud
 from components.localizer.config import MeasuredBase
 from components.localizer.likelihood_field import LikelihoodField
-from components.localizer.localization import Localization, Settings
+from components.localizer.localization import Localization
 from components.localizer.motion import Increment, move_pose
 from components.localizer.odometry import MeasuredTrack
+from components.localizer.settings import Settings
 from planar.distance import distance_field
 from planar.grid import FREE, OCCUPIED, Frame, Grid, OccupancyCells
 from planar.poses import Pose, compose, wrap

@@ -11,9 +11,9 @@ from pydantic import Field
 from cairn.component.mount import Mount
 from cairn.component.parameters import Config
 from components.localizer.judge import Mode
-from components.localizer.localization import Fusion, Settings
 from components.localizer.motion import MotionModel
 from components.localizer.odometry import CommandedTrack, MeasuredTrack, OdometryTrack
+from components.localizer.settings import Fusion, Settings
 
 
 class StartPose(Config):

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Literal
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,8 +16,8 @@ from components.localizer.beams import BeamChoice
 from components.localizer.cloud import Cloud
 from components.localizer.evidence import Evidence
 from components.localizer.health import LOST, Health, health_of, not_yet_sure
-from components.localizer.judge import Judge, Judgement, Mode, Verdict
-from components.localizer.motion import MotionModel, move_pose
+from components.localizer.judge import Judge, Judgement, Verdict
+from components.localizer.motion import move_pose
 from components.localizer.object_likelihood import Landmark, Sighting, believed
 from components.localizer.odometry import OdometryTrack
 from components.localizer.particles import Estimate
@@ -27,6 +26,7 @@ from components.localizer.recent_scans import RecentScans
 from components.localizer.recovery import Recovery
 from components.localizer.scan_fit import ScanFit
 from components.localizer.scan_map import ScanMap
+from components.localizer.settings import Settings
 from components.localizer.slip import SlipWatch
 from components.localizer.stated import StatedCovariance
 from planar.grid import OccupancyCells
@@ -39,31 +39,6 @@ Array = NDArray[np.float64]
 _SEARCH_SHARE = 0.4
 # The starts and ends of no rays.
 NO_RAYS = (np.empty((0, 2)), np.empty((0, 2)))
-
-
-# How objects are fused: by their reliability, or each as if it certainly stood in its place.
-Fusion = Literal["reliability", "at_its_word"]
-
-
-@dataclass(frozen=True)
-class Settings:
-    """What can be tuned; units in the names or in `LocalizerConfig`."""
-
-    particles: int = 400
-    most_particles: int = 20_000
-    judges: int = 16
-    judge_particles: int = 400
-    search_particles: int = 20_000
-    independence: float = 0.15
-    scan_share: float = 0.35
-    beams: int = 60
-    beam_sd_m: float = 0.1
-    stray: float = 0.05
-    mode: Mode = "lr"
-    fusion: Fusion = "reliability"
-    ring_samples: int = 300
-    healthy_spread_m: float = 0.35
-    motion: MotionModel = field(default_factory=MotionModel)
 
 
 @dataclass(frozen=True)

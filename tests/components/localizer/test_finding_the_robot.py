@@ -8,13 +8,14 @@ import pytest
 from numpy.typing import NDArray
 
 from components.localizer.evidence import Evidence
-from components.localizer.localization import Localization, Settings
+from components.localizer.localization import Localization
 from components.localizer.motion import MotionModel
 from components.localizer.odometry import MeasuredTrack
 from components.localizer.recent import RecentSightings
 from components.localizer.recent_scans import RecentScans
 from components.localizer.scan_map import ScanMap
 from components.localizer.search import search
+from components.localizer.settings import Settings
 from components.localizer.slip import SlipWatch
 from planar.grid import OccupancyCells
 from planar.poses import Pose, compose, relative

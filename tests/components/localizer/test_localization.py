@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from components.localizer.judge import Verdict
-from components.localizer.localization import Frame, Localization, Settings
+from components.localizer.localization import Frame, Localization
 from components.localizer.motion import MotionModel
 from components.localizer.object_likelihood import Landmark, Sighting
 from components.localizer.odometry import CommandedTrack
+from components.localizer.settings import Settings
 from tests.components.localizer.hall import Moment, drive, landmarks
 
 EXACT = MotionModel()
