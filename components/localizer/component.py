@@ -17,6 +17,7 @@ from cairn.errors import CairnError
 from components.localizer.beginning import first_pose, pointed_out
 from components.localizer.config import LocalizerConfig
 from components.localizer.health import Health
+from components.localizer.late import seen_from, view_from
 from components.localizer.localization import Localization
 from components.localizer.messages import (
     evidence_message,
@@ -283,7 +284,13 @@ class Localizer(Component):
 
     def _fuse_objects(self, stamp: float, seen: RecognizedObjectArray) -> None:
         was_located = self._localization.located
-        frame = self._localization.sight(stamp, sightings_of(seen), view_of(seen))
+        step = self._since(stamp)
+        view = view_of(seen)
+        frame = self._localization.sight(
+            stamp,
+            [seen_from(sighting, step) for sighting in sightings_of(seen)],
+            view_from(view, step) if view is not None else None,
+        )
         if frame is None:
             if self._localization.located and not was_located:
                 self._tell_found(stamp)
@@ -293,6 +300,18 @@ class Localizer(Component):
             self.object_evidence.publish(evidence_message(header, frame))
         if frame.relocalised:
             self._tell_found(stamp)
+
+    def _since(self, stamp: float) -> Pose:
+        """How the robot has moved from `stamp` [s] to the time that the cloud has come to.
+
+        Scans come sooner than what a recogniser has to compute: its sightings are older than the
+        cloud.
+        """
+        if stamp >= self._track.integrated_to:
+            return (0.0, 0.0, 0.0)
+        then = self._history.at(round(stamp * SECOND))
+        now = self._history.at(round(self._track.integrated_to * SECOND))
+        return (0.0, 0.0, 0.0) if then is None or now is None else relative(then, now)
 
     def _tell_found(self, stamp: float) -> None:
         found = self._localization.pose()

@@ -25,6 +25,8 @@ def test_an_object_that_is_moved_before_the_camera_is_moved_in_the_map(tmp_path:
             *("--set", WAY, "--set", f"start={START}", "--set", "finish=true"),
             *("--set", f"world={world}", "--set", f"components.world.parameters.events={MOVED}"),
             *("--set", "components.stereo_camera.parameters.rate=4"),
+            # In lockstep to compute takes no time; on a robot sightings are this late.
+            *("--set", "components.stereo_camera.parameters.delay_s=0.2"),
             *("--lockstep", "--seed", "1", "--report", str(tmp_path / "out")),
         ],
         capture_output=True,
