@@ -40,6 +40,9 @@ _COVERED = 0.5
 # More than this [px] is not what corners of a flat board give.
 _LARGE_ERROR = 1.0
 
+USELESS_PX = 5.0
+"""Cameras and boards err by tenths of a pixel; by more than this [px] images are mixed up."""
+
 
 @dataclass(frozen=True)
 class Calibration:
@@ -128,9 +131,15 @@ def calibrate(corners: Mapping[str, Array], size: tuple[int, int], board: Board)
         errors = found.errors
         worst = max(errors, key=errors.__getitem__)
         if errors[worst] <= max(_BAD_PX, _BAD_TIMES * float(np.median(list(errors.values())))):
-            return replace(found, left_out=left_out)
+            break
         left_out[worst] = errors[worst]
         corners = {name: of for name, of in corners.items() if name != worst}
+    if found.rms > USELESS_PX:
+        raise CairnError(
+            f"an error of {found.rms:.1f} px is no calibration: are all images of one camera, and "
+            "of this board?"
+        )
+    return replace(found, left_out=left_out)
 
 
 def camera_info(found: Calibration, name: str) -> CameraInfo:

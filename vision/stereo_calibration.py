@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from cairn.errors import CairnError
 from schemas.sensor_msgs import CameraInfo
-from vision.calibration import FEWEST, Calibration, calibrate, described
+from vision.calibration import FEWEST, USELESS_PX, Calibration, calibrate, described
 from vision.chessboard import Board, in_order_of
 
 Array = NDArray[np.float64]
@@ -84,6 +84,11 @@ def calibrate_pair(
             break
         left_out[worst] = found.errors[worst]
         del usable[worst]
+    if found.rms > USELESS_PX:
+        raise CairnError(
+            f"an error of {found.rms:.1f} px of the pairs is no calibration: were both images of "
+            "each pair taken at the same moment, and are they named the same?"
+        )
     x, y, _ = found.translation
     if abs(x) < abs(y):
         raise CairnError(

@@ -12,6 +12,10 @@ class Complaints:
         self._log = log
         self._told: dict[str, int] = {}
 
+    def over(self, about: str) -> None:
+        """Note that there is nothing to complain of: the next time is a first one."""
+        self._told.pop(about, None)
+
     def tell(self, about: str, what: str) -> None:
         """Log the 1st, 2nd, 4th, 8th ... complaint about something."""
         count = self._told[about] = self._told.get(about, 0) + 1

@@ -106,7 +106,9 @@ def show_camera(
     json: Json = False,
 ) -> None:
     """Show what a calibration says, or check that two are of a stereo pair."""
-    infos = {str(path): read_camera(path) for path in (file, right) if path is not None}
+    first = read_camera(file)
+    second = read_camera(right) if right is not None else None
+    infos = {str(file): first} if second is None else {str(file): first, str(right): second}
     shown: dict[str, Any] = {
         name: {
             "width": info.width,
@@ -117,15 +119,15 @@ def show_camera(
         }
         for name, info in infos.items()
     }
-    if right is not None:
-        rig = StereoRig.of(*infos.values())
+    if second is not None:
+        rig = StereoRig.of(first, second)
         shown["baseline_m"] = rig.baseline
     if json:
         print_json(shown)
         return
     for name, info in infos.items():
         line(f"{name}: {info.distortion_model}, {_described(info)}")
-    if right is not None:
+    if second is not None:
         line(f"a stereo pair with a baseline of {rig.baseline:.4f} m")
         line(f"1 px of disparity at 3 m is {9.0 / (rig.fx * rig.baseline):.3f} m of range")
 

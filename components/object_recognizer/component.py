@@ -146,11 +146,16 @@ class ObjectRecognizer(Component):
                 f"the images on {topic} have been the same for {lasts_ns / SECOND:.0f} s, bit for "
                 "bit: the camera hangs. Start its driver anew",
             )
+        if lasts_ns is None:
+            self._complaints.over(f"{side} stands still")
         return lasts_ns is None
 
     def _look_at(self, pair: Pair | None) -> None:
         if pair is None:
             return
+        self._complaints.over("left")
+        if pair.right is not None:
+            self._complaints.over("right")
         try:
             field, told = self._seen(pair)
         except CairnError as error:
@@ -176,6 +181,8 @@ class ObjectRecognizer(Component):
         blind = blindness(left)
         if blind:
             self._complaints.tell("blind", f"{self.left_image.topic}: {blind}")
+        else:
+            self._complaints.over("blind")
         known = self._known.now
         if shows_little(features) or not known.objects:
             return NOWHERE, []

@@ -190,3 +190,25 @@ def test_a_calibration_is_shown(folder: Path, tmp_path: Path) -> None:
     assert "a stereo pair with a baseline of 0.083" in shown.out
     assert told[str(left)]["view_deg"][0] == pytest.approx(63, abs=5)
     assert "left and right are swapped" in cairn("camera", "show", str(right), str(left)).err
+
+
+def test_pairs_that_are_mixed_up_are_no_calibration(tmp_path: Path) -> None:
+    folder = tmp_path / "images"
+    folder.mkdir()
+    for number, other in zip(NUMBERS, (*NUMBERS[1:], NUMBERS[0]), strict=True):
+        shutil.copy(IMAGES / f"left{number}.jpg", folder)
+        shutil.copy(IMAGES / f"right{other}.jpg", folder / f"right{number}.jpg")
+
+    answer = calibrate(folder, out=tmp_path / "out")
+
+    assert answer.code == 1
+    assert "px of the pairs is no calibration" in answer.err
+    assert "taken at the same moment" in answer.err
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_camera_is_no_stereo_pair_with_itself(folder: Path, tmp_path: Path) -> None:
+    calibrate(*sorted(folder.glob("left*")), out=tmp_path / "out")
+    same = str(tmp_path / "out" / "camera.yaml")
+
+    assert "no baseline" in cairn("camera", "show", same, same).err
