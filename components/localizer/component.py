@@ -307,7 +307,8 @@ class Localizer(Component):
         Scans come sooner than what a recogniser has to compute: its sightings are older than the
         cloud.
         """
-        if stamp >= self._track.integrated_to:
+        measured = isinstance(self._track, MeasuredTrack)
+        if not measured or stamp >= self._track.integrated_to:
             return (0.0, 0.0, 0.0)
         then = self._history.at(round(stamp * SECOND))
         now = self._history.at(round(self._track.integrated_to * SECOND))

@@ -22,8 +22,6 @@ from planar.poses import apart
 # A candidate no farther than this [m] from where the object stood has not moved, if its sightings
 # are not more exact than that: normalised distance squared (2 dof, 90 %).
 _UNMOVED_M, _UNMOVED_NIS = 0.35, 4.6
-# What the sightings of a few seconds have in common [m]: they count nearly alike.
-_COMMON_M = 0.05
 # From poses that differ by more than this [m], [rad] sightings are independent.
 ANOTHER_M, ANOTHER_RAD = 0.15, 0.2
 
@@ -51,9 +49,7 @@ def judge_candidate(
     if similarity < 0.5 and candidate.reliability <= 0.15:
         return replace(seen, candidate=fresh), None
     reliability = update(candidate.reliability, similarity)
-    place = candidate.place
-    if similarity >= 0.5:
-        place = fuse(place, evidence.implied, _COMMON_M)
+    place = fuse(candidate.place, evidence.implied) if similarity >= 0.5 else candidate.place
     moved = Candidate(place, reliability, candidate.sightings + 1, evidence.robot)
     if reliability <= REGISTRATION:
         return replace(seen, candidate=moved), None

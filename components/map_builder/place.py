@@ -45,13 +45,10 @@ def squared_distance(one: Place, other: Place) -> float:
     return float(error @ np.linalg.solve(_together(one, other), error))
 
 
-def fuse(place: Place, implied: Place, common_m: float = COMMON_ERROR) -> Place:
-    """Kalman update of a place by an implied place, whose error the robot's pose has part in.
-
-    `common_m` [m] is the deviation that all sightings of the object have in common.
-    """
+def fuse(place: Place, implied: Place) -> Place:
+    """Kalman update of a place by an implied place, whose error the robot's pose has part in."""
     prior = _covariance(place)
-    noise = _covariance(implied) + common_m**2 * np.eye(2)
+    noise = _covariance(implied) + COMMON_ERROR**2 * np.eye(2)
     gain = prior @ np.linalg.inv(prior + noise)
     x, y = np.array([place.x, place.y]) + gain @ np.array(
         [implied.x - place.x, implied.y - place.y]
