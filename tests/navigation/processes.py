@@ -35,8 +35,9 @@ class Robot:
         self._truths: list[tuple[float, Pose]] = []
         self._changed = threading.Condition()
         node = bus.node("/examiner", print)
-        self._truth = node.subscribe("/robot/truth", PoseStamped, RELIABLE, self._follow)
-        self._collision = node.subscribe("/robot/collisions", Collision, RELIABLE, self._note)
+        with self._changed:  # the first message may come before the subscription is known here
+            self._truth = node.subscribe("/robot/truth", PoseStamped, RELIABLE, self._follow)
+            self._collision = node.subscribe("/robot/collisions", Collision, RELIABLE, self._note)
 
     @property
     def place(self) -> Pose:
@@ -89,8 +90,9 @@ class Robot:
             self._changed.notify_all()
 
     def _note(self) -> None:
-        while (collision := self._collision.take()) is not None:
-            self.collisions.append(collision)
+        with self._changed:
+            while (collision := self._collision.take()) is not None:
+                self.collisions.append(collision)
 
 
 class Going:

@@ -173,7 +173,7 @@ def test_as_json_it_prints_why_a_goal_is_refused(
 
 
 def test_an_order_is_taken_back_from_a_supervisor_that_hangs(robot: Robot) -> None:
-    going = robot.go(*far_place(robot))
+    going = robot.go("6.6,1.8", "1.4,1.2", "6.6,1.8", "1.4,1.2")  # the whole wait is not enough
     going.await_word("driving")
     os.kill(robot.run.pid_of("mobile_supervisor"), signal.SIGSTOP)
 
