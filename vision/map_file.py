@@ -140,7 +140,8 @@ def writing(path: Path, connection: sqlite3.Connection) -> Iterator[sqlite3.Conn
 def _check_there(path: Path) -> None:
     if not path.is_file():
         raise MapFileError(
-            f"{path}: no such map file. Make one with `cairn map import`, or correct the path."
+            f"{path}: no such map file. Make one with `cairn map import` or `cairn object teach`, "
+            "or correct the path."
         )
 
 

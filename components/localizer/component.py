@@ -285,6 +285,11 @@ class Localizer(Component):
     def _fuse_objects(self, stamp: float, seen: RecognizedObjectArray) -> None:
         was_located = self._localization.located
         step = self._since(stamp)
+        if step is None:
+            self._complaints.tell(
+                "late", f"what was seen at {stamp:.3f} s is ignored: no odometry of that time"
+            )
+            return
         view = view_of(seen)
         frame = self._localization.sight(
             stamp,
@@ -301,8 +306,9 @@ class Localizer(Component):
         if frame.relocalised:
             self._tell_found(stamp)
 
-    def _since(self, stamp: float) -> Pose:
-        """How the robot has moved from `stamp` [s] to the time that the cloud has come to.
+    def _since(self, stamp: float) -> Pose | None:
+        """How the robot has moved from `stamp` [s] to the time that the cloud has come to; None if
+        odometry does not tell, as across a jump.
 
         Scans come sooner than what a recogniser has to compute: its sightings are older than the
         cloud.
@@ -312,7 +318,7 @@ class Localizer(Component):
             return (0.0, 0.0, 0.0)
         then = self._history.at(round(stamp * SECOND))
         now = self._history.at(round(self._track.integrated_to * SECOND))
-        return (0.0, 0.0, 0.0) if then is None or now is None else relative(then, now)
+        return None if then is None or now is None else relative(then, now)
 
     def _tell_found(self, stamp: float) -> None:
         found = self._localization.pose()
