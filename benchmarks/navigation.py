@@ -16,12 +16,14 @@ from benchmarks.lockstep import ROOT
 from benchmarks.result import Figure
 from benchmarks.running import free_port, results
 from cairn.bus.qos import SENSOR
-from cairn.clock import SECOND, to_ns
+from cairn.clock import SECOND, from_ns, to_ns
 from cairn.component.component import Component
 from cairn.component.handlers import on
-from cairn.component.ports import In
-from schemas.geometry_msgs import Twist
+from cairn.component.ports import In, Out
+from components.motion_control.component import MotionControl
+from planar.sweep import sweep_s
 from schemas.sensor_msgs import LaserScan
+from schemas.std_msgs import Header
 
 _SIM = ROOT / "deploy" / "sim.yaml"
 _TOUR = ROOT / "deploy" / "demo_tour.yaml"
@@ -30,29 +32,36 @@ _BEGINS_S, _MEASURED_S = 10.0, 30.0
 _LAPS = 4
 
 
-class Stopwatch(Component):
-    """Times from a scan's last beam to the next command that comes here."""
+class AnsweringMotionControl(MotionControl):
+    """Tells after the command that answers a scan when that scan's last beam was measured.
 
-    scan: In[LaserScan] = In(qos=SENSOR)
-    cmd_vel: In[Twist] = In(qos=SENSOR)
+    A command itself does not tell what it answers: many are timed, and one may come to a third
+    process before the scan that it answers.
+    """
+
+    answered: Out[Header] = Out(qos=SENSOR)
+
+    @on("scan")
+    def see(self, scan: LaserScan) -> None:
+        """Command, then tell."""
+        super().see(scan)
+        last_beam = to_ns(scan.header.stamp) + round(sweep_s(scan) * SECOND)
+        self.answered.publish(Header(stamp=from_ns(last_beam)))
+
+
+class Stopwatch(Component):
+    """Times from a scan's last beam until its command has come to another process."""
+
+    answered: In[Header] = In(qos=SENSOR)
 
     def on_activate(self) -> None:
         """Begin."""
         self._times_ms: list[float] = []
-        self._last_beam: int | None = None
 
-    @on("scan")
-    def begin(self, scan: LaserScan) -> None:
-        """A scan has come; what counts is when its last beam was measured."""
-        sweep = scan.time_increment * (scan.ranges.size - 1)
-        self._last_beam = to_ns(scan.header.stamp) + round(sweep * SECOND)
-
-    @on("cmd_vel")
-    def stop(self, _: Twist) -> None:
-        """A command has come."""
-        if self._last_beam is not None:
-            self._times_ms.append((self.clock.now() - self._last_beam) / 1e6)
-            self._last_beam = None
+    @on("answered")
+    def stop(self, scan: Header) -> None:
+        """The command has come just before this."""
+        self._times_ms.append((self.clock.now() - to_ns(scan.stamp)) / 1e6)
 
     def on_deactivate(self) -> None:
         """Tell."""
@@ -121,8 +130,9 @@ def in_real_time(folder: Path, *arguments: str) -> tuple[float, dict[str, float]
     """
     overlay = folder / "measured.yaml"
     localizer = {"parameters": {"particles": _PARTICLES}}
-    automove = {"children": {"localizer": localizer}}
-    stopwatch = {"plugin": "benchmarks.navigation:Stopwatch"}
+    motion_control = {"plugin": f"{__name__}:{AnsweringMotionControl.__name__}"}
+    automove = {"children": {"localizer": localizer, "motion_control": motion_control}}
+    stopwatch = {"plugin": f"{__name__}:{Stopwatch.__name__}"}
     overlay.write_text(
         yaml.safe_dump(
             {
