@@ -9,6 +9,7 @@ from typing import Any, Final
 
 import cv2
 import numpy as np
+import simplejpeg
 from numpy.typing import NDArray
 from PIL import Image as Picture
 from PIL import UnidentifiedImageError
@@ -24,6 +25,7 @@ LEAST_SIDE: Final = 16
 MOST_PIXELS: Final = 80_000_000
 """Larger images are refused: they would take a robot's memory."""
 
+_JPEG: Final = b"\xff\xd8\xff"  # how such files begin
 _ORIENTATION: Final = 0x0112  # Exif 2.3, 4.6.4 A
 # What makes an image upright that Exif says is so: turns to the left, mirrored first.
 _UPRIGHT: Final = {
@@ -71,7 +73,8 @@ def read_image(path: Path) -> Grey:
     """The image in a file, grey (h, w), upright as its Exif data say and as viewers show it.
 
     What is transparent becomes white; of 16-bit images see `eight_bits`. Raises `CairnError` with
-    the file and what is wrong: missing, empty, no image, truncated, too large or too small.
+    the file and what is wrong: missing, empty, no image, truncated, damaged (where the format lets
+    that be noticed), too large or too small.
     """
     try:
         data = path.read_bytes()
@@ -141,14 +144,18 @@ def eight_bits(grey: NDArray[np.integer[Any]]) -> Grey:
 def _checked(path: Path, data: bytes) -> int:
     """The orientation that Exif gives; raises `CairnError` if not all of the image is there.
 
-    OpenCV shows what is there of a truncated image, and grey below.
+    OpenCV shows what is there of a truncated image, and grey below; of a JPEG image that is damaged
+    in its middle Pillow does so too.
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # what matters of it is told below
         try:
             with Picture.open(BytesIO(data)) as picture:
                 _check_size(str(path), *picture.size)
-                picture.load()
+                if data.startswith(_JPEG):
+                    simplejpeg.decode_jpeg(data, colorspace="GRAY", strict=True)
+                else:
+                    picture.load()
                 return int(picture.getexif().get(_ORIENTATION, 1))
         except UnidentifiedImageError:
             return 1  # OpenCV may know it
@@ -156,7 +163,8 @@ def _checked(path: Path, data: bytes) -> int:
             raise _too_large(str(path), str(error)) from error
         except (OSError, SyntaxError, ValueError) as error:
             raise CairnError(
-                f"{path} is truncated or damaged ({error}): give a whole image."
+                f"{path} is truncated or damaged ({error}): give a whole image, or save this one "
+                "anew if it looks as it should."
             ) from error
 
 

@@ -190,6 +190,39 @@ def test_a_truncated_file_is_refused(tmp_path: Path, suffix: str) -> None:
         read_image(path)
 
 
+@pytest.mark.parametrize("suffix", [".png", ".jpg"])
+@pytest.mark.parametrize("how", ["zeros", "noise", "missing", "ended"])
+def test_a_file_that_is_damaged_in_its_middle_is_refused(
+    tmp_path: Path, suffix: str, how: str
+) -> None:
+    path = tmp_path / f"a{suffix}"
+    cv2.imwrite(str(path), texture(2, 320, 240))
+    data = path.read_bytes()
+    middle = len(data) // 2
+    part = {
+        "zeros": bytes(200),
+        "noise": np.random.default_rng(1).bytes(200),
+        "missing": b"",
+        "ended": b"\xff\xd9" + data[middle + 2 : middle + 200],
+    }[how]
+    path.write_bytes(data[:middle] + part + data[middle + 200 :])
+
+    with pytest.raises(CairnError, match=rf"a\{suffix} is truncated or damaged .* give a whole"):
+        read_image(path)
+
+
+@pytest.mark.parametrize("mode", ["L", "RGB", "CMYK"])
+@pytest.mark.parametrize("progressive", [False, True])
+def test_whole_jpeg_files_of_any_kind_are_read(
+    tmp_path: Path, mode: str, progressive: bool
+) -> None:
+    Picture.fromarray(GREY).convert(mode).save(
+        tmp_path / "a.jpg", quality=98, progressive=progressive
+    )
+
+    assert np.abs(read_image(tmp_path / "a.jpg").astype(int) - GREY).max() <= 6
+
+
 def test_what_is_no_image_is_refused_by_name(tmp_path: Path) -> None:
     (tmp_path / "empty.png").touch()
     (tmp_path / "text.png").write_text("no image " * 50)
