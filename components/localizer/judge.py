@@ -115,6 +115,7 @@ class Judge:
         self,
         sighting: Sighting,
         pose: Estimate,
+        by_all: Estimate,
         landmarks: Mapping[int, Landmark],
         vouched: bool,
         likely: bool,
@@ -124,6 +125,7 @@ class Judge:
     ) -> Judgement:
         """Judge a live object against `pose`, to which it contributed nothing.
 
+        `by_all` is the pose to which it did contribute.
         `vouched`: scans or other objects speak for that pose; `likely`: they rather do than not;
         `scanned`: scans do, so it is exact to centimetres.
         `others` is the log-likelihood of poses by all that was seen of late but the object.
@@ -153,6 +155,10 @@ class Judge:
         elif similarity > NEUTRAL:
             verdict = Verdict.AGREES
             self._contradictions.pop(sighting.object_id, None)
+        elif likelihood_ratio_similarity(innovation(by_all, sighting, landmark)) > NEUTRAL:
+            # One sighting of an object that was moved hardly moves the pose by all: both poses
+            # contradict it. Where that one has stayed and agrees, `pose` has gone astray.
+            similarity = NEUTRAL
         else:
             similarity, verdict = self._contradicted(sighting, pose, landmarks, similarity)
         return _judgement(sighting, pose, similarity, verdict, distance, contradicts)

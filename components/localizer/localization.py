@@ -302,6 +302,7 @@ class Localization:
         return self.judge.compare(
             sighting,
             pose,
+            before,
             self.landmarks,
             self._vouched(support),
             support.agreeing >= support.contradicting or self._fit.vouches,

@@ -14,7 +14,7 @@ from components.map_builder.objects import (
     State,
     Verdict,
 )
-from components.map_builder.place import Place, fuse, place_similarity, squared_distance
+from components.map_builder.place import Place, average, place_similarity, squared_distance
 from components.map_builder.reliability import REGISTRATION, update
 from components.map_builder.viewpoints import NOWHERE
 from planar.poses import apart
@@ -49,7 +49,9 @@ def judge_candidate(
     if similarity < 0.5 and candidate.reliability <= 0.15:
         return replace(seen, candidate=fresh), None
     reliability = update(candidate.reliability, similarity)
-    place = fuse(candidate.place, evidence.implied) if similarity >= 0.5 else candidate.place
+    place = candidate.place
+    if similarity >= 0.5:
+        place = average(place, candidate.sightings, evidence.implied)
     moved = Candidate(place, reliability, candidate.sightings + 1, evidence.robot)
     if reliability <= REGISTRATION:
         return replace(seen, candidate=moved), None

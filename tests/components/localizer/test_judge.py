@@ -15,14 +15,29 @@ MAP = {1: A, 2: B}
 
 
 def judged(
-    judge: Judge, object_id: int, step: int, at: tuple[float, float], sd: float = 0.05
+    judge: Judge,
+    object_id: int,
+    step: int,
+    at: tuple[float, float],
+    sd: float = 0.05,
+    by_all: Estimate | None = None,
 ) -> Judgement:
-    """`object_id` is seen at a place from the pose that is `step` times 0.2 m along the way."""
+    """`object_id` is seen at a place from the pose that is `step` times 0.2 m along the way, which
+    is also that by all objects if no other is given.
+    """
     pose = Estimate((0.2 * step, 0.0, 0.0), np.diag([0.001, 0.001, 0.0002]))
     dx, dy = at[0] - pose.mean[0], at[1]
     sighting = Sighting(object_id, math.hypot(dx, dy), wrap(math.atan2(dy, dx)), sd**2, 0.0004)
     return judge.compare(
-        sighting, pose, MAP, True, True, True, True, lambda poses: np.zeros(poses.shape[1])
+        sighting,
+        pose,
+        by_all or pose,
+        MAP,
+        True,
+        True,
+        True,
+        True,
+        lambda poses: np.zeros(poses.shape[1]),
     )
 
 
@@ -44,6 +59,23 @@ def test_contradictions_from_three_places_that_agree_count() -> None:
 
     assert similarities[:2] == [0.45, 0.45]
     assert similarities[2:] == [0.1, 0.1]
+
+
+def test_an_object_is_not_doubted_while_the_pose_that_relies_on_it_agrees() -> None:
+    judge = judge_of()
+    # The robot is truly 1 m to the right of where the poses without the object have strayed to.
+    verdicts = [
+        judged(
+            judge,
+            1,
+            step,
+            (3.0, 2.0),
+            by_all=Estimate((0.2 * step, -1.0, 0.0), np.diag([0.001, 0.001, 0.0002])),
+        ).verdict
+        for step in range(5)
+    ]
+
+    assert verdicts == [Verdict.NOT_CONVERGED] * 5
 
 
 def test_what_is_seen_in_anothers_place_is_a_false_match_for_long() -> None:
