@@ -13,6 +13,7 @@ from matplotlib.patches import Circle
 from cairn.errors import CairnError
 from cairn.files import replacing
 from vision.calibration import Calibration
+from vision.file_errors import why
 
 _MOST_LABELS = 40
 
@@ -32,10 +33,7 @@ def draw_calibration(cameras: Mapping[str, Calibration], file: Path) -> None:
         with replacing(file) as part:
             figure.savefig(part, dpi=100, format=file.suffix.lstrip(".") or "png")
     except OSError as error:
-        raise CairnError(
-            f"the picture cannot be written to {file}: {error.strerror or error}; give another "
-            "folder, or make room there"
-        ) from error
+        raise CairnError(f"the picture cannot be written to {file}: {why(error)}") from error
 
 
 def _residuals(axes: Axes, name: str, found: Calibration) -> None:

@@ -15,6 +15,7 @@ from cairn.errors import CairnError
 from cairn.files import replace_file
 from schemas.sensor_msgs import CameraInfo
 from schemas.std_msgs import Header
+from vision.file_errors import why
 from vision.rectification import Lens
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -104,10 +105,7 @@ def write_camera(file: Path, info: CameraInfo, name: str) -> None:
     try:
         replace_file(file, text.encode())
     except OSError as error:
-        raise CairnError(
-            f"the calibration cannot be written to {file}: {error.strerror or error}; give another "
-            "folder, or make room there"
-        ) from error
+        raise CairnError(f"the calibration cannot be written to {file}: {why(error)}") from error
 
 
 _REMEDY = "calibrate the camera anew with `cairn camera calibrate`, or take a fresh copy"
@@ -120,7 +118,9 @@ def _found(file: Path) -> _CameraFile:
         raise CairnError(
             f"{file}: no such calibration; `cairn camera calibrate` makes one"
         ) from error
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+    except OSError as error:
+        raise CairnError(f"{file}: its calibration cannot be read: {why(error)}") from error
+    except (UnicodeDecodeError, yaml.YAMLError) as error:
         told = " ".join(str(error).split())
         raise CairnError(f"{file}: no camera's calibration in YAML: {told}; {_REMEDY}") from error
     if not isinstance(content, dict):

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Literal
 
 from cairn.errors import CairnError
+from vision.file_errors import why
 
 Side = Literal["left", "right"]
 
@@ -19,6 +20,8 @@ SUFFIXES = (".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".ppm", ".tif", ".tiff", ".
 _SIDE = re.compile(
     r"(?<![A-Za-z])(left|right|Left|Right|LEFT|RIGHT)(?![a-z])|(?<=[a-z0-9])(Left|Right)(?![a-z])"
 )
+# cam0, Camera_1, cam-2; not webcam0.
+_CAMERA = re.compile(r"(?<![a-z])cam(?:era)?[_-]?([0-9]+)", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -30,25 +33,57 @@ class Pairs:
 
 
 def images_in(folder: Path) -> list[Path]:
-    """The images of a folder in natural order, or of its folders `left` and `right`.
+    """The images of a folder in natural order, or of its folders of a camera each.
 
-    Raises `CairnError` if it cannot be read or holds none.
+    Those are `left` and `right`, or cameras with numbers such as `cam0` and `cam1`. Raises
+    `CairnError` if it cannot be read or holds none.
     """
     try:
         children = list(folder.iterdir())
-        for name in ("left", "right"):
-            if (folder / name).is_dir():
-                children += (folder / name).iterdir()
+        for child in [child for child in children if is_of_camera(child)]:
+            children += child.iterdir()
     except OSError as error:
-        raise CairnError(f"{folder} cannot be read: {error.strerror or error}.") from error
+        raise CairnError(f"{folder} cannot be read: {why(error)}.") from error
     found = [child for child in children if child.suffix.lower() in SUFFIXES and child.is_file()]
     if not found:
         raise CairnError(f"{folder} holds no images (files that end in {', '.join(SUFFIXES)}).")
     return sorted(found, key=lambda path: (path.parent.name, natural(path)))
 
 
+def is_of_camera(folder: Path) -> bool:
+    """Whether it is a folder that by its name holds what one of several cameras took."""
+    named = folder.name in ("left", "right") or _CAMERA.fullmatch(folder.name)
+    return bool(named) and folder.is_dir()
+
+
+def sides_of(paths: Iterable[Path]) -> dict[Path, Side | None]:
+    """The camera of each file: by the words `left` and `right`, else by two cameras' numbers.
+
+    Of two numbers, as in cam0 and cam1, the lower one is the left camera's. Numbers in names of
+    files that are none or more than two are of a series that one camera took. Raises `CairnError`
+    if files are in folders of more than two cameras.
+    """
+    words = {path: side_of(path) for path in paths}
+    if any(words.values()):
+        return words
+    numbers = {path: _number(path.stem) for path in words}
+    if set(numbers.values()) == {None}:
+        numbers = {path: _number(path.parent.name) for path in words}
+        if len(set(numbers.values())) > 2:
+            folders = sorted({path.parent for path in words}, key=natural)
+            raise CairnError(
+                f"{', '.join(map(str, folders))} are folders of more than two cameras: give those "
+                "of one or two"
+            )
+    cameras = set(numbers.values())
+    if len(cameras) != 2 or None in cameras:
+        return words
+    first = min(number for number in numbers.values() if number is not None)
+    return {path: "left" if number == first else "right" for path, number in numbers.items()}
+
+
 def side_of(path: Path) -> Side | None:
-    """The camera that a file's name tells, else its folder's; None if neither does."""
+    """The camera that a file's name tells by a word, else its folder's; None if neither does."""
     for name in (path.stem, path.parent.name):
         sides = {(match[1] or match[2]).lower() for match in _SIDE.finditer(name)}
         if len(sides) == 1:
@@ -57,9 +92,10 @@ def side_of(path: Path) -> Side | None:
 
 
 def paired(left: Iterable[Path], right: Iterable[Path]) -> Pairs:
-    """Pairs of files whose names are the same but for `left` and `right`, in natural order.
+    """Pairs of files whose names are the same but for what tells the camera, in natural order.
 
-    Natural order counts: frame9 comes before frame10.
+    That is `left` and `right`, or without such words the number after `cam`. Natural order
+    counts: frame9 comes before frame10.
     """
     ours = {_without_side(path): path for path in left}
     theirs = {_without_side(path): path for path in right}
@@ -80,4 +116,10 @@ def natural(path: Path) -> list[tuple[int, int, str]]:
 
 
 def _without_side(path: Path) -> str:
-    return _SIDE.sub("", path.stem).strip("_-. ")
+    words = _SIDE if _SIDE.search(path.stem) else _CAMERA
+    return words.sub("", path.stem).strip("_-. ")
+
+
+def _number(name: str) -> int | None:
+    found = _CAMERA.search(name)
+    return int(found[1]) if found else None

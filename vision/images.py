@@ -16,6 +16,7 @@ from PIL import UnidentifiedImageError
 
 from cairn.errors import CairnError
 from schemas.sensor_msgs import Image
+from vision.file_errors import why
 
 Grey = NDArray[np.uint8]
 
@@ -79,7 +80,7 @@ def read_image(path: Path) -> Grey:
     try:
         data = path.read_bytes()
     except OSError as error:
-        raise CairnError(f"{path} cannot be read: {error.strerror or error}.") from error
+        raise CairnError(f"{path} cannot be read: {why(error)}.") from error
     if not data:
         raise CairnError(f"{path} is empty: give a file that holds an image.")
     orientation = _checked(path, data)

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from cairn.errors import CairnError
 from cairn.files import replacing
+from vision.file_errors import why
 from vision.map_schema import FORMATS
 
 APPLICATION = 0x4361_726E  # "Carn", in the file's header
@@ -35,13 +36,16 @@ def create(path: Path, source: str, digest: str = "") -> sqlite3.Connection:
         raise MapFileError(f"{path} exists already. Remove it or give another name.")
     with told(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-        connection = _connection(path)
-        with _closed_on_error(connection):
-            connection.execute("BEGIN IMMEDIATE")
-            _add_formats(connection, since=0)
-            connection.execute(f"PRAGMA application_id = {APPLICATION}")
-            connection.execute("INSERT INTO origin VALUES (?, ?, ?)", (source, digest, time.time()))
-            connection.execute("COMMIT")
+        path.touch(exist_ok=False)  # where no file can be made, SQLite does not say why
+        with _removed_on_error(path):
+            connection = _connection(path)
+            with _closed_on_error(connection):
+                connection.execute("BEGIN IMMEDIATE")
+                _add_formats(connection, since=0)
+                connection.execute(f"PRAGMA application_id = {APPLICATION}")
+                origin = (source, digest, time.time())
+                connection.execute("INSERT INTO origin VALUES (?, ?, ?)", origin)
+                connection.execute("COMMIT")
     return connection
 
 
@@ -120,10 +124,7 @@ def told(path: Path) -> Iterator[None]:
     except ValueError as error:  # of a row, or of bytes that are no text
         raise MapFileError(f"{path}: {error}. {_DAMAGED}.") from error
     except OSError as error:
-        raise MapFileError(
-            f"{error.filename or path}: {error.strerror or error}. Correct the path, its "
-            "permissions or the space on its disk."
-        ) from error
+        raise MapFileError(f"{error.filename or path}: {why(error)}.") from error
 
 
 @contextmanager
@@ -138,11 +139,17 @@ def writing(path: Path, connection: sqlite3.Connection) -> Iterator[sqlite3.Conn
 
 
 def _check_there(path: Path) -> None:
-    if not path.is_file():
-        raise MapFileError(
-            f"{path}: no such map file. Make one with `cairn map import` or `cairn object teach`, "
-            "or correct the path."
-        )
+    with told(path):
+        if path.is_file():
+            return
+        if path.is_dir():
+            raise MapFileError(f"{path} is a folder. Give a map file, such as one in it.")
+        if path.exists():
+            raise MapFileError(f"{path} is no file that can hold a map. Give another one.")
+    raise MapFileError(
+        f"{path}: no such map file. Make one with `cairn map import` or `cairn object teach`, "
+        "or correct the path."
+    )
 
 
 def _connection(path: Path, read_only: bool = False) -> sqlite3.Connection:
@@ -159,6 +166,15 @@ def _connection(path: Path, read_only: bool = False) -> sqlite3.Connection:
 
 
 @contextmanager
+def _removed_on_error(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except BaseException:
+        path.unlink(missing_ok=True)
+        raise
+
+
+@contextmanager
 def _closed_on_error(connection: sqlite3.Connection) -> Iterator[None]:
     try:
         yield
@@ -171,7 +187,8 @@ def _checked_format(path: Path, connection: sqlite3.Connection) -> int:
     application = connection.execute("PRAGMA application_id").fetchone()[0]
     if application != APPLICATION:
         raise MapFileError(
-            f"{path} is not a visual map of Cairn. Give the file that `cairn map import` wrote."
+            f"{path} is not a visual map of Cairn. Give a file that `cairn map import` or `cairn "
+            "object teach` wrote."
         )
     version = _format(connection)
     if not 1 <= version <= _FORMAT:
@@ -253,6 +270,7 @@ def _remedy(path: Path, error: sqlite3.Error) -> str:
 
 def _is_full(folder: Path) -> bool:
     try:
-        return shutil.disk_usage(folder).free < _LITTLE_SPACE
+        disk = shutil.disk_usage(folder)
+        return disk.total > 0 and disk.free < _LITTLE_SPACE  # what is no disk has no size
     except OSError:
         return False

@@ -208,8 +208,8 @@ def _state(path: Path) -> tuple[int, int] | None:
 
     Of a file at rest no lock is taken when it is read, for it may stand in a read-only place.
     """
-    if not (path.is_file() and at_rest(path)):
-        return None
     with told(path):
+        if not (path.is_file() and at_rest(path)):
+            return None
         state = path.stat()
     return state.st_mtime_ns, state.st_size

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -18,6 +19,7 @@ from schemas.sensor_msgs import CameraInfo
 from vision.calibration_picture import draw_calibration
 from vision.camera_file import read_camera, write_camera
 from vision.chessboard import Board
+from vision.file_errors import why
 from vision.stereo import StereoRig
 
 app = typer.Typer(help="Cameras: calibrate one or a stereo pair.", no_args_is_help=True)
@@ -38,8 +40,8 @@ def calibrate(
         list[str] | None,
         typer.Argument(
             metavar="IMAGES...",
-            help="Images of the board, or folders of them. With left and right in their names (or "
-            "folders' names) they are of a stereo camera.",
+            help="Images of the board, or folders of them. With left and right, or cam0 and cam1, "
+            "in their names (or folders' names) they are of a stereo camera.",
         ),
     ] = None,
     left: Annotated[
@@ -58,7 +60,8 @@ def calibrate(
     """Calibrate a camera, or two as a stereo pair, from images of a chessboard.
 
     Writes camera.yaml (two cameras: left.yaml and right.yaml), which ROS reads as well, and
-    calibration.png with residuals. Files of a pair have the same name but for left and right.
+    calibration.png with residuals. Files of a pair have the same name but for left and right, or
+    for the number in cam0 and cam1.
     """
     wanted = _board(board, square)
     given = sorted_out(images or [], left or [], right or [])
@@ -66,6 +69,7 @@ def calibrate(
         raise CairnError("no images are given: name files of the board, or their folder")
     names = ["left", "right"] if given.right else ["camera"]
     files = [out / f"{name}.yaml" for name in names]
+    _check_folder(out)
     for file in files:
         if file.exists() and not force:
             raise CairnError(f"{file} exists already. Give another --out, or --force.")
@@ -74,7 +78,7 @@ def calibrate(
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise CairnError(f"{out} cannot be made: {error.strerror or error}.") from error
+        raise CairnError(f"{error.filename or out} cannot be made: {why(error)}.") from error
     for file, name, info in zip(files, names, outcome.infos, strict=True):
         write_camera(file, info, name)
     picture = out / "calibration.png"
@@ -130,6 +134,21 @@ def show_camera(
     if second is not None:
         line(f"a stereo pair with a baseline of {rig.baseline:.4f} m")
         line(f"1 px of disparity at 3 m is {9.0 / (rig.fx * rig.baseline):.3f} m of range")
+
+
+def _check_folder(out: Path) -> None:
+    """That nothing prevents it, before the long work whose results it is to hold."""
+    try:
+        there = next(path for path in (out, *out.parents) if path.exists())
+    except OSError as error:
+        raise CairnError(f"--out {out}: {why(error)}") from error
+    if not there.is_dir():
+        raise CairnError(f"--out {out}: {there} is a file, not a folder: give another one")
+    if not os.access(there, os.W_OK | os.X_OK):
+        raise CairnError(
+            f"--out {out}: {there} cannot be written: give yourself the permission, or another "
+            "folder"
+        )
 
 
 def _board(text: str, square: float) -> Board:

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cairn.errors import CairnError
-from vision.image_files import images_in, natural, side_of
+from vision.file_errors import why
+from vision.image_files import images_in, natural, sides_of
 
 
 @dataclass(frozen=True)
@@ -22,7 +23,7 @@ class Given:
 def sorted_out(images: Sequence[str], left: Sequence[str], right: Sequence[str]) -> Given:
     """Files, folders and patterns as given, by camera.
 
-    Names tell `images` apart if there are both left and right among them; else they are all of one
+    Names tell `images` apart if they are of two cameras (`sides_of`); else they are all of one
     camera. Raises `CairnError` if a file is missing, or names do not tell what they should.
     """
     ours, theirs, others = _files(left), _files(right), _files(images)
@@ -31,7 +32,7 @@ def sorted_out(images: Sequence[str], left: Sequence[str], right: Sequence[str])
             f"--{'left' if left else 'right'} is given without the other: give images of both "
             "cameras, or those of one without an option"
         )
-    sides = {path: side_of(path) for path in others}
+    sides = sides_of(others)
     two = bool(left) or {"left", "right"} <= set(sides.values())
     if not two:
         return Given(others, [])
@@ -39,7 +40,7 @@ def sorted_out(images: Sequence[str], left: Sequence[str], right: Sequence[str])
         if side is None:
             raise CairnError(
                 f"{path} has neither left nor right in its name, so it is not clear of which "
-                "camera it is: give folders or quoted patterns, --left 'cam0/*' --right 'cam1/*'"
+                "camera it is: give folders or quoted patterns, --left 'a/*' --right 'b/*'"
             )
     ours += [path for path, side in sides.items() if side == "left"]
     theirs += [path for path, side in sides.items() if side == "right"]
@@ -49,16 +50,22 @@ def sorted_out(images: Sequence[str], left: Sequence[str], right: Sequence[str])
 def _files(given: Sequence[str]) -> list[Path]:
     found: list[Path] = []
     for text in given:
-        path = Path(text)
-        if path.is_dir():
-            found += images_in(path)
-        elif path.exists():
-            found.append(path)
-        elif not glob.has_magic(text):
-            raise CairnError(f"{text}: no such file or folder.")
-        else:
-            matched = [Path(name) for name in glob.glob(text)]
-            if not matched:
-                raise CairnError(f"{text}: no file has such a name.")
-            found += sorted(matched, key=natural)
+        try:
+            found += _named(text)
+        except OSError as error:
+            raise CairnError(f"{text}: {why(error)}.") from error
     return list(dict.fromkeys(found))
+
+
+def _named(text: str) -> list[Path]:
+    path = Path(text)
+    if path.is_dir():
+        return images_in(path)
+    if path.exists():
+        return [path]
+    if not glob.has_magic(text):
+        raise CairnError(f"{text}: no such file or folder.")
+    matched = [Path(name) for name in glob.glob(text)]
+    if not matched:
+        raise CairnError(f"{text}: no file has such a name.")
+    return sorted(matched, key=natural)

@@ -51,7 +51,7 @@ def calibrated(board: Board, seen: Sequence[Seen], files: Sequence[Sequence[Path
     if not pairs:
         raise CairnError(
             f"no left image belongs to a right one, such as {files[0][0]} and {files[1][0]}: names "
-            "of a pair must be the same but for left and right"
+            "of a pair must be the same but for left and right, or the number in cam0 and cam1"
         )
     stereo = calibrate_pair(left.corners, right.corners, pairs, left.size, board)
     cameras = [stereo.left, stereo.right]

@@ -20,7 +20,7 @@ from components.object_recognizer.given import (
 from components.object_recognizer.pictures import draw_views
 from components.object_recognizer.running import map_of_recognizer, newest_image
 from vision.images import Grey, read_image
-from vision.map_file import create
+from vision.map_file import create, told
 from vision.taught import TaughtObject, View
 from vision.taught_store import Taught, check_name, read_taught, remove_taught, teach
 from vision.teaching import cut, look_alikes, unfit, view_of
@@ -160,7 +160,8 @@ def _report(
     as_json: bool,
 ) -> None:
     """Teach, and tell what was taught and what is odd about it."""
-    is_new = not path.exists()
+    with told(path):
+        is_new = not path.exists()
     if is_new and not views:
         raise CairnError(f"{path}: no such map file: give images of {name} to teach it")
     taught = Taught(0, ()) if is_new else read_taught(path)

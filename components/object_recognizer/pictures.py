@@ -11,6 +11,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from cairn.errors import CairnError
+from cairn.files import replacing
+from vision.file_errors import why
 from vision.recognition import Recognition
 from vision.taught import TaughtObject
 
@@ -71,12 +73,16 @@ def _draw_one(axes: Axes, one: Recognition, label: str, colour: str) -> None:
 
 
 def _save(figure: Figure, file: Path) -> None:
+    kind = file.suffix[1:].lower()
+    if kind not in figure.canvas.get_supported_filetypes():
+        raise CairnError(
+            f"{file}: its name does not tell what kind of picture it is to be: give one that ends "
+            "in .png"
+        )
     try:
         # Without the software's name the same picture gives the same bytes.
-        metadata = {"Software": None} if file.suffix == ".png" else {}
-        figure.savefig(file, dpi=_DPI, metadata=metadata)
-    except (OSError, ValueError) as error:
-        raise CairnError(
-            f"{file} cannot be written: {error}. Give a name that ends in .png, in a folder that "
-            "can be written."
-        ) from error
+        metadata = {"Software": None} if kind == "png" else {}
+        with replacing(file) as part:
+            figure.savefig(part, dpi=_DPI, metadata=metadata, format=kind)
+    except OSError as error:
+        raise CairnError(f"{file} cannot be written: {why(error)}") from error

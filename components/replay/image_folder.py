@@ -9,18 +9,19 @@ from PIL import Image as Picture
 
 from components.replay.image_times import check_order, times_of
 from components.replay.recording import Grey, Images, RecordingError
-from vision.image_files import images_in, paired, side_of
+from vision.image_files import images_in, paired, sides_of
 from vision.images import read_image
 
 
 def open_folder(folder: Path, rate_hz: float | None) -> tuple[Images, list[str]]:
     """The images of a folder in order, with remarks on those left out.
 
-    Images with left and right in their names, or in folders of that name, are a stereo camera's.
+    Images with left and right, or cam0 and cam1, in their names or their folders' names, are a
+    stereo camera's.
     Raises `CairnError` if there is none, one cannot be read, sizes or times are not as they must.
     """
     files = images_in(folder)
-    sides = [side_of(file) for file in files]
+    sides = list(sides_of(files).values())
     notes = []
     columns: list[Sequence[Path]] = [files]
     if {"left", "right"} <= set(sides):
@@ -31,7 +32,7 @@ def open_folder(folder: Path, rate_hz: float | None) -> tuple[Images, list[str]]
         if not of.pairs:
             raise RecordingError(
                 f"{folder}: no left image belongs to a right one: names of a pair must be the "
-                "same but for left and right"
+                "same but for left and right, or the number in cam0 and cam1"
             )
         columns = [[a for a, _ in of.pairs], [b for _, b in of.pairs]]
         alone = [*of.alone, *(f for f, side in zip(files, sides, strict=True) if side is None)]

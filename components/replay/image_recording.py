@@ -18,7 +18,7 @@ from components.replay.recording import (
 )
 from components.replay.video import is_video, open_videos
 from schemas.cairn_msgs import VisualMap
-from vision.image_files import SUFFIXES, paired, side_of
+from vision.image_files import SUFFIXES, is_of_camera, paired, side_of
 
 
 class ImageRecording:
@@ -78,11 +78,11 @@ class ImageRecording:
 
 
 def holds_images(folder: Path) -> bool:
-    """Whether a folder is a recording of a camera: by its images, videos, `left` and `right`."""
+    """Whether a folder is a recording of a camera: by its images, videos, folders of cameras."""
     for child in folder.iterdir():
         if child.suffix.lower() in SUFFIXES or (child.is_file() and is_video(child)):
             return True
-        if child.is_dir() and side_of(child / "x") is not None:
+        if is_of_camera(child) or (child.is_dir() and side_of(child / "x") is not None):
             return True
     return False
 

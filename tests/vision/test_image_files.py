@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from cairn.errors import CairnError
-from vision.image_files import images_in, natural, paired, side_of
+from vision.image_files import images_in, natural, paired, side_of, sides_of
 
 
 @pytest.mark.parametrize(
@@ -55,6 +55,54 @@ def test_folders_of_a_camera_each_are_looked_into(tmp_path: Path) -> None:
     ]
     assert [side_of(path) for path in found] == ["left", "left", "right", "right"]
     assert sorted(found, key=natural)[0].name == "2.png"
+
+
+@pytest.mark.parametrize(
+    ("left", "right"),
+    [
+        ("cam0_{}.png", "cam1_{}.png"),
+        ("{}-camera1.png", "{}-camera2.png"),
+        ("Cam_0/{}.png", "Cam_1/{}.png"),
+        ("rig/cam2_{}.png", "rig/cam3_{}.png"),
+    ],
+)
+def test_numbers_of_two_cameras_tell_left_and_right(left: str, right: str) -> None:
+    ours, theirs = ([Path(name.format(n)) for n in (9, 10, 11)] for name in (left, right))
+
+    sides = sides_of([*theirs, *ours])
+
+    assert [path for path, side in sides.items() if side == "left"] == ours
+    assert [path for path, side in sides.items() if side == "right"] == theirs
+    assert paired(ours, theirs).pairs == tuple(zip(ours, theirs, strict=True))
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        ["cam0.png", "cam1.png", "cam2.png"],  # a series
+        ["cam0_1.png", "cam0_2.png"],
+        ["webcam0_1.png", "webcam1_1.png"],
+        ["cam0_1.png", "cam1_1.png", "1.png"],
+        ["cam1/1.png", "cam1/2.png"],
+    ],
+)
+def test_other_numbers_are_of_one_camera(names: list[str]) -> None:
+    assert set(sides_of(map(Path, names)).values()) == {None}
+
+
+def test_words_count_more_than_numbers() -> None:
+    names = ["cam0/right_1.png", "cam1/left_1.png", "cam1/other.png"]
+
+    assert list(sides_of(map(Path, names)).values()) == ["right", "left", None]
+
+
+def test_folders_of_three_cameras_are_not_taken_for_one(tmp_path: Path) -> None:
+    for number in range(3):
+        (tmp_path / f"cam{number}").mkdir()
+        (tmp_path / f"cam{number}" / "1.png").touch()
+
+    with pytest.raises(CairnError, match=r"cam2 are folders of more than two cameras"):
+        sides_of(images_in(tmp_path))
 
 
 def test_a_folder_without_images_is_told(tmp_path: Path) -> None:

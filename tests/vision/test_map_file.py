@@ -98,6 +98,17 @@ def test_what_is_taught_makes_no_other_map_of_it(tmp_path: Path) -> None:
     assert digest_of(path) != before
 
 
+def test_what_could_not_be_made_leaves_nothing_behind(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as broken:
+        broken.setattr("vision.map_file.FORMATS", (("CREATE NONSENSE",),))
+        with pytest.raises(MapFileError):
+            create(tmp_path / "a.cairn", "a test")
+
+    create(tmp_path / "a.cairn", "a test").close()
+
+
 def test_a_file_with_other_tables_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "a.cairn"
     with closing(create(path, "a test")) as connection:

@@ -92,6 +92,45 @@ def test_files_of_a_pair_may_have_one_name_in_folders_of_any_name(
     assert "pair: error 0." in answer.out
 
 
+@pytest.mark.parametrize("kind", ["names", "folders"])
+def test_numbers_of_cameras_tell_them_apart_as_well(
+    folder: Path, tmp_path: Path, kind: str
+) -> None:
+    numbered = tmp_path / "numbered"
+    for side, camera in (("left", "cam0"), ("right", "cam1")):
+        for file in folder.glob(f"{side}*"):
+            number = file.name.removeprefix(side)
+            to = numbered / (f"{camera}_{number}" if kind == "names" else f"{camera}/{number}")
+            to.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(file, to)
+
+    told = calibrate(numbered, out=tmp_path / "out", more=("--json",)).json
+
+    assert told["pair"]["baseline_m"] == pytest.approx(0.0832, rel=0.02)
+    assert len(told["pair"]["errors_px"]) == len(NUMBERS)
+
+
+@pytest.mark.parametrize(
+    ("out", "told"),
+    [
+        ("file", "--out {out}: {out} is a file, not a folder"),
+        ("file/calibration", "--out {out}: {folder}/file is a file, not a folder"),
+        ("/proc/calibration", "/proc/calibration cannot be made: No such file or directory"),
+    ],
+)
+def test_where_nothing_can_be_written_is_told(
+    folder: Path, tmp_path: Path, out: str, told: str
+) -> None:
+    (tmp_path / "file").touch()
+    to = tmp_path / out
+
+    answer = calibrate(*sorted(folder.glob("left*")), out=to)
+
+    assert answer.code == 1
+    assert told.format(out=to, folder=tmp_path) in answer.err
+    assert answer.out == ""
+
+
 def test_an_image_without_the_board_and_one_without_its_other_are_named(
     folder: Path, tmp_path: Path
 ) -> None:

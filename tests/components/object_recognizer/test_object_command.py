@@ -170,6 +170,46 @@ def test_maps_and_names_that_are_not_there_are_told(folder: Path) -> None:
         assert "visual_map.cairn" in refused("object", verb, *rest)
 
 
+@pytest.mark.parametrize(
+    ("map_file", "why"),
+    [
+        ("folder", "folder is a folder. Give a map file"),
+        ("/dev/null", "/dev/null is no file that can hold a map"),
+        ("/proc/new.cairn", "/proc/new.cairn: No such file or directory; correct the path"),
+        ("a.png/new.cairn", "a.png: File exists; something else has this name"),
+        ("a.png", "a.png: file is not a database. It is damaged or no map"),
+    ],
+)
+def test_what_cannot_hold_a_map_is_told_as_it_is(folder: Path, map_file: str, why: str) -> None:
+    photo("a.png", picture_of(1))
+    (folder / "folder").mkdir()
+
+    told = refused("object", "teach", "cup", "a.png", "--map", map_file)
+
+    assert why in told
+    assert "full" not in told
+
+
+@pytest.mark.parametrize(
+    ("picture", "why"),
+    [
+        ("folder", "folder: its name does not tell what kind of picture it is to be"),
+        ("folder.png", "folder.png cannot be written: Is a directory; it is a folder: name a file"),
+        ("none/a.png", "none/a.png cannot be written: No such file or directory"),
+        ("/proc/a.png", "/proc/a.png cannot be written: No such file or directory"),
+    ],
+)
+def test_a_picture_that_cannot_be_written_is_told(folder: Path, picture: str, why: str) -> None:
+    cairn("object", "teach", "cup", photo("a.png", picture_of(1)))
+    (folder / "folder").mkdir()
+    (folder / "folder.png").mkdir()
+    before = sorted(folder.rglob("*"))
+
+    assert why in refused("object", "show", "cup", "--out", picture)
+
+    assert sorted(folder.rglob("*")) == before
+
+
 def test_without_a_robot_the_camera_is_told_to_be_missing(folder: Path) -> None:
     assert "127.0.0.1:9" in refused(
         "object", "teach", "cup", "--camera", "--connect", "tcp/127.0.0.1:9"

@@ -108,6 +108,17 @@ def test_a_folder_of_pairs_is_a_stereo_camera(stage: StageOf, tmp_path: Path) ->
     assert infos[1][0].header.frame_id == "right_camera_optical_frame"
 
 
+def test_folders_of_two_numbered_cameras_are_a_stereo_camera(
+    stage: StageOf, tmp_path: Path
+) -> None:
+    save(tmp_path, "cam0/1.png", "cam0/2.png", "cam1/1.png", "cam1/2.png")
+
+    it = replayed(stage, tmp_path, image_rate_hz=5.0)
+
+    assert [shade(image) for image in it.taken("left_image")] == [10, 20]
+    assert [shade(image) for image in it.taken("right_image")] == [30, 40]
+
+
 def test_images_of_one_camera_go_out_on_the_left(stage: StageOf, tmp_path: Path) -> None:
     folder = save(tmp_path / "mono", "a1.png", "a2.png", "a10.png")
 
