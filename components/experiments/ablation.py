@@ -12,12 +12,18 @@ import numpy as np
 
 from cairn.errors import CairnError
 from components.experiments import text
-from components.experiments.comparison import MethodSummary, better_elsewhere, summed_up
-from components.experiments.experiment import observed, write_report
+from components.experiments.comparison import (
+    ENOUGH_SIGHTINGS,
+    MethodSummary,
+    better_elsewhere,
+    summed_up,
+)
+from components.experiments.experiment import observed
 from components.experiments.judging import MoveResult, PairResult, RunResult
 from components.experiments.methods import ABLATION, OURS
 from components.experiments.pairs import WORLD, Events, Plan, plain
 from components.experiments.pictures import draw_methods
+from components.experiments.report_folder import ReportFolder, write_report
 from components.experiments.room import Room
 from components.experiments.runs import Job
 from components.experiments.statistics import Mean, Rate, Spread
@@ -26,6 +32,7 @@ from components.experiments.statistics import Mean, Rate, Spread
 _SCANNERS = ((3.0, "PBS-03JN", 1), (10.0, "UST-10LX", 3), (30.0, "UTM-30LX", 3))
 # A robot that is carried off is set down with so much more room around it [m].
 _CLEARANCE_M = 0.15
+_PICTURE = "ablation.png"
 
 
 @dataclass(frozen=True)
@@ -55,7 +62,7 @@ class Ask:
 
     def told(self) -> str:
         """It in words."""
-        parts = [f"{self.moved} objects moved" if self.moved != 1 else "1 object moved"]
+        parts = [f"{text.count(self.moved, 'object')} moved"]
         if self.moved and self.distance is not None:
             parts[0] += f" by {self.distance:g} m"
         parts[0] += f" at {self.at:g} s"
@@ -68,7 +75,7 @@ class Ask:
         return ", ".join(parts)
 
 
-def jobs_of(plan: Plan, ask: Ask, seeds: Sequence[int], out: Path) -> list[Job]:
+def jobs_of(plan: Plan, ask: Ask, seeds: Sequence[int], folder: ReportFolder) -> list[Job]:
     """A run for each seed, with moves of its own; `CairnError` if the world has no room for them.
 
     `plan` is what is run but for the events.
@@ -80,7 +87,8 @@ def jobs_of(plan: Plan, ask: Ask, seeds: Sequence[int], out: Path) -> list[Job]:
         Job(
             replace(plan, events=_events(room, ask, radius, seed)),
             seed,
-            out / "runs" / f"seed-{seed}",
+            folder.run(seed),
+            moves=ask.moved > 0,
         )
         for seed in seeds
     ]
@@ -92,21 +100,22 @@ def run_ablation(
     """Run it; the report's lines, its figures, and whether all runs did what they should."""
     if not ask.moved and not ask.kidnap:
         raise CairnError("--moved 0 without --kidnap leaves nothing to be compared; ask for either")
-    runs, failures = observed(jobs_of(plan, ask, seeds, out), out, workers, ask.at, quiet=quiet)
+    folder = ReportFolder(out, "ablation", (_PICTURE,))
+    jobs = jobs_of(plan, ask, seeds, folder)
+    runs, failures = observed(jobs, folder, workers, ask.at, quiet=quiet)
     results = [run.result for run in runs]
     summaries = [summed_up(method, results) for method in ABLATION]
     lines = list(_lines(ask, summaries, results, failures))
     body = {
-        "experiment": "ablation",
         "asked": ask.told(),
         "seeds": list(seeds),
         "failures": failures,
         "summary": [one.model_dump(mode="json") for one in summaries],
         "runs": [run.model_dump(mode="json") for run in results],
     }
-    pictures = {"ablation.png": partial(draw_methods, summaries)} if results else {}
+    pictures = {_PICTURE: partial(draw_methods, summaries)} if results else {}
     models = (MethodSummary, Rate, Mean, Spread, RunResult, PairResult, MoveResult)
-    write_report(out, lines, body, models, pictures)
+    write_report(folder, lines, body, models, pictures)
     return lines, {key: body[key] for key in ("asked", "failures", "summary")}, not failures
 
 
@@ -136,7 +145,7 @@ def _lines(
     runs: Sequence[RunResult],
     failures: Mapping[str, str],
 ) -> Iterator[str]:
-    yield f"ablation: {len(runs)} runs, {ask.told()}"
+    yield f"ablation: {text.count(len(runs), 'run')}, {ask.told()}"
     for name, failure in failures.items():
         yield f"{name} failed: {failure}"
     if not runs:
@@ -145,8 +154,14 @@ def _lines(
     mistaken = sum(run.mistaken for run in runs)
     yield (
         f"{sightings} sightings, of which {mistaken} ({mistaken / max(sightings, 1):.1%}) were "
-        f"mistaken; {sum(len(run.collisions) for run in runs)} collisions"
+        f"mistaken; {text.count(sum(len(run.collisions) for run in runs), 'collision')}"
     )
+    ours = next(one for one in summaries if one.method == OURS.name)
+    if ask.moved:
+        yield (
+            f"{text.count(ours.moved, 'moved object')}, {ours.recall.of} of them sighted "
+            f"{ENOUGH_SIGHTINGS} times after"
+        )
     yield ""
     if ask.moved:
         yield from text.table(
@@ -154,15 +169,18 @@ def _lines(
             [
                 (
                     one.title,
-                    f"{text.rate(one.recall)} of {one.recall.of}",
-                    f"{text.rate(one.precision)} of {one.precision.of}",
+                    text.rate_of_cases(one.recall),
+                    text.rate_of_cases(one.precision),
                     text.rate(one.false_removals, per=1000),
-                    f"{one.false_registrations.count} of {one.false_registrations.of}",
+                    text.count_of_cases(one.false_registrations),
                 )
                 for one in summaries
             ],
         )
-        yield "  recall: of moved objects sighted 5 times after; false removals: of 1000 sightings"
+        yield (
+            f"  recall: of moved objects sighted {ENOUGH_SIGHTINGS} times after; false removals: "
+            "of 1000 sightings"
+        )
         yield ""
         yield from text.table(
             ("method", "to remove", "in views", "to register", "registered off", "repaired"),
@@ -172,7 +190,7 @@ def _lines(
                     text.spread(one.sightings_to_remove),
                     text.spread(one.views_to_remove),
                     text.spread(one.sightings_to_register),
-                    f"{text.spread(one.registered_error, 3)} m",
+                    text.spread(one.registered_error, 3, "m"),
                     text.rate(one.repaired),
                 )
                 for one in summaries
@@ -193,12 +211,11 @@ def _lines(
             for one in summaries
         ],
     )
-    yield "  in brackets: 95 % intervals, of rates after Wilson, of means by resampling the runs"
+    yield f"  in brackets: 95 % intervals, of rates after Wilson, {text.of_means(len(runs))}"
     if ask.kidnap:
         yield ""
         yield from _carried_off(summaries, runs)
     yield ""
-    ours = next(one for one in summaries if one.method == OURS.name)
     yield from better_elsewhere(ours, [one for one in summaries if one is not ours])
 
 
@@ -208,7 +225,7 @@ def _carried_off(summaries: Sequence[MethodSummary], runs: Sequence[RunResult]) 
         [
             (
                 one.title,
-                f"{text.rate(one.found)} of {one.found.of}",
+                text.rate_of_cases(one.found),
                 text.spread(one.found_s, 1),
                 f"{one.false_removals.count / len(runs):.2f}",
             )

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from components.experiments import text
 from components.experiments.judging import THERE_M, MoveResult, RunResult
 from components.experiments.methods import Method
 from components.experiments.statistics import (
+    LEAST_CASES,
     Mean,
     Rate,
     Spread,
@@ -30,6 +33,8 @@ class MethodSummary(BaseModel):
 
     method: str
     title: str
+    runs: int = Field(description="Runs that count.")
+    moved: int = Field(description="Objects that were moved in them, sighted or not.")
     recall: Rate = Field(
         description="Moved objects that were removed, or before the move removed and then "
         "registered rightly, of those sighted at least 5 times after."
@@ -81,6 +86,8 @@ def summed_up(method: Method, runs: Sequence[RunResult]) -> MethodSummary:
     return MethodSummary(
         method=method.name,
         title=method.title,
+        runs=len(pairs),
+        moved=len(moves),
         recall=rate_of(sum(move.noticed for move in seen), len(seen)),
         recall_by_views=rate_of(sum(move.noticed for move in viewed), len(viewed)),
         precision=rate_of(removals - wrong, removals),
@@ -103,57 +110,97 @@ def summed_up(method: Method, runs: Sequence[RunResult]) -> MethodSummary:
     )
 
 
+@dataclass(frozen=True)
+class _Measure:
+    """What methods are compared by: a rate `of` their summaries, told `per` so many."""
+
+    title: str
+    per: int
+    more_is_better: bool
+    of: Callable[[MethodSummary], Rate]
+
+    def better(self, other: MethodSummary, ours: MethodSummary) -> bool:
+        """Whether another method's rate is better; not if one of them is not known."""
+        one, its = self.of(ours).rate, self.of(other).rate
+        return (
+            one is not None
+            and its is not None
+            and (its > one if self.more_is_better else its < one)
+        )
+
+    def told(self, other: MethodSummary, ours: MethodSummary) -> str:
+        """That it is better in this, with the figures, and whether they can tell."""
+        its, one = (f"{self.per * (self.of(method).rate or 0.0):.2f}" for method in (other, ours))
+        if ours.runs < LEAST_CASES:
+            doubt = f"; {_too_few(ours)}"
+        else:
+            doubt = "; the intervals overlap" if _overlap(self.of(ours), self.of(other)) else ""
+        unit = "" if self.per == 1 else f" of {self.per} sightings"
+        return f"in {self.title}{unit} ({its} against {one}{doubt})"
+
+
+_RECALL = _Measure("recall", 1, True, lambda one: one.recall)
+_FALSE_REMOVALS = _Measure("false removals", 1000, False, lambda one: one.false_removals)
+
+
 def better_elsewhere(ours: MethodSummary, others: Sequence[MethodSummary]) -> Iterator[str]:
-    """In words, which other methods are better than ours in recall or in false removals."""
-    told = False
+    """In words, which other methods are better than ours in recall or in false removals.
+
+    And what these runs cannot tell.
+    """
+    measures = [_RECALL, _FALSE_REMOVALS]
     for other in others:
-        finds = _by(ours.recall, other.recall) > 0
-        spares = _by(ours.false_removals, other.false_removals) < 0
-        if not finds and not spares:
-            continue
-        told = True
-        parts = []
-        if finds:
-            parts.append(
-                f"in recall ({_told(other.recall)} against {_told(ours.recall)}"
-                f"{_doubt(ours.recall, other.recall)})"
-            )
-        if spares:
-            parts.append(
-                "in false removals of 1000 sightings ("
-                f"{_told(other.false_removals, 1000)} against {_told(ours.false_removals, 1000)}"
-                f"{_doubt(ours.false_removals, other.false_removals)})"
-            )
-        both = "both " if finds and spares else ""
-        nothing = ", as it removes nothing at all" if other.precision.of == 0 else ""
-        who = other.title.capitalize()
-        yield f"{who} is better than ours {both}{' and '.join(parts)}{nothing}."
-    if not told:
-        yield "No other method is better than ours, neither in recall nor in false removals."
+        parts = [one.told(other, ours) for one in measures if one.better(other, ours)]
+        if parts:
+            both = "both " if len(parts) == len(measures) else ""
+            nothing = ", as it removes nothing at all" if other.precision.of == 0 else ""
+            who = other.title.capitalize()
+            yield f"{who} is better than ours {both}{' and '.join(parts)}{nothing}."
+    if ours.recall.of < LEAST_CASES:
+        yield f"Recall cannot be compared: {_too_few_moved(ours)}."
+        measures.remove(_RECALL)
+    if ours.runs < LEAST_CASES:
+        yield f"{_too_few(ours)} which method is better: at least {LEAST_CASES} are needed."
+        return
+    for measure in measures:
+        yield from _unbeaten(measure, ours, others)
+
+
+def _unbeaten(
+    measure: _Measure, ours: MethodSummary, others: Sequence[MethodSummary]
+) -> Iterator[str]:
+    """That no other method is better in this, and of which that is not certain."""
+    if any(measure.better(other, ours) for other in others):
+        return
+    alike = [one.title for one in others if _overlap(measure.of(ours), measure.of(one))]
+    doubt = f"; the intervals of {text.enumerated(alike)} overlap with its" if alike else ""
+    yield (
+        f"No other method is better than ours in {measure.title} in these {ours.runs} runs{doubt}."
+    )
+
+
+def _too_few_moved(summary: MethodSummary) -> str:
+    if not summary.moved:
+        return "no object was moved"
+    return (
+        f"of {text.count(summary.moved, 'moved object')} {summary.recall.of or 'none'} "
+        f"{'were' if summary.recall.of > 1 else 'was'} sighted {ENOUGH_SIGHTINGS} times after, and "
+        f"at least {LEAST_CASES} are needed"
+    )
+
+
+def _too_few(summary: MethodSummary) -> str:
+    return f"{text.count(summary.runs, 'run')} cannot tell"
 
 
 def _repaired(move: MoveResult) -> bool:
     return move.registered_error is not None and move.registered_error <= THERE_M
 
 
-def _by(ours: Rate, other: Rate) -> float:
-    """How much larger the other rate is; 0 where one is not known."""
-    return 0.0 if ours.rate is None or other.rate is None else other.rate - ours.rate
-
-
-def _told(value: Rate, per: int = 1) -> str:
-    return "-" if value.rate is None else f"{per * value.rate:.2f}"
-
-
-def _doubt(one: Rate, other: Rate) -> str:
-    apart = (
-        one.low is not None
-        and one.high is not None
-        and other.low is not None
-        and other.high is not None
-        and (one.low > other.high or other.low > one.high)
-    )
-    return "" if apart else "; the intervals overlap"
+def _overlap(one: Rate, other: Rate) -> bool:
+    if one.low is None or one.high is None or other.low is None or other.high is None:
+        return True
+    return one.low <= other.high and other.low <= one.high
 
 
 def _spread(values: Iterable[float | None]) -> Spread:

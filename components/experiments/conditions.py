@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from components.experiments.errors import Course
-from components.experiments.statistics import Mean, mean_of, ratio_of
+from components.experiments.statistics import Mean, Rate, mean_of, near_of, ratio_of
 
 Array = NDArray[np.float64]
 
@@ -25,6 +25,9 @@ QUANTITIES = {
 """The attributes of a `Course`, and what they are: uncertainty (standard deviation) and error."""
 
 POSITION, HEADING = tuple(QUANTITIES)[:3], tuple(QUANTITIES)[3:]
+
+NEAR = 0.1
+"""Off by no more than this share, a quantity is back at what it is in the unchanged room."""
 
 BEFORE, AFTER, REPAIRED = "before", "after", "repaired"
 PHASES = {
@@ -115,6 +118,9 @@ class Figure(BaseModel):
         description="Over that of the unchanged environment, in the same phases of the same ways, "
         "of a map that is kept up, or fixed, alike."
     )
+    ways_near_unchanged: Rate = Field(
+        description="Ways in which it is within 10 % of that of the unchanged environment."
+    )
 
 
 def figures(ways: Sequence[Way]) -> list[Figure]:
@@ -132,6 +138,7 @@ def figures(ways: Sequence[Way]) -> list[Figure]:
                         quantity=quantity,
                         value=mean_of(values),
                         against_unchanged=ratio_of(values, reference),
+                        ways_near_unchanged=near_of(values, reference, NEAR),
                     )
                 )
     return found

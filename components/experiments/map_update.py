@@ -10,16 +10,18 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, Field
 
 from components.experiments import text
-from components.experiments.experiment import Observed, observed, write_report
+from components.experiments.experiment import Observed, observed
 from components.experiments.judging import THERE_M, MoveResult, PairResult, RunResult
 from components.experiments.map_pictures import draw_reliabilities, draw_sequence
 from components.experiments.methods import OURS, PAPER, Method
 from components.experiments.pairs import MAP_BUILDER, Plan, changed_at, plain
+from components.experiments.report_folder import ReportFolder, write_report
 from components.experiments.runs import Job
 from components.experiments.sequence import sequence_of
 from components.experiments.statistics import Mean, Rate, Spread, mean_of, rate_of, spread_of
 
 METHODS = (OURS, PAPER)
+_SEQUENCE, _RELIABILITIES = "maps_a_h.png", "reliability.png"
 
 
 class UpdateSummary(BaseModel):
@@ -54,13 +56,13 @@ def run_map_update(
 ) -> tuple[list[str], dict[str, Any], bool]:
     """Run it; the report's lines, its figures, and whether all runs did what they should."""
     at = changed_at(plan)
-    jobs = [Job(plan, seed, out / "runs" / f"seed-{seed}") for seed in seeds]
-    runs, failures = observed(jobs, out, workers, at, quiet=quiet)
+    folder = ReportFolder(out, "map-update", (_SEQUENCE, _RELIABILITIES))
+    jobs = [Job(plan, seed, folder.run(seed), moves=True) for seed in seeds]
+    runs, failures = observed(jobs, folder, workers, at, quiet=quiet)
     results = [run.result for run in runs]
     summaries = [_summed_up(method, results) for method in METHODS] if runs else []
     lines = list(_lines(summaries, results, failures))
     body = {
-        "experiment": "map-update",
         "seeds": list(seeds),
         "changed_at": at,
         "failures": failures,
@@ -73,13 +75,13 @@ def run_map_update(
         shown = _shown(runs)
         sequence = sequence_of(shown.pairs[PAPER.name], shown.world)
         pictures = {
-            "maps_a_h.png": partial(draw_sequence, sequence, shown.world, grid),
-            "reliability.png": partial(
+            _SEQUENCE: partial(draw_sequence, sequence, shown.world, grid),
+            _RELIABILITIES: partial(
                 draw_reliabilities, [(run.pairs[OURS.name], run.world) for run in runs]
             ),
         }
     models = (UpdateSummary, Rate, Mean, Spread, RunResult, PairResult, MoveResult)
-    write_report(out, lines, body, models, pictures)
+    write_report(folder, lines, body, models, pictures)
     return lines, {key: body[key] for key in ("failures", "summary")}, not failures
 
 
@@ -93,7 +95,7 @@ def _shown(runs: Sequence[Observed]) -> Observed:
 
 
 def _repaired(pair: PairResult) -> bool:
-    return bool(pair.moves) and all(
+    return all(
         move.removed_at is not None
         and move.registered_error is not None
         and move.registered_error <= THERE_M
@@ -133,11 +135,12 @@ def _summed_up(method: Method, runs: Sequence[RunResult]) -> UpdateSummary:
 def _lines(
     summaries: Sequence[UpdateSummary], runs: Sequence[RunResult], failures: Mapping[str, str]
 ) -> Iterator[str]:
-    yield f"map update: {len(runs)} runs"
+    yield f"map update: {text.count(len(runs), 'run')}"
     for name, failure in failures.items():
         yield f"{name} failed: {failure}"
     if not runs:
         return
+    yield from text.few(len(runs))
     yield f"{OURS.title}, run by run:"
     yield from text.table(
         (
@@ -168,18 +171,19 @@ def _lines(
             for one in summaries
         ],
     )
+    yield f"  in brackets: 95 % intervals, of rates after Wilson, {text.of_means(len(runs))}"
     yield ""
     yield from text.table(
         ("median / 90 %", "removed", "registered", "sightings", "views", "to register", "off"),
         [
             (
                 one.title,
-                f"{text.spread(one.removed_after, 1)} s",
-                f"{text.spread(one.registered_after, 1)} s",
+                text.spread(one.removed_after, 1, "s"),
+                text.spread(one.registered_after, 1, "s"),
                 text.spread(one.sightings_to_remove),
                 text.spread(one.views_to_remove),
                 text.spread(one.sightings_to_register),
-                f"{text.spread(one.registered_error, 3)} m",
+                text.spread(one.registered_error, 3, "m"),
             )
             for one in summaries
         ],

@@ -12,7 +12,13 @@ import typer
 from cairn.errors import CairnError
 
 Seeds = Annotated[str, typer.Option(help="Seeds A..B, a run or two each.")]
-Out = Annotated[Path, typer.Option(help="Folder for the report.")]
+Out = Annotated[
+    Path,
+    typer.Option(
+        help="Folder for the report: one that is new or empty, or holds an earlier report of the "
+        "same command, which is replaced with its runs and pictures."
+    ),
+]
 Workers = Annotated[
     int, typer.Option(min=0, help="Runs at a time; 0: as many as there are processors.")
 ]

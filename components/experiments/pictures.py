@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from components.experiments import text
 from components.experiments.comparison import MethodSummary
 from components.experiments.conditions import FUSIONS, QUANTITIES, Condition, Way, together
 from components.experiments.statistics import Rate
@@ -25,6 +26,8 @@ def draw_methods(summaries: Sequence[MethodSummary], file: Path) -> None:
         colour = "tab:green" if row == 0 else "tab:blue"
         for axes, value, per in ((left, one.recall, 1), (right, one.false_removals, 1000)):
             _interval(axes, value, per, row, colour)
+    if not any(one.recall.of for one in summaries):
+        left.annotate("none moved and sighted", (0.5, 0.5), xycoords="axes fraction", ha="center")
     left.set_yticks(range(len(summaries)), [one.title for one in summaries])
     left.set_ylim(len(summaries) - 0.5, -0.5)
     left.set_xlim(-0.02, 1.02)
@@ -55,8 +58,8 @@ def draw_courses(ways: Sequence[Way], quantities: Sequence[str], file: Path) -> 
         len(quantities), len(FUSIONS), sharex=True, sharey="row", squeeze=False
     )
     figure.suptitle(
-        f"mean of {len(ways)} ways, shaded: their standard deviation; vertical line: an object is "
-        "moved; dashed: it is registered anew (median)"
+        f"mean of {text.count(len(ways), 'way')}, shaded: their standard deviation; vertical line: "
+        "an object is moved; dashed: it is registered anew (median)"
     )
     for column, (title, conditions) in zip(panels.T, FUSIONS.items(), strict=True):
         _draw_column(column, ways, quantities, conditions)

@@ -19,11 +19,15 @@ from components.experiments.pairs import Plan, planned
 
 @dataclass(frozen=True)
 class Job:
-    """One run: what, with which seed, and the folder of its series and its log."""
+    """One run: what, with which seed, and the folder of its series and its log.
+
+    `moves`: something is to be moved in it.
+    """
 
     plan: Plan
     seed: int
     folder: Path
+    moves: bool
 
     def called(self, whole: Path) -> str:
         """Its name among those of an experiment whose folder is `whole`."""

@@ -10,6 +10,10 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 Z95 = 1.959964
+LEAST_CASES = math.floor(Z95**2) + 1
+"""Of fewer cases no rate tells anything: even the intervals of none and of all of them overlap."""
+ENOUGH_RUNS = 10
+"""Of fewer runs intervals by resampling are too narrow: of 5 they hold the mean in 4 of 5 cases."""
 _RESAMPLES = 2000
 
 
@@ -32,8 +36,10 @@ class Mean(BaseModel):
 
     runs: int = Field(description="How many runs it is of.")
     mean: float | None = Field(description="The mean; null without runs.")
-    low: float | None = Field(description="Lower end of the interval.")
-    high: float | None = Field(description="Upper end of the interval.")
+    low: float | None = Field(
+        description="Lower end of the interval; null of a single run, which has none."
+    )
+    high: float | None = Field(description="Upper end of the interval; null as the lower.")
 
 
 class Spread(BaseModel):
@@ -43,7 +49,7 @@ class Spread(BaseModel):
 
     cases: int = Field(description="How many cases it is of.")
     median: float | None = Field(description="The median; null without cases.")
-    p90: float | None = Field(description="The 90th percentile.")
+    p90: float | None = Field(description="The 90th percentile; null of a single case.")
 
 
 def rate_of(count: int, of: int) -> Rate:
@@ -69,21 +75,17 @@ def mean_of(values: Sequence[float] | NDArray[np.float64]) -> Mean:
     known = np.array([value for value in values if math.isfinite(value)], np.float64)
     if known.size == 0:
         return Mean(runs=0, mean=None, low=None, high=None)
-    low, high = _resampled(known)
+    low, high = _interval(known[_choices(known.size)].mean(axis=1))
     return Mean(runs=known.size, mean=float(known.mean()), low=low, high=high)
 
 
 def root_mean_square_of(values: Sequence[float] | NDArray[np.float64]) -> Mean:
     """The root of the mean square of one root mean square for each run, NaN left out."""
     squares = mean_of(np.square(np.asarray(values, np.float64)))
-    if squares.mean is None or squares.low is None or squares.high is None:
-        return squares
-    return Mean(
-        runs=squares.runs,
-        mean=math.sqrt(squares.mean),
-        low=math.sqrt(squares.low),
-        high=math.sqrt(squares.high),
+    low, mean, high = (
+        None if one is None else math.sqrt(one) for one in (squares.low, squares.mean, squares.high)
     )
+    return Mean(runs=squares.runs, mean=mean, low=low, high=high)
 
 
 def ratio_of(values: NDArray[np.float64], reference: NDArray[np.float64]) -> Mean:
@@ -96,9 +98,19 @@ def ratio_of(values: NDArray[np.float64], reference: NDArray[np.float64]) -> Mea
         return Mean(runs=0, mean=None, low=None, high=None)
     chosen = _choices(int(known.sum()))
     ratios = values[known][chosen].mean(axis=1) / reference[known][chosen].mean(axis=1)
-    low, high = np.percentile(ratios, [2.5, 97.5])
+    low, high = _interval(ratios)
     ratio = values[known].mean() / reference[known].mean()
-    return Mean(runs=int(known.sum()), mean=float(ratio), low=float(low), high=float(high))
+    return Mean(runs=int(known.sum()), mean=float(ratio), low=low, high=high)
+
+
+def near_of(values: NDArray[np.float64], reference: NDArray[np.float64], share: float) -> Rate:
+    """In how many runs a value is off its reference by no more than that share of it.
+
+    Runs in which one of them is NaN are left out.
+    """
+    known = np.isfinite(values) & np.isfinite(reference)
+    near = np.abs(values[known] - reference[known]) <= share * reference[known]
+    return rate_of(int(near.sum()), int(known.sum()))
 
 
 def spread_of(values: Sequence[float]) -> Spread:
@@ -106,14 +118,20 @@ def spread_of(values: Sequence[float]) -> Spread:
     if not values:
         return Spread(cases=0, median=None, p90=None)
     median, p90 = np.percentile(np.array(values, np.float64), [50, 90])
-    return Spread(cases=len(values), median=float(median), p90=float(p90))
-
-
-def _resampled(values: NDArray[np.float64]) -> tuple[float, float]:
-    low, high = np.percentile(values[_choices(values.size)].mean(axis=1), [2.5, 97.5])
-    return float(low), float(high)
+    return Spread(
+        cases=len(values), median=float(median), p90=float(p90) if len(values) > 1 else None
+    )
 
 
 def _choices(runs: int) -> NDArray[np.int64]:
+    """Which runs each resample is of (resamples, runs); none of a single run."""
     # A generator of its own: the same runs give the same interval.
-    return np.random.default_rng(0).integers(runs, size=(_RESAMPLES, runs))
+    resamples = _RESAMPLES if runs > 1 else 0
+    return np.random.default_rng(0).integers(runs, size=(resamples, runs))
+
+
+def _interval(resampled: NDArray[np.float64]) -> tuple[float | None, float | None]:
+    if resampled.size == 0:
+        return None, None
+    low, high = np.percentile(resampled, [2.5, 97.5])
+    return float(low), float(high)

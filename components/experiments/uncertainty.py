@@ -8,7 +8,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from cairn.errors import CairnError
 from components.experiments import text
 from components.experiments.conditions import (
     AFTER,
@@ -18,7 +17,6 @@ from components.experiments.conditions import (
     PHASES,
     POSITION,
     QUANTITIES,
-    REPAIRED,
     UNCHANGED,
     UNCHANGED_FIXED,
     UPDATED,
@@ -28,7 +26,7 @@ from components.experiments.conditions import (
     figures,
 )
 from components.experiments.errors import Course, course_of
-from components.experiments.experiment import Observed, observed, write_report
+from components.experiments.experiment import Observed, observed
 from components.experiments.judging import MoveResult, PairResult, RunResult
 from components.experiments.methods import (
     NO_UPDATE,
@@ -38,11 +36,14 @@ from components.experiments.methods import (
 )
 from components.experiments.pairs import Plan, changed_at
 from components.experiments.pictures import draw_courses
+from components.experiments.repair import repair
+from components.experiments.report_folder import ReportFolder, write_report
 from components.experiments.runs import Job
-from components.experiments.statistics import Mean
+from components.experiments.statistics import Mean, Rate
 
 UNCERTAINTY = (OURS, NO_UPDATE, OURS_AT_ITS_WORD, NO_UPDATE_AT_ITS_WORD)
 """The pairs that follow each way."""
+_PICTURES = {"fig9_position.png": POSITION, "fig9_orientation.png": HEADING}
 
 
 def run_uncertainty(
@@ -53,44 +54,41 @@ def run_uncertainty(
     The robot drives by scans alone, so that no condition changes its way.
     """
     at = changed_at(plan)
-    worlds = {"unchanged": replace(plan, events=()), "changed": plan}
+    folder = ReportFolder(out, "uncertainty", tuple(_PICTURES))
+    still = replace(plan, events=())
     jobs = [
-        Job(world, seed, out / "runs" / f"seed-{seed}" / name)
+        job
         for seed in seeds
-        for name, world in worlds.items()
-    ]
-    runs, failures = observed(jobs, out, workers, at, quiet=quiet)
-    ways = list(_ways(runs, at))
-    if ways and not all(run.world.moves for run in runs if run.job.plan.events is None):
-        raise CairnError(
-            f"nothing was moved at {at:g} s in some run: the world refused it (see the runs' "
-            f"log.txt in {out}), or the tour was over before; change the event of the world"
+        for job in (
+            Job(still, seed, folder.run(seed, "unchanged"), moves=False),
+            Job(plan, seed, folder.run(seed, "changed"), moves=True),
         )
+    ]
+    runs, failures = observed(jobs, folder, workers, at, quiet=quiet)
+    ways = list(_ways(runs, at))
     found = figures(ways) if ways else []
     lines = list(_lines(ways, found, failures))
     body = {
-        "experiment": "uncertainty",
         "seeds": list(seeds),
         "changed_at": at,
         "failures": failures,
         "summary": [figure.model_dump(mode="json") for figure in found],
         "runs": {run.job.called(out): run.result.model_dump(mode="json") for run in runs},
     }
-    pictures = {}
-    if ways:
-        pictures = {
-            "fig9_position.png": partial(draw_courses, ways, POSITION),
-            "fig9_orientation.png": partial(draw_courses, ways, HEADING),
-        }
-    models = (Figure, Mean, RunResult, PairResult, MoveResult)
-    write_report(out, lines, body, models, pictures)
+    pictures = {
+        name: partial(draw_courses, ways, quantities)
+        for name, quantities in _PICTURES.items()
+        if ways
+    }
+    models = (Figure, Mean, Rate, RunResult, PairResult, MoveResult)
+    write_report(folder, lines, body, models, pictures)
     return lines, {key: body[key] for key in ("failures", "summary")}, not failures
 
 
 def _ways(runs: Sequence[Observed], at: float) -> Iterator[Way]:
     """The ways of which both runs were done."""
-    unchanged = {run.job.seed: run for run in runs if run.job.plan.events is not None}
-    changed = {run.job.seed: run for run in runs if run.job.plan.events is None}
+    unchanged = {run.job.seed: run for run in runs if not run.job.moves}
+    changed = {run.job.seed: run for run in runs if run.job.moves}
     for seed in sorted(unchanged.keys() & changed.keys()):
         still, moved = unchanged[seed], changed[seed]
         end = min(still.result.seconds, moved.result.seconds)
@@ -113,7 +111,7 @@ def _ways(runs: Sequence[Observed], at: float) -> Iterator[Way]:
 def _lines(
     ways: Sequence[Way], found: Sequence[Figure], failures: Mapping[str, str]
 ) -> Iterator[str]:
-    yield f"uncertainty: {len(ways)} ways, each in the room unchanged and changed"
+    yield f"uncertainty: {text.count(len(ways), 'way')}, each in the room unchanged and changed"
     for name, failure in failures.items():
         yield f"{name} failed: {failure}"
     if not ways:
@@ -121,6 +119,7 @@ def _lines(
     registered = [way.registered_at for way in ways if way.registered_at is not None]
     told = f"; the moved object was registered in {len(registered)} of {len(ways)}"
     yield f"changed at {ways[0].changed_at:g} s{told}"
+    yield from text.few(len(ways), "way")
     by_key = {(one.condition, one.phase, one.quantity): one for one in found}
     for fusion, conditions in FUSIONS.items():
         yield ""
@@ -137,21 +136,22 @@ def _lines(
                     for condition in conditions
                 ],
             )
-        changed = [condition for condition in conditions if condition.name != condition.reference]
-        for phase in (AFTER, REPAIRED):
-            yield ""
-            yield from text.table(
-                (f"against unchanged, {phase}", *QUANTITIES.values()),
-                [
-                    (
-                        condition.title,
-                        *(
-                            text.mean(by_key[condition.name, phase, q].against_unchanged)
-                            for q in QUANTITIES
-                        ),
-                    )
-                    for condition in changed
-                ],
-            )
+        _, kept, _, fixed = conditions
+        yield ""
+        yield from text.table(
+            ("against unchanged, after the change", *QUANTITIES.values()),
+            [
+                (
+                    condition.title,
+                    *(
+                        text.mean(by_key[condition.name, AFTER, q].against_unchanged)
+                        for q in QUANTITIES
+                    ),
+                )
+                for condition in (kept, fixed)
+            ],
+        )
+        yield ""
+        yield from repair(by_key, kept, fixed, len(ways))
     yield ""
-    yield "in brackets: 95 % intervals, by resampling the ways; errors are rms"
+    yield f"in brackets: 95 % intervals, {text.of_means(len(ways), 'way')}; errors are rms"

@@ -40,6 +40,8 @@ def test_an_ablation_compares_all_methods_on_the_same_data(tmp_path: Path) -> No
     assert "1 of 1: runs/seed-0 done" in answer.err
     for title in ("ours (likelihood ratio)", "paper, clamped", "persistence filter", "no update"):
         assert title in answer.out
+    assert "1 run cannot tell which method is better" in answer.out
+    assert "of means none: there is 1 run only" in answer.out
     report = json.loads((tmp_path / "report.json").read_text())
     assert (tmp_path / "report.txt").read_text().splitlines()[0] in answer.out
     assert [one["method"] for one in report["summary"]] == [
@@ -66,6 +68,8 @@ def test_without_a_change_the_environment_is_the_same_to_the_last_bit(tmp_path: 
     answer = experiment("uncertainty", tmp_path, "--seeds", "1", "--set", event, "--json")
 
     assert answer.code == 0, answer
+    report = (tmp_path / "report.txt").read_text()
+    assert report.count("In none of 1 way the moved object was registered anew") == 2  # filters
     figures = {
         (one["condition"], one["phase"], one["quantity"]): one["against_unchanged"]["mean"]
         for one in answer.json["summary"]
@@ -108,6 +112,26 @@ def test_runs_that_fail_are_told_and_end_with_status_1(tmp_path: Path) -> None:
     assert answer.code == 1
     assert "runs/seed-0 failed: mobile_supervisor has finished: the mission failed" in answer.out
     assert json.loads((tmp_path / "report.json").read_text())["failures"].keys() == {"runs/seed-0"}
+
+
+def test_a_run_in_which_nothing_was_moved_counts_for_nothing(tmp_path: Path) -> None:
+    late = "components.world.parameters.events=[{at: 900, move: object_8, to: {x: 4.7, y: 0}}]"
+    answer = experiment("map-update", tmp_path, "--seeds", "0", "--set", late)
+
+    assert answer.code == 1
+    assert "runs/seed-0 failed: nothing was moved at 900 s: the world refused it" in answer.out
+    assert "repaired" not in answer.out
+
+
+def test_a_folder_that_holds_anything_else_is_refused_before_any_run(tmp_path: Path) -> None:
+    (tmp_path / "thesis.tex").write_text("mine")
+
+    answer = experiment("ablation", tmp_path, "--seeds", "0")
+
+    assert answer.code == 1
+    assert f"{tmp_path} holds thesis.tex and no report of this command" in answer.err
+    assert "name a new folder with --out" in answer.err
+    assert [file.name for file in tmp_path.iterdir()] == ["thesis.tex"]
 
 
 @pytest.mark.parametrize(

@@ -79,7 +79,7 @@ def test_who_is_better_than_ours_is_named_with_the_figures() -> None:
     other = made(CHI_SQUARE, move(True), move(True), removals=4, false=2)
     none = made(NO_UPDATE, move(False), move(False))
 
-    chi_square, no_update = words(one, other, none, count=100)
+    chi_square, no_update = words(one, other, none, count=100)  # and not that nobody is better
 
     assert chi_square.startswith("Chi-square gate is better than ours in recall (1.00 against 0.50")
     assert "overlap" not in chi_square
@@ -89,18 +89,54 @@ def test_who_is_better_than_ours_is_named_with_the_figures() -> None:
 
 
 def test_a_difference_that_few_runs_cannot_tell_is_told_as_such() -> None:
-    (told,) = words(
+    better, removals = words(
         made(OURS, move(True), move(False)),
         made(CHI_SQUARE, move(True), move(True), removals=2),
-        made(NO_UPDATE),
+        made(NO_UPDATE, move(False), move(False)),
+        count=5,
     )
 
-    assert "the intervals overlap" in told
+    assert better.startswith("Chi-square gate is better than ours in recall (1.00 against 0.50; ")
+    assert "the intervals overlap" in better
+    assert removals == (
+        "No other method is better than ours in false removals in these 5 runs; the intervals of "
+        "chi-square gate and no update overlap with its."
+    )
 
 
 def test_where_nobody_is_better_that_is_told() -> None:
-    (told,) = words(
-        made(OURS, move(True)), made(CHI_SQUARE, move(True), false=1, removals=2), made(NO_UPDATE)
+    recall, removals = words(
+        made(OURS, move(True)),
+        made(CHI_SQUARE, move(True), false=1, removals=2),
+        made(NO_UPDATE, move(False)),
+        count=100,
     )
 
-    assert told == "No other method is better than ours, neither in recall nor in false removals."
+    assert recall == (
+        "No other method is better than ours in recall in these 100 runs; the intervals of "
+        "chi-square gate overlap with its."
+    )
+    assert removals.endswith("100 runs; the intervals of no update overlap with its.")
+
+
+def test_a_single_run_cannot_tell_who_is_better() -> None:
+    better, recall, told = words(
+        made(OURS, move(True), move(False, sightings=3), removals=60, false=59),
+        made(CHI_SQUARE, move(True), move(False, sightings=3), removals=60, false=59),
+        made(NO_UPDATE, move(False), move(False, sightings=3)),
+    )
+
+    assert better.startswith("No update is better than ours in false removals")
+    assert "(0.00 against 118.00; 1 run cannot tell)" in better
+    assert recall == (
+        "Recall cannot be compared: of 2 moved objects 1 was sighted 5 times after, and at least 4 "
+        "are needed."
+    )
+    assert told == "1 run cannot tell which method is better: at least 4 are needed."
+
+
+def test_where_nothing_was_moved_nobody_is_said_to_be_no_better_in_recall() -> None:
+    recall, removals = words(made(OURS), made(CHI_SQUARE), made(NO_UPDATE), count=30)
+
+    assert recall == "Recall cannot be compared: no object was moved."
+    assert removals.startswith("No other method is better than ours in false removals")

@@ -8,7 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from components.experiments.statistics import (
+    LEAST_CASES,
     mean_of,
+    near_of,
     rate_of,
     ratio_of,
     root_mean_square_of,
@@ -38,6 +40,17 @@ def test_a_rate_lies_in_its_interval_and_that_in_0_to_1(case: tuple[int, int]) -
     assert rate.high is not None
     assert 0.0 <= rate.low <= rate.rate <= rate.high <= 1.0
     assert rate.high > rate.low
+
+
+def test_of_too_few_cases_all_and_none_cannot_be_told_apart() -> None:
+    def told_apart(cases: int) -> bool:
+        none, every = rate_of(0, cases).high, rate_of(cases, cases).low
+        assert none is not None
+        assert every is not None
+        return none < every
+
+    assert told_apart(LEAST_CASES)
+    assert not told_apart(LEAST_CASES - 1)
 
 
 def test_of_no_case_there_is_no_rate() -> None:
@@ -78,8 +91,29 @@ def test_a_ratio_is_taken_run_by_run() -> None:
     assert ratio_of(reference, np.zeros(4)).mean is None
 
 
+def test_a_single_run_has_no_interval() -> None:
+    one = np.array([math.nan, 3.0])
+    for mean in (mean_of(one), root_mean_square_of(one), ratio_of(one, np.array([2.0, 3.0]))):
+        assert mean.runs == 1
+        assert mean.mean is not None
+        assert mean.low is None
+        assert mean.high is None
+
+
+def test_runs_near_their_reference_are_counted() -> None:
+    reference = np.array([1.0, 1.0, 1.0, 10.0, 1.0])
+
+    near = near_of(np.array([1.09, 0.91, 1.11, 10.9, math.nan]), reference, 0.1)
+
+    assert (near.count, near.of) == (3, 4)
+
+
 def test_half_and_nine_tenths_of_the_cases() -> None:
     spread = spread_of([float(value) for value in range(1, 12)])
 
     assert (spread.cases, spread.median, spread.p90) == (11, 6.0, 10.0)
     assert spread_of([]).median is None
+
+
+def test_a_single_case_has_no_nine_tenths() -> None:
+    assert (spread_of([3.0]).median, spread_of([3.0]).p90) == (3.0, None)
