@@ -35,6 +35,7 @@ from components.localizer.similarity import (
     similarity_to_the_letter,
 )
 from planar.poses import Pose, apart, wrap
+from planar.poses import distance as metres_between
 
 Array = NDArray[np.float64]
 
@@ -46,6 +47,8 @@ CORROBORATED, CORROBORATED_NEAR_ANOTHER = 3, 8  # contradictions from different 
 # equation 1 as it stands) and "chi_square" (a hard gate) are what these are measured against.
 Mode = Literal["lr", "paper", "letter", "chi_square"]
 UNCORROBORATED = 0.45  # similarity of a contradiction that stands alone
+# Where scans tell the place, the poses with and without an object are no farther apart [m].
+_EXACT_M = 0.15
 
 
 class Verdict(IntEnum):
@@ -127,7 +130,7 @@ class Judge:
 
         `by_all` is the pose to which it did contribute.
         `vouched`: scans or other objects speak for that pose; `likely`: they rather do than not;
-        `scanned`: scans do, so it is exact to centimetres.
+        `scanned`: scans do, so it is exact to centimetres, if it lies that near `by_all`, too.
         `others` is the log-likelihood of poses by all that was seen of late but the object.
         """
         landmark = landmarks[sighting.object_id]
@@ -148,7 +151,12 @@ class Judge:
         verdict = Verdict.NOT_CONVERGED
         if not converged or not trusted or similarity == NEUTRAL:
             similarity = NEUTRAL
-        elif vouched and scanned and self._displacements.shifted(sighting, pose, landmark):
+        elif (
+            vouched
+            and scanned
+            and metres_between(pose.mean, by_all.mean) <= _EXACT_M
+            and self._displacements.shifted(sighting, pose, landmark)
+        ):
             near = self._near_another(sighting, pose, landmarks)
             similarity = NEUTRAL if near else LEAST
             verdict = Verdict.FALSE_MATCH if near else Verdict.DISAGREES
