@@ -29,6 +29,8 @@ _PEAK = 3
 _CONTRAST = 2.0
 # How far the way back from right to left may miss the point [px].
 _RETURN = 1.0
+# A disparity of more is that of something near by, however the rectification is off [px].
+_MOVED = 1.0
 # Rows and focal lengths of a rectified pair agree, but for what is lost in writing them down.
 _SAME_PX = 0.01
 
@@ -133,15 +135,15 @@ def disparities(
 
 
 def look_swapped(left: Grey, right: Grey, points: NDArray[np.floating], rig: StereoRig) -> bool:
-    """Whether `left` was taken by the right camera: most points match only in the wrong direction.
+    """Whether `left` was taken by the right camera: points have moved in the wrong direction.
 
-    False also where too few points (fewer than 8) can be matched to say.
+    Those that have moved at all tell, what is far away has not. False also where too few (fewer
+    than 8) can be matched to say.
     """
     most = rig.nearest_disparity(0.3)
-    wrong = disparities(left, right, points, rig, least=-most, most=-1.0)
-    right_way = disparities(left, right, points, rig, most=most)
-    against = int(np.count_nonzero(~np.isnan(wrong)))
-    return against >= 8 and against > 3 * int(np.count_nonzero(~np.isnan(right_way)))
+    found = disparities(left, right, points, rig, least=-most, most=most)
+    against = int(np.count_nonzero(found < -_MOVED))
+    return against >= 8 and against > 3 * int(np.count_nonzero(found > _MOVED))
 
 
 def _matched(source: Grey, target: Grey, points: NDArray[np.int64], low: int, high: int) -> Array:

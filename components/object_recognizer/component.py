@@ -21,19 +21,17 @@ from components.object_recognizer.config import ObjectRecognizerConfig
 from components.object_recognizer.known import KnownObjects
 from components.object_recognizer.pairing import Pair, Pairing
 from components.object_recognizer.sighting import Sighting, sighted, without_wrong_twins
+from components.object_recognizer.stereo_check import swapped, unlike
 from schemas.cairn_msgs import RecognizedObject, RecognizedObjectArray
 from schemas.sensor_msgs import CameraInfo, Image
 from schemas.std_msgs import Header
 from vision.features import Features, extract
 from vision.images import Grey, grey_of
 from vision.map_file import MapFileError
-from vision.stereo import look_swapped
 
 # A camera that is silent, or shows the same, for so long is complained of.
 _SILENCE_NS = 2 * SECOND
 _STANDSTILL_NS = SECOND
-# Points by which it is told whether left and right are swapped.
-_PROBES = 60
 
 
 class ObjectRecognizer(Component):
@@ -176,7 +174,6 @@ class ObjectRecognizer(Component):
         """Where objects could have been recognised, and those that were and are placed."""
         config, cameras = self.config, self._looking()
         left = cameras.left.apply(self._grey(pair.left, self.left_image.topic))
-        right = self._rectified_right(cameras, pair.right)
         features = extract(left, config.most_features)
         blind = blindness(left)
         if blind:
@@ -186,12 +183,13 @@ class ObjectRecognizer(Component):
         known = self._known.now
         if shows_little(features) or not known.objects:
             return NOWHERE, []
+        right = self._rectified_right(cameras, pair)
         found = known.recognizer.recognize(features, left.shape[1], left.shape[0])
         sightings = without_wrong_twins(
             [sighted(one, known.objects, cameras, left, right) for one in found]
         )
         if right is not None and sightings and not any(one.by_stereo for one in sightings):
-            self._refuse_swapped(left, right, features, cameras)
+            self._question_stereo(left, right, features, cameras)
         placed = [(one, self._place(one)) for one in sightings]
         told = [
             _message(one, place)
@@ -216,12 +214,19 @@ class ObjectRecognizer(Component):
             return None
         return place_of(sighting.located, self.config.mount.pose, self.config.bearing_sd)
 
-    def _refuse_swapped(
+    def _question_stereo(
         self, left: Grey, right: Grey, features: Features, cameras: Cameras
     ) -> None:
-        if look_swapped(left, right, features.points[:_PROBES], cameras.rig):
+        """Tell why stereo tells nothing; raises `CairnError` if the cameras are swapped."""
+        if swapped(left, right, features, cameras.rig):
             raise CairnError(
                 f"{self.left_image.topic} shows what the right camera sees: swap the cameras"
+            )
+        why = unlike(left, right, features, cameras.rig)
+        if why:
+            self._complaints.tell(
+                "stereo",
+                f"{self.right_image.topic}: objects are ranged by their sizes alone: {why}",
             )
 
     def _looking(self) -> Cameras:
@@ -240,11 +245,16 @@ class ObjectRecognizer(Component):
             )
         return self._cameras
 
-    def _rectified_right(self, cameras: Cameras, image: Image | None) -> Grey | None:
-        if image is None or cameras.right is None:
+    def _rectified_right(self, cameras: Cameras, pair: Pair) -> Grey | None:
+        if pair.right is None or cameras.right is None:
             return None
         try:
-            return cameras.right.apply(self._grey(image, self.right_image.topic))
+            if np.array_equal(pair.left.data, pair.right.data):
+                raise CairnError(
+                    f"{self.right_image.topic} shows the same as {self.left_image.topic}, bit for "
+                    "bit: have the right camera's driver send its own images"
+                )
+            return cameras.right.apply(self._grey(pair.right, self.right_image.topic))
         except CairnError as error:
             self._complaints.tell("right image", f"ranged by their sizes alone: {error}")
             return None

@@ -3,40 +3,50 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import typer
 
 from cairn.cli.connection import Json
 from cairn.cli.tables import line, note, print_json
 from cairn.errors import CairnError
+from components.object_recognizer.agreement import contradiction
 from components.object_recognizer.bearings import place_of
 from components.object_recognizer.cameras import Cameras, cameras_of
 from components.object_recognizer.condition import blindness
 from components.object_recognizer.given import DEFAULT_MAP, MapFile
 from components.object_recognizer.pictures import draw_recognized
 from components.object_recognizer.sighting import Sighting, sighted, without_wrong_twins
+from components.object_recognizer.stereo_check import swapped, unlike
+from schemas.sensor_msgs import CameraInfo
 from vision.camera_file import read_camera
 from vision.features import extract
 from vision.images import Grey, read_image
 from vision.recognition import Recognizer
-from vision.stereo import look_swapped
+from vision.stereo import StereoRig
 from vision.taught import TaughtObject
 from vision.taught_store import read_taught
 
 _AT_CAMERA = (0.0, 0.0, 0.0)
-_PROBES = 100
+# Across the image [deg]: hardly a robot's camera sees less, or without distortion more.
+_NARROW, _WIDE = 15.0, 140.0
 
 
 @dataclass(frozen=True)
 class Seen:
-    """What was recognised in an image, rectified if the camera is calibrated, and what is odd."""
+    """What was recognised in an image, rectified if the camera is calibrated, and what is odd.
+
+    `no_stereo` says why stereo told nothing; it is empty if it might have.
+    """
 
     grey: Grey
     features: int
     sightings: list[Sighting]
+    no_stereo: str
     remarks: list[str]
 
 
@@ -71,7 +81,8 @@ def recognize(
     object_id, name, view, inliers, corners (four x, y [px]: top left, top right, bottom right,
     bottom left of the view), alternatives (object_id and name each), and range, bearing, covariance
     (2 x 2 of both, row by row), position (x right, y down, z ahead [m]) and ranged_by (stereo, size
-    or both), which are null where they are not known; doubt says why.
+    or both), which are null where they are not known; doubt says why, or why they may be wrong.
+    no_stereo says why nothing was ranged by stereo, and is null if it could be.
     """
     infos = camera_info or []
     if len(infos) > 2:
@@ -81,7 +92,10 @@ def recognize(
     right = read_image(right_image) if right_image is not None else None
     cameras = None
     if infos:
-        calibrations = [read_camera(file, file.stem) for file in infos]
+        calibrations = [read_camera(file, str(file)) for file in infos]
+        given = zip((image, right_image), (left, right), calibrations, strict=False)
+        for file, grey, calibration in given:
+            _check_size(file, grey, calibration)
         cameras = cameras_of(calibrations[0], calibrations[1] if len(infos) == 2 else None)
     seen = _seen(left, right, cameras, {known.object_id: known for known in taught.objects})
     names = {known.object_id: known.name for known in taught.objects}
@@ -99,6 +113,7 @@ def recognize(
                 "height": seen.grey.shape[0],
                 "features": seen.features,
                 "objects": objects,
+                "no_stereo": seen.no_stereo or None,
                 "remarks": seen.remarks,
             }
         )
@@ -117,36 +132,83 @@ def _seen(
     remarks = []
     if not known:
         remarks.append("no object was taught to this map: teach some with `cairn object teach`")
-    if cameras is None:
-        remarks.append("no range: give the camera's calibration by --camera-info")
-    else:
-        left = cameras.left.apply(left)
-        right = _right(right, cameras, remarks)
-    features = extract(left)
-    blind = blindness(left)
+    rectified = left if cameras is None else cameras.left.apply(left)
+    features = extract(rectified)
+    blind = blindness(rectified)
     if blind:
         remarks.append(f"the image shows little: {blind}")
-    found = Recognizer(tuple(known.values())).recognize(features, left.shape[1], left.shape[0])
+    height, width = rectified.shape
+    found = Recognizer(tuple(known.values())).recognize(features, width, height)
     if cameras is None:
+        remarks.append("no range: give the camera's calibration by --camera-info")
         sightings = [Sighting(one, None, "none", doubt="no calibration") for one in found]
+        no_stereo = "no calibration"
     else:
-        if right is not None and look_swapped(left, right, features.points[:_PROBES], cameras.rig):
-            raise CairnError("left and right are swapped: give the left camera's image first")
-        sightings = without_wrong_twins(
-            [sighted(one, known, cameras, left, right) for one in found]
+        remarks += _odd_view(cameras.rig)
+        no_stereo = _no_pair(left, right, cameras)
+        other = None
+        if not no_stereo and right is not None and cameras.right is not None:
+            other = cameras.right.apply(right)
+            if swapped(rectified, other, features, cameras.rig):
+                raise CairnError("left and right are swapped: give the left camera's image first")
+        sightings = _doubted(
+            without_wrong_twins([sighted(one, known, cameras, rectified, other) for one in found])
         )
-        remarks += [one.doubt for one in sightings if one.doubt]
-    return Seen(left, len(features), sightings, remarks)
+        if other is not None and not any(one.by_stereo for one in sightings):
+            no_stereo = unlike(rectified, other, features, cameras.rig)
+            if sightings and not no_stereo:
+                no_stereo = "what was recognised is not found in the right image, or is too far"
+        if no_stereo and (right is not None or cameras.right is not None):
+            remarks.append(f"no stereo: {no_stereo}")
+        remarks += dict.fromkeys(one.doubt for one in sightings if one.doubt)
+    return Seen(rectified, len(features), sightings, no_stereo, remarks)
 
 
-def _right(image: Grey | None, cameras: Cameras, remarks: list[str]) -> Grey | None:
+def _no_pair(left: Grey, right: Grey | None, cameras: Cameras) -> str:
+    """Why stereo cannot be tried, in words; empty if it can."""
     if cameras.complaint:
         raise CairnError(cameras.complaint)
-    if (image is None) != (cameras.right is None):
-        what = "image" if image is None else "calibration"
-        remarks.append(f"no stereo: the right camera's {what} is not given")
-        return None
-    return None if image is None or cameras.right is None else cameras.right.apply(image)
+    if right is None:
+        return "the right camera's image is not given"
+    if cameras.right is None:
+        return "the right camera's calibration is not given"
+    if np.array_equal(left, right):
+        return "the right image is the same as the left one: give the right camera's"
+    return ""
+
+
+def _odd_view(rig: StereoRig) -> list[str]:
+    """What is odd about a calibration that stereo and sizes cannot contradict: all is in scale."""
+    across = math.degrees(2.0 * math.atan(rig.width / 2.0 / rig.fx))
+    if _NARROW <= across <= _WIDE:
+        return []
+    return [
+        f"by its calibration the camera sees {across:.0f} deg across: if it does not, ranges and "
+        "bearings are wrong, so calibrate it anew with `cairn camera calibrate`"
+    ]
+
+
+def _doubted(sightings: Sequence[Sighting]) -> list[Sighting]:
+    """The same, with doubt of those whose ranges by stereo and by size contradict each other."""
+    ratios = {one.recognition.name: one.ratio for one in sightings if one.ratio is not None}
+    doubts = [
+        "" if one.consistent else contradiction(one.recognition.name, ratios) for one in sightings
+    ]
+    return [
+        replace(one, doubt="; ".join(filter(None, (one.doubt, doubt))))
+        for one, doubt in zip(sightings, doubts, strict=True)
+    ]
+
+
+def _check_size(file: Path | None, grey: Grey | None, calibration: CameraInfo) -> None:
+    if grey is None:
+        return
+    height, width = grey.shape
+    if (width, height) != (calibration.width, calibration.height):
+        raise CairnError(
+            f"{file} is {width} x {height} pixels, but {calibration.header.frame_id} is of images "
+            f"of {calibration.width} x {calibration.height}: give the calibration of such images"
+        )
 
 
 def _object(one: Sighting, names: dict[int, str]) -> dict[str, Any]:

@@ -33,7 +33,8 @@ class Sighting:
     """A recognised object and where it is, or why that is not known.
 
     `located` is in the rectified left optical frame; `way` says by what. `ratio` is the distance
-    by stereo over that by size, where there are both. `doubt` says why `located` is None.
+    by stereo over that by size, where there are both; `consistent` is whether the two may be of
+    one place, as sure as they are. `doubt` says why `located` is None.
     """
 
     recognition: Recognition
@@ -41,6 +42,7 @@ class Sighting:
     way: Way
     ratio: float | None = None
     doubt: str = ""
+    consistent: bool = True
 
     @property
     def by_stereo(self) -> bool:
@@ -141,11 +143,11 @@ def _judged(
     ratio = far / near
     if _apart(stereo, size):
         doubt = f"{taught.name}: it is at {far:.2f} m by stereo, but at {near:.2f} m by its size"
-        return Sighting(recognition, None, "none", ratio, doubt)
+        return Sighting(recognition, None, "none", ratio, doubt, consistent=False)
     both = fused(stereo, size)
     assert both is not None
     located = both.located if both.consistent else _either(stereo, size)
-    return Sighting(recognition, located, "both", ratio)
+    return Sighting(recognition, located, "both", ratio, consistent=both.consistent)
 
 
 def _apart(one: Located, other: Located) -> bool:

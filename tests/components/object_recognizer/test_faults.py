@@ -129,6 +129,29 @@ def test_a_camera_that_hangs_is_told_and_its_images_tell_nothing(
     assert len(it.see([HERE]).objects) == 1
 
 
+@pytest.mark.parametrize(
+    ("right", "why"),
+    [
+        (
+            lambda left: np.zeros_like(left),
+            "the right image shows next to nothing (it is too dark)",
+        ),
+        (lambda left: left, "right_image shows the same as /robot/left_image, bit for bit"),
+    ],
+)
+def test_a_right_camera_that_shows_nothing_of_its_own_is_told(
+    robot: Begin, complaints: Complaints, right: Callable[[Any], Any], why: str
+) -> None:
+    left, _ = pair([HERE])
+
+    told = robot().know().show(left, right(left))
+
+    assert told is not None
+    assert told.objects[0].range == pytest.approx(1.5, abs=0.1)  # by its size
+    assert why in complaints()
+    assert "sizes alone" in complaints()
+
+
 @pytest.mark.parametrize("thing", [HERE, UNSIZED])
 def test_images_that_are_swapped_are_told_and_place_nothing(
     robot: Begin, complaints: Complaints, thing: Thing

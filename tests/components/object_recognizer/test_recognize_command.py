@@ -8,7 +8,16 @@ import numpy as np
 import pytest
 
 from tests.commands import cairn
-from tests.components.object_recognizer.scenes import SIZE, Thing, info, pair, picture_of
+from tests.components.object_recognizer.scenes import (
+    BASELINE,
+    FOCAL,
+    SIZE,
+    Thing,
+    info,
+    pair,
+    photograph,
+    picture_of,
+)
 from vision.camera_file import write_camera
 from vision.map_file import create
 from vision.taught_store import teach
@@ -72,6 +81,69 @@ def test_a_calibration_gives_ranges_by_size_and_a_pair_by_both(folder: Path) -> 
     assert "m away, bearing +11.3 +- 0." in told
 
 
+BOTH = ("--camera-info", "left.yaml", "--camera-info", "right.yaml")
+
+
+@pytest.mark.parametrize(
+    ("right", "why"),
+    [
+        ("black.png", "the right image shows next to nothing (it is too dark)"),
+        ("left.png", "the right image is the same as the left one"),
+        ("elsewhere.png", "hardly anything of the left image is found again in the right one"),
+        ("without.png", "what was recognised is not found in the right image"),
+    ],
+)
+def test_a_right_image_that_tells_nothing_is_told(folder: Path, right: str, why: str) -> None:
+    cv2.imwrite("black.png", np.zeros((480, 640), np.uint8))
+    cv2.imwrite("elsewhere.png", cv2.flip(photograph([Thing(7, 0.0, 0.9)]), 0))
+    cv2.imwrite("without.png", photograph([]))
+    cv2.imwrite("alone.png", photograph([Thing(1, 0.6, 4.0)]))
+    left = "alone.png" if right == "without.png" else "left.png"
+
+    answer = cairn("recognize", left, right, *BOTH, "--json")
+
+    assert why in answer.json["no_stereo"]
+    assert any(why in remark for remark in answer.json["remarks"])
+    assert {one["ranged_by"] for one in answer.json["objects"]} <= {"size", None}
+    assert f"no stereo: {why}" in cairn("recognize", left, right, *BOTH).err
+
+
+def test_a_pair_that_is_one_is_not_doubted(folder: Path) -> None:
+    answer = cairn("recognize", "left.png", "right.png", *BOTH, "--json")
+    assert (answer.json["no_stereo"], answer.json["remarks"]) == (None, [])
+
+
+def test_images_that_are_swapped_are_refused_from_afar_too(folder: Path) -> None:
+    for name, image in zip(("left", "right"), pair([Thing(1, 0.0, 4.0)]), strict=True):
+        cv2.imwrite(f"{name}.png", image)
+
+    assert "left and right are swapped" in cairn("recognize", "right.png", "left.png", *BOTH).err
+
+
+@pytest.mark.parametrize(
+    ("focal", "baseline", "why", "ranged"),
+    [
+        (10.0, 0.1, "-90 % for poster): tell the object's size by", False),
+        (1.0, 2.0, "+100 % for poster): tell the object's size by", False),
+        (1.0, 1.13, "+13 % for poster): tell the object's size by", True),
+        (10.0, 1.0, "by its calibration the camera sees 7 deg across", True),
+    ],
+)
+def test_a_calibration_that_cannot_be_right_is_told(
+    folder: Path, focal: float, baseline: float, why: str, ranged: bool
+) -> None:
+    for side in ("left", "right"):
+        wrong = info(side == "right", baseline=baseline * BASELINE, focal=focal * FOCAL)
+        write_camera(Path(f"{side}.yaml"), wrong, side)
+
+    told = cairn("recognize", "left.png", "right.png", *BOTH, "--json").json
+
+    poster = next(one for one in told["objects"] if one["name"] == "poster")
+    assert (poster["range"] is not None) is ranged
+    assert any(why in remark for remark in told["remarks"])
+    assert (poster["doubt"] is not None) is (why.endswith("by"))
+
+
 def test_nothing_recognised_is_no_error(folder: Path) -> None:
     cv2.imwrite("other.png", picture_of(9))
     for image in ("other.png", cv2.imwrite("black.png", np.zeros((480, 640))) and "black.png"):
@@ -96,7 +168,14 @@ def test_nothing_recognised_is_no_error(folder: Path) -> None:
             ("left.png", "right.png", "--camera-info", "right.yaml", "--camera-info", "left.yaml"),
             "left and right are swapped",
         ),
-        (("small.png", "--camera-info", "left.yaml"), "the image is 400 x 300 pixels"),
+        (
+            ("small.png", "--camera-info", "left.yaml"),
+            "small.png is 400 x 300 pixels, but left.yaml is of images of 640 x 480",
+        ),
+        (
+            ("left.png", "small.png", "--camera-info", "left.yaml", "--camera-info", "right.yaml"),
+            "small.png is 400 x 300 pixels, but right.yaml is of images of 640 x 480",
+        ),
     ],
 )
 def test_what_cannot_be_is_refused_in_words(
