@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Final
 
@@ -10,8 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cairn.errors import CairnError
+from vision import similarities, verification
 from vision.features import extract, varied
 from vision.images import LEAST_SIDE
+from vision.index import DescriptorIndex
 from vision.recognition import Recognizer
 from vision.taught import TaughtObject, View
 
@@ -24,6 +27,11 @@ LONGEST: Final = 800
 MOST: Final = 300
 """Features of a view: more tell hardly more, and each is compared with every image's."""
 
+# A picture is found in itself: features so much alike (distance of descriptors), so far apart (in
+# diagonals), make a second place of it if so large a share of what is to be seen there is. Tiles
+# have 0.6 and more, photographs 0.35 and less, those of chessboards included.
+_ALIKE, _APART, _SHARE = 150.0, 0.1, 0.5
+_NEIGHBOURS = 10
 # What it is tried on: smaller, darker, and turned in front of a grey wall.
 _SMALLER, _DARKER, _TURNED_DEG = 0.6, 0.8, 12.0
 
@@ -75,6 +83,30 @@ def unfit(view: View) -> str:
         f"its {len(view.features)} features are too few, or too much alike, to recognise it by: "
         "give a sharp photograph of something with more detail"
     )
+
+
+def repeats(view: View) -> bool:
+    """Whether the picture is in itself at another place too, as one made of tiles is.
+
+    Where a part of it is seen, nobody can tell which part it is.
+    """
+    scene, features = extract(view.picture), view.features
+    diagonal = math.hypot(view.width, view.height)
+    found, distances = DescriptorIndex(features.descriptors).nearest(scene.descriptors, _NEIGHBOURS)
+    off = np.linalg.norm(features.points[found] - scene.points[:, None], axis=2)
+    image, column = np.nonzero((found >= 0) & (off > _APART * diagonal) & (distances < _ALIKE))
+    if len(image) < verification.LEAST:
+        return False
+    matches = similarities.Matches(image, found[image, column].astype(np.intp))
+    table = similarities.table_of(scene, features, matches)
+    groups = similarities.Groups(np.array([0, len(table)]), table)
+    (best,), (support,) = similarities.best_poses(groups, np.array([diagonal]))
+    if support < verification.LEAST:
+        return False
+    members = similarities.agreeing(table, int(best), diagonal)
+    there = verification.scene_of(scene, view.width, view.height)
+    placed = verification.place(there, view, table[members])
+    return placed is not None and placed.share >= _SHARE
 
 
 def look_alikes(view: View, known: Sequence[TaughtObject]) -> list[TaughtObject]:

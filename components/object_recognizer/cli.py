@@ -23,7 +23,7 @@ from vision.images import Grey, read_image
 from vision.map_file import create, told
 from vision.taught import TaughtObject, View
 from vision.taught_store import Taught, check_name, read_taught, remove_taught, teach
-from vision.teaching import cut, look_alikes, unfit, view_of
+from vision.teaching import cut, look_alikes, repeats, unfit, view_of
 
 app = typer.Typer(help="Objects that robots recognise: teach and show them.", no_args_is_help=True)
 Name = Annotated[str, typer.Argument(help="The object's name.", metavar="NAME")]
@@ -170,6 +170,12 @@ def _report(
     remarks = [check_shape(source, view, stated) for source, view in views.items() if stated]
     if known is not None and size is not None:
         remarks += [check_shape(f"view {k}", v, size) for k, v in enumerate(known.views)]
+    remarks += [
+        f"{source} shows the same thing at several places: where a part of it alone is seen, "
+        f"{name} may be placed wrongly; better teach something that does not repeat"
+        for source, view in views.items()
+        if repeats(view)
+    ]
     others = [one for one in taught.objects if one.name != name]
     alike = {one.name: one for view in views.values() for one in look_alikes(view, others)}
     if alike:

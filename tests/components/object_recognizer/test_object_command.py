@@ -103,6 +103,15 @@ def test_what_looks_alike_is_told(folder: Path) -> None:
     assert "mug looks like cup" in told["remarks"][0]
 
 
+def test_a_picture_of_tiles_is_taught_with_a_warning(folder: Path) -> None:
+    tiles = photo("a.png", np.tile(picture_of(1)[:150, :150], (2, 3)))
+
+    told = cairn("object", "teach", "carpet", tiles, "--size", "0.6,0.4", "--json").json
+
+    assert told["views"] == 1
+    assert "a.png shows the same thing at several places" in told["remarks"][0]
+
+
 def test_a_size_can_be_told_later(folder: Path) -> None:
     first = cairn("object", "teach", "cup", photo("a.png", picture_of(1)))
     assert "the size of cup is not known" in first.err
