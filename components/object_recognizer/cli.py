@@ -135,7 +135,7 @@ def show_object(
 
 @app.command("remove")
 def remove_object(name: Name, map_file: MapFile = None) -> None:
-    """Forget what an object looks like; a place of it in the map stays until robots miss it there."""
+    """Forget what an object looks like; its place in the map stays until robots miss it there."""
     object_id = remove_taught(map_file or DEFAULT_MAP, name)
     line(f"{name} (object {object_id}) is no longer recognised")
 
