@@ -153,10 +153,9 @@ def _checked(path: Path, data: bytes) -> int:
         try:
             with Picture.open(BytesIO(data)) as picture:
                 _check_size(str(path), *picture.size)
-                if data.startswith(_JPEG):
+                picture.load()
+                if data.startswith(_JPEG) and _is_usual(data):
                     simplejpeg.decode_jpeg(data, colorspace="GRAY", strict=True)
-                else:
-                    picture.load()
                 return int(picture.getexif().get(_ORIENTATION, 1))
         except UnidentifiedImageError:
             return 1  # OpenCV may know it
@@ -167,6 +166,15 @@ def _checked(path: Path, data: bytes) -> int:
                 f"{path} is truncated or damaged ({error}): give a whole image, or save this one "
                 "anew if it looks as it should."
             ) from error
+
+
+def _is_usual(jpeg: bytes) -> bool:
+    """Whether a JPEG image is of a kind that libjpeg-turbo's simple interface knows."""
+    try:
+        simplejpeg.decode_jpeg_header(jpeg, strict=False)
+    except ValueError:
+        return False
+    return True
 
 
 def _grey(pixels: NDArray[Any]) -> Grey:
