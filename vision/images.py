@@ -153,9 +153,10 @@ def _checked(path: Path, data: bytes) -> int:
         try:
             with Picture.open(BytesIO(data)) as picture:
                 _check_size(str(path), *picture.size)
-                picture.load()
                 if data.startswith(_JPEG) and _is_usual(data):
                     simplejpeg.decode_jpeg(data, colorspace="GRAY", strict=True)
+                else:
+                    picture.load()
                 return int(picture.getexif().get(_ORIENTATION, 1))
         except UnidentifiedImageError:
             return 1  # OpenCV may know it
