@@ -300,11 +300,24 @@ class Localizer(Component):
             if self._localization.located and not was_located:
                 self._tell_found(stamp)
             return
+        self._tell_ranges()
         header = self._header(stamp)
         if frame.judgements:
             self.object_evidence.publish(evidence_message(header, frame))
         if frame.relocalised:
             self._tell_found(stamp)
+
+    def _tell_ranges(self) -> None:
+        factor = self._localization.range_factor
+        if factor is None:
+            self._complaints.over("ranges")
+            return
+        self._complaints.tell(
+            "ranges",
+            f"all objects on {self.objects.topic} are seen {100 * factor:.0f} % as far away as the "
+            "map has them, so none is judged: calibrate the camera anew with `cairn camera "
+            "calibrate`, and look whether the objects' sizes were told right",
+        )
 
     def _since(self, stamp: float) -> Pose | None:
         """How the robot has moved from `stamp` [s] to the time that the cloud has come to; None if

@@ -19,6 +19,7 @@ from components.localizer.object_likelihood import (
     object_log_likelihood,
 )
 from components.localizer.particles import Estimate
+from components.localizer.range_scale import RangeScale
 from components.localizer.recent import ANOTHER_M, ANOTHER_RAD
 from components.localizer.ring import converge, draw_ring
 from components.localizer.similarity import (
@@ -95,16 +96,19 @@ class Judge:
         self.random = random
         self._contradictions: dict[int, list[_Contradiction]] = {}
         self._displacements = Displacements()
+        self.ranges = RangeScale()
 
     def forget(self, object_id: int) -> None:
         """Drop what was remembered of an object, as its place in the map changed."""
         self._contradictions.pop(object_id, None)
         self._displacements.forget(object_id)
+        self.ranges.forget(object_id)
 
     def place(self, sighting: Sighting, pose: Estimate, healthy: bool) -> Judgement:
         """Where an object that the map does not hold stands: no similarity to judge."""
         self.forget(sighting.object_id)
-        verdict = Verdict.AGREES if healthy else Verdict.NOT_CONVERGED
+        sure = healthy and self.ranges.wrong is None
+        verdict = Verdict.AGREES if sure else Verdict.NOT_CONVERGED
         return _judgement(sighting, pose, NEUTRAL, verdict, 0.0, False)
 
     def unseen(
@@ -149,11 +153,15 @@ class Judge:
         # To speak against an object takes a firmer pose than to speak for it.
         trusted = vouched or (similarity > NEUTRAL and likely)
         verdict = Verdict.NOT_CONVERGED
+        misled = converged and vouched and self.ranges.may_err(sighting, pose, landmarks)
+        if self.ranges.wrong is not None or (misled and similarity < NEUTRAL):
+            similarity = NEUTRAL
         if not converged or not trusted or similarity == NEUTRAL:
             similarity = NEUTRAL
         elif (
             vouched
             and scanned
+            and not misled
             and metres_between(pose.mean, by_all.mean) <= _EXACT_M
             and self._displacements.shifted(sighting, pose, landmark)
         ):

@@ -144,6 +144,11 @@ class Localization:
         """Whether the newest scan hit nothing, although the map has obstacles within its reach."""
         return self._fit.contradicted
 
+    @property
+    def range_factor(self) -> float | None:
+        """The factor by which the ranges of all objects err; None if they do not, or who knows."""
+        return self.judge.ranges.wrong
+
     def ahead(self, pose: Pose, stamp: float) -> Pose:
         """Where a robot that is at `pose` now is expected at the later time `stamp` [s]."""
         return move_pose(pose, self.track.preview(stamp))
@@ -233,7 +238,7 @@ class Localization:
         contradicted = any(one.contradicts for one in judgements)
         agreed = [one.sighting.object_id for one in judgements if one.verdict is Verdict.AGREES]
         self._absence.agreed(stamp, agreed)
-        if healthy and view is not None:
+        if healthy and view is not None and self.range_factor is None:
             missed = self._absence.missed(stamp, view, seen, self.landmarks, before, self._reckoned)
             judgements += tuple(self.judge.unseen(before, *one) for one in missed)
         if live:
@@ -330,6 +335,7 @@ class Localization:
 
     def _settle(self, poses: Array) -> None:
         self.bank.settle(poses)
+        self.judge.ranges.clear()
         self._fit.forget()
         self._stated = StatedCovariance()
         self.located = True

@@ -1,0 +1,104 @@
+"""A camera whose ranges are all wrong is told from objects that were moved."""
+
+import math
+
+import numpy as np
+import pytest
+
+from components.localizer.judge import Judge, Judgement, Mode, Verdict
+from components.localizer.object_likelihood import Landmark, Sighting
+from components.localizer.particles import Estimate
+from planar.poses import Pose, wrap
+
+MAP = {
+    key: Landmark(key, x, y, reliability=0.98)
+    for key, (x, y) in enumerate([(4.0, 0.0), (3.0, 2.0), (2.0, -3.0), (0.0, 3.0), (-2.0, 1.0)])
+}
+WAY = [(0.2 * step, 0.1 * step, 0.0) for step in range(8)]
+
+
+class Robot:
+    """Goes a way, and sees all objects from each pose of it."""
+
+    def __init__(self, mode: Mode = "lr") -> None:
+        self.judge = Judge(mode, 300, np.random.default_rng(0))
+        self.random = np.random.default_rng(1)
+
+    def sees(self, object_id: int, at: Pose, factor: float) -> Judgement:
+        """An object at `factor` times its distance on the map."""
+        landmark = MAP[object_id]
+        dx, dy = landmark.x - at[0], landmark.y - at[1]
+        range_m = factor * math.hypot(dx, dy) + self.random.normal(0.0, 0.03)
+        bearing = wrap(math.atan2(dy, dx) - at[2] + self.random.normal(0.0, 0.01))
+        pose = Estimate(at, np.diag([0.0004, 0.0004, 0.0001]))
+        return self.judge.compare(
+            Sighting(object_id, range_m, bearing, 0.03**2, 0.01**2),
+            pose,
+            pose,
+            MAP,
+            True,
+            True,
+            True,
+            True,
+            lambda poses: np.zeros(poses.shape[1]),
+        )
+
+    def looks_around(self, factors: dict[int, float]) -> list[Judgement]:
+        return [self.sees(key, at, factors.get(key, 1.0)) for at in WAY for key in MAP]
+
+
+@pytest.mark.parametrize("factor", [0.5, 0.75, 0.9, 1.12, 1.4])
+@pytest.mark.parametrize("mode", ["lr", "paper"])
+def test_no_object_is_doubted_if_all_ranges_are_wrong(factor: float, mode: Mode) -> None:
+    robot = Robot(mode)
+
+    judgements = robot.looks_around(dict.fromkeys(MAP, factor))
+
+    assert not [one for one in judgements if one.verdict is Verdict.DISAGREES]
+    assert robot.judge.ranges.wrong == pytest.approx(factor, abs=0.02)
+
+
+@pytest.mark.parametrize("factor", [0.7, 1.3])
+def test_an_object_that_moved_towards_the_robot_is_doubted_as_the_others_are_right(
+    factor: float,
+) -> None:
+    robot = Robot()
+
+    judgements = robot.looks_around({0: factor})
+
+    assert robot.judge.ranges.wrong is None
+    doubted = [one for one in judgements if one.verdict is Verdict.DISAGREES]
+    assert {one.sighting.object_id for one in doubted} == {0}
+    assert min(one.similarity for one in doubted) == pytest.approx(0.1)
+
+
+def test_nothing_is_wrong_with_ranges_that_err_by_chance() -> None:
+    robot = Robot()
+
+    judgements = robot.looks_around({})
+
+    assert robot.judge.ranges.wrong is None
+    assert {one.verdict for one in judgements} == {Verdict.AGREES}
+
+
+def test_the_first_object_that_is_seen_cannot_tell_whether_it_or_the_camera_is_wrong() -> None:
+    robot = Robot()
+
+    alone = [robot.sees(0, at, 0.7) for at in WAY]
+    for at in WAY:
+        for key in (1, 2, 3):
+            robot.sees(key, at, 1.0)
+    among_others = [robot.sees(0, at, 0.7) for at in WAY]
+
+    assert {one.verdict for one in alone} == {Verdict.NOT_CONVERGED}
+    assert {one.verdict for one in among_others} == {Verdict.DISAGREES}
+
+
+def test_nothing_is_learnt_while_ranges_are_wrong() -> None:
+    robot = Robot()
+    robot.looks_around(dict.fromkeys(MAP, 0.8))
+    here = Estimate((0.0, 0.0, 0.0), 0.0004 * np.eye(3))
+
+    found = robot.judge.place(Sighting(9, 2.0, 0.1, 0.001, 0.0001), here, healthy=True)
+
+    assert found.verdict is Verdict.NOT_CONVERGED
