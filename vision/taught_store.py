@@ -57,6 +57,15 @@ def taught_number(path: Path) -> int:
         return 0 if before_format_2 else _number(connection)
 
 
+def taught_name(path: Path, object_id: int) -> str | None:
+    """The name under which an object was taught, None if it was not; raises `MapFileError`."""
+    with peek(path) as connection:
+        row = connection.execute(
+            "SELECT name FROM taught_objects WHERE object_id = ?", (object_id,)
+        ).fetchone()
+    return str(row[0]) if row else None
+
+
 def teach(path: Path, name: str, views: Sequence[View], size: Size | None = None) -> int:
     """Add views to an object of that name, or a new object; return its number.
 

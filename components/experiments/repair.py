@@ -44,7 +44,7 @@ def repair(found: Figures, kept: Condition, fixed: Condition, ways: int) -> Iter
             f"against unchanged, {PHASES[REPAIRED]}",
             fixed.title,
             kept.title,
-            f"within {_NEAR}",
+            f"kept up: within {_NEAR}",
             "ways in which it is",
         ),
         [

@@ -11,7 +11,8 @@ from components.map_builder.rule import Rule, judge
 from components.map_builder.store import Judged, MapStore, open_map
 from components.map_builder.visual_map import UNDO_S, VisualMap
 from components.map_builder.working_copy import gone_on_with
-from vision.map_file import copy_map, digest_of
+from vision.map_file import MapFileError, copy_map, digest_of
+from vision.taught_store import taught_name
 
 NumberedChange = tuple[int, Change]
 
@@ -34,11 +35,10 @@ class MapKeeper:
         rule: Rule = judge,
         undo_s: float = UNDO_S,
     ) -> None:
+        self._taught = map_file
         self.path = _working_file(map_file, working_copy, now_ns)
         self._store: MapStore = open_map(self.path)
-        self._map = VisualMap(
-            self._store.objects(), learn_unknown, rule, undo_s, self._store.taught_name
-        )
+        self._map = VisualMap(self._store.objects(), learn_unknown, rule, undo_s, self._taught_name)
         self.version = self._store.version()
         self._pending: list[Judged] = []
 
@@ -67,6 +67,13 @@ class MapKeeper:
         numbered = self._commit(stamp_ns, changes)
         self.save()
         return True, numbered
+
+    def _taught_name(self, object_id: int) -> str | None:
+        """The name of an object, which may have been taught since the working copy was made."""
+        try:
+            return taught_name(self._taught, object_id)
+        except MapFileError:
+            return None  # the recogniser tells of the file, and a map without the name is a map
 
     def save(self) -> None:
         """Commit the evidence gathered so far."""

@@ -92,14 +92,6 @@ class MapStore:
             rows = self._connection.execute("SELECT * FROM objects ORDER BY object_id").fetchall()
             return list(map(object_from_row, rows))
 
-    def taught_name(self, object_id: int) -> str | None:
-        """The name under which an object was taught; None if it was not."""
-        with told(self.path):
-            row = self._connection.execute(
-                "SELECT name FROM taught_objects WHERE object_id = ?", (object_id,)
-            ).fetchone()
-        return str(row[0]) if row else None
-
     def version(self) -> int:
         """The number of changes made so far."""
         with told(self.path):

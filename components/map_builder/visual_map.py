@@ -98,7 +98,10 @@ class VisualMap:
             now = self.objects[object_id]
             self.objects[object_id] = before
             if now.state is not before.state or _apart(now.place, before.place):
-                reason = "the robot was lost when it judged this object; that judgement is undone"
+                reason = (
+                    "the robot was lost, or may have been, when it judged this object; that "
+                    "judgement is undone"
+                )
                 changes.append(
                     Change(
                         object_id,

@@ -238,8 +238,8 @@ def _told(one: dict[str, Any]) -> str:
     if one["range"] is not None:
         range_sd, bearing_sd = math.sqrt(one["covariance"][0]), math.sqrt(one["covariance"][3])
         told += (
-            f"; {one['range']:.2f} +- {range_sd:.2f} m away, bearing "
-            f"{math.degrees(one['bearing']):+.1f} +- {math.degrees(bearing_sd):.1f} deg, by "
+            f"; {one['range']:.3f} +- {range_sd:.3f} m away, bearing "
+            f"{math.degrees(one['bearing']):+.2f} +- {math.degrees(bearing_sd):.2f} deg, by "
             f"{'stereo and size' if one['ranged_by'] == 'both' else one['ranged_by']}"
         )
     if one["alternatives"]:

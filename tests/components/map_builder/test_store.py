@@ -18,7 +18,9 @@ from components.map_builder.keeper import MapKeeper
 from components.map_builder.objects import Kind, State
 from components.map_builder.store import open_map
 from tests.components.map_builder.evidence import THERE, sighting, surveyed
+from tests.vision.taught_objects import view
 from vision.map_file import MapFileError, copy_map
+from vision.taught_store import teach
 
 
 @pytest.fixture
@@ -79,6 +81,30 @@ def test_a_working_copy_is_gone_on_with_after_a_death(map_file: Path) -> None:
 
     assert {o.object_id: o.state for o in second.objects}[7] is State.RELOCATING
     second.close()
+
+
+def test_an_object_that_is_taught_while_the_robot_works_is_learned_by_its_name(
+    map_file: Path,
+) -> None:
+    keeper = keep(map_file, map_file.with_name("copy.map"))
+    object_id = teach(map_file, "cup", [view(1)])
+
+    for step in range(3):
+        keeper.apply(step, [sighting(0.5, step, THERE, object_id=object_id)])
+
+    assert {o.object_id: o.name for o in keeper.objects}[object_id] == "cup"
+    keeper.close()
+
+
+def test_an_object_is_learned_even_if_the_map_is_gone_that_would_name_it(map_file: Path) -> None:
+    keeper = keep(map_file, map_file.with_name("copy.map"))
+    map_file.unlink()
+
+    for step in range(3):
+        keeper.apply(step, [sighting(0.5, step, THERE, object_id=12)])
+
+    assert {o.object_id: o.state for o in keeper.objects}[12] is State.LIVE
+    keeper.close()
 
 
 def test_a_replay_from_the_beginning_starts_from_the_original(map_file: Path) -> None:
