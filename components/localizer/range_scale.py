@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterable, Mapping
-
-import numpy as np
+from collections.abc import Mapping
+from statistics import median
 
 from components.localizer.object_likelihood import Landmark, Sighting
 from components.localizer.particles import Estimate
@@ -47,10 +46,10 @@ class RangeScale:
     @property
     def wrong(self) -> float | None:
         """The factor by which ranges err, if it is clear that they do."""
-        medians = [_median(ratios) for ratios in self._ratios.values()]
+        medians = [median(ratios) for ratios in self._ratios.values()]
         if len(medians) < _ENOUGH:
             return None
-        factor = _median(medians)
+        factor = median(medians)
         error = abs(factor - 1.0)
         alike = sum(abs(one - factor) <= _ALIKE * error for one in medians)
         return factor if error > _WRONG and alike >= 0.75 * len(medians) else None
@@ -68,7 +67,7 @@ class RangeScale:
         if abs(off_rad) > _ALONG_RAD or not _LEAST < ratio < _MOST:
             return False
         known = self._ratios.pop(sighting.object_id, deque(maxlen=_RATIOS))
-        others = [_median(ratios) for ratios in self._ratios.values()]
+        others = [median(ratios) for ratios in self._ratios.values()]
         known.append(ratio)
         self._ratios[sighting.object_id] = known
         while len(self._ratios) > _OBJECTS:
@@ -80,10 +79,6 @@ class RangeScale:
             return True
         if not others:
             return False
-        shared = _median(others) - 1.0
+        shared = median(others) - 1.0
         own = ratio - 1.0
         return abs(shared) > _NOISE and shared * own > 0.0 and abs(shared) >= _ALIKE * abs(own)
-
-
-def _median(values: Iterable[float]) -> float:
-    return float(np.median(list(values)))
