@@ -20,4 +20,5 @@ class Complaints:
         """Log the 1st, 2nd, 4th, 8th ... complaint about something."""
         count = self._told[about] = self._told.get(about, 0) + 1
         if count & (count - 1) == 0:
-            self._log.warning("%s (%d times so far)", what, count)
+            so_often = f" ({count} times so far)" if count > 1 else ""
+            self._log.warning("%s%s", what, so_often)
