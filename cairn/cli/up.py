@@ -21,6 +21,7 @@ from rich.console import Console
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.cli.check import File, Overlay, Set
 from cairn.cli.log_file import log_file
+from cairn.cli.report_folder import writing_report
 from cairn.cli.tables import line, note
 from cairn.cli.view import LiveView, PlainView
 from cairn.cli.watch import LogWatch, Watch
@@ -169,15 +170,10 @@ def _prepare(folder: Path) -> None:
         str(folder).encode()
     except UnicodeEncodeError as error:
         raise CairnError(f"the report's folder {str(folder)!r} is no UTF-8: rename it") from error
-    try:
+    with writing_report(folder, "--report"):
         logs.mkdir(parents=True, exist_ok=True)
         for old in (folder / _CLOSING_TABLE, *logs.glob("*.log")):
             old.unlink(missing_ok=True)
-    except OSError as error:
-        raise CairnError(
-            f"the report's folder {folder} cannot be written: {error.strerror}; name another one "
-            "with --report"
-        ) from error
 
 
 def _report_setting(documents: Iterable[Any], folder: Path) -> list[str]:

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager
 from json import dumps
 from multiprocessing import get_context
 from pathlib import Path
@@ -15,6 +13,7 @@ from typing import Annotated
 import typer
 
 from cairn.cli.connection import Json
+from cairn.cli.report_folder import writing_report
 from cairn.cli.seeds import seeds_of
 from cairn.cli.tables import line, note, print_json
 from cairn.errors import CairnError
@@ -90,12 +89,12 @@ def navigation(
         examined = examination(trials[0], folder, folder / "result.json")
     events = scripted_events(world, examined)
     logs = (out / "logs").absolute()
-    with _writing(out):
+    with writing_report(out):
         logs.mkdir(parents=True, exist_ok=True)
         survey(world, map_file, visual_map)
     runs = _run(trials, logs, workers or os.cpu_count() or 1, quiet=json)
     summary = summed_up(runs, events)
-    with _writing(out):
+    with writing_report(out):
         _write(out, map_file, runs, summary)
     if json:
         print_json({"world": str(world), "summary": summary.model_dump(mode="json")})
@@ -105,19 +104,6 @@ def navigation(
         line(f"report: {out}/runs.json, {out}/tracks.png, {out}/ways.png, {out}/logs")
     if summary.reached < summary.goals or summary.collisions or summary.failed:
         raise typer.Exit(1)
-
-
-@contextmanager
-def _writing(out: Path) -> Iterator[None]:
-    """Tell what keeps the report from being written."""
-    try:
-        yield
-    except OSError as error:
-        where = f"{error.filename}: " if error.filename else ""
-        raise CairnError(
-            f"the report's folder {out} cannot be written: {where}{error.strerror or error}; name "
-            "another one with --out, or make room there"
-        ) from error
 
 
 def _run(trials: list[Trial], logs: Path, workers: int, *, quiet: bool) -> list[RunResult]:

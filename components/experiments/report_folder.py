@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel
 
+from cairn.cli.report_folder import writing_report
 from cairn.cli.tables import note
 from cairn.errors import CairnError
 from cairn.files import replace_file
@@ -40,7 +40,7 @@ def begin(folder: ReportFolder) -> None:
     report.json says that it is not finished.
     """
     out = folder.path
-    with _writing(out):
+    with writing_report(out):
         out.mkdir(parents=True, exist_ok=True)
         held = sorted(one.name for one in out.iterdir())
         if held:
@@ -63,7 +63,7 @@ def write_report(
 ) -> None:
     """Write report.txt, report.json, with what the fields of its `models` mean, and pictures."""
     about = {model.__name__: _described(model) for model in models}
-    with _writing(folder.path):
+    with writing_report(folder.path):
         for name, draw in pictures.items():
             draw(folder.path / name)
         (folder.path / _TEXT).write_text("\n".join(lines) + "\n", encoding="utf-8")
@@ -98,19 +98,6 @@ def _experiment_of(file: Path) -> str | None:
 def _write_figures(folder: ReportFolder, body: Mapping[str, Any]) -> None:
     text = json.dumps({"experiment": folder.experiment, **body}, indent=1, allow_nan=False)
     replace_file(folder.path / _FIGURES, text.encode() + b"\n")
-
-
-@contextmanager
-def _writing(out: Path) -> Iterator[None]:
-    """Tell what keeps the report from being written."""
-    try:
-        yield
-    except OSError as error:
-        where = f"{error.filename}: " if error.filename else ""
-        raise CairnError(
-            f"the report's folder {out} cannot be written: {where}{error.strerror or error}; name "
-            "another one with --out, or make room there"
-        ) from error
 
 
 def _described(model: type[BaseModel]) -> dict[str, str]:
