@@ -4,7 +4,8 @@ import re
 from math import isinf, isnan, nan
 from typing import Annotated, ClassVar, Final
 
-from schemas.geometry_msgs import Pose
+from schemas.builtin_interfaces import Time
+from schemas.geometry_msgs import Pose, PoseWithCovariance
 from schemas.message import message, refuse
 from schemas.packed import Packed
 from schemas.primitives import Bool, FiniteFloat64, Float64, Scalar, String, UInt8, UInt32
@@ -176,6 +177,19 @@ class LocalizationHealth:
     objects_contradicting: UInt32 = 0
     particles: UInt32 = 0
     reason: String = ""
+
+
+@message("cairn_nav_msgs/msg/Relocalisation")
+class Relocalisation:
+    """The robot was lost and has found itself at `pose` in frame map.
+
+    Until `sure_until` objects at two places had agreed that it was where it believed to be: what it
+    made of things since then may be wrong. Zero if that is not known.
+    """
+
+    header: Header = Header()
+    pose: PoseWithCovariance = PoseWithCovariance()
+    sure_until: Time = Time()
 
 
 @message("cairn_nav_msgs/msg/Collision")

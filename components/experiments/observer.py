@@ -26,7 +26,7 @@ from schemas.cairn_msgs import (
     VisualMap,
     VisualMapChange,
 )
-from schemas.cairn_nav_msgs import Collision
+from schemas.cairn_nav_msgs import Collision, Relocalisation
 from schemas.geometry_msgs import PoseArray, PoseStamped, PoseWithCovarianceStamped
 
 _MANY = RELIABLE.with_depth(500)
@@ -123,7 +123,7 @@ class PairObserver(Observer):
     visual_map_changes: In[VisualMapChange] = In(qos=_MANY)
     object_evidence: In[ObjectEvidenceArray] = In(qos=_MANY)
     particles: In[PoseArray] = In(optional=True)
-    relocalised: In[PoseWithCovarianceStamped] = In(optional=True)
+    relocalised: In[Relocalisation] = In(optional=True)
 
     def on_configure(self) -> None:
         """Nothing was mapped yet."""
@@ -179,9 +179,10 @@ class PairObserver(Observer):
             )
 
     @on("relocalised")
-    def find(self, found: PoseWithCovarianceStamped) -> None:
-        """Write that the robot was lost and found itself."""
-        self._write("relocalised", found.header.stamp, *_rounded(*planar_pose(found.pose.pose)))
+    def find(self, found: Relocalisation) -> None:
+        """Write that the robot was lost and found itself, and until when it was sure not to be."""
+        pose = _rounded(*planar_pose(found.pose.pose))
+        self._write("relocalised", found.header.stamp, *pose, to_ns(found.sure_until) / SECOND)
 
 
 def _rounded(*values: float) -> list[float]:

@@ -21,6 +21,7 @@ from components.localizer.late import seen_from, view_from
 from components.localizer.localization import Localization
 from components.localizer.messages import (
     evidence_message,
+    found_message,
     health_message,
     landmarks_of,
     sightings_of,
@@ -38,7 +39,7 @@ from planar.poses import Pose, compose, inverse, relative
 from planar.sweep import rays_of, sweep_s
 from schemas.builtin_interfaces import Time
 from schemas.cairn_msgs import ObjectEvidenceArray, RecognizedObjectArray, VisualMap
-from schemas.cairn_nav_msgs import LocalizationHealth
+from schemas.cairn_nav_msgs import LocalizationHealth, Relocalisation
 from schemas.geometry_msgs import PoseArray, PoseWithCovarianceStamped
 from schemas.map_msgs import OccupancyGridUpdate
 from schemas.nav_msgs import OccupancyGrid, Odometry
@@ -81,7 +82,7 @@ class Localizer(Component):
     localization_health: Out[LocalizationHealth]
     particles: Out[PoseArray]
     object_evidence: Out[ObjectEvidenceArray] = Out(qos=RELIABLE.with_depth(200))
-    relocalised: Out[PoseWithCovarianceStamped]
+    relocalised: Out[Relocalisation]
     tf: Out[TFMessage]
 
     def on_configure(self) -> None:
@@ -342,11 +343,8 @@ class Localizer(Component):
         self.log.warning(
             "the robot was lost and found itself at (%.2f m, %.2f m, %.2f rad)", *found.mean
         )
-        self.relocalised.publish(
-            PoseWithCovarianceStamped(
-                header=self._header(stamp), pose=with_covariance(found.mean, found.covariance)
-            )
-        )
+        sure_until = self._localization.sure_until
+        self.relocalised.publish(found_message(self._header(stamp), found, sure_until))
 
     def _localization_at(self, stamp: float, odom: Pose) -> None:
         if not self._localization.located:

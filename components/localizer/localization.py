@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from components.localizer.absence import AbsenceWatch, View
+from components.localizer.agreements import Agreements
 from components.localizer.association import associated
 from components.localizer.bank import Bank
 from components.localizer.beams import BeamChoice
@@ -80,6 +81,7 @@ class Localization:
         self._moved_s = 0.0
         self._beams = BeamChoice(settings.beams)
         self._absence = AbsenceWatch()
+        self._agreements = Agreements()
 
     def locate(self, pose: Sequence[float], covariance: Array) -> None:
         """Begin (again) from a known pose: x [m], y [m], theta [rad] and covariance (3, 3)."""
@@ -148,6 +150,13 @@ class Localization:
     def range_factor(self) -> float | None:
         """The factor by which the ranges of all objects err; None if they do not, or who knows."""
         return self.judge.ranges.wrong
+
+    @property
+    def sure_until(self) -> float:
+        """Until when [s] the robot was where it believed to be, should it prove to have been lost;
+        -inf if that is not known.
+        """
+        return self._agreements.sure_until(self.landmarks)
 
     def ahead(self, pose: Pose, stamp: float) -> Pose:
         """Where a robot that is at `pose` now is expected at the later time `stamp` [s]."""
@@ -238,6 +247,7 @@ class Localization:
         contradicted = any(one.contradicts for one in judgements)
         agreed = [one.sighting.object_id for one in judgements if one.verdict is Verdict.AGREES]
         self._absence.agreed(stamp, agreed)
+        self._agreements.note(stamp, (one for one in agreed if self._is_live(one)))
         if healthy and view is not None and self.range_factor is None:
             missed = self._absence.missed(stamp, view, seen, self.landmarks, before, self._reckoned)
             judgements += tuple(self.judge.unseen(before, *one) for one in missed)

@@ -6,12 +6,14 @@ import math
 
 import numpy as np
 
+from cairn.clock import SECOND, from_ns
 from components.localizer.absence import View
 from components.localizer.health import Health
 from components.localizer.judge import Judgement
 from components.localizer.localization import Frame
 from components.localizer.object_likelihood import Landmark, Sighting
 from components.localizer.particles import Estimate
+from planar.messages import with_covariance
 from planar.poses import Pose, compose, inverse
 from schemas.cairn_msgs import (
     ObjectEvidence,
@@ -20,7 +22,7 @@ from schemas.cairn_msgs import (
     VisualMap,
     VisualObject,
 )
-from schemas.cairn_nav_msgs import LocalizationHealth
+from schemas.cairn_nav_msgs import LocalizationHealth, Relocalisation
 from schemas.geometry_msgs import Quaternion, Transform, TransformStamped, Vector3
 from schemas.std_msgs import Header
 from schemas.tf2_msgs import TFMessage
@@ -96,6 +98,15 @@ def health_message(
         objects_contradicting=health.support.contradicting,
         particles=particles if pose else 0,
         reason=health.reason,
+    )
+
+
+def found_message(header: Header, found: Estimate, sure_until: float) -> Relocalisation:
+    """Where a lost robot was found, and until when [s] it was not lost, -inf if nobody knows."""
+    return Relocalisation(
+        header=header,
+        pose=with_covariance(found.mean, found.covariance),
+        sure_until=from_ns(round(max(0.0, sure_until) * SECOND)),
     )
 
 

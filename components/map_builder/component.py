@@ -27,7 +27,7 @@ from planar.map_file import read_map
 from planar.messages import planar_pose
 from planar.odometry import Added
 from schemas.cairn_msgs import ObjectEvidenceArray, VisualMap, VisualMapChange
-from schemas.cairn_nav_msgs import LocalizationHealth
+from schemas.cairn_nav_msgs import LocalizationHealth, Relocalisation
 from schemas.geometry_msgs import PoseWithCovarianceStamped
 from schemas.map_msgs import OccupancyGridUpdate
 from schemas.nav_msgs import OccupancyGrid, Odometry
@@ -49,7 +49,7 @@ class MapBuilder(Component):
 
     config: MapBuilderConfig
     object_evidence: In[ObjectEvidenceArray] = In(qos=RELIABLE.with_depth(200), optional=True)
-    relocalised: In[PoseWithCovarianceStamped] = In(optional=True)
+    relocalised: In[Relocalisation] = In(optional=True)
     scan: In[LaserScan] = In(qos=SENSOR, optional=True)
     odom: In[Odometry] = In(qos=RELIABLE.with_depth(1000), optional=True)
     pose: In[PoseWithCovarianceStamped] = In(optional=True)
@@ -110,19 +110,19 @@ class MapBuilder(Component):
             self._tell(stamp_ns, *keeper.apply(stamp_ns, evidence_of(frame)))
 
     @on("relocalised")
-    def take_back(self, pose: PoseWithCovarianceStamped) -> None:
+    def take_back(self, found: Relocalisation) -> None:
         """Undo what the robot judged and drew while it was lost."""
         keeper, grid = self._open(), self._open_grid()
-        stamp_ns = to_ns(pose.header.stamp)
+        stamp_ns, sure_ns = to_ns(found.header.stamp), to_ns(found.sure_until)
         if keeper is not None:
-            self._tell(stamp_ns, *keeper.take_back(stamp_ns))
+            self._tell(stamp_ns, *keeper.take_back(stamp_ns, sure_ns))
         if grid is not None:
-            window = grid.take_back(stamp_ns / SECOND - self.config.undo_s)
+            ago_s = min(self.config.undo_s, (stamp_ns - sure_ns) / SECOND)
+            window = grid.take_back(stamp_ns / SECOND - ago_s)
             self._updates.add(window)
             if window is not None:
                 self.log.info(
-                    "the robot was lost: the grid map is again as it was %.0f s ago",
-                    self.config.undo_s,
+                    "the robot was lost: the grid map is again as it was %.0f s ago", ago_s
                 )
 
     @on("odom")

@@ -54,7 +54,8 @@ class MapBuilderConfig(Config):
         60.0,
         ge=0,
         le=120,
-        description="How far back changes of the maps are undone when the robot was lost [s].",
+        description="How far back, at most, changes of the maps are undone when the robot was "
+        "lost [s].",
     )
     least_health: float = Field(
         0.6, ge=0, le=1, description="Health of the pose from which scans are put in [1]."

@@ -59,9 +59,9 @@ class MapKeeper:
                 touched |= after[1]
         return touched, self._commit(stamp_ns, outcome.changes)
 
-    def take_back(self, stamp_ns: int) -> tuple[bool, list[NumberedChange]]:
-        """Undo what the robot judged while it was lost."""
-        undone, changes = self._map.take_back()
+    def take_back(self, stamp_ns: int, sure_ns: int) -> tuple[bool, list[NumberedChange]]:
+        """At `stamp_ns`, undo what the robot has judged since `sure_ns`: it was lost."""
+        undone, changes = self._map.take_back(sure_ns / SECOND)
         if not undone:
             return False, []
         numbered = self._commit(stamp_ns, changes)

@@ -13,7 +13,7 @@ from components.map_builder.component import MapBuilder
 from components.map_builder.importing import write_map
 from components.map_builder.store import open_map
 from schemas.cairn_msgs import ObjectEvidence, ObjectEvidenceArray, VisualMapChange, VisualObject
-from schemas.geometry_msgs import PoseWithCovarianceStamped
+from schemas.cairn_nav_msgs import Relocalisation
 from schemas.std_msgs import Header
 from tests.components.map_builder.evidence import surveyed
 from tests.disk import room_for
@@ -92,11 +92,21 @@ def test_what_a_lost_robot_judged_is_restored(stage: StageOf, map_file: Path) ->
     it = stage(MapBuilder, 1000.0, map_file=str(map_file)).begin()
     it.give("object_evidence", frame(0, 0.1, 3.5))
 
-    it.give("relocalised", PoseWithCovarianceStamped())
+    it.give("relocalised", Relocalisation())
 
     kinds = [c.kind for c in it.taken("visual_map_changes")]
     assert kinds == [VisualMapChange.REMOVED, VisualMapChange.RESTORED]
     assert states(it)[7] == VisualObject.LIVE
+
+
+def test_what_it_judged_while_it_was_sure_stays(stage: StageOf, map_file: Path) -> None:
+    it = stage(MapBuilder, 1000.0, map_file=str(map_file)).begin()
+    it.give("object_evidence", frame(0, 0.1, 3.5))
+
+    it.give("relocalised", Relocalisation(sure_until=from_ns(1001 * 10**9)))
+
+    assert [c.kind for c in it.taken("visual_map_changes")] == [VisualMapChange.REMOVED]
+    assert states(it)[7] == VisualObject.RELOCATING
 
 
 def test_a_file_that_is_no_map_is_told_before_anything_moves(

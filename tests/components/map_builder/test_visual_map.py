@@ -190,11 +190,26 @@ def test_what_a_lost_robot_judged_is_taken_back() -> None:
     removed = kinds(visual_map, *(sighting(0.1, step, THERE) for step in range(4, 8)))
     assert removed[0] is Kind.REMOVED
 
-    objects, changes = visual_map.take_back()
+    objects, changes = visual_map.take_back(-1.0)
 
     assert visual_map.objects[7] == before
     assert objects == [before]
     assert [c.kind for c in changes] == [Kind.RESTORED]
+
+
+def test_what_was_judged_before_the_robot_was_lost_stays() -> None:
+    visual_map = VisualMap([surveyed(7), surveyed(8)])
+    visual_map.apply([sighting(0.1, 0, THERE)], 10.0)
+    rightly = visual_map.objects[7]
+    before = visual_map.objects[8]
+    visual_map.apply([sighting(0.1, 1, THERE, object_id=8)], 20.0)
+    assert {o.state for o in visual_map.objects.values()} == {State.RELOCATING}
+
+    objects, changes = visual_map.take_back(15.0)
+
+    assert objects == [before]
+    assert [(c.object_id, c.kind) for c in changes] == [(8, Kind.RESTORED)]
+    assert visual_map.objects == {7: rightly, 8: before}
 
 
 def test_a_registration_taken_back_leaves_the_object_without_a_place() -> None:
@@ -204,7 +219,7 @@ def test_a_registration_taken_back_leaves_the_object_without_a_place() -> None:
     seen = kinds(visual_map, *(sighting(0.5, step, THERE) for step in range(1, 4)))
     assert seen == [Kind.REGISTERED]
 
-    _, changes = visual_map.take_back()
+    _, changes = visual_map.take_back(-1.0)
 
     assert visual_map.objects[7].state is State.RELOCATING
     assert [(c.kind, c.new) for c in changes] == [(Kind.RESTORED, None)]

@@ -1,0 +1,33 @@
+"""Until when a lost robot was not lost: objects at two places must have agreed since."""
+
+import math
+
+from components.localizer.agreements import Agreements
+from components.localizer.object_likelihood import Landmark
+
+HERE, BESIDE, FAR = Landmark(1, 0.0, 0.0), Landmark(2, 0.4, 0.0), Landmark(3, 4.0, 0.0)
+MAP = {mark.object_id: mark for mark in (HERE, BESIDE, FAR)}
+
+
+def until(*agreed: tuple[float, int]) -> float:
+    it = Agreements()
+    for stamp, object_id in agreed:
+        it.note(stamp, [object_id])
+    return it.sure_until(MAP)
+
+
+def test_two_places_agreed_since_the_earlier_of_their_newest_agreements() -> None:
+    assert until((1.0, 3), (2.0, 1), (3.0, 3)) == 2.0
+
+
+def test_one_object_alone_may_agree_by_chance() -> None:
+    assert until((1.0, 1), (2.0, 1)) == -math.inf
+
+
+def test_objects_that_stand_together_are_one_place() -> None:
+    assert until((1.0, 3), (2.0, 1), (3.0, 2)) == 1.0
+    assert until((2.0, 1), (3.0, 2)) == -math.inf
+
+
+def test_an_object_that_left_the_map_tells_nothing() -> None:
+    assert until((1.0, 3), (2.0, 9)) == -math.inf
