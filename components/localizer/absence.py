@@ -25,9 +25,12 @@ _ASIDE_RAD = 0.06
 _BEFORE_M = 0.3
 
 
-# An object is missed only if another one is recognised in the same image, or was no longer ago than
-# this [s] and none but this one was missed since: else it is the light or the camera that fails.
-_PROVEN_S = 30.0
+# An object is missed only if another one was recognised no longer ago than this [s]: else it may be
+# the light or the camera that fails. None does so just when several are missed that were seen before
+# and after: while it fails no more than a look or two fall into this time.
+_PROVEN_S = 3.0
+# It may be so long ago [s] if none but this one was missed since.
+_PROVEN_BUT_FOR_ONE_S = 30.0
 
 
 @dataclass(frozen=True)
@@ -91,7 +94,8 @@ class AbsenceWatch:
     def _proven(self, stamp: float, object_id: int) -> bool:
         """Whether the camera recognises others: it is this object that is missing."""
         ages = [stamp - then for other, then in self._agreed_at.items() if other != object_id]
-        within_s = _PROVEN_S if self._missed <= {object_id} else 0.0
+        alone = self._missed <= {object_id}
+        within_s = _PROVEN_BUT_FOR_ONE_S if alone else _PROVEN_S
         return any(age <= within_s for age in ages)
 
 
