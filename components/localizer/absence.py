@@ -26,8 +26,7 @@ _BEFORE_M = 0.3
 
 
 # An object is missed only if another one was recognised no longer ago than this [s]: else it may be
-# the light or the camera that fails. None does so just when several are missed that were seen before
-# and after: while it fails no more than a look or two fall into this time.
+# the light or the camera that fails. Should it fail, only a look or two fall into this time.
 _PROVEN_S = 3.0
 # It may be so long ago [s] if none but this one was missed since.
 _PROVEN_BUT_FOR_ONE_S = 30.0
