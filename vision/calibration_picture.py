@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -14,21 +14,30 @@ from cairn.errors import CairnError
 from cairn.files import replacing
 from vision.calibration import Calibration
 from vision.file_errors import why
+from vision.stereo_calibration import StereoCalibration
 
 _MOST_LABELS = 40
 
 
-def draw_calibration(cameras: Mapping[str, Calibration], file: Path) -> None:
+def draw_calibration(
+    cameras: Mapping[str, Calibration], stereo: StereoCalibration | None, file: Path
+) -> None:
     """For each camera, by its name: residuals, the error of each image, and where corners were.
 
-    Raises `CairnError` if the file cannot be written.
+    Of a stereo pair the error of each pair as well. Raises `CairnError` if the file cannot be
+    written.
     """
-    figure = Figure(figsize=(15.0, 4.6 * len(cameras)), layout="constrained")
-    rows = figure.subplots(len(cameras), 3, squeeze=False, width_ratios=(1.0, 1.4, 1.4))
-    for (name, found), (scatter, bars, image) in zip(cameras.items(), rows, strict=True):
-        _residuals(scatter, name, found)
-        _errors(bars, found)
-        _coverage(image, found)
+    rows = len(cameras) + (stereo is not None)
+    figure = Figure(figsize=(15.0, 4.6 * rows), layout="constrained")
+    grid = figure.add_gridspec(rows, 3, width_ratios=(1.0, 1.4, 1.4))
+    for row, (name, found) in enumerate(cameras.items()):
+        _residuals(figure.add_subplot(grid[row, 0]), name, found)
+        _errors(figure.add_subplot(grid[row, 1]), found.errors, found.rms, found.outlying)
+        _coverage(figure.add_subplot(grid[row, 2]), found)
+    if stereo is not None:
+        axes = figure.add_subplot(grid[-1, :])
+        _errors(axes, stereo.errors, stereo.rms, ())
+        axes.set_title(f"error of each pair, by its left image: rms {stereo.rms:.3f} px")
     try:
         with replacing(file) as part:
             figure.savefig(part, dpi=100, format=file.suffix.lstrip(".") or "png")
@@ -52,17 +61,16 @@ def _residuals(axes: Axes, name: str, found: Calibration) -> None:
     axes.set_title(f"{name}: residuals, rms {found.rms:.3f} px")
 
 
-def _errors(axes: Axes, found: Calibration) -> None:
-    errors = found.errors
+def _errors(axes: Axes, errors: Mapping[str, float], rms: float, outlying: Collection[str]) -> None:
     places = range(len(errors))
-    colours = ["tab:orange" if key in found.outlying else "tab:blue" for key in errors]
+    colours = ["tab:orange" if key in outlying else "tab:blue" for key in errors]
     axes.bar(places, list(errors.values()), color=colours)
-    axes.axhline(found.rms, color="black", linewidth=0.8, linestyle="--")
+    axes.axhline(rms, color="black", linewidth=0.8, linestyle="--")
     labels = [Path(key).stem for key in errors]
     if len(labels) <= _MOST_LABELS:
         axes.set_xticks(places, labels, rotation=90, fontsize=8)
     axes.set_ylabel("rms [px]")
-    axes.set_title("error of each image" + (" (outlying: orange)" if found.outlying else ""))
+    axes.set_title("error of each image" + (" (outlying: orange)" if outlying else ""))
 
 
 def _coverage(axes: Axes, found: Calibration) -> None:

@@ -198,7 +198,7 @@ def _checked_format(path: Path, connection: sqlite3.Connection) -> int:
         )
     damage = connection.execute("PRAGMA quick_check(1)").fetchone()[0]
     if damage != "ok":
-        raise MapFileError(f"{path}: {damage}. {_DAMAGED}.")
+        raise MapFileError(f"{path}: {' '.join(damage.split())}. {_DAMAGED}.")
     return version
 
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from io import BytesIO
 from typing import Any, Final
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image as Picture
 
 from vision.features import DESCRIPTOR, Features
 from vision.taught import View
@@ -85,11 +87,16 @@ def _bytes(value: Any, length: int | None, what: str) -> bytes:
 
 
 def _picture(value: Any, width: int, height: int) -> NDArray[np.uint8]:
-    data = np.frombuffer(_bytes(value, None, "pixels"), np.uint8)
-    picture = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE) if data.size else None
-    if picture is None or picture.shape != (height, width):
+    data = _bytes(value, None, "pixels")
+    try:
+        # OpenCV would write of its own to the terminal what is wrong with it.
+        with Picture.open(BytesIO(data), formats=["PNG"]) as png:
+            picture = np.asarray(png.convert("L"), np.uint8)
+    except (OSError, SyntaxError) as error:
+        raise ValueError("its picture is no PNG image") from error
+    if picture.shape != (height, width):
         raise ValueError(f"its picture is no PNG image of {width} x {height} pixels")
-    return np.asarray(picture, np.uint8)
+    return picture
 
 
 def _side(value: Any) -> int:

@@ -12,9 +12,13 @@ class Complaints:
         self._log = log
         self._told: dict[str, int] = {}
 
-    def over(self, about: str) -> None:
-        """Note that there is nothing to complain of: the next time is a first one."""
-        self._told.pop(about, None)
+    def over(self, about: str, what: str) -> None:
+        """Note that there is nothing to complain of: the next time is a first one.
+
+        If there was, `what` is logged: how it is now.
+        """
+        if self._told.pop(about, None) is not None:
+            self._log.info("%s", what)
 
     def tell(self, about: str, what: str) -> None:
         """Log the 1st, 2nd, 4th, 8th ... complaint about something."""

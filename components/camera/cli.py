@@ -82,7 +82,7 @@ def calibrate(
     for file, name, info in zip(files, names, outcome.infos, strict=True):
         write_camera(file, info, name)
     picture = out / "calibration.png"
-    draw_calibration(dict(zip(names, outcome.cameras, strict=True)), picture)
+    draw_calibration(dict(zip(names, outcome.cameras, strict=True)), outcome.stereo, picture)
     written = [str(file) for file in (*files, picture)]
     if json:
         print_json({**as_json(outcome, names), "files": written})
@@ -171,7 +171,9 @@ def _views(info: CameraInfo) -> list[float]:
 
 def _described(info: CameraInfo) -> str:
     across, down = _views(info)
+    fx, fy = f"{info.p[0]:.2f}", f"{info.p[5]:.2f}"
+    focal = f"focal length {fx}" if fx == fy else f"focal lengths {fx} and {fy}"
     return (
-        f"rectified {info.width} x {info.height} px with focal length {info.p[0]:.2f} px, view of "
-        f"{across:.1f} x {down:.1f} deg"
+        f"rectified {info.width} x {info.height} px with {focal} px, view of {across:.1f} x "
+        f"{down:.1f} deg"
     )

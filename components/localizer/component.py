@@ -311,7 +311,7 @@ class Localizer(Component):
     def _tell_ranges(self) -> None:
         factor = self._localization.range_factor
         if factor is None:
-            self._complaints.over("ranges")
+            self._complaints.over("ranges", "objects are as far away as the map has them again")
             return
         self._complaints.tell(
             "ranges",

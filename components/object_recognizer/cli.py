@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import typer
 
 from cairn.cli.connection import DEFAULT_CONNECT, Connect, Domain, Json, Robot, connected
@@ -176,6 +177,10 @@ def _report(
         for source, view in views.items()
         if repeats(view)
     ]
+    views, again = _new_views(views, known)
+    remarks += again
+    if known is not None and known.size is not None and size not in (None, known.size):
+        remarks.append(f"its size was {known.size[0]:g} m x {known.size[1]:g} m until now")
     others = [one for one in taught.objects if one.name != name]
     alike = {one.name: one for view in views.values() for one in look_alikes(view, others)}
     if alike:
@@ -220,6 +225,21 @@ def _report(
     line(f"{name} (object {object_id}) has {total} view{'s' if total != 1 else ''} in {path}")
     for remark in remarks:
         note(remark)
+
+
+def _new_views(
+    views: dict[str, View], known: TaughtObject | None
+) -> tuple[dict[str, View], list[str]]:
+    """The views that show something new, and remarks on the others."""
+    shown = list(known.views) if known else []
+    new, remarks = {}, []
+    for source, view in views.items():
+        if any(np.array_equal(view.picture, one.picture) for one in shown):
+            remarks.append(f"{source} is a view of it already: left out")
+            continue
+        shown.append(view)
+        new[source] = view
+    return new, remarks
 
 
 def _known(path: Path, taught: Taught, name: str) -> TaughtObject:

@@ -63,6 +63,7 @@ class ObjectRecognizer(Component):
         self._pairing = Pairing(stereo=self.config.stereo)
         self._standstills = {"left": Standstill(), "right": Standstill()}
         self._agreement = Agreement()
+        self._right_came = False
         self._last_left = self.clock.now()
 
     def on_parameters(self, new: Config) -> None:
@@ -89,17 +90,19 @@ class ObjectRecognizer(Component):
         if not self._is_new("left", image, self.left_image.topic):
             return
         self._look_at(self._pairing.take_left(to_ns(image.header.stamp), image, now))
-        if self._pairing.right_is_missing(now):
+        if self._pairing.right_is_missing(now) and not self._standstills["right"].lasts:
+            remedy = "" if self._right_came else ", or set stereo to false if there is none"
             self._complaints.tell(
                 "right",
                 f"no image on {self.right_image.topic} is of the time of one on "
                 f"{self.left_image.topic}: objects are ranged by their sizes alone. Look after "
-                "the right camera, or set stereo to false if there is none",
+                f"the right camera{remedy}",
             )
 
     @on("right_image")
     def see_right(self, image: Image) -> None:
         """Look at a left image that has waited for this one, or keep this one for it."""
+        self._right_came = True
         if self.config.stereo and self._is_new("right", image, self.right_image.topic):
             self._look_at(self._pairing.take_right(to_ns(image.header.stamp), image))
 
@@ -145,15 +148,15 @@ class ObjectRecognizer(Component):
                 "bit: the camera hangs. Start its driver anew",
             )
         if lasts_ns is None:
-            self._complaints.over(f"{side} stands still")
+            self._complaints.over(f"{side} stands still", f"the images on {topic} change again")
         return lasts_ns is None
 
     def _look_at(self, pair: Pair | None) -> None:
         if pair is None:
             return
-        self._complaints.over("left")
+        self._complaints.over("left", f"images come again on {self.left_image.topic}")
         if pair.right is not None:
-            self._complaints.over("right")
+            self._complaints.over("right", f"images come again on {self.right_image.topic}")
         try:
             field, told = self._seen(pair)
         except CairnError as error:
@@ -179,7 +182,7 @@ class ObjectRecognizer(Component):
         if blind:
             self._complaints.tell("blind", f"{self.left_image.topic}: {blind}")
         else:
-            self._complaints.over("blind")
+            self._complaints.over("blind", f"{self.left_image.topic} shows something again")
         known = self._known.now
         if shows_little(features) or not known.objects:
             return NOWHERE, []

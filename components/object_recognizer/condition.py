@@ -38,11 +38,17 @@ class Standstill:
     def __init__(self) -> None:
         self._last: Image | None = None
         self._since_ns = 0
+        self._same = False
+
+    @property
+    def lasts(self) -> bool:
+        """Whether the newest image was the same as the one before."""
+        return self._same
 
     def lasts_ns(self, image: Image, now_ns: int) -> int | None:
         """How long the image has been the same, bit for bit; None if it is another one."""
         last, self._last = self._last, image
-        same = (
+        self._same = same = (
             last is not None
             and (last.width, last.height, last.encoding)
             == (image.width, image.height, image.encoding)

@@ -23,6 +23,7 @@ MapFile = Annotated[
     ),
 ]
 
+_LARGEST_M = 100.0
 # Sides of a photograph and of the object, as shares of each other.
 _SLANTED, _WRONG = 1.1, 1.3
 
@@ -33,10 +34,10 @@ def parsed_size(text: str) -> tuple[float, float]:
         width, height = (float(part) for part in text.split(","))
     except ValueError:
         width = height = math.nan
-    if not (0 < width <= 100 and 0 < height <= 100):
+    if not (0 < width <= _LARGEST_M and 0 < height <= _LARGEST_M):
         raise CairnError(
             f"--size {text}: write it as W,H, width and height of what the image shows in metres, "
-            "such as 0.21,0.297"
+            f"above 0 and at most {_LARGEST_M:g}, such as 0.21,0.297"
         )
     return width, height
 

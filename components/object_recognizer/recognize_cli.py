@@ -101,7 +101,7 @@ def recognize(
     names = {known.object_id: known.name for known in taught.objects}
     objects = [_object(one, names) for one in seen.sightings]
     if out is not None:
-        labels = [f"{one['name']}: {one['inliers']}" for one in objects]
+        labels = [_label(one) for one in objects]
         draw_recognized(seen.grey, [one.recognition for one in seen.sightings], labels, out)
     if json:
         print_json(
@@ -230,6 +230,15 @@ def _object(one: Sighting, names: dict[int, str]) -> dict[str, Any]:
         "ranged_by": one.way if located is not None else None,
         "doubt": one.doubt or None,
     }
+
+
+def _label(one: dict[str, Any]) -> str:
+    label = f"{one['name']}: {one['inliers']}"
+    if one["range"] is not None:
+        label += f", {one['range']:.2f} +- {math.sqrt(one['covariance'][0]):.2f} m"
+    if one["alternatives"]:
+        label += f"; or {', '.join(other['name'] for other in one['alternatives'])}"
+    return label + ("; in doubt" if one["range"] is not None and one["doubt"] else "")
 
 
 def _told(one: dict[str, Any]) -> str:

@@ -93,6 +93,13 @@ def robot(stage: Callable[..., Stage], map_file: Path) -> Callable[..., Robot]:
 
 
 @pytest.fixture
+def logged(caplog: pytest.LogCaptureFixture) -> Callable[[], str]:
+    """What was logged so far, of whatever level."""
+    caplog.set_level(logging.INFO)
+    return lambda: caplog.text
+
+
+@pytest.fixture
 def complaints(caplog: pytest.LogCaptureFixture) -> Callable[[], str]:
     """What was logged as a warning so far."""
     return lambda: "\n".join(

@@ -18,6 +18,7 @@ from vision.teaching import view_of
 
 Begin = Callable[..., Robot]
 Complaints = Callable[[], str]
+Logged = Callable[[], str]
 
 HERE = Thing(1, 0.0, 1.5)
 """Its size is known."""
@@ -80,7 +81,7 @@ def test_an_encoding_that_is_not_known_is_told(robot: Begin, complaints: Complai
 
 
 def test_without_the_right_camera_objects_are_ranged_by_size_less_exactly(
-    robot: Begin, complaints: Complaints
+    robot: Begin, complaints: Complaints, logged: Logged
 ) -> None:
     it = robot().know()
     exact = it.see([HERE]).objects[0].covariance[0]
@@ -100,6 +101,16 @@ def test_without_the_right_camera_objects_are_ranged_by_size_less_exactly(
 
     it.show(*pair([HERE], 20))
     assert it.see([HERE]).objects[0].covariance[0] < 2 * exact
+    assert "images come again on /robot/right_image" in logged()
+
+
+def test_where_there_is_no_right_camera_the_remedy_is_told(
+    robot: Begin, complaints: Complaints
+) -> None:
+    it = robot().know()
+    for k in range(8):
+        it.show(pair([HERE], k)[0])
+    assert "Look after the right camera, or set stereo to false if there is none" in complaints()
 
 
 def test_a_left_camera_that_is_silent_is_told(robot: Begin, complaints: Complaints) -> None:
@@ -111,7 +122,7 @@ def test_a_left_camera_that_is_silent_is_told(robot: Begin, complaints: Complain
 
 @pytest.mark.parametrize("side", ["left", "right"])
 def test_a_camera_that_hangs_is_told_and_its_images_tell_nothing(
-    robot: Begin, complaints: Complaints, side: str
+    robot: Begin, complaints: Complaints, logged: Logged, side: str
 ) -> None:
     it = robot().know()
     still = pair([HERE])
@@ -126,7 +137,9 @@ def test_a_camera_that_hangs_is_told_and_its_images_tell_nothing(
     if side == "right":
         assert told is not None
         assert told.objects[0].range == pytest.approx(1.5, abs=0.1)
+    assert "stereo to false" not in complaints()  # it has sent images
     assert len(it.see([HERE]).objects) == 1
+    assert f"the images on /robot/{side}_image change again" in logged()
 
 
 @pytest.mark.parametrize(

@@ -122,6 +122,25 @@ def test_a_size_can_be_told_later(folder: Path) -> None:
     assert read_taught(Path("visual_map.cairn")).objects[0].size == (0.4, 0.3)
 
 
+def test_another_size_is_taken_and_told(folder: Path) -> None:
+    cairn("object", "teach", "cup", photo("a.png", picture_of(1)), "--size", "0.4,0.3")
+
+    other = cairn("object", "teach", "cup", "--size", "0.8,0.6", "--json").json
+
+    assert other["remarks"] == ["its size was 0.4 m x 0.3 m until now"]
+    assert read_taught(Path("visual_map.cairn")).objects[0].size == (0.8, 0.6)
+
+
+def test_a_photograph_is_taught_once(folder: Path) -> None:
+    first, same = photo("a.png", picture_of(1)), photo("b.png", picture_of(1))
+    cairn("object", "teach", "cup", first, "--size", "0.4,0.3")
+
+    again = cairn("object", "teach", "cup", same, photo("c.png", picture_of(2)), same, "--json")
+
+    assert (again.json["views"], [one["image"] for one in again.json["taught"]]) == (2, ["c.png"])
+    assert again.json["remarks"] == ["b.png is a view of it already: left out"]
+
+
 WALL = np.full((300, 400), 180, np.uint8)
 STRIPES = np.tile(np.repeat(np.array([60, 200], np.uint8), 20), (300, 10))
 
@@ -155,6 +174,7 @@ def test_what_would_not_be_recognised_is_not_taught(
         (("a.png", "--camera"), "give images or --camera, not both"),
         (("a.png", "--size", "0.4"), "--size 0.4: write it as W,H"),
         (("a.png", "--size", "0,1"), "--size 0,1: write it as W,H"),
+        (("a.png", "--size", "300,2"), "in metres, above 0 and at most 100"),
         (("a.png", "--size", "0.3,0.4"), "1.33 times as wide as high, but the size 0.3 m x 0.4 m"),
         (("a.png", "--box", "1,2,3"), "--box 1,2,3: write it as X,Y,W,H"),
         (("--size", "1,1"), "no such map file: give images of cup"),
