@@ -71,29 +71,35 @@ _BRIGHTNESS: Final = {"yuv422": 1, "uyvy": 1, "yuv422_yuy2": 0, "yuyv": 0}
 
 
 def read_image(path: Path) -> Grey:
-    """The image in a file, grey (h, w), upright as its Exif data say and as viewers show it.
-
-    What is transparent becomes white; of 16-bit images see `eight_bits`. Raises `CairnError` with
-    the file and what is wrong: missing, empty, no image, truncated, damaged (where the format lets
-    that be noticed), too large or too small.
-    """
+    """The image in a file, as `decoded`; `CairnError` as well if it cannot be read."""
     try:
         data = path.read_bytes()
     except OSError as error:
         raise CairnError(f"{path} cannot be read: {why(error)}.") from error
+    return decoded(str(path), data)
+
+
+def decoded(what: str, data: bytes) -> Grey:
+    """The image in an image file's bytes, grey (h, w), upright as its Exif data say and as viewers
+    show it.
+
+    What is transparent becomes white; of 16-bit images see `eight_bits`. Raises `CairnError` with
+    `what` it is and what is wrong: empty, no image, truncated, damaged (where the format lets that
+    be noticed), too large or too small.
+    """
     if not data:
-        raise CairnError(f"{path} is empty: give a file that holds an image.")
-    orientation = _checked(path, data)
+        raise CairnError(f"{what} is empty: give a file that holds an image.")
+    orientation = _checked(what, data)
     try:
         pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error as error:
-        raise CairnError(f"{path} cannot be read as an image: {error.err}.") from error
+        raise CairnError(f"{what} cannot be read as an image: {error.err}.") from error
     if pixels is None:
-        raise CairnError(f"{path} is no image, or a truncated one: give a PNG, JPEG or TIFF file.")
+        raise CairnError(f"{what} is no image, or a truncated one: give a PNG, JPEG or TIFF file.")
     if pixels.dtype not in (np.uint8, np.uint16, np.float32):
-        raise CairnError(f"{path} holds {pixels.dtype} numbers: give an image of 8 or 16 bits.")
+        raise CairnError(f"{what} holds {pixels.dtype} numbers: give an image of 8 or 16 bits.")
     grey = _grey(pixels)
-    _check_size(str(path), grey.shape[1], grey.shape[0])
+    _check_size(what, grey.shape[1], grey.shape[0])
     turns, mirrored = _UPRIGHT.get(orientation, (0, False))
     return np.ascontiguousarray(np.rot90(grey[:, ::-1] if mirrored else grey, turns))
 
@@ -142,7 +148,7 @@ def eight_bits(grey: NDArray[np.integer[Any]]) -> Grey:
     return np.asarray(np.minimum(grey >> max(0, bits - 8), 255), np.uint8)
 
 
-def _checked(path: Path, data: bytes) -> int:
+def _checked(what: str, data: bytes) -> int:
     """The orientation that Exif gives; raises `CairnError` if not all of the image is there.
 
     OpenCV shows what is there of a truncated image, and grey below; of a JPEG image that is damaged
@@ -152,7 +158,7 @@ def _checked(path: Path, data: bytes) -> int:
         warnings.simplefilter("ignore")  # what matters of it is told below
         try:
             with Picture.open(BytesIO(data)) as picture:
-                _check_size(str(path), *picture.size)
+                _check_size(what, *picture.size)
                 if data.startswith(_JPEG) and _is_usual(data):
                     simplejpeg.decode_jpeg(data, colorspace="GRAY", strict=True)
                 else:
@@ -161,10 +167,10 @@ def _checked(path: Path, data: bytes) -> int:
         except UnidentifiedImageError:
             return 1  # OpenCV may know it
         except Picture.DecompressionBombError as error:
-            raise _too_large(str(path), str(error)) from error
+            raise _too_large(what, str(error)) from error
         except (OSError, SyntaxError, ValueError) as error:
             raise CairnError(
-                f"{path} is truncated or damaged ({error}): give a whole image, or save this one "
+                f"{what} is truncated or damaged ({error}): give a whole image, or save this one "
                 "anew if it looks as it should."
             ) from error
 

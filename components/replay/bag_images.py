@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
 from cairn.clock import SECOND
+from cairn.errors import CairnError
 from components.replay.recording import Grey, Images, RecordingError
 from schemas.sensor_msgs import Image
 from vision.image_files import side_of
-from vision.images import grey_of
+from vision.images import decoded, grey_of
 
 IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 """The types of topics that hold images."""
@@ -70,7 +71,7 @@ def bag_images(path: Path, topics: list[str]) -> tuple[Images, list[str]]:
             f"{path} holds no {'pairs of ' * (len(topics) == 2)}images on {' and '.join(topics)}"
             + (" taken at once (within 10 ms)." if len(topics) == 2 else ".")
         )
-    height, width = _InOrder(path, topics[0], chosen[0]).image(0).shape
+    height, width = _first_whole(_InOrder(path, topics[0], chosen[0]), len(chosen[0])).shape
     readers = [_InOrder(path, topic, of) for topic, of in zip(topics, chosen, strict=True)]
 
     def load(index: int) -> tuple[Grey, ...]:
@@ -93,6 +94,14 @@ class _InOrder:
             if number == self._numbers[index]:
                 return _grey(self._name, number, message)
         raise RecordingError(f"{self._name} ends before image {index + 1}")
+
+
+def _first_whole(images: _InOrder, count: int) -> Grey:
+    """The first image that is not damaged; raises `RecordingError` if there is none."""
+    for index in range(count - 1):
+        with suppress(RecordingError):
+            return images.image(index)
+    return images.image(count - 1)
 
 
 def _messages(path: Path, topic: str) -> Iterator[tuple[int, Any]]:
@@ -126,21 +135,21 @@ def _paired(left: list[int], right: list[int]) -> list[list[int]]:
 
 
 def _grey(name: str, number: int, message: Any) -> Grey:
-    if hasattr(message, "format"):
-        pixels = cv2.imdecode(np.asarray(message.data, np.uint8), cv2.IMREAD_GRAYSCALE)
-        if pixels is None:
-            raise RecordingError(f"{name}: image {number + 1} ({message.format}) is damaged")
-        return np.asarray(pixels, np.uint8)
-    return grey_of(
-        Image(
-            height=message.height,
-            width=message.width,
-            encoding=message.encoding,
-            is_bigendian=message.is_bigendian,
-            step=message.step,
-            data=np.asarray(message.data, np.uint8).ravel(),
+    try:
+        if hasattr(message, "format"):
+            return decoded(f"it ({message.format})", np.asarray(message.data, np.uint8).tobytes())
+        return grey_of(
+            Image(
+                height=message.height,
+                width=message.width,
+                encoding=message.encoding,
+                is_bigendian=message.is_bigendian,
+                step=message.step,
+                data=np.asarray(message.data, np.uint8).ravel(),
+            )
         )
-    )
+    except CairnError as error:
+        raise RecordingError(f"{name}, image {number + 1}: {error}") from error
 
 
 def _side(topic: str) -> str | None:

@@ -1,85 +1,33 @@
-"""Images of folders, videos and bags are replayed as a camera sends them."""
+"""Images of folders and videos are replayed as a camera sends them."""
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 import yaml
-from numpy.typing import NDArray
 
 from cairn.bus.qos import Qos
 from cairn.clock import SECOND, to_ns
 from cairn.deployment.load import load_deployment
-from cairn.errors import CairnError
 from cairn.placement.lockstep_run import LockstepRun
-from components.replay.camera import ReplayCamera
 from components.replay.clock import ReplayClock
 from components.replay.formats import open_recording
-from components.replay.recording import RecordingError
 from schemas.sensor_msgs import CameraInfo, Image
 from tests.commands import cairn
-from tests.components.replay.test_bags import BEGIN, STORE, Messages, header, odometry, of, ros2
+from tests.components.replay.pictures import (
+    StageOf,
+    calibrations,
+    pairs,
+    picture,
+    replayed,
+    save,
+    shade,
+    video,
+)
 from tests.vision.cameras import HEIGHT, WIDTH, info
-from vision.camera_file import write_camera
 
-StageOf = Callable[..., Any]
 MANY = Qos("reliable", "transient_local", 100_000)
-Grey = NDArray[np.uint8]
-
-
-def picture(shade: int, width: int = WIDTH, height: int = HEIGHT) -> Grey:
-    """An image that is told from others after compression, too: its shade is in the middle."""
-    image = np.full((height, width), shade, np.uint8)
-    image[: height // 4] = 255 - shade
-    return image
-
-
-def shade(image: Any) -> int:
-    return int(image.data.reshape(image.height, image.width)[image.height // 2, image.width // 2])
-
-
-def save(folder: Path, *names: str, begin: int = 10, **size: int) -> Path:
-    for number, name in enumerate(names):
-        (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        cv2.imwrite(str(folder / name), picture(begin + 10 * number, **size))
-    return folder
-
-
-def pairs(folder: Path, count: int) -> Path:
-    save(folder, *(f"left{n}.png" for n in range(count)))
-    return save(folder, *(f"right{n}.png" for n in range(count)), begin=15)
-
-
-def video(file: Path, count: int, width: int = WIDTH, fps: float = 10.0, begin: int = 10) -> Path:
-    file.parent.mkdir(exist_ok=True)
-    size = (width, HEIGHT)
-    codec = cv2.VideoWriter.fourcc(*"MJPG")
-    writer = cv2.VideoWriter(str(file), codec, fps, size, isColor=False)
-    for number in range(count):
-        writer.write(picture(begin + 10 * number, width))
-    writer.release()
-    return file
-
-
-def calibrations(folder: Path) -> dict[str, str]:
-    folder.mkdir(exist_ok=True)
-    files = {}
-    for side in ("left", "right"):
-        file = folder / f"{side}.yaml"
-        write_camera(file, info(side), side)
-        files[f"{side}_calibration"] = str(file)
-    return files
-
-
-def replayed(stage: StageOf, path: Path, **parameters: Any) -> Any:
-    """The driver after all that is recorded has passed."""
-    first, last = open_recording(path, image_rate_hz=parameters.get("image_rate_hz")).span()
-    it = stage(ReplayCamera, first / SECOND - 0.5, recording=str(path), **parameters).begin()
-    it.wait((last - first) / SECOND + 1.0)
-    return it
 
 
 def test_a_folder_of_pairs_is_a_stereo_camera(stage: StageOf, tmp_path: Path) -> None:
@@ -266,166 +214,6 @@ def test_images_without_their_other_are_left_out_and_named(tmp_path: Path) -> No
     assert len(images.stamps) == 3
     (note,) = recording.notes()
     assert note == "2 images have no other of a pair, left out: left2.png, overview.png"
-
-
-def image(t: float, shade: int, **changes: Any) -> Any:
-    told = {"height": HEIGHT, "width": WIDTH, "encoding": "bgr8", "is_bigendian": 0}
-    data = np.repeat(picture(shade).ravel(), 3)
-    told |= {"step": 3 * WIDTH, "data": data, **changes}
-    return of(STORE, "sensor_msgs/msg/Image", header=header(t, "camera"), **told)
-
-
-def compressed(t: float, shade: int) -> Any:
-    data = np.frombuffer(cv2.imencode(".png", picture(shade))[1].tobytes(), np.uint8)
-    return of(
-        STORE,
-        "sensor_msgs/msg/CompressedImage",
-        header=header(t, "camera"),
-        format="png",
-        data=data,
-    )
-
-
-@pytest.mark.parametrize("make", [image, compressed])
-def test_images_of_a_bag_are_replayed_in_pairs(
-    stage: StageOf, tmp_path: Path, make: Callable[[float, int], Any]
-) -> None:
-    kind = "/compressed" if make is compressed else ""
-    messages: Messages = []
-    for number in range(5):
-        t = BEGIN + 0.2 * number
-        at = round(t * SECOND)
-        if number != 1:
-            messages.append((f"/stereo/left/image_raw{kind}", at, make(t, 10 + 10 * number)))
-        if number != 2:
-            other = make(t + 0.001, 15 + 10 * number)
-            messages.append((f"/stereo/right/image_raw{kind}", at + 1, other))
-    bag = ros2(tmp_path / "bag", messages)
-
-    it = replayed(stage, bag)
-
-    assert [shade(m) for m in it.taken("left_image")] == [10, 40, 50]
-    assert [shade(m) for m in it.taken("right_image")] == [15, 45, 55]
-    assert list(open_recording(bag).span()) == [BEGIN * SECOND, round((BEGIN + 0.8) * SECOND)]
-
-
-def test_a_bag_with_several_cameras_wants_one_named(
-    stage: StageOf, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    topics = ("/front/image", "/back/image")
-    bag = ros2(
-        tmp_path / "bag",
-        [(topic, BEGIN * SECOND, image(BEGIN, 30)) for topic in topics]
-        + [("/odom", BEGIN * SECOND, odometry(BEGIN, 0.0))],
-    )
-
-    nothing = replayed(stage, bag)
-    named = replayed(stage, bag, topics={"left_image": "/back/image"})
-
-    assert nothing.taken("left_image") == []
-    assert any("several topics hold images" in r.message for r in caplog.records)
-    assert [shade(m) for m in named.taken("left_image")] == [30]
-    with pytest.raises(RecordingError, match="/odom is no topic of images; there are /back/image"):
-        open_recording(bag, topics={"left_image": "/odom"})
-
-
-def test_a_recording_without_images_is_told(
-    stage: StageOf, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    bag = ros2(tmp_path / "bag", [("/odom", BEGIN * SECOND, odometry(BEGIN, 0.0))])
-
-    assert replayed(stage, bag).taken("left_image") == []
-    assert any("holds no images of one camera" in r.message for r in caplog.records)
-
-
-def broken(tmp_path: Path, what: str) -> tuple[Path, dict[str, Any]]:
-    """A recording that cannot be replayed, and the driver's parameters."""
-    folder = tmp_path / "images"
-    known = calibrations(tmp_path / "calibration")
-    rate = {"image_rate_hz": 1.0}
-    match what:
-        case "no times":
-            return save(folder, "0.png"), {}
-        case "times run back":
-            save(folder, "0.png", "1.png")
-            (folder / "times.txt").write_text("2.0\n1.0\n")
-            return folder, {}
-        case "two at one time":
-            return save(folder, "a_1700000000123.png", "b_1700000000123.png"), {}
-        case "too few times":
-            save(folder, "0.png", "1.png")
-            (folder / "times.txt").write_text("2.0\n")
-            return folder, {}
-        case "no time":
-            save(folder, "0.png")
-            (folder / "times.txt").write_text("soon\n")
-            return folder, {}
-        case "sizes":
-            save(folder, "0.png")
-            save(folder, "1.png", width=64, height=48)
-            return folder, rate
-        case "no image":
-            save(folder, "0.png")
-            (folder / "1.png").write_text("no image")
-            return folder, rate
-        case "no pairs":
-            return save(folder, "left1.png", "right2.png"), rate
-        case "calibrated at another size":
-            left = {"left_calibration": known["left_calibration"]}
-            return save(folder, "0.png", width=640, height=480), left | rate
-        case "two calibrations for one camera":
-            return save(folder, "0.png"), known | rate
-        case "swapped":
-            swapped = {
-                "left_calibration": known["right_calibration"],
-                "right_calibration": known["left_calibration"],
-            }
-            return pairs(folder, 2), swapped | rate
-        case "side by side of pairs":
-            return pairs(folder, 2), {"side_by_side": True} | rate
-        case "no video":
-            folder.mkdir()
-            (folder / "run.avi").write_bytes(b"RIFF\0\0\0\0AVI LIST" + bytes(200))
-            return folder / "run.avi", {}
-        case "too many videos":
-            for name in ("a", "b"):
-                video(folder / f"{name}.avi", 2)
-            return folder, {}
-        case "videos of two sizes":
-            video(folder / "left.avi", 2)
-            video(folder / "right.avi", 2, width=640)
-            return folder, {}
-    raise AssertionError(what)
-
-
-@pytest.mark.parametrize(
-    ("what", "told"),
-    [
-        ("no times", "nothing tells when its images were taken: give image_rate_hz"),
-        ("times run back", r"1.png was taken at 1.000000 s, not after 0.png, at 2.000000 s"),
-        ("two at one time", r"b_1700000000123.png was taken at .* not after a_1700000000123.png"),
-        ("too few times", r"times.txt has 1 times, but there are 2 images"),
-        ("no time", r"times.txt, line 1: soon is no time in seconds"),
-        ("sizes", r"1.png is 64 x 48 pixels, but .*0.png is 320 x 240"),
-        ("no image", r"1.png cannot be read as an image"),
-        ("no pairs", "no left image belongs to a right one"),
-        ("calibrated at another size", r"left.yaml is of images of 320 x 240 .* are 640 x 480"),
-        ("two calibrations for one camera", "holds images of one camera only, but right_cal"),
-        ("swapped", "left and right are swapped"),
-        ("side by side of pairs", "side_by_side = true, but there are images of both cameras"),
-        ("no video", "run.avi cannot be decoded"),
-        ("too many videos", "holds the videos a.avi, b.avi: name one of them"),
-        ("videos of two sizes", r"right.avi is 640 x 240 pixels, but .*left.avi is 320 x 240"),
-    ],
-)
-def test_what_cannot_be_replayed_is_refused(
-    stage: StageOf, tmp_path: Path, what: str, told: str
-) -> None:
-    path, parameters = broken(tmp_path, what)
-    it = stage(ReplayCamera, 0.0, recording=str(path), **parameters)
-
-    with pytest.raises(CairnError, match=told):
-        it.runtime.component.on_configure()
 
 
 def test_the_clock_runs_over_the_images(stage: StageOf, tmp_path: Path) -> None:

@@ -1,0 +1,70 @@
+"""Pictures that tell which they are, in folders and videos, and the driver that replays them."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from cairn.clock import SECOND
+from components.replay.camera import ReplayCamera
+from components.replay.formats import open_recording
+from tests.vision.cameras import HEIGHT, WIDTH, info
+from vision.camera_file import write_camera
+
+StageOf = Callable[..., Any]
+Grey = NDArray[np.uint8]
+
+
+def picture(shade: int, width: int = WIDTH, height: int = HEIGHT) -> Grey:
+    """An image that is told from others after compression, too: its shade is in the middle."""
+    image = np.full((height, width), shade, np.uint8)
+    image[: height // 4] = 255 - shade
+    return image
+
+
+def shade(image: Any) -> int:
+    return int(image.data.reshape(image.height, image.width)[image.height // 2, image.width // 2])
+
+
+def save(folder: Path, *names: str, begin: int = 10, **size: int) -> Path:
+    for number, name in enumerate(names):
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        cv2.imwrite(str(folder / name), picture(begin + 10 * number, **size))
+    return folder
+
+
+def pairs(folder: Path, count: int) -> Path:
+    save(folder, *(f"left{n}.png" for n in range(count)))
+    return save(folder, *(f"right{n}.png" for n in range(count)), begin=15)
+
+
+def video(file: Path, count: int, width: int = WIDTH, fps: float = 10.0, begin: int = 10) -> Path:
+    file.parent.mkdir(exist_ok=True)
+    size = (width, HEIGHT)
+    codec = cv2.VideoWriter.fourcc(*"MJPG")
+    writer = cv2.VideoWriter(str(file), codec, fps, size, isColor=False)
+    for number in range(count):
+        writer.write(picture(begin + 10 * number, width))
+    writer.release()
+    return file
+
+
+def calibrations(folder: Path) -> dict[str, str]:
+    folder.mkdir(exist_ok=True)
+    files = {}
+    for side in ("left", "right"):
+        file = folder / f"{side}.yaml"
+        write_camera(file, info(side), side)
+        files[f"{side}_calibration"] = str(file)
+    return files
+
+
+def replayed(stage: StageOf, path: Path, **parameters: Any) -> Any:
+    """The driver after all that is recorded has passed."""
+    first, last = open_recording(path, image_rate_hz=parameters.get("image_rate_hz")).span()
+    it = stage(ReplayCamera, first / SECOND - 0.5, recording=str(path), **parameters).begin()
+    it.wait((last - first) / SECOND + 1.0)
+    return it

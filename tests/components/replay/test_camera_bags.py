@@ -1,0 +1,120 @@
+"""Images of bags are replayed as a camera sends them."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from cairn.clock import SECOND
+from components.replay.formats import open_recording
+from components.replay.recording import RecordingError
+from tests.components.replay.pictures import (
+    StageOf,
+    picture,
+    replayed,
+    shade,
+)
+from tests.components.replay.test_bags import BEGIN, STORE, Messages, header, odometry, of, ros2
+from tests.vision.cameras import HEIGHT, WIDTH
+
+
+def image(t: float, shade: int, **changes: Any) -> Any:
+    told = {"height": HEIGHT, "width": WIDTH, "encoding": "bgr8", "is_bigendian": 0}
+    data = np.repeat(picture(shade).ravel(), 3)
+    told |= {"step": 3 * WIDTH, "data": data, **changes}
+    return of(STORE, "sensor_msgs/msg/Image", header=header(t, "camera"), **told)
+
+
+def compressed(t: float, shade: int) -> Any:
+    data = np.frombuffer(cv2.imencode(".png", picture(shade))[1].tobytes(), np.uint8)
+    return of(
+        STORE,
+        "sensor_msgs/msg/CompressedImage",
+        header=header(t, "camera"),
+        format="png",
+        data=data,
+    )
+
+
+@pytest.mark.parametrize("make", [image, compressed])
+def test_images_of_a_bag_are_replayed_in_pairs(
+    stage: StageOf, tmp_path: Path, make: Callable[[float, int], Any]
+) -> None:
+    kind = "/compressed" if make is compressed else ""
+    messages: Messages = []
+    for number in range(5):
+        t = BEGIN + 0.2 * number
+        at = round(t * SECOND)
+        if number != 1:
+            messages.append((f"/stereo/left/image_raw{kind}", at, make(t, 10 + 10 * number)))
+        if number != 2:
+            other = make(t + 0.001, 15 + 10 * number)
+            messages.append((f"/stereo/right/image_raw{kind}", at + 1, other))
+    bag = ros2(tmp_path / "bag", messages)
+
+    it = replayed(stage, bag)
+
+    assert [shade(m) for m in it.taken("left_image")] == [10, 40, 50]
+    assert [shade(m) for m in it.taken("right_image")] == [15, 45, 55]
+    assert list(open_recording(bag).span()) == [BEGIN * SECOND, round((BEGIN + 0.8) * SECOND)]
+
+
+@pytest.mark.parametrize("which", [0, 1])
+def test_a_compressed_image_that_is_cut_short_is_left_out(
+    stage: StageOf, tmp_path: Path, caplog: pytest.LogCaptureFixture, which: int
+) -> None:
+    shades = [10, 20, 30]
+    messages: Messages = [
+        ("/image/compressed", round((BEGIN + 0.2 * k) * SECOND), compressed(BEGIN + 0.2 * k, shade))
+        for k, shade in enumerate(shades)
+    ]
+    messages[which][2].data = messages[which][2].data[:-60]
+    bag = ros2(tmp_path / "bag", messages)
+
+    it = replayed(stage, bag)
+
+    whole = [shade for k, shade in enumerate(shades) if k != which]
+    assert [shade(image) for image in it.taken("left_image")] == whole
+    why = f"topic /image/compressed, image {which + 1}: it (png) is truncated or damaged"
+    assert any(why in record.message for record in caplog.records)
+
+
+def test_a_bag_of_damaged_images_alone_is_told(stage: StageOf, tmp_path: Path) -> None:
+    message = compressed(BEGIN, 10)
+    message.data = message.data[:-60]
+    bag = ros2(tmp_path / "bag", [("/image/compressed", round(BEGIN * SECOND), message)])
+
+    with pytest.raises(RecordingError, match="image 1: it .png. is truncated or damaged"):
+        open_recording(bag)
+
+
+def test_a_bag_with_several_cameras_wants_one_named(
+    stage: StageOf, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    topics = ("/front/image", "/back/image")
+    bag = ros2(
+        tmp_path / "bag",
+        [(topic, BEGIN * SECOND, image(BEGIN, 30)) for topic in topics]
+        + [("/odom", BEGIN * SECOND, odometry(BEGIN, 0.0))],
+    )
+
+    nothing = replayed(stage, bag)
+    named = replayed(stage, bag, topics={"left_image": "/back/image"})
+
+    assert nothing.taken("left_image") == []
+    assert any("several topics hold images" in r.message for r in caplog.records)
+    assert [shade(m) for m in named.taken("left_image")] == [30]
+    with pytest.raises(RecordingError, match="/odom is no topic of images; there are /back/image"):
+        open_recording(bag, topics={"left_image": "/odom"})
+
+
+def test_a_recording_without_images_is_told(
+    stage: StageOf, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    bag = ros2(tmp_path / "bag", [("/odom", BEGIN * SECOND, odometry(BEGIN, 0.0))])
+
+    assert replayed(stage, bag).taken("left_image") == []
+    assert any("holds no images of one camera" in r.message for r in caplog.records)

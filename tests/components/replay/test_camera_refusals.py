@@ -1,0 +1,100 @@
+"""What cannot be replayed as a camera is refused in words."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cairn.errors import CairnError
+from components.replay.camera import ReplayCamera
+from tests.components.replay.pictures import StageOf, calibrations, pairs, save, video
+
+
+def broken(tmp_path: Path, what: str) -> tuple[Path, dict[str, Any]]:
+    """A recording that cannot be replayed, and the driver's parameters."""
+    folder = tmp_path / "images"
+    known = calibrations(tmp_path / "calibration")
+    rate = {"image_rate_hz": 1.0}
+    match what:
+        case "no times":
+            return save(folder, "0.png"), {}
+        case "times run back":
+            save(folder, "0.png", "1.png")
+            (folder / "times.txt").write_text("2.0\n1.0\n")
+            return folder, {}
+        case "two at one time":
+            return save(folder, "a_1700000000123.png", "b_1700000000123.png"), {}
+        case "too few times":
+            save(folder, "0.png", "1.png")
+            (folder / "times.txt").write_text("2.0\n")
+            return folder, {}
+        case "no time":
+            save(folder, "0.png")
+            (folder / "times.txt").write_text("soon\n")
+            return folder, {}
+        case "sizes":
+            save(folder, "0.png")
+            save(folder, "1.png", width=64, height=48)
+            return folder, rate
+        case "no image":
+            save(folder, "0.png")
+            (folder / "1.png").write_text("no image")
+            return folder, rate
+        case "no pairs":
+            return save(folder, "left1.png", "right2.png"), rate
+        case "calibrated at another size":
+            left = {"left_calibration": known["left_calibration"]}
+            return save(folder, "0.png", width=640, height=480), left | rate
+        case "two calibrations for one camera":
+            return save(folder, "0.png"), known | rate
+        case "swapped":
+            swapped = {
+                "left_calibration": known["right_calibration"],
+                "right_calibration": known["left_calibration"],
+            }
+            return pairs(folder, 2), swapped | rate
+        case "side by side of pairs":
+            return pairs(folder, 2), {"side_by_side": True} | rate
+        case "no video":
+            folder.mkdir()
+            (folder / "run.avi").write_bytes(b"RIFF\0\0\0\0AVI LIST" + bytes(200))
+            return folder / "run.avi", {}
+        case "too many videos":
+            for name in ("a", "b"):
+                video(folder / f"{name}.avi", 2)
+            return folder, {}
+        case "videos of two sizes":
+            video(folder / "left.avi", 2)
+            video(folder / "right.avi", 2, width=640)
+            return folder, {}
+    raise AssertionError(what)
+
+
+@pytest.mark.parametrize(
+    ("what", "told"),
+    [
+        ("no times", "nothing tells when its images were taken: give image_rate_hz"),
+        ("times run back", r"1.png was taken at 1.000000 s, not after 0.png, at 2.000000 s"),
+        ("two at one time", r"b_1700000000123.png was taken at .* not after a_1700000000123.png"),
+        ("too few times", r"times.txt has 1 times, but there are 2 images"),
+        ("no time", r"times.txt, line 1: soon is no time in seconds"),
+        ("sizes", r"1.png is 64 x 48 pixels, but .*0.png is 320 x 240"),
+        ("no image", r"1.png cannot be read as an image"),
+        ("no pairs", "no left image belongs to a right one"),
+        ("calibrated at another size", r"left.yaml is of images of 320 x 240 .* are 640 x 480"),
+        ("two calibrations for one camera", "holds images of one camera only, but right_cal"),
+        ("swapped", "left and right are swapped"),
+        ("side by side of pairs", "side_by_side = true, but there are images of both cameras"),
+        ("no video", "run.avi cannot be decoded"),
+        ("too many videos", "holds the videos a.avi, b.avi: name one of them"),
+        ("videos of two sizes", r"right.avi is 640 x 240 pixels, but .*left.avi is 320 x 240"),
+    ],
+)
+def test_what_cannot_be_replayed_is_refused(
+    stage: StageOf, tmp_path: Path, what: str, told: str
+) -> None:
+    path, parameters = broken(tmp_path, what)
+    it = stage(ReplayCamera, 0.0, recording=str(path), **parameters)
+
+    with pytest.raises(CairnError, match=told):
+        it.runtime.component.on_configure()
