@@ -23,9 +23,9 @@ from components.experiments.judging import MoveResult, PairResult, RunResult
 from components.experiments.methods import ABLATION, OURS
 from components.experiments.pairs import WORLD, Events, Plan, plain
 from components.experiments.pictures import draw_methods
-from components.experiments.report_folder import ReportFolder, write_report
+from components.experiments.report_folder import ReportFolder, begun, write_report
 from components.experiments.room import Room
-from components.experiments.runs import Job
+from components.experiments.runs import Job, checked
 from components.experiments.statistics import Mean, Rate, Spread
 
 # Of the paper's scanner, and of those that see farther [m].
@@ -102,20 +102,22 @@ def run_ablation(
         raise CairnError("--moved 0 without --kidnap leaves nothing to be compared; ask for either")
     folder = ReportFolder(out, "ablation", (_PICTURE,))
     jobs = jobs_of(plan, ask, seeds, folder)
-    runs, failures = observed(jobs, folder, workers, ask.at, quiet=quiet)
-    results = [run.result for run in runs]
-    summaries = [summed_up(method, results) for method in ABLATION]
-    lines = list(_lines(ask, summaries, results, failures))
-    body = {
-        "asked": ask.told(),
-        "seeds": list(seeds),
-        "failures": failures,
-        "summary": [one.model_dump(mode="json") for one in summaries],
-        "runs": [run.model_dump(mode="json") for run in results],
-    }
-    pictures = {_PICTURE: partial(draw_methods, summaries)} if results else {}
-    models = (MethodSummary, Rate, Mean, Spread, RunResult, PairResult, MoveResult)
-    write_report(folder, lines, body, models, pictures)
+    checked(jobs[0].plan)
+    with begun(folder):
+        runs, failures = observed(jobs, folder, workers, ask.at, quiet=quiet)
+        results = [run.result for run in runs]
+        summaries = [summed_up(method, results) for method in ABLATION]
+        lines = list(_lines(ask, summaries, results, failures))
+        body = {
+            "asked": ask.told(),
+            "seeds": list(seeds),
+            "failures": failures,
+            "summary": [one.model_dump(mode="json") for one in summaries],
+            "runs": [run.model_dump(mode="json") for run in results],
+        }
+        pictures = {_PICTURE: partial(draw_methods, summaries)} if results else {}
+        models = (MethodSummary, Rate, Mean, Spread, RunResult, PairResult, MoveResult)
+        write_report(folder, lines, body, models, pictures)
     return lines, {key: body[key] for key in ("asked", "failures", "summary")}, not failures
 
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from cairn.cli.tables import note
 from components.experiments.judging import RunResult, judged_pair, judged_world
 from components.experiments.pairs import WORLD, series_file
-from components.experiments.report_folder import ReportFolder, begin
-from components.experiments.runs import Job, checked, run_all
+from components.experiments.report_folder import ReportFolder
+from components.experiments.runs import Job, run_all
 from components.experiments.series import PairSeries, WorldSeries, read_pair, read_world
 
 
@@ -28,11 +28,8 @@ def observed(
 ) -> tuple[list[Observed], dict[str, str]]:
     """Run all and read what was written down; and why runs failed, by their names.
 
-    A run that failed counts for nothing. `CairnError` if none can be run, or if the folder is not
-    for this report.
+    A run that failed counts for nothing.
     """
-    checked(jobs[0].plan)
-    begin(folder)
     out = folder.path
     done = 0
 

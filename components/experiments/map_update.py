@@ -15,8 +15,8 @@ from components.experiments.judging import THERE_M, MoveResult, PairResult, RunR
 from components.experiments.map_pictures import draw_reliabilities, draw_sequence
 from components.experiments.methods import OURS, PAPER, Method
 from components.experiments.pairs import MAP_BUILDER, Plan, changed_at, plain
-from components.experiments.report_folder import ReportFolder, write_report
-from components.experiments.runs import Job
+from components.experiments.report_folder import ReportFolder, begun, write_report
+from components.experiments.runs import Job, checked
 from components.experiments.sequence import sequence_of
 from components.experiments.statistics import Mean, Rate, Spread, mean_of, rate_of, spread_of
 
@@ -58,30 +58,32 @@ def run_map_update(
     at = changed_at(plan)
     folder = ReportFolder(out, "map-update", (_SEQUENCE, _RELIABILITIES))
     jobs = [Job(plan, seed, folder.run(seed), moves=True) for seed in seeds]
-    runs, failures = observed(jobs, folder, workers, at, quiet=quiet)
-    results = [run.result for run in runs]
-    summaries = [_summed_up(method, results) for method in METHODS] if runs else []
-    lines = list(_lines(summaries, results, failures))
-    body = {
-        "seeds": list(seeds),
-        "changed_at": at,
-        "failures": failures,
-        "summary": [one.model_dump(mode="json") for one in summaries],
-        "runs": [result.model_dump(mode="json") for result in results],
-    }
-    pictures = {}
-    if runs:
-        grid = Path(plain(plan).member(MAP_BUILDER).spec.parameters["grid_file"])
-        shown = _shown(runs)
-        sequence = sequence_of(shown.pairs[PAPER.name], shown.world)
-        pictures = {
-            _SEQUENCE: partial(draw_sequence, sequence, shown.world, grid),
-            _RELIABILITIES: partial(
-                draw_reliabilities, [(run.pairs[OURS.name], run.world) for run in runs]
-            ),
+    checked(plan)
+    with begun(folder):
+        runs, failures = observed(jobs, folder, workers, at, quiet=quiet)
+        results = [run.result for run in runs]
+        summaries = [_summed_up(method, results) for method in METHODS] if runs else []
+        lines = list(_lines(summaries, results, failures))
+        body = {
+            "seeds": list(seeds),
+            "changed_at": at,
+            "failures": failures,
+            "summary": [one.model_dump(mode="json") for one in summaries],
+            "runs": [result.model_dump(mode="json") for result in results],
         }
-    models = (UpdateSummary, Rate, Mean, Spread, RunResult, PairResult, MoveResult)
-    write_report(folder, lines, body, models, pictures)
+        pictures = {}
+        if runs:
+            grid = Path(plain(plan).member(MAP_BUILDER).spec.parameters["grid_file"])
+            shown = _shown(runs)
+            sequence = sequence_of(shown.pairs[PAPER.name], shown.world)
+            pictures = {
+                _SEQUENCE: partial(draw_sequence, sequence, shown.world, grid),
+                _RELIABILITIES: partial(
+                    draw_reliabilities, [(run.pairs[OURS.name], run.world) for run in runs]
+                ),
+            }
+        models = (UpdateSummary, Rate, Mean, Spread, RunResult, PairResult, MoveResult)
+        write_report(folder, lines, body, models, pictures)
     return lines, {key: body[key] for key in ("failures", "summary")}, not failures
 
 

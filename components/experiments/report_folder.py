@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
+import os
 import shutil
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -33,25 +36,23 @@ class ReportFolder:
         return self.path.joinpath(_RUNS, f"seed-{seed}", *parts)
 
 
-def begin(folder: ReportFolder) -> None:
+@contextmanager
+def begun(folder: ReportFolder) -> Iterator[None]:
     """Make the folder, or take an earlier report of the same experiment out of it.
 
-    `CairnError` if it holds anything else, or cannot be written. Until the report is written,
-    report.json says that it is not finished.
+    `CairnError` if it holds anything else, if another process writes a report into it now, or if it
+    cannot be written. Until the report is written, report.json says that it is not finished.
     """
     out = folder.path
     with writing_report(out):
         out.mkdir(parents=True, exist_ok=True)
-        held = sorted(one.name for one in out.iterdir())
-        if held:
-            _refuse_others(folder, held)
-            note(f"{out}: the earlier report is replaced")
-        # First of all: whatever becomes of the rest, nobody takes it for a whole report.
-        _write_figures(folder, {"finished": False})
-        if (out / _RUNS).exists():
-            shutil.rmtree(out / _RUNS)
-        for name in (_TEXT, *folder.pictures):
-            (out / name).unlink(missing_ok=True)
+        opened = os.open(out, os.O_RDONLY)
+    try:
+        _hold(out, opened)
+        _clear(folder)
+        yield
+    finally:
+        os.close(opened)
 
 
 def write_report(
@@ -68,6 +69,32 @@ def write_report(
             draw(folder.path / name)
         (folder.path / _TEXT).write_text("\n".join(lines) + "\n", encoding="utf-8")
         _write_figures(folder, {"finished": True, **body, "about": about})
+
+
+def _hold(out: Path, opened: int) -> None:
+    """Keep others out as long as the folder is `opened`; whatever ends this process ends that."""
+    try:
+        fcntl.flock(opened, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        raise CairnError(
+            f"another experiment writes its report into {out} just now: wait for its end, or name "
+            "another folder with --out"
+        ) from None
+
+
+def _clear(folder: ReportFolder) -> None:
+    out = folder.path
+    with writing_report(out):
+        held = sorted(one.name for one in out.iterdir())
+        if held:
+            _refuse_others(folder, held)
+            note(f"{out}: the earlier report is replaced")
+        # First of all: whatever becomes of the rest, nobody takes it for a whole report.
+        _write_figures(folder, {"finished": False})
+        if (out / _RUNS).exists():
+            shutil.rmtree(out / _RUNS)
+        for name in (_TEXT, *folder.pictures):
+            (out / name).unlink(missing_ok=True)
 
 
 def _refuse_others(folder: ReportFolder, held: Sequence[str]) -> None:

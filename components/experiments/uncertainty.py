@@ -37,8 +37,8 @@ from components.experiments.methods import (
 from components.experiments.pairs import Plan, changed_at
 from components.experiments.pictures import draw_courses
 from components.experiments.repair import repair
-from components.experiments.report_folder import ReportFolder, write_report
-from components.experiments.runs import Job
+from components.experiments.report_folder import ReportFolder, begun, write_report
+from components.experiments.runs import Job, checked
 from components.experiments.statistics import Mean, Rate
 
 UNCERTAINTY = (OURS, NO_UPDATE, OURS_AT_ITS_WORD, NO_UPDATE_AT_ITS_WORD)
@@ -64,24 +64,26 @@ def run_uncertainty(
             Job(plan, seed, folder.run(seed, "changed"), moves=True),
         )
     ]
-    runs, failures = observed(jobs, folder, workers, at, quiet=quiet)
-    ways = list(_ways(runs, at))
-    found = figures(ways) if ways else []
-    lines = list(_lines(ways, found, failures))
-    body = {
-        "seeds": list(seeds),
-        "changed_at": at,
-        "failures": failures,
-        "summary": [figure.model_dump(mode="json") for figure in found],
-        "runs": {run.job.called(out): run.result.model_dump(mode="json") for run in runs},
-    }
-    pictures = {
-        name: partial(draw_courses, ways, quantities)
-        for name, quantities in _PICTURES.items()
-        if ways
-    }
-    models = (Figure, Mean, Rate, RunResult, PairResult, MoveResult)
-    write_report(folder, lines, body, models, pictures)
+    checked(plan)
+    with begun(folder):
+        runs, failures = observed(jobs, folder, workers, at, quiet=quiet)
+        ways = list(_ways(runs, at))
+        found = figures(ways) if ways else []
+        lines = list(_lines(ways, found, failures))
+        body = {
+            "seeds": list(seeds),
+            "changed_at": at,
+            "failures": failures,
+            "summary": [figure.model_dump(mode="json") for figure in found],
+            "runs": {run.job.called(out): run.result.model_dump(mode="json") for run in runs},
+        }
+        pictures = {
+            name: partial(draw_courses, ways, quantities)
+            for name, quantities in _PICTURES.items()
+            if ways
+        }
+        models = (Figure, Mean, Rate, RunResult, PairResult, MoveResult)
+        write_report(folder, lines, body, models, pictures)
     return lines, {key: body[key] for key in ("failures", "summary")}, not failures
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from cairn.errors import CairnError
-from components.experiments.report_folder import ReportFolder, begin, write_report
+from components.experiments.report_folder import ReportFolder, begun, write_report
 
 
 def folder_of(path: Path, experiment: str = "ablation") -> ReportFolder:
@@ -17,12 +17,12 @@ def folder_of(path: Path, experiment: str = "ablation") -> ReportFolder:
 
 def write(folder: ReportFolder, *seeds: int) -> None:
     """A report with runs and a picture."""
-    begin(folder)
-    for seed in seeds:
-        folder.run(seed).mkdir(parents=True)
-        (folder.run(seed) / "world.jsonl").write_text("")
-    pictures = {"ablation.png": lambda file: file.write_bytes(b"picture")}
-    write_report(folder, ["lines"], {"seeds": list(seeds)}, (), pictures)
+    with begun(folder):
+        for seed in seeds:
+            folder.run(seed).mkdir(parents=True)
+            (folder.run(seed) / "world.jsonl").write_text("")
+        pictures = {"ablation.png": lambda file: file.write_bytes(b"picture")}
+        write_report(folder, ["lines"], {"seeds": list(seeds)}, (), pictures)
 
 
 def files_of(path: Path) -> list[str]:
@@ -36,25 +36,35 @@ def test_an_earlier_report_of_the_same_experiment_is_replaced(
     write(folder, 0, 1, 2)
     (folder.path / "notes.md").write_text("mine")
 
-    begin(folder)
-
-    assert files_of(folder.path) == ["notes.md", "report.json"]
-    assert json.loads((folder.path / "report.json").read_text())["finished"] is False
-    assert "the earlier report is replaced" in capsys.readouterr().err
-    write_report(folder, ["lines"], {"seeds": [7]}, (), {})
+    with begun(folder):
+        assert files_of(folder.path) == ["notes.md", "report.json"]
+        assert json.loads((folder.path / "report.json").read_text())["finished"] is False
+        assert "the earlier report is replaced" in capsys.readouterr().err
+        write_report(folder, ["lines"], {"seeds": [7]}, (), {})
     report = json.loads((folder.path / "report.json").read_text())
     assert (report["experiment"], report["finished"], report["seeds"]) == ("ablation", True, [7])
 
 
 def test_one_that_was_interrupted_is_replaced(tmp_path: Path) -> None:
     folder = folder_of(tmp_path / "out")
-    begin(folder)
-    folder.run(0).mkdir(parents=True)
+    with begun(folder):
+        folder.run(0).mkdir(parents=True)
 
-    begin(folder)
+    with begun(folder):
+        assert files_of(folder.path) == ["report.json"]
+        assert not folder.run(0).exists()
 
-    assert files_of(folder.path) == ["report.json"]
-    assert not folder.run(0).exists()
+
+def test_two_at_a_time_do_not_write_into_one_folder(tmp_path: Path) -> None:
+    folder = folder_of(tmp_path)
+    with begun(folder):
+        folder.run(0).mkdir(parents=True)
+
+        with pytest.raises(CairnError, match="another experiment writes its report into") as it:
+            begun(folder).__enter__()
+
+        assert folder.run(0).exists()
+    assert "--out" in str(it.value)
 
 
 def test_the_report_of_another_experiment_is_left_alone(tmp_path: Path) -> None:
@@ -64,7 +74,7 @@ def test_the_report_of_another_experiment_is_left_alone(tmp_path: Path) -> None:
     with pytest.raises(
         CairnError, match="holds a report of cairn experiment ablation, which"
     ) as it:
-        begin(folder_of(tmp_path, "map-update"))
+        begun(folder_of(tmp_path, "map-update")).__enter__()
 
     assert str(tmp_path) in str(it.value)
     assert "--out" in str(it.value)
@@ -78,7 +88,7 @@ def test_a_folder_with_anything_else_is_left_alone(tmp_path: Path, report: str) 
     (tmp_path / "report.json").write_text(report)
 
     with pytest.raises(CairnError, match=r"holds report\.json, runs and no report of this command"):
-        begin(folder_of(tmp_path))
+        begun(folder_of(tmp_path)).__enter__()
 
     assert files_of(tmp_path) == ["report.json", "runs/mine.txt"]
 
@@ -88,4 +98,4 @@ def test_what_is_no_folder_is_told_of(tmp_path: Path) -> None:
     file.write_text("")
 
     with pytest.raises(CairnError, match=r"out cannot be written: .*File exists; name another"):
-        begin(folder_of(file))
+        begun(folder_of(file)).__enter__()
