@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from components.localizer.object_likelihood import Landmark, Sighting
 from components.localizer.particles import Estimate
+from components.localizer.scanner_watch import SILENT_S
 from planar.poses import Pose, relative, wrap
 
 Array = NDArray[np.float64]
@@ -47,14 +48,16 @@ class AbsenceWatch:
 
     def __init__(self) -> None:
         self._points = self._misses = np.empty((0, 2))
+        self._scanned_at = -math.inf
         self._at: Pose = (0.0, 0.0, 0.0)
         self._agreed_at: dict[int, float] = {}
         self._missed: set[int] = set()
 
-    def scanned(self, points: Array, misses: Array, at: Pose) -> None:
-        """Take a scan from the dead-reckoned pose `at`: what its beams hit (n, 2) [m], and where
-        those end that hit nothing (m, 2) [m], in the base's frame.
+    def scanned(self, stamp: float, points: Array, misses: Array, at: Pose) -> None:
+        """Take a scan of `stamp` [s] from the dead-reckoned pose `at`: what its beams hit (n, 2)
+        [m], and where those end that hit nothing (m, 2) [m], in the base's frame.
         """
+        self._scanned_at = stamp
         self._points, self._misses, self._at = points, misses, at
 
     def agreed(self, stamp: float, objects: Iterable[int]) -> None:
@@ -77,6 +80,8 @@ class AbsenceWatch:
 
         `now` is the dead-reckoned pose.
         """
+        if stamp - self._scanned_at > SILENT_S:
+            return []  # who stands before it now, no scan tells
         step = relative(now, self._at)
         points, misses = _carried(self._points, step), _carried(self._misses, step)
         named = {name for one in seen for name in (one.object_id, *one.alternatives)}

@@ -17,12 +17,19 @@ class Agreements:
 
     def __init__(self) -> None:
         self._at: dict[int, float] = {}
+        self.sure_until = -math.inf
+        """Until when [s] the robot was certainly not lost before it was placed anew."""
 
     def note(self, stamp: float, objects: Iterable[int]) -> None:
         """Take which objects agreed at `stamp` [s]."""
         self._at |= dict.fromkeys(objects, stamp)
 
-    def sure_until(self, landmarks: Mapping[int, Landmark]) -> float:
+    def placed_anew(self, landmarks: Mapping[int, Landmark]) -> None:
+        """Take that the robot may be somewhere else than what has agreed so far made believe."""
+        self.sure_until = max(self.sure_until, self._both_since(landmarks))
+        self._at.clear()
+
+    def _both_since(self, landmarks: Mapping[int, Landmark]) -> float:
         """The latest time [s] since when objects at two places agreed; -inf if none did."""
         newest: Landmark | None = None
         for object_id, stamp in sorted(self._at.items(), key=lambda one: -one[1]):

@@ -50,6 +50,10 @@ class Displacements:
         """Drop what was noted of an object, as its place in the map changed."""
         self._implied.pop(object_id, None)
 
+    def clear(self) -> None:
+        """Drop everything, as the robot was somewhere else."""
+        self._implied.clear()
+
     def shifted(self, sighting: Sighting, pose: Estimate, landmark: Landmark) -> bool:
         """Note a sighting from a sure pose; whether the object clearly stands beside its place."""
         known = self._implied.setdefault(sighting.object_id, deque(maxlen=_WINDOWS[-1]))

@@ -104,6 +104,12 @@ class Judge:
         self._displacements.forget(object_id)
         self.ranges.forget(object_id)
 
+    def clear(self) -> None:
+        """Drop what was remembered of all objects, as the robot was somewhere else."""
+        self._contradictions.clear()
+        self._displacements.clear()
+        self.ranges.clear()
+
     def place(self, sighting: Sighting, pose: Estimate, healthy: bool) -> Judgement:
         """Where an object that the map does not hold stands: no similarity to judge."""
         self.forget(sighting.object_id)

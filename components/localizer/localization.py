@@ -86,6 +86,7 @@ class Localization:
     def locate(self, pose: Sequence[float], covariance: Array) -> None:
         """Begin (again) from a known pose: x [m], y [m], theta [rad] and covariance (3, 3)."""
         self.bank.scatter(pose, covariance)
+        self._placed_anew()
         self._forget()
         self.slip.forget()
         self.located = True
@@ -153,10 +154,10 @@ class Localization:
 
     @property
     def sure_until(self) -> float:
-        """Until when [s] the robot was where it believed to be, should it prove to have been lost;
-        -inf if that is not known.
+        """Until when [s] the robot was where it believed to be, before it was placed where it is
+        believed to be now; -inf if that is not known.
         """
-        return self._agreements.sure_until(self.landmarks)
+        return self._agreements.sure_until
 
     def ahead(self, pose: Pose, stamp: float) -> Pose:
         """Where a robot that is at `pose` now is expected at the later time `stamp` [s]."""
@@ -178,12 +179,13 @@ class Localization:
         `misses` are the starts and ends (m, 2) [m] of rays that hit nothing.
         """
         self.advance(stamp)
-        self._absence.scanned(points, misses[1], self._reckoned)
+        self._absence.scanned(stamp, points, misses[1], self._reckoned)
         if self.map is None:
             return False
         if not len(points):
             if self.located:
-                self._fit.note(self.map.field, self.bank.estimate().mean, points, 0, *misses)
+                here = self.bank.estimate().mean
+                self._fit.note(stamp, self.map.field, here, points, 0, *misses)
             return False
         chosen = self._beams.chosen(points)
         self._scans.add(chosen, self._reckoned)
@@ -212,7 +214,7 @@ class Localization:
         self._stated.fitted(
             scan_map.field.deviation(pose.mean, chosen), scan_map.field.frame.resolution
         )
-        self._fit.note(scan_map.field, pose.mean, chosen, len(points), *misses)
+        self._fit.note(stamp, scan_map.field, pose.mean, chosen, len(points), *misses)
         if self._fit.value is not None and self.recovery.suspects(self._fit.value):
             # What was seen before speaks of another place, should the robot have been carried.
             self._scans.clear()
@@ -284,11 +286,14 @@ class Localization:
             pose, self._reckoned, self._moved_s, self.landmarks, left_out
         )
 
+    def _scans_vouch(self) -> bool:
+        return self._fit.vouches(self.track.integrated_to)
+
     def _vouched(self, support: Support) -> bool:
         """Whether scans or other objects speak for a pose."""
         if support.firm:
             return True
-        if not self._fit.vouches:
+        if not self._scans_vouch():
             return False
         # Where several objects were moved, more may contradict than agree. So they do to a robot
         # that is lost where it looks alike; but that one is not found here by a search.
@@ -320,9 +325,9 @@ class Localization:
             before,
             self.landmarks,
             self._vouched(support),
-            support.agreeing >= support.contradicting or self._fit.vouches,
+            support.agreeing >= support.contradicting or self._scans_vouch(),
             pose.spread <= self.settings.healthy_spread_m,
-            self._fit.vouches,
+            self._scans_vouch(),
             lambda poses: evidence.log_likelihood(poses, object_id),
         )
 
@@ -345,10 +350,15 @@ class Localization:
 
     def _settle(self, poses: Array) -> None:
         self.bank.settle(poses)
-        self.judge.ranges.clear()
+        self._placed_anew()
         self._fit.forget()
         self._stated = StatedCovariance()
         self.located = True
+
+    def _placed_anew(self) -> None:
+        """Drop what was made of objects seen from where the robot may not have been."""
+        self.judge.clear()
+        self._agreements.placed_anew(self.landmarks)
 
     def _forget(self) -> None:
         self._sightings.clear()

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
 from components.localizer.health import FITS
 from components.localizer.likelihood_field import LikelihoodField
+from components.localizer.scanner_watch import SILENT_S
 from planar.poses import Pose
 
 Array = NDArray[np.float64]
@@ -26,13 +29,13 @@ class ScanFit:
 
     def __init__(self) -> None:
         self.value: float | None = None
+        self._at = -math.inf
         self.contradicted = False
         """Whether the newest scan hit nothing where the map has obstacles."""
 
-    @property
-    def vouches(self) -> bool:
-        """Whether scans fit well enough to speak for a pose."""
-        return self.value is not None and self.value >= FITS
+    def vouches(self, now: float) -> bool:
+        """Whether scans fit well enough to speak for a pose at `now` [s], and still come."""
+        return self.value is not None and self.value >= FITS and now - self._at <= SILENT_S
 
     def forget(self) -> None:
         """Begin anew: the robot is somewhere else."""
@@ -40,6 +43,7 @@ class ScanFit:
 
     def note(
         self,
+        stamp: float,
         field: LikelihoodField,
         pose: Pose,
         hits: Array,
@@ -47,9 +51,10 @@ class ScanFit:
         starts: Array,
         ends: Array,
     ) -> None:
-        """Take a scan, seen from a pose: some `hits` (m, 2) [m] of `count`, and the `starts` and
-        `ends` (k, 2) [m] of the rays that hit nothing.
+        """Take a scan of `stamp` [s], seen from a pose: some `hits` (m, 2) [m] of `count`, and the
+        `starts` and `ends` (k, 2) [m] of the rays that hit nothing.
         """
+        self._at = stamp
         some = slice(None, None, 1 + len(starts) // _RAYS)
         clear = len(starts) * field.clear(pose, starts[some], ends[some]) if len(starts) else 0.0
         explained = count * field.fit(pose, hits) if count else 0.0

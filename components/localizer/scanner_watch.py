@@ -10,8 +10,9 @@ import numpy as np
 from components.localizer.health import Health
 from planar.sweep import Rays
 
-# For so long [s] scans may tell nothing, and may hit nothing or not come at all.
-_UNTOLD_S, _SILENT_S = 0.6, 1.0
+SILENT_S = 1.0
+"""For so long [s] scans may hit nothing, or not come at all."""
+_UNTOLD_S = 0.6  # for so long [s] they may tell nothing
 # The most that a pose is worth without scans that hit anything, and without such as tell anything.
 _NO_HITS, _BLIND = 0.5, 0.2
 
@@ -40,7 +41,7 @@ class ScannerWatch:
         """What is left of a health at the time `now` [s] with the scans on `topic`."""
         if self._blind and now - self._told > _UNTOLD_S:
             most, since, what = _BLIND, now - self._told, "tells"
-        elif now - self._hit > _SILENT_S:
+        elif now - self._hit > SILENT_S:
             most, since, what = _NO_HITS, now - self._hit, "hits"
         else:
             return health

@@ -38,6 +38,8 @@ from vision.map_file import MapFileError
 # A full map follows its updates after this [s], for readers that come later.
 _FULL_MAP_S = 5.0
 _SAVE_S = 10.0
+# Evidence of no longer than this before a lost robot was found is on its way together with that.
+_ON_THE_WAY_NS = 2 * SECOND
 
 
 class MapBuilder(Component):
@@ -75,6 +77,7 @@ class MapBuilder(Component):
         self._updates = GridUpdates()
         self._complaints = Complaints(self.log)
         self._full_map_at = self._saved_at = 0
+        self._found_at = -_ON_THE_WAY_NS
 
     def on_activate(self) -> None:
         """Open the maps and publish them, if it is known what time it is."""
@@ -105,24 +108,27 @@ class MapBuilder(Component):
     def judge(self, frame: ObjectEvidenceArray) -> None:
         """Take one frame's evidence."""
         keeper = self._open()
-        if keeper is not None and self.config.update_objects:
-            stamp_ns = to_ns(frame.header.stamp)
+        stamp_ns = to_ns(frame.header.stamp)
+        # What a lost robot made of things may come after the word that it was lost.
+        of_lost = 0 <= self._found_at - stamp_ns <= _ON_THE_WAY_NS
+        if keeper is not None and self.config.update_objects and not of_lost:
             self._tell(stamp_ns, *keeper.apply(stamp_ns, evidence_of(frame)))
 
     @on("relocalised")
     def take_back(self, found: Relocalisation) -> None:
         """Undo what the robot judged and drew while it was lost."""
         keeper, grid = self._open(), self._open_grid()
-        stamp_ns, sure_ns = to_ns(found.header.stamp), to_ns(found.sure_until)
+        stamp_ns = self._found_at = to_ns(found.header.stamp)
+        since_ns = max(to_ns(found.sure_until), stamp_ns - round(self.config.undo_s * SECOND))
         if keeper is not None:
-            self._tell(stamp_ns, *keeper.take_back(stamp_ns, sure_ns))
+            self._tell(stamp_ns, *keeper.take_back(stamp_ns, since_ns))
         if grid is not None:
-            ago_s = min(self.config.undo_s, (stamp_ns - sure_ns) / SECOND)
-            window = grid.take_back(stamp_ns / SECOND - ago_s)
+            window = grid.take_back(since_ns / SECOND)
             self._updates.add(window)
             if window is not None:
                 self.log.info(
-                    "the robot was lost: the grid map is again as it was %.0f s ago", ago_s
+                    "the robot was lost: the grid map is again as it was %.0f s ago",
+                    (stamp_ns - since_ns) / SECOND,
                 )
 
     @on("odom")

@@ -59,9 +59,9 @@ class MapKeeper:
                 touched |= after[1]
         return touched, self._commit(stamp_ns, outcome.changes)
 
-    def take_back(self, stamp_ns: int, sure_ns: int) -> tuple[bool, list[NumberedChange]]:
-        """At `stamp_ns`, undo what the robot has judged since `sure_ns`: it was lost."""
-        undone, changes = self._map.take_back(sure_ns / SECOND)
+    def take_back(self, stamp_ns: int, since_ns: int) -> tuple[bool, list[NumberedChange]]:
+        """At `stamp_ns`, undo what the robot has judged since `since_ns`: it was lost."""
+        undone, changes = self._map.take_back(since_ns / SECOND)
         if not undone:
             return False, []
         numbered = self._commit(stamp_ns, changes)

@@ -84,13 +84,13 @@ class VisualMap:
                 changes.append(change)
         return Outcome(tuple(after), tuple(changes))
 
-    def take_back(self, sure_s: float) -> tuple[list[MapObject], list[Change]]:
-        """Undo the journal since `sure_s` [s]: the robot turned out to have been lost after that.
+    def take_back(self, since_s: float) -> tuple[list[MapObject], list[Change]]:
+        """Undo the journal since `since_s` [s]: the robot turned out to have been lost after that.
 
         Returns the objects as they are again and the changes of the map that this makes.
         """
         undone: dict[int, MapObject] = {}
-        while self._journal and self._journal[-1].at_s > sure_s:
+        while self._journal and self._journal[-1].at_s > since_s:
             undo = self._journal.pop()
             undone[undo.before.object_id] = undo.before
         changes = []

@@ -17,9 +17,9 @@ WALL = np.column_stack((np.full(61, 3.0), np.linspace(-1.5, 1.5, 61)))
 NO_MISSES = np.empty((0, 2))
 
 
-def watch(points: np.ndarray = WALL) -> AbsenceWatch:
+def watch(points: np.ndarray = WALL, scanned: float = 10.0) -> AbsenceWatch:
     it = AbsenceWatch()
-    it.scanned(points, NO_MISSES, (0.0, 0.0, 0.0))
+    it.scanned(scanned, points, NO_MISSES, (0.0, 0.0, 0.0))
     it.agreed(10.0, [2])
     return it
 
@@ -62,13 +62,20 @@ def test_without_a_beam_in_its_direction_nothing_is_missed() -> None:
 
 
 def test_a_camera_that_has_not_recognised_anything_of_late_misses_nothing() -> None:
-    assert missed(watch(), stamp=41.0) == []
+    assert missed(watch(scanned=40.0), stamp=40.0) == [1]
+    assert missed(watch(scanned=41.0), stamp=41.0) == []
+
+
+def test_a_scanner_that_is_silent_does_not_tell_what_stands_before_it() -> None:
+    assert missed(watch(scanned=9.1)) == [1]
+    assert missed(watch(scanned=8.9)) == []
 
 
 def test_where_one_object_after_another_is_missed_it_is_the_light_that_fails() -> None:
     it = watch()
     dark = {1: POSTER, 3: Landmark(3, 2.9, 0.6)}
 
+    it.scanned(14.0, WALL, NO_MISSES, (0.0, 0.0, 0.0))
     at_first = it.missed(11.0, AHEAD, [], dark, SURE, (0.0, 0.0, 0.0))
     then = it.missed(14.0, AHEAD, [], dark, SURE, (0.0, 0.0, 0.0))
     it.agreed(15.0, [2])

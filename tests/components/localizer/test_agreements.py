@@ -13,7 +13,8 @@ def until(*agreed: tuple[float, int]) -> float:
     it = Agreements()
     for stamp, object_id in agreed:
         it.note(stamp, [object_id])
-    return it.sure_until(MAP)
+    it.placed_anew(MAP)
+    return it.sure_until
 
 
 def test_two_places_agreed_since_the_earlier_of_their_newest_agreements() -> None:
@@ -27,6 +28,19 @@ def test_one_object_alone_may_agree_by_chance() -> None:
 def test_objects_that_stand_together_are_one_place() -> None:
     assert until((1.0, 3), (2.0, 1), (3.0, 2)) == 1.0
     assert until((2.0, 1), (3.0, 2)) == -math.inf
+
+
+def test_what_agreed_with_another_pose_does_not_count_together() -> None:
+    it = Agreements()
+    for stamp, object_id in ((1.0, 1), (2.0, 3)):
+        it.note(stamp, [object_id])
+    it.placed_anew(MAP)
+    it.note(3.0, [1])
+    it.placed_anew(MAP)
+    it.note(4.0, [3])
+    it.placed_anew(MAP)
+
+    assert it.sure_until == 1.0
 
 
 def test_an_object_that_left_the_map_tells_nothing() -> None:

@@ -52,6 +52,17 @@ def test_a_contradiction_that_stands_alone_hardly_counts() -> None:
     assert found.similarity == pytest.approx(0.45)
 
 
+def test_a_robot_that_was_somewhere_else_begins_to_judge_anew() -> None:
+    judge = judge_of()
+    wrongly = [judged(judge, 1, step, (A.x, A.y + 0.4)).verdict for step in range(10)]
+    assert wrongly[-1] is Verdict.DISAGREES
+
+    judge.clear()
+
+    rightly = [judged(judge, 1, step, (A.x, A.y)).verdict for step in range(10)]
+    assert Verdict.DISAGREES not in rightly
+
+
 def test_contradictions_from_three_places_that_agree_count() -> None:
     judge = judge_of()
 

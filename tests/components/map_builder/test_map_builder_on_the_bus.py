@@ -45,6 +45,11 @@ def frame(step: int, similarity: float, x: float) -> ObjectEvidenceArray:
     return ObjectEvidenceArray(header=header, robot_x=0.3 * step, healthy=True, evidence=(piece,))
 
 
+def found(stamp: int, sure_until: int = 0) -> Relocalisation:
+    header = Header(stamp=from_ns(stamp * 10**9), frame_id="map")
+    return Relocalisation(header=header, sure_until=from_ns(sure_until * 10**9))
+
+
 def states(it: Any) -> dict[int, int]:
     return {o.object_id: o.state for o in it.taken("visual_map")[-1].objects}
 
@@ -92,7 +97,7 @@ def test_what_a_lost_robot_judged_is_restored(stage: StageOf, map_file: Path) ->
     it = stage(MapBuilder, 1000.0, map_file=str(map_file)).begin()
     it.give("object_evidence", frame(0, 0.1, 3.5))
 
-    it.give("relocalised", Relocalisation())
+    it.give("relocalised", found(1010))
 
     kinds = [c.kind for c in it.taken("visual_map_changes")]
     assert kinds == [VisualMapChange.REMOVED, VisualMapChange.RESTORED]
@@ -103,9 +108,40 @@ def test_what_it_judged_while_it_was_sure_stays(stage: StageOf, map_file: Path) 
     it = stage(MapBuilder, 1000.0, map_file=str(map_file)).begin()
     it.give("object_evidence", frame(0, 0.1, 3.5))
 
-    it.give("relocalised", Relocalisation(sure_until=from_ns(1001 * 10**9)))
+    it.give("relocalised", found(1010, sure_until=1001))
 
     assert [c.kind for c in it.taken("visual_map_changes")] == [VisualMapChange.REMOVED]
+    assert states(it)[7] == VisualObject.RELOCATING
+
+
+def test_what_it_judged_long_ago_stays(stage: StageOf, map_file: Path) -> None:
+    it = stage(MapBuilder, 1000.0, map_file=str(map_file)).begin()
+    it.give("object_evidence", frame(0, 0.1, 3.5))
+
+    it.give("relocalised", found(1061))
+
+    assert states(it)[7] == VisualObject.RELOCATING
+
+
+def test_what_a_lost_robot_judged_and_comes_late_is_not_taken(
+    stage: StageOf, map_file: Path
+) -> None:
+    it = stage(MapBuilder, 1000.0, map_file=str(map_file)).begin()
+
+    it.give("relocalised", found(1005))
+    it.give("object_evidence", frame(5, 0.1, 3.5))
+    assert it.taken("visual_map_changes") == []
+
+    it.give("object_evidence", frame(6, 0.1, 3.5))
+    assert states(it)[7] == VisualObject.RELOCATING
+
+
+def test_where_time_was_set_back_evidence_is_taken(stage: StageOf, map_file: Path) -> None:
+    it = stage(MapBuilder, 1000.0, map_file=str(map_file)).begin()
+
+    it.give("relocalised", found(1100))
+    it.give("object_evidence", frame(5, 0.1, 3.5))
+
     assert states(it)[7] == VisualObject.RELOCATING
 
 
