@@ -44,7 +44,6 @@ class _CameraFile(BaseModel):
 
     image_width: int = Field(gt=0, le=100_000)
     image_height: int = Field(gt=0, le=100_000)
-    camera_name: str = "camera"
     distortion_model: str = "plumb_bob"
     camera_matrix: _Matrix
     distortion_coefficients: _Matrix

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -94,11 +94,16 @@ def side_of(path: Path) -> Side | None:
 def paired(left: Iterable[Path], right: Iterable[Path]) -> Pairs:
     """Pairs of files whose names are the same but for what tells the camera, in natural order.
 
-    That is `left` and `right`, or without such words the number after `cam`. Natural order
-    counts: frame9 comes before frame10.
+    That is `left` and `right`, or without such words the number after `cam`. Where files of one
+    camera in several folders have the same name, those of a pair have the same folders, too.
+    Natural order counts: frame9 comes before frame10. Raises `CairnError` if a camera has two files
+    of one name all the same.
     """
-    ours = {_without_side(path): path for path in left}
-    theirs = {_without_side(path): path for path in right}
+    sides = list(left), list(right)
+    try:
+        ours, theirs = (_by_key(side, _without_side) for side in sides)
+    except CairnError:
+        ours, theirs = (_by_key(side, _with_folders) for side in sides)
     pairs = [(path, theirs[key]) for key, path in ours.items() if key in theirs]
     alone = [path for key, path in ours.items() if key not in theirs]
     alone += [path for key, path in theirs.items() if key not in ours]
@@ -115,9 +120,29 @@ def natural(path: Path) -> list[tuple[int, int, str]]:
     ]
 
 
+def _by_key(files: Iterable[Path], key_of: Callable[[Path], str]) -> dict[str, Path]:
+    found: dict[str, Path] = {}
+    for file in files:
+        other = found.setdefault(key_of(file), file)
+        if other != file:
+            raise CairnError(
+                f"{other} and {file} have the same name, so it is not clear which belongs to the "
+                "other camera's: give one of them, or name them differently"
+            )
+    return found
+
+
 def _without_side(path: Path) -> str:
-    words = _SIDE if _SIDE.search(path.stem) else _CAMERA
-    return words.sub("", path.stem).strip("_-. ")
+    return _sideless(path.stem)
+
+
+def _with_folders(path: Path) -> str:
+    return "/".join(_sideless(part) for part in (*path.parts[:-1], path.stem))
+
+
+def _sideless(name: str) -> str:
+    words = _SIDE if _SIDE.search(name) else _CAMERA
+    return words.sub("", name).strip("_-. ")
 
 
 def _number(name: str) -> int | None:

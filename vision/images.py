@@ -104,6 +104,27 @@ def decoded(what: str, data: bytes) -> Grey:
     return np.ascontiguousarray(np.rot90(grey[:, ::-1] if mirrored else grey, turns))
 
 
+def upright_size(path: Path) -> tuple[int, int]:
+    """Width and height [px] of the image that `read_image` gives, by the file's first bytes alone.
+
+    Raises `CairnError` if it is no image.
+    """
+    try:
+        with warnings.catch_warnings(), Picture.open(path) as picture:
+            warnings.simplefilter("ignore")
+            width, height = picture.size
+            # Pillow decodes all of a PNG image to look for Exif data behind it, where none are, and
+            # tells the size of a TIFF image as it is upright.
+            told = picture.format != "TIFF" and (picture.format != "PNG" or "exif" in picture.info)
+            orientation = int(picture.getexif().get(_ORIENTATION, 1)) if told else 1
+    except (OSError, ValueError, SyntaxError) as error:
+        raise CairnError(
+            f"{path} cannot be read as an image ({error}): take it away, or a fresh copy"
+        ) from error
+    turns, _ = _UPRIGHT.get(orientation, (0, False))
+    return (height, width) if turns % 2 else (width, height)
+
+
 def grey_of(image: Image) -> Grey:
     """The image in a message, grey (h, w); its own memory where it is grey already.
 
@@ -179,7 +200,7 @@ def _is_usual(jpeg: bytes) -> bool:
     """Whether a JPEG image is of a kind that libjpeg-turbo's simple interface knows."""
     try:
         simplejpeg.decode_jpeg_header(jpeg, strict=False)
-    except ValueError:
+    except (ValueError, KeyError):  # the latter by a subsampling that it does not know
         return False
     return True
 

@@ -83,17 +83,6 @@ class Lens:
             info.width, info.height, intrinsics, info.d, model == _FISHEYE, rotation, projection
         )
 
-    def undistorted(self, points: Array) -> Array:
-        """Where in the rectified image (n, 2) [px] lies what `points` (n, 2) [px] were taken of."""
-        if not len(points):
-            return np.zeros((0, 2))
-        given = np.asarray(points, np.float64).reshape(-1, 1, 2)
-        undistort = cv2.fisheye.undistortPoints if self.fisheye else cv2.undistortPoints
-        found = undistort(
-            given, self.intrinsics, self._d(), R=self.rotation, P=self.projection[:, :3]
-        )
-        return np.asarray(found, np.float64).reshape(-1, 2)
-
     def maps(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """For each pixel of the rectified image the place in the image as taken: x, y [px]."""
         make = cv2.fisheye.initUndistortRectifyMap if self.fisheye else cv2.initUndistortRectifyMap

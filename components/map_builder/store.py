@@ -142,14 +142,6 @@ class MapStore:
                 for stamp, kind, x, y, reliability, reason in rows
             ]
 
-    def reliability_over_time(self, object_id: int) -> list[tuple[int, float]]:
-        """Times [ns] and reliabilities of an object after each piece of evidence."""
-        with told(self.path):
-            return self._connection.execute(
-                "SELECT stamp_ns, reliability FROM evidence WHERE object_id = ? ORDER BY rowid",
-                (object_id,),
-            ).fetchall()
-
     def commit(
         self,
         objects: Sequence[MapObject],

@@ -64,7 +64,7 @@ class ObjectRecognizer(Component):
         self._standstills = {"left": Standstill(), "right": Standstill()}
         self._agreement = Agreement()
         self._right_came = False
-        self._last_left = self.clock.now()
+        self._last_left: int | None = None
 
     def on_parameters(self, new: Config) -> None:
         """All but the file, the number of cameras and threads may be changed while it runs."""
@@ -112,10 +112,13 @@ class ObjectRecognizer(Component):
         try:
             if self._known.refresh():
                 self._tell_known()
+            self._complaints.over("file", f"{self.config.map_file} is read again")
         except MapFileError as error:
             self._complaints.tell("file", f"still recognising what was taught before: {error}")
         now = self.clock.now()
-        self._last_left = min(self._last_left, now)  # time may be set back
+        if now <= 0:
+            return  # nobody has told the time yet
+        self._last_left = min(self._last_left or now, now)  # time may be set back
         if now - self._last_left >= _SILENCE_NS:
             silent_s = (now - self._last_left) / SECOND
             self._complaints.tell(
@@ -159,6 +162,7 @@ class ObjectRecognizer(Component):
             self._complaints.over("right", f"images come again on {self.right_image.topic}")
         try:
             field, told = self._seen(pair)
+            self._complaints.over("image", f"{self.left_image.topic} is looked at again")
         except CairnError as error:
             self._complaints.tell("image", f"nothing is recognised: {error}")
             field, told = NOWHERE, []
@@ -191,7 +195,9 @@ class ObjectRecognizer(Component):
         sightings = without_wrong_twins(
             [sighted(one, known.objects, cameras, left, right) for one in found]
         )
-        if right is not None and sightings and not any(one.by_stereo for one in sightings):
+        if any(one.by_stereo for one in sightings):
+            self._complaints.over("stereo", "objects are ranged by stereo again")
+        elif right is not None and sightings:
             self._question_stereo(left, right, features, cameras)
         placed = [(one, self._place(one)) for one in sightings]
         told = [
@@ -246,6 +252,8 @@ class ObjectRecognizer(Component):
             self._complaints.tell(
                 "pair", f"objects are ranged by their sizes alone: {self._cameras.complaint}"
             )
+        else:
+            self._complaints.over("pair", "left and right cameras are a pair")
         return self._cameras
 
     def _rectified_right(self, cameras: Cameras, pair: Pair) -> Grey | None:
@@ -257,7 +265,9 @@ class ObjectRecognizer(Component):
                     f"{self.right_image.topic} shows the same as {self.left_image.topic}, bit for "
                     "bit: have the right camera's driver send its own images"
                 )
-            return cameras.right.apply(self._grey(pair.right, self.right_image.topic))
+            right = cameras.right.apply(self._grey(pair.right, self.right_image.topic))
+            self._complaints.over("right image", f"{self.right_image.topic} is looked at again")
+            return right
         except CairnError as error:
             self._complaints.tell("right image", f"ranged by their sizes alone: {error}")
             return None

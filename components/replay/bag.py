@@ -11,6 +11,7 @@ import numpy as np
 from cairn.clock import SECOND, from_ns
 from components.replay.bag_file import read_bag
 from components.replay.bag_images import bag_images, image_topics
+from components.replay.bag_times import own_stamps
 from components.replay.recording import (
     Images,
     Odometry,
@@ -44,8 +45,6 @@ _TRUE = {
     _ODOMETRY: lambda message: message.pose.pose,
 }
 _BASES = ("base_footprint", "base_link")
-# Stamps that are further from the time of receipt than this are of another clock [ns].
-_ANOTHER_CLOCK = 60 * SECOND
 
 
 class BagRecording:
@@ -174,17 +173,10 @@ class BagRecording:
                 "another topic, or take it out of the bag."
             ) from error
 
-    def _stamps(self, topic: str, pairs: Sequence[tuple[int, Any]]) -> list[int]:
-        """The messages' own stamps [ns], or if these are of another clock when they were got."""
-        stamps = [stamp.sec * SECOND + stamp.nanosec for _, stamp in pairs]
-        apart = sorted(abs(stamp - got) for (got, _), stamp in zip(pairs, stamps, strict=True))
-        if apart[len(apart) // 2] <= _ANOTHER_CLOCK:
-            return stamps
-        self._notes.append(
-            f"stamps on {topic} are of another clock than the bag's (the first is "
-            f"{stamps[0] / 1e9:g} s): the times of receipt are taken instead"
-        )
-        return [got for got, _ in pairs]
+    def _stamps(self, topic: str, received: Sequence[tuple[int, Any]]) -> list[int]:
+        stamps, note = own_stamps(topic, received)
+        self._notes += [note] if note else []
+        return stamps
 
     def _to_scans(self, stamps: list[int], messages: list[Any]) -> Scans:
         stamps = [max(stamp - self._scan_delay, 0) for stamp in stamps]

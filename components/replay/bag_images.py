@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -13,7 +14,9 @@ from rosbags.typesys import Stores, get_typestore
 
 from cairn.clock import SECOND
 from cairn.errors import CairnError
+from components.replay.bag_times import own_stamps
 from components.replay.recording import Grey, Images, RecordingError
+from schemas.message import InvalidMessage
 from schemas.sensor_msgs import Image
 from vision.image_files import side_of
 from vision.images import decoded, grey_of
@@ -58,12 +61,12 @@ def bag_images(path: Path, topics: list[str]) -> tuple[Images, list[str]]:
 
     Raises `RecordingError` if they cannot be read.
     """
-    stamps = [[stamp for stamp, _ in _messages(path, topic)] for topic in topics]
-    notes = []
-    chosen = [list(range(len(stamps[0])))]
+    notes: list[str] = []
+    times = [_times(path, topic, notes) for topic in topics]
+    chosen = [list(times[0])]
     if len(topics) == 2:
-        chosen = _paired(*stamps)
-        alone = sum(len(of) for of in stamps) - 2 * len(chosen[0])
+        chosen = _paired(*times)
+        alone = sum(len(of) for of in times) - 2 * len(chosen[0])
         if alone:
             notes.append(f"{alone} images have no other of a pair, left out")
     if not chosen[0]:
@@ -77,8 +80,8 @@ def bag_images(path: Path, topics: list[str]) -> tuple[Images, list[str]]:
     def load(index: int) -> tuple[Grey, ...]:
         return tuple(reader.image(index) for reader in readers)
 
-    times = [stamps[0][number] for number in chosen[0]]
-    return Images(" and ".join(topics), times, len(topics), (width, height), load), notes
+    stamps = [times[0][number] for number in chosen[0]]
+    return Images(" and ".join(topics), stamps, len(topics), (width, height), load), notes
 
 
 class _InOrder:
@@ -105,14 +108,12 @@ def _first_whole(images: _InOrder, count: int) -> Grey:
 
 
 def _messages(path: Path, topic: str) -> Iterator[tuple[int, Any]]:
-    """The messages of a topic with their stamps [ns]."""
+    """The messages of a topic with their times of receipt [ns]."""
     try:
         with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
             of = [c for c in reader.connections if "/" + c.topic.lstrip("/") == topic]
-            for connection, _, raw in reader.messages(of):
-                message: Any = reader.deserialize(raw, connection.msgtype)
-                stamp = message.header.stamp
-                yield stamp.sec * SECOND + stamp.nanosec, message
+            for connection, got, raw in reader.messages(of):
+                yield got, reader.deserialize(raw, connection.msgtype)
     except Exception as error:  # the library fails in any way on a broken bag
         raise RecordingError(
             f"{path}: its images cannot be read ({' '.join(str(error).split())}): mend the bag "
@@ -120,17 +121,34 @@ def _messages(path: Path, topic: str) -> Iterator[tuple[int, Any]]:
         ) from error
 
 
-def _paired(left: list[int], right: list[int]) -> list[list[int]]:
+def _times(path: Path, topic: str, notes: list[str]) -> dict[int, int]:
+    """The stamps [ns] of a topic's images by their numbers, in order; remarks on others."""
+    received = [(got, message.header.stamp) for got, message in _messages(path, topic)]
+    stamps, note = own_stamps(topic, received)
+    notes += [note] if note else []
+    times: dict[int, int] = {}
+    newest = -1
+    for number, stamp in enumerate(stamps):
+        if stamp > newest:
+            times[number] = newest = stamp
+    if len(times) < len(stamps):
+        notes.append(
+            f"{len(stamps) - len(times)} images of {topic} are not later than those before them, "
+            "left out"
+        )
+    return times
+
+
+def _paired(left: Mapping[int, int], right: Mapping[int, int]) -> list[list[int]]:
     """The numbers of left and of right images that were taken at once."""
     pairs: list[list[int]] = [[], []]
-    other = 0
-    for number, stamp in enumerate(left):
-        while other < len(right) and right[other] < stamp - _AT_ONCE:
-            other += 1
-        if other < len(right) and abs(right[other] - stamp) <= _AT_ONCE:
+    others = deque(right.items())
+    for number, stamp in left.items():
+        while others and others[0][1] < stamp - _AT_ONCE:
+            others.popleft()
+        if others and others[0][1] <= stamp + _AT_ONCE:
             pairs[0].append(number)
-            pairs[1].append(other)
-            other += 1
+            pairs[1].append(others.popleft()[0])
     return pairs
 
 
@@ -148,7 +166,7 @@ def _grey(name: str, number: int, message: Any) -> Grey:
                 data=np.asarray(message.data, np.uint8).ravel(),
             )
         )
-    except CairnError as error:
+    except (CairnError, InvalidMessage) as error:
         raise RecordingError(f"{name}, image {number + 1}: {error}") from error
 
 

@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from PIL import Image as Picture
-
 from components.replay.image_times import check_order, times_of
 from components.replay.recording import Grey, Images, RecordingError
 from vision.image_files import images_in, paired, sides_of
-from vision.images import read_image
+from vision.images import read_image, upright_size
 
 
 def open_folder(folder: Path, rate_hz: float | None) -> tuple[Images, list[str]]:
@@ -55,15 +53,7 @@ def open_folder(folder: Path, rate_hz: float | None) -> tuple[Images, list[str]]
 
 def _size(files: Sequence[Path]) -> tuple[int, int]:
     """Width and height [px] that all have, by their first bytes alone."""
-    sizes = {}
-    for file in files:
-        try:
-            with Picture.open(file) as picture:
-                sizes[file] = picture.size
-        except (OSError, ValueError, SyntaxError) as error:
-            raise RecordingError(
-                f"{file} cannot be read as an image ({error}): take it away, or a fresh copy"
-            ) from error
+    sizes = {file: upright_size(file) for file in files}
     first, size = next(iter(sizes.items()))
     for file, other in sizes.items():
         if other != size:

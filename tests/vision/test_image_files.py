@@ -38,6 +38,23 @@ def test_pairs_have_one_name_but_for_the_side_and_come_in_natural_order() -> Non
     assert [path.name for path in found.alone] == ["left4.png", "right5.png"]
 
 
+def test_of_several_folders_the_pairs_are_of_one_folder_each() -> None:
+    days = [Path(f"day{n}") for n in (1, 2)]
+    left, right = ([day / f"{side}01.png" for day in days] for side in ("left", "right"))
+    folders = [[day / side / "01.png" for day in days] for side in ("left", "right")]
+
+    assert sorted(paired(left, right[:1]).pairs) == [(left[0], right[0])]
+    assert paired(left, right[:1]).alone == (left[1],)
+    assert sorted(paired(*folders).pairs) == list(zip(*folders, strict=True))
+
+
+def test_two_files_of_one_camera_and_name_are_refused() -> None:
+    left = [Path("a/left01.png"), Path("a/left01.jpg")]
+
+    with pytest.raises(CairnError, match=r"a/left01\.png and a/left01\.jpg have the same name"):
+        paired(left, [Path("a/right01.png")])
+
+
 def test_folders_of_a_camera_each_are_looked_into(tmp_path: Path) -> None:
     for side in ("left", "right"):
         (tmp_path / side).mkdir()

@@ -16,7 +16,7 @@ from cairn.errors import CairnError
 from schemas.sensor_msgs import Image
 from schemas.std_msgs import Header
 from tests.vision.taught_objects import texture
-from vision.images import eight_bits, grey_of, read_image
+from vision.images import eight_bits, grey_of, read_image, upright_size
 
 GREY = texture(3, 48, 32)
 
@@ -209,6 +209,35 @@ def test_a_file_that_is_damaged_in_its_middle_is_refused(
 
     with pytest.raises(CairnError, match=rf"a\{suffix} is truncated or damaged .* give a whole"):
         read_image(path)
+
+
+@pytest.mark.parametrize("sampling", [0x00, 0x13, 0x31, 0x44, 0xFF])
+def test_a_jpeg_file_of_odd_sampling_is_read_or_refused(tmp_path: Path, sampling: int) -> None:
+    path = tmp_path / "a.jpg"
+    Picture.fromarray(GREY).convert("RGB").save(path)
+    data = bytearray(path.read_bytes())
+    data[data.index(b"\xff\xc0") + 11] = sampling  # of the first component (ITU T.81, B.2.2)
+    path.write_bytes(data)
+
+    try:
+        assert read_image(path).shape == GREY.shape
+    except CairnError as error:
+        assert "a.jpg" in str(error)  # noqa: PT017 - some are refused, by different decoders
+
+
+@pytest.mark.parametrize("suffix", [".jpg", ".png", ".tif"])
+@pytest.mark.parametrize("orientation", [1, 3, 6])
+def test_the_size_is_that_of_the_upright_image(
+    tmp_path: Path, suffix: str, orientation: int
+) -> None:
+    path = tmp_path / f"a{suffix}"
+    exif = Picture.Exif()
+    exif[0x0112] = orientation
+    Picture.fromarray(GREY[:40]).save(path, exif=exif)
+
+    width, height = upright_size(path)
+
+    assert read_image(path).shape == (height, width)
 
 
 @pytest.mark.parametrize("mode", ["L", "RGB", "CMYK"])

@@ -47,9 +47,9 @@ def test_changes_and_evidence_are_there_when_the_file_is_opened_again(map_file: 
         assert known[7].place.distance(THERE) < 0.1
         kinds = [row[3] for row in store.history()]
         assert kinds[:4] == [Kind.IMPORTED.name] * 2 + [Kind.REMOVED.name, Kind.REGISTERED.name]
-        over_time = store.reliability_over_time(7)
-        assert [stamp for stamp, _ in over_time] == list(range(6))
-        assert over_time[0][1] == pytest.approx(0.1)
+        evidence = store.evidence_of(7)
+        assert [one.stamp_ns for one in evidence] == list(range(6))
+        assert evidence[0].reliability == pytest.approx(0.1)
 
 
 def test_an_imported_map_is_one_file_that_a_read_only_place_can_hold(

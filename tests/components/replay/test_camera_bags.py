@@ -82,6 +82,48 @@ def test_a_compressed_image_that_is_cut_short_is_left_out(
     assert any(why in record.message for record in caplog.records)
 
 
+@pytest.mark.parametrize("changes", [{"step": 3 * WIDTH + 1}, {"encoding": "mono64"}])
+def test_an_image_that_cannot_be_is_left_out(
+    stage: StageOf, tmp_path: Path, caplog: pytest.LogCaptureFixture, changes: dict[str, Any]
+) -> None:
+    odd = image(BEGIN + 0.2, 20, **changes)
+    messages = [("/image", round(m * SECOND), i) for m, i in (
+        (BEGIN, image(BEGIN, 10)), (BEGIN + 0.2, odd), (BEGIN + 0.4, image(BEGIN + 0.4, 30))
+    )]  # fmt: skip
+
+    it = replayed(stage, ros2(tmp_path / "bag", messages))
+
+    assert [shade(image) for image in it.taken("left_image")] == [10, 30]
+    assert any("topic /image, image 2: " in record.message for record in caplog.records)
+
+
+def test_images_of_another_clock_are_replayed_when_they_were_got(tmp_path: Path) -> None:
+    messages = [("/image", round((BEGIN + k) * SECOND), image(0.5 + k, 10)) for k in range(3)]
+
+    recording = open_recording(ros2(tmp_path / "bag", messages))
+
+    images = recording.images()
+    assert images is not None
+    assert images.stamps == [round((BEGIN + k) * SECOND) for k in range(3)]
+    assert any("/image are of another clock" in note for note in recording.notes())
+
+
+def test_images_that_are_not_later_than_others_are_left_out(tmp_path: Path) -> None:
+    stamps = [0.0, 0.4, 0.2, 0.4, 0.6]
+    messages = [
+        ("/image", round((BEGIN + k) * SECOND), image(BEGIN + stamp, 10 + 10 * k))
+        for k, stamp in enumerate(stamps)
+    ]
+
+    recording = open_recording(ros2(tmp_path / "bag", messages))
+
+    images = recording.images()
+    assert images is not None
+    assert [round(stamp / SECOND - BEGIN, 1) for stamp in images.stamps] == [0.0, 0.4, 0.6]
+    assert [int(images.load(k)[0][-1, 0]) for k in range(3)] == [10, 20, 50]
+    assert "2 images of /image are not later than those before them, left out" in recording.notes()
+
+
 def test_a_bag_of_damaged_images_alone_is_told(tmp_path: Path) -> None:
     message = compressed(BEGIN, 10)
     message.data = message.data[:-60]
