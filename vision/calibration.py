@@ -35,6 +35,8 @@ _OUTLYING_PX, _OUTLYING_TIMES = 0.3, 2.0
 _VAGUE = 0.01
 # Boards turned less than this against each other [deg] are seen from one viewpoint.
 _ONE_VIEW = 15.0
+# Boards turned less than this [deg] tell nothing of the focal length.
+_UNTURNED = 5.0
 # Where no corner was seen, distortion is but continued: this share of width and height is wanted.
 _COVERED = 0.5
 # More than this [px] is not what corners of a flat board give.
@@ -134,6 +136,12 @@ def calibrate(corners: Mapping[str, Array], size: tuple[int, int], board: Board)
             break
         left_out[worst] = errors[worst]
         corners = {name: of for name, of in corners.items() if name != worst}
+    turned = _largest_turn(found.poses)
+    if turned < _UNTURNED:
+        raise CairnError(
+            f"the board was turned by {turned:.0f} deg at most between images: such images do not "
+            "tell the focal length. Take some with the board turned by 30 to 45 deg to every side"
+        )
     if found.rms > USELESS_PX:
         raise CairnError(
             f"an error of {found.rms:.1f} px is no calibration: are all images of one camera, and "

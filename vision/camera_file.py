@@ -84,7 +84,8 @@ def read_camera(file: Path, frame_id: str = "") -> CameraInfo:
     try:
         Lens.of(info)
     except CairnError as error:
-        raise CairnError(f"{file}: {error}") from error
+        told = str(error)
+        raise CairnError(told if told.startswith(f"{file}: ") else f"{file}: {told}") from error
     return info
 
 

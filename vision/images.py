@@ -98,6 +98,11 @@ def decoded(what: str, data: bytes) -> Grey:
         raise CairnError(f"{what} is no image, or a truncated one: give a PNG, JPEG or TIFF file.")
     if pixels.dtype not in (np.uint8, np.uint16, np.float32):
         raise CairnError(f"{what} holds {pixels.dtype} numbers: give an image of 8 or 16 bits.")
+    if pixels.dtype == np.float32 and np.nanmedian(pixels) > 1.0:
+        raise CairnError(
+            f"{what} holds float32 numbers up to {np.nanmax(pixels):g}, where 1 is white: give an "
+            "image of 8 or 16 bits."
+        )
     grey = _grey(pixels)
     _check_size(what, grey.shape[1], grey.shape[0])
     turns, mirrored = _UPRIGHT.get(orientation, (0, False))

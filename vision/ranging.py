@@ -16,6 +16,8 @@ Array = NDArray[np.float64]
 
 # Rectification is never better than this, and its error is the same for all points [px].
 _DISPARITY_FLOOR = 0.15
+# How well a calibration tells baseline and focal length, as a share of them.
+_CALIBRATED = 0.01
 # How well a homography tells where the object's middle is in the image [px].
 _MIDDLE = 0.5
 # A distance whose error is more than this share of it is none: it has no normal distribution.
@@ -87,6 +89,7 @@ def by_stereo(
     jacobian[1, 1] += depth / rig.fy
     jacobian[:, 2] = -ray * depth / disparity
     covariance = jacobian @ np.diag((_MIDDLE**2, _MIDDLE**2, variance)) @ jacobian.T
+    covariance += _CALIBRATED**2 * depth**2 * np.outer(ray, ray)
     return Located(depth * ray, covariance)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import cv2
@@ -31,6 +32,10 @@ _CONTRAST = 2.0
 _RETURN = 1.0
 # A disparity of more is that of something near by, however the rectification is off [px].
 _MOVED = 1.0
+# Rows that the right image may be off are looked for so far up and down [px].
+_ROWS = 5
+# Fewer points tell nothing of an image, nor do those of which no larger share agrees.
+_FEWEST, _AGREE = 8, 0.7
 # Rows and focal lengths of a rectified pair agree, but for what is lost in writing them down.
 _SAME_PX = 0.01
 
@@ -134,6 +139,33 @@ def disparities(
     return result
 
 
+def rows_off(left: Grey, right: Grey, points: NDArray[np.floating], rig: StereoRig) -> float:
+    """By how many rows [px] lower the right image shows `points` (n, 2) of the left one.
+
+    In a rectified pair none; 0 also where too few points tell (fewer than 8), or do not agree.
+    """
+    offs = []
+    reach = HALF + _ROWS
+    high, low = math.ceil(rig.nearest_disparity(0.3) + rig.offset), math.floor(rig.offset - 1.0)
+    for u, v in np.rint(np.asarray(points, np.float64)).astype(int).tolist():
+        begin, end = max(u - high, HALF), min(u - low, rig.width - 1 - HALF)
+        inside = reach <= v < rig.height - reach and HALF <= u < rig.width - HALF
+        if not inside or begin > end:
+            continue
+        patch = left[v - HALF : v + HALF + 1, u - HALF : u + HALF + 1]
+        strip = right[v - reach : v + reach + 1, begin - HALF : end + HALF + 1]
+        if patch.std() < _CONTRAST:
+            continue
+        scores = cv2.matchTemplate(strip, patch, cv2.TM_CCOEFF_NORMED)
+        row, _ = np.unravel_index(int(scores.argmax()), scores.shape)
+        if scores.max() >= _ALIKE:
+            offs.append(int(row) - _ROWS)
+    if len(offs) < _FEWEST:
+        return 0.0
+    off = float(np.median(offs))
+    return off if np.mean(np.abs(np.array(offs) - off) <= 1.0) > _AGREE else 0.0
+
+
 def look_swapped(left: Grey, right: Grey, points: NDArray[np.floating], rig: StereoRig) -> bool:
     """Whether `left` was taken by the right camera: points have moved in the wrong direction.
 
@@ -143,7 +175,7 @@ def look_swapped(left: Grey, right: Grey, points: NDArray[np.floating], rig: Ste
     most = rig.nearest_disparity(0.3)
     found = disparities(left, right, points, rig, least=-most, most=most)
     against = int(np.count_nonzero(found < -_MOVED))
-    return against >= 8 and against > 3 * int(np.count_nonzero(found > _MOVED))
+    return against >= _FEWEST and against > 3 * int(np.count_nonzero(found > _MOVED))
 
 
 def _matched(source: Grey, target: Grey, points: NDArray[np.int64], low: int, high: int) -> Array:

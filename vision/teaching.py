@@ -34,6 +34,9 @@ _ALIKE, _APART, _SHARE = 150.0, 0.1, 0.5
 _NEIGHBOURS = 10
 # What it is tried on: smaller, darker, and turned in front of a grey wall.
 _SMALLER, _DARKER, _TURNED_DEG = 0.6, 0.8, 12.0
+# The image of a usual camera [px], its noise [grey levels], and how large it may show an object.
+_CAMERA, _NOISE = (640, 480), 2.0
+_TRIED = (400, 300, 220, 160, 120, 90, 65, 45)
 
 
 def cut(grey: Grey, box: Box) -> Grey:
@@ -85,6 +88,22 @@ def unfit(view: View) -> str:
     )
 
 
+def recognised_from(view: View) -> int | None:
+    """From how large on [px], its longer side in a camera's image, this view is recognised.
+
+    It is tried upright and turned a little in an image that is well lit, with the noise of a
+    camera. None if it is not even as large as the image allows.
+    """
+    recognizer = Recognizer([TaughtObject(0, "", None, (view,))])
+    smallest = None
+    for longest in _TRIED:
+        scene = _before_a_camera(view, longest)
+        if not recognizer.recognize(extract(scene), scene.shape[1], scene.shape[0]):
+            break
+        smallest = longest
+    return smallest
+
+
 def repeats(view: View) -> bool:
     """Whether the picture is in itself at another place too, as one made of tiles is.
 
@@ -118,6 +137,23 @@ def look_alikes(view: View, known: Sequence[TaughtObject]) -> list[TaughtObject]
     numbers = {one.object_id for one in found}
     numbers.update(other for one in found for other in one.alternatives)
     return [taught for taught in known if taught.object_id in numbers]
+
+
+def _before_a_camera(view: View, longest: int) -> Grey:
+    """An image of a usual camera that shows a view so large [px], turned a little."""
+    width, height = _CAMERA
+    scale = longest / max(view.width, view.height)
+    middle = ((view.width - 1) / 2, (view.height - 1) / 2)
+    turn = np.asarray(cv2.getRotationMatrix2D(middle, _TURNED_DEG, scale), np.float64)
+    turn[:, 2] += ((width - view.width) / 2, (height - view.height) / 2)
+    picture = view.picture
+    if scale < 1.0:
+        picture = np.asarray(cv2.GaussianBlur(picture, (0, 0), 0.5 / scale), np.uint8)
+    # Dark and bright at its sides: a camera exposes for the room, not for the object.
+    scene = np.tile(np.linspace(15.0, 240.0, width), (height, 1)).astype(np.uint8)
+    cv2.warpAffine(picture, turn, _CAMERA, dst=scene, borderMode=cv2.BORDER_TRANSPARENT)
+    noise = np.random.default_rng(0).normal(0.0, _NOISE, scene.shape)
+    return np.clip(np.rint(scene + noise), 0, 255).astype(np.uint8)
 
 
 def _scene(view: View) -> Grey:

@@ -10,8 +10,8 @@ import numpy as np
 
 # The last so many sightings are looked at, of each object at least so many.
 _WINDOW, _LEAST = 60, 8
-# Sizes and photographs are never more exact than this share.
-_SYSTEMATIC = 0.08
+SYSTEMATIC = 0.08
+"""Sizes and photographs are never more exact than this share."""
 
 
 class Agreement:
@@ -40,7 +40,7 @@ def contradiction(name: str, ratios: Mapping[str, float]) -> str:
 
     `ratios` are those of the ranges by stereo to those by size of all objects, by name.
     """
-    off = {key: ratio for key, ratio in ratios.items() if abs(ratio - 1) > _SYSTEMATIC}
+    off = {key: ratio for key, ratio in ratios.items() if abs(ratio - 1) > SYSTEMATIC}
     if name not in off:
         return ""
     told = ", ".join(f"{100 * (ratio - 1):+.0f} % for {key}" for key, ratio in off.items())

@@ -68,6 +68,7 @@ def _draw_one(axes: Axes, one: Recognition, label: str, colour: str) -> None:
     axes.text(
         float(np.clip(x, left, right)), float(np.clip(y, top + 12, bottom)), label,
         color="white", fontsize=9, va="bottom", clip_on=True,
+        ha="left" if x < (left + right) / 2 else "right",
         bbox={"facecolor": colour, "edgecolor": "none", "pad": 1.5, "alpha": 0.8},
     )  # fmt: skip
 
@@ -80,8 +81,8 @@ def _save(figure: Figure, file: Path) -> None:
             "in .png"
         )
     try:
-        # Without the software's name the same picture gives the same bytes.
-        metadata = {"Software": None} if kind == "png" else {}
+        # Without the software's name the same picture gives the same bytes; others take no names.
+        metadata = {"Software": None} if kind == "png" else None
         with replacing(file) as part:
             figure.savefig(part, dpi=_DPI, metadata=metadata, format=kind)
     except OSError as error:

@@ -32,6 +32,9 @@ from vision.taught import TaughtObject
 from vision.taught_store import read_taught
 
 _AT_CAMERA = (0.0, 0.0, 0.0)
+# How well a calibration tells where the camera looks [rad]: its principal point is one or two
+# pixels off.
+_AIM_SD = 0.003
 # Across the image [deg]: hardly a robot's camera sees less, or without distortion more.
 _NARROW, _WIDE = 15.0, 140.0
 
@@ -84,6 +87,8 @@ def recognize(
     or both), which are null where they are not known; doubt says why, or why they may be wrong.
     no_stereo says why nothing was ranged by stereo, and is null if it could be.
     """
+    if out is not None and any(_same(out, given) for given in (image, right_image)):
+        raise CairnError(f"--out {out} is the image that is to be looked at: give another name")
     infos = camera_info or []
     if len(infos) > 2:
         raise CairnError("give --camera-info for the left camera, and once more for the right one")
@@ -97,7 +102,8 @@ def recognize(
         for file, grey, calibration in given:
             _check_size(file, grey, calibration)
         cameras = cameras_of(calibrations[0], calibrations[1] if len(infos) == 2 else None)
-    seen = _seen(left, right, cameras, {known.object_id: known for known in taught.objects})
+    known = {one.object_id: one for one in taught.objects}
+    seen = _seen(image, right_image, left, right, cameras, known)
     names = {known.object_id: known.name for known in taught.objects}
     objects = [_object(one, names) for one in seen.sightings]
     if out is not None:
@@ -126,8 +132,17 @@ def recognize(
         note(remark)
 
 
+def _same(one: Path, other: Path | None) -> bool:
+    return other is not None and one.exists() and other.exists() and one.samefile(other)
+
+
 def _seen(
-    left: Grey, right: Grey | None, cameras: Cameras | None, known: dict[int, TaughtObject]
+    image: Path,
+    right_image: Path | None,
+    left: Grey,
+    right: Grey | None,
+    cameras: Cameras | None,
+    known: dict[int, TaughtObject],
 ) -> Seen:
     remarks = []
     if not known:
@@ -150,13 +165,18 @@ def _seen(
         if not no_stereo and right is not None and cameras.right is not None:
             other = cameras.right.apply(right)
             if swapped(rectified, other, features, cameras.rig):
-                raise CairnError("left and right are swapped: give the left camera's image first")
+                raise CairnError(
+                    f"left and right are swapped, for {image} shows what the right camera sees: "
+                    f"give the left camera's image first, {right_image}"
+                )
         sightings = _doubted(
             without_wrong_twins([sighted(one, known, cameras, rectified, other) for one in found])
         )
         if other is not None and not any(one.by_stereo for one in sightings):
             no_stereo = unlike(rectified, other, features, cameras.rig)
-            if sightings and not no_stereo:
+            if any(one.rows_off for one in sightings):
+                no_stereo = "the rows of the images are not aligned"
+            elif sightings and not no_stereo:
                 no_stereo = "what was recognised is not found in the right image, or is too far"
         if no_stereo and (right is not None or cameras.right is not None):
             remarks.append(f"no stereo: {no_stereo}")
@@ -213,7 +233,7 @@ def _check_size(file: Path | None, grey: Grey | None, calibration: CameraInfo) -
 
 def _object(one: Sighting, names: dict[int, str]) -> dict[str, Any]:
     recognition, located = one.recognition, one.located
-    place = place_of(located, _AT_CAMERA) if located is not None else None
+    place = place_of(located, _AT_CAMERA, _AIM_SD) if located is not None else None
     return {
         "object_id": recognition.object_id,
         "name": recognition.name,

@@ -11,10 +11,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from components.object_recognizer.agreement import SYSTEMATIC
 from components.object_recognizer.cameras import Cameras
 from vision.ranging import Located, by_size, by_stereo, fused
 from vision.recognition import Recognition
-from vision.stereo import disparities
+from vision.stereo import disparities, rows_off
 from vision.taught import TaughtObject
 
 Array = NDArray[np.float64]
@@ -24,6 +25,12 @@ Way = Literal["stereo", "size", "both", "none"]
 APART: Final = 0.25
 """Ranges by stereo and by size that differ by a larger share are of no use."""
 
+# Ranges by stereo and by size that differ by more than so many deviations, and by more than what
+# sizes err by anyway, contradict each other.
+_DEVIATIONS = 2.5
+# Of an object's points more than this share are found in the right image, unless it is covered
+# there, or so many rows [px] off.
+_MATCHED, _ALIGNED = 0.6, 1.0
 # More disparities tell hardly more, but each takes its time.
 _MOST_POINTS = 60
 
@@ -34,7 +41,8 @@ class Sighting:
 
     `located` is in the rectified left optical frame; `way` says by what. `ratio` is the distance
     by stereo over that by size, where there are both; `consistent` is whether the two may be of
-    one place, as sure as they are. `doubt` says why `located` is None.
+    one place, as sure as they are. `doubt` says why `located` is None, or why stereo is not used;
+    `rows_off` [px] is then how much lower the right image shows the object, if that is why.
     """
 
     recognition: Recognition
@@ -43,6 +51,7 @@ class Sighting:
     ratio: float | None = None
     doubt: str = ""
     consistent: bool = True
+    rows_off: float = 0.0
 
     @property
     def by_stereo(self) -> bool:
@@ -76,9 +85,14 @@ def sighted(
     stereo = None
     if right is not None and cameras.right is not None:
         points = recognition.image_points[:: max(1, recognition.inliers // _MOST_POINTS)]
-        stereo = by_stereo(
-            points, disparities(left, right, points, cameras.rig), middle, cameras.rig
-        )
+        found = disparities(left, right, points, cameras.rig)
+        off = 0.0
+        if np.isfinite(found).mean() < _MATCHED:
+            off = rows_off(left, right, points, cameras.rig)
+        if abs(off) > _ALIGNED:
+            alone = _judged(recognition, taught, None, size, stereo_given=True)
+            return replace(alone, doubt=_misaligned(taught, off, alone.doubt), rows_off=off)
+        stereo = by_stereo(points, found, middle, cameras.rig)
         if stereo is not None and size is not None and _apart(stereo, size):
             # Of two that look alike one may have been matched with the other.
             expected = cameras.rig.fx * cameras.rig.baseline / float(size.position[2])
@@ -146,8 +160,26 @@ def _judged(
         return Sighting(recognition, None, "none", ratio, doubt, consistent=False)
     both = fused(stereo, size)
     assert both is not None
-    located = both.located if both.consistent else _either(stereo, size)
-    return Sighting(recognition, located, "both", ratio, consistent=both.consistent)
+    consistent = both.consistent and not _contradict(stereo, size, ratio)
+    located = both.located if consistent else _either(stereo, size)
+    return Sighting(recognition, located, "both", ratio, consistent=consistent)
+
+
+def _misaligned(taught: TaughtObject, off: float, doubt: str) -> str:
+    told = (
+        f"{taught.name}: stereo is not used, for the right image shows it {abs(off):.0f} rows "
+        f"{'lower' if off > 0 else 'higher'}: the cameras are not where their calibration has "
+        "them; calibrate them anew with `cairn camera calibrate`"
+    )
+    return "; ".join(filter(None, (told, doubt)))
+
+
+def _contradict(stereo: Located, size: Located, ratio: float) -> bool:
+    ray = size.position / np.linalg.norm(size.position)
+    deviation = math.sqrt(float(ray @ (stereo.covariance + size.covariance) @ ray))
+    off = abs(ratio - 1.0)
+    far = float(np.linalg.norm(size.position))
+    return off > SYSTEMATIC and off * far > _DEVIATIONS * deviation
 
 
 def _apart(one: Located, other: Located) -> bool:

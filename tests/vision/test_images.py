@@ -258,6 +258,7 @@ def test_what_is_no_image_is_refused_by_name(tmp_path: Path) -> None:
     (tmp_path / "empty.png").touch()
     (tmp_path / "text.png").write_text("no image " * 50)
     cv2.imwrite(str(tmp_path / "tiny.png"), GREY[:3, :3])
+    cv2.imwrite(str(tmp_path / "bright.tif"), np.maximum(GREY, 255).astype(np.float32))
     Picture.new("1", (20000, 10000)).save(tmp_path / "huge.png")
 
     for name, complaint in {
@@ -266,6 +267,7 @@ def test_what_is_no_image_is_refused_by_name(tmp_path: Path) -> None:
         "text.png": "is no image",
         "tiny.png": "has 3 x 3 pixels: too few",
         "huge.png": "is too large",
+        "bright.tif": "holds float32 numbers up to 255, where 1 is white",
         ".": "Is a directory",
     }.items():
         with pytest.raises(CairnError, match=complaint) as told:

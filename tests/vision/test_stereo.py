@@ -24,7 +24,7 @@ from tests.vision.cameras import (
     projection,
 )
 from vision.alignment import aligned
-from vision.stereo import StereoRig, disparities, look_swapped
+from vision.stereo import StereoRig, disparities, look_swapped, rows_off
 
 ALOE = Path(__file__).parents[1] / "data" / "stereo"
 RIG = StereoRig.of(info(), info("right"))
@@ -131,6 +131,22 @@ def test_swapped_images_are_told_by_their_negative_disparities() -> None:
     assert np.nanmedian(wrong) == pytest.approx(-15.0, abs=0.1)
     assert look_swapped(right, left, points, RIG)
     assert not look_swapped(left, right, points, RIG)
+
+
+@pytest.mark.parametrize("rows", [-5, -2, 0, 3])
+def test_rows_that_are_not_aligned_are_measured(rows: int) -> None:
+    left, right = plane_pair(3, (15.0, 0.02, 0.0))
+
+    assert rows_off(left, np.roll(right, rows, axis=0), places(3), RIG) == rows
+
+
+def test_images_of_different_things_are_not_said_to_be_rows_apart() -> None:
+    left, _ = plane_pair(3, (15.0, 0.0, 0.0))
+    _, right = plane_pair(4, (15.0, 0.0, 0.0))
+
+    assert rows_off(left, right, places(3), RIG) == 0.0
+    assert rows_off(left, np.full_like(left, 120), places(3), RIG) == 0.0
+    assert rows_off(left, right, np.zeros((0, 2)), RIG) == 0.0
 
 
 def test_nothing_is_said_of_swapping_where_nothing_is_seen() -> None:

@@ -148,15 +148,15 @@ def test_an_image_without_the_board_and_one_without_its_other_are_named(
     assert len(told["cameras"]["left"]["errors_px"]) == 5
 
 
-def test_images_from_one_viewpoint_are_warned_of(tmp_path: Path) -> None:
+def test_images_from_one_viewpoint_are_refused(tmp_path: Path) -> None:
     for number in range(3):
         shutil.copy(IMAGES / "left01.jpg", tmp_path / f"{number}.jpg")
 
     answer = calibrate(tmp_path, out=tmp_path / "out")
 
-    assert answer.code == 0
-    assert "the focal length is" in answer.err
-    assert "turned by 0 deg at most between images; take more" in answer.err
+    assert answer.code == 1
+    assert "turned by 0 deg at most between images: such images do not tell" in answer.err
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_calibration_is_not_replaced_unasked(folder: Path, tmp_path: Path) -> None:

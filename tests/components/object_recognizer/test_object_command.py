@@ -43,7 +43,9 @@ def test_an_object_is_taught_listed_shown_and_removed(folder: Path) -> None:
 
     again = cairn("object", "teach", "cup", photo("b.png", picture_of(2)), "--json").json
     assert (again["object_id"], again["views"], again["map"]) == (1, 2, "visual_map.cairn")
-    assert again["taught"] == [{"image": "b.png", "width": 400, "height": 300, "features": 300}]
+    (view,) = again["taught"]
+    assert 45 <= view.pop("recognised_from") <= 90
+    assert view == {"image": "b.png", "width": 400, "height": 300, "features": 300}
     assert (again["look_alikes"], again["remarks"]) == ([], [])
 
     (row,) = cairn("object", "list", "--json").json
@@ -141,6 +143,19 @@ def test_a_photograph_is_taught_once(folder: Path) -> None:
     assert again.json["remarks"] == ["b.png is a view of it already: left out"]
 
 
+@pytest.mark.parametrize(
+    ("contrast", "why"), [(0.17, "and not from farther away"), (0.1, "so little contrast")]
+)
+def test_what_is_hardly_seen_by_a_camera_is_told(folder: Path, contrast: float, why: str) -> None:
+    faint = photo("a.png", (120.0 + contrast * picture_of(1)).astype(np.uint8))
+
+    taught = cairn("object", "teach", "cup", faint, "--size", "0.4,0.3", "--json").json
+
+    (view,) = taught["taught"]
+    assert view["recognised_from"] is None or view["recognised_from"] >= 160
+    assert why in taught["remarks"][0]
+
+
 WALL = np.full((300, 400), 180, np.uint8)
 STRIPES = np.tile(np.repeat(np.array([60, 200], np.uint8), 20), (300, 10))
 
@@ -205,6 +220,7 @@ def test_maps_and_names_that_are_not_there_are_told(folder: Path) -> None:
         ("folder", "folder is a folder. Give a map file"),
         ("/dev/null", "/dev/null is no file that can hold a map"),
         ("/proc/new.cairn", "/proc/new.cairn: No such file or directory; correct the path"),
+        ("none/new.cairn", "--map none/new.cairn: there is no folder none: make it, or correct it"),
         ("a.png/new.cairn", "a.png: File exists; something else has this name"),
         ("a.png", "a.png: file is not a database. It is damaged or no map"),
     ],

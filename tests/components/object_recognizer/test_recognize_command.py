@@ -108,6 +108,27 @@ def test_a_right_image_that_tells_nothing_is_told(folder: Path, right: str, why:
     assert f"no stereo: {why}" in cairn("recognize", left, right, *BOTH).err
 
 
+def test_rows_that_are_not_aligned_are_told_and_stereo_is_not_used(folder: Path) -> None:
+    right = cv2.imread("right.png", cv2.IMREAD_GRAYSCALE)
+    cv2.imwrite("lower.png", np.roll(np.asarray(right), 3, axis=0))
+
+    answer = cairn("recognize", "left.png", "lower.png", *BOTH, "--json").json
+
+    assert answer["no_stereo"] == "the rows of the images are not aligned"
+    poster = next(one for one in answer["objects"] if one["name"] == "poster")
+    assert poster["ranged_by"] == "size"
+    assert poster["range"] == pytest.approx(math.hypot(0.3, 1.5), abs=0.1)
+    assert "the right image shows it 3 rows lower" in poster["doubt"]
+
+
+@pytest.mark.parametrize("suffix", ["jpg", "tif", "webp", "svg"])
+def test_a_picture_of_another_kind_is_drawn(folder: Path, suffix: str) -> None:
+    answer = cairn("recognize", "left.png", "--out", f"found.{suffix}")
+
+    assert answer.code == 0
+    assert Path(f"found.{suffix}").stat().st_size > 1000
+
+
 def test_a_pair_that_is_one_is_not_doubted(folder: Path) -> None:
     answer = cairn("recognize", "left.png", "right.png", *BOTH, "--json")
     assert (answer.json["no_stereo"], answer.json["remarks"]) == (None, [])
@@ -162,8 +183,9 @@ def test_nothing_recognised_is_no_error(folder: Path) -> None:
         (("left.png", "--camera-info", "left.yaml", "--out", "no/found.png"), "cannot be written"),
         (
             ("right.png", "left.png", "--camera-info", "left.yaml", "--camera-info", "right.yaml"),
-            "left and right are swapped: give the left camera's image first",
+            "left and right are swapped, for right.png shows what the right camera sees",
         ),
+        (("left.png", "--out", "left.png"), "--out left.png is the image that is to be looked at"),
         (
             ("left.png", "right.png", "--camera-info", "right.yaml", "--camera-info", "left.yaml"),
             "left and right are swapped",
