@@ -121,6 +121,17 @@ def test_rows_that_are_not_aligned_are_told_and_stereo_is_not_used(folder: Path)
     assert "the right image shows it 3 rows lower" in poster["doubt"]
 
 
+def test_a_calibration_that_is_a_tenth_off_is_told_and_widens_the_range(folder: Path) -> None:
+    write_camera(Path("right.yaml"), info(right=True, baseline=1.1 * BASELINE), "right")
+
+    answer = cairn("recognize", "left.png", "right.png", *BOTH, "--json").json
+
+    poster = next(one for one in answer["objects"] if one["name"] == "poster")
+    off = abs(poster["range"] - math.hypot(0.3, 1.5))
+    assert off < 3 * math.sqrt(poster["covariance"][0])
+    assert "ranges by stereo differ from those by size (+10 % for poster" in poster["doubt"]
+
+
 @pytest.mark.parametrize("suffix", ["jpg", "tif", "webp", "svg"])
 def test_a_picture_of_another_kind_is_drawn(folder: Path, suffix: str) -> None:
     answer = cairn("recognize", "left.png", "--out", f"found.{suffix}")
