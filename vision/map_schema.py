@@ -54,5 +54,12 @@ _TAUGHT: Final = (
 # From where an object is usually recognised: JSON, "" for nothing known.
 _VIEWPOINTS: Final = ("ALTER TABLE objects ADD COLUMN viewpoints TEXT NOT NULL DEFAULT ''",)
 
-FORMATS: Final[tuple[tuple[str, ...], ...]] = (_MAP, _TAUGHT + _VIEWPOINTS)
+# What a row is known to be whole by; NULL in rows that older programs wrote. That of a view does
+# not cover its picture, which has one of its own and is not always read.
+_CHECKSUMS: Final = (
+    "ALTER TABLE objects ADD COLUMN checksum INTEGER",
+    "ALTER TABLE taught_views ADD COLUMN checksum INTEGER",
+)
+
+FORMATS: Final[tuple[tuple[str, ...], ...]] = (_MAP, _TAUGHT + _VIEWPOINTS, _CHECKSUMS)
 """What each format adds to the one before, the first to an empty file."""

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image as Picture
 
+from vision.checksum import check, checksum
 from vision.features import DESCRIPTOR, Features
 from vision.taught import View
 
@@ -26,7 +27,7 @@ _MOST_SIDE: Final = 2**15 - 1  # [px], as OpenCV can transform
 def view_row(object_id: int, view: View) -> Row:
     """The row of table `taught_views`, without its number."""
     features = view.features
-    return (
+    seen = (
         object_id,
         view.width,
         view.height,
@@ -34,8 +35,8 @@ def view_row(object_id: int, view: View) -> Row:
         features.scales.astype(_NUMBER).tobytes(),
         features.angles.astype(_NUMBER).tobytes(),
         features.descriptors.tobytes(),
-        cv2.imencode(".png", view.picture)[1].tobytes(),
     )
+    return (*seen, cv2.imencode(".png", view.picture)[1].tobytes(), checksum(seen))
 
 
 def view_from_row(row: Row, with_picture: bool) -> View:
@@ -46,6 +47,7 @@ def view_from_row(row: Row, with_picture: bool) -> View:
     if beyond.any():
         raise ValueError("a feature lies outside of its picture")
     picture = _picture(row[7], width, height) if with_picture else np.zeros((0, 0), np.uint8)
+    check(row[:7], row[8])
     return View(width, height, features, picture)
 
 

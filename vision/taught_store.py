@@ -98,7 +98,7 @@ def teach(path: Path, name: str, views: Sequence[View], size: Size | None = None
             )
         connection.executemany(
             "INSERT INTO taught_views (object_id, width, height, points, scales, angles, "
-            "descriptors, picture) VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
+            "descriptors, picture, checksum) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)",
             (view_row(object_id, view) for view in views),
         )
     return object_id
@@ -135,8 +135,8 @@ def _taught(path: Path, connection: sqlite3.Connection, pictures: bool) -> Taugh
         "SELECT object_id, name, width_m, height_m FROM taught_objects ORDER BY object_id"
     ).fetchall():
         rows = connection.execute(
-            f"SELECT object_id, width, height, points, scales, angles, descriptors, {picture} "
-            "FROM taught_views WHERE object_id = ? ORDER BY view_id",
+            f"SELECT object_id, width, height, points, scales, angles, descriptors, {picture}, "
+            "checksum FROM taught_views WHERE object_id = ? ORDER BY view_id",
             (object_id,),
         )
         try:

@@ -16,6 +16,7 @@ from components.map_builder.objects import (
 )
 from components.map_builder.place import Place
 from components.map_builder.viewpoints import NOWHERE, Cell, Viewpoints
+from vision.checksum import check, checksum
 
 Row = tuple[Any, ...]
 
@@ -29,7 +30,7 @@ _ELSEWHERE = (float("inf"), float("inf"), 0.0)
 def object_row(known: MapObject) -> Row:
     """The row of table `objects`."""
     found = known.candidate
-    return (
+    row = (
         known.object_id,
         known.name,
         *_place_row(known.place),
@@ -41,6 +42,7 @@ def object_row(known: MapObject) -> Row:
         found.sightings if found else None,
         json.dumps(asdict(known.viewpoints)),
     )
+    return (*row, checksum(row))
 
 
 def object_from_row(row: Row) -> MapObject:
@@ -56,7 +58,7 @@ def object_from_row(row: Row) -> MapObject:
             candidate = Candidate(candidate_place, _probability(row[15]), sightings, _ELSEWHERE)
         if "\0" in str(row[1]):
             raise ValueError("name holds a NUL")
-        return MapObject(
+        found = MapObject(
             object_id=_within("object_id", int(row[0]), 0, _MOST),
             name=str(row[1]),
             place=_place(row[2:7]),
@@ -66,6 +68,8 @@ def object_from_row(row: Row) -> MapObject:
             candidate=candidate,
             viewpoints=_viewpoints(str(row[17])),
         )
+        check(row[:18], row[18])
+        return found
     except (ValueError, TypeError, KeyError) as error:
         raise ValueError(f"object {row[0]}: {error}") from error
 

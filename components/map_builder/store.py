@@ -151,7 +151,7 @@ class MapStore:
         """Write objects, evidence and changes (version, stamp [ns], change), all or nothing."""
         with writing(self.path, self._connection) as transaction:
             transaction.executemany(
-                f"INSERT OR REPLACE INTO objects VALUES ({_marks(18)})", map(object_row, objects)
+                f"INSERT OR REPLACE INTO objects VALUES ({_marks(19)})", map(object_row, objects)
             )
             transaction.executemany(
                 f"INSERT INTO evidence VALUES ({_marks(18)})",

@@ -135,6 +135,10 @@ def test_what_was_never_taught_cannot_be_removed(map_file: Path) -> None:
 @pytest.mark.parametrize(
     ("damage", "complaint"),
     [
+        (
+            "UPDATE taught_views SET descriptors = zeroblob(length(descriptors))",
+            "it is not as it was written: its checksum differs",
+        ),
         ("UPDATE taught_views SET points = x'00'", "its points are 1 bytes instead of"),
         ("UPDATE taught_views SET descriptors = 'text'", "its descriptors are str instead of"),
         ("UPDATE taught_views SET scales = zeroblob(length(scales))", "no number"),

@@ -5,20 +5,28 @@ import os
 import random
 import signal
 import sqlite3
+import struct
 import subprocess
 import sys
 import textwrap
 import time
+from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from components.map_builder.importing import write_map
 from components.map_builder.keeper import MapKeeper
 from components.map_builder.objects import Kind, State
+from components.map_builder.place import Place
 from components.map_builder.store import open_map
 from tests.components.map_builder.evidence import THERE, sighting, surveyed
 from tests.vision.taught_objects import view
+from vision.checksum import check, checksum
 from vision.map_file import MapFileError, copy_map
 from vision.taught_store import teach
 
@@ -202,7 +210,7 @@ def broken(path: Path, how: str) -> None:
         ("text", "damaged or no map"),
         ("empty", "not a visual map of Cairn"),
         ("foreign", "not a visual map of Cairn"),
-        ("newer", "has format 99, this Cairn reads formats up to 2"),
+        ("newer", "has format 99, this Cairn reads formats up to 3"),
         ("missing", "no such map file"),
     ],
 )
@@ -256,3 +264,39 @@ def test_the_reason_of_each_change_can_be_read_as_json(map_file: Path) -> None:
         last = json.loads(json.dumps(store.history()))[-1]
     assert last[2:5] == [7, "REMOVED", pytest.approx(0.1)]
     assert "1.50 m away" in last[5]
+
+
+def test_a_place_that_is_not_as_it_was_written_is_told(tmp_path: Path) -> None:
+    path = tmp_path / "b.map"
+    write_map(path, "a test", [replace(surveyed(), place=Place(0.3, 0.7, 0.01, 0.0, 0.01))])
+    data = bytearray(path.read_bytes())
+    data[data.index(struct.pack(">d", 0.3)) + 3] ^= 0x08  # as SQLite writes it
+    path.write_bytes(data)
+
+    with pytest.raises(MapFileError, match="object 7: it is not as it was written") as told:
+        open_map(path, read_only=True).objects()
+
+    assert "b.map" in str(told.value)
+    assert "put back a copy" in str(told.value)
+
+
+VALUES = st.one_of(
+    st.none(),
+    st.text(st.characters(codec="utf-8", exclude_characters="\0")),
+    st.binary(),
+    st.floats(-1e9, 1e9),
+    st.integers(0, 2**32),
+)
+
+
+@given(st.lists(VALUES))
+def test_a_row_is_known_again_as_the_file_gives_it(values: list[Any]) -> None:
+    with closing(sqlite3.connect(":memory:")) as connection:
+        kinds = {float: "REAL", int: "REAL", bytes: "BLOB"}
+        columns = [f"c{k} {kinds.get(type(value), 'TEXT')}" for k, value in enumerate(values)]
+        connection.execute(f"CREATE TABLE t ({', '.join(['c INTEGER', *columns])})")
+        marks = ", ".join("?" * (len(values) + 1))
+        connection.execute(f"INSERT INTO t VALUES ({marks})", (checksum(values), *values))
+        stored, *row = connection.execute("SELECT * FROM t").fetchone()
+
+    check(row, stored)
