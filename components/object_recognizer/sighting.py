@@ -31,6 +31,8 @@ _DEVIATIONS = 2.5
 # Of an object's points more than this share are found in the right image, unless it is covered
 # there, or so many rows [px] off.
 _MATCHED, _ALIGNED = 0.6, 1.0
+# Points that tell how many rows; each takes its time.
+_PROBES = 20
 # More disparities tell hardly more, but each takes its time.
 _MOST_POINTS = 60
 
@@ -88,7 +90,8 @@ def sighted(
         found = disparities(left, right, points, cameras.rig)
         off = 0.0
         if np.isfinite(found).mean() < _MATCHED:
-            off = rows_off(left, right, points, cameras.rig)
+            some = points[:: max(1, len(points) // _PROBES)]
+            off = rows_off(left, right, some, cameras.rig)
         if abs(off) > _ALIGNED:
             alone = _judged(recognition, taught, None, size, stereo_given=True)
             return replace(alone, doubt=_misaligned(taught, off, alone.doubt), rows_off=off)
