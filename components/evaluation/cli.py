@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import os
-from concurrent.futures import ProcessPoolExecutor
 from json import dumps
-from multiprocessing import get_context
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated
@@ -16,6 +14,7 @@ from cairn.cli.connection import Json
 from cairn.cli.report_folder import writing_report
 from cairn.cli.seeds import seeds_of
 from cairn.cli.tables import line, note, print_json
+from cairn.cli.workers import worker_pool
 from cairn.errors import CairnError
 from components.evaluation.pictures import draw_tracks, draw_ways
 from components.evaluation.report import report_lines
@@ -110,7 +109,7 @@ def _run(trials: list[Trial], logs: Path, workers: int, *, quiet: bool) -> list[
     runs: list[RunResult] = []
     with (
         TemporaryDirectory(prefix="cairn-evaluation-") as scratch,
-        ProcessPoolExecutor(min(workers, len(trials)), mp_context=get_context("spawn")) as pool,
+        worker_pool(min(workers, len(trials))) as pool,
     ):
         begun = [pool.submit(run_trial, trial, scratch, logs) for trial in trials]
         for trial, future in zip(trials, begun, strict=True):

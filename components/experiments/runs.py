@@ -5,13 +5,13 @@ from __future__ import annotations
 import logging
 import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from dataclasses import dataclass
-from multiprocessing import get_context
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from cairn.cli.log_file import log_file
+from cairn.cli.workers import worker_pool
 from cairn.errors import CairnError
 from cairn.placement.lockstep_run import LockstepRun
 from components.experiments.pairs import Plan, planned
@@ -44,7 +44,7 @@ def run_all(jobs: Sequence[Job], workers: int, tell: Callable[[Job, str], None])
     """Run them, and give why each failed, "" if it did not; `tell` is told of each at its end."""
     failures = [""] * len(jobs)
     count = min(workers or os.cpu_count() or 1, len(jobs))
-    with ProcessPoolExecutor(count, mp_context=get_context("spawn")) as pool:
+    with worker_pool(count) as pool:
         begun = {pool.submit(run, job): number for number, job in enumerate(jobs)}
         for future in as_completed(begun):
             number = begun[future]
