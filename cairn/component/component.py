@@ -25,6 +25,10 @@ class Context(Protocol):
         """Run `call` once at that time of the component's clock, while active."""
         ...
 
+    def post(self, call: Callable[[], None]) -> None:
+        """Run `call` among the handlers, while active; from any thread."""
+        ...
+
     def finish(self, reason: str, *, success: bool = True) -> None:
         """End the component normally once the current handler returns."""
         ...
@@ -41,8 +45,12 @@ class Component:
     """
 
     is_supervisor: ClassVar[bool] = False
-    clock_source: ClassVar[Literal["deployment", "system"]] = "deployment"
-    """`system`: this component keeps system time even where the deployment's time is simulated."""
+    clock_source: ClassVar[Literal["deployment", "system", "device"]] = "deployment"
+    """`system`: this component keeps system time even where the deployment's time is simulated.
+
+    `device`: it drives a device, which lives in the system's time alone: it is refused in lockstep,
+    and where the deployment's time is simulated.
+    """
 
     config: Config
 
@@ -89,6 +97,14 @@ class Component:
     def schedule(self, at: int, call: Callable[[], None]) -> None:
         """Run `call` once when `self.clock` reaches `at` [ns]; forgotten on deactivation."""
         self._context.schedule(at, call)
+
+    def post(self, call: Callable[[], None]) -> None:
+        """Run `call` as one of the handlers, soon; forgotten if the component is not active then.
+
+        This, and the log, are all that a thread of a driver's own may use of its component. The
+        call is made by that thread itself if no other handler is at work.
+        """
+        self._context.post(call)
 
     def finish(self, reason: str, *, success: bool = True) -> None:
         """End normally, not to be restarted, once the current handler returns.

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from cairn.bus.bus import Bus, full_name
-from cairn.clock import Clock, SimulatedClock, from_ns
+from cairn.clock import Clock, SimulatedClock, SystemClock, from_ns
 from cairn.component.clock_input import TOPIC, ClockInput
 from cairn.component.component import Component
 from cairn.component.lifecycle import Recoveries, State, Transition, goal
@@ -61,7 +61,7 @@ class End:
 
 
 class Runtime:
-    """One running component. All methods but `status` belong to the scheduler's thread."""
+    """One running component. Of its methods only `status` and `post` are for any thread."""
 
     def __init__(
         self,
@@ -89,6 +89,14 @@ class Runtime:
         self._finishing: End | None = None
         self._reason = f"restarted: {assignment.former_end}" if assignment.former_end else ""
         self._recoveries = Recoveries()
+        if component.clock_source == "device" and (
+            assignment.simulated_time or not isinstance(system_clock, SystemClock)
+        ):
+            raise CairnError(
+                f"{self.name}: plugin {assignment.plugin} drives a device, which cannot follow "
+                "simulated time; start the deployment without --lockstep and with `clock: system`, "
+                "or put a simulated driver in its place"
+            )
         simulated = assignment.simulated_time and component.clock_source == "deployment"
         told = SimulatedClock() if simulated else None
         self.clock: Clock = system_clock if told is None else told
@@ -111,6 +119,11 @@ class Runtime:
         """Have the component's `call` made at `at` [ns] of its clock."""
         name = getattr(call, "__name__", "scheduled call")
         self._timing.at(at, partial(self.run, name, call))
+
+    def post(self, call: Callable[[], None]) -> None:
+        """Have the component's `call` made among its handlers; from any thread."""
+        name = getattr(call, "__name__", "posted call")
+        self._scheduler.deliver(partial(self.run, name, call))
 
     def finish(self, reason: str, *, success: bool = True) -> None:
         """End normally once the current handler returns."""

@@ -43,6 +43,7 @@ def wiring_problems(root: Node, placed: list[Placed]) -> Iterator[Problem]:
         yield from _types(topic, ends)
         if topic not in written:
             yield from _unwritten(topic, ends, written, complete)
+    yield from _devices(root, placed)
     yield from _clock(root, topics[_CLOCK], _CLOCK in external)
 
 
@@ -96,6 +97,21 @@ def _clock(root: Node, ends: list[_End], external: bool) -> Iterator[Problem]:
             yield writer.problem(
                 f"{writer.placed.cls.__name__} makes the simulated clock, but waits for it itself",
                 'give the class `clock_source = "system"`',
+            )
+
+
+def _devices(root: Node, placed: list[Placed]) -> Iterator[Problem]:
+    clock = root.find("clock")
+    if clock is None or clock.value != "simulated":
+        return
+    for one in placed:
+        plugin = one.node.find("plugin")
+        if plugin is not None and one.cls is not None and one.cls.clock_source == "device":
+            yield Problem(
+                plugin.where,
+                dotted((*one.path, "plugin")),
+                f"{one.cls.__name__} drives a device, which cannot follow simulated time",
+                "use clock: system, or put a simulated or replayed driver in its place",
             )
 
 
