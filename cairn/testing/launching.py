@@ -1,0 +1,234 @@
+"""Runs `cairn up` as a user would, watches its lines, and proves that nothing of it is left."""
+
+import contextlib
+import json
+import os
+import re
+import select
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from textwrap import dedent
+from typing import Any
+from uuid import uuid4
+
+import psutil
+
+CAIRN = str(Path(sys.executable).parent / "cairn")
+"""The command of the environment that runs the tests."""
+
+LIMIT_S = 20.0
+"""What is waited for is given up after so long, unless told otherwise."""
+
+_MARK = "CAIRN_TEST_RUN"  # in the environment of all processes of a run, grandchildren included
+
+
+class Run:
+    """A running `cairn up`: its lines as they come, its processes, its end."""
+
+    def __init__(
+        self,
+        arguments: Sequence[str],
+        report: Path,
+        endpoint: str,
+        environment: Mapping[str, str],
+        head: int | None,
+        **how: Any,
+    ) -> None:
+        self.report = report
+        self.endpoint = endpoint
+        self.lines: list[str] = []
+        self._mark = uuid4().hex
+        self._head = head
+        self._changed = threading.Condition()
+        self._ended = False
+        self.process = subprocess.Popen(
+            [CAIRN, "up", *arguments, "--report", str(report)],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            stdin=subprocess.DEVNULL,
+            text=True,
+            env={**os.environ, **environment, _MARK: self._mark},
+            **how,
+        )
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    def await_line(self, pattern: str, *, after: int = 0, limit_s: float = LIMIT_S) -> int:
+        """Wait for a line that contains the pattern; returns its number, for `after`."""
+        deadline = time.monotonic() + limit_s
+        number = after
+        with self._changed:
+            while True:
+                for line in self.lines[number:]:
+                    number += 1
+                    if re.search(pattern, line):
+                        return number
+                assert not self._ended, f"it ended without a line {pattern!r}; {self}"
+                left_s = deadline - time.monotonic()
+                assert left_s > 0, f"no line {pattern!r} within {limit_s:g} s; {self}"
+                self._changed.wait(left_s)
+
+    def await_end(self, limit_s: float = LIMIT_S) -> int:
+        """Wait for the end of `cairn up`; returns its exit code."""
+        try:
+            code = self.process.wait(limit_s)
+        except subprocess.TimeoutExpired:
+            raise AssertionError(f"it does not end within {limit_s:g} s; {self}") from None
+        self._reader.join(limit_s)
+        return code
+
+    def stop(self, limit_s: float = LIMIT_S) -> int:
+        """Press Ctrl-C and wait for the end; returns the exit code."""
+        self.process.send_signal(signal.SIGINT)
+        return self.await_end(limit_s)
+
+    def pid_of(self, component: str) -> int:
+        """The process of a component, or of the `zygote`."""
+        found = [
+            process.pid
+            for process in self._processes()
+            if " ".join(process.cmdline()).startswith(f"cairn: {component}")
+        ]
+        assert len(found) == 1, f"{component} has the processes {found}; {self}"
+        return found[0]
+
+    def pids(self) -> list[int]:
+        """All processes of the run, grandchildren included."""
+        return [process.pid for process in self._processes()]
+
+    def await_nothing_left(self, limit_s: float = LIMIT_S) -> None:
+        """Wait until no process of the run is left; kill and tell those that stay."""
+        deadline = time.monotonic() + limit_s
+        while (left := self._processes()) and time.monotonic() < deadline:
+            await_any_end([process.pid for process in left], deadline - time.monotonic())
+        names = []
+        for process in left:
+            with contextlib.suppress(psutil.NoSuchProcess):
+                names.append(f"{process.pid} {' '.join(process.cmdline())}")
+                process.kill()
+        assert not names, f"left running: {names}; {self}"
+
+    def log_of(self, component: str) -> str:
+        """What is in the log file of a component."""
+        return (self.report / "logs" / f"{component}.log").read_text(encoding="utf-8")
+
+    def __str__(self) -> str:
+        """What it said, for the message of a test that fails."""
+        return "its lines:\n" + "".join(self.lines)
+
+    def _processes(self) -> list[psutil.Process]:
+        found = []
+        for process in psutil.process_iter():
+            with contextlib.suppress(psutil.NoSuchProcess, psutil.AccessDenied):
+                if (
+                    process.status() != psutil.STATUS_ZOMBIE
+                    and process.environ().get(_MARK) == self._mark
+                ):
+                    found.append(process)
+        return found
+
+    def _read(self) -> None:
+        assert self.process.stdout is not None
+        for line in self.process.stdout:
+            self._add(line)
+            if len(self.lines) == self._head:
+                break
+        self.process.stdout.close()
+        self._ended = True
+        self._add("")
+
+    def _add(self, line: str) -> None:
+        with self._changed:
+            self.lines.append(line)
+            self._changed.notify_all()
+
+
+class Launching:
+    """Starts deployments written in a test, each on a router of its own unless told otherwise."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self.runs: list[Run] = []
+
+    def __call__(
+        self,
+        deployment: str | Path,
+        *arguments: str,
+        robot: str = "robot",
+        connect: str | None = None,
+        environment: Mapping[str, str] | None = None,
+        head: int | None = None,
+        report: Path | None = None,
+        **how: Any,
+    ) -> Run:
+        """Run `cairn up` with a file, or with `components` and other keys given as YAML.
+
+        `connect` names the router of another run, to join it; only `head` lines are read of what
+        it says. What else there is goes to `subprocess.Popen`.
+        """
+        endpoint = connect or f"tcp/127.0.0.1:{free_port()}"
+        if isinstance(deployment, Path):
+            where = f"bus.connect=[{endpoint}]" if connect else f"bus.listen={endpoint}"
+            words = [str(deployment), "--set", where, *arguments]
+        else:
+            bus = {"connect": [endpoint]} if connect else endpoint
+            words = [str(self.write(deployment, robot, bus)), *arguments]
+        report = report or self._folder / f"report{len(self.runs)}"
+        run = Run(words, report, endpoint, environment or {}, head, **how)
+        self.runs.append(run)
+        return run
+
+    def write(self, components: str, robot: str = "robot", bus: Any = None) -> Path:
+        """A deployment file with these components."""
+        file = self._folder / f"deployment{len(self.runs)}.yaml"
+        bus = {"listen": bus} if isinstance(bus, str) else bus or {}
+        head = f"cairn: 1\nrobot: {robot}\nbus: {json.dumps(bus)}\n"
+        file.write_text(head + dedent(components), encoding="utf-8")
+        return file
+
+
+@contextmanager
+def launching(folder: Path) -> Iterator[Launching]:
+    """Starts deployments; at the end all are stopped, and nothing of them must be left."""
+    launch = Launching(folder)
+    try:
+        yield launch
+    finally:
+        for run in launch.runs:
+            if run.process.poll() is None:
+                run.process.send_signal(signal.SIGCONT)
+                run.process.send_signal(signal.SIGINT)
+        for run in launch.runs:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                run.process.wait(LIMIT_S)
+        for run in launch.runs:
+            run.await_nothing_left()
+
+
+def free_port() -> int:
+    """A port that nobody listens on."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port
+
+
+def await_any_end(pids: Sequence[int], limit_s: float) -> None:
+    """Wait until one of these processes has ended."""
+    with contextlib.ExitStack() as stack:
+        poll = select.poll()
+        for pid in pids:
+            try:
+                descriptor = os.pidfd_open(pid)
+            except ProcessLookupError:
+                return
+            stack.callback(os.close, descriptor)
+            poll.register(descriptor, select.POLLIN)
+        poll.poll(max(0.0, limit_s) * 1000)

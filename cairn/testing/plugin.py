@@ -1,0 +1,59 @@
+"""The pytest plugin: `pytest_plugins = ["cairn.testing.plugin"]` in a package's conftest.py."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cairn.testing.bench import Bench, settings
+from cairn.testing.device import Located
+from cairn.testing.launching import Launching, launching
+from cairn.testing.robot import Robot
+
+
+@pytest.fixture
+def launch(tmp_path: Path) -> Iterator[Launching]:
+    """Starts deployments as `cairn up` does; nothing of them is left after the test."""
+    with launching(tmp_path) as launch:
+        yield launch
+
+
+@pytest.fixture
+def deploy(launch: Launching) -> Iterator[Callable[..., Robot]]:
+    """Starts deployments and returns each once all of its components are active.
+
+    Takes what `Launching` takes: a file or a text, then arguments of `cairn up`.
+    """
+    robots: list[Robot] = []
+
+    def start(deployment: str | Path, *arguments: str, robot: str = "robot", **how: Any) -> Robot:
+        robots.append(Robot(launch(deployment, *arguments, robot=robot, **how), robot))
+        return robots[-1]
+
+    yield start
+    for robot in robots:
+        robot.close()
+
+
+@pytest.fixture(scope="class")
+def device() -> object:
+    """The device under the driver of a contract: nothing is known of it, unless overridden."""
+    return None
+
+
+@pytest.fixture(scope="class")
+def bench(
+    request: pytest.FixtureRequest, device: object, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[Bench]:
+    """The deployment that the tests of a contract's class share."""
+    contract = request.cls
+    words = [word for file in contract.overlays for word in ("--overlay", str(file))]
+    words += [word for value in contract.sets for word in ("--set", value)]
+    if isinstance(device, Located):
+        words += settings(device.settings)
+    folder = tmp_path_factory.mktemp(contract.__name__)
+    with Bench(folder, contract.deployment, words, robot=contract.robot_name) as bench:
+        yield bench
