@@ -1,9 +1,10 @@
 """Finds component classes, by entry point of any installed package or as package.module:Class."""
 
 import importlib
+import sys
 import traceback
-from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import lru_cache
 from importlib.metadata import EntryPoint, entry_points
 from inspect import getdoc
 from typing import TYPE_CHECKING
@@ -53,7 +54,7 @@ def load_plugin(reference: str) -> "type[Component]":
     if ":" in reference:
         return _component(reference)
     points = _entry_points()
-    offers = {point.value: _package(point) for point in points if point.name == reference}
+    offers = {point.value: point for point in points if point.name == reference}
     if not offers:
         raise PluginError(
             f"there is no plugin {reference}",
@@ -61,8 +62,9 @@ def load_plugin(reference: str) -> "type[Component]":
             "(`cairn plugins` lists all; package.module:Class names a class directly)",
         )
     if len(offers) > 1:
+        packages = ", ".join(_package(point) for point in offers.values())
         raise PluginError(
-            f"{len(offers)} packages offer a plugin {reference}: {', '.join(offers.values())}",
+            f"{len(offers)} packages offer a plugin {reference}: {packages}",
             f"name the class directly: {' or '.join(offers)}",
         )
     return _component(next(iter(offers)))
@@ -143,8 +145,14 @@ def _listed(point: EntryPoint) -> Plugin:
     return Plugin(point.name, point.value, _package(point), summary, ports)
 
 
-def _entry_points() -> Iterable[EntryPoint]:
-    return list(entry_points(group=GROUP))
+def _entry_points() -> tuple[EntryPoint, ...]:
+    return _entry_points_on(tuple(sys.path))
+
+
+@lru_cache(maxsize=1)
+def _entry_points_on(_path: tuple[str, ...]) -> tuple[EntryPoint, ...]:
+    """Those of packages on a path: all their files are read, once and not for each component."""
+    return tuple(entry_points(group=GROUP))
 
 
 def _package(point: EntryPoint) -> str:
