@@ -36,6 +36,7 @@ class Bench:
         self._stack = ExitStack()
         self._launch = self._stack.enter_context(launching(folder))
         self._robot: Robot | None = None
+        self._refusal = ""
 
     def robot(self, component: str) -> Robot:
         """The running deployment, with that component active.
@@ -46,13 +47,18 @@ class Bench:
         if self._robot is not None and not _brought_back(self._robot, component):
             self.drop()
         if self._robot is None:
+            assert not self._refusal, self._refusal
             run = self._launch(
                 self._deployment,
                 *self._arguments,
                 robot=self._name,
                 environment=self._environment,
             )
-            self._robot = Robot(run, self._name)
+            try:
+                self._robot = Robot(run, self._name)
+            except AssertionError as error:
+                self._refusal = str(error)  # it would be the same for every test of the contract
+                raise
         return self._robot
 
     def drop(self) -> None:

@@ -104,6 +104,12 @@ class Reading(Generic[M]):
         with self._changed:
             return not self._changed.wait_for(lambda: len(self.arrivals) > before, seconds)
 
+    def await_silence(self, seconds: float, limit_s: float = LIMIT_S) -> None:
+        """Wait until no message has come for so long; `AssertionError` if it never is silent."""
+        deadline = time.monotonic() + limit_s
+        while not self.stays_silent(seconds):
+            assert time.monotonic() < deadline, f"{self.topic}: not silent within {limit_s:g} s"
+
     def close(self) -> None:
         """Read no more; what came is kept."""
         self._subscription.close()

@@ -78,7 +78,10 @@ class Robot:
     def read(
         self, topic: str, message: type[M], keep: Callable[[M], M] = lambda message: message
     ) -> Reading[M]:
-        """Follow a topic; if it is latched, with what was sent before. `keep` makes them smaller."""
+        """Follow a topic; if it is latched, with what was sent before.
+
+        `keep` makes messages smaller that are not needed whole, such as images.
+        """
         full = full_name(self.name, topic)
         kinds = {end.qos.durability for end in self._writers() if end.topic == full}
         qos = RETAINED if "transient_local" in kinds else MANY
@@ -113,7 +116,7 @@ class Robot:
             thread.join(LIMIT_S)
 
     def send_bytes(self, topic: str, message: type[Any], data: bytes) -> None:
-        """Put bytes of your own on the topic of a message type: such as no `Out` port would send."""
+        """Put bytes on the topic of a message type, such as no port would send."""
         codec = self._bus.codec
         full = full_name(self.name, topic)
         key = rmw.data_key(self._bus.domain, full, type_name(message), codec.type_hash(message))
