@@ -1,0 +1,1 @@
+"""Cameras and stereo cameras behind Linux's V4L2."""

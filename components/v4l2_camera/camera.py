@@ -1,0 +1,255 @@
+"""One camera: kept open and streaming whatever becomes of its device, read picture by picture."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable, Mapping
+from contextlib import closing, suppress
+from dataclasses import dataclass
+
+from cairn.component.complaints import Complaints
+from cairn.driver.errors import DeviceError, LinkLost
+from cairn.driver.rate import RateWindow
+from components.v4l2_camera.controls import Control, ControlRefused, assigned
+from components.v4l2_camera.counts import Counts
+from components.v4l2_camera.device import Setup, VideoDevice
+from components.v4l2_camera.names import find_camera
+from components.v4l2_camera.offers import best_format
+from components.v4l2_camera.pairing import Picture
+from components.v4l2_camera.pixels import Grey, NoPicture, ShortPicture
+from components.v4l2_camera.stamps import Sequence, is_likely, system_offset
+from components.v4l2_camera.stream import Capture, Stream
+
+# How long the thread waits for a picture before it looks whether it is to stop [s].
+_LOOK_S = 0.1
+# So many restarts of a stream without any picture: the device is opened anew.
+_RESTARTS = 3
+_PERIODS_OF_SILENCE = 4.0
+
+
+@dataclass(frozen=True)
+class CameraSettings:
+    """Which camera, and what is asked of it: size [px] of its pictures, rate [1/s], formats.
+
+    Of the formats the first suits best. `silence_s` [s] is how long none may come until the stream
+    is started anew.
+    """
+
+    device: str
+    formats: tuple[str, ...]
+    width: int
+    height: int
+    rate: float
+    buffers: int
+    silence_s: float
+
+
+class Camera:
+    """A camera that `converse` reads, on the driver's thread for it, until it is told to stop.
+
+    It stays open between: `open` and `close` frame its use. Whatever the device does, `converse`
+    begins anew with it or raises `DeviceError`, and may then be called again.
+    """
+
+    def __init__(
+        self,
+        settings: CameraSettings,
+        controls: Mapping[str, int],
+        on_picture: Callable[[Picture], None],
+        log: logging.Logger,
+    ) -> None:
+        self._settings = settings
+        self._wanted = dict(controls)
+        self._on_picture = on_picture
+        self._complaints = Complaints(log)
+        self._device: VideoDevice | None = None
+        self._panel: dict[str, Control] = {}
+        # Whoever adjusts the camera must not meet one that is being closed.
+        self._opening = threading.Lock()
+        self._rate = RateWindow()
+        self.setup: Setup | None = None
+        self.identity = settings.device
+        self.counts = Counts()
+        self.latency_s = 0.0
+        self.stamps_begin = False
+        self.is_streaming = False
+
+    def open(self) -> Setup:
+        """Open and set up the device, and its controls; raises `DeviceError` if that fails.
+
+        The camera must agree to the same size as before, if it was open before.
+        """
+        with self._opening:
+            device = VideoDevice(find_camera(self._settings.device))
+            try:
+                setup = self._set_up(device)
+                self._panel = device.controls()
+                self._set(device, self._wanted)
+            except ControlRefused as error:
+                device.close()
+                raise DeviceError(f"{device.path} ({device.card}): {error}") from error
+            except DeviceError:
+                device.close()
+                raise
+            self._device, self.setup = device, setup
+            self.identity = f"{device.card} {device.bus}"
+            return setup
+
+    def close(self) -> None:
+        """Let go of the device; may be called again."""
+        with self._opening:
+            if self._device is not None:
+                self._device.close()
+                self._device = None
+
+    def adjust(self, wanted: Mapping[str, int]) -> None:
+        """Set controls, all or none; while the device is away, once it is back.
+
+        Raises `ControlRefused` with the camera's bounds, or `DeviceError` if it fails.
+        """
+        with self._opening:
+            try:
+                assigned(self._panel, wanted)
+                if self._device is not None:
+                    changed = {
+                        name: value
+                        for name, value in wanted.items()
+                        if self._wanted.get(name) != value
+                    }
+                    self._set(self._device, changed)
+            except ControlRefused as error:
+                raise ControlRefused(f"{self._settings.device}: {error}") from error
+            except LinkLost:  # its thread has not noticed yet; controls are set when it is back
+                pass
+            self._wanted = dict(wanted)
+
+    def rate(self) -> float:
+        """Pictures a second now."""
+        return self._rate.hz(time.monotonic())
+
+    def converse(self, stopping: threading.Event) -> None:
+        """Read pictures until `stopping` is set; raises `DeviceError` if the device fails."""
+        if self._device is None:
+            self.open()
+            self.counts.returns += 1
+        device = self._device
+        assert device is not None  # it is open now
+        try:
+            with closing(Stream(device, self._settings.buffers)) as stream:
+                self._keep_streaming(stream, stopping)
+        except DeviceError:
+            self.close()
+            raise
+        finally:
+            self.is_streaming = False
+            self._rate.restart()
+
+    def _set_up(self, device: VideoDevice) -> Setup:
+        wish = self._settings
+        offers = {name: device.sizes(name) for name in device.formats() if name in wish.formats}
+        chosen = best_format(offers, wish.formats, (wish.width, wish.height), wish.rate)
+        if chosen is None:
+            raise DeviceError(
+                f"{device.path} ({device.card}) gives {', '.join(device.formats())}, but format is "
+                f"{' or '.join(wish.formats)}: choose another format or camera"
+            )
+        setup = device.set_up(chosen, wish.width, wish.height, wish.rate)
+        before, now = self.setup and self.setup.layout, setup.layout
+        if before and (before.width, before.height) != (now.width, now.height):
+            raise DeviceError(
+                f"{device.path} ({device.card}) gives {now.width} x {now.height} pixels now, but "
+                f"gave {before.width} x {before.height}: is it another camera?"
+            )
+        return setup
+
+    def _set(self, device: VideoDevice, wanted: Mapping[str, int]) -> None:
+        """Set controls; if one fails, those before it are set back."""
+        done: list[tuple[Control, int]] = []
+        try:
+            for control, value in assigned(self._panel, wanted):
+                before = device.control(control)
+                device.set_control(control, value)
+                done.append((control, before))
+        except DeviceError:
+            for control, before in reversed(done):
+                with suppress(DeviceError):  # the first failure is the one to tell
+                    device.set_control(control, before)
+            raise
+
+    def _keep_streaming(self, stream: Stream, stopping: threading.Event) -> None:
+        """Stream; after an error start anew, unless that helped nothing several times."""
+        fruitless = 0
+        while not stopping.is_set():
+            before = self.counts.pictures
+            try:
+                stream.start()
+                self._read(stream, stopping)
+            except LinkLost:
+                raise
+            except DeviceError as error:
+                fruitless = fruitless + 1 if self.counts.pictures == before else 1
+                if fruitless > _RESTARTS:
+                    raise
+                self.counts.restarts += 1
+                self.is_streaming = False
+                self._complaints.tell("stream", f"{error}; the stream is started anew")
+            stream.stop()
+
+    def _read(self, stream: Stream, stopping: threading.Event) -> None:
+        assert self.setup is not None  # or there is no stream
+        nominal = self.setup.rate
+        silence_s = max(self._settings.silence_s, _PERIODS_OF_SILENCE / nominal if nominal else 0.0)
+        sequence = Sequence()
+        last = time.monotonic()
+        while not stopping.is_set():
+            captures = stream.newest(_LOOK_S)
+            now = time.monotonic()
+            if captures:
+                last = now
+                self._take(captures, sequence)
+            elif now - last > silence_s:
+                raise DeviceError(f"{self._settings.device}: no picture came for {silence_s:.3g} s")
+
+    def _take(self, captures: list[Capture], sequence: Sequence) -> None:
+        arrived, offset = time.monotonic_ns(), system_offset()
+        counts = self.counts
+        for capture in captures:
+            counts.lost += sequence.lost_before(capture.sequence)
+            if capture.is_damaged:
+                counts.marked += 1
+            elif capture.data is None:
+                counts.skipped += 1
+        newest = next((one for one in reversed(captures) if one.data is not None), None)
+        grey = None if newest is None else self._developed(newest.data or b"")
+        if newest is None or grey is None:
+            return
+        taken = newest.taken
+        if taken is None or not is_likely(taken, arrived):
+            taken = arrived
+            counts.unstamped += 1
+        # A picture was not taken after it came.
+        stamp = min(taken, arrived)
+        self.latency_s = 1e-9 * (arrived - stamp)
+        self.stamps_begin = newest.at_start
+        counts.pictures += 1
+        self._rate.note(1e-9 * arrived)
+        if not self.is_streaming:
+            self.is_streaming = True
+            self._complaints.over("stream", f"{self._settings.device}: pictures come again")
+        self._on_picture(Picture(grey, taken, stamp + offset))
+
+    def _developed(self, data: bytes) -> Grey | None:
+        assert self.setup is not None  # or there is no stream
+        try:
+            return self.setup.layout.grey(data)
+        except NoPicture as error:
+            short = isinstance(error, ShortPicture)
+            if short:
+                self.counts.short += 1
+            else:
+                self.counts.damaged += 1
+            what = "is too short" if short else "is damaged"
+            self._complaints.tell(what, f"{self._settings.device}: a picture {what}: {error}")
+            return None

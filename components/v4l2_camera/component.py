@@ -1,0 +1,255 @@
+"""The driver of cameras and stereo cameras behind V4L2."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from cairn.bus.qos import LATCHED, SENSOR
+from cairn.clock import SECOND, from_ns
+from cairn.component.component import Component
+from cairn.component.handlers import every
+from cairn.component.parameters import Config, ParameterRefused
+from cairn.component.ports import Out
+from cairn.driver.device_thread import DeviceThread
+from cairn.driver.errors import DeviceError
+from cairn.errors import CairnError
+from components.v4l2_camera.calibrations import camera_infos
+from components.v4l2_camera.camera import Camera
+from components.v4l2_camera.config import LIVE, V4l2StereoCameraConfig
+from components.v4l2_camera.controls import ControlRefused
+from components.v4l2_camera.offers import is_same_rate
+from components.v4l2_camera.pairing import Pairing, Picture
+from components.v4l2_camera.pixels import Grey, halves
+from components.v4l2_camera.placing import placed
+from components.v4l2_camera.report import CameraReport, PairReport
+from schemas.diagnostic_msgs import DiagnosticArray
+from schemas.sensor_msgs import CameraInfo, Image
+from schemas.std_msgs import Header
+from schemas.tf2_msgs import TFMessage
+
+_FRAMES = ("left_camera_optical_frame", "right_camera_optical_frame")
+_SIDES = ("left", "right")
+
+
+class V4l2StereoCamera(Component):
+    """A camera behind V4L2, a side-by-side stereo camera, or two cameras that make a stereo one.
+
+    Images are grey, as they were taken, and the newest there are. Both of a pair have the stamp of
+    the left one: when the kernel says that it was taken. A camera that is unplugged is waited for.
+    """
+
+    clock_source = "device"
+
+    config: V4l2StereoCameraConfig
+
+    left_image: Out[Image] = Out(qos=SENSOR.with_depth(2))
+    right_image: Out[Image] = Out(qos=SENSOR.with_depth(2))
+    left_info: Out[CameraInfo] = Out(qos=SENSOR.with_depth(2))
+    right_info: Out[CameraInfo] = Out(qos=SENSOR.with_depth(2))
+    tf_static: Out[TFMessage] = Out(qos=LATCHED)
+    diagnostics: Out[DiagnosticArray]
+
+    _cameras: tuple[Camera, ...] = ()
+    _threads: tuple[DeviceThread, ...] = ()
+
+    def on_configure(self) -> None:
+        """Open the cameras and agree with them on their pictures."""
+        config = self.config
+        self._cameras = tuple(
+            Camera(
+                config.settings_of(device), config.controls.given(), partial(self._came, side),
+                self.log,
+            )
+            for side, device in enumerate(config.devices())
+        )  # fmt: skip
+        try:
+            self._agree()
+        except CairnError as error:
+            self._close()
+            raise CairnError(f"{self.name}: {error}") from error
+
+    def on_activate(self) -> None:
+        """Tell where the cameras sit; let them stream."""
+        header = Header(stamp=from_ns(self.clock.now()), frame_id="base_link")
+        offsets = (0.0,) if self._baseline is None else (0.0, self._baseline)
+        config = self.config
+        self.tf_static.publish(
+            TFMessage(
+                transforms=tuple(
+                    placed(header, frame, config.mount, config.z, offset)
+                    for frame, offset in zip(_FRAMES, offsets, strict=False)
+                )
+            )
+        )
+        self._newest: list[Picture | None] = [None] * len(self._cameras)
+        self._trouble = [""] * len(self._cameras)
+        self._pairing = Pairing(round(0.5 * SECOND / self._rate))
+        self._pair_report = PairReport(self.name, self._pairing, self._rate)
+        self._reports = [
+            CameraReport(f"{self.name}: {side} camera" if self._has_two else self.name, camera)
+            for side, camera in zip(_SIDES, self._cameras, strict=False)
+        ]
+        self._threads = tuple(
+            DeviceThread(
+                f"{self.name} {side}",
+                camera.converse,
+                log=self.log,
+                on_trouble=partial(self._troubled, index),
+                on_failure=self._failed,
+            )
+            for index, (side, camera) in enumerate(zip(_SIDES, self._cameras, strict=False))
+        )
+        for thread in self._threads:
+            thread.start()
+
+    def on_deactivate(self) -> None:
+        """Stop streaming; the cameras stay open."""
+        self._stop()
+
+    def on_cleanup(self) -> None:
+        """Let go of the cameras."""
+        self._close()
+
+    def on_error(self, error: Exception) -> bool:  # noqa: ARG002 - it makes no difference
+        """Let go of the cameras, for the one that is started in place of this."""
+        self._stop()
+        self._close()
+        return False
+
+    def on_parameters(self, new: Config) -> None:
+        """Set controls on the cameras; they stay the cameras that they are."""
+        assert isinstance(new, V4l2StereoCameraConfig)
+        for name in type(new).model_fields:
+            if name not in LIVE and getattr(new, name) != getattr(self.config, name):
+                raise ParameterRefused(
+                    f"the camera takes {name} when it is configured; {', '.join(LIVE)} may be "
+                    "changed while it runs"
+                )
+        done = []
+        try:
+            for camera in self._cameras:
+                camera.adjust(new.controls.given())
+                done.append(camera)
+        except (ControlRefused, DeviceError) as error:
+            for camera in done:
+                camera.adjust(self.config.controls.given())
+            raise ParameterRefused(str(error)) from error
+
+    @every(hz=1)
+    def tell(self) -> None:
+        """Tell how the cameras are."""
+        now = self.clock.now()
+        told = [
+            report.told(now, trouble)
+            for report, trouble in zip(self._reports, self._trouble, strict=True)
+        ]
+        if self._has_two:
+            told.append(self._pair_report.told(now))
+        statuses = tuple(status for one in told for status in one.status)
+        self.diagnostics.publish(replace(told[0], status=statuses))
+
+    @property
+    def _has_two(self) -> bool:
+        return len(self._cameras) == 2
+
+    def _agree(self) -> None:
+        config = self.config
+        setups = [camera.open() for camera in self._cameras]
+        for device, setup in zip(config.devices(), setups, strict=True):
+            got = setup.layout
+            if (got.width, got.height) != (config.width, config.height):
+                self.log.warning(
+                    "%s gives %d x %d pixels, not %d x %d as was asked for",
+                    device, got.width, got.height, config.width, config.height,
+                )  # fmt: skip
+            if not is_same_rate(setup.rate, config.rate):
+                self.log.warning(
+                    "%s gives %.4g pictures a second, not %g as was asked for",
+                    device, setup.rate, config.rate,
+                )  # fmt: skip
+        sizes = {(setup.layout.width, setup.layout.height) for setup in setups}
+        if len(sizes) > 1:
+            told = " and ".join(f"{width} x {height}" for width, height in sorted(sizes))
+            raise CairnError(f"the cameras give pictures of {told} pixels: ask for a size of both")
+        width, height = sizes.pop()
+        count = 2 if config.is_stereo else 1
+        self._infos, self._baseline = camera_infos(
+            (config.left_calibration, config.right_calibration)[:count],
+            _FRAMES[:count],
+            (width // 2 if config.side_by_side else width, height),
+            self.log,
+        )
+        self._rate = min(setup.rate or config.rate for setup in setups)
+
+    def _came(self, side: int, picture: Picture) -> None:
+        """On the camera's thread: hand on a picture, in place of one that was not taken yet."""
+        self._threads[side].well(f"{self.config.devices()[side]}: pictures come again")
+        self._trouble[side] = ""
+        if self._newest[side] is not None:
+            self._cameras[side].counts.skipped += 1
+        self._newest[side] = picture
+        self.post(partial(self._take, side))
+
+    def _take(self, side: int) -> None:
+        picture, self._newest[side] = self._newest[side], None
+        if picture is None:  # two had come, and the newer one was taken
+            return
+        if not self._has_two:
+            self._publish(picture.stamp, self._views(picture.grey))
+            return
+        pair = self._pairing.add(side, picture)
+        if pair is not None:
+            left, right = pair
+            self._publish(left.stamp, (left.grey, right.grey))
+        elif side == 0 and not self._cameras[1].is_streaming:
+            # What sees with one eye ranges by size: better than nothing until the other is back.
+            self._publish(picture.stamp, (picture.grey,))
+
+    def _views(self, grey: Grey) -> tuple[Grey, ...]:
+        if not self.config.side_by_side:
+            return (grey,)
+        left, right = halves(grey)
+        return (right, left) if self.config.right_comes_first else (left, right)
+
+    def _publish(self, stamp: int, views: tuple[Grey, ...]) -> None:
+        time = from_ns(stamp - round(self.config.stamp_delay_s * SECOND))
+        headers = [Header(stamp=time, frame_id=frame) for frame in _FRAMES[: len(views)]]
+        infos, images = (self.left_info, self.right_info), (self.left_image, self.right_image)
+        for port, info, header in zip(infos, self._infos, headers, strict=False):
+            port.publish(replace(info, header=header))
+        for out, view, header in zip(images, views, headers, strict=False):
+            out.publish(_message(view, header))
+
+    def _troubled(self, side: int, error: DeviceError) -> None:
+        self._trouble[side] = str(error)
+
+    def _failed(self, error: Exception) -> None:
+        self.post(partial(_fail, error))
+
+    def _stop(self) -> None:
+        for thread in self._threads:
+            thread.stop()
+        self._threads = ()
+
+    def _close(self) -> None:
+        for camera in self._cameras:
+            camera.close()
+
+
+def _message(pixels: Grey, header: Header) -> Image:
+    height, width = pixels.shape
+    return Image(
+        header=header,
+        height=height,
+        width=width,
+        encoding="mono8",
+        step=width,
+        data=np.ascontiguousarray(pixels).reshape(-1),
+    )
+
+
+def _fail(error: Exception) -> None:
+    raise error
