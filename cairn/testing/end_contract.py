@@ -44,9 +44,7 @@ class UnplugContract(Contract):
         )
         assert silent, f"{self.component} publishes {output.topic} without its device"
 
-    def test_plugged_in_again_it_works(
-        self, robot: Robot, output: Reading[Any], device: object
-    ) -> None:
+    def test_plugged_in_again_it_works(self, output: Reading[Any], device: object) -> None:
         """Within a limit, without anybody's help."""
         plug = _unpluggable(device)
         self.await_working(output, 0)
@@ -80,7 +78,7 @@ class UnplugContract(Contract):
 
 
 class StopContract(Contract):
-    """The end: a robot is switched off in good order, or by force; nothing runs on."""
+    """Stopping: its supervisor has to be able to rely on it."""
 
     def test_it_stops_in_good_order(self, robot: Robot, output: Reading[Any]) -> None:
         """Within its deployment's `stop_timeout_s`; else its supervisor has to kill it."""
@@ -93,6 +91,10 @@ class StopContract(Contract):
 
         assert "stopped: shut down" in lines[0], f"it did not stop by itself: {lines[0].strip()}"
         self.await_working(output, output.count)
+
+
+class EndContract(Contract):
+    """The end: a robot is switched off in good order, or by force; nothing runs on."""
 
     def test_ctrl_c_ends_all_in_good_order(self, robot: Robot) -> None:
         """`cairn up` ends with exit status 0, and no process is left."""

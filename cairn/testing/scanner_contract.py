@@ -12,7 +12,7 @@ from cairn.testing import scans as judged
 from cairn.testing import stamps as timed
 from cairn.testing.bench import Bench
 from cairn.testing.driver_contract import Contract, LifeCycleContract, ParametersContract
-from cairn.testing.end_contract import StopContract, UnplugContract
+from cairn.testing.end_contract import EndContract, StopContract, UnplugContract
 from cairn.testing.reading import Arrival
 from schemas.sensor_msgs import LaserScan
 
@@ -120,6 +120,6 @@ class ScanContract(Contract):
 
 
 class RangeScannerContract(
-    StopContract, UnplugContract, LifeCycleContract, ParametersContract, ScanContract
+    EndContract, StopContract, UnplugContract, LifeCycleContract, ParametersContract, ScanContract
 ):
     """All that a driver of a range scanner keeps to; derive from it and say what is yours."""

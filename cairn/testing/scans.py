@@ -1,6 +1,7 @@
 """Judges scans: units, angles, limits, and what is seen where.
 
-All raise `AssertionError` with a sentence that names the fault. Lengths in metres, angles in radians.
+All raise `AssertionError` with a sentence that names the fault. Lengths are in metres, angles in
+radians.
 """
 
 import math
@@ -58,8 +59,8 @@ def check_angles(scan: LaserScan) -> None:
     )
     assert abs(scan.angle_min + span - scan.angle_max) <= 0.5 * abs(step), (
         f"{beams} beams from angle_min = {scan.angle_min:g} rad, {step:g} rad apart, end at "
-        f"{scan.angle_min + span:g} rad, but angle_max = {scan.angle_max:g} rad: it is the angle of "
-        "the last beam"
+        f"{scan.angle_min + span:g} rad, but angle_max = {scan.angle_max:g} rad: it is that of the "
+        "last beam"
     )
     outside = [angle for angle in (scan.angle_min, scan.angle_max) if abs(angle) > _TURN]
     assert not outside, f"an angle of {outside[0]:g} rad is beyond a turn: are these degrees?"

@@ -1,7 +1,7 @@
 """Judges when messages were measured, by their stamps, and when they came.
 
-All raise `AssertionError` with a sentence that names the fault. Times are in nanoseconds. Medians are
-judged, so that one message that was held up by a busy machine does not fail a driver.
+All raise `AssertionError` with a sentence that names the fault. Times are in nanoseconds. Medians
+are judged, so that one message that was held up by a busy machine does not fail a driver.
 """
 
 from collections.abc import Sequence

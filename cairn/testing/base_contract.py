@@ -1,0 +1,330 @@
+"""The contract of a base: `cmd_vel` in, geometry_msgs/Twist; `odom`, nav_msgs/Odometry, and `tf`.
+
+The tests drive the robot: a short way ahead, a turn to the left on the spot. A real one needs half
+a metre of room, or wheels that are off the ground.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import pytest
+
+from cairn.clock import SECOND
+from cairn.testing import odometry as judged
+from cairn.testing import stamps as timed
+from cairn.testing.bench import Bench
+from cairn.testing.device import Wheeled
+from cairn.testing.driver_contract import Contract, LifeCycleContract, ParametersContract
+from cairn.testing.end_contract import EndContract, StopContract, UnplugContract
+from cairn.testing.reading import Arrival, Reading
+from cairn.testing.robot import Robot
+from schemas.geometry_msgs import Twist, Vector3
+from schemas.nav_msgs import Odometry
+from schemas.tf2_msgs import TFMessage
+
+Odoms = Sequence[Arrival[Odometry]]
+
+_NOT_WATCHED = "the wheels cannot be watched here: no fixture `device` with turns and await_stand"
+
+
+@dataclass(frozen=True)
+class Drive:
+    """A drive: odometry while it stood, went ahead, stood again, turned left, and was left alone.
+
+    `transforms` are all that came on tf, None where the driver has no such port.
+    """
+
+    before: Odoms
+    ahead: Odoms
+    left: Odoms
+    after: Odoms
+    transforms: Sequence[TFMessage] | None
+
+    @property
+    def all(self) -> list[Odometry]:
+        """The whole drive."""
+        parts = (self.before, self.ahead, self.left, self.after)
+        return [arrival.message for part in parts for arrival in part]
+
+
+class DriveContract(Contract):
+    """What odometry says, and how commands are carried out."""
+
+    component: ClassVar[str] = "base"
+    port: ClassVar[str] = "odom"
+    message: ClassVar[type[Any]] = Odometry
+
+    rate_tolerance: ClassVar[float] = 0.1
+    """How far the rate may be off the nominal one, as a share."""
+
+    jitter: ClassVar[float] = 0.5
+    """How far a spacing of stamps may be off the median, as a share."""
+
+    oldest_s: ClassVar[float] = 0.25
+    """How old odometry may be when it comes [s]."""
+
+    early_s: ClassVar[float] = 0.005
+    """By how much a stamp may be in the future [s]."""
+
+    odom_frame: ClassVar[str] = "odom"
+    """The frame of poses."""
+
+    base_frame: ClassVar[str] = "base_link"
+    """The frame of the robot, and of twists."""
+
+    speed: ClassVar[float] = 0.2
+    """How fast the tests drive ahead [m/s]."""
+
+    turn: ClassVar[float] = 0.5
+    """How fast they turn [rad/s]."""
+
+    accuracy: ClassVar[float] = 0.2
+    """How far a speed may be off the command, and a twist off the change of pose, as a share."""
+
+    drive_s: ClassVar[float] = 1.2
+    """How long a command is given; the second half of it is judged [s]."""
+
+    still: ClassVar[float] = 0.02
+    """A base that is slower than that stands [m/s, rad/s]."""
+
+    stop_limit_s: ClassVar[float] = 1.5
+    """Until the wheels stand after the last command [s], braking included."""
+
+    top_speed: ClassVar[float | None] = None
+    """The fastest that the driver may go [m/s], whatever is commanded; None: that is not tried."""
+
+    @pytest.fixture(scope="class")
+    @classmethod
+    def drive(cls, bench: Bench) -> Drive:
+        """A drive that the tests of the class share."""
+        robot = bench.robot(cls.component)
+        tf = cls.port_of(robot, "tf")
+        transforms = None if tf is None else robot.read(tf.topic, TFMessage)
+        command = cls.topic(robot, "cmd_vel")
+        span = max(2, math.ceil(cls.drive_s * cls.rate_hz))
+        with robot.read(cls.topic(robot, cls.port), Odometry) as odom:
+            before = cls.sample(odom, max(10, span // 2))
+            with robot.sending(command, cls.ahead()):
+                ahead = cls._next(odom, span)
+            with robot.sending(command, cls.leftwards()):
+                left = cls._next(odom, span)
+            after = cls._next(odom, max(2, math.ceil((cls.stop_limit_s + 0.5) * cls.rate_hz)))
+        if transforms is None:
+            return Drive(before, ahead, left, after, None)
+        with transforms:
+            return Drive(before, ahead, left, after, transforms.messages)
+
+    @pytest.fixture
+    def driving(self, robot: Robot, output: Reading[Odometry]) -> Reading[Odometry]:
+        """Odometry of the base, which has been brought to its speed and is commanded no more."""
+        with robot.sending(self.topic(robot, "cmd_vel"), self.ahead()):
+            output.await_that(
+                lambda arrivals: any(
+                    arrival.message.twist.twist.linear.x > 0.5 * self.speed for arrival in arrivals
+                ),
+                f"a speed of more than {0.5 * self.speed:g} m/s by odometry",
+            )
+        return output
+
+    @classmethod
+    def ahead(cls) -> Twist:
+        """The command to go ahead."""
+        return Twist(linear=Vector3(x=cls.speed))
+
+    @classmethod
+    def leftwards(cls) -> Twist:
+        """The command to turn left on the spot."""
+        return Twist(angular=Vector3(z=cls.turn))
+
+    def test_rate(self, drive: Drive) -> None:
+        """It is the nominal one: who plans by it relies on it."""
+        timed.check_rate(timed.stamps_of(drive.before), self.rate_hz, self.rate_tolerance)
+
+    def test_stamps_increase_regularly(self, drive: Drive) -> None:
+        """Speeds are divided by their differences."""
+        stamps = timed.stamps_of(drive.before)
+        timed.check_increasing(stamps)
+        timed.check_regular(stamps, self.jitter)
+
+    def test_stamps_are_of_the_present(self, drive: Drive) -> None:
+        """Neither of the future nor of long ago, by the deployment's clock."""
+        timed.check_present(drive.before, -self.early_s, self.oldest_s, self.early_s)
+
+    def test_frames(self, drive: Drive) -> None:
+        """As REP 105 names them."""
+        judged.check_frames(drive.all[0], self.odom_frame, self.base_frame)
+
+    def test_pose_is_on_the_plane(self, drive: Drive) -> None:
+        """A rotation about z, and no height."""
+        for odom in drive.all:
+            judged.check_pose(odom)
+
+    def test_covariance(self, drive: Drive) -> None:
+        """One that filters can use."""
+        for odom in drive.all:
+            judged.check_covariance(odom)
+
+    def test_it_stands_without_commands(self, drive: Drive) -> None:
+        """Whatever was commanded before it was activated."""
+        way = judged.travelled([arrival.message for arrival in drive.before])
+        assert abs(way.ahead_m) <= self.still, f"it moves {way.ahead_m:.3f} m without a command"
+        assert abs(way.left_rad) <= self.still, f"it turns {way.left_rad:.3f} rad without a command"
+
+    def test_ahead_is_ahead(self, drive: Drive) -> None:
+        """In metres a second, and forward (REP 103: x)."""
+        speed = _mean([odom.twist.twist.linear.x for odom in _second_half(drive.ahead)])
+        way = judged.travelled([arrival.message for arrival in drive.ahead])
+        self._check_speed(speed, self.speed, "m/s ahead")
+        assert way.ahead_m > 0.0, f"commanded ahead, it went {way.ahead_m:.3f} m by its poses"
+
+    def test_left_is_left(self, drive: Drive) -> None:
+        """In radians a second; counterclockwise from above is positive (REP 103)."""
+        turn = _mean([odom.twist.twist.angular.z for odom in _second_half(drive.left)])
+        way = judged.travelled([arrival.message for arrival in drive.left])
+        self._check_speed(turn, self.turn, "rad/s to the left")
+        assert way.left_rad > 0.0, f"commanded to the left, it turned {way.left_rad:.3f} rad"
+
+    def test_twist_agrees_with_pose(self, drive: Drive) -> None:
+        """The one is the change of the other."""
+        odoms = [arrival.message for arrival in (*drive.ahead, *drive.left, *drive.after)]
+        judged.check_twist_agrees(odoms, self.accuracy)
+
+    def test_tf_agrees_with_odometry(self, drive: Drive) -> None:
+        """Who reads the one and who reads the other see the same robot."""
+        if drive.transforms is None:
+            pytest.skip(f"{self.component} has no port tf")
+        judged.check_transforms_agree(drive.all, drive.transforms, self.odom_frame, self.base_frame)
+
+    @classmethod
+    def _next(cls, odom: Reading[Odometry], count: int) -> Odoms:
+        limit_s = cls.return_limit_s + 3.0 * count / cls.rate_hz
+        return odom.await_count(count, after=odom.count, limit_s=limit_s)
+
+    def _check_speed(self, speed: float, commanded: float, what: str) -> None:
+        assert abs(speed - commanded) <= self.accuracy * commanded, (
+            f"commanded {commanded:g} {what}, odometry tells {speed:.3f}"
+        )
+
+
+class SafetyContract(DriveContract):
+    """Who drives the wheels stops them, whatever has become of the commander or of the driver."""
+
+    def test_it_stops_when_commands_cease(self, drive: Drive) -> None:
+        """The commander may be dead, hung or unplugged."""
+        ceased = timed.stamps_of(drive.left)[-1] + round(self.stop_limit_s * SECOND)
+        stamps = timed.stamps_of(drive.after)
+        late = [one for one, stamp in zip(drive.after, stamps, strict=True) if stamp > ceased]
+        assert late, f"odometry ends less than {self.stop_limit_s:g} s after the last command"
+        moving = [one for one in late if not self._is_still(one)]
+        assert not moving, (
+            f"{self.stop_limit_s:g} s after the last command it still moves: "
+            f"{moving[-1].message.twist.twist}"
+        )
+
+    def test_stopped_by_odometry_its_wheels_stand(
+        self, driving: Reading[Odometry], device: object
+    ) -> None:
+        """Odometry tells of the wheels, not of the commands."""
+        if not isinstance(device, Wheeled):
+            pytest.skip(_NOT_WATCHED)
+        self._await_stand(driving, driving.count)
+        assert device.await_stand(self.stop_limit_s), "odometry says it stands, but wheels turn"
+
+    def test_deactivated_it_stops(
+        self, robot: Robot, driving: Reading[Odometry], device: object
+    ) -> None:
+        """And stands when it is activated again, until it is commanded anew."""
+        robot.request(self.component, "deactivate")
+        stood = not isinstance(device, Wheeled) or device.await_stand(self.stop_limit_s)
+        before = driving.count
+        robot.request(self.component, "activate")
+        assert stood, f"wheels turn {self.stop_limit_s:g} s after {self.component} was deactivated"
+        self._await_stand(driving, before)
+
+    def test_hanging_its_wheels_stop(
+        self, robot: Robot, driving: Reading[Odometry], device: object
+    ) -> None:
+        """The driver's process does nothing any more (SIGSTOP): the device itself has to stop."""
+        if not isinstance(device, Wheeled):
+            pytest.skip(_NOT_WATCHED)
+        with robot.hanging(self.component):
+            stood = device.await_stand(self.stop_limit_s)
+        assert stood, f"wheels turn {self.stop_limit_s:g} s after {self.component} hung"
+        self.await_working(driving, driving.count)
+
+    def test_killed_its_wheels_stop(
+        self, robot: Robot, driving: Reading[Odometry], device: object
+    ) -> None:
+        """The driver's process is gone, or in another's place: nobody commands the device."""
+        if not isinstance(device, Wheeled):
+            pytest.skip(_NOT_WATCHED)
+        robot.kill(self.component)
+        stood = device.await_stand(self.stop_limit_s)
+        assert stood, f"wheels turn {self.stop_limit_s:g} s after {self.component} was killed"
+        self.await_working(driving, driving.count)
+
+    def test_numbers_that_are_none_are_refused(
+        self, robot: Robot, output: Reading[Odometry]
+    ) -> None:
+        """A command of NaN does not move it, and does not bring it down."""
+        pid = robot.status(self.component).pid
+        try:
+            self._await_stand(output, 0)
+        except AssertionError:
+            pytest.skip("it does not stand without commands, so that a movement tells nothing")
+        topic = self.topic(robot, "cmd_vel")
+        plain = robot.encoded(Twist(linear=Vector3(x=1.5)))
+        nan = plain.replace(struct.pack("<d", 1.5), struct.pack("<d", math.nan))
+        for _ in range(3):
+            robot.send_bytes(topic, Twist, nan)
+        robot.await_status(
+            self.component,
+            lambda status: any(p.port == "cmd_vel" and p.invalid for p in status.ports),
+            "counting invalid commands",
+        )
+        later = self._next(output, 5)
+        assert all(map(self._is_still, later)), "a command of NaN has moved it"
+        assert robot.status(self.component).pid == pid, "a command of NaN has brought it down"
+
+    def test_speed_is_limited(self, robot: Robot, output: Reading[Odometry]) -> None:
+        """A commander's mistake of units does not make a missile of the robot."""
+        if self.top_speed is None:
+            pytest.skip("top_speed does not tell how fast it may go")
+        with robot.sending(self.topic(robot, "cmd_vel"), Twist(linear=Vector3(x=1000.0))):
+            odoms = self._next(output, math.ceil(self.drive_s * self.rate_hz))
+        fastest = judged.travelled([arrival.message for arrival in odoms]).longest_speed
+        assert fastest <= self.top_speed * (1.0 + self.accuracy), (
+            f"commanded 1000 m/s it went {fastest:.3f} m/s; its limit is {self.top_speed:g} m/s"
+        )
+
+    def _await_stand(self, output: Reading[Odometry], after: int) -> None:
+        output.await_that(
+            lambda arrivals: any(map(self._is_still, arrivals)),
+            "standing still, by odometry",
+            after=after,
+            limit_s=self.return_limit_s + self.stop_limit_s,
+        )
+        rest = self._next(output, 3)
+        assert all(map(self._is_still, rest)), "it stood, and moves again without a command"
+
+    def _is_still(self, odom: Arrival[Odometry]) -> bool:
+        return judged.is_still(odom.message, self.still, self.still)
+
+
+class BaseContract(
+    EndContract, StopContract, UnplugContract, LifeCycleContract, SafetyContract, ParametersContract
+):
+    """All that a driver of a base keeps to; derive from it and say what is yours."""
+
+
+def _second_half(arrivals: Odoms) -> list[Odometry]:
+    return [arrival.message for arrival in arrivals[len(arrivals) // 2 :]]
+
+
+def _mean(values: Sequence[float]) -> float:
+    return math.fsum(values) / len(values)
