@@ -9,6 +9,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -17,9 +18,10 @@ from cairn.driver.emulated_lines import LineEnd
 from cairn.driver.faults import FrameFault, FrameFaults
 from cairn.errors import CairnError
 
-_BUFFER = 262_144  # bytes that a device keeps for a host that does not read; then frames are lost
+_BUFFER = 65_536  # bytes of answers that are kept for a host that does not read; more are lost
 _STOP_LIMIT_S = 5.0
 _BITS_PER_BYTE = 10  # start, eight of data, stop
+_PORTIONS = _BITS_PER_BYTE * 100  # a line that keeps its pace is given what it sends in 10 ms
 
 
 class EmulatedDevice(Protocol):
@@ -29,7 +31,10 @@ class EmulatedDevice(Protocol):
     """
 
     def receive(self, data: bytes, now: float) -> list[bytes]:
-        """Take what the host has sent; what it answers at once."""
+        """Take what the host has sent; what it answers at once.
+
+        If it changes the line's speed, its answer still goes out at the old one.
+        """
         ...
 
     def due(self) -> float:
@@ -37,7 +42,11 @@ class EmulatedDevice(Protocol):
         ...
 
     def tick(self, now: float) -> list[bytes]:
-        """What it sends of its own accord; called when that is due, and oftener."""
+        """What it sends of its own accord; called when that is due, and oftener.
+
+        Not called while the line is busy with what was sent before: like a real device, it then
+        goes on with what is newest.
+        """
         ...
 
     def hung_up(self, now: float) -> None:
@@ -51,6 +60,14 @@ class EmulatedDevice(Protocol):
     def baud(self) -> int | None:
         """The speed at which it speaks [bit/s]; None if it does not matter."""
         ...
+
+
+@dataclass(frozen=True)
+class _Frame:
+    """Bytes to be sent, at a speed [bit/s] if that matters."""
+
+    data: bytes
+    baud: int | None
 
 
 class Emulation:
@@ -77,9 +94,10 @@ class Emulation:
         self._paced = paced
         self._slow: int | None = None
         self._free_at = 0.0  # when the line has sent what it was given
-        self._pending: deque[bytes] = deque()
+        self._pending: deque[_Frame] = deque()
         self._hanging_until = -math.inf
         self._plugged = False
+        self._returns_at = math.inf
         self._orders: deque[tuple[Callable[[], None], threading.Event]] = deque()
         self._bell, self._ring = os.pipe()
         self._running = True
@@ -125,13 +143,14 @@ class Emulation:
 
         self._do(begin)
 
-    def unplug(self) -> None:
-        """Pull the plug."""
+    def unplug(self, seconds: float = math.inf) -> None:
+        """Pull the plug; it is plugged in again after that time [s]."""
 
         def pull() -> None:
             self._end.unplug()
             self._plugged = False
             self._pending.clear()
+            self._returns_at = time.monotonic() + seconds
 
         self._do(pull)
 
@@ -154,6 +173,7 @@ class Emulation:
         self._end.plug_in()
         self._device.switched_on(time.monotonic())
         self._plugged = True
+        self._returns_at = math.inf
 
     def _end_all(self) -> None:
         self._running = False
@@ -175,26 +195,40 @@ class Emulation:
             self._orders.popleft()[1].set()
 
     def _turn(self) -> None:
-        now = time.monotonic()
-        silent = not self._plugged or now < self._hanging_until
-        waits = [self._hanging_until - now] if silent else [self._device.due() - now]
-        writable = None if silent else self._end.writable()
-        sending = []
-        if self._pending and writable is not None:
-            if self._free_at <= now:
-                sending = [writable]
-            else:
-                waits.append(self._free_at - now)
-        wait = min((max(0.0, one) for one in waits if math.isfinite(one)), default=None)
-        select.select([self._bell, *self._end.readable()], sending, [], wait)
+        self._wait()
         self._follow_orders()
+        now = time.monotonic()
+        if now >= self._returns_at:
+            self._plug_in()
         if not self._plugged or not self._running:
             return
         self._listen()
         now = time.monotonic()
-        if now >= self._hanging_until:
-            self._send(self._device.tick(now))
-            self._flush(now)
+        if now < self._hanging_until:
+            return
+        if not self._pending:
+            baud = self._device.baud()
+            self._send(self._device.tick(now), baud)
+        self._flush(now)
+
+    def _wait(self) -> None:
+        """Sleep until there is something to do."""
+        now = time.monotonic()
+        sending: list[int] = []
+        if not self._plugged:
+            next_at = self._returns_at
+        elif now < self._hanging_until:
+            next_at = self._hanging_until
+        elif not self._pending:
+            next_at = self._device.due()
+        elif self._free_at > now:
+            next_at = self._free_at
+        else:
+            next_at = math.inf
+            writable = self._end.writable()
+            sending = [] if writable is None else [writable]
+        wait = max(0.0, next_at - now) if math.isfinite(next_at) else None
+        select.select([self._bell, *self._end.readable()], sending, [], wait)
 
     def _follow_orders(self) -> None:
         while self._orders:
@@ -208,31 +242,33 @@ class Emulation:
     def _listen(self) -> None:
         now = time.monotonic()
         data = self._end.take()
+        baud = self._device.baud()
         if data is None:
             self._pending.clear()
             self._device.hung_up(now)
-        elif data and now >= self._hanging_until and self._same_speed():
-            self._send(self._device.receive(data, now))
+        elif data and now >= self._hanging_until and self._heard_at(baud):
+            self._send(self._device.receive(data, now), baud)
 
-    def _same_speed(self) -> bool:
-        spoken, heard = self._end.baud(), self._device.baud()
-        return spoken is None or heard is None or spoken == heard
+    def _heard_at(self, baud: int | None) -> bool:
+        spoken = self._end.baud()
+        return spoken is None or baud is None or spoken == baud
 
-    def _send(self, frames: list[bytes]) -> None:
+    def _send(self, frames: list[bytes], baud: int | None) -> None:
         for frame in frames:
-            if sum(map(len, self._pending)) < _BUFFER and self._end.writable() is not None:
-                self._pending.append(self._faults.spoil(frame))
+            waiting = sum(len(pending.data) for pending in self._pending)
+            if waiting < _BUFFER and self._end.writable() is not None:
+                self._pending.append(_Frame(self._faults.spoil(frame), baud))
 
     def _flush(self, now: float) -> None:
         """Give the line what it takes now; at the wrong speed nothing of it can be understood."""
         while self._pending and self._free_at <= now:
             frame = self._pending.popleft()
-            baud = self._slow or (self._device.baud() if self._paced else None)
-            part = frame if baud is None else frame[: max(1, baud // (_BITS_PER_BYTE * 100))]
-            given = self._end.give(part if self._same_speed() else bytes(len(part)))
-            if given < len(frame):
-                self._pending.appendleft(frame[given:])
-            if baud is not None:
-                self._free_at = max(self._free_at, now - 0.1) + given * _BITS_PER_BYTE / baud
+            pace = self._slow or (frame.baud if self._paced else None)
+            part = frame.data if pace is None else frame.data[: max(1, pace // _PORTIONS)]
+            given = self._end.give(part if self._heard_at(frame.baud) else bytes(len(part)))
+            if given < len(frame.data):
+                self._pending.appendleft(_Frame(frame.data[given:], frame.baud))
+            if pace is not None:
+                self._free_at = max(self._free_at, now - 0.1) + given * _BITS_PER_BYTE / pace
             if given < len(part):
                 return

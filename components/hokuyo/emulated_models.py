@@ -1,0 +1,162 @@
+"""The models of SCIP scanners that are emulated, as they tell of themselves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+Line = Literal["rs232", "usb", "ethernet"]
+
+_ALL_HAVE = frozenset(("VV", "PP", "II", "BM", "QT", "RS", "RT", "TM", "GD", "MD"))
+_BASIC = _ALL_HAVE | {"SS", "CR", "HS", "GS", "MS"}
+_FAST = _BASIC | {"RB", "GE", "ME", "%ST"}
+_ETHERNET = _ALL_HAVE | {"RB", "GE", "ME", "HD", "HE", "ND", "NE", "%ST", "%SL"}
+
+
+@dataclass(frozen=True)
+class ScipModel:
+    """One model. Angles are counted in steps, `turn_steps` of them in a full turn, to the left.
+
+    `first`, `front`, `last`: steps of the field of view; `most_step`: the last that may be asked
+    for. `least_mm`, `most_mm`: what PP tells; nothing is seen farther than `sight_mm`.
+    """
+
+    name: str
+    product: str
+    firmware: str
+    protocol: str
+    least_mm: int
+    most_mm: int
+    sight_mm: int
+    turn_steps: int
+    first: int
+    front: int
+    last: int
+    most_step: int
+    rpm: int
+    line: Line
+    commands: frozenset[str]
+    nothing: int
+    """What is sent in place of a distance where no light comes back."""
+    near: int
+    """The same for what is nearer than `least_mm`."""
+    speaks_scip1: bool = False
+    arrows_unsummed: bool = False
+    """In lines of II, what stands from `<-` on is left out of the check sum."""
+    unsupported: str = "0E"
+    """Status of a command that the model does not have."""
+
+    @property
+    def steps(self) -> int:
+        """How many steps are measured: 0 to `most_step`."""
+        return self.most_step + 1
+
+    @property
+    def turn_s(self) -> float:
+        """Time of a turn of its mirror [s]."""
+        return 60.0 / self.rpm
+
+
+_URG = ScipModel(
+    name="URG-04LX",
+    product="SOKUIKI Sensor URG-04LX",
+    firmware="3.3.00,09/05/01(14-7-2008)",
+    protocol="SCIP 2.0",
+    least_mm=20,
+    most_mm=5600,
+    sight_mm=5600,
+    turn_steps=1024,
+    first=44,
+    front=384,
+    last=725,
+    most_step=768,
+    rpm=600,
+    line="usb",
+    commands=_BASIC | {"DB"},
+    nothing=0,
+    near=6,
+    speaks_scip1=True,
+)
+
+
+def _fast(
+    name: str, product: str, most_mm: int, sight_mm: int, line: Line, commands: frozenset[str]
+) -> ScipModel:
+    """A model of 270 degrees in 1081 steps, 40 times a second."""
+    return ScipModel(
+        name=name,
+        product=product,
+        firmware="1.18.01(16/Apr./2015)" if line == "usb" else "2.2.1(2013/12/13)",
+        protocol="SCIP 2.0" if line == "usb" else "SCIP 2.2",
+        least_mm=23 if most_mm == 60000 else 20,
+        most_mm=most_mm,
+        sight_mm=sight_mm,
+        turn_steps=1440,
+        first=0,
+        front=540,
+        last=1080,
+        most_step=1080,
+        rpm=2400,
+        line=line,
+        commands=commands,
+        nothing=1,
+        near=2,
+        arrows_unsummed=name == "UTM-30LX",
+        unsupported="0F" if name.startswith("UST") else "0E",
+    )
+
+
+_ALL = (
+    _URG,
+    ScipModel(
+        name="URG-04LX-UG01",
+        product="SOKUIKI Sensor URG-04LX-UG01(Simple-URG)",
+        firmware="3.4.03(17/Dec./2012)",
+        protocol="SCIP 2.0",
+        least_mm=20,
+        most_mm=5600,
+        sight_mm=5600,
+        turn_steps=1024,
+        first=44,
+        front=384,
+        last=725,
+        most_step=768,
+        rpm=600,
+        line="usb",
+        commands=_BASIC,
+        nothing=0,
+        near=6,
+    ),
+    ScipModel(
+        name="UHG-08LX",
+        product="SOKUIKI Sensor UHG-08LX",
+        firmware="1.1.00(07/Jul./2008)",
+        protocol="SCIP 2.0",
+        least_mm=20,
+        most_mm=12000,
+        sight_mm=8000,
+        turn_steps=1024,
+        first=0,
+        front=384,
+        last=768,
+        most_step=768,
+        rpm=900,
+        line="usb",
+        commands=_BASIC | {"GE", "ME"},
+        nothing=0,
+        near=6,
+    ),
+    _fast("UTM-30LX", "SOKUIKI Sensor TOP-URG UTM-30LX", 60000, 30000, "usb", _FAST),
+    _fast(
+        "UTM-30LX-EW",
+        "SOKUIKI Sensor UTM-30LX-EW",
+        60000,
+        30000,
+        "ethernet",
+        _ETHERNET | {"GS", "MS", "HS"},
+    ),
+    _fast("UST-10LX", "SOKUIKI Sensor UST-10LX", 30000, 10000, "ethernet", _ETHERNET),
+    _fast("UST-20LX", "SOKUIKI Sensor UST-20LX", 60000, 20000, "ethernet", _ETHERNET),
+)
+
+MODELS = {model.name: model for model in _ALL}

@@ -1,0 +1,118 @@
+"""The emulated sensor behind its protocol: mirror, laser, clock, and what it sees."""
+
+from __future__ import annotations
+
+import math
+
+from components.hokuyo.emulated_asked import Asked
+from components.hokuyo.emulated_facts import Condition
+from components.hokuyo.emulated_mirror import Mirror, SensorClock
+from components.hokuyo.emulated_models import ScipModel
+from components.hokuyo.emulated_record import SentScan
+from components.hokuyo.emulated_scene import Scene
+
+WELL = "Sensor works well."
+SLOWEST = 10
+"""Each level of CR takes one hundredth off the mirror's speed."""
+
+
+class Sensor:
+    """Its state, which commands change; time [s] is given."""
+
+    def __init__(
+        self,
+        model: ScipModel,
+        scene: Scene,
+        *,
+        baud: int | None,
+        clock_start_ms: float,
+        drift_ppm: float,
+    ) -> None:
+        self.model = model
+        self.scene = scene
+        self.diagnosis = WELL
+        self._initial_baud = baud
+        self.deaf_until = -math.inf
+        self._clock_start_ms = clock_start_ms
+        self._drift_ppm = drift_ppm
+        self.reset(0.0)
+
+    def switched_on(self, now: float) -> None:
+        """Begin as after power-on."""
+        self.diagnosis = WELL
+        self.deaf_until = -math.inf
+        self.reset(now)
+
+    def reset(self, now: float, *, keep_speeds: bool = False) -> None:
+        """Begin anew: laser off, clock at its beginning; mirror and line as after power-on."""
+        self.laser = False
+        self.streaming = False
+        self.adjusting = False
+        self.asleep = False
+        self.sensitive = False
+        self.clock = SensorClock(now, self._clock_start_ms, self._drift_ppm)
+        self._lit_turn = 0
+        if not keep_speeds:
+            self.baud = self._initial_baud
+            self.level = 0
+            self.mirror = Mirror(self.model, now, self.model.turn_s)
+
+    def light(self, now: float) -> None:
+        """Switch the laser on; awake, if it was asleep."""
+        if not self.laser:
+            self._lit_turn = self.mirror.next(now)
+        self.laser, self.asleep = True, False
+
+    @property
+    def broken(self) -> bool:
+        """Whether it has found something wrong with itself."""
+        return self.diagnosis != WELL
+
+    def darken(self) -> None:
+        """Switch the laser off; whatever is being measured ends."""
+        self.laser = self.streaming = False
+
+    def turn_at(self, level: int, now: float) -> None:
+        """Turn the mirror at another speed."""
+        self.level = level
+        slower = 1.0 - 0.01 * level
+        self.mirror = Mirror(self.model, now, self.model.turn_s / slower)
+        self._lit_turn = 0
+
+    def newest_turn(self, now: float) -> int:
+        """The last turn that is measured; if the laser is new on, the first one that will be."""
+        return max(self.mirror.newest(now), self._lit_turn)
+
+    def scan(self, turn: int, asked: Asked) -> SentScan:
+        """What a turn has measured, of that what is asked for."""
+        began = self.mirror.began(turn)
+        measured = self.scene.turn(turn, began - self.clock.zero_s)
+        distances, intensities = asked.of(measured, self.model)
+        return SentScan(
+            asked, turn, self.clock.ms(began), distances, intensities if asked.intensity else None
+        )
+
+    def condition(self, now: float) -> Condition:
+        """What II tells of it."""
+        measures = "Measuring by Sensitive Mode" if self.sensitive else "Measuring by Normal Mode"
+        return Condition(
+            laser=self.laser,
+            measures=measures if self.laser else "Idle",
+            rpm=round(60.0 / self.mirror.turn_s),
+            turned_down=self.level != 0,
+            baud=self.baud,
+            time_ms=self.clock.ms(now),
+            diagnosis=self.diagnosis,
+        )
+
+    def state_number(self) -> str:
+        """What %ST tells of it."""
+        if self.broken:
+            return "900"
+        if self.adjusting:
+            return "002"
+        if self.asleep:
+            return "005"
+        if self.streaming:
+            return "004"
+        return "003" if self.laser else "000"
