@@ -1,0 +1,54 @@
+"""The simulated drivers keep the contracts, all in one deployment."""
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from cairn.testing.base_contract import BaseContract
+from cairn.testing.bench import Bench, settings
+from cairn.testing.camera_contract import PicturesContract
+from cairn.testing.driver_contract import LifeCycleContract, ParametersContract
+from cairn.testing.end_contract import StopContract
+from cairn.testing.scanner_contract import ScanContract
+
+WORLD = Path(__file__).parents[3] / "deploy" / "worlds" / "room.yaml"
+DEPLOYMENT = """
+    settings: {world: ""}
+    external_topics: [cmd_vel]
+    components:
+      world:
+        plugin: simulated_world
+        parameters: {world: "${world}", radius: 0.2}
+      base: {plugin: simulated_base}
+      scanner:
+        plugin: simulated_scanner
+        parameters: {model: UST-10LX, rate: 20, skip: 3}
+      camera:
+        plugin: simulated_stereo_camera
+        parameters: {width: 160, height: 120, rate: 10}
+    """
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
+    words = settings({"world": str(WORLD)})
+    with Bench(tmp_path_factory.mktemp("simulated"), DEPLOYMENT, words) as bench:
+        yield bench
+
+
+class TestScanner(StopContract, LifeCycleContract, ParametersContract, ScanContract):
+    rate_hz = 20.0
+    # It stands in a corner of the room, a metre from the wall on its right.
+    surroundings = {math.radians(-90.0): 1.0}
+
+
+class TestCamera(StopContract, LifeCycleContract, ParametersContract, PicturesContract):
+    rate_hz = 10.0
+    live_parameters = {"sensor.gain": 2.0}
+
+
+class TestBase(BaseContract):
+    rate_hz = 50.0
+    top_speed = 0.6
