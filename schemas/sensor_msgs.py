@@ -80,6 +80,36 @@ class LaserScan:
                 )
 
 
+@message("sensor_msgs/msg/LaserEcho")
+class LaserEcho:
+    """What came back of one ray of a laser: ranges [m], or intensities; the nearest first."""
+
+    echoes: Float32Array = empty(np.float32)
+
+
+@message("sensor_msgs/msg/MultiEchoLaserScan")
+class MultiEchoLaserScan:
+    """One sweep of a planar laser that tells several echoes of each ray; else as `LaserScan`."""
+
+    header: Header = Header()
+    angle_min: FiniteFloat32 = 0.0
+    angle_max: FiniteFloat32 = 0.0
+    angle_increment: FiniteFloat32 = 0.0
+    time_increment: FiniteFloat32 = 0.0
+    scan_time: FiniteFloat32 = 0.0
+    range_min: FiniteFloat32 = 0.0
+    range_max: Float32 = 0.0
+    ranges: tuple[LaserEcho, ...] = ()
+    intensities: tuple[LaserEcho, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Check that intensities are those of the ranges, echo by echo."""
+        if self.intensities and [echo.echoes.size for echo in self.intensities] != [
+            echo.echoes.size for echo in self.ranges
+        ]:
+            refuse(self, "intensities", self.intensities, "must be none, or one for each range")
+
+
 @message("sensor_msgs/msg/Image")
 class Image:
     """An uncompressed image: `height` rows of `step` bytes, pixels as `encoding` says."""

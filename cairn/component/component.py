@@ -101,8 +101,8 @@ class Component:
     def post(self, call: Callable[[], None]) -> None:
         """Run `call` as one of the handlers, soon; forgotten if the component is not active then.
 
-        This, and the log, are all that a thread of a driver's own may use of its component. The
-        call is made by that thread itself if no other handler is at work.
+        This, and the log, are all that a thread of a driver's own may use of its component. It
+        returns at once; another thread makes the call.
         """
         self._context.post(call)
 

@@ -123,7 +123,7 @@ class Runtime:
     def post(self, call: Callable[[], None]) -> None:
         """Have the component's `call` made among its handlers; from any thread."""
         name = getattr(call, "__name__", "posted call")
-        self._scheduler.deliver(partial(self.run, name, call))
+        self._scheduler.post(partial(self.run, name, call))
 
     def finish(self, reason: str, *, success: bool = True) -> None:
         """End normally once the current handler returns."""

@@ -11,8 +11,8 @@ from typing import Protocol
 
 import serial
 
-from cairn.driver.errors import LinkLost
-from cairn.driver.ports import find_port
+from cairn.driver.errors import DeviceError, LinkLost
+from cairn.driver.ports import find_port, is_paced
 
 _CHUNK = 65536
 _WRITE_LIMIT_S = 1.0
@@ -23,6 +23,8 @@ class Link(Protocol):
 
     name: str
     """What errors call it: `/dev/ttyACM0`, `192.168.0.10:10940`."""
+    paced: bool
+    """Whether bytes take the time that the line's speed gives them, as on RS-232."""
 
     def read(self, limit_s: float) -> bytes:
         """What has come, waiting for the first byte up to `limit_s` [s]; empty if none came.
@@ -38,7 +40,7 @@ class Link(Protocol):
     def set_baud(self, baud: int) -> None:
         """Speak at this speed from now on [bit/s]; does nothing where a line has no speed.
 
-        Raises `LinkLost` if the line is gone, or knows no such speed.
+        Raises `LinkLost` if the line is gone, `DeviceError` if it knows no such speed.
         """
         ...
 
@@ -65,6 +67,7 @@ class SerialLink:
         """
         device = find_port(port)
         self.name = port if device == port else f"{port} ({device})"
+        self.paced = is_paced(device)
         try:
             self._serial = serial.Serial(
                 device, baud, bytesize=data_bits, timeout=0, write_timeout=_WRITE_LIMIT_S,
@@ -102,8 +105,10 @@ class SerialLink:
         """Speak at this speed from now on [bit/s]."""
         try:
             self._serial.baudrate = baud
-        except (serial.SerialException, OSError, termios.error, ValueError) as error:
-            raise LinkLost(f"{self.name} does not take {baud} bit/s: {_cause(error)}") from error
+        except ValueError as error:
+            raise DeviceError(f"{self.name} knows no speed of {baud} bit/s") from error
+        except (serial.SerialException, OSError, termios.error) as error:
+            raise self._lost(error) from error
 
     def discard(self) -> None:
         """Throw away what has come and was not read."""
@@ -128,6 +133,7 @@ class TcpLink:
     def __init__(self, host: str, port: int, limit_s: float = 2.0) -> None:
         """Connect within `limit_s` [s]; raises `LinkLost` if that fails, with the cause."""
         self.name = f"{host}:{port}"
+        self.paced = False
         try:
             self._socket = socket.create_connection((host, port), limit_s)
         except OSError as error:

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import os
 import re
 
 from serial.tools import list_ports
 
 from cairn.driver.errors import LinkLost
+
+# RS-232 of all kinds; USB devices of class CDC (ttyACM) and pseudo-terminals have no speed.
+_PACED = ("ttyUSB", "ttyS", "ttyAMA", "ttyO", "ttyTHS", "ttymxc")
 
 _USB = re.compile(r"usb:([0-9a-fA-F]{4}):([0-9a-fA-F]{4})(?::(.+))?")
 
@@ -36,3 +40,8 @@ def find_port(port: str) -> str:
         named = ", ".join(f"{known.device} ({known.serial_number})" for known in found)
         raise LinkLost(f"{port}: there are several: {named}; add the serial number to the name")
     raise LinkLost(f"{port}: no such device is plugged in; `cairn doctor` lists those that are")
+
+
+def is_paced(device: str) -> bool:
+    """Whether bytes take the time on a serial port's line that its speed gives them."""
+    return os.path.basename(os.path.realpath(device)).startswith(_PACED)

@@ -29,7 +29,7 @@ from schemas.message import type_name
 from schemas.nav_msgs import MapMetaData, OccupancyGrid
 from schemas.packed import Packed
 from schemas.primitives import Array, Scalar, Text, finite, mark_of
-from schemas.sensor_msgs import Image, LaserScan
+from schemas.sensor_msgs import Image, LaserEcho, LaserScan, MultiEchoLaserScan
 
 LONGEST = 6
 TEXT = st.text(st.characters(exclude_characters="\0", codec="utf-8"), max_size=12)
@@ -169,6 +169,17 @@ def _scans(draw: st.DrawFn) -> Any:
 
 
 @st.composite
+def _multi_echo_scans(draw: st.DrawFn) -> Any:
+    sizes = draw(st.lists(st.integers(0, 3), max_size=4))
+
+    def echoes() -> Any:
+        return st.tuples(*(_built(LaserEcho, echoes=_arrays("float32", size)) for size in sizes))
+
+    intensities = st.one_of(st.just(()), echoes())
+    return draw(_built(MultiEchoLaserScan, ranges=echoes(), intensities=intensities))
+
+
+@st.composite
 def _images(draw: st.DrawFn) -> Any:
     height, step = draw(st.integers(0, 4)), draw(st.integers(0, 9))
     return draw(
@@ -270,6 +281,7 @@ def _changes() -> st.SearchStrategy[VisualMapChange]:
 
 _WITH_RULES_BETWEEN_FIELDS = {
     LaserScan: _scans,
+    MultiEchoLaserScan: _multi_echo_scans,
     Image: _images,
     OccupancyGrid: _grids,
     OccupancyGridUpdate: _grid_updates,

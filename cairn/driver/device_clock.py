@@ -1,0 +1,78 @@
+"""A device's own clock against the system's: when something really happened in the device."""
+
+from __future__ import annotations
+
+import math
+
+_DRIFT = 5e-4  # no clock of a device is worse: 500 ppm [1]
+_JUMP_S = 0.05  # what is earlier than possible by that bears another time than it should
+_EARLY = 3  # so many in a row: the device's clock was set
+_LATE_S = 3.0  # what is late for so long is not late: a clock was set
+
+
+class DeviceClock:
+    """Finds a device's time in the system's from when messages arrive that bear it.
+
+    A message may come late, by the line or by a busy computer, but never early. So of all
+    differences between arrival and the device's time the least one is nearest to the truth: it is
+    kept, and given way as fast as clocks may drift from each other (500 ppm). Times on the device
+    are counted by `ticks_per_s`, and wrap around at `2**bits` ticks.
+    """
+
+    def __init__(self, ticks_per_s: float, bits: int) -> None:
+        self._ticks_per_s = ticks_per_s
+        self._modulus = 1 << bits
+        self.jumps = 0
+        """How often one of the two clocks was set."""
+        self.restart()
+
+    def restart(self) -> None:
+        """Begin anew, as with another device, or after its power was off."""
+        self._ticks: int | None = None
+        self._turns = 0
+        self._offset_s = math.inf
+        self._at_s = 0.0
+        self._early = 0
+        self._timely_s = math.inf
+
+    def seconds(self, ticks: int) -> float:
+        """The device's time [s], counted on beyond its wraps; ticks as they come."""
+        if self._ticks is not None:
+            ahead = (ticks - self._ticks) % self._modulus
+            back = ahead > self._modulus // 2  # read before the last one: not a wrap
+            if not back and ticks < self._ticks:
+                self._turns += 1
+            if back and ticks > self._ticks:
+                self._turns -= 1
+        self._ticks = ticks
+        return (self._turns * self._modulus + ticks) / self._ticks_per_s
+
+    def offset(self, device_s: float, arrived_s: float) -> float:
+        """System's time minus device's [s], with what arrived at `arrived_s` [s] taken in.
+
+        It includes the least time that a message takes on its way.
+        """
+        found = arrived_s - device_s
+        if math.isinf(self._offset_s):
+            return self._begin(found, arrived_s)
+        allowed = self._offset_s + _DRIFT * max(0.0, arrived_s - self._at_s)
+        if found < allowed - _JUMP_S:
+            self._early += 1
+            if self._early < _EARLY:  # one may be damaged
+                return self._offset_s
+            self.jumps += 1
+            return self._begin(found, arrived_s)
+        self._early = 0
+        if found < allowed + _JUMP_S:
+            self._timely_s = arrived_s
+        elif arrived_s - self._timely_s > _LATE_S:
+            self.jumps += 1
+            return self._begin(found, arrived_s)
+        self._offset_s = min(found, allowed)
+        self._at_s = arrived_s
+        return self._offset_s
+
+    def _begin(self, offset_s: float, arrived_s: float) -> float:
+        self._offset_s, self._at_s = offset_s, arrived_s
+        self._early, self._timely_s = 0, arrived_s
+        return offset_s

@@ -1,0 +1,156 @@
+"""The driver of range scanners that speak Hokuyo's SCIP."""
+
+from __future__ import annotations
+
+import time
+from functools import partial
+
+from cairn.bus.qos import LATCHED, SENSOR
+from cairn.clock import SECOND, from_ns
+from cairn.component.component import Component
+from cairn.component.handlers import every
+from cairn.component.parameters import Config, ParameterRefused
+from cairn.component.ports import Out
+from cairn.driver.device_thread import DeviceThread
+from cairn.driver.diagnostics import diagnostics
+from cairn.driver.errors import DeviceError
+from cairn.driver.rate import RateWindow
+from cairn.errors import CairnError
+from components.hokuyo import health
+from components.hokuyo.config import LIVE, HokuyoConfig
+from components.hokuyo.measurement import Measured, Measurement
+from components.hokuyo.scan_message import ScanShape
+from components.hokuyo.sensor import request_of
+from planar.messages import transform_message
+from schemas.diagnostic_msgs import DiagnosticArray
+from schemas.sensor_msgs import LaserScan, MultiEchoLaserScan
+from schemas.std_msgs import Header
+from schemas.tf2_msgs import TFMessage
+
+
+class HokuyoScanner(Component):
+    """Drives a range scanner that speaks SCIP 1.1, 2.0, 2.1 or 2.2: URG, UHG, UTM, UST and others.
+
+    Configured, the sensor is connected and its laser off; active, it measures. A sensor that is
+    unplugged, falls silent or sends what cannot be is told of, and begun anew with.
+    """
+
+    clock_source = "device"
+    config: HokuyoConfig
+
+    scan: Out[LaserScan] = Out(qos=SENSOR)
+    multi_echo_scan: Out[MultiEchoLaserScan] = Out(qos=SENSOR)
+    tf_static: Out[TFMessage] = Out(qos=LATCHED)
+    diagnostics: Out[DiagnosticArray]
+
+    def on_configure(self) -> None:
+        """Connect the sensor, and find out what it is."""
+        self._rate = RateWindow()
+        self._health = health.Health()
+        self._trouble = ""
+        self._measurement = Measurement(
+            self.config, lambda measured: self.post(partial(self._tell, measured)), self.log
+        )
+        sensor = self._measurement.connect()
+        try:
+            request_of(self.config, sensor.measuring)
+        except CairnError:
+            self._measurement.disconnect()
+            raise
+        self.log.info(
+            "%s: %s, %s, firmware %s, serial number %s",
+            sensor.link.name,
+            sensor.measuring.model,
+            sensor.version.get("PROT", "SCIP 1.1"),
+            sensor.version.get("FIRM", "unknown"),
+            sensor.serial_number or "unknown",
+        )
+
+    def on_activate(self) -> None:
+        """Tell where it sits on the robot; begin to measure."""
+        header = Header(stamp=from_ns(self.clock.now()), frame_id="base_link")
+        mounted = transform_message(header, self.config.frame_id, self.config.mount.pose)
+        self.tf_static.publish(TFMessage(transforms=(mounted,)))
+        self._rate.restart()
+        self._thread = DeviceThread(
+            self.name,
+            lambda stopping: self._measurement.converse(stopping, self._well),
+            log=self.log,
+            on_trouble=lambda error: self.post(partial(self._lost, error)),
+            on_failure=lambda error: self.post(partial(_fail, error)),
+        )
+        self._thread.start()
+
+    def on_deactivate(self) -> None:
+        """Have it rest, its laser off."""
+        self._thread.stop()
+
+    def on_cleanup(self) -> None:
+        """Let go of it."""
+        self._measurement.disconnect()
+
+    def on_error(self, error: Exception) -> bool:  # noqa: ARG002 - whatever it was
+        """Switch the laser off and let go of the sensor; the supervisor decides."""
+        for name, give_back in (("_thread", "stop"), ("_measurement", "disconnect")):
+            if hasattr(self, name):
+                getattr(getattr(self, name), give_back)()
+        return False
+
+    def on_parameters(self, new: Config) -> None:
+        """What is measured may change while it runs; where the sensor is may not."""
+        assert isinstance(new, HokuyoConfig)
+        for name in HokuyoConfig.model_fields:
+            if name not in LIVE and getattr(new, name) != getattr(self.config, name):
+                raise ParameterRefused(
+                    f"the driver takes {name} when it is configured; {', '.join(LIVE)} may be "
+                    "changed while it runs"
+                )
+        sensor = self._measurement.sensor
+        if sensor is not None:
+            try:
+                request_of(new, sensor.measuring)
+            except CairnError as error:
+                raise ParameterRefused(str(error)) from error
+        self._measurement.config = new
+        self._rate.restart()
+
+    @every(hz=1)
+    def report(self) -> None:
+        """Tell how the sensor is."""
+        measurement = self._measurement
+        hz = self._rate.hz(time.monotonic())
+        level, text = self._health.judge(measurement, self._trouble, hz, self.config.rate_tolerance)
+        sensor = measurement.sensor
+        self.diagnostics.publish(
+            diagnostics(
+                self.clock.now(),
+                self.name,
+                "" if sensor is None else sensor.serial_number,
+                level,
+                text,
+                health.values(measurement, hz),
+            )
+        )
+
+    def _tell(self, measured: Measured) -> None:
+        self._rate.note(time.monotonic())
+        self._trouble = ""
+        # Whoever sets the system's clock sets the stamps with it, at once.
+        stamp = measured.first_ray + self.clock.now() - time.monotonic_ns()
+        stamp += round(self.config.time_offset_s * SECOND)
+        header = Header(stamp=from_ns(stamp), frame_id=self.config.frame_id)
+        shape = ScanShape(measured.sensor.measuring, measured.request, self.config.range_max)
+        self.scan.publish(shape.scan(measured.data, header, self.config.echo))
+        if measured.request.multi_echo:
+            self.multi_echo_scan.publish(shape.multi_echo_scan(measured.data, header))
+
+    def _lost(self, error: DeviceError) -> None:
+        self._trouble = str(error)
+        self._rate.restart()
+
+    def _well(self, what: str) -> None:
+        self._thread.well(what)
+
+
+def _fail(error: Exception) -> None:
+    raise error

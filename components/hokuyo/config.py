@@ -1,0 +1,116 @@
+"""The parameters of the SCIP driver."""
+
+from __future__ import annotations
+
+import math
+from typing import Self
+
+from pydantic import Field, model_validator
+
+from cairn.component.mount import Mount
+from cairn.component.parameters import Config
+from components.hokuyo.greeting import SPEEDS
+from components.hokuyo.requests import Encoding
+from components.hokuyo.scan_message import Echo
+
+
+class HokuyoConfig(Config):
+    """Where the sensor is, and what it is to measure.
+
+    Those of `LIVE` may be changed while it runs.
+    """
+
+    port: str | None = Field(
+        None,
+        description="Serial port: /dev/serial/by-id/..., /dev/ttyACM0, or usb:VENDOR:PRODUCT"
+        "[:SERIAL] with hexadecimal numbers. Either this or host.",
+    )
+    baud: int = Field(
+        115200,
+        ge=19200,
+        le=750000,
+        description="Speed of an RS-232 line, found and changed if the sensor has another; "
+        "without effect over USB [bit/s].",
+    )
+    host: str | None = Field(
+        None, description="Address of a sensor on Ethernet, as 192.168.0.10. Either this or port."
+    )
+    tcp_port: int = Field(10940, ge=1, le=65535, description="Its TCP port [1].")
+    frame_id: str = Field("laser", min_length=1, description="Frame of the scans.")
+    mount: Mount = Field(Mount(), description="Where the scanner sits on the robot.")
+    angle_min: float = Field(
+        -math.pi, ge=-math.pi, le=math.pi, description="Direction of the first ray, at least [rad]."
+    )
+    angle_max: float = Field(
+        math.pi, ge=-math.pi, le=math.pi, description="Direction of the last ray, at most [rad]."
+    )
+    cluster: int = Field(
+        1,
+        ge=1,
+        le=99,
+        description="How many neighbouring rays become one, the nearest of them [1].",
+    )
+    skip: int = Field(0, ge=0, le=9, description="Scans that are left out after each one [1].")
+    intensity: bool = Field(
+        False, description="Ask for intensities, if the sensor has them; scans take twice the line."
+    )
+    multi_echo: bool = Field(
+        False, description="Ask for up to three echoes of a ray, if the sensor has them."
+    )
+    echo: Echo = Field("first", description="Which of several echoes is the range in `scan`.")
+    short_distances: bool = Field(
+        False, description="Two characters for a distance: a third less on the line, up to 4.095 m."
+    )
+    range_max: float | None = Field(
+        None,
+        gt=0,
+        le=262,
+        description="What is farther counts as nothing hit [m]; none: as the sensor says.",
+    )
+    calibrate_time: bool = Field(
+        True, description="Read the sensor's clock when it is connected: 0.1 s, its laser off."
+    )
+    time_offset_s: float = Field(0.0, ge=-1, le=1, description="Added to the stamps of scans [s].")
+    silence_s: float = Field(
+        0.5,
+        ge=0.05,
+        le=60,
+        description="How long no scan comes, beyond two turns, until it is started anew [s].",
+    )
+    rate_tolerance: float = Field(
+        0.05, gt=0, le=1, description="Of the nominal rate, before diagnostics warn [1]."
+    )
+
+    @model_validator(mode="after")
+    def _agree(self) -> Self:
+        if (self.port is None) == (self.host is None):
+            raise ValueError("give either port, for a serial line or USB, or host, for Ethernet")
+        if self.baud not in SPEEDS:
+            raise ValueError(f"baud must be one of {', '.join(map(str, sorted(SPEEDS)))}")
+        if self.angle_min >= self.angle_max:
+            raise ValueError("angle_min must be less than angle_max")
+        if self.short_distances and (self.intensity or self.multi_echo):
+            raise ValueError("short_distances go neither with intensity nor with multi_echo")
+        return self
+
+    @property
+    def encoding(self) -> Encoding:
+        """Characters of a distance."""
+        return 2 if self.short_distances else 3
+
+
+LIVE = (
+    "angle_min",
+    "angle_max",
+    "cluster",
+    "skip",
+    "intensity",
+    "multi_echo",
+    "echo",
+    "short_distances",
+    "range_max",
+    "time_offset_s",
+    "silence_s",
+    "rate_tolerance",
+)
+"""Parameters that may be changed while the sensor runs; the stream begins anew."""

@@ -1,0 +1,101 @@
+"""Questions and answers over a link, in SCIP of any version, beside a stream of scans."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from dataclasses import dataclass
+
+from cairn.driver.errors import DeviceError
+from cairn.driver.link import Link
+from components.hokuyo.replies import Reply, ReplySplitter
+
+ANSWER_LIMIT_S = 0.7
+"""How long a sensor is waited for: at 19200 bit/s the longest answer but scans takes 0.2 s."""
+
+_TRIES = 3
+
+
+class NoAnswer(DeviceError):  # noqa: N818 - it tells what happened
+    """A sensor has not answered a command."""
+
+
+@dataclass(frozen=True)
+class Arrival:
+    """A reply, and when its last byte had come [ns of the system's monotonic clock]."""
+
+    reply: Reply
+    at: int
+
+
+class Dialogue:
+    """Sends commands and finds their replies among all that come. One thread at a time."""
+
+    def __init__(self, link: Link) -> None:
+        self.link = link
+        self._splitter = ReplySplitter()
+        self._kept: deque[Arrival] = deque()
+
+    @property
+    def noise(self) -> int:
+        """How many bytes belonged to no reply so far."""
+        return self._splitter.noise
+
+    def ask(self, command: str, limit_s: float = ANSWER_LIMIT_S) -> Reply:
+        """Send a command, and return its reply; other replies are kept for `arrivals`.
+
+        A command or its reply may be damaged on the way, so it is sent up to three times; no
+        command of SCIP does harm if it comes twice. Raises `NoAnswer`, `LinkLost`.
+        """
+        for _ in range(_TRIES):
+            self.send(command)
+            reply = self.find(command, limit_s)
+            if reply is not None:
+                return reply
+        raise NoAnswer(f"{self.link.name}: the sensor does not answer {command}")
+
+    def send(self, command: str) -> None:
+        """Send a command without awaiting its reply; raises `LinkLost`."""
+        self.link.write(command.encode("ascii") + b"\n")
+
+    def find(self, command: str, limit_s: float) -> Reply | None:
+        """The reply to a command that was sent, if it comes within the limit; others are kept."""
+        echo = command.encode("ascii")
+        deadline = time.monotonic() + limit_s
+        while (left_s := deadline - time.monotonic()) > 0:
+            found = None
+            for arrival in self._take(left_s):
+                # What was cut off a stream may stand before the first reply after it.
+                if found is None and arrival.reply.echo.endswith(echo):
+                    found = arrival.reply
+                else:
+                    self._kept.append(arrival)
+            if found is not None:
+                return found
+        return None
+
+    def arrivals(self, limit_s: float) -> list[Arrival]:
+        """What has come, waiting up to `limit_s` [s] for bytes; raises `LinkLost`."""
+        if self._kept:
+            kept = list(self._kept)
+            self._kept.clear()
+            return kept
+        return self._take(limit_s)
+
+    def quieten(self, quiet_s: float, limit_s: float) -> None:
+        """Throw away all that comes until nothing does for a while, or the limit is over."""
+        deadline = time.monotonic() + limit_s
+        while self.link.read(quiet_s) and time.monotonic() < deadline:
+            pass
+        self.forget()
+
+    def forget(self) -> None:
+        """Throw away all that has come so far."""
+        self.link.discard()
+        self._splitter.clear()
+        self._kept.clear()
+
+    def _take(self, limit_s: float) -> list[Arrival]:
+        data = self.link.read(limit_s)
+        at = time.monotonic_ns()
+        return [Arrival(reply, at) for reply in self._splitter.feed(data)] if data else []

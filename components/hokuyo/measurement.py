@@ -1,0 +1,149 @@
+"""Measures with a sensor, on a thread of its own, as long as it is told to."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from cairn.driver.errors import DeviceError
+from components.hokuyo.config import HokuyoConfig
+from components.hokuyo.requests import ScanRequest
+from components.hokuyo.scan_data import ScanData
+from components.hokuyo.scip2 import Scip2
+from components.hokuyo.sensor import Sensor, connect
+from components.hokuyo.stream import Defect, ScanStream
+
+_LISTEN_S = 0.1
+_TURNS = 2  # a scan may be one late
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A scan, what was asked for, and when its first ray was measured [ns, monotonic clock]."""
+
+    data: ScanData
+    request: ScanRequest
+    sensor: Sensor
+    first_ray: int
+
+
+class Measurement:
+    """Has a sensor measure: connects it, begins the stream, watches it, begins anew.
+
+    `converse` is for a `DeviceThread`. Other threads may read the attributes, and set `config`.
+    """
+
+    def __init__(
+        self, config: HokuyoConfig, on_scan: Callable[[Measured], None], log: logging.Logger
+    ) -> None:
+        self.config = config
+        self.stream = ScanStream()
+        self.sensor: Sensor | None = None
+        self.request: ScanRequest | None = None
+        self.restarts = 0
+        """How often a silent sensor was told to begin anew."""
+        self.connections = 0
+        self._on_scan = on_scan
+        self._log = log
+        self._known_speed: int | None = None
+        self._serial_number = ""
+
+    def connect(self) -> Sensor:
+        """Connect the sensor; raises `DeviceError`."""
+        # Where it answered before it most likely answers again; if not, next time all are tried.
+        speeds = () if self._known_speed is None else (self._known_speed,)
+        self._known_speed = None
+        sensor = connect(self.config, speeds)
+        self._known_speed = sensor.baud
+        self.connections += 1
+        if self._serial_number and sensor.serial_number != self._serial_number:
+            self._log.warning(
+                "%s: another sensor is connected now: %s %s in place of %s",
+                sensor.link.name,
+                sensor.measuring.model,
+                sensor.serial_number,
+                self._serial_number,
+            )
+        self._serial_number = sensor.serial_number
+        self.sensor = sensor
+        return sensor
+
+    def disconnect(self) -> None:
+        """Let go of the sensor."""
+        sensor, self.sensor, self.request = self.sensor, None, None
+        if sensor is not None:
+            sensor.link.close()
+
+    def converse(self, stopping: threading.Event, well: Callable[[str], None]) -> None:
+        """Have it measure until `stopping`; its laser is off then, and it stays connected."""
+        try:
+            sensor = self.sensor or self.connect()
+            self._measure(sensor, stopping, well)
+            self.request = None
+            sensor.protocol.stop()
+        except BaseException:
+            self.disconnect()
+            raise
+
+    def _measure(
+        self, sensor: Sensor, stopping: threading.Event, well: Callable[[str], None]
+    ) -> None:
+        anew = False
+        while not stopping.is_set():
+            config = self.config
+            request = self.request = sensor.begin(config)
+            came = self._follow(sensor, request, config, stopping, well)
+            if self.config is config and not stopping.is_set():
+                if anew and not came:
+                    raise DeviceError(
+                        f"{sensor.link.name}: no scan for {config.silence_s:g} s, though the "
+                        f"sensor was told to begin anew{self._damage()}"
+                    )
+                anew = True
+                self.restarts += 1
+            if isinstance(sensor.protocol, Scip2) and not stopping.is_set():
+                sensor.protocol.stop()
+
+    def _follow(
+        self,
+        sensor: Sensor,
+        request: ScanRequest,
+        config: HokuyoConfig,
+        stopping: threading.Event,
+        well: Callable[[str], None],
+    ) -> bool:
+        """Take scans until something changes, or none comes; whether any came."""
+        scip2 = isinstance(sensor.protocol, Scip2)
+        came = False
+        line_s = sensor.line_s(request)
+        silence_s = config.silence_s + _TURNS * max(
+            line_s, sensor.measuring.turn_s * (request.skip + 1)
+        )
+        last = time.monotonic()
+        while self.config is config and not stopping.is_set():
+            for arrival in sensor.protocol.arrivals(_LISTEN_S):
+                try:
+                    data = self.stream.take(arrival.reply, request, scip2=scip2)
+                except Defect as defect:
+                    raise DeviceError(
+                        f"{sensor.link.name}: the sensor says that it has a defect (status "
+                        f"{defect.code}); see its manual"
+                    ) from defect
+                if data is None:
+                    continue
+                last = time.monotonic()
+                if not came:
+                    came = True
+                    well(f"{sensor.link.name}: the {sensor.measuring.model} measures again")
+                first = sensor.stamping.first_ray(data.time_ms, arrival.at, request, line_s)
+                self._on_scan(Measured(data, request, sensor, first))
+            if time.monotonic() - last > silence_s:
+                break
+        return came
+
+    def _damage(self) -> str:
+        last = self.stream.last_damage
+        return f"; of {self.stream.damaged} damaged replies the last one: {last}" if last else ""
