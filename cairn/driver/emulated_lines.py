@@ -43,7 +43,16 @@ class LineEnd(Protocol):
         ...
 
     def baud(self) -> int | None:
-        """The speed at which the other end speaks [bit/s]; None if the line has none."""
+        """The speed at which the other end speaks [bit/s]; None if that is not known."""
+        ...
+
+    def set_baud(self, baud: int | None) -> None:
+        """Speak at this speed [bit/s], where a line has speeds; None: it does not matter."""
+        ...
+
+    @property
+    def where(self) -> str:
+        """Where a driver finds it, in words."""
         ...
 
 
@@ -119,6 +128,14 @@ class PtyEnd:
         speed = termios.tcgetattr(self._line)[5]
         return _SPEEDS.get(speed, speed)
 
+    def set_baud(self, baud: int | None) -> None:
+        """Each end may claim any speed."""
+
+    @property
+    def where(self) -> str:
+        """The path."""
+        return f"{self._path} (a serial port in software)"
+
 
 class TcpEnd:
     """A TCP port of this machine, which takes one client at a time."""
@@ -191,6 +208,14 @@ class TcpEnd:
         """There is no speed."""
         return None
 
+    def set_baud(self, baud: int | None) -> None:
+        """There is no speed."""
+
+    @property
+    def where(self) -> str:
+        """Address and port."""
+        return f"{self._host}:{self.port} (TCP)"
+
     def _accept(self) -> None:
         if self._listener is None:
             return
@@ -256,6 +281,19 @@ class SerialEnd:
     def baud(self) -> int | None:
         """Nobody knows at which speed the other machine speaks."""
         return None
+
+    def set_baud(self, baud: int | None) -> None:
+        """Speak at this speed, once all is sent that was to be sent at the old one."""
+        if self._link is None or baud is None or baud == self._baud:
+            return
+        termios.tcdrain(self._link.fileno())
+        self._baud = baud
+        self._link.set_baud(baud)
+
+    @property
+    def where(self) -> str:
+        """The port."""
+        return f"{self._port}, for whoever is at its other end"
 
 
 _SPEEDS = {

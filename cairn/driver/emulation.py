@@ -101,6 +101,10 @@ class Emulation:
         self._orders: deque[tuple[Callable[[], None], threading.Event]] = deque()
         self._bell, self._ring = os.pipe()
         self._running = True
+        self.bytes_heard = 0
+        """What the host has sent, and was understood, so far."""
+        self.frames_sent = 0
+        """Frames that went onto the line, or were to, so far."""
         self._failure: BaseException | None = None
         self._thread = threading.Thread(target=self._run, name="emulation", daemon=True)
 
@@ -112,12 +116,16 @@ class Emulation:
 
     def __exit__(self, *_: object) -> None:
         """Unplug it, and end its thread; raises what has failed in the device meanwhile."""
-        if self._thread.is_alive():
+        if self._thread.is_alive() and self._failure is None:
             self._do(self._end_all)
         self._thread.join(_STOP_LIMIT_S)
         self._end.unplug()
         os.close(self._bell)
         os.close(self._ring)
+        self.check()
+
+    def check(self) -> None:
+        """Raise what has failed in the device meanwhile, if anything has."""
         if self._failure is not None:
             raise self._failure
 
@@ -161,6 +169,11 @@ class Emulation:
     def ask(self, question: Callable[[], None]) -> None:
         """Have something done between the device's own steps, on its thread."""
         self._do(question)
+
+    @property
+    def plugged_in(self) -> bool:
+        """Whether it is on its line."""
+        return self._plugged
 
     @property
     def spoilt(self) -> dict[str, int]:
@@ -208,6 +221,7 @@ class Emulation:
             return
         if not self._pending:
             baud = self._device.baud()
+            self._end.set_baud(baud)
             self._send(self._device.tick(now), baud)
         self._flush(now)
 
@@ -247,6 +261,7 @@ class Emulation:
             self._pending.clear()
             self._device.hung_up(now)
         elif data and now >= self._hanging_until and self._heard_at(baud):
+            self.bytes_heard += len(data)
             self._send(self._device.receive(data, now), baud)
 
     def _heard_at(self, baud: int | None) -> bool:
@@ -257,6 +272,7 @@ class Emulation:
         for frame in frames:
             waiting = sum(len(pending.data) for pending in self._pending)
             if waiting < _BUFFER and self._end.writable() is not None:
+                self.frames_sent += 1
                 self._pending.append(_Frame(self._faults.spoil(frame), baud))
 
     def _flush(self, now: float) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-Line = Literal["rs232", "usb", "ethernet"]
+Line = Literal["usb", "ethernet"]
 
 _ALL_HAVE = frozenset(("VV", "PP", "II", "BM", "QT", "RS", "RT", "TM", "GD", "MD"))
 _BASIC = _ALL_HAVE | {"SS", "CR", "HS", "GS", "MS"}
@@ -40,6 +40,7 @@ class ScipModel:
     """What is sent in place of a distance where no light comes back."""
     near: int
     """The same for what is nearer than `least_mm`."""
+    has_rs232: bool = False
     speaks_scip1: bool = False
     arrows_unsummed: bool = False
     """In lines of II, what stands from `<-` on is left out of the check sum."""
@@ -75,6 +76,7 @@ _URG = ScipModel(
     commands=_BASIC | {"DB"},
     nothing=0,
     near=6,
+    has_rs232=True,
     speaks_scip1=True,
 )
 

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TextIO
 
+from cairn.errors import CairnError
 from components.hokuyo.emulated_asked import Asked
 from components.hokuyo.emulated_scene import NO_ECHO, Values
 
@@ -51,10 +53,14 @@ class SentScan:
 class ScanFile:
     """Writes each scan that is sent as a line of a file."""
 
-    def __init__(self, file: TextIO) -> None:
+    def __init__(self, file: TextIO, path: Path) -> None:
         self._file = file
+        self._path = path
 
     def write(self, scan: SentScan) -> None:
-        """Add one; it is in the file when this returns."""
-        self._file.write(scan.line() + "\n")
-        self._file.flush()
+        """Add one; it is in the file when this returns. Raises `CairnError` if the disk is full."""
+        try:
+            self._file.write(scan.line() + "\n")
+            self._file.flush()
+        except OSError as error:
+            raise CairnError(f"{self._path} cannot be written: {error.strerror}") from error

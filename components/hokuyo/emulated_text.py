@@ -49,7 +49,8 @@ def _scan_text(scan: SentScan) -> NDArray[np.uint8]:
         cells[..., 1 + width * place : 1 + width * (place + 1)] = text.reshape(count, echoes, width)
     sent = np.repeat((shown != NO_ECHO)[..., None], cells.shape[2], axis=2)
     sent[:, 0, 0] = False  # no mark before a first echo
-    return cells[sent]
+    chosen: NDArray[np.uint8] = cells[sent]
+    return chosen
 
 
 def _blocks(text: NDArray[np.uint8]) -> bytes:

@@ -1,0 +1,110 @@
+"""`cairn emulate hokuyo`: a scanner in software that speaks SCIP."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cairn.driver.emulate_command import Faults, Paced, Place, Pty, Seed, Serial, Tcp, emulate
+from cairn.driver.emulator_orders import Order
+from cairn.errors import CairnError
+from components.hokuyo.emulated_commands import BAUDS
+from components.hokuyo.emulated_models import MODELS
+from components.hokuyo.emulated_record import ScanFile, SentScan
+from components.hokuyo.emulated_scip import EmulatedScip
+
+_MODEL_HELP = f"Its model: {', '.join(MODELS)}."
+
+
+def hokuyo(
+    model: Annotated[str, typer.Option(help=_MODEL_HELP)] = "UTM-30LX",
+    pty: Pty = None,
+    tcp: Tcp = None,
+    serial: Serial = None,
+    record: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Write each scan that is sent, a line of JSON each."),
+    ] = None,
+    rs232: Annotated[
+        int | None,
+        typer.Option(metavar="BAUD", help="Its RS-232 line, of this speed after power-on [bit/s]."),
+    ] = None,
+    scip1: Annotated[
+        bool, typer.Option("--scip1", help="Speak SCIP 1.1 after power-on: URG-04LX alone.")
+    ] = False,
+    clock_start: Annotated[
+        int,
+        typer.Option(metavar="MS", min=0, max=(1 << 24) - 1, help="Its clock at power-on [ms]."),
+    ] = 0,
+    drift: Annotated[
+        float, typer.Option(metavar="PPM", help="By how much its clock goes too fast [1e-6].")
+    ] = 0.0,
+    serial_number: Annotated[str, typer.Option(help="What it tells as its own.")] = "H0614967",
+    faults: Faults = "",
+    seed: Seed = 0,
+    paced: Paced = False,
+) -> None:
+    """Emulate a range scanner that speaks SCIP (URG, UHG, UTM, UST), in a room with a walker.
+
+    For example: cairn emulate hokuyo --model UTM-30LX --pty /tmp/scanner
+    """
+    if model not in MODELS:
+        raise CairnError(f"--model {model}: it is one of {', '.join(MODELS)}")
+    known = MODELS[model]
+    if scip1 and not known.speaks_scip1:
+        raise CairnError(f"--scip1: a {model} speaks SCIP 2 alone")
+    if rs232 is not None and (rs232 not in BAUDS or not known.has_rs232):
+        raise CairnError(
+            f"--rs232 {rs232}: a {model} has no RS-232 line"
+            if not known.has_rs232
+            else f"--rs232 {rs232}: it is one of {', '.join(map(str, BAUDS))}"
+        )
+    with ExitStack() as stack:
+        device = EmulatedScip(
+            model,
+            seed=seed,
+            rs232_baud=rs232,
+            speaks_scip1=scip1,
+            clock_start_ms=clock_start,
+            drift_ppm=drift,
+            serial_number=serial_number,
+            on_scan=None if record is None else _recording(record, stack),
+        )
+        orders = {
+            "trouble": Order(
+                "STATUS [SCANS]",
+                "the next scans come as this status: 0M unstable, 21 to 49 stopped, 98 resumed, "
+                "50 to 97 broken",
+                lambda words: _trouble(device, words),
+            )
+        }
+        emulate(
+            f"a {model}",
+            device,
+            Place(pty, tcp, serial),
+            faults=faults,
+            seed=seed,
+            paced=paced,
+            orders=orders,
+        )
+
+
+def _recording(path: Path, stack: ExitStack) -> Callable[[SentScan], None]:
+    try:
+        file = stack.enter_context(path.open("w", encoding="utf-8"))
+    except OSError as error:
+        raise CairnError(f"--record {path} cannot be written: {error.strerror}") from error
+    return ScanFile(file, path).write
+
+
+def _trouble(device: EmulatedScip, words: list[str]) -> str:
+    status, *rest = words or [""]
+    count = rest[0] if rest else "1"
+    if len(status) != 2 or not (status.isascii() and status.isalnum() and count.isdigit()):
+        raise CairnError("write trouble STATUS [SCANS] with a status of two characters")
+    device.trouble(status.upper(), int(count))
+    return f"status {status.upper()} in place of {count} of the next scans"
