@@ -90,6 +90,14 @@ class Twist:
     angular: Vector3 = Vector3()
 
 
+@message("geometry_msgs/msg/TwistStamped")
+class TwistStamped:
+    """A velocity with its frame and time."""
+
+    header: Header = Header()
+    twist: Twist = Twist()
+
+
 @message("geometry_msgs/msg/TwistWithCovariance")
 class TwistWithCovariance:
     """A velocity with its uncertainty."""

@@ -1,7 +1,7 @@
-"""ROS 2 package sensor_msgs: laser scans and camera images."""
+"""ROS 2 package sensor_msgs: laser scans, camera images and batteries."""
 
 import math
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -155,3 +155,50 @@ class CameraInfo:
     binning_x: UInt32 = 0
     binning_y: UInt32 = 0
     roi: RegionOfInterest = RegionOfInterest()
+
+
+@message("sensor_msgs/msg/BatteryState")
+class BatteryState:
+    """A battery: voltage [V], temperature [deg C], current [A], negative while it discharges.
+
+    `charge`, `capacity` and `design_capacity` are in Ah, `percentage` is 0 to 1. What is not
+    measured is NaN.
+    """
+
+    POWER_SUPPLY_STATUS_UNKNOWN: ClassVar[UInt8] = 0
+    POWER_SUPPLY_STATUS_CHARGING: ClassVar[UInt8] = 1
+    POWER_SUPPLY_STATUS_DISCHARGING: ClassVar[UInt8] = 2
+    POWER_SUPPLY_STATUS_NOT_CHARGING: ClassVar[UInt8] = 3
+    POWER_SUPPLY_STATUS_FULL: ClassVar[UInt8] = 4
+    POWER_SUPPLY_HEALTH_UNKNOWN: ClassVar[UInt8] = 0
+    POWER_SUPPLY_HEALTH_GOOD: ClassVar[UInt8] = 1
+    POWER_SUPPLY_HEALTH_OVERHEAT: ClassVar[UInt8] = 2
+    POWER_SUPPLY_HEALTH_DEAD: ClassVar[UInt8] = 3
+    POWER_SUPPLY_HEALTH_OVERVOLTAGE: ClassVar[UInt8] = 4
+    POWER_SUPPLY_HEALTH_UNSPEC_FAILURE: ClassVar[UInt8] = 5
+    POWER_SUPPLY_HEALTH_COLD: ClassVar[UInt8] = 6
+    POWER_SUPPLY_HEALTH_WATCHDOG_TIMER_EXPIRE: ClassVar[UInt8] = 7
+    POWER_SUPPLY_HEALTH_SAFETY_TIMER_EXPIRE: ClassVar[UInt8] = 8
+    POWER_SUPPLY_TECHNOLOGY_UNKNOWN: ClassVar[UInt8] = 0
+    POWER_SUPPLY_TECHNOLOGY_NIMH: ClassVar[UInt8] = 1
+    POWER_SUPPLY_TECHNOLOGY_LION: ClassVar[UInt8] = 2
+    POWER_SUPPLY_TECHNOLOGY_LIPO: ClassVar[UInt8] = 3
+    POWER_SUPPLY_TECHNOLOGY_LIFE: ClassVar[UInt8] = 4
+    POWER_SUPPLY_TECHNOLOGY_NICD: ClassVar[UInt8] = 5
+    POWER_SUPPLY_TECHNOLOGY_LIMN: ClassVar[UInt8] = 6
+    header: Header = Header()
+    voltage: Float32 = math.nan
+    temperature: Float32 = math.nan
+    current: Float32 = math.nan
+    charge: Float32 = math.nan
+    capacity: Float32 = math.nan
+    design_capacity: Float32 = math.nan
+    percentage: Float32 = math.nan
+    power_supply_status: UInt8 = 0
+    power_supply_health: UInt8 = 0
+    power_supply_technology: UInt8 = 0
+    present: Bool = False
+    cell_voltage: Float32Array = empty(np.float32)
+    cell_temperature: Float32Array = empty(np.float32)
+    location: String = ""
+    serial_number: String = ""

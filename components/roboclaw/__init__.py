@@ -1,0 +1,1 @@
+"""A differential base on a Basicmicro RoboClaw motor controller: driver, emulator, probe."""

@@ -1,0 +1,173 @@
+"""The driver of a base on a RoboClaw."""
+
+from __future__ import annotations
+
+import time
+
+from cairn.bus.qos import RELIABLE, SENSOR
+from cairn.component.complaints import Complaints
+from cairn.component.component import Component
+from cairn.component.handlers import every, on
+from cairn.component.parameters import Config, ParameterRefused
+from cairn.component.ports import In, Out
+from cairn.driver.device_thread import DeviceThread
+from cairn.driver.errors import DeviceError
+from cairn.driver.rate import RateWindow
+from cairn.errors import CairnError
+from components.roboclaw.commanding import LatestCommand
+from components.roboclaw.config import RoboclawBaseConfig
+from components.roboclaw.driving import Driving, Health, Step
+from components.roboclaw.lines import open_line
+from components.roboclaw.messages import (
+    battery_message,
+    diagnostics_message,
+    odometry_message,
+    odometry_transform,
+)
+from components.roboclaw.odometry import WheelOdometry
+from components.roboclaw.setting_up import Ready
+from schemas.diagnostic_msgs import DiagnosticArray
+from schemas.geometry_msgs import Twist
+from schemas.nav_msgs import Odometry
+from schemas.sensor_msgs import BatteryState
+from schemas.tf2_msgs import TFMessage
+
+
+class RoboclawBase(Component):
+    """Drives a differential base by a RoboClaw motor controller; tells what its encoders count.
+
+    The wheels stop when commands go stale, when it is deactivated, and when the line fails; and if
+    this process hangs, dies or is unplugged, by the controller's own serial timeout.
+    """
+
+    clock_source = "device"
+
+    config: RoboclawBaseConfig
+
+    cmd_vel: In[Twist] = In(qos=SENSOR)
+    odom: Out[Odometry] = Out(qos=RELIABLE.with_depth(1000))
+    tf: Out[TFMessage]
+    battery_state: Out[BatteryState]
+    diagnostics: Out[DiagnosticArray]
+
+    _thread: DeviceThread | None = None
+
+    def on_configure(self) -> None:
+        """Begin at the origin of the frame `odom`; see that the RoboClaw is there.
+
+        One that was there before may come back: then it is waited for.
+        """
+        self._odometry = WheelOdometry(self.config.odometry_errors())
+        self._complaints = Complaints(self.log)
+        self._renew()
+        if not self.restarts:
+            try:
+                self._driving.look()
+            except CairnError as error:
+                raise CairnError(f"{self.name}: {error}") from error
+
+    def on_activate(self) -> None:
+        """Begin to talk with the RoboClaw; what was wrong with a wheel is forgotten."""
+        self._renew()
+        thread = DeviceThread(
+            f"{self.name}: RoboClaw",
+            self._driving.converse,
+            log=self.log,
+            on_trouble=self._in_trouble,
+            on_failure=self._failed,
+        )
+        self._thread = thread
+        thread.start()
+
+    def on_deactivate(self) -> None:
+        """Stop the wheels, see that they stand, and let go of the line."""
+        self._let_go()
+
+    def on_shutdown(self) -> None:
+        """The same, if it was active."""
+        self._let_go()
+
+    def on_error(self, error: Exception) -> bool:  # noqa: ARG002 - whatever it was
+        """Stop the wheels."""
+        self._let_go()
+        return False
+
+    def on_parameters(self, new: Config) -> None:  # noqa: ARG002 - none can be changed
+        """A base stays the one that it is."""
+        raise ParameterRefused("the base takes its parameters when it is activated")
+
+    @on("cmd_vel")
+    def obey(self, command: Twist) -> None:
+        """Take a command, to be carried out from now on."""
+        self._command.give(time.monotonic(), command.linear.x, command.angular.z)
+
+    @every(hz=1)
+    def report(self) -> None:
+        """Tell how the controller is, whether there is one or not."""
+        health, now = self._health, self.clock.now()
+        self.diagnostics.publish(
+            diagnostics_message(
+                now,
+                self.name,
+                self.config.port,
+                health,
+                self._rate.hz(time.monotonic()),
+                self.config.rate,
+            )
+        )
+        if health.trouble is None:
+            self.battery_state.publish(battery_message(now, health))
+        self._complain()
+
+    def _renew(self) -> None:
+        config = self.config
+        self._command = LatestCommand(config.command_timeout_s)
+        self._health = Health()
+        self._rate = RateWindow()
+        self._driving = Driving(
+            config.drive_settings(),
+            lambda: open_line(config.port, config.baud),
+            self._command,
+            self._health,
+            on_ready=self._ready,
+            on_step=lambda step: self.post(lambda: self._moved(step)),
+        )
+
+    def _moved(self, step: Step) -> None:
+        self._rate.note(step.at)
+        self._odometry.add(step.way, step.turned)
+        message = odometry_message(self._odometry, step, self.config.odometry_errors())
+        self.odom.publish(message)
+        self.tf.publish(TFMessage(transforms=(odometry_transform(message, self._odometry),)))
+
+    def _complain(self) -> None:
+        """Log what the operator has to see to."""
+        health = self._health
+        if health.fault is not None:
+            self._complaints.tell("wheel", f"{health.fault}; the motors are off until a restart")
+        if health.status.errors:
+            what = ", ".join(health.status.errors)
+            self._complaints.tell("status", f"the RoboClaw does not drive: {what}")
+        else:
+            self._complaints.over("status", "the RoboClaw drives again, once commanded anew")
+
+    def _ready(self, ready: Ready) -> None:
+        if self._thread is not None:
+            self._thread.well(f"{ready.version} on {self.config.port} works again")
+
+    def _in_trouble(self, error: DeviceError) -> None:
+        self._health.trouble = str(error)
+
+    def _failed(self, error: Exception) -> None:
+        """Fail, on the device's thread: its conversation has ended, and nothing is to be ended."""
+        self._thread = None
+
+        def fail() -> None:
+            raise error
+
+        self.post(fail)
+
+    def _let_go(self) -> None:
+        thread, self._thread = self._thread, None
+        if thread is not None:
+            thread.stop()

@@ -1,0 +1,314 @@
+"""The conversation with a RoboClaw that drives a base: commands out, encoder counts in."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, field
+
+from cairn.driver.errors import DeviceError
+from cairn.driver.link import Link
+from components.roboclaw import commands
+from components.roboclaw.commanding import STILL, LatestCommand
+from components.roboclaw.dialogue import Dialogue, DialogueCounts
+from components.roboclaw.kinematics import Geometry, Limits, Pair, approached, counted, limited
+from components.roboclaw.setting_up import Ready, check_timeout, set_up
+from components.roboclaw.status import Status
+from components.roboclaw.wheel_watch import WatchLimits, WheelWatch
+
+_STANDS_BELOW = 0.01  # [m/s]: slower than this, and a wheel stands
+_STAND_LIMIT_S = 1.0  # for standing still, beyond the time that slowing down takes
+_LONGEST_STEP_S = 0.2  # a longer pause between two readings says nothing of speeds
+_FASTER_THAN_POSSIBLE = 2.0  # times the speed at full power: the counter did not count this
+
+
+@dataclass(frozen=True)
+class DriveSettings:
+    """What the conversation needs to know of base and controller."""
+
+    address: int
+    baud: int
+    rate_hz: float
+    device_timeout_s: float
+    geometry: Geometry
+    limits: Limits
+    watch: WatchLimits
+    main_voltages: tuple[float, float] | None
+
+
+@dataclass(frozen=True)
+class Step:
+    """How the base has moved between two readings of the encoders."""
+
+    at: float
+    """When the second one was taken [s of the monotonic clock]."""
+    stamp: int
+    """The same by the system's clock, in which all devices live [ns]."""
+    seconds: float
+    way: float
+    turned: float
+
+
+@dataclass
+class Health:
+    """What is known of the controller. Written by the conversation, read by whoever tells of it."""
+
+    version: str = ""
+    status: Status = field(default_factory=Status)
+    voltage: float = float("nan")
+    """Main battery [V]."""
+    currents: tuple[float, float] = (float("nan"), float("nan"))
+    """Of M1 and M2 [A]."""
+    temperature: float = float("nan")
+    """[deg C]"""
+    fault: str | None = None
+    """What was wrong with a wheel; from then on the motors are off."""
+    trouble: str | None = "it was not connected yet"
+    """Why there is no conversation; None if there is one."""
+    connections: int = 0
+    counts: DialogueCounts = field(default_factory=DialogueCounts)
+
+
+class Driving:
+    """Drives the base over a line, until it is told to stop or the line fails.
+
+    The wheels stand before it begins and when it ends. `converse` is called again after a failure,
+    and takes up the way where it was: the counters go on while the controller has power.
+    """
+
+    def __init__(
+        self,
+        settings: DriveSettings,
+        open_link: Callable[[], Link],
+        command: LatestCommand,
+        health: Health,
+        on_ready: Callable[[Ready], None],
+        on_step: Callable[[Step], None],
+    ) -> None:
+        """`on_ready` is called at the beginning of a conversation, `on_step` with each step, both
+        on the thread that calls `converse`.
+        """
+        self._settings = settings
+        self._open_link = open_link
+        self._command = command
+        self._health = health
+        self._on_ready = on_ready
+        self._on_step = on_step
+        self._watch = WheelWatch(settings.watch)
+        self._pause = threading.Event()  # never set
+        self._last: _Counted | None = None
+        self._twist: Pair = STILL
+        self._await_rest = False
+
+    def look(self) -> Ready:
+        """See that the RoboClaw is there and can be used; raises `CairnError`."""
+        link = self._open_link()
+        try:
+            settings = self._settings
+            return self._set_up(
+                Dialogue(link, settings.address, settings.baud, self._health.counts)
+            )
+        finally:
+            link.close()
+
+    def converse(self, stopping: threading.Event) -> None:
+        """Drive until `stopping` is set. Raises `DeviceError` if the device fails."""
+        link = self._open_link()
+        try:
+            settings = self._settings
+            dialogue = Dialogue(link, settings.address, settings.baud, self._health.counts)
+            ready = self._begin(dialogue)
+            self._on_ready(ready)
+            try:
+                self._drive(dialogue, ready, stopping)
+            except Exception:
+                # Why it ended is raised; if this fails too, the serial timeout stops the wheels.
+                with suppress(DeviceError):
+                    self._order_still(dialogue)
+                raise
+            self._stand(dialogue)
+        finally:
+            link.close()
+
+    def _begin(self, dialogue: Dialogue) -> Ready:
+        self._twist = STILL
+        self._order_still(dialogue)
+        ready = self._set_up(dialogue)
+        if not ready.kept_power:
+            self._last = None
+        self._stand(dialogue)
+        self._watch.forget()
+        health = self._health
+        health.version, health.trouble = ready.version, None
+        health.connections += 1
+        return ready
+
+    def _set_up(self, dialogue: Dialogue) -> Ready:
+        settings = self._settings
+        return set_up(
+            dialogue,
+            settings.geometry,
+            settings.limits,
+            settings.device_timeout_s,
+            settings.main_voltages,
+        )
+
+    def _drive(self, dialogue: Dialogue, ready: Ready, stopping: threading.Event) -> None:
+        period = 1.0 / self._settings.rate_hz
+        questions = self._questions(dialogue)
+        turn_of = 0
+        began = time.monotonic() - period
+        while not stopping.is_set():
+            before, began = began, time.monotonic()
+            asked = self._order(dialogue, ready, began, min(began - before, 2.0 * period))
+            step = self._measure(dialogue, ready)
+            self._judge(dialogue, asked, step)
+            questions[turn_of]()
+            turn_of = (turn_of + 1) % len(questions)
+            self._on_step(step)
+            stopping.wait(max(0.0, began + period - time.monotonic()))
+
+    def _order(self, dialogue: Dialogue, ready: Ready, now: float, seconds: float) -> Pair:
+        """Send what the wheels are to do; the speeds that were asked of them [m/s]."""
+        settings, geometry = self._settings, self._settings.geometry
+        wanted = self._wanted(now)
+        wheels = geometry.wheel_speeds(*wanted)
+        wanted = limited(*wanted, settings.limits, wheels, ready.fastest_wheel)
+        self._twist = approached(self._twist, wanted, settings.limits, seconds)
+        if self._health.fault is not None:
+            self._twist = STILL
+            dialogue.order(commands.switch_off())
+            return STILL
+        asked = geometry.wheel_speeds(*self._twist)
+        dialogue.order(
+            commands.drive_speed(self._wheel_acceleration(), *geometry.channel_counts(*asked))
+        )
+        return asked
+
+    def _wanted(self, now: float) -> Pair:
+        """The command, unless the controller cannot carry it out, or has just become able to.
+
+        When an emergency stop is released, the base must not start of its own accord: the command
+        has to be rest once.
+        """
+        wanted = self._command.take(now)
+        if self._health.status.errors:
+            self._await_rest = True
+            self._twist = STILL
+        elif wanted == STILL:
+            self._await_rest = False
+        return STILL if self._await_rest else wanted
+
+    def _measure(self, dialogue: Dialogue, ready: Ready) -> Step:
+        now = _counted(dialogue)
+        before = self._last or now
+        seconds = now.at - before.at
+        geometry = self._settings.geometry
+        first, second = now.since(before)
+        ways = geometry.wheel_ways(first, second)
+        possible = _FASTER_THAN_POSSIBLE * ready.fastest_wheel * seconds + 0.05
+        self._last = now
+        if max(map(abs, ways)) > possible:
+            self._last = None
+            raise DeviceError(
+                f"the encoder counts jumped by {first} and {second} within {seconds:.3f} s: the "
+                "RoboClaw was switched off and on, or another program resets them"
+            )
+        way, turned = geometry.twist(*ways)
+        return Step(now.at, now.stamp, seconds, way, turned)
+
+    def _judge(self, dialogue: Dialogue, asked: Pair, step: Step) -> None:
+        if self._health.fault is not None:
+            return
+        if self._health.status.errors or not 0.0 < step.seconds < _LONGEST_STEP_S:
+            self._watch.forget()
+            return
+        geometry = self._settings.geometry
+        seen = geometry.wheel_speeds(step.way / step.seconds, step.turned / step.seconds)
+        self._health.fault = self._watch.judge(step.at, asked, seen)
+        if self._health.fault is not None:
+            dialogue.order(commands.switch_off())
+
+    def _questions(self, dialogue: Dialogue) -> tuple[Callable[[], None], ...]:
+        """What is asked in turns, one each time that the wheels are ordered."""
+        health = self._health
+
+        def status() -> None:
+            health.status = dialogue.status()
+
+        def voltage() -> None:
+            health.voltage = dialogue.ask(commands.MAIN_VOLTAGE)[0] / 10
+
+        def currents() -> None:
+            first, second = dialogue.ask(commands.CURRENTS)
+            health.currents = (first / 100, second / 100)
+
+        def temperature() -> None:
+            health.temperature = dialogue.ask(commands.TEMPERATURE)[0] / 10
+
+        def timeout() -> None:
+            if not check_timeout(dialogue, self._settings.device_timeout_s):
+                raise DeviceError(
+                    "the RoboClaw has lost its serial timeout: it was switched off and on, or "
+                    "another program sets it"
+                )
+
+        return status, voltage, status, currents, status, temperature, status, timeout
+
+    def _stand(self, dialogue: Dialogue) -> None:
+        """Have the wheels stand still, and see that they do."""
+        settings = self._settings
+        period = 1.0 / settings.rate_hz
+        slowing = settings.limits.speed / settings.limits.acceleration
+        until = time.monotonic() + slowing + _STAND_LIMIT_S
+        before = _counted(dialogue)
+        still = 0
+        while still < 2:
+            if time.monotonic() > until:
+                dialogue.order(commands.switch_off())
+                raise DeviceError(
+                    f"the wheels do not stand still within {slowing + _STAND_LIMIT_S:.1f} s of "
+                    "being told to; the motors are switched off"
+                )
+            self._order_still(dialogue)
+            self._pause.wait(period)
+            now = _counted(dialogue)
+            ways = settings.geometry.wheel_ways(*now.since(before))
+            still = still + 1 if max(map(abs, ways)) <= _STANDS_BELOW * (now.at - before.at) else 0
+            before = now
+
+    def _order_still(self, dialogue: Dialogue) -> None:
+        if self._health.fault is not None:
+            dialogue.order(commands.switch_off())
+        else:
+            dialogue.order(commands.drive_speed(self._wheel_acceleration(), 0, 0))
+
+    def _wheel_acceleration(self) -> int:
+        """Of any wheel at most [counts/s^2]; the speeds sent are those of a slower ramp already."""
+        settings, geometry = self._settings, self._settings.geometry
+        most = settings.limits.wheel_acceleration(geometry.separation)
+        return max(abs(counts) for counts in geometry.channel_counts(most, most))
+
+
+@dataclass(frozen=True)
+class _Counted:
+    """The counters of M1 and M2, and when they were read: half-way from question to reply."""
+
+    at: float
+    stamp: int
+    counts: tuple[int, ...]
+
+    def since(self, before: _Counted) -> tuple[int, int]:
+        """How far both have counted."""
+        first, second = (counted(a, b) for a, b in zip(before.counts, self.counts, strict=True))
+        return first, second
+
+
+def _counted(dialogue: Dialogue) -> _Counted:
+    sent, sent_ns = time.monotonic(), time.time_ns()
+    counts = dialogue.ask(commands.ENCODERS)
+    return _Counted(
+        0.5 * (sent + time.monotonic()), sent_ns + (time.time_ns() - sent_ns) // 2, counts
+    )
