@@ -1,0 +1,118 @@
+"""`cairn emulate roboclaw`: a motor controller with two motors in software."""
+
+from __future__ import annotations
+
+from typing import Annotated, get_args
+
+import typer
+
+from cairn.driver.emulate_command import Faults, Paced, Place, Pty, Seed, Serial, Tcp, emulate
+from cairn.driver.emulator_orders import Order
+from cairn.errors import CairnError
+from components.roboclaw.emulated_motor import MotorFault
+from components.roboclaw.emulator import EmulatedRoboclaw
+from components.roboclaw.packets import ADDRESSES
+
+_FAULTS: tuple[MotorFault, ...] = get_args(MotorFault)
+
+
+def roboclaw(
+    pty: Pty = None,
+    tcp: Tcp = None,
+    serial: Serial = None,
+    version: Annotated[
+        str, typer.Option(help="What it tells as its product and firmware.")
+    ] = "USB Roboclaw 2x7a v4.2.8",
+    address: Annotated[
+        int | None,
+        typer.Option(
+            min=ADDRESSES[0], max=ADDRESSES[-1], help="The address it has; all, as over USB."
+        ),
+    ] = None,
+    baud: Annotated[
+        int | None, typer.Option(help="The speed that it understands [bit/s]; any, as over USB.")
+    ] = None,
+    full_speed: Annotated[
+        float, typer.Option(min=1.0, metavar="QPPS", help="Of both motors [counts/s].")
+    ] = 12_000.0,
+    lag: Annotated[
+        float, typer.Option(min=0.001, max=5.0, help="Time constant of the motors [s].")
+    ] = 0.05,
+    first_count: Annotated[
+        int, typer.Option(min=0, max=0xFFFFFFFF, help="Of both encoders, at power-on.")
+    ] = 0,
+    old_status: Annotated[
+        bool, typer.Option("--old-status", help="Tell 16 bits of status, as old firmware.")
+    ] = False,
+    faults: Faults = "",
+    seed: Seed = 0,
+    paced: Paced = False,
+) -> None:
+    """Emulate a Basicmicro RoboClaw with two motors and their encoders.
+
+    For example: cairn emulate roboclaw --pty /tmp/base
+    """
+    device = EmulatedRoboclaw(
+        version=version,
+        address=address,
+        baud=baud,
+        full_speed=full_speed,
+        lag_s=lag,
+        first_counts=(first_count, first_count),
+        old_status=old_status,
+    )
+    emulate(
+        version,
+        device,
+        Place(pty, tcp, serial),
+        faults=faults,
+        seed=seed,
+        paced=paced,
+        orders=_orders(device),
+    )
+
+
+def _orders(device: EmulatedRoboclaw) -> dict[str, Order]:
+    controller = device.controller
+
+    def motor(words: list[str]) -> str:
+        number, fault = words if len(words) == 2 else ("", "")
+        if number not in ("1", "2") or fault not in ("well", *_FAULTS):
+            raise CairnError(f"write motor 1|2 well|{'|'.join(_FAULTS)}")
+        known = next((one for one in _FAULTS if one == fault), None)
+        controller.set_fault(int(number), known)
+        return f"motor {number}: {fault}"
+
+    def stop(words: list[str]) -> str:
+        if words not in (["on"], ["off"]):
+            raise CairnError("write stop on, or stop off")
+        controller.emergency_stop = words == ["on"]
+        return f"emergency stop {words[0]}"
+
+    def battery(words: list[str]) -> str:
+        try:
+            (text,) = words
+            controller.voltage = float(text)
+        except ValueError as error:
+            raise CairnError("write battery VOLTS") from error
+        return f"main battery {controller.voltage:g} V"
+
+    def power(words: list[str]) -> str:
+        if words:
+            raise CairnError("write power alone")
+        controller.power_cycle()
+        return "switched off and on"
+
+    def wheels(words: list[str]) -> str:
+        if words:
+            raise CairnError("write wheels alone")
+        told = (f"{one.speed:.0f} counts/s, {one.turned:.0f} counts" for one in controller.motors)
+        return f"{'; '.join(told)}; stopped by the serial timeout {device.timeouts} times"
+
+    return {
+        "motor": Order(f"1|2 well|{'|'.join(_FAULTS)}", "what is wrong with a motor", motor),
+        "stop": Order("on|off", "press the emergency stop, or release it", stop),
+        "battery": Order("VOLTS", "what the main battery has", battery),
+        "power": Order("", "lose power for a moment, and all settings", power),
+        "wheels": Order("", "tell how both motors truly turn", wheels),
+    }
