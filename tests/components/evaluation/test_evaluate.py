@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -95,8 +96,25 @@ def trial(*sets: str) -> Trial:
     )
 
 
+@pytest.fixture
+def runs_as_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Runs that are not driven, for what is made of them; on a thread, which begins at once."""
+    monkeypatch.setattr(cli, "run_trial", as_told)
+    monkeypatch.setattr(cli, "worker_pool", ThreadPoolExecutor)
+
+
+@pytest.fixture
+def empty_room(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A world without objects, so that none of their pictures are surveyed."""
+    world = tmp_path_factory.mktemp("world") / "room.yaml"
+    world.write_text(
+        "walls: [{points: [[0, 0], [4, 0], [4, 4], [0, 4], [0, 0]]}]\nrobot: {x: 1, y: 1}\n"
+    )
+    return world
+
+
 def as_told(trial: Trial, scratch: str, logs: Path) -> RunResult:
-    """A run by the number of its seed; called in processes of their own."""
+    """A run by the number of its seed."""
     if trial.seed == 9:
         raise ValueError("this seed went wrong")
     return {
@@ -107,6 +125,7 @@ def as_told(trial: Trial, scratch: str, logs: Path) -> RunResult:
     }[trial.seed]
 
 
+@pytest.mark.usefixtures("runs_as_told")
 @pytest.mark.parametrize(
     ("seeds", "code", "told"),
     [
@@ -118,24 +137,9 @@ def as_told(trial: Trial, scratch: str, logs: Path) -> RunResult:
     ],
 )
 def test_its_exit_status_tells_whether_all_went_well(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, seeds: str, code: int, told: str
+    tmp_path: Path, empty_room: Path, seeds: str, code: int, told: str
 ) -> None:
-    monkeypatch.setattr(cli, "run_trial", as_told)
-
-    answer = cairn(
-        "evaluate",
-        "navigation",
-        "--world",
-        str(ROOT / "deploy" / "worlds" / "room.yaml"),
-        "--deployment",
-        str(ROOT / "deploy" / "sim.yaml"),
-        "--seeds",
-        seeds,
-        "--out",
-        str(tmp_path / "out"),
-        "--workers",
-        "1",
-    )
+    answer = evaluated(tmp_path / "out", *SIM, "--seeds", seeds, world=empty_room)
 
     assert answer.code == code, answer
     assert told in answer.out
@@ -162,6 +166,7 @@ def a_folder_with_a_file_called_logs(folder: Path) -> Path:
     return folder
 
 
+@pytest.mark.usefixtures("runs_as_told")
 @pytest.mark.parametrize(
     ("make", "cause"),
     [
@@ -171,9 +176,8 @@ def a_folder_with_a_file_called_logs(folder: Path) -> Path:
     ],
 )
 def test_a_folder_that_cannot_be_written_is_told_of_before_any_run(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, make: Callable[[Path], Path], cause: str
+    tmp_path: Path, make: Callable[[Path], Path], cause: str
 ) -> None:
-    monkeypatch.setattr(cli, "run_trial", as_told)
     out = make(tmp_path)
 
     answer = evaluated(out, *SIM)
@@ -184,13 +188,13 @@ def test_a_folder_that_cannot_be_written_is_told_of_before_any_run(
     assert len(answer.err.splitlines()) == 1
 
 
+@pytest.mark.usefixtures("runs_as_told")
 def test_a_report_that_cannot_be_written_in_the_end_is_told_of(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, empty_room: Path
 ) -> None:
-    monkeypatch.setattr(cli, "run_trial", as_told)
     (tmp_path / "runs.json").mkdir()
 
-    answer = evaluated(tmp_path, *SIM, "--seeds", "0", "--json")
+    answer = evaluated(tmp_path, *SIM, "--seeds", "0", "--json", world=empty_room)
 
     assert (answer.code, answer.out) == (1, "")
     assert f"folder {tmp_path} cannot be written: {tmp_path}/runs.json: Is a dir" in answer.err
@@ -213,19 +217,18 @@ def test_a_deployment_that_cannot_start_is_told_of_once_before_any_run(
     assert not (tmp_path / "out").exists()
 
 
-def test_its_json_tells_why_runs_failed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cli, "run_trial", as_told)
-
-    answer = evaluated(tmp_path, *SIM, "--seeds", "2..3", "--json")
+@pytest.mark.usefixtures("runs_as_told")
+def test_its_json_tells_why_runs_failed(tmp_path: Path, empty_room: Path) -> None:
+    answer = evaluated(tmp_path, *SIM, "--seeds", "2..3", "--json", world=empty_room)
 
     assert answer.code == 1
     assert answer.json["summary"]["failures"] == {"3": "never carried off"}
 
 
+@pytest.mark.usefixtures("runs_as_told")
 def test_events_that_came_due_after_the_end_of_a_run_are_told(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path,
 ) -> None:
-    monkeypatch.setattr(cli, "run_trial", as_told)
     world = tmp_path / "world.yaml"
     room = ROOT / "deploy" / "worlds" / "room.yaml"
     world.write_text(
