@@ -14,6 +14,11 @@ class Publisher(Protocol):
         """Messages handed to the bus so far."""
         ...
 
+    @property
+    def wanted(self) -> bool:
+        """Whether a message sent now would come to anybody, be it one who comes later."""
+        ...
+
     def publish(self, message: Any) -> None:
         """Send one message; never waits for a reader."""
         ...

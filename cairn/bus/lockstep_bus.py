@@ -72,6 +72,11 @@ class LockstepPublisher:
         self._topic = topic
         topic.join(self, topic.writers)
 
+    @property
+    def wanted(self) -> bool:
+        """Whether somebody reads, or may come and read what is latched."""
+        return not self._closed and (bool(self.latched.maxlen) or bool(self._topic.readers))
+
     def publish(self, message: Any) -> None:
         """Hand the message to every reader of its type."""
         if self._closed:

@@ -185,12 +185,17 @@ class ZenohPublisher:
                 priority=priority,
             )
 
+    @property
+    def wanted(self) -> bool:
+        """Whether somebody reads, or may come and read what is latched."""
+        return not self._closed and (self._latched or self._publisher.matching_status.matching)
+
     def publish(self, message: Any) -> None:
         """Send one message; without any reader, or once closed, it is neither encoded nor sent."""
         if self._closed:
             return
         self.published += 1
-        if not self._latched and not self._publisher.matching_status.matching:
+        if not self.wanted:
             return
         self._sent += 1
         attachment = rmw.Attachment(self._sent, time.time_ns(), self._gid)

@@ -202,7 +202,7 @@ class _Output:
     def __init__(
         self, component: str, spec: PortSpec, topic: str, owner: Owner, node: Node
     ) -> None:
-        self.bound: BoundOut[Any] = BoundOut(component, spec, topic, self._send)
+        self.bound: BoundOut[Any] = BoundOut(component, spec, topic, self._send, self._wanted)
         self.spec = spec
         self._topic = topic
         self._owner = owner
@@ -234,6 +234,10 @@ class _Output:
     def _sent(self) -> int:
         now, past = self._counted
         return past if now is None else past + now.published
+
+    def _wanted(self) -> bool:
+        publisher = self._publisher
+        return publisher is not None and self._owner.may_publish and publisher.wanted
 
     def _send(self, message: Any) -> None:
         if self._publisher is not None and self._owner.may_publish:

@@ -45,6 +45,14 @@ class Out(Generic[T]):
         """The topic that the port writes in this deployment; `CairnError` on a declaration."""
         raise _not_bound("Out")
 
+    @property
+    def wanted(self) -> bool:
+        """Whether a message published now would come to anybody; `CairnError` on a declaration.
+
+        For messages that are costly to make; all others are just published.
+        """
+        raise _not_bound("Out")
+
     def publish(self, message: T) -> None:  # noqa: ARG002 - the bound port sends it
         """Send a message; an inactive component sends nothing.
 
@@ -80,9 +88,15 @@ class BoundOut(Out[T]):
     """The output of one component instance: checks a message's type and hands it to `send`."""
 
     def __init__(
-        self, component: str, spec: "PortSpec", topic: str, send: Callable[[T], None]
+        self,
+        component: str,
+        spec: "PortSpec",
+        topic: str,
+        send: Callable[[T], None],
+        wanted: Callable[[], bool],
     ) -> None:
         super().__init__(spec.qos)
+        self._wanted = wanted
         self._component = component
         self._spec = spec
         self._topic = topic
@@ -92,6 +106,11 @@ class BoundOut(Out[T]):
     def topic(self) -> str:
         """The topic that the port writes in this deployment."""
         return self._topic
+
+    @property
+    def wanted(self) -> bool:
+        """Whether a message published now would come to anybody."""
+        return self._wanted()
 
     def publish(self, message: T) -> None:
         """Send a message; `CairnError` if it is of another type than the port's."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import deque
 from functools import partial
 
 from cairn.bus.qos import LATCHED, SENSOR
@@ -28,6 +29,9 @@ from schemas.std_msgs import Header
 from schemas.tf2_msgs import TFMessage
 
 
+_MOST_WAITING = 5
+
+
 class HokuyoScanner(Component):
     """Drives a range scanner that speaks SCIP 1.1, 2.0, 2.1 or 2.2: URG, UHG, UTM, UST and others.
 
@@ -48,9 +52,8 @@ class HokuyoScanner(Component):
         self._rate = RateWindow()
         self._health = health.Health()
         self._trouble = ""
-        self._measurement = Measurement(
-            self.config, lambda measured: self.post(partial(self._tell, measured)), self.log
-        )
+        self._waiting: deque[Measured] = deque(maxlen=_MOST_WAITING)
+        self._measurement = Measurement(self.config, self._came, self.log)
         sensor = self._measurement.connect()
         try:
             request_of(self.config, sensor.measuring)
@@ -132,7 +135,15 @@ class HokuyoScanner(Component):
             )
         )
 
-    def _tell(self, measured: Measured) -> None:
+    def _came(self, measured: Measured) -> None:
+        # On the sensor's thread. If scans are told more slowly than they come, the oldest go.
+        self._waiting.append(measured)
+        self.post(self._tell)
+
+    def _tell(self) -> None:
+        if not self._waiting:
+            return
+        measured = self._waiting.popleft()
         self._rate.note(time.monotonic())
         self._trouble = ""
         # Whoever sets the system's clock sets the stamps with it, at once.
@@ -141,7 +152,7 @@ class HokuyoScanner(Component):
         header = Header(stamp=from_ns(stamp), frame_id=self.config.frame_id)
         shape = ScanShape(measured.sensor.measuring, measured.request, self.config.range_max)
         self.scan.publish(shape.scan(measured.data, header, self.config.echo))
-        if measured.request.multi_echo:
+        if measured.request.multi_echo and self.multi_echo_scan.wanted:
             self.multi_echo_scan.publish(shape.multi_echo_scan(measured.data, header))
 
     def _lost(self, error: DeviceError) -> None:

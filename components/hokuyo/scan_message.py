@@ -114,5 +114,10 @@ def _plain(intensities: NDArray[np.int32] | None) -> NDArray[np.float32]:
 
 
 def _echoes(values: NDArray[np.generic], there: NDArray[np.bool_]) -> tuple[LaserEcho, ...]:
-    numbers = values.astype(np.float32)
-    return tuple(LaserEcho(echoes=row[one]) for row, one in zip(numbers, there, strict=True))
+    # Parts of one read-only array need no copies of their own: there are a thousand of them.
+    flat = values[there].astype(np.float32)
+    flat.flags.writeable = False
+    ends = np.cumsum(np.count_nonzero(there, axis=1)).tolist()
+    return tuple(
+        LaserEcho(echoes=flat[begin:end]) for begin, end in zip([0, *ends[:-1]], ends, strict=True)
+    )
