@@ -3,7 +3,7 @@ PYTHON ?= python3.11
 BIN := .venv/bin
 REPORT ?= demo-report
 
-.PHONY: demo test check bench clean
+.PHONY: demo test test-hardware check bench clean
 
 ## A simulated robot's tour of a room that is rearranged meanwhile; then a real robot's recording.
 demo: .venv/ready
@@ -14,6 +14,11 @@ demo: .venv/ready
 ## All tests.
 test: .venv/tests
 	$(BIN)/pytest -n 2 --dist worksteal
+
+## The drivers on the kernel's own devices, in a virtual machine: cameras, USB and RS-232 lines whose
+## plugs are pulled. Says what it lacks, and installs nothing unless CI=true.
+test-hardware: .venv/tests
+	$(BIN)/python -m tests.hardware
 
 ## Style, types, import contracts, and all tests.
 check: .venv/tests

@@ -1,0 +1,1 @@
+"""Tests on the kernel's own drivers, in a virtual machine: `make test-hardware`."""

@@ -1,0 +1,1 @@
+"""Tests that run in the guest, on its kernel's drivers."""
