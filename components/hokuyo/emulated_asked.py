@@ -9,6 +9,9 @@ import numpy as np
 from components.hokuyo.emulated_models import ScipModel
 from components.hokuyo.emulated_scene import Turn, Values
 
+MEASURING = frozenset(family + kind for family in "GHMN" for kind in "DES") - {"HS", "NS"}
+"""All commands that ask to measure, of whichever models."""
+
 
 @dataclass(frozen=True)
 class Asked:

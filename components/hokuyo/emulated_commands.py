@@ -20,6 +20,16 @@ REBOOT_S = 1.0
 
 _REBOOT_WITHIN_S = 1.0  # RB must come twice within this
 
+# What DB has a stream tell in place of its next scans: a malfunction is verified and turns out to
+# be none, or one that stays; or there is one at once.
+_SIMULATED = {
+    "02": (),
+    "03": ("21", "98"),
+    "04": ("21", "50"),
+    "05": ("50",),
+    "10": (),
+}
+
 Outcome = tuple[str, list[bytes]]
 """A status, and the lines that come after it."""
 
@@ -33,7 +43,20 @@ class Commands:
         self._reboot_asked = -math.inf
 
     def run(self, name: str, parameters: str, now: float) -> Outcome:
-        """Do what a command says."""
+        """Do what a command says, or refuse it."""
+        sensor = self._sensor
+        first = sensor.model.generation == "first"
+        if name not in sensor.model.commands:
+            return "0F" if sensor.model.generation == "UST" else "0E", []
+        if sensor.adjusting and first and name != "TM":
+            return "0E", []
+        if sensor.adjusting and name in ("BM", "QT"):
+            return "10", []
+        if sensor.trouble is not None and not first and name in ("BM", "QT", "RS", "TM"):
+            return "0L", []
+        return self._run(name, parameters, now)
+
+    def _run(self, name: str, parameters: str, now: float) -> Outcome:
         sensor = self._sensor
         match name:
             case "VV":
@@ -70,7 +93,7 @@ class Commands:
         return "00", []
 
     def _light(self, now: float) -> str:
-        if self._sensor.broken:
+        if self._sensor.trouble is not None:
             return "01"
         if self._sensor.laser:
             return "02"
@@ -89,17 +112,19 @@ class Commands:
     def _adjust(self, parameters: str, now: float) -> Outcome:
         """TM: the laser rests while host and sensor compare their clocks."""
         sensor = self._sensor
-        match parameters, sensor.adjusting:
-            case "0", False:
-                sensor.darken()
-                sensor.adjusting = True
-                return "00", []
-            case "1", True:
-                return "00", [with_sum(encode_number(sensor.clock.ms(now), 4))]
-            case "2", True:
-                sensor.adjusting = False
-                return "00", []
-        return {"0": "02", "1": "04", "2": "03"}.get(parameters, "01"), []
+        if parameters not in ("0", "1", "2"):
+            return "01", []
+        if parameters == "1":
+            if not sensor.adjusting and sensor.model.generation == "first":
+                return "04", []  # the others tell their time at any time
+            return "00", [with_sum(encode_number(sensor.clock.ms(now), 4))]
+        if sensor.adjusting == (parameters == "0"):
+            return "02" if sensor.adjusting else "03", []
+        if sensor.streaming and sensor.model.generation != "first":
+            return "10", []
+        sensor.darken()
+        sensor.adjusting = parameters == "0"
+        return "00", []
 
     def _set_baud(self, parameters: str) -> str:
         if len(parameters) < 6:
@@ -135,9 +160,12 @@ class Commands:
         return "00"
 
     def _simulate(self, parameters: str) -> str:
-        """DB: what a host does about a broken sensor can be tried."""
-        if parameters not in ("02", "03", "04", "05", "10"):
+        """DB: what a host does about a sensor in trouble can be tried."""
+        if parameters not in _SIMULATED:
             return "01"
-        self._sensor.diagnosis = f"Sensor malfunction No.{parameters}"
-        self._sensor.darken()
+        if parameters == "02":
+            self._sensor.fail("50")
+        elif parameters == "10":
+            self._sensor.trouble = None
+        self._sensor.coming.extend(_SIMULATED[parameters])
         return "00"

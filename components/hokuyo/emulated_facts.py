@@ -6,21 +6,27 @@ from dataclasses import dataclass
 
 from components.hokuyo.emulated_models import ScipModel
 from components.hokuyo.emulated_text import fact
+from components.hokuyo.scip_text import encode_number
 
 _MAKER = "Hokuyo Automatic Co.,Ltd."
+_ETHERNET = "Ethernet 100 [Mbps]"
 
 
 @dataclass(frozen=True)
 class Condition:
-    """How the sensor is at a moment."""
+    """How the sensor is at a moment. `baud` [bit/s]: of its RS-232 line, if it is on that.
+
+    `trouble`: the number of what is wrong with it; none if it is well.
+    """
 
     laser: bool
-    measures: str
+    streaming: bool
+    sensitive: bool
     rpm: int
-    turned_down: bool
+    level: int
     baud: int | None
     time_ms: int
-    diagnosis: str
+    trouble: str | None
 
 
 def version(model: ScipModel, serial_number: str) -> list[bytes]:
@@ -35,11 +41,12 @@ def version(model: ScipModel, serial_number: str) -> list[bytes]:
 
 
 def parameters(model: ScipModel) -> list[bytes]:
-    """The lines of PP."""
+    """The lines of PP; a UST adds one that others do not have."""
     return [
         fact("MODL", f"{model.name}({_MAKER})"),
         fact("DMIN", str(model.least_mm)),
         fact("DMAX", str(model.most_mm)),
+        *([fact("PROT", model.protocol)] if model.generation == "UST" else []),
         fact("ARES", str(model.turn_steps)),
         fact("AMIN", str(model.first)),
         fact("AMAX", str(model.last)),
@@ -49,19 +56,58 @@ def parameters(model: ScipModel) -> list[bytes]:
 
 
 def state(model: ScipModel, condition: Condition) -> list[bytes]:
-    """The lines of II."""
-    speed = f"{'Changed' if condition.turned_down else 'Initial'}({condition.rpm}[rpm])"
-    line = "Ethernet 100[Mbps]" if model.line == "ethernet" else "USB only"
-    if condition.baud is not None:
-        line = f"{condition.baud}[bps]"
-    default = "<-Default setting by user"
+    """The lines of II, in the words of each generation of sensors."""
+    describe = {"first": _first, "EW": _ew, "UST": _ust}[model.generation]
+    speed, measures, line, time, status = describe(condition)
     summed = not model.arrows_unsummed
     return [
         fact("MODL", f"{model.name}({_MAKER})"),
         fact("LASR", "ON" if condition.laser else "OFF"),
-        fact("SCSP", f"{speed}{default}", arrow_summed=summed),
-        fact("MESM", condition.measures),
-        fact("SBPS", f"{line}{default}", arrow_summed=summed),
-        fact("TIME", f"{condition.time_ms:06X}"),
-        fact("STAT", condition.diagnosis),
+        fact("SCSP", speed, arrow_summed=summed),
+        fact("MESM", measures),
+        fact("SBPS", line, arrow_summed=summed),
+        fact("TIME", time),
+        fact("STAT", status),
     ]
+
+
+def _first(condition: Condition) -> tuple[str, str, str, str, str]:
+    default = "<-Default setting by user"
+    speed = f"Initial({condition.rpm}[rpm]){default}"
+    if condition.level:
+        speed = f"{condition.level:02d}%down({condition.rpm}[rpm])"
+    mode = "Sensitive" if condition.sensitive else "Normal"
+    line = "USB only" if condition.baud is None else f"{condition.baud}[bps]{default}"
+    trouble = condition.trouble
+    return (
+        speed,
+        f"Measuring by {mode} Mode" if condition.laser else "IDLE",
+        line,
+        f"{condition.time_ms:06X}",
+        "Sensor works well." if trouble is None else f"Sensor malfunction No.{trouble}",
+    )
+
+
+def _ew(condition: Condition) -> tuple[str, str, str, str, str]:
+    measures = "000 Idle"
+    if condition.laser:
+        measures = "004 Multi_scan" if condition.streaming else "003 Single_scan"
+    trouble = condition.trouble
+    return (
+        str(condition.rpm),
+        measures,
+        _ETHERNET,
+        f"{condition.time_ms:06x}",
+        "Stable 000 no error." if trouble is None else f"Error {trouble:0>3}",
+    )
+
+
+def _ust(condition: Condition) -> tuple[str, str, str, str, str]:
+    trouble = condition.trouble
+    return (
+        str(condition.rpm),
+        "Measuring by Sensitive Mode",
+        _ETHERNET,
+        encode_number(condition.time_ms, 4).decode(),
+        "sensor is working normally" if trouble is None else f"abnormal {trouble}",
+    )

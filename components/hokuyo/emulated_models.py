@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 Line = Literal["usb", "ethernet"]
+Generation = Literal["first", "EW", "UST"]
 
 _ALL_HAVE = frozenset(("VV", "PP", "II", "BM", "QT", "RS", "RT", "TM", "GD", "MD"))
 _BASIC = _ALL_HAVE | {"SS", "CR", "HS", "GS", "MS"}
@@ -42,10 +43,10 @@ class ScipModel:
     """The same for what is nearer than `least_mm`."""
     has_rs232: bool = False
     speaks_scip1: bool = False
+    generation: Generation = "first"
+    """What it tells of itself by II, and how it refuses."""
     arrows_unsummed: bool = False
     """In lines of II, what stands from `<-` on is left out of the check sum."""
-    unsupported: str = "0E"
-    """Status of a command that the model does not have."""
 
     @property
     def steps(self) -> int:
@@ -61,7 +62,7 @@ class ScipModel:
 _URG = ScipModel(
     name="URG-04LX",
     product="SOKUIKI Sensor URG-04LX",
-    firmware="3.3.00,09/05/01(14-7-2008)",
+    firmware="3.3.00(24/Apr./2008)",
     protocol="SCIP 2.0",
     least_mm=20,
     most_mm=5600,
@@ -82,15 +83,15 @@ _URG = ScipModel(
 
 
 def _fast(
-    name: str, product: str, most_mm: int, sight_mm: int, line: Line, commands: frozenset[str]
+    name: str, most_mm: int, sight_mm: int, generation: Generation, commands: frozenset[str]
 ) -> ScipModel:
     """A model of 270 degrees in 1081 steps, 40 times a second."""
     return ScipModel(
         name=name,
-        product=product,
-        firmware="1.18.01(16/Apr./2015)" if line == "usb" else "2.2.1(2013/12/13)",
-        protocol="SCIP 2.0" if line == "usb" else "SCIP 2.2",
-        least_mm=23 if most_mm == 60000 else 20,
+        product=f"SOKUIKI Sensor {'TOP-URG ' if generation == 'first' else ''}{name}",
+        firmware="1.18.01(16/Apr./2015)" if generation == "first" else "1.1.0 (2011-09-30)",
+        protocol="SCIP 2.0" if generation == "first" else "SCIP 2.2",
+        least_mm=20 if most_mm == 30000 else 23,
         most_mm=most_mm,
         sight_mm=sight_mm,
         turn_steps=1440,
@@ -99,12 +100,12 @@ def _fast(
         last=1080,
         most_step=1080,
         rpm=2400,
-        line=line,
+        line="usb" if generation == "first" else "ethernet",
         commands=commands,
         nothing=1,
         near=2,
-        arrows_unsummed=name == "UTM-30LX",
-        unsupported="0F" if name.startswith("UST") else "0E",
+        generation=generation,
+        arrows_unsummed=generation == "first",
     )
 
 
@@ -148,17 +149,10 @@ _ALL = (
         nothing=0,
         near=6,
     ),
-    _fast("UTM-30LX", "SOKUIKI Sensor TOP-URG UTM-30LX", 60000, 30000, "usb", _FAST),
-    _fast(
-        "UTM-30LX-EW",
-        "SOKUIKI Sensor UTM-30LX-EW",
-        60000,
-        30000,
-        "ethernet",
-        _ETHERNET | {"GS", "MS", "HS"},
-    ),
-    _fast("UST-10LX", "SOKUIKI Sensor UST-10LX", 30000, 10000, "ethernet", _ETHERNET),
-    _fast("UST-20LX", "SOKUIKI Sensor UST-20LX", 60000, 20000, "ethernet", _ETHERNET),
+    _fast("UTM-30LX", 60000, 30000, "first", _FAST),
+    _fast("UTM-30LX-EW", 60000, 30000, "EW", _ETHERNET | {"GS", "MS", "HS"}),
+    _fast("UST-10LX", 30000, 10000, "UST", _ETHERNET),
+    _fast("UST-20LX", 60000, 20000, "UST", _ETHERNET),
 )
 
 MODELS = {model.name: model for model in _ALL}

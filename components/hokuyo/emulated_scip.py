@@ -7,13 +7,12 @@ from __future__ import annotations
 
 import math
 import re
-from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
 from components.hokuyo import emulated_facts as facts
 from components.hokuyo import emulated_scip1 as scip1
-from components.hokuyo.emulated_asked import Asked, asked
+from components.hokuyo.emulated_asked import MEASURING, Asked, asked
 from components.hokuyo.emulated_commands import BAUDS, COMMANDS, Commands
 from components.hokuyo.emulated_models import MODELS
 from components.hokuyo.emulated_record import SentScan
@@ -78,7 +77,6 @@ class EmulatedScip:
         self._serial_number = serial_number
         self._starts_in_scip1 = speaks_scip1
         self._on_scan = on_scan
-        self._troubles: deque[str] = deque()
         self._wanted: _Wanted | None = None
         self.switched_on(0.0)
 
@@ -90,8 +88,12 @@ class EmulatedScip:
         self.sensor.switched_on(now)
 
     def hung_up(self, now: float) -> None:  # noqa: ARG002 - as every emulated device
-        """Nobody listens any more: it goes on; what it heard half of is forgotten."""
+        """Nobody listens any more: what it heard half of is forgotten; on Ethernet it rests."""
         self._held = b""
+        if self.model.line == "ethernet":
+            self.sensor.darken()
+            self.sensor.adjusting = False
+            self._wanted = None
 
     def baud(self) -> int | None:
         """The speed of its RS-232 line [bit/s]; USB and Ethernet have none."""
@@ -103,7 +105,7 @@ class EmulatedScip:
         `0M`: unstable for the moment; 21 to 49: it stops to verify an error; 98: it goes on; 50 to
         97: it is broken, and the stream ends.
         """
-        self._troubles.extend([status] * scans)
+        self.sensor.coming.extend([status] * scans)
 
     def due(self) -> float:
         """When the next scan that is asked for has been measured [s]."""
@@ -136,9 +138,6 @@ class EmulatedScip:
             return reply(line, "0G")
         if not _STRING.fullmatch(string):
             return reply(line, "0H")
-        if name not in self.model.commands or (self.sensor.adjusting and name != "TM"):
-            known = name in COMMANDS and not self.sensor.adjusting
-            return reply(line, self.model.unsupported if known else "0E")
         if name not in COMMANDS:
             return self._begin(line, command, semicolon + string, now)
         status, lines = self._commands.run(name, parameters, now)
@@ -149,11 +148,14 @@ class EmulatedScip:
     def _begin(self, line: bytes, command: bytes, string: bytes, now: float) -> bytes | None:
         """Begin to measure; single scans are answered once they are measured."""
         text = command.decode("ascii", "replace")
+        if text[:2] not in self.model.commands or self.sensor.adjusting:
+            known = text[:2] in MEASURING and not self.sensor.adjusting
+            return reply(line, "0F" if known and self.model.generation == "UST" else "0E")
         request = asked(text[:2], text[2:], self.model)
         if isinstance(request, str):
             return reply(line, request)
-        if self.sensor.broken:
-            return reply(line, "50")
+        if self.sensor.trouble is not None:
+            return reply(line, self.sensor.trouble)
         if request.is_stream:
             self.sensor.light(now)
             self.sensor.streaming = True
@@ -178,8 +180,8 @@ class EmulatedScip:
         late = self.sensor.mirror.newest(now - _BACKLOG_S) - wanted.turn
         turn = wanted.turn + max(0, -(-late // step)) * step
         wanted.turn = turn + step
-        if self._troubles:
-            return self._troubled(wanted, self._troubles.popleft())
+        if self.sensor.coming:
+            return self._troubled(wanted, self.sensor.coming.popleft())
         wanted.left = max(0, wanted.left - 1)
         frame = self._data(wanted, "99", turn)
         if request.scans and not wanted.left:
@@ -189,8 +191,7 @@ class EmulatedScip:
 
     def _troubled(self, wanted: _Wanted, status: str) -> bytes:
         if status.isdigit() and 50 <= int(status) <= 97:
-            self.sensor.diagnosis = f"Sensor malfunction No.{status}"
-            self.sensor.darken()
+            self.sensor.fail(status)
             self._wanted = None
         return reply(wanted.echo(), status)
 

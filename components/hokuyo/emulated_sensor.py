@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 
 from components.hokuyo.emulated_asked import Asked
 from components.hokuyo.emulated_facts import Condition
@@ -11,7 +12,6 @@ from components.hokuyo.emulated_models import ScipModel
 from components.hokuyo.emulated_record import SentScan
 from components.hokuyo.emulated_scene import Scene
 
-WELL = "Sensor works well."
 SLOWEST = 10
 """Each level of CR takes one hundredth off the mirror's speed."""
 
@@ -30,7 +30,10 @@ class Sensor:
     ) -> None:
         self.model = model
         self.scene = scene
-        self.diagnosis = WELL
+        self.trouble: str | None = None
+        """The number of what is wrong with it."""
+        self.coming: deque[str] = deque()
+        """Statuses that come in place of a stream's next scans."""
         self._initial_baud = baud
         self.deaf_until = -math.inf
         self._clock_start_ms = clock_start_ms
@@ -39,7 +42,8 @@ class Sensor:
 
     def switched_on(self, now: float) -> None:
         """Begin as after power-on."""
-        self.diagnosis = WELL
+        self.trouble = None
+        self.coming.clear()
         self.deaf_until = -math.inf
         self.reset(now)
 
@@ -63,14 +67,14 @@ class Sensor:
             self._lit_turn = self.mirror.next(now)
         self.laser, self.asleep = True, False
 
-    @property
-    def broken(self) -> bool:
-        """Whether it has found something wrong with itself."""
-        return self.diagnosis != WELL
-
     def darken(self) -> None:
         """Switch the laser off; whatever is being measured ends."""
         self.laser = self.streaming = False
+
+    def fail(self, number: str) -> None:
+        """Find something wrong with itself, of that number, and stop."""
+        self.trouble = number
+        self.darken()
 
     def turn_at(self, level: int, now: float) -> None:
         """Turn the mirror at another speed."""
@@ -94,20 +98,20 @@ class Sensor:
 
     def condition(self, now: float) -> Condition:
         """What II tells of it."""
-        measures = "Measuring by Sensitive Mode" if self.sensitive else "Measuring by Normal Mode"
         return Condition(
             laser=self.laser,
-            measures=measures if self.laser else "Idle",
+            streaming=self.streaming,
+            sensitive=self.sensitive,
             rpm=round(60.0 / self.mirror.turn_s),
-            turned_down=self.level != 0,
+            level=self.level,
             baud=self.baud,
             time_ms=self.clock.ms(now),
-            diagnosis=self.diagnosis,
+            trouble=self.trouble,
         )
 
     def state_number(self) -> str:
         """What %ST tells of it."""
-        if self.broken:
+        if self.trouble is not None:
             return "900"
         if self.adjusting:
             return "002"
