@@ -1,0 +1,109 @@
+"""What is asked of a camera: rate, size, controls, name."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from cairn.clock import to_ns
+from cairn.component.parameters import ParameterRefused
+from cairn.errors import CairnError
+from tests.hardware.guest.camera import LEFT, RIGHT, Driver, load_cameras, unload, value_of
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _cameras() -> Iterator[None]:
+    load_cameras()
+    yield
+    unload("vivid")
+
+
+def test_two_cameras_at_25_a_second_lose_no_picture() -> None:
+    with Driver(device=LEFT, right_device=RIGHT, format="GREY", rate=25) as driver:
+        driver.await_pictures(25)  # both cameras have begun
+        before = [driver.values(index) for index in range(2)]
+        pictures = driver.await_pictures(100)
+        after = [driver.values(index) for index in range(2)]
+        told = driver.values(2)
+
+    for old, new in zip(before, after, strict=True):
+        assert new["lost"] == old["lost"], f"pictures lost: {new}"
+        assert new["skipped"] == old["skipped"], f"pictures skipped: {new}"
+    stamps = np.array([to_ns(one.header.stamp) for one in pictures])
+    assert np.all(np.diff(stamps) > 0)
+    assert abs(float(told["right after left [ms]"])) <= 20
+
+
+def test_all_of_a_pair_have_one_stamp() -> None:
+    with Driver(device=LEFT, right_device=RIGHT, format="YUYV", rate=25) as driver:
+        rights = [driver.await_one("right_image") for _ in range(5)]
+        driver.go("deactivate")
+        others = [driver.taken(port) for port in ("left_image", "left_info", "right_info")]
+
+    stamps = {to_ns(one.header.stamp) for one in rights}
+    for messages in others:
+        assert stamps <= {to_ns(one.header.stamp) for one in messages}
+
+
+def test_controls_are_set_on_both_cameras_while_they_stream() -> None:
+    with Driver(device=LEFT, right_device=RIGHT, format="GREY", rate=25) as driver:
+        driver.set(controls__brightness=77, controls__other={"hue": -9})
+        driver.await_pictures(2)
+
+        for camera in (LEFT, RIGHT):
+            assert (value_of(camera, "brightness"), value_of(camera, "hue")) == (77, -9)
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        ({"controls__brightness": 256}, "brightness = 256: the camera takes 0 to 255"),
+        ({"controls__auto_exposure": 1}, "the camera has no control auto_exposure; it has alpha"),
+        ({"controls__other": {"test_pattern": 99}}, "takes 0 (75% Colorbar), 1 (100% Colorbar)"),
+        ({"controls__other": {"read_only_integer_32_bits": 1}}, "can only be read"),
+        ({"width": 320}, "takes width when it is configured; controls, stamp_delay_s may be"),
+    ],
+)
+def test_what_a_camera_does_not_take_is_refused_with_its_bounds(
+    changes: dict[str, object], told: str
+) -> None:
+    with Driver(device=LEFT, format="GREY", rate=25) as driver:
+        before = value_of(LEFT, "brightness")
+
+        with pytest.raises(ParameterRefused) as refused:
+            driver.set(**changes)
+
+        assert told in str(refused.value)
+        assert value_of(LEFT, "brightness") == before
+
+
+def test_what_it_gives_instead_of_what_was_asked_for_is_told(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    with Driver(device=LEFT, format="GREY", width=600, height=400, rate=7) as driver:
+        [image] = driver.await_pictures(1)
+
+    assert f"gives {image.width} x {image.height} pixels, not 600 x 400" in caplog.text
+    assert "pictures a second, not 7 as was asked for" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("parameters", "told"),
+    [
+        ({"device": LEFT, "format": "MJPG"}, "but format is MJPG: choose another format"),
+        ({"device": "name:nobody"}, "name:nobody: there is no such camera; there are: /dev/"),
+        ({"device": "/dev/video63"}, "/dev/video63: there is no such camera; `cairn driver probe"),
+        ({"device": "/dev/null"}, "/dev/null"),
+        ({"device": LEFT, "controls": {"gain": 999}}, "gain = 999: the camera takes 0 to 255"),
+    ],
+)
+def test_a_camera_that_cannot_be_had_is_refused_when_it_is_configured(
+    parameters: dict[str, object], told: str
+) -> None:
+    with pytest.raises(CairnError) as refused:
+        Driver(**parameters)
+
+    assert told in str(refused.value)
+    assert "camera: " in str(refused.value)

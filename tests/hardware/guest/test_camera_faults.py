@@ -1,0 +1,172 @@
+"""Whatever becomes of a camera, its driver tells it, and pictures come again."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+
+import pytest
+
+from cairn.driver.diagnostics import ERROR
+from tests.hardware.guest.camera import (
+    LEFT,
+    RIGHT,
+    Driver,
+    Knobs,
+    disconnected,
+    load_cameras,
+    plug_in_cameras,
+    unload,
+    unplug_cameras,
+    value_of,
+)
+
+RETURN_LIMIT_S = 2.0
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _cameras() -> Iterator[None]:
+    load_cameras()
+    yield
+    unload("vivid")
+
+
+@pytest.fixture
+def driver() -> Iterator[Driver]:
+    with Driver(device=LEFT, format="GREY", rate=25, silence_s=0.5) as driver:
+        driver.await_pictures(2)
+        yield driver
+
+
+def test_a_damaged_buffer_is_dropped_and_counted(driver: Driver) -> None:
+    Knobs(LEFT).turn("inject_v4l2_buf_flag_error")
+
+    told = driver.await_values(lambda told: told["marked"] == "1")
+
+    assert told["restarts"] == "0"
+    driver.await_pictures(3)
+
+
+def test_a_stream_that_breaks_off_is_started_anew(driver: Driver) -> None:
+    Knobs(LEFT).turn("inject_fatal_streaming_error")
+
+    told = driver.await_values(lambda told: told["restarts"] == "1")
+
+    assert told["returns"] == "0"
+    driver.await_pictures(3)
+
+
+def test_a_buffer_that_is_not_taken_back_is_got_over(driver: Driver) -> None:
+    Knobs(LEFT).turn("inject_vidioc_qbuf_error")
+
+    driver.await_values(lambda told: told["restarts"] == "1")
+
+    driver.await_pictures(3)
+
+
+@pytest.mark.parametrize("request_", ["reqbufs", "streamon"])
+def test_a_stream_that_does_not_start_is_started_again(request_: str) -> None:
+    with Driver(device=LEFT, format="GREY", rate=25) as driver:
+        driver.await_pictures(1)
+        driver.go("deactivate")
+        Knobs(LEFT).turn(f"inject_vidioc_{request_}_error")
+        driver.go("activate")
+        driver.await_pictures(3)
+
+
+def test_a_stream_that_falls_silent_is_started_anew(driver: Driver) -> None:
+    Knobs(LEFT).turn("percentage_of_dropped_buffers", 100)
+    try:
+        told = driver.await_values(lambda told: int(told["restarts"]) > 1)
+        assert told["level"] == str(ERROR)
+    finally:
+        Knobs(LEFT).turn("percentage_of_dropped_buffers", 0)
+
+    driver.await_pictures(3)
+
+
+def test_lost_pictures_are_counted(driver: Driver) -> None:
+    Knobs(LEFT).turn("percentage_of_dropped_buffers", 30)
+    try:
+        driver.await_values(lambda told: int(told["lost"]) > 2)
+    finally:
+        Knobs(LEFT).turn("percentage_of_dropped_buffers", 0)
+
+
+def test_numbers_of_pictures_that_wrap_are_no_loss() -> None:
+    Knobs(LEFT).turn("wrap_sequence_number", 1)
+    try:
+        with Driver(device=LEFT, format="GREY", rate=25) as driver:
+            driver.await_pictures(200)  # numbers begin 128 before they wrap
+            told = driver.values()
+    finally:
+        Knobs(LEFT).turn("wrap_sequence_number", 0)
+
+    lost = int(told["lost"])
+    assert lost < 100, f"{lost} of {told['pictures']} pictures lost"
+
+
+def test_a_time_that_cannot_be_is_replaced_by_that_of_arrival() -> None:
+    Knobs(LEFT).turn("wrap_timestamp", 1)
+    try:
+        with Driver(device=LEFT, format="GREY", rate=25) as driver:
+            [image] = driver.await_pictures(1)
+            told = driver.values()
+            now = time.time()
+    finally:
+        Knobs(LEFT).turn("wrap_timestamp", 0)
+
+    assert now - 5 < image.header.stamp.sec <= now
+    assert int(told["unstamped"]) > 0
+
+
+def test_stamps_of_the_exposures_begin_are_told_as_such() -> None:
+    Knobs(LEFT).turn("timestamp_source", 1)
+    try:
+        with Driver(device=LEFT, format="GREY", rate=25) as driver:
+            driver.await_pictures(1)
+            assert driver.values()["stamped at"] == "begin of exposure"
+    finally:
+        Knobs(LEFT).turn("timestamp_source", 0)
+
+
+def test_a_camera_that_is_gone_for_a_moment_is_opened_anew(driver: Driver) -> None:
+    Knobs(LEFT).turn("disconnect")  # vivid's cameras are back when nobody has them open
+
+    driver.await_values(lambda told: told["returns"] == "1")
+
+    driver.await_pictures(3)
+
+
+def test_cameras_that_are_unplugged_are_taken_up_as_they_were_set_when_they_are_back() -> None:
+    with Driver(device=LEFT, right_device=RIGHT, format="GREY", rate=25) as driver:
+        driver.await_one("right_image")
+        driver.set(controls__gain_automatic=0, controls__gain=33)
+
+        unplug_cameras()
+        told = driver.await_values(lambda told: "no such camera" in told["message"])
+        assert told["level"] == str(ERROR)
+        driver.set(controls__gain=44)
+        driver.taken("right_image")
+        plug_in_cameras()
+        back = time.monotonic()
+        driver.await_one("right_image")
+        took_s = time.monotonic() - back
+
+        assert took_s < RETURN_LIMIT_S
+        assert driver.values()["returns"] == "1"
+        assert {value_of(camera, "gain") for camera in (LEFT, RIGHT)} == {44}
+
+
+def test_while_the_right_camera_is_away_the_left_one_is_published_alone() -> None:
+    with Driver(device=LEFT, right_device=RIGHT, format="GREY", rate=25) as driver:
+        driver.await_one("right_image")
+
+        with disconnected(RIGHT):
+            told = driver.await_values(lambda told: told["level"] == str(ERROR), index=1)
+            assert "gone" in told["message"] or "no such camera" in told["message"]
+            driver.taken("right_image")
+            driver.await_pictures(5)
+            assert driver.taken("right_image") == []
+
+        driver.await_one("right_image")

@@ -1,0 +1,142 @@
+"""Pixels come out of the kernel as they went in; what is no whole picture does not come out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+import simplejpeg
+from numpy.typing import NDArray
+
+from tests.hardware.guest.camera import Driver, Loopback, load, unload
+
+NAME = "cairn-test"
+WIDTH, HEIGHT = 640, 480
+Grey = NDArray[np.uint8]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _loopback() -> Iterator[None]:
+    load("v4l2loopback", "video_nr=40", f"card_label={NAME}", "exclusive_caps=0", "max_buffers=4")
+    yield
+    unload("v4l2loopback")
+
+
+def pictures(count: int) -> list[Grey]:
+    random = np.random.default_rng(0)
+    return [random.integers(0, 256, (HEIGHT, WIDTH), np.uint8) for _ in range(count)]
+
+
+def yuyv(grey: Grey) -> bytes:
+    both = np.empty((HEIGHT, WIDTH, 2), np.uint8)
+    both[..., 0], both[..., 1] = grey, 255 - grey
+    return both.tobytes()
+
+
+def jpeg(grey: Grey) -> bytes:
+    colours = np.dstack((grey, 255 - grey, grey[::-1]))
+    return simplejpeg.encode_jpeg(colours, quality=80, colorspace="RGB", colorsubsampling="422")
+
+
+def pixels(image: Any) -> Grey:
+    assert image.encoding == "mono8"
+    return np.asarray(image.data).reshape(image.height, image.width)
+
+
+def driver(pixel_format: str, **more: Any) -> Driver:
+    made = Driver(device=f"name:{NAME}", format=pixel_format, width=WIDTH, height=HEIGHT, **more)
+    if pixel_format != "MJPG":
+        made.await_one("left_image")  # the blank that the loopback was made with
+    return made
+
+
+@pytest.fixture
+def source(request: pytest.FixtureRequest) -> Iterator[Loopback]:
+    source = Loopback(NAME, request.param, WIDTH, HEIGHT, 2 * WIDTH * HEIGHT)
+    source.write(bytes(2 * WIDTH * HEIGHT) if request.param == "YUYV" else bytes(WIDTH * HEIGHT))
+    yield source
+    source.close()
+
+
+def sent_and_received(source: Loopback, camera: Driver, sent: list[bytes]) -> list[Grey]:
+    received = []
+    camera.taken("left_image")
+    for data in sent:
+        source.write(data)
+        received.append(pixels(camera.await_one("left_image")))
+    return received
+
+
+@pytest.mark.parametrize("source", ["GREY"], indirect=True)
+def test_grey(source: Loopback) -> None:
+    sent = pictures(5)
+    with driver("GREY") as camera:
+        received = sent_and_received(source, camera, [one.tobytes() for one in sent])
+
+    assert [one.tolist() for one in received] == [one.tolist() for one in sent]
+
+
+@pytest.mark.parametrize("source", ["YUYV"], indirect=True)
+def test_yuyv(source: Loopback) -> None:
+    sent = pictures(5)
+    with driver("YUYV") as camera:
+        received = sent_and_received(source, camera, [yuyv(one) for one in sent])
+
+    assert [one.tolist() for one in received] == [one.tolist() for one in sent]
+
+
+@pytest.mark.parametrize("source", ["MJPG"], indirect=True)
+def test_mjpg(source: Loopback) -> None:
+    sent = [jpeg(one) for one in pictures(5)]
+    with driver("MJPG") as camera:
+        received = sent_and_received(source, camera, sent)
+
+    expected = [simplejpeg.decode_jpeg(one, colorspace="GRAY")[..., 0] for one in sent]
+    assert [one.tolist() for one in received] == [one.tolist() for one in expected]
+
+
+@pytest.mark.parametrize("source", ["GREY"], indirect=True)
+def test_side_by_side(source: Loopback) -> None:
+    [sent] = pictures(1)
+    with driver("GREY", side_by_side=True) as camera:
+        left = sent_and_received(source, camera, [sent.tobytes()])[0]
+        right = camera.taken("right_image")[-1]
+
+    assert left.tolist() == sent[:, : WIDTH // 2].tolist()
+    assert pixels(right).tolist() == sent[:, WIDTH // 2 :].tolist()
+
+
+@pytest.mark.parametrize("source", ["MJPG"], indirect=True)
+@pytest.mark.parametrize(
+    ("damage", "counted"),
+    [
+        (lambda data: data[: len(data) // 2], "short"),
+        (lambda data: data[: len(data) // 2] + b"\xff\xd9", "damaged"),
+        (lambda data: b"\0" + data[1:], "damaged"),
+        (lambda data: data[:2000] + bytes(2000) + data[4000:], "damaged"),
+    ],
+    ids=["truncated", "cut in the middle", "no beginning", "overwritten"],
+)
+def test_damaged_mjpg_is_dropped_and_counted(source: Loopback, damage: Any, counted: str) -> None:
+    first, second = (jpeg(one) for one in pictures(2))
+    with driver("MJPG") as camera:
+        sent_and_received(source, camera, [first])
+        before = int(camera.values()[counted])
+        source.write(damage(first))
+        camera.await_values(lambda told: int(told[counted]) == before + 1)
+        [received] = sent_and_received(source, camera, [second])
+
+    expected = simplejpeg.decode_jpeg(second, colorspace="GRAY")[..., 0]
+    assert received.tolist() == expected.tolist()
+
+
+@pytest.mark.parametrize("source", ["GREY"], indirect=True)
+def test_a_short_picture_is_dropped_and_counted(source: Loopback) -> None:
+    [whole] = pictures(1)
+    with driver("GREY") as camera:
+        sent_and_received(source, camera, [whole.tobytes()])
+        before = int(camera.values()["short"])
+        source.write(whole.tobytes()[:-WIDTH])
+        camera.await_values(lambda told: int(told["short"]) == before + 1)
