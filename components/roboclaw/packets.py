@@ -6,6 +6,8 @@ Timeout", "Packet Acknowledgement", "CRC16 Checksum Calculation".
 
 from __future__ import annotations
 
+from binascii import crc_hqx
+
 ADDRESSES = range(0x80, 0x88)
 """Addresses that a RoboClaw may have; over USB it answers to each of them."""
 
@@ -20,10 +22,7 @@ PACKET_TIMEOUT_S = 0.010
 
 def crc16(data: bytes) -> int:
     """The CRC of bytes: polynomial 0x1021, begun at 0, not reflected (CRC-16/XMODEM)."""
-    crc = 0
-    for byte in data:
-        crc = (crc << 8) & 0xFFFF ^ _TABLE[crc >> 8 ^ byte]
-    return crc
+    return crc_hqx(data, 0)
 
 
 def order_packet(address: int, command: int, data: bytes = b"") -> bytes:
@@ -47,13 +46,3 @@ def reply_data(address: int, command: int, reply: bytes) -> bytes | None:
     """The data of a reply; None if its sum is wrong, or it is the reply to something else."""
     data = reply[:-SUM_SIZE]
     return data if reply_packet(address, command, data) == reply else None
-
-
-def _remainder(byte: int) -> int:
-    crc = byte << 8
-    for _ in range(8):
-        crc = (crc << 1 ^ 0x1021 if crc & 0x8000 else crc << 1) & 0xFFFF
-    return crc
-
-
-_TABLE = tuple(_remainder(byte) for byte in range(256))

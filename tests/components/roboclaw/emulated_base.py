@@ -1,0 +1,121 @@
+"""A base on an emulated RoboClaw, for tests: deployment, faults, what its wheels truly do."""
+
+import math
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from cairn.driver.emulated_lines import PtyEnd
+from cairn.driver.emulation import Emulation
+from components.roboclaw.emulator import EmulatedRoboclaw, Moved
+from planar.poses import Pose, compose
+
+RADIUS, SEPARATION, COUNTS = 0.05, 0.3, 4000.0
+PARAMETERS = {
+    "wheel_radius": RADIUS,
+    "wheel_separation": SEPARATION,
+    "counts_per_turn": COUNTS,
+    "right_inverted": True,
+}
+DEPLOYMENT = """
+    settings: {port: ""}
+    external_topics: [cmd_vel]
+    components:
+      base:
+        plugin: roboclaw_base
+        parameters:
+          port: "${port}"
+          wheel_radius: 0.05
+          wheel_separation: 0.3
+          counts_per_turn: 4000
+          right_inverted: true
+          rate: 40
+          acceleration: 3.0
+          turn_acceleration: 20.0
+          speed: 0.8
+          turn: 4.0
+          device_timeout_s: 0.4
+    """
+"""The wheels' encoders begin just below the wrap of their counters."""
+
+_METRES = 2.0 * math.pi * RADIUS / COUNTS
+_STANDS_BELOW = 0.01  # [m/s]
+
+
+class EmulatedBase:
+    """The controller on a serial port in software. A device as the contracts know it."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.device = EmulatedRoboclaw(full_speed=30_000.0, first_counts=(2**32 - 500, 300))
+        self.emulation = Emulation(self.device, PtyEnd(path))
+
+    @property
+    def settings(self) -> Mapping[str, Any]:
+        return {"port": str(self.path)}
+
+    def unplug(self) -> None:
+        self.emulation.unplug()
+
+    def plug_in(self) -> None:
+        self.emulation.plug_in()
+
+    def turns(self) -> bool:
+        return self.speed() > _STANDS_BELOW
+
+    def await_stand(self, limit_s: float) -> bool:
+        return self.await_that(lambda: not self.turns(), limit_s)
+
+    def await_that(self, holds: Callable[[], bool], limit_s: float = 5.0) -> bool:
+        """Wait until something holds of the wheels; whether it did within the limit [s]."""
+        until = time.monotonic() + limit_s
+        while not holds():
+            if time.monotonic() > until:
+                return False
+            time.sleep(0.005)
+        return True
+
+    def speed(self) -> float:
+        """Of the faster wheel, now [m/s]: whatever the line is like."""
+        speeds: list[float] = []
+
+        def look() -> None:
+            self.device.advance(time.monotonic())
+            speeds.extend(abs(motor.speed) for motor in self.device.controller.motors)
+
+        self.emulation.ask(look)
+        return max(speeds) * _METRES
+
+    def moved(self) -> list[Moved]:
+        """All that the wheels have done so far."""
+        steps: list[Moved] = []
+        self.emulation.ask(lambda: steps.extend(self.device.moved))
+        return steps
+
+    def fastest_since(self, time_s: float) -> float:
+        """The faster wheel's highest speed since then [m/s; s of the monotonic clock]."""
+        speeds = (max(map(abs, step.speeds)) for step in self.moved() if step.time >= time_s)
+        return max(speeds, default=0.0) * _METRES
+
+    def true_pose(self) -> Pose:
+        """Where the wheels have led since the beginning, step by step: m1 left, m2 inverted."""
+        pose: Pose = (0.0, 0.0, 0.0)
+        left = right = 0.0
+        for step in self.moved():
+            now_left, now_right = step.turned[0] * _METRES, -step.turned[1] * _METRES
+            way = 0.5 * (now_left - left + now_right - right)
+            turned = (now_right - right - (now_left - left)) / SEPARATION
+            half = (0.0, 0.0, 0.5 * turned)
+            pose = compose(compose(compose(pose, half), (way, 0.0, 0.0)), half)
+            left, right = now_left, now_right
+        return pose
+
+
+@contextmanager
+def emulated_base(folder: Path) -> Iterator[EmulatedBase]:
+    """One that is plugged in as long as the context lasts."""
+    base = EmulatedBase(folder / "roboclaw")
+    with base.emulation:
+        yield base
