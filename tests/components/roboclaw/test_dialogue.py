@@ -1,0 +1,64 @@
+"""Questions and orders over a line that spoils what comes."""
+
+import numpy as np
+import pytest
+
+from cairn.driver.errors import DeviceError
+from cairn.driver.faults import FRAME_FAULTS, FrameFaults
+from components.roboclaw import commands
+from components.roboclaw.emulator import EmulatedRoboclaw
+from tests.components.roboclaw.line import dialogue_with
+
+
+def test_questions_are_answered() -> None:
+    device = EmulatedRoboclaw(first_counts=(7, 2**32 - 1))
+    dialogue, _, counts = dialogue_with(device)
+
+    assert dialogue.version() == "USB Roboclaw 2x7a v4.2.8"
+    assert dialogue.ask(commands.ENCODERS) == (7, 2**32 - 1)
+    assert dialogue.ask(commands.MAIN_VOLTAGE) == (124,)
+    assert counts.retries == 0
+
+
+def test_among_a_thousand_faults_no_false_number_is_taken() -> None:
+    device = EmulatedRoboclaw(first_counts=(123456, 2**31))
+    faults = FrameFaults(dict.fromkeys(FRAME_FAULTS, 0.15), np.random.default_rng(5))
+    dialogue, _, counts = dialogue_with(device, faults, tries=30)
+
+    while sum(faults.done.values()) < 1000:
+        dialogue.order(commands.set_timeout(0.7))
+        assert dialogue.ask(commands.ENCODERS) == (123456, 2**31)
+        assert dialogue.ask(commands.TIMEOUT) == (7,)
+        assert dialogue.version() == "USB Roboclaw 2x7a v4.2.8"
+        assert dialogue.status().errors == ()
+    assert counts.silent > 50
+    assert counts.garbled > 50
+    assert counts.retries == counts.silent + counts.garbled
+
+
+def test_a_device_that_never_answers_is_told_of() -> None:
+    device = EmulatedRoboclaw(address=0x85)
+    dialogue, _, _ = dialogue_with(device)
+
+    with pytest.raises(DeviceError, match="address 0x80 does not answer command 21"):
+        dialogue.version()
+
+
+def test_what_answers_something_else_is_told_of() -> None:
+    device = EmulatedRoboclaw()
+    faults = FrameFaults({"garbage": 1.0}, np.random.default_rng(5))
+    dialogue, _, _ = dialogue_with(device, faults)
+
+    with pytest.raises(DeviceError, match="answers command 78 with what is no reply"):
+        dialogue.ask(commands.ENCODERS)
+
+
+@pytest.mark.parametrize("old", [False, True])
+def test_the_status_is_understood_of_old_firmware_and_new(old: bool) -> None:
+    device = EmulatedRoboclaw(old_status=old)
+    dialogue, _, _ = dialogue_with(device)
+    device.controller.emergency_stop = True
+    device.controller.voltage = 5.0
+
+    for _ in range(2):
+        assert set(dialogue.status().errors) == {"emergency stop", "main battery voltage low"}

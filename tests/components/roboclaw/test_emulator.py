@@ -1,0 +1,118 @@
+"""The emulated RoboClaw is as hard to its driver as the real one."""
+
+import pytest
+
+from components.roboclaw import commands
+from components.roboclaw.commands import Order
+from components.roboclaw.emulator import EmulatedRoboclaw
+from components.roboclaw.packets import ACKNOWLEDGED, order_packet, question_packet, reply_data
+
+
+def packet(order: Order) -> bytes:
+    return order_packet(0x80, order.command, order.data)
+
+
+@pytest.fixture
+def device() -> EmulatedRoboclaw:
+    device = EmulatedRoboclaw()
+    device.switched_on(0.0)
+    return device
+
+
+RUN = packet(commands.drive_speed(20_000, 4000, -4000))
+
+
+def test_an_order_is_acknowledged_and_carried_out(device: EmulatedRoboclaw) -> None:
+    assert device.receive(RUN, 0.0) == [ACKNOWLEDGED]
+    device.advance(1.0)
+
+    first, second = device.controller.motors
+    assert first.speed == pytest.approx(4000, rel=0.05)
+    assert second.speed == pytest.approx(-4000, rel=0.05)
+    assert first.count > 2000
+    assert second.count > 2**32 - 5000  # it counts backwards from 0
+
+
+def test_a_packet_with_a_false_sum_is_not_obeyed(device: EmulatedRoboclaw) -> None:
+    assert device.receive(RUN[:-1] + bytes([RUN[-1] ^ 1]), 0.0) == []
+    device.advance(1.0)
+
+    assert device.controller.at_rest
+    assert device.refused == 1
+
+
+def test_a_packet_that_pauses_for_more_than_10_ms_is_thrown_away(device: EmulatedRoboclaw) -> None:
+    device.receive(RUN[:5], 0.0)
+    assert device.receive(RUN[5:], 0.009) == [ACKNOWLEDGED]
+    device.receive(RUN[:5], 1.0)
+
+    assert device.receive(RUN[5:], 1.011) == []
+    assert device.receive(RUN, 1.1) == [ACKNOWLEDGED]
+
+
+def test_noise_before_a_packet_is_passed_over(device: EmulatedRoboclaw) -> None:
+    assert device.receive(b"\x00\x41\xff" + RUN, 0.0) == [ACKNOWLEDGED]
+
+
+def test_silence_for_the_serial_timeout_stops_the_motors(device: EmulatedRoboclaw) -> None:
+    device.receive(packet(commands.set_timeout(0.5)), 0.0)
+    device.receive(RUN, 0.1)
+    device.advance(0.59)
+    assert device.controller.motors[0].speed > 3000
+
+    device.advance(1.2)
+    assert device.controller.at_rest
+    assert device.timeouts == 1
+
+    device.receive(question_packet(0x80, 78), 1.3)  # being talked to again starts nothing
+    device.advance(2.0)
+    assert device.controller.at_rest
+
+
+def test_without_a_serial_timeout_it_drives_on_for_ever(device: EmulatedRoboclaw) -> None:
+    device.receive(RUN, 0.0)
+    device.advance(60.0)
+
+    assert device.controller.motors[0].speed == pytest.approx(4000, rel=0.01)
+
+
+def test_unplugged_it_goes_on_by_its_battery(device: EmulatedRoboclaw) -> None:
+    device.receive(packet(commands.set_timeout(0.5)), 0.0)
+    device.receive(RUN, 0.1)
+    device.switched_on(0.3)  # the line is back
+
+    assert device.controller.motors[0].speed > 0
+    assert device.controller.timeout_s == 0.5
+
+
+def test_an_encoder_that_counts_backwards_makes_the_wheel_run_away(
+    device: EmulatedRoboclaw,
+) -> None:
+    device.controller.set_fault(1, "encoder_reversed")
+    device.receive(packet(commands.drive_speed(20_000, 1000, 1000)), 0.0)
+    device.advance(5.0)
+
+    assert device.controller.motors[0].speed > 3000
+    assert device.controller.motors[1].speed == pytest.approx(1000, rel=0.05)
+
+
+def test_a_reply_is_of_the_numbers_asked_for(device: EmulatedRoboclaw) -> None:
+    def asked(command: int) -> bytes:
+        (reply,) = device.receive(question_packet(0x82, command), 0.0)
+        data = reply_data(0x82, command, reply)
+        assert data is not None
+        return data
+
+    assert asked(21) == b"USB Roboclaw 2x7a v4.2.8\n\0"
+    assert asked(24) == (124).to_bytes(2, "big")
+    assert asked(82) == (315).to_bytes(2, "big")
+    assert asked(99) == b"\x00\x03"
+
+
+@pytest.mark.parametrize("command", [16, 17, 18, 19])
+def test_counters_and_speeds_come_with_a_byte_of_status(
+    device: EmulatedRoboclaw, command: int
+) -> None:
+    (reply,) = device.receive(question_packet(0x80, command), 0.0)
+
+    assert reply_data(0x80, command, reply) == bytes(5)

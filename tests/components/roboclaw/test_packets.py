@@ -1,0 +1,89 @@
+"""Packets, byte by byte, against sources that are not ours."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from components.roboclaw import commands
+from components.roboclaw.packets import (
+    crc16,
+    order_packet,
+    question_packet,
+    reply_data,
+    reply_packet,
+)
+
+
+def manuals_crc(data: bytes) -> int:
+    """The user manual's code in C (section "CRC16 Checksum Calculation"), word for word."""
+    crc = 0
+    for byte in data:
+        crc ^= byte << 8
+        for _ in range(8):
+            crc = ((crc << 1) ^ 0x1021) & 0xFFFF if crc & 0x8000 else (crc << 1) & 0xFFFF
+    return crc
+
+
+def test_the_check_value_of_the_crc_is_that_of_the_catalogue() -> None:
+    assert crc16(b"123456789") == 0x31C3  # CRC-16/XMODEM
+
+
+@given(st.binary(max_size=64))
+def test_the_crc_is_the_manuals(data: bytes) -> None:
+    assert crc16(data) == manuals_crc(data)
+
+
+@pytest.mark.parametrize(
+    ("order", "packet"),
+    [
+        (commands.set_timeout(0.5), "80 0e 05"),
+        (commands.drive_speed(8000, 4000, -4000), "80 28 00001f40 00000fa0 fffff060"),
+        (commands.switch_off(), "80 22 0000 0000"),
+        (commands.set_main_voltages(10.5, 16.8), "80 39 0069 00a8"),
+    ],
+)
+def test_orders_are_laid_out_as_the_manual_has_them(order: commands.Order, packet: str) -> None:
+    covered = bytes.fromhex(packet)
+
+    assert order_packet(0x80, order.command, order.data) == covered + manuals_crc(covered).to_bytes(
+        2, "big"
+    )
+
+
+def test_a_question_bears_no_sum() -> None:
+    assert question_packet(0x80, commands.ENCODERS.command) == b"\x80\x4e"
+
+
+def test_numbers_of_replies_are_decoded_as_the_manual_has_them() -> None:
+    assert commands.ENCODERS.decode(bytes.fromhex("fffffffe 00000010")) == (4294967294, 16)
+    assert commands.CURRENTS.decode(bytes.fromhex("0078 ff88")) == (120, -120)
+    assert commands.SPEED_LOOPS[0].decode(bytes.fromhex("00010000 00008000 00004000 0000abe0")) == (
+        0x10000,
+        0x8000,
+        0x4000,
+        44000,
+    )
+
+
+@given(st.binary(max_size=20), st.integers(0x80, 0x87), st.integers(0, 255))
+def test_a_reply_is_read_back_and_no_other_takes_its_place(
+    data: bytes, address: int, command: int
+) -> None:
+    reply = reply_packet(address, command, data)
+
+    assert reply_data(address, command, reply) == data
+    assert reply_data(address, command ^ 1, reply) is None
+
+
+@given(st.binary(min_size=1, max_size=20), st.data())
+def test_a_reply_with_a_false_bit_is_none(data: bytes, draw: st.DataObject) -> None:
+    reply = bytearray(reply_packet(0x80, 78, data))
+    bit = draw.draw(st.integers(0, 8 * len(reply) - 1))
+    reply[bit // 8] ^= 1 << bit % 8
+
+    assert reply_data(0x80, 78, bytes(reply)) is None
+
+
+@pytest.mark.parametrize(("seconds", "steps"), [(0.02, 1), (0.1, 1), (0.5, 5), (99.0, 255)])
+def test_a_serial_timeout_is_never_none(seconds: float, steps: int) -> None:
+    assert commands.timeout_steps(seconds) == steps
