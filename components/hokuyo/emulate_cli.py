@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated
 
@@ -11,10 +9,10 @@ import typer
 
 from cairn.driver.emulate_command import Faults, Paced, Place, Pty, Seed, Serial, Tcp, emulate
 from cairn.driver.emulator_orders import Order
+from cairn.driver.emulator_record import recording
 from cairn.errors import CairnError
 from components.hokuyo.emulated_commands import BAUDS
 from components.hokuyo.emulated_models import MODELS
-from components.hokuyo.emulated_record import ScanFile, SentScan
 from components.hokuyo.emulated_scip import EmulatedScip
 
 _MODEL_HELP = f"Its model: {', '.join(MODELS)}."
@@ -63,7 +61,7 @@ def hokuyo(
             if not known.has_rs232
             else f"--rs232 {rs232}: it is one of {', '.join(map(str, BAUDS))}"
         )
-    with ExitStack() as stack:
+    with recording(record) as write:
         device = EmulatedScip(
             model,
             seed=seed,
@@ -72,7 +70,7 @@ def hokuyo(
             clock_start_ms=clock_start,
             drift_ppm=drift,
             serial_number=serial_number,
-            on_scan=None if record is None else _recording(record, stack),
+            on_scan=None if record is None else lambda scan: write(scan.line()),
         )
         orders = {
             "trouble": Order(
@@ -91,14 +89,6 @@ def hokuyo(
             paced=paced,
             orders=orders,
         )
-
-
-def _recording(path: Path, stack: ExitStack) -> Callable[[SentScan], None]:
-    try:
-        file = stack.enter_context(path.open("w", encoding="utf-8"))
-    except OSError as error:
-        raise CairnError(f"--record {path} cannot be written: {error.strerror}") from error
-    return ScanFile(file, path).write
 
 
 def _trouble(device: EmulatedScip, words: list[str]) -> str:

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
-from pathlib import Path
-from typing import TextIO
 
-from cairn.errors import CairnError
 from components.hokuyo.emulated_asked import Asked
 from components.hokuyo.emulated_scene import NO_ECHO, Values
 
@@ -48,19 +45,3 @@ class SentScan:
             first: list[int] = values[:, 0].tolist()
             return first
         return [[one for one in row if one != NO_ECHO] for row in values.tolist()]
-
-
-class ScanFile:
-    """Writes each scan that is sent as a line of a file."""
-
-    def __init__(self, file: TextIO, path: Path) -> None:
-        self._file = file
-        self._path = path
-
-    def write(self, scan: SentScan) -> None:
-        """Add one; it is in the file when this returns. Raises `CairnError` if the disk is full."""
-        try:
-            self._file.write(scan.line() + "\n")
-            self._file.flush()
-        except OSError as error:
-            raise CairnError(f"{self._path} cannot be written: {error.strerror}") from error

@@ -1,0 +1,43 @@
+"""The parameters of the PBS-03JN driver."""
+
+from __future__ import annotations
+
+import math
+from typing import Literal
+
+from pydantic import Field
+
+from cairn.component.mount import Mount
+from cairn.component.parameters import Config
+
+
+class PbsConfig(Config):
+    """Where the sensor is, and how its rays lie.
+
+    Public sources disagree about the angle between rays: 1.8 degrees (sellers, 217.8 degrees in
+    all) or 360/204 (Player's driver, 211.8 degrees).
+    """
+
+    port: str = Field(
+        description="Serial port: /dev/serial/by-id/..., /dev/ttyUSB0, or usb:VENDOR:PRODUCT"
+        "[:SERIAL] with hexadecimal numbers."
+    )
+    data_bits: Literal[7, 8] = Field(7, description="Of a byte on the line; the sensor has 7 [1].")
+    frame_id: str = Field("laser", min_length=1, description="Frame of the scans.")
+    mount: Mount = Field(Mount(), description="Where the scanner sits on the robot.")
+    resolution: float = Field(
+        math.radians(1.8),
+        ge=math.radians(1.7),
+        le=math.radians(1.85),
+        description="Angle between two rays, of which the middle one looks ahead [rad].",
+    )
+    range_max: float = Field(
+        3.0, ge=0.3, le=10, description="What is farther counts as nothing hit [m]."
+    )
+    rate: float = Field(
+        10.0, ge=0.5, le=12, description="How often distances are asked for, at most [1/s]."
+    )
+    time_offset_s: float = Field(0.0, ge=-1, le=1, description="Added to the stamps of scans [s].")
+    rate_tolerance: float = Field(
+        0.1, gt=0, le=1, description="Of the rate, before diagnostics warn [1]."
+    )

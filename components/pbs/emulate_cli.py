@@ -1,0 +1,40 @@
+"""`cairn emulate pbs-03jn`: an obstacle scanner in software."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cairn.driver.emulate_command import Faults, Paced, Place, Pty, Seed, Serial, Tcp, emulate
+from cairn.driver.emulator_record import recording
+from components.pbs.emulated_pbs import EmulatedPbs
+
+
+def pbs_03jn(
+    pty: Pty = None,
+    tcp: Tcp = None,
+    serial: Serial = None,
+    record: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Write each scan that is sent, a line of JSON each."),
+    ] = None,
+    low_speed: Annotated[
+        bool, typer.Option("--low-speed", help="Turn in 110 ms rather than 100 ms.")
+    ] = False,
+    faults: Faults = "",
+    seed: Seed = 0,
+    paced: Paced = False,
+) -> None:
+    """Emulate a PBS-03JN, which tells 121 distances to whoever holds a link with it.
+
+    For example: cairn emulate pbs-03jn --pty /tmp/scanner
+    """
+    with recording(record) as write:
+        device = EmulatedPbs(
+            seed=seed, low_speed=low_speed, on_scan=lambda sent: write(sent.line())
+        )
+        emulate(
+            "a PBS-03JN", device, Place(pty, tcp, serial), faults=faults, seed=seed, paced=paced
+        )

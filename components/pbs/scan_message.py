@@ -1,0 +1,51 @@
+"""The message made of what a PBS-03JN has measured."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from components.pbs.messages import RAYS
+from schemas.sensor_msgs import LaserScan
+from schemas.std_msgs import Header
+
+RANGE_MIN = 0.2
+"""What is nearer cannot be ranged [m]."""
+
+TURN_S = 0.1
+"""Time of a turn of its mirror [s]."""
+
+
+@dataclass(frozen=True)
+class ScanShape:
+    """What all scans have in common: the angle between rays [rad], the farthest range [m]."""
+
+    increment: float
+    range_max: float
+
+    @property
+    def sweep_s(self) -> float:
+        """Time from the first ray to the last [s]."""
+        return TURN_S * (RAYS - 1) * self.increment / (2.0 * math.pi)
+
+    def scan(self, distances: NDArray[np.int32], header: Header) -> LaserScan:
+        """Distances [mm], of which 0 is none, as ranges of REP 117; the middle ray looks ahead."""
+        ranges = (distances / 1000.0).astype(np.float32)
+        ranges[distances < 1000.0 * RANGE_MIN] = -np.inf
+        ranges[distances > 1000.0 * self.range_max] = np.inf
+        ranges[distances == 0] = np.nan
+        half = (RAYS - 1) // 2 * self.increment
+        return LaserScan(
+            header=header,
+            angle_min=-half,
+            angle_max=half,
+            angle_increment=self.increment,
+            time_increment=self.sweep_s / (RAYS - 1),
+            scan_time=TURN_S,
+            range_min=RANGE_MIN,
+            range_max=self.range_max,
+            ranges=ranges,
+        )
