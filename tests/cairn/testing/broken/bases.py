@@ -1,0 +1,129 @@
+"""A sound driver of a made-up base, and drivers that differ from it by one mistake each."""
+
+from __future__ import annotations
+
+import math
+
+from cairn.bus.qos import SENSOR
+from cairn.clock import SECOND, from_ns
+from cairn.component.component import Component
+from cairn.component.handlers import every, on
+from cairn.component.ports import In, Out
+from schemas.geometry_msgs import (
+    Point,
+    Pose,
+    PoseWithCovariance,
+    Quaternion,
+    Transform,
+    TransformStamped,
+    Twist,
+    TwistWithCovariance,
+    Vector3,
+)
+from schemas.nav_msgs import Odometry
+from schemas.std_msgs import Header
+from schemas.tf2_msgs import TFMessage
+
+RATE_HZ = 20.0
+TOP_SPEED = 0.5
+TIMEOUT_S = 0.3
+
+
+class SoundBase(Component):
+    """Has no mistake."""
+
+    cmd_vel: In[Twist] = In(qos=SENSOR)
+    odom: Out[Odometry]
+    tf: Out[TFMessage]
+
+    def on_activate(self) -> None:
+        self.command, self.commanded_at = Twist(), 0
+        self.x = self.y = self.theta = 0.0
+        self.moved_at = self.clock.now()
+
+    @on("cmd_vel")
+    def obey(self, command: Twist) -> None:
+        self.command, self.commanded_at = command, self.clock.now()
+
+    @every(hz=RATE_HZ)
+    def move(self) -> None:
+        now = self.clock.now()
+        seconds, self.moved_at = (now - self.moved_at) / SECOND, now
+        forward, turn = self.wanted(now)
+        self.theta += turn * seconds
+        self.x += forward * seconds * math.cos(self.theta)
+        self.y += forward * seconds * math.sin(self.theta)
+        header = Header(stamp=from_ns(now), frame_id="odom")
+        self.odom.publish(self.told(header, forward, turn))
+        self.tf.publish(self.placed(header))
+
+    def wanted(self, now: int) -> tuple[float, float]:
+        if now - self.commanded_at > TIMEOUT_S * SECOND:
+            return 0.0, 0.0
+        forward = min(TOP_SPEED, max(-TOP_SPEED, self.command.linear.x))
+        return forward, min(2.0, max(-2.0, self.command.angular.z))
+
+    def told(self, header: Header, forward: float, turn: float) -> Odometry:
+        pose = Pose(position=Point(x=self.x, y=self.y), orientation=self.rotation())
+        twist = Twist(linear=Vector3(x=forward), angular=Vector3(z=turn))
+        return Odometry(
+            header=header,
+            child_frame_id="base_link",
+            pose=PoseWithCovariance(pose=pose),
+            twist=TwistWithCovariance(twist=twist),
+        )
+
+    def placed(self, header: Header) -> TFMessage:
+        there = Transform(translation=Vector3(x=self.x, y=self.y), rotation=self.rotation())
+        stamped = TransformStamped(header=header, child_frame_id="base_link", transform=there)
+        return TFMessage(transforms=(stamped,))
+
+    def rotation(self) -> Quaternion:
+        return Quaternion(z=math.sin(0.5 * self.theta), w=math.cos(0.5 * self.theta))
+
+
+class NeverStops(SoundBase):
+    """Carries out its last command for ever."""
+
+    def wanted(self, now: int) -> tuple[float, float]:
+        self.commanded_at = now
+        return super().wanted(now)
+
+
+class RightIsLeft(SoundBase):
+    """Its motors are swapped, and its encoders with them."""
+
+    @on("cmd_vel")
+    def obey(self, command: Twist) -> None:
+        turn = Vector3(z=-command.angular.z)
+        self.command, self.commanded_at = Twist(command.linear, turn), self.clock.now()
+
+
+class Unlimited(SoundBase):
+    """Goes as fast as it is told."""
+
+    def wanted(self, now: int) -> tuple[float, float]:
+        forward, turn = super().wanted(now)
+        return (self.command.linear.x if forward else 0.0), turn
+
+
+class TwistInDegrees(SoundBase):
+    """Tells its rate of turning in degrees a second."""
+
+    def told(self, header: Header, forward: float, turn: float) -> Odometry:
+        return super().told(header, forward, math.degrees(turn))
+
+
+class TransformLags(SoundBase):
+    """Its transform is of the moment before."""
+
+    def on_activate(self) -> None:
+        super().on_activate()
+        self.former = self.x, self.y
+
+    def placed(self, header: Header) -> TFMessage:
+        now, (self.x, self.y) = (self.x, self.y), self.former
+        try:
+            return super().placed(header)
+        finally:
+            self.former = self.x, self.y = now

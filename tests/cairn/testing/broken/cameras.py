@@ -1,0 +1,113 @@
+"""A sound driver of a made-up stereo camera, and drivers with one mistake each."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from cairn.bus.qos import SENSOR
+from cairn.clock import from_ns
+from cairn.component.component import Component
+from cairn.component.handlers import every
+from cairn.component.ports import Out
+from schemas.sensor_msgs import CameraInfo, Image
+from schemas.std_msgs import Header
+
+WIDTH, HEIGHT = 32, 24
+RATE_HZ = 20.0
+FOCAL = 30.0
+BASELINE = 0.1
+
+
+class SoundCamera(Component):
+    """Has no mistake."""
+
+    left_info: Out[CameraInfo] = Out(qos=SENSOR.with_depth(2))
+    right_info: Out[CameraInfo] = Out(qos=SENSOR.with_depth(2))
+    left_image: Out[Image] = Out(qos=SENSOR.with_depth(2))
+    right_image: Out[Image] = Out(qos=SENSOR.with_depth(2))
+
+    @every(hz=RATE_HZ)
+    def take(self) -> None:
+        stamp = self.clock.now()
+        left, right = self.header(stamp, "left"), self.header(stamp, "right")
+        self.left_info.publish(self.info(left, 0.0))
+        self.right_info.publish(self.info(right, BASELINE))
+        self.left_image.publish(self.image(left))
+        self.right_image.publish(self.image(right))
+
+    def header(self, stamp: int, side: str) -> Header:
+        return Header(stamp=from_ns(stamp), frame_id=f"{side}_camera_optical_frame")
+
+    def info(self, header: Header, baseline: float) -> CameraInfo:
+        k = [FOCAL, 0, WIDTH / 2, 0, FOCAL, HEIGHT / 2, 0, 0, 1]
+        p = [FOCAL, 0, WIDTH / 2, -FOCAL * baseline, 0, FOCAL, HEIGHT / 2, 0, 0, 0, 1, 0]
+        return CameraInfo(
+            header=header,
+            width=WIDTH,
+            height=HEIGHT,
+            distortion_model="plumb_bob",
+            d=np.zeros(5),
+            k=np.array(k, float),
+            r=np.eye(3).ravel(),
+            p=np.array(p, float),
+        )
+
+    def image(self, header: Header) -> Image:
+        pixels = self.random.integers(0, 255, WIDTH * HEIGHT, np.uint8)
+        return Image(
+            header=header, width=WIDTH, height=HEIGHT, encoding="mono8", step=WIDTH, data=pixels
+        )
+
+
+class StampsDiffer(SoundCamera):
+    """Stamps each side when its own image was read."""
+
+    def header(self, stamp: int, side: str) -> Header:
+        return super().header(stamp + 1_000_000 * (side == "right"), side)
+
+
+class SwappedSides(SoundCamera):
+    """Takes the left camera for the right one."""
+
+    def info(self, header: Header, baseline: float) -> CameraInfo:
+        return super().info(header, BASELINE - baseline)
+
+
+class SwappedSizes(SoundCamera):
+    """Takes rows for columns."""
+
+    def image(self, header: Header) -> Image:
+        return replace(super().image(header), width=HEIGHT, height=WIDTH, step=HEIGHT)
+
+
+class Frozen(SoundCamera):
+    """Sends the same image again and again."""
+
+    def image(self, header: Header) -> Image:
+        return replace(super().image(header), data=np.full(WIDTH * HEIGHT, 7, np.uint8))
+
+
+class WrongEncoding(SoundCamera):
+    """Names its encoding as V4L2 does."""
+
+    def image(self, header: Header) -> Image:
+        return replace(super().image(header), encoding="GREY")
+
+
+class InfosLate(SoundCamera):
+    """Tells how to rectify an image after it."""
+
+    @every(hz=RATE_HZ)
+    def take(self) -> None:
+        stamp = self.clock.now()
+        left, right = self.header(stamp, "left"), self.header(stamp, "right")
+        self.left_image.publish(self.image(left))
+        self.right_image.publish(self.image(right))
+
+        def tell() -> None:
+            self.left_info.publish(self.info(left, 0.0))
+            self.right_info.publish(self.info(right, BASELINE))
+
+        self.schedule(stamp + 40_000_000, tell)

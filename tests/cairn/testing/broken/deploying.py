@@ -1,0 +1,61 @@
+"""One deployment with many drivers, and a class of tests for each of them."""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from cairn.component.component import Component
+from cairn.component.ports import ports_of
+from cairn.testing.bench import Bench
+
+ROOT = Path(__file__).parents[4]
+
+
+def name_of(driver: type[Component]) -> str:
+    """The driver's name in the deployment."""
+    return driver.__name__.lower()
+
+
+def bench_of(
+    folder: Path,
+    drivers: Sequence[type[Component]],
+    *,
+    placement: str,
+    parameters: dict[str, Any] | None = None,
+) -> Bench:
+    """All drivers in one deployment, the topics of each below its own name."""
+    components = {}
+    commanded = []
+    for driver in drivers:
+        name = name_of(driver)
+        topics = {port: f"{name}/{port}" for port in ports_of(driver)}
+        if "cmd_vel" in topics:
+            commanded.append(topics["cmd_vel"])
+        components[name] = {
+            "plugin": f"{driver.__module__}:{driver.__name__}",
+            "placement": placement,
+            "parameters": {key: f"{value}/{name}" for key, value in (parameters or {}).items()},
+            "topics": topics,
+            "stop_timeout_s": 0.5,
+        }
+    supervision = {"max_restarts": 1000, "within_s": 1}
+    document = {
+        "components": components,
+        "supervision": supervision,
+        "external_topics": commanded,
+    }
+    text = "\n".join(f"{key}: {json.dumps(value)}" for key, value in document.items())
+    return Bench(folder, text, environment={"PYTHONPATH": str(ROOT)})
+
+
+def contracts(
+    contract: type, drivers: Sequence[type[Component]], **settings: Any
+) -> dict[str, type]:
+    """The classes of tests by name: the contract, for each of the drivers."""
+    return {
+        f"Test{driver.__name__}": type(
+            f"Test{driver.__name__}", (contract,), {"component": name_of(driver), **settings}
+        )
+        for driver in drivers
+    }

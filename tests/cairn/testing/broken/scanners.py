@@ -1,0 +1,278 @@
+"""A sound driver of a made-up scanner, and drivers that differ from it by one mistake each.
+
+The device is a file: it is plugged in while the file is there.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from pydantic import Field
+
+from cairn.bus.qos import SENSOR
+from cairn.clock import SECOND, from_ns
+from cairn.component.component import Component
+from cairn.component.handlers import every
+from cairn.component.parameters import Config
+from cairn.component.ports import Out
+from cairn.errors import CairnError
+from schemas.sensor_msgs import LaserScan
+from schemas.std_msgs import Header
+
+BEAMS = 181
+STEP = math.pi / (BEAMS - 1)
+SWEEP_S = 0.045
+RATE_HZ = 20.0
+PERIOD_NS = round(SECOND / RATE_HZ)
+SURROUNDINGS = {math.radians(90.0): 1.0, 0.0: 2.0, math.radians(-90.0): 3.0}
+
+
+class SoundScannerConfig(Config):
+    device: Path = Field(description="The file that is there while the device is plugged in.")
+
+
+class SoundScanner(Component):
+    """Has no mistake."""
+
+    config: SoundScannerConfig
+    scan: Out[LaserScan] = Out(qos=SENSOR)
+
+    def on_configure(self) -> None:
+        self._there = True
+
+    def on_activate(self) -> None:
+        # The device turns evenly, however late this driver is called: in the middle of a turn.
+        self._began = self.clock.now() - PERIOD_NS // 2
+        self._turn = -1
+
+    @every(hz=RATE_HZ)
+    def measure(self) -> None:
+        there = self.config.device.exists()
+        if self._there and not there:
+            self.gone()
+        self._there = there
+        turn, self._turn = self._turn, (self.clock.now() - self._began) // PERIOD_NS
+        if there and self._turn > turn:
+            self.tell()
+
+    def gone(self) -> None:
+        self.log.warning("%s is gone", self.config.device)
+
+    def tell(self) -> None:
+        self.scan.publish(self.taken())
+
+    def taken(self) -> LaserScan:
+        """What stands around: 1 m on the left, 2 m ahead, 3 m on the right."""
+        bearings = -math.pi / 2 + np.arange(BEAMS) * STEP
+        ranges = np.interp(bearings, sorted(SURROUNDINGS), [3.0, 2.0, 1.0])
+        return LaserScan(
+            header=Header(stamp=from_ns(self.ended - round(SWEEP_S * SECOND)), frame_id="laser"),
+            angle_min=-math.pi / 2,
+            angle_max=math.pi / 2,
+            angle_increment=STEP,
+            time_increment=SWEEP_S / (BEAMS - 1),
+            scan_time=1.0 / RATE_HZ,
+            range_min=0.1,
+            range_max=10.0,
+            ranges=ranges.astype(np.float32),
+        )
+
+    @property
+    def ended(self) -> int:
+        """When the last beam was measured [ns]."""
+        return self._began + self._turn * PERIOD_NS
+
+    def stamped(self, ns: int) -> LaserScan:
+        scan = self.taken()
+        return replace(scan, header=replace(scan.header, stamp=from_ns(ns)))
+
+
+class Millimetres(SoundScanner):
+    """Takes the device's numbers as they are."""
+
+    def taken(self) -> LaserScan:
+        scan = super().taken()
+        return replace(scan, ranges=scan.ranges * np.float32(1000.0))
+
+
+class MillimetreLimits(SoundScanner):
+    """The same, with limits alike."""
+
+    def taken(self) -> LaserScan:
+        scan = super().taken()
+        return replace(
+            scan,
+            ranges=scan.ranges * np.float32(1000.0),
+            range_min=scan.range_min * 1000.0,
+            range_max=scan.range_max * 1000.0,
+        )
+
+
+class Clockwise(SoundScanner):
+    """Takes the device's beams in the order in which they come, which is to the right."""
+
+    def taken(self) -> LaserScan:
+        scan = super().taken()
+        return replace(scan, ranges=scan.ranges[::-1].copy())
+
+
+class Degrees(SoundScanner):
+    """Tells angles in degrees."""
+
+    def taken(self) -> LaserScan:
+        scan = super().taken()
+        return replace(scan, angle_min=-90.0, angle_max=90.0, angle_increment=1.0)
+
+
+class TooFar(SoundScanner):
+    """Tells "nothing seen" as the number 65.533 that the device sends."""
+
+    def taken(self) -> LaserScan:
+        scan = super().taken()
+        ranges = scan.ranges.copy()
+        ranges[20:60] = 65.533
+        return replace(scan, ranges=ranges)
+
+
+class StampedWhenSent(SoundScanner):
+    """Stamps a scan when all of it has come."""
+
+    def taken(self) -> LaserScan:
+        return replace(super().taken(), header=Header(stamp=from_ns(self.ended), frame_id="laser"))
+
+
+class StampsJump(SoundScanner):
+    """Stamps by when the operating system gave the bytes."""
+
+    def tell(self) -> None:
+        late = round((0.0, 0.02, 0.02, 0.0)[self._turn % 4] * SECOND)
+        self.scan.publish(self.stamped(self.ended - round(SWEEP_S * SECOND) - late))
+
+
+class StampsOfAnotherClock(SoundScanner):
+    """Stamps by the device's clock, which began at 0."""
+
+    def tell(self) -> None:
+        self.scan.publish(self.stamped(self.ended % (3600 * SECOND)))
+
+
+class OtherFrame(SoundScanner):
+    """Its frame is misspelt."""
+
+    def taken(self) -> LaserScan:
+        scan = super().taken()
+        return replace(scan, header=replace(scan.header, frame_id="/laser_link"))
+
+
+class EveryOther(SoundScanner):
+    """Loses every other scan."""
+
+    def tell(self) -> None:
+        if self._turn % 2:
+            super().tell()
+
+
+class NeverSilent(SoundScanner):
+    """A thread of its own publishes, active or not."""
+
+    def on_configure(self) -> None:
+        super().on_configure()
+        self._stopping = threading.Event()
+        node = self._context.node  # type: ignore[attr-defined] # past the port, as authors should not
+        self._publisher = node.advertise(self.scan.topic, LaserScan, SENSOR)
+        self._thread = threading.Thread(target=self._stream, daemon=True)
+        self._thread.start()
+
+    def on_cleanup(self) -> None:
+        self._stopping.set()
+        self._thread.join()
+        self._publisher.close()
+
+    def tell(self) -> None:
+        pass
+
+    def _stream(self) -> None:
+        while not self._stopping.wait(1.0 / RATE_HZ):
+            if self.config.device.exists():
+                self._began, self._turn = self.clock.now(), 0
+                self._publisher.publish(self.taken())
+
+
+class LeaksThreads(SoundScanner):
+    """The thread that it starts lives on."""
+
+    def on_activate(self) -> None:
+        super().on_activate()
+        threading.Thread(target=threading.Event().wait, daemon=True).start()
+
+
+class LeaksFiles(SoundScanner):
+    """Opens its device anew, and never closes it."""
+
+    def on_configure(self) -> None:
+        super().on_configure()
+        self._open = [*getattr(self, "_open", []), self.config.device.open("rb")]
+
+
+class LeaksMemory(SoundScanner):
+    """Keeps the buffers of every activation."""
+
+    def on_configure(self) -> None:
+        super().on_configure()
+        self._buffers = [*getattr(self, "_buffers", []), np.ones(500_000)]
+
+
+class UnboundedConfig(SoundScannerConfig):
+    power: float = Field(1.0, description="Power of the laser [1].")
+
+
+class Unbounded(SoundScanner):
+    """Takes any number for a parameter."""
+
+    config: UnboundedConfig
+
+
+class HangsAtItsEnd(SoundScanner):
+    """Waits for a farewell of its device that never comes."""
+
+    def on_shutdown(self) -> None:
+        threading.Event().wait()
+
+
+class DiesUnplugged(SoundScanner):
+    """Does not expect that its device goes."""
+
+    def gone(self) -> None:
+        raise CairnError(f"{self.config.device} is gone")
+
+
+class SilentUnplugged(SoundScanner):
+    """Waits for its device's return without a word."""
+
+    def gone(self) -> None:
+        pass
+
+
+class RepeatsUnplugged(SoundScanner):
+    """Goes on with its last scan."""
+
+    @every(hz=RATE_HZ)
+    def repeat(self) -> None:
+        if not self.config.device.exists():
+            self.tell()
+
+
+class NeverReturns(SoundScanner):
+    """Does not try again."""
+
+    def gone(self) -> None:
+        super().gone()
+        self._given_up = True
+
+    def tell(self) -> None:
+        if not getattr(self, "_given_up", False):
+            super().tell()
