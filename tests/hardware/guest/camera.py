@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import os
-import subprocess
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any, Self
 
@@ -22,6 +22,7 @@ from components.v4l2_camera import videodev
 from components.v4l2_camera.component import V4l2StereoCamera
 from components.v4l2_camera.device import VideoDevice
 from components.v4l2_camera.names import find_camera, video_nodes
+from tests.hardware.guest.modules import run, settle
 
 LIMIT_S = 15.0
 LEFT, RIGHT = "name:vivid-000-vid-cap", "name:vivid-001-vid-cap"
@@ -55,7 +56,7 @@ class Driver:
     def go(self, *steps: str) -> None:
         """Walk its life cycle."""
         for step in steps:
-            self.ask(lambda step=step: self.runtime.transition(Transition(step)))
+            self.ask(partial(self.runtime.transition, Transition(step)))
 
     def set(self, **changes: Any) -> None:
         """Change parameters; `controls__gain` is `controls.gain`."""
@@ -135,14 +136,15 @@ class Driver:
         assert not self._thread.is_alive()
 
 
-def load(module: str, *options: str) -> None:
-    """Load a kernel module."""
-    subprocess.run(["modprobe", module, *options], check=True, timeout=60)
-
-
 def unload(module: str) -> None:
-    """Unload one; none of its devices may be open."""
-    subprocess.run(["modprobe", "-r", module], check=True, timeout=60)
+    """Unload a module; none of its devices may be open."""
+    run("modprobe", "-r", module)
+
+
+def load(module: str, *options: str) -> None:
+    """Load a module with options; returns when its devices are there."""
+    run("modprobe", module, *options)
+    settle()
 
 
 def load_cameras() -> None:

@@ -37,7 +37,8 @@ def yuyv(grey: Grey) -> bytes:
 
 def jpeg(grey: Grey) -> bytes:
     colours = np.dstack((grey, 255 - grey, grey[::-1]))
-    return simplejpeg.encode_jpeg(colours, quality=80, colorspace="RGB", colorsubsampling="422")
+    data = simplejpeg.encode_jpeg(colours, quality=80, colorspace="RGB", colorsubsampling="422")
+    return bytes(data)
 
 
 def pixels(image: Any) -> Grey:
