@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from cairn.driver.device_thread import DeviceThread
-from cairn.driver.errors import DeviceError
+from cairn.driver.errors import DeviceError, LinkLost
 from components.roboclaw.commanding import LatestCommand
 from components.roboclaw.config import RoboclawBaseConfig
 from components.roboclaw.driving import Driving, Health, Step
@@ -248,3 +248,10 @@ def test_parameters_that_make_no_sense_are_refused(
 ) -> None:
     with pytest.raises(ValueError, match=refusal):
         RoboclawBaseConfig.model_validate({**PARAMETERS, **parameters})
+
+
+def test_a_port_that_is_not_there_is_named() -> None:
+    with pytest.raises(LinkLost, match="/dev/no-roboclaw cannot be opened: No such file"):
+        open_line("/dev/no-roboclaw", 115200)
+    with pytest.raises(LinkLost, match="tcp:somewhere names no TCP port; write it as"):
+        open_line("tcp:somewhere", 115200)

@@ -1,0 +1,154 @@
+"""The driver in a process of its own: a square, and wheels that stop whatever becomes of it."""
+
+import math
+import os
+import signal
+import time
+from collections.abc import Iterator
+
+import pytest
+
+from cairn.testing.bench import Bench, settings
+from cairn.testing.robot import Robot
+from planar.messages import planar_pose
+from planar.poses import wrap
+from schemas.diagnostic_msgs import DiagnosticArray
+from schemas.geometry_msgs import Twist, Vector3
+from schemas.nav_msgs import Odometry
+from schemas.sensor_msgs import BatteryState
+from tests.components.roboclaw.emulated_base import DEPLOYMENT, EmulatedBase, emulated_base
+
+AHEAD = Twist(linear=Vector3(x=0.5))
+DEVICE_TIMEOUT_S = 0.4  # as in the deployment
+
+
+@pytest.fixture(scope="module")
+def base(tmp_path_factory: pytest.TempPathFactory) -> Iterator[EmulatedBase]:
+    with emulated_base(tmp_path_factory.mktemp("line")) as base:
+        yield base
+
+
+@pytest.fixture(scope="module")
+def bench(base: EmulatedBase, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
+    with Bench(tmp_path_factory.mktemp("robot"), DEPLOYMENT, settings(base.settings)) as bench:
+        yield bench
+
+
+@pytest.fixture
+def robot(bench: Bench) -> Robot:
+    return bench.robot("base")
+
+
+def test_a_square_by_odometry_is_the_square_of_the_wheels(robot: Robot, base: EmulatedBase) -> None:
+    with robot.read("odom", Odometry) as odom:
+
+        def turned_to(heading: float) -> None:
+            odom.await_that(
+                lambda arrivals: any(
+                    abs(wrap(planar_pose(one.message.pose.pose)[2] - heading)) < 0.15
+                    for one in arrivals
+                ),
+                f"a heading of {heading:.2f} rad",
+                after=odom.count,
+            )
+
+        def gone(way: float) -> None:
+            start = odom.messages[-1].pose.pose.position
+            odom.await_that(
+                lambda arrivals: any(
+                    math.hypot(
+                        one.message.pose.pose.position.x - start.x,
+                        one.message.pose.pose.position.y - start.y,
+                    )
+                    > way
+                    for one in arrivals
+                ),
+                f"a way of {way} m",
+                after=odom.count,
+            )
+
+        odom.await_count(2)
+        for side in range(4):
+            with robot.sending("cmd_vel", AHEAD):
+                gone(0.2)
+            with robot.sending("cmd_vel", Twist(angular=Vector3(z=2.0))):
+                turned_to(wrap((side + 1) * math.pi / 2))
+        assert base.await_stand(2.0)
+        odom.await_count(3, after=odom.count)
+        x, y, heading = planar_pose(odom.messages[-1].pose.pose)
+        true = base.true_pose()
+
+    assert (x, y) == pytest.approx(true[:2], abs=0.005)
+    assert wrap(heading - true[2]) == pytest.approx(0.0, abs=0.01)
+    left = [step.turned[0] for step in base.moved()]
+    assert max(left) - min(left) > 4000, "the wheels have hardly turned"
+    assert base.device.timeouts == 0
+
+
+def drive(robot: Robot, base: EmulatedBase) -> None:
+    """Bring the wheels to a speed with commands that have just ended."""
+    with robot.sending("cmd_vel", AHEAD):
+        assert base.await_that(lambda: base.speed() > 0.4)
+
+
+def test_wheels_stop_when_commands_cease(robot: Robot, base: EmulatedBase) -> None:
+    drive(robot, base)
+
+    assert base.await_stand(2.0)
+    assert base.device.timeouts == 0  # by the driver
+
+
+def test_wheels_of_a_driver_that_hangs_are_stopped_by_the_controller(
+    robot: Robot, base: EmulatedBase
+) -> None:
+    pid = robot.status("base").pid
+    with robot.sending("cmd_vel", AHEAD):
+        assert base.await_that(lambda: base.speed() > 0.4)
+        os.kill(pid, signal.SIGSTOP)
+        stopped = time.monotonic()
+        try:
+            assert base.await_stand(2.0)
+            assert base.device.timeouts == 1
+            # Nothing is said any more, so the controller drives on until its timeout, no longer.
+            coasting = 0.5
+            assert base.fastest_since(stopped + DEVICE_TIMEOUT_S + coasting) < 0.05
+        finally:
+            os.kill(pid, signal.SIGCONT)
+    robot.await_state("base", "active")
+
+
+def test_wheels_of_a_driver_that_is_killed_stop(robot: Robot, base: EmulatedBase) -> None:
+    pid = robot.status("base").pid
+    drive(robot, base)
+    robot.kill("base")
+
+    assert base.await_stand(2.0)
+    robot.await_status("base", lambda now: now.pid != pid and now.state == "active", "active again")
+
+
+def test_deactivated_it_leaves_wheels_that_stand(robot: Robot, base: EmulatedBase) -> None:
+    before = base.device.timeouts
+    drive(robot, base)
+    robot.request("base", "deactivate")
+
+    assert not base.turns()
+    assert base.device.timeouts == before  # it has waited for them to stand
+
+
+def test_it_tells_of_battery_and_health(robot: Robot, base: EmulatedBase) -> None:
+    with (
+        robot.read("battery_state", BatteryState) as battery,
+        robot.read("diagnostics", DiagnosticArray) as health,
+    ):
+        (state,) = (arrival.message for arrival in battery.await_count(1))
+        health.await_that(
+            lambda arrivals: any(one.message.status[0].level == 0 for one in arrivals),
+            "a status that is OK",
+        )
+        told = {pair.key: pair.value for pair in health.messages[-1].status[0].values}
+
+    assert state.voltage == pytest.approx(12.4)
+    assert health.messages[-1].status[0].hardware_id == "USB Roboclaw 2x7a v4.2.8"
+    assert told["main battery [V]"] == "12.4"
+    assert told["temperature [deg C]"] == "31.5"
+    assert float(told["rate [Hz]"]) == pytest.approx(40.0, rel=0.3)
