@@ -43,7 +43,7 @@ def version(model: ScipModel, serial_number: str) -> list[bytes]:
 def parameters(model: ScipModel) -> list[bytes]:
     """The lines of PP; a UST adds one that others do not have."""
     return [
-        fact("MODL", f"{model.name}({_MAKER})"),
+        fact("MODL", f"{model.label}({_MAKER})"),
         fact("DMIN", str(model.least_mm)),
         fact("DMAX", str(model.most_mm)),
         *([fact("PROT", model.protocol)] if model.generation == "UST" else []),
@@ -61,7 +61,7 @@ def state(model: ScipModel, condition: Condition) -> list[bytes]:
     speed, measures, line, time, status = describe(condition)
     summed = not model.arrows_unsummed
     return [
-        fact("MODL", f"{model.name}({_MAKER})"),
+        fact("MODL", f"{model.label}({_MAKER})"),
         fact("LASR", "ON" if condition.laser else "OFF"),
         fact("SCSP", speed, arrow_summed=summed),
         fact("MESM", measures),

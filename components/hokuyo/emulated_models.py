@@ -23,6 +23,8 @@ class ScipModel:
     """
 
     name: str
+    label: str
+    """What it calls itself in PP and II, before its maker's name."""
     product: str
     firmware: str
     protocol: str
@@ -61,6 +63,7 @@ class ScipModel:
 
 _URG = ScipModel(
     name="URG-04LX",
+    label="URG-04LX",
     product="SOKUIKI Sensor URG-04LX",
     firmware="3.3.00(24/Apr./2008)",
     protocol="SCIP 2.0",
@@ -88,6 +91,7 @@ def _fast(
     """A model of 270 degrees in 1081 steps, 40 times a second."""
     return ScipModel(
         name=name,
+        label=name,
         product=f"SOKUIKI Sensor {'TOP-URG ' if generation == 'first' else ''}{name}",
         firmware="1.18.01(16/Apr./2015)" if generation == "first" else "1.1.0 (2011-09-30)",
         protocol="SCIP 2.0" if generation == "first" else "SCIP 2.2",
@@ -113,6 +117,7 @@ _ALL = (
     _URG,
     ScipModel(
         name="URG-04LX-UG01",
+        label="URG-04LX-UG01(Simple-URG)",
         product="SOKUIKI Sensor URG-04LX-UG01(Simple-URG)",
         firmware="3.4.03(17/Dec./2012)",
         protocol="SCIP 2.0",
@@ -132,6 +137,7 @@ _ALL = (
     ),
     ScipModel(
         name="UHG-08LX",
+        label="UHG-08LX",
         product="SOKUIKI Sensor UHG-08LX",
         firmware="1.1.00(07/Jul./2008)",
         protocol="SCIP 2.0",
