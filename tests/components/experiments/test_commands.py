@@ -3,16 +3,29 @@
 from __future__ import annotations
 
 import json
+import logging
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 
+from components.experiments import runs
 from components.experiments.series import read_pair, read_world
 from tests.commands import Answer, cairn
 
 DEPLOY = Path(__file__).parents[3] / "deploy"
 # To where objects 8 and 9 hang, and back.
 TOUR = "settings.mission=[[4.6, 1.6, -1.0], [4.4, 1.5, -0.6]]"
+
+
+@pytest.fixture
+def on_a_thread(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Runs one by one on a thread, which begins at once: its processes are for the ablation."""
+    monkeypatch.setattr(runs, "worker_pool", lambda _: ThreadPoolExecutor(1))
+    told = logging.getLogger("cairn").propagate
+    yield
+    logging.getLogger("cairn").propagate = told
 
 
 def experiment(command: str, out: Path, *options: str) -> Answer:
@@ -62,6 +75,7 @@ def test_an_ablation_compares_all_methods_on_the_same_data(tmp_path: Path) -> No
     assert max(last) - min(last) < 0.2
 
 
+@pytest.mark.usefixtures("on_a_thread")
 def test_without_a_change_the_environment_is_the_same_to_the_last_bit(tmp_path: Path) -> None:
     """Both runs of a seed drive the same way: what differs comes of the change alone."""
     event = "components.world.parameters.events=[{at: 8, move: object_9, to: {x: 9, y: 1.9}}]"
@@ -88,6 +102,7 @@ def test_without_a_change_the_environment_is_the_same_to_the_last_bit(tmp_path: 
     assert len(changed.moves) == 1
 
 
+@pytest.mark.usefixtures("on_a_thread")
 def test_a_map_update_shows_its_maps(tmp_path: Path) -> None:
     place = "{x: 4.7, y: 0, theta: 1.5708}"
     event = f"components.world.parameters.events=[{{at: 6, move: object_8, to: {place}}}]"
@@ -99,6 +114,7 @@ def test_a_map_update_shows_its_maps(tmp_path: Path) -> None:
         assert (tmp_path / picture).read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.usefixtures("on_a_thread")
 def test_runs_that_fail_are_told_and_end_with_status_1(tmp_path: Path) -> None:
     answer = experiment(
         "map-update",
@@ -114,6 +130,7 @@ def test_runs_that_fail_are_told_and_end_with_status_1(tmp_path: Path) -> None:
     assert json.loads((tmp_path / "report.json").read_text())["failures"].keys() == {"runs/seed-0"}
 
 
+@pytest.mark.usefixtures("on_a_thread")
 def test_a_run_in_which_nothing_was_moved_counts_for_nothing(tmp_path: Path) -> None:
     late = "components.world.parameters.events=[{at: 900, move: object_8, to: {x: 4.7, y: 0}}]"
     answer = experiment("map-update", tmp_path, "--seeds", "0", "--set", late)
