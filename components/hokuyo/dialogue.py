@@ -10,8 +10,9 @@ from cairn.driver.errors import DeviceError
 from cairn.driver.link import Link
 from components.hokuyo.replies import Reply, ReplySplitter
 
-ANSWER_LIMIT_S = 0.7
-"""How long a sensor is waited for: at 19200 bit/s the longest answer but scans takes 0.2 s."""
+_ANSWER_LIMIT_S = 0.3  # sensors answer within some milliseconds
+_LONGEST_ANSWER = 500  # bytes, of those that are no scans
+_BITS_PER_BYTE = 10  # start, eight of data, stop
 
 _TRIES = 3
 
@@ -33,6 +34,8 @@ class Dialogue:
 
     def __init__(self, link: Link) -> None:
         self.link = link
+        self.answer_limit_s = _ANSWER_LIMIT_S
+        """How long an answer is waited for [s]."""
         self._splitter = ReplySplitter()
         self._kept: deque[Arrival] = deque()
 
@@ -41,7 +44,13 @@ class Dialogue:
         """How many bytes belonged to no reply so far."""
         return self._splitter.noise
 
-    def ask(self, command: str, limit_s: float = ANSWER_LIMIT_S) -> Reply:
+    def set_baud(self, baud: int) -> None:
+        """Speak at this speed [bit/s] from now on, and wait as long as it takes there."""
+        self.link.set_baud(baud)
+        line_s = _LONGEST_ANSWER * _BITS_PER_BYTE / baud if self.link.paced else 0.0
+        self.answer_limit_s = _ANSWER_LIMIT_S + line_s
+
+    def ask(self, command: str) -> Reply:
         """Send a command, and return its reply; other replies are kept for `arrivals`.
 
         A command or its reply may be damaged on the way, so it is sent up to three times; no
@@ -49,7 +58,7 @@ class Dialogue:
         """
         for _ in range(_TRIES):
             self.send(command)
-            reply = self.find(command, limit_s)
+            reply = self.find(command)
             if reply is not None:
                 return reply
         raise NoAnswer(f"{self.link.name}: the sensor does not answer {command}")
@@ -58,10 +67,10 @@ class Dialogue:
         """Send a command without awaiting its reply; raises `LinkLost`."""
         self.link.write(command.encode("ascii") + b"\n")
 
-    def find(self, command: str, limit_s: float) -> Reply | None:
-        """The reply to a command that was sent, if it comes within the limit; others are kept."""
+    def find(self, command: str) -> Reply | None:
+        """The reply to a command that was sent, if it comes in time; other replies are kept."""
         echo = command.encode("ascii")
-        deadline = time.monotonic() + limit_s
+        deadline = time.monotonic() + self.answer_limit_s
         while (left_s := deadline - time.monotonic()) > 0:
             found = None
             for arrival in self._take(left_s):

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from cairn.driver.errors import DeviceError
-from components.hokuyo.dialogue import ANSWER_LIMIT_S, Dialogue
+from components.hokuyo.dialogue import Dialogue
 from components.hokuyo.replies import Reply
 
 SPEEDS = (115200, 19200, 57600, 750000, 500000, 250000, 38400)
@@ -32,7 +32,7 @@ def greet(dialogue: Dialogue, speeds: Sequence[int]) -> Greeting:
     """
     for baud in speeds:
         try:
-            dialogue.link.set_baud(baud)
+            dialogue.set_baud(baud)
         except DeviceError:
             if baud == speeds[0]:
                 raise  # this one was asked for
@@ -53,7 +53,7 @@ def _at_rest(dialogue: Dialogue) -> bool | None:
     dialogue.quieten(_QUIET_S, _QUIET_LIMIT_S)
     for _ in range(_TRIES):
         dialogue.send("QT")
-        reply = dialogue.find("QT", ANSWER_LIMIT_S)
+        reply = dialogue.find("QT")
         if reply is None:
             return None
         match reply.status:
@@ -63,11 +63,11 @@ def _at_rest(dialogue: Dialogue) -> bool | None:
                 return _switched(dialogue)
             case b"0Ee":  # it adjusts clocks, and takes nothing else
                 dialogue.send("TM2")
-                dialogue.find("TM2", ANSWER_LIMIT_S)
+                dialogue.find("TM2")
     return None
 
 
 def _switched(dialogue: Dialogue) -> bool:
     dialogue.send("SCIP2.0")
-    reply: Reply | None = dialogue.find("SCIP2.0", ANSWER_LIMIT_S)
+    reply: Reply | None = dialogue.find("SCIP2.0")
     return reply is not None and reply.status == b"0"

@@ -18,6 +18,7 @@ from components.hokuyo.stream import Defect, ScanStream
 
 _LISTEN_S = 0.1
 _TURNS = 2  # a scan may be one late
+_DAMAGED = 10  # so many times longer than silence, damage alone is borne
 
 
 @dataclass(frozen=True)
@@ -115,16 +116,21 @@ class Measurement:
         stopping: threading.Event,
         well: Callable[[str], None],
     ) -> bool:
-        """Take scans until something changes, or none comes; whether any came."""
+        """Take scans until something changes, or none comes; whether any came.
+
+        A sensor whose replies come damaged is alive: to begin anew with it would mend nothing, and
+        cost more scans. Only if that goes on for long it may be something else than the line.
+        """
         scip2 = isinstance(sensor.protocol, Scip2)
         came = False
         line_s = sensor.line_s(request)
         silence_s = config.silence_s + _TURNS * max(
             line_s, sensor.measuring.turn_s * (request.skip + 1)
         )
-        last = time.monotonic()
+        heard = good = time.monotonic()
         while self.config is config and not stopping.is_set():
             for arrival in sensor.protocol.arrivals(_LISTEN_S):
+                heard = time.monotonic()
                 try:
                     data = self.stream.take(arrival.reply, request, scip2=scip2)
                 except Defect as defect:
@@ -134,13 +140,14 @@ class Measurement:
                     ) from defect
                 if data is None:
                     continue
-                last = time.monotonic()
+                good = heard
                 if not came:
                     came = True
                     well(f"{sensor.link.name}: the {sensor.measuring.model} measures again")
                 first = sensor.stamping.first_ray(data.time_ms, arrival.at, request, line_s)
                 self._on_scan(Measured(data, request, sensor, first))
-            if time.monotonic() - last > silence_s:
+            now = time.monotonic()
+            if now - heard > silence_s or now - good > _DAMAGED * silence_s:
                 break
         return came
 

@@ -26,6 +26,10 @@ _CODES: dict[str, dict[int, float]] = {
 }
 
 
+# Two characters go up to 4095, which stands for all that is farther as well.
+_SHORT, _SHORT_MOST_MM = 2, 4094
+
+
 @dataclass(frozen=True)
 class ScanShape:
     """What all scans of a request have in common."""
@@ -79,6 +83,8 @@ class ScanShape:
     @property
     def _most_mm(self) -> float:
         most = self.measuring.most_mm
+        if self.request.encoding == _SHORT:
+            most = min(most, _SHORT_MOST_MM)
         return most if self.range_max is None else min(most, self.range_max * 1000.0)
 
     def _ranges(self, distances: NDArray[np.int32]) -> NDArray[np.float32]:

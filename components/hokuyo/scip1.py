@@ -13,7 +13,7 @@ import numpy as np
 
 from cairn.driver.errors import DeviceError
 from components.hokuyo.device_facts import URG_04LX
-from components.hokuyo.dialogue import ANSWER_LIMIT_S, Arrival, Dialogue
+from components.hokuyo.dialogue import Arrival, Dialogue
 from components.hokuyo.replies import Reply
 from components.hokuyo.requests import ScanRequest
 from components.hokuyo.scan_data import ScanData
@@ -44,12 +44,12 @@ class Scip1:
         self._request = request
 
     def arrivals(self, limit_s: float) -> list[Arrival]:
-        """The next scan's reply, waiting up to `limit_s` [s] for it."""
+        """The next scan's reply, waiting for it as long as for any answer."""
         if self._request is None:
             return []
         command = gather(self._request)
         self._dialogue.send(command)
-        reply = self._dialogue.find(command, max(limit_s, ANSWER_LIMIT_S))
+        reply = self._dialogue.find(command, max(limit_s))
         return [] if reply is None else [Arrival(reply, time.monotonic_ns())]
 
     def stop(self) -> None:

@@ -10,7 +10,7 @@ from typing import TypeVar
 
 from cairn.driver.errors import DeviceError
 from components.hokuyo.device_facts import Measuring, keyed, measuring
-from components.hokuyo.dialogue import ANSWER_LIMIT_S, Arrival, Dialogue
+from components.hokuyo.dialogue import Arrival, Dialogue
 from components.hokuyo.replies import Reply
 from components.hokuyo.requests import ScanRequest
 from components.hokuyo.scip_text import ScipError, checked, decode_number
@@ -64,7 +64,7 @@ class Scip2:
         code, _ = self._answer(f"SS{baud:06d}")
         if code not in ("00", "03"):
             raise Refused(f"{self._name}: the sensor refuses {baud} bit/s (status {code})", code)
-        self._dialogue.link.set_baud(baud)
+        self._dialogue.set_baud(baud)
         self._dialogue.quieten(_SPEED_SET_S, _SPEED_SET_S)
 
     def read_clock(self) -> list[ClockReading]:
@@ -76,7 +76,7 @@ class Scip2:
         for _ in range(_TIME_SAMPLES):
             asked = time.monotonic_ns()
             self._dialogue.send("TM1")
-            reply = self._dialogue.find("TM1", ANSWER_LIMIT_S)
+            reply = self._dialogue.find("TM1")
             answered = time.monotonic_ns()
             try:
                 if reply is not None and reply.code() == "00":

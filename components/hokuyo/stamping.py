@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 from cairn.clock import SECOND
@@ -12,6 +13,7 @@ from components.hokuyo.scip2 import ClockReading
 
 _TICKS_PER_S, _BITS = 1000, 24
 _LONGEST_WAY_S = 1.0
+_WAY_SCANS = 100  # by which the least way is found
 
 
 class Stamping:
@@ -26,6 +28,7 @@ class Stamping:
         self._turn_s, self._turn_steps = measuring.turn_s, measuring.turn_steps
         self._clock = DeviceClock(_TICKS_PER_S, _BITS)
         self._calibrated_s: float | None = None
+        self._scans = 0
         self.way_s: float | None = None
         """What a scan takes from step 0 until it is there [s], if that was measured."""
 
@@ -71,11 +74,12 @@ class Stamping:
     def _way(self, offset_s: float, least_way_s: float) -> float:
         if self._calibrated_s is None:
             return least_way_s
-        way_s = offset_s - self._calibrated_s
-        # The sensor's clock may drift from when it was read; the least way so far is the way.
-        if self.way_s is None or way_s < self.way_s:
-            self.way_s = way_s
-        if not 0.0 <= self.way_s <= _LONGEST_WAY_S:  # another clock than that of scans
-            self._calibrated_s = self.way_s = None
-            return least_way_s
-        return self.way_s
+        # Later the sensor's clock has drifted from where it was read, and this is no way any more.
+        if self._scans < _WAY_SCANS:
+            self._scans += 1
+            self.way_s = min(self.way_s or math.inf, offset_s - self._calibrated_s)
+        assert self.way_s is not None  # since the first scan
+        if 0.0 <= self.way_s <= _LONGEST_WAY_S:
+            return self.way_s
+        self._calibrated_s = self.way_s = None  # what was read is another clock than that of scans
+        return least_way_s

@@ -52,9 +52,7 @@ class Heard:
             after : after + number
         ]
 
-    def wait_for(
-        self, enough: Callable[[list[Any]], bool], limit_s: float = LIMIT_S
-    ) -> list[Any]:
+    def wait_for(self, enough: Callable[[list[Any]], bool], limit_s: float = LIMIT_S) -> list[Any]:
         """All so far, once that holds."""
         deadline = time.monotonic() + limit_s
         with self._changed:
@@ -68,8 +66,15 @@ class Heard:
 class Driven:
     """A driver and its emulated sensor."""
 
-    def __init__(self, emulation: Emulation, sent: list[SentScan], **parameters: Any) -> None:
+    def __init__(
+        self,
+        emulation: Emulation,
+        device: EmulatedScip,
+        sent: list[SentScan],
+        **parameters: Any,
+    ) -> None:
         self.emulation = emulation
+        self.device = device
         self.sent = sent
         bus = LockstepBus()
         self.scans = Heard(bus, "scan", LaserScan)
@@ -105,7 +110,7 @@ def driven(
         where: dict[str, Any] = {"port": str(folder / "scanner")}
         if isinstance(end, TcpEnd):
             where = {"host": "127.0.0.1", "tcp_port": end.port}
-        both = Driven(emulation, sent, **(where | parameters))
+        both = Driven(emulation, device, sent, **(where | parameters))
         try:
             if activate:
                 both.component.activate()

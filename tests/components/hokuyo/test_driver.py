@@ -1,0 +1,225 @@
+"""The driver publishes just what the sensor sent, in every mode, over serial lines and TCP."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cairn.driver.link import SerialLink
+from cairn.errors import CairnError
+from components.hokuyo.emulated_record import SentScan
+from tests.components.hokuyo.driving import LIMIT_S, Driven, Heard, driven
+
+SCANS = 8
+URG, UTM, EW, UST = "URG-04LX", "UTM-30LX", "UTM-30LX-EW", "UST-10LX"
+MODES: list[tuple[str, bool, dict[str, Any], dict[str, Any]]] = [
+    (UTM, False, {}, {}),
+    (UTM, True, {}, {}),
+    (UTM, False, {"intensity": True}, {}),
+    (UTM, False, {"cluster": 3, "skip": 1}, {}),
+    (UTM, False, {"angle_min": -1.0, "angle_max": 0.5}, {}),
+    (URG, False, {"short_distances": True}, {}),
+    (URG, False, {"cluster": 4}, {"speaks_scip1": True}),
+    (EW, True, {"multi_echo": True, "skip": 3}, {}),
+    (EW, True, {"multi_echo": True, "intensity": True, "echo": "strongest", "skip": 3}, {}),
+    (UST, True, {"intensity": True}, {"clock_start_ms": 2**24 - 60}),
+]
+
+
+@pytest.mark.parametrize(("model", "tcp", "parameters", "emulated"), MODES)
+def test_every_scan_is_equal_to_what_was_sent(
+    tmp_path: Path,
+    model: str,
+    tcp: bool,
+    parameters: dict[str, Any],
+    emulated: dict[str, Any],
+) -> None:
+    with driven(tmp_path, model, tcp=tcp, emulated=emulated, **parameters) as it:
+        scans = it.scans.wait(SCANS)
+        multi = it.multi.wait(SCANS) if parameters.get("multi_echo") else []
+    sent = it.sent[:SCANS]
+    echo = parameters.get("echo", "first")
+
+    for scan, one in zip(scans, sent, strict=True):
+        column = _column(one, echo)
+        rows = np.arange(len(column))
+        assert scan.ranges.tolist() == pytest.approx(
+            _ranges(one.distances[rows, column], model, parameters), abs=1e-6, nan_ok=True
+        )
+        strengths = one.intensities
+        if parameters.get("intensity"):
+            assert strengths is not None
+            assert scan.intensities.tolist() == strengths[rows, column].tolist()
+        else:
+            assert scan.intensities.size == 0
+    for scan, one in zip(multi, sent, strict=False):
+        told = [_ranges(row[row >= 0], model, parameters) for row in one.distances]
+        for echoes, wanted in zip(scan.ranges, told, strict=True):
+            assert echoes.echoes.tolist() == pytest.approx(wanted, abs=1e-6, nan_ok=True)
+        assert len(scan.intensities) == (len(told) if parameters.get("intensity") else 0)
+    stamps = [_seconds(scan) for scan in scans]
+    turns = np.diff([one.turn for one in sent])
+    assert np.diff(stamps) == pytest.approx(turns * turn_s(model), abs=0.004)
+
+
+def turn_s(model: str) -> float:
+    return 0.1 if model.startswith("URG") else 0.025
+
+
+def _column(one: SentScan, echo: str) -> Any:
+    if echo == "strongest" and one.intensities is not None:
+        return np.argmax(one.intensities, axis=1)
+    return np.zeros(len(one.distances), np.intp)
+
+
+def _ranges(values: Any, model: str, parameters: dict[str, Any]) -> list[float]:
+    least, most = (20, 5600) if model.startswith("URG") else (23, 60000)
+    if model.startswith("UST"):
+        least, most = 20, 30000
+    if parameters.get("short_distances"):
+        most = 4094
+    codes = {} if model.startswith("URG") else {1: math.inf, 2: -math.inf}
+    found = []
+    for value in values.tolist():
+        if value > most:
+            found.append(math.inf)
+        elif value < least:
+            found.append(codes.get(value, math.nan))
+        else:
+            found.append(value / 1000)
+    return found
+
+
+def _seconds(scan: Any) -> float:
+    return float(scan.header.stamp.sec + scan.header.stamp.nanosec * 1e-9)
+
+
+def test_rates_angles_and_who_it_is_are_told(tmp_path: Path) -> None:
+    with driven(tmp_path, UTM, mount={"x": 0.2}, frame_id="front_laser") as it:
+        scan = it.scans.wait(3)[0]
+        told = it.health(lambda status: True)
+    values = {value.key: value.value for value in told.values}
+
+    assert scan.header.frame_id == "front_laser"
+    assert scan.ranges.size == 1081
+    assert scan.angle_min == pytest.approx(-0.75 * math.pi, abs=1e-6)
+    assert scan.angle_max == pytest.approx(0.75 * math.pi, abs=1e-6)
+    assert told.hardware_id == "H0614967"
+    assert values["nominal rate [Hz]"] == "40"
+    assert values["firmware"].startswith("1.18")
+    assert values["STAT at start"] == "Sensor works well."
+
+
+def test_it_is_silent_and_dark_unless_it_is_active(tmp_path: Path) -> None:
+    with driven(tmp_path, activate=False) as it:
+        it.component.ask("configure")
+        assert not it.sent
+        it.component.ask("activate")
+        it.scans.wait(2)
+        it.component.ask("deactivate")
+        sent = len(it.sent)
+        lasers: list[bool] = []
+        it.emulation.ask(lambda: lasers.append(_laser(it)))
+        assert lasers == [False]
+        it.component.ask("activate")
+        it.scans.wait(2, after=len(it.scans))
+        it.component.ask("deactivate")
+        it.component.ask("cleanup")
+        it.component.ask("configure")
+        it.component.ask("activate")
+        it.scans.wait(2, after=len(it.scans))
+
+    assert len(it.sent) > sent
+
+
+def _laser(it: Driven) -> bool:
+    return it.device.sensor.laser
+
+
+def test_parameters_change_while_it_runs_or_are_refused(tmp_path: Path) -> None:
+    with driven(tmp_path, UTM) as it:
+        it.scans.wait(2)
+        it.component.ask("set_parameters", {"cluster": 5, "angle_min": 0.0, "skip": 1})
+        it.scans.wait_for(lambda scans: scans[-1].ranges.size == 109)
+        changed = it.scans.all()[-1]
+        for change, reason in (
+            ({"port": "/dev/elsewhere"}, "port when it is configured"),
+            ({"angle_min": 2.4, "angle_max": 2.5}, "no two rays of a UTM-30LX"),
+            ({"cluster": 0}, "cluster = 0 refused"),
+            ({"angle_min": 3.0, "angle_max": 2.0}, "angle_min must be less"),
+        ):
+            with pytest.raises(CairnError, match=reason):
+                it.component.ask("set_parameters", change)
+        size = it.scans.wait(3, after=len(it.scans))[-1].ranges.size
+
+    assert changed.angle_min == pytest.approx(0.0, abs=1e-6)
+    assert changed.scan_time == pytest.approx(0.05)
+    assert size == 109
+
+
+def test_what_a_sensor_does_not_have_is_left_out_and_told(tmp_path: Path) -> None:
+    with driven(tmp_path, "URG-04LX-UG01", intensity=True, multi_echo=True) as it:
+        scan = it.scans.wait(1)[0]
+        told = it.health(lambda status: True)
+    values = {value.key: value.value for value in told.values}
+
+    assert scan.intensities.size == 0
+    assert values["intensity"] == "False"
+    assert values["multi-echo"] == "False"
+
+
+@pytest.mark.parametrize("baud", [19200, 500000])
+def test_the_speed_of_its_line_is_found_and_changed(tmp_path: Path, baud: int) -> None:
+    with driven(tmp_path, URG, emulated={"rs232_baud": baud}, baud=115200, cluster=9) as it:
+        it.scans.wait(2)
+        assert it.device.baud() == 115200
+
+
+def test_a_sensor_that_a_crashed_program_left_streaming_is_taken_over(tmp_path: Path) -> None:
+    with driven(tmp_path, UTM, activate=False) as it:
+        crashed = SerialLink(str(tmp_path / "scanner"), 115200)
+        crashed.write(b"ME0000108001000\n")
+        assert crashed.read(LIMIT_S)
+        crashed.close()
+        it.component.activate()
+        it.scans.wait(3)
+
+    assert it.scans.all()[0].ranges.size == 1081
+    assert it.scans.all()[0].intensities.size == 0
+
+
+def test_nothing_there_is_an_error_that_names_it(tmp_path: Path) -> None:
+    with driven(tmp_path, activate=False) as it:
+        it.emulation.unplug()
+        with pytest.raises(CairnError, match=r"scanner cannot be opened: No such file"):
+            it.component.ask("configure")
+    with driven(tmp_path, activate=False, tcp=True) as it:
+        it.emulation.unplug()
+        with pytest.raises(CairnError, match=r"127.0.0.1:\d+ cannot be connected: Connection ref"):
+            it.component.ask("configure")
+
+
+def test_another_device_is_an_error_that_says_so(tmp_path: Path) -> None:
+    with driven(tmp_path, activate=False, tcp=True) as it:
+        it.emulation.hang()
+        with pytest.raises(CairnError, match="nothing answers as a SCIP sensor"):
+            it.component.ask("configure")
+
+
+def test_angles_that_leave_nothing_are_an_error_when_it_is_configured(tmp_path: Path) -> None:
+    with (
+        driven(tmp_path, activate=False, angle_min=2.4, angle_max=2.5) as it,
+        pytest.raises(CairnError, match=r"sees from -2.356 to 2.356 rad"),
+    ):
+        it.component.ask("configure")
+
+
+def test_heard_tells_what_is_missing(tmp_path: Path) -> None:
+    with driven(tmp_path, activate=False) as it:
+        assert isinstance(it.scans, Heard)
+        with pytest.raises(AssertionError, match="only 0 have come"):
+            it.scans.wait_for(lambda scans: bool(scans), limit_s=0.01)

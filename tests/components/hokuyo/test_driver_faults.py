@@ -1,0 +1,160 @@
+"""Whatever happens on the line: no wrong scan is published, and soon there are scans again."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cairn.driver.diagnostics import ERROR, OK, WARN
+from cairn.driver.faults import FrameFault, FrameFaults
+from components.hokuyo.emulated_record import SentScan
+from components.hokuyo.emulated_scip import EmulatedScip
+from components.hokuyo.replies import ReplySplitter
+from components.hokuyo.requests import ScanRequest
+from components.hokuyo.stream import ScanStream
+from tests.components.hokuyo.driving import Driven, driven
+
+FAULTS: tuple[FrameFault, ...] = ("bad_sum", "cut", "garbage", "drop")
+
+
+def assert_all_were_sent(it: Driven) -> None:
+    """Every scan that was published is one that was sent, and none came twice."""
+    sent = iter(it.sent)
+    for scan in it.scans.all():
+        wanted = np.nan_to_num(scan.ranges, nan=-1.0, posinf=-2.0, neginf=-3.0)
+        for one in sent:
+            values = one.distances[:, 0]
+            good = (values >= 23) & (values <= 60000)
+            if np.array_equal(good, wanted > 0) and np.allclose(
+                values[good] / 1000, wanted[good], atol=1e-6
+            ):
+                break
+        else:
+            raise AssertionError("a scan was published that was not sent, or not in this order")
+
+
+def test_of_a_thousand_faults_none_makes_a_wrong_scan() -> None:
+    faults = FrameFaults(dict.fromkeys(FAULTS, 0.2), np.random.default_rng(3))
+    sent: list[SentScan] = []
+    device = EmulatedScip("UTM-30LX", on_scan=sent.append)
+    request = ScanRequest(0, 1080)
+    device.receive(request.command + b"\n", 0.0)
+    splitter, stream, now, taken = ReplySplitter(), ScanStream(), 0.0, 0
+    while faults.done.total() < 1000:
+        now += 0.025
+        bytes_ = b"".join(map(faults.spoil, device.tick(now)))
+        for reply in splitter.feed(bytes_):
+            data = stream.take(reply, request, scip2=True)
+            if data is not None:
+                (one,) = [scan for scan in sent[-3:] if scan.time_ms == data.time_ms]
+                assert np.array_equal(data.distances[:, 0], one.distances[:, 0])
+                taken += 1
+
+    assert set(faults.done) == set(FAULTS)
+    assert taken == stream.good >= 0.3 * len(sent)
+
+
+@pytest.mark.parametrize("tcp", [False, True])
+def test_after_faults_of_all_kinds_scans_come_again(tmp_path: Path, tcp: bool) -> None:
+    order = list(FAULTS) * 15
+    np.random.default_rng(tcp).shuffle(order)
+    with driven(tmp_path, tcp=tcp) as it:
+        it.scans.wait(1)
+        for fault in order:
+            it.emulation.spoil(fault)
+        it.scans.wait_for(lambda scans: it.emulation.spoilt == dict.fromkeys(FAULTS, 15))
+        it.scans.wait(5, after=len(it.scans))
+
+    assert_all_were_sent(it)
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_spoilt_scan_is_left_out_and_counted(tmp_path: Path, fault: FrameFault) -> None:
+    with driven(tmp_path) as it:
+        it.scans.wait(2)
+        it.emulation.spoil(fault, 3)
+        it.scans.wait(10, after=len(it.scans))
+        told = it.health(lambda status: True)
+    values = {value.key: value.value for value in told.values}
+
+    assert_all_were_sent(it)
+    assert it.emulation.spoilt == {fault: 3}
+    assert values["connections"] == "1"
+    if fault in ("bad_sum", "cut"):
+        assert int(values["damaged replies"]) + int(values["bytes of no reply"]) >= 1
+
+
+def test_a_sensor_that_falls_silent_is_begun_anew(tmp_path: Path) -> None:
+    with driven(tmp_path, silence_s=0.2) as it:
+        it.scans.wait(2)
+        it.emulation.ask(lambda: it.device.receive(b"QT\n", 0.0))  # as if it had stopped by itself
+        it.scans.wait(3, after=len(it.scans))
+        told = it.health(lambda status: "silent" in status.message)
+
+    assert told.level == WARN
+
+
+def test_a_sensor_that_hangs_comes_back(tmp_path: Path) -> None:
+    with driven(tmp_path, silence_s=0.1) as it:
+        it.scans.wait(2)
+        it.emulation.hang()
+        trouble = it.health(lambda status: status.level == ERROR)
+        before = len(it.scans)
+        it.emulation.hang(0.0)
+        it.scans.wait(3, after=before)
+        it.health(lambda status: status.level == OK)
+
+    assert "scanner" in trouble.message
+    assert_all_were_sent(it)
+
+
+@pytest.mark.parametrize("tcp", [False, True])
+def test_unplugged_and_plugged_in_again(tmp_path: Path, tcp: bool) -> None:
+    with driven(tmp_path, tcp=tcp) as it:
+        it.scans.wait(2)
+        it.emulation.unplug()
+        trouble = it.health(lambda status: status.level == ERROR)
+        before = len(it.scans)
+        it.emulation.plug_in()
+        it.scans.wait(3, after=before)
+        it.health(lambda status: status.level == OK)
+
+    assert "cannot be" in trouble.message or "gone" in trouble.message
+    assert_all_were_sent(it)
+
+
+def test_unplugged_while_it_rests(tmp_path: Path) -> None:
+    with driven(tmp_path, activate=False) as it:
+        it.component.ask("configure")
+        it.emulation.unplug()
+        it.component.ask("activate")
+        it.health(lambda status: status.level == ERROR)
+        it.emulation.plug_in()
+        it.scans.wait(2)
+        it.emulation.unplug()
+        it.component.ask("deactivate")
+        it.component.ask("cleanup")
+
+
+@pytest.mark.parametrize("status", ["0M", "21", "98"])
+def test_statuses_in_a_stream_are_no_faults_of_the_line(tmp_path: Path, status: str) -> None:
+    with driven(tmp_path) as it:
+        it.scans.wait(2)
+        it.emulation.ask(lambda: it.device.trouble(status, 2))
+        it.scans.wait(5, after=len(it.scans))
+        told = it.health(lambda status_: True)
+    values = {value.key: value.value for value in told.values}
+
+    assert values[f"status {status}"] == "2"
+    assert values["damaged replies"] == "0"
+
+
+def test_a_sensor_that_says_that_it_is_broken_is_told_of(tmp_path: Path) -> None:
+    with driven(tmp_path) as it:
+        it.scans.wait(2)
+        it.emulation.ask(lambda: it.device.trouble("55"))
+        told = it.health(lambda status: status.level == ERROR)
+
+    assert "55" in told.message

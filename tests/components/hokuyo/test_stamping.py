@@ -1,0 +1,87 @@
+"""A scan's stamp is when its first ray was measured, whatever the line did to it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cairn.clock import SECOND
+from components.hokuyo.device_facts import Measuring
+from components.hokuyo.requests import ScanRequest
+from components.hokuyo.scip2 import ClockReading
+from components.hokuyo.stamping import Stamping
+
+UTM = Measuring("UTM-30LX", 23, 60000, 1440, 0, 1080, 540, 2400)
+REQUEST = ScanRequest(0, 1080)
+COMPUTES_S = 0.004  # what the sensor takes after the last ray
+
+
+def errors_s(
+    drift: float, *, readings: bool, start_ms: int = 0, seconds: float = 60.0
+) -> list[float]:
+    """How far stamps are off [s], once they have settled, of a sensor with such a clock."""
+    random = np.random.default_rng(1)
+    stamping = Stamping(UTM)
+
+    def shown(true_s: float) -> int:
+        return int((start_ms + true_s * 1000.0 * (1.0 + drift)) % 2**24)
+
+    if readings:
+        asked = 10.0 + 0.003 * np.arange(10)
+        ways = random.uniform(0.0005, 0.002, (10, 2))
+        assert stamping.calibrate(
+            [
+                ClockReading(
+                    shown(at + way[0]), round(at * SECOND), round((at + way.sum()) * SECOND)
+                )
+                for at, way in zip(asked, ways, strict=True)
+            ]
+        )
+    found = []
+    for number in range(round(seconds * 40)):
+        began = 11.0 + number * 0.025
+        late = random.exponential(0.002) + (0.5 if number % 100 == 0 else 0.0)
+        arrived = began + 0.025 * 1081 / 1440 + COMPUTES_S + late
+        stamp = stamping.first_ray(shown(began), round(arrived * SECOND), REQUEST, 0.0)
+        found.append(stamp / SECOND - began)
+    return found[80:]
+
+
+@pytest.mark.parametrize("drift", [0.0, 50e-6, -50e-6, 200e-6, -200e-6])
+def test_a_sensor_whose_clock_was_read(drift: float) -> None:
+    assert np.abs(errors_s(drift, readings=True)).max() < 0.0025
+
+
+def test_a_sensor_whose_clock_cannot_be_read_is_off_by_what_it_computes() -> None:
+    errors = np.array(errors_s(0.0, readings=False)) - COMPUTES_S
+
+    assert np.abs(errors).max() < 0.002
+
+
+def test_the_sensors_clock_wraps_around() -> None:
+    errors = errors_s(0.0, readings=True, start_ms=2**24 - 30_000)
+
+    assert np.abs(errors).max() < 0.0025
+
+
+def test_readings_that_contradict_each_other_are_not_used() -> None:
+    readings = [ClockReading(0, 0, 1000), ClockReading(500, 2000, 3000)]
+
+    assert not Stamping(UTM).calibrate(readings)
+    assert not Stamping(UTM).calibrate([])
+
+
+def test_without_a_clock_the_time_of_arrival_tells() -> None:
+    stamp = Stamping(UTM).first_ray(None, 10 * SECOND, REQUEST, 0.05)
+
+    assert stamp / SECOND == pytest.approx(10.0 - 0.05 - 0.025 * 1081 / 1440)
+
+
+def test_the_stamp_is_of_the_first_ray_that_was_asked_for() -> None:
+    whole, part = Stamping(UTM), Stamping(UTM)
+    arrived = 10 * SECOND
+
+    first = whole.first_ray(1000, arrived, ScanRequest(0, 1080), 0.0)
+    later = part.first_ray(1000, arrived, ScanRequest(360, 1080), 0.0)
+
+    assert (later - first) / SECOND == pytest.approx(0.025 * 360 / 1440)
