@@ -9,8 +9,7 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import pytest
 
@@ -19,72 +18,26 @@ from cairn.testing import odometry as judged
 from cairn.testing import stamps as timed
 from cairn.testing.bench import Bench
 from cairn.testing.device import Wheeled
-from cairn.testing.driver_contract import Contract, LifeCycleContract, ParametersContract
+from cairn.testing.driver_contract import LifeCycleContract, ParametersContract
 from cairn.testing.end_contract import EndContract, StopContract, UnplugContract
+from cairn.testing.odometry_contract import Drive, OdometryContract, Odoms
 from cairn.testing.reading import Arrival, Reading
 from cairn.testing.robot import Robot
 from schemas.geometry_msgs import Twist, Vector3
 from schemas.nav_msgs import Odometry
 from schemas.tf2_msgs import TFMessage
 
-Odoms = Sequence[Arrival[Odometry]]
-
 _NOT_WATCHED = "the wheels cannot be watched here: no fixture `device` with turns and await_stand"
 
 
-@dataclass(frozen=True)
-class Drive:
-    """A drive: odometry while it stood, went ahead, stood again, turned left, and was left alone.
-
-    `transforms` are all that came on tf, None where the driver has no such port.
-    """
-
-    before: Odoms
-    ahead: Odoms
-    left: Odoms
-    after: Odoms
-    transforms: Sequence[TFMessage] | None
-
-    @property
-    def all(self) -> list[Odometry]:
-        """The whole drive."""
-        parts = (self.before, self.ahead, self.left, self.after)
-        return [arrival.message for part in parts for arrival in part]
-
-
-class DriveContract(Contract):
-    """What odometry says, and how commands are carried out."""
-
-    component: ClassVar[str] = "base"
-    port: ClassVar[str] = "odom"
-    message: ClassVar[type[Any]] = Odometry
-
-    rate_tolerance: ClassVar[float] = 0.1
-    """How far the rate may be off the nominal one, as a share."""
-
-    jitter: ClassVar[float] = 0.5
-    """How far a spacing of stamps may be off the median, as a share."""
-
-    oldest_s: ClassVar[float] = 0.25
-    """How old odometry may be when it comes [s]."""
-
-    early_s: ClassVar[float] = 0.005
-    """By how much a stamp may be in the future [s]."""
-
-    odom_frame: ClassVar[str] = "odom"
-    """The frame of poses."""
-
-    base_frame: ClassVar[str] = "base_link"
-    """The frame of the robot, and of twists."""
+class DriveContract(OdometryContract):
+    """How commands are carried out, by what odometry says."""
 
     speed: ClassVar[float] = 0.2
     """How fast the tests drive ahead [m/s]."""
 
     turn: ClassVar[float] = 0.5
     """How fast they turn [rad/s]."""
-
-    accuracy: ClassVar[float] = 0.2
-    """How far a speed may be off the command, and a twist off the change of pose, as a share."""
 
     drive_s: ClassVar[float] = 1.2
     """How long a command is given; the second half of it is judged [s]."""
@@ -141,34 +94,6 @@ class DriveContract(Contract):
         """The command to turn left on the spot."""
         return Twist(angular=Vector3(z=cls.turn))
 
-    def test_rate(self, drive: Drive) -> None:
-        """It is the nominal one: who plans by it relies on it."""
-        timed.check_rate(timed.stamps_of(drive.before), self.rate_hz, self.rate_tolerance)
-
-    def test_stamps_increase_regularly(self, drive: Drive) -> None:
-        """Speeds are divided by their differences."""
-        stamps = timed.stamps_of(drive.before)
-        timed.check_increasing(stamps)
-        timed.check_regular(stamps, self.jitter)
-
-    def test_stamps_are_of_the_present(self, drive: Drive) -> None:
-        """Neither of the future nor of long ago, by the deployment's clock."""
-        timed.check_present(drive.before, -self.early_s, self.oldest_s, self.early_s)
-
-    def test_frames(self, drive: Drive) -> None:
-        """As REP 105 names them."""
-        judged.check_frames(drive.all[0], self.odom_frame, self.base_frame)
-
-    def test_pose_is_on_the_plane(self, drive: Drive) -> None:
-        """A rotation about z, and no height."""
-        for odom in drive.all:
-            judged.check_pose(odom)
-
-    def test_covariance(self, drive: Drive) -> None:
-        """One that filters can use."""
-        for odom in drive.all:
-            judged.check_covariance(odom)
-
     def test_it_stands_without_commands(self, drive: Drive) -> None:
         """Whatever was commanded before it was activated."""
         way = judged.travelled([arrival.message for arrival in drive.before])
@@ -188,17 +113,6 @@ class DriveContract(Contract):
         way = judged.travelled([arrival.message for arrival in drive.left])
         self._check_speed(turn, self.turn, "rad/s to the left")
         assert way.left_rad > 0.0, f"commanded to the left, it turned {way.left_rad:.3f} rad"
-
-    def test_twist_agrees_with_pose(self, drive: Drive) -> None:
-        """The one is the change of the other."""
-        odoms = [arrival.message for arrival in (*drive.ahead, *drive.left, *drive.after)]
-        judged.check_twist_agrees(odoms, self.accuracy)
-
-    def test_tf_agrees_with_odometry(self, drive: Drive) -> None:
-        """Who reads the one and who reads the other see the same robot."""
-        if drive.transforms is None:
-            pytest.skip(f"{self.component} has no port tf")
-        judged.check_transforms_agree(drive.all, drive.transforms, self.odom_frame, self.base_frame)
 
     @classmethod
     def _next(cls, odom: Reading[Odometry], count: int) -> Odoms:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from statistics import median
 from typing import Any, ClassVar
 
@@ -92,9 +93,7 @@ class PicturesContract(Contract):
             images, infos = {}, {}
             for side in cls.sides():
                 topic = cls.topic(robot, f"{side}_image")
-                images[side] = stack.enter_context(
-                    robot.read(topic, Image, lambda image, side=side: keep(side, image))
-                )
+                images[side] = stack.enter_context(robot.read(topic, Image, partial(keep, side)))
                 topic = cls.topic(robot, f"{side}_info")
                 infos[side] = stack.enter_context(robot.read(topic, CameraInfo))
             count = cls.sample_count
@@ -149,8 +148,8 @@ class PicturesContract(Contract):
         """Of images and camera infos, those that transforms know."""
         for side in self.sides():
             frame = self.frames[side]
-            both = (*pictures.outlines[side], *pictures.infos[side])
-            check_frame((one.message.header.frame_id for one in both), frame)
+            check_frame((one.message.header.frame_id for one in pictures.outlines[side]), frame)
+            check_frame((one.message.header.frame_id for one in pictures.infos[side]), frame)
 
     def test_images_are_whole(self, pictures: Pictures) -> None:
         """Encoding, size and length of rows agree."""

@@ -55,7 +55,7 @@ class Contract:
     """Parameters that may be changed while the driver runs, each with another valid value."""
 
     cycles: ClassVar[int] = 8
-    """How often the driver is deactivated, cleaned up, configured and activated."""
+    """How often the driver is deactivated, cleaned up, configured and activated; 4 at least."""
 
     leak_mb: ClassVar[float] = 8.0
     """How much more memory its process may hold after these [MB]."""
@@ -181,8 +181,8 @@ class LifeCycleContract(Contract):
             cycles.usages.append(Usage.of(robot.status(cls.component).pid))
 
     def _check_growth(self, cycled: Cycles, what: str, allowed: float) -> None:
-        if len(cycled.usages) <= _WARM_UP:
-            pytest.skip("the driver did not come through the cycles")
+        if len(cycled.usages) < _WARM_UP + 2:
+            pytest.skip(f"{len(cycled.usages)} cycles are too few to tell: see cycles")
         used = [getattr(usage, what) for usage in cycled.usages[_WARM_UP:]]
         grown = used[-1] - used[0]
         assert grown <= allowed, (

@@ -44,7 +44,7 @@ def outline(image: Image) -> Image:
         image,
         height=1,
         step=_CHECKSUM_BYTES,
-        data=np.frombuffer(zlib.crc32(image.data).to_bytes(_CHECKSUM_BYTES), np.uint8),
+        data=np.frombuffer(zlib.crc32(image.data.tobytes()).to_bytes(_CHECKSUM_BYTES), np.uint8),
     )
 
 

@@ -1,0 +1,99 @@
+"""The replayed drivers keep the contracts, as far as they can: nobody drives a recorded robot."""
+
+import gzip
+from collections.abc import Iterator
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from cairn.testing.bench import Bench, settings
+from cairn.testing.camera_contract import PicturesContract
+from cairn.testing.driver_contract import LifeCycleContract, ParametersContract
+from cairn.testing.end_contract import StopContract
+from cairn.testing.odometry_contract import OdometryContract
+from cairn.testing.scanner_contract import ScanContract
+
+LOG = Path(__file__).parents[2] / "data" / "carmen" / "fr079_corrected.log.gz"
+LINES = 4000  # of the log: six minutes
+PAIRS = 400
+
+LOG_REPLAY = """
+    clock: simulated
+    settings: {recording: ""}
+    components:
+      base: {plugin: replay_odometry, parameters: {recording: "${recording}"}}
+      scanner: {plugin: replay_scanner, parameters: {recording: "${recording}"}}
+      replay_clock:
+        plugin: replay_clock
+        parameters: {recording: "${recording}", rate: 10.0}
+        topics: {time: clock}
+        restart: transient
+        significant: true
+    """
+CAMERA_REPLAY = """
+    clock: simulated
+    settings: {recording: ""}
+    components:
+      camera: {plugin: replay_camera, parameters: {recording: "${recording}"}}
+      replay_clock:
+        plugin: replay_clock
+        parameters: {recording: "${recording}", rate: 1.0}
+        topics: {time: clock}
+        restart: transient
+        significant: true
+    """
+
+
+class Recorded:
+    """Ten times as fast as it was recorded; the clock tells each twentieth of a second."""
+
+    live = False
+    early_s = 1.0
+    oldest_s = 2.0
+    jitter = 0.6
+    rate_tolerance = 0.25
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
+    folder = tmp_path_factory.mktemp("log")
+    part = folder / "part.log"
+    with gzip.open(LOG, "rt", encoding="ascii") as lines:
+        part.write_text("".join(islice(lines, LINES)), encoding="ascii")
+    with Bench(folder, LOG_REPLAY, settings({"recording": str(part)})) as bench:
+        yield bench
+
+
+class TestBase(Recorded, ParametersContract, OdometryContract):
+    rate_hz = 8.43
+
+
+class TestScanner(Recorded, StopContract, LifeCycleContract, ParametersContract, ScanContract):
+    rate_hz = 2.6
+    cycles = 5
+
+
+class TestCamera(StopContract, LifeCycleContract, ParametersContract, PicturesContract):
+    rate_hz = 10.0
+    calibrated = False
+    early_s = 0.2
+    cycles = 5
+
+    @pytest.fixture(scope="class")
+    @classmethod
+    def bench(cls, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
+        folder = tmp_path_factory.mktemp("images")
+        for side in ("left", "right"):
+            (folder / side).mkdir()
+        generator = np.random.default_rng(1)
+        for number in range(PAIRS):
+            for side in ("left", "right"):
+                pixels = generator.integers(0, 255, (24, 32), np.uint8)
+                name = f"{1_700_000_000_000_000_000 + number * 100_000_000}.png"
+                Image.fromarray(pixels).save(folder / side / name)
+        words = settings({"recording": str(folder)})
+        with Bench(tmp_path_factory.mktemp("camera"), CAMERA_REPLAY, words) as bench:
+            yield bench
