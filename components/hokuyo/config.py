@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import Self
+from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
 from cairn.component.mount import Mount
 from cairn.component.parameters import Config
+from cairn.driver.device_names import NamesHost, SerialPort
 from components.hokuyo.greeting import SPEEDS
 from components.hokuyo.requests import Encoding
 from components.hokuyo.scan_message import Echo
@@ -20,7 +21,7 @@ class HokuyoConfig(Config):
     Those of `LIVE` may be changed while it runs.
     """
 
-    port: str | None = Field(
+    port: SerialPort | None = Field(
         None,
         description="Serial port: /dev/serial/by-id/..., /dev/ttyACM0, or usb:VENDOR:PRODUCT"
         "[:SERIAL] with hexadecimal numbers. Either this or host.",
@@ -32,7 +33,7 @@ class HokuyoConfig(Config):
         description="Speed of an RS-232 line, found and changed if the sensor has another; "
         "without effect over USB [bit/s].",
     )
-    host: str | None = Field(
+    host: Annotated[str, NamesHost("tcp_port")] | None = Field(
         None, description="Address of a sensor on Ethernet, as 192.168.0.10. Either this or port."
     )
     tcp_port: int = Field(10940, ge=1, le=65535, description="Its TCP port [1].")

@@ -9,6 +9,7 @@ from pydantic import Field
 
 from cairn.component.mount import Mount
 from cairn.component.parameters import Config
+from cairn.driver.device_names import SerialPort
 
 
 class PbsConfig(Config):
@@ -18,7 +19,7 @@ class PbsConfig(Config):
     all) or 360/204 (Player's driver, 211.8 degrees).
     """
 
-    port: str = Field(
+    port: SerialPort = Field(
         description="Serial port: /dev/serial/by-id/..., /dev/ttyUSB0, or usb:VENDOR:PRODUCT"
         "[:SERIAL] with hexadecimal numbers."
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pydantic import Field, model_validator
 
 from cairn.component.parameters import Config
+from cairn.driver.device_names import SerialPort
 from components.roboclaw.driving import DriveSettings
 from components.roboclaw.kinematics import Channel, Geometry, Limits
 from components.roboclaw.odometry import OdometryErrors
@@ -16,7 +17,7 @@ _CYCLES = 4
 class RoboclawBaseConfig(Config):
     """A differential base on a RoboClaw. Wheels and encoders have to be given: they are yours."""
 
-    port: str = Field(
+    port: SerialPort = Field(
         "usb:03eb:2404",
         min_length=1,
         description="Serial port: /dev/serial/by-id/..., usb:VENDOR:PRODUCT[:SERIAL], or "

@@ -9,12 +9,14 @@ from pydantic import Field, model_validator
 
 from cairn.component.mount import Mount
 from cairn.component.parameters import Config
+from cairn.driver.device_names import NamesDevice
 from components.v4l2_camera.camera import CameraSettings
-from components.v4l2_camera.names import is_name
+from components.v4l2_camera.names import find_camera, is_name
 from components.v4l2_camera.pixels import FORMATS
 
 _Value = Annotated[int, Field(ge=-(2**31), le=2**32 - 1)]
 _Setting = _Value | None
+_Camera = Annotated[str, NamesDevice(find_camera)]
 
 _HOW = "path, name:NAME, usb:VENDOR:PRODUCT[:SERIAL] or port:PORT"
 
@@ -66,10 +68,10 @@ class V4l2StereoCameraConfig(Config):
     runs, and so may `stamp_delay_s`.
     """
 
-    device: str = Field(
+    device: _Camera = Field(
         description=f"The left camera, the only one, or the side-by-side one: {_HOW}."
     )
-    right_device: str | None = Field(None, description=f"The right camera: {_HOW}.")
+    right_device: _Camera | None = Field(None, description=f"The right camera: {_HOW}.")
     side_by_side: bool = Field(
         False, description="A picture of the device holds both cameras' side by side."
     )

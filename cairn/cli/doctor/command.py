@@ -1,0 +1,102 @@
+"""The command `cairn doctor`: a table of all that was looked at, faults with their remedies."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from cairn.cli.check import Overlay, Set
+from cairn.cli.connection import DEFAULT_CONNECT, Connect, Domain, Json
+from cairn.cli.doctor.bus import bus
+from cairn.cli.doctor.cameras import cameras
+from cairn.cli.doctor.computer import computer
+from cairn.cli.doctor.deployment import devices, loaded
+from cairn.cli.doctor.finding import Finding
+from cairn.cli.doctor.rules import rules
+from cairn.cli.doctor.serial_ports import serial_ports
+from cairn.cli.doctor.software import software
+from cairn.cli.tables import line, print_json
+from cairn.deployment.model import Deployment
+from cairn.placement.root import endpoints
+
+_COLOURS = {"ok": "green", "warn": "yellow", "fail": "bold red"}
+_UNFOLDED = 10_000  # columns, where the output is not a terminal but perhaps `grep`
+
+File = Annotated[
+    Path | None, typer.Argument(help="A deployment whose devices are looked for.", metavar="FILE")
+]
+
+
+def doctor(
+    file: File = None,
+    overlay: Overlay = None,
+    set_: Set = None,
+    connect: Connect = DEFAULT_CONNECT,
+    domain: Domain = 0,
+    json: Json = False,
+) -> None:
+    """Say what this computer lacks for a robot to run on it, with the remedy for each fault.
+
+    Nothing is altered, and no device is opened. Exit status 1 if something must be put right.
+    """
+    deployment: Deployment | None = None
+    of_file: list[Finding] = []
+    if file is not None:
+        deployment, of_file = loaded(file, overlay or (), set_ or ())
+        if deployment is not None:
+            connect, domain = endpoints(deployment)[0], deployment.domain
+    findings = [*_general(connect, domain), *of_file]
+    if file is not None and deployment is not None:
+        findings += devices(file, deployment)
+    if json:
+        print_json([asdict(finding) for finding in findings])
+    else:
+        _print(findings)
+    if any(finding.state == "fail" for finding in findings):
+        raise typer.Exit(1)
+
+
+def _general(endpoint: str, domain: int) -> Iterator[Finding]:
+    yield from software()
+    yield from computer()
+    yield from rules()
+    yield from serial_ports()
+    yield from cameras()
+    yield from bus(endpoint, domain)
+
+
+def _print(findings: Sequence[Finding]) -> None:
+    width = None if sys.stdout.isatty() else _UNFOLDED
+    console = Console(highlight=False, width=width)
+    table = Table(box=None, pad_edge=False, show_header=False)
+    for _ in range(3):
+        table.add_column(overflow="fold")
+    topic = ""
+    for finding in findings:
+        if finding.topic != topic:
+            topic = finding.topic
+            table.add_row("", Text(topic, style="bold"), "")
+        found = Text(finding.found)
+        if finding.remedy:
+            found.append(f"\n-> {finding.remedy}", style="cyan")
+        state = Text(finding.state, style=_COLOURS[finding.state])
+        table.add_row(state, Text(finding.subject), found)
+    with console.capture() as drawn:
+        console.print(table)
+    for text in drawn.get().splitlines():
+        line(text.rstrip())
+    faults = sum(finding.state == "fail" for finding in findings)
+    warnings = sum(finding.state == "warn" for finding in findings)
+    line(f"\n{_count(faults, 'fault')}, {_count(warnings, 'warning')}")
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number or 'no'} {what}{'' if number == 1 else 's'}"

@@ -1,0 +1,67 @@
+"""A deployment: whether it is right, and whether the devices that its drivers name are there."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from cairn.cli.doctor.access import access
+from cairn.cli.doctor.finding import Finding
+from cairn.deployment.load import load_deployment
+from cairn.deployment.model import Deployment, Member
+from cairn.deployment.plugins import load_plugin
+from cairn.deployment.problems import DeploymentError
+from cairn.driver.device_names import TCP, devices_named
+from cairn.errors import CairnError
+
+_LIMIT_S = 2.0
+
+
+def loaded(
+    file: Path, overlays: Sequence[Path], sets: Sequence[str]
+) -> tuple[Deployment | None, list[Finding]]:
+    """The deployment, None if it is not right, and what is found of it."""
+    topic = file.name
+    try:
+        deployment = load_deployment(file, overlays, sets)
+    except DeploymentError as error:
+        return None, [
+            Finding(topic, f"{problem.at}: {problem.path}", "fail", problem.found, problem.remedy)
+            for problem in error.problems
+        ]
+    count = len(list(deployment.members()))
+    return deployment, [Finding(topic, "deployment", "ok", f"{count} components, no problem")]
+
+
+def devices(file: Path, deployment: Deployment) -> Iterator[Finding]:
+    """Every device that a driver of the deployment names: is it there, may it be opened?"""
+    for member in deployment.members():
+        yield from _devices_of(f"devices of {file.name}", member)
+
+
+def _devices_of(topic: str, member: Member) -> Iterator[Finding]:
+    config = load_plugin(member.spec.plugin).config_class().model_validate(member.spec.parameters)
+    for device in devices_named(config):
+        what = f"{member.name}.{device.parameter}"
+        key = f"components.{member.name}.parameters.{device.parameter}"
+        try:
+            found = device.find()
+        except CairnError as error:
+            remedy = f"plug it in, or name another one: --set {key}=NAME"
+            yield Finding(topic, what, "fail", str(error), remedy)
+            continue
+        if found.startswith(TCP):
+            yield _on_network(topic, what, found.removeprefix(TCP))
+        else:
+            yield access(topic, Path(found), what)
+
+
+def _on_network(topic: str, what: str, address: str) -> Finding:
+    host, _, port = address.rpartition(":")
+    try:
+        socket.create_connection((host, int(port)), _LIMIT_S).close()
+    except (OSError, ValueError) as error:
+        remedy = f"try `ping {host}`: this computer needs an address of the same network"
+        return Finding(topic, address, "fail", f"{what}: does not answer ({error})", remedy)
+    return Finding(topic, address, "ok", f"{what}: answers")

@@ -1,0 +1,196 @@
+"""`cairn doctor` finds what is wrong with a computer, and says what to do about it."""
+
+import getpass
+import grp
+import os
+import platform
+import pty
+import socket
+import socketserver
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cairn.cli.doctor.cameras import cameras
+from cairn.cli.doctor.computer import computer
+from cairn.cli.doctor.finding import Finding
+from tests.cairn.cli.conftest import Command
+from tests.commands import Answer, cairn
+from tests.launching import free_port
+
+ROBOT = """
+    cairn: 1
+    bus: {{listen: "tcp/127.0.0.1:{port}"}}
+    external_topics: [cmd_vel]
+    components:
+      scanner: {{plugin: hokuyo_scanner, parameters: {{{device}}}}}
+    """
+
+
+def of(answer: Answer, subject: str) -> dict[str, Any]:
+    """What the doctor says of one thing."""
+    found = {row["subject"]: row for row in answer.json}
+    assert subject in found, f"nothing of {subject}; there are: {list(found)}"
+    row: dict[str, Any] = found[subject]
+    return row
+
+
+def examined(folder: Path, device: str) -> Answer:
+    """What the doctor says of a robot with this scanner."""
+    file = folder / "robot.yaml"
+    file.write_text(ROBOT.format(port=free_port(), device=device))
+    return cairn("doctor", str(file), "--json")
+
+
+@pytest.fixture
+def terminal() -> Iterator[str]:
+    """A device that can be opened."""
+    ours, theirs = pty.openpty()
+    yield os.ttyname(theirs)
+    os.close(ours)
+    os.close(theirs)
+
+
+def test_a_sound_computer_has_no_faults() -> None:
+    answer = cairn("doctor", connect=f"tcp/127.0.0.1:{free_port()}")
+
+    assert answer.code == 0, answer.out
+    assert "ok    Python" in answer.out
+    assert "free: no deployment runs" in answer.out
+    assert answer.out.splitlines()[-1].startswith("no faults, ")
+
+
+def test_a_running_robot_is_told_by_name(command: Command) -> None:
+    answer = command("doctor", "--json")
+
+    assert [row["found"] for row in answer.json if "robot rover runs" in row["found"]]
+    assert of(answer, "leftovers")["state"] == "ok"
+
+
+def test_another_programs_port_is_a_fault() -> None:
+    with socketserver.TCPServer(("127.0.0.1", 0), socketserver.BaseRequestHandler) as server:
+        threading.Thread(target=server.serve_forever).start()
+        endpoint = f"tcp/127.0.0.1:{server.server_address[1]}"
+        answer = cairn("doctor", "--json", connect=endpoint)
+        server.shutdown()
+
+    assert answer.code == 1
+    assert of(answer, endpoint)["state"] == "fail"
+    assert f"({os.getpid()}), which is no router" in of(answer, endpoint)["found"]
+    assert "--set bus.listen=" in of(answer, endpoint)["remedy"]
+
+
+def test_each_fault_of_a_deployment_is_told(tmp_path: Path) -> None:
+    answer = examined(tmp_path, "prt: /dev/ttyACM0")
+
+    assert answer.code == 1
+    [fault] = [row for row in answer.json if row["topic"] == "robot.yaml"]
+    assert fault["state"] == "fail"
+    assert "did you mean port" in fault["remedy"]
+
+
+def test_a_device_that_another_process_has_open_is_told(tmp_path: Path, terminal: str) -> None:
+    answer = examined(tmp_path, f"port: {terminal}")
+
+    assert of(answer, terminal)["state"] == "warn"
+    assert f"({os.getpid()})" in of(answer, terminal)["found"]
+
+
+def test_a_device_that_is_there_and_free_is_well(tmp_path: Path) -> None:
+    answer = examined(tmp_path, "port: /dev/full")
+
+    assert of(answer, "/dev/full")["state"] == "ok"
+    assert of(answer, "/dev/full")["found"] == "scanner.port"
+
+
+def test_a_device_that_is_missing_is_a_fault(tmp_path: Path) -> None:
+    missing = examined(tmp_path, "port: /dev/serial/by-id/none")
+    unplugged = examined(tmp_path, 'port: "usb:15d1:0000"')
+
+    assert missing.code == unplugged.code == 1
+    assert of(missing, "/dev/serial/by-id/none")["found"] == "scanner.port: is not there"
+    assert "no such device is plugged in" in of(unplugged, "scanner.port")["found"]
+    assert "--set components.scanner.parameters.port=" in of(unplugged, "scanner.port")["remedy"]
+
+
+def test_a_device_on_the_network_is_asked(tmp_path: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
+        there = examined(tmp_path, f"host: 127.0.0.1, tcp_port: {port}")
+    gone = examined(tmp_path, f"host: 127.0.0.1, tcp_port: {port}")
+
+    assert of(there, f"127.0.0.1:{port}")["found"] == "scanner.host: answers"
+    assert of(gone, f"127.0.0.1:{port}")["state"] == "fail"
+    assert "ping 127.0.0.1" in of(gone, f"127.0.0.1:{port}")["remedy"]
+
+
+def test_a_user_without_rights_is_told_the_group_to_join(
+    tmp_path: Path, terminal: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    dialout = grp.getgrnam("dialout").gr_gid
+    os.chmod(terminal, 0o660)
+    os.chown(terminal, 0, dialout)
+    # The tests may run as root, who may open everything.
+    monkeypatch.setattr(os, "access", lambda path, mode: str(path) != terminal)
+    monkeypatch.setattr(getpass, "getuser", lambda: "ada")
+
+    answer = examined(tmp_path, f"port: {terminal}")
+
+    assert of(answer, terminal)["found"] == "scanner.port: may not be opened"
+    assert of(answer, terminal)["remedy"].startswith("sudo usermod -aG dialout ada, then ")
+
+
+@pytest.mark.parametrize(
+    ("listed", "state", "remedy"),
+    [
+        ("kernel/drivers/usb/class/cdc-acm.ko: ", "warn", "linux-modules-extra"),
+        ("kernel/drivers/usb/class/cdc_acm.ko.xz: ", "ok", ""),
+    ],
+)
+def test_drivers_that_the_kernel_lacks_are_told(
+    tmp_path: Path, listed: str, state: str, remedy: str
+) -> None:
+    folder = tmp_path / "lib/modules" / platform.release()
+    folder.mkdir(parents=True)
+    (folder / "modules.dep").write_text(listed)
+
+    finding = found(computer(tmp_path), "driver cdc_acm")
+
+    assert finding.state == state
+    assert remedy in finding.remedy
+
+
+def test_a_processor_that_stays_slow_is_told(tmp_path: Path) -> None:
+    core = tmp_path / "sys/devices/system/cpu/cpu0/cpufreq"
+    core.mkdir(parents=True)
+    (core / "scaling_governor").write_text("powersave\n")
+    (core / "scaling_driver").write_text("acpi-cpufreq\n")
+
+    assert found(computer(tmp_path), "processor").state == "warn"
+
+
+def test_cameras_are_told_by_names_that_stay(tmp_path: Path) -> None:
+    for number in (0, 1):
+        interface = tmp_path / "sys/devices/usb1/1-2/1-2:1.0"
+        node = interface / f"video4linux/video{number}"
+        node.mkdir(parents=True)
+        (node / "name").write_text("Stereo Vision 1\n")
+        (node / "index").write_text(f"{number}\n")
+        (node / "device").symlink_to(interface)
+        (tmp_path / "sys/class/video4linux").mkdir(parents=True, exist_ok=True)
+        (tmp_path / f"sys/class/video4linux/video{number}").symlink_to(node)
+    for name, text in {"idVendor": "32e4", "idProduct": "9750", "serial": "7"}.items():
+        (tmp_path / "sys/devices/usb1/1-2" / name).write_text(f"{text}\n")
+
+    [finding] = cameras(tmp_path)
+
+    assert "Stereo Vision 1; stable names: usb:32e4:9750:7, port:1-2" in finding.found
+    assert finding.state == "fail"  # the node itself is not there
+
+
+def found(findings: Iterator[Finding], subject: str) -> Finding:
+    """The one of that subject."""
+    return next(finding for finding in findings if finding.subject == subject)
