@@ -1,15 +1,3 @@
-"""What all tests may use: deployments in real processes, and the `cairn` command."""
+"""What all tests may use: the project's own conformance kit, as users have it."""
 
-from collections.abc import Iterator
-from pathlib import Path
-
-import pytest
-
-from tests.launching import Launching, launching
-
-
-@pytest.fixture
-def launch(tmp_path: Path) -> Iterator[Launching]:
-    """Starts deployments; nothing of them is left after the test."""
-    with launching(tmp_path) as launch:
-        yield launch
+pytest_plugins = ["cairn.testing.plugin"]

@@ -2,10 +2,10 @@
 
 import pytest
 from cairn.component.parameters import ParameterRefused
+from cairn.testing.stage import Stage
 from schemas.geometry_msgs import Point, Pose, PoseWithCovariance
 from schemas.nav_msgs import Odometry
 
-from stage import Stage
 from turtle_robot.messages import BaseState
 from turtle_robot.wanderer import Wanderer
 

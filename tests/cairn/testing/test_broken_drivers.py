@@ -95,7 +95,7 @@ def test_each_is_found_by_the_tests_for_its_mistake(
 
 def failures_of(contracts: str, results: Path) -> dict[str, dict[str, str]]:
     """Run the tests of a file as a user does; messages of those that failed, by driver and test."""
-    words = ["-q", "-p", "no:cacheprovider", "-p", "no:xdist", "-p", "cairn.testing.plugin"]
+    words = ["-q", "-p", "no:cacheprovider", "-p", "no:xdist"]
     done = run(
         [sys.executable, "-m", "pytest", *words, f"--junitxml={results}", str(BROKEN / contracts)],
         cwd=ROOT,
