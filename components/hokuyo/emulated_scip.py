@@ -55,13 +55,15 @@ class EmulatedScip:
         seed: int = 0,
         rs232_baud: int | None = None,
         speaks_scip1: bool = False,
+        knows_scip2: bool = True,
         clock_start_ms: float = 0.0,
         drift_ppm: float = 0.0,
         serial_number: str = "H0614967",
         on_scan: Callable[[SentScan], None] | None = None,
     ) -> None:
         """`rs232_baud`: it is on its RS-232 line, with this speed after power-on [bit/s], rather
-        than on USB or Ethernet. `speaks_scip1`: so it does after power-on. `clock_start_ms`: what
+        than on USB or Ethernet. `speaks_scip1`: so it does after power-on, and
+        unless it `knows_scip2` ever after. `clock_start_ms`: what
         its clock shows at power-on; `drift_ppm`: by how much that goes too fast. `on_scan` is told
         of each scan as it is sent.
         """
@@ -76,6 +78,7 @@ class EmulatedScip:
         self._commands = Commands(self.sensor, serial_number)
         self._serial_number = serial_number
         self._starts_in_scip1 = speaks_scip1
+        self._knows_scip2 = knows_scip2
         self._on_scan = on_scan
         self._wanted: _Wanted | None = None
         self.switched_on(0.0)
@@ -208,7 +211,7 @@ class EmulatedScip:
     def _answer_scip1(self, line: bytes, text: str, now: float) -> bytes:
         lines: list[bytes] = []
         status = scip1.OK
-        if text == scip1.SWITCH:
+        if text == scip1.SWITCH and self._knows_scip2:
             self._scip1 = False
         elif text == "V":
             lines = scip1.version(facts.version(self.model, self._serial_number))

@@ -30,6 +30,7 @@ class Scip1:
         self._dialogue = dialogue
         self._name = dialogue.link.name
         self._request: ScanRequest | None = None
+        self._next_turn = 0.0
         self.measuring = URG_04LX
 
     def version(self) -> Mapping[str, str]:
@@ -44,12 +45,20 @@ class Scip1:
         self._request = request
 
     def arrivals(self, limit_s: float) -> list[Arrival]:
-        """The next scan's reply, waiting for it as long as for any answer."""
+        """The next scan's reply, waiting for it as long as for any answer.
+
+        A sensor that is asked more often than it turns tells the same scan again: until a turn is
+        over it is not asked, and nothing comes within `limit_s` [s].
+        """
         if self._request is None:
             return []
+        now = time.monotonic()
+        if now < self._next_turn:
+            return self._dialogue.arrivals(min(limit_s, self._next_turn - now))
+        self._next_turn = max(self._next_turn + self.measuring.turn_s, now)
         command = gather(self._request)
         self._dialogue.send(command)
-        reply = self._dialogue.find(command, max(limit_s))
+        reply = self._dialogue.find(command)
         return [] if reply is None else [Arrival(reply, time.monotonic_ns())]
 
     def stop(self) -> None:

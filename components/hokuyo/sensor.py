@@ -52,7 +52,7 @@ class Sensor:
         """
         wanted = request_of(config, self.measuring)
         if isinstance(self.protocol, Scip1):
-            plain = replace(wanted, intensity=False, multi_echo=False, skip=0, encoding=3)
+            plain = replace(wanted, intensity=False, multi_echo=False, skip=0, encoding=2)
             self.protocol.start(plain)
             return plain
         for request in _lesser(wanted):
