@@ -32,6 +32,8 @@ from schemas.nav_msgs import Odometry
 from schemas.sensor_msgs import BatteryState
 from schemas.tf2_msgs import TFMessage
 
+_PAUSE_S = 0.5  # between steps: the line was gone
+
 
 class RoboclawBase(Component):
     """Drives a differential base by a RoboClaw motor controller; tells what its encoders count.
@@ -134,6 +136,8 @@ class RoboclawBase(Component):
         )
 
     def _moved(self, step: Step) -> None:
+        if step.seconds > _PAUSE_S:
+            self._rate.restart()  # the pause is told of already
         self._rate.note(step.at)
         self._odometry.add(step.way, step.turned)
         message = odometry_message(self._odometry, step, self.config.odometry_errors())

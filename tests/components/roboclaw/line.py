@@ -10,6 +10,7 @@ class Line:
     """A `Link` to it. Time passes when nobody answers, and by `pass_time`."""
 
     name = "line"
+    paced = False
 
     def __init__(self, device: EmulatedRoboclaw, faults: FrameFaults | None = None) -> None:
         self._device = device

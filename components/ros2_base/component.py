@@ -1,0 +1,170 @@
+"""The driver of a base that speaks ROS 2 over the bus."""
+
+from __future__ import annotations
+
+from cairn.bus.qos import RELIABLE, SENSOR
+from cairn.clock import SECOND, to_ns
+from cairn.component.complaints import Complaints
+from cairn.component.component import Component
+from cairn.component.handlers import every, on
+from cairn.component.parameters import Config, ParameterRefused
+from cairn.component.ports import In, Out
+from cairn.driver.diagnostics import ERROR, OK, WARN, diagnostics
+from cairn.driver.rate import RateWindow
+from components.ros2_base.commanding import REST, Commanding
+from components.ros2_base.config import Ros2BaseConfig
+from components.ros2_base.messages import odometry, stamped_twist, transform, twist
+from components.ros2_base.odometry_checks import Continuity, Expected, refusal
+from schemas.diagnostic_msgs import DiagnosticArray
+from schemas.geometry_msgs import Twist, TwistStamped
+from schemas.nav_msgs import Odometry
+from schemas.tf2_msgs import TFMessage
+
+_FUTURE_S = 0.1  # by so much clocks of two computers may differ
+_FASTER = 2.0  # than commanded: the base may be slow to slow down, or be pushed
+_SLOW = 0.8  # of the nominal rate: slower is told
+
+
+class Ros2Base(Component):
+    """Hands commands to a base that speaks ROS 2, and its odometry to the robot, checked.
+
+    The deployment names the base's topics: `topics: {base_cmd_vel: /cmd_vel, base_odom: /odom}`.
+    While its odometry does not come, the base is not driven.
+    """
+
+    config: Ros2BaseConfig
+
+    cmd_vel: In[Twist] = In(qos=SENSOR)
+    base_odom: In[Odometry] = In(qos=SENSOR.with_depth(50))
+    base_cmd_vel: Out[Twist]
+    base_cmd_vel_stamped: Out[TwistStamped]
+    odom: Out[Odometry] = Out(qos=RELIABLE.with_depth(1000))
+    tf: Out[TFMessage]
+    diagnostics: Out[DiagnosticArray]
+
+    def on_configure(self) -> None:
+        """Know nothing of the base yet."""
+        config = self.config
+        self._expected = Expected(
+            config.odom_frame, config.base_frame, _FASTER * config.speed, _FASTER * config.turn
+        )
+        self._continuity = Continuity(self._expected)
+        self._complaints = Complaints(self.log)
+
+    def on_activate(self) -> None:
+        """Have the base rest, whatever it was told before."""
+        config = self.config
+        self._commanding = Commanding(
+            config.speed, config.turn, config.command_timeout_s, config.rest_s
+        )
+        self._rate = RateWindow()
+        self._heard: int | None = None
+        self._stamped: int | None = None
+        self._refused = 0
+
+    def on_deactivate(self) -> None:
+        """Have the base rest."""
+        self._send(*REST)
+
+    def on_parameters(self, new: Config) -> None:  # noqa: ARG002 - none can be changed
+        """A base stays the one that it is."""
+        raise ParameterRefused("the base takes its parameters when it is configured")
+
+    @on("cmd_vel")
+    def obey(self, command: Twist) -> None:
+        """Hand a command on at once."""
+        self._commanding.give(self._seconds(), command.linear.x, command.angular.z)
+        self.repeat()
+
+    @every(hz=20)
+    def repeat(self) -> None:
+        """Say it again while it is fresh: the base's own time limit asks for that."""
+        due = self._commanding.due(self._seconds(), usable=self._usable())
+        if due is not None:
+            self._send(*due)
+
+    @on("base_odom")
+    def tell(self, message: Odometry) -> None:
+        """Send the base's odometry on, if it can be relied on."""
+        now = self.clock.now()
+        stamp = now if self.config.stamp_on_arrival else to_ns(message.header.stamp)
+        why = refusal(message, self._expected) or self._untimely(now, stamp)
+        if why is not None:
+            self._refused += 1
+            self._complaints.tell("odometry", why)
+            return
+        self._complaints.over("odometry", "the base's odometry can be used again")
+        if not self._usable():
+            self._rate.restart()  # the pause is told of already
+        self._heard, self._stamped = now, stamp
+        self._rate.note(now / SECOND)
+        jumps = self._continuity.jumps
+        pose = self._continuity.pose(stamp / SECOND, message)
+        if self._continuity.jumps > jumps:
+            self.log.warning(
+                "the base's odometry has jumped, as if the base was started anew; "
+                "it is led on from where it was"
+            )
+        sent = odometry(message, stamp, pose, moved=self._continuity.moved)
+        self.odom.publish(sent)
+        if self.config.send_tf:
+            self.tf.publish(TFMessage(transforms=(transform(sent, pose),)))
+
+    @every(hz=1)
+    def report(self) -> None:
+        """Tell how the base's odometry comes."""
+        now = self.clock.now()
+        if self._usable():
+            self._complaints.over("silence", "the base tells its odometry again")
+        else:
+            self._complaints.tell("silence", self._silence())
+        hz = self._rate.hz(now / SECOND)
+        level, text = self._judged(hz)
+        values = {
+            "odometry rate [Hz]": hz,
+            "nominal rate [Hz]": self.config.odom_rate,
+            "odometry refused": self._refused,
+            "jumps": self._continuity.jumps,
+        }
+        self.diagnostics.publish(
+            diagnostics(now, self.name, self.base_odom.topic, level, text, values)
+        )
+
+    def _judged(self, hz: float) -> tuple[int, str]:
+        if not self._usable():
+            return ERROR, self._silence()
+        if hz < _SLOW * self.config.odom_rate:
+            return WARN, (
+                f"the base's odometry comes at {hz:.1f} Hz instead of {self.config.odom_rate:g} Hz"
+            )
+        return OK, "drives"
+
+    def _silence(self) -> str:
+        return (
+            f"no usable odometry comes on {self.base_odom.topic}, so the base is not driven; does "
+            "the base run, is its ROS_DOMAIN_ID that of the deployment, and is its router this one?"
+        )
+
+    def _usable(self) -> bool:
+        limit = self.config.odom_timeout_s * SECOND
+        return self._heard is not None and self.clock.now() - self._heard <= limit
+
+    def _untimely(self, now: int, stamp: int) -> str | None:
+        if self._stamped is not None and stamp <= self._stamped and now >= self._stamped:
+            return "odometry of the base has come twice, or out of order"
+        age = (now - stamp) / SECOND
+        if -_FUTURE_S <= age <= self.config.odom_age_s:
+            return None
+        return (
+            f"the base's odometry is {age:.2f} s old when it comes; set both computers' clocks by "
+            "one source (chrony), or set stamp_on_arrival"
+        )
+
+    def _send(self, forward: float, turn: float) -> None:
+        if self.config.stamped:
+            self.base_cmd_vel_stamped.publish(stamped_twist(self.clock.now(), forward, turn))
+        else:
+            self.base_cmd_vel.publish(twist(forward, turn))
+
+    def _seconds(self) -> float:
+        return self.clock.now() / SECOND

@@ -1,0 +1,235 @@
+"""The driver of a base that speaks ROS 2, on virtual time: what it sends on, and when not."""
+
+import math
+from typing import Any
+
+import pytest
+
+from cairn.clock import SECOND, from_ns, to_ns
+from cairn.component.lifecycle import Transition
+from cairn.testing.stage import Stage
+from components.ros2_base.component import Ros2Base
+from planar.messages import planar_pose, pose_message
+from schemas.geometry_msgs import (
+    Pose,
+    PoseWithCovariance,
+    Quaternion,
+    Twist,
+    TwistStamped,
+    TwistWithCovariance,
+    Vector3,
+)
+from schemas.nav_msgs import Odometry
+from schemas.std_msgs import Header
+
+AHEAD = Twist(linear=Vector3(x=0.3), angular=Vector3(z=0.2))
+REST = Twist()
+
+
+class Base(Stage):
+    """The driver, and a base that tells odometry 20 times a second while it is `well`."""
+
+    def __init__(self, **parameters: Any) -> None:
+        super().__init__(Ros2Base, **parameters)
+        self.x = 0.0
+
+    def now(self) -> int:
+        return self.executor.now()
+
+    def odometry(
+        self, x: float, age_s: float = 0.0, frame: str = "odom", child: str = "base_link"
+    ) -> Odometry:
+        stamp = from_ns(self.now() - round(age_s * SECOND))
+        return Odometry(
+            header=Header(stamp=stamp, frame_id=frame),
+            child_frame_id=child,
+            pose=PoseWithCovariance(pose=pose_message((x, 0.0, 0.1))),
+            twist=TwistWithCovariance(twist=AHEAD),
+        )
+
+    def run(self, seconds: float, command: Twist | None = None, *, well: bool = True) -> None:
+        """Let time pass, with odometry, and a command ten times a second."""
+        for step in range(round(seconds * 20)):
+            if well:
+                self.give("base_odom", self.odometry(self.x))
+            if command is not None and step % 2 == 0:
+                self.give("cmd_vel", command)
+            self.wait(0.05)
+
+    def levels(self) -> list[int]:
+        return [one.status[0].level for one in self.taken("diagnostics")]
+
+
+def started(**parameters: Any) -> Base:
+    """One whose base works, and which has been silent for a while."""
+    base = Base(**parameters)
+    base.wait(10.0)  # the virtual clock begins at 0, where ages would be beyond it
+    base.run(2.0)
+    for port in ("base_cmd_vel", "base_cmd_vel_stamped", "odom", "tf", "diagnostics"):
+        base.taken(port)
+    return base
+
+
+def test_a_command_is_sent_on_at_once_and_said_again() -> None:
+    base = started()
+
+    base.give("cmd_vel", AHEAD)
+    assert base.taken("base_cmd_vel") == [AHEAD]
+
+    base.wait(0.26)
+    assert base.taken("base_cmd_vel") == 5 * [AHEAD]
+    assert base.taken("base_cmd_vel_stamped") == []
+
+
+def test_stale_it_becomes_rest_and_then_silence() -> None:
+    base = started()
+    base.run(1.0, AHEAD)
+    base.taken("base_cmd_vel")
+
+    base.run(1.0)
+    sent = base.taken("base_cmd_vel")
+    assert sent[-1] == REST
+    assert sent.count(REST) >= 10
+    assert set(map(repr, sent)) <= {repr(AHEAD), repr(REST)}
+
+    base.run(1.0)
+    base.taken("base_cmd_vel")
+    base.run(2.0)
+    assert base.taken("base_cmd_vel") == []  # a joystick may have the base
+
+
+def test_at_first_it_tells_the_base_to_rest() -> None:
+    base = Base()
+    base.wait(0.5)
+
+    assert set(map(repr, base.taken("base_cmd_vel"))) == {repr(REST)}
+
+
+def test_deactivated_it_tells_the_base_to_rest() -> None:
+    base = started()
+    base.give("cmd_vel", AHEAD)
+    base.taken("base_cmd_vel")
+
+    base.runtime.transition(Transition.DEACTIVATE)
+
+    assert base.taken("base_cmd_vel") == [REST]
+
+
+def test_without_odometry_the_base_is_not_driven() -> None:
+    base = started()
+    base.run(1.0, AHEAD)
+    assert base.taken("base_cmd_vel")[-1] == AHEAD
+
+    base.run(1.0, AHEAD, well=False)
+    assert base.taken("base_cmd_vel")[-1] == REST
+    base.run(1.1, AHEAD, well=False)
+    assert set(map(repr, base.taken("base_cmd_vel"))) == {repr(REST)}
+    assert base.levels()[-1] == 2
+
+    base.run(1.1, AHEAD)
+    assert base.taken("base_cmd_vel")[-1] == AHEAD
+    assert base.levels()[-1] == 0
+
+
+def test_a_command_beyond_the_limits_keeps_its_curve() -> None:
+    base = started(speed=0.5, turn=1.0)
+
+    base.give("cmd_vel", Twist(linear=Vector3(x=-5.0), angular=Vector3(z=2.0)))
+
+    (sent,) = base.taken("base_cmd_vel")
+    assert sent.linear.x == pytest.approx(-0.5)
+    assert sent.angular.z == pytest.approx(0.2)
+
+
+def test_a_controller_since_jazzy_is_sent_stamped_commands() -> None:
+    base = started(stamped=True)
+
+    base.give("cmd_vel", AHEAD)
+
+    (sent,) = base.taken("base_cmd_vel_stamped")
+    assert isinstance(sent, TwistStamped)
+    assert sent.twist == AHEAD
+    assert to_ns(sent.header.stamp) == base.now()
+    assert base.taken("base_cmd_vel") == []
+
+
+def test_odometry_is_sent_on_as_it_is_with_its_transform() -> None:
+    base = started(odom_frame="bot/odom", base_frame="bot/base_footprint")
+    given = base.odometry(1.5, frame="bot/odom", child="bot/base_footprint")
+
+    base.give("base_odom", given)
+
+    (odom,) = base.taken("odom")
+    assert (odom.header.frame_id, odom.child_frame_id) == ("odom", "base_link")
+    assert odom.header.stamp == given.header.stamp
+    assert odom.pose.pose == given.pose.pose
+    assert odom.twist == given.twist
+    (tf,) = base.taken("tf")
+    assert tf.transforms[0].transform.translation.x == 1.5
+    assert tf.transforms[0].child_frame_id == "base_link"
+
+
+def test_a_base_that_sends_its_own_transform_is_left_to_it() -> None:
+    base = started(send_tf=False)
+    base.run(0.5)
+
+    assert base.taken("odom")
+    assert base.taken("tf") == []
+
+
+def test_where_odometry_jumps_it_is_led_on() -> None:
+    base = started()
+    base.x = 3.0
+    base.run(0.2)  # from 0 to 3 m at once: the first jump
+    base.x = 0.0
+    base.run(0.2)
+    base.x = 0.02
+    base.run(0.2)
+
+    xs = [planar_pose(odom.pose.pose)[0] for odom in base.taken("odom")]
+    assert max(xs) - min(xs) < 0.05
+    assert xs[-1] - xs[0] == pytest.approx(0.02 * math.cos(0.0), abs=0.001)
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        lambda base: base.odometry(0.0, age_s=0.8),
+        lambda base: base.odometry(0.0, age_s=-0.5),
+        lambda base: base.odometry(0.0, frame="map"),
+        lambda base: base.odometry(0.0, child="camera"),
+        lambda base: Odometry(
+            header=Header(stamp=from_ns(base.now()), frame_id="odom"),
+            child_frame_id="base_link",
+            pose=PoseWithCovariance(pose=Pose(orientation=Quaternion(w=0.0))),
+        ),
+    ],
+    ids=["old", "of the future", "of another frame", "of another child", "without orientation"],
+)
+def test_odometry_that_cannot_be_relied_on_is_not_sent_on(message: Any) -> None:
+    base = started()
+
+    base.give("base_odom", message(base))
+
+    assert base.taken("odom") == []
+    base.wait(1.1)
+    assert base.taken("diagnostics")[-1].status[0].values[2].value == "1"
+
+
+def test_odometry_that_comes_twice_is_sent_on_once() -> None:
+    base = started()
+    message = base.odometry(0.0)
+
+    base.give("base_odom", message)
+    base.give("base_odom", message)
+
+    assert len(base.taken("odom")) == 1
+
+
+def test_a_base_whose_clock_is_not_set_is_stamped_on_arrival() -> None:
+    base = started(stamp_on_arrival=True)
+
+    base.give("base_odom", base.odometry(0.0, age_s=9.0))
+
+    (odom,) = base.taken("odom")
+    assert to_ns(odom.header.stamp) == base.now()
