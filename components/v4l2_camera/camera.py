@@ -215,13 +215,15 @@ class Camera:
     def _take(self, captures: list[Capture], sequence: Sequence) -> None:
         arrived, offset = time.monotonic_ns(), system_offset()
         counts = self.counts
+        newest: Capture | None = None
         for capture in captures:
             counts.lost += sequence.lost_before(capture.sequence)
             if capture.is_damaged:
                 counts.marked += 1
             elif capture.data is None:
                 counts.skipped += 1
-        newest = next((one for one in reversed(captures) if one.data is not None), None)
+            else:
+                newest = capture
         grey = None if newest is None else self._developed(newest.data or b"")
         if newest is None or grey is None:
             return

@@ -60,7 +60,7 @@ class PairReport:
         unpaired = sum(pairing.unpaired) - self._unpaired
         self._pairs, self._unpaired = pairing.pairs, sum(pairing.unpaired)
         apart_ms = 1e-6 * pairing.apart
-        level, message = OK, f"right {apart_ms:+.3g} ms after left"
+        level, message = OK, f"right {apart_ms:+.2f} ms after left"
         if not pairs:
             level, message = ERROR, "no pairs"
         elif unpaired:

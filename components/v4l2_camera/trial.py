@@ -63,8 +63,8 @@ class Apart:
         mean = sum(self.apart) / len(self.apart)
         return [
             f"{self.pairs} pairs, {self.unpaired} pictures without their other; right "
-            f"{1e3 * mean:+.3g} ms after left, from {1e3 * min(self.apart):+.3g} to "
-            f"{1e3 * max(self.apart):+.3g}"
+            f"{1e3 * mean:+.2f} ms after left, from {1e3 * min(self.apart):+.2f} to "
+            f"{1e3 * max(self.apart):+.2f}"
         ]
 
 

@@ -10,7 +10,8 @@ import pytest
 from cairn.clock import to_ns
 from cairn.component.parameters import ParameterRefused
 from cairn.errors import CairnError
-from tests.hardware.guest.camera import LEFT, RIGHT, Driver, load_cameras, unload, value_of
+from tests.components.v4l2_camera.driving import Driver
+from tests.hardware.guest.camera import LEFT, RIGHT, load_cameras, unload, value_of
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -8,10 +8,10 @@ from collections.abc import Iterator
 import pytest
 
 from cairn.driver.diagnostics import ERROR
+from tests.components.v4l2_camera.driving import Driver
 from tests.hardware.guest.camera import (
     LEFT,
     RIGHT,
-    Driver,
     Knobs,
     disconnected,
     load_cameras,

@@ -10,7 +10,8 @@ import pytest
 import simplejpeg
 from numpy.typing import NDArray
 
-from tests.hardware.guest.camera import Driver, Loopback, load, unload
+from tests.components.v4l2_camera.driving import Driver
+from tests.hardware.guest.camera import Loopback, load, unload
 
 NAME = "cairn-test"
 WIDTH, HEIGHT = 640, 480
