@@ -9,8 +9,10 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from concurrent.futures import Future, wait
+from contextlib import suppress
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
@@ -18,8 +20,11 @@ from cairn.driver.emulated_lines import LineEnd
 from cairn.driver.faults import FrameFault, FrameFaults
 from cairn.errors import CairnError
 
+T = TypeVar("T")
+
 _BUFFER = 65_536  # bytes of answers that are kept for a host that does not read; more are lost
 _STOP_LIMIT_S = 5.0
+_LOOK_S = 0.1  # how often one who waits for an order looks whether the device still works
 _BITS_PER_BYTE = 10  # start, eight of data, stop
 _PORTIONS = _BITS_PER_BYTE * 100  # a line that keeps its pace is given what it sends in 10 ms
 
@@ -98,7 +103,7 @@ class Emulation:
         self._hanging_until = -math.inf
         self._plugged = False
         self._returns_at = math.inf
-        self._orders: deque[tuple[Callable[[], None], threading.Event]] = deque()
+        self._orders: deque[tuple[Callable[[], object], Future[Any]]] = deque()
         self._bell, self._ring = os.pipe()
         self._running = True
         self.bytes_heard = 0
@@ -116,7 +121,7 @@ class Emulation:
 
     def __exit__(self, *_: object) -> None:
         """Unplug it, and end its thread; raises what has failed in the device meanwhile."""
-        if self._thread.is_alive() and self._failure is None:
+        with suppress(CairnError):  # what has failed is raised below
             self._do(self._end_all)
         self._thread.join(_STOP_LIMIT_S)
         self._end.unplug()
@@ -166,9 +171,12 @@ class Emulation:
         """Plug it in again: it begins as after power-on."""
         self._do(self._plug_in)
 
-    def ask(self, question: Callable[[], None]) -> None:
-        """Have something done between the device's own steps, on its thread."""
-        self._do(question)
+    def ask(self, question: Callable[[], T]) -> T:
+        """Have something done between the device's own steps, on its thread: what it returns.
+
+        It may raise `CairnError`, which is raised here.
+        """
+        return self._do(question)
 
     @property
     def plugged_in(self) -> bool:
@@ -191,21 +199,22 @@ class Emulation:
     def _end_all(self) -> None:
         self._running = False
 
-    def _do(self, order: Callable[[], None]) -> None:
-        done = threading.Event()
+    def _do(self, order: Callable[[], T]) -> T:
+        done: Future[T] = Future()
         self._orders.append((order, done))
         os.write(self._ring, b"!")
-        if not done.wait(_STOP_LIMIT_S) or self._failure is not None:
-            raise CairnError("the emulated device has failed") from self._failure
+        deadline = time.monotonic() + _STOP_LIMIT_S
+        while not wait([done], _LOOK_S).done:
+            if not self._thread.is_alive() or time.monotonic() > deadline:
+                raise CairnError("the emulated device has failed") from self._failure
+        return done.result()
 
     def _run(self) -> None:
         try:
             while self._running:
                 self._turn()
-        except BaseException as failure:  # told by the next order, or at the end
+        except BaseException as failure:  # told by `check`, or at the end
             self._failure = failure
-        while self._orders:
-            self._orders.popleft()[1].set()
 
     def _turn(self) -> None:
         self._wait()
@@ -241,17 +250,17 @@ class Emulation:
             next_at = math.inf
             writable = self._end.writable()
             sending = [] if writable is None else [writable]
-        wait = max(0.0, next_at - now) if math.isfinite(next_at) else None
-        select.select([self._bell, *self._end.readable()], sending, [], wait)
+        limit = max(0.0, next_at - now) if math.isfinite(next_at) else None
+        select.select([self._bell, *self._end.readable()], sending, [], limit)
 
     def _follow_orders(self) -> None:
         while self._orders:
             os.read(self._bell, 1)
             order, done = self._orders.popleft()
             try:
-                order()
-            finally:
-                done.set()
+                done.set_result(order())
+            except CairnError as error:
+                done.set_exception(error)
 
     def _listen(self) -> None:
         now = time.monotonic()

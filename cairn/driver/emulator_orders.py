@@ -48,25 +48,11 @@ class Orders:
             if name in self._common:
                 return self._common[name].run(words)
             if name in self._own:
-                return self._on_its_thread(self._own[name], words)
+                own = self._own[name]
+                return self._emulation.ask(lambda: own.run(words))
         except CairnError as error:
             return f"not done: {error}"
         return f"not done: there is no order {name}; help lists all"
-
-    def _on_its_thread(self, order: Order, words: list[str]) -> str:
-        told: list[str] = []
-        refused: list[CairnError] = []
-
-        def run() -> None:
-            try:
-                told.append(order.run(words))
-            except CairnError as error:
-                refused.append(error)
-
-        self._emulation.ask(run)
-        if refused:
-            raise refused[0]
-        return told[0]
 
     def _help(self) -> str:
         rows = [

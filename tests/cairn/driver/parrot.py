@@ -1,0 +1,84 @@
+"""A device for trying lines with: it repeats each line that it hears, and counts if told to."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass, field
+
+from cairn.driver.link import Link
+
+LIMIT_S = 5.0
+
+
+@dataclass
+class Parrot:
+    """Repeats lines. `count` has it send a number every `period_s`; `speak N` changes its speed."""
+
+    period_s: float = 0.01
+    speed: int | None = None
+    counting: bool = False
+    number: int = 0
+    next_at: float = math.inf
+    power_ons: int = 0
+    hang_ups: int = 0
+    heard: list[bytes] = field(default_factory=list)
+    _held: bytes = b""
+
+    def switched_on(self, now: float) -> None:
+        self.power_ons += 1
+        self.counting, self.next_at, self._held = False, math.inf, b""
+
+    def hung_up(self, now: float) -> None:
+        self.hang_ups += 1
+
+    def baud(self) -> int | None:
+        return self.speed
+
+    def due(self) -> float:
+        return self.next_at
+
+    def tick(self, now: float) -> list[bytes]:
+        if now < self.next_at:
+            return []
+        self.next_at = now + self.period_s
+        self.number += 1
+        return [b"%d\n" % self.number]
+
+    def receive(self, data: bytes, now: float) -> list[bytes]:
+        *lines, self._held = (self._held + data).split(b"\n")
+        for line in lines:
+            self.heard.append(line)
+            if line == b"count":
+                self.next_at = now
+            elif line.startswith(b"speak "):
+                self.speed = int(line[6:])
+            elif line == b"fail":
+                raise RuntimeError("the parrot is dead")
+        return [line + b"\n" for line in lines]
+
+
+def read_until(link: Link, part: bytes) -> bytes:
+    """What comes, until this is in it."""
+    deadline = time.monotonic() + LIMIT_S
+    data = b""
+    while part not in data:
+        data += link.read(max(0.0, deadline - time.monotonic()))
+        assert time.monotonic() < deadline, f"{part!r} has not come, but {data[-200:]!r}"
+    return data
+
+
+def read_count(link: Link, count: int) -> bytes:
+    """So many bytes, or more."""
+    deadline = time.monotonic() + LIMIT_S
+    data = b""
+    while len(data) < count:
+        data += link.read(max(0.0, deadline - time.monotonic()))
+        assert time.monotonic() < deadline, f"only {data[-200:]!r} has come"
+    return data
+
+
+def asked(link: Link, line: bytes) -> bytes:
+    """What comes for a line, with the answer in it."""
+    link.write(line + b"\n")
+    return read_until(link, line + b"\n")
