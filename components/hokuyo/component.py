@@ -28,7 +28,6 @@ from schemas.sensor_msgs import LaserScan, MultiEchoLaserScan
 from schemas.std_msgs import Header
 from schemas.tf2_msgs import TFMessage
 
-
 _MOST_WAITING = 5
 
 
@@ -53,7 +52,7 @@ class HokuyoScanner(Component):
         self._health = health.Health()
         self._trouble = ""
         self._waiting: deque[Measured] = deque(maxlen=_MOST_WAITING)
-        self._measurement = Measurement(self.config, self._came, self.log)
+        self._measurement = Measurement(self.config, self._came)
         sensor = self._measurement.connect()
         try:
             request_of(self.config, sensor.measuring)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import threading
 import time
 from collections.abc import Callable
@@ -37,9 +36,7 @@ class Measurement:
     `converse` is for a `DeviceThread`. Other threads may read the attributes, and set `config`.
     """
 
-    def __init__(
-        self, config: HokuyoConfig, on_scan: Callable[[Measured], None], log: logging.Logger
-    ) -> None:
+    def __init__(self, config: HokuyoConfig, on_scan: Callable[[Measured], None]) -> None:
         self.config = config
         self.stream = ScanStream()
         self.sensor: Sensor | None = None
@@ -48,9 +45,7 @@ class Measurement:
         """How often a silent sensor was told to begin anew."""
         self.connections = 0
         self._on_scan = on_scan
-        self._log = log
         self._known_speed: int | None = None
-        self._serial_number = ""
 
     def connect(self) -> Sensor:
         """Connect the sensor; raises `DeviceError`."""
@@ -60,15 +55,6 @@ class Measurement:
         sensor = connect(self.config, speeds)
         self._known_speed = sensor.baud
         self.connections += 1
-        if self._serial_number and sensor.serial_number != self._serial_number:
-            self._log.warning(
-                "%s: another sensor is connected now: %s %s in place of %s",
-                sensor.link.name,
-                sensor.measuring.model,
-                sensor.serial_number,
-                self._serial_number,
-            )
-        self._serial_number = sensor.serial_number
         self.sensor = sensor
         return sensor
 
@@ -143,7 +129,8 @@ class Measurement:
                 good = heard
                 if not came:
                     came = True
-                    well(f"{sensor.link.name}: the {sensor.measuring.model} measures again")
+                    which = f"{sensor.measuring.model} {sensor.serial_number}".rstrip()
+                    well(f"{sensor.link.name}: {which} measures again")
                 first = sensor.stamping.first_ray(data.time_ms, arrival.at, request, line_s)
                 self._on_scan(Measured(data, request, sensor, first))
             now = time.monotonic()
