@@ -18,6 +18,8 @@ BENCHMARKS = (
     "world",
     "recognition",
     "camera",
+    "v4l2_camera",
+    "hokuyo",
     "navigation",
     "vision",
 )

@@ -1,0 +1,112 @@
+"""What a pair of a V4L2 stereo camera costs its driver, from the kernel's bytes to the bus."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Mapping
+
+import cv2
+import numpy as np
+import simplejpeg
+
+from benchmarks.result import Figure
+from benchmarks.running import results, run_deployment
+from cairn.bus.qos import SENSOR
+from cairn.component.component import Component
+from cairn.component.handlers import every, on
+from cairn.component.ports import In
+from components.v4l2_camera.component import V4l2StereoCamera
+from components.v4l2_camera.pixels import PictureLayout
+from schemas.sensor_msgs import CameraInfo, Image
+
+_HERE = "benchmarks.v4l2_camera"
+_WIDTH, _HEIGHT = 640, 480
+_PAIRS = 200
+_LIMIT_MS = 5.0
+
+
+class FedCamera(V4l2StereoCamera):
+    """The driver, but for the kernel: buffers are in its memory, and come by a timer."""
+
+    def on_configure(self) -> None:
+        """Make the buffers."""
+        self._layout = PictureLayout(_WIDTH, _HEIGHT, self.config.format)
+        self._buffers = [_buffer(self.config.format, seed) for seed in (0, 1)]
+        self._infos = [CameraInfo(width=_WIDTH, height=_HEIGHT)] * 2
+        self._times: list[tuple[float, float]] = []
+
+    def on_activate(self) -> None:
+        """There is nothing to begin."""
+
+    def on_cleanup(self) -> None:
+        """There is nothing to let go of."""
+
+    def tell(self) -> None:
+        """There is nothing to tell."""
+
+    @every(hz=50)
+    def take(self) -> None:
+        """Convert and publish a pair."""
+        began = time.thread_time(), time.perf_counter()
+        left, right = (self._layout.grey(buffer) for buffer in self._buffers)
+        self._publish(self.clock.now(), (left, right))
+        self._times.append((time.thread_time() - began[0], time.perf_counter() - began[1]))
+        if len(self._times) == _PAIRS:
+            processor_s, passed_s = np.median(self._times, axis=0).tolist()
+            told = {"processor": processor_s, "passed": passed_s}
+            self.log.info("RESULT %s", json.dumps(told))
+            self.finish("measured")
+
+
+class Reader(Component):
+    """Reads all of it, in another process: what nobody reads is not even encoded."""
+
+    left_image: In[Image] = In(qos=SENSOR.with_depth(2))
+    right_image: In[Image] = In(qos=SENSOR.with_depth(2))
+    left_info: In[CameraInfo] = In(qos=SENSOR.with_depth(2))
+    right_info: In[CameraInfo] = In(qos=SENSOR.with_depth(2))
+
+    @on("right_image")
+    def read(self, _: Image) -> None:
+        """Take it, as the others."""
+
+
+def measure() -> list[Figure]:
+    """All figures."""
+    return [_figure(name) for name in ("GREY", "YUYV", "MJPG")]
+
+
+def _figure(pixel_format: str) -> Figure:
+    camera: Mapping[str, object] = {
+        "plugin": f"{_HERE}:FedCamera",
+        "parameters": {"device": "/dev/null", "format": pixel_format},
+        "restart": "transient",
+        "significant": True,
+    }
+    output = run_deployment({"reader": {"plugin": f"{_HERE}:Reader"}, "camera": camera}, 60)
+    [told] = results(output)
+    return Figure(
+        f"pair of {_WIDTH} x {_HEIGHT}, {pixel_format}: converted and published",
+        1e3 * told["processor"],
+        "ms",
+        at_most=_LIMIT_MS,
+        note=f"of one core; {1e3 * told['passed']:.2f} ms passed",
+    )
+
+
+def _buffer(pixel_format: str, seed: int) -> bytes:
+    """A picture with edges and noise, as a camera's buffer."""
+    random = np.random.default_rng(seed)
+    coarse = random.integers(0, 256, (_HEIGHT // 16, _WIDTH // 16), np.uint8)
+    large = cv2.resize(coarse, (_WIDTH, _HEIGHT), interpolation=cv2.INTER_LINEAR)
+    noise = random.integers(-6, 7, large.shape)
+    grey = np.clip(large + noise, 0, 255).astype(np.uint8)
+    if pixel_format == "GREY":
+        return bytes(grey)
+    if pixel_format == "YUYV":
+        return bytes(np.dstack((grey, np.full_like(grey, 128))))
+    colours = np.dstack((grey, grey, grey))
+    return bytes(
+        simplejpeg.encode_jpeg(colours, quality=90, colorspace="RGB", colorsubsampling="422")
+    )
