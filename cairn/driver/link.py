@@ -68,6 +68,8 @@ class SerialLink:
         device = find_port(port)
         self.name = port if device == port else f"{port} ({device})"
         self.paced = is_paced(device)
+        if os.path.realpath(device).startswith("/dev/pts/"):
+            data_bits = 8  # no line has fewer in software: it would be refused
         try:
             self._serial = serial.Serial(
                 device, baud, bytesize=data_bits, timeout=0, write_timeout=_WRITE_LIMIT_S,

@@ -1,0 +1,147 @@
+"""The driver of the PBS-03JN at one end of a serial line, an emulated sensor at the other."""
+
+import math
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cairn.bus.control import ControlError
+from cairn.bus.lockstep_bus import LockstepBus
+from cairn.clock import SECOND, to_ns
+from cairn.driver.emulated_lines import PtyEnd
+from cairn.driver.emulation import Emulation
+from cairn.driver.faults import FRAME_FAULTS
+from cairn.driver.link import SerialLink
+from cairn.errors import CairnError
+from components.pbs.component import PbsScanner
+from components.pbs.emulated_pbs import EmulatedPbs, SentDistances
+from components.pbs.frames import framed
+from components.pbs.messages import BAUD, DISTANCES
+from schemas.diagnostic_msgs import DiagnosticArray, DiagnosticStatus
+from schemas.sensor_msgs import LaserScan
+from schemas.tf2_msgs import TFMessage
+from tests.cairn.component.running import Threaded
+from tests.components.hokuyo.driving import Heard
+
+
+@dataclass
+class Driven:
+    """A driver and its emulated sensor."""
+
+    emulation: Emulation
+    sent: list[SentDistances]
+    component: Threaded
+    scans: Heard
+    diagnostics: Heard
+    mounted: Heard
+
+
+@contextmanager
+def _driven(folder: Path, *, activate: bool = True, **line: Any) -> Iterator[Driven]:
+    sent: list[SentDistances] = []
+    device = EmulatedPbs(on_scan=sent.append)
+    bus = LockstepBus()
+    heard = (Heard(bus, "scan", LaserScan), Heard(bus, "diagnostics", DiagnosticArray))
+    mounted = Heard(bus, "tf_static", TFMessage)
+    with Emulation(device, PtyEnd(folder / "scanner"), **line) as emulation:
+        parameters = {"port": str(folder / "scanner")}
+        component = Threaded(PbsScanner, bus, parameters=parameters)
+        try:
+            if activate:
+                component.activate()
+            yield Driven(emulation, sent, component, *heard, mounted)
+        finally:
+            component.close()
+
+
+def _millimetres(scan: LaserScan) -> list[int]:
+    """Distances as they were sent, and 0 where they are out of the scanner's range."""
+    metres = np.where(np.isfinite(scan.ranges), scan.ranges, 0.0)
+    return [round(1000.0 * one) for one in metres.tolist()]
+
+
+def _in_range(sent: SentDistances) -> list[int]:
+    return [one if 200 <= one <= 3000 else 0 for one in sent.distances.tolist()]
+
+
+def test_every_scan_is_as_it_was_sent(tmp_path: Path) -> None:
+    with _driven(tmp_path) as driven:
+        scans = driven.scans.wait(5)
+        (mounted,) = driven.mounted.wait(1)
+        now = time.time_ns()
+    assert [_millimetres(scan) for scan in scans] == [_in_range(one) for one in driven.sent[:5]]
+    stamps = [to_ns(scan.header.stamp) for scan in scans]
+    assert all(0 < later - sooner < SECOND for sooner, later in pairwise(stamps))
+    assert 0 < now - stamps[-1] < SECOND
+    assert {scan.header.frame_id for scan in scans} == {"laser"}
+    assert math.isclose(scans[0].angle_increment, math.radians(1.8), rel_tol=1e-6)
+    assert mounted.transforms[0].child_frame_id == "laser"
+
+
+def test_diagnostics_tell_rate_and_damage(tmp_path: Path) -> None:
+    with _driven(tmp_path, paced=True) as driven:
+        driven.scans.wait(1)
+        driven.emulation.spoil("bad_sum", 2)
+        told = driven.diagnostics.wait_for(
+            lambda all_: any("damaged" in one.status[0].message for one in all_)
+        )
+    status: DiagnosticStatus = told[-1].status[0]
+    values = {pair.key: pair.value for pair in status.values}
+    assert status.level == DiagnosticStatus.WARN
+    assert values["port"] == str(tmp_path / "scanner")
+    assert int(values["damaged frames"]) >= 1
+
+
+def test_nothing_false_is_published_whatever_the_line_does(tmp_path: Path) -> None:
+    shares = dict.fromkeys(FRAME_FAULTS, 0.1)
+    with _driven(tmp_path, shares=shares, seed=3) as driven:
+        scans = driven.scans.wait(10)
+    sent = [_in_range(one) for one in driven.sent]
+    assert all(_millimetres(scan) in sent for scan in scans)
+
+
+def test_unplugged_it_says_so_and_goes_on_when_the_sensor_is_back(tmp_path: Path) -> None:
+    with _driven(tmp_path) as driven:
+        driven.scans.wait(2)
+        driven.emulation.unplug()
+        driven.diagnostics.wait_for(
+            lambda all_: bool(all_) and all_[-1].status[0].level == DiagnosticStatus.ERROR
+        )
+        before = len(driven.scans)
+        driven.emulation.plug_in()
+        driven.scans.wait(3, after=before)
+
+
+def test_at_rest_it_lets_go_of_the_sensor_and_goes_on_afterwards(tmp_path: Path) -> None:
+    with _driven(tmp_path) as driven:
+        driven.scans.wait(2)
+        driven.component.ask("deactivate")
+        # Neither the port nor the link is held any more.
+        line = SerialLink(str(tmp_path / "scanner"), BAUD)
+        line.write(framed(DISTANCES))
+        assert line.read(0.2) == b""
+        line.close()
+        before = len(driven.scans)
+        driven.component.ask("activate")
+        driven.scans.wait(2, after=before)
+
+
+def test_a_sensor_that_is_not_there_is_told_at_once(tmp_path: Path) -> None:
+    with _driven(tmp_path, activate=False) as driven:
+        driven.emulation.unplug()
+        with pytest.raises((CairnError, ControlError), match="scanner cannot be opened"):
+            driven.component.ask("configure")
+
+
+def test_a_line_on_which_nobody_answers_is_told(tmp_path: Path) -> None:
+    with _driven(tmp_path, activate=False) as driven:
+        driven.emulation.hang()
+        with pytest.raises((CairnError, ControlError), match="no PBS-03JN answers"):
+            driven.component.ask("configure")
