@@ -60,6 +60,9 @@ TIMEOUT = Question(15, ">B", "serial timeout")
 MAIN_VOLTAGE = Question(24, ">H", "main battery voltage")
 """Main battery [0.1 V]."""
 
+LOGIC_VOLTAGE = Question(25, ">H", "logic battery voltage")
+"""Logic battery [0.1 V]."""
+
 CURRENTS = Question(49, ">hh", "motor currents")
 """Currents of both motors [0.01 A]."""
 
@@ -103,9 +106,15 @@ def drive_speed(acceleration: int, first: int, second: int) -> Order:
     return Order(DRIVE_SPEED, struct.pack(">Iii", acceleration, first, second))
 
 
+def give_power(first: float, second: float) -> Order:
+    """Give M1 and M2 shares of full power, -1 to 1; no encoder and no speed loop has a say."""
+    duties = (round(32767 * max(-1.0, min(1.0, one))) for one in (first, second))
+    return Order(DRIVE_DUTY, struct.pack(">hh", *duties))
+
+
 def switch_off() -> Order:
-    """Power off M1 and M2: duty 0, which no encoder and no speed loop has a say in."""
-    return Order(DRIVE_DUTY, struct.pack(">hh", 0, 0))
+    """Take the power from M1 and M2."""
+    return give_power(0.0, 0.0)
 
 
 def set_main_voltages(lowest: float, highest: float) -> Order:

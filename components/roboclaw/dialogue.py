@@ -20,6 +20,7 @@ from components.roboclaw.packets import (
 )
 
 _BITS_PER_BYTE = 10  # start, eight of data, stop
+_LATE = 128  # bytes of earlier replies that may come before the one that is waited for
 
 
 @dataclass
@@ -47,8 +48,8 @@ class Dialogue:
         baud: int,
         counts: DialogueCounts,
         *,
-        reply_limit_s: float = 0.05,
-        tries: int = 3,
+        reply_limit_s: float = 0.06,
+        tries: int = 4,
     ) -> None:
         """`reply_limit_s`: how long a reply may take, beyond its bytes at `baud` [bit/s]."""
         self._link = link
@@ -98,9 +99,8 @@ class Dialogue:
         size = question.size + SUM_SIZE
 
         def whole(reply: bytes) -> bytes | None:
-            return (
-                reply_data(self._address, question.command, reply) if len(reply) == size else None
-            )
+            # What was asked before may be answered late, in front of it.
+            return reply_data(self._address, question.command, reply[-size:])
 
         return whole
 
@@ -122,7 +122,7 @@ class Dialogue:
         whole: Callable[[bytes], bytes | None],
         in_the_end: Callable[[bytes], bytes | None] | None = None,
     ) -> bytes:
-        """Send a packet until its reply comes: up to `size` bytes of which `whole` makes the data.
+        """Send a packet until its reply comes: `size` bytes at most, of which `whole` makes data.
 
         `in_the_end` is asked of what has come when no more comes.
         """
@@ -159,7 +159,7 @@ class Dialogue:
     ) -> tuple[bytes, bytes | None]:
         reply = b""
         until = time.monotonic() + self._limit_s + size * self._byte_s
-        while len(reply) < size:
+        while len(reply) < size + _LATE:
             came = self._link.read(max(0.0, until - time.monotonic()))
             if not came:
                 break

@@ -1,6 +1,5 @@
 """A line without time: an emulated RoboClaw in the same thread, with faults in its replies."""
 
-from cairn.driver.errors import LinkLost
 from cairn.driver.faults import FrameFaults
 from components.roboclaw.dialogue import Dialogue, DialogueCounts
 from components.roboclaw.emulator import EmulatedRoboclaw
@@ -17,7 +16,8 @@ class Line:
         self._faults = faults
         self._now = 0.0
         self._came = b""
-        self.unplugged = False
+        self.late: list[bytes] = []
+        """What arrives after the next packet was written, before the reply to it."""
         device.switched_on(self._now)
 
     def read(self, limit_s: float) -> bytes:
@@ -27,8 +27,8 @@ class Line:
         return came
 
     def write(self, data: bytes) -> None:
-        if self.unplugged:
-            raise LinkLost("line is gone")
+        self._came += b"".join(self.late)
+        self.late.clear()
         for frame in self._device.receive(data, self._now):
             self._came += self._faults.spoil(frame) if self._faults else frame
 
@@ -47,7 +47,7 @@ class Line:
 
 
 def dialogue_with(
-    device: EmulatedRoboclaw, faults: FrameFaults | None = None, tries: int = 3
+    device: EmulatedRoboclaw, faults: FrameFaults | None = None, tries: int = 4
 ) -> tuple[Dialogue, Line, DialogueCounts]:
     """A dialogue with it, over such a line."""
     line, counts = Line(device, faults), DialogueCounts()

@@ -7,6 +7,7 @@ from cairn.driver.errors import DeviceError
 from cairn.driver.faults import FRAME_FAULTS, FrameFaults
 from components.roboclaw import commands
 from components.roboclaw.emulator import EmulatedRoboclaw
+from components.roboclaw.packets import ACKNOWLEDGED, reply_packet
 from tests.components.roboclaw.line import dialogue_with
 
 
@@ -46,7 +47,7 @@ def test_a_device_that_never_answers_is_told_of() -> None:
 
 def test_what_answers_something_else_is_told_of() -> None:
     device = EmulatedRoboclaw()
-    faults = FrameFaults({"garbage": 1.0}, np.random.default_rng(5))
+    faults = FrameFaults({"bad_sum": 1.0}, np.random.default_rng(5))
     dialogue, _, _ = dialogue_with(device, faults)
 
     with pytest.raises(DeviceError, match="answers command 78 with what is no reply"):
@@ -62,3 +63,12 @@ def test_the_status_is_understood_of_old_firmware_and_new(old: bool) -> None:
 
     for _ in range(2):
         assert set(dialogue.status().errors) == {"emergency stop", "main battery voltage low"}
+
+
+def test_a_reply_that_comes_late_does_not_take_the_place_of_the_next() -> None:
+    device = EmulatedRoboclaw(first_counts=(5, 6))
+    dialogue, line, counts = dialogue_with(device)
+    line.late = [reply_packet(0x80, 90, bytes(4)), ACKNOWLEDGED]
+
+    assert dialogue.ask(commands.ENCODERS) == (5, 6)
+    assert counts.retries == 0
