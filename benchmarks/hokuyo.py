@@ -1,0 +1,110 @@
+"""What the SCIP driver costs: an emulated UTM-30LX at 40 Hz, over a pseudo-terminal."""
+
+from __future__ import annotations
+
+import tempfile
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import psutil
+
+from benchmarks.result import Figure
+from cairn.driver.emulated_lines import PtyEnd
+from cairn.driver.emulation import Emulation
+from cairn.testing.launching import launching
+from cairn.testing.robot import Robot
+from components.hokuyo.config import HokuyoConfig
+from components.hokuyo.emulated_scip import EmulatedScip
+from components.hokuyo.measurement import Measured, Measurement
+from schemas.sensor_msgs import LaserScan
+
+_SCANS = 400
+_LIMIT_S = 30.0
+
+
+class _TimedEnd(PtyEnd):
+    """A pseudo-terminal that notes when the last byte of each scan went onto it [ns since 1970]."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        self.scans: list[int] = []
+
+    def give(self, data: bytes) -> int:
+        given = super().give(data)
+        if given == len(data) > 1000:
+            self.scans.append(time.time_ns())
+        return given
+
+
+def measure() -> list[Figure]:
+    """Processor time of protocol and decoding alone, and of the driver; delay to a reader."""
+    with tempfile.TemporaryDirectory() as folder:
+        alone = _protocol(Path(folder) / "scanner")
+    with tempfile.TemporaryDirectory() as folder:
+        driver, delays = _driver(Path(folder))
+    late = ", ".join(f"{share} %: {np.percentile(delays, share):.2f} ms" for share in (95, 99))
+    return [
+        Figure("UTM-30LX, 40 Hz: protocol and decoding, of a core", alone, "%", 3.0),
+        Figure("the same: the driver's process, two readers of scans", driver, "%"),
+        Figure(
+            "last byte of a scan to its reader in another process, median",
+            float(np.median(delays)),
+            "ms",
+            2.0,
+            note=late,
+        ),
+    ]
+
+
+def _protocol(port: Path) -> float:
+    """Share of a core [%] of the thread that reads, checks and decodes scans."""
+    used: list[float] = []
+    stopping = threading.Event()
+    count = 0
+    begun = 0.0
+
+    def on_scan(_: Measured) -> None:
+        nonlocal count, begun
+        count += 1
+        if count == 1:
+            begun = time.monotonic()
+            used.append(time.thread_time())
+        if count == _SCANS:
+            used.append(time.thread_time())
+            used.append(time.monotonic() - begun)
+            stopping.set()
+
+    with Emulation(EmulatedScip("UTM-30LX"), PtyEnd(port)):
+        measurement = Measurement(HokuyoConfig(port=str(port)), on_scan)
+        measurement.converse(stopping, lambda _: None)
+        measurement.disconnect()
+    return 100.0 * (used[1] - used[0]) / used[2]
+
+
+def _driver(folder: Path) -> tuple[float, list[float]]:
+    """Share of a core [%] of the driver's process, and delays of scans [ms] to a reader."""
+    port = folder / "scanner"
+    end = _TimedEnd(port)
+    deployment = f"""
+        components:
+          scanner: {{plugin: hokuyo_scanner, parameters: {{port: {port}}}}}
+        """
+    with Emulation(EmulatedScip("UTM-30LX"), end), launching(folder) as launch:
+        run = launch(deployment)
+        robot = Robot(run)
+        try:
+            scans = robot.read("scan", LaserScan, lambda scan: LaserScan(header=scan.header))
+            scans.await_count(40)
+            process = psutil.Process(run.pid_of("scanner"))
+            before, at = process.cpu_times(), time.monotonic()
+            arrivals = scans.await_count(_SCANS, after=scans.count, limit_s=_LIMIT_S)
+            after, took = process.cpu_times(), time.monotonic() - at
+        finally:
+            robot.close()
+    used = after.user - before.user + after.system - before.system
+    sent = np.array(end.scans)
+    came = np.array([arrival.at_ns for arrival in arrivals])
+    last = sent[np.searchsorted(sent, came) - 1]
+    return 100.0 * used / took, ((came - last) / 1e6).tolist()
