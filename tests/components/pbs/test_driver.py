@@ -22,13 +22,13 @@ from cairn.driver.link import SerialLink
 from cairn.errors import CairnError
 from components.pbs.component import PbsScanner
 from components.pbs.emulated_pbs import EmulatedPbs, SentDistances
-from components.pbs.frames import framed
-from components.pbs.messages import BAUD, DISTANCES
+from components.pbs.frames import FrameSplitter, framed
+from components.pbs.messages import BAUD, DISTANCES, LINK_CODE, distances, link_code
 from schemas.diagnostic_msgs import DiagnosticArray, DiagnosticStatus
 from schemas.sensor_msgs import LaserScan
 from schemas.tf2_msgs import TFMessage
 from tests.cairn.component.running import Threaded
-from tests.components.hokuyo.driving import Heard
+from tests.components.hokuyo.driving import LIMIT_S, Heard
 
 
 @dataclass
@@ -126,7 +126,12 @@ def test_at_rest_it_lets_go_of_the_sensor_and_goes_on_afterwards(tmp_path: Path)
         # Neither the port nor the link is held any more.
         line = SerialLink(str(tmp_path / "scanner"), BAUD)
         line.write(framed(DISTANCES))
-        assert line.read(0.2) == b""
+        line.write(framed(LINK_CODE))
+        splitter = FrameSplitter()
+        answers: list[bytes] = []
+        while not any(map(link_code, answers)):
+            answers += splitter.feed(line.read(LIMIT_S))
+        assert all(distances(answer) is None for answer in answers)
         line.close()
         before = len(driven.scans)
         driven.component.ask("activate")
