@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import signal
 import subprocess
@@ -46,6 +47,11 @@ class Robot:
             assert self._changed.wait_for(lambda: bool(self._truths), 10.0), self.run
             return self._truths[-1][1]
 
+    def way(self, since: float = 0.0) -> list[Pose]:
+        """Where the robot truly was, since a moment of `time.monotonic`."""
+        with self._changed:
+            return [pose for at, pose in self._truths if at >= since]
+
     def go(self, *words: str) -> Going:
         """Give an order, as from a terminal."""
         return Going([*words, "--connect", self.run.endpoint])
@@ -59,9 +65,16 @@ class Robot:
         begin = self.place
         self._await(lambda: distance(begin, self._truths[-1][1]) >= metres, limit_s, "moves")
 
-    def await_near(self, place: Pose, metres: float, limit_s: float = 20.0) -> None:
-        """Wait until the robot is so near to a place."""
-        self._await(lambda: distance(place, self._truths[-1][1]) <= metres, limit_s, "comes near")
+    def await_near(
+        self, place: Pose, metres: float, since: float = math.inf, limit_s: float = 20.0
+    ) -> None:
+        """Wait until the robot is so near to a place, or was `since` a moment."""
+
+        def near() -> bool:
+            poses = [self._truths[-1][1], *self.way(since)]
+            return any(distance(place, pose) <= metres for pose in poses)
+
+        self._await(near, limit_s, f"comes within {metres:.2f} m of {place}")
 
     def await_stand(self, limit_s: float = 10.0) -> None:
         """Wait until the robot has stood for 0.25 s."""

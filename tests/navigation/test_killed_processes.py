@@ -3,14 +3,16 @@
 import os
 import random
 import signal
+import time
 from collections.abc import Iterator
 
 import pytest
 
 from planar.poses import distance
-from tests.navigation.processes import Robot, robot_in
+from tests.navigation.processes import Going, Robot, robot_in
 
-# Once around the room, so that the robot need not turn about on its way: x, y [m], heading [deg].
+# Once around the room, so that the robot need not turn about on its way, and a bit further:
+# x, y [m], heading [deg].
 TOUR = [
     (1.2, 1.2, -30),
     (3.0, 1.2, 0),
@@ -22,24 +24,56 @@ TOUR = [
     (3.4, 5.4, 180),
     (1.6, 5.2, -120),
     (1.2, 3.2, -90),
+    (1.2, 1.2, -30),
+    (3.0, 1.2, 0),
 ]
 AUTOMOVE = "components.mobile_supervisor.children.automove"
+# No two of one supervisor in a row: it gives up when too many of its children die at a time.
 COMPONENTS = [
     "localizer",
-    "map_builder",
-    "path_planner",
-    "motion_control",
-    "automove",
-    "mobile_supervisor",
     "base",
+    "map_builder",
     "range_scanner",
-    "world",
+    "path_planner",
     "object_recognizer",
+    "motion_control",
+    "world",
+    "automove",
     "vision_supervisor",
+    "mobile_supervisor",
 ]
 MOMENTS = random.Random(1)
-# 20 kills, each when a share drawn at random of a leg's way is driven.
-KILLS = [(COMPONENTS[n % len(COMPONENTS)], round(MOMENTS.uniform(0.0, 0.8), 2)) for n in range(20)]
+SHARES = [(0.0, 0.3), (0.4, 0.7)]
+# 20 kills, two on each leg to a place of the tour: each when a share of the leg, drawn at random,
+# is driven.
+KILLS = [
+    (COMPONENTS[n % len(COMPONENTS)], 1 + n // 2, round(MOMENTS.uniform(*SHARES[n % 2]), 2))
+    for n in range(20)
+]
+
+
+class Round:
+    """One order to drive once around the room, while one process after the other is killed."""
+
+    def __init__(self, robot: Robot) -> None:
+        self.robot = robot
+        self.killed_at = 0.0
+        self._going: Going | None = None
+        self._places: list[tuple[float, float, int]] = []
+
+    def under_way(self, leg: int) -> Going:
+        """The order; it is given anew, from this leg on, unless it is being carried out."""
+        if self._going is None or self._going.process.poll() is not None:
+            self._places = TOUR[leg:]
+            self.killed_at = time.monotonic()
+            self._going = self.robot.go(*(f"{x},{y},{turn}deg" for x, y, turn in self._places))
+            self._going.await_word("driving")
+        return self._going
+
+    def passed(self) -> list[bool]:
+        """Whether the robot was at each place of the order."""
+        way = self.robot.way()
+        return [any(distance(place, pose) < 0.3 for pose in way) for place in self._places]
 
 
 @pytest.fixture(scope="module")
@@ -51,35 +85,45 @@ def robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Robot]:
         yield robot
 
 
-def next_place(robot: Robot) -> tuple[float, float, float]:
-    nearest = min(TOUR, key=lambda place: distance(place, robot.place))
-    return TOUR[(TOUR.index(nearest) + 1) % len(TOUR)]
+@pytest.fixture(scope="module")
+def once_around(robot: Robot) -> Round:
+    return Round(robot)
 
 
-@pytest.mark.parametrize(("component", "driven"), KILLS)
+@pytest.mark.parametrize(("component", "leg", "driven"), KILLS)
 def test_a_process_killed_on_the_way_does_not_end_the_order(
-    robot: Robot, component: str, driven: float
+    robot: Robot, once_around: Round, component: str, leg: int, driven: float
 ) -> None:
-    x, y, degrees = next_place(robot)
-    way = distance((x, y, 0.0), robot.place)
+    going = once_around.under_way(leg)
+    left = distance(TOUR[leg - 1], TOUR[leg]) * (1.0 - driven)
+    robot.await_near(TOUR[leg], left, since=once_around.killed_at, limit_s=40.0)
     lines = len(robot.run.lines)
-    going = robot.go(str(x), str(y), f"{degrees}deg")
-    going.await_word("driving")
-    robot.await_near((x, y, 0.0), way * (1.0 - driven))
+    once_around.killed_at = time.monotonic()
 
     robot.kill(component)
 
-    assert going.await_end() == 0, f"{going}; {robot.run}"
-    assert distance((x, y, 0.0), robot.place) < 0.3
-    assert robot.collisions == []
     robot.run.await_line(f"{component} was killed by SIGKILL", after=lines)
     robot.run.await_line(f"{component} active", after=lines)
+    robot.await_moved(0.2, limit_s=40.0)
+    assert going.process.poll() is None, f"{going}; {robot.run}"
+    assert robot.collisions == []
+
+
+def test_the_order_ends_at_its_last_place_after_all_others(
+    robot: Robot, once_around: Round
+) -> None:
+    going = once_around.under_way(len(TOUR) - 1)
+
+    assert going.await_end() == 0, f"{going}; {robot.run}"
+    assert distance(TOUR[-1], robot.place) < 0.3
+    assert all(once_around.passed())
+    assert robot.collisions == []
 
 
 def test_without_commands_the_robot_stands_and_goes_on_when_they_come_again(robot: Robot) -> None:
-    x, y, degrees = next_place(robot)
+    x, y = ("4.8", "1.4") if robot.place[0] < 3.5 else ("1.2", "1.2")
     lines = len(robot.run.lines)
-    going = robot.go(str(x), str(y), f"{degrees}deg")
+    going = robot.go(x, y)
     going.await_word("driving")
     robot.await_moved(0.3)
 
