@@ -60,6 +60,10 @@ class Dialogue:
         self._tries = tries
         self._old_status = False
 
+    def line_time(self, question: Question) -> float:
+        """How long question and reply take on a line of this speed [s]."""
+        return (2 + question.size + SUM_SIZE) * self._byte_s
+
     def order(self, order: Order) -> None:
         """Send an order, and have it acknowledged; raises `DeviceError`."""
         packet = order_packet(self._address, order.command, order.data)

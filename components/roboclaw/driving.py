@@ -21,6 +21,8 @@ from components.roboclaw.wheel_watch import WatchLimits, WheelWatch
 _STANDS_BELOW = 0.01  # [m/s]: slower than this, and a wheel stands
 _STAND_LIMIT_S = 1.0  # for standing still, beyond the time that slowing down takes
 _LONGEST_STEP_S = 0.2  # a longer pause between two readings says nothing of speeds
+_PROMPT_S = 0.004  # a reply that takes longer than that, beside its bytes, came late
+_READINGS = 3
 _FASTER_THAN_POSSIBLE = 2.0  # times the speed at full power: the counter did not count this
 
 
@@ -307,8 +309,13 @@ class _Counted:
 
 
 def _counted(dialogue: Dialogue) -> _Counted:
-    sent, sent_ns = time.monotonic(), time.time_ns()
-    counts = dialogue.ask(commands.ENCODERS)
-    return _Counted(
-        0.5 * (sent + time.monotonic()), sent_ns + (time.time_ns() - sent_ns) // 2, counts
-    )
+    """Read the counters; again if that took so long that nobody knows when they were read."""
+    readings = []
+    for _ in range(_READINGS):
+        sent, sent_ns = time.monotonic(), time.time_ns()
+        counts = dialogue.ask(commands.ENCODERS)
+        took, took_ns = time.monotonic() - sent, time.time_ns() - sent_ns
+        readings.append((took, _Counted(sent + 0.5 * took, sent_ns + took_ns // 2, counts)))
+        if took < dialogue.line_time(commands.ENCODERS) + _PROMPT_S:
+            break
+    return min(readings, key=lambda one: one[0])[1]
