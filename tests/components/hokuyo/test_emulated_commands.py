@@ -1,7 +1,7 @@
 """Every command of an emulated sensor, and the statuses with which it answers."""
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from components.hokuyo.emulated_models import MODELS
@@ -101,6 +101,7 @@ def test_scip_1_is_spoken_until_it_is_switched_and_again_after_power_on() -> Non
     assert sensor.receive(b"QT\n", 1.0) == [b"QT\nE\n\n"]
 
 
+@settings(max_examples=50, deadline=None)
 @given(model=st.sampled_from(sorted(MODELS)), noise=st.lists(st.binary(max_size=300), max_size=8))
 def test_noise_does_it_no_harm(model: str, noise: list[bytes]) -> None:
     sensor = EmulatedScip(model)

@@ -138,7 +138,7 @@ _STEPS = st.lists(st.lists(_ECHO, min_size=1, max_size=3), min_size=1, max_size=
 _LETTERS = st.sampled_from(["MD", "MS", "ME", "ND", "NE"])
 
 
-@settings(max_examples=60)
+@settings(max_examples=60, deadline=None)
 @given(steps=_STEPS, letters=_LETTERS, cluster=st.integers(0, 9))
 def test_any_values_are_sent_as_the_specification_says(
     steps: list[list[tuple[int, int]]], letters: str, cluster: int

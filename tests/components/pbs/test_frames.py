@@ -1,7 +1,7 @@
 """Frames of the PBS-03JN, on vectors on which two independent drivers agree."""
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from components.pbs import messages
@@ -43,6 +43,7 @@ def test_distances_take_330_bytes() -> None:
     assert found.tolist() == [1000] * 121
 
 
+@settings(max_examples=50, deadline=None)
 @given(st.binary(min_size=1, max_size=300))
 def test_any_payload_comes_back(payload: bytes) -> None:
     wire = framed(payload)
@@ -50,6 +51,7 @@ def test_any_payload_comes_back(payload: bytes) -> None:
     assert FrameSplitter().feed(wire) == [payload]
 
 
+@settings(max_examples=50, deadline=None)
 @given(
     payloads=st.lists(st.binary(min_size=1, max_size=40), max_size=6),
     pieces=st.lists(st.integers(1, 30), max_size=40),
@@ -67,6 +69,7 @@ def test_frames_are_found_behind_noise_and_in_pieces(
     assert found == payloads
 
 
+@settings(max_examples=50, deadline=None)
 @given(st.data())
 def test_a_changed_bit_is_noticed(data: st.DataObject) -> None:
     wire = framed(messages.DISTANCES + data.draw(st.binary(min_size=242, max_size=242)))
