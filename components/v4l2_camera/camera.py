@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Mapping
 from contextlib import closing, suppress
 from dataclasses import dataclass
+from pathlib import Path
 
 from cairn.component.complaints import Complaints
 from cairn.driver.errors import DeviceError, LinkLost
@@ -63,6 +64,7 @@ class Camera:
         self._settings = settings
         self._wanted = dict(controls)
         self._on_picture = on_picture
+        self._log = log
         self._complaints = Complaints(log)
         self._device: VideoDevice | None = None
         self._panel: dict[str, Control] = {}
@@ -71,6 +73,7 @@ class Camera:
         self._rate = RateWindow()
         self.setup: Setup | None = None
         self.identity = settings.device
+        self.node = Path(settings.device)
         self.counts = Counts()
         self.latency_s = 0.0
         self.stamps_begin = False
@@ -84,16 +87,12 @@ class Camera:
         with self._opening:
             device = VideoDevice(find_camera(self._settings.device))
             try:
-                setup = self._set_up(device)
-                self._panel = device.controls()
-                self._set(device, self._wanted)
-            except ControlRefused as error:
-                device.close()
-                raise DeviceError(f"{device.path} ({device.card}): {error}") from error
+                setup = self._prepare(device)
             except DeviceError:
                 device.close()
                 raise
-            self._device, self.setup = device, setup
+            self._device = device
+            self.node = device.path.resolve()
             self.identity = f"{device.card} {device.bus}"
             return setup
 
@@ -113,12 +112,7 @@ class Camera:
             try:
                 assigned(self._panel, wanted)
                 if self._device is not None:
-                    changed = {
-                        name: value
-                        for name, value in wanted.items()
-                        if self._wanted.get(name) != value
-                    }
-                    self._set(self._device, changed)
+                    self._set(self._device, wanted)
             except ControlRefused as error:
                 raise ControlRefused(f"{self._settings.device}: {error}") from error
             except LinkLost:  # its thread has not noticed yet; controls are set when it is back
@@ -131,12 +125,8 @@ class Camera:
 
     def converse(self, stopping: threading.Event) -> None:
         """Read pictures until `stopping` is set; raises `DeviceError` if the device fails."""
-        if self._device is None:
-            self.open()
-            self.counts.returns += 1
-        device = self._device
-        assert device is not None  # it is open now
         try:
+            device = self._ready()
             with closing(Stream(device, self._settings.buffers)) as stream:
                 self._keep_streaming(stream, stopping)
         except DeviceError:
@@ -146,7 +136,28 @@ class Camera:
             self.is_streaming = False
             self._rate.restart()
 
-    def _set_up(self, device: VideoDevice) -> Setup:
+    def _ready(self) -> VideoDevice:
+        """The device, open and set up."""
+        if self._device is None:
+            self.open()
+            self.counts.returns += 1
+        else:  # another program may have used it in between
+            with self._opening:
+                self._prepare(self._device)
+        assert self._device is not None  # it is open now
+        return self._device
+
+    def _prepare(self, device: VideoDevice) -> Setup:
+        """Set up pictures and controls."""
+        self.setup = self._agreed(device)
+        self._panel = device.controls()
+        try:
+            self._set(device, self._wanted)
+        except ControlRefused as error:
+            raise DeviceError(f"{device.path} ({device.card}): {error}") from error
+        return self.setup
+
+    def _agreed(self, device: VideoDevice) -> Setup:
         wish = self._settings
         offers = {name: device.sizes(name) for name in device.formats() if name in wish.formats}
         chosen = best_format(offers, wish.formats, (wish.width, wish.height), wish.rate)
@@ -165,10 +176,19 @@ class Camera:
         return setup
 
     def _set(self, device: VideoDevice, wanted: Mapping[str, int]) -> None:
-        """Set controls; if one fails, those before it are set back."""
+        """Set controls; if one fails, those before it are set back.
+
+        What something automatic holds is left to it: cameras refuse to set it.
+        """
         done: list[tuple[Control, int]] = []
         try:
             for control, value in assigned(self._panel, wanted):
+                if device.is_held(control):
+                    self._log.warning(
+                        "%s: %s is held by something automatic: %d is set once that is off",
+                        self._settings.device, control.name, value,
+                    )  # fmt: skip
+                    continue
                 before = device.control(control)
                 device.set_control(control, value)
                 done.append((control, before))

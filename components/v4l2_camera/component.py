@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import replace
 from functools import partial
 
@@ -84,7 +85,7 @@ class V4l2StereoCamera(Component):
                 )
             )
         )
-        self._newest: list[Picture | None] = [None] * len(self._cameras)
+        self._newest = [deque[Picture](maxlen=1) for _ in self._cameras]
         self._trouble = [""] * len(self._cameras)
         self._pairing = Pairing(round(0.5 * SECOND / self._rate))
         self._pair_report = PairReport(self.name, self._pairing, self._rate)
@@ -158,6 +159,11 @@ class V4l2StereoCamera(Component):
     def _agree(self) -> None:
         config = self.config
         setups = [camera.open() for camera in self._cameras]
+        if self._has_two and self._cameras[0].node == self._cameras[1].node:
+            raise CairnError(
+                f"device and right_device are both {self._cameras[0].node}: name two cameras, or "
+                "set side_by_side to true for one that sends both pictures in one"
+            )
         for device, setup in zip(config.devices(), setups, strict=True):
             got = setup.layout
             if (got.width, got.height) != (config.width, config.height):
@@ -188,14 +194,15 @@ class V4l2StereoCamera(Component):
         """On the camera's thread: hand on a picture, in place of one that was not taken yet."""
         self._threads[side].well(f"{self.config.devices()[side]}: pictures come again")
         self._trouble[side] = ""
-        if self._newest[side] is not None:
+        if self._newest[side]:
             self._cameras[side].counts.skipped += 1
-        self._newest[side] = picture
+        self._newest[side].append(picture)
         self.post(partial(self._take, side))
 
     def _take(self, side: int) -> None:
-        picture, self._newest[side] = self._newest[side], None
-        if picture is None:  # two had come, and the newer one was taken
+        try:
+            picture = self._newest[side].popleft()
+        except IndexError:  # two had come, and the newer one was taken
             return
         if not self._has_two:
             self._publish(picture.stamp, self._views(picture.grey))

@@ -164,6 +164,12 @@ class VideoDevice:
         self.request(videodev.G_CTRL, value, f"asked for {control.name}")
         return int(value.value)
 
+    def is_held(self, control: Control) -> bool:
+        """Whether something automatic has taken a control over, at this moment."""
+        query = videodev.ControlQuery(id=control.id)
+        self.request(videodev.QUERYCTRL, query, f"asked for {control.name}")
+        return bool(query.flags & videodev.CTRL_FLAG_INACTIVE)
+
     def set_control(self, control: Control, wanted: int) -> None:
         """Give a control a value that it takes."""
         value = videodev.ControlValue(id=control.id, value=ctypes.c_int32(wanted).value)

@@ -29,6 +29,7 @@ class FakeCamera:
         self.size = (WIDTH, HEIGHT)
         self.values = {"gain": 10, "exposure_time_absolute": 100}
         self.maxima = {"gain": gain_maximum, "exposure_time_absolute": 2000}
+        self.held: set[str] = set()
         self.refused_values: set[int] = set()
         self.opened = 0
         self.streams: list[str] = []
@@ -114,6 +115,9 @@ class _Device:
             name: Control(STANDARD[name], name, videodev.CTRL_TYPE_INTEGER, 0, most, 1, 0, 0)
             for name, most in self.camera.maxima.items()
         }
+
+    def is_held(self, control: Control) -> bool:
+        return control.name in self.camera.held
 
     def control(self, control: Control) -> int:
         return self.camera.values[control.name]

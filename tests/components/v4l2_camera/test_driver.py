@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import time
+from pathlib import Path
 
 import pytest
 
 from cairn.clock import to_ns
 from cairn.component.parameters import ParameterRefused
 from cairn.driver.diagnostics import ERROR, OK
+from cairn.errors import CairnError
 from tests.components.v4l2_camera.driving import Driver
 from tests.components.v4l2_camera.fakes import HEIGHT, WIDTH, FakeCamera, FakeCameras, level
 
@@ -216,6 +218,42 @@ def test_controls_are_set_on_both_cameras_or_on_none(left: FakeCamera, right: Fa
         assert (left.values["gain"], right.values["gain"]) == (55, 55)
         with pytest.raises(ParameterRefused, match="gain = 256: the camera takes 0 to 255"):
             driver.set(controls__gain=256)
+
+
+def test_a_control_that_is_held_is_set_once_it_is_not(
+    left: FakeCamera, caplog: pytest.LogCaptureFixture
+) -> None:
+    left.held.add("exposure_time_absolute")
+    with Driver(**ONE, controls={"exposure_time_absolute": 7}) as driver:
+        assert left.values["exposure_time_absolute"] == 100
+        assert "exposure_time_absolute is held by something automatic: 7 is set" in caplog.text
+
+        left.held.clear()
+        driver.set(controls__gain=9)
+
+        assert left.values == {"gain": 9, "exposure_time_absolute": 7}
+
+
+def test_what_another_program_has_set_meanwhile_is_set_again(left: FakeCamera) -> None:
+    with Driver(**ONE, controls={"gain": 9}) as driver:
+        driver.go("deactivate")
+        left.values["gain"] = 200
+        driver.go("activate")
+        left.send(1)
+        driver.await_one("left_image")
+
+    assert left.values["gain"] == 9
+
+
+def test_one_camera_by_two_names_is_refused(cameras: FakeCameras, tmp_path: Path) -> None:
+    (tmp_path / "video0").touch()
+    (tmp_path / "by-id").symlink_to(tmp_path / "video0")
+    names = [str(tmp_path / name) for name in ("video0", "by-id")]
+    for name in names:
+        cameras.add(name)
+
+    with pytest.raises(CairnError, match=r"device and right_device are both .*video0: name two"):
+        Driver(**{**ONE, "device": names[0], "right_device": names[1]})
 
 
 def test_after_deactivation_it_does_not_stream_but_stays_open(left: FakeCamera) -> None:
