@@ -3,6 +3,7 @@
 import gc
 import json
 import logging
+import os
 import shutil
 import signal
 import sys
@@ -33,6 +34,7 @@ from cairn.deployment.plugins import modules_named
 from cairn.errors import CairnError
 from cairn.placement.lockstep_run import LockstepRun
 from cairn.placement.root import run_processes, started_zygote
+from cairn.placement.service import ServiceManager, service_manager
 from cairn.supervision.zygote_process import ZygoteProcess
 from schemas.rcl_interfaces import Log
 
@@ -60,6 +62,7 @@ def up(
 
     Exit status 0 if it ended as it should, 1 if it failed, or was to do what it could not.
     """
+    service = service_manager(os.environ)
     folder = (report or _folder_of_run(file)).absolute()
     began = time.monotonic()
     sources = read_sources(file, overlay or ())
@@ -82,7 +85,7 @@ def up(
             if lockstep:
                 end = _run_lockstep(deployment, seed, folder, view)
             else:
-                end = _run_processes(deployment, zygote, seed, folder, view)
+                end = _run_processes(deployment, zygote, seed, folder, view, service)
     table = folder / _CLOSING_TABLE
     if table.exists():
         line(table.read_text(encoding="utf-8"))
@@ -98,6 +101,7 @@ def _run_processes(
     seed: int,
     folder: Path,
     view: LiveView | PlainView,
+    service: ServiceManager,
 ) -> End:
     with log_file(folder / "logs" / "root.log", time.time_ns):
 
@@ -105,7 +109,7 @@ def _run_processes(
             simulated = deployment.clock == "simulated"
             return LogWatch(bus, deployment.robot, view, clock=simulated, hurry=hurry)
 
-        return run_processes(deployment, zygote, folder / "logs", seed, watch)
+        return run_processes(deployment, zygote, folder / "logs", seed, watch, service)
 
 
 def _run_lockstep(

@@ -15,12 +15,15 @@ from cairn.bus.graph import read_graph
 from cairn.bus.rmw import NodeEntity
 from cairn.bus.session import open_client, open_peer, open_router
 from cairn.bus.zenoh_bus import ZenohBus
+from cairn.component.lifecycle import State
 from cairn.component.runtime import End
 from cairn.deployment.model import ROOT, ComponentSpec, Deployment
 from cairn.errors import CairnError, StoppedByForce
 from cairn.placement.attendance import Attendance
 from cairn.placement.launchers import Household
 from cairn.placement.order import Order, Surroundings
+from cairn.placement.service import ServiceManager
+from cairn.supervision.component import longest_handler_s
 from cairn.supervision.zygote_process import ZygoteProcess, start_zygote
 
 PROCESS_MODULE = "cairn.placement.process"
@@ -65,20 +68,23 @@ def run_processes(
     log_folder: Path,
     seed: int,
     watch: Callable[[ZenohBus, Callable[[], None]], Onlooker],
+    service: ServiceManager | None = None,
 ) -> End:
     """Run a deployment until a significant component ends, it fails, or SIGINT or SIGTERM comes.
 
-    `watch(bus, hurry)` returns who looks on; a call of `hurry` has it refreshed soon. Nothing is
-    left running, whatever happens. Raises `CairnError` if the port is taken or the robot runs
-    already on this bus, `StoppedByForce` on a second signal, and what the onlooker raises, once
-    everything has been stopped in good order.
+    `watch(bus, hurry)` returns who looks on; a call of `hurry` has it refreshed soon. `service` is
+    told when all is active, and as long as the root lives. Nothing is left running, whatever
+    happens. Raises `CairnError` if the port is taken or the robot runs already on this bus,
+    `StoppedByForce` on a second signal, and what the onlooker raises, once everything has been
+    stopped in good order.
     """
     if deployment.bus.connect:
         _refuse_namesake(deployment)
     with _bus(deployment) as bus:
         household = Household(_order(deployment, zygote, log_folder, seed), bus)
         attendance = Attendance(household)
-        return _run(household, attendance, watch(bus, attendance.hurry), zygote)
+        onlooker = watch(bus, attendance.hurry)
+        return _run(household, attendance, onlooker, zygote, service or ServiceManager())
 
 
 def _refuse_namesake(deployment: Deployment) -> None:
@@ -103,15 +109,26 @@ def endpoints(deployment: Deployment) -> tuple[str, ...]:
 
 
 def _run(
-    household: Household, attendance: Attendance, onlooker: Onlooker, zygote: ZygoteProcess
+    household: Household,
+    attendance: Attendance,
+    onlooker: Onlooker,
+    zygote: ZygoteProcess,
+    service: ServiceManager,
 ) -> End:
     hosted = household.hosted
     watch = _Watch(onlooker, zygote, attendance)
+
+    def turn() -> None:
+        watch.turn()
+        status = hosted.runtime.status()
+        sound = status.handler_s <= longest_handler_s(hosted.order.spec)
+        service.tell(active=status.state == State.ACTIVE, sound=sound)
+
     try:
         with attendance.signals(signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             hosted.ask("configure")
             hosted.ask("activate")
-            if not attendance.until_end(watch.turn, impatient=True):
+            if not attendance.until_end(turn, impatient=True):
                 zygote.close()
                 raise StoppedByForce(
                     "stopped by force, on a second signal; nothing is left running"

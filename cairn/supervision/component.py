@@ -151,7 +151,7 @@ class SupervisorComponent(Component):
         if status.restarts + 1 != child.incarnation or status.state != "active":
             return
         silent_s = self._host.now() - beat.heard_at
-        limit_s = spec.hang_timeout_s + _longest_step_s(spec)
+        limit_s = longest_handler_s(spec)
         if status.handler and status.handler_s > limit_s:
             busy_s = status.handler_s + silent_s
             self.children.child_hung(child.name, child.incarnation, status.handler, busy_s)
@@ -224,6 +224,11 @@ def _start_limit_s(spec: ComponentSpec) -> float:
 def _stop_limit_s(spec: ComponentSpec) -> float:
     below = (_stop_limit_s(child) + _FORCE_S for child in spec.children.values())
     return spec.stop_timeout_s + sum(below)
+
+
+def longest_handler_s(spec: ComponentSpec) -> float:
+    """How long one handler of a component may last before it is taken for hung [s]."""
+    return spec.hang_timeout_s + _longest_step_s(spec)
 
 
 def _longest_step_s(spec: ComponentSpec) -> float:
