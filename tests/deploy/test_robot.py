@@ -1,0 +1,39 @@
+"""The robot's deployment is the simulated robot's, with other drivers."""
+
+from pathlib import Path
+from typing import Any
+
+from cairn.deployment.load import load_deployment
+from cairn.deployment.model import Deployment
+
+DEPLOY = Path(__file__).parents[2] / "deploy"
+DRIVERS = {"base", "range_scanner", "stereo_camera"}
+
+
+def test_the_robot_is_the_simulated_one_with_other_drivers() -> None:
+    real = _components(load_deployment(DEPLOY / "robot.yaml"))
+    simulated = _components(
+        load_deployment(DEPLOY / "sim.yaml", [DEPLOY / "pixels.yaml"], ["start=null"])
+    )
+
+    assert simulated.keys() - real.keys() == {"world"}
+    assert {name for name in real if real[name] != simulated[name]} == DRIVERS
+    for driver in DRIVERS:
+        differing = {key for key in real[driver] if real[driver][key] != simulated[driver][key]}
+        assert differing == {"plugin", "parameters"}
+
+
+def test_its_base_may_be_one_of_ros_2() -> None:
+    robot = load_deployment(DEPLOY / "robot.yaml", [DEPLOY / "robot_ros2_base.yaml"])
+
+    assert robot.member("base").spec.plugin == "ros2_base"
+
+
+def _components(deployment: Deployment) -> dict[str, dict[str, Any]]:
+    return {
+        member.name: {
+            "parent": member.parent,
+            **member.spec.model_dump(exclude={"children"}),
+        }
+        for member in deployment.members()
+    }
