@@ -161,7 +161,7 @@ class Driving:
         period = 1.0 / self._settings.rate_hz
         questions = self._questions(dialogue)
         turn_of = 0
-        began = time.monotonic() - period
+        began = due = time.monotonic() - period
         while not stopping.is_set():
             before, began = began, time.monotonic()
             asked = self._order(dialogue, ready, began, min(began - before, 2.0 * period))
@@ -170,7 +170,8 @@ class Driving:
             questions[turn_of]()
             turn_of = (turn_of + 1) % len(questions)
             self._on_step(step)
-            stopping.wait(max(0.0, began + period - time.monotonic()))
+            due = max(due + period, began)  # what was late is made up for, what was missed is not
+            stopping.wait(max(0.0, due - time.monotonic()))
 
     def _order(self, dialogue: Dialogue, ready: Ready, now: float, seconds: float) -> Pair:
         """Send what the wheels are to do; the speeds that were asked of them [m/s]."""

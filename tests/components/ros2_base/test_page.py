@@ -1,0 +1,46 @@
+"""The deployments of docs/drivers/base.md are what they are said to be."""
+
+import re
+from pathlib import Path
+
+from cairn.deployment.load import load_deployment
+from components.roboclaw.config import RoboclawBaseConfig
+from components.ros2_base.config import Ros2BaseConfig
+
+PAGE = Path(__file__).parents[3] / "docs" / "drivers" / "base.md"
+
+
+def block(title: str) -> str:
+    found = re.search(
+        rf"^```yaml title={re.escape(title)}\n(.*?)^```", PAGE.read_text(), re.DOTALL | re.MULTILINE
+    )
+    assert found, f"{PAGE.name} shows no {title}"
+    return found[1]
+
+
+def test_the_base_behind_ros_2_passes_the_check_with_and_without_the_overlay(
+    tmp_path: Path,
+) -> None:
+    rover, jazzy = tmp_path / "rover.yaml", tmp_path / "jazzy.yaml"
+    rover.write_text(block("rover.yaml"))
+    jazzy.write_text(block("jazzy.yaml"))
+
+    load_deployment(rover)
+    load_deployment(rover, [jazzy])
+
+
+def test_the_base_on_a_roboclaw_passes_the_check(tmp_path: Path) -> None:
+    body = "".join(f"  {line}\n" for line in block("base.yaml").splitlines())
+    file = tmp_path / "robot.yaml"
+    file.write_text(f"cairn: 1\nexternal_topics: [cmd_vel]\ncomponents:\n{body}")
+
+    load_deployment(file)
+
+
+def test_every_parameter_that_the_page_names_exists() -> None:
+    fields = {*RoboclawBaseConfig.model_fields, *Ros2BaseConfig.model_fields}
+    table = re.findall(r"^\| (`[^|]+`) \| [^|]+ \|", PAGE.read_text(), re.MULTILINE)
+    named = {name for row in table for name in re.findall(r"`(\w+)`", row)}
+
+    assert set(RoboclawBaseConfig.model_fields) - named <= {"port", "baud", "address"}
+    assert named - fields <= {"roboclaw_base", "ros2_base"}
