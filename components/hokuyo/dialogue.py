@@ -10,7 +10,7 @@ from cairn.driver.errors import DeviceError
 from cairn.driver.link import Link
 from components.hokuyo.replies import Reply, ReplySplitter
 
-_ANSWER_LIMIT_S = 0.3  # sensors answer within some milliseconds
+_ANSWER_LIMIT_S = 0.5  # sensors answer within milliseconds, but computers may be busy
 _LONGEST_ANSWER = 500  # bytes, of those that are no scans
 _BITS_PER_BYTE = 10  # start, eight of data, stop
 

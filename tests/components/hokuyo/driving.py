@@ -20,7 +20,7 @@ from schemas.diagnostic_msgs import DiagnosticArray
 from schemas.sensor_msgs import LaserScan, MultiEchoLaserScan
 from tests.cairn.component.running import Threaded
 
-LIMIT_S = 10.0
+LIMIT_S = 30.0
 _ALL = RELIABLE.with_depth(1_000_000)
 
 
@@ -97,17 +97,23 @@ def driven(
     model: str = "UTM-30LX",
     *,
     tcp: bool = False,
+    cable: tuple[LineEnd, str] | None = None,
     emulated: dict[str, Any] | None = None,
     line: dict[str, Any] | None = None,
     activate: bool = True,
     **parameters: Any,
 ) -> Iterator[Driven]:
-    """A sensor of the model, driven."""
+    """A sensor of the model, driven: on a pseudo-terminal in the folder, by TCP, or on a cable.
+
+    A cable is the device's end of it, and the port that the driver opens.
+    """
     sent: list[SentScan] = []
     device = EmulatedScip(model, on_scan=sent.append, **(emulated or {}))
-    end: LineEnd = TcpEnd(0) if tcp else PtyEnd(folder / "scanner")
+    end, port = cable or (PtyEnd(folder / "scanner"), str(folder / "scanner"))
+    if tcp:
+        end = TcpEnd(0)
     with Emulation(device, end, **(line or {})) as emulation:
-        where: dict[str, Any] = {"port": str(folder / "scanner")}
+        where: dict[str, Any] = {"port": port}
         if isinstance(end, TcpEnd):
             where = {"host": "127.0.0.1", "tcp_port": end.port}
         both = Driven(emulation, device, sent, **(where | parameters))

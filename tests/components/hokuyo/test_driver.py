@@ -11,7 +11,7 @@ import pytest
 
 from cairn.driver.link import SerialLink
 from cairn.errors import CairnError
-from components.hokuyo.emulated_record import SentScan
+from tests.components.hokuyo.comparing import assert_equal, ranges
 from tests.components.hokuyo.driving import LIMIT_S, Driven, Heard, driven
 
 SCANS = 8
@@ -47,19 +47,10 @@ def test_every_scan_is_equal_to_what_was_sent(
     short = bool(parameters.get("short_distances")) or not emulated.get("knows_scip2", True)
 
     for scan, one in zip(scans, sent, strict=True):
-        column = _column(one, echo)
-        rows = np.arange(len(column))
-        assert scan.ranges.tolist() == pytest.approx(
-            _ranges(one.distances[rows, column], model, short), abs=1e-6, nan_ok=True
-        )
-        strengths = one.intensities
-        if parameters.get("intensity"):
-            assert strengths is not None
-            assert scan.intensities.tolist() == strengths[rows, column].tolist()
-        else:
-            assert scan.intensities.size == 0
+        assert (one.intensities is not None) == bool(parameters.get("intensity"))
+        assert_equal(scan, one, model, echo=echo, short=short)
     for scan, one in zip(multi, sent, strict=False):
-        told = [_ranges(row[row >= 0], model, short) for row in one.distances]
+        told = [ranges(row[row >= 0], model) for row in one.distances]
         for echoes, wanted in zip(scan.ranges, told, strict=True):
             assert echoes.echoes.tolist() == pytest.approx(wanted, abs=1e-6, nan_ok=True)
         assert len(scan.intensities) == (len(told) if parameters.get("intensity") else 0)
@@ -67,35 +58,11 @@ def test_every_scan_is_equal_to_what_was_sent(
         return  # it has no clock, and tells its last scan whenever it is asked
     stamps = [_seconds(scan) for scan in scans]
     turns = np.diff([one.turn for one in sent])
-    assert np.diff(stamps) == pytest.approx(turns * turn_s(model), abs=0.004)
+    assert np.diff(stamps) == pytest.approx(turns * _turn_s(model), abs=0.004)
 
 
-def turn_s(model: str) -> float:
+def _turn_s(model: str) -> float:
     return 0.1 if model.startswith("URG") else 0.025
-
-
-def _column(one: SentScan, echo: str) -> Any:
-    if echo == "strongest" and one.intensities is not None:
-        return np.argmax(one.intensities, axis=1)
-    return np.zeros(len(one.distances), np.intp)
-
-
-def _ranges(values: Any, model: str, short: bool) -> list[float]:
-    least, most = (20, 5600) if model.startswith("URG") else (23, 60000)
-    if model.startswith("UST"):
-        least, most = 20, 30000
-    if short:
-        most = 4094
-    codes = {} if model.startswith("URG") else {1: math.inf, 2: -math.inf}
-    found = []
-    for value in values.tolist():
-        if value > most:
-            found.append(math.inf)
-        elif value < least:
-            found.append(codes.get(value, math.nan))
-        else:
-            found.append(value / 1000)
-    return found
 
 
 def _seconds(scan: Any) -> float:

@@ -1,0 +1,84 @@
+"""The SCIP driver on the kernel's own drivers: USB-CDC and RS-232 behind an FTDI adapter."""
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cairn.driver.diagnostics import ERROR, OK
+from cairn.driver.emulated_lines import SerialEnd
+from tests.components.hokuyo.comparing import assert_equal
+from tests.components.hokuyo.driving import Driven, driven
+from tests.hardware.guest.cables import Cable
+
+_SPEED = 115200
+_SCANS = 20
+
+
+@contextmanager
+def scanner(cable: Cable, model: str, **parameters: Any) -> Iterator[Driven]:
+    """A sensor of the model at the far end of the cable, driven under its stable name."""
+    end = SerialEnd(str(cable.far_end), _SPEED)
+    name = str(cable.stable)
+    with driven(Path("/nowhere"), model, cable=(end, name), **parameters) as it:
+        yield it
+
+
+@pytest.mark.parametrize(
+    ("line", "model", "parameters"),
+    [
+        ("acm", "UTM-30LX", {}),
+        ("acm", "UTM-30LX", {"intensity": True, "cluster": 2}),
+        ("acm", "URG-04LX", {"short_distances": True}),
+        ("ftdi", "URG-04LX", {"cluster": 3}),
+        ("ftdi", "URG-04LX", {"emulated": {"speaks_scip1": True}, "angle_min": 0.0}),
+    ],
+)
+def test_every_scan_is_equal_to_what_was_sent(
+    request: pytest.FixtureRequest, line: str, model: str, parameters: dict[str, Any]
+) -> None:
+    with scanner(request.getfixturevalue(line), model, **parameters) as it:
+        scans = it.scans.wait(_SCANS)
+    short = bool(parameters.get("short_distances"))
+
+    for scan, sent in zip(scans, it.sent[:_SCANS], strict=True):
+        assert_equal(scan, sent, model, short=short)
+
+
+@pytest.mark.parametrize("line", ["acm", "ftdi"])
+def test_unplugged_and_plugged_in_again(
+    request: pytest.FixtureRequest, line: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cable: Cable = request.getfixturevalue(line)
+    with scanner(cable, "URG-04LX", cluster=3) as it:
+        it.scans.wait(3)
+        cable.unplug()
+        trouble = it.health(lambda status: status.level == ERROR)
+        it.emulation.unplug()
+        before = len(it.scans)
+        cable.plug_in()
+        it.emulation.plug_in()
+        returned = time.monotonic()
+        it.scans.wait(1, after=before)
+        took_s = time.monotonic() - returned
+        it.health(lambda status: status.level == OK)
+
+    with capsys.disabled():
+        print(f" publishing {took_s:.2f} s after {cable.port} was back ", end="")
+    assert str(cable.stable) in trouble.message
+
+
+def test_a_scanner_that_comes_back_under_another_name_is_found(acm: Cable) -> None:
+    end = SerialEnd(str(acm.far_end), _SPEED)
+    name = "usb:15d1:0000:H0000001"
+    with driven(Path("/nowhere"), "URG-04LX", cable=(end, name)) as it:
+        it.scans.wait(3)
+        acm.unplug()
+        it.emulation.unplug()
+        before = len(it.scans)
+        acm.plug_in()
+        it.emulation.plug_in()
+        it.scans.wait(3, after=before)
