@@ -97,8 +97,7 @@ def recognised_from(view: View) -> int | None:
     recognizer = Recognizer([TaughtObject(0, "", None, (view,))])
     smallest = None
     for longest in _TRIED:
-        scene = _before_a_camera(view, longest)
-        if not recognizer.recognize(extract(scene), scene.shape[1], scene.shape[0]):
+        if not recognizer.recognize(extract(_before_a_camera(view, longest)), *_CAMERA):
             break
         smallest = longest
     return smallest
@@ -140,8 +139,12 @@ def look_alikes(view: View, known: Sequence[TaughtObject]) -> list[TaughtObject]
 
 
 def _before_a_camera(view: View, longest: int) -> Grey:
-    """An image of a usual camera that shows a view so large [px], turned a little."""
-    width, height = _CAMERA
+    """What a usual camera shows of a view so large [px], turned a little, and of what is around it.
+
+    Further off than its longer side there is nothing to be found: it is left out, being most of
+    the image.
+    """
+    width, height = (min(side, 2 * longest) for side in _CAMERA)
     scale = longest / max(view.width, view.height)
     middle = ((view.width - 1) / 2, (view.height - 1) / 2)
     turn = np.asarray(cv2.getRotationMatrix2D(middle, _TURNED_DEG, scale), np.float64)
@@ -151,7 +154,7 @@ def _before_a_camera(view: View, longest: int) -> Grey:
         picture = np.asarray(cv2.GaussianBlur(picture, (0, 0), 0.5 / scale), np.uint8)
     # Dark and bright at its sides: a camera exposes for the room, not for the object.
     scene = np.tile(np.linspace(15.0, 240.0, width), (height, 1)).astype(np.uint8)
-    cv2.warpAffine(picture, turn, _CAMERA, dst=scene, borderMode=cv2.BORDER_TRANSPARENT)
+    cv2.warpAffine(picture, turn, (width, height), dst=scene, borderMode=cv2.BORDER_TRANSPARENT)
     noise = np.random.default_rng(0).normal(0.0, _NOISE, scene.shape)
     return np.clip(np.rint(scene + noise), 0, 255).astype(np.uint8)
 
