@@ -1,5 +1,6 @@
 """`cairn object`: what it teaches, shows and refuses."""
 
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,22 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def photo(name: str, picture: np.ndarray[Any, Any]) -> str:
     assert cv2.imwrite(name, picture)
     return name
+
+
+@pytest.fixture(scope="module")
+def map_with_a_cup(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A map to which the cup of `picture_of(1)` is taught, without its size; not to be changed."""
+    folder = tmp_path_factory.mktemp("taught")
+    image = photo(str(folder / "a.png"), picture_of(1))
+    taught = cairn("object", "teach", "cup", image, "--map", str(folder / "cup.cairn"))
+    assert taught.code == 0, taught
+    return folder / "cup.cairn"
+
+
+@pytest.fixture
+def cup(folder: Path, map_with_a_cup: Path) -> None:
+    """The cup is taught here already."""
+    shutil.copy(map_with_a_cup, folder / "visual_map.cairn")
 
 
 def refused(*arguments: str) -> str:
@@ -95,8 +112,8 @@ def test_a_part_of_a_photograph_is_taught_by_a_box(folder: Path) -> None:
     )
 
 
+@pytest.mark.usefixtures("cup")
 def test_what_looks_alike_is_told(folder: Path) -> None:
-    cairn("object", "teach", "cup", photo("a.png", picture_of(1)))
     cairn("object", "teach", "book", photo("b.png", picture_of(2)))
 
     told = cairn("object", "teach", "mug", photo("c.png", picture_of(1)), "--json").json
@@ -124,8 +141,9 @@ def test_a_size_can_be_told_later(folder: Path) -> None:
     assert read_taught(Path("visual_map.cairn")).objects[0].size == (0.4, 0.3)
 
 
+@pytest.mark.usefixtures("cup")
 def test_another_size_is_taken_and_told(folder: Path) -> None:
-    cairn("object", "teach", "cup", photo("a.png", picture_of(1)), "--size", "0.4,0.3")
+    cairn("object", "teach", "cup", "--size", "0.4,0.3")
 
     other = cairn("object", "teach", "cup", "--size", "0.8,0.6", "--json").json
 
@@ -133,9 +151,10 @@ def test_another_size_is_taken_and_told(folder: Path) -> None:
     assert read_taught(Path("visual_map.cairn")).objects[0].size == (0.8, 0.6)
 
 
+@pytest.mark.usefixtures("cup")
 def test_a_photograph_is_taught_once(folder: Path) -> None:
-    first, same = photo("a.png", picture_of(1)), photo("b.png", picture_of(1))
-    cairn("object", "teach", "cup", first, "--size", "0.4,0.3")
+    cairn("object", "teach", "cup", "--size", "0.4,0.3")
+    same = photo("b.png", picture_of(1))
 
     again = cairn("object", "teach", "cup", same, photo("c.png", picture_of(2)), same, "--json")
 
@@ -203,9 +222,10 @@ def test_what_cannot_be_taught_is_refused_in_words(
     assert not Path("visual_map.cairn").exists()
 
 
-def test_maps_and_names_that_are_not_there_are_told(folder: Path) -> None:
+def test_maps_and_names_that_are_not_there_are_told(folder: Path, map_with_a_cup: Path) -> None:
+    photo("a.png", picture_of(1))
     assert "visual_map.cairn: no such map file" in refused("object", "list")
-    cairn("object", "teach", "cup", photo("a.png", picture_of(1)))
+    shutil.copy(map_with_a_cup, "visual_map.cairn")
     for verb in ("show", "remove"):
         assert "no object 'mug' was taught; taught are: cup" in refused("object", verb, "mug")
     Path("visual_map.cairn").write_bytes(b"x" * 4000)
@@ -235,6 +255,7 @@ def test_what_cannot_hold_a_map_is_told_as_it_is(folder: Path, map_file: str, wh
     assert "full" not in told
 
 
+@pytest.mark.usefixtures("cup")
 @pytest.mark.parametrize(
     ("picture", "why"),
     [
@@ -245,7 +266,6 @@ def test_what_cannot_hold_a_map_is_told_as_it_is(folder: Path, map_file: str, wh
     ],
 )
 def test_a_picture_that_cannot_be_written_is_told(folder: Path, picture: str, why: str) -> None:
-    cairn("object", "teach", "cup", photo("a.png", picture_of(1)))
     (folder / "folder").mkdir()
     (folder / "folder.png").mkdir()
     before = sorted(folder.rglob("*"))
