@@ -56,6 +56,7 @@ class Bench:
             )
             try:
                 self._robot = Robot(run, self._name)
+                self._robot.await_state(component, "active")
             except AssertionError as error:
                 self._refusal = str(error)  # it would be the same for every test of the contract
                 raise

@@ -128,12 +128,11 @@ class Robot:
         return bytes(self._bus.codec.encode(message))
 
     def status(self, component: str) -> ComponentStatus:
-        """What the component told of itself last, at most a quarter of a second ago."""
-        with self._changed:
-            assert component in self._statuses, (
-                f"there is no {component}; there are {', '.join(self._statuses)}; {self.run}"
-            )
-            return self._statuses[component]
+        """What the component told of itself last, at most a quarter of a second ago.
+
+        Raises `AssertionError` if there is no such component.
+        """
+        return self.await_status(component, lambda _: True, "there")
 
     def await_status(
         self,

@@ -1,0 +1,162 @@
+"""The driver: ports, parameters, life cycle, and the conversation with the device."""
+
+import math
+import threading
+import time
+from functools import partial
+from typing import ClassVar, Literal
+
+import numpy as np
+from cairn.bus.qos import SENSOR
+from cairn.clock import SECOND, from_ns
+from cairn.component.component import Component
+from cairn.component.handlers import every
+from cairn.component.parameters import Config, ParameterRefused
+from cairn.component.ports import Out
+from cairn.driver.device_clock import DeviceClock
+from cairn.driver.device_names import SerialPort
+from cairn.driver.device_thread import DeviceThread
+from cairn.driver.diagnostics import ERROR, OK, WARN, diagnostics
+from cairn.driver.errors import DeviceError
+from cairn.driver.link import SerialLink
+from cairn.driver.rate import RateWindow
+from pydantic import Field
+from schemas.diagnostic_msgs import DiagnosticArray
+from schemas.sensor_msgs import LaserScan
+from schemas.std_msgs import Header
+
+from lantern_driver import protocol
+from lantern_driver.protocol import DamagedLine, Lines, Turn
+
+_LISTEN_S = 0.1
+_SILENCE_S = 1.0  # a Lantern that says nothing for so long does not measure
+_STEP = math.pi / (protocol.BEAMS - 1)
+
+
+class LanternConfig(Config):
+    """Where the Lantern is."""
+
+    port: SerialPort = Field(
+        description="Serial port: /dev/serial/by-id/..., or usb:VENDOR:PRODUCT[:SERIAL]."
+    )
+    frame_id: str = Field("laser", min_length=1, description="Frame of the scans.")
+    farthest: float = Field(
+        8.0, ge=0.1, le=8.0, description="What is farther counts as nothing hit [m]."
+    )
+
+
+class LanternScanner(Component):
+    """Measures ranges with a Lantern on a serial line."""
+
+    clock_source: ClassVar[Literal["device"]] = "device"
+    config: LanternConfig
+
+    scan: Out[LaserScan] = Out(qos=SENSOR)
+    diagnostics: Out[DiagnosticArray]
+
+    def on_configure(self) -> None:
+        """See that the line is there; raises `LinkLost` if not, which names it."""
+        SerialLink(self.config.port, protocol.BAUD).close()
+        self._rate = RateWindow()
+        self._damaged = 0
+        self._trouble = ""
+
+    def on_activate(self) -> None:
+        """Begin to measure."""
+        self._rate.restart()
+        self._thread = DeviceThread(
+            self.name,
+            self._converse,
+            log=self.log,
+            on_trouble=lambda error: self.post(partial(self._lost, error)),
+            on_failure=lambda error: self.post(partial(_fail, error)),
+        )
+        self._thread.start()
+
+    def on_deactivate(self) -> None:
+        """Stop measuring, and let go of the line."""
+        self._thread.stop()
+
+    def on_parameters(self, new: Config) -> None:
+        """Another reach can be had at once, another line or frame cannot."""
+        assert isinstance(new, LanternConfig)
+        if (new.port, new.frame_id) != (self.config.port, self.config.frame_id):
+            raise ParameterRefused(f"{self.name} takes port and frame_id when it is configured")
+
+    @every(hz=1)
+    def report(self) -> None:
+        """Tell how the device is."""
+        hz = self._rate.hz(time.monotonic())
+        level, text = OK, f"{hz:.1f} scans a second"
+        if self._trouble:
+            level, text = ERROR, self._trouble
+        elif abs(hz - protocol.RATE_HZ) > 0.1 * protocol.RATE_HZ:
+            level = WARN
+        values = {"rate [Hz]": hz, "damaged lines": self._damaged}
+        now, port = self.clock.now(), self.config.port
+        self.diagnostics.publish(diagnostics(now, self.name, port, level, text, values))
+
+    def _converse(self, stopping: threading.Event) -> None:
+        """Runs on a thread of its own; what comes is posted to the component."""
+        link = SerialLink(self.config.port, protocol.BAUD)
+        clock = DeviceClock(protocol.CLOCK_HZ, protocol.CLOCK_BITS)
+        lines = Lines()
+        try:
+            link.discard()
+            link.write(protocol.START)
+            heard = time.monotonic()
+            while not stopping.is_set():
+                data, now = link.read(_LISTEN_S), time.monotonic()
+                for line in lines.feed(data):
+                    try:
+                        turn = protocol.read_turn(line)
+                    except DamagedLine:
+                        self._damaged += 1
+                        continue
+                    heard = now
+                    self._thread.well(f"{link.name}: the Lantern measures")
+                    ended = clock.seconds(turn.ended_ms)
+                    began = ended + clock.offset(ended, now) - protocol.SWEEP_S
+                    self.post(partial(self._tell, turn, began))
+                if now - heard > _SILENCE_S:
+                    raise DeviceError(f"{link.name}: no turn for {_SILENCE_S:g} s; is it on?")
+            link.write(protocol.STOP)
+        finally:
+            link.close()
+
+    def _tell(self, turn: Turn, began: float) -> None:
+        """Publish a turn whose first beam was measured at `began` [s, monotonic clock]."""
+        self._trouble = ""
+        self._rate.note(time.monotonic())
+        age_ns = round((time.monotonic() - began) * SECOND)
+        self.scan.publish(
+            LaserScan(
+                header=Header(
+                    stamp=from_ns(self.clock.now() - age_ns), frame_id=self.config.frame_id
+                ),
+                # It turns clockwise, and so do the angles.
+                angle_min=math.pi / 2,
+                angle_max=-math.pi / 2,
+                angle_increment=-_STEP,
+                time_increment=protocol.SWEEP_S / (protocol.BEAMS - 1),
+                scan_time=1.0 / protocol.RATE_HZ,
+                range_min=protocol.NEAREST_MM / 1000,
+                range_max=self.config.farthest,
+                ranges=_ranges(turn, self.config.farthest),
+            )
+        )
+
+    def _lost(self, error: DeviceError) -> None:
+        self._trouble = str(error)
+        self._rate.restart()
+
+
+def _ranges(turn: Turn, farthest: float) -> np.ndarray:
+    """Metres; infinite where nothing was seen within the reach (REP 117)."""
+    metres = np.array(turn.millimetres, np.float32) / np.float32(1000.0)
+    metres[(metres == 0.0) | (metres > farthest)] = np.inf
+    return metres
+
+
+def _fail(error: Exception) -> None:
+    raise error
