@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from components.v4l2_camera import videodev
 from components.v4l2_camera.device import VideoDevice
 from components.v4l2_camera.names import find_camera, video_nodes
 from tests.hardware.guest.modules import run, settle
 
+# Pictures that cost the emulated guest little.
+SMALL: Mapping[str, Any] = {"format": "GREY", "width": 320, "height": 180, "rate": 25}
 LEFT, RIGHT = "name:vivid-000-vid-cap", "name:vivid-001-vid-cap"
 _DRIVER = Path("/sys/bus/platform/drivers/vivid")
 _OUTPUT = 2  # V4L2_BUF_TYPE_VIDEO_OUTPUT

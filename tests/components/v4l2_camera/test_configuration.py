@@ -1,0 +1,145 @@
+"""What a deployment may ask of a camera, and what is refused before any device is opened."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from cairn.driver.device_names import devices_named
+from cairn.errors import CairnError
+from components.v4l2_camera.config import ControlsConfig, V4l2StereoCameraConfig
+from components.v4l2_camera.offers import PictureSize, best_format
+from schemas.sensor_msgs import CameraInfo
+from tests.components.v4l2_camera.driving import Driver
+from tests.components.v4l2_camera.fakes import HEIGHT, WIDTH, FakeCameras
+from vision.camera_file import write_camera
+
+LEFT, RIGHT = "/dev/left", "/dev/right"
+BASELINE_M = 0.12
+VGA = (640, 480)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "told"),
+    [
+        ({"device": "video0"}, "device = 'video0' is no name of a camera: give path, name:NAME"),
+        ({"device": LEFT, "right_device": "x"}, "right_device = 'x' is no name of a camera"),
+        ({"device": LEFT, "right_device": LEFT}, "are both '/dev/left'"),
+        ({"device": LEFT, "right_device": RIGHT, "side_by_side": True}, "leave right_device out"),
+        ({"device": LEFT, "side_by_side": True, "width": 641}, "needs an even width, not 641"),
+        ({"device": LEFT, "right_comes_first": True}, "is of side_by_side cameras"),
+        ({"device": LEFT, "right_calibration": "r.yaml"}, "there is no right camera"),
+        ({"device": LEFT, "format": "H264"}, "Input should be 'auto', 'GREY', 'YUYV' or 'MJPG'"),
+        ({"device": LEFT, "controls": {"gian": 1}}, "Extra inputs are not permitted"),
+    ],
+)
+def test_what_cannot_be_is_refused(parameters: dict[str, Any], told: str) -> None:
+    with pytest.raises(ValidationError) as refused:
+        V4l2StereoCameraConfig.model_validate(parameters)
+
+    assert told in str(refused.value)
+
+
+def test_controls_that_are_given_are_known_by_name() -> None:
+    controls = ControlsConfig(gain=3, auto_exposure=0, other={"led1_mode": 1})
+
+    assert controls.given() == {"gain": 3, "auto_exposure": 0, "led1_mode": 1}
+
+
+def test_the_devices_of_a_deployment_are_found() -> None:
+    config = V4l2StereoCameraConfig(device=LEFT, right_device=RIGHT)
+
+    found = {named.parameter: named.find() for named in devices_named(config)}
+
+    assert found == {"device": LEFT, "right_device": RIGHT}
+
+
+@pytest.mark.parametrize(
+    ("offers", "rate", "chosen"),
+    [
+        ({"MJPG": [PictureSize(640, 480, (30.0,))], "YUYV": [PictureSize(640, 480, (30.0,))]}, 25,
+         "YUYV"),
+        ({"MJPG": [PictureSize(640, 480, (60.0,))], "YUYV": [PictureSize(640, 480, (30.0,))]}, 60,
+         "MJPG"),
+        ({"MJPG": [PictureSize(640, 480, (30.0,))], "YUYV": [PictureSize(320, 240, (30.0,))]}, 30,
+         "MJPG"),
+        ({"YUYV": [PictureSize(640, 480, (29.97,))], "MJPG": []}, 30, "YUYV"),
+        ({"YUYV": [PictureSize(1920, 1080, (), is_range=True)]}, 30, "YUYV"),
+        ({"YUYV": []}, 30, "YUYV"),
+        ({"MJPG": [PictureSize(320, 240, (30.0,))], "YUYV": [PictureSize(320, 240, ())]}, 30,
+         "YUYV"),  # none suits: the camera gives what comes nearest
+        ({}, 30, None),
+    ],
+)  # fmt: skip
+def test_the_format_is_the_first_that_has_the_size_at_the_rate(
+    offers: dict[str, list[PictureSize]], rate: float, chosen: str | None
+) -> None:
+    assert best_format(offers, ("GREY", "YUYV", "MJPG"), VGA, rate) == chosen
+
+
+@pytest.fixture
+def stereo(cameras: FakeCameras, tmp_path: Path) -> dict[str, Any]:
+    """Two cameras, and calibrations of their size."""
+    for path in (LEFT, RIGHT):
+        cameras.add(path)
+    parameters: dict[str, Any] = {
+        "device": LEFT, "right_device": RIGHT, "width": WIDTH, "height": HEIGHT, "format": "GREY"
+    }  # fmt: skip
+    for side, right in (("left", 0.0), ("right", BASELINE_M)):
+        k = np.array([150.0, 0, 80, 0, 150, 60, 0, 0, 1])
+        p = np.array([150.0, 0, 80, -150 * right, 0, 150, 60, 0, 0, 0, 1, 0])
+        info = CameraInfo(
+            width=160, height=120, distortion_model="plumb_bob", d=np.zeros(5), k=k,
+            r=np.eye(3).ravel(), p=p,
+        )  # fmt: skip
+        write_camera(tmp_path / f"{side}.yaml", info, side)
+        parameters[f"{side}_calibration"] = str(tmp_path / f"{side}.yaml")
+    for camera in cameras.cameras.values():
+        camera.size = (160, 120)
+    return parameters
+
+
+def test_calibrations_tell_where_the_right_camera_sits(stereo: dict[str, Any]) -> None:
+    with Driver(**stereo, mount={"x": 0.2, "y": 0.05}, z=0.7) as driver:
+        [message] = driver.taken("tf_static")
+
+    left, right = message.transforms
+    place = left.transform.translation
+    assert (place.x, place.y, place.z) == (0.2, 0.05, 0.7)
+    baseline = place.y - right.transform.translation.y
+    assert baseline == pytest.approx(BASELINE_M)
+    assert left.child_frame_id == "left_camera_optical_frame"
+
+
+def test_a_calibration_of_another_size_is_refused(
+    stereo: dict[str, Any], cameras: FakeCameras
+) -> None:
+    for camera in cameras.cameras.values():
+        camera.size = (WIDTH, HEIGHT)
+
+    with pytest.raises(CairnError, match=f"but the camera gives {WIDTH} x {HEIGHT}: calibrate"):
+        Driver(**stereo)
+
+    assert all(camera.opened == 0 for camera in cameras.cameras.values())
+
+
+def test_a_size_other_than_was_asked_for_is_told(
+    stereo: dict[str, Any], caplog: pytest.LogCaptureFixture
+) -> None:
+    with Driver(**stereo, rate=20):
+        pass
+
+    assert "pixels, not 64 x 48 as was asked for" in caplog.text
+    assert "/dev/left gives 25 pictures a second, not 20 as was asked for" in caplog.text
+
+
+def test_cameras_of_different_sizes_are_refused(cameras: FakeCameras) -> None:
+    cameras.add(LEFT)
+    cameras.add(RIGHT).size = (32, 24)
+
+    with pytest.raises(CairnError, match="pictures of 32 x 24 and 64 x 48 pixels"):
+        Driver(device=LEFT, right_device=RIGHT, width=WIDTH, height=HEIGHT)
