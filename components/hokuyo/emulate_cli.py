@@ -41,6 +41,10 @@ def hokuyo(
     drift: Annotated[
         float, typer.Option(metavar="PPM", help="By how much its clock goes too fast [1e-6].")
     ] = 0.0,
+    odd_sums: Annotated[
+        bool,
+        typer.Option("--odd-sums", help="Leave `<-...` out of II's sums, as some UTM-30LX do."),
+    ] = False,
     serial_number: Annotated[str, typer.Option(help="What it tells as its own.")] = "H0614967",
     faults: Faults = "",
     seed: Seed = 0,
@@ -69,6 +73,7 @@ def hokuyo(
             speaks_scip1=scip1,
             clock_start_ms=clock_start,
             drift_ppm=drift,
+            sums_arrows=not odd_sums,
             serial_number=serial_number,
             on_scan=None if record is None else lambda scan: write(scan.line()),
         )

@@ -16,7 +16,8 @@ _ETHERNET = "Ethernet 100 [Mbps]"
 class Condition:
     """How the sensor is at a moment. `baud` [bit/s]: of its RS-232 line, if it is on that.
 
-    `trouble`: the number of what is wrong with it; none if it is well.
+    `trouble`: the number of what is wrong with it; none if it is well. `sums_arrows`: what stands
+    from `<-` on in a line is summed up as well.
     """
 
     laser: bool
@@ -27,6 +28,7 @@ class Condition:
     baud: int | None
     time_ms: int
     trouble: str | None
+    sums_arrows: bool
 
 
 def version(model: ScipModel, serial_number: str) -> list[bytes]:
@@ -59,13 +61,12 @@ def state(model: ScipModel, condition: Condition) -> list[bytes]:
     """The lines of II, in the words of each generation of sensors."""
     describe = {"first": _first, "EW": _ew, "UST": _ust}[model.generation]
     speed, measures, line, time, status = describe(condition)
-    summed = not model.arrows_unsummed
     return [
         fact("MODL", f"{model.label}({_MAKER})"),
         fact("LASR", "ON" if condition.laser else "OFF"),
-        fact("SCSP", speed, arrow_summed=summed),
+        fact("SCSP", speed, arrow_summed=condition.sums_arrows),
         fact("MESM", measures),
-        fact("SBPS", line, arrow_summed=summed),
+        fact("SBPS", line, arrow_summed=condition.sums_arrows),
         fact("TIME", time),
         fact("STAT", status),
     ]

@@ -47,8 +47,6 @@ class ScipModel:
     speaks_scip1: bool = False
     generation: Generation = "first"
     """What it tells of itself by II, and how it refuses."""
-    arrows_unsummed: bool = False
-    """In lines of II, what stands from `<-` on is left out of the check sum."""
 
     @property
     def steps(self) -> int:
@@ -109,7 +107,6 @@ def _fast(
         nothing=1,
         near=2,
         generation=generation,
-        arrows_unsummed=generation == "first",
     )
 
 

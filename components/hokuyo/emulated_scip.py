@@ -58,14 +58,17 @@ class EmulatedScip:
         knows_scip2: bool = True,
         clock_start_ms: float = 0.0,
         drift_ppm: float = 0.0,
+        sums_arrows: bool = True,
         serial_number: str = "H0614967",
         on_scan: Callable[[SentScan], None] | None = None,
     ) -> None:
         """`rs232_baud`: it is on its RS-232 line, with this speed after power-on [bit/s], rather
         than on USB or Ethernet. `speaks_scip1`: so it does after power-on, and
         unless it `knows_scip2` ever after. `clock_start_ms`: what
-        its clock shows at power-on; `drift_ppm`: by how much that goes too fast. `on_scan` is told
-        of each scan as it is sent.
+        its clock shows at power-on; `drift_ppm`: by how much that goes too fast. Without
+        `sums_arrows` it leaves what stands from `<-` on out of II's check sums, as some UTM-30LX
+        do, of which Hokuyo's own library can then not read the state. `on_scan` is told of each
+        scan as it is sent.
         """
         self.model = MODELS[model]
         self.sensor = Sensor(
@@ -74,6 +77,7 @@ class EmulatedScip:
             baud=rs232_baud,
             clock_start_ms=clock_start_ms,
             drift_ppm=drift_ppm,
+            sums_arrows=sums_arrows,
         )
         self._commands = Commands(self.sensor, serial_number)
         self._serial_number = serial_number

@@ -27,6 +27,7 @@ class Sensor:
         baud: int | None,
         clock_start_ms: float,
         drift_ppm: float,
+        sums_arrows: bool,
     ) -> None:
         self.model = model
         self.scene = scene
@@ -38,6 +39,7 @@ class Sensor:
         self.deaf_until = -math.inf
         self._clock_start_ms = clock_start_ms
         self._drift_ppm = drift_ppm
+        self._sums_arrows = sums_arrows
         self.reset(0.0)
 
     def switched_on(self, now: float) -> None:
@@ -107,6 +109,7 @@ class Sensor:
             baud=self.baud,
             time_ms=self.clock.ms(now),
             trouble=self.trouble,
+            sums_arrows=self._sums_arrows,
         )
 
     def state_number(self) -> str:
