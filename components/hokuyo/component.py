@@ -136,6 +136,8 @@ class HokuyoScanner(Component):
 
     def _came(self, measured: Measured) -> None:
         # On the sensor's thread. If scans are told more slowly than they come, the oldest go.
+        if len(self._waiting) == _MOST_WAITING:
+            self._measurement.left_out += 1
         self._waiting.append(measured)
         self.post(self._tell)
 

@@ -14,7 +14,8 @@ _ANSWER_LIMIT_S = 0.5  # sensors answer within milliseconds, but computers may b
 _LONGEST_ANSWER = 500  # bytes, of those that are no scans
 _BITS_PER_BYTE = 10  # start, eight of data, stop
 
-_TRIES = 3
+TRIES = 3
+"""How often a command is sent that every sensor knows."""
 
 
 class NoAnswer(DeviceError):  # noqa: N818 - it tells what happened
@@ -50,13 +51,13 @@ class Dialogue:
         line_s = _LONGEST_ANSWER * _BITS_PER_BYTE / baud if self.link.paced else 0.0
         self.answer_limit_s = _ANSWER_LIMIT_S + line_s
 
-    def ask(self, command: str) -> Reply:
+    def ask(self, command: str, tries: int = TRIES) -> Reply:
         """Send a command, and return its reply; other replies are kept for `arrivals`.
 
-        A command or its reply may be damaged on the way, so it is sent up to three times; no
-        command of SCIP does harm if it comes twice. Raises `NoAnswer`, `LinkLost`.
+        A command or its reply may be damaged on the way, so it is sent several times; no command
+        of SCIP does harm if it comes twice. Raises `NoAnswer`, `LinkLost`.
         """
-        for _ in range(_TRIES):
+        for _ in range(tries):
             self.send(command)
             reply = self.find(command)
             if reply is not None:

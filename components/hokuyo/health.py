@@ -16,6 +16,7 @@ class Counts:
 
     damaged: int = 0
     restarts: int = 0
+    left_out: int = 0
 
 
 class Health:
@@ -28,7 +29,7 @@ class Health:
         self, measurement: Measurement, trouble: str, hz: float, tolerance: float
     ) -> tuple[int, str]:
         """Level and text: connected at all, anything damaged, rate [Hz] as it should be."""
-        now = Counts(measurement.stream.damaged, measurement.restarts)
+        now = Counts(measurement.stream.damaged, measurement.restarts, measurement.left_out)
         before, self._before = self._before, now
         if trouble:
             return ERROR, trouble
@@ -39,6 +40,11 @@ class Health:
             return (
                 WARN,
                 f"{now.damaged - before.damaged} damaged replies: check cable and shielding",
+            )
+        if now.left_out > before.left_out:
+            return (
+                WARN,
+                f"{now.left_out - before.left_out} scans left out: the computer is too busy",
             )
         if nominal and abs(hz - nominal) > tolerance * nominal:
             return (
@@ -63,6 +69,7 @@ def values(measurement: Measurement, hz: float) -> dict[str, object]:
         "rate [Hz]": hz,
         "scans": stream.good,
         "damaged replies": stream.damaged,
+        "left out": measurement.left_out,
         "begun anew after silence": measurement.restarts,
         "connections": measurement.connections,
     }

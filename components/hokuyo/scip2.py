@@ -10,16 +10,17 @@ from typing import TypeVar
 
 from cairn.driver.errors import DeviceError
 from components.hokuyo.device_facts import Measuring, keyed, measuring
-from components.hokuyo.dialogue import Arrival, Dialogue
+from components.hokuyo.dialogue import TRIES, Arrival, Dialogue
 from components.hokuyo.replies import Reply
 from components.hokuyo.requests import ScanRequest
 from components.hokuyo.scip_text import ScipError, checked, decode_number
 
 T = TypeVar("T")
 
-_TRIES = 3
+_DAMAGED = 3  # answers in a row, and a line is of no use
 _TIME_SAMPLES = 10
 _SPEED_SET_S = 0.15
+_LASER_OFF = "10"
 
 
 class Refused(DeviceError):  # noqa: N818 - it tells what happened
@@ -53,11 +54,11 @@ class Scip2:
 
     def version(self) -> Mapping[str, str]:
         """Who made it: VEND, PROD, FIRM, PROT, SERI."""
-        return self._facts("VV")
+        return self._facts("VV", tries=1)
 
     def state(self) -> Mapping[str, str]:
         """How it is: LASR, SCSP, MESM, SBPS, TIME, STAT ..., as it calls these."""
-        return self._facts("II")
+        return self._facts("II", tries=1)
 
     def set_speed(self, baud: int) -> None:
         """Have it speak at this speed [bit/s] from now on; raises `Refused`, `DeviceError`."""
@@ -70,7 +71,7 @@ class Scip2:
     def read_clock(self) -> list[ClockReading]:
         """Readings of its clock, its laser off meanwhile; none if it has no such mode."""
         readings: list[ClockReading] = []
-        code, _ = self._answer("TM0")
+        code, _ = self._answer("TM0", tries=1)
         if code not in ("00", "02"):
             return readings
         for _ in range(_TIME_SAMPLES):
@@ -92,6 +93,9 @@ class Scip2:
         self._dialogue.forget()
         command = request.command.decode("ascii")
         code, _ = self._answer(command)
+        if code == _LASER_OFF:  # there are some that do not switch it on by themselves
+            self._answer("BM")
+            code, _ = self._answer(command)
         if code not in ("00", "99"):  # 99: the answer was lost, and this is a scan
             raise Refused(f"{self._name}: the sensor refuses {command} (status {code})", code)
 
@@ -104,25 +108,28 @@ class Scip2:
         self._answer("QT")
         self._dialogue.forget()
 
-    def _facts(self, command: str) -> Mapping[str, str]:
+    def _facts(self, command: str, *, tries: int = TRIES) -> Mapping[str, str]:
         def read(reply: Reply) -> Mapping[str, str]:
             if reply.code() != "00":
                 raise ScipError(f"its status is {reply.code()}")
             return keyed(reply.lines)
 
-        return self._understood(command, read)
+        return self._understood(command, read, tries)
 
-    def _answer(self, command: str) -> tuple[str, list[bytes]]:
+    def _answer(self, command: str, *, tries: int = TRIES) -> tuple[str, list[bytes]]:
         """The status with which a command is answered, and the lines that follow."""
-        return self._understood(command, lambda reply: (reply.code(), reply.lines))
+        return self._understood(command, lambda reply: (reply.code(), reply.lines), tries)
 
-    def _understood(self, command: str, read: Callable[[Reply], T]) -> T:
-        """What `read` makes of a command's answer, asked for anew if it comes damaged."""
-        for _ in range(_TRIES - 1):
+    def _understood(self, command: str, read: Callable[[Reply], T], tries: int) -> T:
+        """What `read` makes of a command's answer, asked for anew if it comes damaged.
+
+        One that does not come at all is awaited `tries` times.
+        """
+        for _ in range(_DAMAGED - 1):
             with suppress(ScipError):
-                return read(self._dialogue.ask(command))
+                return read(self._dialogue.ask(command, tries))
         try:
-            return read(self._dialogue.ask(command))
+            return read(self._dialogue.ask(command, tries))
         except ScipError as error:
             raise DeviceError(
                 f"{self._name}: the answer to {command} cannot be understood: {error}"

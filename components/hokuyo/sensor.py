@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
-from cairn.driver.errors import DeviceError
+from cairn.driver.errors import DeviceError, LinkLost
 from cairn.driver.link import Link, SerialLink, TcpLink
 from cairn.errors import CairnError
 from components.hokuyo.config import HokuyoConfig
@@ -18,6 +19,8 @@ from components.hokuyo.requests import ScanRequest
 from components.hokuyo.scip1 import Scip1
 from components.hokuyo.scip2 import Refused, Scip2
 from components.hokuyo.stamping import Stamping
+
+T = TypeVar("T")
 
 _BITS_PER_BYTE = 10  # start, eight of data, stop
 
@@ -92,9 +95,9 @@ def connect(config: HokuyoConfig, speeds: Sequence[int] = ()) -> Sensor:
                 baud = config.baud
         stamping = Stamping(protocol.measuring)
         if config.calibrate_time:
-            stamping.calibrate(protocol.read_clock())
-        facts = protocol.version(), protocol.state()
-        return Sensor(link, dialogue, protocol, baud, *facts, stamping)
+            stamping.calibrate(_if_known(protocol.read_clock, []))
+        version, state = _if_known(protocol.version, {}), _if_known(protocol.state, {})
+        return Sensor(link, dialogue, protocol, baud, version, state, stamping)
     except BaseException:
         link.close()
         raise
@@ -132,6 +135,16 @@ def scan_bytes(request: ScanRequest) -> int:
     characters = request.values * request.encoding * (2 if request.intensity else 1)
     lines = -(-characters // 64)
     return len(request.command) + 1 + 4 + 6 + characters + 2 * lines + 1
+
+
+def _if_known(ask: Callable[[], T], otherwise: T) -> T:
+    """What a sensor answers to what not every sensor knows, and measures without."""
+    try:
+        return ask()
+    except LinkLost:
+        raise
+    except DeviceError:
+        return otherwise
 
 
 def _opened(config: HokuyoConfig) -> Link:

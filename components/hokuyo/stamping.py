@@ -29,6 +29,7 @@ class Stamping:
         self._clock = DeviceClock(_TICKS_PER_S, _BITS)
         self._calibrated_s: float | None = None
         self._scans = 0
+        self._last_ms: int | None = None
         self.way_s: float | None = None
         """What a scan takes from step 0 until it is there [s], if that was measured."""
 
@@ -63,12 +64,13 @@ class Stamping:
         """
         arrived_s = arrived / SECOND
         least_way_s = line_s + self._turn_s * (request.last + 1) / self._turn_steps
-        if time_ms is None:
+        if time_ms is None or time_ms == self._last_ms:  # there is no clock, or it stands still
             began_s = arrived_s - least_way_s
         else:
             device_s = self._clock.seconds(time_ms)
             offset_s = self._clock.offset(device_s, arrived_s)
             began_s = device_s + offset_s - self._way(offset_s, least_way_s)
+        self._last_ms = time_ms
         return round((began_s + self._turn_s * request.first / self._turn_steps) * SECOND)
 
     def _way(self, offset_s: float, least_way_s: float) -> float:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import pytest
 
 from components.hokuyo.emulated_record import SentScan
 
@@ -15,21 +15,43 @@ _SHORT_MOST = 4094
 _CODES = {1: math.inf, 2: -math.inf}  # of UTM and UST: nothing hit, too near
 
 
-def assert_equal(
-    scan: Any, sent: SentScan, model: str, *, echo: str = "first", short: bool = False
-) -> None:
-    """Every range, and every intensity, is the value that was sent."""
+def assert_were_sent(
+    scans: Sequence[Any],
+    sent: Sequence[SentScan],
+    model: str,
+    *,
+    echo: str = "first",
+    short: bool = False,
+) -> list[SentScan]:
+    """Every scan is, value by value, one that was sent, in this order; those that it was.
+
+    A computer that is too busy may leave some out.
+    """
+    left = iter(sent)
+    found = []
+    for number, scan in enumerate(scans):
+        for one in left:
+            if _equal(scan, one, model, echo, short=short):
+                found.append(one)
+                break
+        else:
+            raise AssertionError(f"scan {number} was not sent, or not in this order")
+    return found
+
+
+def _equal(scan: Any, sent: SentScan, model: str, echo: str, *, short: bool) -> bool:
     rows = np.arange(len(sent.distances))
     column = np.zeros(len(rows), np.intp)
     if echo == "strongest" and sent.intensities is not None:
         column = np.argmax(sent.intensities, axis=1)
-    assert scan.ranges.tolist() == pytest.approx(
-        ranges(sent.distances[rows, column], model, short=short), abs=1e-6, nan_ok=True
-    )
+    wanted = ranges(sent.distances[rows, column], model, short=short)
+    if len(wanted) != scan.ranges.size or not np.allclose(
+        scan.ranges, wanted, rtol=0, atol=1e-5, equal_nan=True
+    ):
+        return False
     if sent.intensities is None:
-        assert scan.intensities.size == 0
-    else:
-        assert scan.intensities.tolist() == sent.intensities[rows, column].tolist()
+        return bool(scan.intensities.size == 0)
+    return np.array_equal(scan.intensities, sent.intensities[rows, column])
 
 
 def ranges(values: Any, model: str, *, short: bool = False) -> list[float]:

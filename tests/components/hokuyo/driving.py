@@ -69,7 +69,7 @@ class Driven:
     def __init__(
         self,
         emulation: Emulation,
-        device: EmulatedScip,
+        device: Any,
         sent: list[SentScan],
         **parameters: Any,
     ) -> None:

@@ -1,0 +1,94 @@
+"""Sensors that know no more of SCIP than they must are driven as well."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cairn.driver.emulated_lines import PtyEnd
+from cairn.driver.emulation import Emulation
+from components.hokuyo.scip_text import encode_number, with_sum
+from tests.components.hokuyo.driving import Driven
+
+_LIMITS = ("DMIN:100", "DMAX:4000", "SCAN:600")
+_STEPS = ("ARES:360", "AMIN:0", "AMAX:180", "AFRT:90")
+_PP = ("MODL:PLAIN-1", *_LIMITS, *_STEPS, "EXTRA:new")
+
+
+class PlainSensor:
+    """Answers QT, PP and MD; all else not at all. Its clock stands still."""
+
+    def __init__(self, *, wants_laser: bool) -> None:
+        self._wants_laser = wants_laser
+        self._laser = False
+        self._echo: bytes | None = None
+        self._due = math.inf
+        self._number = 0
+
+    def receive(self, data: bytes, now: float) -> list[bytes]:
+        return [answer for line in data.split(b"\n") if (answer := self._answer(line, now))]
+
+    def _answer(self, line: bytes, now: float) -> bytes:
+        match line[:2]:
+            case b"QT":
+                self._echo, self._due = None, math.inf
+                return b"QT\n00P\n\n"
+            case b"PP":
+                lines = [f"{one};".encode() + with_sum(one.encode())[-1:] for one in _PP]
+                return b"\n".join([b"PP", b"00P", *lines, b"", b""])
+            case b"BM" if self._wants_laser:
+                self._laser = True
+                return b"BM\n00P\n\n"
+            case b"MD" if self._wants_laser and not self._laser:
+                return line + b"\n10Q\n\n"
+            case b"MD":
+                self._echo, self._due = line, now + 0.1
+                return line + b"\n00P\n\n"
+        return b""
+
+    def due(self) -> float:
+        return self._due
+
+    def tick(self, now: float) -> list[bytes]:
+        if self._echo is None or now < self._due:
+            return []
+        self._due += 0.1
+        self._number += 1
+        values = np.full(181, 1000 + self._number)
+        text = b"".join(encode_number(int(value), 3) for value in values)
+        lines = [with_sum(text[at : at + 64]) for at in range(0, len(text), 64)]
+        return [b"\n".join([self._echo, b"99b", with_sum(b"0000"), *lines, b"", b""])]
+
+    def hung_up(self, now: float) -> None:
+        """It does not notice."""
+
+    def switched_on(self, now: float) -> None:
+        """It is as it was."""
+
+    def baud(self) -> int | None:
+        return None
+
+
+@pytest.mark.parametrize("wants_laser", [False, True])
+def test_a_sensor_that_knows_little(tmp_path: Path, wants_laser: bool) -> None:
+    port = tmp_path / "scanner"
+    with Emulation(PlainSensor(wants_laser=wants_laser), PtyEnd(port)) as emulation:
+        it = Driven(emulation, None, [], port=str(port))
+        try:
+            it.component.activate()
+            scans = it.scans.wait(5)
+            told = it.health(lambda status: True)
+        finally:
+            it.component.close()
+    stamps = [scan.header.stamp.sec + scan.header.stamp.nanosec * 1e-9 for scan in scans]
+
+    assert [scan.ranges[0] for scan in scans] == pytest.approx([1.001, 1.002, 1.003, 1.004, 1.005])
+    assert scans[0].angle_min == pytest.approx(-math.pi / 2)
+    assert scans[0].ranges.size == 181
+    assert np.all(np.diff(stamps) > 0)
+    values = {value.key: value.value for value in told.values}
+    assert values["model"] == "PLAIN-1"
+    assert values["from step 0 to here [ms]"] == "not measured"
