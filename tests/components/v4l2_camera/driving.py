@@ -18,6 +18,7 @@ from cairn.component.runtime import Assignment, End, Runtime
 from components.v4l2_camera.component import V4l2StereoCamera
 
 LIMIT_S = 15.0
+_LOOK_S = 0.05
 _ALL = Qos("reliable", "transient_local", 10_000)
 
 
@@ -98,10 +99,12 @@ class Driver:
         return [self.await_one("left_image") for _ in range(count)]
 
     def values(self, index: int = 0) -> dict[str, str]:
-        """What the next diagnostics tell: of the camera so numbered, or of the pair (2)."""
+        """What diagnostics tell now: of the camera so numbered, or of the pair (2)."""
+        component = self.runtime.component
+        assert isinstance(component, V4l2StereoCamera)
         self.taken("diagnostics")
-        message = self.await_one("diagnostics")
-        status = message.status[index]
+        self.ask(component.tell)  # it does so once a second by itself
+        status = self.taken("diagnostics")[-1].status[index]
         told = {value.key: value.value for value in status.values}
         return told | {"level": str(status.level), "message": status.message}
 
@@ -112,6 +115,8 @@ class Driver:
         until = time.monotonic() + LIMIT_S
         while not test(told := self.values(index)):
             assert time.monotonic() < until, f"diagnostics stay {told}"
+            self._came.clear()
+            self._came.wait(_LOOK_S)
         return told
 
     def await_end(self) -> None:

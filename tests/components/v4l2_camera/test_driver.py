@@ -279,16 +279,18 @@ def test_a_mistake_in_the_driver_fails_it_and_lets_go_of_the_camera(left: FakeCa
     assert left.opened == 0
 
 
-def test_a_camera_at_its_rate_is_told_to_be_well(left: FakeCamera, right: FakeCamera) -> None:
+def test_cameras_that_make_pairs_are_told_to_be_well(left: FakeCamera, right: FakeCamera) -> None:
     with Driver(**TWO) as driver:
+        begin(driver, left, right)
+        driver.values()  # what was until now
         now = time.monotonic_ns()
-        for number in range(20):
-            for camera in (left, right):
-                camera.send(number, taken=now + number)
-        driver.await_one("right_image")
-        told = driver.await_values(lambda told: told["level"] == str(OK), index=2)
+        left.send(1, taken=now - 2_000_000)
+        right.send(2, taken=now)
+        driver.await_one("right_image", lambda image: level(image) == 2)
+        told = driver.values(2)
 
-    assert told["message"] == "right +0.00 ms after left"
+    assert told["level"] == str(OK)
+    assert told["message"] == "right +2.00 ms after left"
 
 
 def begin(driver: Driver, left: FakeCamera, right: FakeCamera) -> None:

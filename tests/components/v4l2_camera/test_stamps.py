@@ -2,8 +2,7 @@
 
 import time
 
-from hypothesis import given
-from hypothesis import strategies as st
+import pytest
 
 from components.v4l2_camera.stamps import Sequence, is_likely, system_offset
 
@@ -29,14 +28,12 @@ def test_times_by_another_clock_are_noticed() -> None:
     assert not is_likely(now + 10 * SECOND, now)
 
 
-@given(st.integers(0, LAST), st.lists(st.integers(1, 1000), max_size=20))
-def test_numbers_left_out_are_pictures_lost_even_where_numbers_wrap(
-    first: int, steps: list[int]
-) -> None:
+@pytest.mark.parametrize("first", [0, 1000, LAST - 5, LAST])
+def test_numbers_left_out_are_pictures_lost_even_where_numbers_wrap(first: int) -> None:
     sequence = Sequence()
     assert sequence.lost_before(first) == 0
     number = first
-    for step in steps:
+    for step in (1, 1, 2, 5, 1, 1000, 3, 1):
         number = (number + step) % 2**32
         assert sequence.lost_before(number) == step - 1
 
