@@ -9,6 +9,7 @@ import pytest
 from cairn.clock import to_ns
 from cairn.component.parameters import ParameterRefused
 from cairn.errors import CairnError
+from components.v4l2_camera.listing import as_lines, listed
 from tests.components.v4l2_camera.driving import Driver
 from tests.hardware.guest.camera import LEFT, RIGHT, SMALL, load_cameras, unload, value_of
 
@@ -91,3 +92,14 @@ def test_a_camera_that_cannot_be_had_is_refused_when_it_is_configured(
 
     assert told in str(refused.value)
     assert "camera: " in str(refused.value)
+
+
+def test_cameras_are_listed_with_what_they_offer() -> None:
+    cameras = {camera["names"][-1]: camera for camera in listed()}
+
+    for name in (LEFT, RIGHT):
+        told = "\n".join(as_lines(cameras[name]))
+        assert cameras[name]["fault"] == ""
+        assert "GREY: 320 x 180 at " in told
+        assert "brightness = 128: 0 to 255; 128 by default" in told
+        assert "not read by this driver: UYVY" in told
