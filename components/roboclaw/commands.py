@@ -78,6 +78,12 @@ Commands 28 and 29 set them, in the order D, P, I, QPPS.
 MAIN_VOLTAGES = Question(59, ">HH", "main battery limits")
 """Main battery, lowest and highest [0.1 V], beyond which the motors are switched off."""
 
+NEW_MAIN_VOLTAGES = Question(59, ">HHB", "main battery limits")
+"""The same of newer firmware: with whether its offset is found by itself, as command 57 takes it.
+
+It is in Basicmicro's Python library, and not in the manual.
+"""
+
 ENCODERS = Question(78, ">II", "encoder counts")
 """Counters of both encoders, which wrap at 2^32: read in one packet, so of one moment."""
 
@@ -117,6 +123,10 @@ def switch_off() -> Order:
     return give_power(0.0, 0.0)
 
 
-def set_main_voltages(lowest: float, highest: float) -> Order:
-    """Switch the motors off when the main battery is beyond these limits [V]."""
-    return Order(SET_MAIN_VOLTAGES, struct.pack(">HH", round(lowest * 10), round(highest * 10)))
+def set_main_voltages(lowest: float, highest: float, *rest: int) -> Order:
+    """Switch the motors off when the main battery is beyond these limits [V].
+
+    `rest`: what follows the limits in the reply to `NEW_MAIN_VOLTAGES`, nothing for others.
+    """
+    limits = struct.pack(">HH", round(lowest * 10), round(highest * 10))
+    return Order(SET_MAIN_VOLTAGES, limits + bytes(rest))

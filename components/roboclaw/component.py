@@ -16,7 +16,8 @@ from cairn.driver.rate import RateWindow
 from cairn.errors import CairnError
 from components.roboclaw.commanding import LatestCommand
 from components.roboclaw.config import RoboclawBaseConfig
-from components.roboclaw.driving import Driving, Health, Step
+from components.roboclaw.driving import Driving, Step
+from components.roboclaw.health import Health
 from components.roboclaw.lines import open_line
 from components.roboclaw.messages import (
     battery_message,

@@ -58,11 +58,7 @@ class Dialogue:
         self._counts = counts
         self._limit_s = reply_limit_s
         self._tries = tries
-        self._old_status = False
-
-    def line_time(self, question: Question) -> float:
-        """How long question and reply take on a line of this speed [s]."""
-        return (2 + question.size + SUM_SIZE) * self._byte_s
+        self._shorter: set[int] = set()  # commands whose replies are known to be short
 
     def order(self, order: Order) -> None:
         """Send an order, and have it acknowledged; raises `DeviceError`."""
@@ -72,6 +68,20 @@ class Dialogue:
     def ask(self, question: Question) -> tuple[int, ...]:
         """The numbers that answer a question; raises `DeviceError`."""
         return question.decode(self._ask(question.command, question.size, self._data(question)))
+
+    def ask_either(self, longer: Question, shorter: Question) -> tuple[int, ...]:
+        """The numbers that answer a question whose reply has grown with the firmware.
+
+        Which one it is, is found out by asking, and remembered.
+        """
+        if longer.command in self._shorter:
+            return self.ask(shorter)
+        whole, short = self._data(longer), self._data(shorter)
+        data = self._ask(longer.command, longer.size, whole, in_the_end=short)
+        if len(data) == longer.size:
+            return longer.decode(data)
+        self._shorter.add(longer.command)
+        return shorter.decode(data)
 
     def version(self) -> str:
         """The product's name and the version of its firmware."""
@@ -87,17 +97,10 @@ class Dialogue:
         return data.rstrip(commands.VERSION_END).decode("ascii", "replace")
 
     def status(self) -> status.Status:
-        """What the RoboClaw says of itself; how long its status is, is found out by asking."""
-        if not self._old_status:
-            whole, old = self._data(commands.STATUS), self._data(commands.OLD_STATUS)
-            data = self._ask(
-                commands.READ_STATUS, commands.STATUS.size, whole, in_the_end=old
-            )  # fmt: skip
-            self._old_status = len(data) == commands.OLD_STATUS.size
-            bits = int.from_bytes(data, "big")
-        else:
-            (bits,) = self.ask(commands.OLD_STATUS)
-        return status.decode_old(bits) if self._old_status else status.decode(bits)
+        """What the RoboClaw says of itself."""
+        (bits,) = self.ask_either(commands.STATUS, commands.OLD_STATUS)
+        old = commands.READ_STATUS in self._shorter
+        return status.decode_old(bits) if old else status.decode(bits)
 
     def _data(self, question: Question) -> Callable[[bytes], bytes | None]:
         size = question.size + SUM_SIZE

@@ -6,23 +6,23 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from cairn.driver.errors import DeviceError
 from cairn.driver.link import Link
 from components.roboclaw import commands
 from components.roboclaw.commanding import STILL, LatestCommand
-from components.roboclaw.dialogue import Dialogue, DialogueCounts
-from components.roboclaw.kinematics import Geometry, Limits, Pair, approached, counted, limited
-from components.roboclaw.setting_up import Ready, check_timeout, set_up
-from components.roboclaw.status import Status
+from components.roboclaw.dialogue import Dialogue
+from components.roboclaw.encoder_reading import Counted, EncoderReader
+from components.roboclaw.health import Health, asking
+from components.roboclaw.kinematics import Geometry, Limits, Pair, approached, limited
+from components.roboclaw.setting_up import Ready, set_up
 from components.roboclaw.wheel_watch import WatchLimits, WheelWatch
 
 _STANDS_BELOW = 0.01  # [m/s]: slower than this, and a wheel stands
-_STAND_LIMIT_S = 1.0  # for standing still, beyond the time that slowing down takes
+_STAND_S = 1.0  # for standing still, beyond the time that slowing down takes
+_LONGEST_STAND_S = 3.0  # shorter than its supervisor waits for it to stop
 _LONGEST_STEP_S = 0.2  # a longer pause between two readings says nothing of speeds
-_PROMPT_S = 0.004  # a reply that takes longer than that, beside its bytes, came late
-_READINGS = 3
 _FASTER_THAN_POSSIBLE = 2.0  # times the speed at full power: the counter did not count this
 
 
@@ -53,26 +53,6 @@ class Step:
     turned: float
 
 
-@dataclass
-class Health:
-    """What is known of the controller. Written by the conversation, read by whoever tells of it."""
-
-    version: str = ""
-    status: Status = field(default_factory=Status)
-    voltage: float = float("nan")
-    """Main battery [V]."""
-    currents: tuple[float, float] = (float("nan"), float("nan"))
-    """Of M1 and M2 [A]."""
-    temperature: float = float("nan")
-    """[deg C]"""
-    fault: str | None = None
-    """What was wrong with a wheel; from then on the motors are off."""
-    trouble: str | None = "it was not connected yet"
-    """Why there is no conversation; None if there is one."""
-    connections: int = 0
-    counts: DialogueCounts = field(default_factory=DialogueCounts)
-
-
 class Driving:
     """Drives the base over a line, until it is told to stop or the line fails.
 
@@ -100,7 +80,7 @@ class Driving:
         self._on_step = on_step
         self._watch = WheelWatch(settings.watch)
         self._pause = threading.Event()  # never set
-        self._last: _Counted | None = None
+        self._last: Counted | None = None
         self._twist: Pair = STILL
         self._await_rest = False
 
@@ -121,26 +101,27 @@ class Driving:
         try:
             settings = self._settings
             dialogue = Dialogue(link, settings.address, settings.baud, self._health.counts)
-            ready = self._begin(dialogue)
+            encoders = EncoderReader(dialogue)
+            ready = self._begin(dialogue, encoders)
             self._on_ready(ready)
             try:
-                self._drive(dialogue, ready, stopping)
+                self._drive(dialogue, encoders, ready, stopping)
             except Exception:
                 # Why it ended is raised; if this fails too, the serial timeout stops the wheels.
                 with suppress(DeviceError):
                     self._order_still(dialogue)
                 raise
-            self._stand(dialogue)
+            self._stand(dialogue, encoders)
         finally:
             link.close()
 
-    def _begin(self, dialogue: Dialogue) -> Ready:
+    def _begin(self, dialogue: Dialogue, encoders: EncoderReader) -> Ready:
         self._twist = STILL
         self._order_still(dialogue)
         ready = self._set_up(dialogue)
         if not ready.kept_power:
             self._last = None
-        self._stand(dialogue)
+        self._stand(dialogue, encoders)
         self._watch.forget()
         health = self._health
         health.version, health.trouble = ready.version, None
@@ -157,15 +138,21 @@ class Driving:
             settings.main_voltages,
         )
 
-    def _drive(self, dialogue: Dialogue, ready: Ready, stopping: threading.Event) -> None:
+    def _drive(
+        self,
+        dialogue: Dialogue,
+        encoders: EncoderReader,
+        ready: Ready,
+        stopping: threading.Event,
+    ) -> None:
         period = 1.0 / self._settings.rate_hz
-        questions = self._questions(dialogue)
+        questions = asking(dialogue, self._health, self._settings.device_timeout_s)
         turn_of = 0
         began = due = time.monotonic() - period
         while not stopping.is_set():
             before, began = began, time.monotonic()
             asked = self._order(dialogue, ready, began, min(began - before, 2.0 * period))
-            step = self._measure(dialogue, ready)
+            step = self._measure(encoders, ready)
             self._judge(dialogue, asked, step)
             questions[turn_of]()
             turn_of = (turn_of + 1) % len(questions)
@@ -204,8 +191,8 @@ class Driving:
             self._await_rest = False
         return STILL if self._await_rest else wanted
 
-    def _measure(self, dialogue: Dialogue, ready: Ready) -> Step:
-        now = _counted(dialogue)
+    def _measure(self, encoders: EncoderReader, ready: Ready) -> Step:
+        now = encoders.read()
         before = self._last or now
         seconds = now.at - before.at
         geometry = self._settings.geometry
@@ -234,50 +221,25 @@ class Driving:
         if self._health.fault is not None:
             dialogue.order(commands.switch_off())
 
-    def _questions(self, dialogue: Dialogue) -> tuple[Callable[[], None], ...]:
-        """What is asked in turns, one each time that the wheels are ordered."""
-        health = self._health
-
-        def status() -> None:
-            health.status = dialogue.status()
-
-        def voltage() -> None:
-            health.voltage = dialogue.ask(commands.MAIN_VOLTAGE)[0] / 10
-
-        def currents() -> None:
-            first, second = dialogue.ask(commands.CURRENTS)
-            health.currents = (first / 100, second / 100)
-
-        def temperature() -> None:
-            health.temperature = dialogue.ask(commands.TEMPERATURE)[0] / 10
-
-        def timeout() -> None:
-            if not check_timeout(dialogue, self._settings.device_timeout_s):
-                raise DeviceError(
-                    "the RoboClaw has lost its serial timeout: it was switched off and on, or "
-                    "another program sets it"
-                )
-
-        return status, voltage, status, currents, status, temperature, status, timeout
-
-    def _stand(self, dialogue: Dialogue) -> None:
+    def _stand(self, dialogue: Dialogue, encoders: EncoderReader) -> None:
         """Have the wheels stand still, and see that they do."""
         settings = self._settings
         period = 1.0 / settings.rate_hz
         slowing = settings.limits.speed / settings.limits.acceleration
-        until = time.monotonic() + slowing + _STAND_LIMIT_S
-        before = _counted(dialogue)
+        limit_s = min(slowing + _STAND_S, _LONGEST_STAND_S)
+        until = time.monotonic() + limit_s
+        before = encoders.read()
         still = 0
         while still < 2:
             if time.monotonic() > until:
                 dialogue.order(commands.switch_off())
                 raise DeviceError(
-                    f"the wheels do not stand still within {slowing + _STAND_LIMIT_S:.1f} s of "
+                    f"the wheels do not stand still within {limit_s:.1f} s of "
                     "being told to; the motors are switched off"
                 )
             self._order_still(dialogue)
             self._pause.wait(period)
-            now = _counted(dialogue)
+            now = encoders.read()
             ways = settings.geometry.wheel_ways(*now.since(before))
             still = still + 1 if max(map(abs, ways)) <= _STANDS_BELOW * (now.at - before.at) else 0
             before = now
@@ -293,30 +255,3 @@ class Driving:
         settings, geometry = self._settings, self._settings.geometry
         most = settings.limits.wheel_acceleration(geometry.separation)
         return max(abs(counts) for counts in geometry.channel_counts(most, most))
-
-
-@dataclass(frozen=True)
-class _Counted:
-    """The counters of M1 and M2, and when they were read: half-way from question to reply."""
-
-    at: float
-    stamp: int
-    counts: tuple[int, ...]
-
-    def since(self, before: _Counted) -> tuple[int, int]:
-        """How far both have counted."""
-        first, second = (counted(a, b) for a, b in zip(before.counts, self.counts, strict=True))
-        return first, second
-
-
-def _counted(dialogue: Dialogue) -> _Counted:
-    """Read the counters; again if that took so long that nobody knows when they were read."""
-    readings = []
-    for _ in range(_READINGS):
-        sent, sent_ns = time.monotonic(), time.time_ns()
-        counts = dialogue.ask(commands.ENCODERS)
-        took, took_ns = time.monotonic() - sent, time.time_ns() - sent_ns
-        readings.append((took, _Counted(sent + 0.5 * took, sent_ns + took_ns // 2, counts)))
-        if took < dialogue.line_time(commands.ENCODERS) + _PROMPT_S:
-            break
-    return min(readings, key=lambda one: one[0])[1]

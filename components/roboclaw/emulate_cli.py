@@ -9,10 +9,12 @@ import typer
 from cairn.driver.emulate_command import Faults, Paced, Place, Pty, Seed, Serial, Tcp, emulate
 from cairn.driver.emulator_orders import Order
 from cairn.errors import CairnError
+from components.roboclaw.emulated_controller import Firmware
 from components.roboclaw.emulated_motor import MotorFault
 from components.roboclaw.emulator import EmulatedRoboclaw
 from components.roboclaw.packets import ADDRESSES
 
+_FIRMWARES: tuple[Firmware, ...] = get_args(Firmware)
 _FAULTS: tuple[MotorFault, ...] = get_args(MotorFault)
 
 
@@ -41,9 +43,9 @@ def roboclaw(
     first_count: Annotated[
         int, typer.Option(min=0, max=0xFFFFFFFF, help="Of both encoders, at power-on.")
     ] = 0,
-    old_status: Annotated[
-        bool, typer.Option("--old-status", help="Tell 16 bits of status, as old firmware.")
-    ] = False,
+    firmware: Annotated[
+        str, typer.Option(help=f"Its generation, as some replies differ: {', '.join(_FIRMWARES)}.")
+    ] = "usual",
     faults: Faults = "",
     seed: Seed = 0,
     paced: Paced = False,
@@ -59,7 +61,7 @@ def roboclaw(
         full_speed=full_speed,
         lag_s=lag,
         first_counts=(first_count, first_count),
-        old_status=old_status,
+        firmware=_firmware(firmware),
     )
     emulate(
         version,
@@ -70,6 +72,13 @@ def roboclaw(
         paced=paced,
         orders=_orders(device),
     )
+
+
+def _firmware(name: str) -> Firmware:
+    for known in _FIRMWARES:
+        if known == name:
+            return known
+    raise CairnError(f"--firmware {name}: it is one of {', '.join(_FIRMWARES)}")
 
 
 def _orders(device: EmulatedRoboclaw) -> dict[str, Order]:

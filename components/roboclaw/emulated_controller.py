@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 from components.roboclaw.emulated_motor import EmulatedMotor, MotorFault
+
+Firmware = Literal["old", "usual", "new"]
+"""Old: 16 bits of status; new: battery limits with a byte more (`commands.NEW_MAIN_VOLTAGES`)."""
 
 _EMERGENCY_STOP, _BATTERY_HIGH, _BATTERY_LOW = 0x00000001, 0x00000008, 0x00080000
 _OVERCURRENT = (0x00010000, 0x00020000)
@@ -18,10 +23,10 @@ class EmulatedController:
         full_speed: float,
         lag_s: float,
         first_counts: tuple[int, int],
-        old_status: bool,
+        firmware: Firmware,
     ) -> None:
         self.version = version
-        self.old_status = old_status
+        self.firmware = firmware
         self.motors = tuple(EmulatedMotor(full_speed, lag_s, count) for count in first_counts)
         self.voltage, self.logic_voltage, self.temperature = 12.4, 5.0, 31.5
         self.emergency_stop = False
@@ -32,7 +37,9 @@ class EmulatedController:
         self.main_limits = (6.0, 34.0)
         self.logic_limits = (4.5, 34.0)
         self.loops = [(*_FACTORY_LOOP, round(motor.full_speed)) for motor in self.motors]
+        self.auto_offset = 0
         self.encoder_modes = [0, 0]
+        self.mixed: list[float | None] = [None, None]  # forward and turn [1] of commands 8 to 13
 
     def power_cycle(self) -> None:
         """Lose power for a moment: settings and counters are those of the beginning."""

@@ -10,8 +10,9 @@ import math
 from collections import deque
 from dataclasses import dataclass
 
-from components.roboclaw.emulated_commands import ANSWERS, ORDERS, Ordered
-from components.roboclaw.emulated_controller import EmulatedController
+from components.roboclaw.emulated_answers import ANSWERS
+from components.roboclaw.emulated_controller import EmulatedController, Firmware
+from components.roboclaw.emulated_orders import Ordered, orders_of
 from components.roboclaw.packets import (
     ACKNOWLEDGED,
     ADDRESSES,
@@ -50,12 +51,12 @@ class EmulatedRoboclaw:
         full_speed: float = 12_000.0,
         lag_s: float = 0.05,
         first_counts: tuple[int, int] = (0, 0),
-        old_status: bool = False,
+        firmware: Firmware = "usual",
     ) -> None:
         """`address`: the one that it listens to, None for all, as over USB; `baud` None: any;
-        `full_speed`: of both motors at full power [counts/s]; `old_status`: as old firmware.
+        `full_speed`: of both motors at full power [counts/s]; `firmware`: its generation.
         """
-        self.controller = EmulatedController(version, full_speed, lag_s, first_counts, old_status)
+        self.controller = EmulatedController(version, full_speed, lag_s, first_counts, firmware)
         self.moved: deque[Moved] = deque(maxlen=_REMEMBERED)
         """What the motors have done, step by step."""
         self.timeouts = 0
@@ -64,6 +65,7 @@ class EmulatedRoboclaw:
         """Packets thrown away: cut off, of an unknown command, or with a false sum."""
         self._addresses = ADDRESSES if address is None else (address,)
         self._baud = baud
+        self._orders = orders_of(firmware)
         self._packet = b""
         self._heard = -math.inf
         self._timed_out = False
@@ -147,10 +149,10 @@ class EmulatedRoboclaw:
         if command in ANSWERS:
             self._packet = b""
             return reply_packet(address, command, ANSWERS[command](self.controller))
-        if command not in ORDERS:
+        if command not in self._orders:
             self._throw_away()
             return b""
-        return self._obeyed(ORDERS[command])
+        return self._obeyed(self._orders[command])
 
     def _obeyed(self, ordered: Ordered) -> bytes:
         size = 2 + ordered.layout.size

@@ -6,7 +6,8 @@ import numpy as np
 
 from cairn.clock import from_ns
 from cairn.driver.diagnostics import ERROR, OK, WARN, diagnostics
-from components.roboclaw.driving import Health, Step
+from components.roboclaw.driving import Step
+from components.roboclaw.health import Health
 from components.roboclaw.odometry import OdometryErrors, WheelOdometry
 from planar.messages import transform_message, with_covariance
 from schemas.diagnostic_msgs import DiagnosticArray

@@ -31,7 +31,7 @@ def talking(port: str, baud: int, address: int) -> Iterator[Dialogue]:
 def facts(dialogue: Dialogue) -> dict[str, str]:
     """What it is and how it is, by name."""
     status = dialogue.status()
-    low, high = dialogue.ask(commands.MAIN_VOLTAGES)
+    low, high, *_ = dialogue.ask_either(commands.NEW_MAIN_VOLTAGES, commands.MAIN_VOLTAGES)
     (timeout,) = dialogue.ask(commands.TIMEOUT)
     told = {
         "version": dialogue.version(),

@@ -8,6 +8,7 @@ from cairn.errors import CairnError
 from components.roboclaw import commands
 from components.roboclaw.commands import (
     MAIN_VOLTAGES,
+    NEW_MAIN_VOLTAGES,
     SPEED_LOOPS,
     TIMEOUT,
     TIMEOUT_STEP_S,
@@ -49,14 +50,7 @@ def set_up(
     version = dialogue.version()
     kept = _set_timeout(dialogue, version, timeout_s)
     if main_voltages is not None:
-        dialogue.order(commands.set_main_voltages(*main_voltages))
-        low, high = dialogue.ask(MAIN_VOLTAGES)
-        if (low, high) != tuple(round(10 * one) for one in main_voltages):
-            raise NotUsable(
-                f"{version}: the main battery's limits are {low / 10:g} to {high / 10:g} V after "
-                f"{main_voltages[0]:g} to {main_voltages[1]:g} V were set; this model may not take "
-                "them: change battery_min_v and battery_max_v"
-            )
+        _set_main_voltages(dialogue, version, main_voltages)
     return Ready(version, _fastest(dialogue, version, geometry, limits), kept)
 
 
@@ -76,6 +70,18 @@ def _set_timeout(dialogue: Dialogue, version: str, timeout_s: float) -> bool:
             "used: update its firmware"
         )
     return kept
+
+
+def _set_main_voltages(dialogue: Dialogue, version: str, limits: tuple[float, float]) -> None:
+    _, _, *rest = dialogue.ask_either(NEW_MAIN_VOLTAGES, MAIN_VOLTAGES)
+    dialogue.order(commands.set_main_voltages(*limits, *rest))
+    low, high, *_ = dialogue.ask_either(NEW_MAIN_VOLTAGES, MAIN_VOLTAGES)
+    if (low, high) != tuple(round(10 * one) for one in limits):
+        raise NotUsable(
+            f"{version}: the main battery's limits are {low / 10:g} to {high / 10:g} V after "
+            f"{limits[0]:g} to {limits[1]:g} V were set; this model may not take them: change "
+            "battery_min_v and battery_max_v"
+        )
 
 
 def _fastest(dialogue: Dialogue, version: str, geometry: Geometry, limits: Limits) -> float:

@@ -6,9 +6,15 @@ import pytest
 from cairn.driver.errors import DeviceError
 from cairn.driver.faults import FRAME_FAULTS, FrameFaults
 from components.roboclaw import commands
+from components.roboclaw.emulated_controller import Firmware
 from components.roboclaw.emulator import EmulatedRoboclaw
+from components.roboclaw.kinematics import Geometry, Limits
 from components.roboclaw.packets import ACKNOWLEDGED, reply_packet
+from components.roboclaw.setting_up import set_up
 from tests.components.roboclaw.line import dialogue_with
+
+GEOMETRY = Geometry(0.05, 1.0, 0.3, 2000.0, "m1", left_inverted=False, right_inverted=False)
+LIMITS = Limits(0.6, 1.5, 0.8, 3.0)
 
 
 def test_questions_are_answered() -> None:
@@ -54,15 +60,27 @@ def test_what_answers_something_else_is_told_of() -> None:
         dialogue.ask(commands.ENCODERS)
 
 
-@pytest.mark.parametrize("old", [False, True])
-def test_the_status_is_understood_of_old_firmware_and_new(old: bool) -> None:
-    device = EmulatedRoboclaw(old_status=old)
+@pytest.mark.parametrize("firmware", ["old", "usual", "new"])
+def test_the_status_is_understood_whatever_the_firmware(firmware: Firmware) -> None:
+    device = EmulatedRoboclaw(firmware=firmware)
     dialogue, _, _ = dialogue_with(device)
     device.controller.emergency_stop = True
     device.controller.voltage = 5.0
 
     for _ in range(2):
         assert set(dialogue.status().errors) == {"emergency stop", "main battery voltage low"}
+
+
+@pytest.mark.parametrize("firmware", ["usual", "new"])
+def test_battery_limits_are_set_whatever_the_firmware(firmware: Firmware) -> None:
+    device = EmulatedRoboclaw(firmware=firmware)
+    device.controller.auto_offset = int(firmware == "new")
+    dialogue, _, _ = dialogue_with(device)
+
+    set_up(dialogue, GEOMETRY, LIMITS, 0.5, (10.5, 16.8))
+
+    assert device.controller.main_limits == (10.5, 16.8)
+    assert device.controller.auto_offset == (firmware == "new")
 
 
 def test_a_reply_that_comes_late_does_not_take_the_place_of_the_next() -> None:

@@ -12,7 +12,8 @@ from cairn.driver.device_thread import DeviceThread
 from cairn.driver.errors import DeviceError, LinkLost
 from components.roboclaw.commanding import LatestCommand
 from components.roboclaw.config import RoboclawBaseConfig
-from components.roboclaw.driving import Driving, Health, Step
+from components.roboclaw.driving import Driving, Step
+from components.roboclaw.health import Health
 from components.roboclaw.lines import open_line
 from components.roboclaw.setting_up import NotUsable, Ready
 from tests.components.roboclaw.emulated_base import PARAMETERS, EmulatedBase, emulated_base

@@ -40,6 +40,7 @@ def test_the_crc_is_the_manuals(data: bytes) -> None:
         (commands.drive_speed(8000, 4000, -4000), "80 28 00001f40 00000fa0 fffff060"),
         (commands.switch_off(), "80 22 0000 0000"),
         (commands.set_main_voltages(10.5, 16.8), "80 39 0069 00a8"),
+        (commands.set_main_voltages(10.5, 16.8, 1), "80 39 0069 00a8 01"),
     ],
 )
 def test_orders_are_laid_out_as_the_manual_has_them(order: commands.Order, packet: str) -> None:
