@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import select
 import socket
@@ -15,6 +16,11 @@ from cairn.driver.errors import DeviceError, LinkLost
 from cairn.driver.ports import find_port, is_paced
 
 _CHUNK = 65536
+_KNOWN = {
+    errno.EAGAIN: "another program has it open",
+    errno.EACCES: "permission denied; the user lacks the group of the device, as `cairn doctor` "
+    "tells",
+}
 _WRITE_LIMIT_S = 1.0
 
 
@@ -183,4 +189,6 @@ def _cause(error: BaseException) -> str:
     number = getattr(error, "errno", None)
     if isinstance(error, termios.error):
         number = error.args[0] if error.args else None
-    return os.strerror(number) if isinstance(number, int) else str(error)
+    if isinstance(number, int):
+        return _KNOWN.get(number, os.strerror(number))
+    return str(error)

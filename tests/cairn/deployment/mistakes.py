@@ -279,6 +279,16 @@ CASES = {
             'give the class `clock_source = "system"`',
         ),
     ),
+    "a device in simulated time": (
+        "cairn: 1\nclock: simulated\nexternal_topics: [clock]\ncomponents:\n"
+        "  other: {plugin: 'acme_robot.parts:ScannerDriver'}\n",
+        (
+            5,
+            "components.other.plugin",
+            "ScannerDriver drives a device, which cannot follow simulated time; use clock: system, "
+            "or put a simulated or replayed driver in its place",
+        ),
+    ),
     "listening to the network": (
         "cairn: 1\nbus:\n  listen: tcp/0.0.0.0:7447\ncomponents:\n" + PARTS,
         (

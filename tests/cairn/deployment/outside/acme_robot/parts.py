@@ -82,6 +82,13 @@ class WaitingSimulator(Component):
     time: Out[Clock]
 
 
+class ScannerDriver(Component):
+    """Drives a scanner."""
+
+    clock_source: ClassVar[Literal["deployment", "system", "device"]] = "device"
+    scan: Out[LaserScan]
+
+
 class Listener(Component):
     """Listens to a port that it does not have."""
 
