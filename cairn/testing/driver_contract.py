@@ -79,11 +79,24 @@ class Contract:
 
     @classmethod
     def topic(cls, robot: Robot, port: str) -> str:
-        """The topic of a port of the driver in this deployment, whatever it was renamed to."""
+        """The topic of a port of the driver in this deployment, whatever it was renamed to.
+
+        Raises `AssertionError` if it has no such port, or if others write what it writes.
+        """
         status = cls.port_of(robot, port)
         ports = [other.port for other in robot.status(cls.component).ports]
         assert status is not None, f"{cls.component} has no port {port}, but {', '.join(ports)}"
+        others = cls.other_writers(robot, status.topic)
+        assert status.direction == PortStatus.IN or not others, (
+            f"{status.topic} is written by {', '.join(others)} as well: give the driver under test "
+            "a topic of its own in the deployment"
+        )
         return status.topic
+
+    @classmethod
+    def other_writers(cls, robot: Robot, topic: str) -> list[str]:
+        """Who writes a topic (full names), but for the driver under test."""
+        return sorted(robot.writers(topic) - {f"/{robot.name}/{cls.component}"})
 
     @classmethod
     def sample(cls, reading: Reading[Any], count: int) -> list[Arrival[Any]]:

@@ -75,6 +75,11 @@ class Robot:
         wanted = type_name(message)
         return {end.topic for end in self._writers() if end.type_name == wanted}
 
+    def writers(self, topic: str) -> set[str]:
+        """The components (full names) that write a topic now."""
+        full = full_name(self.name, topic)
+        return {end.node.name for end in self._writers() if end.topic == full}
+
     def read(
         self, topic: str, message: type[M], keep: Callable[[M], M] = lambda message: message
     ) -> Reading[M]:

@@ -1,0 +1,73 @@
+"""The drivers of real scanners keep the contract on emulated ones, all in one deployment."""
+
+import math
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+
+from cairn.driver.emulated_lines import PtyEnd
+from cairn.driver.emulation import EmulatedDevice, Emulation
+from cairn.testing.bench import Bench, settings
+from cairn.testing.driver_contract import LifeCycleContract, ParametersContract
+from cairn.testing.end_contract import StopContract, UnplugContract
+from cairn.testing.scanner_contract import RangeScannerContract, ScanContract
+from components.hokuyo.emulated_scip import EmulatedScip
+from components.pbs.emulated_pbs import EmulatedPbs
+
+DEPLOYMENT = """
+    settings: {utm: "", pbs: ""}
+    components:
+      utm: {plugin: hokuyo_scanner, parameters: {port: "${utm}"}}
+      pbs: {plugin: pbs_scanner, parameters: {port: "${pbs}"}, topics: {scan: pbs_scan}}
+    """
+
+
+@pytest.fixture(scope="module")
+def lines(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Mapping[str, Emulation]]:
+    """The emulated scanners by the names of their drivers."""
+    folder = lines_of(tmp_path_factory)
+    devices: dict[str, EmulatedDevice] = {"utm": EmulatedScip("UTM-30LX"), "pbs": EmulatedPbs()}
+    with ExitStack() as stack:
+        yield {
+            name: stack.enter_context(Emulation(device, PtyEnd(folder / name)))
+            for name, device in devices.items()
+        }
+
+
+@pytest.fixture(scope="module")
+def bench(
+    lines: Mapping[str, Emulation], tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[Bench]:
+    folder = lines_of(tmp_path_factory)
+    words = settings({name: str(folder / name) for name in lines})
+    with Bench(tmp_path_factory.mktemp("emulated"), DEPLOYMENT, words) as bench:
+        yield bench
+
+
+@pytest.fixture(scope="class")
+def device(request: pytest.FixtureRequest, lines: Mapping[str, Emulation]) -> Emulation:
+    return lines[request.cls.component]
+
+
+def lines_of(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder with the serial ports in software."""
+    folder = tmp_path_factory.getbasetemp() / "lines"
+    folder.mkdir(exist_ok=True)
+    return folder
+
+
+class TestPbs(StopContract, UnplugContract, LifeCycleContract, ParametersContract, ScanContract):
+    component = "pbs"
+    rate_hz = 10.0
+    surroundings = {math.radians(90.0): 1.9}
+
+
+class TestUtm(RangeScannerContract):
+    component = "utm"
+    rate_hz = 40.0
+    # Of the emulated room, in which somebody walks about: for so long he hides nothing.
+    surroundings = {0.0: 4.0, math.radians(30.0): 4.4, math.radians(-90.0): 1.8}
+    sample_count = 80
+    live_parameters = {"skip": 1, "cluster": 2}
