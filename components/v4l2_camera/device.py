@@ -162,7 +162,7 @@ class VideoDevice:
         """The value that a control has."""
         value = videodev.ControlValue(id=control.id)
         self.request(videodev.G_CTRL, value, f"asked for {control.name}")
-        return int(value.value)
+        return _unsigned_bits(control.type, value.value)
 
     def is_held(self, control: Control) -> bool:
         """Whether something automatic has taken a control over, at this moment."""
@@ -230,7 +230,7 @@ class VideoDevice:
             query.minimum,
             query.maximum,
             query.step,
-            query.default_value,
+            _unsigned_bits(query.type, query.default_value),
             query.flags,
             items,
         )
@@ -252,6 +252,11 @@ class VideoDevice:
                 return False
             raise self.failed(error, "asked what it offers") from error
         return True
+
+
+def _unsigned_bits(kind: int, value: int) -> int:
+    """A control's value, which the kernel gives as a signed number even where it is bits."""
+    return value & 0xFFFFFFFF if kind == videodev.CTRL_TYPE_BITMASK else value
 
 
 def _rate(period: videodev.Fraction) -> float:
