@@ -47,13 +47,22 @@ class HokuyoScanner(Component):
     diagnostics: Out[DiagnosticArray]
 
     def on_configure(self) -> None:
-        """Connect the sensor, and find out what it is."""
+        """Connect the sensor, and find out what it is.
+
+        One that was there before may come back: then it is waited for, once active.
+        """
         self._rate = RateWindow()
         self._health = health.Health()
         self._trouble = ""
         self._waiting: deque[Measured] = deque(maxlen=_MOST_WAITING)
         self._measurement = Measurement(self.config, self._came)
-        sensor = self._measurement.connect()
+        try:
+            sensor = self._measurement.connect()
+        except DeviceError as error:
+            if not self.restarts:
+                raise
+            self._trouble = str(error)
+            return
         try:
             request_of(self.config, sensor.measuring)
         except CairnError:

@@ -71,6 +71,7 @@ class Driven:
         emulation: Emulation,
         device: Any,
         sent: list[SentScan],
+        restarts: int = 0,
         **parameters: Any,
     ) -> None:
         self.emulation = emulation
@@ -80,7 +81,7 @@ class Driven:
         self.scans = Heard(bus, "scan", LaserScan)
         self.multi = Heard(bus, "multi_echo_scan", MultiEchoLaserScan)
         self.diagnostics = Heard(bus, "diagnostics", DiagnosticArray)
-        self.component = Threaded(HokuyoScanner, bus, parameters=parameters)
+        self.component = Threaded(HokuyoScanner, bus, parameters=parameters, restarts=restarts)
 
     def health(self, accept: Callable[[Any], bool]) -> Any:
         """The first health told from now on that is as wanted."""

@@ -148,3 +148,12 @@ def test_a_sensor_that_says_that_it_is_broken_is_told_of(tmp_path: Path) -> None
         told = it.health(lambda status: status.level == ERROR)
 
     assert "55" in told.message
+
+
+def test_a_driver_that_is_restarted_waits_for_its_sensor(tmp_path: Path) -> None:
+    with driven(tmp_path, activate=False, restarts=1) as it:
+        it.emulation.unplug()
+        it.component.activate()
+        it.health(lambda status: status.level == ERROR)
+        it.emulation.plug_in()
+        it.scans.wait(2)
