@@ -18,7 +18,8 @@ from typing import Annotated
 
 import typer
 
-from cairn.driver.emulated_lines import LineEnd, PtyEnd, SerialEnd, TcpEnd
+from cairn.driver.emulated_lines import LineEnd, PtyEnd, TcpEnd
+from cairn.driver.emulated_serial_port import SerialEnd
 from cairn.driver.emulation import EmulatedDevice, Emulation
 from cairn.driver.emulator_orders import Order, Orders
 from cairn.driver.faults import FRAME_FAULTS, FrameFault
@@ -60,7 +61,7 @@ class Place:
     tcp: int | None = None
     serial: str | None = None
 
-    def end(self, baud: int | None) -> LineEnd:
+    def end(self, baud: int | None, data_bits: int = 8) -> LineEnd:
         """The line's end there; raises `CairnError` if none, or more than one, was named."""
         given = [one for one in (self.pty, self.tcp, self.serial) if one is not None]
         if len(given) != 1:
@@ -69,7 +70,7 @@ class Place:
             return PtyEnd(self.pty)
         if self.tcp is not None:
             return TcpEnd(self.tcp)
-        return SerialEnd(str(self.serial), baud or _SERIAL_BAUD)
+        return SerialEnd(str(self.serial), baud or _SERIAL_BAUD, data_bits=data_bits)
 
 
 def emulate(
@@ -80,14 +81,16 @@ def emulate(
     faults: str = "",
     seed: int = 0,
     paced: bool = False,
+    data_bits: int = 8,
     orders: Mapping[str, Order] | None = None,
 ) -> None:
     """Emulate a device, called `name`, until SIGINT, SIGTERM, SIGHUP, or the order `quit`.
 
     Orders are read from stdin, a line each, and answered; without stdin it goes on all the same.
+    `data_bits`: of a byte on a real serial line.
     Raises `CairnError` if it cannot be plugged in there, and whatever fails in the device.
     """
-    end = place.end(device.baud())
+    end = place.end(device.baud(), data_bits)
     shares = fault_shares(faults)
     with (
         _stop_signals() as stopped,

@@ -1,4 +1,4 @@
-"""The device's end of a line: a pseudo-terminal, a TCP port, or a real serial port."""
+"""The device's end of a line in software: a pseudo-terminal, or a TCP port."""
 
 from __future__ import annotations
 
@@ -10,8 +10,6 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Protocol
 
-from cairn.driver.errors import LinkLost
-from cairn.driver.link import SerialLink
 from cairn.errors import CairnError
 
 
@@ -178,18 +176,19 @@ class TcpEnd:
 
     def take(self) -> bytes | None:
         """What has come from the client; who comes as a second one is turned away."""
-        self._accept()
         if self._client is None:
+            self._accept()
             return b""
         try:
             data = self._client.recv(65536)
         except BlockingIOError:
+            self._accept()
             return b""
         except OSError:
             data = b""
         if data:
             return data
-        self._client.close()
+        self._client.close()  # before the next one, who may be waiting, is let in
         self._client = None
         return None
 
@@ -227,73 +226,6 @@ class TcpEnd:
             client.setblocking(False)
             client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             self._client = client
-
-
-class SerialEnd:
-    """A real serial port of this machine: a device for another one, at the end of a cable."""
-
-    def __init__(self, port: str, baud: int) -> None:
-        self._port = port
-        self._baud = baud
-        self._link: SerialLink | None = None
-
-    def plug_in(self) -> None:
-        """Open the port."""
-        if self._link is None:
-            self._link = SerialLink(self._port, self._baud)
-
-    def unplug(self) -> None:
-        """Close it."""
-        if self._link is not None:
-            self._link.close()
-        self._link = None
-
-    def readable(self) -> list[int]:
-        """The port."""
-        return [] if self._link is None else [self._link.fileno()]
-
-    def writable(self) -> int | None:
-        """The port."""
-        return None if self._link is None else self._link.fileno()
-
-    def take(self) -> bytes | None:
-        """What has come; None once the port is gone."""
-        if self._link is None:
-            return b""
-        try:
-            return self._link.read(0.0)
-        except LinkLost:
-            self.unplug()
-            return None
-
-    def give(self, data: bytes) -> int:
-        """Send as much as goes."""
-        if self._link is None:
-            return 0
-        try:
-            return os.write(self._link.fileno(), data)
-        except BlockingIOError:
-            return 0
-        except OSError:
-            self.unplug()
-            return len(data)
-
-    def baud(self) -> int | None:
-        """Nobody knows at which speed the other machine speaks."""
-        return None
-
-    def set_baud(self, baud: int | None) -> None:
-        """Speak at this speed, once all is sent that was to be sent at the old one."""
-        if self._link is None or baud is None or baud == self._baud:
-            return
-        termios.tcdrain(self._link.fileno())
-        self._baud = baud
-        self._link.set_baud(baud)
-
-    @property
-    def where(self) -> str:
-        """The port."""
-        return f"{self._port}, for whoever is at its other end"
 
 
 _SPEEDS = {

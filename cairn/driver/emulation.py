@@ -11,22 +11,19 @@ from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future, wait
 from contextlib import suppress
-from dataclasses import dataclass
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
 from cairn.driver.emulated_lines import LineEnd
+from cairn.driver.emulated_outbox import Outbox
 from cairn.driver.faults import FrameFault, FrameFaults
 from cairn.errors import CairnError
 
 T = TypeVar("T")
 
-_BUFFER = 65_536  # bytes of answers that are kept for a host that does not read; more are lost
 _STOP_LIMIT_S = 5.0
 _LOOK_S = 0.1  # how often one who waits for an order looks whether the device still works
-_BITS_PER_BYTE = 10  # start, eight of data, stop
-_PORTIONS = _BITS_PER_BYTE * 100  # a line that keeps its pace is given what it sends in 10 ms
 
 
 class EmulatedDevice(Protocol):
@@ -49,8 +46,8 @@ class EmulatedDevice(Protocol):
     def tick(self, now: float) -> list[bytes]:
         """What it sends of its own accord; called when that is due, and oftener.
 
-        Not called while the line is busy with what was sent before: like a real device, it then
-        goes on with what is newest.
+        Not called while nobody is there, or the line is busy with what was sent before: like a
+        real device, it then goes on with what is newest.
         """
         ...
 
@@ -65,14 +62,6 @@ class EmulatedDevice(Protocol):
     def baud(self) -> int | None:
         """The speed at which it speaks [bit/s]; None if it does not matter."""
         ...
-
-
-@dataclass(frozen=True)
-class _Frame:
-    """Bytes to be sent, at a speed [bit/s] if that matters."""
-
-    data: bytes
-    baud: int | None
 
 
 class Emulation:
@@ -96,10 +85,7 @@ class Emulation:
         self._device = device
         self._end = end
         self._faults = FrameFaults(shares or {}, np.random.default_rng(seed))
-        self._paced = paced
-        self._slow: int | None = None
-        self._free_at = 0.0  # when the line has sent what it was given
-        self._pending: deque[_Frame] = deque()
+        self._outbox = Outbox(end, self._faults, paced=paced)
         self._hanging_until = -math.inf
         self._plugged = False
         self._returns_at = math.inf
@@ -108,14 +94,16 @@ class Emulation:
         self._running = True
         self.bytes_heard = 0
         """What the host has sent, and was understood, so far."""
-        self.frames_sent = 0
-        """Frames that went onto the line, or were to, so far."""
         self._failure: BaseException | None = None
         self._thread = threading.Thread(target=self._run, name="emulation", daemon=True)
 
     def __enter__(self) -> Emulation:
         """Switch it on and plug it in; raises `CairnError` if the line cannot be had."""
-        self._plug_in()
+        try:
+            self._plug_in()
+        except CairnError:
+            self._close_bell()
+            raise
         self._thread.start()
         return self
 
@@ -125,8 +113,7 @@ class Emulation:
             self._do(self._end_all)
         self._thread.join(_STOP_LIMIT_S)
         self._end.unplug()
-        os.close(self._bell)
-        os.close(self._ring)
+        self._close_bell()
         self.check()
 
     def check(self) -> None:
@@ -143,18 +130,13 @@ class Emulation:
 
         def begin() -> None:
             self._hanging_until = time.monotonic() + seconds
-            self._pending.clear()
+            self._outbox.clear()
 
         self._do(begin)
 
     def slow(self, baud: int | None) -> None:
         """Send no faster than that [bit/s] from now on; None: as before."""
-
-        def begin() -> None:
-            self._slow = baud
-            self._free_at = 0.0
-
-        self._do(begin)
+        self._do(lambda: self._outbox.slow(baud))
 
     def unplug(self, seconds: float = math.inf) -> None:
         """Pull the plug; it is plugged in again after that time [s]."""
@@ -162,7 +144,7 @@ class Emulation:
         def pull() -> None:
             self._end.unplug()
             self._plugged = False
-            self._pending.clear()
+            self._outbox.clear()
             self._returns_at = time.monotonic() + seconds
 
         self._do(pull)
@@ -184,6 +166,11 @@ class Emulation:
         return self._plugged
 
     @property
+    def frames_sent(self) -> int:
+        """Frames that went onto the line, or were to, so far."""
+        return self._outbox.frames_sent
+
+    @property
     def spoilt(self) -> dict[str, int]:
         """How many frames each fault has befallen so far."""
         return dict(self._faults.done)
@@ -198,6 +185,10 @@ class Emulation:
 
     def _end_all(self) -> None:
         self._running = False
+
+    def _close_bell(self) -> None:
+        os.close(self._bell)
+        os.close(self._ring)
 
     def _do(self, order: Callable[[], T]) -> T:
         done: Future[T] = Future()
@@ -228,28 +219,29 @@ class Emulation:
         now = time.monotonic()
         if now < self._hanging_until:
             return
-        if not self._pending:
+        if not self._outbox and self._end.writable() is not None:
             baud = self._device.baud()
             self._end.set_baud(baud)
-            self._send(self._device.tick(now), baud)
-        self._flush(now)
+            self._outbox.add(self._device.tick(now), baud)
+        self._outbox.flush(now)
 
     def _wait(self) -> None:
         """Sleep until there is something to do."""
         now = time.monotonic()
+        writable = self._end.writable()
         sending: list[int] = []
         if not self._plugged:
             next_at = self._returns_at
         elif now < self._hanging_until:
             next_at = self._hanging_until
-        elif not self._pending:
-            next_at = self._device.due()
-        elif self._free_at > now:
-            next_at = self._free_at
-        else:
+        elif writable is None:
             next_at = math.inf
-            writable = self._end.writable()
-            sending = [] if writable is None else [writable]
+        elif not self._outbox:
+            next_at = self._device.due()
+        elif self._outbox.free_at > now:
+            next_at = self._outbox.free_at
+        else:
+            next_at, sending = math.inf, [writable]
         limit = max(0.0, next_at - now) if math.isfinite(next_at) else None
         select.select([self._bell, *self._end.readable()], sending, [], limit)
 
@@ -267,33 +259,12 @@ class Emulation:
         data = self._end.take()
         baud = self._device.baud()
         if data is None:
-            self._pending.clear()
+            self._outbox.clear()
             self._device.hung_up(now)
-        elif data and now >= self._hanging_until and self._heard_at(baud):
+        elif data and now >= self._hanging_until and self._understood(baud):
             self.bytes_heard += len(data)
-            self._send(self._device.receive(data, now), baud)
+            self._outbox.add(self._device.receive(data, now), baud)
 
-    def _heard_at(self, baud: int | None) -> bool:
+    def _understood(self, baud: int | None) -> bool:
         spoken = self._end.baud()
-        return spoken is None or baud is None or spoken == baud
-
-    def _send(self, frames: list[bytes], baud: int | None) -> None:
-        for frame in frames:
-            waiting = sum(len(pending.data) for pending in self._pending)
-            if waiting < _BUFFER and self._end.writable() is not None:
-                self.frames_sent += 1
-                self._pending.append(_Frame(self._faults.spoil(frame), baud))
-
-    def _flush(self, now: float) -> None:
-        """Give the line what it takes now; at the wrong speed nothing of it can be understood."""
-        while self._pending and self._free_at <= now:
-            frame = self._pending.popleft()
-            pace = self._slow or (frame.baud if self._paced else None)
-            part = frame.data if pace is None else frame.data[: max(1, pace // _PORTIONS)]
-            given = self._end.give(part if self._heard_at(frame.baud) else bytes(len(part)))
-            if given < len(frame.data):
-                self._pending.appendleft(_Frame(frame.data[given:], frame.baud))
-            if pace is not None:
-                self._free_at = max(self._free_at, now - 0.1) + given * _BITS_PER_BYTE / pace
-            if given < len(part):
-                return
+        return None in (spoken, baud) or spoken == baud

@@ -63,12 +63,11 @@ class EmulatedScip:
         on_scan: Callable[[SentScan], None] | None = None,
     ) -> None:
         """`rs232_baud`: it is on its RS-232 line, with this speed after power-on [bit/s], rather
-        than on USB or Ethernet. `speaks_scip1`: so it does after power-on, and
-        unless it `knows_scip2` ever after. `clock_start_ms`: what
-        its clock shows at power-on; `drift_ppm`: by how much that goes too fast. Without
-        `sums_arrows` it leaves what stands from `<-` on out of II's check sums, as some UTM-30LX
-        do, of which Hokuyo's own library can then not read the state. `on_scan` is told of each
-        scan as it is sent.
+        than on USB or Ethernet. `speaks_scip1`: so it does after power-on, and unless it
+        `knows_scip2` ever after. `clock_start_ms`: what its clock shows at power-on; `drift_ppm`:
+        by how much that goes too fast. Without `sums_arrows` it leaves what stands from `<-` on
+        out of II's check sums, as some UTM-30LX do, whose state Hokuyo's own library cannot read.
+        `on_scan` is told of each scan as it is sent.
         """
         self.model = MODELS[model]
         self.sensor = Sensor(
@@ -155,9 +154,11 @@ class EmulatedScip:
     def _begin(self, line: bytes, command: bytes, string: bytes, now: float) -> bytes | None:
         """Begin to measure; single scans are answered once they are measured."""
         text = command.decode("ascii", "replace")
-        if text[:2] not in self.model.commands or self.sensor.adjusting:
-            known = text[:2] in MEASURING and not self.sensor.adjusting
-            return reply(line, "0F" if known and self.model.generation == "UST" else "0E")
+        if text[:2] not in self.model.commands:
+            is_ust = self.model.generation == "UST"
+            return reply(line, "0F" if is_ust and text[:2] in MEASURING else "0E")
+        if self.sensor.adjusting:
+            return reply(line, "0E" if self.model.generation == "first" else "10")
         request = asked(text[:2], text[2:], self.model)
         if isinstance(request, str):
             return reply(line, request)

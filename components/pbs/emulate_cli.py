@@ -36,5 +36,11 @@ def pbs_03jn(
             seed=seed, low_speed=low_speed, on_scan=lambda sent: write(sent.line())
         )
         emulate(
-            "a PBS-03JN", device, Place(pty, tcp, serial), faults=faults, seed=seed, paced=paced
+            "a PBS-03JN",
+            device,
+            Place(pty, tcp, serial),
+            faults=faults,
+            seed=seed,
+            paced=paced,
+            data_bits=7,
         )

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from cairn.driver.emulated_lines import LineEnd, PtyEnd, SerialEnd, TcpEnd
+from cairn.driver.emulated_lines import LineEnd, PtyEnd, TcpEnd
+from cairn.driver.emulated_serial_port import SerialEnd
 from cairn.driver.emulation import Emulation
 from cairn.driver.errors import LinkLost
 from cairn.driver.faults import FrameFault
@@ -245,6 +246,38 @@ def test_what_nobody_reads_does_not_stop_it(tmp_path: Path) -> None:
         link.discard()
         assert b"hello\n" in asked(link, b"hello")
         link.close()
+
+
+def test_what_it_would_say_while_nobody_is_there_is_not_said() -> None:
+    parrot = Parrot(period_s=0.0)
+    end = TcpEnd(0)
+    with Emulation(parrot, end) as emulation:
+        link = TcpLink("127.0.0.1", end.port)
+        asked(link, b"count")
+        link.close()
+        deadline = time.monotonic() + LIMIT_S
+        while not parrot.hang_ups:
+            assert time.monotonic() < deadline
+            os.sched_yield()
+        said = emulation.ask(lambda: parrot.number)
+        emulation.slow(None)
+        assert emulation.ask(lambda: parrot.number) == said
+        link = TcpLink("127.0.0.1", end.port)
+        read_count(link, 20)
+        link.close()
+
+
+def test_a_real_port_that_is_gone_is_told(tmp_path: Path) -> None:
+    host, port = os.openpty()
+    emulation = Emulation(Parrot(), SerialEnd(os.ttyname(port), 9600)).__enter__()
+    os.close(host)
+    deadline = time.monotonic() + LIMIT_S
+    with suppress(CairnError):
+        while time.monotonic() < deadline:
+            emulation.slow(None)
+    with pytest.raises(LinkLost, match="is gone"):
+        emulation.__exit__()
+    os.close(port)
 
 
 def test_a_link_of_one_that_was_killed_is_replaced_and_other_files_are_not(tmp_path: Path) -> None:

@@ -36,7 +36,7 @@ def _statuses(sensor: EmulatedScip, commands: str, now: float = 0.0) -> list[str
         ("URG-04LX", "DB07 DB02 BM MD0044072501000 DB10 BM", "01 00 01 50 00 00"),
         ("URG-04LX-UG01", "DB02 ME0044072501000 %ST", "0E 0E 0E"),
         ("UST-10LX", "SS115200 MS0000108001000 XX", "0F 0F 0E"),
-        ("UST-10LX", "TM1 TM0 QT BM TM2", "00 00 10 10 00"),
+        ("UST-10LX", "TM1 TM0 QT BM MD0000108001000 TM2", "00 00 10 10 10 00"),
         ("UST-10LX", "MD0000108001000 TM0 QT TM0", "00 10 00 00"),
         ("UTM-30LX-EW", "MD0000108001000 TM0 VV", "00 10 00"),
     ],
