@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from cairn.driver.diagnostics import ERROR, OK
-from cairn.driver.emulated_lines import SerialEnd
+from cairn.driver.emulated_serial_port import SerialEnd
 from tests.components.hokuyo.comparing import assert_were_sent
 from tests.components.hokuyo.driving import Driven, driven
 from tests.hardware.guest.cables import Cable
