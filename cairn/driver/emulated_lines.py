@@ -14,7 +14,7 @@ from cairn.errors import CairnError
 
 
 class LineEnd(Protocol):
-    """Where an emulated device is plugged in."""
+    """Where an emulated device is plugged in. Methods raise `LinkLost` if a real line is gone."""
 
     def plug_in(self) -> None:
         """Be there for whoever opens the line; raises `CairnError` if that cannot be."""

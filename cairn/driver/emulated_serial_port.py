@@ -10,10 +10,7 @@ from cairn.driver.link import SerialLink
 
 
 class SerialEnd:
-    """A real serial port of this machine: a device for another one, at the end of a cable.
-
-    Its methods raise `LinkLost` once the port is gone.
-    """
+    """A real serial port of this machine: a device for another one, at the end of a cable."""
 
     def __init__(self, port: str, baud: int, *, data_bits: int = 8) -> None:
         self._port = port

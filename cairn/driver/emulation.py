@@ -17,13 +17,14 @@ import numpy as np
 
 from cairn.driver.emulated_lines import LineEnd
 from cairn.driver.emulated_outbox import Outbox
+from cairn.driver.errors import LinkLost
 from cairn.driver.faults import FrameFault, FrameFaults
 from cairn.errors import CairnError
 
 T = TypeVar("T")
 
 _STOP_LIMIT_S = 5.0
-_LOOK_S = 0.1  # how often one who waits for an order looks whether the device still works
+_LOOK_S = 0.1  # how often it is looked whether the device still works, or a lost line is back
 
 
 class EmulatedDevice(Protocol):
@@ -142,9 +143,7 @@ class Emulation:
         """Pull the plug; it is plugged in again after that time [s]."""
 
         def pull() -> None:
-            self._end.unplug()
-            self._plugged = False
-            self._outbox.clear()
+            self._pull()
             self._returns_at = time.monotonic() + seconds
 
         self._do(pull)
@@ -183,6 +182,11 @@ class Emulation:
         self._plugged = True
         self._returns_at = math.inf
 
+    def _pull(self) -> None:
+        self._end.unplug()
+        self._plugged = False
+        self._outbox.clear()
+
     def _end_all(self) -> None:
         self._running = False
 
@@ -210,11 +214,16 @@ class Emulation:
     def _turn(self) -> None:
         self._wait()
         self._follow_orders()
-        now = time.monotonic()
-        if now >= self._returns_at:
-            self._plug_in()
-        if not self._plugged or not self._running:
-            return
+        try:
+            if time.monotonic() >= self._returns_at:
+                self._plug_in()
+            if self._plugged and self._running:
+                self._serve()
+        except LinkLost:  # a real line may be gone, and come back
+            self._pull()
+            self._returns_at = time.monotonic() + _LOOK_S
+
+    def _serve(self) -> None:
         self._listen()
         now = time.monotonic()
         if now < self._hanging_until:

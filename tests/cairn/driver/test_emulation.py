@@ -66,6 +66,13 @@ class _Descriptor:
         self._file.close()
 
 
+def _await(happened: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + LIMIT_S
+    while not happened():
+        assert time.monotonic() < deadline
+        os.sched_yield()
+
+
 @pytest.mark.parametrize("kind", ["pty", "tcp", "serial"])
 def test_what_is_asked_is_answered(kind: str, tmp_path: Path) -> None:
     with _plugged(kind, tmp_path) as (end, opened), Emulation(Parrot(), end):
@@ -127,10 +134,7 @@ def test_it_may_come_back_by_itself(tmp_path: Path) -> None:
     with Emulation(Parrot(), end) as emulation:
         emulation.unplug(0.05)
         assert not emulation.plugged_in
-        deadline = time.monotonic() + LIMIT_S
-        while not (tmp_path / "line").is_symlink():
-            assert time.monotonic() < deadline
-            os.sched_yield()
+        _await((tmp_path / "line").is_symlink)
         link = SerialLink(str(tmp_path / "line"), 9600)
         asked(link, b"hello")
         link.close()
@@ -255,10 +259,7 @@ def test_what_it_would_say_while_nobody_is_there_is_not_said() -> None:
         link = TcpLink("127.0.0.1", end.port)
         asked(link, b"count")
         link.close()
-        deadline = time.monotonic() + LIMIT_S
-        while not parrot.hang_ups:
-            assert time.monotonic() < deadline
-            os.sched_yield()
+        _await(lambda: parrot.hang_ups > 0)
         said = emulation.ask(lambda: parrot.number)
         emulation.slow(None)
         assert emulation.ask(lambda: parrot.number) == said
@@ -267,16 +268,23 @@ def test_what_it_would_say_while_nobody_is_there_is_not_said() -> None:
         link.close()
 
 
-def test_a_real_port_that_is_gone_is_told(tmp_path: Path) -> None:
+def test_a_real_port_that_goes_and_comes_back_is_opened_again(tmp_path: Path) -> None:
+    path, parrot = tmp_path / "port", Parrot()
     host, port = os.openpty()
-    emulation = Emulation(Parrot(), SerialEnd(os.ttyname(port), 9600)).__enter__()
+    path.symlink_to(os.ttyname(port))
+    with Emulation(parrot, SerialEnd(str(path), 9600)) as emulation:
+        os.close(host)
+        os.close(port)
+        _await(lambda: not emulation.plugged_in)
+        host, port = os.openpty()
+        path.unlink()
+        path.symlink_to(os.ttyname(port))
+        _await(lambda: emulation.plugged_in)
+        link = _Descriptor(host)
+        assert asked(link, b"again") == b"again\n"
+        link.close()
+    assert parrot.power_ons == 2
     os.close(host)
-    deadline = time.monotonic() + LIMIT_S
-    with suppress(CairnError):
-        while time.monotonic() < deadline:
-            emulation.slow(None)
-    with pytest.raises(LinkLost, match="is gone"):
-        emulation.__exit__()
     os.close(port)
 
 
