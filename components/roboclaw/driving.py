@@ -23,6 +23,7 @@ _STANDS_BELOW = 0.01  # [m/s]: slower than this, and a wheel stands
 _STAND_S = 1.0  # for standing still, beyond the time that slowing down takes
 _LONGEST_STAND_S = 3.0  # shorter than its supervisor waits for it to stop
 _LONGEST_STEP_S = 0.2  # a longer pause between two readings says nothing of speeds
+_SHORTEST = 0.6  # of a period, between two readings of the encoders [1]
 _FASTER_THAN_POSSIBLE = 2.0  # times the speed at full power: the counter did not count this
 
 
@@ -157,7 +158,8 @@ class Driving:
             questions[turn_of]()
             turn_of = (turn_of + 1) % len(questions)
             self._on_step(step)
-            due = max(due + period, began)  # what was late is made up for, what was missed is not
+            # What was late is made up for, but slowly: speeds of very short steps are noise.
+            due = max(due + period, began + _SHORTEST * period)
             stopping.wait(max(0.0, due - time.monotonic()))
 
     def _order(self, dialogue: Dialogue, ready: Ready, now: float, seconds: float) -> Pair:
