@@ -87,11 +87,11 @@ class FakeCameras:
             raise LinkLost(f"{wanted}: there is no such camera")
         return Path(wanted)
 
-    def _open(self, path: Path) -> _Device:
-        return _Device(path, self.cameras[str(path)])
+    def _open(self, path: Path) -> FakeDevice:
+        return FakeDevice(path, self.cameras[str(path)])
 
 
-class _Device:
+class FakeDevice:
     card, bus = "Fake", "usb-1"
 
     def __init__(self, path: Path, camera: FakeCamera) -> None:
@@ -107,7 +107,7 @@ class _Device:
     def sizes(self, _: str) -> list[PictureSize]:
         return [PictureSize(WIDTH, HEIGHT, (RATE,))]
 
-    def set_up(self, name: str, _width: int, _height: int, _rate: float) -> Setup:
+    def set_up(self, name: str, width: int, height: int, rate: float) -> Setup:
         return Setup(PictureLayout(*self.camera.size, name), RATE, WIDTH * HEIGHT)
 
     def controls(self) -> dict[str, Control]:
@@ -131,7 +131,7 @@ class _Device:
 
 
 class _Stream:
-    def __init__(self, device: _Device, _buffers: int) -> None:
+    def __init__(self, device: FakeDevice, _buffers: int) -> None:
         self._camera = device.camera
 
     def start(self) -> None:
