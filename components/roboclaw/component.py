@@ -60,9 +60,20 @@ class RoboclawBase(Component):
 
         One that was there before may come back: then it is waited for.
         """
-        self._odometry = WheelOdometry(self.config.odometry_errors())
+        config = self.config
+        self._odometry = WheelOdometry(config.odometry_errors())
         self._complaints = Complaints(self.log)
-        self._renew()
+        self._command = LatestCommand(config.command_timeout_s)
+        self._health = Health()
+        self._rate = RateWindow()
+        self._driving = Driving(
+            config.drive_settings(),
+            lambda: open_line(config.port, config.baud),
+            self._command,
+            self._health,
+            on_ready=self._ready,
+            on_step=lambda step: self.post(lambda: self._moved(step)),
+        )
         if not self.restarts:
             try:
                 self._driving.look()
@@ -70,8 +81,12 @@ class RoboclawBase(Component):
                 raise CairnError(f"{self.name}: {error}") from error
 
     def on_activate(self) -> None:
-        """Begin to talk with the RoboClaw; what was wrong with a wheel is forgotten."""
-        self._renew()
+        """Begin to drive, at rest; what was wrong with a wheel is forgotten.
+
+        What the wheels have turned meanwhile is found in their counters.
+        """
+        self._command.forget()
+        self._health.fault, self._health.trouble = None, "it is not connected yet"
         thread = DeviceThread(
             f"{self.name}: RoboClaw",
             self._driving.converse,
@@ -121,20 +136,6 @@ class RoboclawBase(Component):
         if health.trouble is None:
             self.battery_state.publish(battery_message(now, health))
         self._complain()
-
-    def _renew(self) -> None:
-        config = self.config
-        self._command = LatestCommand(config.command_timeout_s)
-        self._health = Health()
-        self._rate = RateWindow()
-        self._driving = Driving(
-            config.drive_settings(),
-            lambda: open_line(config.port, config.baud),
-            self._command,
-            self._health,
-            on_ready=self._ready,
-            on_step=lambda step: self.post(lambda: self._moved(step)),
-        )
 
     def _moved(self, step: Step) -> None:
         if step.seconds > _PAUSE_S:

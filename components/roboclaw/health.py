@@ -27,7 +27,7 @@ class Health:
     """[deg C]"""
     fault: str | None = None
     """What was wrong with a wheel; from then on the motors are off."""
-    trouble: str | None = "it was not connected yet"
+    trouble: str | None = "it is not connected yet"
     """Why there is no conversation; None if there is one."""
     connections: int = 0
     counts: DialogueCounts = field(default_factory=DialogueCounts)

@@ -36,7 +36,7 @@ DEPLOYMENT = """
           turn_acceleration: 20.0
           speed: 0.8
           turn: 4.0
-          device_timeout_s: 0.4
+          device_timeout_s: 1.0
     """
 """The wheels' encoders begin just below the wrap of their counters."""
 

@@ -13,6 +13,7 @@ class TestRoboclawBase(BaseContract):
     rate_hz = 40.0
     top_speed = 0.8
     turn = 1.0
+    stop_limit_s = 2.5  # the controller's own time limit is 1 s
     cycles = 4
 
     @pytest.fixture(scope="class")
