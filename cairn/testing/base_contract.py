@@ -61,16 +61,21 @@ class DriveContract(OdometryContract):
         command = cls.topic(robot, "cmd_vel")
         span = max(2, math.ceil(cls.drive_s * cls.rate_hz))
         with robot.read(cls.topic(robot, cls.port), Odometry) as odom:
-            before = cls.sample(odom, max(10, span // 2))
+            cls.sample(odom, max(10, span // 2))
+            begun = odom.count
             with robot.sending(command, cls.ahead()):
-                ahead = cls._next(odom, span)
+                cls._next(odom, span)
+                turned = odom.count
             with robot.sending(command, cls.leftwards()):
-                left = cls._next(odom, span)
-            after = cls._next(odom, max(2, math.ceil((cls.stop_limit_s + 0.5) * cls.rate_hz)))
+                cls._next(odom, span)
+                ceased = odom.count
+            cls._next(odom, max(2, math.ceil((cls.stop_limit_s + 0.5) * cls.rate_hz)))
+        told = odom.arrivals
+        parts = (told[:begun], told[begun:turned], told[turned:ceased], told[ceased:])
         if transforms is None:
-            return Drive(before, ahead, left, after, None)
+            return Drive(*parts, None)
         with transforms:
-            return Drive(before, ahead, left, after, transforms.messages)
+            return Drive(*parts, transforms.messages)
 
     @pytest.fixture
     def driving(self, robot: Robot, output: Reading[Odometry]) -> Reading[Odometry]:

@@ -10,6 +10,8 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any, TypeVar
 
+import zenoh
+
 from cairn.bus import rmw
 from cairn.bus.bus import full_name
 from cairn.bus.control import request
@@ -25,6 +27,9 @@ from schemas.rosgraph_msgs import Clock
 
 M = TypeVar("M")
 
+START_LIMIT_S = 90.0
+"""The first start after an installation may compile kernels, which takes about a minute."""
+
 _STATUS = "component_status"
 _REQUEST_S = 15.0
 _SETTLE_S = 5.0
@@ -36,7 +41,7 @@ class Robot:
     Names of topics and components are below the robot's namespace unless they begin with `/`.
     """
 
-    def __init__(self, run: Run, name: str = "robot", limit_s: float = LIMIT_S) -> None:
+    def __init__(self, run: Run, name: str = "robot", limit_s: float = START_LIMIT_S) -> None:
         """Wait until all components that are loaded at the start are active.
 
         Raises `AssertionError` with all that `cairn up` said if that is not so within the limit.
@@ -94,6 +99,33 @@ class Robot:
         self.settle()
         return reading
 
+    @contextmanager
+    def order(self, topics: Mapping[str, type[Any]]) -> Iterator[list[tuple[str, Any]]]:
+        """The messages of several topics, in the order in which they come; whole at the end.
+
+        Readings of different topics may overtake one another: each has a thread of its own.
+        """
+        session, codec = self._bus.session, self._bus.codec
+        came: list[tuple[str, bytes]] = []
+        found: list[tuple[str, Any]] = []
+
+        def following(topic: str) -> Any:
+            return lambda sample: came.append((topic, sample.payload.to_bytes()))
+
+        subscribers = [
+            session.declare_subscriber(
+                self._key(topic, message),
+                zenoh.handlers.Callback(following(topic), indirect=False),
+            )
+            for topic, message in topics.items()
+        ]
+        try:
+            yield found
+        finally:
+            for subscriber in subscribers:
+                subscriber.undeclare()
+        found += [(topic, codec.decode(topics[topic], data)) for topic, data in came]
+
     def send(self, topic: str, message: Any, qos: Qos = RELIABLE) -> None:
         """Publish a message; whoever reads the topic now gets it."""
         full = full_name(self.name, topic)
@@ -122,11 +154,8 @@ class Robot:
 
     def send_bytes(self, topic: str, message: type[Any], data: bytes) -> None:
         """Put bytes on the topic of a message type, such as no port would send."""
-        codec = self._bus.codec
-        full = full_name(self.name, topic)
-        key = rmw.data_key(self._bus.domain, full, type_name(message), codec.type_hash(message))
         attachment = rmw.Attachment(1, time.time_ns(), os.urandom(16))
-        self._bus.session.put(key, data, attachment=attachment.encode())
+        self._bus.session.put(self._key(topic, message), data, attachment=attachment.encode())
 
     def encoded(self, message: Any) -> bytes:
         """A message as it travels: CDR, little endian, with its header of 4 bytes."""
@@ -216,6 +245,11 @@ class Robot:
     def _order(self, verb: str, component: str, limit_s: float) -> None:
         supervisor = self.status(component).parent
         self.request(supervisor, verb, limit_s, name=component)
+
+    def _key(self, topic: str, message: type[Any]) -> str:
+        type_hash = self._bus.codec.type_hash(message)
+        full = full_name(self.name, topic)
+        return rmw.data_key(self._bus.domain, full, type_name(message), type_hash)
 
     def _writers(self) -> list[rmw.EndpointEntity]:
         found: list[rmw.EndpointEntity] = []

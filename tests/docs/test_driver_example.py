@@ -35,7 +35,7 @@ class Environment:
             env=clean,
             capture_output=True,
             text=True,
-            timeout=110,
+            timeout=280,
             check=False,
         )
         assert done.returncode == 0, done.stdout + done.stderr
@@ -59,6 +59,7 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Environment:
     return Environment(folder)
 
 
+@pytest.mark.timeout(300)
 def test_the_drivers_tests_pass_where_only_wheels_are(installed: Environment) -> None:
     done = installed.run("python", "-m", "pytest", "-q", "-p", "no:cacheprovider", "tests")
 
@@ -105,7 +106,7 @@ def _pip(*words: str) -> None:
         [sys.executable, "-m", "pip", *words],
         capture_output=True,
         text=True,
-        timeout=110,
+        timeout=280,
         check=False,
     )
     assert done.returncode == 0, done.stdout + done.stderr

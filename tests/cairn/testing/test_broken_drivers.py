@@ -1,6 +1,7 @@
 """Each broken driver is found by the tests that are meant for its mistake, and by no others."""
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from subprocess import run
 from xml.etree import ElementTree
@@ -73,6 +74,7 @@ CAMERAS_AND_BASES = {
 }
 
 
+@pytest.mark.timeout(300)  # of half a minute each, where the machine has nothing else to do
 @pytest.mark.parametrize(
     ("contracts", "expected"),
     [
@@ -85,24 +87,36 @@ def test_each_is_found_by_the_tests_for_its_mistake(
     contracts: str, expected: dict[str, dict[str, str]], tmp_path: Path
 ) -> None:
     failures = failures_of(contracts, tmp_path / "results.xml")
+    # A busy machine may hold up a driver for longer than its made-up device waits: once more, then.
+    others = [driver for driver in expected if set(failures[driver]) != set(expected[driver])]
+    if others:
+        failures |= failures_of(contracts, tmp_path / "again.xml", others)
 
     named = {driver: set(failed) for driver, failed in failures.items()}
-    assert named == {driver: set(failed) for driver, failed in expected.items()}
     for driver, failed in expected.items():
+        assert named[driver] == set(failed), f"{driver}: {failures[driver]}"
         for test, words in failed.items():
             assert words in failures[driver][test], f"{driver}.{test}: {failures[driver][test]}"
+    assert named.keys() == expected.keys()
 
 
-def failures_of(contracts: str, results: Path) -> dict[str, dict[str, str]]:
-    """Run the tests of a file as a user does; messages of those that failed, by driver and test."""
+def failures_of(
+    contracts: str, results: Path, drivers: Sequence[str] = ()
+) -> dict[str, dict[str, str]]:
+    """Run the tests of a file as a user does; messages of those that failed, by driver and test.
+
+    Of these drivers alone, if any are named.
+    """
     words = ["-q", "-p", "no:cacheprovider", "-p", "no:xdist"]
+    if drivers:
+        words += ["-k", " or ".join(f"Test{driver}" for driver in drivers)]
     done = run(
         [sys.executable, "-m", "pytest", *words, f"--junitxml={results}", str(BROKEN / contracts)],
         cwd=ROOT,
         capture_output=True,
         text=True,
         check=False,
-        timeout=110,
+        timeout=140,
     )
     assert results.exists(), done.stdout + done.stderr
     found: dict[str, dict[str, str]] = {}

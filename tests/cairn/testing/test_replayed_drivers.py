@@ -18,7 +18,7 @@ from cairn.testing.scanner_contract import ScanContract
 
 LOG = Path(__file__).parents[2] / "data" / "carmen" / "fr079_corrected.log.gz"
 LINES = 4000  # of the log: six minutes
-PAIRS = 400
+PAIRS = 1500
 
 LOG_REPLAY = """
     clock: simulated
@@ -51,8 +51,8 @@ class Recorded:
     """Ten times as fast as it was recorded; the clock tells each twentieth of a second."""
 
     live = False
-    early_s = 1.0
-    oldest_s = 2.0
+    early_s = 3.0
+    oldest_s = 5.0
     jitter = 0.6
     rate_tolerance = 0.25
 
@@ -79,7 +79,7 @@ class TestScanner(Recorded, StopContract, LifeCycleContract, ParametersContract,
 class TestCamera(StopContract, LifeCycleContract, ParametersContract, PicturesContract):
     rate_hz = 10.0
     calibrated = False
-    early_s = 0.2
+    early_s = 0.3
     cycles = 5
 
     @pytest.fixture(scope="class")

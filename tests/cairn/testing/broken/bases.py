@@ -23,10 +23,11 @@ from schemas.geometry_msgs import (
 from schemas.nav_msgs import Odometry
 from schemas.std_msgs import Header
 from schemas.tf2_msgs import TFMessage
+from tests.cairn.testing.broken.evenly import EvenTurns
 
 RATE_HZ = 20.0
 TOP_SPEED = 0.5
-TIMEOUT_S = 0.3
+TIMEOUT_S = 0.5
 
 
 class SoundBase(Component):
@@ -39,7 +40,8 @@ class SoundBase(Component):
     def on_activate(self) -> None:
         self.command, self.commanded_at = Twist(), 0
         self.x = self.y = self.theta = 0.0
-        self.moved_at = self.clock.now()
+        self.turns = EvenTurns(self.clock.now(), RATE_HZ)
+        self.moved_at = self.turns.ended
 
     @on("cmd_vel")
     def obey(self, command: Twist) -> None:
@@ -47,7 +49,10 @@ class SoundBase(Component):
 
     @every(hz=RATE_HZ)
     def move(self) -> None:
-        now = self.clock.now()
+        for _ in self.turns.look(self.clock.now()):
+            self.step(self.turns.ended)
+
+    def step(self, now: int) -> None:
         seconds, self.moved_at = (now - self.moved_at) / SECOND, now
         forward, turn = self.wanted(now)
         self.theta += turn * seconds

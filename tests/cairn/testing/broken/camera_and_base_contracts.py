@@ -26,9 +26,9 @@ BASES = (bases.SoundBase, bases.NeverStops, bases.Unlimited)
 class ShortDrives(DriveContract):
     rate_hz = bases.RATE_HZ
     top_speed = bases.TOP_SPEED
-    stop_limit_s = 0.6
+    stop_limit_s = 1.0
     drive_s = 0.6
-    return_limit_s = 1.0
+    return_limit_s = 3.0
 
 
 class ShortSafety(ShortDrives, SafetyContract):

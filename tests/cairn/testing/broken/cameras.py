@@ -13,6 +13,7 @@ from cairn.component.handlers import every
 from cairn.component.ports import Out
 from schemas.sensor_msgs import CameraInfo, Image
 from schemas.std_msgs import Header
+from tests.cairn.testing.broken.evenly import EvenTurns
 
 WIDTH, HEIGHT = 32, 24
 RATE_HZ = 20.0
@@ -28,9 +29,15 @@ class SoundCamera(Component):
     left_image: Out[Image] = Out(qos=SENSOR.with_depth(2))
     right_image: Out[Image] = Out(qos=SENSOR.with_depth(2))
 
+    def on_activate(self) -> None:
+        self.turns = EvenTurns(self.clock.now(), RATE_HZ)
+
     @every(hz=RATE_HZ)
-    def take(self) -> None:
-        stamp = self.clock.now()
+    def look(self) -> None:
+        for _ in self.turns.look(self.clock.now()):
+            self.take(self.turns.ended)
+
+    def take(self, stamp: int) -> None:
         left, right = self.header(stamp, "left"), self.header(stamp, "right")
         self.left_info.publish(self.info(left, 0.0))
         self.right_info.publish(self.info(right, BASELINE))
@@ -99,15 +106,10 @@ class WrongEncoding(SoundCamera):
 class InfosLate(SoundCamera):
     """Tells how to rectify an image after it."""
 
-    @every(hz=RATE_HZ)
-    def take(self) -> None:
-        stamp = self.clock.now()
+    def take(self, stamp: int) -> None:
         left, right = self.header(stamp, "left"), self.header(stamp, "right")
         self.left_image.publish(self.image(left))
         self.right_image.publish(self.image(right))
 
-        def tell() -> None:
-            self.left_info.publish(self.info(left, 0.0))
-            self.right_info.publish(self.info(right, BASELINE))
-
-        self.schedule(stamp + 40_000_000, tell)
+        self.left_info.publish(self.info(left, 0.0))
+        self.right_info.publish(self.info(right, BASELINE))

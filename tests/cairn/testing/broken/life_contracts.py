@@ -71,7 +71,7 @@ class Settings(Contract):
     message = LaserScan
     rate_hz = scanners.RATE_HZ
     cycles = 6
-    return_limit_s = 2.0
+    return_limit_s = 4.0
     tell_limit_s = 1.5
 
 

@@ -22,12 +22,13 @@ from cairn.component.ports import Out
 from cairn.errors import CairnError
 from schemas.sensor_msgs import LaserScan
 from schemas.std_msgs import Header
+from tests.cairn.testing.broken.evenly import EvenTurns
 
 BEAMS = 181
 STEP = math.pi / (BEAMS - 1)
 SWEEP_S = 0.045
+SWEEP_NS = round(SWEEP_S * SECOND)
 RATE_HZ = 20.0
-PERIOD_NS = round(SECOND / RATE_HZ)
 SURROUNDINGS = {math.radians(90.0): 1.0, 0.0: 2.0, math.radians(-90.0): 3.0}
 
 
@@ -45,9 +46,7 @@ class SoundScanner(Component):
         self._there = True
 
     def on_activate(self) -> None:
-        # The device turns evenly, however late this driver is called: in the middle of a turn.
-        self._began = self.clock.now() - PERIOD_NS // 2
-        self._turn = -1
+        self.turns = EvenTurns(self.clock.now(), RATE_HZ)
 
     @every(hz=RATE_HZ)
     def measure(self) -> None:
@@ -55,9 +54,9 @@ class SoundScanner(Component):
         if self._there and not there:
             self.gone()
         self._there = there
-        turn, self._turn = self._turn, (self.clock.now() - self._began) // PERIOD_NS
-        if there and self._turn > turn:
-            self.tell()
+        for _ in self.turns.look(self.clock.now()):
+            if there:
+                self.tell()
 
     def gone(self) -> None:
         self.log.warning("%s is gone", self.config.device)
@@ -70,7 +69,7 @@ class SoundScanner(Component):
         bearings = -math.pi / 2 + np.arange(BEAMS) * STEP
         ranges = np.interp(bearings, sorted(SURROUNDINGS), [3.0, 2.0, 1.0])
         return LaserScan(
-            header=Header(stamp=from_ns(self.ended - round(SWEEP_S * SECOND)), frame_id="laser"),
+            header=Header(stamp=from_ns(self.turns.ended - SWEEP_NS), frame_id="laser"),
             angle_min=-math.pi / 2,
             angle_max=math.pi / 2,
             angle_increment=STEP,
@@ -81,13 +80,8 @@ class SoundScanner(Component):
             ranges=ranges.astype(np.float32),
         )
 
-    @property
-    def ended(self) -> int:
-        """When the last beam was measured [ns]."""
-        return self._began + self._turn * PERIOD_NS
-
     def stamped(self, ns: int) -> LaserScan:
-        scan = self.taken()
+        scan = SoundScanner.taken(self)
         return replace(scan, header=replace(scan.header, stamp=from_ns(ns)))
 
 
@@ -142,22 +136,24 @@ class StampedWhenSent(SoundScanner):
     """Stamps a scan when all of it has come."""
 
     def taken(self) -> LaserScan:
-        return replace(super().taken(), header=Header(stamp=from_ns(self.ended), frame_id="laser"))
+        return replace(
+            super().taken(), header=Header(stamp=from_ns(self.turns.ended), frame_id="laser")
+        )
 
 
 class StampsJump(SoundScanner):
     """Stamps by when the operating system gave the bytes."""
 
     def tell(self) -> None:
-        late = round((0.0, 0.02, 0.02, 0.0)[self._turn % 4] * SECOND)
-        self.scan.publish(self.stamped(self.ended - round(SWEEP_S * SECOND) - late))
+        late = round((0.0, 0.02, 0.02, 0.0)[self.turns.number % 4] * SECOND)
+        self.scan.publish(self.stamped(self.turns.ended - SWEEP_NS - late))
 
 
 class StampsOfAnotherClock(SoundScanner):
     """Stamps by the device's clock, which began at 0."""
 
     def tell(self) -> None:
-        self.scan.publish(self.stamped(self.ended % (3600 * SECOND)))
+        self.scan.publish(self.stamped(self.turns.ended % (3600 * SECOND)))
 
 
 class OtherFrame(SoundScanner):
@@ -172,7 +168,7 @@ class EveryOther(SoundScanner):
     """Loses every other scan."""
 
     def tell(self) -> None:
-        if self._turn % 2:
+        if self.turns.number % 2:
             super().tell()
 
 
@@ -198,7 +194,7 @@ class NeverSilent(SoundScanner):
     def _stream(self) -> None:
         while not self._stopping.wait(1.0 / RATE_HZ):
             if self.config.device.exists():
-                self._began, self._turn = self.clock.now(), 0
+                self.turns = EvenTurns(self.clock.now(), RATE_HZ)
                 self._publisher.publish(self.taken())
 
 
