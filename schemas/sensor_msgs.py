@@ -186,6 +186,8 @@ class BatteryState:
     POWER_SUPPLY_TECHNOLOGY_LIFE: ClassVar[UInt8] = 4
     POWER_SUPPLY_TECHNOLOGY_NICD: ClassVar[UInt8] = 5
     POWER_SUPPLY_TECHNOLOGY_LIMN: ClassVar[UInt8] = 6
+    POWER_SUPPLY_TECHNOLOGY_TERNARY: ClassVar[UInt8] = 7
+    POWER_SUPPLY_TECHNOLOGY_VRLA: ClassVar[UInt8] = 8
     header: Header = Header()
     voltage: Float32 = math.nan
     temperature: Float32 = math.nan
