@@ -41,7 +41,8 @@ class ServiceManager:
             self._stopping = True
             self._send("STOPPING=1\nSTATUS=stopping")
         now = time.monotonic()
-        if self._period_s and sound and now - self._beaten_at >= self._period_s:
+        # Not before it is ready: the first beat starts the watchdog, and a start may be slow.
+        if self._ready and self._period_s and sound and now - self._beaten_at >= self._period_s:
             self._beaten_at = now
             self._send("WATCHDOG=1")
 

@@ -58,6 +58,16 @@ def test_a_root_that_hangs_does_not_feed_the_watchdog(manager: Manager) -> None:
     assert manager.hear("STOPPING=1") == ["READY=1\nSTATUS=active"]
 
 
+def test_the_watchdog_is_not_started_before_all_is_active(manager: Manager) -> None:
+    service = service_manager({"NOTIFY_SOCKET": manager.address, "WATCHDOG_USEC": "3000"})
+
+    service.tell(active=False, sound=True)
+    service.tell(active=True, sound=True)
+
+    assert manager.hear("READY=1") == []
+    assert manager.hear("WATCHDOG=1") == []
+
+
 def test_what_is_for_this_process_is_not_handed_on(manager: Manager) -> None:
     environment = {
         "NOTIFY_SOCKET": manager.address,
