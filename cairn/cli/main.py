@@ -117,7 +117,7 @@ def _open_missing_streams() -> None:
 
 
 def _complain(text: str) -> None:
-    console = Console(stderr=True, highlight=False, soft_wrap=True)
+    console = Console(stderr=True, highlight=False, soft_wrap=True, emoji=False)
     console.print(f"cairn: {text}", style="red", markup=False)
 
 

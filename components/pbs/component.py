@@ -43,7 +43,10 @@ class PbsScanner(Component):
     diagnostics: Out[DiagnosticArray]
 
     def on_configure(self) -> None:
-        """See that the sensor answers."""
+        """See that the sensor answers.
+
+        One that was there before may come back: then it is waited for, once active.
+        """
         self._rate = RateWindow()
         self._trouble = ""
         self._damaged_before = 0
@@ -51,7 +54,12 @@ class PbsScanner(Component):
         self._thread: DeviceThread | None = None
         self._shape = ScanShape(self.config.resolution, self.config.range_max)
         self._conversation = Conversation(self.config, self._came)
-        self._conversation.probe()
+        try:
+            self._conversation.probe()
+        except DeviceError as error:
+            if not self.restarts:
+                raise
+            self._trouble = str(error)
 
     def on_activate(self) -> None:
         """Tell where it sits on the robot; begin to measure."""

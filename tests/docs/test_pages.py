@@ -13,9 +13,15 @@ PAGES = (
     "README.md",
     "docs/architecture.md",
     "docs/components.md",
+    "docs/drivers/base.md",
+    "docs/drivers/camera.md",
+    "docs/drivers/emulators.md",
+    "docs/drivers/hokuyo.md",
     "docs/localization.md",
     "docs/navigation.md",
+    "docs/robot.md",
     "docs/simulation.md",
+    "docs/testing-drivers.md",
     "docs/vision.md",
 )
 # Those that need no running robot, in any page; the others are tried by the tests of the CLI.
