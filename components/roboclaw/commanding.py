@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from components.roboclaw.kinematics import Pair
 
 STILL: Pair = (0.0, 0.0)
@@ -13,10 +15,18 @@ class LatestCommand:
     def __init__(self, timeout_s: float) -> None:
         self._timeout_s = timeout_s
         self._given: tuple[float, Pair] | None = None
+        self._doubted_until = -math.inf
 
     def give(self, now: float, forward: float, turn: float) -> None:
         """Take a command [m/s, rad/s] at time `now` [s]."""
         self._given = (now, (forward, turn))
+
+    def doubt(self, now: float) -> None:
+        """Believe no command for a while: this process was held up, and what comes now has waited.
+
+        Commands bear no time of their own.
+        """
+        self._doubted_until = now + self._timeout_s
 
     def forget(self) -> None:
         """Have none."""
@@ -25,6 +35,6 @@ class LatestCommand:
     def take(self, now: float) -> Pair:
         """What to do at time `now` [s]: the command, or to stand still once it is stale."""
         given = self._given
-        if given is None or now - given[0] > self._timeout_s:
+        if given is None or now - given[0] > self._timeout_s or given[0] < self._doubted_until:
             return STILL
         return given[1]

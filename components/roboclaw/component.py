@@ -25,7 +25,7 @@ from components.roboclaw.messages import (
     odometry_message,
     odometry_transform,
 )
-from components.roboclaw.odometry import WheelOdometry
+from components.roboclaw.odometry import RecentSpeed, WheelOdometry
 from components.roboclaw.setting_up import Ready
 from schemas.diagnostic_msgs import DiagnosticArray
 from schemas.geometry_msgs import Twist
@@ -62,6 +62,7 @@ class RoboclawBase(Component):
         """
         config = self.config
         self._odometry = WheelOdometry(config.odometry_errors())
+        self._speed = RecentSpeed()
         self._complaints = Complaints(self.log)
         self._command = LatestCommand(config.command_timeout_s)
         self._health = Health()
@@ -142,7 +143,8 @@ class RoboclawBase(Component):
             self._rate.restart()  # the pause is told of already
         self._rate.note(step.at)
         self._odometry.add(step.way, step.turned)
-        message = odometry_message(self._odometry, step, self.config.odometry_errors())
+        speed = self._speed.add(step.seconds, step.way, step.turned)
+        message = odometry_message(self._odometry, step, speed, self.config.odometry_errors())
         self.odom.publish(message)
         self.tf.publish(TFMessage(transforms=(odometry_transform(message, self._odometry),)))
 

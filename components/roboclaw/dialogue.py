@@ -135,7 +135,10 @@ class Dialogue:
         """
         self._counts.packets += 1
         reply = b""
+        until = time.monotonic() + self._tries * (self._limit_s + 4.0 * PACKET_TIMEOUT_S)
         for attempt in range(self._tries):
+            if attempt and time.monotonic() > until + self._tries * size * self._byte_s:
+                break  # this process was held up: what it was to say then may be wrong now
             if attempt:
                 self._counts.retries += 1
                 # What it has of a packet it forgets in this time; what it still sends comes.

@@ -152,12 +152,16 @@ class Driving:
         began = due = time.monotonic() - period
         while not stopping.is_set():
             before, began = began, time.monotonic()
+            if began - before > 0.5 * self._settings.device_timeout_s:
+                # The RoboClaw may have stopped the wheels meanwhile, and commands are old.
+                self._twist = STILL
+                self._command.doubt(began)
             asked = self._order(dialogue, ready, began, min(began - before, 2.0 * period))
             step = self._measure(encoders, ready)
+            self._on_step(step)  # at once: the line may fail, and the step is counted
             self._judge(dialogue, asked, step)
             questions[turn_of]()
             turn_of = (turn_of + 1) % len(questions)
-            self._on_step(step)
             # What was late is made up for, but slowly: speeds of very short steps are noise.
             due = max(due + period, began + _SHORTEST * period)
             stopping.wait(max(0.0, due - time.monotonic()))

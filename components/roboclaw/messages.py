@@ -22,8 +22,10 @@ _SLOW = 0.8  # of the nominal rate: slower is told
 _RETRIED = 0.02  # of all packets: more is told
 
 
-def odometry_message(odometry: WheelOdometry, step: Step, errors: OdometryErrors) -> Odometry:
-    """Pose and speed at the end of a step; the speed is the step's mean one."""
+def odometry_message(
+    odometry: WheelOdometry, step: Step, speed: tuple[float, float], errors: OdometryErrors
+) -> Odometry:
+    """The pose at the end of a step, and the speed [m/s, rad/s]."""
     seconds = step.seconds or 1.0
     covariance = np.zeros(36)
     # The random walks of a step, as speeds.
@@ -31,7 +33,7 @@ def odometry_message(odometry: WheelOdometry, step: Step, errors: OdometryErrors
     covariance[_TURN] = (
         errors.turn**2 * abs(step.turned) + errors.turn_per_metre**2 * abs(step.way)
     ) / seconds**2
-    twist = Twist(linear=Vector3(x=step.way / seconds), angular=Vector3(z=step.turned / seconds))
+    twist = Twist(linear=Vector3(x=speed[0]), angular=Vector3(z=speed[1]))
     return Odometry(
         header=Header(stamp=from_ns(step.stamp), frame_id=_ODOM),
         child_frame_id=_BASE,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +24,27 @@ class OdometryErrors:
     """[rad/sqrt(rad)]"""
     turn_per_metre: float
     """[rad/sqrt(m)]"""
+
+
+class RecentSpeed:
+    """The mean speed over the last moments.
+
+    Nobody knows to the millisecond when encoders were read; over a few readings that is less of it.
+    """
+
+    def __init__(self, span_s: float = 0.06) -> None:
+        """`span_s`: at least so long a time is averaged over, if there was one [s]."""
+        self._span_s = span_s
+        self._steps: deque[tuple[float, float, float]] = deque()
+
+    def add(self, seconds: float, way: float, turned: float) -> tuple[float, float]:
+        """Take a step in; the speeds [m/s, rad/s]."""
+        steps = self._steps
+        steps.append((seconds, way, turned))
+        while sum(step[0] for step in steps) - steps[0][0] >= self._span_s:
+            steps.popleft()
+        time = sum(step[0] for step in steps) or 1.0
+        return sum(step[1] for step in steps) / time, sum(step[2] for step in steps) / time
 
 
 class WheelOdometry:

@@ -5,6 +5,7 @@ import os
 import signal
 import time
 from collections.abc import Iterator
+from contextlib import ExitStack
 
 import pytest
 
@@ -109,7 +110,8 @@ def test_wheels_of_a_driver_that_hangs_are_stopped_by_the_controller(
 ) -> None:
     pid = robot.status("base").pid
     before = base.device.timeouts
-    with robot.sending("cmd_vel", AHEAD):
+    with ExitStack() as commands:
+        commands.enter_context(robot.sending("cmd_vel", AHEAD))
         assert base.await_that(lambda: base.speed() > 0.4)
         os.kill(pid, signal.SIGSTOP)
         stopped = time.monotonic()
@@ -120,8 +122,12 @@ def test_wheels_of_a_driver_that_hangs_are_stopped_by_the_controller(
             coasting = 0.5
             assert base.fastest_since(stopped + DEVICE_TIMEOUT_S + coasting) < 0.05
         finally:
+            commands.close()
             os.kill(pid, signal.SIGCONT)
-    robot.await_state("base", "active")
+    awake = time.monotonic()
+    with robot.read("odom", Odometry) as odom:
+        odom.await_count(20)
+    assert base.fastest_since(awake) < 0.05, "it went on where it was interrupted"
 
 
 def test_wheels_of_a_driver_that_is_killed_stop(robot: Robot, base: EmulatedBase) -> None:

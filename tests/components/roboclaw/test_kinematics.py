@@ -8,7 +8,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from components.roboclaw.kinematics import Geometry, Limits, approached, counted, limited
-from components.roboclaw.odometry import OdometryErrors, WheelOdometry
+from components.roboclaw.odometry import OdometryErrors, RecentSpeed, WheelOdometry
 
 GEOMETRY = Geometry(0.05, 1.02, 0.3, 4000.0, "m2", left_inverted=True, right_inverted=False)
 LIMITS = Limits(0.6, 1.5, 0.8, 3.0)
@@ -101,3 +101,14 @@ def test_the_covariance_grows_with_way_and_turn() -> None:
     assert spread[2] == pytest.approx(0.05 * 2.0)
     # The heading's random walk moves it aside by sqrt(way^3 / 3) of its own deviation.
     assert spread[1] == pytest.approx(0.05 * math.sqrt(4.0**3 / 3), rel=0.01)
+
+
+def test_speeds_are_means_of_the_last_moments() -> None:
+    speed = RecentSpeed(0.05)
+    for seconds in (0.02, 0.03, 0.015, 0.025):  # read at times that are not quite true
+        told = speed.add(seconds, 0.01, -0.02)
+
+    assert told == pytest.approx((0.03 / 0.07, -0.06 / 0.07))
+    for _ in range(3):
+        told = speed.add(0.02, 0.0, 0.0)
+    assert told == (0.0, 0.0)
