@@ -3,7 +3,7 @@ PYTHON ?= python3.11
 BIN := .venv/bin
 REPORT ?= demo-report
 
-.PHONY: demo test test-hardware check bench clean
+.PHONY: demo test test-hardware test-service check bench clean
 
 ## A simulated robot's tour of a room that is rearranged meanwhile; then a real robot's recording.
 demo: .venv/ready
@@ -19,6 +19,10 @@ test: .venv/tests
 ## plugs are pulled. Says what it lacks, and installs nothing unless CI=true.
 test-hardware: .venv/tests
 	$(BIN)/python -m tests.hardware
+
+## The systemd unit, in a virtual machine that systemd has booted: takes minutes.
+test-service: .venv/tests
+	$(BIN)/python -m tests.hardware --booted
 
 ## Style, types, import contracts, and all tests.
 check: .venv/tests

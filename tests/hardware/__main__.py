@@ -1,4 +1,8 @@
-"""`python -m tests.hardware [pytest's arguments]`: runs the guest's tests in a virtual machine."""
+"""`python -m tests.hardware [pytest's arguments]`: runs the guest's tests in a virtual machine.
+
+With `--booted` those of the systemd unit, with systemd as the guest's init: minutes, where nothing
+else runs.
+"""
 
 import os
 import sys
@@ -12,7 +16,9 @@ from tests.hardware.machine import run_in_guest
 from tests.hardware.needs import CannotRun, meet
 
 _TESTS = "tests/hardware/guest"
-_LIMIT_S = 600.0
+_BOOTED_TESTS = "tests/hardware/booted"
+_LIMIT_S = 900.0
+_BOOTED_LIMIT_S = 1800.0
 
 
 def main() -> int:
@@ -31,9 +37,13 @@ def main() -> int:
         return 0 if in_ci else 1
     print(f"hardware tests: booting Linux {kernel.release} in a virtual machine", flush=True)
     log = cache / "kernel.log"
-    command = [sys.executable, "-m", "pytest", *_options(), *(sys.argv[1:] or [_TESTS])]
+    booted = "--booted" in sys.argv
+    arguments = [argument for argument in sys.argv[1:] if argument != "--booted"]
+    tests = _BOOTED_TESTS if booted else _TESTS
+    command = [sys.executable, "-m", "pytest", *_options(tests), *(arguments or [tests])]
+    limit_s = _BOOTED_LIMIT_S if booted else _LIMIT_S
     try:
-        status = run_in_guest(kernel, command, log, _LIMIT_S)
+        status = run_in_guest(kernel, command, log, limit_s, booted=booted)
     except CannotRun as reason:
         print(f"hardware tests FAILED: {reason}\n{_end_of(log)}", flush=True)
         return 1
@@ -42,11 +52,11 @@ def main() -> int:
     return status
 
 
-def _options() -> list[str]:
+def _options(folder: str) -> list[str]:
     """Without what the guest's tests do not need: loading it would take longer than they do."""
     unneeded = ("cacheprovider", "xdist", "hypothesispytest")
     colour = "yes" if sys.stdout.isatty() else "no"
-    options = [f"--color={colour}", f"--confcutdir={_TESTS}"]
+    options = [f"--color={colour}", f"--confcutdir={folder}"]
     return [*options, *(word for name in unneeded for word in ("-p", f"no:{name}"))]
 
 

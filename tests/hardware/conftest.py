@@ -2,4 +2,4 @@
 
 import os
 
-collect_ignore = [] if os.environ.get("CAIRN_HARDWARE_GUEST") else ["guest"]
+collect_ignore = [] if os.environ.get("CAIRN_HARDWARE_GUEST") else ["booted", "guest"]

@@ -13,6 +13,7 @@ from tests.hardware.needs import CannotRun, program
 
 _HERE = Path(__file__).parent
 _REPOSITORY = _HERE.parents[1]
+_STARTING = ("second_program.sh", "tests.service", "third_program.sh")
 _BOOT_MODULES = ("virtio_pci", "9pnet_virtio", "9p", "overlay")
 _ACCELERATOR = "tcg,thread=multi,tb-size=1024"
 """Emulation, which every machine can. KVM within a virtual machine may be far slower."""
@@ -38,8 +39,12 @@ def first_file_system(kernel: Kernel, folder: Path) -> Path:
     return packed
 
 
-def run_in_guest(kernel: Kernel, command: list[str], log: Path, limit_s: float) -> int:
+def run_in_guest(
+    kernel: Kernel, command: list[str], log: Path, limit_s: float, *, booted: bool = False
+) -> int:
     """Run a command in the guest, in this repository's folder; returns its exit status.
+
+    With `booted` the guest's init is systemd, which takes longer.
 
     What it prints is printed here as it comes; what the kernel says goes to the file `log`.
     Raises `CannotRun` if the guest does not come to the command's end within the limit [s].
@@ -48,11 +53,13 @@ def run_in_guest(kernel: Kernel, command: list[str], log: Path, limit_s: float) 
         folder = Path(name)
         exchange = folder / "exchange"
         exchange.mkdir()
-        shutil.copy(_HERE / "second_program.sh", exchange)
+        for file in _STARTING:
+            shutil.copy(_HERE / file, exchange)
         (exchange / "environment").write_text(
             f"REPOSITORY={shlex.quote(str(_REPOSITORY))}\n"
             f"MODULES={shlex.quote(str(kernel.modules))}\n"
             f"COMMAND={shlex.quote(shlex.join(command))}\n"
+            f"BOOTED={'yes' if booted else ''}\n"
         )
         qemu = _qemu(kernel, first_file_system(kernel, folder), folder, log)
         ended = _printed(qemu, limit_s)
@@ -63,7 +70,7 @@ def run_in_guest(kernel: Kernel, command: list[str], log: Path, limit_s: float) 
 
 
 def _printed(qemu: list[str], limit_s: float) -> str:
-    """Run QEMU, print what the guest prints, and say how QEMU ended."""
+    """Run QEMU, print what the guest prints, marked as such, and say how QEMU ended."""
     pipe = subprocess.PIPE  # for its input too: at the end of that it would hang up on the guest
     late = threading.Event()
     with subprocess.Popen(qemu, stdin=pipe, stdout=pipe, text=True, errors="replace") as process:
@@ -77,7 +84,7 @@ def _printed(qemu: list[str], limit_s: float) -> str:
         try:
             assert process.stdout is not None
             for line in process.stdout:
-                print(line, end="", flush=True)
+                print(f"guest| {line}", end="", flush=True)
             process.wait()
         finally:
             process.kill()  # if we are interrupted

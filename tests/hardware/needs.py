@@ -29,6 +29,7 @@ NEEDS = (
     Need("cpio", "cpio"),
     Need("modprobe", "kmod"),
     Need("udevadm", "udev"),
+    Need("systemctl", "systemd"),
     Need("gcc", "gcc"),
     Need("make", "make"),
 )

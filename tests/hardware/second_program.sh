@@ -1,22 +1,22 @@
-# The guest's second program, with its root in place: makes a Linux of it, runs the command that it
-# was started for, and tells its exit status. What it prints goes to the host over a virtual port.
-. /mnt/exchange/environment  # REPOSITORY, COMMAND
+# The guest's second program, with its root in place: makes a Linux of it that runs the third one;
+# with BOOTED a whole one, whose init is systemd.
+. /mnt/exchange/environment  # MODULES, BOOTED
 export PATH=/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin HOME=/root
 export PYTHONDONTWRITEBYTECODE=1 CAIRN_HARDWARE_GUEST=1
-
 release=$(uname -r)
 mkdir -p "/lib/modules/$release" /dev/pts /dev/shm /run
-mount --bind "$MODULES" "/lib/modules/$release"  # the kernel itself calls modprobe
+mount --bind "$MODULES" "/lib/modules/$release"  # where the kernel itself calls modprobe
+mount -t tmpfs tmpfs /run
+if [ -n "$BOOTED" ]; then
+    mkdir -p /run/systemd/system /run/systemd/system-generators
+    cp /mnt/exchange/tests.service /run/systemd/system
+    for generator in /lib/systemd/system-generators/*; do
+        ln -s /dev/null "/run/systemd/system-generators/${generator##*/}"  # the host's disks are none
+    done
+    exec /lib/systemd/systemd --unit=tests.service --log-target=console --show-status=no
+fi
 mount -t devpts devpts /dev/pts
 mount -t tmpfs tmpfs /dev/shm
-mount -t tmpfs tmpfs /run
-busybox ip link set lo up
 /lib/systemd/systemd-udevd --daemon
-modprobe -a configfs virtio_console xhci_pci  # udev names what these find, and loads its drivers
-mount -t configfs configfs /sys/kernel/config
-udevadm settle
-
-cd "$REPOSITORY" || exit
-sh -c "$COMMAND" >/dev/virtio-ports/output 2>&1 </dev/null
-echo $? >/mnt/exchange/exit_status
+sh /mnt/exchange/third_program.sh
 busybox poweroff -f

@@ -1,0 +1,165 @@
+"""The systemd unit of deploy/robot runs a robot as a user of least rights, and starts it anew."""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import psutil
+import pytest
+
+from tests.hardware.guest.cables import Cable
+from tests.hardware.guest.modules import run
+
+_REPOSITORY = Path(__file__).parents[3]
+_FILES = _REPOSITORY / "deploy" / "robot"
+_UNITS = Path("/run/systemd/system")
+_SERVICE = "cairn@trial"
+_LIMIT_S = 300.0
+
+pytestmark = pytest.mark.timeout(700)
+_INSTALLED = Path("/opt/cairn")
+
+_DEPLOYMENT = """
+cairn: 1
+robot: trial
+components:
+  scanner:
+    plugin: hokuyo_scanner
+    parameters: {port: /dev/cairn/scanner}
+"""
+# What is altered: the rest of a system is not waited for, and limits are longer, since an emulated
+# machine is slow; the environment and its interpreter may be anywhere.
+_HERE = """
+[Unit]
+DefaultDependencies=no
+[Service]
+TimeoutStartSec=280
+WatchdogSec=20
+ProtectHome=tmpfs
+BindReadOnlyPaths={paths}
+"""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _installed() -> Iterator[None]:
+    """Everything installed as docs/robot.md says, but for an environment that is linked."""
+    for folder in (_UNITS / f"{_SERVICE}.service.d", Path("/etc/cairn"), Path("/etc/sysusers.d")):
+        folder.mkdir(parents=True, exist_ok=True)
+    Path("/run/udev/rules.d").mkdir(parents=True, exist_ok=True)
+    shutil.copy(_FILES / "70-cairn.rules", "/run/udev/rules.d")
+    shutil.copy(_FILES / "cairn.sysusers", "/etc/sysusers.d/cairn.conf")
+    shutil.copy(_FILES / "cairn@.service", _UNITS)
+    paths = {_REPOSITORY, Path(sys.prefix), Path(sys.base_prefix)}
+    text = _HERE.format(paths=" ".join(map(str, sorted(paths))))
+    (_UNITS / f"{_SERVICE}.service.d" / "here.conf").write_text(text)
+    Path("/etc/cairn/trial.yaml").write_text(_DEPLOYMENT)
+    _INSTALLED.symlink_to(sys.prefix)
+    run("systemd-sysusers")
+    run("udevadm", "control", "--reload")
+    run("systemctl", "daemon-reload")
+    yield
+    _INSTALLED.unlink()
+
+
+@pytest.fixture
+def service(acm: Cable) -> Iterator[str]:
+    """The service, running, with a scanner plugged in."""
+    acm.unplug()  # it gets its name by the rules
+    acm.plug_in()
+    emulator = subprocess.Popen(
+        [sys.executable, "-m", "cairn.cli.main", "emulate", "hokuyo", "--serial", acm.far_end]
+    )
+    try:
+        subprocess.run(["systemctl", "start", _SERVICE], check=False, timeout=_LIMIT_S)
+        assert of_service("ActiveState") == "active", journal()
+        yield _SERVICE
+        run("systemctl", "stop", _SERVICE)
+    finally:
+        emulator.kill()
+        emulator.wait()
+
+
+def test_it_runs_as_a_user_of_least_rights_and_stops_in_good_order(service: str) -> None:
+    processes = of_robot()
+    assert len(processes) >= 3, processes
+    assert {process.username() for process in processes} == {"cairn"}
+    for process in processes:
+        assert "CapEff:\t0000000000000000" in Path(f"/proc/{process.pid}/status").read_text()
+    assert scans_come(), journal()
+
+    run("systemctl", "stop", service)
+
+    assert of_robot() == []
+    assert of_service("Result") == "success", journal()
+    assert "ended: " in journal()
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+def test_it_is_started_anew_when_its_root_is_killed_or_hangs(
+    service: str, number: signal.Signals
+) -> None:
+    first = of_robot()
+    root = int(of_service("MainPID"))
+
+    os.kill(root, number)
+
+    await_that(lambda: of_service("MainPID") not in ("0", str(root)), "another root")
+    await_that(lambda: of_service("ActiveState") == "active", "the service active")
+    assert not any(process.is_running() for process in first)
+    assert scans_come(), journal()
+
+
+def scans_come() -> bool:
+    """Whether the scanner's scans are on the bus."""
+    done = subprocess.run(
+        [sys.executable, "-m", "cairn.cli.main", "topic", "echo", "scan", "--count", "1"],
+        check=False,
+        capture_output=True,
+        timeout=_LIMIT_S,
+    )
+    return done.returncode == 0
+
+
+def of_robot() -> list[psutil.Process]:
+    """All processes of the service."""
+    listed = Path("/sys/fs/cgroup", of_service("ControlGroup").lstrip("/"), "cgroup.procs")
+    if not of_service("ControlGroup") or not listed.exists():
+        return []
+    return [psutil.Process(int(pid)) for pid in listed.read_text().split()]
+
+
+def of_service(what: str) -> str:
+    """A property of the service as systemd tells it."""
+    done = subprocess.run(
+        ["systemctl", "show", _SERVICE, "--property", what, "--value"],
+        check=True,
+        capture_output=True,
+        text=True,
+        timeout=_LIMIT_S,
+    )
+    return done.stdout.strip()
+
+
+def journal() -> str:
+    """What the service said, and systemd of it."""
+    done = subprocess.run(
+        ["journalctl", "--unit", _SERVICE, "--output", "json"],
+        check=True,
+        capture_output=True,
+        text=True,
+        timeout=_LIMIT_S,
+    )
+    return "\n".join(str(json.loads(line)["MESSAGE"]) for line in done.stdout.splitlines())
+
+
+def await_that(condition: Callable[[], bool], what: str) -> None:
+    """Wait until something is so, asking again and again: systemd tells of it by no file."""
+    deadline = time.monotonic() + _LIMIT_S
+    while not condition():
+        assert time.monotonic() < deadline, f"no {what} within {_LIMIT_S:g} s: {journal()}"
