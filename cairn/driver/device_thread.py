@@ -13,7 +13,7 @@ from cairn.errors import CairnError
 RETRY_S = 0.2
 """How long after a failure the device is tried again: soon, as it may have come back."""
 
-_STOP_LIMIT_S = 5.0
+_STOP_LIMIT_S = 4.0  # less than its supervisor waits for the component
 
 
 class DeviceThread:

@@ -122,7 +122,7 @@ def fault_shares(text: str) -> dict[FrameFault, float]:
 
 def _serve(emulation: Emulation, orders: Orders, stopped: int) -> None:
     """Follow orders until one of them, or a signal, ends it."""
-    source: int | None = sys.stdin.fileno()
+    source = None if sys.stdin is None else sys.stdin.fileno()  # closed, as by `<&-`
     held = b""
     while True:
         emulation.check()

@@ -120,11 +120,14 @@ class PtyEnd:
         return 0
 
     def baud(self) -> int | None:
-        """The speed that whoever opened the line has set."""
+        """The speed that whoever opened the line has set; None for one that POSIX has no name for.
+
+        250000 and 750000 bit/s are such.
+        """
         if self._line is None:
             return None
         speed = termios.tcgetattr(self._line)[5]
-        return _SPEEDS.get(speed, speed)
+        return _SPEEDS.get(speed)
 
     def set_baud(self, baud: int | None) -> None:
         """Each end may claim any speed."""

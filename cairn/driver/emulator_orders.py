@@ -71,7 +71,7 @@ class Orders:
         }[fault]
 
         def run(words: list[str]) -> str:
-            frames = round(_number(words, 1.0, "frames"))
+            frames = _whole_number(words, 1.0, "frames")
             self._emulation.spoil(fault, frames)
             return f"{fault}: the next {frames}" if frames != 1 else f"{fault}: the next one"
 
@@ -85,7 +85,7 @@ class Orders:
         return "it hangs" if math.isinf(seconds) else f"it hangs for {seconds:g} s"
 
     def _slow(self, words: list[str]) -> str:
-        baud = round(_number(words, math.nan, "bit/s"))
+        baud = _whole_number(words, math.nan, "bit/s")
         self._emulation.slow(baud or None)
         return f"slow: {baud} bit/s" if baud else "as fast as before"
 
@@ -108,6 +108,13 @@ class Orders:
             f"{emulation.bytes_heard} bytes; sent {emulation.frames_sent} frames, of which were "
             f"spoilt: {spoilt or 'none'}"
         )
+
+
+def _whole_number(words: list[str], default: float, what: str) -> int:
+    number = _number(words, default, what)
+    if not math.isfinite(number):
+        raise CairnError(f"{' '.join(words)!r} is no number of {what}")
+    return round(number)
 
 
 def _number(words: list[str], default: float, what: str) -> float:

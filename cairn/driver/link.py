@@ -128,6 +128,9 @@ class SerialLink:
     def close(self) -> None:
         """Let go of the port."""
         # A port that was unplugged cannot be closed in good order; it is gone all the same.
+        # What it was not sent yet must not keep us waiting: the device may have hung.
+        with suppress(serial.SerialException, OSError, termios.error):
+            self._serial.reset_output_buffer()
         with suppress(serial.SerialException, OSError, termios.error):
             self._serial.close()
 
@@ -144,7 +147,7 @@ class TcpLink:
         self.paced = False
         try:
             self._socket = socket.create_connection((host, port), limit_s)
-        except OSError as error:
+        except (OSError, UnicodeError) as error:
             raise LinkLost(f"{self.name} cannot be connected: {_cause(error)}") from error
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._socket.settimeout(_WRITE_LIMIT_S)
@@ -186,6 +189,8 @@ class TcpLink:
 
 
 def _cause(error: BaseException) -> str:
+    if isinstance(error, socket.gaierror):
+        return f"{error.strerror}; is the address right?"
     number = getattr(error, "errno", None)
     if isinstance(error, termios.error):
         number = error.args[0] if error.args else None

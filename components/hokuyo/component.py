@@ -46,6 +46,8 @@ class HokuyoScanner(Component):
     tf_static: Out[TFMessage] = Out(qos=LATCHED)
     diagnostics: Out[DiagnosticArray]
 
+    _thread: DeviceThread | None = None
+
     def on_configure(self) -> None:
         """Connect the sensor, and find out what it is.
 
@@ -83,18 +85,20 @@ class HokuyoScanner(Component):
         mounted = transform_message(header, self.config.frame_id, self.config.mount.pose)
         self.tf_static.publish(TFMessage(transforms=(mounted,)))
         self._rate.restart()
-        self._thread = DeviceThread(
+        self._waiting.clear()  # what came while it was being deactivated
+        thread = DeviceThread(
             self.name,
-            lambda stopping: self._measurement.converse(stopping, self._well),
+            lambda stopping: self._measurement.converse(stopping, thread.well),
             log=self.log,
             on_trouble=lambda error: self.post(partial(self._lost, error)),
             on_failure=lambda error: self.post(partial(_fail, error)),
         )
-        self._thread.start()
+        self._thread = thread
+        thread.start()
 
     def on_deactivate(self) -> None:
         """Have it rest, its laser off."""
-        self._thread.stop()
+        self._stop()
 
     def on_cleanup(self) -> None:
         """Let go of it."""
@@ -102,9 +106,11 @@ class HokuyoScanner(Component):
 
     def on_error(self, error: Exception) -> bool:  # noqa: ARG002 - whatever it was
         """Switch the laser off and let go of the sensor; the supervisor decides."""
-        for name, give_back in (("_thread", "stop"), ("_measurement", "disconnect")):
-            if hasattr(self, name):
-                getattr(getattr(self, name), give_back)()
+        try:
+            self._stop()
+        finally:
+            if "_measurement" in vars(self):  # else it was not even configured
+                self._measurement.disconnect()
         return False
 
     def on_parameters(self, new: Config) -> None:
@@ -116,10 +122,10 @@ class HokuyoScanner(Component):
                     f"the driver takes {name} when it is configured; {', '.join(LIVE)} may be "
                     "changed while it runs"
                 )
-        sensor = self._measurement.sensor
-        if sensor is not None:
+        measuring = self._measurement.measuring
+        if measuring is not None:
             try:
-                request_of(new, sensor.measuring)
+                request_of(new, measuring)
             except CairnError as error:
                 raise ParameterRefused(str(error)) from error
         self._measurement.config = new
@@ -169,8 +175,10 @@ class HokuyoScanner(Component):
         self._trouble = str(error)
         self._rate.restart()
 
-    def _well(self, what: str) -> None:
-        self._thread.well(what)
+    def _stop(self) -> None:
+        thread, self._thread = self._thread, None
+        if thread is not None:
+            thread.stop()
 
 
 def _fail(error: Exception) -> None:

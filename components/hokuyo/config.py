@@ -58,7 +58,11 @@ class HokuyoConfig(Config):
     multi_echo: bool = Field(
         False, description="Ask for up to three echoes of a ray, if the sensor has them."
     )
-    echo: Echo = Field("first", description="Which of several echoes is the range in `scan`.")
+    echo: Echo = Field(
+        "first",
+        description="Which of several echoes is the range in `scan`; without intensities the "
+        "last one stands for the strongest.",
+    )
     short_distances: bool = Field(
         False, description="Two characters for a distance: a third less on the line, up to 4.095 m."
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections import deque
 from dataclasses import dataclass
@@ -12,6 +13,7 @@ from components.hokuyo.replies import Reply, ReplySplitter
 
 _ANSWER_LIMIT_S = 0.5  # sensors answer within milliseconds, but computers may be busy
 _LONGEST_ANSWER = 500  # bytes, of those that are no scans
+_LOOK_S = 0.1  # how often it is looked whether to stop
 _BITS_PER_BYTE = 10  # start, eight of data, stop
 
 TRIES = 3
@@ -20,6 +22,10 @@ TRIES = 3
 
 class NoAnswer(DeviceError):  # noqa: N818 - it tells what happened
     """A sensor has not answered a command."""
+
+
+class Stopped(DeviceError):  # noqa: N818 - it tells what happened
+    """A question was given up because the driver is to stop."""
 
 
 @dataclass(frozen=True)
@@ -33,8 +39,12 @@ class Arrival:
 class Dialogue:
     """Sends commands and finds their replies among all that come. One thread at a time."""
 
-    def __init__(self, link: Link) -> None:
+    def __init__(self, link: Link, stopping: threading.Event | None = None) -> None:
+        """Questions are given up once `stopping` is set."""
         self.link = link
+        self.stopping = stopping
+        self.heard = 0
+        """How many bytes have come so far."""
         self.answer_limit_s = _ANSWER_LIMIT_S
         """How long an answer is waited for [s]."""
         self._splitter = ReplySplitter()
@@ -73,8 +83,9 @@ class Dialogue:
         echo = command.encode("ascii")
         deadline = time.monotonic() + self.answer_limit_s
         while (left_s := deadline - time.monotonic()) > 0:
+            self._look()
             found = None
-            for arrival in self._take(left_s):
+            for arrival in self._take(min(left_s, _LOOK_S)):
                 # What was cut off a stream may stand before the first reply after it.
                 if found is None and arrival.reply.echo.endswith(echo):
                     found = arrival.reply
@@ -96,7 +107,7 @@ class Dialogue:
         """Throw away all that comes until nothing does for a while, or the limit is over."""
         deadline = time.monotonic() + limit_s
         while self.link.read(quiet_s) and time.monotonic() < deadline:
-            pass
+            self._look()
         self.forget()
 
     def forget(self) -> None:
@@ -105,7 +116,12 @@ class Dialogue:
         self._splitter.clear()
         self._kept.clear()
 
+    def _look(self) -> None:
+        if self.stopping is not None and self.stopping.is_set():
+            raise Stopped(f"{self.link.name}: given up, as the driver is to stop")
+
     def _take(self, limit_s: float) -> list[Arrival]:
         data = self.link.read(limit_s)
         at = time.monotonic_ns()
+        self.heard += len(data)
         return [Arrival(reply, at) for reply in self._splitter.feed(data)] if data else []

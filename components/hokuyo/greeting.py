@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from cairn.driver.errors import DeviceError
+from cairn.driver.errors import DeviceError, LinkLost
 from components.hokuyo.dialogue import Dialogue
 from components.hokuyo.replies import Reply
 
@@ -33,6 +33,8 @@ def greet(dialogue: Dialogue, speeds: Sequence[int]) -> Greeting:
     for baud in speeds:
         try:
             dialogue.set_baud(baud)
+        except LinkLost:
+            raise
         except DeviceError:
             if baud == speeds[0]:
                 raise  # this one was asked for
@@ -51,23 +53,36 @@ def _at_rest(dialogue: Dialogue) -> bool | None:
     """Whether it speaks SCIP 2; None if it does not answer."""
     dialogue.send("")  # ends whatever was begun on the line
     dialogue.quieten(_QUIET_S, _QUIET_LIMIT_S)
+    refusal = ""
     for _ in range(_TRIES):
+        before = dialogue.heard
         dialogue.send("QT")
         reply = dialogue.find("QT")
         if reply is None:
-            return None
+            if dialogue.heard == before:
+                break
+            continue  # something is there: the answer may be damaged, or stand behind a scan
         match reply.status:
             case b"00P":
                 return True
             case b"0" | b"E":
                 return _switched(dialogue)
-            case b"0Ee":  # it adjusts clocks, and takes nothing else
+            case b"0Ee" | b"10Q":  # it adjusts clocks, and takes nothing else
                 dialogue.send("TM2")
                 dialogue.find("TM2")
+            case other:
+                refusal = other.decode("ascii", "replace")
+    if refusal:
+        raise DeviceError(
+            f"{dialogue.link.name}: a sensor is there, but answers QT with status {refusal}: it is "
+            "starting, or has a defect; see its manual"
+        )
     return None
 
 
 def _switched(dialogue: Dialogue) -> bool:
+    dialogue.send("L0")  # it knows no QT, and may be measuring
+    dialogue.find("L0")
     dialogue.send("SCIP2.0")
     reply: Reply | None = dialogue.find("SCIP2.0")
     return reply is not None and reply.status == b"0"

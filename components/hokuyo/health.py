@@ -76,7 +76,7 @@ def values(measurement: Measurement, hz: float) -> dict[str, object]:
     told |= {f"status {code}": count for code, count in sorted(stream.statuses.items())}
     if sensor is None:
         return told
-    way_s = sensor.stamping.way_s
+    computing_s = sensor.stamping.computing_s
     told |= {
         "port": sensor.link.name,
         "speed [bit/s]": sensor.baud if sensor.link.paced else "not of this line",
@@ -89,7 +89,7 @@ def values(measurement: Measurement, hz: float) -> dict[str, object]:
         "serial number": sensor.serial_number,
         "bytes of no reply": sensor.dialogue.noise,
         "clock set": sensor.stamping.jumps,
-        "from step 0 to here [ms]": "not measured" if way_s is None else 1000.0 * way_s,
+        "computing [ms]": "not measured" if computing_s is None else 1000.0 * computing_s,
     }
     told |= {f"{key} at start": sensor.state[key] for key in _AS_IT_SAYS if key in sensor.state}
     if request is not None:

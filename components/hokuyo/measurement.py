@@ -5,10 +5,13 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 
 from cairn.driver.errors import DeviceError
 from components.hokuyo.config import HokuyoConfig
+from components.hokuyo.device_facts import Measuring
+from components.hokuyo.dialogue import NoAnswer, Stopped
 from components.hokuyo.requests import ScanRequest
 from components.hokuyo.scan_data import ScanData
 from components.hokuyo.scip2 import Scip2
@@ -41,6 +44,8 @@ class Measurement:
         self.stream = ScanStream()
         self.sensor: Sensor | None = None
         self.request: ScanRequest | None = None
+        self.measuring: Measuring | None = None
+        """How the sensor that was connected last measures."""
         self.restarts = 0
         """How often a silent sensor was told to begin anew."""
         self.connections = 0
@@ -49,33 +54,52 @@ class Measurement:
         self._on_scan = on_scan
         self._known_speed: int | None = None
 
-    def connect(self) -> Sensor:
-        """Connect the sensor; raises `DeviceError`."""
+    def connect(self, stopping: threading.Event | None = None) -> Sensor:
+        """Connect the sensor; raises `DeviceError`, `Stopped` soon after `stopping` is set."""
         # Where it answered before it most likely answers again; if not, next time all are tried.
         speeds = () if self._known_speed is None else (self._known_speed,)
         self._known_speed = None
-        sensor = connect(self.config, speeds)
+        sensor = connect(self.config, speeds, stopping)
         self._known_speed = sensor.baud
         self.connections += 1
-        self.sensor = sensor
+        self.sensor, self.measuring = sensor, sensor.measuring
         return sensor
 
     def disconnect(self) -> None:
-        """Let go of the sensor."""
+        """Let go of the sensor, and tell it to rest, should it hear that."""
         sensor, self.sensor, self.request = self.sensor, None, None
         if sensor is not None:
+            with suppress(DeviceError):  # it is gone
+                sensor.dialogue.send("QT")
             sensor.link.close()
 
     def converse(self, stopping: threading.Event, well: Callable[[str], None]) -> None:
-        """Have it measure until `stopping`; its laser is off then, and it stays connected."""
+        """Have it measure until `stopping`; its laser is off then, and it stays connected.
+
+        Raises `DeviceError` if the sensor fails, also if it cannot be told to rest.
+        """
         try:
-            sensor = self.sensor or self.connect()
-            self._measure(sensor, stopping, well)
-            self.request = None
-            sensor.protocol.stop()
+            with suppress(Stopped):
+                sensor = self.sensor or self.connect(stopping)
+                sensor.dialogue.stopping = stopping
+                sensor.synchronise(read_clock=self.config.calibrate_time)
+                self._measure(sensor, stopping, well)
+            self._rest()
         except BaseException:
             self.disconnect()
             raise
+
+    def _rest(self) -> None:
+        self.request = None
+        if self.sensor is None:
+            return
+        self.sensor.dialogue.stopping = None  # this question is asked to stop
+        try:
+            self.sensor.protocol.stop()
+        except NoAnswer as error:
+            raise DeviceError(
+                f"{self.sensor.link.name}: the sensor does not answer, so its laser may still be on"
+            ) from error
 
     def _measure(
         self, sensor: Sensor, stopping: threading.Event, well: Callable[[str], None]

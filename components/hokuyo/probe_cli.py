@@ -20,6 +20,7 @@ from serial.tools import list_ports
 from cairn.cli.connection import Json
 from cairn.cli.tables import line, print_json, show
 from cairn.component.parameters import reason
+from cairn.driver.device_names import TCP
 from cairn.driver.errors import DeviceError
 from cairn.driver.rate import RateWindow
 from cairn.errors import CairnError
@@ -30,9 +31,11 @@ from components.hokuyo.scan_message import ScanShape
 from components.hokuyo.scan_picture import drawn
 from schemas.std_msgs import Header
 
+_Came = queue.SimpleQueue[Measured | Exception]
+"""Scans as they come, or what ended them."""
+
 _PICTURES_PER_S = 8
 _FIRST_SCAN_S = 5.0
-_TCP = "tcp:"
 _LINES = 6  # of a terminal, that are not for the picture
 
 
@@ -65,7 +68,7 @@ def probe(
         _list(as_json=json)
         return
     config = _config(device, baud, intensity)
-    came: queue.SimpleQueue[Measured] = queue.SimpleQueue()
+    came: _Came = queue.SimpleQueue()
     with _measuring(config, came) as measurement:
         first = _first(came, measurement)
         live = sys.stdout.isatty() and not json
@@ -102,8 +105,8 @@ def _list(*, as_json: bool) -> None:
 
 def _config(device: str, baud: int, intensity: bool) -> HokuyoConfig:
     asked: dict[str, Any] = {"intensity": intensity}
-    if device.startswith(_TCP):
-        host, _, port = device.removeprefix(_TCP).partition(":")
+    if device.startswith(TCP):
+        host, _, port = device.removeprefix(TCP).partition(":")
         asked |= {"host": host} | ({"tcp_port": port} if port else {})
     else:
         asked |= {"port": device, "baud": baud}
@@ -116,18 +119,17 @@ def _config(device: str, baud: int, intensity: bool) -> HokuyoConfig:
 
 
 @contextmanager
-def _measuring(config: HokuyoConfig, came: queue.SimpleQueue[Measured]) -> Iterator[Measurement]:
+def _measuring(config: HokuyoConfig, came: _Came) -> Iterator[Measurement]:
     """A sensor that measures; when this is left its laser is off."""
     measurement = Measurement(config, came.put)
     measurement.connect()
     stopping = threading.Event()
-    failed: list[BaseException] = []
 
     def converse() -> None:
         try:
             measurement.converse(stopping, lambda _: None)
-        except DeviceError as error:
-            failed.append(error)
+        except Exception as error:  # raised by whoever waits for the next scan
+            came.put(error)
 
     thread = threading.Thread(target=converse, name="probe", daemon=True)
     thread.start()
@@ -137,23 +139,32 @@ def _measuring(config: HokuyoConfig, came: queue.SimpleQueue[Measured]) -> Itera
         stopping.set()
         thread.join()
         measurement.disconnect()
-    if failed:
-        raise failed[0]
 
 
-def _first(came: queue.SimpleQueue[Measured], measurement: Measurement) -> Measured:
+def _next(came: _Came, limit_s: float) -> Measured | None:
+    """The next scan, None if none comes in time; raises what has ended them."""
     try:
-        return came.get(timeout=_FIRST_SCAN_S)
+        found = came.get(timeout=limit_s)
     except queue.Empty:
+        return None
+    if isinstance(found, Exception):
+        raise found
+    return found
+
+
+def _first(came: _Came, measurement: Measurement) -> Measured:
+    first = _next(came, _FIRST_SCAN_S)
+    if first is None:
         damage = measurement.stream.last_damage
         raise DeviceError(
             f"no scan within {_FIRST_SCAN_S:g} s"
             + (f"; the last damage: {damage}" if damage else "")
-        ) from None
+        )
+    return first
 
 
 def _watched(
-    came: queue.SimpleQueue[Measured],
+    came: _Came,
     measurement: Measurement,
     newest: Measured,
     seconds: float | None,
@@ -174,10 +185,10 @@ def _watched(
             while seconds is None or time.monotonic() - begun < seconds:
                 due = time.monotonic() + 1.0 / _PICTURES_PER_S
                 while (left := due - time.monotonic()) > 0:
-                    try:
-                        newest = came.get(timeout=left)
-                    except queue.Empty:
+                    found = _next(came, left)
+                    if found is None:
                         break
+                    newest = found
                     scans += 1
                     window.note(time.monotonic())
                 rate = window.hz(time.monotonic())

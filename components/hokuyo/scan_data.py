@@ -49,7 +49,9 @@ def scan_data(reply: Reply, request: ScanRequest) -> ScanData:
         steps = int(step[-1]) + 1 if step.size else 0
     else:
         numbers, step, echo = text, None, None
-        steps = text.size // (2 * width if request.intensity else width)
+        steps, rest = divmod(text.size, 2 * width if request.intensity else width)
+        if rest:
+            raise ScipError(f"{text.size} characters are no whole number of values")
     values = decode_numbers(numbers, width).reshape(-1, 2 if request.intensity else 1)
     if steps != request.values:
         raise ScipError(f"{steps} values came, but {request.values} were asked for")

@@ -85,7 +85,9 @@ def scan_data_1(reply: Reply, request: ScanRequest) -> ScanData:
     if reply.status != b"0":
         raise ScipError(f"its status is {reply.status!r}")
     lines = reply.lines
-    if any(len(line) != BLOCK for line in lines[:-1]) or len(lines[-1:]) > BLOCK:
+    if not lines:
+        raise ScipError("there is no data in it")
+    if any(len(line) != BLOCK for line in lines[:-1]) or len(lines[-1]) > BLOCK:
         raise ScipError("a line of data is not of 64 characters")
     values = decode_numbers(np.frombuffer(b"".join(lines), np.uint8), _WIDTH)
     if values.size != request.values:

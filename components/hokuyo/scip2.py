@@ -81,7 +81,7 @@ class Scip2:
             answered = time.monotonic_ns()
             try:
                 if reply is not None and reply.code() == "00":
-                    told = decode_number(checked(reply.lines[0]))
+                    told = decode_number(checked(reply.body))
                     readings.append(ClockReading(told, asked, answered))
             except ScipError:
                 continue  # damaged on its way: one of ten

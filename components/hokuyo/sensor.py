@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import threading
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -13,7 +14,7 @@ from cairn.driver.link import Link, SerialLink, TcpLink
 from cairn.errors import CairnError
 from components.hokuyo.config import HokuyoConfig
 from components.hokuyo.device_facts import Measuring
-from components.hokuyo.dialogue import Dialogue
+from components.hokuyo.dialogue import Dialogue, Stopped
 from components.hokuyo.greeting import SPEEDS, greet
 from components.hokuyo.requests import ScanRequest
 from components.hokuyo.scip1 import Scip1
@@ -48,12 +49,24 @@ class Sensor:
         """What tells it from others; empty if it does not say."""
         return self.version.get("SERI", "")
 
+    def synchronise(self, *, read_clock: bool) -> None:
+        """Find out anew how its clock goes; with `read_clock` by reading it, 0.1 s.
+
+        For each time that it begins to measure: while it rests its clock drifts unseen.
+        """
+        self.stamping = Stamping(self.measuring)
+        if read_clock and isinstance(self.protocol, Scip2):
+            self.stamping.calibrate(_if_known(self.protocol.read_clock, []))
+
     def begin(self, config: HokuyoConfig) -> ScanRequest:
         """Have it send scans as the parameters say, without what it cannot: what it sends.
 
         Raises `DeviceError` if it does not begin at all.
         """
-        wanted = request_of(config, self.measuring)
+        try:
+            wanted = request_of(config, self.measuring)
+        except CairnError as error:
+            raise DeviceError(f"{self.link.name}: {error}") from error
         if isinstance(self.protocol, Scip1):
             plain = replace(wanted, intensity=False, multi_echo=False, skip=0, encoding=2)
             self.protocol.start(plain)
@@ -72,15 +85,17 @@ class Sensor:
         return scan_bytes(request) * _BITS_PER_BYTE / self.baud if self.link.paced else 0.0
 
 
-def connect(config: HokuyoConfig, speeds: Sequence[int] = ()) -> Sensor:
+def connect(
+    config: HokuyoConfig, speeds: Sequence[int] = (), stopping: threading.Event | None = None
+) -> Sensor:
     """Open the line and find out about the sensor at its end, at one of these speeds.
 
     Without `speeds` at all that sensors have, the configured one first, which it has in the end.
-    Raises `DeviceError`.
+    Raises `DeviceError`, and `Stopped` soon after `stopping` is set.
     """
     link = _opened(config)
     try:
-        dialogue = Dialogue(link)
+        dialogue = Dialogue(link, stopping)
         others = tuple(speed for speed in SPEEDS if speed != config.baud)
         bauds = speeds or ((config.baud, *others) if config.host is None else (config.baud,))
         greeting = greet(dialogue, bauds)
@@ -93,10 +108,8 @@ def connect(config: HokuyoConfig, speeds: Sequence[int] = ()) -> Sensor:
             with suppress(Refused):  # then it keeps the one that it has
                 protocol.set_speed(config.baud)
                 baud = config.baud
-        stamping = Stamping(protocol.measuring)
-        if config.calibrate_time:
-            stamping.calibrate(_if_known(protocol.read_clock, []))
         version, state = _if_known(protocol.version, {}), _if_known(protocol.state, {})
+        stamping = Stamping(protocol.measuring)
         return Sensor(link, dialogue, protocol, baud, version, state, stamping)
     except BaseException:
         link.close()
@@ -141,7 +154,7 @@ def _if_known(ask: Callable[[], T], otherwise: T) -> T:
     """What a sensor answers to what not every sensor knows, and measures without."""
     try:
         return ask()
-    except LinkLost:
+    except (LinkLost, Stopped):
         raise
     except DeviceError:
         return otherwise

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 from cairn.clock import SECOND
@@ -12,16 +11,17 @@ from components.hokuyo.requests import ScanRequest
 from components.hokuyo.scip2 import ClockReading
 
 _TICKS_PER_S, _BITS = 1000, 24
-_LONGEST_WAY_S = 1.0
-_WAY_SCANS = 100  # by which the least way is found
+_LONGEST_COMPUTING_S = 0.5
+_COMPUTING_SCANS = 100  # by which the least is found
 
 
 class Stamping:
     """Makes stamps out of the sensor's clock, which it reads at step 0 of each turn.
 
     When a scan arrives tells when it was measured but for the time that it took from there: the
-    turn up to the last step, what the sensor computes, and the line. If the sensor's clock could
-    be read (`calibrate`) that time is measured; else it is taken to be the turn and the line alone.
+    turn up to the last step, the line, and what the sensor computes. The first two are known. If
+    the sensor's clock was read just before (`calibrate`) the third is measured; else it is taken to
+    be nothing.
     """
 
     def __init__(self, measuring: Measuring) -> None:
@@ -30,12 +30,12 @@ class Stamping:
         self._calibrated_s: float | None = None
         self._scans = 0
         self._last_ms: int | None = None
-        self.way_s: float | None = None
-        """What a scan takes from step 0 until it is there [s], if that was measured."""
+        self.computing_s: float | None = None
+        """What a scan takes beside turn and line until it is there [s], if that was measured."""
 
     @property
     def jumps(self) -> int:
-        """How often the sensor's clock, or the system's, was set."""
+        """How often the sensor's clock was set."""
         return self._clock.jumps
 
     def calibrate(self, readings: Sequence[ClockReading]) -> bool:
@@ -62,26 +62,28 @@ class Stamping:
 
         `line_s`: least time that the line takes for a scan [s].
         """
-        arrived_s = arrived / SECOND
-        least_way_s = line_s + self._turn_s * (request.last + 1) / self._turn_steps
+        # When the sensor had it ready, at the latest: what differs from request to request is off.
+        turn_s = self._turn_s * (request.last + 1) / self._turn_steps
+        ready_s = arrived / SECOND - line_s - turn_s
         if time_ms is None or time_ms == self._last_ms:  # there is no clock, or it stands still
-            began_s = arrived_s - least_way_s
+            began_s = ready_s
         else:
             device_s = self._clock.seconds(time_ms)
-            offset_s = self._clock.offset(device_s, arrived_s)
-            began_s = device_s + offset_s - self._way(offset_s, least_way_s)
+            offset_s = self._clock.offset(device_s, ready_s)
+            began_s = device_s + offset_s - self._computing(offset_s)
         self._last_ms = time_ms
         return round((began_s + self._turn_s * request.first / self._turn_steps) * SECOND)
 
-    def _way(self, offset_s: float, least_way_s: float) -> float:
+    def _computing(self, offset_s: float) -> float:
         if self._calibrated_s is None:
-            return least_way_s
-        # Later the sensor's clock has drifted from where it was read, and this is no way any more.
-        if self._scans < _WAY_SCANS:
+            return 0.0
+        # Later the sensor's clock has drifted from where it was read, and this tells no more.
+        if self._scans < _COMPUTING_SCANS:
             self._scans += 1
-            self.way_s = min(self.way_s or math.inf, offset_s - self._calibrated_s)
-        assert self.way_s is not None  # since the first scan
-        if 0.0 <= self.way_s <= _LONGEST_WAY_S:
-            return self.way_s
-        self._calibrated_s = self.way_s = None  # what was read is another clock than that of scans
-        return least_way_s
+            seen_s = max(0.0, offset_s - self._calibrated_s)
+            self.computing_s = seen_s if self.computing_s is None else min(self.computing_s, seen_s)
+        assert self.computing_s is not None  # since the first scan
+        if self._scans == _COMPUTING_SCANS and self.computing_s > _LONGEST_COMPUTING_S:
+            self._calibrated_s = self.computing_s = None  # what was read is another clock
+            return 0.0
+        return self.computing_s

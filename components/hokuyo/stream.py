@@ -10,7 +10,7 @@ from components.hokuyo.scip_text import ScipError
 
 _DATA = "99"
 _BROKEN = range(50, 98)  # statuses by which a sensor says that it has a defect
-_PASSING = ("00", "0M", "98")  # begun, not stable just now, resumed after a pause
+_BEGUN = "00"
 
 
 class Defect(Exception):  # noqa: N818 - it tells what a sensor has
@@ -52,7 +52,7 @@ class ScanStream:
         code = reply.code()
         if code == _DATA:
             return scan_data(reply, request)
-        if code not in _PASSING[:1]:
+        if code != _BEGUN:
             self.statuses[code] = self.statuses.get(code, 0) + 1
         if code.isdigit() and int(code) in _BROKEN:
             raise Defect(code)

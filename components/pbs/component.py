@@ -67,6 +67,7 @@ class PbsScanner(Component):
         mounted = transform_message(header, self.config.frame_id, self.config.mount.pose)
         self.tf_static.publish(TFMessage(transforms=(mounted,)))
         self._rate.restart()
+        self._waiting.clear()  # what came while it was being deactivated
         thread = DeviceThread(
             self.name,
             lambda stopping: self._conversation.converse(stopping, thread.well),

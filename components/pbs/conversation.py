@@ -18,6 +18,7 @@ from components.pbs.messages import BAUD
 from components.pbs.scan_message import TURN_S
 from components.pbs.session import Session
 
+_REFUSALS = 4  # of the link, in a row
 _LISTEN_S = 0.1
 _CONNECT_S = 3.0
 
@@ -81,6 +82,11 @@ class Conversation:
                     linked()
                 if session.silent:
                     raise self._silence()
+                if session.refusals >= _REFUSALS:
+                    raise DeviceError(
+                        f"{self._config.port}: the PBS-03JN refuses the link; does another program "
+                        "use it, or is it another device?"
+                    )
             farewell = session.farewell()
             if farewell is not None:
                 link.write(farewell)

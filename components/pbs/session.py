@@ -27,6 +27,8 @@ class Session:
     def __init__(self, period_s: float) -> None:
         """`period_s`: time from asking for distances to asking again [s]."""
         self.linked = False
+        self.refusals = 0
+        """How often it has refused the link since it granted it last."""
         self.missed = 0
         """Requests that were not answered so far."""
         self._period_s = period_s
@@ -81,9 +83,13 @@ class Session:
             self._answered("code")
         elif linked is not None:
             self.linked, self._linked_at = linked, now
-            if not linked:
+            if linked:
+                self._answered("link")
+                self.refusals = 0
+            else:
                 self._code = None  # it may have another one by now
-            self._answered("link")
+                self.refusals += 1
+                self._asked, self._asked_at = "link", now  # it is asked again a little later
         elif distances is not None:
             self._answered("distances")
         return distances

@@ -9,6 +9,8 @@ import pytest
 
 from cairn.driver.diagnostics import ERROR, OK, WARN
 from cairn.driver.faults import FrameFault, FrameFaults
+from cairn.errors import CairnError
+from components.hokuyo.component import HokuyoScanner
 from components.hokuyo.emulated_record import SentScan
 from components.hokuyo.emulated_scip import EmulatedScip
 from components.hokuyo.replies import ReplySplitter
@@ -157,3 +159,54 @@ def test_a_driver_that_is_restarted_waits_for_its_sensor(tmp_path: Path) -> None
         it.health(lambda status: status.level == ERROR)
         it.emulation.plug_in()
         it.scans.wait(2)
+
+
+def test_what_came_while_it_was_deactivated_is_not_told_afterwards(tmp_path: Path) -> None:
+    with driven(tmp_path) as it:
+        for _ in range(3):
+            it.scans.wait(3, after=len(it.scans))
+            it.component.ask("deactivate")
+            driver = it.component.runtime.component
+            assert isinstance(driver, HokuyoScanner)
+            driver._came(None)  # type: ignore[arg-type] - as of a scan that came last of all
+            it.component.ask("activate")
+        it.scans.wait(3, after=len(it.scans))
+        told = it.health(lambda status: True)
+    values = {value.key: value.value for value in told.values}
+
+    assert values["left out"] == "0"
+    assert_all_were_sent(it)
+
+
+def test_parameters_are_judged_while_it_is_unplugged_too(tmp_path: Path) -> None:
+    with driven(tmp_path) as it:
+        it.scans.wait(1)
+        it.emulation.unplug()
+        it.health(lambda status: status.level == ERROR)
+        with pytest.raises(CairnError, match="no two rays"):
+            it.component.ask("set_parameters", {"angle_min": 2.4, "angle_max": 2.5})
+        it.component.ask("set_parameters", {"angle_min": 0.0})
+        before = len(it.scans)
+        it.emulation.plug_in()
+        assert it.scans.wait(1, after=before)[0].angle_min == pytest.approx(0.0, abs=0.01)
+
+
+def test_it_stops_while_it_looks_for_a_sensor(tmp_path: Path) -> None:
+    with driven(tmp_path, activate=False, restarts=1) as it:
+        it.emulation.hang()
+        it.component.activate()
+        it.health(lambda status: status.level == ERROR)
+        it.component.ask("deactivate")
+        it.component.ask("cleanup")
+
+
+def test_a_sensor_that_cannot_be_told_to_rest_is_told_of(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    with driven(tmp_path) as it:
+        it.scans.wait(2)
+        it.emulation.hang()
+        it.component.ask("deactivate")
+        it.emulation.hang(0.0)
+
+    assert "its laser may still be on" in caplog.text

@@ -85,3 +85,19 @@ def test_the_stamp_is_of_the_first_ray_that_was_asked_for() -> None:
     later = part.first_ray(1000, arrived, ScanRequest(360, 1080), 0.0)
 
     assert (later - first) / SECOND == pytest.approx(0.025 * 360 / 1440)
+
+
+@pytest.mark.parametrize("line_s", [0.0, 0.2])
+def test_another_request_does_not_shift_the_stamps(line_s: float) -> None:
+    stamping = Stamping(UTM)
+    stamping.calibrate([ClockReading(0, 0, 500_000)])
+    errors = []
+    for number in range(400):
+        request, line = (REQUEST, line_s) if number < 200 else (ScanRequest(0, 540), line_s / 10)
+        began = 1.0 + number * 0.025
+        arrived = began + 0.025 * (request.last + 1) / 1440 + COMPUTES_S + line
+        stamp = stamping.first_ray(round(1000 * began), round(arrived * SECOND), request, line)
+        errors.append(stamp / SECOND - began)
+
+    assert np.abs(errors).max() < 0.002
+    assert stamping.jumps == 0
