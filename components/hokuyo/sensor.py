@@ -108,7 +108,9 @@ def connect(
             with suppress(Refused):  # then it keeps the one that it has
                 protocol.set_speed(config.baud)
                 baud = config.baud
-        version, state = _if_known(protocol.version, {}), _if_known(protocol.state, {})
+        nothing: Mapping[str, str] = {}
+        version = _if_known(protocol.version, nothing)
+        state = _if_known(protocol.state, nothing)
         stamping = Stamping(protocol.measuring)
         return Sensor(link, dialogue, protocol, baud, version, state, stamping)
     except BaseException:

@@ -80,7 +80,8 @@ def test_a_declaration_that_makes_no_sense_is_named(cls: type, error: str) -> No
 
 def test_a_bound_output_hands_over_messages_of_its_type_only() -> None:
     sent: list[Time] = []
-    out: Out[Time] = BoundOut("base", PortSpec("since", "out", Time, RELIABLE), "go", sent.append)
+    spec = PortSpec("since", "out", Time, RELIABLE)
+    out: Out[Time] = BoundOut("base", spec, "go", sent.append, lambda: True)
     message = Time(sec=1, nanosec=2)
 
     out.publish(message)

@@ -8,8 +8,8 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from serial.tools import list_ports
 
-from cairn.driver import ports
 from cairn.driver.emulated_lines import PtyEnd
 from cairn.driver.errors import LinkLost
 from cairn.driver.link import SerialLink, TcpLink
@@ -109,7 +109,7 @@ def test_ports_are_found_by_their_usb_numbers(monkeypatch: pytest.MonkeyPatch) -
         _port("/dev/ttyACM1", 0x15D1, 0, "H2"),
         _port("/dev/ttyUSB0", 0x0403, 0x6001, "A1:B2"),
     ]
-    monkeypatch.setattr(ports.list_ports, "comports", lambda: there)
+    monkeypatch.setattr(list_ports, "comports", lambda: there)
 
     assert find_port("/dev/serial/by-id/anything") == "/dev/serial/by-id/anything"
     assert find_port("usb:15d1:0000:H2") == "/dev/ttyACM1"

@@ -110,7 +110,7 @@ def test_it_is_silent_and_dark_unless_it_is_active(tmp_path: Path) -> None:
 
 
 def _laser(it: Driven) -> bool:
-    return it.device.sensor.laser
+    return bool(it.device.sensor.laser)
 
 
 def test_parameters_change_while_it_runs_or_are_refused(tmp_path: Path) -> None:

@@ -13,8 +13,10 @@ from cairn.errors import CairnError
 from components.hokuyo.component import HokuyoScanner
 from components.hokuyo.emulated_record import SentScan
 from components.hokuyo.emulated_scip import EmulatedScip
+from components.hokuyo.measurement import Measured
 from components.hokuyo.replies import ReplySplitter
 from components.hokuyo.requests import ScanRequest
+from components.hokuyo.scan_data import ScanData
 from components.hokuyo.stream import ScanStream
 from tests.components.hokuyo.comparing import assert_were_sent
 from tests.components.hokuyo.driving import Driven, driven
@@ -163,12 +165,16 @@ def test_a_driver_that_is_restarted_waits_for_its_sensor(tmp_path: Path) -> None
 
 def test_what_came_while_it_was_deactivated_is_not_told_afterwards(tmp_path: Path) -> None:
     with driven(tmp_path) as it:
+        driver = it.component.runtime.component
+        assert isinstance(driver, HokuyoScanner)
+        it.scans.wait(1)
+        sensor = driver._measurement.sensor
+        assert sensor is not None
+        last = Measured(ScanData(0, np.zeros((1, 1), np.int32)), ScanRequest(0, 0), sensor, 0)
         for _ in range(3):
             it.scans.wait(3, after=len(it.scans))
             it.component.ask("deactivate")
-            driver = it.component.runtime.component
-            assert isinstance(driver, HokuyoScanner)
-            driver._came(None)  # type: ignore[arg-type] - as of a scan that came last of all
+            driver._came(last)
             it.component.ask("activate")
         it.scans.wait(3, after=len(it.scans))
         told = it.health(lambda status: True)

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from serial.tools import list_ports
 
 from cairn.driver.emulated_lines import PtyEnd, TcpEnd
 from cairn.driver.emulation import Emulation
-from components.hokuyo import probe_cli
 from components.hokuyo.emulated_scip import EmulatedScip
 from components.hokuyo.scan_picture import drawn
 from schemas.sensor_msgs import LaserScan
@@ -61,7 +61,7 @@ def test_what_cannot_be_is_said_in_a_sentence(words: list[str], message: str) ->
 
 
 def test_without_a_port_it_lists_them(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(probe_cli.list_ports, "comports", list)
+    monkeypatch.setattr(list_ports, "comports", list)
 
     assert "no serial port is there" in cairn("driver", "probe", "hokuyo").out
 
