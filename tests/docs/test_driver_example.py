@@ -14,6 +14,8 @@ from typing import Any
 
 import pytest
 
+pytestmark = pytest.mark.realtime
+
 ROOT = Path(__file__).parents[2]
 EXAMPLE = ROOT / "docs" / "driver-example"
 PAGE = "docs/testing-drivers.md"

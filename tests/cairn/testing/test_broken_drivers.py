@@ -8,6 +8,8 @@ from xml.etree import ElementTree
 
 import pytest
 
+pytestmark = pytest.mark.realtime
+
 BROKEN = Path(__file__).parent / "broken"
 ROOT = Path(__file__).parents[3]
 

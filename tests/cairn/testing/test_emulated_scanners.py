@@ -16,6 +16,8 @@ from cairn.testing.scanner_contract import RangeScannerContract, ScanContract
 from components.hokuyo.emulated_scip import EmulatedScip
 from components.pbs.emulated_pbs import EmulatedPbs
 
+pytestmark = pytest.mark.realtime
+
 DEPLOYMENT = """
     settings: {utm: "", pbs: ""}
     components:

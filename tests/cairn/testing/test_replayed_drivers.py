@@ -16,6 +16,8 @@ from cairn.testing.end_contract import StopContract
 from cairn.testing.odometry_contract import OdometryContract
 from cairn.testing.scanner_contract import ScanContract
 
+pytestmark = pytest.mark.realtime
+
 LOG = Path(__file__).parents[2] / "data" / "carmen" / "fr079_corrected.log.gz"
 LINES = 4000  # of the log: six minutes
 PAIRS = 1500

@@ -13,6 +13,8 @@ from cairn.testing.driver_contract import LifeCycleContract, ParametersContract
 from cairn.testing.end_contract import StopContract
 from cairn.testing.scanner_contract import ScanContract
 
+pytestmark = pytest.mark.realtime
+
 WORLD = Path(__file__).parents[3] / "deploy" / "worlds" / "room.yaml"
 DEPLOYMENT = """
     settings: {world: ""}

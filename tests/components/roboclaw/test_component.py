@@ -19,6 +19,8 @@ from schemas.nav_msgs import Odometry
 from schemas.sensor_msgs import BatteryState
 from tests.components.roboclaw.emulated_base import DEPLOYMENT, EmulatedBase, emulated_base
 
+pytestmark = pytest.mark.realtime
+
 AHEAD = Twist(linear=Vector3(x=0.5))
 DEVICE_TIMEOUT_S = 1.0  # as in the deployment
 

@@ -7,6 +7,8 @@ import pytest
 from cairn.testing.base_contract import BaseContract
 from tests.components.roboclaw.emulated_base import DEPLOYMENT, EmulatedBase, emulated_base
 
+pytestmark = pytest.mark.realtime
+
 
 class TestRoboclawBase(BaseContract):
     deployment = DEPLOYMENT
