@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 
 import pytest
@@ -48,7 +49,7 @@ def test_controls_are_set_on_both_cameras_while_they_stream() -> None:
         ({"controls__auto_exposure": 1}, "the camera has no control auto_exposure; it has alpha"),
         ({"controls__other": {"test_pattern": 99}}, "takes 0 (75% Colorbar), 1 (100% Colorbar)"),
         ({"controls__other": {"read_only_integer_32_bits": 1}}, "can only be read"),
-        ({"width": 320}, "takes width when it is configured; controls, stamp_delay_s may be"),
+        ({"width": 352}, "takes width when it is configured; controls, stamp_delay_s may be"),
     ],
 )
 def test_what_a_camera_does_not_take_is_refused_with_its_bounds(
@@ -101,5 +102,5 @@ def test_cameras_are_listed_with_what_they_offer() -> None:
         told = "\n".join(as_lines(cameras[name]))
         assert cameras[name]["fault"] == ""
         assert "GREY: 320 x 180 at " in told
-        assert "brightness = 128: 0 to 255; 128 by default" in told
+        assert re.search(r"brightness = \d+: 0 to 255; 128 by default", told)
         assert "not read by this driver: UYVY" in told
