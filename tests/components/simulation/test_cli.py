@@ -148,7 +148,7 @@ def test_without_a_world_it_is_told_how_to_start_one(simulation: Run) -> None:
 def test_a_killed_world_goes_on_as_it_was(simulation: Run, world: World) -> None:
     world("kidnap", "4", "1")
     world("move", "table", "1.2", "2.5")
-    until(lambda: '"x":1.2' in (simulation.report.parent / "state.json").read_text())
+    until(lambda: '"x":1.2,"y":2.5,' in (simulation.report.parent / "state.json").read_text())
     os.kill(simulation.pid_of("world"), signal.SIGKILL)
 
     simulation.await_line("the world goes on at")
