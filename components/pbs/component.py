@@ -50,6 +50,7 @@ class PbsScanner(Component):
         self._rate = RateWindow()
         self._trouble = ""
         self._damaged_before = 0
+        self._left_out = 0
         self._waiting: deque[Measured] = deque(maxlen=_MOST_WAITING)
         self._thread: DeviceThread | None = None
         self._shape = ScanShape(self.config.resolution, self.config.range_max)
@@ -103,6 +104,7 @@ class PbsScanner(Component):
             "nominal rate [Hz]": self.config.rate,
             "scans": conversation.scans,
             "damaged frames": conversation.damaged,
+            "left out": self._left_out,
             "requests without answer": conversation.missed,
             "connections": conversation.connections,
         }
@@ -122,6 +124,8 @@ class PbsScanner(Component):
 
     def _came(self, measured: Measured) -> None:
         # On the sensor's thread. If scans are told more slowly than they come, the oldest go.
+        if len(self._waiting) == _MOST_WAITING:
+            self._left_out += 1
         self._waiting.append(measured)
         self.post(self._tell)
 

@@ -3,9 +3,9 @@
 from cairn.bus.qos import RELIABLE
 from cairn.bus.session import open_peer
 from cairn.bus.zenoh_bus import ZenohBus
+from cairn.testing.launching import Run
 from schemas.geometry_msgs import Point, Pose, PoseStamped
 from tests.commands import cairn
-from tests.launching import Run
 
 
 def set_fault(run: Run, fault: str, component: str = "base") -> None:

@@ -5,9 +5,9 @@ import signal
 
 import pytest
 
+from cairn.testing.launching import Launching
 from tests.commands import cairn
 from tests.faults.orders import set_fault
-from tests.launching import Launching
 
 ONE = """
     components:

@@ -1,6 +1,6 @@
 """Supervision in lockstep: the same restarts, escalation and exit code, in virtual time."""
 
-from tests.launching import Launching
+from cairn.testing.launching import Launching
 
 
 def test_a_component_that_fails_is_restarted_as_often_as_virtual_time_allows(

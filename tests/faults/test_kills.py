@@ -7,8 +7,8 @@ from tempfile import TemporaryDirectory
 
 import pytest
 
+from cairn.testing.launching import Launching, Run
 from tests.commands import await_status
-from tests.launching import Launching, Run
 
 TREE = """
     components:

@@ -4,9 +4,9 @@ import re
 
 import pytest
 
+from cairn.testing.launching import Launching
 from tests.commands import cairn
 from tests.faults.orders import set_fault
-from tests.launching import Launching
 
 FAILS_AT_START = """
     components:

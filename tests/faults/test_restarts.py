@@ -5,9 +5,9 @@ import signal
 
 import pytest
 
+from cairn.testing.launching import Launching, Run
 from tests.commands import cairn
 from tests.faults.orders import order_to_move, set_fault
-from tests.launching import Launching, Run
 
 GROUP = """
     components:

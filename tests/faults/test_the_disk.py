@@ -3,7 +3,7 @@
 import resource
 from pathlib import Path
 
-from tests.launching import Launching
+from cairn.testing.launching import Launching
 
 TALK = """
     components:

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from cairn.testing.launching import CAIRN
 from tests.commands import cairn
-from tests.launching import CAIRN
 from tests.navigation.processes import Robot, robot_in
 
 

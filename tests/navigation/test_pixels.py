@@ -5,7 +5,7 @@ import math
 import subprocess
 from pathlib import Path
 
-from tests.launching import CAIRN
+from cairn.testing.launching import CAIRN
 from tests.navigation.driving import DEPLOY, SIM
 
 ROOM = DEPLOY / "worlds" / "room.yaml"

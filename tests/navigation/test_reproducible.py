@@ -3,7 +3,7 @@
 import subprocess
 from pathlib import Path
 
-from tests.launching import CAIRN
+from cairn.testing.launching import CAIRN
 from tests.navigation.driving import DEPLOY, SIM
 
 TOUR = DEPLOY / "demo_tour.yaml"

@@ -4,8 +4,8 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
+from cairn.testing.launching import Run, launching
 from tests.commands import Answer, cairn
-from tests.launching import Run, launching
 
 Command = Callable[..., Answer]
 

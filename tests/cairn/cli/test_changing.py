@@ -1,6 +1,6 @@
 """What an operator changes in a running deployment: parameters, loading, restarts."""
 
-from tests.launching import Run
+from cairn.testing.launching import Run
 
 from .conftest import Command
 

@@ -17,9 +17,9 @@ import pytest
 from cairn.cli.doctor.cameras import cameras
 from cairn.cli.doctor.computer import computer
 from cairn.cli.doctor.finding import Finding
+from cairn.testing.launching import free_port
 from tests.cairn.cli.conftest import Command
 from tests.commands import Answer, cairn
-from tests.launching import free_port
 
 ROBOT = """
     cairn: 1

@@ -3,8 +3,8 @@
 import json
 import subprocess
 
+from cairn.testing.launching import CAIRN, LIMIT_S, Run
 from tests.commands import await_status
-from tests.launching import CAIRN, LIMIT_S, Run
 
 from .conftest import Command
 

@@ -10,8 +10,8 @@ import time
 from pathlib import Path
 from textwrap import dedent
 
+from cairn.testing.launching import CAIRN, LIMIT_S, Launching, free_port
 from tests.commands import cairn
-from tests.launching import CAIRN, LIMIT_S, Launching, free_port
 
 TALK = """
     components:

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from cairn.testing.launching import CAIRN, free_port
 from tests.commands import cairn
-from tests.launching import CAIRN, free_port
 
 
 @pytest.mark.parametrize(

@@ -14,9 +14,9 @@ import pytest
 from cairn.driver.emulate_command import Place, fault_shares
 from cairn.driver.link import SerialLink, TcpLink
 from cairn.errors import CairnError
+from cairn.testing.launching import CAIRN
 from tests.cairn.driver.parrot import read_until
 from tests.commands import cairn
-from tests.launching import CAIRN
 
 LIMIT_S = 20.0
 

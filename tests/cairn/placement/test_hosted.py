@@ -12,7 +12,7 @@ from cairn.deployment.model import ComponentSpec
 from cairn.errors import CairnError
 from cairn.placement.hosted import Hosted
 from cairn.placement.order import Order, Surroundings
-from tests.launching import LIMIT_S, free_port
+from cairn.testing.launching import LIMIT_S, free_port
 
 
 class Mute(Component):

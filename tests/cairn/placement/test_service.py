@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from cairn.placement.service import service_manager
-from tests.launching import LIMIT_S, Launching
+from cairn.testing.launching import LIMIT_S, Launching
 
 
 class Manager:

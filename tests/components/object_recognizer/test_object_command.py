@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 import pytest
 
+from cairn.testing.launching import launching
 from tests.commands import Answer, cairn
 from tests.components.object_recognizer.scenes import picture_of
-from tests.launching import launching
 from vision.map_file import connect, create
 from vision.taught_store import read_taught
 

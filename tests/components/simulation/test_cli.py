@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 import yaml
 
+from cairn.testing.launching import Run, launching
 from tests.commands import Answer, await_status, cairn
 from tests.components.simulation.worlds import box
-from tests.launching import Run, launching
 
 TABLE = {"name": "table", "x": 1.5, "y": 3.0, "size": [0.8, 0.8]}
 OBJECTS = [{"id": 1, "x": 6.0, "y": 2.0, "theta": 3.1416}]

@@ -8,11 +8,11 @@ import pytest
 from cairn.bus.session import open_router
 from cairn.cli.connection import connected
 from cairn.errors import CairnError
+from cairn.testing.launching import free_port
 from supervisors.mobile import reaching
 from supervisors.mobile.cli import parse_goals
 from supervisors.mobile.reaching import await_active
 from tests.commands import cairn
-from tests.launching import free_port
 
 
 @pytest.fixture
