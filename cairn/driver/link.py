@@ -128,9 +128,6 @@ class SerialLink:
     def close(self) -> None:
         """Let go of the port."""
         # A port that was unplugged cannot be closed in good order; it is gone all the same.
-        # What it was not sent yet must not keep us waiting: the device may have hung.
-        with suppress(serial.SerialException, OSError, termios.error):
-            self._serial.reset_output_buffer()
         with suppress(serial.SerialException, OSError, termios.error):
             self._serial.close()
 
