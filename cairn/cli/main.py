@@ -5,14 +5,15 @@ import logging
 import os
 import sys
 from importlib.metadata import entry_points, version
-from typing import Annotated
+from typing import Annotated, NoReturn
 
 import typer
 from rich.console import Console
 
 from cairn.cli import check, control, graph, logs, param, plugins, ps, schema, topic, up
 from cairn.cli.tables import line
-from cairn.errors import CairnError, StoppedByForce
+from cairn.ending import end_process
+from cairn.errors import CairnError
 
 COMMANDS_GROUP = "cairn.commands"
 """Entry points of this group add subcommands: a `typer.Typer`, or a function as typer takes it."""
@@ -76,6 +77,15 @@ def _options(
     """What `cairn` itself takes, before a command."""
 
 
+def script() -> NoReturn:
+    """What the `cairn` program runs: the command, and then the end of its process."""
+    try:
+        main()
+    except SystemExit as end:
+        end_process(end.code if isinstance(end.code, int) else int(end.code is not None))
+    end_process(0)
+
+
 def main() -> None:
     """Run the command; an error of ours is a sentence on stderr and exit status 1."""
     _open_missing_streams()
@@ -86,9 +96,6 @@ def main() -> None:
     try:
         _check_folder()
         build(next((word for word in sys.argv[1:] if word not in _HELP), None))()
-    except StoppedByForce as error:
-        _complain(str(error))
-        os._exit(1)  # Python's own end can abort while threads are at work
     except CairnError as error:
         _complain(str(error))
         sys.exit(1)
@@ -122,4 +129,4 @@ def _complain(text: str) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    script()

@@ -9,6 +9,7 @@ from typing import Any
 
 from cairn.bus.session import open_peer
 from cairn.bus.zenoh_bus import ZenohBus
+from cairn.ending import end_process
 from cairn.errors import CairnError
 from cairn.placement.attendance import Attendance
 from cairn.placement.last_words import closing_words
@@ -41,7 +42,7 @@ def main(argument: dict[str, Any]) -> None:
         if error.__cause__ is not None:  # of the plugin: its author wants the traceback
             logging.getLogger("cairn").error("%s", error, exc_info=error.__cause__)
     _say(closing_words(os.getpid(), reason))
-    sys.exit(code)
+    end_process(code)
 
 
 def _run(household: Household) -> tuple[int, str]:

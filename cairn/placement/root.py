@@ -18,7 +18,7 @@ from cairn.bus.zenoh_bus import ZenohBus
 from cairn.component.lifecycle import State
 from cairn.component.runtime import End
 from cairn.deployment.model import ROOT, ComponentSpec, Deployment
-from cairn.errors import CairnError, StoppedByForce
+from cairn.errors import CairnError
 from cairn.placement.attendance import Attendance
 from cairn.placement.launchers import Household
 from cairn.placement.order import Order, Surroundings
@@ -74,9 +74,8 @@ def run_processes(
 
     `watch(bus, hurry)` returns who looks on; a call of `hurry` has it refreshed soon. `service` is
     told when all is active, and as long as the root lives. Nothing is left running, whatever
-    happens. Raises `CairnError` if the port is taken or the robot runs already on this bus,
-    `StoppedByForce` on a second signal, and what the onlooker raises, once everything has been
-    stopped in good order.
+    happens. Raises `CairnError` if the port is taken, if the robot runs already on this bus or on a
+    second signal, and what the onlooker raises, once everything has been stopped in good order.
     """
     if deployment.bus.connect:
         _refuse_namesake(deployment)
@@ -130,9 +129,7 @@ def _run(
             hosted.ask("activate")
             if not attendance.until_end(turn, impatient=True):
                 zygote.close()
-                raise StoppedByForce(
-                    "stopped by force, on a second signal; nothing is left running"
-                )
+                raise CairnError("stopped by force, on a second signal; nothing is left running")
         watch.finish()
     finally:
         household.close()
