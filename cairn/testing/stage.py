@@ -1,5 +1,6 @@
 """One component on virtual time, without the rest: feed its inputs, let time pass, read it."""
 
+from functools import partial
 from typing import Any
 
 from cairn.bus.lockstep_bus import LockstepBus
@@ -18,12 +19,14 @@ ALL = Qos("reliable", "transient_local", 100_000)
 class Stage:
     """A component, active, whose ports are in the test's hands.
 
-    `runtime` asks it and changes its parameters, `executor` has the time, `end` says how it ended.
+    `runtime` asks it and changes its parameters, `executor` has the time, `end` says how it ended,
+    `order` has the output and the time [ns] of each message that it has published.
     """
 
     def __init__(self, component: type[Component], seed: int = 0, **parameters: Any) -> None:
         """Configure and activate it; raises `CairnError` if that fails."""
         self.end: End | None = None
+        self.order: list[tuple[str, int]] = []
         self.executor = LockstepExecutor()
         bus = LockstepBus()
         self.runtime = Runtime(
@@ -42,7 +45,9 @@ class Stage:
             if port.direction == "in"
         }
         self._readers = {
-            port.name: test.subscribe(f"/robot/{port.name}", port.message, ALL, lambda: None)
+            port.name: test.subscribe(
+                f"/robot/{port.name}", port.message, ALL, partial(self._note, port.name)
+            )
             for port in ports
             if port.direction == "out"
         }
@@ -66,6 +71,9 @@ class Stage:
         while (message := self._readers[port].take()) is not None:
             messages.append(message)
         return messages
+
+    def _note(self, port: str) -> None:
+        self.order.append((port, self.executor.now()))
 
     def _ended(self, end: End) -> None:
         self.end = end

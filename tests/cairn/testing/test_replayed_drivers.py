@@ -75,14 +75,14 @@ class TestBase(Recorded, ParametersContract, OdometryContract):
 
 class TestScanner(Recorded, StopContract, LifeCycleContract, ParametersContract, ScanContract):
     rate_hz = 2.6
-    cycles = 5
+    cycles = 6
 
 
 class TestCamera(StopContract, LifeCycleContract, ParametersContract, PicturesContract):
     rate_hz = 10.0
     calibrated = False
     early_s = 0.3
-    cycles = 5
+    cycles = 6
 
     @pytest.fixture(scope="class")
     @classmethod

@@ -16,7 +16,7 @@ class TestRoboclawBase(BaseContract):
     top_speed = 0.8
     turn = 1.0
     stop_limit_s = 2.5  # the controller's own time limit is 1 s
-    cycles = 4
+    cycles = 6
 
     @pytest.fixture(scope="class")
     @classmethod

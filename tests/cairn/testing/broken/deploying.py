@@ -1,7 +1,7 @@
 """One deployment with many drivers, and a class of tests for each of them."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,31 +18,30 @@ def name_of(driver: type[Component]) -> str:
 
 
 def bench_of(
-    folder: Path,
-    drivers: Sequence[type[Component]],
-    *,
-    placement: str,
-    parameters: dict[str, Any] | None = None,
+    folder: Path, drivers: Sequence[type[Component]], alone: Collection[type[Component]]
 ) -> Bench:
-    """All drivers in one deployment, the topics of each below its own name."""
-    components = {}
+    """All drivers in one deployment, some in processes of their own.
+
+    The topics of each are below its name, and the device of one that has any is such a file.
+    """
+    components: dict[str, Any] = {}
     commanded = []
     for driver in drivers:
         name = name_of(driver)
         topics = {port: f"{name}/{port}" for port in ports_of(driver)}
         if "cmd_vel" in topics:
             commanded.append(topics["cmd_vel"])
+        device = {"device": str(folder / name)} if "scan" in topics else {}
         components[name] = {
             "plugin": f"{driver.__module__}:{driver.__name__}",
-            "placement": placement,
-            "parameters": {key: f"{value}/{name}" for key, value in (parameters or {}).items()},
+            "placement": "process" if driver in alone else "in_process",
+            "parameters": device,
             "topics": topics,
             "stop_timeout_s": 0.5,
         }
-    supervision = {"max_restarts": 1000, "within_s": 1}
     document = {
         "components": components,
-        "supervision": supervision,
+        "supervision": {"max_restarts": 1000, "within_s": 1},
         "external_topics": commanded,
     }
     text = "\n".join(f"{key}: {json.dumps(value)}" for key, value in document.items())

@@ -1,4 +1,4 @@
-"""Drivers that misbehave when they are started, stopped, unplugged or set."""
+"""Drivers that misbehave when they are started, stopped, unplugged, set, or driven too fast."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -6,29 +6,26 @@ from pathlib import Path
 
 import pytest
 
+from cairn.testing.base_contract import SafetyContract
 from cairn.testing.bench import Bench
-from cairn.testing.driver_contract import Contract, LifeCycleContract, ParametersContract
+from cairn.testing.driver_contract import LifeCycleContract, ParametersContract
 from cairn.testing.end_contract import StopContract, UnplugContract
 from schemas.sensor_msgs import LaserScan
-from tests.cairn.testing.broken import scanners
-from tests.cairn.testing.broken.deploying import bench_of, contracts
+from tests.cairn.testing.broken import bases, scanners
+from tests.cairn.testing.broken.deploying import bench_of, contracts, name_of
 
-LIVES = (
-    scanners.SoundScanner,
+SCANNERS = (
     scanners.NeverSilent,
-    scanners.LeaksThreads,
-    scanners.LeaksFiles,
-    scanners.LeaksMemory,
-)
-ENDS = (scanners.HangsAtItsEnd,)
-LINES = (
+    scanners.KeepsItsPort,
+    scanners.Leaks,
     scanners.Unbounded,
+    scanners.HangsAtItsEnd,
     scanners.DiesUnplugged,
     scanners.SilentUnplugged,
     scanners.RepeatsUnplugged,
     scanners.NeverReturns,
 )
-DRIVERS = (*LIVES, *ENDS, *LINES)
+ALONE = (scanners.Leaks, scanners.HangsAtItsEnd, scanners.DiesUnplugged)
 
 
 @dataclass(frozen=True)
@@ -51,7 +48,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def bench(folder: Path) -> Iterator[Bench]:
-    with bench_of(folder, DRIVERS, placement="process", parameters={"device": folder}) as bench:
+    for driver in SCANNERS:
+        Plug(folder / name_of(driver)).plug_in()
+    with bench_of(folder, (*SCANNERS, bases.Unlimited), ALONE) as bench:
         yield bench
 
 
@@ -60,33 +59,20 @@ def device(request: pytest.FixtureRequest, folder: Path) -> Plug:
     return Plug(folder / request.cls.component)
 
 
-@pytest.fixture(scope="module", autouse=True)
-def plugged(folder: Path) -> None:
-    for driver in DRIVERS:
-        Plug(folder / driver.__name__.lower()).plug_in()
-
-
-class Settings(Contract):
+class Scanner(StopContract, UnplugContract, LifeCycleContract, ParametersContract):
     port = "scan"
     message = LaserScan
     rate_hz = scanners.RATE_HZ
     cycles = 6
     return_limit_s = 4.0
-    tell_limit_s = 1.5
+    tell_limit_s = 3.0
 
 
-class Lives(Settings, StopContract, LifeCycleContract):
-    """Starting and stopping."""
+class Base(SafetyContract):
+    rate_hz = bases.RATE_HZ
+    top_speed = bases.TOP_SPEED
+    drive_s = 0.6
 
 
-class Ends(Settings, StopContract):
-    """Stopping alone."""
-
-
-class Lines(Settings, UnplugContract, ParametersContract):
-    """Unplugging; and parameters."""
-
-
-globals().update(contracts(Lives, LIVES))
-globals().update(contracts(Ends, ENDS))
-globals().update(contracts(Lines, LINES))
+globals().update(contracts(Scanner, SCANNERS))
+globals().update(contracts(Base, (bases.Unlimited,)))

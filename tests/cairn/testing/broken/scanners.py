@@ -9,6 +9,7 @@ import math
 import threading
 from dataclasses import replace
 from pathlib import Path
+from subprocess import Popen
 
 import numpy as np
 from pydantic import Field
@@ -150,10 +151,10 @@ class StampsJump(SoundScanner):
 
 
 class StampsOfAnotherClock(SoundScanner):
-    """Stamps by the device's clock, which began at 0."""
+    """Stamps by the device's clock, which began an hour before."""
 
     def tell(self) -> None:
-        self.scan.publish(self.stamped(self.turns.ended % (3600 * SECOND)))
+        self.scan.publish(self.stamped(self.turns.ended - 3600 * SECOND))
 
 
 class OtherFrame(SoundScanner):
@@ -198,28 +199,33 @@ class NeverSilent(SoundScanner):
                 self._publisher.publish(self.taken())
 
 
-class LeaksThreads(SoundScanner):
-    """The thread that it starts lives on."""
+class Leaks(SoundScanner):
+    """Gives back nothing of what it takes."""
+
+    def on_configure(self) -> None:
+        super().on_configure()
+        self._open = [*getattr(self, "_open", []), self.config.device.open("rb")]
+        self._buffers = [*getattr(self, "_buffers", []), np.ones(500_000)]
+        self._helpers = [*getattr(self, "_helpers", []), Popen(["sleep", "60"])]
 
     def on_activate(self) -> None:
         super().on_activate()
         threading.Thread(target=threading.Event().wait, daemon=True).start()
 
-
-class LeaksFiles(SoundScanner):
-    """Opens its device anew, and never closes it."""
-
-    def on_configure(self) -> None:
-        super().on_configure()
-        self._open = [*getattr(self, "_open", []), self.config.device.open("rb")]
+    def on_shutdown(self) -> None:
+        for helper in self._helpers:
+            helper.kill()
+            helper.wait()
 
 
-class LeaksMemory(SoundScanner):
-    """Keeps the buffers of every activation."""
+class KeepsItsPort(SoundScanner):
+    """Locks its device, and does not unlock it before it configures again."""
 
     def on_configure(self) -> None:
         super().on_configure()
-        self._buffers = [*getattr(self, "_buffers", []), np.ones(500_000)]
+        if hasattr(self, "_locked"):
+            raise CairnError(f"{self.config.device} is locked by another driver")
+        self._locked = True
 
 
 class UnboundedConfig(SoundScannerConfig):

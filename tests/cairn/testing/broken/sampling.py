@@ -1,0 +1,89 @@
+"""Runs a driver on virtual time, and has a contract's own tests judge what it publishes."""
+
+import inspect
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import pytest
+
+from cairn.clock import to_ns
+from cairn.testing.base_contract import DriveContract
+from cairn.testing.camera_contract import Pictures
+from cairn.testing.driver_contract import Contract
+from cairn.testing.odometry_contract import Drive
+from cairn.testing.pairs import outline
+from cairn.testing.reading import Arrival
+from cairn.testing.stage import Stage
+
+SIDES = ("left", "right")
+
+Arrivals = Mapping[str, Sequence[Arrival[Any]]]
+
+
+def failures_of(contract: Contract, **given: object) -> dict[str, str]:
+    """What each test of the contract has to say that needs these fixtures and no others.
+
+    One that is skipped says so: it would find no mistake.
+    """
+    said = {}
+    for name, test in inspect.getmembers(contract, inspect.ismethod):
+        if name.startswith("test_") and inspect.signature(test).parameters.keys() == given.keys():
+            try:
+                test(**given)
+            except (AssertionError, pytest.skip.Exception) as problem:
+                said[name] = str(problem)
+    return said
+
+
+def arrivals(stage: Stage) -> Arrivals:
+    """All that has been published since the last call, by port; it comes when it is published."""
+    times: dict[str, list[int]] = {}
+    for port, at_ns in stage.order:
+        times.setdefault(port, []).append(at_ns)
+    stage.order.clear()
+    return {
+        port: [
+            Arrival(message, at, at) for message, at in zip(stage.taken(port), when, strict=True)
+        ]
+        for port, when in times.items()
+    }
+
+
+def pictures(stage: Stage, seconds: float) -> Pictures:
+    """What a stereo camera publishes meanwhile."""
+    stage.wait(seconds)
+    order = [port for port, _ in stage.order]
+    came = arrivals(stage)
+    rest = {port: iter(some) for port, some in came.items()}
+    stamped = [(port, to_ns(next(rest[port]).message.header.stamp)) for port in order]
+    return Pictures(
+        outlines={
+            side: [
+                Arrival(outline(one.message), one.at_ns, one.clock_ns)
+                for one in came[f"{side}_image"]
+            ]
+            for side in SIDES
+        },
+        whole={side: came[f"{side}_image"][0].message for side in SIDES},
+        infos={side: came[f"{side}_info"] for side in SIDES},
+        order=stamped,
+    )
+
+
+def drive(stage: Stage, contract: type[DriveContract]) -> Drive:
+    """A drive as the contract has it: rest, ahead, to the left, and left alone."""
+    parts: list[Arrivals] = []
+    for command, seconds in (
+        (None, 1.0),
+        (contract.ahead(), contract.drive_s),
+        (contract.leftwards(), contract.drive_s),
+        (None, contract.stop_limit_s + 0.5),
+    ):
+        for _ in range(round(20 * seconds)):
+            if command is not None:
+                stage.give("cmd_vel", command)
+            stage.wait(0.05)
+        parts.append(arrivals(stage))
+    before, ahead, left, after = (part["odom"] for part in parts)
+    transforms = [one.message for part in parts for one in part["tf"]]
+    return Drive(before, ahead, left, after, transforms)

@@ -1,0 +1,105 @@
+"""Drivers whose messages are wrong are found by the tests for their mistake, and by no others.
+
+Here on virtual time, where a busy machine is no excuse; the contracts' own tests judge.
+"""
+
+from pathlib import Path
+
+import pytest
+
+from cairn.component.component import Component
+from cairn.testing.base_contract import SafetyContract
+from cairn.testing.camera_contract import PicturesContract
+from cairn.testing.scanner_contract import ScanContract
+from cairn.testing.stage import Stage
+from tests.cairn.testing.broken import bases, cameras, scanners
+from tests.cairn.testing.broken.sampling import arrivals, drive, failures_of, pictures
+
+SECONDS = 0.8  # of scans and of pictures: sixteen
+
+SCANNERS: dict[type[Component], dict[str, str]] = {
+    scanners.SoundScanner: {},
+    scanners.Millimetres: {
+        "test_ranges_are_within_limits": "are these millimetres?",
+        "test_surroundings_are_seen_where_they_are": "a thousand times as far",
+    },
+    scanners.MillimetreLimits: {
+        "test_limits_are_in_metres": "are these millimetres?",
+        "test_surroundings_are_seen_where_they_are": "a thousand times as far",
+    },
+    scanners.Clockwise: {"test_surroundings_are_seen_where_they_are": "on the other side"},
+    scanners.Degrees: {
+        "test_angles_agree": "are these degrees?",
+        "test_surroundings_are_seen_where_they_are": "m are measured",
+    },
+    scanners.TooFar: {"test_ranges_are_within_limits": "such as 65.533 m"},
+    scanners.StampedWhenSent: {"test_stamp_is_of_the_first_beam": "of the measurement's beginning"},
+    scanners.StampsJump: {"test_stamps_increase_regularly": "spacings of stamps are off"},
+    scanners.StampsOfAnotherClock: {
+        "test_stamps_are_of_the_present": "of another clock",
+        "test_stamp_is_of_the_first_beam": "of another clock",
+    },
+    scanners.OtherFrame: {"test_frame": "'/laser_link'"},
+    scanners.EveryOther: {"test_rate": "10.0"},
+}
+CAMERAS: dict[type[Component], dict[str, str]] = {
+    cameras.SoundCamera: {},
+    cameras.StampsDiffer: {"test_messages_of_a_pair_have_one_stamp": "have the same stamp"},
+    cameras.SwappedSides: {"test_right_is_right": "are the sides swapped?"},
+    cameras.SwappedSizes: {
+        "test_sizes_are_those_of_the_calibration": "width and height are swapped"
+    },
+    cameras.Frozen: {"test_images_are_not_frozen": "bit by bit"},
+    cameras.WrongEncoding: {"test_images_are_whole": "'GREY'"},
+    cameras.InfosLate: {"test_infos_come_before_their_images": "before their camera info"},
+}
+BASES: dict[type[Component], dict[str, str]] = {
+    bases.SoundBase: {},
+    bases.NeverStops: {"test_it_stops_when_commands_cease": "it still moves"},
+    bases.RightIsLeft: {"test_left_is_left": "-0.5"},
+    bases.TwistInDegrees: {"test_left_is_left": "28.6", "test_twist_agrees_with_pose": "rad/s"},
+    bases.TransformLags: {"test_tf_agrees_with_odometry": "off where odometry has it"},
+}
+
+
+class Scans(ScanContract):
+    rate_hz = scanners.RATE_HZ
+    surroundings = scanners.SURROUNDINGS
+
+
+class Images(PicturesContract):
+    rate_hz = cameras.RATE_HZ
+
+
+class Drives(SafetyContract):
+    rate_hz = bases.RATE_HZ
+
+
+@pytest.mark.parametrize("driver", SCANNERS)
+def test_scanners(driver: type[Component], tmp_path: Path) -> None:
+    device = tmp_path / "device"
+    device.touch()
+    stage = Stage(driver, device=str(device))
+    stage.wait(SECONDS)
+
+    found_as_meant(failures_of(Scans(), scans=arrivals(stage)["scan"]), SCANNERS[driver])
+
+
+@pytest.mark.parametrize("driver", CAMERAS)
+def test_cameras(driver: type[Component]) -> None:
+    seen = pictures(Stage(driver), SECONDS)
+
+    found_as_meant(failures_of(Images(), pictures=seen), CAMERAS[driver])
+
+
+@pytest.mark.parametrize("driver", BASES)
+def test_bases(driver: type[Component]) -> None:
+    driven = drive(Stage(driver), Drives)
+
+    found_as_meant(failures_of(Drives(), drive=driven), BASES[driver])
+
+
+def found_as_meant(failures: dict[str, str], meant: dict[str, str]) -> None:
+    assert failures.keys() == meant.keys(), failures
+    for test, words in meant.items():
+        assert words in failures[test], failures[test]
