@@ -6,9 +6,10 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterator
+import threading
+from collections.abc import Iterator
 from pathlib import Path
+from subprocess import PIPE
 
 import psutil
 import pytest
@@ -106,11 +107,12 @@ def test_it_is_started_anew_when_its_root_is_killed_or_hangs(
 ) -> None:
     first = of_robot()
     root = int(of_service("MainPID"))
+    before = end_of_journal()
 
     os.kill(root, number)
 
-    await_that(lambda: of_service("MainPID") not in ("0", str(root)), "another root")
-    await_that(lambda: of_service("ActiveState") == "active", "the service active")
+    await_word(f"Started {_SERVICE}", after=before)
+    assert int(of_service("MainPID")) not in (0, root)
     assert not any(process.is_running() for process in first)
     assert scans_come(), journal()
 
@@ -158,8 +160,27 @@ def journal() -> str:
     return "\n".join(str(json.loads(line)["MESSAGE"]) for line in done.stdout.splitlines())
 
 
-def await_that(condition: Callable[[], bool], what: str) -> None:
-    """Wait until something is so, asking again and again: systemd tells of it by no file."""
-    deadline = time.monotonic() + _LIMIT_S
-    while not condition():
-        assert time.monotonic() < deadline, f"no {what} within {_LIMIT_S:g} s: {journal()}"
+def end_of_journal() -> str:
+    """Where the journal ends now."""
+    done = subprocess.run(
+        ["journalctl", "--lines", "0", "--show-cursor"],
+        check=True,
+        capture_output=True,
+        text=True,
+        timeout=_LIMIT_S,
+    )
+    return done.stdout.rpartition("-- cursor: ")[2].strip()
+
+
+def await_word(word: str, *, after: str) -> None:
+    """Wait until systemd or the service says something, after that place of the journal."""
+    follow = ["journalctl", "--follow", "--lines=all", "--after-cursor", after, "--output=cat"]
+    with subprocess.Popen([*follow, "--unit", _SERVICE], stdout=PIPE, text=True) as process:
+        limit = threading.Timer(_LIMIT_S, process.kill)
+        limit.start()
+        try:
+            assert process.stdout is not None
+            assert any(word in line for line in process.stdout), f"no {word!r}; {journal()}"
+        finally:
+            limit.cancel()
+            process.kill()
