@@ -15,6 +15,7 @@ from components.ros2_base.commanding import REST, Commanding
 from components.ros2_base.config import Ros2BaseConfig
 from components.ros2_base.messages import odometry, stamped_twist, transform, twist
 from components.ros2_base.odometry_checks import Continuity, Expected, refusal
+from planar.messages import planar_pose
 from schemas.diagnostic_msgs import DiagnosticArray
 from schemas.geometry_msgs import Twist, TwistStamped
 from schemas.nav_msgs import Odometry
@@ -23,6 +24,7 @@ from schemas.tf2_msgs import TFMessage
 _FUTURE_S = 0.1  # by so much clocks of two computers may differ
 _FASTER = 2.0  # than commanded: the base may be slow to slow down, or be pushed
 _SLOW = 0.8  # of the nominal rate: slower is told
+_WELL_S = 5.0  # without a refusal, and odometry is all right again
 
 
 class Ros2Base(Component):
@@ -46,7 +48,11 @@ class Ros2Base(Component):
         """Know nothing of the base yet."""
         config = self.config
         self._expected = Expected(
-            config.odom_frame, config.base_frame, _FASTER * config.speed, _FASTER * config.turn
+            config.odom_frame,
+            config.base_frame,
+            _FASTER * config.speed,
+            _FASTER * config.turn,
+            config.odom_timeout_s,
         )
         self._continuity = Continuity(self._expected)
         self._complaints = Complaints(self.log)
@@ -61,10 +67,16 @@ class Ros2Base(Component):
         self._heard: int | None = None
         self._stamped: int | None = None
         self._refused = 0
+        self._refusal, self._refused_at = "", 0
 
     def on_deactivate(self) -> None:
         """Have the base rest."""
         self._send(*REST)
+
+    def on_error(self, error: Exception) -> bool:  # noqa: ARG002 - whatever it was
+        """Have the base rest, if it was active."""
+        self._send(*REST)
+        return False
 
     def on_parameters(self, new: Config) -> None:  # noqa: ARG002 - none can be changed
         """A base stays the one that it is."""
@@ -91,21 +103,24 @@ class Ros2Base(Component):
         why = refusal(message, self._expected) or self._untimely(now, stamp)
         if why is not None:
             self._refused += 1
+            self._refusal, self._refused_at = why, now
             self._complaints.tell("odometry", why)
             return
-        self._complaints.over("odometry", "the base's odometry can be used again")
-        if not self._usable():
-            self._rate.restart()  # the pause is told of already
+        pause = not self._usable()
+        if pause:
+            self._rate.restart()  # it is told of already
         self._heard, self._stamped = now, stamp
         self._rate.note(now / SECOND)
         jumps = self._continuity.jumps
-        pose = self._continuity.pose(stamp / SECOND, message)
+        pose = self._continuity.pose(stamp / SECOND, planar_pose(message.pose.pose))
         if self._continuity.jumps > jumps:
+            if pause:
+                self._commanding.begin_anew(now / SECOND)
             self.log.warning(
                 "the base's odometry has jumped, as if the base was started anew; "
                 "it is led on from where it was"
             )
-        sent = odometry(message, stamp, pose, moved=self._continuity.moved)
+        sent = odometry(message, stamp, pose, self._continuity.turned)
         self.odom.publish(sent)
         if self.config.send_tf:
             self.tf.publish(TFMessage(transforms=(transform(sent, pose),)))
@@ -118,6 +133,8 @@ class Ros2Base(Component):
             self._complaints.over("silence", "the base tells its odometry again")
         else:
             self._complaints.tell("silence", self._silence())
+        if now - self._refused_at > _WELL_S * SECOND:
+            self._complaints.over("odometry", "all of the base's odometry can be used again")
         hz = self._rate.hz(now / SECOND)
         level, text = self._judged(hz)
         values = {
@@ -133,6 +150,11 @@ class Ros2Base(Component):
     def _judged(self, hz: float) -> tuple[int, str]:
         if not self._usable():
             return ERROR, self._silence()
+        if self._commanding.awaits_rest:
+            return WARN, (
+                "the base was started anew: it is driven once the command has been rest, or has "
+                "ceased"
+            )
         if hz < _SLOW * self.config.odom_rate:
             return WARN, (
                 f"the base's odometry comes at {hz:.1f} Hz instead of {self.config.odom_rate:g} Hz"
@@ -140,29 +162,42 @@ class Ros2Base(Component):
         return OK, "drives"
 
     def _silence(self) -> str:
+        if self._refusal and self.clock.now() - self._refused_at <= self._limit():
+            return f"the base is not driven: {self._refusal}"
         return (
             f"no usable odometry comes on {self.base_odom.topic}, so the base is not driven; does "
             "the base run, is its ROS_DOMAIN_ID that of the deployment, and is its router this one?"
         )
 
     def _usable(self) -> bool:
-        limit = self.config.odom_timeout_s * SECOND
-        return self._heard is not None and self.clock.now() - self._heard <= limit
+        return self._heard is not None and self.clock.now() - self._heard <= self._limit()
+
+    def _limit(self) -> float:
+        """For how long the base is driven without usable odometry [ns]."""
+        return self.config.odom_timeout_s * SECOND
 
     def _untimely(self, now: int, stamp: int) -> str | None:
-        if self._stamped is not None and stamp <= self._stamped and now >= self._stamped:
-            return "odometry of the base has come twice, or out of order"
+        last = self._stamped
+        if last is not None and stamp <= last <= now + _FUTURE_S * SECOND:  # else now was set back
+            return (
+                "odometry of the base has come twice, or out of order; does more than one node "
+                f"write {self.base_odom.topic}?"
+            )
         age = (now - stamp) / SECOND
         if -_FUTURE_S <= age <= self.config.odom_age_s:
             return None
+        when = f"{age:.2f} s old" if age > 0 else f"{-age:.2f} s from the future"
         return (
-            f"the base's odometry is {age:.2f} s old when it comes; set both computers' clocks by "
-            "one source (chrony), or set stamp_on_arrival"
+            f"the base's odometry is {when} when it comes; set both computers' clocks by one source "
+            "(chrony), or set stamp_on_arrival"
         )
 
     def _send(self, forward: float, turn: float) -> None:
         if self.config.stamped:
-            self.base_cmd_vel_stamped.publish(stamped_twist(self.clock.now(), forward, turn))
+            # A base without our time would refuse a command with it as old, or of the future.
+            stamp = 0 if self.config.stamp_on_arrival else self.clock.now()
+            frame = self.config.base_frame
+            self.base_cmd_vel_stamped.publish(stamped_twist(stamp, frame, forward, turn))
         else:
             self.base_cmd_vel.publish(twist(forward, turn))
 

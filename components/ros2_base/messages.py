@@ -4,12 +4,23 @@ from __future__ import annotations
 
 import dataclasses
 
+import numpy as np
+from numpy.typing import NDArray
+
 from cairn.clock import from_ns
 from planar.messages import pose_message, transform_message
 from planar.poses import Pose
-from schemas.geometry_msgs import TransformStamped, Twist, TwistStamped, Vector3
+from schemas.geometry_msgs import (
+    PoseWithCovariance,
+    TransformStamped,
+    Twist,
+    TwistStamped,
+    Vector3,
+)
 from schemas.nav_msgs import Odometry
 from schemas.std_msgs import Header
+
+Array = NDArray[np.float64]
 
 ODOM, BASE = "odom", "base_link"  # frames of Cairn's robots
 
@@ -19,24 +30,37 @@ def twist(forward: float, turn: float) -> Twist:
     return Twist(linear=Vector3(x=forward), angular=Vector3(z=turn))
 
 
-def stamped_twist(now: int, forward: float, turn: float) -> TwistStamped:
-    """A command of the time `now` [ns]."""
+def stamped_twist(stamp: int, frame: str, forward: float, turn: float) -> TwistStamped:
+    """A command of a time [ns], in the base's own frame; `diff_drive_controller` takes 0 for now."""
     return TwistStamped(
-        header=Header(stamp=from_ns(now), frame_id=BASE), twist=twist(forward, turn)
+        header=Header(stamp=from_ns(stamp), frame_id=frame), twist=twist(forward, turn)
     )
 
 
-def odometry(message: Odometry, stamp: int, pose: Pose, *, moved: bool) -> Odometry:
-    """The base's odometry in the robot's frames; `moved`: at another pose than it said."""
-    given = message.pose
-    if moved:
-        given = dataclasses.replace(given, pose=pose_message(pose))
+def odometry(message: Odometry, stamp: int, pose: Pose, turned: float) -> Odometry:
+    """The base's odometry in the robot's frames, and on the plane.
+
+    `turned`: how far `pose`, and so the axes of its covariance, are turned against the base's own
+    [rad].
+    """
+    covariance = turned_covariance(message.pose.covariance, turned)
     return dataclasses.replace(
         message,
         header=Header(stamp=from_ns(stamp), frame_id=ODOM),
         child_frame_id=BASE,
-        pose=given,
+        pose=PoseWithCovariance(pose=pose_message(pose), covariance=covariance),
     )
+
+
+def turned_covariance(covariance: Array, angle: float) -> Array:
+    """A row-major 6 x 6 covariance of a pose, whose frame is turned by an angle [rad] about z."""
+    if not angle:
+        return covariance
+    cosine, sine = np.cos(angle), np.sin(angle)
+    about_z = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+    turn = np.kron(np.eye(2), about_z)
+    turned: Array = (turn @ covariance.reshape(6, 6) @ turn.T).ravel()
+    return turned
 
 
 def transform(message: Odometry, pose: Pose) -> TransformStamped:

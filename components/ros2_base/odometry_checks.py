@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from planar.messages import planar_pose
-from planar.poses import Pose, compose, distance, inverse, wrap
+from planar.poses import Pose, apart, compose, inverse
 from schemas.nav_msgs import Odometry
 
 _UNIT = 0.05  # how far the norm of an orientation may be off 1
 _SLACK_M = 0.1
 _SLACK_RAD = 0.2
 _SLACK_S = 0.1  # a way within this more of time than has passed is possible
+_ORIGIN: Pose = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -23,6 +23,8 @@ class Expected:
     base_frame: str
     speed: float
     turn: float
+    silence_s: float
+    """A base that has been silent for longer may have been started anew [s]."""
 
 
 def refusal(message: Odometry, expected: Expected) -> str | None:
@@ -43,23 +45,23 @@ def refusal(message: Odometry, expected: Expected) -> str | None:
 class Continuity:
     """Leads the base's poses on where they jump, as when the base is started anew.
 
-    Frame `odom` is continuous by its definition (REP 105): localization relies on it.
+    Frame `odom` is continuous by its definition (REP 105): localization relies on it. After a long
+    silence nearly any way is possible; but a base that is at its origin then was started anew.
     """
 
     def __init__(self, expected: Expected) -> None:
         self._expected = expected
-        self._offset: Pose = (0.0, 0.0, 0.0)
+        self._offset = _ORIGIN
         self._last: tuple[float, Pose] | None = None
         self.jumps = 0
 
     @property
-    def moved(self) -> bool:
-        """Whether poses are other than the base's own."""
-        return self._offset != (0.0, 0.0, 0.0)
+    def turned(self) -> float:
+        """How far the poses that are sent on are turned against the base's own [rad]."""
+        return self._offset[2]
 
-    def pose(self, time_s: float, message: Odometry) -> Pose:
-        """The pose to send on for a message of time `time_s` [s]."""
-        given = planar_pose(message.pose.pose)
+    def pose(self, time_s: float, given: Pose) -> Pose:
+        """The pose to send on for one that the base tells of time `time_s` [s]."""
         if self._last is not None and self._jumped(time_s - self._last[0], self._last[1], given):
             self.jumps += 1
             before = compose(self._offset, self._last[1])
@@ -68,8 +70,17 @@ class Continuity:
         return compose(self._offset, given)
 
     def _jumped(self, seconds: float, before: Pose, after: Pose) -> bool:
-        seconds += _SLACK_S
-        return (
-            distance(before, after) > self._expected.speed * seconds + _SLACK_M
-            or abs(wrap(after[2] - before[2])) > self._expected.turn * seconds + _SLACK_RAD
+        expected, possible_s = self._expected, max(0.0, seconds) + _SLACK_S
+        too_far = apart(
+            before,
+            after,
+            expected.speed * possible_s + _SLACK_M,
+            expected.turn * possible_s + _SLACK_RAD,
         )
+        return too_far or (
+            seconds > expected.silence_s and _at_origin(after) and not _at_origin(before)
+        )
+
+
+def _at_origin(pose: Pose) -> bool:
+    return not apart(_ORIGIN, pose, _SLACK_M, _SLACK_RAD)

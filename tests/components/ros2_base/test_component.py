@@ -1,16 +1,20 @@
 """The driver of a base that speaks ROS 2, on virtual time: what it sends on, and when not."""
 
 import math
+from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from cairn.clock import SECOND, from_ns, to_ns
 from cairn.component.lifecycle import Transition
+from cairn.testing.odometry import check_pose
 from cairn.testing.stage import Stage
 from components.ros2_base.component import Ros2Base
 from planar.messages import planar_pose, pose_message
 from schemas.geometry_msgs import (
+    Point,
     Pose,
     PoseWithCovariance,
     Quaternion,
@@ -37,13 +41,18 @@ class Base(Stage):
         return self.executor.now()
 
     def odometry(
-        self, x: float, age_s: float = 0.0, frame: str = "odom", child: str = "base_link"
+        self,
+        x: float,
+        age_s: float = 0.0,
+        frame: str = "odom",
+        child: str = "base_link",
+        heading: float = 0.1,
     ) -> Odometry:
         stamp = from_ns(self.now() - round(age_s * SECOND))
         return Odometry(
             header=Header(stamp=stamp, frame_id=frame),
             child_frame_id=child,
-            pose=PoseWithCovariance(pose=pose_message((x, 0.0, 0.1))),
+            pose=PoseWithCovariance(pose=pose_message((x, 0.0, heading))),
             twist=TwistWithCovariance(twist=AHEAD),
         )
 
@@ -56,8 +65,19 @@ class Base(Stage):
                 self.give("cmd_vel", command)
             self.wait(0.05)
 
+    def go_to(self, x: float) -> None:
+        """Be commanded ahead, and go so far."""
+        while self.x < x:
+            self.x = min(x, self.x + 0.03)
+            self.run(0.05, AHEAD)
+
     def levels(self) -> list[int]:
         return [one.status[0].level for one in self.taken("diagnostics")]
+
+    def diagnosis(self) -> str:
+        """What it told of itself last."""
+        message: str = self.taken("diagnostics")[-1].status[0].message
+        return message
 
 
 def started(**parameters: Any) -> Base:
@@ -105,6 +125,19 @@ def test_at_first_it_tells_the_base_to_rest() -> None:
     assert set(map(repr, base.taken("base_cmd_vel"))) == {repr(REST)}
 
 
+def test_failing_it_tells_the_base_to_rest() -> None:
+    base = started()
+    base.give("cmd_vel", AHEAD)
+    base.taken("base_cmd_vel")
+
+    def fail(message: Odometry) -> None:
+        raise ArithmeticError(message.child_frame_id)
+
+    base.runtime.run("tell", fail, base.odometry(0.0))
+
+    assert base.taken("base_cmd_vel") == [REST]
+
+
 def test_deactivated_it_tells_the_base_to_rest() -> None:
     base = started()
     base.give("cmd_vel", AHEAD)
@@ -149,8 +182,18 @@ def test_a_controller_since_jazzy_is_sent_stamped_commands() -> None:
     (sent,) = base.taken("base_cmd_vel_stamped")
     assert isinstance(sent, TwistStamped)
     assert sent.twist == AHEAD
-    assert to_ns(sent.header.stamp) == base.now()
+    assert (to_ns(sent.header.stamp), sent.header.frame_id) == (base.now(), "base_link")
     assert base.taken("base_cmd_vel") == []
+
+
+def test_a_base_without_a_clock_is_sent_commands_of_its_own_present() -> None:
+    base = started(stamped=True, stamp_on_arrival=True)
+
+    base.give("cmd_vel", AHEAD)
+
+    (sent,) = base.taken("base_cmd_vel_stamped")
+    assert sent.twist == AHEAD
+    assert to_ns(sent.header.stamp) == 0  # its controller puts its own time there
 
 
 def test_odometry_is_sent_on_as_it_is_with_its_transform() -> None:
@@ -162,7 +205,7 @@ def test_odometry_is_sent_on_as_it_is_with_its_transform() -> None:
     (odom,) = base.taken("odom")
     assert (odom.header.frame_id, odom.child_frame_id) == ("odom", "base_link")
     assert odom.header.stamp == given.header.stamp
-    assert odom.pose.pose == given.pose.pose
+    assert planar_pose(odom.pose.pose) == pytest.approx((1.5, 0.0, 0.1))
     assert odom.twist == given.twist
     (tf,) = base.taken("tf")
     assert tf.transforms[0].transform.translation.x == 1.5
@@ -191,6 +234,73 @@ def test_where_odometry_jumps_it_is_led_on() -> None:
     assert xs[-1] - xs[0] == pytest.approx(0.02 * math.cos(0.0), abs=0.001)
 
 
+def test_a_base_that_comes_back_at_its_origin_was_started_anew() -> None:
+    base = started()
+    base.go_to(0.6)
+    base.run(3.0, AHEAD, well=False)  # it starts; nobody has noticed, and commands go on
+    base.x = 0.0
+    base.taken("odom")
+    base.taken("base_cmd_vel")
+
+    base.run(1.2, AHEAD)
+
+    xs = [planar_pose(odom.pose.pose)[0] for odom in base.taken("odom")]
+    assert xs == pytest.approx(len(xs) * [0.6]), "the robot is where it was"
+    assert set(map(repr, base.taken("base_cmd_vel"))) == {repr(REST)}, "it sets off by itself"
+    assert "once the command has been rest" in base.diagnosis()
+
+    base.run(0.1, REST)
+    base.run(1.2, AHEAD)
+    assert base.taken("base_cmd_vel")[-1] == AHEAD
+    assert base.diagnosis() == "drives"
+
+
+def test_a_base_that_was_out_of_reach_goes_on_where_it_is() -> None:
+    base = started()
+    base.go_to(0.6)
+    base.wait(3.0)
+    base.x = 1.6  # somebody drove it meanwhile
+    base.taken("odom")
+
+    base.run(0.2, AHEAD)
+
+    assert planar_pose(base.taken("odom")[-1].pose.pose)[0] == pytest.approx(1.6)
+    assert base.taken("base_cmd_vel")[-1] == AHEAD
+
+
+def test_led_on_with_another_heading_the_covariance_is_turned_with_the_pose() -> None:
+    base = started()
+    base.give("base_odom", base.odometry(2.0, heading=0.1 + math.pi / 2))
+    base.wait(0.05)
+    covariance = np.diag([4.0, 1.0, 0.0, 0.0, 0.0, 9.0])
+    given = base.odometry(2.0, heading=0.1 + math.pi / 2)
+    base.taken("odom")
+
+    base.give("base_odom", _with_covariance(given, covariance))
+
+    (odom,) = base.taken("odom")
+    turned = odom.pose.covariance.reshape(6, 6)
+    assert np.diag(turned) == pytest.approx([1.0, 4.0, 0.0, 0.0, 0.0, 9.0])
+    assert turned == pytest.approx(turned.T)
+
+
+def _with_covariance(odom: Odometry, covariance: np.ndarray) -> Odometry:
+    pose = PoseWithCovariance(pose=odom.pose.pose, covariance=covariance.ravel())
+    return replace(odom, pose=pose)
+
+
+def test_odometry_of_a_base_that_tilts_is_brought_to_the_plane() -> None:
+    base = started()
+    given = base.odometry(0.0)
+    tilted = Quaternion(x=0.1, y=0.0, z=0.2, w=0.97)  # of length 0.995
+    pose = PoseWithCovariance(pose=Pose(position=Point(z=0.05), orientation=tilted))
+
+    base.give("base_odom", replace(given, pose=pose))
+
+    (odom,) = base.taken("odom")
+    check_pose(odom)
+
+
 @pytest.mark.parametrize(
     "message",
     [
@@ -216,14 +326,36 @@ def test_odometry_that_cannot_be_relied_on_is_not_sent_on(message: Any) -> None:
     assert base.taken("diagnostics")[-1].status[0].values[2].value == "1"
 
 
-def test_odometry_that_comes_twice_is_sent_on_once() -> None:
+def test_why_odometry_is_refused_is_told_instead_of_silence() -> None:
+    base = started(base_frame="base_footprint")
+    base.run(1.0)
+
+    assert "set base_frame and odom_frame" in base.diagnosis()
+
+
+@pytest.mark.parametrize("age_s", [0.0, -0.08], ids=["in time", "with a clock that is ahead"])
+def test_odometry_that_comes_twice_is_sent_on_once(age_s: float) -> None:
     base = started()
-    message = base.odometry(0.0)
+    message = base.odometry(0.0, age_s)
 
     base.give("base_odom", message)
     base.give("base_odom", message)
 
     assert len(base.taken("odom")) == 1
+
+
+def test_two_nodes_that_tell_odometry_do_not_flood_the_log(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    base = started()
+    caplog.clear()
+    for _ in range(40):
+        base.run(0.05)
+        base.give("base_odom", base.odometry(0.0, age_s=0.07))  # the other one's, which is later
+
+    told = [record.message for record in caplog.records if "out of order" in record.message]
+    assert "does more than one node write" in told[0]
+    assert len(told) <= 6, "1, 2, 4, 8, 16, 32 of them"
 
 
 def test_a_base_whose_clock_is_not_set_is_stamped_on_arrival() -> None:
