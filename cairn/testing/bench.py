@@ -26,12 +26,17 @@ class Bench:
         arguments: Sequence[str] = (),
         *,
         robot: str = "robot",
+        connect: str | None = None,
         environment: Mapping[str, str] | None = None,
     ) -> None:
-        """`deployment` is a file, or a text with its keys; `arguments` are those of `cairn up`."""
+        """`deployment` is a file, or a text with its keys; `arguments` are those of `cairn up`.
+
+        `connect` is the endpoint of a router to join; by default the deployment opens its own.
+        """
         self._deployment = deployment
         self._arguments = arguments
         self._name = robot
+        self._connect = connect
         self._environment = environment
         self._stack = ExitStack()
         self._launch = self._stack.enter_context(launching(folder))
@@ -52,6 +57,7 @@ class Bench:
                 self._deployment,
                 *self._arguments,
                 robot=self._name,
+                connect=self._connect,
                 environment=self._environment,
             )
             try:

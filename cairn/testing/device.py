@@ -19,6 +19,16 @@ class Located(Protocol):
 
 
 @runtime_checkable
+class Routed(Protocol):
+    """A device that is a ROS 2 node, and reached over a router that runs already."""
+
+    @property
+    def router(self) -> str:
+        """Endpoint of that router, which the deployment joins: `tcp/127.0.0.1:7447`."""
+        ...
+
+
+@runtime_checkable
 class Unpluggable(Protocol):
     """A device that can be taken away and given back."""
 

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from cairn.testing.bench import Bench, settings
-from cairn.testing.device import Located
+from cairn.testing.device import Located, Routed
 from cairn.testing.launching import Launching, launching
 from cairn.testing.robot import Robot
 
@@ -54,6 +54,9 @@ def bench(
     words += [word for value in contract.sets for word in ("--set", value)]
     if isinstance(device, Located):
         words += settings(device.settings)
+    connect = device.router if isinstance(device, Routed) else None
     folder = tmp_path_factory.mktemp(contract.__name__)
-    with Bench(folder, contract.deployment, words, robot=contract.robot_name) as bench:
+    with Bench(
+        folder, contract.deployment, words, robot=contract.robot_name, connect=connect
+    ) as bench:
         yield bench
