@@ -6,7 +6,7 @@ import math
 
 _DRIFT = 5e-4  # no clock of a device is worse: 500 ppm [1]
 _JUMP_S = 0.05  # what is earlier than possible by that bears another time than it should
-_EARLY = 3  # so many in a row: the device's clock was set
+_DOUBTED = 3  # so many, and none between them that is in time: a clock was set
 _LATE_S = 3.0  # what is late for so long is not late: a clock was set
 
 
@@ -17,6 +17,11 @@ class DeviceClock:
     differences between arrival and the device's time the least one is nearest to the truth: it is
     kept, and given way as fast as clocks may drift from each other (500 ppm). Times on the device
     are counted by `ticks_per_s`, and wrap around at `2**bits` ticks.
+
+    Two things cannot be: that a message arrives before it was sent, and that its time is before
+    that of an earlier one, as a line keeps their order; a late one bears a later time all the same.
+    One such time is damaged; several are of a clock that was set, as when the device was restarted.
+    Until it is known which, the arrival stands for the time.
     """
 
     def __init__(self, ticks_per_s: float, bits: int) -> None:
@@ -32,8 +37,14 @@ class DeviceClock:
         self._turns = 0
         self._offset_s = math.inf
         self._at_s = 0.0
-        self._early = 0
+        self._believed_s = -math.inf
         self._timely_s = math.inf
+        self._doubted = 0
+
+    @property
+    def in_doubt(self) -> bool:
+        """Whether impossible times came, and it is not known yet why."""
+        return self._doubted > 0
 
     def seconds(self, ticks: int) -> float:
         """The device's time [s], counted on beyond its wraps; ticks as they come."""
@@ -54,25 +65,30 @@ class DeviceClock:
         """
         found = arrived_s - device_s
         if math.isinf(self._offset_s):
-            return self._begin(found, arrived_s)
+            return self._begin(device_s, arrived_s)
         allowed = self._offset_s + _DRIFT * max(0.0, arrived_s - self._at_s)
-        if found < allowed - _JUMP_S:
-            self._early += 1
-            if self._early < _EARLY:  # one may be damaged
-                return self._offset_s
-            self.jumps += 1
-            return self._begin(found, arrived_s)
-        self._early = 0
-        if found < allowed + _JUMP_S:
+        late = found > allowed + _JUMP_S
+        impossible = found < allowed - _JUMP_S or device_s < self._believed_s
+        if impossible or (late and self.in_doubt):
+            self._doubted += 1
+            return self._set(device_s, arrived_s) if self._doubted == _DOUBTED else found
+        self._believed_s = device_s
+        if not late:
+            self._doubted = 0
             self._timely_s = arrived_s
         elif arrived_s - self._timely_s > _LATE_S:
-            self.jumps += 1
-            return self._begin(found, arrived_s)
+            return self._set(device_s, arrived_s)
         self._offset_s = min(found, allowed)
         self._at_s = arrived_s
         return self._offset_s
 
-    def _begin(self, offset_s: float, arrived_s: float) -> float:
-        self._offset_s, self._at_s = offset_s, arrived_s
-        self._early, self._timely_s = 0, arrived_s
-        return offset_s
+    def _set(self, device_s: float, arrived_s: float) -> float:
+        self.jumps += 1
+        return self._begin(device_s, arrived_s)
+
+    def _begin(self, device_s: float, arrived_s: float) -> float:
+        self._offset_s = arrived_s - device_s
+        self._at_s = self._timely_s = arrived_s
+        self._believed_s = device_s
+        self._doubted = 0
+        return self._offset_s

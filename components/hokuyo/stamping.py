@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 from cairn.clock import SECOND
@@ -75,15 +76,15 @@ class Stamping:
         return round((began_s + self._turn_s * request.first / self._turn_steps) * SECOND)
 
     def _computing(self, offset_s: float) -> float:
-        if self._calibrated_s is None:
-            return 0.0
         # Later the sensor's clock has drifted from where it was read, and this tells no more.
-        if self._scans < _COMPUTING_SCANS:
+        tells = self._scans < _COMPUTING_SCANS and not self._clock.in_doubt
+        if tells and self._calibrated_s is not None:
             self._scans += 1
-            seen_s = max(0.0, offset_s - self._calibrated_s)
-            self.computing_s = seen_s if self.computing_s is None else min(self.computing_s, seen_s)
-        assert self.computing_s is not None  # since the first scan
-        if self._scans == _COMPUTING_SCANS and self.computing_s > _LONGEST_COMPUTING_S:
-            self._calibrated_s = self.computing_s = None  # what was read is another clock
-            return 0.0
-        return self.computing_s
+            self._learn(offset_s - self._calibrated_s)
+        return self.computing_s or 0.0
+
+    def _learn(self, seen_s: float) -> None:
+        if abs(seen_s) > _LONGEST_COMPUTING_S:
+            return  # what was read is another clock, or this one was set since
+        least_s = math.inf if self.computing_s is None else self.computing_s
+        self.computing_s = min(least_s, max(0.0, seen_s))

@@ -101,3 +101,19 @@ def test_another_request_does_not_shift_the_stamps(line_s: float) -> None:
 
     assert np.abs(errors).max() < 0.002
     assert stamping.jumps == 0
+
+
+@pytest.mark.parametrize("ran_ms", [1_000, 3_000_000, 10_000_000])
+def test_a_sensor_that_was_restarted_is_followed_at_once(ran_ms: int) -> None:
+    stamping = Stamping(UTM)
+    stamping.calibrate([ClockReading(ran_ms, 0, 500_000)])
+    errors = []
+    for number in range(200):
+        began = 1.0 + number * 0.025 + (0.4 if number >= 100 else 0.0)
+        shown = ran_ms + round(1000 * began) if number < 100 else 7 + 25 * (number - 100)
+        arrived = began + 0.025 * 1081 / 1440 + COMPUTES_S
+        stamp = stamping.first_ray(shown, round(arrived * SECOND), REQUEST, 0.0)
+        errors.append(stamp / SECOND - began)
+
+    assert np.abs(errors).max() < 0.002
+    assert stamping.jumps == 1
