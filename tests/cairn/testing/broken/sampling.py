@@ -1,7 +1,7 @@
 """Runs a driver on virtual time, and has a contract's own tests judge what it publishes."""
 
 import inspect
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import pytest
@@ -17,7 +17,7 @@ from cairn.testing.stage import Stage
 
 SIDES = ("left", "right")
 
-Arrivals = Mapping[str, Sequence[Arrival[Any]]]
+Arrivals = Mapping[str, list[Arrival[Any]]]
 
 
 def failures_of(contract: Contract, **given: object) -> dict[str, str]:
