@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import tempfile
 import threading
 import time
@@ -9,8 +10,10 @@ from pathlib import Path
 
 import numpy as np
 import psutil
+import zenoh
 
 from benchmarks.result import Figure
+from cairn.bus.session import open_peer
 from cairn.driver.emulated_lines import PtyEnd
 from cairn.driver.emulation import Emulation
 from cairn.testing.launching import launching
@@ -21,6 +24,8 @@ from components.hokuyo.measurement import Measured, Measurement
 from schemas.sensor_msgs import LaserScan
 
 _SCANS = 400
+_PERIOD_S = 0.025
+_BYTES = 4400  # of a scan on the bus
 _LIMIT_S = 30.0
 
 
@@ -43,8 +48,9 @@ def measure() -> list[Figure]:
     with tempfile.TemporaryDirectory() as folder:
         alone = _protocol(Path(folder) / "scanner")
     with tempfile.TemporaryDirectory() as folder:
-        driver, delays = _driver(Path(folder))
+        driver, delays, hops = _driver(Path(folder))
     late = ", ".join(f"{share} %: {np.percentile(delays, share):.2f} ms" for share in (95, 99))
+    bare = f"a bare Zenoh message of as many bytes takes {np.median(hops):.2f} ms, median"
     return [
         Figure("UTM-30LX, 40 Hz: protocol and decoding, of a core", alone, "%", 3.0),
         Figure("the same: the driver's process, two readers of scans", driver, "%"),
@@ -53,7 +59,7 @@ def measure() -> list[Figure]:
             float(np.median(delays)),
             "ms",
             2.0,
-            note=late,
+            note=f"{late}; {bare}",
         ),
     ]
 
@@ -83,8 +89,10 @@ def _protocol(port: Path) -> float:
     return 100.0 * (used[1] - used[0]) / used[2]
 
 
-def _driver(folder: Path) -> tuple[float, list[float]]:
-    """Share of a core [%] of the driver's process, and delays of scans [ms] to a reader."""
+def _driver(folder: Path) -> tuple[float, list[float], list[float]]:
+    """Share of a core [%] of the driver's process, and delays [ms] to a reader: of scans, from
+    their last byte on; of bare messages between two processes.
+    """
     port = folder / "scanner"
     end = _TimedEnd(port)
     deployment = f"""
@@ -103,8 +111,41 @@ def _driver(folder: Path) -> tuple[float, list[float]]:
             after, took = process.cpu_times(), time.monotonic() - at
         finally:
             robot.close()
+        hops = _hops(run.endpoint)
     used = after.user - before.user + after.system - before.system
     sent = np.array(end.scans)
     came = np.array([arrival.at_ns for arrival in arrivals])
     last = sent[np.searchsorted(sent, came) - 1]
-    return 100.0 * used / took, ((came - last) / 1e6).tolist()
+    return 100.0 * used / took, ((came - last) / 1e6).tolist(), hops
+
+
+def _hops(endpoint: str) -> list[float]:
+    """Delays [ms] of bare messages, as large and as frequent as scans, from another process."""
+    delays: list[float] = []
+
+    def take(sample: zenoh.Sample) -> None:
+        now = time.time_ns()
+        delays.append((now - int(sample.payload.to_bytes().rstrip(b"-"))) / 1e6)
+
+    session = open_peer((endpoint,))
+    sender = multiprocessing.get_context("spawn").Process(target=_send_times, args=(endpoint,))
+    try:
+        session.declare_subscriber("bench/hop", take)
+        sender.start()
+        sender.join(_LIMIT_S)
+    finally:
+        sender.kill()
+        session.close()
+    return delays[len(delays) // 10 :]  # without the first, which wait for connections
+
+
+def _send_times(endpoint: str) -> None:
+    """In a process of its own: send when each message is sent [ns since 1970]."""
+    session = open_peer((endpoint,))
+    publisher = session.declare_publisher("bench/hop")
+    due = time.monotonic()
+    for _ in range(_SCANS):
+        due += _PERIOD_S
+        time.sleep(max(0.0, due - time.monotonic()))
+        publisher.put(str(time.time_ns()).encode().ljust(_BYTES, b"-"))
+    session.close()
