@@ -188,8 +188,8 @@ class Ros2Base(Component):
             return None
         when = f"{age:.2f} s old" if age > 0 else f"{-age:.2f} s from the future"
         return (
-            f"the base's odometry is {when} when it comes; set both computers' clocks by one source "
-            "(chrony), or set stamp_on_arrival"
+            f"the base's odometry is {when} when it comes; set both computers' clocks by one "
+            "source (chrony), or set stamp_on_arrival"
         )
 
     def _send(self, forward: float, turn: float) -> None:

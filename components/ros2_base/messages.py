@@ -31,7 +31,7 @@ def twist(forward: float, turn: float) -> Twist:
 
 
 def stamped_twist(stamp: int, frame: str, forward: float, turn: float) -> TwistStamped:
-    """A command of a time [ns], in the base's own frame; `diff_drive_controller` takes 0 for now."""
+    """A command of a time [ns] in the base's own frame; 0 is taken for the base's present."""
     return TwistStamped(
         header=Header(stamp=from_ns(stamp), frame_id=frame), twist=twist(forward, turn)
     )

@@ -1,0 +1,108 @@
+"""A base behind ROS 2, for tests: a router, and `base_node.py` as a program of its own."""
+
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import zenoh
+
+from cairn.bus.codec import Codec
+from cairn.testing.launching import free_port
+from schemas.geometry_msgs import Twist, TwistStamped
+from schemas.message import type_name
+from schemas.nav_msgs import Odometry
+
+_STANDS_BELOW = 0.01  # [m/s, rad/s]
+_LOOK_S = 0.02
+_PROGRAM = Path(__file__).with_name("base_node.py")
+
+
+class ForeignBase:
+    """The base behind its router. A device as the contracts know it."""
+
+    def __init__(self, router: str, process: "subprocess.Popen[str]") -> None:
+        self.router = router
+        self._process = process
+        self._session: zenoh.Session | None = None
+
+    def unplug(self) -> None:
+        """End its node and its router, as when its computer is switched off."""
+        self._ask("leave")
+        if self._session is not None:
+            self._session.close()
+            self._session = None
+
+    def plug_in(self) -> None:
+        """Start both, if they do not run."""
+        if self._session is None:
+            self._session = zenoh.open(router_config(self.router))
+        self._ask("join")
+
+    def turns(self) -> bool:
+        return any(abs(speed) > _STANDS_BELOW for speed in self._ask("speeds"))
+
+    def await_stand(self, limit_s: float) -> bool:
+        until = time.monotonic() + limit_s
+        while self.turns():
+            if time.monotonic() > until:
+                return False
+            time.sleep(_LOOK_S)
+        return True
+
+    def _ask(self, verb: str) -> Any:
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._process.stdin.write(json.dumps(verb) + "\n")
+        self._process.stdin.flush()
+        answer = self._process.stdout.readline()
+        assert answer, "the base's program has ended; its errors are above"
+        return json.loads(answer)
+
+
+@contextmanager
+def foreign_base(folder: Path) -> Iterator[ForeignBase]:
+    """One that has joined, as long as the context lasts."""
+    port = free_port()
+    endpoint = f"tcp/127.0.0.1:{port}"
+    write_definitions(folder)
+    program = [sys.executable, str(_PROGRAM), str(port), str(folder)]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(program, stdin=pipe, stdout=pipe, text=True) as process:
+        base = ForeignBase(endpoint, process)
+        try:
+            base.plug_in()
+            yield base
+            base.unplug()
+        finally:
+            process.kill()
+
+
+def router_config(endpoint: str) -> zenoh.Config:
+    """A router as `rmw_zenohd` opens it."""
+    config = zenoh.Config()
+    config.insert_json5("mode", '"router"')
+    config.insert_json5("listen/endpoints", json.dumps([endpoint]))
+    config.insert_json5("scouting/multicast/enabled", "false")
+    config.insert_json5("adminspace/enabled", "true")
+    return config
+
+
+def write_definitions(folder: Path) -> None:
+    """A .msg file for each message type that is used, as a ROS 2 installation has them."""
+    codec = Codec()
+    for message in (Odometry, Twist, TwistStamped):
+        first, *others = codec.definition(message).split("=" * 80 + "\n")
+        texts = {type_name(message): first}
+        for other in others:
+            title, _, text = other.partition("\n")
+            package, name = title.removeprefix("MSG: ").split("/")
+            texts[f"{package}/msg/{name}"] = text
+        for name, text in texts.items():
+            path = folder / f"{name}.msg"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(text)

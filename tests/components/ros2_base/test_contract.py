@@ -1,0 +1,73 @@
+"""The base behind ROS 2 keeps the contract of a base; an independent ROS 2 node plays the base."""
+
+from collections.abc import Iterator
+
+import pytest
+
+from cairn.bus.qos import SENSOR
+from cairn.bus.session import open_peer
+from cairn.bus.zenoh_bus import ZenohBus
+from cairn.testing.base_contract import BaseContract
+from components.ros2_base.component import Ros2Base
+from schemas.geometry_msgs import Twist, Vector3
+from tests.cairn.bus.network import eventually, node
+from tests.cairn.component.running import Threaded
+from tests.components.ros2_base.foreign_base import ForeignBase, foreign_base
+
+pytestmark = pytest.mark.realtime
+
+DEPLOYMENT = """
+    external_topics: [/odom, cmd_vel]
+    components:
+      base:
+        plugin: ros2_base
+        topics: {base_odom: /odom, base_cmd_vel: /cmd_vel}
+        parameters: {base_frame: base_footprint, odom_rate: 20}
+    """
+
+
+@pytest.fixture(scope="module")
+def base(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ForeignBase]:
+    with foreign_base(tmp_path_factory.mktemp("definitions")) as base:
+        yield base
+
+
+class TestRos2Base(BaseContract):
+    deployment = DEPLOYMENT
+    rate_hz = 20.0
+    top_speed = 0.6
+    return_limit_s = 10.0  # of a whole network
+    cycles = 6
+
+    @pytest.fixture(scope="class")
+    @classmethod
+    def device(cls, base: ForeignBase) -> ForeignBase:
+        return base
+
+
+def test_a_controller_of_these_years_is_driven_by_stamped_commands(base: ForeignBase) -> None:
+    bus, driver_bus = ZenohBus(open_peer([base.router])), ZenohBus(open_peer([base.router]))
+    try:
+        commander = node(bus, "/robot/commander").advertise("/robot/cmd_vel", Twist, SENSOR)
+        driver = Threaded(
+            Ros2Base,
+            driver_bus,
+            name="base",
+            topics={"base_odom": "/odom", "base_cmd_vel_stamped": "/stamped/cmd_vel"},
+            parameters={"base_frame": "base_footprint", "stamped": True},
+        )
+        driver.activate()
+
+        def driven() -> bool:
+            commander.publish(Twist(linear=Vector3(x=0.2)))
+            return base.turns()
+
+        try:
+            assert eventually(driven), "the base does not move"
+            driver.ask("deactivate")
+            assert base.await_stand(2.0)
+        finally:
+            driver.close()
+    finally:
+        bus.close()
+        driver_bus.close()
