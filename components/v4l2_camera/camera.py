@@ -6,8 +6,9 @@ import logging
 import threading
 import time
 from collections.abc import Callable, Mapping
-from contextlib import closing, suppress
+from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from cairn.component.complaints import Complaints
@@ -28,6 +29,8 @@ _LOOK_S = 0.1
 # So many restarts of a stream without any picture: the device is opened anew.
 _RESTARTS = 3
 _PERIODS_OF_SILENCE = 4.0
+
+_Values = list[tuple[Control, int]]
 
 
 @dataclass(frozen=True)
@@ -58,11 +61,14 @@ class Camera:
         self,
         settings: CameraSettings,
         controls: Mapping[str, int],
+        accept: Callable[[Setup], None],
         on_picture: Callable[[Picture], None],
         log: logging.Logger,
     ) -> None:
+        """`accept` raises `DeviceError` for a camera that does not give what is needed."""
         self._settings = settings
         self._wanted = dict(controls)
+        self._accept = accept
         self._on_picture = on_picture
         self._log = log
         self._complaints = Complaints(log)
@@ -80,17 +86,12 @@ class Camera:
         self.is_streaming = False
 
     def open(self) -> Setup:
-        """Open and set up the device, and its controls; raises `DeviceError` if that fails.
-
-        The camera must agree to the same size as before, if it was open before.
-        """
-        with self._opening:
+        """Open and set up the device, and its controls; raises `DeviceError` if that fails."""
+        with self._opening, ExitStack() as undo:
             device = VideoDevice(find_camera(self._settings.device))
-            try:
-                setup = self._prepare(device)
-            except DeviceError:
-                device.close()
-                raise
+            undo.callback(device.close)
+            setup = self._prepare(device)
+            undo.pop_all()
             self._device = device
             self.node = device.path.resolve()
             self.identity = f"{device.card} {device.bus}"
@@ -103,21 +104,26 @@ class Camera:
                 self._device.close()
                 self._device = None
 
-    def adjust(self, wanted: Mapping[str, int]) -> None:
+    def adjust(self, wanted: Mapping[str, int]) -> Callable[[], None]:
         """Set controls, all or none; while the device is away, once it is back.
 
-        Raises `ControlRefused` with the camera's bounds, or `DeviceError` if it fails.
+        Gives what sets them back. Raises `ControlRefused` with the camera's bounds, if they are
+        known already, or `DeviceError` if it fails.
         """
+        former: _Values = []
         with self._opening:
             try:
-                assigned(self._panel, wanted)
+                if self.setup is not None:
+                    assigned(self._panel, wanted)
                 if self._device is not None:
-                    self._set(self._device, wanted)
+                    former = self._set(self._device, wanted)
             except ControlRefused as error:
                 raise ControlRefused(f"{self._settings.device}: {error}") from error
             except LinkLost:  # its thread has not noticed yet; controls are set when it is back
                 pass
+            undo = partial(self._undo, self._wanted, former)
             self._wanted = dict(wanted)
+        return undo
 
     def rate(self) -> float:
         """Pictures a second now."""
@@ -136,6 +142,12 @@ class Camera:
             self.is_streaming = False
             self._rate.restart()
 
+    def _undo(self, wanted: dict[str, int], former: _Values) -> None:
+        with self._opening:
+            self._wanted = wanted
+            if self._device is not None:
+                _set_back(self._device, former)
+
     def _ready(self) -> VideoDevice:
         """The device, open and set up."""
         if self._device is None:
@@ -149,13 +161,15 @@ class Camera:
 
     def _prepare(self, device: VideoDevice) -> Setup:
         """Set up pictures and controls."""
-        self.setup = self._agreed(device)
+        setup = self._agreed(device)
+        self._accept(setup)
         self._panel = device.controls()
         try:
             self._set(device, self._wanted)
         except ControlRefused as error:
             raise DeviceError(f"{device.path} ({device.card}): {error}") from error
-        return self.setup
+        self.setup = setup
+        return setup
 
     def _agreed(self, device: VideoDevice) -> Setup:
         wish = self._settings
@@ -166,21 +180,14 @@ class Camera:
                 f"{device.path} ({device.card}) gives {', '.join(device.formats())}, but format is "
                 f"{' or '.join(wish.formats)}: choose another format or camera"
             )
-        setup = device.set_up(chosen, wish.width, wish.height, wish.rate)
-        before, now = self.setup and self.setup.layout, setup.layout
-        if before and (before.width, before.height) != (now.width, now.height):
-            raise DeviceError(
-                f"{device.path} ({device.card}) gives {now.width} x {now.height} pixels now, but "
-                f"gave {before.width} x {before.height}: is it another camera?"
-            )
-        return setup
+        return device.set_up(chosen, wish.width, wish.height, wish.rate)
 
-    def _set(self, device: VideoDevice, wanted: Mapping[str, int]) -> None:
-        """Set controls; if one fails, those before it are set back.
+    def _set(self, device: VideoDevice, wanted: Mapping[str, int]) -> _Values:
+        """Set controls; if one fails, those before it are set back. Gives what they were.
 
         What something automatic holds is left to it: cameras refuse to set it.
         """
-        done: list[tuple[Control, int]] = []
+        done: _Values = []
         try:
             for control, value in assigned(self._panel, wanted):
                 if device.is_held(control):
@@ -193,10 +200,9 @@ class Camera:
                 device.set_control(control, value)
                 done.append((control, before))
         except DeviceError:
-            for control, before in reversed(done):
-                with suppress(DeviceError):  # the first failure is the one to tell
-                    device.set_control(control, before)
+            _set_back(device, done)
             raise
+        return done
 
     def _keep_streaming(self, stream: Stream, stopping: threading.Event) -> None:
         """Stream; after an error start anew, unless that helped nothing several times."""
@@ -222,14 +228,15 @@ class Camera:
         nominal = self.setup.rate
         silence_s = max(self._settings.silence_s, _PERIODS_OF_SILENCE / nominal if nominal else 0.0)
         sequence = Sequence()
-        last = time.monotonic()
+        last, count = time.monotonic(), self.counts.pictures
         while not stopping.is_set():
             captures = stream.newest(_LOOK_S)
             now = time.monotonic()
             if captures:
-                last = now
                 self._take(captures, sequence)
-            elif now - last > silence_s:
+            if self.counts.pictures > count:
+                last, count = now, self.counts.pictures
+            elif now - last > silence_s:  # or nothing but damaged ones
                 raise DeviceError(f"{self._settings.device}: no picture came for {silence_s:.3g} s")
 
     def _take(self, captures: list[Capture], sequence: Sequence) -> None:
@@ -275,3 +282,9 @@ class Camera:
             what = "is too short" if short else "is damaged"
             self._complaints.tell(what, f"{self._settings.device}: a picture {what}: {error}")
             return None
+
+
+def _set_back(device: VideoDevice, values: _Values) -> None:
+    for control, value in reversed(values):
+        with suppress(DeviceError):  # what made this necessary is the failure to tell
+            device.set_control(control, value)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
 
@@ -17,11 +18,11 @@ from cairn.component.ports import Out
 from cairn.driver.device_thread import DeviceThread
 from cairn.driver.errors import DeviceError
 from cairn.errors import CairnError
-from components.v4l2_camera.calibrations import camera_infos
+from components.v4l2_camera.agreement import Agreement
+from components.v4l2_camera.calibrations import read_calibrations
 from components.v4l2_camera.camera import Camera
 from components.v4l2_camera.config import LIVE, V4l2StereoCameraConfig
 from components.v4l2_camera.controls import ControlRefused
-from components.v4l2_camera.offers import is_same_rate
 from components.v4l2_camera.pairing import Pairing, Picture
 from components.v4l2_camera.pixels import Grey, halves
 from components.v4l2_camera.placing import placed
@@ -57,17 +58,24 @@ class V4l2StereoCamera(Component):
     _threads: tuple[DeviceThread, ...] = ()
 
     def on_configure(self) -> None:
-        """Open the cameras and agree with them on their pictures."""
+        """Open the cameras and agree with them on their pictures.
+
+        One that was there before may come back: then it is waited for, once active.
+        """
         config = self.config
-        self._cameras = tuple(
-            Camera(
-                config.settings_of(device), config.controls.given(), partial(self._came, side),
-                self.log,
-            )
-            for side, device in enumerate(config.devices())
-        )  # fmt: skip
         try:
-            self._agree()
+            count = 2 if config.is_stereo else 1
+            files = (config.left_calibration, config.right_calibration)[:count]
+            self._infos, self._baseline = read_calibrations(files, _FRAMES[:count], self.log)
+            self._agreement = Agreement(config, self._infos, self.log)
+            self._cameras = tuple(
+                Camera(
+                    config.settings_of(device), config.controls.given(),
+                    partial(self._agreement.accept, side), partial(self._came, side), self.log,
+                )
+                for side, device in enumerate(config.devices())
+            )  # fmt: skip
+            self._open()
         except CairnError as error:
             self._close()
             raise CairnError(f"{self.name}: {error}") from error
@@ -87,8 +95,8 @@ class V4l2StereoCamera(Component):
         )
         self._newest = [deque[Picture](maxlen=1) for _ in self._cameras]
         self._trouble = [""] * len(self._cameras)
-        self._pairing = Pairing(round(0.5 * SECOND / self._rate))
-        self._pair_report = PairReport(self.name, self._pairing, self._rate)
+        self._pairing = Pairing(self._agreement.half_period())
+        self._pair_report = PairReport(self.name, self._pairing)
         self._reports = [
             CameraReport(f"{self.name}: {side} camera" if self._has_two else self.name, camera)
             for side, camera in zip(_SIDES, self._cameras, strict=False)
@@ -116,8 +124,10 @@ class V4l2StereoCamera(Component):
 
     def on_error(self, error: Exception) -> bool:  # noqa: ARG002 - it makes no difference
         """Let go of the cameras, for the one that is started in place of this."""
-        self._stop()
-        self._close()
+        try:
+            self._stop()
+        finally:
+            self._close()
         return False
 
     def on_parameters(self, new: Config) -> None:
@@ -129,15 +139,13 @@ class V4l2StereoCamera(Component):
                     f"the camera takes {name} when it is configured; {', '.join(LIVE)} may be "
                     "changed while it runs"
                 )
-        done = []
-        try:
-            for camera in self._cameras:
-                camera.adjust(new.controls.given())
-                done.append(camera)
-        except (ControlRefused, DeviceError) as error:
-            for camera in done:
-                camera.adjust(self.config.controls.given())
-            raise ParameterRefused(str(error)) from error
+        with ExitStack() as undo:
+            try:
+                for camera in self._cameras:
+                    undo.callback(camera.adjust(new.controls.given()))
+            except (ControlRefused, DeviceError) as error:
+                raise ParameterRefused(str(error)) from error
+            undo.pop_all()
 
     @every(hz=1)
     def tell(self) -> None:
@@ -156,39 +164,19 @@ class V4l2StereoCamera(Component):
     def _has_two(self) -> bool:
         return len(self._cameras) == 2
 
-    def _agree(self) -> None:
-        config = self.config
-        setups = [camera.open() for camera in self._cameras]
+    def _open(self) -> None:
+        for camera in self._cameras:
+            try:
+                camera.open()
+            except DeviceError as error:
+                if not self.restarts:
+                    raise
+                self.log.warning("%s; it is waited for", error)
         if self._has_two and self._cameras[0].node == self._cameras[1].node:
             raise CairnError(
                 f"device and right_device are both {self._cameras[0].node}: name two cameras, or "
                 "set side_by_side to true for one that sends both pictures in one"
             )
-        for device, setup in zip(config.devices(), setups, strict=True):
-            got = setup.layout
-            if (got.width, got.height) != (config.width, config.height):
-                self.log.warning(
-                    "%s gives %d x %d pixels, not %d x %d as was asked for",
-                    device, got.width, got.height, config.width, config.height,
-                )  # fmt: skip
-            if not is_same_rate(setup.rate, config.rate):
-                self.log.warning(
-                    "%s gives %.4g pictures a second, not %g as was asked for",
-                    device, setup.rate, config.rate,
-                )  # fmt: skip
-        sizes = {(setup.layout.width, setup.layout.height) for setup in setups}
-        if len(sizes) > 1:
-            told = " and ".join(f"{width} x {height}" for width, height in sorted(sizes))
-            raise CairnError(f"the cameras give pictures of {told} pixels: ask for a size of both")
-        width, height = sizes.pop()
-        count = 2 if config.is_stereo else 1
-        self._infos, self._baseline = camera_infos(
-            (config.left_calibration, config.right_calibration)[:count],
-            _FRAMES[:count],
-            (width // 2 if config.side_by_side else width, height),
-            self.log,
-        )
-        self._rate = min(setup.rate or config.rate for setup in setups)
 
     def _came(self, side: int, picture: Picture) -> None:
         """On the camera's thread: hand on a picture, in place of one that was not taken yet."""
@@ -207,6 +195,7 @@ class V4l2StereoCamera(Component):
         if not self._has_two:
             self._publish(picture.stamp, self._views(picture.grey))
             return
+        self._pairing.within = self._agreement.half_period()  # a camera may have come meanwhile
         pair = self._pairing.add(side, picture)
         if pair is not None:
             left, right = pair
@@ -225,8 +214,10 @@ class V4l2StereoCamera(Component):
         time = from_ns(stamp - round(self.config.stamp_delay_s * SECOND))
         headers = [Header(stamp=time, frame_id=frame) for frame in _FRAMES[: len(views)]]
         infos, images = (self.left_info, self.right_info), (self.left_image, self.right_image)
-        for port, info, header in zip(infos, self._infos, headers, strict=False):
-            port.publish(replace(info, header=header))
+        for port, info, view, header in zip(infos, self._infos, views, headers, strict=False):
+            height, width = view.shape
+            known = CameraInfo(width=width, height=height) if info is None else info
+            port.publish(replace(known, header=header))
         for out, view, header in zip(images, views, headers, strict=False):
             out.publish(_message(view, header))
 
@@ -237,8 +228,9 @@ class V4l2StereoCamera(Component):
         self.post(partial(_fail, error))
 
     def _stop(self) -> None:
-        for thread in self._threads:
-            thread.stop()
+        with ExitStack() as stopping:  # all of them, even if one does not end
+            for thread in self._threads:
+                stopping.callback(thread.stop)
         self._threads = ()
 
     def _close(self) -> None:

@@ -13,7 +13,7 @@ from typing import Final, TypeVar
 
 from cairn.driver.errors import DeviceError, LinkLost
 from components.v4l2_camera import videodev
-from components.v4l2_camera.controls import SETTABLE, Control, plain_name
+from components.v4l2_camera.controls import SETTABLE, STANDARD, Control, plain_name
 from components.v4l2_camera.offers import PictureSize
 from components.v4l2_camera.pixels import PictureLayout
 
@@ -99,6 +99,8 @@ class VideoDevice:
             remedy = f"; another program uses it (`fuser -v {self.path}` tells which): end that"
         if error.errno == errno.EACCES:
             remedy = "; something automatic holds it (auto_exposure, gain_automatic ...): set that"
+        if error.errno == errno.ENOTTY:
+            remedy = "; it is no camera: `cairn driver probe camera` lists those that are"
         if error.errno == errno.ENOSPC:
             remedy = "; its USB bus has no room left: plug it into another one, or use MJPG"
         return DeviceError(f"{self.path}: {doing}: {os.strerror(error.errno or 0)}{remedy}")
@@ -149,14 +151,12 @@ class VideoDevice:
 
     def controls(self) -> dict[str, Control]:
         """Its controls that have a number as value, by plain name."""
-        found = {}
-        query = videodev.ControlQuery(id=videodev.CTRL_FLAG_NEXT_CTRL)
-        while self._answers(videodev.QUERYCTRL, query):
-            if query.type in SETTABLE and not query.flags & videodev.CTRL_FLAG_DISABLED:
-                control = self._control(query)
-                found[control.name] = control
-            query = videodev.ControlQuery(id=query.id | videodev.CTRL_FLAG_NEXT_CTRL)
-        return found
+        offered = [
+            query
+            for query in self._control_queries()
+            if query.type in SETTABLE and not query.flags & videodev.CTRL_FLAG_DISABLED
+        ]
+        return {control.name: control for control in map(self._control, offered)}
 
     def control(self, control: Control) -> int:
         """The value that a control has."""
@@ -211,6 +211,27 @@ class VideoDevice:
             yield _rate(one.interval.discrete if discrete else one.interval.stepwise[0])
             if not discrete:
                 return
+
+    def _control_queries(self) -> Iterator[videodev.ControlQuery]:
+        query = videodev.ControlQuery(id=videodev.CTRL_FLAG_NEXT_CTRL)
+        while (is_told := self._is_control(query)) is True:
+            yield query
+            query = videodev.ControlQuery(id=query.id | videodev.CTRL_FLAG_NEXT_CTRL)
+        if is_told is None:  # nor what comes after it, but numbers of the usual ones are known
+            last = query.id & ~videodev.CTRL_FLAG_NEXT_CTRL
+            for number in sorted(number for number in STANDARD.values() if number > last):
+                single = videodev.ControlQuery(id=number)
+                if self._is_control(single):
+                    yield single
+
+    def _is_control(self, query: videodev.ControlQuery) -> bool | None:
+        """Whether there is such a control; None if the firmware fails to tell, as some do."""
+        try:
+            return self._answers(videodev.QUERYCTRL, query)
+        except LinkLost:
+            raise
+        except DeviceError:
+            return None
 
     def _control(self, query: videodev.ControlQuery) -> Control:
         items = {}

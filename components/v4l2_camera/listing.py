@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -34,10 +35,10 @@ def as_lines(camera: dict[str, Any]) -> Sequence[str]:
 
 
 def _control_line(control: dict[str, Any]) -> str:
+    value = "unknown" if control["value"] is None else control["value"]
     held = " (something automatic holds it)" if control["inactive"] else ""
     return (
-        f"  {control['name']} = {control['value']}{held}: {control['bounds']}; "
-        f"{control['default']} by default"
+        f"  {control['name']} = {value}{held}: {control['bounds']}; {control['default']} by default"
     )
 
 
@@ -85,9 +86,12 @@ def _names(node: CameraNode) -> list[str]:
 
 
 def _control(device: VideoDevice, control: Control) -> dict[str, Any]:
+    value: int | None = None
+    with suppress(DeviceError):  # some firmware does not answer for all that it offers
+        value = device.control(control)
     return {
         "name": control.name,
-        "value": device.control(control),
+        "value": value,
         "bounds": control.bounds,
         "default": control.default,
         "inactive": control.inactive,

@@ -53,7 +53,7 @@ def video_nodes(sysfs: Path = SYSFS, dev: Path = DEV) -> list[CameraNode]:
     for entry in sorted(sysfs.glob("video*"), key=lambda entry: int(entry.name[5:] or 0)):
         try:
             nodes.append(_node(entry, dev))
-        except FileNotFoundError:  # unplugged while it was looked at
+        except OSError:  # unplugged while it was looked at
             continue
     return nodes
 

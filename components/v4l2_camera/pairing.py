@@ -27,13 +27,13 @@ class Pairing:
     """Pairs each picture with the one of the other camera that was taken nearest to it.
 
     Cameras that are not synchronised drift against each other, so numbers of pictures tell nothing.
-    Two pictures further apart than `within` [ns] are none of a pair: half a period is as far as
-    the nearest can be. `unpaired` counts pictures, left and right, that found no other; of the last
-    pair the right one was taken `apart` [ns] after the left one.
+    Two pictures further apart than `within` [ns], which may be changed, are none of a pair: half a
+    period is as far as the nearest can be. `unpaired` counts pictures, left and right, that found
+    no other; of the last pair the right one was taken `apart` [ns] after the left one.
     """
 
     def __init__(self, within: int) -> None:
-        self._within = within
+        self.within = within
         self._waiting: tuple[deque[Picture], deque[Picture]] = (deque(), deque())
         self.pairs = 0
         self.unpaired = [0, 0]
@@ -43,7 +43,7 @@ class Pairing:
         """Take a picture of the left (0) or the right (1) camera; gives the pair that it makes."""
         own, others = self._waiting[side], self._waiting[1 - side]
         nearest = min(others, key=lambda one: abs(one.taken - picture.taken), default=None)
-        if nearest is None or abs(nearest.taken - picture.taken) > self._within:
+        if nearest is None or abs(nearest.taken - picture.taken) > self.within:
             own.append(picture)
             if len(own) > _WAITING:
                 own.popleft()

@@ -40,6 +40,9 @@ class PictureLayout:
     format: str
     bytes_per_row: int = 0
 
+    def __str__(self) -> str:
+        return f"{self.format} {self.width} x {self.height}"
+
     def grey(self, data: bytes) -> Grey:
         """The picture in a buffer's bytes as grey levels (height, width), in memory of its own.
 
@@ -65,17 +68,19 @@ class PictureLayout:
         end = data.rfind(_END)
         if end < 0:
             raise ShortPicture(f"no end (ffd9) in {len(data)} bytes")
+        # What follows the end is left of a former picture, or fills up a USB packet.
+        whole = data[: end + len(_END)]
         try:
-            # What follows the end is left of a former picture, or fills up a USB packet.
-            whole = data[: end + len(_END)]
+            # Before it is decoded: a damaged size can be one of gigabytes.
+            height, width, *_ = simplejpeg.decode_jpeg_header(whole)
+            if (width, height) != (self.width, self.height):
+                raise DamagedPicture(
+                    f"it is {width} x {height} pixels, not {self.width} x {self.height}"
+                )
             pixels = simplejpeg.decode_jpeg(whole, colorspace="GRAY", strict=True)
         except (ValueError, KeyError) as error:  # the latter by a sampling that it does not know
             raise DamagedPicture(str(error)) from error
         grey: Grey = pixels[:, :, 0]
-        if grey.shape != (self.height, self.width):
-            raise DamagedPicture(
-                f"it is {grey.shape[1]} x {grey.shape[0]} pixels, not {self.width} x {self.height}"
-            )
         return grey
 
 

@@ -23,10 +23,10 @@ class CameraReport:
         """How it is at `now` [ns]; `trouble` says why it does not stream."""
         camera, counts = self._camera, replace(self._camera.counts)
         setup, rate = camera.setup, camera.rate()
-        assert setup is not None  # it was opened when the component was configured
-        level, message = health(counts, self._before, rate, setup.rate, trouble)
+        agreed = 0.0 if setup is None else setup.rate
+        level, message = health(counts, self._before, rate, agreed, trouble)
         self._before = counts
-        layout = setup.layout
+        layout = None if setup is None else setup.layout
         return diagnostics(
             now,
             self._name,
@@ -34,9 +34,9 @@ class CameraReport:
             level,
             message,
             {
-                "format": f"{layout.format} {layout.width} x {layout.height}",
+                "format": layout or "not agreed on yet",
                 "rate [1/s]": rate,
-                "rate agreed on [1/s]": setup.rate,
+                "rate agreed on [1/s]": agreed,
                 "age when read [ms]": 1e3 * camera.latency_s,
                 "stamped at": "begin of exposure" if camera.stamps_begin else "end of transfer",
                 **vars(counts),
@@ -47,10 +47,9 @@ class CameraReport:
 class PairReport:
     """Tells how two cameras make pairs, by what has happened since it was last told."""
 
-    def __init__(self, name: str, pairing: Pairing, rate: float) -> None:
+    def __init__(self, name: str, pairing: Pairing) -> None:
         self._name = name
         self._pairing = pairing
-        self._rate = rate
         self._pairs, self._unpaired = 0, 0
 
     def told(self, now: int) -> DiagnosticArray:
@@ -71,6 +70,6 @@ class PairReport:
             "left unpaired": left,
             "right unpaired": right,
             "right after left [ms]": apart_ms,
-            "paired within [ms]": 500.0 / self._rate,
+            "paired within [ms]": 1e-6 * pairing.within,
         }
         return diagnostics(now, f"{self._name}: pairs", "", level, message, values)

@@ -31,11 +31,11 @@ class Tried:
 
     def as_lines(self, name: str) -> list[str]:
         """That in words."""
-        layout, counts = self.setup.layout, vars(self.camera.counts)
+        counts = vars(self.camera.counts)
         lines = [
             f"{name}: {self.camera.identity}",
-            f"  {layout.format} {layout.width} x {layout.height}, {self.rate:.4g} pictures a "
-            f"second; the camera agreed to {self.setup.rate:.4g}",
+            f"  {self.setup.layout}, {self.rate:.4g} pictures a second; the camera agreed to "
+            f"{self.setup.rate:.4g}",
             "  " + ", ".join(f"{number} {what}" for what, number in counts.items()),
         ]
         if self.ages:
@@ -75,7 +75,7 @@ def tried(cameras: Sequence[CameraSettings], seconds: float) -> tuple[list[Tried
     with ExitStack() as stack:
         outcomes = []
         for side, settings in enumerate(cameras):
-            camera = Camera(settings, {}, partial(_put, came, side), log)
+            camera = Camera(settings, {}, _accept_any, partial(_put, came, side), log)
             stack.callback(camera.close)
             outcomes.append(Tried(camera, camera.open()))
         for side, outcome in enumerate(outcomes):
@@ -89,6 +89,10 @@ def tried(cameras: Sequence[CameraSettings], seconds: float) -> tuple[list[Tried
             thread.start()
             stack.callback(thread.stop)
         return outcomes, _watched(came, outcomes, seconds)
+
+
+def _accept_any(_: Setup) -> None:
+    """What a camera gives is told."""
 
 
 def _put(came: queue.SimpleQueue[tuple[int, Picture]], side: int, picture: Picture) -> None:

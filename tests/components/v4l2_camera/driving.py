@@ -25,12 +25,16 @@ _ALL = Qos("reliable", "transient_local", 10_000)
 class Driver:
     """The camera's driver, active, on a loop of its own; a context manager that shuts it down."""
 
+    restarts = 0
+
     def __init__(self, **parameters: Any) -> None:
         """Configure and activate it; raises `CairnError` if it cannot be."""
         self.ends: list[End] = []
         self._loop = ThreadLoop()
         bus = LockstepBus()
-        assignment = Assignment(name="camera", plugin="v4l2", parameters=parameters)
+        assignment = Assignment(
+            name="camera", plugin="v4l2", parameters=parameters, restarts=self.restarts
+        )
         self.runtime = Runtime(
             V4l2StereoCamera, assignment, bus, self._loop, SystemClock(), self.ends.append
         )
@@ -98,12 +102,16 @@ class Driver:
         self.taken("left_image")
         return [self.await_one("left_image") for _ in range(count)]
 
-    def values(self, index: int = 0) -> dict[str, str]:
-        """What diagnostics tell now: of the camera so numbered, or of the pair (2)."""
+    def tell(self) -> None:
+        """Have it tell diagnostics now, as it does once a second by itself."""
         component = self.runtime.component
         assert isinstance(component, V4l2StereoCamera)
+        self.ask(component.tell)
+
+    def values(self, index: int = 0) -> dict[str, str]:
+        """What diagnostics tell now: of the camera so numbered, or of the pair (2)."""
         self.taken("diagnostics")
-        self.ask(component.tell)  # it does so once a second by itself
+        self.tell()
         status = self.taken("diagnostics")[-1].status[index]
         told = {value.key: value.value for value in status.values}
         return told | {"level": str(status.level), "message": status.message}
@@ -134,3 +142,9 @@ class Driver:
             self.go("shutdown")
         self._thread.join(LIMIT_S)
         assert not self._thread.is_alive()
+
+
+class RestartedDriver(Driver):
+    """One that its supervisor has started before."""
+
+    restarts = 1

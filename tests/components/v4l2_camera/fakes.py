@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import queue
+import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from components.v4l2_camera.pixels import PictureLayout
 from components.v4l2_camera.stream import Capture
 
 WIDTH, HEIGHT, RATE = 64, 48, 25.0
+_LIMIT_S = 15.0
 
 
 class FakeCamera:
@@ -31,9 +33,12 @@ class FakeCamera:
         self.maxima = {"gain": gain_maximum, "exposure_time_absolute": 2000}
         self.held: set[str] = set()
         self.refused_values: set[int] = set()
+        self.spoils = False
         self.opened = 0
         self.streams: list[str] = []
-        self.events: queue.SimpleQueue[Capture | Exception] = queue.SimpleQueue()
+        self.events: queue.SimpleQueue[Capture | Exception | Callable[[], None]] = (
+            queue.SimpleQueue()
+        )
         self._sequence = 0
 
     def send(
@@ -52,6 +57,18 @@ class FakeCamera:
     def fail(self, error: Exception | None = None) -> None:
         """Have its stream break off."""
         self.events.put(error or DeviceError("/dev/it: its stream broke off: Input/output error"))
+
+    def hang(self) -> threading.Event:
+        """Have it hold up who reads it, until what is given is set."""
+        begun, over = threading.Event(), threading.Event()
+
+        def held_up() -> None:
+            begun.set()
+            over.wait()
+
+        self.events.put(held_up)
+        assert begun.wait(_LIMIT_S), "nobody reads the camera"
+        return over
 
     def unplug(self) -> None:
         """Take it away."""
@@ -144,12 +161,17 @@ class _Stream:
         self._camera.streams.append("close")
 
     def newest(self, limit_s: float) -> Sequence[Capture]:
+        if self._camera.spoils:
+            self._camera.send(is_damaged=True)
         try:
             event = self._camera.events.get(timeout=limit_s)
         except queue.Empty:
             return []
         if isinstance(event, Exception):
             raise event
+        if not isinstance(event, Capture):
+            event()
+            return []
         return [event]
 
 

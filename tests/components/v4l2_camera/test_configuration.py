@@ -14,7 +14,7 @@ from cairn.errors import CairnError
 from components.v4l2_camera.config import ControlsConfig, V4l2StereoCameraConfig
 from components.v4l2_camera.offers import PictureSize, best_format
 from schemas.sensor_msgs import CameraInfo
-from tests.components.v4l2_camera.driving import Driver
+from tests.components.v4l2_camera.driving import Driver, RestartedDriver
 from tests.components.v4l2_camera.fakes import HEIGHT, WIDTH, FakeCameras
 from vision.camera_file import write_camera
 
@@ -125,6 +125,25 @@ def test_a_calibration_of_another_size_is_refused(
         Driver(**stereo)
 
     assert all(camera.opened == 0 for camera in cameras.cameras.values())
+
+
+def test_after_a_restart_cameras_come_late_and_must_be_those_of_the_calibrations(
+    stereo: dict[str, Any], cameras: FakeCameras
+) -> None:
+    both = list(cameras.cameras.values())
+    for camera in both:
+        camera.plugged = False
+        camera.size = (WIDTH, HEIGHT)
+    with RestartedDriver(**stereo) as driver:
+        for camera in both:
+            camera.plug_in()
+        driver.await_values(lambda told: "but the camera gives 64 x 48" in told["message"])
+        for camera in both:
+            camera.size = (160, 120)
+            camera.send(1)
+        info = driver.await_one("right_info")
+
+    assert info.p[3] == pytest.approx(-150 * BASELINE_M)
 
 
 def test_a_size_other_than_was_asked_for_is_told(

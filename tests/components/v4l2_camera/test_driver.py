@@ -161,6 +161,15 @@ def test_a_stream_that_falls_silent_is_started_anew(left: FakeCamera) -> None:
         driver.await_one("left_image")
 
 
+def test_a_stream_of_nothing_but_damaged_pictures_is_started_anew(left: FakeCamera) -> None:
+    left.spoils = True
+    with Driver(**ONE, silence_s=0.2) as driver:
+        driver.await_values(lambda told: int(told["restarts"]) >= 1)
+        left.spoils = False
+        left.send(2)
+        driver.await_one("left_image")
+
+
 def test_a_camera_that_comes_back_is_taken_up_with_the_controls_of_now(left: FakeCamera) -> None:
     with Driver(**ONE, controls={"gain": 20, "exposure_time_absolute": 7}) as driver:
         left.send(1)
@@ -206,15 +215,17 @@ def test_while_the_right_camera_is_away_the_left_one_is_published_alone(
         begin(driver, left, right)
 
 
-def test_controls_are_set_on_both_cameras_or_on_none(left: FakeCamera, right: FakeCamera) -> None:
+@pytest.mark.parametrize("given", [{"gain": 10}, {}])
+def test_controls_are_set_on_both_cameras_or_on_none(
+    left: FakeCamera, right: FakeCamera, given: dict[str, int]
+) -> None:
     right.refused_values.add(66)
-    with Driver(**TWO, controls={"gain": 20}) as driver:
-        driver.set(controls__gain=55)
-        assert (left.values["gain"], right.values["gain"]) == (55, 55)
-
+    with Driver(**TWO, controls=given) as driver:
         with pytest.raises(ParameterRefused, match="/dev/right: set gain = 66"):
             driver.set(controls__gain=66)
 
+        assert (left.values["gain"], right.values["gain"]) == (10, 10)
+        driver.set(controls__gain=55)
         assert (left.values["gain"], right.values["gain"]) == (55, 55)
         with pytest.raises(ParameterRefused, match="gain = 256: the camera takes 0 to 255"):
             driver.set(controls__gain=256)
@@ -279,18 +290,33 @@ def test_a_mistake_in_the_driver_fails_it_and_lets_go_of_the_camera(left: FakeCa
     assert left.opened == 0
 
 
+def test_a_camera_that_hangs_does_not_keep_the_other_one(
+    left: FakeCamera, right: FakeCamera, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("cairn.driver.device_thread._STOP_LIMIT_S", 0.5)
+    with Driver(**TWO) as driver:
+        begin(driver, left, right)
+        over = left.hang()
+        with pytest.raises(CairnError, match="camera left: its thread does not end"):
+            driver.go("deactivate")
+        over.set()
+
+    assert (left.opened, right.opened) == (0, 0)
+    assert right.streams[-1] == "close"
+
+
 def test_cameras_that_make_pairs_are_told_to_be_well(left: FakeCamera, right: FakeCamera) -> None:
     with Driver(**TWO) as driver:
         begin(driver, left, right)
-        driver.values()  # what was until now
+        driver.tell()  # what was until now
         now = time.monotonic_ns()
         left.send(1, taken=now - 2_000_000)
         right.send(2, taken=now)
         driver.await_one("right_image", lambda image: level(image) == 2)
-        told = driver.values(2)
+        driver.tell()
+        told = [message.status[2] for message in driver.taken("diagnostics")]
 
-    assert told["level"] == str(OK)
-    assert told["message"] == "right +2.00 ms after left"
+    assert (OK, "right +2.00 ms after left") in {(one.level, one.message) for one in told}
 
 
 def begin(driver: Driver, left: FakeCamera, right: FakeCamera) -> None:

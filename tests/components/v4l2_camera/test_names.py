@@ -43,6 +43,11 @@ class Computer:
         (node / "device").symlink_to(device)
         (self.sysfs / node.name).symlink_to(node)
 
+    def unplug_half(self, node: str) -> None:
+        """Take a camera away whose entry is still there, but cannot be read any more."""
+        (self.sysfs / node / "name").unlink()
+        (self.sysfs / node / "name").mkdir()
+
     def find(self, name: str) -> str:
         """The node's name of a camera."""
         return find_camera(name, self.sysfs).name
@@ -87,6 +92,18 @@ def test_a_camera_that_is_not_there_is_told_with_those_that_are(computer: Comput
 
     with pytest.raises(LinkLost, match=r"name:X: there is no such camera; there are: .*video0"):
         computer.find("name:X")
+
+
+def test_a_camera_that_is_unplugged_while_cameras_are_looked_at_is_not_there(
+    computer: Computer,
+) -> None:
+    computer.plug_in("1-1", "Going", "046d:0825", nodes=1)
+    computer.plug_in("1-2", "Staying", "046d:0826")
+    computer.unplug_half("video0")
+
+    assert computer.find("name:Staying") == "video1"
+    with pytest.raises(LinkLost, match="name:Going: there is no such camera"):
+        computer.find("name:Going")
 
 
 def test_nodes_are_told_in_order_of_their_numbers(computer: Computer) -> None:

@@ -1,5 +1,7 @@
 """Grey levels are those that the camera sent; what is no whole picture is refused."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 import simplejpeg
@@ -108,6 +110,19 @@ def test_damaged_mjpg_is_refused(data: bytes, what: str) -> None:
 def test_mjpg_of_another_size_is_refused() -> None:
     with pytest.raises(DamagedPicture, match="it is 64 x 48 pixels, not 32 x 48"):
         PictureLayout(32, HEIGHT, "MJPG").grey(jpeg())
+
+
+def test_memory_is_not_taken_for_a_size_that_damage_has_made() -> None:
+    size = HEIGHT.to_bytes(2, "big") + WIDTH.to_bytes(2, "big")
+    assert jpeg().count(size) == 1
+
+    tracemalloc.start()
+    with pytest.raises(DamagedPicture, match="it is 9999 x 9999 pixels, not 64 x 48"):
+        PictureLayout(WIDTH, HEIGHT, "MJPG").grey(jpeg().replace(size, b"\x27\x0f" * 2))
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+
+    assert most < 1_000_000
 
 
 @settings(deadline=None, max_examples=50, suppress_health_check=[HealthCheck.too_slow])
