@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -10,8 +11,15 @@ import pytest
 
 from cairn.testing.bench import Bench, settings
 from cairn.testing.device import Located, Routed
+from cairn.testing.end_contract import EndContract
 from cairn.testing.launching import Launching, launching
 from cairn.testing.robot import Robot
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Have the tests that end a class's deployment come last: the next would need it anew."""
+    classes = groupby(items, key=lambda item: item.getparent(pytest.Class))
+    items[:] = [item for _, tests in classes for item in sorted(tests, key=_ends)]
 
 
 @pytest.fixture
@@ -60,3 +68,7 @@ def bench(
         folder, contract.deployment, words, robot=contract.robot_name, connect=connect
     ) as bench:
         yield bench
+
+
+def _ends(item: pytest.Item) -> bool:
+    return isinstance(item, pytest.Function) and hasattr(EndContract, item.originalname)

@@ -32,7 +32,7 @@ START_LIMIT_S = 90.0
 
 _STATUS = "component_status"
 _REQUEST_S = 15.0
-_SETTLE_S = 5.0
+_SETTLE_S = 20.0
 
 
 class Robot:

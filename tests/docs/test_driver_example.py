@@ -14,8 +14,6 @@ from typing import Any
 
 import pytest
 
-pytestmark = pytest.mark.realtime
-
 ROOT = Path(__file__).parents[2]
 EXAMPLE = ROOT / "docs" / "driver-example"
 PAGE = "docs/testing-drivers.md"
@@ -61,6 +59,7 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Environment:
     return Environment(folder)
 
 
+@pytest.mark.realtime
 @pytest.mark.timeout(300)
 def test_the_drivers_tests_pass_where_only_wheels_are(installed: Environment) -> None:
     done = installed.run("python", "-m", "pytest", "-q", "-p", "no:cacheprovider", "tests")
@@ -68,6 +67,7 @@ def test_the_drivers_tests_pass_where_only_wheels_are(installed: Environment) ->
     assert re.search(r"^\d+ passed in", done, re.MULTILINE), done
 
 
+@pytest.mark.realtime  # as the other, so that both share an environment
 def test_the_driver_is_found_there_by_its_name(installed: Environment) -> None:
     assert "Measures ranges with a Lantern" in installed.run("cairn", "plugins", "lantern_scanner")
     assert "no problem: scanner" in installed.run("cairn", "check", "deploy/lantern.yaml")

@@ -1,10 +1,14 @@
-"""The driver keeps the contract of a range scanner."""
+"""The driver keeps the contract of a range scanner, and what that cannot know of this device."""
 
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from cairn.testing.reading import Reading
+from cairn.testing.robot import Robot
 from cairn.testing.scanner_contract import RangeScannerContract
+from schemas.diagnostic_msgs import DiagnosticArray
+from schemas.sensor_msgs import LaserScan
 
 from emulated import SURROUNDINGS, Lantern, plugged_in
 
@@ -20,3 +24,36 @@ class TestLantern(RangeScannerContract):
     def device(cls, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Lantern]:
         with plugged_in(tmp_path_factory.mktemp("line")) as lantern:
             yield lantern
+
+    def test_damaged_lines_are_counted_and_never_published(
+        self, device: Lantern, robot: Robot, output: Reading[LaserScan]
+    ) -> None:
+        output.await_count(3)
+        with robot.read("diagnostics", DiagnosticArray) as told:
+            before = damaged(told.await_count(1)[0].message)
+            device.emulation.spoil("bad_sum", 5)
+            told.await_that(
+                lambda arrivals: any(damaged(one.message) >= before + 5 for one in arrivals),
+                "five damaged lines more",
+            )
+        output.await_count(3, after=output.count)
+
+        ranges = [reading for scan in output.messages for reading in scan.ranges if reading < 10]
+        assert min(ranges) > 0.98
+        assert max(ranges) < 3.02
+
+    def test_a_device_that_hangs_is_told_and_comes_back(
+        self, device: Lantern, robot: Robot, output: Reading[LaserScan]
+    ) -> None:
+        output.await_count(3)
+        said = len(robot.run.lines)
+        device.emulation.hang()
+        robot.run.await_line("no turn for 1 s", after=said)
+        device.emulation.hang(0.0)
+        output.await_count(3, after=output.count)
+
+
+def damaged(message: DiagnosticArray) -> int:
+    """How many damaged lines are told."""
+    values = {entry.key: entry.value for entry in message.status[0].values}
+    return int(values["damaged lines"])

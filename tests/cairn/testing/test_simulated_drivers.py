@@ -1,4 +1,7 @@
-"""The simulated drivers keep the contracts, all in one deployment."""
+"""The simulated drivers keep the contracts, all in one deployment: what they tell, and their lives.
+
+Their messages are judged by a robot's clock, so that these tests run beside no others.
+"""
 
 import math
 from collections.abc import Iterator
@@ -6,17 +9,14 @@ from pathlib import Path
 
 import pytest
 
-from cairn.testing.base_contract import BaseContract
+from cairn.testing.base_contract import SafetyContract
 from cairn.testing.bench import Bench, settings
 from cairn.testing.camera_contract import PicturesContract
 from cairn.testing.driver_contract import LifeCycleContract, ParametersContract
 from cairn.testing.end_contract import StopContract
-from cairn.testing.reading import Arrival, Reading
-from cairn.testing.robot import Robot
 from cairn.testing.scanner_contract import ScanContract
-from schemas.cairn_sim_msgs import WorldState
-
-pytestmark = pytest.mark.realtime
+from schemas.nav_msgs import Odometry
+from schemas.sensor_msgs import CameraInfo, LaserScan
 
 WORLD = Path(__file__).parents[3] / "deploy" / "worlds" / "room.yaml"
 DEPLOYMENT = """
@@ -43,52 +43,36 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
         yield bench
 
 
-class TestScanner(StopContract, LifeCycleContract, ParametersContract, ScanContract):
+@pytest.mark.realtime
+class TestScans(ScanContract):
     rate_hz = 20.0
     # It stands in a corner of the room, a metre from the wall on its right.
     surroundings = {math.radians(-90.0): 1.0}
 
 
-class TestCamera(StopContract, LifeCycleContract, ParametersContract, PicturesContract):
+@pytest.mark.realtime
+class TestPictures(PicturesContract):
     rate_hz = 10.0
-    live_parameters = {"sensor.gain": 2.0}
 
 
-class TrueWheels:
-    """The wheels of the simulated base, by what the world knows. A device as the contracts know it.
-
-    The world tells true speeds with each state, and goes on telling them while no wheel turns.
-    """
-
-    def __init__(self, states: Reading[WorldState]) -> None:
-        self._states = states
-
-    def turns(self) -> bool:
-        before = self._states.count
-        return not _stands(self._states.await_count(1, after=before)[0])
-
-    def await_stand(self, limit_s: float) -> bool:
-        try:
-            self._states.await_that(
-                lambda arrivals: any(map(_stands, arrivals)),
-                "wheels that stand",
-                after=self._states.count,
-                limit_s=limit_s,
-            )
-        except AssertionError:
-            return False
-        return True
-
-
-def _stands(state: Arrival[WorldState]) -> bool:
-    return math.hypot(state.message.forward, state.message.turn) < 0.001
-
-
-class TestBase(BaseContract):
+@pytest.mark.realtime
+class TestDrive(SafetyContract):
     rate_hz = 50.0
     top_speed = 0.6
 
-    @pytest.fixture
-    def device(self, robot: Robot) -> Iterator[TrueWheels]:
-        with robot.read("world_state", WorldState) as states:
-            yield TrueWheels(states)
+
+class Life(StopContract, LifeCycleContract, ParametersContract):
+    cycles = 6
+
+
+class TestScannersLife(Life):
+    component, port, message, rate_hz = "scanner", "scan", LaserScan, 20.0
+
+
+class TestCamerasLife(Life):
+    component, port, message, rate_hz = "camera", "left_info", CameraInfo, 10.0
+    live_parameters = {"sensor.gain": 2.0}
+
+
+class TestBasesLife(Life):
+    component, port, message, rate_hz = "base", "odom", Odometry, 50.0

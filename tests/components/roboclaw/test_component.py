@@ -1,4 +1,4 @@
-"""The driver in a process of its own: a square, and wheels that stop whatever becomes of it."""
+"""The driver in a process of its own: the contract, a square, wheels that stop in any case."""
 
 import math
 import os
@@ -9,6 +9,7 @@ from contextlib import ExitStack
 
 import pytest
 
+from cairn.testing.base_contract import BaseContract
 from cairn.testing.bench import Bench, settings
 from cairn.testing.robot import Robot
 from planar.messages import planar_pose
@@ -40,6 +41,11 @@ def bench(base: EmulatedBase, tmp_path_factory: pytest.TempPathFactory) -> Itera
 @pytest.fixture
 def robot(bench: Bench) -> Robot:
     return bench.robot("base")
+
+
+@pytest.fixture(scope="module")
+def device(base: EmulatedBase) -> EmulatedBase:
+    return base
 
 
 def test_a_square_by_odometry_is_the_square_of_the_wheels(robot: Robot, base: EmulatedBase) -> None:
@@ -171,3 +177,11 @@ def test_it_tells_of_battery_and_health(robot: Robot, base: EmulatedBase) -> Non
     assert told["temperature [deg C]"] == "31.5"
     assert told["errors"] == told["wheel fault"] == "none"
     assert float(told["rate [Hz]"]) > 0.0
+
+
+class TestRoboclawBase(BaseContract):
+    rate_hz = 40.0
+    top_speed = 0.8
+    turn = 1.0
+    stop_limit_s = 2.5  # the controller's own time limit is 1 s
+    cycles = 6

@@ -13,8 +13,6 @@ from cairn.testing.driver_contract import ParametersContract
 from cairn.testing.end_contract import UnplugContract
 from tests.components.v4l2_camera.emulated import RATE
 
-pytestmark = pytest.mark.realtime
-
 
 class Cables:
     """Two cameras, plugged in while their files are there."""
