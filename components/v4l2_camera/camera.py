@@ -77,6 +77,7 @@ class Camera:
         # Whoever adjusts the camera must not meet one that is being closed.
         self._opening = threading.Lock()
         self._rate = RateWindow()
+        self._rating = threading.Lock()  # others ask for the rate while pictures come
         self.setup: Setup | None = None
         self.identity = settings.device
         self.node = Path(settings.device)
@@ -127,7 +128,8 @@ class Camera:
 
     def rate(self) -> float:
         """Pictures a second now."""
-        return self._rate.hz(time.monotonic())
+        with self._rating:
+            return self._rate.hz(time.monotonic())
 
     def converse(self, stopping: threading.Event) -> None:
         """Read pictures until `stopping` is set; raises `DeviceError` if the device fails."""
@@ -140,7 +142,8 @@ class Camera:
             raise
         finally:
             self.is_streaming = False
-            self._rate.restart()
+            with self._rating:
+                self._rate.restart()
 
     def _undo(self, wanted: dict[str, int], former: _Values) -> None:
         with self._opening:
@@ -263,7 +266,8 @@ class Camera:
         self.latency_s = 1e-9 * (arrived - stamp)
         self.stamps_begin = newest.at_start
         counts.pictures += 1
-        self._rate.note(1e-9 * arrived)
+        with self._rating:
+            self._rate.note(1e-9 * arrived)
         if not self.is_streaming:
             self.is_streaming = True
             self._complaints.over("stream", f"{self._settings.device}: pictures come again")

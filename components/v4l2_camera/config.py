@@ -18,7 +18,6 @@ _Value = Annotated[int, Field(ge=-(2**31), le=2**32 - 1)]
 _Setting = _Value | None
 _Camera = Annotated[str, NamesDevice(find_camera)]
 
-CameraName = Annotated[str, NamesDevice(find_camera)]
 _HOW = "path, name:NAME, usb:VENDOR:PRODUCT[:SERIAL] or port:PORT"
 
 

@@ -15,7 +15,7 @@ _OFTEN = 2.0
 
 @dataclass
 class Counts:
-    """Counts since the camera was activated. One thread counts, others only look.
+    """Counts since the camera was configured. One thread counts, others only look.
 
     `pictures` were handed on; `lost` are missing in the kernel's numbers; `skipped` gave way to a
     newer one that had come as well; `marked` were damaged as the driver said, `short` had too few

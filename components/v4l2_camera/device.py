@@ -32,12 +32,11 @@ S = TypeVar("S", bound=ctypes.Structure)
 class Setup:
     """What a camera agreed to: how pictures are laid out, and how many a second come.
 
-    `rate` is 0 where the camera does not tell it. `size` [bytes] is the most that a picture takes.
+    `rate` is 0 where the camera does not tell it.
     """
 
     layout: PictureLayout
     rate: float
-    size: int
 
 
 class VideoDevice:
@@ -147,7 +146,7 @@ class VideoDevice:
                 f"it has {', '.join(self.formats())}: choose another format or size"
             )
         layout = PictureLayout(pix.width, pix.height, got, pix.bytesperline)
-        return Setup(layout, self._set_rate(rate), pix.sizeimage)
+        return Setup(layout, self._set_rate(rate))
 
     def controls(self) -> dict[str, Control]:
         """Its controls that have a number as value, by plain name."""

@@ -13,10 +13,8 @@ from typing import Final
 
 IS_64_BIT: Final = ctypes.sizeof(c_void_p) == 8
 
-CAPTURE: Final = 1
-"""V4L2_BUF_TYPE_VIDEO_CAPTURE"""
-MMAP: Final = 1
-"""V4L2_MEMORY_MMAP"""
+CAPTURE: Final = 1  # V4L2_BUF_TYPE_VIDEO_CAPTURE
+MMAP: Final = 1  # V4L2_MEMORY_MMAP
 FIELD_NONE: Final = 1
 """V4L2_FIELD_NONE: whole pictures, not interlaced ones."""
 
@@ -40,7 +38,6 @@ CTRL_TYPE_INTEGER_MENU: Final = 9
 CTRL_FLAG_DISABLED: Final = 0x0001
 CTRL_FLAG_READ_ONLY: Final = 0x0004
 CTRL_FLAG_INACTIVE: Final = 0x0010
-CTRL_FLAG_VOLATILE: Final = 0x0080
 CTRL_FLAG_NEXT_CTRL: Final = 0x80000000
 
 DISCRETE: Final = 1

@@ -125,7 +125,7 @@ class FakeDevice:
         return [PictureSize(WIDTH, HEIGHT, (RATE,))]
 
     def set_up(self, name: str, width: int, height: int, rate: float) -> Setup:
-        return Setup(PictureLayout(*self.camera.size, name), RATE, WIDTH * HEIGHT)
+        return Setup(PictureLayout(*self.camera.size, name), RATE)
 
     def controls(self) -> dict[str, Control]:
         return {
