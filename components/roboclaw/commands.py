@@ -22,6 +22,9 @@ TIMEOUT_STEP_S = 0.1
 
 LONGEST_TIMEOUT_S = 25.5
 
+HIGHEST_ACCELERATION = 2**32 - 1
+"""What command 40 can be given [counts/s^2]."""
+
 LONGEST_VERSION = 48
 """The version's text has up to so many bytes, the last two are LF and NUL (command 21)."""
 

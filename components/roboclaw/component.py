@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 
 from cairn.bus.qos import RELIABLE, SENSOR
@@ -17,9 +18,10 @@ from cairn.errors import CairnError
 from components.roboclaw.commanding import LatestCommand
 from components.roboclaw.config import RoboclawBaseConfig
 from components.roboclaw.driving import Driving, Step
-from components.roboclaw.health import Health
+from components.roboclaw.health import Health, RetryShare
 from components.roboclaw.lines import open_line
 from components.roboclaw.messages import (
+    AWAITS_REST,
     battery_message,
     diagnostics_message,
     odometry_message,
@@ -63,9 +65,9 @@ class RoboclawBase(Component):
         config = self.config
         self._odometry = WheelOdometry(config.odometry_errors())
         self._speed = RecentSpeed()
-        self._complaints = Complaints(self.log)
         self._command = LatestCommand(config.command_timeout_s)
         self._health = Health()
+        self._retries = RetryShare()
         self._rate = RateWindow()
         self._driving = Driving(
             config.drive_settings(),
@@ -87,6 +89,7 @@ class RoboclawBase(Component):
         What the wheels have turned meanwhile is found in their counters.
         """
         self._command.forget()
+        self._complaints = Complaints(self.log)
         self._health.fault, self._health.trouble = None, "it is not connected yet"
         thread = DeviceThread(
             f"{self.name}: RoboClaw",
@@ -130,11 +133,12 @@ class RoboclawBase(Component):
                 self.name,
                 self.config.port,
                 health,
+                self._retries.since_last(health.counts),
                 self._rate.hz(time.monotonic()),
                 self.config.rate,
             )
         )
-        if health.trouble is None:
+        if health.trouble is None and not math.isnan(health.voltage):
             self.battery_state.publish(battery_message(now, health))
         self._complain()
 
@@ -157,7 +161,11 @@ class RoboclawBase(Component):
             what = ", ".join(health.status.errors)
             self._complaints.tell("status", f"the RoboClaw does not drive: {what}")
         else:
-            self._complaints.over("status", "the RoboClaw drives again, once commanded anew")
+            self._complaints.over("status", "the RoboClaw can drive again")
+        if health.awaits_rest and not health.status.errors:
+            self._complaints.tell("rest", AWAITS_REST)
+        else:
+            self._complaints.over("rest", "the base goes where it is commanded again")
 
     def _ready(self, ready: Ready) -> None:
         if self._thread is not None:

@@ -50,8 +50,8 @@ class RoboclawBaseConfig(Config):
     )
     speed: float = Field(0.6, gt=0, le=5, description="Fastest [m/s].")
     turn: float = Field(1.5, gt=0, le=10, description="Fastest turn [rad/s].")
-    acceleration: float = Field(0.8, gt=0, le=20, description="Acceleration [m/s^2].")
-    turn_acceleration: float = Field(3.0, gt=0, le=50, description="Of turns [rad/s^2].")
+    acceleration: float = Field(0.8, ge=0.05, le=20, description="Acceleration [m/s^2].")
+    turn_acceleration: float = Field(3.0, ge=0.1, le=50, description="Of turns [rad/s^2].")
     rate: float = Field(
         50.0, ge=10, le=100, description="How often wheels are ordered and encoders read [Hz]."
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections.abc import Callable
@@ -25,6 +26,7 @@ _LONGEST_STAND_S = 3.0  # shorter than its supervisor waits for it to stop
 _LONGEST_STEP_S = 0.2  # a longer pause between two readings says nothing of speeds
 _SHORTEST = 0.6  # of a period, between two readings of the encoders [1]
 _FASTER_THAN_POSSIBLE = 2.0  # times the speed at full power: the counter did not count this
+_AT_ZERO = 0.02  # [m]: counters that are so near to 0 have begun anew, unless they were before
 
 
 @dataclass(frozen=True)
@@ -80,10 +82,9 @@ class Driving:
         self._on_ready = on_ready
         self._on_step = on_step
         self._watch = WheelWatch(settings.watch)
-        self._pause = threading.Event()  # never set
         self._last: Counted | None = None
         self._twist: Pair = STILL
-        self._await_rest = False
+        self._unjudged_until = -math.inf
 
     def look(self) -> Ready:
         """See that the RoboClaw is there and can be used; raises `CairnError`."""
@@ -120,14 +121,34 @@ class Driving:
         self._twist = STILL
         self._order_still(dialogue)
         ready = self._set_up(dialogue)
-        if not ready.kept_power:
-            self._last = None
+        if not (ready.kept_power and self._counters_went_on(encoders)):
+            self._lost_power()
         self._stand(dialogue, encoders)
         self._watch.forget()
         health = self._health
         health.version, health.trouble = ready.version, None
         health.connections += 1
         return ready
+
+    def _counters_went_on(self, encoders: EncoderReader) -> bool:
+        """Whether the counters are still those of before.
+
+        The serial timeout alone does not tell: it may have been saved among the settings.
+        """
+        return self._last is None or self._at_zero(self._last) or not self._at_zero(encoders.read())
+
+    def _at_zero(self, counted: Counted) -> bool:
+        ways = self._settings.geometry.wheel_ways(*counted.from_zero())
+        return max(map(abs, ways)) < _AT_ZERO
+
+    def _lost_power(self) -> None:
+        """Where the wheels have turned meanwhile nobody knows; and it must not set off by itself.
+
+        It may have been an emergency stop that took its power, and has been released.
+        """
+        if self._last is not None:  # else it has just been connected
+            self._health.awaits_rest = True
+        self._last = None
 
     def _set_up(self, dialogue: Dialogue) -> Ready:
         settings = self._settings
@@ -156,6 +177,7 @@ class Driving:
                 # The RoboClaw may have stopped the wheels meanwhile, and commands are old.
                 self._twist = STILL
                 self._command.doubt(began)
+                self._unjudged_until = began + self._settings.limits.slowing_s
             asked = self._order(dialogue, ready, began, min(began - before, 2.0 * period))
             step = self._measure(encoders, ready)
             self._on_step(step)  # at once: the line may fail, and the step is counted
@@ -191,11 +213,11 @@ class Driving:
         """
         wanted = self._command.take(now)
         if self._health.status.errors:
-            self._await_rest = True
+            self._health.awaits_rest = True
             self._twist = STILL
         elif wanted == STILL:
-            self._await_rest = False
-        return STILL if self._await_rest else wanted
+            self._health.awaits_rest = False
+        return STILL if self._health.awaits_rest else wanted
 
     def _measure(self, encoders: EncoderReader, ready: Ready) -> Step:
         now = encoders.read()
@@ -207,7 +229,7 @@ class Driving:
         possible = _FASTER_THAN_POSSIBLE * ready.fastest_wheel * seconds + 0.05
         self._last = now
         if max(map(abs, ways)) > possible:
-            self._last = None
+            self._lost_power()
             raise DeviceError(
                 f"the encoder counts jumped by {first} and {second} within {seconds:.3f} s: the "
                 "RoboClaw was switched off and on, or another program resets them"
@@ -218,7 +240,8 @@ class Driving:
     def _judge(self, dialogue: Dialogue, asked: Pair, step: Step) -> None:
         if self._health.fault is not None:
             return
-        if self._health.status.errors or not 0.0 < step.seconds < _LONGEST_STEP_S:
+        excused = self._health.status.errors or step.at < self._unjudged_until
+        if excused or not 0.0 < step.seconds < _LONGEST_STEP_S:
             self._watch.forget()
             return
         geometry = self._settings.geometry
@@ -231,8 +254,7 @@ class Driving:
         """Have the wheels stand still, and see that they do."""
         settings = self._settings
         period = 1.0 / settings.rate_hz
-        slowing = settings.limits.speed / settings.limits.acceleration
-        limit_s = min(slowing + _STAND_S, _LONGEST_STAND_S)
+        limit_s = min(settings.limits.slowing_s + _STAND_S, _LONGEST_STAND_S)
         until = time.monotonic() + limit_s
         before = encoders.read()
         still = 0
@@ -244,7 +266,7 @@ class Driving:
                     "being told to; the motors are switched off"
                 )
             self._order_still(dialogue)
-            self._pause.wait(period)
+            time.sleep(period)  # also when it is to end: the wheels come first
             now = encoders.read()
             ways = settings.geometry.wheel_ways(*now.since(before))
             still = still + 1 if max(map(abs, ways)) <= _STANDS_BELOW * (now.at - before.at) else 0
@@ -260,4 +282,5 @@ class Driving:
         """Of any wheel at most [counts/s^2]; the speeds sent are those of a slower ramp already."""
         settings, geometry = self._settings, self._settings.geometry
         most = settings.limits.wheel_acceleration(geometry.separation)
-        return max(abs(counts) for counts in geometry.channel_counts(most, most))
+        counts = max(abs(counts) for counts in geometry.channel_counts(most, most))
+        return min(max(counts, 1), commands.HIGHEST_ACCELERATION)

@@ -29,6 +29,11 @@ class Counted:
         first, second = (counted(a, b) for a, b in zip(before.counts, self.counts, strict=True))
         return first, second
 
+    def from_zero(self) -> tuple[int, int]:
+        """How far both are from 0, where they begin when the RoboClaw is switched on."""
+        first, second = (counted(0, count) for count in self.counts)
+        return first, second
+
 
 class EncoderReader:
     """Reads both counters in one packet.

@@ -29,8 +29,23 @@ class Health:
     """What was wrong with a wheel; from then on the motors are off."""
     trouble: str | None = "it is not connected yet"
     """Why there is no conversation; None if there is one."""
+    awaits_rest: bool = False
+    """Whether the command has to be rest, or to cease, once before the wheels turn again."""
     connections: int = 0
     counts: DialogueCounts = field(default_factory=DialogueCounts)
+
+
+class RetryShare:
+    """Which share of the packets had to be sent again lately."""
+
+    def __init__(self) -> None:
+        self._packets = self._retries = 0
+
+    def since_last(self, counts: DialogueCounts) -> float:
+        """Of those since this was asked last [1]."""
+        packets, retries = counts.packets - self._packets, counts.retries - self._retries
+        self._packets, self._retries = counts.packets, counts.retries
+        return retries / packets if packets else 0.0
 
 
 def asking(dialogue: Dialogue, health: Health, timeout_s: float) -> tuple[Callable[[], None], ...]:

@@ -77,6 +77,11 @@ class Limits:
     acceleration: float
     turn_acceleration: float
 
+    @property
+    def slowing_s(self) -> float:
+        """The longest that slowing down to rest takes [s]."""
+        return max(self.speed / self.acceleration, self.turn / self.turn_acceleration)
+
     def wheel_acceleration(self, separation: float) -> float:
         """The most that a wheel is ever asked for [m/s^2]."""
         return self.acceleration + 0.5 * separation * self.turn_acceleration

@@ -19,7 +19,11 @@ from schemas.std_msgs import Header
 _ODOM, _BASE = "odom", "base_link"  # frames
 _FORWARD, _TURN = 0, 35  # where their variances stand in a row-major 6 x 6
 _SLOW = 0.8  # of the nominal rate: slower is told
-_RETRIED = 0.02  # of all packets: more is told
+_RETRIED = 0.02  # of the packets lately: more is told
+
+AWAITS_REST = (
+    "the motors were off: the base stands until the command has been rest, or has ceased, once"
+)
 
 
 def odometry_message(
@@ -58,10 +62,14 @@ def battery_message(stamp: int, health: Health) -> BatteryState:
 
 
 def diagnostics_message(
-    now: int, name: str, port: str, health: Health, rate: float, nominal: float
+    now: int, name: str, port: str, health: Health, retried: float, rate: float, nominal: float
 ) -> DiagnosticArray:
-    """How the controller is; `rate`: of the odometry [Hz], against the nominal one."""
-    level, message = _judged(health, rate, nominal)
+    """How the controller is.
+
+    `retried`: the share of packets sent again lately [1]; `rate`: of the odometry [Hz], against
+    the nominal one.
+    """
+    level, message = _judged(health, retried, rate, nominal)
     counts = health.counts
     values = {
         "port": port,
@@ -83,7 +91,7 @@ def diagnostics_message(
     return diagnostics(now, name, health.version, level, message, values)
 
 
-def _judged(health: Health, rate: float, nominal: float) -> tuple[int, str]:
+def _judged(health: Health, retried: float, rate: float, nominal: float) -> tuple[int, str]:
     if health.trouble is not None:
         return ERROR, health.trouble
     if health.fault is not None:
@@ -94,6 +102,8 @@ def _judged(health: Health, rate: float, nominal: float) -> tuple[int, str]:
         return WARN, f"the RoboClaw warns: {', '.join(health.status.warnings)}"
     if rate < _SLOW * nominal:
         return WARN, f"the odometry comes at {rate:.1f} Hz instead of {nominal:g} Hz"
-    if health.counts.retries > _RETRIED * health.counts.packets:
+    if health.awaits_rest:
+        return WARN, AWAITS_REST
+    if retried > _RETRIED:
         return WARN, "many packets have to be sent again: see to cable, ground and baud"
     return OK, "drives"

@@ -14,6 +14,7 @@ from components.roboclaw.kinematics import counted
 from components.roboclaw.lines import open_line
 
 _TIMEOUT_S = 0.3  # while motors turn
+_REPLY_S = 0.25  # for a reply: here a person waits, and no wheel turns by what is late
 _LOOK_S = 0.05
 _SLOWING_S = 0.5  # for a motor to come to rest, before the next one
 
@@ -23,7 +24,7 @@ def talking(port: str, baud: int, address: int) -> Iterator[Dialogue]:
     """A dialogue with the RoboClaw there; raises `DeviceError`."""
     link = open_line(port, baud)
     try:
-        yield Dialogue(link, address, baud, DialogueCounts())
+        yield Dialogue(link, address, baud, DialogueCounts(), reply_limit_s=_REPLY_S)
     finally:
         link.close()
 

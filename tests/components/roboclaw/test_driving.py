@@ -47,9 +47,15 @@ class Driven:
             self._command,
             self.health,
             on_ready=self.ready.append,
-            on_step=self.steps.append,
+            on_step=self._note,
         )
         self._thread = self._new_thread()
+        self._hold_up_s = 0.0
+        self.held_up = False
+
+    def hold_up(self, seconds: float) -> None:
+        """Have the conversation make a pause, as on a computer that is busy."""
+        self.held_up, self._hold_up_s = False, seconds
 
     def command(self, forward: float, turn: float = 0.0) -> None:
         self._wanted = (forward, turn)
@@ -77,6 +83,12 @@ class Driven:
             on_trouble=self.trouble.append,
             on_failure=self.failures.append,
         )
+
+    def _note(self, step: Step) -> None:
+        self.steps.append(step)
+        if self._hold_up_s:
+            time.sleep(self._hold_up_s)
+            self.held_up, self._hold_up_s = True, 0.0
 
     def _give(self) -> None:
         while not self._over.wait(0.02):
@@ -156,14 +168,7 @@ def test_an_emergency_stop_that_is_released_does_not_set_the_base_off(base: Emul
         assert base.await_stand(1.0)
         base.device.controller.emergency_stop = False
         driven.await_that(lambda: not driven.health.status.errors)
-        count = len(driven.steps)
-        driven.await_that(lambda: len(driven.steps) > count + 20)
-        assert not base.turns()
-
-        driven.command(0.0)  # the commander has seen it: now it may
-        driven.await_that(lambda: len(driven.steps) > count + 40)
-        driven.drive()
-        assert driven.health.fault is None
+        sees_that_it_does_not_set_off_by_itself(driven)
 
 
 def test_over_current_is_a_warning_by_name(base: EmulatedBase) -> None:
@@ -185,7 +190,51 @@ def test_a_controller_that_lost_power_is_set_up_anew(base: EmulatedBase) -> None
         assert "switched off and on" in str(driven.trouble[0])
         assert base.device.controller.timeout_s == 1.0
         assert 0.0 < way(driven) < 2.0, "the counters' jump was taken for a way"
-        driven.drive()
+        sees_that_it_does_not_set_off_by_itself(driven)
+
+
+def test_one_that_lost_power_is_known_by_its_counters_if_its_settings_were_saved(
+    base: EmulatedBase,
+) -> None:
+    with Driven(base) as driven:
+        driven.drive(0.5)
+        driven.await_that(lambda: way(driven) > 0.1)
+        before = way(driven)
+        base.unplug()
+        assert base.await_stand(3.0)
+        base.emulation.ask(base.device.controller.power_cycle)
+        base.device.controller.timeout_s = 1.0  # as saved
+        base.plug_in()
+        driven.await_that(lambda: len(driven.ready) == 2)
+
+        assert driven.ready[1].kept_power
+        assert way(driven) >= before, "that the counters began anew was taken for a way back"
+        sees_that_it_does_not_set_off_by_itself(driven)
+
+
+def sees_that_it_does_not_set_off_by_itself(driven: Driven) -> None:
+    """An emergency stop may have taken its power; once commanded to rest, it may go."""
+    count = len(driven.steps)
+    driven.await_that(lambda: len(driven.steps) > count + 20)
+    assert not driven.base.turns()
+    assert driven.health.awaits_rest
+
+    driven.command(0.0)
+    driven.await_that(lambda: not driven.health.awaits_rest)
+    driven.drive()
+    assert driven.health.fault is None
+
+
+def test_wheels_that_slow_down_after_it_was_held_up_do_not_run_away(base: EmulatedBase) -> None:
+    with Driven(base, acceleration=0.8, turn_acceleration=0.5, speed=0.8) as driven:
+        driven.drive(0.8)
+        driven.hold_up(0.6)  # not for so long that the controller stops the wheels
+        driven.await_that(lambda: driven.held_up)
+        assert base.device.timeouts == 0
+        driven.command(0.0)
+
+        assert base.await_stand(3.0)
+        assert driven.health.fault is None
 
 
 def test_over_an_unplugging_the_way_goes_on_with_the_counters(base: EmulatedBase) -> None:
