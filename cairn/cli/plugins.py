@@ -67,7 +67,13 @@ def _show_one(reference: str, *, as_json: bool) -> None:
     show(ports, ("port", "direction", "type", "qos"), as_json=False, nothing="no ports")
     line("")
     shown = ("parameter", "default", "bounds", "description")
-    show(parameters, shown, as_json=False, nothing="no parameters")
+    told = [row | {"default": _told(row["default"])} for row in parameters]
+    show(told, shown, as_json=False, nothing="no parameters")
+
+
+def _told(default: object) -> object:
+    """A default as it is: a table's figures have two places, which is no resolution [rad]."""
+    return f"{default:.7g}" if isinstance(default, float) else default
 
 
 def _plain(parameters: list[dict[str, Any]]) -> list[dict[str, Any]]:

@@ -85,7 +85,8 @@ def bounds(field: FieldInfo) -> str:
             limit = getattr(constraint, attribute, None)
             if limit is not None:
                 one = attribute == "min_length" and limit == 1
-                found.append("not empty" if one else f"{sign} {limit}")
+                told = f"{limit:.7g}" if isinstance(limit, float) else limit
+                found.append("not empty" if one else f"{sign} {told}")
     return ", ".join(found)
 
 

@@ -49,8 +49,10 @@ class Outbox:
         """Throw away what waits."""
         self._frames.clear()
 
-    def add(self, frames: list[bytes], baud: int | None) -> None:
+    def add(self, frames: list[bytes], baud: int | None, now: float) -> None:
         """Have frames sent at a speed [bit/s]; nobody gets them if nobody is there."""
+        if not self._frames:
+            self.free_at = max(self.free_at, now)  # what an idle line might have sent is lost
         for data in frames:
             waiting = sum(len(frame.data) for frame in self._frames)
             if waiting < _BUFFER and self._end.writable() is not None:

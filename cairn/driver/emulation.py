@@ -231,7 +231,7 @@ class Emulation:
         if not self._outbox and self._end.writable() is not None:
             baud = self._device.baud()
             self._end.set_baud(baud)
-            self._outbox.add(self._device.tick(now), baud)
+            self._outbox.add(self._device.tick(now), baud, now)
         self._outbox.flush(now)
 
     def _wait(self) -> None:
@@ -272,7 +272,7 @@ class Emulation:
             self._device.hung_up(now)
         elif data and now >= self._hanging_until and self._understood(baud):
             self.bytes_heard += len(data)
-            self._outbox.add(self._device.receive(data, now), baud)
+            self._outbox.add(self._device.receive(data, now), baud, now)
 
     def _understood(self, baud: int | None) -> bool:
         spoken = self._end.baud()

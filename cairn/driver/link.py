@@ -17,9 +17,11 @@ from cairn.driver.ports import find_port, is_paced
 
 _CHUNK = 65536
 _KNOWN = {
-    errno.EAGAIN: "another program has it open",
+    errno.EAGAIN: "another program has it open, as `cairn doctor` tells",
     errno.EACCES: "permission denied; the user lacks the group of the device, as `cairn doctor` "
     "tells",
+    errno.ENOTTY: "it is no serial port",
+    errno.ECONNRESET: "it has closed the connection; perhaps another program is connected to it",
 }
 _WRITE_LIMIT_S = 1.0
 
@@ -159,7 +161,9 @@ class TcpLink:
         except (OSError, ValueError) as error:
             raise self._lost(error) from error
         if not data:
-            raise LinkLost(f"{self.name} has closed the connection")
+            raise LinkLost(
+                f"{self.name} has closed the connection: switched off, or another program uses it"
+            )
         return data
 
     def write(self, data: bytes) -> None:
@@ -191,6 +195,8 @@ def _cause(error: BaseException) -> str:
     number = getattr(error, "errno", None)
     if isinstance(error, termios.error):
         number = error.args[0] if error.args else None
+    elif isinstance(error.__context__, termios.error):
+        return _cause(error.__context__)  # pyserial says only that it failed
     if isinstance(number, int):
         return _KNOWN.get(number, os.strerror(number))
     return str(error)

@@ -80,7 +80,7 @@ class HokuyoConfig(Config):
         0.5,
         ge=0.05,
         le=60,
-        description="How long no scan comes, beyond two turns, until it is started anew [s].",
+        description="How long nothing comes, beyond two turns, until it is started anew [s].",
     )
     rate_tolerance: float = Field(
         0.05, gt=0, le=1, description="Of the nominal rate, before diagnostics warn [1]."

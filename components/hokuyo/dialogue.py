@@ -45,6 +45,8 @@ class Dialogue:
         self.stopping = stopping
         self.heard = 0
         """How many bytes have come so far."""
+        self.last = b""
+        """What came last."""
         self.answer_limit_s = _ANSWER_LIMIT_S
         """How long an answer is waited for [s]."""
         self._splitter = ReplySplitter()
@@ -124,4 +126,5 @@ class Dialogue:
         data = self.link.read(limit_s)
         at = time.monotonic_ns()
         self.heard += len(data)
+        self.last = data or self.last
         return [Arrival(reply, at) for reply in self._splitter.feed(data)] if data else []

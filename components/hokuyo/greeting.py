@@ -14,6 +14,7 @@ SPEEDS = (115200, 19200, 57600, 750000, 500000, 250000, 38400)
 
 _QUIET_S, _QUIET_LIMIT_S = 0.14, 0.5
 _TRIES = 4
+_TOLD = 40  # bytes, of what is not understood
 
 
 @dataclass(frozen=True)
@@ -42,10 +43,14 @@ def greet(dialogue: Dialogue, speeds: Sequence[int]) -> Greeting:
         scip2 = _at_rest(dialogue)
         if scip2 is not None:
             return Greeting(scip2, baud)
-    tried = ", ".join(map(str, speeds))
+    tried = f" (tried {', '.join(map(str, speeds))} bit/s)" if len(speeds) > 1 else ""
     raise DeviceError(
-        f"{dialogue.link.name}: nothing answers as a SCIP sensor (tried {tried} bit/s); is it "
-        "switched on, and is nothing else connected there, or using it?"
+        f"{dialogue.link.name}: nothing answers as a SCIP sensor{tried}; "
+        + (
+            f"what comes is no SCIP: {dialogue.last[-_TOLD:]!r}; is another device there?"
+            if dialogue.last
+            else "is it switched on, and is no other program using it?"
+        )
     )
 
 

@@ -130,7 +130,7 @@ class Measurement:
     ) -> bool:
         """Take scans until something changes, or none comes; whether any came.
 
-        A sensor whose replies come damaged is alive: to begin anew with it would mend nothing, and
+        A sensor of which anything comes is alive: to begin anew with it would mend nothing, and
         cost more scans. Only if that goes on for long it may be something else than the line.
         """
         scip2 = isinstance(sensor.protocol, Scip2)
@@ -140,9 +140,9 @@ class Measurement:
             line_s, sensor.measuring.turn_s * (request.skip + 1)
         )
         heard = good = time.monotonic()
+        bytes_heard = sensor.dialogue.heard
         while self.config is config and not stopping.is_set():
             for arrival in sensor.protocol.arrivals(_LISTEN_S):
-                heard = time.monotonic()
                 try:
                     data = self.stream.take(arrival.reply, request, scip2=scip2)
                 except Defect as defect:
@@ -152,7 +152,7 @@ class Measurement:
                     ) from defect
                 if data is None:
                     continue
-                good = heard
+                good = time.monotonic()
                 if not came:
                     came = True
                     which = f"{sensor.measuring.model} {sensor.serial_number}".rstrip()
@@ -160,6 +160,8 @@ class Measurement:
                 first = sensor.stamping.first_ray(data.time_ms, arrival.at, request, line_s)
                 self._on_scan(Measured(data, request, sensor, first))
             now = time.monotonic()
+            if sensor.dialogue.heard != bytes_heard:  # a scan may take long on a slow line
+                heard, bytes_heard = now, sensor.dialogue.heard
             if now - heard > silence_s or now - good > _DAMAGED * silence_s:
                 break
         return came

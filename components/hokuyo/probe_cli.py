@@ -94,7 +94,7 @@ def _list(*, as_json: bool) -> None:
             "port": port.device,
             "usb": f"usb:{port.vid:04x}:{port.pid:04x}" if port.vid is not None else "",
             "serial": port.serial_number or "",
-            "description": port.description,
+            "description": "" if port.description == "n/a" else port.description,
         }
         for port in sorted(list_ports.comports())
     ]
@@ -122,7 +122,8 @@ def _config(device: str, baud: int, intensity: bool) -> HokuyoConfig:
 def _measuring(config: HokuyoConfig, came: _Came) -> Iterator[Measurement]:
     """A sensor that measures; when this is left its laser is off."""
     measurement = Measurement(config, came.put)
-    measurement.connect()
+    with Console(stderr=True).status("looking for a SCIP sensor there ..."):
+        measurement.connect()
     stopping = threading.Event()
 
     def converse() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import getpass
 import grp
 import os
+import socket
 import stat
 from contextlib import suppress
 from pathlib import Path
@@ -12,6 +13,9 @@ from pathlib import Path
 import psutil
 
 from cairn.cli.doctor.finding import Finding
+
+_MAKERS = {"/dev/ptmx", "/dev/pts/ptmx"}
+"""Who has these open makes a port in software, and is the device itself."""
 
 
 def opened_by(path: Path, *, ours_too: bool = True) -> list[str]:
@@ -21,12 +25,27 @@ def opened_by(path: Path, *, ours_too: bool = True) -> list[str]:
     for process in psutil.process_iter():
         with suppress(OSError, psutil.Error):
             folder = Path(f"/proc/{process.pid}/fd")
-            if any(os.readlink(one) == wanted for one in folder.iterdir()):
-                title = " ".join(process.cmdline()) or process.name()
-                name = title if title.startswith("cairn:") else process.name()
+            links = {os.readlink(one) for one in folder.iterdir()}
+            if wanted in links and not links & _MAKERS:
+                name = _named(process)
                 if ours_too or not name.startswith("cairn:"):
-                    users.append(f"{name} ({process.pid})")
+                    users.append(name)
     return users
+
+
+def _named(process: psutil.Process) -> str:
+    title = " ".join(process.cmdline())
+    return f"{title if title.startswith('cairn:') else process.name()} ({process.pid})"
+
+
+def connected_to(host: str, port: int) -> str:
+    """The process that is connected to a device on the network, as `name (pid)`; else empty."""
+    with suppress(OSError, psutil.Error):
+        there = {address[4] for address in socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)}
+        for one in psutil.net_connections("tcp"):
+            if one.status == psutil.CONN_ESTABLISHED and one.pid and one.raddr in there:
+                return _named(psutil.Process(one.pid))
+    return ""
 
 
 def access(topic: str, path: Path, what: str) -> Finding:

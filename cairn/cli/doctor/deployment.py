@@ -6,7 +6,7 @@ import socket
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from cairn.cli.doctor.access import access
+from cairn.cli.doctor.access import access, connected_to
 from cairn.cli.doctor.finding import Finding
 from cairn.deployment.load import load_deployment
 from cairn.deployment.model import Deployment, Member
@@ -59,6 +59,8 @@ def _devices_of(topic: str, member: Member) -> Iterator[Finding]:
 
 def _on_network(topic: str, what: str, address: str) -> Finding:
     host, _, port = address.rpartition(":")
+    if user := connected_to(host, int(port)):  # a scanner may take one client alone
+        return Finding(topic, address, "ok", f"{what}; in use by {user}")
     try:
         socket.create_connection((host, int(port)), _LIMIT_S).close()
     except (OSError, ValueError) as error:

@@ -7,6 +7,7 @@ import platform
 import pty
 import socket
 import socketserver
+import subprocess
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -93,10 +94,21 @@ def test_each_fault_of_a_deployment_is_told(tmp_path: Path) -> None:
 
 
 def test_a_device_that_another_process_has_open_is_told(tmp_path: Path, terminal: str) -> None:
-    answer = examined(tmp_path, f"port: {terminal}")
+    with (
+        open(terminal, "rb") as device,
+        subprocess.Popen(["sleep", "60"], stdin=device) as sleeper,
+    ):
+        answer = examined(tmp_path, f"port: {terminal}")
+        sleeper.kill()
 
     assert of(answer, terminal)["state"] == "warn"
-    assert f"({os.getpid()})" in of(answer, terminal)["found"]
+    assert of(answer, terminal)["found"] == f"scanner.port: in use by sleep ({sleeper.pid})"
+
+
+def test_whoever_makes_a_device_in_software_does_not_meddle(tmp_path: Path, terminal: str) -> None:
+    answer = examined(tmp_path, f"port: {terminal}")
+
+    assert of(answer, terminal)["state"] == "ok"
 
 
 def test_a_device_that_is_there_and_free_is_well(tmp_path: Path) -> None:
@@ -125,6 +137,21 @@ def test_a_device_on_the_network_is_asked(tmp_path: Path) -> None:
     assert of(there, f"127.0.0.1:{port}")["found"] == "scanner.host: answers"
     assert of(gone, f"127.0.0.1:{port}")["state"] == "fail"
     assert "ping 127.0.0.1" in of(gone, f"127.0.0.1:{port}")["remedy"]
+
+
+def test_a_device_on_the_network_that_is_in_use_is_not_disturbed(tmp_path: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        address = server.getsockname()
+        with socket.create_connection(address):
+            answer = examined(tmp_path, f"host: 127.0.0.1, tcp_port: {address[1]}")
+        server.accept()[0].close()
+        server.settimeout(0.0)
+        with pytest.raises(BlockingIOError):
+            server.accept()
+
+    told = of(answer, f"127.0.0.1:{address[1]}")
+    assert told["state"] == "ok"
+    assert f"({os.getpid()})" in told["found"]
 
 
 def test_a_user_without_rights_is_told_the_group_to_join(

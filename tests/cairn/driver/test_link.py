@@ -53,6 +53,13 @@ def test_a_port_that_is_not_there(tmp_path: Path) -> None:
         SerialLink(str(tmp_path / "nothing"), 115200)
 
 
+def test_a_file_is_no_port(tmp_path: Path) -> None:
+    (tmp_path / "notes").touch()
+
+    with pytest.raises(LinkLost, match="notes cannot be opened: it is no serial port"):
+        SerialLink(str(tmp_path / "notes"), 115200)
+
+
 def test_pulling_the_plug_is_told_whatever_is_done_next(end: PtyEnd, tmp_path: Path) -> None:
     link = SerialLink(str(tmp_path / "device"), 115200)
     end.unplug()

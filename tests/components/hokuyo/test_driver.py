@@ -9,8 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cairn.driver.emulated_lines import PtyEnd
+from cairn.driver.emulation import Emulation
+from cairn.driver.errors import DeviceError
 from cairn.driver.link import SerialLink
 from cairn.errors import CairnError
+from components.hokuyo.config import HokuyoConfig
+from components.hokuyo.sensor import connect
+from tests.cairn.driver.parrot import Parrot
 from tests.components.hokuyo.comparing import assert_were_sent, ranges
 from tests.components.hokuyo.driving import LIMIT_S, Driven, Heard, driven
 
@@ -181,6 +187,27 @@ def test_another_device_is_an_error_that_says_so(tmp_path: Path) -> None:
         it.emulation.hang()
         with pytest.raises(CairnError, match="nothing answers as a SCIP sensor"):
             it.component.ask("configure")
+
+
+def test_what_another_device_says_is_told(tmp_path: Path) -> None:
+    config = HokuyoConfig(port=str(tmp_path / "parrot"))
+    with (
+        Emulation(Parrot(), PtyEnd(tmp_path / "parrot")),
+        pytest.raises(DeviceError, match=r"parrot: nothing .* what comes is no SCIP: b'.*QT"),
+    ):
+        connect(config, speeds=(115200,))
+
+
+def test_a_line_so_slow_that_a_scan_takes_longer_than_silence_is_borne(tmp_path: Path) -> None:
+    slow: dict[str, Any] = {"emulated": {"rs232_baud": 57600}, "line": {"paced": True}}
+    with driven(tmp_path, URG, baud=57600, silence_s=0.05, **slow) as it:
+        it.scans.wait(3)
+        health = it.health(lambda status: True)
+
+    told = {value.key: value.value for value in health.values}
+    assert told["begun anew after silence"] == "0"
+    # Of the 2.1 kB of a scan, ten bits each, none goes faster.
+    assert float(told["computing [ms]"]) == pytest.approx(2137 * 10 / 57.6, rel=0.2)
 
 
 def test_angles_that_leave_nothing_are_an_error_when_it_is_configured(tmp_path: Path) -> None:
