@@ -60,7 +60,7 @@ def test_a_camera_that_stays_away_leaves_nothing_piled_up() -> None:
     assert pairing.unpaired[0] == 97
 
 
-@settings(deadline=None, max_examples=40, suppress_health_check=[HealthCheck.too_slow])
+@settings(deadline=None, max_examples=25, suppress_health_check=[HealthCheck.too_slow])
 @given(
     st.integers(-PERIOD // 2 + 5_000_000, PERIOD // 2 - 5_000_000),
     st.lists(st.tuples(st.booleans(), st.booleans()), min_size=1, max_size=20),

@@ -125,7 +125,7 @@ def test_memory_is_not_taken_for_a_size_that_damage_has_made() -> None:
     assert most < 1_000_000
 
 
-@settings(deadline=None, max_examples=50, suppress_health_check=[HealthCheck.too_slow])
+@settings(deadline=None, max_examples=30, suppress_health_check=[HealthCheck.too_slow])
 @given(st.integers(0, len(jpeg()) - 1), st.binary(min_size=1, max_size=50))
 def test_overwritten_mjpg_gives_a_picture_or_is_refused(place: int, over: bytes) -> None:
     data = jpeg()
