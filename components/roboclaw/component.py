@@ -116,7 +116,7 @@ class RoboclawBase(Component):
 
     def on_parameters(self, new: Config) -> None:  # noqa: ARG002 - none can be changed
         """A base stays the one that it is."""
-        raise ParameterRefused("the base takes its parameters when it is activated")
+        raise ParameterRefused("the base takes its parameters when it is configured")
 
     @on("cmd_vel")
     def obey(self, command: Twist) -> None:

@@ -33,15 +33,21 @@ class ForeignBase:
     def unplug(self) -> None:
         """End its node and its router, as when its computer is switched off."""
         self._ask("leave")
+        self.stop_router()
+
+    def plug_in(self) -> None:
+        """Start both, if they do not run."""
+        self.start_router()
+        self._ask("join")
+
+    def stop_router(self) -> None:
         if self._session is not None:
             self._session.close()
             self._session = None
 
-    def plug_in(self) -> None:
-        """Start both, if they do not run."""
+    def start_router(self) -> None:
         if self._session is None:
             self._session = zenoh.open(router_config(self.router))
-        self._ask("join")
 
     def turns(self) -> bool:
         return any(abs(speed) > _STANDS_BELOW for speed in self._ask("speeds"))

@@ -8,8 +8,11 @@ from cairn.bus.qos import SENSOR
 from cairn.bus.session import open_peer
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.testing.base_contract import BaseContract
+from cairn.testing.reading import Arrival, Reading
+from cairn.testing.robot import Robot
 from components.ros2_base.component import Ros2Base
 from schemas.geometry_msgs import Twist, Vector3
+from schemas.nav_msgs import Odometry
 from tests.cairn.bus.network import eventually, node
 from tests.cairn.component.running import Threaded
 from tests.components.ros2_base.foreign_base import ForeignBase, foreign_base
@@ -43,6 +46,23 @@ class TestRos2Base(BaseContract):
     @classmethod
     def device(cls, base: ForeignBase) -> ForeignBase:
         return base
+
+    def test_without_their_router_driver_and_base_go_on(
+        self, robot: Robot, output: Reading[Odometry], device: ForeignBase
+    ) -> None:
+        with robot.sending(self.topic(robot, "cmd_vel"), self.ahead()):
+            output.await_that(lambda odoms: any(map(_goes, odoms)), "a base that goes")
+            device.stop_router()
+            try:
+                later = output.await_count(20, after=output.count)
+            finally:
+                device.start_router()
+        assert all(map(_goes, later)), "it was not driven any more"
+        assert device.await_stand(self.stop_limit_s)
+
+
+def _goes(odom: Arrival[Odometry]) -> bool:
+    return odom.message.twist.twist.linear.x > 0.1
 
 
 def test_a_controller_of_these_years_is_driven_by_stamped_commands(base: ForeignBase) -> None:
