@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 
 from cairn.clock import to_ns
-from cairn.component.parameters import ParameterRefused
 from cairn.driver.diagnostics import ERROR, OK
 from cairn.errors import CairnError
 from tests.components.v4l2_camera.driving import Driver
@@ -213,47 +212,6 @@ def test_while_the_right_camera_is_away_the_left_one_is_published_alone(
         assert alone.header.stamp not in {one.header.stamp for one in driver.taken("right_image")}
         right.plug_in()
         begin(driver, left, right)
-
-
-@pytest.mark.parametrize("given", [{"gain": 10}, {}])
-def test_controls_are_set_on_both_cameras_or_on_none(
-    left: FakeCamera, right: FakeCamera, given: dict[str, int]
-) -> None:
-    right.refused_values.add(66)
-    with Driver(**TWO, controls=given) as driver:
-        with pytest.raises(ParameterRefused, match="/dev/right: set gain = 66"):
-            driver.set(controls__gain=66)
-
-        assert (left.values["gain"], right.values["gain"]) == (10, 10)
-        driver.set(controls__gain=55)
-        assert (left.values["gain"], right.values["gain"]) == (55, 55)
-        with pytest.raises(ParameterRefused, match="gain = 256: the camera takes 0 to 255"):
-            driver.set(controls__gain=256)
-
-
-def test_a_control_that_is_held_is_set_once_it_is_not(
-    left: FakeCamera, caplog: pytest.LogCaptureFixture
-) -> None:
-    left.held.add("exposure_time_absolute")
-    with Driver(**ONE, controls={"exposure_time_absolute": 7}) as driver:
-        assert left.values["exposure_time_absolute"] == 100
-        assert "exposure_time_absolute is held by something automatic: 7 is set" in caplog.text
-
-        left.held.clear()
-        driver.set(controls__gain=9)
-
-        assert left.values == {"gain": 9, "exposure_time_absolute": 7}
-
-
-def test_what_another_program_has_set_meanwhile_is_set_again(left: FakeCamera) -> None:
-    with Driver(**ONE, controls={"gain": 9}) as driver:
-        driver.go("deactivate")
-        left.values["gain"] = 200
-        driver.go("activate")
-        left.send(1)
-        driver.await_one("left_image")
-
-    assert left.values["gain"] == 9
 
 
 def test_one_camera_by_two_names_is_refused(cameras: FakeCameras, tmp_path: Path) -> None:

@@ -1,0 +1,66 @@
+"""Controls of cameras while the driver runs: of both or of none, and what holds them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from cairn.component.parameters import ParameterRefused
+from tests.components.v4l2_camera.driving import Driver
+from tests.components.v4l2_camera.fakes import HEIGHT, WIDTH, FakeCamera, FakeCameras
+
+LEFT, RIGHT = "/dev/left", "/dev/right"
+ONE: dict[str, Any] = {"device": LEFT, "width": WIDTH, "height": HEIGHT, "format": "GREY"}
+TWO = {**ONE, "right_device": RIGHT}
+
+
+@pytest.fixture
+def left(cameras: FakeCameras) -> FakeCamera:
+    return cameras.add(LEFT)
+
+
+@pytest.fixture
+def right(cameras: FakeCameras) -> FakeCamera:
+    return cameras.add(RIGHT)
+
+
+@pytest.mark.parametrize("given", [{"gain": 10}, {}])
+def test_controls_are_set_on_both_cameras_or_on_none(
+    left: FakeCamera, right: FakeCamera, given: dict[str, int]
+) -> None:
+    right.refused_values.add(66)
+    with Driver(**TWO, controls=given) as driver:
+        with pytest.raises(ParameterRefused, match="/dev/right: set gain = 66"):
+            driver.set(controls__gain=66)
+
+        assert (left.values["gain"], right.values["gain"]) == (10, 10)
+        driver.set(controls__gain=55)
+        assert (left.values["gain"], right.values["gain"]) == (55, 55)
+        with pytest.raises(ParameterRefused, match="gain = 256: the camera takes 0 to 255"):
+            driver.set(controls__gain=256)
+
+
+def test_a_control_that_is_held_is_set_once_it_is_not(
+    left: FakeCamera, caplog: pytest.LogCaptureFixture
+) -> None:
+    left.held.add("exposure_time_absolute")
+    with Driver(**ONE, controls={"exposure_time_absolute": 7}) as driver:
+        assert left.values["exposure_time_absolute"] == 100
+        assert "exposure_time_absolute is held by something automatic: 7 is set" in caplog.text
+
+        left.held.clear()
+        driver.set(controls__gain=9)
+
+        assert left.values == {"gain": 9, "exposure_time_absolute": 7}
+
+
+def test_what_another_program_has_set_meanwhile_is_set_again(left: FakeCamera) -> None:
+    with Driver(**ONE, controls={"gain": 9}) as driver:
+        driver.go("deactivate")
+        left.values["gain"] = 200
+        driver.go("activate")
+        left.send(1)
+        driver.await_one("left_image")
+
+    assert left.values["gain"] == 9
