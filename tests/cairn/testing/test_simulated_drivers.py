@@ -14,7 +14,10 @@ from cairn.testing.bench import Bench, settings
 from cairn.testing.camera_contract import PicturesContract
 from cairn.testing.driver_contract import LifeCycleContract, ParametersContract
 from cairn.testing.end_contract import StopContract
+from cairn.testing.reading import Arrival, Reading
+from cairn.testing.robot import Robot
 from cairn.testing.scanner_contract import ScanContract
+from schemas.cairn_sim_msgs import WorldState
 from schemas.nav_msgs import Odometry
 from schemas.sensor_msgs import CameraInfo, LaserScan
 
@@ -55,10 +58,45 @@ class TestPictures(PicturesContract):
     rate_hz = 10.0
 
 
+class TrueWheels:
+    """The wheels of the simulated base, by what the world knows. A device as the contracts know it.
+
+    The world tells true speeds with each state, and goes on telling them while no wheel turns.
+    """
+
+    def __init__(self, states: Reading[WorldState]) -> None:
+        self._states = states
+
+    def turns(self) -> bool:
+        before = self._states.count
+        return not _stands(self._states.await_count(1, after=before)[0])
+
+    def await_stand(self, limit_s: float) -> bool:
+        try:
+            self._states.await_that(
+                lambda arrivals: any(map(_stands, arrivals)),
+                "wheels that stand",
+                after=self._states.count,
+                limit_s=limit_s,
+            )
+        except AssertionError:
+            return False
+        return True
+
+
+def _stands(state: Arrival[WorldState]) -> bool:
+    return math.hypot(state.message.forward, state.message.turn) < 0.001
+
+
 @pytest.mark.realtime
 class TestDrive(SafetyContract):
     rate_hz = 50.0
     top_speed = 0.6
+
+    @pytest.fixture
+    def device(self, robot: Robot) -> Iterator[TrueWheels]:
+        with robot.read("world_state", WorldState) as states:
+            yield TrueWheels(states)
 
 
 class Life(StopContract, LifeCycleContract, ParametersContract):
