@@ -29,6 +29,14 @@ def test_its_base_may_be_one_of_ros_2() -> None:
     assert robot.member("base").spec.plugin == "ros2_base"
 
 
+def test_it_may_have_no_camera() -> None:
+    robot = load_deployment(DEPLOY / "robot.yaml", [DEPLOY / "robot_without_camera.yaml"])
+
+    assert {"base", "range_scanner", "localizer"} <= _components(robot).keys()
+    assert not {"stereo_camera", "object_recognizer"} & _components(robot).keys()
+    assert robot.member("map_builder").spec.parameters["grid_file"]
+
+
 def _components(deployment: Deployment) -> dict[str, dict[str, Any]]:
     return {
         member.name: {
