@@ -31,7 +31,7 @@ DEPLOYMENT = """
           wheel_separation: 0.3
           counts_per_turn: 4000
           right_inverted: true
-          rate: 40
+          rate: 20
           acceleration: 3.0
           turn_acceleration: 20.0
           speed: 0.8
