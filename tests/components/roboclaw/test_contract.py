@@ -119,6 +119,19 @@ class TestLife(EndContract, StopContract, UnplugContract, LifeCycleContract, Par
     component, port, message, rate_hz = "base", "odom", Odometry, 20.0
     cycles = 6
 
+    def test_restarted_while_the_controller_is_away_it_waits_for_it(
+        self, robot: Robot, output: Reading[Odometry], device: EmulatedBase
+    ) -> None:
+        said = len(robot.run.lines)
+        device.unplug()
+        try:
+            robot.restart("base")
+            said = robot.run.await_line("cannot be opened: No such file", after=said)
+        finally:
+            device.plug_in()
+        self.await_working(output, output.count)
+        robot.run.await_line("v4.2.8 on .* works again", after=said)
+
 
 HEALTHY = {
     "hardware": "USB Roboclaw 2x7a v4.2.8",
