@@ -2,7 +2,7 @@
 # with BOOTED a whole one, whose init is systemd.
 . /mnt/exchange/environment  # MODULES, BOOTED
 export PATH=/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin HOME=/root
-export PYTHONDONTWRITEBYTECODE=1 CAIRN_HARDWARE_GUEST=1
+export PYTHONDONTWRITEBYTECODE=1 PYTHONUNBUFFERED=1 CAIRN_HARDWARE_GUEST=1
 release=$(uname -r)
 mkdir -p "/lib/modules/$release" /dev/pts /dev/shm /run
 mount --bind "$MODULES" "/lib/modules/$release"  # where the kernel itself calls modprobe
