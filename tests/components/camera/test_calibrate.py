@@ -1,7 +1,9 @@
 """`cairn camera calibrate` calibrates one camera or two; `cairn camera show` shows the result."""
 
+import json
 import re
 import shutil
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import cv2
@@ -9,12 +11,15 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from components.camera.given import Given, sorted_out
 from tests.commands import Answer, cairn
 from vision.camera_file import read_camera
+from vision.image_files import paired
 from vision.stereo import StereoRig
 
 IMAGES = Path(__file__).parents[2] / "data" / "calibration"
 NUMBERS = ("01", "03", "05", "09", "12")
+FEW = NUMBERS[:3]
 
 
 def calibrate(
@@ -26,14 +31,33 @@ def calibrate(
     )  # fmt: skip
 
 
+def pairs(folder: Path, numbers: Iterable[str]) -> Path:
+    """The folder, made, with these pairs."""
+    folder.mkdir()
+    for side in ("left", "right"):
+        for number in numbers:
+            shutil.copy(IMAGES / f"{side}{number}.jpg", folder)
+    return folder
+
+
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """A folder with five pairs."""
-    folder = tmp_path / "images"
-    folder.mkdir()
-    for side in ("left", "right"):
-        for number in NUMBERS:
-            shutil.copy(IMAGES / f"{side}{number}.jpg", folder)
+    return pairs(tmp_path / "images", NUMBERS)
+
+
+@pytest.fixture
+def few(tmp_path: Path) -> Path:
+    """A folder with no more pairs than a calibration needs."""
+    return pairs(tmp_path / "few", FEW)
+
+
+@pytest.fixture(scope="module")
+def calibrated(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What was written of five pairs, to be read only."""
+    folder = tmp_path_factory.mktemp("calibrated")
+    answer = calibrate(pairs(folder / "images", NUMBERS), out=folder / "out", more=("--json",))
+    (folder / "told.json").write_text(answer.out, encoding="utf-8")
     return folder
 
 
@@ -52,18 +76,10 @@ def test_one_camera_is_calibrated_and_written(folder: Path, tmp_path: Path) -> N
         assert picture.size == (1500, 460)
 
 
-@pytest.mark.parametrize("way", ["folder", "names", "options"])
-def test_two_cameras_are_calibrated_as_a_pair(folder: Path, tmp_path: Path, way: str) -> None:
-    out = tmp_path / "out"
-    left, right = f"{folder}/left*.jpg", f"{folder}/right*.jpg"
-    ways: dict[str, list[str | Path]] = {
-        "folder": [folder],
-        "names": [*sorted(folder.iterdir())],
-        "options": ["--left", left, "--right", right],
-    }
+def test_two_cameras_are_calibrated_as_a_pair(calibrated: Path) -> None:
+    told = json.loads((calibrated / "told.json").read_text(encoding="utf-8"))
 
-    told = calibrate(*ways[way], out=out, more=("--json",)).json
-
+    out = calibrated / "out"
     assert told["pair"]["rms_px"] <= 0.25
     assert told["pair"]["baseline_m"] == pytest.approx(0.0832, rel=0.02)
     assert len(told["pair"]["errors_px"]) == len(NUMBERS)
@@ -76,38 +92,63 @@ def test_two_cameras_are_calibrated_as_a_pair(folder: Path, tmp_path: Path, way:
     assert rig.baseline == pytest.approx(told["pair"]["baseline_m"])
 
 
-def test_files_of_a_pair_may_have_one_name_in_folders_of_any_name(
-    folder: Path, tmp_path: Path
-) -> None:
-    for side, other in (("left", "cam0"), ("right", "cam1")):
-        (tmp_path / other).mkdir()
-        for file in folder.glob(f"{side}*"):
-            shutil.copy(file, tmp_path / other / file.name.removeprefix(side))
-
-    answer = calibrate(
-        "--left", tmp_path / "cam0", "--right", tmp_path / "cam1", out=tmp_path / "out"
-    )
-
-    assert answer.code == 0
-    assert "pair: error 0." in answer.out
+def as_folder(images: Path) -> Given:
+    return sorted_out([str(images)], [], [])
 
 
-@pytest.mark.parametrize("kind", ["names", "folders"])
-def test_numbers_of_cameras_tell_them_apart_as_well(
-    folder: Path, tmp_path: Path, kind: str
-) -> None:
-    numbered = tmp_path / "numbered"
+def as_files(images: Path) -> Given:
+    return sorted_out([str(file) for file in sorted(images.iterdir())], [], [])
+
+
+def as_options(images: Path) -> Given:
+    return sorted_out([], [f"{images}/left*.jpg"], [f"{images}/right*.jpg"])
+
+
+def as_folders_of_any_name(images: Path) -> Given:
+    for side, other in (("left", "a"), ("right", "b")):
+        (images / other).mkdir()
+        for file in images.glob(f"{side}*"):
+            file.rename(images / other / file.name.removeprefix(side))
+    return sorted_out([], [str(images / "a")], [str(images / "b")])
+
+
+def as_numbered_cameras(images: Path) -> Given:
     for side, camera in (("left", "cam0"), ("right", "cam1")):
-        for file in folder.glob(f"{side}*"):
-            number = file.name.removeprefix(side)
-            to = numbered / (f"{camera}_{number}" if kind == "names" else f"{camera}/{number}")
-            to.parent.mkdir(parents=True, exist_ok=True)
-            shutil.copy(file, to)
+        for file in images.glob(f"{side}*"):
+            file.rename(images / f"{camera}_{file.name.removeprefix(side)}")
+    return sorted_out([str(images)], [], [])
 
-    told = calibrate(numbered, out=tmp_path / "out", more=("--json",)).json
 
-    assert told["pair"]["baseline_m"] == pytest.approx(0.0832, rel=0.02)
-    assert len(told["pair"]["errors_px"]) == len(NUMBERS)
+def as_folders_of_numbered_cameras(images: Path) -> Given:
+    for side, camera in (("left", "cam0"), ("right", "cam1")):
+        (images / camera).mkdir()
+        for file in images.glob(f"{side}*"):
+            file.rename(images / camera / file.name.removeprefix(side))
+    return sorted_out([str(images)], [], [])
+
+
+@pytest.mark.parametrize(
+    "way",
+    [
+        as_folder,
+        as_files,
+        as_options,
+        as_folders_of_any_name,
+        as_numbered_cameras,
+        as_folders_of_numbered_cameras,
+    ],
+)
+def test_images_of_a_pair_are_found_however_they_are_named(
+    few: Path, way: Callable[[Path], Given]
+) -> None:
+    given = way(few)
+    found = paired(given.left, given.right)
+
+    assert [(a.read_bytes(), b.read_bytes()) for a, b in found.pairs] == [
+        ((IMAGES / f"left{number}.jpg").read_bytes(), (IMAGES / f"right{number}.jpg").read_bytes())
+        for number in FEW
+    ]
+    assert not found.alone
 
 
 @pytest.mark.parametrize(
@@ -119,12 +160,12 @@ def test_numbers_of_cameras_tell_them_apart_as_well(
     ],
 )
 def test_where_nothing_can_be_written_is_told(
-    folder: Path, tmp_path: Path, out: str, told: str
+    few: Path, tmp_path: Path, out: str, told: str
 ) -> None:
     (tmp_path / "file").touch()
     to = tmp_path / out
 
-    answer = calibrate(*sorted(folder.glob("left*")), out=to)
+    answer = calibrate(*sorted(few.glob("left*")), out=to)
 
     assert answer.code == 1
     assert told.format(out=to, folder=tmp_path) in answer.err
@@ -159,23 +200,34 @@ def test_images_from_one_viewpoint_are_refused(tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
 
 
-def test_a_calibration_is_not_replaced_unasked(folder: Path, tmp_path: Path) -> None:
-    assert calibrate(folder, out=tmp_path).code == 0
+def test_a_calibration_is_not_replaced_unasked(calibrated: Path, few: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    shutil.copytree(calibrated / "out", out)
+    before = (out / "left.yaml").read_bytes()
 
-    assert (
-        "left.yaml exists already. Give another --out, or --force"
-        in calibrate(folder, out=tmp_path).err
+    answer = calibrate(few, out=out)
+    assert "left.yaml exists already. Give another --out, or --force" in answer.err
+    assert (out / "left.yaml").read_bytes() == before
+
+    sides = ("--left", f"{few}/left*", "--right", f"{few}/right*")
+    assert calibrate(*sides, out=out, more=("--force",)).code == 0
+    assert (out / "left.yaml").read_bytes() != before
+
+
+def test_a_board_that_is_smaller_than_told_is_told(few: Path, tmp_path: Path) -> None:
+    answer = calibrate(*few.glob("left*"), out=tmp_path / "out", board="10x7")
+
+    assert answer.code == 1
+    assert re.search(
+        "a board of 10x7 inner corners is seen in 0 of 3 images, not in .*; one of 9x6 was",
+        answer.err,
     )
-    assert calibrate(folder, out=tmp_path, more=("--force",)).code == 0
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize(
     ("board", "told"),
     [
-        (
-            "10x7",
-            "a board of 10x7 inner corners is seen in 0 of 5 images, not in .*; one of 9x6 was",
-        ),
         ("8x6", "the board has more than 8x6 inner corners: one of 9x6 was found"),
         ("nine", "--board nine: write it as COLUMNSxROWS"),
         ("2x9", "--board 2x9: a board has 3 to 100 inner corners each way"),
@@ -185,12 +237,12 @@ def test_a_wrong_board_is_told(folder: Path, tmp_path: Path, board: str, told: s
     answer = calibrate(*folder.glob("left*"), out=tmp_path / "out", board=board)
 
     assert answer.code == 1
-    assert re.search(told, answer.err)
+    assert told in answer.err
     assert not (tmp_path / "out").exists()
 
 
-def test_what_cannot_be_calibrated_is_refused_in_a_sentence(folder: Path, tmp_path: Path) -> None:
-    left = sorted(folder.glob("left*"))
+def test_what_cannot_be_calibrated_is_refused_in_a_sentence(few: Path, tmp_path: Path) -> None:
+    left = sorted(few.glob("left*"))
     small, text = tmp_path / "small.png", tmp_path / "text.png"
     cv2.imwrite(str(small), np.zeros((240, 320), np.uint8))
     text.write_text("no image")
@@ -203,13 +255,13 @@ def test_what_cannot_be_calibrated_is_refused_in_a_sentence(folder: Path, tmp_pa
         ([*left, text], f"{text} is no image, or a truncated one"),
         ([*left, tmp_path / "none.jpg"], "none.jpg: no such file or folder"),
         ([f"{tmp_path}/none*.jpg"], "no file has such a name"),
-        (["--left", folder], "--left is given without the other"),
+        (["--left", few], "--left is given without the other"),
         (
-            [folder, "--left", tmp_path / "small.png", "--right", small, small],
+            [few, "--left", tmp_path / "small.png", "--right", small, small],
             "small.png has neither left nor right",
         ),
         (
-            ["--left", f"{folder}/right*", "--right", f"{folder}/left*"],
+            ["--left", f"{few}/right*", "--right", f"{few}/left*"],
             "left and right are swapped",
         ),
     ):
@@ -219,9 +271,8 @@ def test_what_cannot_be_calibrated_is_refused_in_a_sentence(folder: Path, tmp_pa
         assert not out.exists()
 
 
-def test_a_calibration_is_shown(folder: Path, tmp_path: Path) -> None:
-    calibrate(folder, out=tmp_path)
-    left, right = tmp_path / "left.yaml", tmp_path / "right.yaml"
+def test_a_calibration_is_shown(calibrated: Path) -> None:
+    left, right = calibrated / "out" / "left.yaml", calibrated / "out" / "right.yaml"
 
     shown = cairn("camera", "show", str(left), str(right))
     told = cairn("camera", "show", str(left), "--json").json
@@ -246,8 +297,7 @@ def test_pairs_that_are_mixed_up_are_no_calibration(tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
 
 
-def test_a_camera_is_no_stereo_pair_with_itself(folder: Path, tmp_path: Path) -> None:
-    calibrate(*sorted(folder.glob("left*")), out=tmp_path / "out")
-    same = str(tmp_path / "out" / "camera.yaml")
+def test_a_camera_is_no_stereo_pair_with_itself(calibrated: Path) -> None:
+    same = str(calibrated / "out" / "left.yaml")
 
     assert "no baseline" in cairn("camera", "show", same, same).err
