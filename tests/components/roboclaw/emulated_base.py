@@ -68,7 +68,7 @@ class EmulatedBase:
     def await_stand(self, limit_s: float) -> bool:
         return self.await_that(lambda: not self.turns(), limit_s)
 
-    def await_that(self, holds: Callable[[], bool], limit_s: float = 5.0) -> bool:
+    def await_that(self, holds: Callable[[], bool], limit_s: float = 20.0) -> bool:
         """Wait until something holds of the wheels; whether it did within the limit [s]."""
         until = time.monotonic() + limit_s
         while not holds():

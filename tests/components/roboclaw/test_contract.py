@@ -1,7 +1,4 @@
-"""The base on an emulated RoboClaw keeps the contract of a base, and what is particular to it.
-
-How it drives is judged by a robot's clock, beside no other tests; its life is not.
-"""
+"""The base on an emulated RoboClaw keeps the contract of a base, and what is particular to it."""
 
 import math
 import time
@@ -10,10 +7,7 @@ from contextlib import ExitStack
 
 import pytest
 
-from cairn.testing.base_contract import SafetyContract
-from cairn.testing.bench import Bench, settings
-from cairn.testing.driver_contract import LifeCycleContract, ParametersContract
-from cairn.testing.end_contract import EndContract, StopContract, UnplugContract
+from cairn.testing.base_contract import BaseContract
 from cairn.testing.reading import Arrival, Reading
 from cairn.testing.robot import Robot
 from planar.messages import planar_pose
@@ -24,30 +18,27 @@ from schemas.nav_msgs import Odometry
 from schemas.sensor_msgs import BatteryState
 from tests.components.roboclaw.emulated_base import DEPLOYMENT, EmulatedBase, emulated_base
 
+pytestmark = pytest.mark.realtime
+
 AHEAD = Twist(linear=Vector3(x=0.5))
 LEFT = Twist(angular=Vector3(z=2.0))
 DEVICE_TIMEOUT_S = 1.0  # as in the deployment
 COASTING_S = 0.5  # of motors without power
 
 
-@pytest.fixture(scope="module")
-def device(tmp_path_factory: pytest.TempPathFactory) -> Iterator[EmulatedBase]:
-    with emulated_base(tmp_path_factory.mktemp("line")) as base:
-        yield base
-
-
-@pytest.fixture(scope="module")
-def bench(device: EmulatedBase, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
-    with Bench(tmp_path_factory.mktemp("robot"), DEPLOYMENT, settings(device.settings)) as bench:
-        yield bench
-
-
-@pytest.mark.realtime
-class TestDrive(SafetyContract):
+class TestRoboclawBase(BaseContract):
+    deployment = DEPLOYMENT
     rate_hz = 20.0
     top_speed = 0.8
     turn = 1.0
     stop_limit_s = 2.5  # the controller's own time limit is 1 s
+    cycles = 6
+
+    @pytest.fixture(scope="class")
+    @classmethod
+    def device(cls, tmp_path_factory: pytest.TempPathFactory) -> Iterator[EmulatedBase]:
+        with emulated_base(tmp_path_factory.mktemp("line")) as base:
+            yield base
 
     def test_a_square_by_odometry_is_the_square_of_the_wheels(
         self, robot: Robot, output: Reading[Odometry], device: EmulatedBase
@@ -113,11 +104,6 @@ class TestDrive(SafetyContract):
                 f"health with {HEALTHY}",
             )
         assert battery.messages[0].voltage == pytest.approx(12.4)
-
-
-class TestLife(EndContract, StopContract, UnplugContract, LifeCycleContract, ParametersContract):
-    component, port, message, rate_hz = "base", "odom", Odometry, 20.0
-    cycles = 6
 
     def test_restarted_while_the_controller_is_away_it_waits_for_it(
         self, robot: Robot, output: Reading[Odometry], device: EmulatedBase

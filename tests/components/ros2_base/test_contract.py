@@ -17,6 +17,8 @@ from tests.cairn.bus.network import eventually, node
 from tests.cairn.component.running import Threaded
 from tests.components.ros2_base.foreign_base import ForeignBase, foreign_base
 
+pytestmark = pytest.mark.realtime
+
 DEPLOYMENT = """
     external_topics: [/odom, cmd_vel]
     components:
