@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 
 _DRIFT = 5e-4  # no clock of a device is worse: 500 ppm [1]
-_JUMP_S = 0.05  # what is earlier than possible by that bears another time than it should
+_EARLY_S = 0.5  # all messages before may have been late by that, as when a busy computer begins
+_TIMELY_S = 0.05  # what is no later than that is in time
 _DOUBTED = 3  # so many, and none between them that is in time: a clock was set
 _LATE_S = 3.0  # what is late for so long is not late: a clock was set
 
@@ -67,8 +68,8 @@ class DeviceClock:
         if math.isinf(self._offset_s):
             return self._begin(device_s, arrived_s)
         allowed = self._offset_s + _DRIFT * max(0.0, arrived_s - self._at_s)
-        late = found > allowed + _JUMP_S
-        impossible = found < allowed - _JUMP_S or device_s < self._believed_s
+        late = found > allowed + _TIMELY_S
+        impossible = found < allowed - _EARLY_S or device_s < self._believed_s
         if impossible or (late and self.in_doubt):
             self._doubted += 1
             return self._set(device_s, arrived_s) if self._doubted == _DOUBTED else found
