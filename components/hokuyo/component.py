@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections import deque
-from functools import partial
 
 from cairn.bus.qos import LATCHED, SENSOR
 from cairn.clock import SECOND, from_ns
@@ -12,10 +10,9 @@ from cairn.component.component import Component
 from cairn.component.handlers import every
 from cairn.component.parameters import Config, ParameterRefused
 from cairn.component.ports import Out
-from cairn.driver.device_thread import DeviceThread
+from cairn.driver.device_feed import DeviceFeed
 from cairn.driver.diagnostics import diagnostics
 from cairn.driver.errors import DeviceError
-from cairn.driver.rate import RateWindow
 from cairn.errors import CairnError
 from components.hokuyo import health
 from components.hokuyo.config import LIVE, HokuyoConfig
@@ -27,8 +24,6 @@ from schemas.diagnostic_msgs import DiagnosticArray
 from schemas.sensor_msgs import LaserScan, MultiEchoLaserScan
 from schemas.std_msgs import Header
 from schemas.tf2_msgs import TFMessage
-
-_MOST_WAITING = 5
 
 
 class HokuyoScanner(Component):
@@ -46,24 +41,24 @@ class HokuyoScanner(Component):
     tf_static: Out[TFMessage] = Out(qos=LATCHED)
     diagnostics: Out[DiagnosticArray]
 
-    _thread: DeviceThread | None = None
-
     def on_configure(self) -> None:
         """Connect the sensor, and find out what it is.
 
         One that was there before may come back: then it is waited for, once active.
         """
-        self._rate = RateWindow()
+        self._feed = DeviceFeed(
+            self,
+            lambda stopping: self._measurement.converse(stopping, self._feed.well),
+            self._publish,
+        )
         self._health = health.Health()
-        self._trouble = ""
-        self._waiting: deque[Measured] = deque(maxlen=_MOST_WAITING)
-        self._measurement = Measurement(self.config, self._came)
+        self._measurement = Measurement(self.config, self._feed.give)
         try:
             sensor = self._measurement.connect()
         except DeviceError as error:
             if not self.restarts:
                 raise
-            self._trouble = str(error)
+            self._feed.trouble = str(error)
             return
         try:
             request_of(self.config, sensor.measuring)
@@ -84,21 +79,11 @@ class HokuyoScanner(Component):
         header = Header(stamp=from_ns(self.clock.now()), frame_id="base_link")
         mounted = transform_message(header, self.config.frame_id, self.config.mount.pose)
         self.tf_static.publish(TFMessage(transforms=(mounted,)))
-        self._rate.restart()
-        self._waiting.clear()  # what came while it was being deactivated
-        thread = DeviceThread(
-            self.name,
-            lambda stopping: self._measurement.converse(stopping, thread.well),
-            log=self.log,
-            on_trouble=lambda error: self.post(partial(self._lost, error)),
-            on_failure=lambda error: self.post(partial(_fail, error)),
-        )
-        self._thread = thread
-        thread.start()
+        self._feed.start()
 
     def on_deactivate(self) -> None:
         """Have it rest, its laser off."""
-        self._stop()
+        self._feed.stop()
 
     def on_cleanup(self) -> None:
         """Let go of it."""
@@ -106,10 +91,10 @@ class HokuyoScanner(Component):
 
     def on_error(self, error: Exception) -> bool:  # noqa: ARG002 - whatever it was
         """Switch the laser off and let go of the sensor; the supervisor decides."""
-        try:
-            self._stop()
-        finally:
-            if "_measurement" in vars(self):  # else it was not even configured
+        if "_measurement" in vars(self):  # else it was not even configured
+            try:
+                self._feed.stop()
+            finally:
                 self._measurement.disconnect()
         return False
 
@@ -129,14 +114,14 @@ class HokuyoScanner(Component):
             except CairnError as error:
                 raise ParameterRefused(str(error)) from error
         self._measurement.config = new
-        self._rate.restart()
+        self._feed.rate.restart()
 
     @every(hz=1)
     def report(self) -> None:
         """Tell how the sensor is."""
         measurement = self._measurement
-        hz = self._rate.hz(time.monotonic())
-        level, text = self._health.judge(measurement, self._trouble, hz, self.config.rate_tolerance)
+        feed, hz = self._feed, self._feed.hz()
+        level, text = self._health.judge(measurement, feed, self.config.rate_tolerance)
         sensor = measurement.sensor
         self.diagnostics.publish(
             diagnostics(
@@ -145,23 +130,11 @@ class HokuyoScanner(Component):
                 "" if sensor is None else sensor.serial_number,
                 level,
                 text,
-                health.values(measurement, hz),
+                health.values(measurement, hz) | {"left out": feed.left_out},
             )
         )
 
-    def _came(self, measured: Measured) -> None:
-        # On the sensor's thread. If scans are told more slowly than they come, the oldest go.
-        if len(self._waiting) == _MOST_WAITING:
-            self._measurement.left_out += 1
-        self._waiting.append(measured)
-        self.post(self._tell)
-
-    def _tell(self) -> None:
-        if not self._waiting:
-            return
-        measured = self._waiting.popleft()
-        self._rate.note(time.monotonic())
-        self._trouble = ""
+    def _publish(self, measured: Measured) -> None:
         # Whoever sets the system's clock sets the stamps with it, at once.
         stamp = measured.first_ray + self.clock.now() - time.monotonic_ns()
         stamp += round(self.config.time_offset_s * SECOND)
@@ -170,16 +143,3 @@ class HokuyoScanner(Component):
         self.scan.publish(shape.scan(measured.data, header, self.config.echo))
         if measured.request.multi_echo and self.multi_echo_scan.wanted:
             self.multi_echo_scan.publish(shape.multi_echo_scan(measured.data, header))
-
-    def _lost(self, error: DeviceError) -> None:
-        self._trouble = str(error)
-        self._rate.restart()
-
-    def _stop(self) -> None:
-        thread, self._thread = self._thread, None
-        if thread is not None:
-            thread.stop()
-
-
-def _fail(error: Exception) -> None:
-    raise error

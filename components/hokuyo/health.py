@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from cairn.driver.device_feed import DeviceFeed
 from cairn.driver.diagnostics import ERROR, OK, WARN
-from components.hokuyo.measurement import Measurement
+from components.hokuyo.measurement import Measured, Measurement
 
 _AS_IT_SAYS = ("LASR", "SCSP", "MESM", "SBPS", "STAT")
 
@@ -26,13 +27,14 @@ class Health:
         self._before = Counts()
 
     def judge(
-        self, measurement: Measurement, trouble: str, hz: float, tolerance: float
+        self, measurement: Measurement, feed: DeviceFeed[Measured], tolerance: float
     ) -> tuple[int, str]:
-        """Level and text: connected at all, anything damaged, rate [Hz] as it should be."""
-        now = Counts(measurement.stream.damaged, measurement.restarts, measurement.left_out)
+        """Level and text: connected at all, anything damaged, rate as it should be."""
+        now = Counts(measurement.stream.damaged, measurement.restarts, feed.left_out)
         before, self._before = self._before, now
-        if trouble:
-            return ERROR, trouble
+        if feed.trouble:
+            return ERROR, feed.trouble
+        hz = feed.hz()
         nominal = nominal_hz(measurement)
         if now.restarts > before.restarts:
             return WARN, "it had fallen silent, and was told to begin anew"
@@ -69,7 +71,6 @@ def values(measurement: Measurement, hz: float) -> dict[str, object]:
         "rate [Hz]": hz,
         "scans": stream.good,
         "damaged replies": stream.damaged,
-        "left out": measurement.left_out,
         "begun anew after silence": measurement.restarts,
         "connections": measurement.connections,
     }

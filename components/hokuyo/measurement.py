@@ -49,8 +49,6 @@ class Measurement:
         self.restarts = 0
         """How often a silent sensor was told to begin anew."""
         self.connections = 0
-        self.left_out = 0
-        """Scans that came while too many were waiting to be told."""
         self._on_scan = on_scan
         self._known_speed: int | None = None
 

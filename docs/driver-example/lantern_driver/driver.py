@@ -3,7 +3,6 @@
 import math
 import threading
 import time
-from functools import partial
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -14,12 +13,11 @@ from cairn.component.handlers import every
 from cairn.component.parameters import Config, ParameterRefused
 from cairn.component.ports import Out
 from cairn.driver.device_clock import DeviceClock
+from cairn.driver.device_feed import DeviceFeed
 from cairn.driver.device_names import SerialPort
-from cairn.driver.device_thread import DeviceThread
 from cairn.driver.diagnostics import ERROR, OK, WARN, diagnostics
 from cairn.driver.errors import DeviceError
 from cairn.driver.link import SerialLink
-from cairn.driver.rate import RateWindow
 from pydantic import Field
 from schemas.diagnostic_msgs import DiagnosticArray
 from schemas.sensor_msgs import LaserScan
@@ -56,26 +54,22 @@ class LanternScanner(Component):
 
     def on_configure(self) -> None:
         """See that the line is there; raises `LinkLost` if not, which names it."""
-        SerialLink(self.config.port, protocol.BAUD).close()
-        self._rate = RateWindow()
         self._damaged = 0
-        self._trouble = ""
+        self._feed = DeviceFeed(self, self._converse, self._publish)
+        SerialLink(self.config.port, protocol.BAUD).close()
 
     def on_activate(self) -> None:
         """Begin to measure."""
-        self._rate.restart()
-        self._thread = DeviceThread(
-            self.name,
-            self._converse,
-            log=self.log,
-            on_trouble=lambda error: self.post(partial(self._lost, error)),
-            on_failure=lambda error: self.post(partial(_fail, error)),
-        )
-        self._thread.start()
+        self._feed.start()
 
     def on_deactivate(self) -> None:
         """Stop measuring, and let go of the line."""
-        self._thread.stop()
+        self._feed.stop()
+
+    def on_error(self, error: Exception) -> bool:
+        """Stop measuring, and let go of the line; the supervisor decides."""
+        self._feed.stop()
+        return False
 
     def on_parameters(self, new: Config) -> None:
         """Another reach can be had at once, another line or frame cannot."""
@@ -86,18 +80,22 @@ class LanternScanner(Component):
     @every(hz=1)
     def report(self) -> None:
         """Tell how the device is."""
-        hz = self._rate.hz(time.monotonic())
+        hz = self._feed.hz()
         level, text = OK, f"{hz:.1f} scans a second"
-        if self._trouble:
-            level, text = ERROR, self._trouble
+        if self._feed.trouble:
+            level, text = ERROR, self._feed.trouble
         elif abs(hz - protocol.RATE_HZ) > 0.1 * protocol.RATE_HZ:
             level = WARN
-        values = {"rate [Hz]": hz, "damaged lines": self._damaged}
+        values = {
+            "rate [Hz]": hz,
+            "damaged lines": self._damaged,
+            "left out": self._feed.left_out,
+        }
         now, port = self.clock.now(), self.config.port
         self.diagnostics.publish(diagnostics(now, self.name, port, level, text, values))
 
     def _converse(self, stopping: threading.Event) -> None:
-        """Runs on a thread of its own; what comes is posted to the component."""
+        """Runs on a thread of its own; what comes is handed to the component."""
         link = SerialLink(self.config.port, protocol.BAUD)
         clock = DeviceClock(protocol.CLOCK_HZ, protocol.CLOCK_BITS)
         lines = Lines()
@@ -114,20 +112,19 @@ class LanternScanner(Component):
                         self._damaged += 1
                         continue
                     heard = now
-                    self._thread.well(f"{link.name}: the Lantern measures")
+                    self._feed.well(f"{link.name}: the Lantern measures")
                     ended = clock.seconds(turn.ended_ms)
                     began = ended + clock.offset(ended, now) - protocol.SWEEP_S
-                    self.post(partial(self._tell, turn, began))
+                    self._feed.give((turn, began))
                 if now - heard > _SILENCE_S:
                     raise DeviceError(f"{link.name}: no turn for {_SILENCE_S:g} s; is it on?")
             link.write(protocol.STOP)
         finally:
             link.close()
 
-    def _tell(self, turn: Turn, began: float) -> None:
-        """Publish a turn whose first beam was measured at `began` [s, monotonic clock]."""
-        self._trouble = ""
-        self._rate.note(time.monotonic())
+    def _publish(self, measured: tuple[Turn, float]) -> None:
+        """Publish a turn, with the time when its first beam was measured [s, monotonic clock]."""
+        turn, began = measured
         age_ns = round((time.monotonic() - began) * SECOND)
         self.scan.publish(
             LaserScan(
@@ -146,17 +143,9 @@ class LanternScanner(Component):
             )
         )
 
-    def _lost(self, error: DeviceError) -> None:
-        self._trouble = str(error)
-        self._rate.restart()
-
 
 def _ranges(turn: Turn, farthest: float) -> np.ndarray:
     """Metres; infinite where nothing was seen within the reach (REP 117)."""
     metres = np.array(turn.millimetres, np.float32) / np.float32(1000.0)
     metres[(metres == 0.0) | (metres > farthest)] = np.inf
     return metres
-
-
-def _fail(error: Exception) -> None:
-    raise error

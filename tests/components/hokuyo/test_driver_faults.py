@@ -174,7 +174,7 @@ def test_what_came_while_it_was_deactivated_is_not_told_afterwards(tmp_path: Pat
         for _ in range(3):
             it.scans.wait(3, after=len(it.scans))
             it.component.ask("deactivate")
-            driver._came(last)
+            driver._feed.give(last)
             it.component.ask("activate")
         it.scans.wait(3, after=len(it.scans))
         told = it.health(lambda status: True)
