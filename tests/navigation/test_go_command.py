@@ -21,46 +21,60 @@ def robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Robot]:
         yield robot
 
 
-@pytest.fixture
-def fresh_robot(tmp_path: Path) -> Iterator[Robot]:
-    with robot_in(tmp_path) as robot:
-        yield robot
-
-
 def far_place(robot: Robot) -> tuple[str, str]:
     """A place on the other side of the room, wherever the tests before have left the robot."""
     return ("6.6", "1.8") if robot.place[0] < 4.0 else ("1.4", "1.2")
 
 
-def test_nobody_can_be_told_where_the_robot_is_before_there_is_a_localizer(
-    fresh_robot: Robot,
-) -> None:
-    answer = cairn("locate", "1", "1", connect=fresh_robot.run.endpoint)
+class TestFromStartToEnd:
+    """With a robot of its own, which has had no order before; in this order."""
 
-    assert answer.code == 1
-    assert answer.err.startswith(
-        "cairn: nobody reads initialpose here: the localizer is loaded with the first order"
-    )
+    @pytest.fixture(scope="class")
+    @classmethod
+    def robot(cls, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Robot]:
+        with robot_in(tmp_path_factory.mktemp("fresh")) as robot:
+            yield robot
 
+    def test_nobody_can_be_told_where_the_robot_is_before_there_is_a_localizer(
+        self, robot: Robot
+    ) -> None:
+        answer = cairn("locate", "1", "1", connect=robot.run.endpoint)
 
-def test_it_tells_every_step_and_ends_with_0_when_the_robot_is_there(
-    fresh_robot: Robot,
-) -> None:
-    going = fresh_robot.go("2.0", "1.2", "10deg")
+        assert answer.code == 1
+        assert answer.err.startswith(
+            "cairn: nobody reads initialpose here: the localizer is loaded with the first order"
+        )
 
-    assert going.await_end() == 0
+    def test_it_tells_every_step_and_ends_with_0_when_the_robot_is_there(
+        self, robot: Robot
+    ) -> None:
+        going = robot.go("2.0", "1.2", "10deg")
 
-    said = [re.sub(r"\d+(\.\d+)?", "N", line).strip() for line in going.lines]
-    assert said[0] == "order N: go to (N, N, N deg); Ctrl-C cancels"
-    assert said[1:5] == [
-        "N s  loading: map_builder",
-        "N s  loading: localizer",
-        "N s  loading: path_planner",
-        "N s  loading: motion_control",
-    ]
-    assert "N s  planning" in said
-    assert "N s  driving: N m left, about N s" in said
-    assert re.search(r"s  arrived at \(2.00, 1.20\)$", going.lines[-1].strip())
+        assert going.await_end() == 0
+
+        said = [re.sub(r"\d+(\.\d+)?", "N", line).strip() for line in going.lines]
+        assert said[0] == "order N: go to (N, N, N deg); Ctrl-C cancels"
+        assert said[1:5] == [
+            "N s  loading: map_builder",
+            "N s  loading: localizer",
+            "N s  loading: path_planner",
+            "N s  loading: motion_control",
+        ]
+        assert "N s  planning" in said
+        assert "N s  driving: N m left, about N s" in said
+        assert re.search(r"s  arrived at \(2.00, 1.20\)$", going.lines[-1].strip())
+
+    def test_the_end_of_the_deployment_is_noticed(self, robot: Robot) -> None:
+        going = robot.go(*far_place(robot))
+        going.await_word("order ")
+
+        robot.run.stop()
+
+        assert going.await_end() == 1
+        assert re.fullmatch(
+            r"cairn: order \d+: the deployment has ended, and with it the order\n",
+            going.lines[-1],
+        ), going
 
 
 def test_the_robot_is_told_where_it_is(robot: Robot) -> None:
@@ -212,15 +226,3 @@ def test_an_order_that_its_supervisor_lost_is_told_of(robot: Robot) -> None:
 
     assert going.await_end() == 1
     assert "was lost: its supervisor was started anew and does not know it" in going.lines[-1]
-
-
-def test_the_end_of_the_deployment_is_noticed(fresh_robot: Robot) -> None:
-    going = fresh_robot.go(*far_place(fresh_robot))
-    going.await_word("order ")
-
-    fresh_robot.run.stop()
-
-    assert going.await_end() == 1
-    assert re.fullmatch(
-        r"cairn: order \d+: the deployment has ended, and with it the order\n", going.lines[-1]
-    ), going
