@@ -34,7 +34,7 @@ def opened_by(path: Path, *, ours_too: bool = True) -> list[str]:
 
 
 def _named(process: psutil.Process) -> str:
-    title = " ".join(process.cmdline())
+    title = " ".join(process.cmdline()).strip()  # a title that was set is padded
     return f"{title if title.startswith('cairn:') else process.name()} ({process.pid})"
 
 
