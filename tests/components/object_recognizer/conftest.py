@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import shutil
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -73,14 +74,20 @@ class Robot:
         return told
 
 
-@pytest.fixture
-def map_file(tmp_path: Path) -> Path:
-    """A map to which objects 1, 2 and 3 are taught, the last without its size."""
-    path = tmp_path / "a.cairn"
+@pytest.fixture(scope="session")
+def taught_map(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The map of `map_file`, to be copied only: to teach takes most of a second."""
+    path = tmp_path_factory.mktemp("taught") / "a.cairn"
     create(path, "a test").close()
     for seed in (1, 2, 3):
         teach(path, f"poster {seed}", [view_of(picture_of(seed))], SIZE if seed < 3 else None)
     return path
+
+
+@pytest.fixture
+def map_file(taught_map: Path, tmp_path: Path) -> Path:
+    """A map to which objects 1, 2 and 3 are taught, the last without its size."""
+    return Path(shutil.copy(taught_map, tmp_path))
 
 
 @pytest.fixture
