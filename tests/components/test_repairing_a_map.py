@@ -18,10 +18,11 @@ from schemas.cairn_msgs import VisualMap, VisualMapChange, VisualObject
 from schemas.geometry_msgs import PoseWithCovarianceStamped
 
 MANY = Qos("reliable", "transient_local", 100_000)
+END_S = 600.0  # of 886 s: found and registered within 190 s, it is to stay where it stands
 
 
 def deployment(dataset: Path, robot: int, map_file: Path, start: dict[str, float]) -> Any:
-    recording = {"recording": str(dataset), "robot": robot}
+    recording = {"recording": str(dataset), "robot": robot, "end_s": END_S}
     copy = map_file.with_name("working.map")
     return {
         "cairn": 1,
