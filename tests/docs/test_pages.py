@@ -9,6 +9,8 @@ from typing import Any
 
 import pytest
 
+from tests.commands import cairn
+
 PAGES = (
     "README.md",
     "docs/architecture.md",
@@ -65,15 +67,17 @@ def offline_commands() -> list[tuple[str, str]]:
     "command", sorted({command for _, command in offline_commands()}), ids=str.split
 )
 def test_commands_that_need_no_robot_work_as_shown(
-    shell: Callable[[Path, Path], Any], root: Path, tmp_path: Path, command: str
+    root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str
 ) -> None:
     words = shlex.split(command, comments=True)[1:]
     # In a folder of its own, so that what is written is not written into the project.
     for name in ("deploy", "tests"):
         (tmp_path / name).symlink_to(root / name)
+    monkeypatch.chdir(tmp_path)
 
     if "MRCLAM_Dataset9" not in words:
-        shell(tmp_path, tmp_path).cairn(*words)
+        answer = cairn(*words)
+        assert answer.code == 0, answer.err
 
 
 def test_the_readmes_component_passes_the_check_of_its_deployment(
