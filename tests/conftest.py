@@ -1,6 +1,10 @@
 """What all tests may use: the project's own conformance kit, as users have it."""
 
 import os
+from collections.abc import Iterable
+
+import pytest
+from hypothesis import settings
 
 pytest_plugins = ["cairn.testing.plugin"]
 
@@ -11,3 +15,17 @@ def pytest_configure() -> None:
     Where Python is told not to, each of hundreds of processes would compile all modules anew.
     """
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+    # A busy machine makes no example wrong; half as many as by default tell as much, and the whole
+    # suite is run often.
+    settings.register_profile("cairn", deadline=None, max_examples=50)
+    settings.load_profile("cairn")
+
+
+def pytest_collection_modifyitems(items: Iterable[pytest.Item]) -> None:
+    """The tests of a file share what they launch, so where several run at a time, one runs a file.
+
+    Those of a group of their own, such as robots that drive in real time, never run side by side.
+    """
+    for item in items:
+        if item.get_closest_marker("xdist_group") is None:
+            item.add_marker(pytest.mark.xdist_group(item.nodeid.partition("::")[0]))

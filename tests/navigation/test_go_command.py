@@ -14,6 +14,8 @@ from cairn.testing.launching import CAIRN
 from tests.commands import cairn
 from tests.navigation.processes import Robot, robot_in
 
+pytestmark = pytest.mark.xdist_group("robots in real time")
+
 
 @pytest.fixture(scope="module")
 def robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Robot]:

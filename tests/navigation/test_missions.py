@@ -77,6 +77,7 @@ def test_without_finish_a_pre_empted_mission_ends_nothing(drive: DriveOf) -> Non
     assert robot.run.end is None
 
 
+@pytest.mark.xdist_group("robots in real time")
 def test_a_mission_that_fails_in_real_processes_ends_with_status_1(
     tmp_path: Path, launch: Launching
 ) -> None:

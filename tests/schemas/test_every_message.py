@@ -27,7 +27,7 @@ ROS = get_typestore(Stores.ROS2_JAZZY)
 
 every_message = pytest.mark.parametrize("name", EVERY_MESSAGE)
 standard_message = pytest.mark.parametrize("name", OF_ROS_2)
-few = settings(max_examples=40, deadline=None)
+few = settings(max_examples=20)
 
 
 @every_message

@@ -51,7 +51,7 @@ def test_an_object_is_found_with_its_name_and_place() -> None:
     assert np.linalg.norm(projected - found.image_points, axis=1).max() < 6
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=8, deadline=None)
 @given(
     st.floats(100, 300),
     st.floats(100, 200),

@@ -262,7 +262,7 @@ def test_what_can_be_taken_back_takes_little_more_memory_than_the_map() -> None:
     try:
         began, _ = tracemalloc.get_traced_memory()
         for drive in range(3):
-            drive_into_the_unknown(occupancy, 100, 20.0 * drive)
+            drive_into_the_unknown(occupancy, 40, 20.0 * drive)
             grown, _ = tracemalloc.get_traced_memory()
             assert grown - began < 6 * occupancy.cells.nbytes
     finally:

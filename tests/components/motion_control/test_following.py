@@ -184,7 +184,7 @@ def test_a_person_who_comes_towards_it_is_not_touched(aside: float) -> None:
 headings = st.floats(-math.pi, math.pi)
 
 
-@settings(max_examples=40, deadline=None, derandomize=True)
+@settings(max_examples=20, deadline=None, derandomize=True)
 @given(
     x=st.floats(-2.5, 2.5),
     y=st.floats(-2.5, 2.5),
