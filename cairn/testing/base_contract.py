@@ -21,6 +21,7 @@ from cairn.testing.device import Wheeled
 from cairn.testing.driver_contract import LifeCycleContract, ParametersContract
 from cairn.testing.end_contract import EndContract, StopContract, UnplugContract
 from cairn.testing.odometry_contract import Drive, OdometryContract, Odoms
+from cairn.testing.pauses import undisturbed
 from cairn.testing.reading import Arrival, Reading
 from cairn.testing.robot import Robot
 from schemas.geometry_msgs import Twist, Vector3
@@ -56,6 +57,10 @@ class DriveContract(OdometryContract):
     def drive(cls, bench: Bench) -> Drive:
         """A drive that the tests of the class share."""
         robot = bench.robot(cls.component)
+        return undisturbed(lambda: cls._driven(robot))
+
+    @classmethod
+    def _driven(cls, robot: Robot) -> Drive:
         tf = cls.port_of(robot, "tf")
         transforms = None if tf is None else robot.read(tf.topic, TFMessage)
         command = cls.topic(robot, "cmd_vel")
@@ -64,12 +69,13 @@ class DriveContract(OdometryContract):
             cls.sample(odom, max(10, span // 2))
             begun = odom.count
             with robot.sending(command, cls.ahead()):
-                cls._next(odom, span)
+                cls.sample(odom, span, after=odom.count)
                 turned = odom.count
             with robot.sending(command, cls.leftwards()):
-                cls._next(odom, span)
+                cls.sample(odom, span, after=odom.count)
                 ceased = odom.count
-            cls._next(odom, max(2, math.ceil((cls.stop_limit_s + 0.5) * cls.rate_hz)))
+            end = max(2, math.ceil((cls.stop_limit_s + 0.5) * cls.rate_hz))
+            cls.sample(odom, end, after=odom.count)
         told = odom.arrivals
         parts = (told[:begun], told[begun:turned], told[turned:ceased], told[ceased:])
         if transforms is None:
@@ -118,11 +124,6 @@ class DriveContract(OdometryContract):
         way = judged.travelled([arrival.message for arrival in drive.left])
         self._check_speed(turn, self.turn, "rad/s to the left")
         assert way.left_rad > 0.0, f"commanded to the left, it turned {way.left_rad:.3f} rad"
-
-    @classmethod
-    def _next(cls, odom: Reading[Odometry], count: int) -> Odoms:
-        limit_s = cls.return_limit_s + 3.0 * count / cls.rate_hz
-        return odom.await_count(count, after=odom.count, limit_s=limit_s)
 
     def _check_speed(self, speed: float, commanded: float, what: str) -> None:
         assert abs(speed - commanded) <= self.accuracy * commanded, (
@@ -206,7 +207,7 @@ class SafetyContract(DriveContract):
             lambda status: any(p.port == "cmd_vel" and p.invalid for p in status.ports),
             "counting invalid commands",
         )
-        later = self._next(output, 5)
+        later = self.sample(output, 5, after=output.count)
         assert all(map(self._is_still, later)), "a command of NaN has moved it"
         assert robot.status(self.component).pid == pid, "a command of NaN has brought it down"
 
@@ -215,7 +216,7 @@ class SafetyContract(DriveContract):
         if self.top_speed is None:
             pytest.skip("top_speed does not tell how fast it may go")
         with robot.sending(self.topic(robot, "cmd_vel"), Twist(linear=Vector3(x=1000.0))):
-            odoms = self._next(output, math.ceil(self.drive_s * self.rate_hz))
+            odoms = self.sample(output, math.ceil(self.drive_s * self.rate_hz), after=output.count)
         fastest = judged.travelled([arrival.message for arrival in odoms]).longest_speed
         assert fastest <= self.top_speed * (1.0 + self.accuracy), (
             f"commanded 1000 m/s it went {fastest:.3f} m/s; its limit is {self.top_speed:g} m/s"
@@ -228,7 +229,7 @@ class SafetyContract(DriveContract):
             after=after,
             limit_s=self.return_limit_s + self.stop_limit_s,
         )
-        rest = self._next(output, 3)
+        rest = self.sample(output, 3, after=output.count)
         assert all(map(self._is_still, rest)), "it stood, and moves again without a command"
 
     def _is_still(self, odom: Arrival[Odometry]) -> bool:

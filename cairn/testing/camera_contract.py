@@ -19,7 +19,9 @@ from cairn.testing import stamps as timed
 from cairn.testing.bench import Bench
 from cairn.testing.driver_contract import Contract, LifeCycleContract, ParametersContract
 from cairn.testing.end_contract import EndContract, StopContract, UnplugContract
+from cairn.testing.pauses import undisturbed
 from cairn.testing.reading import Arrival, Reading
+from cairn.testing.robot import Robot
 from cairn.testing.scans import check_frame
 from schemas.sensor_msgs import CameraInfo, Image
 
@@ -84,6 +86,10 @@ class PicturesContract(Contract):
     def pictures(cls, bench: Bench) -> Pictures:
         """Pairs in a row, that the tests of the class share."""
         robot = bench.robot(cls.component)
+        return undisturbed(lambda: cls._taken(robot))
+
+    @classmethod
+    def _taken(cls, robot: Robot) -> Pictures:
         whole: dict[str, Image] = {}
 
         def keep(side: str, image: Image) -> Image:

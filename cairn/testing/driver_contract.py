@@ -102,9 +102,10 @@ class Contract:
         return sorted(robot.writers(topic) - {f"/{robot.name}/{cls.component}"})
 
     @classmethod
-    def sample(cls, reading: Reading[Any], count: int) -> list[Arrival[Any]]:
-        """So many messages; the limit leaves a slow machine room."""
-        return reading.await_count(count, limit_s=cls.return_limit_s + 3.0 * count / cls.rate_hz)
+    def sample(cls, reading: Reading[Any], count: int, *, after: int = 0) -> list[Arrival[Any]]:
+        """So many messages after the first `after`; the limit leaves a slow machine room."""
+        limit_s = cls.return_limit_s + 3.0 * count / cls.rate_hz
+        return reading.await_count(count, after=after, limit_s=limit_s)
 
     @classmethod
     def await_working(cls, output: Reading[Any], after: int) -> None:

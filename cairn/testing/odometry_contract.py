@@ -12,6 +12,7 @@ from cairn.testing import odometry as judged
 from cairn.testing import stamps as timed
 from cairn.testing.bench import Bench
 from cairn.testing.driver_contract import Contract
+from cairn.testing.pauses import undisturbed
 from cairn.testing.reading import Arrival
 from schemas.nav_msgs import Odometry
 from schemas.tf2_msgs import TFMessage
@@ -78,7 +79,7 @@ class OdometryContract(Contract):
         tf = cls.port_of(robot, "tf")
         transforms = None if tf is None else robot.read(tf.topic, TFMessage)
         with robot.read(cls.topic(robot, cls.port), Odometry) as odom:
-            before = cls.sample(odom, cls.sample_count)
+            before = undisturbed(lambda: cls.sample(odom, cls.sample_count, after=odom.count))
         if transforms is None:
             return Drive(before, (), (), (), None)
         with transforms:

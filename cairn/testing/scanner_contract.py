@@ -13,6 +13,7 @@ from cairn.testing import stamps as timed
 from cairn.testing.bench import Bench
 from cairn.testing.driver_contract import Contract, LifeCycleContract, ParametersContract
 from cairn.testing.end_contract import EndContract, StopContract, UnplugContract
+from cairn.testing.pauses import undisturbed
 from cairn.testing.reading import Arrival
 from schemas.sensor_msgs import LaserScan
 
@@ -59,7 +60,7 @@ class ScanContract(Contract):
         """Scans in a row, that the tests of the class share."""
         robot = bench.robot(cls.component)
         with robot.read(cls.topic(robot, cls.port), LaserScan) as reading:
-            return cls.sample(reading, cls.sample_count)
+            return undisturbed(lambda: cls.sample(reading, cls.sample_count, after=reading.count))
 
     def test_rate(self, scans: Scans) -> None:
         """It is the nominal one: who plans by it (filters, watchdogs) relies on it."""
