@@ -21,11 +21,13 @@ def pytest_configure() -> None:
     settings.load_profile("cairn")
 
 
-def pytest_collection_modifyitems(items: Iterable[pytest.Item]) -> None:
+def pytest_collection_modifyitems(config: pytest.Config, items: Iterable[pytest.Item]) -> None:
     """The tests of a file share what they launch, so where several run at a time, one runs a file.
 
     Those of a group of their own, such as robots that drive in real time, never run side by side.
     """
+    if not config.pluginmanager.hasplugin("xdist"):
+        return
     for item in items:
         if item.get_closest_marker("xdist_group") is None:
             item.add_marker(pytest.mark.xdist_group(item.nodeid.partition("::")[0]))

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 
-from cairn.driver.errors import DeviceError
+from cairn.driver.errors import DeviceError, LinkLost
 from components.hokuyo.config import HokuyoConfig
 from components.hokuyo.device_facts import Measuring
 from components.hokuyo.dialogue import NoAnswer, Stopped
@@ -21,6 +21,9 @@ from components.hokuyo.stream import Defect, ScanStream
 _LISTEN_S = 0.1
 _TURNS = 2  # a scan may be one late
 _DAMAGED = 10  # so many times longer than silence, damage alone is borne
+# So often a sensor that does not answer is asked at the speed at which it answered before: trying
+# all speeds takes long, and one that starts, or a computer that is busy, needs some time.
+_FAITHFUL = 5
 
 
 @dataclass(frozen=True)
@@ -51,14 +54,19 @@ class Measurement:
         self.connections = 0
         self._on_scan = on_scan
         self._known_speed: int | None = None
+        self._unanswered = 0
 
     def connect(self, stopping: threading.Event | None = None) -> Sensor:
         """Connect the sensor; raises `DeviceError`, `Stopped` soon after `stopping` is set."""
-        # Where it answered before it most likely answers again; if not, next time all are tried.
-        speeds = () if self._known_speed is None else (self._known_speed,)
-        self._known_speed = None
-        sensor = connect(self.config, speeds, stopping)
-        self._known_speed = sensor.baud
+        known = self._known_speed if self._unanswered < _FAITHFUL else None
+        try:
+            sensor = connect(self.config, () if known is None else (known,), stopping)
+        except LinkLost:  # which tells nothing of its speed
+            raise
+        except DeviceError:
+            self._unanswered += 1
+            raise
+        self._known_speed, self._unanswered = sensor.baud, 0
         self.connections += 1
         self.sensor, self.measuring = sensor, sensor.measuring
         return sensor
