@@ -3,7 +3,6 @@
 import math
 
 import numpy as np
-import pytest
 import shapely
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
@@ -58,7 +57,9 @@ def test_a_ray_ends_at_the_first_thing_that_it_meets(
 
     found, what = one_ray(x, y, angle, segments, circles)
 
-    assert found == pytest.approx(expected, abs=2e-3)
+    # A ray that just grazes an end may hit it or what is behind: as one that is turned by a hair.
+    nearest, farthest = min(less, expected, more), max(less, expected, more)
+    assert nearest - 2e-3 <= found <= farthest + 2e-3
     assert (what == NOTHING) == math.isinf(expected)
 
 
