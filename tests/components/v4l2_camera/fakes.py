@@ -5,8 +5,9 @@ from __future__ import annotations
 import queue
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,6 +21,10 @@ from components.v4l2_camera.pixels import PictureLayout
 from components.v4l2_camera.stream import Capture
 
 WIDTH, HEIGHT, RATE = 64, 48, 25.0
+LEFT, RIGHT = "/dev/left", "/dev/right"
+ONE: Mapping[str, Any] = {"device": LEFT, "width": WIDTH, "height": HEIGHT, "format": "GREY"}
+"""A driver's parameters for the left camera alone, and below for both."""
+TWO: Mapping[str, Any] = {**ONE, "right_device": RIGHT}
 _LIMIT_S = 15.0
 
 

@@ -11,21 +11,7 @@ from cairn.clock import to_ns
 from cairn.driver.diagnostics import ERROR, OK
 from cairn.errors import CairnError
 from tests.components.v4l2_camera.driving import Driver
-from tests.components.v4l2_camera.fakes import HEIGHT, WIDTH, FakeCamera, FakeCameras, level
-
-LEFT, RIGHT = "/dev/left", "/dev/right"
-ONE = {"device": LEFT, "width": WIDTH, "height": HEIGHT, "format": "GREY"}
-TWO = {**ONE, "right_device": RIGHT}
-
-
-@pytest.fixture
-def left(cameras: FakeCameras) -> FakeCamera:
-    return cameras.add(LEFT)
-
-
-@pytest.fixture
-def right(cameras: FakeCameras) -> FakeCamera:
-    return cameras.add(RIGHT)
+from tests.components.v4l2_camera.fakes import ONE, TWO, FakeCamera, FakeCameras, level
 
 
 def test_a_single_camera_has_the_left_ports_alone(left: FakeCamera) -> None:

@@ -2,27 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import pytest
 
 from cairn.component.parameters import ParameterRefused
 from tests.components.v4l2_camera.driving import Driver
-from tests.components.v4l2_camera.fakes import HEIGHT, WIDTH, FakeCamera, FakeCameras
-
-LEFT, RIGHT = "/dev/left", "/dev/right"
-ONE: dict[str, Any] = {"device": LEFT, "width": WIDTH, "height": HEIGHT, "format": "GREY"}
-TWO = {**ONE, "right_device": RIGHT}
-
-
-@pytest.fixture
-def left(cameras: FakeCameras) -> FakeCamera:
-    return cameras.add(LEFT)
-
-
-@pytest.fixture
-def right(cameras: FakeCameras) -> FakeCamera:
-    return cameras.add(RIGHT)
+from tests.components.v4l2_camera.fakes import ONE, TWO, FakeCamera
 
 
 @pytest.mark.parametrize("given", [{"gain": 10}, {}])

@@ -13,9 +13,7 @@ import pytest
 from cairn.errors import CairnError
 from components.v4l2_camera.cli import probe
 from tests.commands import cairn
-from tests.components.v4l2_camera.fakes import HEIGHT, WIDTH, FakeCamera, FakeCameras
-
-LEFT, RIGHT = "/dev/left", "/dev/right"
+from tests.components.v4l2_camera.fakes import HEIGHT, LEFT, RIGHT, WIDTH, FakeCamera, FakeCameras
 
 
 @pytest.fixture

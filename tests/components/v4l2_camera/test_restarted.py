@@ -9,11 +9,17 @@ import pytest
 from cairn.driver.diagnostics import ERROR
 from cairn.errors import CairnError
 from tests.components.v4l2_camera.driving import Driver, RestartedDriver
-from tests.components.v4l2_camera.fakes import HEIGHT, WIDTH, FakeCamera, FakeCameras, level
-
-LEFT, RIGHT = "/dev/left", "/dev/right"
-ONE = {"device": LEFT, "width": WIDTH, "height": HEIGHT, "format": "GREY"}
-TWO = {**ONE, "right_device": RIGHT}
+from tests.components.v4l2_camera.fakes import (
+    HEIGHT,
+    LEFT,
+    ONE,
+    RIGHT,
+    TWO,
+    WIDTH,
+    FakeCamera,
+    FakeCameras,
+    level,
+)
 
 
 @pytest.fixture
