@@ -6,6 +6,7 @@ from typing import Any, TypeVar
 
 from cairn.bus.bus import mismatch
 from cairn.bus.qos import Qos
+from cairn.bus.waiting import Waiting
 from schemas.message import type_name
 
 End = TypeVar("End", "LockstepPublisher", "LockstepSubscription")
@@ -107,11 +108,9 @@ class LockstepSubscription:
         self.node = node
         self.message = message
         self.received = 0
-        self.dropped = 0
         self.invalid = 0
         self._topic = topic
-        self._waiting: deque[Any] = deque()
-        self._depth = qos.depth
+        self._waiting: Waiting[Any] = Waiting(qos.depth)
         self._wake = wake
         topic.join(self, topic.readers)
         if _latches(qos):
@@ -122,20 +121,20 @@ class LockstepSubscription:
 
     def put(self, message: Any) -> None:
         """Let a message wait; the oldest one gives way if too many do."""
-        if len(self._waiting) >= self._depth:
-            self._waiting.popleft()
-            self._waiting.append(message)
-            self.dropped += 1
-            return
-        self._waiting.append(message)
-        self._wake()
+        if self._waiting.put(message):
+            self._wake()
+
+    @property
+    def dropped(self) -> int:
+        """Messages that gave way to newer ones."""
+        return self._waiting.dropped
 
     def take(self) -> Any | None:
         """The oldest message waiting, None if there is none."""
-        if not self._waiting:
-            return None
-        self.received += 1
-        return self._waiting.popleft()
+        message = self._waiting.take()
+        if message is not None:
+            self.received += 1
+        return message
 
     def close(self) -> None:
         """Stop reading."""

@@ -3,7 +3,6 @@
 import itertools
 import threading
 import time
-from collections import deque
 from collections.abc import Callable
 from typing import Any
 
@@ -22,6 +21,7 @@ from cairn.bus.codec import Codec
 from cairn.bus.graph import GraphWatch
 from cairn.bus.meeting import Meeting
 from cairn.bus.qos import Qos
+from cairn.bus.waiting import Waiting
 from schemas.message import InvalidMessage, type_name
 
 _PUBLISHERS = 1000
@@ -226,14 +226,13 @@ class ZenohSubscription:
         wake: Callable[[], None],
     ) -> None:
         self.received = 0
-        self.dropped = 0
         self.invalid = 0
+        self._lost = 0  # on the way or in the ring
         self._closed = False
         self._codec = node.bus.codec
         self._message = message
-        self._depth = qos.depth
         self._wake = wake
-        self._waiting: deque[zenoh.Sample] = deque()
+        self._waiting: Waiting[zenoh.Sample] = Waiting(qos.depth)
         self._last: dict[bytes, int] = {}
         self._announcement = node.declare("MS", topic, message, qos)
         key = self._announcement.key
@@ -254,11 +253,15 @@ class ZenohSubscription:
         )
         self._thread.start()
 
+    @property
+    def dropped(self) -> int:
+        """Messages that were sent after the first one seen here and never taken."""
+        return self._lost + self._waiting.dropped
+
     def take(self) -> Any | None:
         """The oldest message waiting, None if there is none."""
-        try:
-            sample = self._waiting.popleft()
-        except IndexError:
+        sample = self._waiting.take()
+        if sample is None:
             return None
         try:
             message = self._codec.decode(self._message, sample.payload.to_bytes())
@@ -285,24 +288,11 @@ class ZenohSubscription:
                 sample = channel.recv()
             except zenoh.ZError:  # the subscriber was undeclared
                 return
-            woken = self._give_way()
-            self._waiting.append(sample)
-            if not woken:
+            if self._waiting.put(sample):
                 self._wake()
             # Last, because the handler may just have run, and should not have waited for it.
             if sample.attachment is not None:
                 self._count_gap(sample.attachment.to_bytes())
-
-    def _give_way(self) -> bool:
-        """Drop the oldest message if too many wait; whether its wake-up is left for another."""
-        if len(self._waiting) < self._depth:
-            return False
-        try:
-            self._waiting.popleft()
-        except IndexError:  # the loop was faster, and has used up all wake-ups
-            return False
-        self.dropped += 1
-        return True
 
     def _count_gap(self, attachment: bytes) -> None:
         # Numbers are per publisher and without gaps: what is missing was lost on the way or in
@@ -315,5 +305,5 @@ class ZenohSubscription:
             self._last.clear()
         last = self._last.get(number.gid)
         if last is not None and 1 < number.sequence - last < _NO_GAP:
-            self.dropped += number.sequence - last - 1
+            self._lost += number.sequence - last - 1
         self._last[number.gid] = number.sequence
