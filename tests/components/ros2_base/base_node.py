@@ -3,7 +3,8 @@
 It speaks by zenoh-ros2-sdk, an independent client of rmw_zenoh, and drives as ROS 2's
 diff_drive_controller does: a command holds for half a second, a stamped one that is older is
 refused, wheels become faster and slower by and by, and odometry begins at 0 when the node starts.
-DEFINITIONS is a directory of .msg files. It obeys lines of JSON and answers each with one.
+DEFINITIONS is a directory of .msg files. It obeys lines of JSON, `[verb, argument ...]`, and
+answers each with one.
 """
 
 import json
@@ -20,6 +21,7 @@ import numpy as np
 PERIOD_S = 0.05
 COMMAND_TIMEOUT_S = 0.5
 ACCELERATIONS = (1.5, 6.0)  # [m/s^2, rad/s^2]
+STANDS_BELOW = 0.01  # [m/s, rad/s]
 
 
 class BaseNode:
@@ -35,6 +37,7 @@ class BaseNode:
         self._types = sdk.ZenohSession.get_instance("127.0.0.1", port).store.types
         sdk.get_registry().messages_dir = definitions
         self._lock = threading.Lock()
+        self._moved = threading.Condition()
         self._ends: list[Any] = []
         self._begin()
         threading.Thread(target=self._drive, daemon=True).start()
@@ -61,9 +64,14 @@ class BaseNode:
         for end in ends:
             end.close()
 
-    def speeds(self) -> list[float]:
-        """What the base truly does now [m/s, rad/s]."""
-        return list(self._speeds)
+    def turns(self) -> bool:
+        """Whether the wheels truly turn now."""
+        return any(abs(speed) > STANDS_BELOW for speed in self._speeds)
+
+    def await_stand(self, limit_s: float) -> bool:
+        """Wait until they do not; whether that was within the limit."""
+        with self._moved:
+            return self._moved.wait_for(lambda: not self.turns(), limit_s)
 
     def _begin(self) -> None:
         self._pose = (0.0, 0.0, 0.0)
@@ -84,7 +92,9 @@ class BaseNode:
         while True:
             due += PERIOD_S
             time.sleep(max(0.0, due - time.monotonic()))
-            self._step()
+            with self._moved:
+                self._step()
+                self._moved.notify_all()
             with self._lock:
                 if self._ends:
                     self._tell(self._ends[0])
@@ -152,7 +162,8 @@ def main() -> None:
     sys.stdout = sys.stderr
     node = BaseNode(int(sys.argv[1]), Path(sys.argv[2]))
     for line in sys.stdin:
-        answers.write(json.dumps(getattr(node, json.loads(line))()) + "\n")
+        verb, *arguments = json.loads(line)
+        answers.write(json.dumps(getattr(node, verb)(*arguments)) + "\n")
         answers.flush()
 
 

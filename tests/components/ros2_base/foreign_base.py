@@ -3,7 +3,6 @@
 import json
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -17,8 +16,6 @@ from schemas.geometry_msgs import Twist, TwistStamped
 from schemas.message import type_name
 from schemas.nav_msgs import Odometry
 
-_STANDS_BELOW = 0.01  # [m/s, rad/s]
-_LOOK_S = 0.02
 _PROGRAM = Path(__file__).with_name("base_node.py")
 
 
@@ -50,20 +47,15 @@ class ForeignBase:
             self._session = zenoh.open(router_config(self.router))
 
     def turns(self) -> bool:
-        return any(abs(speed) > _STANDS_BELOW for speed in self._ask("speeds"))
+        return bool(self._ask("turns"))
 
     def await_stand(self, limit_s: float) -> bool:
-        until = time.monotonic() + limit_s
-        while self.turns():
-            if time.monotonic() > until:
-                return False
-            time.sleep(_LOOK_S)
-        return True
+        return bool(self._ask("await_stand", limit_s))
 
-    def _ask(self, verb: str) -> Any:
+    def _ask(self, verb: str, *arguments: Any) -> Any:
         assert self._process.stdin is not None
         assert self._process.stdout is not None
-        self._process.stdin.write(json.dumps(verb) + "\n")
+        self._process.stdin.write(json.dumps([verb, *arguments]) + "\n")
         self._process.stdin.flush()
         answer = self._process.stdout.readline()
         assert answer, "the base's program has ended; its errors are above"
