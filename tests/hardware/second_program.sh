@@ -13,7 +13,7 @@ if [ -n "$BOOTED" ]; then
     for generator in /lib/systemd/system-generators/*; do
         ln -s /dev/null "/run/systemd/system-generators/${generator##*/}"  # the host's disks are none
     done
-    exec /lib/systemd/systemd --unit=tests.service --log-target=console --show-status=no
+    exec /lib/systemd/systemd --unit=tests.service --log-target=journal-or-kmsg --show-status=no
 fi
 mount -t devpts devpts /dev/pts
 mount -t tmpfs tmpfs /dev/shm

@@ -6,6 +6,7 @@ import math
 import pkgutil
 import typing
 from dataclasses import fields
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -51,6 +52,7 @@ EVERY_MESSAGE = _every_message()
 OF_ROS_2 = [name for name in EVERY_MESSAGE if not name.startswith(("cairn_", "map_msgs/"))]
 
 
+@cache
 def samples(cls: type[Any], count: int) -> list[Any]:
     """The same `count` messages at each call."""
     found: list[Any] = []

@@ -4,7 +4,7 @@ import pytest
 
 from cairn.bus.codec import Codec
 
-DEFAULT_MUTATIONS = 2_000
+DEFAULT_MUTATIONS = 500
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
