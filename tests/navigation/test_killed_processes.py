@@ -45,12 +45,10 @@ COMPONENTS = [
     "mobile_supervisor",
 ]
 MOMENTS = random.Random(1)
-SHARES = [(0.0, 0.3), (0.4, 0.7)]
-# 20 kills, two on each leg to a place of the tour: each when a share of the leg, drawn at random,
-# is driven.
+# One on each leg to a place of the tour, when a share of the leg, drawn at random, is driven.
 KILLS = [
-    (COMPONENTS[n % len(COMPONENTS)], 1 + n // 2, round(MOMENTS.uniform(*SHARES[n % 2]), 2))
-    for n in range(20)
+    (component, leg, round(MOMENTS.uniform(0.0, 0.7), 2))
+    for leg, component in enumerate(COMPONENTS, start=1)
 ]
 
 
