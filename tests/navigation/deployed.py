@@ -23,6 +23,7 @@ class Deployed:
         self._outside = self.run.bus.node("/robot/operator", _heed)
         self._writers: dict[str, Any] = {}
         self._began = False
+        self._told = False  # whether anything has come since the last look
 
     @property
     def now(self) -> float:
@@ -43,19 +44,18 @@ class Deployed:
                 over.append(True)
 
         executor.at(end, lambda: leave(100))
-        executor.run(lambda: self.look() or bool(over))
+        executor.run(lambda: self._look() or bool(over))
 
     def await_that(self, so: Callable[[], bool], limit_s: float = 300.0) -> None:
         """Let time pass until something is so."""
         self.begin()
         executor, until = self.run.executor, self.now + limit_s
         executor.at(round(until * SECOND), _nothing)
-        executor.run(lambda: self.look() or so() or self.now >= until)
+        executor.run(lambda: self._look() or so() or self.now >= until)
         assert so(), f"not so within {limit_s} s; {self}"
 
-    def look(self) -> bool:
-        """Called before every event: take what was told. Always false."""
-        return False
+    def hear(self) -> None:
+        """Called when something was told on a topic that is read: take it."""
 
     def ask(self, component: str, verb: str, **arguments: Any) -> Any:
         """What a component answers to a request; what follows at once has happened then."""
@@ -66,7 +66,7 @@ class Deployed:
 
     def read(self, topic: str, message: type[Any]) -> Any:
         """All that is published on a topic, to be taken."""
-        return self._outside.subscribe(full_name("robot", topic), message, _MANY, _nothing)
+        return self._outside.subscribe(full_name("robot", topic), message, _MANY, self._note)
 
     def publish(self, topic: str, message: Any, qos: Qos = RELIABLE) -> None:
         """Put a message on a topic; what follows at once has happened then."""
@@ -96,6 +96,16 @@ class Deployed:
     def silence(self, component: str) -> None:
         """Have a component do nothing any more, like a process that was stopped."""
         self._place(component)._scheduler.stop()
+
+    def _note(self) -> None:
+        self._told = True
+
+    def _look(self) -> bool:
+        """Before every event. Always false."""
+        if self._told:
+            self._told = False
+            self.hear()
+        return False
 
     def _place(self, component: str) -> Any:
         places = [self.run._root]

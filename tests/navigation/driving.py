@@ -102,14 +102,13 @@ class Drive(Deployed):
             if number == 0 or self.statuses[number - 1].state != status.state
         ]
 
-    def look(self) -> bool:
+    def hear(self) -> None:
         """Take what was told."""
         self.statuses += taken(self._statuses)
         self.motions += taken(self._motions)
         self.collisions += taken(self._collisions)
         for truth in taken(self._truths):
             self.truth = planar_pose(truth.pose)
-        return False
 
     def __str__(self) -> str:
         """What was told, for a test that fails."""
