@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,9 +39,7 @@ def fit_plane(points: Array, values: Array) -> PlaneFit | None:
     if count < _LEAST:
         return None
     model = np.column_stack((np.ones(count), points))
-    # The same points give the same fit.
-    random = np.random.default_rng(count)
-    triples = np.array([random.choice(count, 3, replace=False) for _ in range(_TRIALS)])
+    triples = _triples(count)
     corners = model[triples]
     spread = np.abs(np.linalg.det(corners))
     triples, corners = triples[spread > 1.0], corners[spread > 1.0]
@@ -64,3 +63,15 @@ def fit_plane(points: Array, values: Array) -> PlaneFit | None:
     variance = max(_FLOOR**2, float(np.sum(residuals[agree] ** 2)) / freedom)
     covariance = variance * np.linalg.pinv(used.T @ used)
     return PlaneFit(coefficients, covariance, agree)
+
+
+@lru_cache(maxsize=256)
+def _triples(count: int) -> NDArray[np.int64]:
+    """Rows of three of so many points (trials, 3): the same points give the same fit.
+
+    Kept, as to draw them takes longer than all the rest, and numbers of matches recur.
+    """
+    random = np.random.default_rng(count)
+    triples = np.array([random.choice(count, 3, replace=False) for _ in range(_TRIALS)])
+    triples.flags.writeable = False
+    return triples

@@ -180,7 +180,7 @@ def _proven(scene: Scene, view: View, homography: Homography) -> Placed | None:
     # A point that was described in two directions is one witness.
     _, distinct = np.unique(np.rint(view.features.points[rows]), axis=0, return_index=True)
     rows, mates = rows[np.sort(distinct)], mates[np.sort(distinct)]
-    if len(rows) < LEAST or _places(view, rows) < _LEAST_PLACES:
+    if len(rows) < LEAST or not _apart(view, rows):
         return None
     _, stretch, _, inside = _seen(homography, view, scene)
     scales = view.features.scales * stretch
@@ -198,15 +198,16 @@ def _proven(scene: Scene, view: View, homography: Homography) -> Placed | None:
     return Placed(homography, corners, rows, mates, share)
 
 
-def _places(view: View, rows: NDArray[np.intp]) -> int:
-    """How many of these features lie apart from each other, by `_APART`."""
-    points = view.features.points[rows].astype(np.float64)
+def _apart(view: View, rows: NDArray[np.intp]) -> bool:
+    """Whether `_LEAST_PLACES` of these features lie apart from each other, by `_APART`."""
     apart = _APART * math.hypot(view.width, view.height)
-    chosen: list[NDArray[np.float64]] = []
-    for point in points:
+    chosen: list[list[float]] = []
+    for point in view.features.points[rows].tolist():
         if all(math.dist(point, other) > apart for other in chosen):
             chosen.append(point)
-    return len(chosen)
+            if len(chosen) == _LEAST_PLACES:
+                return True
+    return False
 
 
 @numba.njit(

@@ -36,8 +36,6 @@ class Waiting(Generic[T]):
 
     def take(self) -> T | None:
         """The oldest message, None if none waits."""
-        if not self._messages:  # a wake-up follows what is put now
-            return None
         with self._step:
             return self._messages.popleft() if self._messages else None
 
