@@ -180,7 +180,7 @@ def _proven(scene: Scene, view: View, homography: Homography) -> Placed | None:
     # A point that was described in two directions is one witness.
     _, distinct = np.unique(np.rint(view.features.points[rows]), axis=0, return_index=True)
     rows, mates = rows[np.sort(distinct)], mates[np.sort(distinct)]
-    if len(rows) < LEAST or not _apart(view, rows):
+    if len(rows) < LEAST or not _at_several_places(view, rows):
         return None
     _, stretch, _, inside = _seen(homography, view, scene)
     scales = view.features.scales * stretch
@@ -198,7 +198,7 @@ def _proven(scene: Scene, view: View, homography: Homography) -> Placed | None:
     return Placed(homography, corners, rows, mates, share)
 
 
-def _apart(view: View, rows: NDArray[np.intp]) -> bool:
+def _at_several_places(view: View, rows: NDArray[np.intp]) -> bool:
     """Whether `_LEAST_PLACES` of these features lie apart from each other, by `_APART`."""
     apart = _APART * math.hypot(view.width, view.height)
     chosen: list[list[float]] = []

@@ -40,11 +40,13 @@ def report(
     taught = Taught(0, ()) if is_new else read_taught(path)
     known = taught.named(name)
     views, again = _new_views(given, known)
+    # First: it may refuse them, and to try them all takes a while.
+    sizes = _odd_sizes(views, known, size)
     smallest = {source: recognised_from(view) for source, view in views.items()}
     others = [one for one in taught.objects if one.name != name]
     alike = {one.name: one for view in views.values() for one in look_alikes(view, others)}
     remarks = [
-        *_odd_sizes(views, known, size),
+        *sizes,
         *(_repeating(source, name) for source, view in views.items() if repeats(view)),
         *again,
         *(_only_near(source, longest) for source, longest in smallest.items()),

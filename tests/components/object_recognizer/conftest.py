@@ -1,7 +1,8 @@
-"""A map with taught objects, and a recogniser before a camera."""
+"""A map with taught objects, a recogniser before a camera, and each image's features once."""
 
 from __future__ import annotations
 
+import hashlib
 import logging
 import shutil
 from collections.abc import Callable, Sequence
@@ -13,6 +14,7 @@ import pytest
 from numpy.typing import NDArray
 
 from cairn.clock import SECOND
+from components.object_recognizer import component, recognize_cli
 from components.object_recognizer.component import ObjectRecognizer
 from schemas.cairn_msgs import RecognizedObjectArray
 from schemas.sensor_msgs import CameraInfo
@@ -25,6 +27,8 @@ from tests.components.object_recognizer.scenes import (
     pair,
     picture_of,
 )
+from vision import teaching
+from vision.features import Features, extract
 from vision.map_file import create
 from vision.taught_store import teach
 from vision.teaching import view_of
@@ -72,6 +76,44 @@ class Robot:
         told = self.show(*pair(things, self._noise))
         assert told is not None
         return told
+
+
+class Extracted:
+    """The features of images that were looked at before: most tests show the same few."""
+
+    def __init__(self) -> None:
+        self._known: dict[tuple[bytes, tuple[int, ...], int], Features] = {}
+
+    def __call__(self, grey: NDArray[np.uint8], most: int = 0) -> Features:
+        """What `vision.features.extract` gives, anew only for an image that is new."""
+        key = (hashlib.sha256(grey.tobytes()).digest(), grey.shape, most)
+        if key not in self._known:
+            self._known[key] = extract(grey, most)
+        features = self._known[key]
+        return features.at(np.arange(len(features)))  # a copy
+
+
+@pytest.fixture(scope="module")
+def extracted() -> Extracted:
+    return Extracted()
+
+
+@pytest.fixture
+def anew() -> None:
+    """For tests of repetition: every image's features are extracted, however often it is seen."""
+
+
+@pytest.fixture(autouse=True)
+def extracted_once(
+    request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch, extracted: Extracted
+) -> None:
+    """Nine tenths of a test's time were spent on features that another had extracted already.
+
+    How they are extracted, and that they are the same each time, `tests/vision` looks after.
+    """
+    if "anew" not in request.fixturenames:
+        for user in (component, recognize_cli, teaching):
+            monkeypatch.setattr(user, "extract", extracted)
 
 
 @pytest.fixture(scope="session")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import cv2
 import numpy as np
@@ -33,14 +34,25 @@ class Thing:
     y: float = 0.0
 
 
+@cache
 def picture_of(seed: int) -> Grey:
     """What an object looks like, 1 mm a pixel."""
-    return texture(seed, 400, 300)
+    picture = texture(seed, 400, 300)
+    picture.flags.writeable = False
+    return picture
 
 
 def photograph(things: Sequence[Thing], right: bool = False, noise: int = 0) -> Grey:
     """What the left or the right camera sees; `noise` is a seed."""
     random = np.random.default_rng(noise)
+    image = _without_noise(tuple(things), right)
+    noisy = image + random.normal(0, 1.5, image.shape)
+    return np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
+
+
+@cache
+def _without_noise(things: tuple[Thing, ...], right: bool) -> NDArray[np.float32]:
+    """Drawn once: a camera that stands still sees the same but for its noise."""
     image = cv2.resize(texture(1234, 160, 120), (WIDTH, HEIGHT)).astype(np.float32) * 0.4 + 60
     for thing in sorted(things, key=lambda one: -one.z):
         picture = picture_of(thing.seed)
@@ -60,8 +72,8 @@ def photograph(things: Sequence[Thing], right: bool = False, noise: int = 0) -> 
         small = cv2.resize(seen, (WIDTH, HEIGHT), interpolation=cv2.INTER_AREA)
         there = cv2.resize(mask.astype(np.float32), (WIDTH, HEIGHT), interpolation=cv2.INTER_AREA)
         image = image * (1 - there) + small * there
-    noisy = image + random.normal(0, 1.5, image.shape)
-    return np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
+    image.flags.writeable = False
+    return image
 
 
 def pair(things: Sequence[Thing], noise: int = 0) -> tuple[Grey, Grey]:

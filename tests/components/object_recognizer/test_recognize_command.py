@@ -1,6 +1,7 @@
 """`cairn recognize`: what it finds in images, where, and what it refuses."""
 
 import math
+import shutil
 from pathlib import Path
 
 import cv2
@@ -26,18 +27,29 @@ from vision.teaching import view_of
 THINGS = [Thing(1, -0.3, 1.5), Thing(3, 0.35, 1.8)]
 
 
+@pytest.fixture(scope="module")
+def prepared(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A map to which 1 is taught with its size and 3 without; a pair of images; calibrations.
+
+    To be copied only.
+    """
+    folder = tmp_path_factory.mktemp("prepared")
+    create(folder / "a.cairn", "a test").close()
+    teach(folder / "a.cairn", "poster", [view_of(picture_of(1))], SIZE)
+    teach(folder / "a.cairn", "clock", [view_of(picture_of(3))])
+    for name, image in zip(("left", "right"), pair(THINGS), strict=True):
+        cv2.imwrite(str(folder / f"{name}.png"), image)
+    write_camera(folder / "left.yaml", info(), "left")
+    write_camera(folder / "right.yaml", info(right=True), "right")
+    return folder
+
+
 @pytest.fixture(autouse=True)
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A map to which 1 is taught with its size and 3 without; a pair of images; calibrations."""
+def folder(prepared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Where the commands are given: what was `prepared`."""
+    shutil.copytree(prepared, tmp_path, dirs_exist_ok=True)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("CAIRN_VISUAL_MAP", "a.cairn")
-    create(Path("a.cairn"), "a test").close()
-    teach(Path("a.cairn"), "poster", [view_of(picture_of(1))], SIZE)
-    teach(Path("a.cairn"), "clock", [view_of(picture_of(3))])
-    for name, image in zip(("left", "right"), pair(THINGS), strict=True):
-        cv2.imwrite(f"{name}.png", image)
-    write_camera(Path("left.yaml"), info(), "left")
-    write_camera(Path("right.yaml"), info(right=True), "right")
     return tmp_path
 
 

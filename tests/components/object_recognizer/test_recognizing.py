@@ -180,6 +180,7 @@ def test_a_map_without_taught_objects_is_told_and_nothing_is_missed(
     assert "no object was taught" in complaints()
 
 
+@pytest.mark.usefixtures("anew")
 def test_the_same_images_give_the_same_sightings(robot: Begin) -> None:
     things = [Thing(1, -0.3, 1.6, 0.4), Thing(2, 0.4, 1.4)]
 
