@@ -107,7 +107,7 @@ def anew() -> None:
 def extracted_once(
     request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch, extracted: Extracted
 ) -> None:
-    """Nine tenths of a test's time were spent on features that another had extracted already.
+    """Most of the tests' time would be spent on features that another test had extracted already.
 
     How they are extracted, and that they are the same each time, `tests/vision` looks after.
     """

@@ -3,11 +3,13 @@
 from dataclasses import replace
 
 import numpy as np
+from pydantic import Field
 
 from cairn.bus.qos import SENSOR
 from cairn.clock import SECOND, from_ns
 from cairn.component.component import Component
 from cairn.component.handlers import every
+from cairn.component.parameters import Config
 from cairn.component.ports import Out
 from schemas.sensor_msgs import CameraInfo, Image
 from tests.components.object_recognizer.scenes import Thing, info, message, pair
@@ -36,9 +38,18 @@ class PosterCamera(Component):
             out.publish(message(np.minimum(grey, 252) + noise, now / SECOND))
 
 
+class EndingConfig(Config):
+    """How long a run is."""
+
+    after_s: int = Field(3, ge=1, description="When the run ends [s].")
+
+
 class Ending(Component):
-    """Ends the run after three seconds."""
+    """Ends the run."""
+
+    config: EndingConfig
 
     def on_activate(self) -> None:
         """Wait."""
-        self.schedule(self.clock.now() + 3 * SECOND, lambda: self.finish("it was long enough"))
+        end = self.clock.now() + self.config.after_s * SECOND
+        self.schedule(end, lambda: self.finish("it was long enough"))
