@@ -79,16 +79,22 @@ def other_board(images: Sequence[Grey], board: Board, *, larger: bool = False) -
 
     If `larger`, only such boards are looked for that have `board` as a part.
     """
-    found = [
+    boards = [
         other
-        for image in images
         for other in _near(board)
         if not larger or (other.columns >= board.columns and other.rows >= board.rows)
-        if cv2.findChessboardCorners(
-            _reduced(image, _SEARCHED_LONG)[0], (other.columns, other.rows)
-        )[0]
     ]
-    return max(found, key=lambda other: other.columns * other.rows, default=None)
+    largest: Board | None = None
+    for image in images:
+        small, _ = _reduced(image, _SEARCHED_LONG)
+        # To look for a board takes long: not for those that are no larger than what was found.
+        for other in sorted(boards, key=_corners, reverse=True):
+            if largest is not None and _corners(other) <= _corners(largest):
+                break
+            if cv2.findChessboardCorners(small, (other.columns, other.rows))[0]:
+                largest = other
+                break
+    return largest
 
 
 def _near(board: Board) -> Iterator[Board]:
@@ -96,6 +102,10 @@ def _near(board: Board) -> Iterator[Board]:
         for rows in range(max(3, board.rows - 2), board.rows + 3):
             if (columns, rows) != (board.columns, board.rows):
                 yield Board(columns, rows, board.square)
+
+
+def _corners(board: Board) -> int:
+    return board.columns * board.rows
 
 
 def _reduced(grey: Grey, most: int) -> tuple[Grey, float]:

@@ -1,5 +1,6 @@
 """Calibrated cameras and scenes made for tests."""
 
+import math
 from typing import Any
 
 import numpy as np
@@ -38,12 +39,14 @@ def projection(fx: float = FOCAL, cx: float = CX, cy: float = CY, tx: float = 0.
 def pattern(seed: int, columns: Array, rows: Array, finest: float = 5.0) -> Array:
     """A texture that is known at every place [px], not at pixels alone; 0 to 255."""
     random = np.random.default_rng(seed)
-    value = np.zeros_like(columns, dtype=np.float64)
+    # Single precision suffices for grey levels, and takes a quarter of the time.
+    columns, rows = columns.astype(np.float32), rows.astype(np.float32)
+    value = np.zeros_like(columns)
     for _ in range(40):
         length, way, phase = random.uniform(finest, 40), *random.uniform(0, 2 * np.pi, 2)
-        ahead = np.cos(way) * columns + np.sin(way) * rows
-        value += np.sin(2 * np.pi * ahead / length + phase)
-    return np.clip(128 + 18 * value, 0, 255)
+        along, across = 2 * math.pi * np.array((math.cos(way), math.sin(way))) / length
+        value += np.sin(np.float32(along) * columns + np.float32(across) * rows + np.float32(phase))
+    return np.clip(128 + 18 * value.astype(np.float64), 0, 255)
 
 
 def plane_pair(seed: int, plane: tuple[float, float, float], noise: float = 0.0) -> list[Grey]:

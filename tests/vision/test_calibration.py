@@ -204,14 +204,14 @@ def test_corners_are_found_in_a_large_image_as_exactly() -> None:
 def test_no_board_is_found_where_there_is_none() -> None:
     random = np.random.default_rng(1)
 
-    assert find_corners(np.zeros((480, 640), np.uint8), BOARD) is None
-    assert find_corners(random.integers(0, 255, (480, 640), np.uint8), BOARD) is None
+    assert find_corners(np.zeros((240, 320), np.uint8), BOARD) is None
+    assert find_corners(random.integers(0, 255, (240, 320), np.uint8), BOARD) is None
 
 
 def test_another_board_than_told_is_recognised() -> None:
     images = [read_image(IMAGES / "left01.jpg")]
 
-    seen = other_board(images, Board(10, 7, 0.025))
+    seen = other_board(images, Board(10, 5, 0.025))
 
     assert seen is not None
     assert str(seen) == "9x6"
