@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from components.camera import cli
 from components.camera.given import Given, sorted_out
 from tests.commands import Answer, cairn
 from vision.camera_file import read_camera
@@ -59,6 +60,12 @@ def calibrated(tmp_path_factory: pytest.TempPathFactory) -> Path:
     answer = calibrate(pairs(folder / "images", NUMBERS), out=folder / "out", more=("--json",))
     (folder / "told.json").write_text(answer.out, encoding="utf-8")
     return folder
+
+
+@pytest.fixture
+def without_picture(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where the picture is not the point: to draw it takes longer than to calibrate."""
+    monkeypatch.setattr(cli, "draw_calibration", lambda *_: None)
 
 
 def test_one_camera_is_calibrated_and_written(folder: Path, tmp_path: Path) -> None:
@@ -172,6 +179,7 @@ def test_where_nothing_can_be_written_is_told(
     assert answer.out == ""
 
 
+@pytest.mark.usefixtures("without_picture")
 def test_an_image_without_the_board_and_one_without_its_other_are_named(
     folder: Path, tmp_path: Path
 ) -> None:
@@ -200,18 +208,23 @@ def test_images_from_one_viewpoint_are_refused(tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.usefixtures("without_picture")
 def test_a_calibration_is_not_replaced_unasked(calibrated: Path, few: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     shutil.copytree(calibrated / "out", out)
+    shutil.copy(out / "left.yaml", out / "camera.yaml")
     before = (out / "left.yaml").read_bytes()
+    camera = sorted(few.glob("left*"))
 
     answer = calibrate(few, out=out)
     assert "left.yaml exists already. Give another --out, or --force" in answer.err
     assert (out / "left.yaml").read_bytes() == before
+    assert "camera.yaml exists already" in calibrate(*camera, out=out).err
+    assert (out / "camera.yaml").read_bytes() == before
 
-    sides = ("--left", f"{few}/left*", "--right", f"{few}/right*")
-    assert calibrate(*sides, out=out, more=("--force",)).code == 0
-    assert (out / "left.yaml").read_bytes() != before
+    assert calibrate(*camera, out=out, more=("--force",)).code == 0
+    assert (out / "camera.yaml").read_bytes() != before
+    assert (out / "left.yaml").read_bytes() == before
 
 
 def test_a_board_that_is_smaller_than_told_is_told(few: Path, tmp_path: Path) -> None:
