@@ -6,17 +6,27 @@ import json
 import logging
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from functools import cache
 from pathlib import Path
 
 import pytest
 
-from components.experiments import runs
+from components.experiments import ablation, runs
+from components.experiments.room import Room
 from components.experiments.series import read_pair, read_world
 from tests.commands import Answer, cairn
 
 DEPLOY = Path(__file__).parents[3] / "deploy"
 # To where objects 8 and 9 hang, and back.
 TOUR = "settings.mission=[[4.6, 1.6, -1.0], [4.4, 1.5, -0.6]]"
+
+
+@pytest.fixture(autouse=True, scope="module")
+def room_once() -> Iterator[None]:
+    """Where in the room objects could hang takes seconds to find, and is the same each time."""
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(ablation, "Room", cache(Room))
+        yield
 
 
 @pytest.fixture
@@ -47,7 +57,10 @@ def experiment(command: str, out: Path, *options: str) -> Answer:
 
 
 def test_an_ablation_compares_all_methods_on_the_same_data(tmp_path: Path) -> None:
-    answer = experiment("ablation", tmp_path, "--seeds", "0", "--at", "6", "--moved", "2")
+    way = "settings.mission=[[4.6, 1.6, -1.0]]"
+    answer = experiment(
+        "ablation", tmp_path, "--seeds", "0", "--at", "6", "--moved", "2", "--set", way
+    )
 
     assert answer.code == 0, answer
     assert "1 of 1: runs/seed-0 done" in answer.err
@@ -123,6 +136,8 @@ def test_runs_that_fail_are_told_and_end_with_status_1(tmp_path: Path) -> None:
         "0",
         "--set",
         "settings.mission=[[4.4, 3.4, 0.0]]",  # under the table
+        "--set",
+        "components.automove.parameters.recoveries=0",
     )
 
     assert answer.code == 1
@@ -143,7 +158,7 @@ def test_a_run_in_which_nothing_was_moved_counts_for_nothing(tmp_path: Path) -> 
 def test_a_folder_that_holds_anything_else_is_refused_before_any_run(tmp_path: Path) -> None:
     (tmp_path / "thesis.tex").write_text("mine")
 
-    answer = experiment("ablation", tmp_path, "--seeds", "0")
+    answer = experiment("map-update", tmp_path, "--seeds", "0")
 
     assert answer.code == 1
     assert f"{tmp_path} holds thesis.tex and no report of this command" in answer.err
