@@ -4,6 +4,7 @@ from inspect import getdoc
 from typing import Annotated, Any
 
 import typer
+from pydantic import BaseModel
 
 from cairn.cli.connection import Json
 from cairn.cli.tables import line, print_json, show
@@ -72,7 +73,13 @@ def _show_one(reference: str, *, as_json: bool) -> None:
 
 
 def _told(default: object) -> object:
-    """A default as it is: a table's figures have two places, which is no resolution [rad]."""
+    """A default as it is: a table's figures have two places, which is no resolution [rad].
+
+    Of a group, what it sets.
+    """
+    if isinstance(default, BaseModel):
+        given = ((name, getattr(default, name)) for name in type(default).model_fields)
+        return " ".join(f"{name}={value}" for name, value in given if value not in (None, {}, ()))
     return f"{default:.7g}" if isinstance(default, float) else default
 
 

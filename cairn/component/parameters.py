@@ -4,7 +4,10 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
-from typing import Any, TypeVar
+from functools import reduce
+from operator import or_
+from types import UnionType
+from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic.fields import FieldInfo
@@ -100,10 +103,20 @@ def _leaves(config: BaseModel, prefix: str) -> Iterator[tuple[str, Any, FieldInf
 
 
 def _type(field: FieldInfo) -> str:
-    annotation = field.annotation
+    annotation = _plain(field.annotation)
     if isinstance(annotation, type) and not hasattr(annotation, "__args__"):
         return annotation.__name__
     return str(annotation).replace("typing.", "")
+
+
+def _plain(annotation: Any) -> Any:
+    """Without the marks (`cairn.component.marks`), which are not for an operator."""
+    parts = get_args(annotation)
+    if get_origin(annotation) is Annotated:
+        return _plain(parts[0])
+    if get_origin(annotation) in (Union, UnionType):
+        return reduce(or_, map(_plain, parts))
+    return annotation
 
 
 def _refusal(

@@ -142,11 +142,15 @@ class ComponentSpec(_Section):
 
 @dataclass(frozen=True)
 class Member:
-    """A component in its place in the tree; `parent` is None for those directly below the root."""
+    """A component in its place in the tree; `parent` is None for those directly below the root.
+
+    `key` is where the deployment has it, as `--set` takes it: `components.mobile.children.base`.
+    """
 
     name: str
     parent: str | None
     spec: ComponentSpec
+    key: str
 
 
 class Deployment(_Section):
@@ -175,7 +179,7 @@ class Deployment(_Section):
 
     def members(self) -> Iterator[Member]:
         """All components in start order: each before its children, those before its next one."""
-        yield from _members(self.components, None)
+        yield from _members(self.components, None, "components")
 
     def member(self, name: str) -> Member:
         """The component of that name at any depth; `KeyError` if there is none."""
@@ -185,7 +189,10 @@ class Deployment(_Section):
         raise KeyError(name)
 
 
-def _members(specs: Mapping[str, ComponentSpec], parent: str | None) -> Iterator[Member]:
+def _members(
+    specs: Mapping[str, ComponentSpec], parent: str | None, below: str
+) -> Iterator[Member]:
     for name, spec in specs.items():
-        yield Member(name, parent, spec)
-        yield from _members(spec.children, name)
+        key = f"{below}.{name}"
+        yield Member(name, parent, spec, key)
+        yield from _members(spec.children, name, f"{key}.children")

@@ -5,10 +5,12 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Annotated, Any, get_args
+from functools import partial
+from typing import Annotated
 
 from pydantic import BaseModel
 
+from cairn.component.marks import Marked, marked
 from cairn.driver.ports import find_port
 
 TCP = "tcp:"
@@ -50,26 +52,15 @@ class NamedDevice:
 
 def devices_named(config: BaseModel) -> Iterator[NamedDevice]:
     """All devices that a driver's parameters name; those that are None name none."""
-    for name, field in type(config).model_fields.items():
-        value = getattr(config, name)
-        if isinstance(value, BaseModel):
-            for inner in devices_named(value):
-                yield NamedDevice(f"{name}.{inner.parameter}", inner.find)
-        elif isinstance(value, str):
-            for mark in _marks([*field.metadata, field.annotation]):
-                yield NamedDevice(name, _finder(config, value, mark))
+    for device in marked(config, NamesDevice):
+        yield NamedDevice(device.name, partial(_found, device))
+    for host in marked(config, NamesHost):
+        yield NamedDevice(host.name, partial(_address, host))
 
 
-def _finder(config: BaseModel, value: str, mark: NamesDevice | NamesHost) -> Callable[[], str]:
-    if isinstance(mark, NamesHost):
-        return lambda: f"{TCP}{value}:{getattr(config, mark.port)}"
-    return lambda: str(mark.find(value))
+def _found(device: Marked[NamesDevice]) -> str:
+    return str(device.mark.find(device.value))
 
 
-def _marks(parts: list[Any]) -> Iterator[NamesDevice | NamesHost]:
-    """The marks within an annotation, in that of `SerialPort | None` too."""
-    for part in parts:
-        if isinstance(part, NamesDevice | NamesHost):
-            yield part
-        else:
-            yield from _marks(list(get_args(part)))
+def _address(host: Marked[NamesHost]) -> str:
+    return f"{TCP}{host.value}:{getattr(host.group, host.mark.port)}"

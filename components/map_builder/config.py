@@ -6,6 +6,7 @@ from pathlib import Path
 
 from pydantic import Field, model_validator
 
+from cairn.component.marks import ReadPath
 from cairn.component.mount import Mount
 from cairn.component.parameters import Config
 from components.map_builder.rules import RuleName
@@ -14,7 +15,7 @@ from components.map_builder.rules import RuleName
 class MapBuilderConfig(Config):
     """Parameters of the map builder."""
 
-    map_file: Path | None = Field(
+    map_file: ReadPath | None = Field(
         None, description="The visual map: a file made by `cairn map import`; none: no visual map."
     )
     working_copy: Path | None = Field(
@@ -31,7 +32,7 @@ class MapBuilderConfig(Config):
         description="How evidence changes it: by pose reliability; to compare with: the paper's "
         "rule to the letter, or a persistence filter.",
     )
-    grid_file: Path | None = Field(
+    grid_file: ReadPath | None = Field(
         None, description="The grid map: a map_server YAML file; none: no grid map."
     )
     grid_copy: Path | None = Field(

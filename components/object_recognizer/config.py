@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from pydantic import Field, model_validator
 
+from cairn.component.marks import ReadPath
 from cairn.component.mount import Mount
 from cairn.component.parameters import Config
 from vision.verification import LEAST
@@ -14,7 +13,7 @@ from vision.verification import LEAST
 class ObjectRecognizerConfig(Config):
     """What is recognised, and by which camera."""
 
-    map_file: Path = Field(
+    map_file: ReadPath = Field(
         description="The visual map whose taught objects are recognised (`cairn object teach`). "
         "Objects are taught to this file, never to the map builder's working copy of it, which is "
         "the robot's own; what is taught while the robot runs is recognised a second later."

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 from pydantic import Field
@@ -12,6 +11,7 @@ from cairn.bus.qos import SENSOR
 from cairn.clock import from_ns
 from cairn.component.complaints import Complaints
 from cairn.component.handlers import every
+from cairn.component.marks import ReadPath
 from cairn.component.ports import Out
 from cairn.errors import CairnError
 from components.replay.driver import RecordingConfig, RecordingDriver
@@ -31,10 +31,10 @@ class ReplayCameraConfig(RecordingConfig):
     side_by_side: bool = Field(
         False, description="Each image holds that of the left camera, and right of it the other's."
     )
-    left_calibration: Path | None = Field(
+    left_calibration: ReadPath | None = Field(
         None, description="camera_info YAML file of the left camera, or of the only one."
     )
-    right_calibration: Path | None = Field(
+    right_calibration: ReadPath | None = Field(
         None, description="camera_info YAML file of the right camera."
     )
 

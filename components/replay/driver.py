@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from pathlib import Path
 
 from pydantic import Field
 
 from cairn.clock import SECOND
 from cairn.component.component import Component
+from cairn.component.marks import ReadPath
 from cairn.component.parameters import Config, ParameterRefused
 from components.replay.due import Records
 from components.replay.formats import open_recording
@@ -32,7 +32,7 @@ class Topics(Config):
 class RecordingConfig(Config):
     """Which recording, and which part of it."""
 
-    recording: Path = Field(
+    recording: ReadPath = Field(
         description="MRCLAM folder, CARMEN log, ROS 1 bag, ROS 2 bag's folder, MCAP file, video, "
         "or folder of images."
     )

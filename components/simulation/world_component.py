@@ -13,6 +13,7 @@ from cairn.bus.qos import LATCHED, RELIABLE
 from cairn.clock import SECOND, from_ns, to_ns
 from cairn.component.component import Component
 from cairn.component.handlers import every, on
+from cairn.component.marks import ReadPath
 from cairn.component.parameters import Config, ParameterRefused
 from cairn.component.ports import In, Out
 from cairn.errors import CairnError
@@ -57,7 +58,7 @@ class SlipConfig(Config):
 class WorldConfig(Config):
     """Which world."""
 
-    world: Path = Field(description="World file (YAML).")
+    world: ReadPath = Field(description="World file (YAML).")
     radius: float = Field(0.22, gt=0, le=5, description="Radius of the robot [m].")
     slip: SlipConfig = Field(SlipConfig(), description="How the wheels slip.")
     events: tuple[Event, ...] = Field(

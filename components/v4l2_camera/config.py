@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
+from cairn.component.marks import ReadPath
 from cairn.component.mount import Mount
 from cairn.component.parameters import Config
 from cairn.driver.device_names import NamesDevice
@@ -93,10 +93,10 @@ class V4l2StereoCameraConfig(Config):
     stamp_delay_s: float = Field(
         0.0, ge=-1, le=1, description="How long after the exposure's middle it is stamped [s]."
     )
-    left_calibration: Path | None = Field(
+    left_calibration: ReadPath | None = Field(
         None, description="camera_info YAML file of the left camera, or of the only one."
     )
-    right_calibration: Path | None = Field(
+    right_calibration: ReadPath | None = Field(
         None, description="camera_info YAML file of the right camera."
     )
     mount: Mount = Field(Mount(), description="Where the left camera sits on the robot.")

@@ -53,8 +53,8 @@ OF_ROS_2 = [name for name in EVERY_MESSAGE if not name.startswith(("cairn_", "ma
 
 
 @cache
-def samples(cls: type[Any], count: int) -> list[Any]:
-    """The same `count` messages at each call."""
+def samples(name: str, count: int) -> list[Any]:
+    """The same `count` messages of a type at each call."""
     found: list[Any] = []
 
     @settings(
@@ -64,7 +64,7 @@ def samples(cls: type[Any], count: int) -> list[Any]:
         deadline=None,
         suppress_health_check=list(HealthCheck),
     )
-    @given(arbitrary(cls))
+    @given(arbitrary(EVERY_MESSAGE[name]))
     def collect(message: Any) -> None:
         found.append(message)
 

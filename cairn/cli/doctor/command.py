@@ -18,7 +18,7 @@ from cairn.cli.connection import DEFAULT_CONNECT, Connect, Domain, Json
 from cairn.cli.doctor.bus import bus
 from cairn.cli.doctor.cameras import cameras
 from cairn.cli.doctor.computer import computer
-from cairn.cli.doctor.deployment import devices, loaded
+from cairn.cli.doctor.deployment import devices, files, loaded
 from cairn.cli.doctor.finding import Finding
 from cairn.cli.doctor.rules import rules
 from cairn.cli.doctor.serial_ports import serial_ports
@@ -31,7 +31,8 @@ _COLOURS = {"ok": "green", "warn": "yellow", "fail": "bold red"}
 _UNFOLDED = 10_000  # columns, where the output is not a terminal but perhaps `grep`
 
 File = Annotated[
-    Path | None, typer.Argument(help="A deployment whose devices are looked for.", metavar="FILE")
+    Path | None,
+    typer.Argument(help="A deployment whose files and devices are looked for.", metavar="FILE"),
 ]
 
 
@@ -55,7 +56,7 @@ def doctor(
             connect, domain = endpoints(deployment)[0], deployment.domain
     findings = [*_general(connect, domain), *of_file]
     if file is not None and deployment is not None:
-        findings += devices(file, deployment)
+        findings += [*files(file, deployment), *devices(file, deployment)]
     if json:
         print_json([asdict(finding) for finding in findings])
     else:

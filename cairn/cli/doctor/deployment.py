@@ -1,13 +1,17 @@
-"""A deployment: whether it is right, and whether the devices that its drivers name are there."""
+"""A deployment: whether it is right, and whether the files and devices that it names are there."""
 
 from __future__ import annotations
 
+import getpass
+import os
 import socket
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from cairn.cli.doctor.access import access, connected_to
 from cairn.cli.doctor.finding import Finding
+from cairn.component.marks import IsRead, marked
+from cairn.component.parameters import Config
 from cairn.deployment.load import load_deployment
 from cairn.deployment.model import Deployment, Member
 from cairn.deployment.plugins import load_plugin
@@ -34,6 +38,22 @@ def loaded(
     return deployment, [Finding(topic, "deployment", "ok", f"{count} components, no problem")]
 
 
+def files(file: Path, deployment: Deployment) -> Iterator[Finding]:
+    """Every file that a component of the deployment reads: is it there, may it be read?"""
+    topic = f"files of {file.name}"
+    for member in deployment.members():
+        for read in marked(_config(member), IsRead):
+            what = f"{member.name}.{read.name}"
+            if not read.value.exists():
+                remedy = f"make it, or name another one: --set {_key(member, read.name)}=PATH"
+                yield Finding(topic, str(read.value), "fail", f"{what}: is not there", remedy)
+            elif not os.access(read.value, os.R_OK):
+                remedy = f"let {getpass.getuser()} read it: see `ls -l`, `chmod` and `chown`"
+                yield Finding(topic, str(read.value), "fail", f"{what}: may not be read", remedy)
+            else:
+                yield Finding(topic, str(read.value), "ok", what)
+
+
 def devices(file: Path, deployment: Deployment) -> Iterator[Finding]:
     """Every device that a driver of the deployment names: is it there, may it be opened?"""
     for member in deployment.members():
@@ -41,13 +61,12 @@ def devices(file: Path, deployment: Deployment) -> Iterator[Finding]:
 
 
 def _devices_of(topic: str, member: Member) -> Iterator[Finding]:
-    config = load_plugin(member.spec.plugin).config_class().model_validate(member.spec.parameters)
-    for device in devices_named(config):
+    for device in devices_named(_config(member)):
         what = f"{member.name}.{device.parameter}"
-        key = f"components.{member.name}.parameters.{device.parameter}"
         try:
             found = device.find()
         except CairnError as error:
+            key = _key(member, device.parameter)
             remedy = f"plug it in, or name another one: --set {key}=NAME"
             yield Finding(topic, what, "fail", str(error), remedy)
             continue
@@ -55,6 +74,14 @@ def _devices_of(topic: str, member: Member) -> Iterator[Finding]:
             yield _on_network(topic, what, found.removeprefix(TCP))
         else:
             yield access(topic, Path(found), what)
+
+
+def _config(member: Member) -> Config:
+    return load_plugin(member.spec.plugin).config_class().model_validate(member.spec.parameters)
+
+
+def _key(member: Member, parameter: str) -> str:
+    return f"{member.key}.parameters.{parameter}"
 
 
 def _on_network(topic: str, what: str, address: str) -> Finding:

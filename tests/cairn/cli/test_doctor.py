@@ -128,6 +128,42 @@ def test_a_device_that_is_missing_is_a_fault(tmp_path: Path) -> None:
     assert "--set components.scanner.parameters.port=" in of(unplugged, "scanner.port")["remedy"]
 
 
+def test_a_file_that_is_missing_is_a_fault(tmp_path: Path) -> None:
+    robot = Path(__file__).parents[3] / "deploy" / "robot.yaml"
+    nowhere = tmp_path / "nowhere.cairn"
+
+    answer = cairn("doctor", str(robot), "--set", f"settings.visual_map={nowhere}", "--json")
+
+    missing = [row for row in answer.json if row["subject"] == str(nowhere)]
+    assert [row["found"] for row in missing] == [
+        "map_builder.map_file: is not there",
+        "object_recognizer.map_file: is not there",
+    ]
+    assert {row["state"] for row in missing} == {"fail"}
+    key = "components.mobile_supervisor.children.automove.children.map_builder.parameters.map_file"
+    assert missing[0]["remedy"] == f"make it, or name another one: --set {key}=PATH"
+    [there] = [row for row in answer.json if row["found"] == "map_builder.grid_file"]
+    assert there["state"] == "ok"
+
+
+def test_a_file_that_may_not_be_read_is_a_fault(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    grid = Path(__file__).parents[3] / "deploy" / "maps" / "room.yaml"
+    file = tmp_path / "robot.yaml"
+    file.write_text(
+        f"cairn: 1\nexternal_topics: [scan, odom, pose, localization_health]\n"
+        f"components: {{map_builder: {{plugin: map_builder, parameters: {{grid_file: {grid}}}}}}}"
+    )
+    # The tests may run as root, who may read everything.
+    monkeypatch.setattr(os, "access", lambda path, mode: path != grid)
+
+    answer = cairn("doctor", str(file), "--json")
+
+    assert of(answer, str(grid))["found"] == "map_builder.grid_file: may not be read"
+    assert of(answer, str(grid))["state"] == "fail"
+
+
 def test_a_device_on_the_network_is_asked(tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         port = server.getsockname()[1]

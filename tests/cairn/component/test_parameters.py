@@ -5,6 +5,7 @@ from typing import Any, Literal
 import pytest
 from pydantic import Field, ValidationError, model_validator
 
+from cairn.component.marks import ReadPath
 from cairn.component.parameters import Config, Parameter, ParameterRefused, changed, describe
 
 
@@ -18,6 +19,7 @@ class Localizer(Config):
     low: float = Field(0.0, description="Lower limit [m].")
     high: float | None = Field(None, gt=0, description="Upper limit [m], or none.")
     filter: Filter = Field(default_factory=Filter, description="Sensor model.")
+    map: ReadPath | None = Field(None, description="Where it is kept.")
 
     @model_validator(mode="after")
     def _ordered(self) -> "Localizer":
@@ -33,6 +35,7 @@ def test_every_parameter_is_described_with_type_value_and_bounds() -> None:
         Parameter("low", 0.0, "float", "Lower limit [m].", ""),
         Parameter("high", None, "float | None", "Upper limit [m], or none.", "> 0"),
         Parameter("filter.sigma", 0.1, "float", "Noise of a beam [m].", "> 0, <= 1"),
+        Parameter("map", None, "pathlib.Path | None", "Where it is kept.", ""),
     ]
 
 
