@@ -70,7 +70,7 @@ def test_changes_give_a_new_configuration() -> None:
         (
             {"zzz": 5},
             "there is no parameter zzz; the parameters are particles, mode, low, high, "
-            "filter.sigma",
+            "filter.sigma, map",
         ),
         (
             {"filter": {"sigma": 0.5}},
