@@ -228,11 +228,11 @@ def test_a_calibration_is_not_replaced_unasked(calibrated: Path, few: Path, tmp_
 
 
 def test_a_board_that_is_smaller_than_told_is_told(few: Path, tmp_path: Path) -> None:
-    answer = calibrate(*few.glob("left*"), out=tmp_path / "out", board="10x7")
+    answer = calibrate(*few.glob("left*"), out=tmp_path / "out", board="10x6")
 
     assert answer.code == 1
     assert re.search(
-        "a board of 10x7 inner corners is seen in 0 of 3 images, not in .*; one of 9x6 was",
+        "a board of 10x6 inner corners is seen in 0 of 3 images, not in .*; one of 9x6 was",
         answer.err,
     )
     assert not (tmp_path / "out").exists()
