@@ -225,6 +225,9 @@ def test_a_calibration_is_not_replaced_unasked(calibrated: Path, few: Path, tmp_
     assert calibrate(*camera, out=out, more=("--force",)).code == 0
     assert (out / "camera.yaml").read_bytes() != before
     assert (out / "left.yaml").read_bytes() == before
+    sides = ("--left", f"{few}/left*", "--right", f"{few}/right*")
+    assert calibrate(*sides, out=out, more=("--force",)).code == 0
+    assert (out / "left.yaml").read_bytes() != before
 
 
 def test_a_board_that_is_smaller_than_told_is_told(few: Path, tmp_path: Path) -> None:
