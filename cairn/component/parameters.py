@@ -83,7 +83,7 @@ def bounds(field: FieldInfo) -> str:
     signs = {"gt": ">", "ge": ">=", "lt": "<", "le": "<=", "multiple_of": "a multiple of"}
     words = {"min_length": "length >=", "max_length": "length <=", "pattern": "pattern"}
     found = []
-    for constraint in field.metadata:
+    for constraint in (*field.metadata, *_within(field.annotation)):
         for attribute, sign in (signs | words).items():
             limit = getattr(constraint, attribute, None)
             if limit is not None:
@@ -91,6 +91,17 @@ def bounds(field: FieldInfo) -> str:
                 told = f"{limit:.7g}" if isinstance(limit, float) else limit
                 found.append("not empty" if one else f"{sign} {told}")
     return ", ".join(found)
+
+
+def _within(annotation: Any) -> Iterator[Any]:
+    """The constraints within an annotation, as of `Annotated[int, Field(ge=0)] | None`."""
+    if get_origin(annotation) not in (Annotated, Union, UnionType):
+        return  # those of a list's items are not its own
+    for part in get_args(annotation):
+        if isinstance(part, FieldInfo):
+            yield from part.metadata
+        else:
+            yield from _within(part)
 
 
 def _leaves(config: BaseModel, prefix: str) -> Iterator[tuple[str, Any, FieldInfo]]:

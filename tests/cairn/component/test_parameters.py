@@ -1,6 +1,6 @@
 """Parameters are described for the operator, and changed all or nothing."""
 
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import pytest
 from pydantic import Field, ValidationError, model_validator
@@ -19,6 +19,7 @@ class Localizer(Config):
     low: float = Field(0.0, description="Lower limit [m].")
     high: float | None = Field(None, gt=0, description="Upper limit [m], or none.")
     filter: Filter = Field(default_factory=Filter, description="Sensor model.")
+    gain: Annotated[int, Field(ge=0, le=255)] | None = Field(None, description="Gain [1].")
     map: ReadPath | None = Field(None, description="Where it is kept.")
 
     @model_validator(mode="after")
@@ -35,6 +36,7 @@ def test_every_parameter_is_described_with_type_value_and_bounds() -> None:
         Parameter("low", 0.0, "float", "Lower limit [m].", ""),
         Parameter("high", None, "float | None", "Upper limit [m], or none.", "> 0"),
         Parameter("filter.sigma", 0.1, "float", "Noise of a beam [m].", "> 0, <= 1"),
+        Parameter("gain", None, "int | None", "Gain [1].", ">= 0, <= 255"),
         Parameter("map", None, "pathlib.Path | None", "Where it is kept.", ""),
     ]
 
@@ -70,7 +72,7 @@ def test_changes_give_a_new_configuration() -> None:
         (
             {"zzz": 5},
             "there is no parameter zzz; the parameters are particles, mode, low, high, "
-            "filter.sigma, map",
+            "filter.sigma, gain, map",
         ),
         (
             {"filter": {"sigma": 0.5}},
