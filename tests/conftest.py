@@ -21,6 +21,7 @@ def pytest_configure() -> None:
     settings.load_profile("cairn")
 
 
+@pytest.hookimpl(tryfirst=True)  # before the plugin that reads the groups
 def pytest_collection_modifyitems(config: pytest.Config, items: Iterable[pytest.Item]) -> None:
     """The tests of a file share what they launch, so where several run at a time, one runs a file.
 
