@@ -13,7 +13,7 @@ demo: .venv/ready
 
 ## All tests.
 test: .venv/tests
-	$(BIN)/pytest -n 2 --dist loadgroup -m "not realtime"
+	$(BIN)/pytest -n 2 --dist loadgroup --no-loadscope-reorder -m "not realtime"
 	$(BIN)/pytest -m realtime
 
 ## The drivers on the kernel's own devices, in a virtual machine: cameras, USB and RS-232 lines whose

@@ -1,7 +1,6 @@
 """What all tests may use: the project's own conformance kit, as users have it."""
 
 import os
-from collections.abc import Iterable
 
 import pytest
 from hypothesis import settings
@@ -22,13 +21,15 @@ def pytest_configure() -> None:
 
 
 @pytest.hookimpl(tryfirst=True)  # before the plugin that reads the groups
-def pytest_collection_modifyitems(config: pytest.Config, items: Iterable[pytest.Item]) -> None:
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """The tests of a file share what they launch, so where several run at a time, one runs a file.
 
-    Those of a group of their own, such as robots that drive in real time, never run side by side.
+    Those of a group of their own, such as robots that drive in real time, never run side by side,
+    and begin first: such a group takes long, and at the end all others would wait for it.
     """
     if not config.pluginmanager.hasplugin("xdist"):
         return
+    items.sort(key=lambda item: item.get_closest_marker("xdist_group") is None)
     for item in items:
         if item.get_closest_marker("xdist_group") is None:
             item.add_marker(pytest.mark.xdist_group(item.nodeid.partition("::")[0]))
