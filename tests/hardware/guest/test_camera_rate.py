@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from types import TracebackType
 from typing import Self
@@ -15,6 +16,7 @@ from tests.hardware.guest.camera import LEFT, RIGHT, load_cameras, unload
 
 _WINDOWS, _PICTURES = 4, 75
 _PERIOD_MS = 40.0
+_SATURATED = 0.9  # of a processor: one interpreter cannot do more
 _NAP = """
 import time
 late = 0.0
@@ -57,12 +59,13 @@ def _cameras() -> Iterator[None]:
 
 @pytest.mark.parametrize("pixel_format", ["GREY", "YUYV"])
 def test_no_picture_is_lost(pixel_format: str) -> None:
-    spoiled, pauses = [], []
+    spoiled, pauses, shares = [], [], []
     with Driver(device=LEFT, right_device=RIGHT, format=pixel_format, rate=25) as driver:
         driver.await_one("right_image")
         driver.await_pictures(25)
         for _ in range(_WINDOWS):
             before = losses(driver)
+            begun, used = time.monotonic(), time.process_time()
             with Naps() as naps:
                 driver.await_pictures(_PICTURES)
             after = losses(driver)
@@ -70,10 +73,15 @@ def test_no_picture_is_lost(pixel_format: str) -> None:
                 return
             spoiled.append([new - old for old, new in zip(before, after, strict=True)])
             pauses.append(naps.longest_ms)
+            shares.append((time.process_time() - used) / (time.monotonic() - begun))
 
     told = f"lost and skipped, left and right, of {_PICTURES} pictures each: {spoiled}"
     if min(pauses) > _PERIOD_MS:
         pytest.skip(f"the host leaves the guest no time: it pauses for {pauses} ms; {told}")
+    lost = any(left or right for left, _, right, _ in spoiled)
+    if min(shares) > _SATURATED and not lost:
+        # What the kernel delivers, and nobody has time for, gives way to what is newer.
+        pytest.skip(f"the emulated processor is too slow, {min(shares):.2f} of it used; {told}")
     pytest.fail(told)
 
 
