@@ -44,14 +44,14 @@ def files(file: Path, deployment: Deployment) -> Iterator[Finding]:
     for member in deployment.members():
         for read in marked(_config(member), IsRead):
             what = f"{member.name}.{read.name}"
-            if not read.value.exists():
-                remedy = f"make it, or name another one: --set {_key(member, read.name)}=PATH"
-                yield Finding(topic, str(read.value), "fail", f"{what}: is not there", remedy)
-            elif not os.access(read.value, os.R_OK):
+            if os.access(read.value, os.R_OK):
+                yield Finding(topic, str(read.value), "ok", what)
+            elif os.path.exists(read.value):  # which does not fail in a closed folder
                 remedy = f"let {getpass.getuser()} read it: see `ls -l`, `chmod` and `chown`"
                 yield Finding(topic, str(read.value), "fail", f"{what}: may not be read", remedy)
             else:
-                yield Finding(topic, str(read.value), "ok", what)
+                remedy = f"make it, or name another one: --set {_key(member, read.name)}=PATH"
+                yield Finding(topic, str(read.value), "fail", f"{what}: is not there", remedy)
 
 
 def devices(file: Path, deployment: Deployment) -> Iterator[Finding]:
