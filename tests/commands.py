@@ -13,6 +13,7 @@ from typing import Any
 from unittest.mock import patch
 
 from cairn.cli.main import main
+from tests.patience import LIMIT_S
 
 
 @dataclass(frozen=True)
@@ -49,14 +50,14 @@ def cairn(*arguments: str, connect: str = "") -> Answer:
 
 
 def await_status(
-    component: str, accept: Callable[[dict[str, Any]], bool], connect: str, limit_s: float = 10.0
+    component: str, accept: Callable[[dict[str, Any]], bool], connect: str
 ) -> dict[str, Any]:
     """A component's row of `cairn ps` once it is as wanted: heartbeats trail what happens."""
-    deadline = time.monotonic() + limit_s
+    deadline = time.monotonic() + LIMIT_S
     while True:
         answer = cairn("ps", "--json", connect=connect)
         rows = {row["component"]: row for row in answer.json} if answer.code == 0 else {}
         row: dict[str, Any] = rows.get(component, {})
         if row and accept(row):
             return row
-        assert time.monotonic() < deadline, f"{component} is not so within {limit_s:g} s: {rows}"
+        assert time.monotonic() < deadline, f"{component} is not so within {LIMIT_S:g} s: {rows}"

@@ -37,6 +37,8 @@ Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 DEFAULT_CONNECT = "tcp/127.0.0.1:7447"
 STATUS_TOPIC = "component_status"
 
+_LIMIT_S = 5.0  # who has not answered by then hangs
+
 
 @dataclass(frozen=True)
 class Connection:
@@ -53,8 +55,8 @@ class Connection:
         """All publishers and subscriptions alive."""
         return [entity for entity in self.graph() if isinstance(entity, rmw.EndpointEntity)]
 
-    def statuses(self, limit_s: float = 2.0) -> dict[str, ComponentStatus]:
-        """The last status of every component, by full name (`/robot/localizer`)."""
+    def statuses(self) -> dict[str, ComponentStatus]:
+        """The last status of every component that answers, by full name (`/robot/localizer`)."""
         codec = Codec()
         wanted = type_name(ComponentStatus)
         writers = {
@@ -63,7 +65,7 @@ class Connection:
             if endpoint.kind == "MP" and endpoint.type_name == wanted
         }
         found: dict[str, ComponentStatus] = {}
-        deadline = time.monotonic() + limit_s
+        deadline = time.monotonic() + _LIMIT_S
         for topic in sorted({endpoint.topic for endpoint in writers.values()}):
             key = rmw.data_key(self.domain, topic, wanted, codec.type_hash(ComponentStatus))
             expected = {gid for gid, endpoint in writers.items() if endpoint.topic == topic}
@@ -81,6 +83,27 @@ class Connection:
                         status = codec.decode(ComponentStatus, sample.payload.to_bytes())
                         found[writers[sent.gid].node.name] = status
         return found
+
+    def kept(self, key: str) -> tuple[list[zenoh.Sample], bool]:
+        """What the latched writers on a key expression keep, and whether all answered within 5 s.
+
+        Their caches are asked as an advanced subscriber asks them, but here it is known when all
+        have answered.
+        """
+        replies = self.session.get(
+            f"{key}/@adv/**",
+            target=zenoh.QueryTarget.ALL,
+            consolidation=zenoh.ConsolidationMode.NONE,
+            accept_replies=zenoh.ReplyKeyExpr.ANY,  # they stand under the writer's key
+            timeout=_LIMIT_S,
+        )
+        samples, complete = [], True
+        for reply in replies:
+            if reply.ok is None:
+                complete = False
+            else:
+                samples.append(reply.ok)
+        return samples, complete
 
     @contextmanager
     def listen(self, key: str, *, latched: bool = False) -> Iterator["queue.Queue[Any]"]:

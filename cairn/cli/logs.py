@@ -1,8 +1,6 @@
 """`cairn logs`: what the components have to say, as they keep it on /rosout."""
 
-import contextlib
-import queue
-import time
+from contextlib import nullcontext
 from typing import Annotated
 
 import typer
@@ -23,9 +21,6 @@ from cairn.component.rosout import ROSOUT, render
 from schemas.message import InvalidMessage, type_name
 from schemas.rcl_interfaces import Log
 
-_QUIET_S = 0.4
-_HISTORY_S = 1.5
-
 
 def logs(
     component: Annotated[str, typer.Argument(help="Only this component.", metavar="NAME")] = "",
@@ -45,31 +40,36 @@ def logs(
         check_robot(robot, (end.node.name.split("/")[1] for end in writers))
         if component:
             resolve([end.node.name for end in writers], component, robot)
-        with connection.listen(key, latched=True) as samples:
-            history: list[Log] = []
-            deadline = time.monotonic() + _HISTORY_S
-            with contextlib.suppress(queue.Empty):
-                # Each sends what it keeps; nobody says when that is all.
-                while writers and (left := deadline - time.monotonic()) > 0:
-                    history += _decoded(codec, samples.get(timeout=min(_QUIET_S, left)))
+        # Listening begins first, so that nothing is missed in between.
+        with connection.listen(key, latched=True) if follow else nullcontext() as samples:
+            kept, complete = connection.kept(key)
+            seen = {sample.payload.to_bytes() for sample in kept}
+            history = [entry for payload in seen for entry in _decoded(codec, payload)]
             printed = [
                 _print(entry, component, robot, json=json)
                 for entry in sorted(history, key=lambda log: (log.stamp.sec, log.stamp.nanosec))
             ]
+            if not complete:
+                note(
+                    "a component does not answer; what it said stands in logs/ of the run's folder"
+                )
             if component and not any(printed):
                 note(
                     f"{component} has logged nothing since it was started; what it said before "
                     f"that stands in logs/{component}.log of the run's folder, which `cairn up` "
                     "names"
                 )
-            while follow:
-                for entry in _decoded(codec, samples.get()):
+            while samples is not None:
+                payload = samples.get().payload.to_bytes()
+                if payload in seen:
+                    continue
+                for entry in _decoded(codec, payload):
                     _print(entry, component, robot, json=json)
 
 
-def _decoded(codec: Codec, sample: object) -> list[Log]:
+def _decoded(codec: Codec, payload: bytes) -> list[Log]:
     try:
-        return [codec.decode(Log, sample.payload.to_bytes())]  # type: ignore[attr-defined]
+        return [codec.decode(Log, payload)]
     except InvalidMessage:
         return []  # a foreign node's log that is not valid is not ours to print
 

@@ -124,7 +124,7 @@ class ComponentSpec(_Section):
         description="Restarted always, only after an abnormal end (transient), or never.",
     )
     significant: bool = Field(False, description="Its normal end ends the deployment.")
-    start_timeout_s: Seconds = Field(20.0, description="Limit for becoming active [s].")
+    start_timeout_s: Seconds = Field(60.0, description="Limit for becoming active [s].")
     stop_timeout_s: Seconds = Field(5.0, description="Limit for stopping, then killed [s].")
     hang_timeout_s: Seconds = Field(
         5.0, description="Limit for one handler, then taken for hung and killed [s]."

@@ -26,7 +26,7 @@ class ChildSpec:
     restart: Restart = "permanent"
     significant: bool = False
     load: Load = "at_start"
-    start_timeout_s: float = 20.0  # from launch to active
+    start_timeout_s: float = 60.0  # from launch to active
     stop_timeout_s: float = 5.0  # for stopping in good order, then it is terminated and killed
 
 

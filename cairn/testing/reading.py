@@ -12,7 +12,7 @@ from schemas.message import InvalidMessage
 
 M = TypeVar("M")
 
-LIMIT_S = 30.0
+LIMIT_S = 60.0
 """A message that does not come within this time does not come, unless told otherwise."""
 
 MANY = Qos("best_effort", "volatile", 1000)

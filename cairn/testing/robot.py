@@ -27,7 +27,7 @@ from schemas.rosgraph_msgs import Clock
 
 M = TypeVar("M")
 
-START_LIMIT_S = 90.0
+START_LIMIT_S = 120.0
 """The first start after an installation may compile kernels, which takes about a minute."""
 
 _STATUS = "component_status"
@@ -215,15 +215,15 @@ class Robot:
         """Change parameters, all or none; raises `ControlError` with the words of a refusal."""
         self.request(component, "set_parameters", **changes)
 
-    def restart(self, component: str, limit_s: float = 60.0) -> None:
+    def restart(self, component: str, limit_s: float = LIMIT_S) -> None:
         """Have a component stopped and started anew by its supervisor; it is active then."""
         self._order("restart", component, limit_s)
 
-    def unload(self, component: str, limit_s: float = 60.0) -> None:
+    def unload(self, component: str, limit_s: float = LIMIT_S) -> None:
         """Have a component stopped by its supervisor, and left so."""
         self._order("unload", component, limit_s)
 
-    def load(self, component: str, limit_s: float = 60.0) -> None:
+    def load(self, component: str, limit_s: float = LIMIT_S) -> None:
         """Have a component that is not loaded started by its supervisor; it is active then."""
         self._order("load", component, limit_s)
 

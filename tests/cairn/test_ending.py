@@ -3,6 +3,8 @@
 import subprocess
 import sys
 
+from tests.patience import LIMIT_S
+
 # A thread is within Zenoh, and messages come to it: Python's own end aborts the process here.
 _BUSY = """
 import atexit, sys, threading
@@ -36,7 +38,7 @@ end_process(3)
 
 def test_threads_within_zenoh_do_not_turn_the_exit_code_into_an_abort() -> None:
     ended = subprocess.run(
-        [sys.executable, "-c", _BUSY], capture_output=True, text=True, timeout=60, check=False
+        [sys.executable, "-c", _BUSY], capture_output=True, text=True, timeout=LIMIT_S, check=False
     )
 
     assert (ended.returncode, ended.stderr) == (3, "")

@@ -11,6 +11,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.patience import LIMIT_S
+
 ROOT = Path(__file__).parents[2]
 CAIRN = Path(sys.executable).with_name("cairn")
 
@@ -30,7 +32,7 @@ class Shell:
             env=self.environment(),
             capture_output=True,
             text=True,
-            timeout=60,
+            timeout=LIMIT_S,
             check=False,
         )
         assert done.returncode == status, done.stdout + done.stderr

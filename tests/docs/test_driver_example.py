@@ -35,7 +35,7 @@ class Environment:
             env=clean,
             capture_output=True,
             text=True,
-            timeout=280,
+            timeout=500,
             check=False,
         )
         assert done.returncode == 0, done.stdout + done.stderr
@@ -60,7 +60,7 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Environment:
 
 
 @pytest.mark.realtime
-@pytest.mark.timeout(300)
+@pytest.mark.timeout(600)
 def test_the_drivers_tests_pass_where_only_wheels_are(installed: Environment) -> None:
     done = installed.run("python", "-m", "pytest", "-q", "-p", "no:cacheprovider", "tests")
 
@@ -108,7 +108,7 @@ def _pip(*words: str) -> None:
         [sys.executable, "-m", "pip", *words],
         capture_output=True,
         text=True,
-        timeout=280,
+        timeout=500,
         check=False,
     )
     assert done.returncode == 0, done.stdout + done.stderr

@@ -14,6 +14,7 @@ import pytest
 from cairn.driver.emulated_lines import TcpEnd
 from cairn.driver.emulation import Emulation
 from cairn.driver.link import TcpLink
+from tests.patience import LIMIT_S
 
 PAGE = "docs/drivers/emulators.md"
 
@@ -30,7 +31,7 @@ def test_the_transcript_is_what_is_printed(
         cwd=tmp_path,
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=LIMIT_S,
         check=True,
     )
     assert done.stdout == expected
@@ -59,7 +60,7 @@ def test_the_emulator_of_ones_own_works(
         env=os.environ | {"PYTHONPATH": str(tmp_path)},
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=LIMIT_S,
         check=True,
     )
     assert done.stdout.splitlines()[2:] == ["31.5 degrees"]

@@ -13,6 +13,8 @@ from typing import Any
 
 import pytest
 
+from tests.patience import LIMIT_S
+
 EXAMPLE = Path(__file__).parents[2] / "docs" / "example"
 TURTLE = "deploy/turtle.yaml"
 
@@ -27,7 +29,7 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     subprocess.run(
         [sys.executable, "-m", "pip", "install", *words, str(folder / "site"), str(source)],
         check=True,
-        timeout=60,
+        timeout=LIMIT_S,
     )
     return folder / "site"
 
@@ -95,7 +97,7 @@ def test_in_real_processes_it_is_watched_and_tuned_as_the_page_says(
         user.cairn("param", "set", "wanderer", "speed=0.8", "turn_speed=3", *at)
         speed = user.cairn("param", "get", "wanderer", "speed", *at)
         turtle.send_signal(signal.SIGINT)
-        assert turtle.wait(timeout=30) == 0
+        assert turtle.wait(timeout=LIMIT_S) == 0
 
     names = ["root", "turtle_supervisor", "base", "wanderer"]
     assert {rows[f"/turtle/{name}"]["state"] for name in names} == {"active"}
@@ -109,7 +111,7 @@ def test_in_its_parents_process_it_runs_unchanged(user: Any, tmp_path: Path, end
     placement = "components.wanderer.placement=in_process"
     with running(user, tmp_path, f"bus.listen={endpoint}", placement, "distance=0.2") as turtle:
         assert "m travelled" in wait_for(turtle, "ended: ")
-        assert turtle.wait(timeout=30) == 0
+        assert turtle.wait(timeout=LIMIT_S) == 0
 
     logs = {log.stem for log in (tmp_path / "logs").iterdir()}
     assert logs == {"root", "turtle_supervisor", "base"}
@@ -138,7 +140,7 @@ def running(user: Any, report: Path, *sets: str) -> "Iterator[subprocess.Popen[s
         yield process
     finally:
         process.terminate()
-        process.wait(timeout=30)
+        process.wait(timeout=LIMIT_S)
 
 
 def wait_for(process: "subprocess.Popen[str]", text: str) -> str:

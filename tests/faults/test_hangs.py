@@ -100,7 +100,7 @@ def test_while_it_is_stopped_ends_within_its_limits(launch: Launching) -> None:
     )
     run.await_line("talker active")
 
-    assert run.stop(limit_s=10) == 1
+    assert run.stop() == 1
 
     run.await_line(
         "WARNING robot.mobile: base is being stopped: shutdown: no answer within 0.[45] s"
@@ -132,7 +132,7 @@ def test_ctrl_c_does_not_wait_for_one_that_hangs_while_it_starts(
     )
     run.await_line("beacon active")
 
-    run.stop(limit_s=10)
+    run.stop()
 
     run.await_line("beacon stopped: shut down")
 

@@ -125,7 +125,8 @@ def test_a_second_ctrl_c_ends_everything_by_force(launch: Launching) -> None:
     run = launch(
         """
     components:
-      base: {plugin: test_faulty, parameters: {fault: sleep, where: on_shutdown, helpers: 2}}
+      base: {plugin: test_faulty, parameters: {fault: sleep, where: on_shutdown, helpers: 2},
+             stop_timeout_s: 600}
       beacon: {plugin: test_beacon}
     """
     )
@@ -135,7 +136,7 @@ def test_a_second_ctrl_c_ends_everything_by_force(launch: Launching) -> None:
 
     run.process.send_signal(signal.SIGINT)
 
-    assert run.await_end(limit_s=3) == 1
+    assert run.await_end() == 1
     run.await_nothing_left()
     run.await_line("cairn: stopped by force, on a second signal")
 

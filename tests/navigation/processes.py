@@ -17,7 +17,7 @@ from typing import Any
 from cairn.bus.qos import RELIABLE
 from cairn.bus.session import open_peer
 from cairn.bus.zenoh_bus import ZenohBus
-from cairn.testing.launching import CAIRN, Run, free_port, launching
+from cairn.testing.launching import CAIRN, LIMIT_S, Run, free_port, launching
 from planar.messages import planar_pose
 from planar.poses import Pose, distance
 from schemas.cairn_nav_msgs import Collision
@@ -44,7 +44,7 @@ class Robot:
     def place(self) -> Pose:
         """Where the robot truly is."""
         with self._changed:
-            assert self._changed.wait_for(lambda: bool(self._truths), 10.0), self.run
+            assert self._changed.wait_for(lambda: bool(self._truths), LIMIT_S), self.run
             return self._truths[-1][1]
 
     def way(self, since: float = 0.0) -> list[Pose]:
@@ -60,23 +60,21 @@ class Robot:
         """Kill a component's process."""
         os.kill(self.run.pid_of(component), signal.SIGKILL)
 
-    def await_moved(self, metres: float, limit_s: float = 20.0) -> None:
+    def await_moved(self, metres: float) -> None:
         """Wait until the robot has come so far from where it is now."""
         begin = self.place
-        self._await(lambda: distance(begin, self._truths[-1][1]) >= metres, limit_s, "moves")
+        self._await(lambda: distance(begin, self._truths[-1][1]) >= metres, "moves")
 
-    def await_near(
-        self, place: Pose, metres: float, since: float = math.inf, limit_s: float = 20.0
-    ) -> None:
+    def await_near(self, place: Pose, metres: float, since: float = math.inf) -> None:
         """Wait until the robot is so near to a place, or was `since` a moment."""
 
         def near() -> bool:
             poses = [self._truths[-1][1], *self.way(since)]
             return any(distance(place, pose) <= metres for pose in poses)
 
-        self._await(near, limit_s, f"comes within {metres:.2f} m of {place}")
+        self._await(near, f"comes within {metres:.2f} m of {place}")
 
-    def await_stand(self, limit_s: float = 10.0) -> None:
+    def await_stand(self) -> None:
         """Wait until the robot has stood for 0.25 s."""
         since = time.monotonic()
 
@@ -88,12 +86,12 @@ class Robot:
                     return True
             return False
 
-        self._await(stands, limit_s, "stands")
+        self._await(stands, "stands")
 
-    def _await(self, so: Callable[[], bool], limit_s: float, what: str) -> None:
+    def _await(self, so: Callable[[], bool], what: str) -> None:
         with self._changed:
-            assert self._changed.wait_for(so, limit_s), (
-                f"not within {limit_s} s: {what}; {self.run}"
+            assert self._changed.wait_for(so, LIMIT_S), (
+                f"not within {LIMIT_S} s: {what}; {self.run}"
             )
 
     def _follow(self) -> None:
@@ -126,21 +124,21 @@ class Going:
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
 
-    def await_word(self, word: str, limit_s: float = 20.0) -> None:
+    def await_word(self, word: str) -> None:
         """Wait until it has said that."""
         with self._changed:
             found = self._changed.wait_for(
-                lambda: any(word in line for line in self.lines), limit_s
+                lambda: any(word in line for line in self.lines), LIMIT_S
             )
-        assert found, f"no {word!r} within {limit_s} s; {self}"
+        assert found, f"no {word!r} within {LIMIT_S} s; {self}"
 
-    def await_end(self, limit_s: float = 60.0) -> int:
+    def await_end(self) -> int:
         """Wait for its end; its exit code."""
         try:
-            code = self.process.wait(limit_s)
+            code = self.process.wait(LIMIT_S)
         except subprocess.TimeoutExpired:
-            raise AssertionError(f"it does not end within {limit_s} s; {self}") from None
-        self._reader.join(10.0)
+            raise AssertionError(f"it does not end within {LIMIT_S} s; {self}") from None
+        self._reader.join(LIMIT_S)
         return code
 
     def __str__(self) -> str:

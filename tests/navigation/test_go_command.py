@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from cairn.testing.launching import CAIRN
+from cairn.testing.launching import CAIRN, LIMIT_S
 from tests.commands import cairn
 from tests.navigation.processes import Robot, robot_in
 
@@ -170,7 +170,7 @@ def test_an_order_whose_teller_is_not_read_any_more_is_cancelled(robot: Robot) -
         going.stdout.close()
 
         robot.run.await_line("cancelled: taken back", after=lines)
-        assert going.wait(20.0) == 1
+        assert going.wait(LIMIT_S) == 1
 
 
 @pytest.mark.parametrize(

@@ -96,7 +96,7 @@ def test_a_process_killed_on_the_way_does_not_end_the_order(
 ) -> None:
     going = once_around.under_way(leg)
     left = distance(TOUR[leg - 1], TOUR[leg]) * (1.0 - driven)
-    robot.await_near(TOUR[leg], left, since=once_around.killed_at, limit_s=40.0)
+    robot.await_near(TOUR[leg], left, since=once_around.killed_at)
     lines = len(robot.run.lines)
     once_around.killed_at = time.monotonic()
 
@@ -104,7 +104,7 @@ def test_a_process_killed_on_the_way_does_not_end_the_order(
 
     robot.run.await_line(f"{component} was killed by SIGKILL", after=lines)
     robot.run.await_line(f"{component} active", after=lines)
-    robot.await_moved(0.2, limit_s=40.0)
+    robot.await_moved(0.2)
     assert going.process.poll() is None, f"{going}; {robot.run}"
     assert robot.collisions == []
 

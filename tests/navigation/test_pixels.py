@@ -7,6 +7,7 @@ from pathlib import Path
 
 from cairn.testing.launching import CAIRN
 from tests.navigation.driving import DEPLOY, SIM
+from tests.patience import LIMIT_S
 
 ROOM = DEPLOY / "worlds" / "room.yaml"
 START = "{x: 3.5, y: 2.0, theta: 0.0}"
@@ -31,7 +32,7 @@ def test_an_object_that_is_moved_before_the_camera_is_moved_in_the_map(tmp_path:
         ],
         capture_output=True,
         text=True,
-        timeout=100,
+        timeout=LIMIT_S,
     )
 
     assert done.returncode == 0, done
@@ -41,7 +42,7 @@ def test_an_object_that_is_moved_before_the_camera_is_moved_in_the_map(tmp_path:
             [CAIRN, "map", "show", str(repaired), "--history", "--json"],
             capture_output=True,
             check=True,
-            timeout=30,
+            timeout=LIMIT_S,
         ).stdout
     )
     changes = [(c["object_id"], c["kind"]) for c in shown["changes"] if c["kind"] != "imported"]

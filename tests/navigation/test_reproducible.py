@@ -5,6 +5,7 @@ from pathlib import Path
 
 from cairn.testing.launching import CAIRN
 from tests.navigation.driving import DEPLOY, SIM
+from tests.patience import LIMIT_S
 
 TOUR = DEPLOY / "demo_tour.yaml"
 PLACES = "mission=[[6.5, 1.8, 0.8], [3.4, 5.4, 3.1]]"
@@ -14,7 +15,7 @@ def test_two_processes_drive_the_same_tour_to_the_last_bit(tmp_path: Path) -> No
     up = [CAIRN, "up", str(SIM), "--overlay", str(TOUR), "--set", PLACES, "--lockstep"]
     for folder in ("one", "other"):
         where = ["--report", str(tmp_path / folder)]
-        done = subprocess.run([*up, *where], capture_output=True, text=True, timeout=60)
+        done = subprocess.run([*up, *where], capture_output=True, text=True, timeout=LIMIT_S)
         assert done.returncode == 0, done
 
     for name in ("pose.json", "map.pgm", "report.json", "world.jsonl"):

@@ -13,9 +13,7 @@ from cairn.bus.qos import Qos
 from cairn.bus.rmw import EndpointEntity, NodeEntity
 from cairn.bus.session import open_client, open_peer, open_router
 from cairn.bus.zenoh_bus import ZenohBus
-
-LIMIT_S = 10.0
-"""Longer than anything takes; reached only where something is lost."""
+from tests.patience import LIMIT_S
 
 
 class Network:

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-LIMIT_S = 10.0
+LIMIT_S = 120.0
 
 
 class Client:

@@ -3,7 +3,8 @@
 import threading
 
 from cairn.bus.arrival import Arrival
-from tests.cairn.bus.network import LIMIT_S, Network
+from tests.cairn.bus.network import Network
+from tests.patience import LIMIT_S
 
 KEY = "@cairn/0/component/robot/base"
 

@@ -12,7 +12,8 @@ from cairn.bus.qos import LATCHED, RELIABLE, SENSOR, Qos
 from schemas.geometry_msgs import Twist, Vector3
 from schemas.sensor_msgs import LaserScan
 from schemas.std_msgs import String
-from tests.cairn.bus.network import LIMIT_S, Network, Reader, eventually, node
+from tests.cairn.bus.network import Network, Reader, eventually, node
+from tests.patience import LIMIT_S
 
 TOPIC = "/robot/word"
 

@@ -11,7 +11,8 @@ from cairn.bus.control import ControlError, ControlServer, control_key, request
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.component.loop import ThreadLoop
 from cairn.errors import CairnError
-from tests.cairn.bus.network import LIMIT_S, Network
+from tests.cairn.bus.network import Network
+from tests.patience import LIMIT_S
 
 NAME = "/robot/part"
 

@@ -11,7 +11,8 @@ from cairn.bus.rmw import Attachment, data_key
 from cairn.bus.zenoh_bus import ZenohBus
 from schemas.geometry_msgs import Twist, Vector3
 from schemas.message import InvalidMessage, type_name
-from tests.cairn.bus.network import LIMIT_S, Network, Reader, eventually, node
+from tests.cairn.bus.network import Network, Reader, eventually, node
+from tests.patience import LIMIT_S
 
 CODEC = Codec()
 GOOD = CODEC.encode(Twist(linear=Vector3(x=0.5)))

@@ -12,7 +12,8 @@ from typing import IO
 from cairn.bus.qos import LATCHED, RELIABLE
 from cairn.bus.zenoh_bus import ZenohBus
 from schemas.std_msgs import String
-from tests.cairn.bus.network import LIMIT_S, Network, Reader, eventually, node
+from tests.cairn.bus.network import Network, Reader, eventually, node
+from tests.patience import LIMIT_S
 
 
 class Everybody:

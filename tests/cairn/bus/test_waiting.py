@@ -8,8 +8,8 @@ from collections.abc import Iterator
 import pytest
 
 from cairn.bus.waiting import Waiting
+from tests.patience import LIMIT_S
 
-_LIMIT_S = 60.0
 _MESSAGES = 100_000
 
 
@@ -46,7 +46,7 @@ def test_a_reader_that_takes_one_at_each_wake_up_gets_the_last(depth: int) -> No
     taken = [-1]
 
     def read() -> None:
-        while wake_ups.get(timeout=_LIMIT_S):
+        while wake_ups.get(timeout=LIMIT_S):
             message = waiting.take()
             if message is not None:
                 taken.append(message)
@@ -57,7 +57,7 @@ def test_a_reader_that_takes_one_at_each_wake_up_gets_the_last(depth: int) -> No
         if waiting.put(number):
             wake_ups.put(True)
     wake_ups.put(False)
-    reader.join(_LIMIT_S)
+    reader.join(LIMIT_S)
     assert taken[-1] == _MESSAGES - 1, f"the last message taken was {taken[-1]}"
     assert taken == sorted(taken)
     assert len(taken) - 1 + waiting.dropped == _MESSAGES

@@ -15,7 +15,8 @@ from cairn.bus.zenoh_bus import ZenohBus
 from schemas.geometry_msgs import Twist, Vector3
 from schemas.sensor_msgs import Image
 from schemas.std_msgs import String
-from tests.cairn.bus.network import LIMIT_S, Network, Reader, eventually, node
+from tests.cairn.bus.network import Network, Reader, eventually, node
+from tests.patience import LIMIT_S
 
 TWIST = "RIHS01_9c45bf16fe0983d80e3cfe750d6835843d265a9a6c46bd2e609fcddde6fb8d2a"
 STRING = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"

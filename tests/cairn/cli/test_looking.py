@@ -3,7 +3,15 @@
 import json
 import subprocess
 
+import zenoh
+
+from cairn.bus import rmw
+from cairn.bus.codec import Codec
+from cairn.bus.session import open_peer
+from cairn.component.rosout import ROSOUT
 from cairn.testing.launching import CAIRN, LIMIT_S, Run
+from schemas.message import type_name
+from schemas.rcl_interfaces import Log
 from tests.commands import await_status
 
 from .conftest import Command
@@ -104,6 +112,25 @@ def test_logs_prints_what_was_said(command: Command) -> None:
     assert "INFO    rover.root: talker active\n" in everything
     assert json.loads(one[0])["name"] == "rover.listener"
     assert json.loads(one[0])["message"] == "heard 1, the last was 1"
+
+
+def test_logs_tells_that_somebody_has_not_answered(command: Command, rover: Run) -> None:
+    codec = Codec()
+    kept = f"{rmw.data_key(0, ROSOUT, type_name(Log), codec.type_hash(Log))}/@adv/pub/hangs"
+    unanswered: list[zenoh.Query] = []
+    with (
+        open_peer([rover.endpoint]) as session,
+        session.declare_queryable(kept, unanswered.append),
+    ):
+        said = command("logs")
+        for query in unanswered:
+            query.drop()
+
+    assert unanswered
+    assert "INFO    rover.root: talker active\n" in said.out
+    assert said.err == (
+        "a component does not answer; what it said stands in logs/ of the run's folder\n"
+    )
 
 
 def test_logs_follow_goes_on_until_ctrl_c(rover: Run) -> None:

@@ -8,6 +8,7 @@ import pytest
 
 from cairn.testing.launching import CAIRN, free_port
 from tests.commands import cairn
+from tests.patience import LIMIT_S
 
 
 @pytest.mark.parametrize(
@@ -142,7 +143,11 @@ def test_packages_add_commands_and_a_broken_one_does_no_harm() -> None:
 def test_a_full_disk_under_its_output_is_told() -> None:
     with Path("/dev/full").open("wb") as full:
         listed = subprocess.run(
-            [CAIRN, "schema", "list"], stdout=full, stderr=subprocess.PIPE, timeout=60, text=True
+            [CAIRN, "schema", "list"],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            timeout=LIMIT_S,
+            text=True,
         )
 
     assert listed.returncode == 1
@@ -154,6 +159,6 @@ def test_closed_standard_streams_do_no_harm() -> None:
         for number in range(3):
             os.close(number)
 
-    listed = subprocess.run([CAIRN, "schema", "list"], preexec_fn=close_all, timeout=60)
+    listed = subprocess.run([CAIRN, "schema", "list"], preexec_fn=close_all, timeout=LIMIT_S)
 
     assert listed.returncode == 0

@@ -13,9 +13,7 @@ from cairn.component.component import Component
 from cairn.component.loop import ThreadLoop
 from cairn.component.runtime import Assignment, End, Runtime
 from cairn.placement.lockstep import LockstepExecutor
-
-LIMIT_S = 10.0
-"""Longer than anything takes; reached only where something is lost."""
+from tests.patience import LIMIT_S
 
 C = TypeVar("C", bound=Component)
 

@@ -14,7 +14,8 @@ from cairn.component.ports import Out
 from cairn.errors import CairnError
 from schemas.std_msgs import String
 from tests.cairn.component.base import Base
-from tests.cairn.component.running import LIMIT_S, Lockstep, Threaded
+from tests.cairn.component.running import Lockstep, Threaded
+from tests.patience import LIMIT_S
 
 
 class Driver(Component):

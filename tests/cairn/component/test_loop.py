@@ -8,7 +8,7 @@ import pytest
 
 from cairn.clock import SystemClock
 from cairn.component.loop import ThreadLoop
-from tests.cairn.component.running import LIMIT_S
+from tests.patience import LIMIT_S
 
 
 class Running:

@@ -12,7 +12,8 @@ from cairn.component.handlers import every, on
 from cairn.component.runtime import End
 from schemas.std_msgs import String
 from tests.cairn.component.base import Base, word
-from tests.cairn.component.running import LIMIT_S, Threaded
+from tests.cairn.component.running import Threaded
+from tests.patience import LIMIT_S
 
 
 class Slow(Base):

@@ -7,8 +7,7 @@ import time
 from dataclasses import dataclass, field
 
 from cairn.driver.link import Link
-
-LIMIT_S = 5.0
+from tests.patience import LIMIT_S
 
 
 @dataclass

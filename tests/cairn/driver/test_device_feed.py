@@ -13,8 +13,7 @@ from cairn.component.component import Component
 from cairn.driver.device_feed import DeviceFeed
 from cairn.driver.errors import DeviceError
 from tests.cairn.component.running import Threaded
-
-LIMIT_S = 10.0
+from tests.patience import LIMIT_S
 
 
 class Driver(Component):

@@ -10,8 +10,8 @@ import pytest
 from cairn.driver.device_thread import DeviceThread
 from cairn.driver.errors import DeviceError
 from cairn.errors import CairnError
+from tests.patience import LIMIT_S
 
-LIMIT_S = 10.0
 LOG = logging.getLogger("test_device_thread")
 
 

@@ -17,8 +17,7 @@ from cairn.errors import CairnError
 from cairn.testing.launching import CAIRN
 from tests.cairn.driver.parrot import read_until
 from tests.commands import cairn
-
-LIMIT_S = 20.0
+from tests.patience import LIMIT_S
 
 
 class Emulator:

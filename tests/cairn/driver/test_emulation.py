@@ -16,7 +16,8 @@ from cairn.driver.errors import LinkLost
 from cairn.driver.faults import FrameFault
 from cairn.driver.link import Link, SerialLink, TcpLink
 from cairn.errors import CairnError
-from tests.cairn.driver.parrot import LIMIT_S, Parrot, asked, read_count, read_until
+from tests.cairn.driver.parrot import Parrot, asked, read_count, read_until
+from tests.patience import LIMIT_S
 
 Opening = Callable[[], Link]
 

@@ -14,8 +14,7 @@ from cairn.driver.emulated_lines import PtyEnd
 from cairn.driver.errors import LinkLost
 from cairn.driver.link import SerialLink, TcpLink
 from cairn.driver.ports import find_port
-
-LIMIT_S = 10.0
+from tests.patience import LIMIT_S
 
 
 @pytest.fixture

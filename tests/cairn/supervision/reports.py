@@ -12,7 +12,8 @@ from uuid import uuid4
 
 import psutil
 
-LIMIT_S = 20.0
+from tests.patience import LIMIT_S
+
 TREE = "CAIRN_TEST_TREE"
 
 

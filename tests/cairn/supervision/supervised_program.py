@@ -19,8 +19,9 @@ from cairn.supervision.policy import Intensity
 from cairn.supervision.supervisor import Escalate, Supervisor
 from cairn.supervision.zygote_client import ZygoteClient, ZygoteLost
 from cairn.supervision.zygote_process import start_zygote
+from tests.patience import LIMIT_S
 
-from .reports import LIMIT_S, Report, Reports
+from .reports import Report, Reports
 from .zygote_children import announce, keep_helper_of
 
 MODULE = f"{__package__}.supervised_program"

@@ -9,7 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from .reports import LIMIT_S, Report, Reports, Tree
+from tests.patience import LIMIT_S
+
+from .reports import Report, Reports, Tree
 
 COMPONENTS = ("base", "base's helper", "mobile", "localizer", "planner")
 

@@ -12,10 +12,11 @@ import pytest
 from cairn.errors import CairnError
 from cairn.supervision.zygote_client import ZygoteLost
 from cairn.supervision.zygote_process import ZygoteProcess, start_zygote
+from tests.patience import LIMIT_S
 
 from . import zygote_children
 from .owner import Owner
-from .reports import LIMIT_S, Tree
+from .reports import Tree
 
 CHILDREN = zygote_children.__name__
 FRESH = pytest.mark.parametrize("fresh", [False, True], ids=["shared", "fresh"])

@@ -67,7 +67,7 @@ def failures_of(chosen: list[tuple[str, str]], results: Path) -> dict[str, dict[
         capture_output=True,
         text=True,
         check=False,
-        timeout=110,
+        timeout=280,
     )
     assert results.exists(), done.stdout + done.stderr
     found: dict[str, dict[str, str]] = {}

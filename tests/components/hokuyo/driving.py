@@ -19,8 +19,8 @@ from components.hokuyo.emulated_scip import EmulatedScip
 from schemas.diagnostic_msgs import DiagnosticArray
 from schemas.sensor_msgs import LaserScan, MultiEchoLaserScan
 from tests.cairn.component.running import Threaded
+from tests.patience import LIMIT_S
 
-LIMIT_S = 30.0
 _ALL = RELIABLE.with_depth(1_000_000)
 
 

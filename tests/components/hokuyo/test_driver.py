@@ -18,7 +18,8 @@ from components.hokuyo.config import HokuyoConfig
 from components.hokuyo.sensor import connect
 from tests.cairn.driver.parrot import Parrot
 from tests.components.hokuyo.comparing import assert_were_sent, ranges
-from tests.components.hokuyo.driving import LIMIT_S, Driven, Heard, driven
+from tests.components.hokuyo.driving import Driven, Heard, driven
+from tests.patience import LIMIT_S
 
 SCANS = 8
 URG, UTM, EW, UST = "URG-04LX", "UTM-30LX", "UTM-30LX-EW", "UST-10LX"

@@ -28,7 +28,8 @@ from schemas.diagnostic_msgs import DiagnosticArray, DiagnosticStatus
 from schemas.sensor_msgs import LaserScan
 from schemas.tf2_msgs import TFMessage
 from tests.cairn.component.running import Threaded
-from tests.components.hokuyo.driving import LIMIT_S, Heard
+from tests.components.hokuyo.driving import Heard
+from tests.patience import LIMIT_S
 
 
 @dataclass

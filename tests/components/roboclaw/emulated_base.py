@@ -11,6 +11,7 @@ from cairn.driver.emulated_lines import PtyEnd
 from cairn.driver.emulation import Emulation
 from components.roboclaw.emulator import EmulatedRoboclaw, Moved
 from planar.poses import Pose, compose
+from tests.patience import LIMIT_S
 
 RADIUS, SEPARATION, COUNTS = 0.05, 0.3, 4000.0
 PARAMETERS = {
@@ -68,7 +69,7 @@ class EmulatedBase:
     def await_stand(self, limit_s: float) -> bool:
         return self.await_that(lambda: not self.turns(), limit_s)
 
-    def await_that(self, holds: Callable[[], bool], limit_s: float = 20.0) -> bool:
+    def await_that(self, holds: Callable[[], bool], limit_s: float = LIMIT_S) -> bool:
         """Wait until something holds of the wheels; whether it did within the limit [s]."""
         until = time.monotonic() + limit_s
         while not holds():

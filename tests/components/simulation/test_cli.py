@@ -12,6 +12,7 @@ import yaml
 from cairn.testing.launching import Run, launching
 from tests.commands import Answer, await_status, cairn
 from tests.components.simulation.worlds import box
+from tests.patience import LIMIT_S
 
 TABLE = {"name": "table", "x": 1.5, "y": 3.0, "size": [0.8, 0.8]}
 OBJECTS = [{"id": 1, "x": 6.0, "y": 2.0, "theta": 3.1416}]
@@ -175,9 +176,9 @@ def test_a_killed_driver_comes_back_and_works(simulation: Run, part: str) -> Non
     assert "stamp" in answer.out
 
 
-def until(holds: Callable[[], bool], limit_s: float = 10.0) -> None:
+def until(holds: Callable[[], bool]) -> None:
     """Wait until a file is as wanted: nobody tells of that."""
-    deadline = time.monotonic() + limit_s
+    deadline = time.monotonic() + LIMIT_S
     while not holds():
         assert time.monotonic() < deadline
         time.sleep(0.02)

@@ -16,8 +16,8 @@ from cairn.component.loop import ThreadLoop
 from cairn.component.ports import ports_of
 from cairn.component.runtime import Assignment, End, Runtime
 from components.v4l2_camera.component import V4l2StereoCamera
+from tests.patience import LIMIT_S
 
-LIMIT_S = 15.0
 _LOOK_S = 0.05
 _ALL = Qos("reliable", "transient_local", 10_000)
 

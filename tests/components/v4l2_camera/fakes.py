@@ -19,13 +19,13 @@ from components.v4l2_camera.device import Setup
 from components.v4l2_camera.offers import PictureSize
 from components.v4l2_camera.pixels import PictureLayout
 from components.v4l2_camera.stream import Capture
+from tests.patience import LIMIT_S
 
 WIDTH, HEIGHT, RATE = 64, 48, 25.0
 LEFT, RIGHT = "/dev/left", "/dev/right"
 ONE: Mapping[str, Any] = {"device": LEFT, "width": WIDTH, "height": HEIGHT, "format": "GREY"}
 """A driver's parameters for the left camera alone, and below for both."""
 TWO: Mapping[str, Any] = {**ONE, "right_device": RIGHT}
-_LIMIT_S = 15.0
 
 
 class FakeCamera:
@@ -72,7 +72,7 @@ class FakeCamera:
             over.wait()
 
         self.events.put(held_up)
-        assert begun.wait(_LIMIT_S), "nobody reads the camera"
+        assert begun.wait(LIMIT_S), "nobody reads the camera"
         return over
 
     def unplug(self) -> None:
