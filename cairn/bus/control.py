@@ -5,6 +5,7 @@ silence, whether the component is missing, dies, or hangs; here each of these is
 """
 
 import threading
+import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from functools import partial
@@ -55,6 +56,7 @@ def request(
     request and limit if none comes.
     """
     asked = ControlRequest(verb=verb, arguments=dict(arguments or {}))
+    begun = time.monotonic()
     try:
         replies = session.get(
             control_key(domain, component),
@@ -71,9 +73,16 @@ def request(
             if answer.error is not None:
                 raise ControlError(answer.error)
             return answer.value
+    waited_s = time.monotonic() - begun
+    if waited_s < timeout_s:
+        raise NoAnswer(
+            f"{component} gave no answer to {verb}, and after {waited_s:.1f} s it was certain that "
+            "none would come: it is not running, has just ended, or the link to it was lost; "
+            "`cairn ps` shows what runs"
+        )
     raise NoAnswer(
-        f"{component} gave no answer to {verb} within {timeout_s:g} s: it is not running, has just "
-        "ended, or hangs; `cairn ps` shows which"
+        f"{component} gave no answer to {verb} within {timeout_s:g} s: it hangs, or is busy with "
+        "another request; `cairn ps` shows which"
     )
 
 

@@ -17,8 +17,11 @@ CONNECT_LIMIT_S = 2.0
 MARK = "ca1c0de5"
 """The ids of a component's, or its deployment's, session begin so: such a one can be met."""
 
-LEASE_MS = 2000
-"""A silent peer's link is given up after so long; that of a killed one at once."""
+LEASE_MS = 5000
+"""A silent peer's link is given up after so long; that of a killed one at once.
+
+Longer than a busy machine pauses: with the link, requests under way and their answers are lost.
+"""
 
 
 def open_peer(connect: Sequence[str]) -> zenoh.Session:

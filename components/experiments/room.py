@@ -93,20 +93,17 @@ class Room:
     @cached_property
     def _places(self) -> tuple[Pose, ...]:
         """Where an object could hang and be seen: along the walls, facing inwards."""
+        outside = self._scene.outside_of(0.01)
         return tuple(
             place
             for wall in self._scene.walls
             for begin, end in pairwise(wall.points)
             for place in _along(begin, end)
-            if self._can_be_seen(place)
+            if not outside(*_before(place, _BEFORE_M)) and self._has_room_before(place)
         )
 
-    def _can_be_seen(self, place: Pose) -> bool:
-        near = compose(place, (0.05, 0.0, 0.0))[:2]
-        far = compose(place, (_BEFORE_M, 0.0, 0.0))[:2]
-        if self._scene.outside(far[0], far[1], 0.01):
-            return False
-        view = shapely.LineString([near, far])
+    def _has_room_before(self, place: Pose) -> bool:
+        view = shapely.LineString([_before(place, 0.05), _before(place, _BEFORE_M)])
         return bool(self._furniture.distance(view) >= _ROOM_M)
 
 
@@ -119,6 +116,10 @@ def _along(begin: tuple[float, float], end: tuple[float, float]) -> Iterator[Pos
         for side in (math.pi / 2, -math.pi / 2):
             theta = math.remainder(along + side, math.tau)
             yield round(x, 3), round(y, 3), round(theta, 4)
+
+
+def _before(place: Pose, metres: float) -> tuple[float, float]:
+    return compose(place, (metres, 0.0, 0.0))[:2]
 
 
 def _fits(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -217,9 +217,19 @@ class Scene:
 
     def outside(self, x: float, y: float, radius: float) -> bool:
         """Whether something of that radius [m] could go from there to beyond the walls."""
-        spot, around = shapely.Point(x, y), self._around(radius)
+        return self.outside_of(radius)(x, y)
+
+    def outside_of(self, radius: float) -> Callable[[float, float], bool]:
+        """The same for many places, because to find out what is beyond takes long."""
+        around = self._around(radius)
         beyond = _beyond(list(self.shapes.values()), around, radius)
-        return bool(beyond.covers(spot) or not around.covers(spot))
+        shapely.prepare(beyond)
+
+        def outside(x: float, y: float) -> bool:
+            spot = shapely.Point(x, y)
+            return bool(beyond.covers(spot) or not around.covers(spot))
+
+        return outside
 
     def _around(self, radius: float) -> shapely.Polygon:
         """A rectangle around all, with room outside for something of that radius [m]."""
