@@ -71,8 +71,12 @@ class Runtime:
         scheduler: Scheduler,
         system_clock: Clock,
         on_end: Callable[[End], None],
+        awake: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Construct the component; `CairnError` names it, its plugin and what went wrong."""
+        """Construct the component; `CairnError` names it, its plugin and what went wrong.
+
+        `awake` is the time [s] by which it is told how long a handler has been at work.
+        """
         self.assignment = assignment
         self.name = assignment.name
         self.restarts = assignment.restarts
@@ -83,6 +87,7 @@ class Runtime:
         self._scheduler = scheduler
         self._system_clock = system_clock
         self._on_end = on_end
+        self._awake = awake
         self._state = State.UNCONFIGURED
         self._walking: Transition | None = None
         self._busy: tuple[str, float] | None = None
@@ -197,7 +202,7 @@ class Runtime:
     def progress(self, what: str) -> None:
         """Tell the watch that a long call gets on: it is not hung."""
         if self._busy is not None:
-            self._busy = (what, time.monotonic())
+            self._busy = (what, self._awake())
 
     def status(self) -> ComponentStatus:
         """The component's status now; from any thread."""
@@ -211,7 +216,7 @@ class Runtime:
             state=self._state.value,
             pid=os.getpid(),
             handler=busy[0] if busy else "",
-            handler_s=time.monotonic() - busy[1] if busy else 0.0,
+            handler_s=self._awake() - busy[1] if busy else 0.0,
             restarts=self.assignment.restarts,
             reason=wire_text(self._reason),
             children=self.assignment.children,
@@ -274,7 +279,7 @@ class Runtime:
 
     def _call(self, where: str, call: Callable[..., Any], *arguments: Any) -> Any:
         """Make one call that the status tells of; what it raises becomes a `_Failure`."""
-        outer, self._busy = self._busy, (where, time.monotonic())
+        outer, self._busy = self._busy, (where, self._awake())
         try:
             return call(*arguments)
         except _Failure:  # of a handler within

@@ -16,6 +16,7 @@ from cairn.component.rosout import RosoutHandler
 from cairn.component.runtime import End, Runtime
 from cairn.deployment.plugins import load_plugin
 from cairn.errors import CairnError
+from cairn.placement.awake import AwakeTime
 from cairn.placement.order import Order
 from cairn.supervision.child import Accident
 
@@ -33,6 +34,7 @@ class Hosted:
         self.ended = threading.Event()
         self.on_end: Callable[[], object] = self.ended.is_set
         self._loop = ThreadLoop()
+        self._awake = AwakeTime()
         self._closed = False
         surroundings = order.surroundings
         self.runtime = Runtime(
@@ -42,6 +44,7 @@ class Hosted:
             self._loop,
             SystemClock(),
             self._note_end,
+            self._awake.now,
         )
         self._rosout = RosoutHandler(self.runtime.node)
         self.runtime.log.addHandler(self._rosout)
@@ -56,6 +59,7 @@ class Hosted:
 
     def start(self) -> None:
         """Begin to answer requests."""
+        self._awake.start()
         self._thread.start()
 
     def post(self, call: Callable[[], None]) -> None:
@@ -65,6 +69,10 @@ class Hosted:
     def now(self) -> float:
         """Time [s] since some moment, that nobody sets."""
         return time.monotonic()
+
+    def awake(self) -> float:
+        """Time [s] since some moment, without that in which the machine paused."""
+        return self._awake.now()
 
     def progress(self, what: str) -> None:
         """Say that a long call gets on."""
@@ -102,6 +110,7 @@ class Hosted:
         if self.ended.is_set():  # else it hangs in a handler, and ends with the process
             self._thread.join(JOIN_LIMIT_S)
         self._control.close()
+        self._awake.close()
         self.runtime.log.removeHandler(self._rosout)
 
     def _run(self) -> None:

@@ -113,6 +113,10 @@ class _Place:
         """Have `call` made as a handler of the supervisor."""
         self._scheduler.post(lambda: self.runtime.run("supervision", call))
 
+    def awake(self) -> float:
+        """Virtual time [s], in which nothing pauses."""
+        return self.now()
+
     def now(self) -> float:
         """Virtual time [s]."""
         return self.run.executor.now() / SECOND

@@ -32,6 +32,10 @@ class Host(Protocol):
         """Time [s] that nobody sets: that of the machine, or virtual in lockstep."""
         ...
 
+    def awake(self) -> float:
+        """The same without the time in which the machine did not let the supervisor run."""
+        ...
+
     def post(self, call: Callable[[], None]) -> None:
         """Have `call` made as a handler of the supervisor."""
         ...
@@ -135,7 +139,7 @@ class SupervisorComponent(Component):
     def hear(self, status: ComponentStatus) -> None:
         """Keep the heartbeat of a child."""
         if status.component in self._specs:
-            self._heartbeats[status.component] = _Heartbeat(status, self._host.now())
+            self._heartbeats[status.component] = _Heartbeat(status, self._host.awake())
 
     @every(hz=2)
     def watch(self) -> None:
@@ -150,7 +154,7 @@ class SupervisorComponent(Component):
         status, spec = beat.status, self._specs[child.name]
         if status.restarts + 1 != child.incarnation or status.state != "active":
             return
-        silent_s = self._host.now() - beat.heard_at
+        silent_s = self._host.awake() - beat.heard_at
         limit_s = longest_handler_s(spec)
         if status.handler and status.handler_s > limit_s:
             busy_s = status.handler_s + silent_s

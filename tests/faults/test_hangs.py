@@ -2,9 +2,11 @@
 
 import os
 import signal
+import time
 
 import pytest
 
+from cairn.bus.session import LEASE_MS
 from cairn.testing.launching import Launching
 from tests.commands import cairn
 from tests.faults.orders import set_fault
@@ -56,6 +58,35 @@ def test_stopped_by_a_signal(launch: Launching) -> None:
         after=active,
     )
     run.await_line("base active", after=hung)
+
+
+def test_a_machine_that_pauses_has_nobody_taken_for_hung(launch: Launching) -> None:
+    run = launch(
+        """
+    components:
+      mobile:
+        plugin: mobile_supervisor
+        children:
+          talker: {plugin: test_talker, hang_timeout_s: 0.5}
+          base: {plugin: test_faulty, placement: in_process, hang_timeout_s: 0.5}
+      listener: {plugin: test_listener, hang_timeout_s: 0.5}
+    """
+    )
+    heard = run.await_line("heard 10,")
+    processes = sorted(run.pids())
+
+    for pid in processes:
+        os.kill(pid, signal.SIGSTOP)
+    time.sleep(LEASE_MS / 1000 + 1.0)  # longer than any limit, and than links last
+    for pid in reversed(processes):
+        os.kill(pid, signal.SIGCONT)
+
+    woken = len(run.lines)
+    run.await_line("heard", after=woken)
+    run.await_line("heard", after=woken + 1)
+    assert sorted(run.pids()) == processes
+    assert not [line for line in run.lines[heard:] if "heard" not in line], run
+    assert run.stop() == 0
 
 
 def test_in_its_parents_process_takes_the_parent_along(launch: Launching) -> None:

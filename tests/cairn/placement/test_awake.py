@@ -1,0 +1,60 @@
+"""Time that passes only while the machine lets a process run."""
+
+from cairn.placement.awake import LATE_S, TURN_S, AwakeTime
+
+
+class Machine:
+    """Time and processor of a process, in the test's hands; it turns as often as it is let."""
+
+    def __init__(self) -> None:
+        self.time_s = 100.0
+        self.used_s = 0.0
+        self.awake = AwakeTime(lambda: self.time_s, lambda: self.used_s)
+
+    def run(self, seconds: float) -> None:
+        for _ in range(round(seconds / TURN_S)):
+            self.time_s += TURN_S
+            self.used_s += TURN_S / 10
+            self.awake.turn()
+
+
+def test_it_passes_as_the_machines_does() -> None:
+    machine = Machine()
+    machine.run(10.0)
+    machine.time_s += 0.125
+
+    assert machine.awake.now() == 10.125
+
+
+def test_of_a_pause_next_to_nothing_counts_whoever_asks_first() -> None:
+    machine = Machine()
+    machine.run(1.0)
+    machine.time_s += 60.0
+
+    before = machine.awake.now()
+    machine.awake.turn()
+    after = machine.awake.now()
+    machine.run(1.0)
+
+    assert before == after == 1.0 + LATE_S
+    assert machine.awake.now() == 2.0 + LATE_S
+
+
+def test_a_call_that_lets_no_other_thread_run_is_no_pause() -> None:
+    machine = Machine()
+    machine.run(1.0)
+    machine.time_s += 60.0
+    machine.used_s += 59.0
+
+    machine.awake.turn()
+
+    assert machine.awake.now() == 61.0
+
+
+def test_its_thread_looks_by_itself_and_ends() -> None:
+    awake = AwakeTime()
+    awake.start()
+    awake.close()
+    AwakeTime().close()
+
+    assert 0.0 <= awake.now() <= LATE_S
