@@ -32,7 +32,7 @@ def open_peer(connect: Sequence[str]) -> zenoh.Session:
     """
     listen = ["tcp/127.0.0.1:0"]
     session = _open(_config("peer", listen, connect), f"cannot open a session to {connect}")
-    if not _linked(session):
+    if not is_linked(session):
         session.close()
         raise CairnError(_nobody(connect))
     return session
@@ -61,8 +61,11 @@ def open_router(listen: str, connect: Sequence[str] = ()) -> zenoh.Session:
     )
 
 
-def _linked(session: zenoh.Session) -> bool:
-    """Wait until the session has a link to a router, at most `CONNECT_LIMIT_S`."""
+def is_linked(session: zenoh.Session) -> bool:
+    """Whether the session has a link to a router, or gets one within `CONNECT_LIMIT_S`.
+
+    A link that was lost comes back by itself, if the router is still there.
+    """
     changed = threading.Event()
     callback: Any = zenoh.handlers.Callback(lambda _: changed.set(), indirect=False)
     listener = session.info.declare_transport_events_listener(callback, history=True)

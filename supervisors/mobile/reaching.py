@@ -8,6 +8,7 @@ from collections.abc import Mapping
 
 from cairn.bus import rmw
 from cairn.bus.codec import Codec
+from cairn.bus.session import is_linked
 from cairn.cli.connection import STATUS_TOPIC, Connection, resolve
 from cairn.cli.tables import note
 from cairn.errors import CairnError
@@ -74,8 +75,7 @@ def await_active(connection: Connection, name: str) -> None:
 
 def linked(connection: Connection) -> bool:
     """Whether the deployment is still there."""
-    session = connection.session
-    return not session.is_closed() and bool(session.info.routers_zid())
+    return not connection.session.is_closed() and is_linked(connection.session)
 
 
 def _expected(statuses: Mapping[str, ComponentStatus]) -> set[str]:
