@@ -43,7 +43,7 @@ def logs(
         # Listening begins first, so that nothing is missed in between.
         with connection.listen(key, latched=True) if follow else nullcontext() as samples:
             kept, complete = connection.kept(key)
-            seen = {sample.payload.to_bytes() for sample in kept}
+            seen = dict.fromkeys(sample.payload.to_bytes() for sample in kept)  # each once
             history = [entry for payload in seen for entry in _decoded(codec, payload)]
             printed = [
                 _print(entry, component, robot, json=json)

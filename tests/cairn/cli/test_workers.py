@@ -6,12 +6,14 @@ import subprocess
 import sys
 from pathlib import Path
 
+from tests.patience import LIMIT_S
+
 COMMAND = """
 import os, threading
 from cairn.cli.workers import worker_pool
 
 def hang():
-    print(os.getpid(), flush=True)
+    os.write(1, f"{os.getpid()}\\n".encode())  # whole: print may write the number and its end
     threading.Event().wait(60)
 
 if __name__ == "__main__":
@@ -37,6 +39,6 @@ def test_workers_end_with_the_command_that_is_killed(tmp_path: Path) -> None:
         command.kill()
 
         for worker in workers:
-            ended, _, _ = select.select([worker], [], [], 20.0)
+            ended, _, _ = select.select([worker], [], [], LIMIT_S)
             os.close(worker)
             assert ended
