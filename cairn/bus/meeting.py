@@ -20,6 +20,9 @@ from cairn.bus.session import MARK
 KEYS = "@cairn/session/"
 """The key of a process is this and the id of its session."""
 
+_LOOK_AGAIN_S = 0.1
+"""Between two looks at whether a process that does not answer yet is still there."""
+
 
 class Meeting:
     """This process's answer to the others, and its way to meet them."""
@@ -55,14 +58,22 @@ class Meeting:
 
     def _meet(self, zid: str, deadline: float) -> bool:
         if not self._links.wait(zid, deadline):
-            return zid not in self._links.others(_left(deadline))
+            return self._has_left(zid, deadline)
         if not zid.startswith(MARK):
             return True  # not one of ours: it does not answer
         with Arrival(self._session, KEYS + zid) as arrival:
-            if not arrival.wait(_left(deadline)):
-                return False
+            while not arrival.wait(min(_LOOK_AGAIN_S, _left(deadline))):
+                if self._has_left(zid, deadline):
+                    return True
+                if time.monotonic() >= deadline:
+                    return False
             replies = self._session.get(KEYS + zid, timeout=_left(deadline))
-            return any(reply.ok is not None for reply in replies)
+            answered = any(reply.ok is not None for reply in replies)
+            return answered or self._has_left(zid, deadline)
+
+    def _has_left(self, zid: str, deadline: float) -> bool:
+        # On its way out a process ceases to answer before its link is closed.
+        return zid not in self._links.others(_left(deadline))
 
     def _answer(self, own: str) -> None:
         channel = self._queryable.handler

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import IO
 
 from cairn.bus.qos import LATCHED, RELIABLE
+from cairn.bus.session import open_peer
 from cairn.bus.zenoh_bus import ZenohBus
 from schemas.std_msgs import String
 from tests.cairn.bus.network import Network, Reader, eventually, node
@@ -142,6 +143,17 @@ def test_a_hanging_process_is_named_and_keeps_nobody_from_the_others(network: Ne
         assert str(other.bus.session.info.zid()) not in unreached[0]
         joiner.say("heard nevertheless")
         assert other.reader.next().data == "heard nevertheless"
+
+
+def test_a_process_that_leaves_without_having_answered_is_not_waited_for(network: Network) -> None:
+    bus = network.bus()
+    mute = open_peer([network.endpoint])
+    leaves = threading.Timer(0.3, mute.close)
+    leaves.start()
+    try:
+        assert bus.settle(LIMIT_S / 4) == []
+    finally:
+        leaves.join()
 
 
 def test_a_process_that_was_killed_is_not_waited_for(network: Network) -> None:
