@@ -81,8 +81,8 @@ def request(
             "`cairn ps` shows what runs"
         )
     raise NoAnswer(
-        f"{component} gave no answer to {verb} within {timeout_s:g} s: it hangs, or is busy with "
-        "another request; `cairn ps` shows which"
+        f"{component} gave no answer to {verb} within {timeout_s:g} s: it hangs, or is "
+        "still busy; `cairn ps` shows with what"
     )
 
 

@@ -10,7 +10,7 @@ from cairn.cli.tables import line
 from cairn.errors import CairnError
 
 Name = Annotated[str, typer.Argument(help="The component's name.", metavar="NAME")]
-_LIMIT_S = 60.0
+_LIMIT_S = 90.0  # beyond what a component takes to stop and to start, unless it is given more
 
 
 def load(

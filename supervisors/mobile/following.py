@@ -26,7 +26,7 @@ _REPEAT_S = 5.0
 # After so long without a word the supervisor is asked, again and again; it may be started anew and
 # go on with the order; after so long it has not, and after so long nobody has [s].
 _SILENT_S, _LOST_S, _GONE_S = 3.0, 8.0, 20.0
-_LOADING_S = 60.0
+_LOADING_S = 90.0  # beyond what a component takes to start, unless it is given more
 _ANSWER_S = 5.0
 
 

@@ -1,6 +1,11 @@
 """Time that passes only while the machine lets a process run."""
 
+import queue
+
+import pytest
+
 from cairn.placement.awake import LATE_S, TURN_S, AwakeTime
+from tests.patience import LIMIT_S
 
 
 class Machine:
@@ -52,9 +57,21 @@ def test_a_call_that_lets_no_other_thread_run_is_no_pause() -> None:
 
 
 def test_its_thread_looks_by_itself_and_ends() -> None:
-    awake = AwakeTime()
-    awake.start()
-    awake.close()
-    AwakeTime().close()
+    looks: queue.SimpleQueue[None] = queue.SimpleQueue()
 
-    assert 0.0 <= awake.now() <= LATE_S
+    def processor() -> float:
+        looks.put(None)
+        return 0.0
+
+    awake = AwakeTime(processor=processor)
+    looks.get()  # the one at the beginning
+    awake.start()
+    looks.get(timeout=LIMIT_S)
+    looks.get(timeout=LIMIT_S)
+    awake.close()
+
+    while not looks.empty():
+        looks.get()
+    with pytest.raises(queue.Empty):
+        looks.get(timeout=3 * TURN_S)
+    AwakeTime().close()  # never started
