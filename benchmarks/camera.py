@@ -9,17 +9,17 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.result import Figure
-from components.simulation.camera_config import LightConfig, SensorConfig
-from components.simulation.exposure import Film
-from components.simulation.lens import Distortion, Lens
-from components.simulation.messages import scene_message
-from components.simulation.people import Walker, circles_of
-from components.simulation.photography import photograph
-from components.simulation.scene import Scene
-from components.simulation.surfaces import surfaces_of
-from components.simulation.view import Station
-from components.simulation.world_file import read_world
-from schemas.std_msgs import Header
+from cairn.components.simulation.camera_config import LightConfig, SensorConfig
+from cairn.components.simulation.exposure import Film
+from cairn.components.simulation.lens import Distortion, Lens
+from cairn.components.simulation.messages import scene_message
+from cairn.components.simulation.people import Walker, circles_of
+from cairn.components.simulation.photography import photograph
+from cairn.components.simulation.scene import Scene
+from cairn.components.simulation.surfaces import surfaces_of
+from cairn.components.simulation.view import Station
+from cairn.components.simulation.world_file import read_world
+from cairn.schemas.std_msgs import Header
 
 _WORLDS = Path(__file__).parents[1] / "deploy" / "worlds"
 _BASELINE_M, _HEIGHT_M = 0.09, 1.0

@@ -25,10 +25,10 @@ from numpy.typing import NDArray
 from scipy.sparse import csc_matrix
 from scipy.sparse.linalg import spsolve
 
-from components.replay.carmen_lines import LaserLine, read_log
-from components.replay.carmen_poses import signed
-from components.replay.text_lines import text_lines
-from planar.poses import compose, wrap, wrap_all
+from cairn.components.replay.carmen_lines import LaserLine, read_log
+from cairn.components.replay.carmen_poses import signed
+from cairn.components.replay.text_lines import text_lines
+from cairn.planar.poses import compose, wrap, wrap_all
 
 Array = NDArray[np.float64]
 

@@ -14,14 +14,14 @@ import zenoh
 
 from benchmarks.result import Figure
 from cairn.bus.session import open_peer
+from cairn.components.hokuyo.config import HokuyoConfig
+from cairn.components.hokuyo.emulated_scip import EmulatedScip
+from cairn.components.hokuyo.measurement import Measured, Measurement
 from cairn.driver.emulated_lines import PtyEnd
 from cairn.driver.emulation import Emulation
+from cairn.schemas.sensor_msgs import LaserScan
 from cairn.testing.launching import launching
 from cairn.testing.robot import Robot
-from components.hokuyo.config import HokuyoConfig
-from components.hokuyo.emulated_scip import EmulatedScip
-from components.hokuyo.measurement import Measured, Measurement
-from schemas.sensor_msgs import LaserScan
 
 _SCANS = 400
 _PERIOD_S = 0.025

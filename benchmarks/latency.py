@@ -8,13 +8,13 @@ import numpy as np
 from benchmarks.result import Figure
 from benchmarks.running import results, run_deployment
 from cairn.bus.qos import RELIABLE, SENSOR
-from cairn.component.component import Component
-from cairn.component.handlers import every, on
-from cairn.component.ports import In, Out
+from cairn.runtime.component import Component
+from cairn.runtime.handlers import every, on
+from cairn.runtime.ports import In, Out
+from cairn.schemas.geometry_msgs import Twist, Vector3
+from cairn.schemas.sensor_msgs import Image
+from cairn.schemas.std_msgs import Header
 from cairn.supervision.component import SupervisorComponent
-from schemas.geometry_msgs import Twist, Vector3
-from schemas.sensor_msgs import Image
-from schemas.std_msgs import Header
 
 _HERE = "benchmarks.latency"
 _SECONDS = 10

@@ -21,17 +21,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.result import Figure
-from components.evaluation.localization_quality import SIGMAS
-from components.localizer.config import MeasuredBase
-from components.localizer.localization import Localization
-from components.localizer.odometry import MeasuredTrack
-from components.localizer.settings import Settings
-from components.map_builder.counting import build_map
-from components.replay.carmen import CarmenRecording
-from planar.grid import OccupancyCells
-from planar.poses import Pose, wrap
-from planar.scans import beams_of
-from schemas.sensor_msgs import LaserScan
+from cairn.components.localizer.config import MeasuredBase
+from cairn.components.localizer.localization import Localization
+from cairn.components.localizer.odometry import MeasuredTrack
+from cairn.components.localizer.settings import Settings
+from cairn.components.map_builder.counting import build_map
+from cairn.components.replay.carmen import CarmenRecording
+from cairn.planar.grid import OccupancyCells
+from cairn.planar.poses import Pose, wrap
+from cairn.planar.scans import beams_of
+from cairn.schemas.sensor_msgs import LaserScan
+from cairn.tools.evaluation.localization_quality import SIGMAS
 
 Array = NDArray[np.float64]
 

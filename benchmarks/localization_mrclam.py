@@ -24,10 +24,10 @@ from typing import Literal
 import numpy as np
 
 from benchmarks.localization_replay import Recording, errors, load, run, stressed, true_pose
-from components.localizer.settings import Settings
-from components.map_builder.objects import Kind, MapObject, State
-from components.map_builder.place import Place
-from components.replay.mrclam_files import Dataset
+from cairn.components.localizer.settings import Settings
+from cairn.components.map_builder.objects import Kind, MapObject, State
+from cairn.components.map_builder.place import Place
+from cairn.components.replay.mrclam_files import Dataset
 
 DISPLACED = {"one": 1, "two": 2, "removed": 2}
 Mode = Literal["lr", "paper"]

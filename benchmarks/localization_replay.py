@@ -8,15 +8,15 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from components.localizer.localization import Frame, Localization
-from components.localizer.object_likelihood import Landmark, Sighting
-from components.localizer.odometry import CommandedTrack
-from components.localizer.settings import Settings
-from components.map_builder.objects import Change, Evidence, MapObject, State, Verdict
-from components.map_builder.place import Place
-from components.map_builder.visual_map import VisualMap
-from components.replay.mrclam_files import Dataset
-from components.replay.sighting_noise import range_bearing_variance
+from cairn.components.localizer.localization import Frame, Localization
+from cairn.components.localizer.object_likelihood import Landmark, Sighting
+from cairn.components.localizer.odometry import CommandedTrack
+from cairn.components.localizer.settings import Settings
+from cairn.components.map_builder.objects import Change, Evidence, MapObject, State, Verdict
+from cairn.components.map_builder.place import Place
+from cairn.components.map_builder.visual_map import VisualMap
+from cairn.components.replay.mrclam_files import Dataset
+from cairn.components.replay.sighting_noise import range_bearing_variance
 
 # As the parameters of a commanded base; its poses matter only over gaps, which MRCLAM has not.
 LAG_S, GAINS = 0.17, (0.95, 0.93)

@@ -15,17 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.result import Figure
-from components.evaluation.localization_quality import SIGMAS
-from components.localizer.cloud import Cloud
-from components.localizer.config import MeasuredBase
-from components.localizer.likelihood_field import LikelihoodField
-from components.localizer.localization import Localization
-from components.localizer.motion import Increment, move_pose
-from components.localizer.odometry import MeasuredTrack
-from components.localizer.settings import Settings
-from planar.distance import distance_field
-from planar.grid import FREE, OCCUPIED, Frame, Grid, OccupancyCells
-from planar.poses import Pose, compose, wrap
+from cairn.components.localizer.cloud import Cloud
+from cairn.components.localizer.config import MeasuredBase
+from cairn.components.localizer.likelihood_field import LikelihoodField
+from cairn.components.localizer.localization import Localization
+from cairn.components.localizer.motion import Increment, move_pose
+from cairn.components.localizer.odometry import MeasuredTrack
+from cairn.components.localizer.settings import Settings
+from cairn.planar.distance import distance_field
+from cairn.planar.grid import FREE, OCCUPIED, Frame, Grid, OccupancyCells
+from cairn.planar.poses import Pose, compose, wrap
+from cairn.tools.evaluation.localization_quality import SIGMAS
 
 Array = NDArray[np.float64]
 

@@ -17,13 +17,13 @@ from benchmarks.result import Figure
 from benchmarks.running import free_port, results
 from cairn.bus.qos import SENSOR
 from cairn.clock import SECOND, from_ns, to_ns
-from cairn.component.component import Component
-from cairn.component.handlers import on
-from cairn.component.ports import In, Out
-from components.motion_control.component import MotionControl
-from planar.sweep import sweep_s
-from schemas.sensor_msgs import LaserScan
-from schemas.std_msgs import Header
+from cairn.components.motion_control.component import MotionControl
+from cairn.planar.sweep import sweep_s
+from cairn.runtime.component import Component
+from cairn.runtime.handlers import on
+from cairn.runtime.ports import In, Out
+from cairn.schemas.sensor_msgs import LaserScan
+from cairn.schemas.std_msgs import Header
 
 _SIM = ROOT / "deploy" / "sim.yaml"
 _TOUR = ROOT / "deploy" / "demo_tour.yaml"

@@ -12,10 +12,10 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
 from benchmarks.result import Figure
-from components.path_planner.cost_map import CostMap, Costs
-from components.path_planner.planning import Planner
-from planar.grid import Frame, OccupancyCells
-from planar.shortest_path import CLOSED, MARGIN
+from cairn.components.path_planner.cost_map import CostMap, Costs
+from cairn.components.path_planner.planning import Planner
+from cairn.planar.grid import Frame, OccupancyCells
+from cairn.planar.shortest_path import CLOSED, MARGIN
 
 RESOLUTION = 0.05
 COSTS = Costs(radius=0.22, reach=0.45, weight=1.0, margin=0.05, allow_unknown=False)

@@ -26,10 +26,10 @@ from benchmarks.pictures import (
     seen,
 )
 from benchmarks.result import Figure
-from vision.features import Features, extract
-from vision.recognition import Recognition, Recognizer
-from vision.taught import TaughtObject
-from vision.teaching import view_of
+from cairn.vision.features import Features, extract
+from cairn.vision.recognition import Recognition, Recognizer
+from cairn.vision.taught import TaughtObject
+from cairn.vision.teaching import view_of
 
 _SHOWN = 10  # objects, known in each database, that scenes show one of
 _SCENES, _EMPTY, _SWEPT = 60, 150, 40

@@ -15,12 +15,12 @@ from pydantic import Field
 from benchmarks.result import Figure
 from benchmarks.running import free_port, results, run_deployment
 from cairn.bus.codec import Codec
-from cairn.component.component import Component
-from cairn.component.handlers import on
-from cairn.component.parameters import Config
-from cairn.component.ports import In, Out
-from schemas.sensor_msgs import Image, LaserScan
-from schemas.std_msgs import Header, String
+from cairn.runtime.component import Component
+from cairn.runtime.handlers import on
+from cairn.runtime.parameters import Config
+from cairn.runtime.ports import In, Out
+from cairn.schemas.sensor_msgs import Image, LaserScan
+from cairn.schemas.std_msgs import Header, String
 
 ROUNDS = 5
 LIMIT = 1.5

@@ -21,10 +21,10 @@ from scipy import ndimage
 
 from benchmarks.result import Figure
 from benchmarks.running import free_port
-from cairn.component.component import Component
-from cairn.component.handlers import every
-from cairn.component.ports import Out
-from schemas.geometry_msgs import Twist, Vector3
+from cairn.runtime.component import Component
+from cairn.runtime.handlers import every
+from cairn.runtime.ports import Out
+from cairn.schemas.geometry_msgs import Twist, Vector3
 
 COUNT = 10
 _HERE = "benchmarks.startup"

@@ -13,12 +13,12 @@ import simplejpeg
 from benchmarks.result import Figure
 from benchmarks.running import results, run_deployment
 from cairn.bus.qos import SENSOR
-from cairn.component.component import Component
-from cairn.component.handlers import every, on
-from cairn.component.ports import In
-from components.v4l2_camera.component import V4l2StereoCamera
-from components.v4l2_camera.pixels import PictureLayout
-from schemas.sensor_msgs import CameraInfo, Image
+from cairn.components.v4l2_camera.component import V4l2StereoCamera
+from cairn.components.v4l2_camera.pixels import PictureLayout
+from cairn.runtime.component import Component
+from cairn.runtime.handlers import every, on
+from cairn.runtime.ports import In
+from cairn.schemas.sensor_msgs import CameraInfo, Image
 
 _HERE = "benchmarks.v4l2_camera"
 _WIDTH, _HEIGHT = 640, 480

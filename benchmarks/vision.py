@@ -13,10 +13,10 @@ from benchmarks.navigation import in_real_time
 from benchmarks.result import Figure
 from cairn.bus.qos import RELIABLE
 from cairn.clock import SECOND, to_ns
-from cairn.component.component import Component
-from cairn.component.handlers import on
-from cairn.component.ports import In
-from schemas.cairn_msgs import RecognizedObjectArray
+from cairn.runtime.component import Component
+from cairn.runtime.handlers import on
+from cairn.runtime.ports import In
+from cairn.schemas.cairn_msgs import RecognizedObjectArray
 
 _PIXELS = ROOT / "deploy" / "pixels.yaml"
 _WORLD = ROOT / "deploy" / "worlds" / "room.yaml"

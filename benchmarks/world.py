@@ -11,18 +11,18 @@ from benchmarks.result import Figure
 from cairn.bus.lockstep_bus import LockstepBus
 from cairn.bus.qos import SENSOR
 from cairn.clock import SECOND
-from cairn.component.component import Component
-from cairn.component.lifecycle import Transition
-from cairn.component.runtime import Assignment, End, Runtime
+from cairn.components.simulation.base import SimulatedBase
+from cairn.components.simulation.rays import cast
+from cairn.components.simulation.recognizer import SimulatedRecognizer
+from cairn.components.simulation.scanner import SimulatedScanner
+from cairn.components.simulation.scene import Scene
+from cairn.components.simulation.world_component import SimulatedWorld
+from cairn.components.simulation.world_file import read_world
 from cairn.placement.lockstep import LockstepExecutor
-from components.simulation.base import SimulatedBase
-from components.simulation.rays import cast
-from components.simulation.recognizer import SimulatedRecognizer
-from components.simulation.scanner import SimulatedScanner
-from components.simulation.scene import Scene
-from components.simulation.world_component import SimulatedWorld
-from components.simulation.world_file import read_world
-from schemas.geometry_msgs import Twist, Vector3
+from cairn.runtime.component import Component
+from cairn.runtime.lifecycle import Transition
+from cairn.runtime.runtime import Assignment, End, Runtime
+from cairn.schemas.geometry_msgs import Twist, Vector3
 
 Array = NDArray[np.float64]
 WORLDS = Path(__file__).parent.parent / "deploy" / "worlds"

@@ -3,7 +3,7 @@
 import time
 from typing import Protocol
 
-from schemas.builtin_interfaces import Time
+from cairn.schemas.builtin_interfaces import Time
 
 SECOND = 1_000_000_000
 

@@ -6,9 +6,9 @@ from typing import Annotated, ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from schemas.covariance import Covariance2, Covariance3
-from schemas.message import message, refuse
-from schemas.primitives import (
+from cairn.schemas.covariance import Covariance2, Covariance3
+from cairn.schemas.message import message, refuse
+from cairn.schemas.primitives import (
     Array,
     Bool,
     FiniteFloat64,
@@ -24,7 +24,7 @@ from schemas.primitives import (
     finite,
     zeros,
 )
-from schemas.std_msgs import Header
+from cairn.schemas.std_msgs import Header
 
 Probability = Annotated[float, Scalar("float64", at_least=0, at_most=1)]
 Distance = Annotated[float, Scalar("float64", above=0)]

@@ -4,12 +4,12 @@ import re
 from math import isinf, isnan, nan
 from typing import Annotated, ClassVar, Final
 
-from schemas.builtin_interfaces import Time
-from schemas.geometry_msgs import Pose, PoseWithCovariance
-from schemas.message import message, refuse
-from schemas.packed import Packed
-from schemas.primitives import Bool, FiniteFloat64, Float64, Scalar, String, UInt8, UInt32
-from schemas.std_msgs import Header
+from cairn.schemas.builtin_interfaces import Time
+from cairn.schemas.geometry_msgs import Pose, PoseWithCovariance
+from cairn.schemas.message import message, refuse
+from cairn.schemas.packed import Packed
+from cairn.schemas.primitives import Bool, FiniteFloat64, Float64, Scalar, String, UInt8, UInt32
+from cairn.schemas.std_msgs import Header
 
 Probability = Annotated[float, Scalar("float64", at_least=0, at_most=1)]
 NotNegative = Annotated[float, Scalar("float64", at_least=0)]

@@ -4,10 +4,10 @@ from typing import Annotated, ClassVar
 
 import numpy as np
 
-from schemas.geometry_msgs import Point, Pose
-from schemas.message import message, refuse
-from schemas.packed import Packed
-from schemas.primitives import (
+from cairn.schemas.geometry_msgs import Point, Pose
+from cairn.schemas.message import message, refuse
+from cairn.schemas.packed import Packed
+from cairn.schemas.primitives import (
     FiniteFloat64,
     Float64Array,
     Scalar,
@@ -17,7 +17,7 @@ from schemas.primitives import (
     UInt32Array,
     empty,
 )
-from schemas.std_msgs import Header
+from cairn.schemas.std_msgs import Header
 
 
 @message("cairn_sim_msgs/msg/WheelMotion")

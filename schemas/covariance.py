@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import numpy as np
 import numpy.typing as npt
 
-from schemas.primitives import Array
+from cairn.schemas.primitives import Array
 
 _TOLERANCE = 1e-9  # relative to the largest entry: more than rounding, less than any error
 

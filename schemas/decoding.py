@@ -7,9 +7,9 @@ from typing import Any, TypeVar, cast, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from schemas.arrays import array_validator
-from schemas.message import own_check
-from schemas.primitives import Array, Scalar, Text, mark_of
+from cairn.schemas.arrays import array_validator
+from cairn.schemas.message import own_check
+from cairn.schemas.primitives import Array, Scalar, Text, mark_of
 
 T = TypeVar("T")
 

@@ -2,9 +2,9 @@
 
 from typing import Annotated, ClassVar
 
-from schemas.message import message
-from schemas.primitives import Byte, Scalar, String
-from schemas.std_msgs import Header
+from cairn.schemas.message import message
+from cairn.schemas.primitives import Byte, Scalar, String
+from cairn.schemas.std_msgs import Header
 
 
 @message("diagnostic_msgs/msg/KeyValue")

@@ -3,9 +3,9 @@
 from dataclasses import dataclass, fields
 from typing import Any, ClassVar, get_args, get_origin, get_type_hints
 
-from schemas.message import type_name
-from schemas.packed import Packed
-from schemas.primitives import Array, Scalar, Text, mark_of
+from cairn.schemas.message import type_name
+from cairn.schemas.packed import Packed
+from cairn.schemas.primitives import Array, Scalar, Text, mark_of
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ def _field(message: type[Any], name: str, hint: Any) -> Field:
         return Field(name, hint)
     raise TypeError(
         f"{message.__qualname__}.{name}: {hint} is no type of a message's field; use a primitive "
-        "of schemas.primitives, a message, a tuple of them (..., ...) or Packed"
+        "of cairn.schemas.primitives, a message, a tuple of them (..., ...) or Packed"
     )
 
 

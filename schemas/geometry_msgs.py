@@ -5,10 +5,10 @@ from typing import Annotated
 import numpy as np
 import numpy.typing as npt
 
-from schemas.message import message
-from schemas.packed import Packed
-from schemas.primitives import Array, FiniteFloat64, String, finite, zeros
-from schemas.std_msgs import Header
+from cairn.schemas.message import message
+from cairn.schemas.packed import Packed
+from cairn.schemas.primitives import Array, FiniteFloat64, String, finite, zeros
+from cairn.schemas.std_msgs import Header
 
 Covariance6 = Annotated[npt.NDArray[np.float64], Array("float64", length=36, check=finite)]
 """Row-major 6x6 over (x, y, z, rotation about X, Y, Z): finite; ROS asks for no more."""

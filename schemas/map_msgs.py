@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from schemas.message import message, refuse
-from schemas.primitives import Int8Array, Int32, UInt32, empty
-from schemas.std_msgs import Header
+from cairn.schemas.message import message, refuse
+from cairn.schemas.primitives import Int8Array, Int32, UInt32, empty
+from cairn.schemas.std_msgs import Header
 
 
 @message("map_msgs/msg/OccupancyGridUpdate")

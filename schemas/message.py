@@ -13,7 +13,7 @@ from pydantic import ConfigDict, ValidationError
 from pydantic.dataclasses import dataclass as pydantic_dataclass
 from pydantic_core import ArgsKwargs
 
-from schemas.primitives import Scalar, Text, mark_of
+from cairn.schemas.primitives import Scalar, Text, mark_of
 
 T = TypeVar("T")
 
@@ -44,10 +44,10 @@ def message(name: str) -> Callable[[type[T]], type[T]]:
     """Make a class the definition of the ROS 2 message type `name` ("geometry_msgs/msg/Point").
 
     The annotated fields, in this order, are the fields on the wire: primitives of
-    `schemas.primitives`, other messages, `tuple[Message, ...]`, `tuple[String, ...]` or
-    `schemas.packed.Packed`. `ClassVar` primitives with a value are the type's constants. Instances
-    are frozen, and equal if all fields are, NaN being equal to NaN. In place of a message that
-    another one holds, its constructor also takes a mapping of fields.
+    `cairn.schemas.primitives`, other messages, `tuple[Message, ...]`, `tuple[String, ...]` or
+    `cairn.schemas.packed.Packed`. `ClassVar` primitives with a value are the type's constants.
+    Instances are frozen, and equal if all fields are, NaN being equal to NaN. In place of a
+    message that another one holds, its constructor also takes a mapping of fields.
 
     A message cannot be made invalid: the constructor raises `InvalidMessage`. What must hold
     between fields is checked by the class's `__post_init__`, which calls `refuse`.

@@ -4,11 +4,11 @@ from typing import Annotated
 
 import numpy as np
 
-from schemas.builtin_interfaces import Time
-from schemas.geometry_msgs import Pose, PoseStamped, PoseWithCovariance, TwistWithCovariance
-from schemas.message import message, refuse
-from schemas.primitives import Int8Array, Scalar, String, UInt32, empty
-from schemas.std_msgs import Header
+from cairn.schemas.builtin_interfaces import Time
+from cairn.schemas.geometry_msgs import Pose, PoseStamped, PoseWithCovariance, TwistWithCovariance
+from cairn.schemas.message import message, refuse
+from cairn.schemas.primitives import Int8Array, Scalar, String, UInt32, empty
+from cairn.schemas.std_msgs import Header
 
 
 @message("nav_msgs/msg/Odometry")

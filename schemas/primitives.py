@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic_core import CoreSchema, core_schema
 
-from schemas.arrays import array_validator
+from cairn.schemas.arrays import array_validator
 
 _INTEGERS = {
     f"{sign}int{bits}": (0 if sign else -(2 ** (bits - 1)), 2 ** (bits if sign else bits - 1) - 1)

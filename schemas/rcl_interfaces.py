@@ -2,9 +2,9 @@
 
 from typing import ClassVar
 
-from schemas.builtin_interfaces import Time
-from schemas.message import message
-from schemas.primitives import String, UInt8, UInt32
+from cairn.schemas.builtin_interfaces import Time
+from cairn.schemas.message import message
+from cairn.schemas.primitives import String, UInt8, UInt32
 
 
 @message("rcl_interfaces/msg/Log")

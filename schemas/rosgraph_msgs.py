@@ -1,7 +1,7 @@
 """ROS 2 package rosgraph_msgs: simulated time."""
 
-from schemas.builtin_interfaces import Time
-from schemas.message import message
+from cairn.schemas.builtin_interfaces import Time
+from cairn.schemas.message import message
 
 
 @message("rosgraph_msgs/msg/Clock")

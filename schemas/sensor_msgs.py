@@ -6,8 +6,8 @@ from typing import Annotated, ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from schemas.message import message, refuse
-from schemas.primitives import (
+from cairn.schemas.message import message, refuse
+from cairn.schemas.primitives import (
     Array,
     Bool,
     FiniteFloat32,
@@ -21,7 +21,7 @@ from schemas.primitives import (
     finite,
     zeros,
 )
-from schemas.std_msgs import Header
+from cairn.schemas.std_msgs import Header
 
 _EPSILON = float(np.finfo(np.float32).eps)
 

@@ -1,8 +1,8 @@
 """ROS 2 package std_msgs: the header of stamped messages, and bare values."""
 
-from schemas import primitives
-from schemas.builtin_interfaces import Time
-from schemas.message import message
+from cairn.schemas import primitives
+from cairn.schemas.builtin_interfaces import Time
+from cairn.schemas.message import message
 
 
 @message("std_msgs/msg/Header")

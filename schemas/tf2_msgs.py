@@ -1,7 +1,7 @@
 """ROS 2 package tf2_msgs: the tree of coordinate frames."""
 
-from schemas.geometry_msgs import TransformStamped
-from schemas.message import message
+from cairn.schemas.geometry_msgs import TransformStamped
+from cairn.schemas.message import message
 
 
 @message("tf2_msgs/msg/TFMessage")

@@ -10,9 +10,9 @@ from rosbags.typesys.store import Typestore
 
 from cairn.bus.packed_cdr import packed_msgdef
 from cairn.errors import CairnError
-from schemas.decoding import maker
-from schemas.fields import Field, constants_of, fields_of
-from schemas.message import InvalidMessage, type_name
+from cairn.schemas.decoding import maker
+from cairn.schemas.fields import Field, constants_of, fields_of
+from cairn.schemas.message import InvalidMessage, type_name
 
 if TYPE_CHECKING:
     from rosbags.interfaces.typing import Constdefs

@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 from cairn.bus.bus import mismatch
 from cairn.bus.qos import Qos
 from cairn.bus.waiting import Waiting
-from schemas.message import type_name
+from cairn.schemas.message import type_name
 
 End = TypeVar("End", "LockstepPublisher", "LockstepSubscription")
 

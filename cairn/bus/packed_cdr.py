@@ -14,7 +14,7 @@ from rosbags.serde.primitives import (
     unpack_uint32_le,
 )
 
-from schemas.packed import Packed
+from cairn.schemas.packed import Packed
 
 _NUMBER = 8  # bytes, and alignment, of a float64
 

@@ -22,7 +22,7 @@ from cairn.bus.graph import GraphWatch
 from cairn.bus.meeting import Meeting
 from cairn.bus.qos import Qos
 from cairn.bus.waiting import Waiting
-from schemas.message import InvalidMessage, type_name
+from cairn.schemas.message import InvalidMessage, type_name
 
 _PUBLISHERS = 1000
 """So many writers of one topic have their messages counted."""

@@ -17,8 +17,8 @@ from cairn.bus.graph import read_graph
 from cairn.bus.session import open_client
 from cairn.deployment.model import is_loopback
 from cairn.errors import CairnError
-from schemas.cairn_msgs import ComponentStatus
-from schemas.message import InvalidMessage, type_name
+from cairn.schemas.cairn_msgs import ComponentStatus
+from cairn.schemas.message import InvalidMessage, type_name
 
 Connect = Annotated[
     str,

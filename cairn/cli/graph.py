@@ -16,7 +16,7 @@ from cairn.cli.connection import (
     connected,
 )
 from cairn.cli.tables import show
-from cairn.component.rosout import ROSOUT
+from cairn.runtime.rosout import ROSOUT
 
 
 def graph(

@@ -17,9 +17,9 @@ from cairn.cli.connection import (
     resolve,
 )
 from cairn.cli.tables import line, note
-from cairn.component.rosout import ROSOUT, render
-from schemas.message import InvalidMessage, type_name
-from schemas.rcl_interfaces import Log
+from cairn.runtime.rosout import ROSOUT, render
+from cairn.schemas.message import InvalidMessage, type_name
+from cairn.schemas.rcl_interfaces import Log
 
 
 def logs(

@@ -5,12 +5,12 @@ import pkgutil
 from collections.abc import Iterator
 from typing import Any
 
-import schemas
+from cairn import schemas
 from cairn.deployment.plugins import installed
 from cairn.deployment.problems import one_of
 from cairn.errors import CairnError
-from schemas.fields import fields_of
-from schemas.message import type_name
+from cairn.schemas.fields import fields_of
+from cairn.schemas.message import type_name
 
 
 def known_messages() -> dict[str, type[Any]]:
@@ -34,7 +34,7 @@ def find_message(name: str) -> type[Any]:
 
 def _of_schemas() -> dict[str, type[Any]]:
     found: dict[str, type[Any]] = {}
-    for module_info in pkgutil.iter_modules(schemas.__path__, "schemas."):
+    for module_info in pkgutil.iter_modules(schemas.__path__, "cairn.schemas."):
         module = importlib.import_module(module_info.name)
         for value in vars(module).values():
             if isinstance(value, type) and value.__module__ == module.__name__:

@@ -8,10 +8,10 @@ from pydantic import BaseModel
 
 from cairn.cli.connection import Json
 from cairn.cli.tables import line, print_json, show
-from cairn.component.parameters import bounds
-from cairn.component.ports import PortSpec, ports_of
 from cairn.deployment.plugins import installed, load_plugin
-from schemas.message import type_name
+from cairn.runtime.parameters import bounds
+from cairn.runtime.ports import PortSpec, ports_of
+from cairn.schemas.message import type_name
 
 
 def plugins(

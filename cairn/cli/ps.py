@@ -15,8 +15,8 @@ from cairn.cli.connection import (
     connected,
 )
 from cairn.cli.tables import show
-from schemas.cairn_msgs import ComponentStatus
-from schemas.std_msgs import Header
+from cairn.schemas.cairn_msgs import ComponentStatus
+from cairn.schemas.std_msgs import Header
 
 _COLUMNS = {
     "robot": "robot", "tree": "component", "state": "state", "pid": "pid", "restarts": "restarts",

@@ -28,7 +28,7 @@ from cairn.cli.connection import (
 from cairn.cli.message_types import find_message
 from cairn.cli.tables import line, print_json, show
 from cairn.errors import CairnError
-from schemas.message import InvalidMessage
+from cairn.schemas.message import InvalidMessage
 
 _SHOWN = 36  # elements of a sequence: a covariance is whole
 

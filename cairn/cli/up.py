@@ -27,7 +27,6 @@ from cairn.cli.tables import line, note
 from cairn.cli.view import LiveView, PlainView
 from cairn.cli.watch import LogWatch, Watch
 from cairn.clock import from_ns
-from cairn.component.runtime import End
 from cairn.deployment.load import assembled, read_sources
 from cairn.deployment.model import Deployment
 from cairn.deployment.plugins import modules_named
@@ -35,8 +34,9 @@ from cairn.errors import CairnError
 from cairn.placement.lockstep_run import LockstepRun
 from cairn.placement.root import run_processes, started_zygote
 from cairn.placement.service import ServiceManager, service_manager
+from cairn.runtime.runtime import End
+from cairn.schemas.rcl_interfaces import Log
 from cairn.supervision.zygote_process import ZygoteProcess
-from schemas.rcl_interfaces import Log
 
 _RUNS_KEPT = 20
 _REPORT_SETTING = "report"

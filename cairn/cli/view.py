@@ -15,9 +15,9 @@ from rich.table import Table
 from rich.text import Text
 
 from cairn.clock import SECOND
-from cairn.component.rosout import render
-from schemas.cairn_msgs import ComponentStatus
-from schemas.rcl_interfaces import Log
+from cairn.runtime.rosout import render
+from cairn.schemas.cairn_msgs import ComponentStatus
+from cairn.schemas.rcl_interfaces import Log
 
 _LINES = 12
 _PERIOD_S = 0.25

@@ -10,14 +10,14 @@ from cairn.bus.bus import Bus, Subscription, full_name
 from cairn.bus.qos import LATCHED, Qos
 from cairn.cli.view import View
 from cairn.clock import to_ns
-from cairn.component.clock_input import TOPIC as CLOCK
-from cairn.component.rosout import KEPT, ROSOUT
-from cairn.component.status import TOPIC as STATUS
 from cairn.deployment.model import VIEW
-from schemas.cairn_msgs import ComponentStatus
-from schemas.message import InvalidMessage
-from schemas.rcl_interfaces import Log
-from schemas.rosgraph_msgs import Clock
+from cairn.runtime.clock_input import TOPIC as CLOCK
+from cairn.runtime.rosout import KEPT, ROSOUT
+from cairn.runtime.status import TOPIC as STATUS
+from cairn.schemas.cairn_msgs import ComponentStatus
+from cairn.schemas.message import InvalidMessage
+from cairn.schemas.rcl_interfaces import Log
+from cairn.schemas.rosgraph_msgs import Clock
 
 _FINISH_LIMIT_S = 1.0
 

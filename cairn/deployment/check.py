@@ -2,8 +2,6 @@
 
 from collections.abc import Iterator, Mapping
 
-from cairn.component.handlers import handlers_of
-from cairn.component.ports import ports_of
 from cairn.deployment.document import Node, Steps, dotted
 from cairn.deployment.model import RESERVED, Deployment
 from cairn.deployment.plugins import PluginError, load_plugin
@@ -12,6 +10,8 @@ from cairn.deployment.tree import Placed, components
 from cairn.deployment.validation import invalid
 from cairn.deployment.wiring import wiring_problems
 from cairn.errors import CairnError
+from cairn.runtime.handlers import handlers_of
+from cairn.runtime.ports import ports_of
 
 
 def problems_of(root: Node, unresolved: frozenset[Steps]) -> list[Problem]:

@@ -9,12 +9,12 @@ from importlib.metadata import EntryPoint, entry_points
 from inspect import getdoc
 from typing import TYPE_CHECKING
 
-from cairn.component.ports import PortSpec, ports_of
 from cairn.deployment.problems import one_of
 from cairn.errors import CairnError
+from cairn.runtime.ports import PortSpec, ports_of
 
 if TYPE_CHECKING:
-    from cairn.component.component import Component
+    from cairn.runtime.component import Component
 
 GROUP = "cairn.components"
 
@@ -90,7 +90,7 @@ def modules_named(document: object) -> list[str]:
 
 
 def _component(target: str) -> "type[Component]":
-    from cairn.component.component import Component
+    from cairn.runtime.component import Component
 
     module_name, _, class_name = target.partition(":")
     module = _imported(module_name)
@@ -101,7 +101,7 @@ def _component(target: str) -> "type[Component]":
     if not _is_component(found, Component):
         raise PluginError(
             f"{target} is not a component",
-            "derive the class from cairn.component.component.Component",
+            "derive the class from cairn.runtime.component.Component",
         )
     component: type[Component] = found
     return component

@@ -4,12 +4,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from cairn.component.ports import PortSpec
 from cairn.deployment.document import Node, Steps
 from cairn.deployment.problems import Location
+from cairn.runtime.ports import PortSpec
 
 if TYPE_CHECKING:
-    from cairn.component.component import Component
+    from cairn.runtime.component import Component
 
 
 @dataclass(frozen=True)

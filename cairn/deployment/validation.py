@@ -7,9 +7,9 @@ from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
-from cairn.component.parameters import bounds, reason
 from cairn.deployment.document import Node, Steps, dotted
 from cairn.deployment.problems import Location, Problem, one_of
+from cairn.runtime.parameters import bounds, reason
 
 _SHOWN = 60  # characters of a wrong value
 

@@ -4,11 +4,11 @@ from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from cairn.component.ports import PortSpec
 from cairn.deployment.document import Node, dotted
 from cairn.deployment.problems import Problem, one_of
 from cairn.deployment.tree import Placed
-from schemas.message import type_name
+from cairn.runtime.ports import PortSpec
+from cairn.schemas.message import type_name
 
 _CLOCK = "clock"
 _CLOCK_TYPE = "rosgraph_msgs/msg/Clock"

@@ -9,10 +9,10 @@ from collections.abc import Callable
 from functools import partial
 from typing import Generic, TypeVar
 
-from cairn.component.component import Component
 from cairn.driver.device_thread import DeviceThread
 from cairn.driver.errors import DeviceError
 from cairn.driver.rate import RateWindow
+from cairn.runtime.component import Component
 
 T = TypeVar("T")
 

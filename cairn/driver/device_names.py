@@ -10,8 +10,8 @@ from typing import Annotated
 
 from pydantic import BaseModel
 
-from cairn.component.marks import Marked, marked
 from cairn.driver.ports import find_port
+from cairn.runtime.marks import Marked, marked
 
 TCP = "tcp:"
 """Begins the name of a device on the network: `tcp:HOST:PORT`."""

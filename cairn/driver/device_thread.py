@@ -6,9 +6,9 @@ import logging
 import threading
 from collections.abc import Callable
 
-from cairn.component.complaints import Complaints
 from cairn.driver.errors import DeviceError
 from cairn.errors import CairnError
+from cairn.runtime.complaints import Complaints
 
 RETRY_S = 0.2
 """How long after a failure the device is tried again: soon, as it may have come back."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from cairn.clock import from_ns
-from schemas.diagnostic_msgs import DiagnosticArray, DiagnosticStatus, KeyValue
-from schemas.std_msgs import Header
+from cairn.schemas.diagnostic_msgs import DiagnosticArray, DiagnosticStatus, KeyValue
+from cairn.schemas.std_msgs import Header
 
 OK, WARN, ERROR, STALE = (
     DiagnosticStatus.OK,

@@ -11,13 +11,13 @@ from cairn.bus.bus import full_name
 from cairn.bus.control import ControlServer
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.clock import SystemClock
-from cairn.component.loop import ThreadLoop
-from cairn.component.rosout import RosoutHandler
-from cairn.component.runtime import End, Runtime
 from cairn.deployment.plugins import load_plugin
 from cairn.errors import CairnError
 from cairn.placement.awake import AwakeTime
 from cairn.placement.order import Order
+from cairn.runtime.loop import ThreadLoop
+from cairn.runtime.rosout import RosoutHandler
+from cairn.runtime.runtime import End, Runtime
 from cairn.supervision.child import Accident
 
 JOIN_LIMIT_S = 5.0

@@ -6,13 +6,13 @@ from typing import Any
 
 from cairn.bus.lockstep_bus import LockstepBus
 from cairn.clock import SECOND
-from cairn.component.lifecycle import Transition
-from cairn.component.runtime import Assignment, End, Runtime
 from cairn.deployment.model import ROOT, ComponentSpec, Deployment
 from cairn.deployment.plugins import load_plugin
 from cairn.errors import CairnError
 from cairn.placement.lockstep import LockstepExecutor
 from cairn.placement.root import root_spec
+from cairn.runtime.lifecycle import Transition
+from cairn.runtime.runtime import Assignment, End, Runtime
 from cairn.supervision.child import Child, ChildEnd, ChildSpec, Verb
 from cairn.supervision.component import SupervisorComponent
 

@@ -4,8 +4,8 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict
 
-from cairn.component.runtime import Assignment
 from cairn.deployment.model import ComponentSpec
+from cairn.runtime.runtime import Assignment
 
 
 class Surroundings(BaseModel):

@@ -15,14 +15,14 @@ from cairn.bus.graph import read_graph
 from cairn.bus.rmw import NodeEntity
 from cairn.bus.session import open_client, open_peer, open_router
 from cairn.bus.zenoh_bus import ZenohBus
-from cairn.component.lifecycle import State
-from cairn.component.runtime import End
 from cairn.deployment.model import ROOT, ComponentSpec, Deployment
 from cairn.errors import CairnError
 from cairn.placement.attendance import Attendance
 from cairn.placement.launchers import Household
 from cairn.placement.order import Order, Surroundings
 from cairn.placement.service import ServiceManager
+from cairn.runtime.lifecycle import State
+from cairn.runtime.runtime import End
 from cairn.supervision.component import longest_handler_s
 from cairn.supervision.zygote_process import ZygoteProcess, start_zygote
 

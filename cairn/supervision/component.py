@@ -8,16 +8,16 @@ from typing import Any, ClassVar, Literal, Protocol
 import psutil
 
 from cairn.bus.qos import LATCHED
-from cairn.component.component import Component
-from cairn.component.handlers import every, on
-from cairn.component.ports import In
 from cairn.deployment.model import ComponentSpec, Supervision
 from cairn.errors import CairnError
+from cairn.runtime.component import Component
+from cairn.runtime.handlers import every, on
+from cairn.runtime.ports import In
+from cairn.schemas.cairn_msgs import ComponentStatus
 from cairn.supervision.child import ChildSpec, Launcher
 from cairn.supervision.events import ChildStatus, SupervisionEvent
 from cairn.supervision.policy import Intensity
 from cairn.supervision.supervisor import Escalate, Supervisor
-from schemas.cairn_msgs import ComponentStatus
 
 _SILENCE_S = 3.0
 """Beyond its limit for one handler a process may be silent for so long: it may get no processor."""

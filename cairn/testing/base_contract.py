@@ -14,6 +14,9 @@ from typing import ClassVar
 import pytest
 
 from cairn.clock import SECOND
+from cairn.schemas.geometry_msgs import Twist, Vector3
+from cairn.schemas.nav_msgs import Odometry
+from cairn.schemas.tf2_msgs import TFMessage
 from cairn.testing import odometry as judged
 from cairn.testing import stamps as timed
 from cairn.testing.bench import Bench
@@ -24,9 +27,6 @@ from cairn.testing.odometry_contract import Drive, OdometryContract, Odoms
 from cairn.testing.pauses import undisturbed
 from cairn.testing.reading import Arrival, Reading
 from cairn.testing.robot import Robot
-from schemas.geometry_msgs import Twist, Vector3
-from schemas.nav_msgs import Odometry
-from schemas.tf2_msgs import TFMessage
 
 _NOT_WATCHED = "the wheels cannot be watched here: no fixture `device` with turns and await_stand"
 

@@ -14,6 +14,7 @@ from typing import Any, ClassVar
 import pytest
 
 from cairn.clock import to_ns
+from cairn.schemas.sensor_msgs import CameraInfo, Image
 from cairn.testing import pairs as judged
 from cairn.testing import stamps as timed
 from cairn.testing.bench import Bench
@@ -23,7 +24,6 @@ from cairn.testing.pauses import undisturbed
 from cairn.testing.reading import Arrival, Reading
 from cairn.testing.robot import Robot
 from cairn.testing.scans import check_frame
-from schemas.sensor_msgs import CameraInfo, Image
 
 _KINDS: Mapping[str, type[Any]] = {"image": Image, "info": CameraInfo}
 

@@ -11,11 +11,11 @@ from typing import Any, ClassVar
 import pytest
 
 from cairn.bus.control import ControlError
+from cairn.schemas.cairn_msgs import PortStatus
 from cairn.testing.bench import Bench
 from cairn.testing.reading import Arrival, Reading
 from cairn.testing.robot import Robot
 from cairn.testing.usage import Usage
-from schemas.cairn_msgs import PortStatus
 
 _WARM_UP = 2  # cycles after which what is allocated once has been
 _MORE = 2  # threads, files or children that may come and go by chance

@@ -8,12 +8,12 @@ from typing import Any, ClassVar
 
 import pytest
 
+from cairn.schemas.diagnostic_msgs import DiagnosticArray, DiagnosticStatus
 from cairn.testing.bench import Bench
 from cairn.testing.device import Unpluggable
 from cairn.testing.driver_contract import Contract
 from cairn.testing.reading import Arrival, Reading
 from cairn.testing.robot import Robot
-from schemas.diagnostic_msgs import DiagnosticArray, DiagnosticStatus
 
 
 class UnplugContract(Contract):

@@ -12,9 +12,9 @@ from itertools import pairwise
 import numpy as np
 
 from cairn.clock import to_ns
-from schemas.geometry_msgs import Quaternion
-from schemas.nav_msgs import Odometry
-from schemas.tf2_msgs import TFMessage
+from cairn.schemas.geometry_msgs import Quaternion
+from cairn.schemas.nav_msgs import Odometry
+from cairn.schemas.tf2_msgs import TFMessage
 
 _UNIT = 1e-3  # by which a quaternion's length may be off
 _WAY_M = 0.02  # by which ways may differ, whatever their length: encoders have steps

@@ -8,14 +8,14 @@ from typing import Any, ClassVar
 
 import pytest
 
+from cairn.schemas.nav_msgs import Odometry
+from cairn.schemas.tf2_msgs import TFMessage
 from cairn.testing import odometry as judged
 from cairn.testing import stamps as timed
 from cairn.testing.bench import Bench
 from cairn.testing.driver_contract import Contract
 from cairn.testing.pauses import undisturbed
 from cairn.testing.reading import Arrival
-from schemas.nav_msgs import Odometry
-from schemas.tf2_msgs import TFMessage
 
 Odoms = Sequence[Arrival[Odometry]]
 

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from cairn.clock import to_ns
-from schemas.sensor_msgs import CameraInfo, Image
+from cairn.schemas.sensor_msgs import CameraInfo, Image
 
 BYTES_PER_PIXEL: Mapping[str, int] = {
     "mono8": 1,

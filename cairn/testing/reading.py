@@ -8,7 +8,7 @@ from typing import Any, Generic, TypeVar
 
 from cairn.bus.bus import Node, Subscription
 from cairn.bus.qos import LATCHED, Qos
-from schemas.message import InvalidMessage
+from cairn.schemas.message import InvalidMessage
 
 M = TypeVar("M")
 

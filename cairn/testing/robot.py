@@ -19,11 +19,11 @@ from cairn.bus.qos import RELIABLE, Qos
 from cairn.bus.session import open_peer
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.clock import to_ns
+from cairn.schemas.cairn_msgs import ComponentStatus
+from cairn.schemas.message import type_name
+from cairn.schemas.rosgraph_msgs import Clock
 from cairn.testing.launching import LIMIT_S, Run
 from cairn.testing.reading import MANY, RETAINED, Reading
-from schemas.cairn_msgs import ComponentStatus
-from schemas.message import type_name
-from schemas.rosgraph_msgs import Clock
 
 M = TypeVar("M")
 

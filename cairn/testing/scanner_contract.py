@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
+from cairn.schemas.sensor_msgs import LaserScan
 from cairn.testing import scans as judged
 from cairn.testing import stamps as timed
 from cairn.testing.bench import Bench
@@ -15,7 +16,6 @@ from cairn.testing.driver_contract import Contract, LifeCycleContract, Parameter
 from cairn.testing.end_contract import EndContract, StopContract, UnplugContract
 from cairn.testing.pauses import undisturbed
 from cairn.testing.reading import Arrival
-from schemas.sensor_msgs import LaserScan
 
 Scans = list[Arrival[LaserScan]]
 

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from schemas.sensor_msgs import LaserScan
+from cairn.schemas.sensor_msgs import LaserScan
 
 _FARTHEST_M = 300.0  # no scanner that turns sees farther
 _ROUNDING = 1e-5  # of float32, as a share

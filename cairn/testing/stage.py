@@ -6,11 +6,11 @@ from typing import Any
 from cairn.bus.lockstep_bus import LockstepBus
 from cairn.bus.qos import Qos
 from cairn.clock import SECOND
-from cairn.component.component import Component
-from cairn.component.lifecycle import Transition
-from cairn.component.ports import ports_of
-from cairn.component.runtime import Assignment, End, Runtime
 from cairn.placement.lockstep import LockstepExecutor
+from cairn.runtime.component import Component
+from cairn.runtime.lifecycle import Transition
+from cairn.runtime.ports import ports_of
+from cairn.runtime.runtime import Assignment, End, Runtime
 
 ALL = Qos("reliable", "transient_local", 100_000)
 """So deep that a test finds everything that was sent."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from components.automove.seen import Seen
-from planar.poses import Pose, distance
+from cairn.components.automove.seen import Seen
+from cairn.planar.poses import Pose, distance
 
 # What gives way goes no farther [m], though the way back may have become longer.
 _MOST_BACK_M = 1.8

@@ -6,17 +6,15 @@ from pydantic import Field
 
 from cairn.bus.qos import LATCHED
 from cairn.clock import SECOND, from_ns, to_ns
-from cairn.component.handlers import every, on
-from cairn.component.parameters import Config
-from cairn.component.ports import In, Out
-from cairn.supervision.component import SupervisorComponent
-from cairn.supervision.supervisor import StartFailed
-from components.automove.course import Course
-from components.automove.legs import Legs
-from components.automove.recoveries import Patience
-from components.automove.seen import Seen
-from planar.messages import planar_pose, planar_poses, pose_message
-from schemas.cairn_nav_msgs import (
+from cairn.components.automove.course import Course
+from cairn.components.automove.legs import Legs
+from cairn.components.automove.recoveries import Patience
+from cairn.components.automove.seen import Seen
+from cairn.planar.messages import planar_pose, planar_poses, pose_message
+from cairn.runtime.handlers import every, on
+from cairn.runtime.parameters import Config
+from cairn.runtime.ports import In, Out
+from cairn.schemas.cairn_nav_msgs import (
     LocalizationHealth,
     MotionStatus,
     Movement,
@@ -25,8 +23,10 @@ from schemas.cairn_nav_msgs import (
     Plan,
     without_numbers,
 )
-from schemas.geometry_msgs import PoseWithCovarianceStamped
-from schemas.std_msgs import Header
+from cairn.schemas.geometry_msgs import PoseWithCovarianceStamped
+from cairn.schemas.std_msgs import Header
+from cairn.supervision.component import SupervisorComponent
+from cairn.supervision.supervisor import StartFailed
 
 # How often what is wanted is told again, so that the others know that this component lives [ns].
 _REPEAT = SECOND // 2

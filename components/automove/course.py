@@ -6,8 +6,8 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
-from components.automove.aside import Aside, give_way, go_near
-from components.automove.recoveries import (
+from cairn.components.automove.aside import Aside, give_way, go_near
+from cairn.components.automove.recoveries import (
     BEHAVIOUR,
     WHEN_LOST,
     WHEN_NO_WAY,
@@ -15,9 +15,9 @@ from components.automove.recoveries import (
     WHEN_UNSURE,
     Patience,
 )
-from components.automove.seen import Seen
-from planar.poses import Pose, distance
-from schemas.cairn_nav_msgs import MOVE_ENDS, MotionStatus, Movement, MoveStatus, Plan
+from cairn.components.automove.seen import Seen
+from cairn.planar.poses import Pose, distance
+from cairn.schemas.cairn_nav_msgs import MOVE_ENDS, MotionStatus, Movement, MoveStatus, Plan
 
 # So much nearer to its goal than before [m] and whatever was in the way is overcome.
 _PROGRESS_M = 0.3

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from schemas.cairn_nav_msgs import Movement
+from cairn.schemas.cairn_nav_msgs import Movement
 
 # What is tried, one after the other, when the robot is lost; when it cannot get on; when there is
 # no way to its goal, where waiting may help, or giving way to somebody for whom the robot is in the

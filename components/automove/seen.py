@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-from components.automove.trail import Trail
-from planar.poses import Pose
-from schemas.cairn_nav_msgs import LocalizationHealth, MotionStatus, Plan
+from cairn.components.automove.trail import Trail
+from cairn.planar.poses import Pose
+from cairn.schemas.cairn_nav_msgs import LocalizationHealth, MotionStatus, Plan
 
 
 @dataclass

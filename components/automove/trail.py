@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import deque
 
-from planar.poses import Pose, distance
+from cairn.planar.poses import Pose, distance
 
 # Places so far apart are kept [m], and so many [1]; a pose that leaps farther [m] was corrected:
 # what lies before it are not the places where the robot was.

@@ -6,24 +6,24 @@ import time
 
 from cairn.bus.qos import LATCHED, SENSOR
 from cairn.clock import SECOND, from_ns
-from cairn.component.component import Component
-from cairn.component.handlers import every
-from cairn.component.parameters import Config, ParameterRefused
-from cairn.component.ports import Out
+from cairn.components.hokuyo import health
+from cairn.components.hokuyo.config import LIVE, HokuyoConfig
+from cairn.components.hokuyo.measurement import Measured, Measurement
+from cairn.components.hokuyo.scan_message import ScanShape
+from cairn.components.hokuyo.sensor import request_of
 from cairn.driver.device_feed import DeviceFeed
 from cairn.driver.diagnostics import diagnostics
 from cairn.driver.errors import DeviceError
 from cairn.errors import CairnError
-from components.hokuyo import health
-from components.hokuyo.config import LIVE, HokuyoConfig
-from components.hokuyo.measurement import Measured, Measurement
-from components.hokuyo.scan_message import ScanShape
-from components.hokuyo.sensor import request_of
-from planar.messages import transform_message
-from schemas.diagnostic_msgs import DiagnosticArray
-from schemas.sensor_msgs import LaserScan, MultiEchoLaserScan
-from schemas.std_msgs import Header
-from schemas.tf2_msgs import TFMessage
+from cairn.planar.messages import transform_message
+from cairn.runtime.component import Component
+from cairn.runtime.handlers import every
+from cairn.runtime.parameters import Config, ParameterRefused
+from cairn.runtime.ports import Out
+from cairn.schemas.diagnostic_msgs import DiagnosticArray
+from cairn.schemas.sensor_msgs import LaserScan, MultiEchoLaserScan
+from cairn.schemas.std_msgs import Header
+from cairn.schemas.tf2_msgs import TFMessage
 
 
 class HokuyoScanner(Component):

@@ -7,12 +7,12 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
-from cairn.component.mount import Mount
-from cairn.component.parameters import Config
+from cairn.components.hokuyo.greeting import SPEEDS
+from cairn.components.hokuyo.requests import Encoding
+from cairn.components.hokuyo.scan_message import Echo
 from cairn.driver.device_names import NamesHost, SerialPort
-from components.hokuyo.greeting import SPEEDS
-from components.hokuyo.requests import Encoding
-from components.hokuyo.scan_message import Echo
+from cairn.runtime.mount import Mount
+from cairn.runtime.parameters import Config
 
 
 class HokuyoConfig(Config):

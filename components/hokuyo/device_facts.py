@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from components.hokuyo.scip_text import ScipError, check_sum
+from cairn.components.hokuyo.scip_text import ScipError, check_sum
 
 
 @dataclass(frozen=True)

@@ -7,9 +7,9 @@ import time
 from collections import deque
 from dataclasses import dataclass
 
+from cairn.components.hokuyo.replies import Reply, ReplySplitter
 from cairn.driver.errors import DeviceError
 from cairn.driver.link import Link
-from components.hokuyo.replies import Reply, ReplySplitter
 
 _ANSWER_LIMIT_S = 0.5  # sensors answer within milliseconds, but computers may be busy
 _LONGEST_ANSWER = 500  # bytes, of those that are no scans

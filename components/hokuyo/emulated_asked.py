@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from components.hokuyo.emulated_models import ScipModel
-from components.hokuyo.emulated_scene import Turn, Values
+from cairn.components.hokuyo.emulated_models import ScipModel
+from cairn.components.hokuyo.emulated_scene import Turn, Values
 
 MEASURING = frozenset(family + kind for family in "GHMN" for kind in "DES") - {"HS", "NS"}
 """All commands that ask to measure, of whichever models."""

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 
-from components.hokuyo import emulated_facts as facts
-from components.hokuyo.emulated_sensor import SLOWEST, Sensor
-from components.hokuyo.scip_text import encode_number, with_sum
+from cairn.components.hokuyo import emulated_facts as facts
+from cairn.components.hokuyo.emulated_sensor import SLOWEST, Sensor
+from cairn.components.hokuyo.scip_text import encode_number, with_sum
 
 COMMANDS = frozenset(
     ("VV", "PP", "II", "BM", "QT", "RS", "RT", "RB", "TM", "SS", "CR", "HS", "DB", "%ST", "%SL")

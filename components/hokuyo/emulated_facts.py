@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from components.hokuyo.emulated_models import ScipModel
-from components.hokuyo.emulated_text import fact
-from components.hokuyo.scip_text import encode_number
+from cairn.components.hokuyo.emulated_models import ScipModel
+from cairn.components.hokuyo.emulated_text import fact
+from cairn.components.hokuyo.scip_text import encode_number
 
 _MAKER = "Hokuyo Automatic Co.,Ltd."
 _ETHERNET = "Ethernet 100 [Mbps]"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from components.hokuyo.emulated_models import ScipModel
+from cairn.components.hokuyo.emulated_models import ScipModel
 
 CLOCK_MS = 1 << 24
 """The sensor's clock counts up to this [ms], which takes 4 h 39 min 37 s, and begins anew."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 
-from components.hokuyo.emulated_asked import Asked
-from components.hokuyo.emulated_scene import NO_ECHO, Values
+from cairn.components.hokuyo.emulated_asked import Asked
+from cairn.components.hokuyo.emulated_scene import NO_ECHO, Values
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from components.hokuyo.emulated_models import ScipModel
+from cairn.components.hokuyo.emulated_models import ScipModel
 
 ECHOES = 3
 """At most so many echoes come back along one beam."""

@@ -10,15 +10,15 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from components.hokuyo import emulated_facts as facts
-from components.hokuyo import emulated_scip1 as scip1
-from components.hokuyo.emulated_asked import MEASURING, Asked, asked
-from components.hokuyo.emulated_commands import BAUDS, COMMANDS, Commands
-from components.hokuyo.emulated_models import MODELS
-from components.hokuyo.emulated_record import SentScan
-from components.hokuyo.emulated_scene import Room, Scene
-from components.hokuyo.emulated_sensor import Sensor
-from components.hokuyo.emulated_text import reply, scan_reply
+from cairn.components.hokuyo import emulated_facts as facts
+from cairn.components.hokuyo import emulated_scip1 as scip1
+from cairn.components.hokuyo.emulated_asked import MEASURING, Asked, asked
+from cairn.components.hokuyo.emulated_commands import BAUDS, COMMANDS, Commands
+from cairn.components.hokuyo.emulated_models import MODELS
+from cairn.components.hokuyo.emulated_record import SentScan
+from cairn.components.hokuyo.emulated_scene import Room, Scene
+from cairn.components.hokuyo.emulated_sensor import Sensor
+from cairn.components.hokuyo.emulated_text import reply, scan_reply
 
 _LONGEST = 128  # bytes of a command; what is longer is noise
 _BACKLOG_S = 0.1  # scans that are older are not sent any more once a busy line is free

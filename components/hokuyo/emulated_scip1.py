@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from components.hokuyo.emulated_asked import Asked
-from components.hokuyo.emulated_models import ScipModel
-from components.hokuyo.emulated_scene import Values
-from components.hokuyo.scip_text import BLOCK, encode_numbers
+from cairn.components.hokuyo.emulated_asked import Asked
+from cairn.components.hokuyo.emulated_models import ScipModel
+from cairn.components.hokuyo.emulated_scene import Values
+from cairn.components.hokuyo.scip_text import BLOCK, encode_numbers
 
 OK, REFUSED, UNKNOWN = "0", "1", "E"
 

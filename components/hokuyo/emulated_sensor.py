@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections import deque
 
-from components.hokuyo.emulated_asked import Asked
-from components.hokuyo.emulated_facts import Condition
-from components.hokuyo.emulated_mirror import Mirror, SensorClock
-from components.hokuyo.emulated_models import ScipModel
-from components.hokuyo.emulated_record import SentScan
-from components.hokuyo.emulated_scene import Scene
+from cairn.components.hokuyo.emulated_asked import Asked
+from cairn.components.hokuyo.emulated_facts import Condition
+from cairn.components.hokuyo.emulated_mirror import Mirror, SensorClock
+from cairn.components.hokuyo.emulated_models import ScipModel
+from cairn.components.hokuyo.emulated_record import SentScan
+from cairn.components.hokuyo.emulated_scene import Scene
 
 SLOWEST = 10
 """Each level of CR takes one hundredth off the mirror's speed."""

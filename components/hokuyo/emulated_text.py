@@ -7,9 +7,15 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from components.hokuyo.emulated_record import SentScan
-from components.hokuyo.emulated_scene import NO_ECHO
-from components.hokuyo.scip_text import BLOCK, check_sum, encode_number, encode_numbers, with_sum
+from cairn.components.hokuyo.emulated_record import SentScan
+from cairn.components.hokuyo.emulated_scene import NO_ECHO
+from cairn.components.hokuyo.scip_text import (
+    BLOCK,
+    check_sum,
+    encode_number,
+    encode_numbers,
+    with_sum,
+)
 
 _AND = ord("&")  # stands before each echo of a step but the first
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from cairn.components.hokuyo.dialogue import Dialogue
+from cairn.components.hokuyo.replies import Reply
 from cairn.driver.errors import DeviceError, LinkLost
-from components.hokuyo.dialogue import Dialogue
-from components.hokuyo.replies import Reply
 
 SPEEDS = (115200, 19200, 57600, 750000, 500000, 250000, 38400)
 """All that command SS knows [bit/s], the usual ones first."""

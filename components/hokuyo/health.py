@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from cairn.components.hokuyo.measurement import Measured, Measurement
 from cairn.driver.device_feed import DeviceFeed
 from cairn.driver.diagnostics import ERROR, OK, WARN
-from components.hokuyo.measurement import Measured, Measurement
 
 _AS_IT_SAYS = ("LASR", "SCSP", "MESM", "SBPS", "STAT")
 

@@ -8,15 +8,15 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 
+from cairn.components.hokuyo.config import HokuyoConfig
+from cairn.components.hokuyo.device_facts import Measuring
+from cairn.components.hokuyo.dialogue import NoAnswer, Stopped
+from cairn.components.hokuyo.requests import ScanRequest
+from cairn.components.hokuyo.scan_data import ScanData
+from cairn.components.hokuyo.scip2 import Scip2
+from cairn.components.hokuyo.sensor import Sensor, connect
+from cairn.components.hokuyo.stream import Defect, ScanStream
 from cairn.driver.errors import DeviceError, LinkLost
-from components.hokuyo.config import HokuyoConfig
-from components.hokuyo.device_facts import Measuring
-from components.hokuyo.dialogue import NoAnswer, Stopped
-from components.hokuyo.requests import ScanRequest
-from components.hokuyo.scan_data import ScanData
-from components.hokuyo.scip2 import Scip2
-from components.hokuyo.sensor import Sensor, connect
-from components.hokuyo.stream import Defect, ScanStream
 
 _LISTEN_S = 0.1
 _TURNS = 2  # a scan may be one late

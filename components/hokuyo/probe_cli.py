@@ -19,17 +19,17 @@ from serial.tools import list_ports
 
 from cairn.cli.connection import Json
 from cairn.cli.tables import line, print_json, show
-from cairn.component.parameters import reason
+from cairn.components.hokuyo import health
+from cairn.components.hokuyo.config import HokuyoConfig
+from cairn.components.hokuyo.measurement import Measured, Measurement
+from cairn.components.hokuyo.scan_message import ScanShape
+from cairn.components.hokuyo.scan_picture import drawn
 from cairn.driver.device_names import TCP
 from cairn.driver.errors import DeviceError
 from cairn.driver.rate import RateWindow
 from cairn.errors import CairnError
-from components.hokuyo import health
-from components.hokuyo.config import HokuyoConfig
-from components.hokuyo.measurement import Measured, Measurement
-from components.hokuyo.scan_message import ScanShape
-from components.hokuyo.scan_picture import drawn
-from schemas.std_msgs import Header
+from cairn.runtime.parameters import reason
+from cairn.schemas.std_msgs import Header
 
 _Came = queue.SimpleQueue[Measured | Exception]
 """Scans as they come, or what ended them."""

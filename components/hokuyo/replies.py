@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from components.hokuyo.scip_text import checked
+from cairn.components.hokuyo.scip_text import checked
 
 _END = b"\n\n"
 _LONGEST = 65536  # bytes; no reply is longer: what is, is noise

@@ -7,9 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from components.hokuyo.replies import Reply
-from components.hokuyo.requests import ScanRequest
-from components.hokuyo.scip_text import BLOCK, ScipError, checked, decode_number, decode_numbers
+from cairn.components.hokuyo.replies import Reply
+from cairn.components.hokuyo.requests import ScanRequest
+from cairn.components.hokuyo.scip_text import (
+    BLOCK,
+    ScipError,
+    checked,
+    decode_number,
+    decode_numbers,
+)
 
 _FULL = BLOCK + 2  # a full line: its data, its check sum, its line feed
 _AND = ord("&")  # stands before each echo of a step but the first

@@ -9,11 +9,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from components.hokuyo.device_facts import Measuring
-from components.hokuyo.requests import ScanRequest
-from components.hokuyo.scan_data import NO_ECHO, ScanData
-from schemas.sensor_msgs import LaserEcho, LaserScan, MultiEchoLaserScan
-from schemas.std_msgs import Header
+from cairn.components.hokuyo.device_facts import Measuring
+from cairn.components.hokuyo.requests import ScanRequest
+from cairn.components.hokuyo.scan_data import NO_ECHO, ScanData
+from cairn.schemas.sensor_msgs import LaserEcho, LaserScan, MultiEchoLaserScan
+from cairn.schemas.std_msgs import Header
 
 Echo = Literal["first", "last", "strongest"]
 

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from schemas.sensor_msgs import LaserScan
+from cairn.schemas.sensor_msgs import LaserScan
 
 _ACROSS, _DOWN = 2, 4  # dots of a cell
 # Bits of Unicode's Braille patterns, row by row.

@@ -11,13 +11,13 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from cairn.components.hokuyo.device_facts import URG_04LX
+from cairn.components.hokuyo.dialogue import Arrival, Dialogue
+from cairn.components.hokuyo.replies import Reply
+from cairn.components.hokuyo.requests import ScanRequest
+from cairn.components.hokuyo.scan_data import ScanData
+from cairn.components.hokuyo.scip_text import BLOCK, ScipError, decode_numbers
 from cairn.driver.errors import DeviceError
-from components.hokuyo.device_facts import URG_04LX
-from components.hokuyo.dialogue import Arrival, Dialogue
-from components.hokuyo.replies import Reply
-from components.hokuyo.requests import ScanRequest
-from components.hokuyo.scan_data import ScanData
-from components.hokuyo.scip_text import BLOCK, ScipError, decode_numbers
 
 _WIDTH = 2
 _KEYS = ("VEND", "PROD", "FIRM", "PROT", "SERI")

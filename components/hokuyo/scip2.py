@@ -8,12 +8,12 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import TypeVar
 
+from cairn.components.hokuyo.device_facts import Measuring, keyed, measuring
+from cairn.components.hokuyo.dialogue import TRIES, Arrival, Dialogue
+from cairn.components.hokuyo.replies import Reply
+from cairn.components.hokuyo.requests import ScanRequest
+from cairn.components.hokuyo.scip_text import ScipError, checked, decode_number
 from cairn.driver.errors import DeviceError
-from components.hokuyo.device_facts import Measuring, keyed, measuring
-from components.hokuyo.dialogue import TRIES, Arrival, Dialogue
-from components.hokuyo.replies import Reply
-from components.hokuyo.requests import ScanRequest
-from components.hokuyo.scip_text import ScipError, checked, decode_number
 
 T = TypeVar("T")
 

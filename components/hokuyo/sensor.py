@@ -9,17 +9,17 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
+from cairn.components.hokuyo.config import HokuyoConfig
+from cairn.components.hokuyo.device_facts import Measuring
+from cairn.components.hokuyo.dialogue import Dialogue, Stopped
+from cairn.components.hokuyo.greeting import SPEEDS, greet
+from cairn.components.hokuyo.requests import ScanRequest
+from cairn.components.hokuyo.scip1 import Scip1
+from cairn.components.hokuyo.scip2 import Refused, Scip2
+from cairn.components.hokuyo.stamping import Stamping
 from cairn.driver.errors import DeviceError, LinkLost
 from cairn.driver.link import Link, SerialLink, TcpLink
 from cairn.errors import CairnError
-from components.hokuyo.config import HokuyoConfig
-from components.hokuyo.device_facts import Measuring
-from components.hokuyo.dialogue import Dialogue, Stopped
-from components.hokuyo.greeting import SPEEDS, greet
-from components.hokuyo.requests import ScanRequest
-from components.hokuyo.scip1 import Scip1
-from components.hokuyo.scip2 import Refused, Scip2
-from components.hokuyo.stamping import Stamping
 
 T = TypeVar("T")
 

@@ -6,10 +6,10 @@ import math
 from collections.abc import Sequence
 
 from cairn.clock import SECOND
+from cairn.components.hokuyo.device_facts import Measuring
+from cairn.components.hokuyo.requests import ScanRequest
+from cairn.components.hokuyo.scip2 import ClockReading
 from cairn.driver.device_clock import DeviceClock
-from components.hokuyo.device_facts import Measuring
-from components.hokuyo.requests import ScanRequest
-from components.hokuyo.scip2 import ClockReading
 
 _TICKS_PER_S, _BITS = 1000, 24
 _LONGEST_COMPUTING_S = 0.5

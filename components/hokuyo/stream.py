@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from components.hokuyo.replies import Reply
-from components.hokuyo.requests import ScanRequest
-from components.hokuyo.scan_data import ScanData, scan_data
-from components.hokuyo.scip1 import gather, scan_data_1
-from components.hokuyo.scip_text import ScipError
+from cairn.components.hokuyo.replies import Reply
+from cairn.components.hokuyo.requests import ScanRequest
+from cairn.components.hokuyo.scan_data import ScanData, scan_data
+from cairn.components.hokuyo.scip1 import gather, scan_data_1
+from cairn.components.hokuyo.scip_text import ScipError
 
 _DATA = "99"
 _BROKEN = range(50, 98)  # statuses by which a sensor says that it has a defect

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from components.localizer.object_likelihood import Landmark, Sighting
-from components.localizer.particles import Estimate
-from components.localizer.scanner_watch import SILENT_S
-from planar.poses import Pose, relative, wrap
+from cairn.components.localizer.object_likelihood import Landmark, Sighting
+from cairn.components.localizer.particles import Estimate
+from cairn.components.localizer.scanner_watch import SILENT_S
+from cairn.planar.poses import Pose, relative, wrap
 
 Array = NDArray[np.float64]
 

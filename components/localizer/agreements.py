@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 
-from components.localizer.object_likelihood import Landmark
-from components.localizer.recent import TOGETHER
+from cairn.components.localizer.object_likelihood import Landmark
+from cairn.components.localizer.recent import TOGETHER
 
 
 class Agreements:

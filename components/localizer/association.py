@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
-from components.localizer.object_likelihood import Landmark, Sighting
-from components.localizer.particles import Estimate
-from components.localizer.similarity import GATE, innovation
+from cairn.components.localizer.object_likelihood import Landmark, Sighting
+from cairn.components.localizer.particles import Estimate
+from cairn.components.localizer.similarity import GATE, innovation
 
 # By so much [NIS] one object must explain a sighting better than another that looks like it.
 _CLEARLY = 6.0

@@ -7,10 +7,16 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from components.localizer.cloud import Cloud
-from components.localizer.motion import Increment, move_cloud
-from components.localizer.object_likelihood import Landmark, Sighting, object_log_likelihood
-from components.localizer.particles import Estimate, estimate, narrow, normalised, systematic_choice
+from cairn.components.localizer.cloud import Cloud
+from cairn.components.localizer.motion import Increment, move_cloud
+from cairn.components.localizer.object_likelihood import Landmark, Sighting, object_log_likelihood
+from cairn.components.localizer.particles import (
+    Estimate,
+    estimate,
+    narrow,
+    normalised,
+    systematic_choice,
+)
 
 Array = NDArray[np.float64]
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from components.localizer.motion import Increment
+from cairn.components.localizer.motion import Increment
 
 # Motion after which a scan tells something new [m], [rad]; of one that was taken on the spot
 # little counts, as its errors repeat.

@@ -7,13 +7,13 @@ import math
 
 import numpy as np
 
-from components.localizer.config import LocalizerConfig
-from components.localizer.particles import Estimate
-from components.localizer.resume import resumed
-from planar.messages import is_covariance, planar_covariance, planar_pose
-from planar.poses import compose
-from schemas.geometry_msgs import PoseWithCovariance
-from schemas.nav_msgs import Odometry
+from cairn.components.localizer.config import LocalizerConfig
+from cairn.components.localizer.particles import Estimate
+from cairn.components.localizer.resume import resumed
+from cairn.planar.messages import is_covariance, planar_covariance, planar_pose
+from cairn.planar.poses import compose
+from cairn.schemas.geometry_msgs import PoseWithCovariance
+from cairn.schemas.nav_msgs import Odometry
 
 # A start is known as long as odometry has drifted less than this from its origin [m].
 _START_HOLDS_M = 0.5

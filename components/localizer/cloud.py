@@ -9,8 +9,8 @@ from statistics import NormalDist
 import numpy as np
 from numpy.typing import NDArray
 
-from components.localizer.motion import Increment, MotionModel, move_cloud
-from components.localizer.particles import (
+from cairn.components.localizer.motion import Increment, MotionModel, move_cloud
+from cairn.components.localizer.particles import (
     Estimate,
     estimate,
     narrow,
@@ -18,7 +18,7 @@ from components.localizer.particles import (
     redraw,
     systematic_choice,
 )
-from planar.compiled import compiled
+from cairn.planar.compiled import compiled
 
 Array = NDArray[np.float64]
 

@@ -8,18 +8,12 @@ import numpy as np
 
 from cairn.bus.qos import LATCHED, RELIABLE, SENSOR
 from cairn.clock import SECOND, from_ns, to_ns
-from cairn.component.complaints import Complaints
-from cairn.component.component import Component
-from cairn.component.handlers import every, on
-from cairn.component.parameters import Config, ParameterRefused
-from cairn.component.ports import In, Out
-from cairn.errors import CairnError
-from components.localizer.beginning import first_pose, pointed_out
-from components.localizer.config import LocalizerConfig
-from components.localizer.health import Health
-from components.localizer.late import seen_from, view_from
-from components.localizer.localization import Localization
-from components.localizer.messages import (
+from cairn.components.localizer.beginning import first_pose, pointed_out
+from cairn.components.localizer.config import LocalizerConfig
+from cairn.components.localizer.health import Health
+from cairn.components.localizer.late import seen_from, view_from
+from cairn.components.localizer.localization import Localization
+from cairn.components.localizer.messages import (
     evidence_message,
     found_message,
     health_message,
@@ -28,24 +22,30 @@ from components.localizer.messages import (
     transform_message,
     view_of,
 )
-from components.localizer.odometry import MeasuredTrack
-from components.localizer.order import Held
-from components.localizer.resume import save
-from components.localizer.scanner_watch import ScannerWatch
-from planar.grid import grid_of
-from planar.messages import packed_poses, planar_pose, with_covariance
-from planar.odometry import OdometryHistory
-from planar.poses import Pose, compose, inverse, relative
-from planar.sweep import rays_of, sweep_s
-from schemas.builtin_interfaces import Time
-from schemas.cairn_msgs import ObjectEvidenceArray, RecognizedObjectArray, VisualMap
-from schemas.cairn_nav_msgs import LocalizationHealth, Relocalisation
-from schemas.geometry_msgs import PoseArray, PoseWithCovarianceStamped
-from schemas.map_msgs import OccupancyGridUpdate
-from schemas.nav_msgs import OccupancyGrid, Odometry
-from schemas.sensor_msgs import LaserScan
-from schemas.std_msgs import Header
-from schemas.tf2_msgs import TFMessage
+from cairn.components.localizer.odometry import MeasuredTrack
+from cairn.components.localizer.order import Held
+from cairn.components.localizer.resume import save
+from cairn.components.localizer.scanner_watch import ScannerWatch
+from cairn.errors import CairnError
+from cairn.planar.grid import grid_of
+from cairn.planar.messages import packed_poses, planar_pose, with_covariance
+from cairn.planar.odometry import OdometryHistory
+from cairn.planar.poses import Pose, compose, inverse, relative
+from cairn.planar.sweep import rays_of, sweep_s
+from cairn.runtime.complaints import Complaints
+from cairn.runtime.component import Component
+from cairn.runtime.handlers import every, on
+from cairn.runtime.parameters import Config, ParameterRefused
+from cairn.runtime.ports import In, Out
+from cairn.schemas.builtin_interfaces import Time
+from cairn.schemas.cairn_msgs import ObjectEvidenceArray, RecognizedObjectArray, VisualMap
+from cairn.schemas.cairn_nav_msgs import LocalizationHealth, Relocalisation
+from cairn.schemas.geometry_msgs import PoseArray, PoseWithCovarianceStamped
+from cairn.schemas.map_msgs import OccupancyGridUpdate
+from cairn.schemas.nav_msgs import OccupancyGrid, Odometry
+from cairn.schemas.sensor_msgs import LaserScan
+from cairn.schemas.std_msgs import Header
+from cairn.schemas.tf2_msgs import TFMessage
 
 # The cloud is moved at least this often [s], behind odometry by as much as sightings may be late.
 STEP_S, BEHIND_S = 0.5, 0.5

@@ -8,12 +8,12 @@ from typing import Literal
 
 from pydantic import Field
 
-from cairn.component.mount import Mount
-from cairn.component.parameters import Config
-from components.localizer.judge import Mode
-from components.localizer.motion import MotionModel
-from components.localizer.odometry import CommandedTrack, MeasuredTrack, OdometryTrack
-from components.localizer.settings import Fusion, Settings
+from cairn.components.localizer.judge import Mode
+from cairn.components.localizer.motion import MotionModel
+from cairn.components.localizer.odometry import CommandedTrack, MeasuredTrack, OdometryTrack
+from cairn.components.localizer.settings import Fusion, Settings
+from cairn.runtime.mount import Mount
+from cairn.runtime.parameters import Config
 
 
 class StartPose(Config):

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from components.localizer.object_likelihood import Landmark, Sighting
-from components.localizer.particles import Estimate
-from components.localizer.recent import ANOTHER_M, ANOTHER_RAD
-from components.localizer.similarity import GATE, MAP_SIGMA, implied_place
-from planar.poses import Pose, apart
+from cairn.components.localizer.object_likelihood import Landmark, Sighting
+from cairn.components.localizer.particles import Estimate
+from cairn.components.localizer.recent import ANOTHER_M, ANOTHER_RAD
+from cairn.components.localizer.similarity import GATE, MAP_SIGMA, implied_place
+from cairn.planar.poses import Pose, apart
 
 Array = NDArray[np.float64]
 

@@ -9,12 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from components.localizer.object_likelihood import Landmark
-from components.localizer.particles import Estimate
-from components.localizer.recent import RecentSightings, Support
-from components.localizer.recent_scans import RecentScans
-from components.localizer.scan_map import ScanMap
-from planar.poses import Pose
+from cairn.components.localizer.object_likelihood import Landmark
+from cairn.components.localizer.particles import Estimate
+from cairn.components.localizer.recent import RecentSightings, Support
+from cairn.components.localizer.recent_scans import RecentScans
+from cairn.components.localizer.scan_map import ScanMap
+from cairn.planar.poses import Pose
 
 Array = NDArray[np.float64]
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from planar.grid import FREE_TO, OccupancyCells
+from cairn.planar.grid import FREE_TO, OccupancyCells
 
 Array = NDArray[np.float64]
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from components.localizer.particles import Estimate
-from components.localizer.recent import Support
+from cairn.components.localizer.particles import Estimate
+from cairn.components.localizer.recent import Support
 
 # Between these two a measure goes from full trust to none.
 _SPREAD_M, _HEADING, _FIT = (0.15, 0.60), (0.10, 0.50), (0.60, 0.25)

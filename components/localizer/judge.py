@@ -11,18 +11,18 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from components.localizer.displacement import Displacements
-from components.localizer.object_likelihood import (
+from cairn.components.localizer.displacement import Displacements
+from cairn.components.localizer.object_likelihood import (
     Landmark,
     Sighting,
     believed,
     object_log_likelihood,
 )
-from components.localizer.particles import Estimate
-from components.localizer.range_scale import RangeScale
-from components.localizer.recent import ANOTHER_M, ANOTHER_RAD
-from components.localizer.ring import converge, draw_ring
-from components.localizer.similarity import (
+from cairn.components.localizer.particles import Estimate
+from cairn.components.localizer.range_scale import RangeScale
+from cairn.components.localizer.recent import ANOTHER_M, ANOTHER_RAD
+from cairn.components.localizer.ring import converge, draw_ring
+from cairn.components.localizer.similarity import (
     GATE,
     LEAST,
     NEUTRAL,
@@ -35,8 +35,8 @@ from components.localizer.similarity import (
     radius_to_the_letter,
     similarity_to_the_letter,
 )
-from planar.poses import Pose, apart, wrap
-from planar.poses import distance as metres_between
+from cairn.planar.poses import Pose, apart, wrap
+from cairn.planar.poses import distance as metres_between
 
 Array = NDArray[np.float64]
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from components.localizer.absence import View
-from components.localizer.object_likelihood import Sighting
-from planar.poses import Pose, wrap
+from cairn.components.localizer.absence import View
+from cairn.components.localizer.object_likelihood import Sighting
+from cairn.planar.poses import Pose, wrap
 
 
 def seen_from(sighting: Sighting, step: Pose) -> Sighting:

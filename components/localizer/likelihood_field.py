@@ -7,10 +7,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from planar.compiled import compiled
-from planar.distance import distance_field
-from planar.grid import OCCUPIED_FROM, Frame, OccupancyCells
-from planar.poses import Pose
+from cairn.planar.compiled import compiled
+from cairn.planar.distance import distance_field
+from cairn.planar.grid import OCCUPIED_FROM, Frame, OccupancyCells
+from cairn.planar.poses import Pose
 
 Array = NDArray[np.float64]
 

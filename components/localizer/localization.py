@@ -9,29 +9,29 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from components.localizer.absence import AbsenceWatch, View
-from components.localizer.agreements import Agreements
-from components.localizer.association import associated
-from components.localizer.bank import Bank
-from components.localizer.beams import BeamChoice
-from components.localizer.cloud import Cloud
-from components.localizer.evidence import Evidence
-from components.localizer.health import LOST, Health, health_of, not_yet_sure
-from components.localizer.judge import Judge, Judgement, Verdict
-from components.localizer.motion import move_pose
-from components.localizer.object_likelihood import Landmark, Sighting, believed
-from components.localizer.odometry import OdometryTrack
-from components.localizer.particles import Estimate
-from components.localizer.recent import RecentSightings, Support
-from components.localizer.recent_scans import RecentScans
-from components.localizer.recovery import Recovery
-from components.localizer.scan_fit import ScanFit
-from components.localizer.scan_map import ScanMap
-from components.localizer.settings import Settings
-from components.localizer.slip import SlipWatch
-from components.localizer.stated import StatedCovariance
-from planar.grid import OccupancyCells
-from planar.poses import Pose
+from cairn.components.localizer.absence import AbsenceWatch, View
+from cairn.components.localizer.agreements import Agreements
+from cairn.components.localizer.association import associated
+from cairn.components.localizer.bank import Bank
+from cairn.components.localizer.beams import BeamChoice
+from cairn.components.localizer.cloud import Cloud
+from cairn.components.localizer.evidence import Evidence
+from cairn.components.localizer.health import LOST, Health, health_of, not_yet_sure
+from cairn.components.localizer.judge import Judge, Judgement, Verdict
+from cairn.components.localizer.motion import move_pose
+from cairn.components.localizer.object_likelihood import Landmark, Sighting, believed
+from cairn.components.localizer.odometry import OdometryTrack
+from cairn.components.localizer.particles import Estimate
+from cairn.components.localizer.recent import RecentSightings, Support
+from cairn.components.localizer.recent_scans import RecentScans
+from cairn.components.localizer.recovery import Recovery
+from cairn.components.localizer.scan_fit import ScanFit
+from cairn.components.localizer.scan_map import ScanMap
+from cairn.components.localizer.settings import Settings
+from cairn.components.localizer.slip import SlipWatch
+from cairn.components.localizer.stated import StatedCovariance
+from cairn.planar.grid import OccupancyCells
+from cairn.planar.poses import Pose
 
 Array = NDArray[np.float64]
 

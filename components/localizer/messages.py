@@ -7,25 +7,25 @@ import math
 import numpy as np
 
 from cairn.clock import SECOND, from_ns
-from components.localizer.absence import View
-from components.localizer.health import Health
-from components.localizer.judge import Judgement
-from components.localizer.localization import Frame
-from components.localizer.object_likelihood import Landmark, Sighting
-from components.localizer.particles import Estimate
-from planar.messages import with_covariance
-from planar.poses import Pose, compose, inverse
-from schemas.cairn_msgs import (
+from cairn.components.localizer.absence import View
+from cairn.components.localizer.health import Health
+from cairn.components.localizer.judge import Judgement
+from cairn.components.localizer.localization import Frame
+from cairn.components.localizer.object_likelihood import Landmark, Sighting
+from cairn.components.localizer.particles import Estimate
+from cairn.planar.messages import with_covariance
+from cairn.planar.poses import Pose, compose, inverse
+from cairn.schemas.cairn_msgs import (
     ObjectEvidence,
     ObjectEvidenceArray,
     RecognizedObjectArray,
     VisualMap,
     VisualObject,
 )
-from schemas.cairn_nav_msgs import LocalizationHealth, Relocalisation
-from schemas.geometry_msgs import Quaternion, Transform, TransformStamped, Vector3
-from schemas.std_msgs import Header
-from schemas.tf2_msgs import TFMessage
+from cairn.schemas.cairn_nav_msgs import LocalizationHealth, Relocalisation
+from cairn.schemas.geometry_msgs import Quaternion, Transform, TransformStamped, Vector3
+from cairn.schemas.std_msgs import Header
+from cairn.schemas.tf2_msgs import TFMessage
 
 # A sighting whose sender states no covariance is taken to be this good [m, rad].
 _RANGE_SD, _BEARING_SD = 0.2, math.radians(3.0)

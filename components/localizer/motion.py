@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planar.compiled import compiled
-from planar.poses import Pose, compose
+from cairn.planar.compiled import compiled
+from cairn.planar.poses import Pose, compose
 
 Poses = NDArray[np.float64]
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from planar.poses import wrap_all
+from cairn.planar.poses import wrap_all
 
 # Log-density of a sighting that has nothing to do with the object's place in the map, relative
 # to the peak of the sighting's own Gaussian (NIS 9.2).

@@ -8,9 +8,9 @@ from collections import deque
 from dataclasses import replace
 from typing import Protocol
 
-from components.localizer.motion import Increment, step_of
-from planar.odometry import jumped
-from planar.poses import Pose, between, relative
+from cairn.components.localizer.motion import Increment, step_of
+from cairn.planar.odometry import jumped
+from cairn.planar.poses import Pose, between, relative
 
 
 class OdometryTrack(Protocol):

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planar.compiled import compiled
+from cairn.planar.compiled import compiled
 
 Array = NDArray[np.float64]
 

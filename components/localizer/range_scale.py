@@ -7,9 +7,9 @@ from collections import deque
 from collections.abc import Mapping
 from statistics import median
 
-from components.localizer.object_likelihood import Landmark, Sighting
-from components.localizer.particles import Estimate
-from planar.poses import wrap
+from cairn.components.localizer.object_likelihood import Landmark, Sighting
+from cairn.components.localizer.particles import Estimate
+from cairn.planar.poses import wrap
 
 # A sighting in the direction of its object [rad], and not by much more or less far, may tell of the
 # ranges; another one is a false match, or its object was moved.

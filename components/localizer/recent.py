@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from components.localizer.object_likelihood import STRAY, Landmark, Sighting
-from components.localizer.particles import Estimate
-from planar.poses import Pose, apart, wrap_all
+from cairn.components.localizer.object_likelihood import STRAY, Landmark, Sighting
+from cairn.components.localizer.particles import Estimate
+from cairn.planar.poses import Pose, apart, wrap_all
 
 Array = NDArray[np.float64]
 

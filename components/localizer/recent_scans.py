@@ -9,9 +9,9 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from components.localizer.likelihood_field import LikelihoodField
-from components.localizer.recent import carry
-from planar.poses import Pose, compose, distance, relative, wrap
+from cairn.components.localizer.likelihood_field import LikelihoodField
+from cairn.components.localizer.recent import carry
+from cairn.planar.poses import Pose, compose, distance, relative, wrap
 
 Array = NDArray[np.float64]
 

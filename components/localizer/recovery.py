@@ -7,12 +7,12 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from components.localizer.evidence import Evidence
-from components.localizer.health import FITS
-from components.localizer.particles import Estimate, estimate
-from components.localizer.recent import carry
-from components.localizer.search import Found, search
-from planar.poses import Pose, compose, distance, relative, wrap
+from cairn.components.localizer.evidence import Evidence
+from cairn.components.localizer.health import FITS
+from cairn.components.localizer.particles import Estimate, estimate
+from cairn.components.localizer.recent import carry
+from cairn.components.localizer.search import Found, search
+from cairn.planar.poses import Pose, compose, distance, relative, wrap
 
 Array = NDArray[np.float64]
 

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from cairn.components.localizer.particles import Estimate
 from cairn.files import replace_file
-from components.localizer.particles import Estimate
-from planar.poses import Pose, compose, distance, relative
+from cairn.planar.poses import Pose, compose, distance, relative
 
 # After a longer absence [s] the robot may be anywhere.
 _HOLDS_S = 60.0

@@ -8,9 +8,9 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from components.localizer.object_likelihood import Landmark, Sighting
-from components.localizer.particles import Estimate, estimate, normalised, systematic_choice
-from planar.poses import wrap_all
+from cairn.components.localizer.object_likelihood import Landmark, Sighting
+from cairn.components.localizer.particles import Estimate, estimate, normalised, systematic_choice
+from cairn.planar.poses import wrap_all
 
 Array = NDArray[np.float64]
 

@@ -7,10 +7,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from components.localizer.health import FITS
-from components.localizer.likelihood_field import LikelihoodField
-from components.localizer.scanner_watch import SILENT_S
-from planar.poses import Pose
+from cairn.components.localizer.health import FITS
+from cairn.components.localizer.likelihood_field import LikelihoodField
+from cairn.components.localizer.scanner_watch import SILENT_S
+from cairn.planar.poses import Pose
 
 Array = NDArray[np.float64]
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from components.localizer.free_space import FreeSpace
-from components.localizer.likelihood_field import LikelihoodField
-from planar.grid import Grid, OccupancyCells, changed_window
+from cairn.components.localizer.free_space import FreeSpace
+from cairn.components.localizer.likelihood_field import LikelihoodField
+from cairn.planar.grid import Grid, OccupancyCells, changed_window
 
 # Deviation of a beam [m] for a first look at the whole map, where few poses are drawn near any.
 _WIDE_M = 0.35

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from components.localizer.health import Health
-from planar.sweep import Rays
+from cairn.components.localizer.health import Health
+from cairn.planar.sweep import Rays
 
 SILENT_S = 1.0
 """For so long [s] scans may hit nothing, or not come at all."""

@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from components.localizer.evidence import Evidence
-from components.localizer.particles import Estimate, estimate, normalised, systematic_choice
-from components.localizer.recent import Support, carry
-from components.localizer.ring import draw_ring
-from planar.poses import relative, wrap_all
+from cairn.components.localizer.evidence import Evidence
+from cairn.components.localizer.particles import Estimate, estimate, normalised, systematic_choice
+from cairn.components.localizer.recent import Support, carry
+from cairn.components.localizer.ring import draw_ring
+from cairn.planar.poses import relative, wrap_all
 
 Array = NDArray[np.float64]
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
-from components.localizer.judge import Mode
-from components.localizer.motion import MotionModel
+from cairn.components.localizer.judge import Mode
+from cairn.components.localizer.motion import MotionModel
 
 # How objects are fused: by their reliability, or each as if it certainly stood in its place.
 Fusion = Literal["reliability", "at_its_word"]

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from components.localizer.object_likelihood import Landmark, Sighting
-from components.localizer.particles import Estimate
-from planar.poses import wrap
+from cairn.components.localizer.object_likelihood import Landmark, Sighting
+from cairn.components.localizer.particles import Estimate
+from cairn.planar.poses import wrap
 
 Array = NDArray[np.float64]
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from components.localizer.likelihood_field import LikelihoodField
-from components.localizer.particles import Estimate, estimate, normalised, systematic_choice
-from planar.poses import Pose, compose, distance, relative, wrap
+from cairn.components.localizer.likelihood_field import LikelihoodField
+from cairn.components.localizer.particles import Estimate, estimate, normalised, systematic_choice
+from cairn.planar.poses import Pose, compose, distance, relative, wrap
 
 Array = NDArray[np.float64]
 

@@ -7,9 +7,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from components.localizer.particles import Estimate
-from planar.compiled import compiled
-from planar.poses import wrap
+from cairn.components.localizer.particles import Estimate
+from cairn.planar.compiled import compiled
+from cairn.planar.poses import wrap
 
 Array = NDArray[np.float64]
 

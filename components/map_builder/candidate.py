@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from components.map_builder.objects import (
+from cairn.components.map_builder.objects import (
     CARRIED_OVER,
     Candidate,
     Change,
@@ -14,10 +14,10 @@ from components.map_builder.objects import (
     State,
     Verdict,
 )
-from components.map_builder.place import Place, average, place_similarity, squared_distance
-from components.map_builder.reliability import REGISTRATION, update
-from components.map_builder.viewpoints import NOWHERE
-from planar.poses import apart
+from cairn.components.map_builder.place import Place, average, place_similarity, squared_distance
+from cairn.components.map_builder.reliability import REGISTRATION, update
+from cairn.components.map_builder.viewpoints import NOWHERE
+from cairn.planar.poses import apart
 
 # A candidate no farther than this [m] from where the object stood has not moved, if its sightings
 # are not more exact than that: normalised distance squared (2 dof, 90 %).

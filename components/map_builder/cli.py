@@ -13,25 +13,25 @@ import typer
 
 from cairn.cli.tables import line, print_json
 from cairn.cli.tables import show as show_rows
-from cairn.errors import CairnError
-from components.map_builder.explaining import (
+from cairn.components.map_builder.explaining import (
     chain_of,
     object_called,
     shortened,
     standing_of,
 )
-from components.map_builder.importing import (
+from cairn.components.map_builder.importing import (
     altered,
     imported_grid,
     importer,
     taught_by,
     write_map,
 )
-from components.map_builder.objects import MapObject
-from components.map_builder.store import open_map
-from planar.grid import FREE, FREE_TO, OCCUPIED_FROM, UNKNOWN
-from planar.map_file import read_map as read_grid
-from planar.map_file import write_map as write_grid
+from cairn.components.map_builder.objects import MapObject
+from cairn.components.map_builder.store import open_map
+from cairn.errors import CairnError
+from cairn.planar.grid import FREE, FREE_TO, OCCUPIED_FROM, UNKNOWN
+from cairn.planar.map_file import read_map as read_grid
+from cairn.planar.map_file import write_map as write_grid
 
 DEFAULT_MAP = Path("visual_map.cairn")
 VisualMapFile = Annotated[

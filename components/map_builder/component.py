@@ -7,33 +7,33 @@ from collections.abc import Sequence
 
 from cairn.bus.qos import LATCHED, RELIABLE, SENSOR
 from cairn.clock import SECOND, from_ns, to_ns
-from cairn.component.complaints import Complaints
-from cairn.component.component import Component
-from cairn.component.handlers import every, on
-from cairn.component.parameters import Config, ParameterRefused
-from cairn.component.ports import In, Out
+from cairn.components.map_builder.config import MapBuilderConfig
+from cairn.components.map_builder.grid_keeper import GridKeeper
+from cairn.components.map_builder.grid_updates import GridUpdates
+from cairn.components.map_builder.keeper import MapKeeper, NumberedChange
+from cairn.components.map_builder.messages import change_message, evidence_of, map_message
+from cairn.components.map_builder.objects import Kind
+from cairn.components.map_builder.posed_scans import PosedScans
+from cairn.components.map_builder.rules import rule_named
+from cairn.components.map_builder.store import open_map
 from cairn.errors import CairnError
-from components.map_builder.config import MapBuilderConfig
-from components.map_builder.grid_keeper import GridKeeper
-from components.map_builder.grid_updates import GridUpdates
-from components.map_builder.keeper import MapKeeper, NumberedChange
-from components.map_builder.messages import change_message, evidence_of, map_message
-from components.map_builder.objects import Kind
-from components.map_builder.posed_scans import PosedScans
-from components.map_builder.rules import rule_named
-from components.map_builder.store import open_map
-from planar.grid import map_message as grid_message
-from planar.map_file import read_map
-from planar.messages import planar_pose
-from planar.odometry import Added
-from schemas.cairn_msgs import ObjectEvidenceArray, VisualMap, VisualMapChange
-from schemas.cairn_nav_msgs import LocalizationHealth, Relocalisation
-from schemas.geometry_msgs import PoseWithCovarianceStamped
-from schemas.map_msgs import OccupancyGridUpdate
-from schemas.nav_msgs import OccupancyGrid, Odometry
-from schemas.sensor_msgs import LaserScan
-from schemas.std_msgs import Header
-from vision.map_file import MapFileError
+from cairn.planar.grid import map_message as grid_message
+from cairn.planar.map_file import read_map
+from cairn.planar.messages import planar_pose
+from cairn.planar.odometry import Added
+from cairn.runtime.complaints import Complaints
+from cairn.runtime.component import Component
+from cairn.runtime.handlers import every, on
+from cairn.runtime.parameters import Config, ParameterRefused
+from cairn.runtime.ports import In, Out
+from cairn.schemas.cairn_msgs import ObjectEvidenceArray, VisualMap, VisualMapChange
+from cairn.schemas.cairn_nav_msgs import LocalizationHealth, Relocalisation
+from cairn.schemas.geometry_msgs import PoseWithCovarianceStamped
+from cairn.schemas.map_msgs import OccupancyGridUpdate
+from cairn.schemas.nav_msgs import OccupancyGrid, Odometry
+from cairn.schemas.sensor_msgs import LaserScan
+from cairn.schemas.std_msgs import Header
+from cairn.vision.map_file import MapFileError
 
 # A full map follows its updates after this [s], for readers that come later.
 _FULL_MAP_S = 5.0

@@ -6,10 +6,10 @@ from pathlib import Path
 
 from pydantic import Field, model_validator
 
-from cairn.component.marks import ReadPath
-from cairn.component.mount import Mount
-from cairn.component.parameters import Config
-from components.map_builder.rules import RuleName
+from cairn.components.map_builder.rules import RuleName
+from cairn.runtime.marks import ReadPath
+from cairn.runtime.mount import Mount
+from cairn.runtime.parameters import Config
 
 
 class MapBuilderConfig(Config):

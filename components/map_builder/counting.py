@@ -8,12 +8,12 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from components.map_builder.ray_walk import first_step
-from planar.compiled import compiled
-from planar.grid import FREE, OCCUPIED, UNKNOWN, Frame, Grid, OccupancyCells
-from planar.poses import Pose
-from planar.scans import beams_of
-from schemas.sensor_msgs import LaserScan
+from cairn.components.map_builder.ray_walk import first_step
+from cairn.planar.compiled import compiled
+from cairn.planar.grid import FREE, OCCUPIED, UNKNOWN, Frame, Grid, OccupancyCells
+from cairn.planar.poses import Pose
+from cairn.planar.scans import beams_of
+from cairn.schemas.sensor_msgs import LaserScan
 
 Array = NDArray[np.float64]
 

@@ -6,9 +6,9 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from cairn.components.map_builder.objects import MapObject, State, Verdict
+from cairn.components.map_builder.store import KeptChange, KeptEvidence, MapStore
 from cairn.errors import CairnError
-from components.map_builder.objects import MapObject, State, Verdict
-from components.map_builder.store import KeptChange, KeptEvidence, MapStore
 
 
 @dataclass(frozen=True)

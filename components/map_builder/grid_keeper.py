@@ -7,15 +7,15 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from cairn.components.map_builder.occupancy import Occupancy
+from cairn.components.map_builder.window import Window
+from cairn.components.map_builder.working_copy import LOG, gone_on_with
 from cairn.errors import CairnError
 from cairn.files import replace_file
-from components.map_builder.occupancy import Occupancy
-from components.map_builder.window import Window
-from components.map_builder.working_copy import LOG, gone_on_with
-from planar.grid import OccupancyCells
-from planar.map_file import read_map, write_map
-from planar.poses import Pose
-from planar.sweep import Rays
+from cairn.planar.grid import OccupancyCells
+from cairn.planar.map_file import read_map, write_map
+from cairn.planar.poses import Pose
+from cairn.planar.sweep import Rays
 
 
 class _Origin(BaseModel):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from components.map_builder.window import Window
+from cairn.components.map_builder.window import Window
 
 
 class GridUpdates:

@@ -8,18 +8,18 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
+from cairn.components.map_builder.counting import build_map
+from cairn.components.map_builder.objects import Change, Kind, MapObject
+from cairn.components.map_builder.place import Place
+from cairn.components.map_builder.store import create_map
 from cairn.errors import CairnError
 from cairn.files import replacing
-from components.map_builder.counting import build_map
-from components.map_builder.objects import Change, Kind, MapObject
-from components.map_builder.place import Place
-from components.map_builder.store import create_map
-from planar.grid import OccupancyCells
-from planar.poses import Pose
-from schemas.cairn_msgs import VisualMap
-from schemas.sensor_msgs import LaserScan
-from vision.taught import TaughtObject
-from vision.taught_store import teach
+from cairn.planar.grid import OccupancyCells
+from cairn.planar.poses import Pose
+from cairn.schemas.cairn_msgs import VisualMap
+from cairn.schemas.sensor_msgs import LaserScan
+from cairn.vision.taught import TaughtObject
+from cairn.vision.taught_store import teach
 
 IMPORTERS_GROUP = "cairn.visual_map_importers"
 """Entry points of this group are functions from a path to the `VisualMap` found there."""

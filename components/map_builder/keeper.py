@@ -6,13 +6,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from cairn.clock import SECOND
-from components.map_builder.objects import Change, Evidence, MapObject
-from components.map_builder.rule import Rule, judge
-from components.map_builder.store import Judged, MapStore, open_map
-from components.map_builder.visual_map import UNDO_S, VisualMap
-from components.map_builder.working_copy import gone_on_with
-from vision.map_file import MapFileError, copy_map, digest_of
-from vision.taught_store import taught_name
+from cairn.components.map_builder.objects import Change, Evidence, MapObject
+from cairn.components.map_builder.rule import Rule, judge
+from cairn.components.map_builder.store import Judged, MapStore, open_map
+from cairn.components.map_builder.visual_map import UNDO_S, VisualMap
+from cairn.components.map_builder.working_copy import gone_on_with
+from cairn.vision.map_file import MapFileError, copy_map, digest_of
+from cairn.vision.taught_store import taught_name
 
 NumberedChange = tuple[int, Change]
 

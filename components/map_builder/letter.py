@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from components.map_builder.objects import (
+from cairn.components.map_builder.objects import (
     Candidate,
     Change,
     Evidence,
@@ -13,8 +13,8 @@ from components.map_builder.objects import (
     State,
     Verdict,
 )
-from components.map_builder.place import Place
-from components.map_builder.reliability import INITIAL
+from cairn.components.map_builder.place import Place
+from cairn.components.map_builder.reliability import INITIAL
 
 _REMOVAL, _REGISTRATION = 0.1, 0.5
 

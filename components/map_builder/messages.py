@@ -7,11 +7,11 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from components.map_builder.objects import Change, Evidence, MapObject, State, Verdict
-from components.map_builder.place import Place
-from schemas.builtin_interfaces import Time
-from schemas.cairn_msgs import ObjectEvidenceArray, VisualMap, VisualMapChange, VisualObject
-from schemas.std_msgs import Header
+from cairn.components.map_builder.objects import Change, Evidence, MapObject, State, Verdict
+from cairn.components.map_builder.place import Place
+from cairn.schemas.builtin_interfaces import Time
+from cairn.schemas.cairn_msgs import ObjectEvidenceArray, VisualMap, VisualMapChange, VisualObject
+from cairn.schemas.std_msgs import Header
 
 
 def evidence_of(frame: ObjectEvidenceArray) -> list[Evidence]:

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import IntEnum
 
-from components.map_builder.place import Place
-from components.map_builder.reliability import INITIAL
-from components.map_builder.stays import NONE, Stays
-from components.map_builder.viewpoints import NOWHERE, Viewpoints
-from planar.poses import Pose
+from cairn.components.map_builder.place import Place
+from cairn.components.map_builder.reliability import INITIAL
+from cairn.components.map_builder.stays import NONE, Stays
+from cairn.components.map_builder.viewpoints import NOWHERE, Viewpoints
+from cairn.planar.poses import Pose
 
 # A candidate begins with the reliability that its old place had when it was removed.
 CARRIED_OVER = 0.1

@@ -7,11 +7,11 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from components.map_builder.ray_walk import first_step
-from components.map_builder.undo import Undo
-from components.map_builder.window import Window
-from planar.compiled import compiled
-from planar.grid import (
+from cairn.components.map_builder.ray_walk import first_step
+from cairn.components.map_builder.undo import Undo
+from cairn.components.map_builder.window import Window
+from cairn.planar.compiled import compiled
+from cairn.planar.grid import (
     FREE,
     FREE_TO,
     OCCUPIED,
@@ -21,8 +21,8 @@ from planar.grid import (
     Grid,
     OccupancyCells,
 )
-from planar.poses import Pose
-from planar.sweep import Rays
+from cairn.planar.poses import Pose
+from cairn.planar.sweep import Rays
 
 # Log-odds. What the map holds begins at the limits, so that it takes many contrary scans.
 _LEAST, _MOST = -2.0, 3.5

@@ -7,9 +7,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 
-from components.map_builder.candidate import ANOTHER_M, ANOTHER_RAD, judge_candidate
-from components.map_builder.objects import Change, Evidence, Kind, MapObject, State, Verdict
-from planar.poses import apart
+from cairn.components.map_builder.candidate import ANOTHER_M, ANOTHER_RAD, judge_candidate
+from cairn.components.map_builder.objects import Change, Evidence, Kind, MapObject, State, Verdict
+from cairn.planar.poses import apart
 
 _REMOVAL = 0.1
 # Inside this normalised distance (2 dof, 99 %) a sighting is a detection of the mapped feature.

@@ -6,11 +6,11 @@ from collections import deque
 from dataclasses import dataclass
 
 from cairn.clock import SECOND, to_ns
-from planar.odometry import Added, OdometryHistory
-from planar.poses import Pose, compose, relative
-from planar.sweep import Rays, rays_of, sweep_s
-from schemas.cairn_nav_msgs import LocalizationHealth
-from schemas.sensor_msgs import LaserScan
+from cairn.planar.odometry import Added, OdometryHistory
+from cairn.planar.poses import Pose, compose, relative
+from cairn.planar.sweep import Rays, rays_of, sweep_s
+from cairn.schemas.cairn_nav_msgs import LocalizationHealth
+from cairn.schemas.sensor_msgs import LaserScan
 
 _KEPT = 20  # scans that wait for their pose
 _MOST_HEADING_SD = 0.06  # [rad]: 0.18 m at 3 m

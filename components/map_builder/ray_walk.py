@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from planar.compiled import compiled
+from cairn.planar.compiled import compiled
 
 
 @compiled()

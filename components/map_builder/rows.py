@@ -7,16 +7,16 @@ import math
 from dataclasses import asdict
 from typing import Any
 
-from components.map_builder.objects import (
+from cairn.components.map_builder.objects import (
     Candidate,
     Change,
     Evidence,
     MapObject,
     State,
 )
-from components.map_builder.place import Place
-from components.map_builder.viewpoints import NOWHERE, Cell, Viewpoints
-from vision.checksum import check, checksum
+from cairn.components.map_builder.place import Place
+from cairn.components.map_builder.viewpoints import NOWHERE, Cell, Viewpoints
+from cairn.vision.checksum import check, checksum
 
 Row = tuple[Any, ...]
 

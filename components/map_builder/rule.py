@@ -6,8 +6,8 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 
-from components.map_builder.candidate import ANOTHER_M, ANOTHER_RAD, judge_candidate
-from components.map_builder.objects import (
+from cairn.components.map_builder.candidate import ANOTHER_M, ANOTHER_RAD, judge_candidate
+from cairn.components.map_builder.objects import (
     CARRIED_OVER,
     Candidate,
     Change,
@@ -17,10 +17,10 @@ from components.map_builder.objects import (
     State,
     Verdict,
 )
-from components.map_builder.place import Place, fuse
-from components.map_builder.reliability import REMOVAL, update
-from components.map_builder.viewpoints import NOWHERE, cell_of
-from planar.poses import apart
+from cairn.components.map_builder.place import Place, fuse
+from cairn.components.map_builder.reliability import REMOVAL, update
+from cairn.components.map_builder.viewpoints import NOWHERE, cell_of
+from cairn.planar.poses import apart
 
 # A disagreement of this similarity or more stands alone: the localizer has yet to see it borne out.
 _ALONE = 0.4

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Literal
 
-from components.map_builder.letter import judge_to_the_letter
-from components.map_builder.persistence import PersistenceFilter
-from components.map_builder.rule import Rule, judge
+from cairn.components.map_builder.letter import judge_to_the_letter
+from cairn.components.map_builder.persistence import PersistenceFilter
+from cairn.components.map_builder.rule import Rule, judge
 
 RuleName = Literal["reliability", "letter", "persistence"]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-from components.map_builder.place import Place
+from cairn.components.map_builder.place import Place
 
 # An object is at a place again that it has left if it is no farther than this [m] from it.
 _SAME_M = 0.35

@@ -9,16 +9,16 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from components.map_builder.objects import Change, Evidence, MapObject, State, Verdict
-from components.map_builder.rows import (
+from cairn.components.map_builder.objects import Change, Evidence, MapObject, State, Verdict
+from cairn.components.map_builder.rows import (
     change_row,
     evidence_row,
     object_from_row,
     object_row,
 )
-from planar.poses import Pose
-from vision import map_file
-from vision.map_file import told, writing
+from cairn.planar.poses import Pose
+from cairn.vision import map_file
+from cairn.vision.map_file import told, writing
 
 
 @dataclass(frozen=True)

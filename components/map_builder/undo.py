@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from components.map_builder.window import Window
+from cairn.components.map_builder.window import Window
 
 
 @dataclass(frozen=True)

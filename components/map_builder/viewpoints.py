@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-from planar.poses import Pose
+from cairn.planar.poses import Pose
 
 Cell = tuple[int, int]
 

@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
-from components.map_builder.objects import (
+from cairn.components.map_builder.objects import (
     Change,
     Evidence,
     Kind,
@@ -15,8 +15,8 @@ from components.map_builder.objects import (
     Verdict,
     unknown,
 )
-from components.map_builder.place import Place
-from components.map_builder.rule import Rule, judge
+from cairn.components.map_builder.place import Place
+from cairn.components.map_builder.rule import Rule, judge
 
 UNDO_S = 60.0
 

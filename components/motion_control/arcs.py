@@ -12,7 +12,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from planar.compiled import compiled
+from cairn.planar.compiled import compiled
 
 Array = NDArray[np.float64]
 

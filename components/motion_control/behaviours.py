@@ -9,13 +9,13 @@ from typing import Protocol
 
 import numpy as np
 
-from components.motion_control.arcs import arc_clearances, open_ways
-from components.motion_control.limits import Limits
-from components.motion_control.local_planner import STILL, LocalPlanner, Place, Wish
-from components.motion_control.route import Route
-from components.motion_control.seen_space import SeenSpace, Surroundings
-from planar.poses import Pose, compose, distance, relative, wrap
-from schemas.cairn_nav_msgs import MotionStatus
+from cairn.components.motion_control.arcs import arc_clearances, open_ways
+from cairn.components.motion_control.limits import Limits
+from cairn.components.motion_control.local_planner import STILL, LocalPlanner, Place, Wish
+from cairn.components.motion_control.route import Route
+from cairn.components.motion_control.seen_space import SeenSpace, Surroundings
+from cairn.planar.poses import Pose, compose, distance, relative, wrap
+from cairn.schemas.cairn_nav_msgs import MotionStatus
 
 SECOND_NS = 1_000_000_000
 

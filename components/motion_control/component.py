@@ -6,11 +6,7 @@ import math
 
 from cairn.bus.qos import LATCHED, RELIABLE, SENSOR
 from cairn.clock import SECOND, from_ns, to_ns
-from cairn.component.component import Component
-from cairn.component.handlers import every, on
-from cairn.component.parameters import Config
-from cairn.component.ports import In, Out
-from components.motion_control.behaviours import (
+from cairn.components.motion_control.behaviours import (
     BackOff,
     Behaviour,
     Explore,
@@ -20,23 +16,27 @@ from components.motion_control.behaviours import (
     Situation,
     State,
 )
-from components.motion_control.config import MotionControlConfig
-from components.motion_control.freshness import Freshness
-from components.motion_control.local_planner import LOOK
-from components.motion_control.movers import Movers
-from components.motion_control.route import Route
-from components.motion_control.seen_space import SeenSpace, Surroundings
-from components.motion_control.steering import STAND, Command, Steering
-from components.motion_control.whereabouts import Whereabouts
-from planar.messages import planar_pose, planar_poses
-from planar.odometry import began_anew
-from planar.poses import Pose, relative
-from planar.sweep import rays_of, sweep_s
-from schemas.cairn_nav_msgs import LocalizationHealth, MotionStatus, Movement, Plan
-from schemas.geometry_msgs import PoseWithCovarianceStamped, Twist, Vector3
-from schemas.nav_msgs import Odometry
-from schemas.sensor_msgs import LaserScan
-from schemas.std_msgs import Header
+from cairn.components.motion_control.config import MotionControlConfig
+from cairn.components.motion_control.freshness import Freshness
+from cairn.components.motion_control.local_planner import LOOK
+from cairn.components.motion_control.movers import Movers
+from cairn.components.motion_control.route import Route
+from cairn.components.motion_control.seen_space import SeenSpace, Surroundings
+from cairn.components.motion_control.steering import STAND, Command, Steering
+from cairn.components.motion_control.whereabouts import Whereabouts
+from cairn.planar.messages import planar_pose, planar_poses
+from cairn.planar.odometry import began_anew
+from cairn.planar.poses import Pose, relative
+from cairn.planar.sweep import rays_of, sweep_s
+from cairn.runtime.component import Component
+from cairn.runtime.handlers import every, on
+from cairn.runtime.parameters import Config
+from cairn.runtime.ports import In, Out
+from cairn.schemas.cairn_nav_msgs import LocalizationHealth, MotionStatus, Movement, Plan
+from cairn.schemas.geometry_msgs import PoseWithCovarianceStamped, Twist, Vector3
+from cairn.schemas.nav_msgs import Odometry
+from cairn.schemas.sensor_msgs import LaserScan
+from cairn.schemas.std_msgs import Header
 
 # After a break in odometry or time the robot stands for so long [ns].
 _PAUSE_NS = SECOND // 2

@@ -6,9 +6,9 @@ from typing import Self
 
 from pydantic import Field, model_validator
 
-from cairn.component.mount import Mount
-from cairn.component.parameters import Config
-from components.motion_control.limits import Limits
+from cairn.components.motion_control.limits import Limits
+from cairn.runtime.mount import Mount
+from cairn.runtime.parameters import Config
 
 
 class Timeouts(Config):

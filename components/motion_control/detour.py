@@ -7,10 +7,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from components.motion_control.arcs import sees
-from components.motion_control.limits import Limits
-from planar.distance import distance_field
-from planar.shortest_path import CLOSED, LEAST, MARGIN, PathSearch, priced
+from cairn.components.motion_control.arcs import sees
+from cairn.components.motion_control.limits import Limits
+from cairn.planar.distance import distance_field
+from cairn.planar.shortest_path import CLOSED, LEAST, MARGIN, PathSearch, priced
 
 Array = NDArray[np.float64]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from cairn.clock import SECOND
-from planar.odometry import began_anew
+from cairn.planar.odometry import began_anew
 
 
 class Freshness:

@@ -13,12 +13,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from components.motion_control.arcs import FAR, arc_clearances, free_again, free_along, open_ways
-from components.motion_control.detour import WITHIN, DetourSearch
-from components.motion_control.limits import Limits
-from components.motion_control.route import AHEAD, SPACING, Route
-from components.motion_control.seen_space import Surroundings
-from planar.poses import Pose, compose
+from cairn.components.motion_control.arcs import (
+    FAR,
+    arc_clearances,
+    free_again,
+    free_along,
+    open_ways,
+)
+from cairn.components.motion_control.detour import WITHIN, DetourSearch
+from cairn.components.motion_control.limits import Limits
+from cairn.components.motion_control.route import AHEAD, SPACING, Route
+from cairn.components.motion_control.seen_space import Surroundings
+from cairn.planar.poses import Pose, compose
 
 Array = NDArray[np.float64]
 

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cairn.clock import SECOND
-from components.motion_control.seen_space import REACH
-from planar.compiled import compiled
-from planar.odometry import began_anew
-from planar.sweep import Rays
+from cairn.components.motion_control.seen_space import REACH
+from cairn.planar.compiled import compiled
+from cairn.planar.odometry import began_anew
+from cairn.planar.sweep import Rays
 
 Array = NDArray[np.float64]
 

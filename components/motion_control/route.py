@@ -7,8 +7,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from planar.compiled import compiled
-from planar.poses import Pose
+from cairn.planar.compiled import compiled
+from cairn.planar.poses import Pose
 
 Array = NDArray[np.float64]
 

@@ -7,8 +7,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from planar.compiled import compiled
-from planar.sweep import Rays
+from cairn.planar.compiled import compiled
+from cairn.planar.sweep import Rays
 
 Array = NDArray[np.float64]
 Cells = NDArray[np.int64]

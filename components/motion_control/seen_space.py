@@ -11,11 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from components.motion_control.seen_cells import CELL, SEEN_REACH, SeenCells
-from planar.compiled import compiled
-from planar.odometry import began_anew
-from planar.poses import Pose
-from planar.sweep import Rays
+from cairn.components.motion_control.seen_cells import CELL, SEEN_REACH, SeenCells
+from cairn.planar.compiled import compiled
+from cairn.planar.odometry import began_anew
+from cairn.planar.poses import Pose
+from cairn.planar.sweep import Rays
 
 Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]

@@ -6,10 +6,10 @@ import math
 
 import numpy as np
 
-from components.motion_control.arcs import arc_clearances
-from components.motion_control.limits import Limits
-from components.motion_control.local_planner import Wish
-from components.motion_control.seen_space import Surroundings
+from cairn.components.motion_control.arcs import arc_clearances
+from cairn.components.motion_control.limits import Limits
+from cairn.components.motion_control.local_planner import Wish
+from cairn.components.motion_control.seen_space import Surroundings
 
 Command = tuple[float, float]
 """Speed ahead [m/s] and of turning [rad/s]."""

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from cairn.clock import SECOND
-from planar.odometry import Added, OdometryHistory, jumped
-from planar.poses import Pose, compose, distance, relative
+from cairn.planar.odometry import Added, OdometryHistory, jumped
+from cairn.planar.poses import Pose, compose, distance, relative
 
 _HORIZON_NS = 5 * SECOND
 _AHEAD_S = 0.1  # the robot is taken to move on so long after the newest odometry

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from vision.ranging import Located
-from vision.stereo import StereoRig
+from cairn.vision.ranging import Located
+from cairn.vision.stereo import StereoRig
 
 Array = NDArray[np.float64]
 Pose = tuple[float, float, float]

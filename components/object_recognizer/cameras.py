@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from cairn.errors import CairnError
-from schemas.sensor_msgs import CameraInfo
-from vision.rectification import Lens, Rectifier
-from vision.stereo import StereoRig
+from cairn.schemas.sensor_msgs import CameraInfo
+from cairn.vision.rectification import Lens, Rectifier
+from cairn.vision.stereo import StereoRig
 
 
 @dataclass(frozen=True)

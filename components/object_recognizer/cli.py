@@ -9,20 +9,20 @@ import typer
 
 from cairn.cli.connection import DEFAULT_CONNECT, Connect, Domain, Json, Robot, connected
 from cairn.cli.tables import line, print_json, show
-from cairn.errors import CairnError
-from components.object_recognizer.given import (
+from cairn.components.object_recognizer.given import (
     DEFAULT_MAP,
     MapFile,
     parsed_box,
     parsed_size,
 )
-from components.object_recognizer.pictures import draw_views
-from components.object_recognizer.running import map_of_recognizer, newest_image
-from components.object_recognizer.teach_report import report
-from vision.images import Grey, read_image
-from vision.taught import TaughtObject, View
-from vision.taught_store import Taught, check_name, read_taught, remove_taught
-from vision.teaching import cut, unfit, view_of
+from cairn.components.object_recognizer.pictures import draw_views
+from cairn.components.object_recognizer.running import map_of_recognizer, newest_image
+from cairn.components.object_recognizer.teach_report import report
+from cairn.errors import CairnError
+from cairn.vision.images import Grey, read_image
+from cairn.vision.taught import TaughtObject, View
+from cairn.vision.taught_store import Taught, check_name, read_taught, remove_taught
+from cairn.vision.teaching import cut, unfit, view_of
 
 app = typer.Typer(help="Objects that robots recognise: teach and show them.", no_args_is_help=True)
 Name = Annotated[str, typer.Argument(help="The object's name.", metavar="NAME")]

@@ -7,27 +7,27 @@ import numpy as np
 
 from cairn.bus.qos import RELIABLE, SENSOR
 from cairn.clock import SECOND, from_ns, to_ns
-from cairn.component.complaints import Complaints
-from cairn.component.component import Component
-from cairn.component.handlers import every, on
-from cairn.component.parameters import Config, ParameterRefused
-from cairn.component.ports import In, Out
+from cairn.components.object_recognizer.agreement import Agreement
+from cairn.components.object_recognizer.bearings import NOWHERE, Field, Place, field_of, place_of
+from cairn.components.object_recognizer.cameras import Cameras, cameras_of, same_camera
+from cairn.components.object_recognizer.condition import Standstill, blindness, shows_little
+from cairn.components.object_recognizer.config import ObjectRecognizerConfig
+from cairn.components.object_recognizer.known import KnownObjects
+from cairn.components.object_recognizer.pairing import Pair, Pairing
+from cairn.components.object_recognizer.sighting import Sighting, sighted, without_wrong_twins
+from cairn.components.object_recognizer.stereo_check import swapped, unlike
 from cairn.errors import CairnError
-from components.object_recognizer.agreement import Agreement
-from components.object_recognizer.bearings import NOWHERE, Field, Place, field_of, place_of
-from components.object_recognizer.cameras import Cameras, cameras_of, same_camera
-from components.object_recognizer.condition import Standstill, blindness, shows_little
-from components.object_recognizer.config import ObjectRecognizerConfig
-from components.object_recognizer.known import KnownObjects
-from components.object_recognizer.pairing import Pair, Pairing
-from components.object_recognizer.sighting import Sighting, sighted, without_wrong_twins
-from components.object_recognizer.stereo_check import swapped, unlike
-from schemas.cairn_msgs import RecognizedObject, RecognizedObjectArray
-from schemas.sensor_msgs import CameraInfo, Image
-from schemas.std_msgs import Header
-from vision.features import Features, extract
-from vision.images import Grey, grey_of
-from vision.map_file import MapFileError
+from cairn.runtime.complaints import Complaints
+from cairn.runtime.component import Component
+from cairn.runtime.handlers import every, on
+from cairn.runtime.parameters import Config, ParameterRefused
+from cairn.runtime.ports import In, Out
+from cairn.schemas.cairn_msgs import RecognizedObject, RecognizedObjectArray
+from cairn.schemas.sensor_msgs import CameraInfo, Image
+from cairn.schemas.std_msgs import Header
+from cairn.vision.features import Features, extract
+from cairn.vision.images import Grey, grey_of
+from cairn.vision.map_file import MapFileError
 
 # A camera that is silent, or shows the same, for so long is complained of.
 _SILENCE_NS = 2 * SECOND

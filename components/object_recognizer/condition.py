@@ -7,8 +7,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.sensor_msgs import Image
-from vision.features import Features
+from cairn.schemas.sensor_msgs import Image
+from cairn.vision.features import Features
 
 # Grey levels that nearly all pixels of an image in the dark, or into a lamp, are below, or above.
 _DARK, _BRIGHT = 40, 215

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pydantic import Field, model_validator
 
-from cairn.component.marks import ReadPath
-from cairn.component.mount import Mount
-from cairn.component.parameters import Config
-from vision.verification import LEAST
+from cairn.runtime.marks import ReadPath
+from cairn.runtime.mount import Mount
+from cairn.runtime.parameters import Config
+from cairn.vision.verification import LEAST
 
 
 class ObjectRecognizerConfig(Config):

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from cairn.errors import CairnError
-from vision.taught import View
+from cairn.vision.taught import View
 
 DEFAULT_MAP = Path("visual_map.cairn")
 

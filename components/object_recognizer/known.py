@@ -8,9 +8,9 @@ from concurrent.futures import Future
 from dataclasses import dataclass
 from pathlib import Path
 
-from vision.recognition import Recognizer
-from vision.taught import TaughtObject
-from vision.taught_store import read_taught, taught_number
+from cairn.vision.recognition import Recognizer
+from cairn.vision.taught import TaughtObject
+from cairn.vision.taught_store import read_taught, taught_number
 
 
 @dataclass(frozen=True)

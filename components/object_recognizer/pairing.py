@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from cairn.clock import SECOND
-from schemas.sensor_msgs import Image
+from cairn.schemas.sensor_msgs import Image
 
 PATIENCE_NS = SECOND
 """How long left images wait in vain for right ones before they are taken alone."""

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from cairn.errors import CairnError
 from cairn.files import replacing
-from vision.file_errors import why
-from vision.recognition import Recognition
-from vision.taught import TaughtObject
+from cairn.vision.file_errors import why
+from cairn.vision.recognition import Recognition
+from cairn.vision.taught import TaughtObject
 
 _COLOURS = ("tab:red", "tab:green", "tab:blue", "tab:orange", "tab:purple", "tab:cyan", "tab:pink")
 _DPI = 100

@@ -13,23 +13,23 @@ import typer
 
 from cairn.cli.connection import Json
 from cairn.cli.tables import line, note, print_json
+from cairn.components.object_recognizer.agreement import contradiction
+from cairn.components.object_recognizer.bearings import place_of
+from cairn.components.object_recognizer.cameras import Cameras, cameras_of
+from cairn.components.object_recognizer.condition import blindness
+from cairn.components.object_recognizer.given import DEFAULT_MAP, MapFile
+from cairn.components.object_recognizer.pictures import draw_recognized
+from cairn.components.object_recognizer.sighting import Sighting, sighted, without_wrong_twins
+from cairn.components.object_recognizer.stereo_check import swapped, unlike
 from cairn.errors import CairnError
-from components.object_recognizer.agreement import contradiction
-from components.object_recognizer.bearings import place_of
-from components.object_recognizer.cameras import Cameras, cameras_of
-from components.object_recognizer.condition import blindness
-from components.object_recognizer.given import DEFAULT_MAP, MapFile
-from components.object_recognizer.pictures import draw_recognized
-from components.object_recognizer.sighting import Sighting, sighted, without_wrong_twins
-from components.object_recognizer.stereo_check import swapped, unlike
-from schemas.sensor_msgs import CameraInfo
-from vision.camera_file import read_camera
-from vision.features import extract
-from vision.images import Grey, read_image
-from vision.recognition import Recognizer
-from vision.stereo import StereoRig
-from vision.taught import TaughtObject
-from vision.taught_store import read_taught
+from cairn.schemas.sensor_msgs import CameraInfo
+from cairn.vision.camera_file import read_camera
+from cairn.vision.features import extract
+from cairn.vision.images import Grey, read_image
+from cairn.vision.recognition import Recognizer
+from cairn.vision.stereo import StereoRig
+from cairn.vision.taught import TaughtObject
+from cairn.vision.taught_store import read_taught
 
 _AT_CAMERA = (0.0, 0.0, 0.0)
 # How well a calibration tells where the camera looks [rad]: its principal point is one or two

@@ -10,9 +10,9 @@ from cairn.bus.codec import Codec
 from cairn.bus.control import request
 from cairn.cli.connection import Connection, resolve
 from cairn.errors import CairnError
-from schemas.message import InvalidMessage, type_name
-from schemas.sensor_msgs import Image
-from vision.images import Grey, grey_of
+from cairn.schemas.message import InvalidMessage, type_name
+from cairn.schemas.sensor_msgs import Image
+from cairn.vision.images import Grey, grey_of
 
 PLUGIN = "object_recognizer"
 _LIMIT_S = 5.0

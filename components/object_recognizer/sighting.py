@@ -11,12 +11,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from components.object_recognizer.agreement import SYSTEMATIC
-from components.object_recognizer.cameras import Cameras
-from vision.ranging import Located, by_size, by_stereo, fused
-from vision.recognition import Recognition
-from vision.stereo import disparities, rows_off
-from vision.taught import TaughtObject
+from cairn.components.object_recognizer.agreement import SYSTEMATIC
+from cairn.components.object_recognizer.cameras import Cameras
+from cairn.vision.ranging import Located, by_size, by_stereo, fused
+from cairn.vision.recognition import Recognition
+from cairn.vision.stereo import disparities, rows_off
+from cairn.vision.taught import TaughtObject
 
 Array = NDArray[np.float64]
 Grey = NDArray[np.uint8]

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from components.object_recognizer.condition import blindness
-from vision.features import Features
-from vision.stereo import StereoRig, disparities, look_swapped
+from cairn.components.object_recognizer.condition import blindness
+from cairn.vision.features import Features
+from cairn.vision.stereo import StereoRig, disparities, look_swapped
 
 Grey = NDArray[np.uint8]
 

@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 
 from cairn.cli.tables import line, note, print_json
+from cairn.components.object_recognizer.given import check_shape
 from cairn.errors import CairnError
-from components.object_recognizer.given import check_shape
-from vision.map_file import create, told
-from vision.taught import TaughtObject, View
-from vision.taught_store import Taught, read_taught, teach
-from vision.teaching import look_alikes, recognised_from, repeats
+from cairn.vision.map_file import create, told
+from cairn.vision.taught import TaughtObject, View
+from cairn.vision.taught_store import Taught, read_taught, teach
+from cairn.vision.teaching import look_alikes, recognised_from, repeats
 
 # What must be so many pixels across in an image [px] is recognised from near by only.
 _LARGE = 160

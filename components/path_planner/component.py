@@ -4,15 +4,11 @@ from __future__ import annotations
 
 from cairn.bus.qos import LATCHED, RELIABLE, SENSOR
 from cairn.clock import SECOND, from_ns, to_ns
-from cairn.component.component import Component
-from cairn.component.handlers import every, on
-from cairn.component.parameters import Config
-from cairn.component.ports import In, Out
-from components.path_planner.config import PathPlannerConfig
-from components.path_planner.cost_map import CostMap
-from components.path_planner.hindrances import Hindrances
-from components.path_planner.messages import path_message, plan_message
-from components.path_planner.planning import (
+from cairn.components.path_planner.config import PathPlannerConfig
+from cairn.components.path_planner.cost_map import CostMap
+from cairn.components.path_planner.hindrances import Hindrances
+from cairn.components.path_planner.messages import path_message, plan_message
+from cairn.components.path_planner.planning import (
     Answer,
     Outcome,
     Planner,
@@ -20,18 +16,22 @@ from components.path_planner.planning import (
     obstructed,
     remaining,
 )
-from components.path_planner.sightings import RecentObstacles
-from components.path_planner.whereabouts import Moved, Whereabouts
-from planar.grid import OccupancyCells, grid_of
-from planar.messages import planar_pose
-from planar.poses import Pose
-from planar.scans import beams_of
-from schemas.cairn_nav_msgs import LocalizationHealth, MotionStatus, Movement, Plan
-from schemas.geometry_msgs import PoseWithCovarianceStamped
-from schemas.map_msgs import OccupancyGridUpdate
-from schemas.nav_msgs import OccupancyGrid, Odometry, Path
-from schemas.sensor_msgs import LaserScan
-from schemas.std_msgs import Header
+from cairn.components.path_planner.sightings import RecentObstacles
+from cairn.components.path_planner.whereabouts import Moved, Whereabouts
+from cairn.planar.grid import OccupancyCells, grid_of
+from cairn.planar.messages import planar_pose
+from cairn.planar.poses import Pose
+from cairn.planar.scans import beams_of
+from cairn.runtime.component import Component
+from cairn.runtime.handlers import every, on
+from cairn.runtime.parameters import Config
+from cairn.runtime.ports import In, Out
+from cairn.schemas.cairn_nav_msgs import LocalizationHealth, MotionStatus, Movement, Plan
+from cairn.schemas.geometry_msgs import PoseWithCovarianceStamped
+from cairn.schemas.map_msgs import OccupancyGridUpdate
+from cairn.schemas.nav_msgs import OccupancyGrid, Odometry, Path
+from cairn.schemas.sensor_msgs import LaserScan
+from cairn.schemas.std_msgs import Header
 
 # Nearer to the goal than this [m] a path is not exchanged for a better one.
 NEAR_M = 0.5

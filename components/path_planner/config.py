@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from cairn.component.mount import Mount
-from cairn.component.parameters import Config
-from components.path_planner.cost_map import Costs
+from cairn.components.path_planner.cost_map import Costs
+from cairn.runtime.mount import Mount
+from cairn.runtime.parameters import Config
 
 
 class PathPlannerConfig(Config):

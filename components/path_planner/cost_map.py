@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planar.compiled import compiled
-from planar.distance import distance_field
-from planar.grid import OCCUPIED_FROM, Frame, Grid, OccupancyCells, changed_window
-from planar.shortest_path import CLOSED, DEAREST, LEAST, MARGIN, Cell, Prices, priced
+from cairn.planar.compiled import compiled
+from cairn.planar.distance import distance_field
+from cairn.planar.grid import OCCUPIED_FROM, Frame, Grid, OccupancyCells, changed_window
+from cairn.planar.shortest_path import CLOSED, DEAREST, LEAST, MARGIN, Cell, Prices, priced
 
 BLOCKED = 255
 """Price of a cell where the robot itself does not fit, let alone its margin."""

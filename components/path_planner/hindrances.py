@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 from cairn.clock import SECOND
-from planar.poses import Pose, distance
-from schemas.cairn_nav_msgs import MotionStatus
+from cairn.planar.poses import Pose, distance
+from cairn.schemas.cairn_nav_msgs import MotionStatus
 
 Place = tuple[float, float]
 """x, y [m] in frame map."""

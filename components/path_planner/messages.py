@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from components.path_planner.planning import Answer
-from planar.messages import packed_poses, pose_message
-from schemas.cairn_nav_msgs import Plan
-from schemas.geometry_msgs import PoseStamped
-from schemas.nav_msgs import Path
-from schemas.std_msgs import Header
+from cairn.components.path_planner.planning import Answer
+from cairn.planar.messages import packed_poses, pose_message
+from cairn.schemas.cairn_nav_msgs import Plan
+from cairn.schemas.geometry_msgs import PoseStamped
+from cairn.schemas.nav_msgs import Path
+from cairn.schemas.std_msgs import Header
 
 SHOWN = 500  # poses of a path that people look at
 

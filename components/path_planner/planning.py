@@ -9,11 +9,11 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from components.path_planner.cost_map import BLOCKED, CostMap, nearest_open
-from planar.grid import Frame
-from planar.path_shape import centres, cost, first_closed, stepped, taut
-from planar.poses import Pose
-from planar.shortest_path import CLOSED, MARGIN, Cell, PathSearch, Prices
+from cairn.components.path_planner.cost_map import BLOCKED, CostMap, nearest_open
+from cairn.planar.grid import Frame
+from cairn.planar.path_shape import centres, cost, first_closed, stepped, taut
+from cairn.planar.poses import Pose
+from cairn.planar.shortest_path import CLOSED, MARGIN, Cell, PathSearch, Prices
 
 Array = NDArray[np.float64]
 

@@ -7,9 +7,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from planar.grid import Frame
-from planar.poses import Pose, compose
-from planar.scans import Beams
+from cairn.planar.grid import Frame
+from cairn.planar.poses import Pose, compose
+from cairn.planar.scans import Beams
 
 # A beam that goes on this far [m] behind a place shows that nothing stands there.
 _BEHIND_M = 0.1

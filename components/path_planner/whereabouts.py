@@ -5,8 +5,8 @@ from __future__ import annotations
 from enum import Enum, auto
 
 from cairn.clock import SECOND
-from planar.odometry import Added, OdometryHistory, jumped
-from planar.poses import Pose
+from cairn.planar.odometry import Added, OdometryHistory, jumped
+from cairn.planar.poses import Pose
 
 _HORIZON_NS = 3 * SECOND
 

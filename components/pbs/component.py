@@ -6,21 +6,21 @@ import time
 
 from cairn.bus.qos import LATCHED, SENSOR
 from cairn.clock import SECOND, from_ns
-from cairn.component.component import Component
-from cairn.component.handlers import every
-from cairn.component.parameters import Config, ParameterRefused
-from cairn.component.ports import Out
+from cairn.components.pbs.config import PbsConfig
+from cairn.components.pbs.conversation import Conversation, Measured
+from cairn.components.pbs.scan_message import ScanShape
 from cairn.driver.device_feed import DeviceFeed
 from cairn.driver.diagnostics import ERROR, OK, WARN, diagnostics
 from cairn.driver.errors import DeviceError
-from components.pbs.config import PbsConfig
-from components.pbs.conversation import Conversation, Measured
-from components.pbs.scan_message import ScanShape
-from planar.messages import transform_message
-from schemas.diagnostic_msgs import DiagnosticArray
-from schemas.sensor_msgs import LaserScan
-from schemas.std_msgs import Header
-from schemas.tf2_msgs import TFMessage
+from cairn.planar.messages import transform_message
+from cairn.runtime.component import Component
+from cairn.runtime.handlers import every
+from cairn.runtime.parameters import Config, ParameterRefused
+from cairn.runtime.ports import Out
+from cairn.schemas.diagnostic_msgs import DiagnosticArray
+from cairn.schemas.sensor_msgs import LaserScan
+from cairn.schemas.std_msgs import Header
+from cairn.schemas.tf2_msgs import TFMessage
 
 
 class PbsScanner(Component):

@@ -7,9 +7,9 @@ from typing import Literal
 
 from pydantic import Field
 
-from cairn.component.mount import Mount
-from cairn.component.parameters import Config
 from cairn.driver.device_names import SerialPort
+from cairn.runtime.mount import Mount
+from cairn.runtime.parameters import Config
 
 
 class PbsConfig(Config):

@@ -10,13 +10,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from cairn.components.pbs.config import PbsConfig
+from cairn.components.pbs.frames import FrameSplitter
+from cairn.components.pbs.messages import BAUD
+from cairn.components.pbs.scan_message import TURN_S
+from cairn.components.pbs.session import Session
 from cairn.driver.errors import DeviceError
 from cairn.driver.link import SerialLink
-from components.pbs.config import PbsConfig
-from components.pbs.frames import FrameSplitter
-from components.pbs.messages import BAUD
-from components.pbs.scan_message import TURN_S
-from components.pbs.session import Session
 
 _REFUSALS = 4  # of the link, in a row
 _LISTEN_S = 0.1

@@ -7,9 +7,9 @@ from typing import Annotated
 
 import typer
 
+from cairn.components.pbs.emulated_pbs import EmulatedPbs
 from cairn.driver.emulate_command import Faults, Paced, Place, Pty, Seed, Serial, Tcp, emulate
 from cairn.driver.emulator_record import recording
-from components.pbs.emulated_pbs import EmulatedPbs
 
 
 def pbs_03jn(

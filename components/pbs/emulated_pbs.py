@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from components.pbs import messages
-from components.pbs.emulated_scene import room
-from components.pbs.frames import FrameSplitter, framed
+from cairn.components.pbs import messages
+from cairn.components.pbs.emulated_scene import room
+from cairn.components.pbs.frames import FrameSplitter, framed
 
 TURN_S, SLOW_TURN_S = 0.1, 0.11
 """Time of a turn, and in its low-speed mode [s]."""

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from components.pbs.messages import RAYS
+from cairn.components.pbs.messages import RAYS
 
 NOTHING_MM = 0xFFFF
 """Told where no light comes back."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from components.pbs.frames import crc16
+from cairn.components.pbs.frames import crc16
 
 RAYS = 121
 BAUD = 57600

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from components.pbs.messages import RAYS
-from schemas.sensor_msgs import LaserScan
-from schemas.std_msgs import Header
+from cairn.components.pbs.messages import RAYS
+from cairn.schemas.sensor_msgs import LaserScan
+from cairn.schemas.std_msgs import Header
 
 RANGE_MIN = 0.2
 """What is nearer cannot be ranged [m]."""

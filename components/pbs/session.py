@@ -9,8 +9,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from components.pbs import messages
-from components.pbs.frames import framed
+from cairn.components.pbs import messages
+from cairn.components.pbs.frames import framed
 
 _ANSWER_S = 0.3  # an answer with distances takes 0.05 s on the line
 _RENEW_S = 2.0  # of the three seconds for which the link holds

@@ -9,10 +9,10 @@ from typing import Any, TypeVar
 import numpy as np
 
 from cairn.clock import SECOND, from_ns
-from components.replay.bag_file import read_bag
-from components.replay.bag_images import bag_images, image_topics
-from components.replay.bag_times import own_stamps
-from components.replay.recording import (
+from cairn.components.replay.bag_file import read_bag
+from cairn.components.replay.bag_images import bag_images, image_topics
+from cairn.components.replay.bag_times import own_stamps
+from cairn.components.replay.recording import (
     Images,
     Odometry,
     RecordingError,
@@ -22,15 +22,15 @@ from components.replay.recording import (
     Trajectory,
     from_deviations,
 )
-from components.replay.wheel_odometry import deviations, velocities
-from planar.messages import planar_pose
-from planar.poses import Pose
-from schemas.cairn_msgs import VisualMap
-from schemas.geometry_msgs import Point, Quaternion
-from schemas.geometry_msgs import Pose as PoseMessage
-from schemas.message import InvalidMessage
-from schemas.sensor_msgs import LaserScan
-from schemas.std_msgs import Header
+from cairn.components.replay.wheel_odometry import deviations, velocities
+from cairn.planar.messages import planar_pose
+from cairn.planar.poses import Pose
+from cairn.schemas.cairn_msgs import VisualMap
+from cairn.schemas.geometry_msgs import Point, Quaternion
+from cairn.schemas.geometry_msgs import Pose as PoseMessage
+from cairn.schemas.message import InvalidMessage
+from cairn.schemas.sensor_msgs import LaserScan
+from cairn.schemas.std_msgs import Header
 
 T = TypeVar("T")
 Received = Sequence[tuple[int, Any]]

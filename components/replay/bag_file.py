@@ -13,8 +13,8 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.msg import normalize_msgtype
 
-from components.replay.recording import RecordingError
-from components.replay.ros1_sequence import SequentialBag
+from cairn.components.replay.recording import RecordingError
+from cairn.components.replay.ros1_sequence import SequentialBag
 
 Choice = Callable[[Mapping[str, str]], Collection[str]]
 """Which topics to read, given the message type (`package/msg/Name`) of each."""

@@ -13,13 +13,13 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
 from cairn.clock import SECOND
+from cairn.components.replay.bag_times import own_stamps
+from cairn.components.replay.recording import Grey, Images, RecordingError
 from cairn.errors import CairnError
-from components.replay.bag_times import own_stamps
-from components.replay.recording import Grey, Images, RecordingError
-from schemas.message import InvalidMessage
-from schemas.sensor_msgs import Image
-from vision.image_files import side_of
-from vision.images import decoded, grey_of
+from cairn.schemas.message import InvalidMessage
+from cairn.schemas.sensor_msgs import Image
+from cairn.vision.image_files import side_of
+from cairn.vision.images import decoded, grey_of
 
 IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 """The types of topics that hold images."""

@@ -9,18 +9,18 @@ from pydantic import Field
 
 from cairn.bus.qos import SENSOR
 from cairn.clock import from_ns
-from cairn.component.complaints import Complaints
-from cairn.component.handlers import every
-from cairn.component.marks import ReadPath
-from cairn.component.ports import Out
+from cairn.components.replay.driver import RecordingConfig, RecordingDriver
+from cairn.components.replay.due import Records
+from cairn.components.replay.recording import Grey, Images
 from cairn.errors import CairnError
-from components.replay.driver import RecordingConfig, RecordingDriver
-from components.replay.due import Records
-from components.replay.recording import Grey, Images
-from schemas.sensor_msgs import CameraInfo, Image
-from schemas.std_msgs import Header
-from vision.camera_file import read_camera
-from vision.stereo import StereoRig
+from cairn.runtime.complaints import Complaints
+from cairn.runtime.handlers import every
+from cairn.runtime.marks import ReadPath
+from cairn.runtime.ports import Out
+from cairn.schemas.sensor_msgs import CameraInfo, Image
+from cairn.schemas.std_msgs import Header
+from cairn.vision.camera_file import read_camera
+from cairn.vision.stereo import StereoRig
 
 _FRAMES = ("left_camera_optical_frame", "right_camera_optical_frame")
 

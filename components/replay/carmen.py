@@ -10,9 +10,9 @@ from typing import TypeVar
 import numpy as np
 
 from cairn.clock import from_ns
-from components.replay.carmen_lines import LaserLine, OdometryLine, read_log
-from components.replay.carmen_poses import chained, corrected, signed
-from components.replay.recording import (
+from cairn.components.replay.carmen_lines import LaserLine, OdometryLine, read_log
+from cairn.components.replay.carmen_poses import chained, corrected, signed
+from cairn.components.replay.recording import (
     Images,
     Odometry,
     RecordingError,
@@ -23,13 +23,13 @@ from components.replay.recording import (
     from_deviations,
     nanoseconds,
 )
-from components.replay.text_lines import damaged
-from components.replay.wheel_odometry import agree, deviations, velocities
-from planar.poses import Pose
-from schemas.cairn_msgs import VisualMap
-from schemas.message import InvalidMessage
-from schemas.sensor_msgs import LaserScan
-from schemas.std_msgs import Header
+from cairn.components.replay.text_lines import damaged
+from cairn.components.replay.wheel_odometry import agree, deviations, velocities
+from cairn.planar.poses import Pose
+from cairn.schemas.cairn_msgs import VisualMap
+from cairn.schemas.message import InvalidMessage
+from cairn.schemas.sensor_msgs import LaserScan
+from cairn.schemas.std_msgs import Header
 
 Line = TypeVar("Line", OdometryLine, LaserLine)
 

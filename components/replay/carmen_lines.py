@@ -15,9 +15,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from components.replay.recording import RecordingError
-from components.replay.text_lines import damaged, text_lines
-from planar.poses import Pose
+from cairn.components.replay.recording import RecordingError
+from cairn.components.replay.text_lines import damaged, text_lines
+from cairn.planar.poses import Pose
 
 MESSAGES = ("PARAM", "SYNC", "ODOM", "FLASER", "RLASER", "TRUEPOS", "RAWLASER1", "ROBOTLASER1")
 """Names that lines of a CARMEN log begin with, among others."""

@@ -9,8 +9,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from components.replay.carmen_lines import LaserLine, OdometryLine
-from planar.poses import Pose, compose, inverse, relative, wrap_all
+from cairn.components.replay.carmen_lines import LaserLine, OdometryLine
+from cairn.planar.poses import Pose, compose, inverse, relative, wrap_all
 
 Array = NDArray[np.float64]
 

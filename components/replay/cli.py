@@ -9,9 +9,9 @@ import typer
 
 from cairn.cli.connection import Json
 from cairn.cli.tables import line, note, print_json, show
-from components.replay.contents import contents_of
-from components.replay.formats import open_recording
-from components.replay.pictures import draw_recording
+from cairn.components.replay.contents import contents_of
+from cairn.components.replay.formats import open_recording
+from cairn.components.replay.pictures import draw_recording
 
 app = typer.Typer(help="Recordings: what they hold, as a table and a picture.")
 

@@ -8,13 +8,13 @@ from pydantic import Field
 
 from cairn.bus.qos import LATCHED
 from cairn.clock import SECOND, from_ns, to_ns
-from cairn.component.component import Component
-from cairn.component.handlers import on
-from cairn.component.parameters import Config, ParameterRefused
-from cairn.component.ports import In, Out
-from components.replay.driver import RecordingConfig
-from components.replay.odometry import REACHED_EVERY
-from schemas.rosgraph_msgs import Clock
+from cairn.components.replay.driver import RecordingConfig
+from cairn.components.replay.odometry import REACHED_EVERY
+from cairn.runtime.component import Component
+from cairn.runtime.handlers import on
+from cairn.runtime.parameters import Config, ParameterRefused
+from cairn.runtime.ports import In, Out
+from cairn.schemas.rosgraph_msgs import Clock
 
 # How long to listen for the time of a replay that runs already [ns].
 _LISTEN = SECOND // 2

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from cairn.clock import SECOND
-from components.replay.recording import Recording
+from cairn.components.replay.recording import Recording
 
 
 def contents_of(recording: Recording) -> dict[str, Any]:

@@ -6,14 +6,14 @@ from collections.abc import Mapping
 from itertools import islice
 from pathlib import Path
 
-from components.replay.bag import BagRecording
-from components.replay.carmen import CarmenRecording
-from components.replay.carmen_lines import MESSAGES
-from components.replay.image_recording import ImageRecording, holds_images
-from components.replay.mrclam import MrclamRecording
-from components.replay.recording import Recording, RecordingError
-from components.replay.text_lines import text_lines
-from components.replay.video import is_video
+from cairn.components.replay.bag import BagRecording
+from cairn.components.replay.carmen import CarmenRecording
+from cairn.components.replay.carmen_lines import MESSAGES
+from cairn.components.replay.image_recording import ImageRecording, holds_images
+from cairn.components.replay.mrclam import MrclamRecording
+from cairn.components.replay.recording import Recording, RecordingError
+from cairn.components.replay.text_lines import text_lines
+from cairn.components.replay.video import is_video
 
 _KINDS = (
     "an MRCLAM folder (Barcodes.dat and Robot<n>_*.dat), a CARMEN log, a ROS 1 bag, "

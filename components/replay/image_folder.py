@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from components.replay.image_times import check_order, times_of
-from components.replay.recording import Grey, Images, RecordingError
-from vision.image_files import images_in, paired, sides_of
-from vision.images import read_image, upright_size
+from cairn.components.replay.image_times import check_order, times_of
+from cairn.components.replay.recording import Grey, Images, RecordingError
+from cairn.vision.image_files import images_in, paired, sides_of
+from cairn.vision.images import read_image, upright_size
 
 
 def open_folder(folder: Path, rate_hz: float | None) -> tuple[Images, list[str]]:

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from cairn.errors import CairnError
-from components.replay.image_folder import open_folder
-from components.replay.recording import (
+from cairn.components.replay.image_folder import open_folder
+from cairn.components.replay.recording import (
     Images,
     Odometry,
     RecordingError,
@@ -16,9 +15,10 @@ from components.replay.recording import (
     Source,
     Trajectory,
 )
-from components.replay.video import is_video, open_videos
-from schemas.cairn_msgs import VisualMap
-from vision.image_files import SUFFIXES, is_of_camera, paired, side_of
+from cairn.components.replay.video import is_video, open_videos
+from cairn.errors import CairnError
+from cairn.schemas.cairn_msgs import VisualMap
+from cairn.vision.image_files import SUFFIXES, is_of_camera, paired, side_of
 
 
 class ImageRecording:

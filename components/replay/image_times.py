@@ -9,8 +9,8 @@ from itertools import pairwise
 from pathlib import Path
 
 from cairn.clock import SECOND
-from components.replay.recording import RecordingError
-from components.replay.text_lines import text_lines
+from cairn.components.replay.recording import RecordingError
+from cairn.components.replay.text_lines import text_lines
 
 TIMES = "times.txt"
 """The file that tells it: a line for each image, its time [s], and its name if need be."""

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from components.replay.mrclam_files import Dataset
-from schemas.cairn_msgs import VisualMap, VisualObject
-from schemas.std_msgs import Header
+from cairn.components.replay.mrclam_files import Dataset
+from cairn.schemas.cairn_msgs import VisualMap, VisualObject
+from cairn.schemas.std_msgs import Header
 
 
 def read_landmarks(folder: Path) -> VisualMap:

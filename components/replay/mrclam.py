@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from components.replay.dead_reckoning import reckon
-from components.replay.landmarks import read_landmarks
-from components.replay.mrclam_files import ROBOTS, Dataset
-from components.replay.recording import (
+from cairn.components.replay.dead_reckoning import reckon
+from cairn.components.replay.landmarks import read_landmarks
+from cairn.components.replay.mrclam_files import ROBOTS, Dataset
+from cairn.components.replay.recording import (
     Images,
     Odometry,
     Scans,
@@ -21,8 +21,8 @@ from components.replay.recording import (
     from_deviations,
     nanoseconds,
 )
-from components.replay.sighting_noise import range_bearing_variance
-from schemas.cairn_msgs import VisualMap
+from cairn.components.replay.sighting_noise import range_bearing_variance
+from cairn.schemas.cairn_msgs import VisualMap
 
 
 class MrclamRecording:

@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from components.replay.recording import RecordingError
-from components.replay.text_lines import damaged, text_lines
+from cairn.components.replay.recording import RecordingError
+from cairn.components.replay.text_lines import damaged, text_lines
 
 Table = NDArray[np.float64]
 

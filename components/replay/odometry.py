@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from cairn.bus.qos import LATCHED, RELIABLE
 from cairn.clock import SECOND, from_ns
-from cairn.component.handlers import every
-from cairn.component.ports import Out
-from components.replay.driver import RecordingDriver
-from components.replay.due import Records
-from planar.messages import with_covariance
-from schemas.geometry_msgs import Twist, TwistWithCovariance, Vector3
-from schemas.nav_msgs import Odometry
-from schemas.rosgraph_msgs import Clock
-from schemas.std_msgs import Header
+from cairn.components.replay.driver import RecordingDriver
+from cairn.components.replay.due import Records
+from cairn.planar.messages import with_covariance
+from cairn.runtime.handlers import every
+from cairn.runtime.ports import Out
+from cairn.schemas.geometry_msgs import Twist, TwistWithCovariance, Vector3
+from cairn.schemas.nav_msgs import Odometry
+from cairn.schemas.rosgraph_msgs import Clock
+from cairn.schemas.std_msgs import Header
 
 # How often to tell the time that the replay has reached [ns].
 REACHED_EVERY = SECOND // 4

@@ -10,9 +10,9 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from cairn.clock import SECOND
-from components.replay.recording import Odometry, Recording, RecordingError, Scans
-from planar.poses import Pose
-from planar.scans import beams_of
+from cairn.components.replay.recording import Odometry, Recording, RecordingError, Scans
+from cairn.planar.poses import Pose
+from cairn.planar.scans import beams_of
 
 Array = NDArray[np.float64]
 

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cairn.errors import CairnError
-from schemas.cairn_msgs import VisualMap
-from schemas.sensor_msgs import LaserScan
+from cairn.schemas.cairn_msgs import VisualMap
+from cairn.schemas.sensor_msgs import LaserScan
 
 Array = NDArray[np.float64]
 Grey = NDArray[np.uint8]

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from rosbags.rosbag1.reader import decompressors
 
-from components.replay.recording import RecordingError
+from cairn.components.replay.recording import RecordingError
 
 _DEFINITION_1_2, _MESSAGE, _HEADER, _INDEX, _CHUNK, _CHUNK_INFO, _CONNECTION = range(1, 8)
 _LONGEST_HEADER = 1 << 16

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from cairn.bus.qos import SENSOR
-from cairn.component.handlers import every
-from cairn.component.ports import Out
-from components.replay.driver import RecordingDriver
-from components.replay.due import Records
-from schemas.sensor_msgs import LaserScan
+from cairn.components.replay.driver import RecordingDriver
+from cairn.components.replay.due import Records
+from cairn.runtime.handlers import every
+from cairn.runtime.ports import Out
+from cairn.schemas.sensor_msgs import LaserScan
 
 
 class ReplayScanner(RecordingDriver):

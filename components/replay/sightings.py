@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from cairn.clock import from_ns
-from cairn.component.handlers import every
-from cairn.component.ports import Out
-from components.replay.driver import RecordingDriver
-from components.replay.due import Records
-from components.replay.recording import Sighting, Sightings
-from schemas.cairn_msgs import RecognizedObject, RecognizedObjectArray
-from schemas.std_msgs import Header
+from cairn.components.replay.driver import RecordingDriver
+from cairn.components.replay.due import Records
+from cairn.components.replay.recording import Sighting, Sightings
+from cairn.runtime.handlers import every
+from cairn.runtime.ports import Out
+from cairn.schemas.cairn_msgs import RecognizedObject, RecognizedObjectArray
+from cairn.schemas.std_msgs import Header
 
 
 class ReplaySightings(RecordingDriver):

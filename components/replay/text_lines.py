@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from io import BufferedReader
 from pathlib import Path
 
-from components.replay.recording import RecordingError
+from cairn.components.replay.recording import RecordingError
 
 
 def text_lines(path: Path) -> Iterator[tuple[int, str]]:

@@ -6,14 +6,14 @@ from bisect import bisect_left, bisect_right
 
 from cairn.bus.qos import LATCHED
 from cairn.clock import from_ns
-from cairn.component.handlers import every
-from cairn.component.ports import Out
-from components.replay.driver import RecordingDriver
-from components.replay.due import Records
-from planar.messages import pose_message
-from schemas.cairn_msgs import VisualMap
-from schemas.geometry_msgs import PoseStamped
-from schemas.std_msgs import Header
+from cairn.components.replay.driver import RecordingDriver
+from cairn.components.replay.due import Records
+from cairn.planar.messages import pose_message
+from cairn.runtime.handlers import every
+from cairn.runtime.ports import Out
+from cairn.schemas.cairn_msgs import VisualMap
+from cairn.schemas.geometry_msgs import PoseStamped
+from cairn.schemas.std_msgs import Header
 
 # The least time between two poses [ns]: 10 Hz, and some freedom for how records fall.
 _APART = 99_900_000

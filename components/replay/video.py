@@ -9,8 +9,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from components.replay.image_times import at_rate
-from components.replay.recording import Grey, Images, RecordingError
+from cairn.components.replay.image_times import at_rate
+from cairn.components.replay.recording import Grey, Images, RecordingError
 
 
 def is_video(path: Path) -> bool:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from planar.poses import wrap_all
+from cairn.planar.poses import wrap_all
 
 Array = NDArray[np.float64]
 

@@ -10,19 +10,19 @@ from pydantic import Field
 
 from cairn.bus.qos import LATCHED, RELIABLE
 from cairn.clock import to_ns
-from cairn.component.component import Component
-from cairn.component.handlers import every, on
-from cairn.component.parameters import Config
-from cairn.component.ports import In
+from cairn.components.report.journal import Journal, Value
+from cairn.components.report.record import RunRecord
+from cairn.components.report.table import render_table
 from cairn.errors import CairnError
-from components.report.journal import Journal, Value
-from components.report.record import RunRecord
-from components.report.table import render_table
-from planar.messages import planar_pose, planar_poses
-from schemas.cairn_msgs import ComponentStatus, VisualMap, VisualMapChange, VisualObject
-from schemas.cairn_nav_msgs import MOVE_STATES, Collision, MoveOrder, MoveStatus
-from schemas.geometry_msgs import PoseStamped, PoseWithCovarianceStamped
-from schemas.nav_msgs import OccupancyGrid
+from cairn.planar.messages import planar_pose, planar_poses
+from cairn.runtime.component import Component
+from cairn.runtime.handlers import every, on
+from cairn.runtime.parameters import Config
+from cairn.runtime.ports import In
+from cairn.schemas.cairn_msgs import ComponentStatus, VisualMap, VisualMapChange, VisualObject
+from cairn.schemas.cairn_nav_msgs import MOVE_STATES, Collision, MoveOrder, MoveStatus
+from cairn.schemas.geometry_msgs import PoseStamped, PoseWithCovarianceStamped
+from cairn.schemas.nav_msgs import OccupancyGrid
 
 _MANY = RELIABLE.with_depth(500)
 _STATES = {
@@ -165,7 +165,7 @@ class Report(Component):
         if self._journal is None:
             return
         # Matplotlib takes half a second and 40 MB: not before the run is over.
-        from components.report.pictures import draw_map, draw_reliability
+        from cairn.components.report.pictures import draw_map, draw_reliability
 
         if self.clock.now():  # a report begun anew at the very end may not have heard of it
             self._note("ends", self.clock.now())

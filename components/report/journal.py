@@ -5,7 +5,7 @@ import logging
 from pathlib import Path
 from typing import IO
 
-from components.report.record import RunRecord
+from cairn.components.report.record import RunRecord
 
 Value = int | float | str | None | list["Value"]
 

@@ -10,10 +10,10 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.transforms import Affine2D
 
-from components.report.record import ObjectRecord, RunRecord
-from planar.grid import OCCUPIED_FROM, grid_of
-from planar.poses import compose
-from schemas.nav_msgs import OccupancyGrid
+from cairn.components.report.record import ObjectRecord, RunRecord
+from cairn.planar.grid import OCCUPIED_FROM, grid_of
+from cairn.planar.poses import compose
+from cairn.schemas.nav_msgs import OccupancyGrid
 
 _TRUE = "#9a9a9a"
 _ESTIMATE = "#1f6fb4"

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from components.report.moves import Moves
-from components.report.orders import OrderRecord, Touch
-from components.report.track import TrackError, track_error
+from cairn.components.report.moves import Moves
+from cairn.components.report.orders import OrderRecord, Touch
+from cairn.components.report.track import TrackError, track_error
 
 _LONGEST_GAP_NS = 1_000_000_000
 _NS = 1e-9

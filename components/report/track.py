@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planar.poses import wrap_all
+from cairn.planar.poses import wrap_all
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from components.roboclaw.kinematics import Pair
+from cairn.components.roboclaw.kinematics import Pair
 
 STILL: Pair = (0.0, 0.0)
 

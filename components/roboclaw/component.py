@@ -6,34 +6,34 @@ import math
 import time
 
 from cairn.bus.qos import RELIABLE, SENSOR
-from cairn.component.complaints import Complaints
-from cairn.component.component import Component
-from cairn.component.handlers import every, on
-from cairn.component.parameters import Config, ParameterRefused
-from cairn.component.ports import In, Out
-from cairn.driver.device_thread import DeviceThread
-from cairn.driver.errors import DeviceError
-from cairn.driver.rate import RateWindow
-from cairn.errors import CairnError
-from components.roboclaw.commanding import LatestCommand
-from components.roboclaw.config import RoboclawBaseConfig
-from components.roboclaw.driving import Driving, Step
-from components.roboclaw.health import Health, RetryShare
-from components.roboclaw.lines import open_line
-from components.roboclaw.messages import (
+from cairn.components.roboclaw.commanding import LatestCommand
+from cairn.components.roboclaw.config import RoboclawBaseConfig
+from cairn.components.roboclaw.driving import Driving, Step
+from cairn.components.roboclaw.health import Health, RetryShare
+from cairn.components.roboclaw.lines import open_line
+from cairn.components.roboclaw.messages import (
     AWAITS_REST,
     battery_message,
     diagnostics_message,
     odometry_message,
     odometry_transform,
 )
-from components.roboclaw.odometry import RecentSpeed, WheelOdometry
-from components.roboclaw.setting_up import Ready
-from schemas.diagnostic_msgs import DiagnosticArray
-from schemas.geometry_msgs import Twist
-from schemas.nav_msgs import Odometry
-from schemas.sensor_msgs import BatteryState
-from schemas.tf2_msgs import TFMessage
+from cairn.components.roboclaw.odometry import RecentSpeed, WheelOdometry
+from cairn.components.roboclaw.setting_up import Ready
+from cairn.driver.device_thread import DeviceThread
+from cairn.driver.errors import DeviceError
+from cairn.driver.rate import RateWindow
+from cairn.errors import CairnError
+from cairn.runtime.complaints import Complaints
+from cairn.runtime.component import Component
+from cairn.runtime.handlers import every, on
+from cairn.runtime.parameters import Config, ParameterRefused
+from cairn.runtime.ports import In, Out
+from cairn.schemas.diagnostic_msgs import DiagnosticArray
+from cairn.schemas.geometry_msgs import Twist
+from cairn.schemas.nav_msgs import Odometry
+from cairn.schemas.sensor_msgs import BatteryState
+from cairn.schemas.tf2_msgs import TFMessage
 
 _PAUSE_S = 0.5  # between steps: the line was gone
 

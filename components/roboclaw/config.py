@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from pydantic import Field, model_validator
 
-from cairn.component.parameters import Config
+from cairn.components.roboclaw.driving import DriveSettings
+from cairn.components.roboclaw.kinematics import Channel, Geometry, Limits
+from cairn.components.roboclaw.odometry import OdometryErrors
+from cairn.components.roboclaw.wheel_watch import WatchLimits
 from cairn.driver.device_names import SerialPort
-from components.roboclaw.driving import DriveSettings
-from components.roboclaw.kinematics import Channel, Geometry, Limits
-from components.roboclaw.odometry import OdometryErrors
-from components.roboclaw.wheel_watch import WatchLimits
+from cairn.runtime.parameters import Config
 
 _CYCLES = 4
 

@@ -6,11 +6,9 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from cairn.driver.errors import DeviceError
-from cairn.driver.link import Link
-from components.roboclaw import commands, status
-from components.roboclaw.commands import Order, Question
-from components.roboclaw.packets import (
+from cairn.components.roboclaw import commands, status
+from cairn.components.roboclaw.commands import Order, Question
+from cairn.components.roboclaw.packets import (
     ACKNOWLEDGED,
     PACKET_TIMEOUT_S,
     SUM_SIZE,
@@ -18,6 +16,8 @@ from components.roboclaw.packets import (
     question_packet,
     reply_data,
 )
+from cairn.driver.errors import DeviceError
+from cairn.driver.link import Link
 
 _BITS_PER_BYTE = 10  # start, eight of data, stop
 _LATE = 128  # bytes of earlier replies that may come before the one that is waited for

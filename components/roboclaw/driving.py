@@ -9,16 +9,16 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 
+from cairn.components.roboclaw import commands
+from cairn.components.roboclaw.commanding import STILL, LatestCommand
+from cairn.components.roboclaw.dialogue import Dialogue
+from cairn.components.roboclaw.encoder_reading import Counted, EncoderReader
+from cairn.components.roboclaw.health import Health, asking
+from cairn.components.roboclaw.kinematics import Geometry, Limits, Pair, approached, limited
+from cairn.components.roboclaw.setting_up import Ready, set_up
+from cairn.components.roboclaw.wheel_watch import WatchLimits, WheelWatch
 from cairn.driver.errors import DeviceError
 from cairn.driver.link import Link
-from components.roboclaw import commands
-from components.roboclaw.commanding import STILL, LatestCommand
-from components.roboclaw.dialogue import Dialogue
-from components.roboclaw.encoder_reading import Counted, EncoderReader
-from components.roboclaw.health import Health, asking
-from components.roboclaw.kinematics import Geometry, Limits, Pair, approached, limited
-from components.roboclaw.setting_up import Ready, set_up
-from components.roboclaw.wheel_watch import WatchLimits, WheelWatch
 
 _STANDS_BELOW = 0.01  # [m/s]: slower than this, and a wheel stands
 _STAND_S = 1.0  # for standing still, beyond the time that slowing down takes

@@ -8,8 +8,8 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable
 
-from components.roboclaw.commands import LONGEST_VERSION, TIMEOUT_STEP_S, VERSION_END
-from components.roboclaw.emulated_controller import EmulatedController
+from cairn.components.roboclaw.commands import LONGEST_VERSION, TIMEOUT_STEP_S, VERSION_END
+from cairn.components.roboclaw.emulated_controller import EmulatedController
 
 Answer = Callable[[EmulatedController], bytes]
 _FULL_DUTY = 32767

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-from components.roboclaw.emulated_motor import EmulatedMotor, MotorFault
+from cairn.components.roboclaw.emulated_motor import EmulatedMotor, MotorFault
 
 Firmware = Literal["old", "usual", "new"]
 """Old: 16 bits of status; new: battery limits with a byte more (`commands.NEW_MAIN_VOLTAGES`)."""

@@ -12,8 +12,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from components.roboclaw.commands import TIMEOUT_STEP_S
-from components.roboclaw.emulated_controller import EmulatedController, Firmware
+from cairn.components.roboclaw.commands import TIMEOUT_STEP_S
+from cairn.components.roboclaw.emulated_controller import EmulatedController, Firmware
 
 _FULL_DUTY = 32767
 _BYTE = 127  # of the commands with seven bits: full power

@@ -10,10 +10,10 @@ import math
 from collections import deque
 from dataclasses import dataclass
 
-from components.roboclaw.emulated_answers import ANSWERS
-from components.roboclaw.emulated_controller import EmulatedController, Firmware
-from components.roboclaw.emulated_orders import Ordered, orders_of
-from components.roboclaw.packets import (
+from cairn.components.roboclaw.emulated_answers import ANSWERS
+from cairn.components.roboclaw.emulated_controller import EmulatedController, Firmware
+from cairn.components.roboclaw.emulated_orders import Ordered, orders_of
+from cairn.components.roboclaw.packets import (
     ACKNOWLEDGED,
     ADDRESSES,
     PACKET_TIMEOUT_S,

@@ -5,9 +5,9 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 
-from components.roboclaw.commands import ENCODERS
-from components.roboclaw.dialogue import Dialogue
-from components.roboclaw.kinematics import counted
+from cairn.components.roboclaw.commands import ENCODERS
+from cairn.components.roboclaw.dialogue import Dialogue
+from cairn.components.roboclaw.kinematics import counted
 
 _READINGS = 3
 _PROMPT_S = 0.004  # a reply that takes so much longer than usual came late

@@ -6,11 +6,11 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+from cairn.components.roboclaw import commands
+from cairn.components.roboclaw.dialogue import Dialogue, DialogueCounts
+from cairn.components.roboclaw.setting_up import check_timeout
+from cairn.components.roboclaw.status import Status
 from cairn.driver.errors import DeviceError
-from components.roboclaw import commands
-from components.roboclaw.dialogue import Dialogue, DialogueCounts
-from components.roboclaw.setting_up import check_timeout
-from components.roboclaw.status import Status
 
 
 @dataclass

@@ -5,16 +5,16 @@ from __future__ import annotations
 import numpy as np
 
 from cairn.clock import from_ns
+from cairn.components.roboclaw.driving import Step
+from cairn.components.roboclaw.health import Health
+from cairn.components.roboclaw.odometry import OdometryErrors, WheelOdometry
 from cairn.driver.diagnostics import ERROR, OK, WARN, diagnostics
-from components.roboclaw.driving import Step
-from components.roboclaw.health import Health
-from components.roboclaw.odometry import OdometryErrors, WheelOdometry
-from planar.messages import transform_message, with_covariance
-from schemas.diagnostic_msgs import DiagnosticArray
-from schemas.geometry_msgs import TransformStamped, Twist, TwistWithCovariance, Vector3
-from schemas.nav_msgs import Odometry
-from schemas.sensor_msgs import BatteryState
-from schemas.std_msgs import Header
+from cairn.planar.messages import transform_message, with_covariance
+from cairn.schemas.diagnostic_msgs import DiagnosticArray
+from cairn.schemas.geometry_msgs import TransformStamped, Twist, TwistWithCovariance, Vector3
+from cairn.schemas.nav_msgs import Odometry
+from cairn.schemas.sensor_msgs import BatteryState
+from cairn.schemas.std_msgs import Header
 
 _ODOM, _BASE = "odom", "base_link"  # frames
 _FORWARD, _TURN = 0, 35  # where their variances stand in a row-major 6 x 6

@@ -9,12 +9,12 @@ import typer
 
 from cairn.cli.connection import Json
 from cairn.cli.tables import line, note, print_json
+from cairn.components.roboclaw.dialogue import Dialogue
+from cairn.components.roboclaw.kinematics import counted
+from cairn.components.roboclaw.packets import ADDRESSES
+from cairn.components.roboclaw.probing import counts, facts, talking, turn_motor
+from cairn.components.roboclaw.wheel_advice import Direction, Turned, Wheel, advice
 from cairn.errors import CairnError
-from components.roboclaw.dialogue import Dialogue
-from components.roboclaw.kinematics import counted
-from components.roboclaw.packets import ADDRESSES
-from components.roboclaw.probing import counts, facts, talking, turn_motor
-from components.roboclaw.wheel_advice import Direction, Turned, Wheel, advice
 
 _EVERY_S = 0.5
 _TURN_S = 1.0

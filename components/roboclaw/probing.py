@@ -7,11 +7,11 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Literal
 
-from components.roboclaw import commands
-from components.roboclaw.commands import TIMEOUT_STEP_S
-from components.roboclaw.dialogue import Dialogue, DialogueCounts
-from components.roboclaw.kinematics import counted
-from components.roboclaw.lines import open_line
+from cairn.components.roboclaw import commands
+from cairn.components.roboclaw.commands import TIMEOUT_STEP_S
+from cairn.components.roboclaw.dialogue import Dialogue, DialogueCounts
+from cairn.components.roboclaw.kinematics import counted
+from cairn.components.roboclaw.lines import open_line
 
 _TIMEOUT_S = 0.3  # while motors turn
 _REPLY_S = 0.25  # for a reply: here a person waits, and no wheel turns by what is late

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from cairn.errors import CairnError
-from components.roboclaw import commands
-from components.roboclaw.commands import (
+from cairn.components.roboclaw import commands
+from cairn.components.roboclaw.commands import (
     MAIN_VOLTAGES,
     NEW_MAIN_VOLTAGES,
     SPEED_LOOPS,
     TIMEOUT,
     TIMEOUT_STEP_S,
 )
-from components.roboclaw.dialogue import Dialogue
-from components.roboclaw.kinematics import Geometry, Limits
+from cairn.components.roboclaw.dialogue import Dialogue
+from cairn.components.roboclaw.kinematics import Geometry, Limits
+from cairn.errors import CairnError
 
 _FULL_SPEED_SHARE = 0.95  # the speed loop needs something in hand
 

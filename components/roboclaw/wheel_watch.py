@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from components.roboclaw.kinematics import Pair
+from cairn.components.roboclaw.kinematics import Pair
 
 _STANDS, _BACKWARDS, _RUNS_AWAY = "stands", "backwards", "runs_away"
 

@@ -4,22 +4,22 @@ from __future__ import annotations
 
 from cairn.bus.qos import RELIABLE, SENSOR
 from cairn.clock import SECOND, to_ns
-from cairn.component.complaints import Complaints
-from cairn.component.component import Component
-from cairn.component.handlers import every, on
-from cairn.component.parameters import Config, ParameterRefused
-from cairn.component.ports import In, Out
+from cairn.components.ros2_base.commanding import REST, Commanding
+from cairn.components.ros2_base.config import Ros2BaseConfig
+from cairn.components.ros2_base.messages import odometry, stamped_twist, transform, twist
+from cairn.components.ros2_base.odometry_checks import Continuity, Expected, refusal
 from cairn.driver.diagnostics import ERROR, OK, WARN, diagnostics
 from cairn.driver.rate import RateWindow
-from components.ros2_base.commanding import REST, Commanding
-from components.ros2_base.config import Ros2BaseConfig
-from components.ros2_base.messages import odometry, stamped_twist, transform, twist
-from components.ros2_base.odometry_checks import Continuity, Expected, refusal
-from planar.messages import planar_pose
-from schemas.diagnostic_msgs import DiagnosticArray
-from schemas.geometry_msgs import Twist, TwistStamped
-from schemas.nav_msgs import Odometry
-from schemas.tf2_msgs import TFMessage
+from cairn.planar.messages import planar_pose
+from cairn.runtime.complaints import Complaints
+from cairn.runtime.component import Component
+from cairn.runtime.handlers import every, on
+from cairn.runtime.parameters import Config, ParameterRefused
+from cairn.runtime.ports import In, Out
+from cairn.schemas.diagnostic_msgs import DiagnosticArray
+from cairn.schemas.geometry_msgs import Twist, TwistStamped
+from cairn.schemas.nav_msgs import Odometry
+from cairn.schemas.tf2_msgs import TFMessage
 
 _FUTURE_S = 0.1  # by so much clocks of two computers may differ
 _FASTER = 2.0  # than commanded: the base may be slow to slow down, or be pushed

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from cairn.component.parameters import Config
+from cairn.runtime.parameters import Config
 
 
 class Ros2BaseConfig(Config):

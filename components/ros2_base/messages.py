@@ -8,17 +8,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cairn.clock import from_ns
-from planar.messages import pose_message, transform_message
-from planar.poses import Pose
-from schemas.geometry_msgs import (
+from cairn.planar.messages import pose_message, transform_message
+from cairn.planar.poses import Pose
+from cairn.schemas.geometry_msgs import (
     PoseWithCovariance,
     TransformStamped,
     Twist,
     TwistStamped,
     Vector3,
 )
-from schemas.nav_msgs import Odometry
-from schemas.std_msgs import Header
+from cairn.schemas.nav_msgs import Odometry
+from cairn.schemas.std_msgs import Header
 
 Array = NDArray[np.float64]
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from planar.poses import Pose, apart, compose, inverse
-from schemas.nav_msgs import Odometry
+from cairn.planar.poses import Pose, apart, compose, inverse
+from cairn.schemas.nav_msgs import Odometry
 
 _UNIT = 0.05  # how far the norm of an orientation may be off 1
 _SLACK_M = 0.1

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from components.simulation.textures import surface_pattern
+from cairn.components.simulation.textures import surface_pattern
 
 Float32 = NDArray[np.float32]
 

@@ -6,18 +6,18 @@ from pydantic import Field
 
 from cairn.bus.qos import RELIABLE, SENSOR
 from cairn.clock import SECOND, from_ns
-from cairn.component.component import Component
-from cairn.component.handlers import every, on
-from cairn.component.parameters import Config, ParameterRefused
-from cairn.component.ports import In, Out
-from components.simulation.encoders import EncoderErrors, Encoders
-from components.simulation.wheels import BaseLimits, Wheels
-from planar.messages import transform_message, with_covariance
-from schemas.cairn_sim_msgs import WheelMotion
-from schemas.geometry_msgs import Twist, TwistWithCovariance, Vector3
-from schemas.nav_msgs import Odometry
-from schemas.std_msgs import Header
-from schemas.tf2_msgs import TFMessage
+from cairn.components.simulation.encoders import EncoderErrors, Encoders
+from cairn.components.simulation.wheels import BaseLimits, Wheels
+from cairn.planar.messages import transform_message, with_covariance
+from cairn.runtime.component import Component
+from cairn.runtime.handlers import every, on
+from cairn.runtime.parameters import Config, ParameterRefused
+from cairn.runtime.ports import In, Out
+from cairn.schemas.cairn_sim_msgs import WheelMotion
+from cairn.schemas.geometry_msgs import Twist, TwistWithCovariance, Vector3
+from cairn.schemas.nav_msgs import Odometry
+from cairn.schemas.std_msgs import Header
+from cairn.schemas.tf2_msgs import TFMessage
 
 # A step longer than this [s] was held up: meanwhile the wheels stood.
 _LONGEST_S = 0.1

@@ -10,24 +10,24 @@ from numpy.typing import NDArray
 
 from cairn.bus.qos import LATCHED, RELIABLE, SENSOR
 from cairn.clock import SECOND, from_ns
-from cairn.component.component import Component
-from cairn.component.handlers import on
-from cairn.component.parameters import Config, ParameterRefused
-from cairn.component.ports import In, Out
+from cairn.components.simulation.atlas import Atlas
+from cairn.components.simulation.camera_config import LIVE, SimulatedStereoCameraConfig
+from cairn.components.simulation.exposure import Film
+from cairn.components.simulation.lens import Distortion, Lens, camera_info
+from cairn.components.simulation.photography import photograph, refuse_height
+from cairn.components.simulation.surfaces import Surfaces, surfaces_of
+from cairn.components.simulation.view import Station
+from cairn.components.simulation.watching import WorldWatch, composed
 from cairn.errors import CairnError
-from components.simulation.atlas import Atlas
-from components.simulation.camera_config import LIVE, SimulatedStereoCameraConfig
-from components.simulation.exposure import Film
-from components.simulation.lens import Distortion, Lens, camera_info
-from components.simulation.photography import photograph, refuse_height
-from components.simulation.surfaces import Surfaces, surfaces_of
-from components.simulation.view import Station
-from components.simulation.watching import WorldWatch, composed
-from schemas.cairn_sim_msgs import Scene, WorldState
-from schemas.geometry_msgs import Quaternion, Transform, TransformStamped, Vector3
-from schemas.sensor_msgs import CameraInfo, Image
-from schemas.std_msgs import Header
-from schemas.tf2_msgs import TFMessage
+from cairn.runtime.component import Component
+from cairn.runtime.handlers import on
+from cairn.runtime.parameters import Config, ParameterRefused
+from cairn.runtime.ports import In, Out
+from cairn.schemas.cairn_sim_msgs import Scene, WorldState
+from cairn.schemas.geometry_msgs import Quaternion, Transform, TransformStamped, Vector3
+from cairn.schemas.sensor_msgs import CameraInfo, Image
+from cairn.schemas.std_msgs import Header
+from cairn.schemas.tf2_msgs import TFMessage
 
 Grey = NDArray[np.uint8]
 

@@ -7,8 +7,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from cairn.component.mount import Mount
-from cairn.component.parameters import Config
+from cairn.runtime.mount import Mount
+from cairn.runtime.parameters import Config
 
 Fault = Literal["none", "left_missing", "right_missing", "frozen", "right_frozen", "swapped"]
 Coefficient = Annotated[float, Field(ge=-10, le=10)]

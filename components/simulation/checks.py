@@ -6,13 +6,13 @@ from itertools import pairwise
 
 import shapely
 
+from cairn.components.simulation.recognition import BEHIND_M
+from cairn.components.simulation.scene import Scene
+from cairn.components.simulation.textures import read_picture
+from cairn.components.simulation.walls import gaps_around, wall_problems
+from cairn.components.simulation.world_file import Event, Person, VisibleObject, WorldFile
 from cairn.errors import CairnError
-from components.simulation.recognition import BEHIND_M
-from components.simulation.scene import Scene
-from components.simulation.textures import read_picture
-from components.simulation.walls import gaps_around, wall_problems
-from components.simulation.world_file import Event, Person, VisibleObject, WorldFile
-from planar.poses import Pose, compose
+from cairn.planar.poses import Pose, compose
 
 
 def problems_of(world: WorldFile, radius: float) -> list[str]:

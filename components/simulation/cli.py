@@ -19,14 +19,14 @@ from cairn.cli.connection import (
     resolve,
 )
 from cairn.cli.tables import line, note, show
+from cairn.components.simulation.checks import problems_of
+from cairn.components.simulation.columns import NEAR_M
+from cairn.components.simulation.photography import seen_from, write_picture
+from cairn.components.simulation.pictures import draw_world
+from cairn.components.simulation.scene import Scene
+from cairn.components.simulation.walls import cut_off
+from cairn.components.simulation.world_file import read_world
 from cairn.errors import CairnError
-from components.simulation.checks import problems_of
-from components.simulation.columns import NEAR_M
-from components.simulation.photography import seen_from, write_picture
-from components.simulation.pictures import draw_world
-from components.simulation.scene import Scene
-from components.simulation.walls import cut_off
-from components.simulation.world_file import read_world
 
 app = typer.Typer(
     help="Simulated worlds: check and draw their files, change the one that runs.",

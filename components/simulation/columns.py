@@ -12,11 +12,11 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from components.simulation.atlas import PATTERN
-from components.simulation.spans import TEXELS_PER_M, flat, light_at, plane, side
-from components.simulation.surfaces import GLASS, PICTURE
-from components.simulation.textures import PATTERN_TEXELS
-from planar.compiled import compiled
+from cairn.components.simulation.atlas import PATTERN
+from cairn.components.simulation.spans import TEXELS_PER_M, flat, light_at, plane, side
+from cairn.components.simulation.surfaces import GLASS, PICTURE
+from cairn.components.simulation.textures import PATTERN_TEXELS
+from cairn.planar.compiled import compiled
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]

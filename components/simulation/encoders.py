@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planar.poses import Pose, compose
+from cairn.planar.poses import Pose, compose
 
 Array = NDArray[np.float64]
 

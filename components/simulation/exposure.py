@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from planar.compiled import compiled
+from cairn.planar.compiled import compiled
 
 Float32 = NDArray[np.float32]
 Grey = NDArray[np.uint8]

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cairn.errors import CairnError
-from schemas.sensor_msgs import CameraInfo
-from schemas.std_msgs import Header
+from cairn.schemas.sensor_msgs import CameraInfo
+from cairn.schemas.std_msgs import Header
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from components.simulation.scene import Scene
-from planar.messages import packed_poses
-from schemas import cairn_sim_msgs
-from schemas.cairn_msgs import VisualMap, VisualObject
-from schemas.std_msgs import Header
+from cairn.components.simulation.scene import Scene
+from cairn.planar.messages import packed_poses
+from cairn.schemas import cairn_sim_msgs
+from cairn.schemas.cairn_msgs import VisualMap, VisualObject
+from cairn.schemas.std_msgs import Header
 
 
 def scene_message(header: Header, scene: Scene) -> cairn_sim_msgs.Scene:

@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from components.simulation.rays import clearance
-from components.simulation.world_file import Person
+from cairn.components.simulation.rays import clearance
+from cairn.components.simulation.world_file import Person
 
 Array = NDArray[np.float64]
 Point = tuple[float, float]

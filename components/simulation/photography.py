@@ -9,23 +9,23 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cairn.errors import CairnError
-from components.simulation.atlas import Atlas
-from components.simulation.camera_config import (
+from cairn.components.simulation.atlas import Atlas
+from cairn.components.simulation.camera_config import (
     LightConfig,
     SensorConfig,
     SimulatedStereoCameraConfig,
 )
-from components.simulation.exposure import Film, Noise, blurred
-from components.simulation.lens import Distortion, Lens
-from components.simulation.messages import scene_message
-from components.simulation.people import Walker, circles_of
-from components.simulation.scene import Scene
-from components.simulation.surfaces import Surfaces, surfaces_of
-from components.simulation.view import Station, ideal_image
-from components.simulation.world_file import WorldFile
-from planar.poses import Pose
-from schemas.std_msgs import Header
+from cairn.components.simulation.exposure import Film, Noise, blurred
+from cairn.components.simulation.lens import Distortion, Lens
+from cairn.components.simulation.messages import scene_message
+from cairn.components.simulation.people import Walker, circles_of
+from cairn.components.simulation.scene import Scene
+from cairn.components.simulation.surfaces import Surfaces, surfaces_of
+from cairn.components.simulation.view import Station, ideal_image
+from cairn.components.simulation.world_file import WorldFile
+from cairn.errors import CairnError
+from cairn.planar.poses import Pose
+from cairn.schemas.std_msgs import Header
 
 Grey = NDArray[np.uint8]
 

@@ -12,8 +12,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon
 
-from components.simulation.scene import corners_of
-from components.simulation.world_file import WorldFile
+from cairn.components.simulation.scene import corners_of
+from cairn.components.simulation.world_file import WorldFile
 
 _COLOURS = {"plain": "tab:gray", "dark": "black", "glass": "tab:cyan"}
 _WIDTH_IN, _LABEL_PT, _ARROW_M = 9.0, 7.0, 0.35

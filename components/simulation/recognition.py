@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from components.simulation.rays import cast
-from components.simulation.scanning import Surroundings
-from planar.poses import Pose, compose, wrap
+from cairn.components.simulation.rays import cast
+from cairn.components.simulation.scanning import Surroundings
+from cairn.planar.poses import Pose, compose, wrap
 
 # What lies this near before an object's middle does not hide it: what it hangs on [m].
 BEHIND_M = 0.1

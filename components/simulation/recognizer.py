@@ -9,16 +9,16 @@ from pydantic import Field
 
 from cairn.bus.qos import LATCHED, RELIABLE
 from cairn.clock import from_ns
-from cairn.component.component import Component
-from cairn.component.handlers import every, on
-from cairn.component.mount import Mount
-from cairn.component.parameters import Config
-from cairn.component.ports import In, Out
-from components.simulation.recognition import Eye, recognised
-from components.simulation.watching import WorldWatch
-from schemas.cairn_msgs import RecognizedObject, RecognizedObjectArray
-from schemas.cairn_sim_msgs import Scene, WorldState
-from schemas.std_msgs import Header
+from cairn.components.simulation.recognition import Eye, recognised
+from cairn.components.simulation.watching import WorldWatch
+from cairn.runtime.component import Component
+from cairn.runtime.handlers import every, on
+from cairn.runtime.mount import Mount
+from cairn.runtime.parameters import Config
+from cairn.runtime.ports import In, Out
+from cairn.schemas.cairn_msgs import RecognizedObject, RecognizedObjectArray
+from cairn.schemas.cairn_sim_msgs import Scene, WorldState
+from cairn.schemas.std_msgs import Header
 
 
 class SimulatedRecognizerConfig(Config):

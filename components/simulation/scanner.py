@@ -10,20 +10,20 @@ from pydantic import Field
 
 from cairn.bus.qos import LATCHED, RELIABLE, SENSOR
 from cairn.clock import SECOND, from_ns
-from cairn.component.component import Component
-from cairn.component.handlers import on
-from cairn.component.mount import Mount
-from cairn.component.parameters import Config, ParameterRefused
-from cairn.component.ports import In, Out
+from cairn.components.simulation.scanner_models import MODELS
+from cairn.components.simulation.scanning import Beams, Faults, sweep
+from cairn.components.simulation.watching import WorldWatch, composed
 from cairn.errors import CairnError
-from components.simulation.scanner_models import MODELS
-from components.simulation.scanning import Beams, Faults, sweep
-from components.simulation.watching import WorldWatch, composed
-from planar.messages import transform_message
-from schemas.cairn_sim_msgs import Scene, WorldState
-from schemas.sensor_msgs import LaserScan
-from schemas.std_msgs import Header
-from schemas.tf2_msgs import TFMessage
+from cairn.planar.messages import transform_message
+from cairn.runtime.component import Component
+from cairn.runtime.handlers import on
+from cairn.runtime.mount import Mount
+from cairn.runtime.parameters import Config, ParameterRefused
+from cairn.runtime.ports import In, Out
+from cairn.schemas.cairn_sim_msgs import Scene, WorldState
+from cairn.schemas.sensor_msgs import LaserScan
+from cairn.schemas.std_msgs import Header
+from cairn.schemas.tf2_msgs import TFMessage
 
 _FRAME = "laser"
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from components.simulation.rays import cast
-from components.simulation.scanner_models import ScannerModel
-from components.simulation.scene import SURFACES
+from cairn.components.simulation.rays import cast
+from cairn.components.simulation.scanner_models import ScannerModel
+from cairn.components.simulation.scene import SURFACES
 
 Array = NDArray[np.float64]
 

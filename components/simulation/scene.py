@@ -12,9 +12,15 @@ import shapely
 from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
+from cairn.components.simulation.world_file import (
+    Furniture,
+    Surface,
+    VisibleObject,
+    Wall,
+    WorldFile,
+)
 from cairn.errors import CairnError
-from components.simulation.world_file import Furniture, Surface, VisibleObject, Wall, WorldFile
-from planar.poses import Pose, compose
+from cairn.planar.poses import Pose, compose
 
 SURFACES: dict[Surface, int] = {"plain": 0, "dark": 1, "glass": 2}
 # Things that overlap by less than this [m] touch each other.

@@ -11,9 +11,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from components.simulation.atlas import PATTERN, TEXEL_M
-from components.simulation.textures import PATTERN_TEXELS
-from planar.compiled import compiled
+from cairn.components.simulation.atlas import PATTERN, TEXEL_M
+from cairn.components.simulation.textures import PATTERN_TEXELS
+from cairn.planar.compiled import compiled
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]

@@ -7,11 +7,11 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict
 
+from cairn.components.simulation.people import Walker
+from cairn.components.simulation.scene import Scene
+from cairn.components.simulation.world import World
+from cairn.components.simulation.world_file import Furniture, Person, VisibleObject
 from cairn.files import replace_file
-from components.simulation.people import Walker
-from components.simulation.scene import Scene
-from components.simulation.world import World
-from components.simulation.world_file import Furniture, Person, VisibleObject
 
 # The file begins anew when it is so long [bytes].
 _LONG = 200_000

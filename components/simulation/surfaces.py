@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from components.simulation.atlas import PATTERN, TEXEL_M, Atlas
-from components.simulation.scene import SURFACES
-from components.simulation.textures import PATTERN_TEXELS, picture_of
-from planar.messages import planar_poses
-from schemas.cairn_sim_msgs import Scene
+from cairn.components.simulation.atlas import PATTERN, TEXEL_M, Atlas
+from cairn.components.simulation.scene import SURFACES
+from cairn.components.simulation.textures import PATTERN_TEXELS, picture_of
+from cairn.planar.messages import planar_poses
+from cairn.schemas.cairn_sim_msgs import Scene
 
 Array = NDArray[np.float64]
 

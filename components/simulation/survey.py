@@ -8,16 +8,16 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from cairn.components.simulation.checks import problems_of
+from cairn.components.simulation.scene import Scene
+from cairn.components.simulation.textures import picture_of
+from cairn.components.simulation.walls import gaps_around
+from cairn.components.simulation.world_file import WorldFile, read_world
 from cairn.errors import CairnError
-from components.simulation.checks import problems_of
-from components.simulation.scene import Scene
-from components.simulation.textures import picture_of
-from components.simulation.walls import gaps_around
-from components.simulation.world_file import WorldFile, read_world
-from planar.grid import FREE, OCCUPIED, UNKNOWN, Frame, Grid, OccupancyCells
-from schemas.cairn_msgs import VisualMap, VisualObject
-from vision.taught import TaughtObject
-from vision.teaching import view_of
+from cairn.planar.grid import FREE, OCCUPIED, UNKNOWN, Frame, Grid, OccupancyCells
+from cairn.schemas.cairn_msgs import VisualMap, VisualObject
+from cairn.vision.taught import TaughtObject
+from cairn.vision.teaching import view_of
 
 RESOLUTION = 0.05
 # Unknown cells around the world [m].

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vision.images import read_image
+from cairn.vision.images import read_image
 
 Grey = NDArray[np.uint8]
 

@@ -9,11 +9,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from components.simulation.atlas import Atlas
-from components.simulation.columns import paint, project
-from components.simulation.lens import Lens
-from components.simulation.surfaces import Surfaces, panel_ends
-from planar.poses import Pose
+from cairn.components.simulation.atlas import Atlas
+from cairn.components.simulation.columns import paint, project
+from cairn.components.simulation.lens import Lens
+from cairn.components.simulation.surfaces import Surfaces, panel_ends
+from cairn.planar.poses import Pose
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]

@@ -10,9 +10,9 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
-from components.simulation.scene import TOUCH_M, Scene
-from components.simulation.world_file import Wall
-from planar.poses import Pose
+from cairn.components.simulation.scene import TOUCH_M, Scene
+from cairn.components.simulation.world_file import Wall
+from cairn.planar.poses import Pose
 
 # Walls that run beside one another for less than this [m] only meet at a small angle.
 _BESIDE_M = 0.25

@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cairn.clock import SECOND, to_ns
-from components.simulation.recognition import Thing
-from components.simulation.scanning import Surroundings
-from planar.messages import planar_pose, planar_poses
-from planar.poses import Pose, compose
-from schemas.cairn_sim_msgs import Scene, WorldState
+from cairn.components.simulation.recognition import Thing
+from cairn.components.simulation.scanning import Surroundings
+from cairn.planar.messages import planar_pose, planar_poses
+from cairn.planar.poses import Pose, compose
+from cairn.schemas.cairn_sim_msgs import Scene, WorldState
 
 Array = NDArray[np.float64]
 

@@ -9,13 +9,19 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from cairn.components.simulation.checks import way_problems
+from cairn.components.simulation.people import Walker, circles_of
+from cairn.components.simulation.rays import clearance
+from cairn.components.simulation.scene import Scene, unknown
+from cairn.components.simulation.world_file import (
+    Event,
+    Furniture,
+    Person,
+    VisibleObject,
+    WorldFile,
+)
 from cairn.errors import CairnError
-from components.simulation.checks import way_problems
-from components.simulation.people import Walker, circles_of
-from components.simulation.rays import clearance
-from components.simulation.scene import Scene, unknown
-from components.simulation.world_file import Event, Furniture, Person, VisibleObject, WorldFile
-from planar.poses import Pose, compose
+from cairn.planar.poses import Pose, compose
 
 # A robot that was in touch with something is clear of it from here on [m].
 _CLEAR_M = 0.02

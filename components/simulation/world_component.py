@@ -11,18 +11,12 @@ from pydantic import Field, ValidationError
 
 from cairn.bus.qos import LATCHED, RELIABLE
 from cairn.clock import SECOND, from_ns, to_ns
-from cairn.component.component import Component
-from cairn.component.handlers import every, on
-from cairn.component.marks import ReadPath
-from cairn.component.parameters import Config, ParameterRefused
-from cairn.component.ports import In, Out
-from cairn.errors import CairnError
-from components.simulation.checks import problems_of, unseen_problems
-from components.simulation.messages import scene_message, true_map
-from components.simulation.refusals import what_is_wrong
-from components.simulation.state_file import StateFile
-from components.simulation.world import Contact, Slip, World
-from components.simulation.world_file import (
+from cairn.components.simulation.checks import problems_of, unseen_problems
+from cairn.components.simulation.messages import scene_message, true_map
+from cairn.components.simulation.refusals import what_is_wrong
+from cairn.components.simulation.state_file import StateFile
+from cairn.components.simulation.world import Contact, Slip, World
+from cairn.components.simulation.world_file import (
     Event,
     Furniture,
     Name,
@@ -31,14 +25,20 @@ from components.simulation.world_file import (
     VisibleObject,
     read_world,
 )
-from planar.messages import planar_pose, pose_message
-from planar.poses import Pose
-from schemas.cairn_msgs import VisualMap
-from schemas.cairn_nav_msgs import Collision
-from schemas.cairn_sim_msgs import Scene, WheelMotion, WorldState
-from schemas.geometry_msgs import Point, PoseStamped
-from schemas.packed import Packed
-from schemas.std_msgs import Header
+from cairn.errors import CairnError
+from cairn.planar.messages import planar_pose, pose_message
+from cairn.planar.poses import Pose
+from cairn.runtime.component import Component
+from cairn.runtime.handlers import every, on
+from cairn.runtime.marks import ReadPath
+from cairn.runtime.parameters import Config, ParameterRefused
+from cairn.runtime.ports import In, Out
+from cairn.schemas.cairn_msgs import VisualMap
+from cairn.schemas.cairn_nav_msgs import Collision
+from cairn.schemas.cairn_sim_msgs import Scene, WheelMotion, WorldState
+from cairn.schemas.geometry_msgs import Point, PoseStamped
+from cairn.schemas.packed import Packed
+from cairn.schemas.std_msgs import Header
 
 # Without word from the wheels for this long [s] they stand still.
 _STALE_S = 0.3

@@ -10,9 +10,9 @@ from typing import Annotated, Any, Literal
 import yaml
 from pydantic import Field, ValidationError, model_validator
 
-from cairn.component.parameters import Config
+from cairn.components.simulation.refusals import what_is_wrong
 from cairn.errors import CairnError
-from components.simulation.refusals import what_is_wrong
+from cairn.runtime.parameters import Config
 
 Metres = Annotated[float, Field(ge=-10_000, le=10_000)]
 Length = Annotated[float, Field(gt=0, le=1000)]

@@ -7,11 +7,11 @@ import threading
 from collections.abc import Sequence
 
 from cairn.clock import SECOND
+from cairn.components.v4l2_camera.config import V4l2StereoCameraConfig
+from cairn.components.v4l2_camera.device import Setup
+from cairn.components.v4l2_camera.offers import is_same_rate
 from cairn.driver.errors import DeviceError
-from components.v4l2_camera.config import V4l2StereoCameraConfig
-from components.v4l2_camera.device import Setup
-from components.v4l2_camera.offers import is_same_rate
-from schemas.sensor_msgs import CameraInfo
+from cairn.schemas.sensor_msgs import CameraInfo
 
 
 class Agreement:

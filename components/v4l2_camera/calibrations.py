@@ -6,9 +6,9 @@ import logging
 from collections.abc import Sequence
 from pathlib import Path
 
-from schemas.sensor_msgs import CameraInfo
-from vision.camera_file import read_camera
-from vision.stereo import StereoRig
+from cairn.schemas.sensor_msgs import CameraInfo
+from cairn.vision.camera_file import read_camera
+from cairn.vision.stereo import StereoRig
 
 
 def read_calibrations(

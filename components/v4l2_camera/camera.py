@@ -11,18 +11,18 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from cairn.component.complaints import Complaints
+from cairn.components.v4l2_camera.controls import Control, ControlRefused, assigned
+from cairn.components.v4l2_camera.counts import Counts
+from cairn.components.v4l2_camera.device import Setup, VideoDevice
+from cairn.components.v4l2_camera.names import find_camera
+from cairn.components.v4l2_camera.offers import best_format
+from cairn.components.v4l2_camera.pairing import Picture
+from cairn.components.v4l2_camera.pixels import Grey, NoPicture, ShortPicture
+from cairn.components.v4l2_camera.stamps import Sequence, is_likely, system_offset
+from cairn.components.v4l2_camera.stream import Capture, Stream
 from cairn.driver.errors import DeviceError, LinkLost
 from cairn.driver.rate import RateWindow
-from components.v4l2_camera.controls import Control, ControlRefused, assigned
-from components.v4l2_camera.counts import Counts
-from components.v4l2_camera.device import Setup, VideoDevice
-from components.v4l2_camera.names import find_camera
-from components.v4l2_camera.offers import best_format
-from components.v4l2_camera.pairing import Picture
-from components.v4l2_camera.pixels import Grey, NoPicture, ShortPicture
-from components.v4l2_camera.stamps import Sequence, is_likely, system_offset
-from components.v4l2_camera.stream import Capture, Stream
+from cairn.runtime.complaints import Complaints
 
 # How long the thread waits for a picture before it looks whether it is to stop [s].
 _LOOK_S = 0.1

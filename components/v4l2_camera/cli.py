@@ -11,12 +11,12 @@ from pydantic import ValidationError
 
 from cairn.cli.connection import Json
 from cairn.cli.tables import line, note, print_json
-from cairn.component.parameters import reason
+from cairn.components.v4l2_camera.config import V4l2StereoCameraConfig
+from cairn.components.v4l2_camera.listing import as_lines, listed
+from cairn.components.v4l2_camera.pairing import Picture
+from cairn.components.v4l2_camera.trial import tried
 from cairn.errors import CairnError
-from components.v4l2_camera.config import V4l2StereoCameraConfig
-from components.v4l2_camera.listing import as_lines, listed
-from components.v4l2_camera.pairing import Picture
-from components.v4l2_camera.trial import tried
+from cairn.runtime.parameters import reason
 
 
 def probe(

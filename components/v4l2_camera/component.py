@@ -11,26 +11,26 @@ import numpy as np
 
 from cairn.bus.qos import LATCHED, SENSOR
 from cairn.clock import SECOND, from_ns
-from cairn.component.component import Component
-from cairn.component.handlers import every
-from cairn.component.parameters import Config, ParameterRefused
-from cairn.component.ports import Out
+from cairn.components.v4l2_camera.agreement import Agreement
+from cairn.components.v4l2_camera.calibrations import read_calibrations
+from cairn.components.v4l2_camera.camera import Camera
+from cairn.components.v4l2_camera.config import LIVE, V4l2StereoCameraConfig
+from cairn.components.v4l2_camera.controls import ControlRefused
+from cairn.components.v4l2_camera.pairing import Pairing, Picture
+from cairn.components.v4l2_camera.pixels import Grey, halves
+from cairn.components.v4l2_camera.placing import placed
+from cairn.components.v4l2_camera.report import CameraReport, PairReport
 from cairn.driver.device_thread import DeviceThread
 from cairn.driver.errors import DeviceError
 from cairn.errors import CairnError
-from components.v4l2_camera.agreement import Agreement
-from components.v4l2_camera.calibrations import read_calibrations
-from components.v4l2_camera.camera import Camera
-from components.v4l2_camera.config import LIVE, V4l2StereoCameraConfig
-from components.v4l2_camera.controls import ControlRefused
-from components.v4l2_camera.pairing import Pairing, Picture
-from components.v4l2_camera.pixels import Grey, halves
-from components.v4l2_camera.placing import placed
-from components.v4l2_camera.report import CameraReport, PairReport
-from schemas.diagnostic_msgs import DiagnosticArray
-from schemas.sensor_msgs import CameraInfo, Image
-from schemas.std_msgs import Header
-from schemas.tf2_msgs import TFMessage
+from cairn.runtime.component import Component
+from cairn.runtime.handlers import every
+from cairn.runtime.parameters import Config, ParameterRefused
+from cairn.runtime.ports import Out
+from cairn.schemas.diagnostic_msgs import DiagnosticArray
+from cairn.schemas.sensor_msgs import CameraInfo, Image
+from cairn.schemas.std_msgs import Header
+from cairn.schemas.tf2_msgs import TFMessage
 
 _FRAMES = ("left_camera_optical_frame", "right_camera_optical_frame")
 _SIDES = ("left", "right")

@@ -6,13 +6,13 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from cairn.component.marks import ReadPath
-from cairn.component.mount import Mount
-from cairn.component.parameters import Config
+from cairn.components.v4l2_camera.camera import CameraSettings
+from cairn.components.v4l2_camera.names import find_camera, is_name
+from cairn.components.v4l2_camera.pixels import FORMATS
 from cairn.driver.device_names import NamesDevice
-from components.v4l2_camera.camera import CameraSettings
-from components.v4l2_camera.names import find_camera, is_name
-from components.v4l2_camera.pixels import FORMATS
+from cairn.runtime.marks import ReadPath
+from cairn.runtime.mount import Mount
+from cairn.runtime.parameters import Config
 
 _Value = Annotated[int, Field(ge=-(2**31), le=2**32 - 1)]
 _Setting = _Value | None

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
-from components.v4l2_camera import videodev
+from cairn.components.v4l2_camera import videodev
 
 # Numbers of the usual controls (linux/v4l2-controls.h). Kernels changed their names (until 5.15
 # `exposure_auto` was what is `auto_exposure` now), never their numbers. Those that switch something

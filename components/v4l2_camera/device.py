@@ -11,11 +11,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, TypeVar
 
+from cairn.components.v4l2_camera import videodev
+from cairn.components.v4l2_camera.controls import SETTABLE, STANDARD, Control, plain_name
+from cairn.components.v4l2_camera.offers import PictureSize
+from cairn.components.v4l2_camera.pixels import PictureLayout
 from cairn.driver.errors import DeviceError, LinkLost
-from components.v4l2_camera import videodev
-from components.v4l2_camera.controls import SETTABLE, STANDARD, Control, plain_name
-from components.v4l2_camera.offers import PictureSize
-from components.v4l2_camera.pixels import PictureLayout
 
 # The system's call itself, as it lets other threads go on: `fcntl.ioctl` keeps them all waiting,
 # and some requests to a USB camera take seconds where its line is bad.

@@ -7,11 +7,11 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from cairn.components.v4l2_camera.controls import Control
+from cairn.components.v4l2_camera.device import VideoDevice
+from cairn.components.v4l2_camera.names import CameraNode, video_nodes
+from cairn.components.v4l2_camera.pixels import FORMATS
 from cairn.driver.errors import DeviceError
-from components.v4l2_camera.controls import Control
-from components.v4l2_camera.device import VideoDevice
-from components.v4l2_camera.names import CameraNode, video_nodes
-from components.v4l2_camera.pixels import FORMATS
 
 _LINKS = (Path("/dev/v4l/by-id"), Path("/dev/v4l/by-path"))
 

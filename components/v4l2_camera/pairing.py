@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass
 
-from components.v4l2_camera.pixels import Grey
+from cairn.components.v4l2_camera.pixels import Grey
 
 _WAITING = 3
 

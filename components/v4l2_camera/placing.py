@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 
-from cairn.component.mount import Mount
-from schemas.geometry_msgs import Quaternion, Transform, TransformStamped, Vector3
-from schemas.std_msgs import Header
+from cairn.runtime.mount import Mount
+from cairn.schemas.geometry_msgs import Quaternion, Transform, TransformStamped, Vector3
+from cairn.schemas.std_msgs import Header
 
 
 def placed(

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from cairn.components.v4l2_camera.camera import Camera
+from cairn.components.v4l2_camera.counts import health
+from cairn.components.v4l2_camera.pairing import Pairing
 from cairn.driver.diagnostics import ERROR, OK, WARN, diagnostics
-from components.v4l2_camera.camera import Camera
-from components.v4l2_camera.counts import health
-from components.v4l2_camera.pairing import Pairing
-from schemas.diagnostic_msgs import DiagnosticArray
+from cairn.schemas.diagnostic_msgs import DiagnosticArray
 
 
 class CameraReport:

@@ -9,9 +9,9 @@ import select
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 
+from cairn.components.v4l2_camera import videodev
+from cairn.components.v4l2_camera.device import VideoDevice
 from cairn.driver.errors import DeviceError
-from components.v4l2_camera import videodev
-from components.v4l2_camera.device import VideoDevice
 
 
 @dataclass(frozen=True)

@@ -11,11 +11,11 @@ from dataclasses import dataclass, field
 from functools import partial
 
 from cairn.clock import SECOND
+from cairn.components.v4l2_camera.camera import Camera, CameraSettings
+from cairn.components.v4l2_camera.device import Setup
+from cairn.components.v4l2_camera.pairing import Pairing, Picture
 from cairn.driver.device_thread import DeviceThread
 from cairn.driver.errors import DeviceError
-from components.v4l2_camera.camera import Camera, CameraSettings
-from components.v4l2_camera.device import Setup
-from components.v4l2_camera.pairing import Pairing, Picture
 
 
 @dataclass

@@ -8,9 +8,9 @@ import typer
 from cairn.cli.connection import DEFAULT_CONNECT, Connect, Domain, Json, Robot, connected
 from cairn.cli.tables import line, print_json
 from cairn.errors import CairnError
-from supervisors.mobile.following import Operator, follow, refusals_told
-from supervisors.mobile.locating import point_out
-from supervisors.mobile.reaching import reach
+from cairn.supervisors.mobile.following import Operator, follow, refusals_told
+from cairn.supervisors.mobile.locating import point_out
+from cairn.supervisors.mobile.reaching import reach
 
 
 def go(

@@ -9,17 +9,17 @@ from pydantic import Field
 
 from cairn.bus.qos import LATCHED
 from cairn.clock import SECOND, from_ns
-from cairn.component.handlers import on
-from cairn.component.parameters import Config
-from cairn.component.ports import In, Out
 from cairn.errors import CairnError
+from cairn.planar.messages import packed_poses, planar_pose
+from cairn.runtime.handlers import on
+from cairn.runtime.parameters import Config
+from cairn.runtime.ports import In, Out
+from cairn.schemas.cairn_nav_msgs import MOVE_ENDS, MOVE_STATES, MoveOrder, MoveStatus
+from cairn.schemas.geometry_msgs import PoseStamped
+from cairn.schemas.std_msgs import Header
 from cairn.supervision.component import SupervisorComponent
 from cairn.supervision.supervisor import StartFailed
-from planar.messages import packed_poses, planar_pose
-from schemas.cairn_nav_msgs import MOVE_ENDS, MOVE_STATES, MoveOrder, MoveStatus
-from schemas.geometry_msgs import PoseStamped
-from schemas.std_msgs import Header
-from supervisors.mobile.orders import (
+from cairn.supervisors.mobile.orders import (
     FARTHEST,
     Goal,
     Order,

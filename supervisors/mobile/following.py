@@ -17,9 +17,9 @@ from cairn.bus.control import ControlError, NoAnswer, request
 from cairn.cli.connection import Connection
 from cairn.cli.tables import OutputLost, line, note, print_json
 from cairn.errors import CairnError
-from schemas.cairn_nav_msgs import MOVE_ENDS, MOVE_STATES, MoveStatus, without_numbers
-from schemas.message import InvalidMessage, type_name
-from supervisors.mobile.reaching import await_active, linked
+from cairn.schemas.cairn_nav_msgs import MOVE_ENDS, MOVE_STATES, MoveStatus, without_numbers
+from cairn.schemas.message import InvalidMessage, type_name
+from cairn.supervisors.mobile.reaching import await_active, linked
 
 # AutoMove tells twice a second how it gets on; what is told is repeated so often, if it is no news.
 _REPEAT_S = 5.0

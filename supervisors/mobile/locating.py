@@ -11,11 +11,11 @@ from cairn.bus import rmw
 from cairn.bus.codec import Codec
 from cairn.cli.connection import Connection, resolve
 from cairn.errors import CairnError
-from planar.messages import pose_message
-from planar.poses import Pose
-from schemas.geometry_msgs import PoseWithCovariance, PoseWithCovarianceStamped
-from schemas.message import type_name
-from schemas.std_msgs import Header
+from cairn.planar.messages import pose_message
+from cairn.planar.poses import Pose
+from cairn.schemas.geometry_msgs import PoseWithCovariance, PoseWithCovarianceStamped
+from cairn.schemas.message import type_name
+from cairn.schemas.std_msgs import Header
 
 _TOPIC = "initialpose"
 _TYPE = type_name(PoseWithCovarianceStamped)

@@ -12,8 +12,8 @@ from cairn.bus.session import is_linked
 from cairn.cli.connection import STATUS_TOPIC, Connection, resolve
 from cairn.cli.tables import note
 from cairn.errors import CairnError
-from schemas.cairn_msgs import ComponentStatus
-from schemas.message import InvalidMessage, type_name
+from cairn.schemas.cairn_msgs import ComponentStatus
+from cairn.schemas.message import InvalidMessage, type_name
 
 _PLUGIN, _AUTOMOVE = "mobile_supervisor", "automove"
 _ACTIVE = "active"

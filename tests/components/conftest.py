@@ -10,11 +10,11 @@ from cairn.bus.bus import full_name
 from cairn.bus.lockstep_bus import LockstepBus
 from cairn.bus.qos import Qos
 from cairn.clock import SECOND
-from cairn.component.component import Component
-from cairn.component.lifecycle import Transition
-from cairn.component.ports import ports_of
-from cairn.component.runtime import Assignment, End, Runtime
 from cairn.placement.lockstep import LockstepExecutor
+from cairn.runtime.component import Component
+from cairn.runtime.lifecycle import Transition
+from cairn.runtime.ports import ports_of
+from cairn.runtime.runtime import Assignment, End, Runtime
 
 DATASET = Path(__file__).parents[1] / "data" / "mrclam" / "MRCLAM_Dataset6"
 MANY = Qos("reliable", "transient_local", 100_000)

@@ -15,8 +15,8 @@ from benchmarks.localization_logs import (
     localization,
     mapped_by_stretches,
 )
-from components.evaluation.localization_quality import SIGMAS
-from planar.grid import OccupancyCells
+from cairn.planar.grid import OccupancyCells
+from cairn.tools.evaluation.localization_quality import SIGMAS
 
 Place = tuple[Log, OccupancyCells]
 THREE_SIGMA = SIGMAS[2]

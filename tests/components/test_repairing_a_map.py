@@ -9,13 +9,13 @@ import pytest
 import yaml
 
 from cairn.bus.qos import Qos
+from cairn.components.map_builder.importing import altered, write_map
+from cairn.components.replay.landmarks import read_landmarks
+from cairn.components.replay.mrclam_files import Dataset
 from cairn.deployment.load import load_deployment
 from cairn.placement.lockstep_run import LockstepRun
-from components.map_builder.importing import altered, write_map
-from components.replay.landmarks import read_landmarks
-from components.replay.mrclam_files import Dataset
-from schemas.cairn_msgs import VisualMap, VisualMapChange, VisualObject
-from schemas.geometry_msgs import PoseWithCovarianceStamped
+from cairn.schemas.cairn_msgs import VisualMap, VisualMapChange, VisualObject
+from cairn.schemas.geometry_msgs import PoseWithCovarianceStamped
 
 MANY = Qos("reliable", "transient_local", 100_000)
 END_S = 400.0  # of 886 s: found and registered within 190 s, it is to stay where it stands

@@ -32,12 +32,12 @@ BEGINNING = """\
 from pydantic import Field
 
 from cairn.bus.qos import SENSOR
-from cairn.component.component import Component
-from cairn.component.handlers import every, on
-from cairn.component.parameters import Config
-from cairn.component.ports import In, Out
-from schemas.geometry_msgs import Twist, Vector3
-from schemas.sensor_msgs import LaserScan
+from cairn.runtime.component import Component
+from cairn.runtime.handlers import every, on
+from cairn.runtime.parameters import Config
+from cairn.runtime.ports import In, Out
+from cairn.schemas.geometry_msgs import Twist, Vector3
+from cairn.schemas.sensor_msgs import LaserScan
 
 
 class Scanner(Component):
@@ -117,7 +117,7 @@ def anchors(text: str) -> set[str]:
 
 
 def test_every_field_of_the_report_is_described(root: Path) -> None:
-    from components.report.record import RunRecord
+    from cairn.components.report.record import RunRecord
 
     record = RunRecord()
     record.object(1)

@@ -3,8 +3,8 @@
 from cairn.bus.qos import RELIABLE
 from cairn.bus.session import open_peer
 from cairn.bus.zenoh_bus import ZenohBus
+from cairn.schemas.geometry_msgs import Point, Pose, PoseStamped
 from cairn.testing.launching import Run
-from schemas.geometry_msgs import Point, Pose, PoseStamped
 from tests.commands import cairn
 
 

@@ -8,9 +8,9 @@ from cairn.bus.codec import Codec
 from cairn.bus.qos import RELIABLE
 from cairn.bus.session import open_peer
 from cairn.bus.zenoh_bus import ZenohBus
+from cairn.schemas.geometry_msgs import PoseStamped, Twist, Vector3
+from cairn.schemas.message import type_name
 from cairn.testing.launching import Launching
-from schemas.geometry_msgs import PoseStamped, Twist, Vector3
-from schemas.message import type_name
 from tests.commands import await_status
 
 TALK = """

@@ -8,9 +8,9 @@ from typing import Any
 from cairn.bus.bus import full_name
 from cairn.bus.qos import RELIABLE, Qos
 from cairn.clock import SECOND
-from cairn.component.lifecycle import Transition
 from cairn.deployment.model import Deployment
 from cairn.placement.lockstep_run import LockstepRun
+from cairn.runtime.lifecycle import Transition
 
 _MANY = Qos("reliable", "transient_local", 1_000_000)
 

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 
 from cairn.deployment.load import load_deployment
-from planar.grid import OccupancyCells, grid_of
-from planar.messages import planar_pose, pose_message
-from planar.poses import Pose, distance
-from schemas.cairn_nav_msgs import MOVE_ENDS, Collision, MotionStatus, MoveStatus
-from schemas.geometry_msgs import PoseStamped
-from schemas.nav_msgs import OccupancyGrid
-from schemas.std_msgs import Header
+from cairn.planar.grid import OccupancyCells, grid_of
+from cairn.planar.messages import planar_pose, pose_message
+from cairn.planar.poses import Pose, distance
+from cairn.schemas.cairn_nav_msgs import MOVE_ENDS, Collision, MotionStatus, MoveStatus
+from cairn.schemas.geometry_msgs import PoseStamped
+from cairn.schemas.nav_msgs import OccupancyGrid
+from cairn.schemas.std_msgs import Header
 from tests.navigation.deployed import Deployed, taken
 
 DEPLOY = Path(__file__).parents[2] / "deploy"

@@ -17,11 +17,11 @@ from typing import Any
 from cairn.bus.qos import RELIABLE
 from cairn.bus.session import open_peer
 from cairn.bus.zenoh_bus import ZenohBus
+from cairn.planar.messages import planar_pose
+from cairn.planar.poses import Pose, distance
+from cairn.schemas.cairn_nav_msgs import Collision
+from cairn.schemas.geometry_msgs import PoseStamped
 from cairn.testing.launching import CAIRN, LIMIT_S, Run, free_port, launching
-from planar.messages import planar_pose
-from planar.poses import Pose, distance
-from schemas.cairn_nav_msgs import Collision
-from schemas.geometry_msgs import PoseStamped
 from tests.navigation.driving import SIM
 
 UNTIL_READY = "vision_supervisor active"

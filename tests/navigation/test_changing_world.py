@@ -2,9 +2,9 @@
 
 from collections.abc import Callable
 
-from planar.poses import distance
-from schemas.cairn_msgs import VisualMap
-from schemas.cairn_nav_msgs import MoveStatus
+from cairn.planar.poses import distance
+from cairn.schemas.cairn_msgs import VisualMap
+from cairn.schemas.cairn_nav_msgs import MoveStatus
 from tests.navigation.deployed import taken
 from tests.navigation.driving import Drive, share_occupied
 

@@ -4,14 +4,14 @@ from pathlib import Path
 
 import numpy as np
 
-from components.automove.component import AutoMoveConfig
-from components.localizer.health import Health, not_yet_sure
-from components.localizer.recent import Support
-from components.localizer.scanner_watch import ScannerWatch
-from components.map_builder.config import MapBuilderConfig
-from components.motion_control.config import MotionControlConfig
-from components.path_planner.config import PathPlannerConfig
-from planar.sweep import Rays
+from cairn.components.automove.component import AutoMoveConfig
+from cairn.components.localizer.health import Health, not_yet_sure
+from cairn.components.localizer.recent import Support
+from cairn.components.localizer.scanner_watch import ScannerWatch
+from cairn.components.map_builder.config import MapBuilderConfig
+from cairn.components.motion_control.config import MotionControlConfig
+from cairn.components.path_planner.config import PathPlannerConfig
+from cairn.planar.sweep import Rays
 
 BEST = Health(1.0, "", Support(0, 0), None)
 JUST_FOUND = not_yet_sure(BEST, "why").value

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from planar.poses import distance
+from cairn.planar.poses import distance
 from tests.navigation.processes import Going, Robot, robot_in
 
 pytestmark = pytest.mark.xdist_group("robots in real time")

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from cairn.schemas.cairn_nav_msgs import MoveStatus
 from cairn.testing.launching import Launching, Run, free_port, launching
-from schemas.cairn_nav_msgs import MoveStatus
 from tests.navigation.driving import SIM, Drive
 
 DriveOf = Callable[..., Drive]

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import pytest
 
 from cairn.errors import CairnError
-from schemas.cairn_nav_msgs import MotionStatus, MoveStatus
+from cairn.schemas.cairn_nav_msgs import MotionStatus, MoveStatus
 from tests.navigation.driving import STOPS_S, Drive
 
 DriveOf = Callable[..., Drive]

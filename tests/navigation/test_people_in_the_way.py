@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-from schemas.cairn_nav_msgs import MoveStatus
+from cairn.schemas.cairn_nav_msgs import MoveStatus
 from tests.navigation.driving import Drive
 
 DriveOf = Callable[..., Drive]

@@ -12,9 +12,9 @@ from PIL import Image
 
 from cairn.bus.qos import SENSOR
 from cairn.errors import CairnError
-from planar.poses import distance
-from schemas.cairn_nav_msgs import MotionStatus, MoveStatus
-from schemas.sensor_msgs import LaserScan
+from cairn.planar.poses import distance
+from cairn.schemas.cairn_nav_msgs import MotionStatus, MoveStatus
+from cairn.schemas.sensor_msgs import LaserScan
 from tests.navigation.deployed import taken
 from tests.navigation.driving import DEPLOY, STOPS_S, Drive
 

@@ -14,23 +14,23 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-import schemas
-from schemas.cairn_msgs import (
+from cairn import schemas
+from cairn.schemas.cairn_msgs import (
     RecognizedObject,
     RecognizedObjectArray,
     VisualMapChange,
     VisualObject,
 )
-from schemas.cairn_nav_msgs import Plan
-from schemas.cairn_sim_msgs import Scene
-from schemas.covariance import Covariance2, Covariance3
-from schemas.geometry_msgs import Pose
-from schemas.map_msgs import OccupancyGridUpdate
-from schemas.message import type_name
-from schemas.nav_msgs import MapMetaData, OccupancyGrid
-from schemas.packed import Packed
-from schemas.primitives import Array, Scalar, Text, finite, mark_of
-from schemas.sensor_msgs import Image, LaserEcho, LaserScan, MultiEchoLaserScan
+from cairn.schemas.cairn_nav_msgs import Plan
+from cairn.schemas.cairn_sim_msgs import Scene
+from cairn.schemas.covariance import Covariance2, Covariance3
+from cairn.schemas.geometry_msgs import Pose
+from cairn.schemas.map_msgs import OccupancyGridUpdate
+from cairn.schemas.message import type_name
+from cairn.schemas.nav_msgs import MapMetaData, OccupancyGrid
+from cairn.schemas.packed import Packed
+from cairn.schemas.primitives import Array, Scalar, Text, finite, mark_of
+from cairn.schemas.sensor_msgs import Image, LaserEcho, LaserScan, MultiEchoLaserScan
 
 LONGEST = 6
 TEXT = st.text(st.characters(exclude_characters="\0", codec="utf-8"), max_size=12)
@@ -39,7 +39,7 @@ METRES = st.floats(-1e6, 1e6)
 
 def _every_message() -> dict[str, type[Any]]:
     found: dict[str, type[Any]] = {}
-    for module_info in pkgutil.iter_modules(schemas.__path__, "schemas."):
+    for module_info in pkgutil.iter_modules(schemas.__path__, "cairn.schemas."):
         module = importlib.import_module(module_info.name)
         for _, cls in inspect.getmembers(module, inspect.isclass):
             if cls.__module__ == module.__name__ and "__ros_type__" in cls.__dict__:

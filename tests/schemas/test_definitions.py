@@ -5,12 +5,12 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from cairn.bus.codec import Codec
-from schemas.cairn_msgs import ObjectEvidence
-from schemas.diagnostic_msgs import DiagnosticStatus
-from schemas.geometry_msgs import PoseArray, PoseStamped, PoseWithCovarianceStamped, Twist
-from schemas.nav_msgs import OccupancyGrid, Odometry, Path
-from schemas.sensor_msgs import Image, LaserScan
-from schemas.std_msgs import String
+from cairn.schemas.cairn_msgs import ObjectEvidence
+from cairn.schemas.diagnostic_msgs import DiagnosticStatus
+from cairn.schemas.geometry_msgs import PoseArray, PoseStamped, PoseWithCovarianceStamped, Twist
+from cairn.schemas.nav_msgs import OccupancyGrid, Odometry, Path
+from cairn.schemas.sensor_msgs import Image, LaserScan
+from cairn.schemas.std_msgs import String
 from tests.schemas.arbitrary import EVERY_MESSAGE, OF_ROS_2
 
 ROS = get_typestore(Stores.ROS2_JAZZY)

@@ -17,8 +17,8 @@ from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
 
 from cairn.bus.codec import Codec
-from schemas.message import InvalidMessage
-from schemas.packed import Packed
+from cairn.schemas.message import InvalidMessage
+from cairn.schemas.packed import Packed
 from tests.schemas.arbitrary import EVERY_MESSAGE, OF_ROS_2, arbitrary, samples
 from tests.schemas.damage import damaged
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from schemas.builtin_interfaces import Time
-from schemas.cairn_msgs import ObjectEvidence, RecognizedObject, VisualMapChange
-from schemas.geometry_msgs import (
+from cairn.schemas.builtin_interfaces import Time
+from cairn.schemas.cairn_msgs import ObjectEvidence, RecognizedObject, VisualMapChange
+from cairn.schemas.geometry_msgs import (
     Point,
     Pose,
     PoseWithCovariance,
@@ -19,11 +19,11 @@ from schemas.geometry_msgs import (
     Twist,
     Vector3,
 )
-from schemas.message import InvalidMessage, message, refuse, type_name
-from schemas.nav_msgs import MapMetaData, OccupancyGrid, Path
-from schemas.primitives import BoolArray, Float32, Int16Array, String, UInt8, empty
-from schemas.sensor_msgs import CameraInfo, Image, LaserScan
-from schemas.std_msgs import Header
+from cairn.schemas.message import InvalidMessage, message, refuse, type_name
+from cairn.schemas.nav_msgs import MapMetaData, OccupancyGrid, Path
+from cairn.schemas.primitives import BoolArray, Float32, Int16Array, String, UInt8, empty
+from cairn.schemas.sensor_msgs import CameraInfo, Image, LaserScan
+from cairn.schemas.std_msgs import Header
 
 
 def test_fields_left_out_are_zero_and_a_pose_is_level() -> None:

@@ -1,6 +1,6 @@
 """The names of an order's states, and which of them are its result."""
 
-from schemas.cairn_nav_msgs import MOVE_ENDS, MOVE_STATES, MoveStatus, without_numbers
+from cairn.schemas.cairn_nav_msgs import MOVE_ENDS, MOVE_STATES, MoveStatus, without_numbers
 
 
 def test_every_state_is_called_as_its_constant() -> None:

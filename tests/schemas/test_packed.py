@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from schemas.geometry_msgs import Point, Pose, PoseArray, PoseStamped, Quaternion, Twist
-from schemas.message import InvalidMessage
-from schemas.packed import Packed
-from schemas.sensor_msgs import LaserScan
+from cairn.schemas.geometry_msgs import Point, Pose, PoseArray, PoseStamped, Quaternion, Twist
+from cairn.schemas.message import InvalidMessage
+from cairn.schemas.packed import Packed
+from cairn.schemas.sensor_msgs import LaserScan
 
 ROWS = np.arange(21.0).reshape(3, 7)
 

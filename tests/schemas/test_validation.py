@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from schemas.builtin_interfaces import Duration, Time
-from schemas.cairn_msgs import (
+from cairn.schemas.builtin_interfaces import Duration, Time
+from cairn.schemas.cairn_msgs import (
     ComponentStatus,
     ObjectEvidence,
     ObjectEvidenceArray,
@@ -19,12 +19,12 @@ from schemas.cairn_msgs import (
     VisualMapChange,
     VisualObject,
 )
-from schemas.diagnostic_msgs import DiagnosticStatus
-from schemas.geometry_msgs import Point, PoseWithCovariance, Quaternion, Transform, Vector3
-from schemas.message import InvalidMessage
-from schemas.nav_msgs import MapMetaData, OccupancyGrid
-from schemas.sensor_msgs import CameraInfo, Image, LaserScan
-from schemas.std_msgs import Header, String
+from cairn.schemas.diagnostic_msgs import DiagnosticStatus
+from cairn.schemas.geometry_msgs import Point, PoseWithCovariance, Quaternion, Transform, Vector3
+from cairn.schemas.message import InvalidMessage
+from cairn.schemas.nav_msgs import MapMetaData, OccupancyGrid
+from cairn.schemas.sensor_msgs import CameraInfo, Image, LaserScan
+from cairn.schemas.std_msgs import Header, String
 
 NAN, INF = math.nan, math.inf
 

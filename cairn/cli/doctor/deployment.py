@@ -10,14 +10,14 @@ from pathlib import Path
 
 from cairn.cli.doctor.access import access, connected_to
 from cairn.cli.doctor.finding import Finding
-from cairn.component.marks import IsRead, marked
-from cairn.component.parameters import Config
 from cairn.deployment.load import load_deployment
 from cairn.deployment.model import Deployment, Member
 from cairn.deployment.plugins import load_plugin
 from cairn.deployment.problems import DeploymentError
 from cairn.driver.device_names import TCP, devices_named
 from cairn.errors import CairnError
+from cairn.runtime.marks import IsRead, marked
+from cairn.runtime.parameters import Config
 
 _LIMIT_S = 2.0
 

@@ -8,20 +8,20 @@ from typing import ClassVar, Literal
 import numpy as np
 from cairn.bus.qos import SENSOR
 from cairn.clock import SECOND, from_ns
-from cairn.component.component import Component
-from cairn.component.handlers import every
-from cairn.component.parameters import Config, ParameterRefused
-from cairn.component.ports import Out
 from cairn.driver.device_clock import DeviceClock
 from cairn.driver.device_feed import DeviceFeed
 from cairn.driver.device_names import SerialPort
 from cairn.driver.diagnostics import ERROR, OK, WARN, diagnostics
 from cairn.driver.errors import DeviceError
 from cairn.driver.link import SerialLink
+from cairn.runtime.component import Component
+from cairn.runtime.handlers import every
+from cairn.runtime.parameters import Config, ParameterRefused
+from cairn.runtime.ports import Out
+from cairn.schemas.diagnostic_msgs import DiagnosticArray
+from cairn.schemas.sensor_msgs import LaserScan
+from cairn.schemas.std_msgs import Header
 from pydantic import Field
-from schemas.diagnostic_msgs import DiagnosticArray
-from schemas.sensor_msgs import LaserScan
-from schemas.std_msgs import Header
 
 from lantern_driver import protocol
 from lantern_driver.protocol import DamagedLine, Lines, Turn

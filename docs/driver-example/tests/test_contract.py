@@ -4,11 +4,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from cairn.schemas.diagnostic_msgs import DiagnosticArray
+from cairn.schemas.sensor_msgs import LaserScan
 from cairn.testing.reading import Reading
 from cairn.testing.robot import Robot
 from cairn.testing.scanner_contract import RangeScannerContract
-from schemas.diagnostic_msgs import DiagnosticArray
-from schemas.sensor_msgs import LaserScan
 
 from emulated import SURROUNDINGS, Lantern, plugged_in
 

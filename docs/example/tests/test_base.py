@@ -2,9 +2,9 @@
 
 import pytest
 from cairn.clock import SECOND
-from cairn.component.lifecycle import State
+from cairn.runtime.lifecycle import State
+from cairn.schemas.geometry_msgs import Twist, Vector3
 from cairn.testing.stage import Stage
-from schemas.geometry_msgs import Twist, Vector3
 
 from turtle_robot.base import TurtleBase
 from turtle_robot.messages import BaseState

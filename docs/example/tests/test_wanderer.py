@@ -1,10 +1,10 @@
 """The wanderer goes ahead, turns at walls, and ends."""
 
 import pytest
-from cairn.component.parameters import ParameterRefused
+from cairn.runtime.parameters import ParameterRefused
+from cairn.schemas.geometry_msgs import Point, Pose, PoseWithCovariance
+from cairn.schemas.nav_msgs import Odometry
 from cairn.testing.stage import Stage
-from schemas.geometry_msgs import Point, Pose, PoseWithCovariance
-from schemas.nav_msgs import Odometry
 
 from turtle_robot.messages import BaseState
 from turtle_robot.wanderer import Wanderer

@@ -4,12 +4,11 @@ import math
 
 from cairn.bus.qos import SENSOR
 from cairn.clock import SECOND, from_ns
-from cairn.component.component import Component
-from cairn.component.handlers import every, on
-from cairn.component.parameters import Config
-from cairn.component.ports import In, Out
-from pydantic import Field
-from schemas.geometry_msgs import (
+from cairn.runtime.component import Component
+from cairn.runtime.handlers import every, on
+from cairn.runtime.parameters import Config
+from cairn.runtime.ports import In, Out
+from cairn.schemas.geometry_msgs import (
     Point,
     Pose,
     PoseWithCovariance,
@@ -18,8 +17,9 @@ from schemas.geometry_msgs import (
     TwistWithCovariance,
     Vector3,
 )
-from schemas.nav_msgs import Odometry
-from schemas.std_msgs import Header
+from cairn.schemas.nav_msgs import Odometry
+from cairn.schemas.std_msgs import Header
+from pydantic import Field
 
 from turtle_robot.messages import BaseState
 from turtle_robot.wheels import WheelJamError, Wheels

@@ -2,9 +2,9 @@
 
 from typing import Annotated
 
-from schemas.message import message
-from schemas.primitives import Bool, Scalar
-from schemas.std_msgs import Header
+from cairn.schemas.message import message
+from cairn.schemas.primitives import Bool, Scalar
+from cairn.schemas.std_msgs import Header
 
 Share = Annotated[float, Scalar("float32", at_least=0, at_most=1)]
 

@@ -1,8 +1,8 @@
 """The supervisor of the turtle: lets it wander while the battery lasts."""
 
-from cairn.component.handlers import on
-from cairn.component.parameters import Config
-from cairn.component.ports import In
+from cairn.runtime.handlers import on
+from cairn.runtime.parameters import Config
+from cairn.runtime.ports import In
 from cairn.supervision.component import SupervisorComponent
 from pydantic import Field
 

@@ -4,13 +4,13 @@ import math
 
 from cairn.bus.qos import SENSOR
 from cairn.clock import SECOND
-from cairn.component.component import Component
-from cairn.component.handlers import every, on
-from cairn.component.parameters import Config, ParameterRefused
-from cairn.component.ports import In, Out
+from cairn.runtime.component import Component
+from cairn.runtime.handlers import every, on
+from cairn.runtime.parameters import Config, ParameterRefused
+from cairn.runtime.ports import In, Out
+from cairn.schemas.geometry_msgs import Point, Twist, Vector3
+from cairn.schemas.nav_msgs import Odometry
 from pydantic import Field
-from schemas.geometry_msgs import Point, Twist, Vector3
-from schemas.nav_msgs import Odometry
 
 from turtle_robot.messages import BaseState
 

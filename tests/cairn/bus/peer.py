@@ -10,7 +10,7 @@ import threading
 from cairn.bus.qos import RELIABLE
 from cairn.bus.session import open_peer
 from cairn.bus.zenoh_bus import ZenohBus
-from schemas.std_msgs import String
+from cairn.schemas.std_msgs import String
 
 
 def main(endpoint: str, name: str) -> None:

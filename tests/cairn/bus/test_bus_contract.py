@@ -9,9 +9,9 @@ import pytest
 from cairn.bus.bus import Bus, mismatch
 from cairn.bus.lockstep_bus import LockstepBus
 from cairn.bus.qos import LATCHED, RELIABLE, SENSOR, Qos
-from schemas.geometry_msgs import Twist, Vector3
-from schemas.sensor_msgs import LaserScan
-from schemas.std_msgs import String
+from cairn.schemas.geometry_msgs import Twist, Vector3
+from cairn.schemas.sensor_msgs import LaserScan
+from cairn.schemas.std_msgs import String
 from tests.cairn.bus.network import Network, Reader, eventually, node
 from tests.patience import LIMIT_S
 

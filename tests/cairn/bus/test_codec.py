@@ -10,12 +10,19 @@ import pytest
 
 from cairn.bus.codec import Codec
 from cairn.errors import CairnError
-from schemas.builtin_interfaces import Time
-from schemas.geometry_msgs import Pose, PoseArray, PoseStamped, Transform, TransformStamped, Twist
-from schemas.message import InvalidMessage, message
-from schemas.nav_msgs import MapMetaData, OccupancyGrid, Path
-from schemas.packed import Packed
-from schemas.primitives import (
+from cairn.schemas.builtin_interfaces import Time
+from cairn.schemas.geometry_msgs import (
+    Pose,
+    PoseArray,
+    PoseStamped,
+    Transform,
+    TransformStamped,
+    Twist,
+)
+from cairn.schemas.message import InvalidMessage, message
+from cairn.schemas.nav_msgs import MapMetaData, OccupancyGrid, Path
+from cairn.schemas.packed import Packed
+from cairn.schemas.primitives import (
     Bool,
     BoolArray,
     Byte,
@@ -26,10 +33,10 @@ from schemas.primitives import (
     UInt8,
     UInt16Array,
 )
-from schemas.rosgraph_msgs import Clock
-from schemas.sensor_msgs import Image, LaserScan
-from schemas.std_msgs import Header
-from schemas.tf2_msgs import TFMessage
+from cairn.schemas.rosgraph_msgs import Clock
+from cairn.schemas.sensor_msgs import Image, LaserScan
+from cairn.schemas.std_msgs import Header
+from cairn.schemas.tf2_msgs import TFMessage
 
 
 @message("acme_msgs/msg/Arm")

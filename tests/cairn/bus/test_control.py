@@ -9,8 +9,8 @@ import pytest
 
 from cairn.bus.control import ControlError, ControlServer, control_key, request
 from cairn.bus.zenoh_bus import ZenohBus
-from cairn.component.loop import ThreadLoop
 from cairn.errors import CairnError
+from cairn.runtime.loop import ThreadLoop
 from tests.cairn.bus.network import Network
 from tests.patience import LIMIT_S
 

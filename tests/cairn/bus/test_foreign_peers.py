@@ -9,8 +9,8 @@ from cairn.bus.codec import Codec
 from cairn.bus.qos import RELIABLE
 from cairn.bus.rmw import Attachment, data_key
 from cairn.bus.zenoh_bus import ZenohBus
-from schemas.geometry_msgs import Twist, Vector3
-from schemas.message import InvalidMessage, type_name
+from cairn.schemas.geometry_msgs import Twist, Vector3
+from cairn.schemas.message import InvalidMessage, type_name
 from tests.cairn.bus.network import Network, Reader, eventually, node
 from tests.patience import LIMIT_S
 

@@ -13,18 +13,18 @@ from cairn.bus.codec import Codec
 from cairn.bus.plain import to_plain
 from cairn.bus.qos import RELIABLE, SENSOR
 from cairn.bus.rmw import EndpointEntity, NodeEntity
-from cairn.component.component import Component
-from cairn.component.handlers import on
-from cairn.component.ports import In, Out
-from schemas.builtin_interfaces import Time
-from schemas.cairn_msgs import RecognizedObject, RecognizedObjectArray
-from schemas.geometry_msgs import Point, Pose, PoseWithCovariance, Twist, Vector3
-from schemas.message import type_name
-from schemas.nav_msgs import Odometry
-from schemas.sensor_msgs import LaserScan
-from schemas.std_msgs import Header, String
+from cairn.runtime.component import Component
+from cairn.runtime.handlers import on
+from cairn.runtime.ports import In, Out
+from cairn.schemas.builtin_interfaces import Time
+from cairn.schemas.cairn_msgs import RecognizedObject, RecognizedObjectArray
+from cairn.schemas.geometry_msgs import Point, Pose, PoseWithCovariance, Twist, Vector3
+from cairn.schemas.message import type_name
+from cairn.schemas.nav_msgs import Odometry
+from cairn.schemas.sensor_msgs import LaserScan
+from cairn.schemas.std_msgs import Header, String
 from tests.cairn.bus.network import Network, eventually
-from tests.cairn.component.running import Threaded
+from tests.cairn.runtime.running import Threaded
 
 HEADER = Header(stamp=Time(sec=1_700_000_000, nanosec=5), frame_id="base_link")
 MESSAGES: dict[str, Any] = {

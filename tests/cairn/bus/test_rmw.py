@@ -25,8 +25,8 @@ from cairn.bus.rmw import (
     ros_type,
     token_key,
 )
-from schemas.message import type_name
-from schemas.std_msgs import String
+from cairn.schemas.message import type_name
+from cairn.schemas.std_msgs import String
 
 STRING = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
 ADD_TWO_INTS = "RIHS01_e118de6bf5eeb66a2491b5bda11202e7b68f198d6f67922cf30364858239c81a"

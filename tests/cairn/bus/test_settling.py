@@ -12,7 +12,7 @@ from typing import IO
 from cairn.bus.qos import LATCHED, RELIABLE
 from cairn.bus.session import open_peer
 from cairn.bus.zenoh_bus import ZenohBus
-from schemas.std_msgs import String
+from cairn.schemas.std_msgs import String
 from tests.cairn.bus.network import Network, Reader, eventually, node
 from tests.patience import LIMIT_S
 

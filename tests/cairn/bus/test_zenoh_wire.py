@@ -12,9 +12,9 @@ from cairn.bus.qos import LATCHED, SENSOR, Qos
 from cairn.bus.rmw import Attachment, EndpointEntity, NodeEntity, gid, token_key
 from cairn.bus.session import open_client, open_peer
 from cairn.bus.zenoh_bus import ZenohBus
-from schemas.geometry_msgs import Twist, Vector3
-from schemas.sensor_msgs import Image
-from schemas.std_msgs import String
+from cairn.schemas.geometry_msgs import Twist, Vector3
+from cairn.schemas.sensor_msgs import Image
+from cairn.schemas.std_msgs import String
 from tests.cairn.bus.network import Network, Reader, eventually, node
 from tests.patience import LIMIT_S
 

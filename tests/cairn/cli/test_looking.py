@@ -8,10 +8,10 @@ import zenoh
 from cairn.bus import rmw
 from cairn.bus.codec import Codec
 from cairn.bus.session import open_peer
-from cairn.component.rosout import ROSOUT
+from cairn.runtime.rosout import ROSOUT
+from cairn.schemas.message import type_name
+from cairn.schemas.rcl_interfaces import Log
 from cairn.testing.launching import CAIRN, LIMIT_S, Run
-from schemas.message import type_name
-from schemas.rcl_interfaces import Log
 from tests.commands import await_status
 
 from .conftest import Command

@@ -72,7 +72,7 @@ CASES = {
             5,
             "components.other.plugin",
             "acme_robot.parts:ScannerConfig is not a component; "
-            "derive the class from cairn.component.component.Component",
+            "derive the class from cairn.runtime.component.Component",
         ),
     ),
     "port without a message type": (

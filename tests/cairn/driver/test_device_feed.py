@@ -9,10 +9,10 @@ from concurrent.futures import Future
 import pytest
 
 from cairn.bus.lockstep_bus import LockstepBus
-from cairn.component.component import Component
 from cairn.driver.device_feed import DeviceFeed
 from cairn.driver.errors import DeviceError
-from tests.cairn.component.running import Threaded
+from cairn.runtime.component import Component
+from tests.cairn.runtime.running import Threaded
 from tests.patience import LIMIT_S
 
 

@@ -6,12 +6,12 @@ import pytest
 
 from cairn.bus.session import open_router
 from cairn.bus.zenoh_bus import ZenohBus
-from cairn.component.component import Component
-from cairn.component.handlers import every
 from cairn.deployment.model import ComponentSpec
 from cairn.errors import CairnError
 from cairn.placement.hosted import Hosted
 from cairn.placement.order import Order, Surroundings
+from cairn.runtime.component import Component
+from cairn.runtime.handlers import every
 from cairn.testing.launching import LIMIT_S, free_port
 
 

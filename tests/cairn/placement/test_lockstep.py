@@ -7,15 +7,15 @@ import pytest
 from cairn.bus.codec import Codec
 from cairn.bus.qos import LATCHED, Qos
 from cairn.clock import SECOND, from_ns
-from cairn.component.component import Component
-from cairn.component.handlers import every, on
-from cairn.component.ports import In, Out
 from cairn.errors import CairnError
 from cairn.placement.lockstep import LockstepExecutor
-from schemas.cairn_msgs import ComponentStatus
-from schemas.geometry_msgs import PoseStamped, Twist, Vector3
-from schemas.std_msgs import Header
-from tests.cairn.component.running import Lockstep, taken
+from cairn.runtime.component import Component
+from cairn.runtime.handlers import every, on
+from cairn.runtime.ports import In, Out
+from cairn.schemas.cairn_msgs import ComponentStatus
+from cairn.schemas.geometry_msgs import PoseStamped, Twist, Vector3
+from cairn.schemas.std_msgs import Header
+from tests.cairn.runtime.running import Lockstep, taken
 
 
 def test_calls_are_made_in_order_of_time_and_ties_in_order_of_arrival() -> None:

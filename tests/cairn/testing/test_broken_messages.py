@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from cairn.component.component import Component
+from cairn.runtime.component import Component
 from cairn.testing.base_contract import SafetyContract
 from cairn.testing.camera_contract import PicturesContract
 from cairn.testing.scanner_contract import ScanContract

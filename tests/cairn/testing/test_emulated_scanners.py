@@ -7,14 +7,14 @@ from pathlib import Path
 
 import pytest
 
+from cairn.components.hokuyo.emulated_scip import EmulatedScip
+from cairn.components.pbs.emulated_pbs import EmulatedPbs
 from cairn.driver.emulated_lines import PtyEnd
 from cairn.driver.emulation import EmulatedDevice, Emulation
 from cairn.testing.bench import Bench, settings
 from cairn.testing.driver_contract import LifeCycleContract, ParametersContract
 from cairn.testing.end_contract import StopContract, UnplugContract
 from cairn.testing.scanner_contract import RangeScannerContract, ScanContract
-from components.hokuyo.emulated_scip import EmulatedScip
-from components.pbs.emulated_pbs import EmulatedPbs
 
 pytestmark = pytest.mark.realtime
 

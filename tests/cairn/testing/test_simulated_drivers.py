@@ -9,6 +9,9 @@ from pathlib import Path
 
 import pytest
 
+from cairn.schemas.cairn_sim_msgs import WorldState
+from cairn.schemas.nav_msgs import Odometry
+from cairn.schemas.sensor_msgs import CameraInfo, LaserScan
 from cairn.testing.base_contract import SafetyContract
 from cairn.testing.bench import Bench, settings
 from cairn.testing.camera_contract import PicturesContract
@@ -17,9 +20,6 @@ from cairn.testing.end_contract import StopContract
 from cairn.testing.reading import Arrival, Reading
 from cairn.testing.robot import Robot
 from cairn.testing.scanner_contract import ScanContract
-from schemas.cairn_sim_msgs import WorldState
-from schemas.nav_msgs import Odometry
-from schemas.sensor_msgs import CameraInfo, LaserScan
 
 WORLD = Path(__file__).parents[3] / "deploy" / "worlds" / "room.yaml"
 DEPLOYMENT = """

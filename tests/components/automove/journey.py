@@ -6,10 +6,16 @@ import itertools
 from collections.abc import Callable
 from typing import Any
 
-from components.automove.course import Course
-from components.automove.recoveries import Patience
-from components.automove.seen import Seen
-from schemas.cairn_nav_msgs import LocalizationHealth, MotionStatus, Movement, MoveStatus, Plan
+from cairn.components.automove.course import Course
+from cairn.components.automove.recoveries import Patience
+from cairn.components.automove.seen import Seen
+from cairn.schemas.cairn_nav_msgs import (
+    LocalizationHealth,
+    MotionStatus,
+    Movement,
+    MoveStatus,
+    Plan,
+)
 
 SURE = LocalizationHealth(located=True, health=0.9)
 

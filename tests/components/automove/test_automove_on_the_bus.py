@@ -8,8 +8,8 @@ import pytest
 
 from cairn.bus.qos import LATCHED
 from cairn.deployment.load import load_deployment
-from planar.messages import packed_poses, planar_pose, pose_message
-from schemas.cairn_nav_msgs import (
+from cairn.planar.messages import packed_poses, planar_pose, pose_message
+from cairn.schemas.cairn_nav_msgs import (
     LocalizationHealth,
     MotionStatus,
     Movement,
@@ -17,7 +17,7 @@ from schemas.cairn_nav_msgs import (
     MoveStatus,
     Plan,
 )
-from schemas.geometry_msgs import PoseWithCovariance, PoseWithCovarianceStamped
+from cairn.schemas.geometry_msgs import PoseWithCovariance, PoseWithCovarianceStamped
 from tests.navigation.deployed import Deployed, taken
 
 PLUGINS = """

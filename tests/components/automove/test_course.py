@@ -7,9 +7,15 @@ import math
 
 import pytest
 
-from components.automove.course import Course
-from components.automove.seen import Seen
-from schemas.cairn_nav_msgs import LocalizationHealth, MotionStatus, Movement, MoveStatus, Plan
+from cairn.components.automove.course import Course
+from cairn.components.automove.seen import Seen
+from cairn.schemas.cairn_nav_msgs import (
+    LocalizationHealth,
+    MotionStatus,
+    Movement,
+    MoveStatus,
+    Plan,
+)
 from tests.components.automove.journey import SURE, Journey
 
 LOST = LocalizationHealth(located=True, health=0.1, reason="the map explains 20% of the scan")

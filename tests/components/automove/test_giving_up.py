@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from schemas.cairn_nav_msgs import MotionStatus, MoveStatus
+from cairn.schemas.cairn_nav_msgs import MotionStatus, MoveStatus
 from tests.components.automove.journey import Way
 
 

@@ -6,9 +6,15 @@ import math
 
 import pytest
 
-from components.automove.trail import Trail
-from planar.poses import Pose
-from schemas.cairn_nav_msgs import LocalizationHealth, MotionStatus, Movement, MoveStatus, Plan
+from cairn.components.automove.trail import Trail
+from cairn.planar.poses import Pose
+from cairn.schemas.cairn_nav_msgs import (
+    LocalizationHealth,
+    MotionStatus,
+    Movement,
+    MoveStatus,
+    Plan,
+)
 from tests.components.automove.journey import Journey, Way
 
 LOST = LocalizationHealth(located=True, health=0.1, reason="lost")

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from schemas.cairn_nav_msgs import MotionStatus, Movement, MoveStatus, Plan
+from cairn.schemas.cairn_nav_msgs import MotionStatus, Movement, MoveStatus, Plan
 from tests.components.automove.journey import Journey
 
 STAND, LOOK, FOLLOW = Movement.STAND, Movement.LOOK_AROUND, Movement.FOLLOW

@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from components.automove.legs import Legs
+from cairn.components.automove.legs import Legs
 
 NOW = 1_795_261_862_000_000_000
 UINT32 = 2**32

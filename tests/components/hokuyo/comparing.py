@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from components.hokuyo.emulated_record import SentScan
+from cairn.components.hokuyo.emulated_record import SentScan
 
 _LIMITS = {"URG": (20, 5600), "UTM": (23, 60000), "UST": (20, 30000)}
 _SHORT_MOST = 4094

@@ -11,14 +11,14 @@ from typing import Any
 
 from cairn.bus.lockstep_bus import LockstepBus
 from cairn.bus.qos import RELIABLE
+from cairn.components.hokuyo.component import HokuyoScanner
+from cairn.components.hokuyo.emulated_record import SentScan
+from cairn.components.hokuyo.emulated_scip import EmulatedScip
 from cairn.driver.emulated_lines import LineEnd, PtyEnd, TcpEnd
 from cairn.driver.emulation import Emulation
-from components.hokuyo.component import HokuyoScanner
-from components.hokuyo.emulated_record import SentScan
-from components.hokuyo.emulated_scip import EmulatedScip
-from schemas.diagnostic_msgs import DiagnosticArray
-from schemas.sensor_msgs import LaserScan, MultiEchoLaserScan
-from tests.cairn.component.running import Threaded
+from cairn.schemas.diagnostic_msgs import DiagnosticArray
+from cairn.schemas.sensor_msgs import LaserScan, MultiEchoLaserScan
+from tests.cairn.runtime.running import Threaded
 from tests.patience import LIMIT_S
 
 _ALL = RELIABLE.with_depth(1_000_000)

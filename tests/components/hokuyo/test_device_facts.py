@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from components.hokuyo.device_facts import keyed, measuring
-from components.hokuyo.replies import ReplySplitter
-from components.hokuyo.scip_text import ScipError, check_sum
+from cairn.components.hokuyo.device_facts import keyed, measuring
+from cairn.components.hokuyo.replies import ReplySplitter
+from cairn.components.hokuyo.scip_text import ScipError, check_sum
 
 CAPTURED = Path(__file__).parents[2] / "data" / "hokuyo" / "scip20_VV_urg04lx-ug01.bin"
 # Lines of a real URG-04LX, sums included.

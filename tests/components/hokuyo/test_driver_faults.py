@@ -8,17 +8,17 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cairn.components.hokuyo.component import HokuyoScanner
+from cairn.components.hokuyo.emulated_record import SentScan
+from cairn.components.hokuyo.emulated_scip import EmulatedScip
+from cairn.components.hokuyo.measurement import Measured
+from cairn.components.hokuyo.replies import ReplySplitter
+from cairn.components.hokuyo.requests import ScanRequest
+from cairn.components.hokuyo.scan_data import ScanData
+from cairn.components.hokuyo.stream import ScanStream
 from cairn.driver.diagnostics import ERROR, OK, WARN
 from cairn.driver.faults import FrameFault, FrameFaults
 from cairn.errors import CairnError
-from components.hokuyo.component import HokuyoScanner
-from components.hokuyo.emulated_record import SentScan
-from components.hokuyo.emulated_scip import EmulatedScip
-from components.hokuyo.measurement import Measured
-from components.hokuyo.replies import ReplySplitter
-from components.hokuyo.requests import ScanRequest
-from components.hokuyo.scan_data import ScanData
-from components.hokuyo.stream import ScanStream
 from tests.components.hokuyo.comparing import assert_were_sent
 from tests.components.hokuyo.driving import Driven, driven
 

@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from components.hokuyo.emulated_models import MODELS
-from components.hokuyo.emulated_scene import Still
-from components.hokuyo.emulated_scip import EmulatedScip
-from components.hokuyo.scip_text import check_sum, decode_number
+from cairn.components.hokuyo.emulated_models import MODELS
+from cairn.components.hokuyo.emulated_scene import Still
+from cairn.components.hokuyo.emulated_scip import EmulatedScip
+from cairn.components.hokuyo.scip_text import check_sum, decode_number
 
 DATA = Path(__file__).parents[2] / "data" / "hokuyo"
 

@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from components.hokuyo.emulated_models import MODELS
-from components.hokuyo.emulated_scip import EmulatedScip
+from cairn.components.hokuyo.emulated_models import MODELS
+from cairn.components.hokuyo.emulated_scip import EmulatedScip
 
 
 def _statuses(sensor: EmulatedScip, commands: str, now: float = 0.0) -> list[str]:

@@ -5,12 +5,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from components.hokuyo.emulated_mirror import CLOCK_MS
-from components.hokuyo.emulated_record import SentScan
-from components.hokuyo.emulated_scene import ECHOES, NO_ECHO, Still, Turn
-from components.hokuyo.emulated_scip import EmulatedScip
-from components.hokuyo.replies import Reply, ReplySplitter
-from components.hokuyo.scip_text import decode_number
+from cairn.components.hokuyo.emulated_mirror import CLOCK_MS
+from cairn.components.hokuyo.emulated_record import SentScan
+from cairn.components.hokuyo.emulated_scene import ECHOES, NO_ECHO, Still, Turn
+from cairn.components.hokuyo.emulated_scip import EmulatedScip
+from cairn.components.hokuyo.replies import Reply, ReplySplitter
+from cairn.components.hokuyo.scip_text import decode_number
 
 
 def _scans(sensor: EmulatedScip, command: str, count: int) -> list[Reply]:

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cairn.components.hokuyo.scip_text import encode_number, with_sum
 from cairn.driver.emulated_lines import PtyEnd
 from cairn.driver.emulation import Emulation
-from components.hokuyo.scip_text import encode_number, with_sum
 from tests.components.hokuyo.driving import Driven
 
 _LIMITS = ("DMIN:100", "DMAX:4000", "SCAN:600")

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from serial.tools import list_ports
 
+from cairn.components.hokuyo.emulated_scip import EmulatedScip
+from cairn.components.hokuyo.scan_picture import drawn
 from cairn.driver.emulated_lines import PtyEnd, TcpEnd
 from cairn.driver.emulation import Emulation
-from components.hokuyo.emulated_scip import EmulatedScip
-from components.hokuyo.scan_picture import drawn
-from schemas.sensor_msgs import LaserScan
+from cairn.schemas.sensor_msgs import LaserScan
 from tests.commands import cairn
 
 

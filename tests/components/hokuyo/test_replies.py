@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from components.hokuyo.replies import Reply, ReplySplitter
+from cairn.components.hokuyo.replies import Reply, ReplySplitter
 
 _LINES = [b"MD0044072501000\n99b\n007GN\nabc\n\n", b"QT\n00P\n\n", b"V\n0\nVEND:x\nPROD:y\n\n"]
 

@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from components.hokuyo.replies import Reply, ReplySplitter
-from components.hokuyo.requests import ScanRequest
-from components.hokuyo.scan_data import NO_ECHO, ScanData, scan_data
-from components.hokuyo.scip_text import ScipError, encode_number, with_sum
+from cairn.components.hokuyo.replies import Reply, ReplySplitter
+from cairn.components.hokuyo.requests import ScanRequest
+from cairn.components.hokuyo.scan_data import NO_ECHO, ScanData, scan_data
+from cairn.components.hokuyo.scip_text import ScipError, encode_number, with_sum
 
 CAPTURED = Path(__file__).parents[2] / "data" / "hokuyo" / "scip20_GD_urg04lx-ug01_A.bin"
 WHOLE = ScanRequest(44, 725)

@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from components.hokuyo.device_facts import URG_04LX, Measuring
-from components.hokuyo.requests import ScanRequest
-from components.hokuyo.scan_data import ScanData
-from components.hokuyo.scan_message import ScanShape
-from schemas.std_msgs import Header
+from cairn.components.hokuyo.device_facts import URG_04LX, Measuring
+from cairn.components.hokuyo.requests import ScanRequest
+from cairn.components.hokuyo.scan_data import ScanData
+from cairn.components.hokuyo.scan_message import ScanShape
+from cairn.schemas.std_msgs import Header
 
 UTM = Measuring("UTM-30LX(Hokuyo)", 23, 60000, 1440, 0, 1080, 540, 2400)
 HEADER = Header(frame_id="laser")

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from components.hokuyo.scip_text import (
+from cairn.components.hokuyo.scip_text import (
     ScipError,
     check_sum,
     checked,

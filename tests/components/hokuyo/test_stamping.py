@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from cairn.clock import SECOND
-from components.hokuyo.device_facts import Measuring
-from components.hokuyo.requests import ScanRequest
-from components.hokuyo.scip2 import ClockReading
-from components.hokuyo.stamping import Stamping
+from cairn.components.hokuyo.device_facts import Measuring
+from cairn.components.hokuyo.requests import ScanRequest
+from cairn.components.hokuyo.scip2 import ClockReading
+from cairn.components.hokuyo.stamping import Stamping
 
 UTM = Measuring("UTM-30LX", 23, 60000, 1440, 0, 1080, 540, 2400)
 REQUEST = ScanRequest(0, 1080)

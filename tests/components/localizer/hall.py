@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from components.localizer.object_likelihood import Landmark, Sighting
-from planar.poses import Pose
+from cairn.components.localizer.object_likelihood import Landmark, Sighting
+from cairn.planar.poses import Pose
 
 PLACES = {
     1: (3.0, 0.0),

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planar.grid import FREE, OCCUPIED, Frame, Grid, OccupancyCells
-from planar.poses import Pose, compose, wrap
+from cairn.planar.grid import FREE, OCCUPIED, Frame, Grid, OccupancyCells
+from cairn.planar.poses import Pose, compose, wrap
 
 RESOLUTION = 0.05
 Box = tuple[float, float, float, float]  # left, bottom, right, top [m]

@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from components.localizer.absence import AbsenceWatch, View, expected, free_sight
-from components.localizer.object_likelihood import Landmark, Sighting
-from components.localizer.particles import Estimate
+from cairn.components.localizer.absence import AbsenceWatch, View, expected, free_sight
+from cairn.components.localizer.object_likelihood import Landmark, Sighting
+from cairn.components.localizer.particles import Estimate
 
 AHEAD = View(-math.radians(30), math.radians(30), 0.4, 5.0)
 SURE = Estimate((0.0, 0.0, 0.0), np.diag([0.0004, 0.0004, 0.0001]))

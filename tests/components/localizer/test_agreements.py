@@ -2,8 +2,8 @@
 
 import math
 
-from components.localizer.agreements import Agreements
-from components.localizer.object_likelihood import Landmark
+from cairn.components.localizer.agreements import Agreements
+from cairn.components.localizer.object_likelihood import Landmark
 
 HERE, BESIDE, FAR = Landmark(1, 0.0, 0.0), Landmark(2, 0.4, 0.0), Landmark(3, 4.0, 0.0)
 MAP = {mark.object_id: mark for mark in (HERE, BESIDE, FAR)}

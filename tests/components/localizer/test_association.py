@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 
-from components.localizer.association import associated
-from components.localizer.object_likelihood import Landmark, Sighting
-from components.localizer.particles import Estimate
+from cairn.components.localizer.association import associated
+from cairn.components.localizer.object_likelihood import Landmark, Sighting
+from cairn.components.localizer.particles import Estimate
 
 AT_ORIGIN = Estimate((0.0, 0.0, 0.0), np.diag([0.0025, 0.0025, 0.0004]))
 NORTH, EAST = Landmark(1, 0.0, 3.0), Landmark(2, 3.0, 0.0)

@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from components.localizer.cloud import Cloud, kld_count
-from components.localizer.motion import Increment, MotionModel
-from components.localizer.particles import estimate, redraw, systematic_choice
+from cairn.components.localizer.cloud import Cloud, kld_count
+from cairn.components.localizer.motion import Increment, MotionModel
+from cairn.components.localizer.particles import estimate, redraw, systematic_choice
 
 MODEL = MotionModel(0.0, 0.0, 0.02, 0.04, 0.03)
 Array = NDArray[np.float64]

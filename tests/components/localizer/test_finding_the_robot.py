@@ -7,18 +7,18 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from components.localizer.evidence import Evidence
-from components.localizer.localization import Localization
-from components.localizer.motion import MotionModel
-from components.localizer.odometry import MeasuredTrack
-from components.localizer.recent import RecentSightings
-from components.localizer.recent_scans import RecentScans
-from components.localizer.scan_map import ScanMap
-from components.localizer.search import search
-from components.localizer.settings import Settings
-from components.localizer.slip import SlipWatch
-from planar.grid import OccupancyCells
-from planar.poses import Pose, compose, relative
+from cairn.components.localizer.evidence import Evidence
+from cairn.components.localizer.localization import Localization
+from cairn.components.localizer.motion import MotionModel
+from cairn.components.localizer.odometry import MeasuredTrack
+from cairn.components.localizer.recent import RecentSightings
+from cairn.components.localizer.recent_scans import RecentScans
+from cairn.components.localizer.scan_map import ScanMap
+from cairn.components.localizer.search import search
+from cairn.components.localizer.settings import Settings
+from cairn.components.localizer.slip import SlipWatch
+from cairn.planar.grid import OccupancyCells
+from cairn.planar.poses import Pose, compose, relative
 from tests.components.localizer.room import Box, Moment, apart, drive, room, scanned
 
 START = (2.0, 2.0, 0.0)

@@ -6,13 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from components.localizer.health import health_of, not_yet_sure
-from components.localizer.particles import Estimate
-from components.localizer.recent import Support
-from components.localizer.resume import resumed, save
-from components.localizer.scanner_watch import ScannerWatch
-from planar.poses import Pose
-from planar.sweep import Rays
+from cairn.components.localizer.health import health_of, not_yet_sure
+from cairn.components.localizer.particles import Estimate
+from cairn.components.localizer.recent import Support
+from cairn.components.localizer.resume import resumed, save
+from cairn.components.localizer.scanner_watch import ScannerWatch
+from cairn.planar.poses import Pose
+from cairn.planar.sweep import Rays
 
 LOG = logging.getLogger(__name__)
 NOTHING = Support(0, 0)

@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from components.localizer.judge import Judge, Judgement, Mode, Verdict
-from components.localizer.object_likelihood import Landmark, Sighting
-from components.localizer.particles import Estimate
-from planar.poses import wrap
+from cairn.components.localizer.judge import Judge, Judgement, Mode, Verdict
+from cairn.components.localizer.object_likelihood import Landmark, Sighting
+from cairn.components.localizer.particles import Estimate
+from cairn.planar.poses import wrap
 
 A, B = Landmark(1, 3.0, 1.0, reliability=0.9), Landmark(2, 3.0, -1.0, reliability=0.9)
 MAP = {1: A, 2: B}

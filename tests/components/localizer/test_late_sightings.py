@@ -6,10 +6,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from components.localizer.absence import View
-from components.localizer.late import seen_from, view_from
-from components.localizer.object_likelihood import Sighting
-from planar.poses import Pose, compose
+from cairn.components.localizer.absence import View
+from cairn.components.localizer.late import seen_from, view_from
+from cairn.components.localizer.object_likelihood import Sighting
+from cairn.planar.poses import Pose, compose
 
 metres = st.floats(-3.0, 3.0)
 poses = st.tuples(metres, metres, st.floats(-3.0, 3.0))

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from components.localizer.likelihood_field import LikelihoodField
-from components.localizer.scan_map import ScanMap
-from planar.grid import FREE, OCCUPIED, UNKNOWN, Frame, Grid
-from planar.poses import Pose
+from cairn.components.localizer.likelihood_field import LikelihoodField
+from cairn.components.localizer.scan_map import ScanMap
+from cairn.planar.grid import FREE, OCCUPIED, UNKNOWN, Frame, Grid
+from cairn.planar.poses import Pose
 
 SIGMA, STRAY = 0.1, 0.05
 

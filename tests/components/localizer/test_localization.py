@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from components.localizer.judge import Verdict
-from components.localizer.localization import Frame, Localization
-from components.localizer.motion import MotionModel
-from components.localizer.object_likelihood import Landmark, Sighting
-from components.localizer.odometry import CommandedTrack
-from components.localizer.settings import Settings
+from cairn.components.localizer.judge import Verdict
+from cairn.components.localizer.localization import Frame, Localization
+from cairn.components.localizer.motion import MotionModel
+from cairn.components.localizer.object_likelihood import Landmark, Sighting
+from cairn.components.localizer.odometry import CommandedTrack
+from cairn.components.localizer.settings import Settings
 from tests.components.localizer.hall import Moment, drive, landmarks
 
 EXACT = MotionModel()

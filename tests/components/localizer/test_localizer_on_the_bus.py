@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 
 from cairn.clock import from_ns
-from components.localizer.component import Localizer
-from schemas.cairn_msgs import (
+from cairn.components.localizer.component import Localizer
+from cairn.schemas.cairn_msgs import (
     ObjectEvidence,
     RecognizedObject,
     RecognizedObjectArray,
     VisualMap,
     VisualObject,
 )
-from schemas.geometry_msgs import (
+from cairn.schemas.geometry_msgs import (
     Point,
     Pose,
     PoseWithCovariance,
@@ -26,8 +26,8 @@ from schemas.geometry_msgs import (
     TwistWithCovariance,
     Vector3,
 )
-from schemas.nav_msgs import Odometry
-from schemas.std_msgs import Header
+from cairn.schemas.nav_msgs import Odometry
+from cairn.schemas.std_msgs import Header
 from tests.components.localizer.hall import PLACES, Moment, drive
 
 StageOf = Callable[..., Any]

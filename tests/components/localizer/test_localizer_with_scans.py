@@ -10,16 +10,16 @@ import pytest
 from numpy.typing import NDArray
 
 from cairn.clock import from_ns
-from components.localizer.component import Localizer
-from planar.grid import FREE, OCCUPIED, Frame, Grid, OccupancyCells, map_message
-from planar.messages import planar_pose, pose_message
-from planar.poses import Pose, compose
-from schemas.builtin_interfaces import Time
-from schemas.geometry_msgs import PoseWithCovariance, PoseWithCovarianceStamped
-from schemas.map_msgs import OccupancyGridUpdate
-from schemas.nav_msgs import Odometry
-from schemas.sensor_msgs import LaserScan
-from schemas.std_msgs import Header
+from cairn.components.localizer.component import Localizer
+from cairn.planar.grid import FREE, OCCUPIED, Frame, Grid, OccupancyCells, map_message
+from cairn.planar.messages import planar_pose, pose_message
+from cairn.planar.poses import Pose, compose
+from cairn.schemas.builtin_interfaces import Time
+from cairn.schemas.geometry_msgs import PoseWithCovariance, PoseWithCovarianceStamped
+from cairn.schemas.map_msgs import OccupancyGridUpdate
+from cairn.schemas.nav_msgs import Odometry
+from cairn.schemas.sensor_msgs import LaserScan
+from cairn.schemas.std_msgs import Header
 from tests.components.localizer.room import Moment, apart, drive, room
 
 StageOf = Callable[..., Any]

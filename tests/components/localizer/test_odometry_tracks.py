@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from components.localizer.motion import Increment, MotionModel, move_pose, step_of
-from components.localizer.odometry import CommandedTrack, MeasuredTrack
-from planar.poses import Pose, relative
+from cairn.components.localizer.motion import Increment, MotionModel, move_pose, step_of
+from cairn.components.localizer.odometry import CommandedTrack, MeasuredTrack
+from cairn.planar.poses import Pose, relative
 
 
 def measured(*poses: Pose, every_s: float = 0.1) -> MeasuredTrack:

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from components.localizer.particles import (
+from cairn.components.localizer.particles import (
     effective_count,
     estimate,
     narrow,

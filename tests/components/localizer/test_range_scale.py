@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from components.localizer.judge import Judge, Judgement, Mode, Verdict
-from components.localizer.object_likelihood import Landmark, Sighting
-from components.localizer.particles import Estimate
-from planar.poses import Pose, wrap
+from cairn.components.localizer.judge import Judge, Judgement, Mode, Verdict
+from cairn.components.localizer.object_likelihood import Landmark, Sighting
+from cairn.components.localizer.particles import Estimate
+from cairn.planar.poses import Pose, wrap
 
 MAP = {
     key: Landmark(key, x, y, reliability=0.98)

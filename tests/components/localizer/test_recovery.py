@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from components.localizer import recovery
-from components.localizer.particles import Estimate
-from components.localizer.recent import Support
-from components.localizer.recovery import BETTER, REFUTED, Recovery
-from components.localizer.search import Found
+from cairn.components.localizer import recovery
+from cairn.components.localizer.particles import Estimate
+from cairn.components.localizer.recent import Support
+from cairn.components.localizer.recovery import BETTER, REFUTED, Recovery
+from cairn.components.localizer.search import Found
 
 HERE = Estimate((0.0, 0.0, 0.0), np.eye(3) * 1e-4)
 POSES = np.array([[5.0, 5.0], [1.0, 1.0], [0.0, 0.0]])

@@ -7,15 +7,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from components.localizer.object_likelihood import (
+from cairn.components.localizer.object_likelihood import (
     Landmark,
     Sighting,
     believed,
     object_log_likelihood,
 )
-from components.localizer.particles import Estimate
-from components.localizer.ring import draw_ring
-from components.localizer.similarity import (
+from cairn.components.localizer.particles import Estimate
+from cairn.components.localizer.ring import draw_ring
+from cairn.components.localizer.similarity import (
     LEAST,
     convergence_radius,
     gate_similarity,

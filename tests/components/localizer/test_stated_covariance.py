@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from benchmarks.localization_scan import START, floor, new_robot, wander
-from components.evaluation.localization_quality import SIGMAS
-from components.localizer.particles import Estimate
-from components.localizer.stated import StatedCovariance
+from cairn.components.localizer.particles import Estimate
+from cairn.components.localizer.stated import StatedCovariance
+from cairn.tools.evaluation.localization_quality import SIGMAS
 
 CELL_M = 0.05
 EXACT_M = 0.027  # what exact beams deviate from a map of such cells

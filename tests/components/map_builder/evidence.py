@@ -1,7 +1,7 @@
 """Evidence as a robot that walks past an object gives it."""
 
-from components.map_builder.objects import Evidence, MapObject, Verdict
-from components.map_builder.place import Place
+from cairn.components.map_builder.objects import Evidence, MapObject, Verdict
+from cairn.components.map_builder.place import Place
 
 HERE = Place(2.0, 1.0, 1e-4, 0.0, 1e-4)
 THERE = Place(3.5, 1.0, 0.02, 0.0, 0.02)

@@ -4,11 +4,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from components.map_builder.objects import Evidence, Kind, State, Verdict
-from components.map_builder.place import Place
-from components.map_builder.viewpoints import NOWHERE, cell_of
-from components.map_builder.visual_map import VisualMap
-from planar.poses import Pose
+from cairn.components.map_builder.objects import Evidence, Kind, State, Verdict
+from cairn.components.map_builder.place import Place
+from cairn.components.map_builder.viewpoints import NOWHERE, cell_of
+from cairn.components.map_builder.visual_map import VisualMap
+from cairn.planar.poses import Pose
 from tests.components.map_builder.evidence import HERE, THERE, surveyed
 
 IN_FRONT = [(0.1 + 0.45 * step, 0.6, 0.0) for step in range(3)]

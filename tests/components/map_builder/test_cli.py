@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
+from cairn.components.map_builder.cli import app
 from cairn.errors import CairnError
-from components.map_builder.cli import app
-from planar.grid import FREE, OCCUPIED, UNKNOWN, Frame, Grid
-from planar.map_file import read_map, write_map
+from cairn.planar.grid import FREE, OCCUPIED, UNKNOWN, Frame, Grid
+from cairn.planar.map_file import read_map, write_map
 
 ROOM = Path(__file__).parents[3] / "deploy" / "worlds" / "room.yaml"
 

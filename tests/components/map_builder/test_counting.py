@@ -4,11 +4,11 @@ import math
 
 import numpy as np
 
-from components.map_builder.counting import build_map
-from planar.distance import distance_field
-from planar.grid import OCCUPIED, OccupancyCells
-from planar.poses import Pose
-from schemas.sensor_msgs import LaserScan
+from cairn.components.map_builder.counting import build_map
+from cairn.planar.distance import distance_field
+from cairn.planar.grid import OCCUPIED, OccupancyCells
+from cairn.planar.poses import Pose
+from cairn.schemas.sensor_msgs import LaserScan
 from tests.components.localizer.room import Box, room, scanned
 
 STEP = math.radians(0.5)

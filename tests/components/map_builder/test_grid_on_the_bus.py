@@ -11,17 +11,17 @@ import numpy as np
 import pytest
 
 from cairn.clock import SECOND, from_ns
+from cairn.components.map_builder.component import MapBuilder
 from cairn.errors import CairnError
-from components.map_builder.component import MapBuilder
-from planar.grid import FREE, OCCUPIED, Grid, grid_of
-from planar.map_file import read_map, write_map
-from planar.messages import with_covariance
-from planar.poses import Pose
-from schemas.cairn_nav_msgs import LocalizationHealth
-from schemas.geometry_msgs import PoseWithCovarianceStamped
-from schemas.nav_msgs import Odometry
-from schemas.sensor_msgs import LaserScan
-from schemas.std_msgs import Header
+from cairn.planar.grid import FREE, OCCUPIED, Grid, grid_of
+from cairn.planar.map_file import read_map, write_map
+from cairn.planar.messages import with_covariance
+from cairn.planar.poses import Pose
+from cairn.schemas.cairn_nav_msgs import LocalizationHealth
+from cairn.schemas.geometry_msgs import PoseWithCovarianceStamped
+from cairn.schemas.nav_msgs import Odometry
+from cairn.schemas.sensor_msgs import LaserScan
+from cairn.schemas.std_msgs import Header
 from tests.components.localizer.room import ROOM, Box, room, scanned
 from tests.disk import room_for
 

@@ -8,13 +8,18 @@ import numpy as np
 import pytest
 
 from cairn.clock import from_ns
+from cairn.components.map_builder.component import MapBuilder
+from cairn.components.map_builder.importing import write_map
+from cairn.components.map_builder.store import open_map
 from cairn.errors import CairnError
-from components.map_builder.component import MapBuilder
-from components.map_builder.importing import write_map
-from components.map_builder.store import open_map
-from schemas.cairn_msgs import ObjectEvidence, ObjectEvidenceArray, VisualMapChange, VisualObject
-from schemas.cairn_nav_msgs import Relocalisation
-from schemas.std_msgs import Header
+from cairn.schemas.cairn_msgs import (
+    ObjectEvidence,
+    ObjectEvidenceArray,
+    VisualMapChange,
+    VisualObject,
+)
+from cairn.schemas.cairn_nav_msgs import Relocalisation
+from cairn.schemas.std_msgs import Header
 from tests.components.map_builder.evidence import surveyed
 from tests.disk import room_for
 

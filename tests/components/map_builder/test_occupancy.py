@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from components.map_builder.counting import build_map
-from components.map_builder.occupancy import Occupancy
-from planar.grid import FREE, OCCUPIED, UNKNOWN, Frame, Grid, OccupancyCells
-from planar.poses import Pose
-from planar.sweep import Rays
-from schemas.sensor_msgs import LaserScan
+from cairn.components.map_builder.counting import build_map
+from cairn.components.map_builder.occupancy import Occupancy
+from cairn.planar.grid import FREE, OCCUPIED, UNKNOWN, Frame, Grid, OccupancyCells
+from cairn.planar.poses import Pose
+from cairn.planar.sweep import Rays
+from cairn.schemas.sensor_msgs import LaserScan
 from tests.components.localizer.room import RESOLUTION, ROOM, Box, room, scanned
 
 OLD: Box = (4.0, 3.0, 5.5, 3.6)

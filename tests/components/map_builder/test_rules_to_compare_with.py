@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from components.map_builder.letter import equation_2, judge_to_the_letter
-from components.map_builder.objects import Evidence, Kind, State, Verdict
-from components.map_builder.persistence import PersistenceFilter
-from components.map_builder.visual_map import VisualMap
+from cairn.components.map_builder.letter import equation_2, judge_to_the_letter
+from cairn.components.map_builder.objects import Evidence, Kind, State, Verdict
+from cairn.components.map_builder.persistence import PersistenceFilter
+from cairn.components.map_builder.visual_map import VisualMap
 from tests.components.map_builder.evidence import HERE, THERE, sighting, surveyed
 
 PROBABILITIES = st.floats(0.0, 1.0)

@@ -19,16 +19,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from components.map_builder.importing import write_map
-from components.map_builder.keeper import MapKeeper
-from components.map_builder.objects import Kind, State
-from components.map_builder.place import Place
-from components.map_builder.store import open_map
+from cairn.components.map_builder.importing import write_map
+from cairn.components.map_builder.keeper import MapKeeper
+from cairn.components.map_builder.objects import Kind, State
+from cairn.components.map_builder.place import Place
+from cairn.components.map_builder.store import open_map
+from cairn.vision.checksum import check, checksum
+from cairn.vision.map_file import MapFileError, copy_map
+from cairn.vision.taught_store import teach
+from tests.cairn.vision.taught_objects import view
 from tests.components.map_builder.evidence import THERE, sighting, surveyed
-from tests.vision.taught_objects import view
-from vision.checksum import check, checksum
-from vision.map_file import MapFileError, copy_map
-from vision.taught_store import teach
 
 
 @pytest.fixture
@@ -143,7 +143,7 @@ WRITER = """
     import sys
     from pathlib import Path
     from tests.components.map_builder.evidence import HERE, THERE, sighting
-    from components.map_builder.keeper import MapKeeper
+    from cairn.components.map_builder.keeper import MapKeeper
     keeper = MapKeeper(Path(sys.argv[1]), None, 0, True)
     step = 0
     while True:
@@ -230,7 +230,7 @@ def test_a_file_that_is_no_map_is_refused_by_name(
 def test_a_map_under_another_writer_says_so(
     map_file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("vision.map_file.LOCK_WAIT_S", 0.05)
+    monkeypatch.setattr("cairn.vision.map_file.LOCK_WAIT_S", 0.05)
     other = sqlite3.connect(map_file, isolation_level=None)
     other.execute("BEGIN EXCLUSIVE")
 

@@ -4,9 +4,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from components.map_builder.objects import Kind, State, Verdict
-from components.map_builder.place import Place
-from components.map_builder.visual_map import VisualMap
+from cairn.components.map_builder.objects import Kind, State, Verdict
+from cairn.components.map_builder.place import Place
+from cairn.components.map_builder.visual_map import VisualMap
 from tests.components.map_builder.evidence import HERE, THERE, sighting, surveyed
 
 

@@ -7,11 +7,11 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from cairn.clock import SECOND
+from cairn.components.map_builder.cli import app
+from cairn.components.map_builder.importing import write_map
+from cairn.components.map_builder.keeper import MapKeeper
+from cairn.components.map_builder.objects import Verdict
 from cairn.errors import CairnError
-from components.map_builder.cli import app
-from components.map_builder.importing import write_map
-from components.map_builder.keeper import MapKeeper
-from components.map_builder.objects import Verdict
 from tests.components.map_builder.evidence import HERE, THERE, sighting, surveyed
 
 

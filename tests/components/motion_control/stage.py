@@ -9,22 +9,22 @@ import numpy as np
 
 from cairn.bus.qos import LATCHED, RELIABLE, SENSOR, Qos
 from cairn.clock import SECOND, from_ns
-from components.motion_control.component import MotionControl
-from planar.messages import packed_poses, pose_message
-from planar.poses import Pose, compose, wrap
-from schemas.cairn_nav_msgs import LocalizationHealth, MotionStatus, Movement, Plan
-from schemas.geometry_msgs import (
+from cairn.components.motion_control.component import MotionControl
+from cairn.planar.messages import packed_poses, pose_message
+from cairn.planar.poses import Pose, compose, wrap
+from cairn.schemas.cairn_nav_msgs import LocalizationHealth, MotionStatus, Movement, Plan
+from cairn.schemas.geometry_msgs import (
     PoseWithCovariance,
     PoseWithCovarianceStamped,
     Twist,
     TwistWithCovariance,
     Vector3,
 )
-from schemas.nav_msgs import Odometry
-from schemas.rosgraph_msgs import Clock
-from schemas.sensor_msgs import LaserScan
-from schemas.std_msgs import Header
-from tests.cairn.component.running import Lockstep, taken
+from cairn.schemas.nav_msgs import Odometry
+from cairn.schemas.rosgraph_msgs import Clock
+from cairn.schemas.sensor_msgs import LaserScan
+from cairn.schemas.std_msgs import Header
+from tests.cairn.runtime.running import Lockstep, taken
 from tests.components.motion_control.world import Array, Robot, World
 
 BEGIN = 1000 * SECOND

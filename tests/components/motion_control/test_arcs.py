@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from components.motion_control.arcs import FAR, arc_clearances, free_along, open_ways, sees
+from cairn.components.motion_control.arcs import FAR, arc_clearances, free_along, open_ways, sees
 
 RADIUS, LEAST = 0.27, 0.23
 

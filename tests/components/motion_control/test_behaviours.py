@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from components.motion_control.behaviours import BackOff, Explore, LookAround, State
+from cairn.components.motion_control.behaviours import BackOff, Explore, LookAround, State
 from tests.components.motion_control.world import LIMITS, Robot, World, box, drive
 
 HALL = box(0, 0, 20, 20)

@@ -3,7 +3,7 @@
 import pytest
 from pydantic import ValidationError
 
-from components.motion_control.config import MotionControlConfig
+from cairn.components.motion_control.config import MotionControlConfig
 
 
 @pytest.mark.parametrize(

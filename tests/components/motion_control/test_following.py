@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from components.motion_control.behaviours import Follow, State
-from planar.poses import Pose, wrap
+from cairn.components.motion_control.behaviours import Follow, State
+from cairn.planar.poses import Pose, wrap
 from tests.components.motion_control.people import Walker
 from tests.components.motion_control.world import (
     LIMITS,

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from cairn.clock import SECOND
-from schemas.cairn_nav_msgs import LocalizationHealth, MotionStatus, Movement, Plan
+from cairn.schemas.cairn_nav_msgs import LocalizationHealth, MotionStatus, Movement, Plan
 from tests.components.motion_control.stage import Stage
 from tests.components.motion_control.world import Robot, World, box
 

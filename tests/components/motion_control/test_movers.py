@@ -5,8 +5,8 @@ import math
 import numpy as np
 
 from cairn.clock import SECOND
-from components.motion_control.movers import Movers
-from planar.poses import Pose
+from cairn.components.motion_control.movers import Movers
+from cairn.planar.poses import Pose
 from tests.components.motion_control.world import Array, Disc, World, box, rays_from
 
 ANGLES = np.linspace(-math.pi, math.pi, 360, endpoint=False)

@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from components.motion_control.seen_space import SeenSpace
-from planar.poses import Pose
-from planar.sweep import Rays, rays_of
-from schemas.sensor_msgs import LaserScan
+from cairn.components.motion_control.seen_space import SeenSpace
+from cairn.planar.poses import Pose
+from cairn.planar.sweep import Rays, rays_of
+from cairn.schemas.sensor_msgs import LaserScan
 from tests.components.motion_control.world import rays_from
 
 SECOND = 1_000_000_000

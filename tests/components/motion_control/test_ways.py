@@ -6,11 +6,11 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from components.motion_control.detour import DetourSearch
-from components.motion_control.freshness import Freshness
-from components.motion_control.limits import Limits
-from components.motion_control.route import SPACING, Route
-from components.motion_control.whereabouts import Whereabouts
+from cairn.components.motion_control.detour import DetourSearch
+from cairn.components.motion_control.freshness import Freshness
+from cairn.components.motion_control.limits import Limits
+from cairn.components.motion_control.route import SPACING, Route
+from cairn.components.motion_control.whereabouts import Whereabouts
 from tests.components.motion_control.world import LIMITS, route
 
 SECOND = 1_000_000_000

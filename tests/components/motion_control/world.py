@@ -7,15 +7,15 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from components.motion_control.behaviours import Behaviour, Motion, Situation, State
-from components.motion_control.limits import Limits
-from components.motion_control.local_planner import LOOK
-from components.motion_control.movers import Movers
-from components.motion_control.route import Route
-from components.motion_control.seen_space import SeenSpace
-from components.motion_control.steering import Steering
-from planar.poses import Pose, compose, relative, wrap
-from planar.sweep import Rays
+from cairn.components.motion_control.behaviours import Behaviour, Motion, Situation, State
+from cairn.components.motion_control.limits import Limits
+from cairn.components.motion_control.local_planner import LOOK
+from cairn.components.motion_control.movers import Movers
+from cairn.components.motion_control.route import Route
+from cairn.components.motion_control.seen_space import SeenSpace
+from cairn.components.motion_control.steering import Steering
+from cairn.planar.poses import Pose, compose, relative, wrap
+from cairn.planar.sweep import Rays
 
 Array = NDArray[np.float64]
 Wall = tuple[float, float, float, float]

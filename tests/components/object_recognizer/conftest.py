@@ -14,10 +14,15 @@ import pytest
 from numpy.typing import NDArray
 
 from cairn.clock import SECOND
-from components.object_recognizer import component, recognize_cli
-from components.object_recognizer.component import ObjectRecognizer
-from schemas.cairn_msgs import RecognizedObjectArray
-from schemas.sensor_msgs import CameraInfo
+from cairn.components.object_recognizer import component, recognize_cli
+from cairn.components.object_recognizer.component import ObjectRecognizer
+from cairn.schemas.cairn_msgs import RecognizedObjectArray
+from cairn.schemas.sensor_msgs import CameraInfo
+from cairn.vision import teaching
+from cairn.vision.features import Features, extract
+from cairn.vision.map_file import create
+from cairn.vision.taught_store import teach
+from cairn.vision.teaching import view_of
 from tests.components.conftest import Stage
 from tests.components.object_recognizer.scenes import (
     SIZE,
@@ -27,11 +32,6 @@ from tests.components.object_recognizer.scenes import (
     pair,
     picture_of,
 )
-from vision import teaching
-from vision.features import Features, extract
-from vision.map_file import create
-from vision.taught_store import teach
-from vision.teaching import view_of
 
 BEGIN_S = 1000.0
 

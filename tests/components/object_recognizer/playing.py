@@ -7,11 +7,11 @@ from pydantic import Field
 
 from cairn.bus.qos import SENSOR
 from cairn.clock import SECOND, from_ns
-from cairn.component.component import Component
-from cairn.component.handlers import every
-from cairn.component.parameters import Config
-from cairn.component.ports import Out
-from schemas.sensor_msgs import CameraInfo, Image
+from cairn.runtime.component import Component
+from cairn.runtime.handlers import every
+from cairn.runtime.parameters import Config
+from cairn.runtime.ports import Out
+from cairn.schemas.sensor_msgs import CameraInfo, Image
 from tests.components.object_recognizer.scenes import Thing, info, message, pair
 
 

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cairn.clock import from_ns
-from schemas.sensor_msgs import CameraInfo, Image
-from schemas.std_msgs import Header
-from tests.vision.taught_objects import texture
+from cairn.schemas.sensor_msgs import CameraInfo, Image
+from cairn.schemas.std_msgs import Header
+from tests.cairn.vision.taught_objects import texture
 
 Grey = NDArray[np.uint8]
 

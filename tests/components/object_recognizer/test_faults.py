@@ -10,11 +10,11 @@ import cv2
 import numpy as np
 import pytest
 
-from components.object_recognizer.agreement import Agreement
+from cairn.components.object_recognizer.agreement import Agreement
+from cairn.vision.taught_store import teach
+from cairn.vision.teaching import view_of
 from tests.components.object_recognizer.conftest import Robot
 from tests.components.object_recognizer.scenes import SIZE, Thing, info, message, pair, picture_of
-from vision.taught_store import teach
-from vision.teaching import view_of
 
 Begin = Callable[..., Robot]
 Complaints = Callable[[], str]

@@ -10,7 +10,7 @@ import yaml
 from cairn.bus.qos import Qos
 from cairn.deployment.load import load_deployment
 from cairn.placement.lockstep_run import LockstepRun
-from schemas.cairn_msgs import RecognizedObject, RecognizedObjectArray
+from cairn.schemas.cairn_msgs import RecognizedObject, RecognizedObjectArray
 from tests.commands import cairn
 
 WORLD = Path(__file__).parents[3] / "deploy" / "worlds" / "room.yaml"

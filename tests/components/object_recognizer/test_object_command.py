@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from cairn.testing.launching import launching
+from cairn.vision.map_file import connect, create
+from cairn.vision.taught_store import read_taught
 from tests.commands import Answer, cairn
 from tests.components.object_recognizer.scenes import picture_of
-from vision.map_file import connect, create
-from vision.taught_store import read_taught
 
 ROOT = Path(__file__).parents[3]
 

@@ -4,8 +4,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cairn.clock import SECOND
-from components.object_recognizer.pairing import PATIENCE_NS, Pair, Pairing
-from schemas.sensor_msgs import Image
+from cairn.components.object_recognizer.pairing import PATIENCE_NS, Pair, Pairing
+from cairn.schemas.sensor_msgs import Image
 
 PERIOD = SECOND // 5
 

@@ -8,6 +8,10 @@ import cv2
 import numpy as np
 import pytest
 
+from cairn.vision.camera_file import write_camera
+from cairn.vision.map_file import create
+from cairn.vision.taught_store import teach
+from cairn.vision.teaching import view_of
 from tests.commands import cairn
 from tests.components.object_recognizer.scenes import (
     BASELINE,
@@ -19,10 +23,6 @@ from tests.components.object_recognizer.scenes import (
     photograph,
     picture_of,
 )
-from vision.camera_file import write_camera
-from vision.map_file import create
-from vision.taught_store import teach
-from vision.teaching import view_of
 
 THINGS = [Thing(1, -0.3, 1.5), Thing(3, 0.35, 1.8)]
 

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from cairn.errors import CairnError
+from cairn.vision.taught_store import remove_taught, teach
+from cairn.vision.teaching import view_of
 from tests.components.object_recognizer.conftest import Robot
 from tests.components.object_recognizer.scenes import SIZE, Thing, info, picture_of
-from vision.taught_store import remove_taught, teach
-from vision.teaching import view_of
 
 Begin = Callable[..., Robot]
 

@@ -5,9 +5,9 @@ from typing import Any
 
 import pytest
 
-from components.path_planner.component import PathPlanner
-from planar.grid import OccupancyCells
-from planar.poses import Pose
+from cairn.components.path_planner.component import PathPlanner
+from cairn.planar.grid import OccupancyCells
+from cairn.planar.poses import Pose
 from tests.components.path_planner.happening import BEGIN, HERE
 from tests.components.path_planner.rooms import as_map, pose_at
 

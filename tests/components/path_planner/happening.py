@@ -5,11 +5,11 @@ from typing import Any
 
 import numpy as np
 
-from planar.grid import OccupancyCells
-from planar.messages import planar_poses
-from planar.poses import Pose
-from schemas.cairn_nav_msgs import Plan
-from schemas.map_msgs import OccupancyGridUpdate
+from cairn.planar.grid import OccupancyCells
+from cairn.planar.messages import planar_poses
+from cairn.planar.poses import Pose
+from cairn.schemas.cairn_nav_msgs import Plan
+from cairn.schemas.map_msgs import OccupancyGridUpdate
 from tests.components.path_planner.rooms import (
     RESOLUTION,
     Box,

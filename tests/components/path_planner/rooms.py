@@ -7,15 +7,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cairn.clock import from_ns
-from planar.grid import Frame, OccupancyCells, map_message
-from planar.messages import pose_message
-from planar.poses import Pose
-from schemas.builtin_interfaces import Time
-from schemas.cairn_nav_msgs import LocalizationHealth, Movement
-from schemas.geometry_msgs import PoseWithCovariance, PoseWithCovarianceStamped
-from schemas.nav_msgs import OccupancyGrid, Odometry
-from schemas.sensor_msgs import LaserScan
-from schemas.std_msgs import Header
+from cairn.planar.grid import Frame, OccupancyCells, map_message
+from cairn.planar.messages import pose_message
+from cairn.planar.poses import Pose
+from cairn.schemas.builtin_interfaces import Time
+from cairn.schemas.cairn_nav_msgs import LocalizationHealth, Movement
+from cairn.schemas.geometry_msgs import PoseWithCovariance, PoseWithCovarianceStamped
+from cairn.schemas.nav_msgs import OccupancyGrid, Odometry
+from cairn.schemas.sensor_msgs import LaserScan
+from cairn.schemas.std_msgs import Header
 
 RESOLUTION = 0.05
 Box = tuple[float, float, float, float]

@@ -9,11 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from components.path_planner.cost_map import BLOCKED, CostMap, Costs, nearest_open
-from components.path_planner.sightings import RecentObstacles
-from planar.grid import Frame, OccupancyCells
-from planar.scans import Beams
-from planar.shortest_path import CLOSED, DEAREST, LEAST, MARGIN, priced
+from cairn.components.path_planner.cost_map import BLOCKED, CostMap, Costs, nearest_open
+from cairn.components.path_planner.sightings import RecentObstacles
+from cairn.planar.grid import Frame, OccupancyCells
+from cairn.planar.scans import Beams
+from cairn.planar.shortest_path import CLOSED, DEAREST, LEAST, MARGIN, priced
 from tests.components.path_planner.rooms import room
 
 COSTS = Costs(radius=0.22, reach=0.45, weight=1.0, margin=0.05, allow_unknown=False)

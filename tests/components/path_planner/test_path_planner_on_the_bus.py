@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cairn.component.lifecycle import Transition
-from components.path_planner.planning import Outcome
-from planar.messages import planar_poses
-from planar.poses import Pose, compose
-from schemas.cairn_nav_msgs import Plan
+from cairn.components.path_planner.planning import Outcome
+from cairn.planar.messages import planar_poses
+from cairn.planar.poses import Pose, compose
+from cairn.runtime.lifecycle import Transition
+from cairn.schemas.cairn_nav_msgs import Plan
 from tests.components.path_planner.happening import (
     BEGIN,
     DOOR,

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from components.motion_control.config import MotionControlConfig
-from components.path_planner.config import PathPlannerConfig
-from components.path_planner.cost_map import CostMap, Costs
-from components.path_planner.planning import Answer, Outcome, Planner, Route
-from planar.grid import OccupancyCells
-from planar.poses import Pose
+from cairn.components.motion_control.config import MotionControlConfig
+from cairn.components.path_planner.config import PathPlannerConfig
+from cairn.components.path_planner.cost_map import CostMap, Costs
+from cairn.components.path_planner.planning import Answer, Outcome, Planner, Route
+from cairn.planar.grid import OccupancyCells
+from cairn.planar.poses import Pose
 from tests.components.path_planner.rooms import clearance, room, wall_with_door
 
 COSTS = Costs(radius=0.22, reach=0.45, weight=1.0, margin=0.05, allow_unknown=False)

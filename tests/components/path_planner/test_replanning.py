@@ -7,11 +7,11 @@ import pytest
 
 from cairn.bus.qos import LATCHED, SENSOR
 from cairn.clock import SECOND, from_ns
-from components.path_planner.component import PathPlanner
-from planar.messages import planar_poses
-from schemas.cairn_nav_msgs import MotionStatus, Plan
-from schemas.rosgraph_msgs import Clock
-from tests.cairn.component.running import Lockstep, taken
+from cairn.components.path_planner.component import PathPlanner
+from cairn.planar.messages import planar_poses
+from cairn.schemas.cairn_nav_msgs import MotionStatus, Plan
+from cairn.schemas.rosgraph_msgs import Clock
+from tests.cairn.runtime.running import Lockstep, taken
 from tests.components.path_planner.happening import (
     DOOR,
     THERE,

@@ -15,19 +15,19 @@ import pytest
 from cairn.bus.control import ControlError
 from cairn.bus.lockstep_bus import LockstepBus
 from cairn.clock import SECOND, to_ns
+from cairn.components.pbs.component import PbsScanner
+from cairn.components.pbs.emulated_pbs import EmulatedPbs, SentDistances
+from cairn.components.pbs.frames import FrameSplitter, framed
+from cairn.components.pbs.messages import BAUD, DISTANCES, LINK_CODE, distances, link_code
 from cairn.driver.emulated_lines import PtyEnd
 from cairn.driver.emulation import Emulation
 from cairn.driver.faults import FRAME_FAULTS
 from cairn.driver.link import SerialLink
 from cairn.errors import CairnError
-from components.pbs.component import PbsScanner
-from components.pbs.emulated_pbs import EmulatedPbs, SentDistances
-from components.pbs.frames import FrameSplitter, framed
-from components.pbs.messages import BAUD, DISTANCES, LINK_CODE, distances, link_code
-from schemas.diagnostic_msgs import DiagnosticArray, DiagnosticStatus
-from schemas.sensor_msgs import LaserScan
-from schemas.tf2_msgs import TFMessage
-from tests.cairn.component.running import Threaded
+from cairn.schemas.diagnostic_msgs import DiagnosticArray, DiagnosticStatus
+from cairn.schemas.sensor_msgs import LaserScan
+from cairn.schemas.tf2_msgs import TFMessage
+from tests.cairn.runtime.running import Threaded
 from tests.components.hokuyo.driving import Heard
 from tests.patience import LIMIT_S
 

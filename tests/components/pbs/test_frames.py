@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from components.pbs import messages
-from components.pbs.frames import FrameError, FrameSplitter, crc16, framed, payload_of
+from cairn.components.pbs import messages
+from cairn.components.pbs.frames import FrameError, FrameSplitter, crc16, framed, payload_of
 
 CODE = bytes.fromhex("1122334455667788")
 

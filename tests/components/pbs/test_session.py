@@ -5,12 +5,12 @@ import math
 import numpy as np
 import pytest
 
-from components.pbs import messages
-from components.pbs.emulated_pbs import EmulatedPbs, SentDistances
-from components.pbs.frames import FrameSplitter, framed
-from components.pbs.scan_message import ScanShape
-from components.pbs.session import Session
-from schemas.std_msgs import Header
+from cairn.components.pbs import messages
+from cairn.components.pbs.emulated_pbs import EmulatedPbs, SentDistances
+from cairn.components.pbs.frames import FrameSplitter, framed
+from cairn.components.pbs.scan_message import ScanShape
+from cairn.components.pbs.session import Session
+from cairn.schemas.std_msgs import Header
 
 
 class Talk:

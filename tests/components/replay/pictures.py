@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cairn.clock import SECOND
-from components.replay.camera import ReplayCamera
-from components.replay.formats import open_recording
-from tests.vision.cameras import HEIGHT, WIDTH, info
-from vision.camera_file import write_camera
+from cairn.components.replay.camera import ReplayCamera
+from cairn.components.replay.formats import open_recording
+from cairn.vision.camera_file import write_camera
+from tests.cairn.vision.cameras import HEIGHT, WIDTH, info
 
 StageOf = Callable[..., Any]
 Grey = NDArray[np.uint8]

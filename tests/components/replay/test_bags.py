@@ -14,9 +14,9 @@ from rosbags.rosbag2 import Writer as Ros2Writer
 from rosbags.typesys import Stores, get_typestore
 
 from cairn.clock import SECOND, to_ns
-from components.replay.bag import BagRecording
-from components.replay.formats import open_recording
-from components.replay.recording import RecordingError
+from cairn.components.replay.bag import BagRecording
+from cairn.components.replay.formats import open_recording
+from cairn.components.replay.recording import RecordingError
 from tests.components.replay.conftest import LEGS, OLD_BAG
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)

@@ -9,11 +9,12 @@ import yaml
 
 from cairn.bus.qos import Qos
 from cairn.clock import SECOND, to_ns
+from cairn.components.replay.clock import ReplayClock
+from cairn.components.replay.formats import open_recording
 from cairn.deployment.load import load_deployment
 from cairn.placement.lockstep_run import LockstepRun
-from components.replay.clock import ReplayClock
-from components.replay.formats import open_recording
-from schemas.sensor_msgs import CameraInfo, Image
+from cairn.schemas.sensor_msgs import CameraInfo, Image
+from tests.cairn.vision.cameras import HEIGHT, WIDTH, info
 from tests.commands import cairn
 from tests.components.replay.pictures import (
     StageOf,
@@ -25,7 +26,6 @@ from tests.components.replay.pictures import (
     shade,
     video,
 )
-from tests.vision.cameras import HEIGHT, WIDTH, info
 
 MANY = Qos("reliable", "transient_local", 100_000)
 

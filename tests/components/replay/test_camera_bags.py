@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from cairn.clock import SECOND
-from components.replay.formats import open_recording
-from components.replay.recording import RecordingError
+from cairn.components.replay.formats import open_recording
+from cairn.components.replay.recording import RecordingError
+from tests.cairn.vision.cameras import HEIGHT, WIDTH
 from tests.components.replay.pictures import (
     StageOf,
     picture,
@@ -18,7 +19,6 @@ from tests.components.replay.pictures import (
     shade,
 )
 from tests.components.replay.test_bags import BEGIN, STORE, Messages, header, odometry, of, ros2
-from tests.vision.cameras import HEIGHT, WIDTH
 
 
 def image(t: float, shade: int, **changes: Any) -> Any:

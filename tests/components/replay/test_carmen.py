@@ -11,9 +11,9 @@ import pytest
 from numpy.typing import NDArray
 
 from cairn.clock import SECOND, to_ns
-from components.replay.carmen import CarmenRecording, posed_scans
-from components.replay.recording import RecordingError
-from planar.poses import distance, relative, wrap
+from cairn.components.replay.carmen import CarmenRecording, posed_scans
+from cairn.components.replay.recording import RecordingError
+from cairn.planar.poses import distance, relative, wrap
 from tests.components.replay.conftest import FR079, FR101, Write, flaser, odom
 
 Array = NDArray[np.float64]

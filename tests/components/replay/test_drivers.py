@@ -10,18 +10,18 @@ import yaml
 
 from cairn.bus.qos import Qos
 from cairn.clock import SECOND, to_ns
-from cairn.component.runtime import End
+from cairn.components.replay.carmen import CarmenRecording
+from cairn.components.replay.clock import ReplayClock
+from cairn.components.replay.formats import open_recording
+from cairn.components.replay.odometry import ReplayOdometry
+from cairn.components.replay.recording import RecordingError
+from cairn.components.replay.scanner import ReplayScanner
+from cairn.components.replay.sightings import ReplaySightings
+from cairn.components.replay.truth import ReplayTruth
 from cairn.deployment.load import load_deployment
 from cairn.placement.lockstep_run import LockstepRun
-from components.replay.carmen import CarmenRecording
-from components.replay.clock import ReplayClock
-from components.replay.formats import open_recording
-from components.replay.odometry import ReplayOdometry
-from components.replay.recording import RecordingError
-from components.replay.scanner import ReplayScanner
-from components.replay.sightings import ReplaySightings
-from components.replay.truth import ReplayTruth
-from schemas.nav_msgs import Odometry
+from cairn.runtime.runtime import End
+from cairn.schemas.nav_msgs import Odometry
 from tests.components.replay.conftest import FR079, FR101, LEGS, Write, odom
 
 StageOf = Callable[..., Any]

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from cairn.clock import SECOND, from_ns, to_ns
-from cairn.component.runtime import End
-from components.replay.clock import ReplayClock
-from components.replay.dead_reckoning import reckon
-from components.replay.mrclam_files import Dataset
-from components.replay.odometry import ReplayOdometry
-from components.replay.sightings import ReplaySightings
-from components.replay.truth import ReplayTruth
-from schemas.rosgraph_msgs import Clock
+from cairn.components.replay.clock import ReplayClock
+from cairn.components.replay.dead_reckoning import reckon
+from cairn.components.replay.mrclam_files import Dataset
+from cairn.components.replay.odometry import ReplayOdometry
+from cairn.components.replay.sightings import ReplaySightings
+from cairn.components.replay.truth import ReplayTruth
+from cairn.runtime.runtime import End
+from cairn.schemas.rosgraph_msgs import Clock
 
 StageOf = Callable[..., Any]
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from components.replay.mrclam_files import Dataset
-from components.replay.recording import RecordingError
+from cairn.components.replay.mrclam_files import Dataset
+from cairn.components.replay.recording import RecordingError
 
 
 @pytest.fixture

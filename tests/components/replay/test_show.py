@@ -8,9 +8,9 @@ import pytest
 from PIL import Image
 
 from cairn.clock import SECOND
-from components.replay.pictures import rough_map
-from components.replay.recording import Odometry, Scans
-from schemas.sensor_msgs import LaserScan
+from cairn.components.replay.pictures import rough_map
+from cairn.components.replay.recording import Odometry, Scans
+from cairn.schemas.sensor_msgs import LaserScan
 from tests.commands import cairn
 from tests.components.replay.conftest import FR079, LEGS, OLD_BAG, Write, flaser, odom
 from tests.components.replay.test_bags import Messages, odometry, ros2, scan

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from components.report.journal import Journal
-from components.report.record import RunRecord
+from cairn.components.report.journal import Journal
+from cairn.components.report.record import RunRecord
 
 LOG = logging.getLogger("test")
 NAN = float("nan")

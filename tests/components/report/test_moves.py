@@ -1,6 +1,6 @@
 """What the report says of an object's moves, when some of them are taken back."""
 
-from components.report.moves import Move, Moves
+from cairn.components.report.moves import Move, Moves
 
 HERE, THERE, ELSEWHERE = (1.0, 2.0), (3.0, 2.0), (0.0, 5.0)
 

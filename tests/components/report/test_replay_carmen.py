@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from planar.map_file import read_map
+from cairn.planar.map_file import read_map
 from tests.commands import cairn
 
 ROOT = Path(__file__).parents[3]

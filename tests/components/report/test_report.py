@@ -7,10 +7,10 @@ from typing import Any
 
 import pytest
 
-from components.report.component import Report
-from planar.messages import pose_message
-from schemas.geometry_msgs import PoseStamped
-from schemas.std_msgs import Header
+from cairn.components.report.component import Report
+from cairn.planar.messages import pose_message
+from cairn.schemas.geometry_msgs import PoseStamped
+from cairn.schemas.std_msgs import Header
 from tests.components.path_planner.rooms import pose_at, seconds
 
 BEGIN = 100.0

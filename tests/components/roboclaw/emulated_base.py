@@ -7,10 +7,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from cairn.components.roboclaw.emulator import EmulatedRoboclaw, Moved
 from cairn.driver.emulated_lines import PtyEnd
 from cairn.driver.emulation import Emulation
-from components.roboclaw.emulator import EmulatedRoboclaw, Moved
-from planar.poses import Pose, compose
+from cairn.planar.poses import Pose, compose
 from tests.patience import LIMIT_S
 
 RADIUS, SEPARATION, COUNTS = 0.05, 0.3, 4000.0

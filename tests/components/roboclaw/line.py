@@ -1,8 +1,8 @@
 """A line without time: an emulated RoboClaw in the same thread, with faults in its replies."""
 
+from cairn.components.roboclaw.dialogue import Dialogue, DialogueCounts
+from cairn.components.roboclaw.emulator import EmulatedRoboclaw
 from cairn.driver.faults import FrameFaults
-from components.roboclaw.dialogue import Dialogue, DialogueCounts
-from components.roboclaw.emulator import EmulatedRoboclaw
 
 
 class Line:

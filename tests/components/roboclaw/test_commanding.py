@@ -1,6 +1,6 @@
 """Which command the wheels are to carry out."""
 
-from components.roboclaw.commanding import STILL, LatestCommand
+from cairn.components.roboclaw.commanding import STILL, LatestCommand
 
 
 def test_a_command_is_taken_until_it_is_stale() -> None:

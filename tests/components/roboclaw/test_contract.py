@@ -7,15 +7,15 @@ from contextlib import ExitStack
 
 import pytest
 
+from cairn.planar.messages import planar_pose
+from cairn.planar.poses import Pose, apart, distance, relative, wrap
+from cairn.schemas.diagnostic_msgs import DiagnosticArray
+from cairn.schemas.geometry_msgs import Twist, Vector3
+from cairn.schemas.nav_msgs import Odometry
+from cairn.schemas.sensor_msgs import BatteryState
 from cairn.testing.base_contract import BaseContract
 from cairn.testing.reading import Arrival, Reading
 from cairn.testing.robot import Robot
-from planar.messages import planar_pose
-from planar.poses import Pose, apart, distance, relative, wrap
-from schemas.diagnostic_msgs import DiagnosticArray
-from schemas.geometry_msgs import Twist, Vector3
-from schemas.nav_msgs import Odometry
-from schemas.sensor_msgs import BatteryState
 from tests.components.roboclaw.emulated_base import DEPLOYMENT, EmulatedBase, emulated_base
 
 pytestmark = pytest.mark.realtime

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
+from cairn.components.roboclaw import commands
+from cairn.components.roboclaw.emulated_controller import Firmware
+from cairn.components.roboclaw.emulator import EmulatedRoboclaw
+from cairn.components.roboclaw.kinematics import Geometry, Limits
+from cairn.components.roboclaw.packets import ACKNOWLEDGED, reply_packet
+from cairn.components.roboclaw.setting_up import set_up
 from cairn.driver.errors import DeviceError
 from cairn.driver.faults import FRAME_FAULTS, FrameFaults
-from components.roboclaw import commands
-from components.roboclaw.emulated_controller import Firmware
-from components.roboclaw.emulator import EmulatedRoboclaw
-from components.roboclaw.kinematics import Geometry, Limits
-from components.roboclaw.packets import ACKNOWLEDGED, reply_packet
-from components.roboclaw.setting_up import set_up
 from tests.components.roboclaw.line import dialogue_with
 
 GEOMETRY = Geometry(0.05, 1.0, 0.3, 2000.0, "m1", left_inverted=False, right_inverted=False)

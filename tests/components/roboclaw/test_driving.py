@@ -8,14 +8,14 @@ from pathlib import Path
 
 import pytest
 
+from cairn.components.roboclaw.commanding import LatestCommand
+from cairn.components.roboclaw.config import RoboclawBaseConfig
+from cairn.components.roboclaw.driving import Driving, Step
+from cairn.components.roboclaw.health import Health
+from cairn.components.roboclaw.lines import open_line
+from cairn.components.roboclaw.setting_up import NotUsable, Ready
 from cairn.driver.device_thread import DeviceThread
 from cairn.driver.errors import DeviceError, LinkLost
-from components.roboclaw.commanding import LatestCommand
-from components.roboclaw.config import RoboclawBaseConfig
-from components.roboclaw.driving import Driving, Step
-from components.roboclaw.health import Health
-from components.roboclaw.lines import open_line
-from components.roboclaw.setting_up import NotUsable, Ready
 from tests.components.roboclaw.emulated_base import PARAMETERS, EmulatedBase, emulated_base
 
 

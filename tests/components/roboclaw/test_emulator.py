@@ -2,10 +2,15 @@
 
 import pytest
 
-from components.roboclaw import commands
-from components.roboclaw.commands import Order
-from components.roboclaw.emulator import EmulatedRoboclaw
-from components.roboclaw.packets import ACKNOWLEDGED, order_packet, question_packet, reply_data
+from cairn.components.roboclaw import commands
+from cairn.components.roboclaw.commands import Order
+from cairn.components.roboclaw.emulator import EmulatedRoboclaw
+from cairn.components.roboclaw.packets import (
+    ACKNOWLEDGED,
+    order_packet,
+    question_packet,
+    reply_data,
+)
 
 
 def packet(order: Order) -> bytes:

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from components.roboclaw.kinematics import Geometry, Limits, approached, counted, limited
-from components.roboclaw.odometry import OdometryErrors, RecentSpeed, WheelOdometry
+from cairn.components.roboclaw.kinematics import Geometry, Limits, approached, counted, limited
+from cairn.components.roboclaw.odometry import OdometryErrors, RecentSpeed, WheelOdometry
 
 GEOMETRY = Geometry(0.05, 1.02, 0.3, 4000.0, "m2", left_inverted=True, right_inverted=False)
 LIMITS = Limits(0.6, 1.5, 0.8, 3.0)

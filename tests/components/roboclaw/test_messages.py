@@ -2,11 +2,11 @@
 
 import pytest
 
+from cairn.components.roboclaw.dialogue import DialogueCounts
+from cairn.components.roboclaw.health import Health, RetryShare
+from cairn.components.roboclaw.messages import diagnostics_message
+from cairn.components.roboclaw.status import Status
 from cairn.driver.diagnostics import ERROR, OK, WARN
-from components.roboclaw.dialogue import DialogueCounts
-from components.roboclaw.health import Health, RetryShare
-from components.roboclaw.messages import diagnostics_message
-from components.roboclaw.status import Status
 
 
 def told(health: Health, retried: float = 0.0, rate: float = 50.0) -> tuple[int, str]:

@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from components.roboclaw import commands
-from components.roboclaw.packets import (
+from cairn.components.roboclaw import commands
+from cairn.components.roboclaw.packets import (
     crc16,
     order_packet,
     question_packet,

@@ -4,8 +4,8 @@ import re
 
 import pytest
 
-from components.roboclaw.kinematics import Pair
-from components.roboclaw.wheel_watch import WatchLimits, WheelWatch
+from cairn.components.roboclaw.kinematics import Pair
+from cairn.components.roboclaw.wheel_watch import WatchLimits, WheelWatch
 
 PERIOD = 0.02
 

@@ -11,10 +11,10 @@ from typing import Any
 import zenoh
 
 from cairn.bus.codec import Codec
+from cairn.schemas.geometry_msgs import Twist, TwistStamped
+from cairn.schemas.message import type_name
+from cairn.schemas.nav_msgs import Odometry
 from cairn.testing.launching import free_port
-from schemas.geometry_msgs import Twist, TwistStamped
-from schemas.message import type_name
-from schemas.nav_msgs import Odometry
 
 _PROGRAM = Path(__file__).with_name("base_node.py")
 

@@ -8,12 +8,10 @@ import numpy as np
 import pytest
 
 from cairn.clock import SECOND, from_ns, to_ns
-from cairn.component.lifecycle import Transition
-from cairn.testing.odometry import check_pose
-from cairn.testing.stage import Stage
-from components.ros2_base.component import Ros2Base
-from planar.messages import planar_pose, pose_message
-from schemas.geometry_msgs import (
+from cairn.components.ros2_base.component import Ros2Base
+from cairn.planar.messages import planar_pose, pose_message
+from cairn.runtime.lifecycle import Transition
+from cairn.schemas.geometry_msgs import (
     Point,
     Pose,
     PoseWithCovariance,
@@ -23,8 +21,10 @@ from schemas.geometry_msgs import (
     TwistWithCovariance,
     Vector3,
 )
-from schemas.nav_msgs import Odometry
-from schemas.std_msgs import Header
+from cairn.schemas.nav_msgs import Odometry
+from cairn.schemas.std_msgs import Header
+from cairn.testing.odometry import check_pose
+from cairn.testing.stage import Stage
 
 AHEAD = Twist(linear=Vector3(x=0.3), angular=Vector3(z=0.2))
 REST = Twist()

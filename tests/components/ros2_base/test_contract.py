@@ -7,14 +7,14 @@ import pytest
 from cairn.bus.qos import SENSOR
 from cairn.bus.session import open_peer
 from cairn.bus.zenoh_bus import ZenohBus
+from cairn.components.ros2_base.component import Ros2Base
+from cairn.schemas.geometry_msgs import Twist, Vector3
+from cairn.schemas.nav_msgs import Odometry
 from cairn.testing.base_contract import BaseContract
 from cairn.testing.reading import Arrival, Reading
 from cairn.testing.robot import Robot
-from components.ros2_base.component import Ros2Base
-from schemas.geometry_msgs import Twist, Vector3
-from schemas.nav_msgs import Odometry
 from tests.cairn.bus.network import eventually, node
-from tests.cairn.component.running import Threaded
+from tests.cairn.runtime.running import Threaded
 from tests.components.ros2_base.foreign_base import ForeignBase, foreign_base
 
 pytestmark = pytest.mark.realtime

@@ -3,9 +3,9 @@
 import re
 from pathlib import Path
 
+from cairn.components.roboclaw.config import RoboclawBaseConfig
+from cairn.components.ros2_base.config import Ros2BaseConfig
 from cairn.deployment.load import load_deployment
-from components.roboclaw.config import RoboclawBaseConfig
-from components.ros2_base.config import Ros2BaseConfig
 
 PAGE = Path(__file__).parents[3] / "docs" / "drivers" / "base.md"
 

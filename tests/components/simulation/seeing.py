@@ -7,15 +7,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from components.simulation.atlas import Atlas
-from components.simulation.lens import Lens
-from components.simulation.messages import scene_message
-from components.simulation.scene import Scene
-from components.simulation.surfaces import Surfaces, surfaces_of
-from components.simulation.view import Station, ideal_image, panel_corners
-from components.simulation.world_file import VisibleObject
-from planar.poses import Pose
-from schemas.std_msgs import Header
+from cairn.components.simulation.atlas import Atlas
+from cairn.components.simulation.lens import Lens
+from cairn.components.simulation.messages import scene_message
+from cairn.components.simulation.scene import Scene
+from cairn.components.simulation.surfaces import Surfaces, surfaces_of
+from cairn.components.simulation.view import Station, ideal_image, panel_corners
+from cairn.components.simulation.world_file import VisibleObject
+from cairn.planar.poses import Pose
+from cairn.schemas.std_msgs import Header
 from tests.components.simulation.worlds import world_file
 
 LENS = Lens.of(640, 480, math.radians(60))

@@ -7,21 +7,21 @@ import yaml
 
 from cairn.bus.qos import LATCHED, SENSOR
 from cairn.clock import SECOND, to_ns
-from cairn.component.component import Component
-from components.simulation.base import SimulatedBase
-from components.simulation.recognizer import SimulatedRecognizer
-from components.simulation.scanner import SimulatedScanner
-from components.simulation.world_component import SimulatedWorld
-from planar.messages import planar_pose
-from planar.poses import Pose
-from schemas.cairn_msgs import RecognizedObjectArray
-from schemas.cairn_nav_msgs import Collision
-from schemas.cairn_sim_msgs import WorldState
-from schemas.geometry_msgs import PoseStamped, Twist, Vector3
-from schemas.nav_msgs import Odometry
-from schemas.sensor_msgs import LaserScan
-from schemas.tf2_msgs import TFMessage
-from tests.cairn.component.running import Lockstep, Placed, taken
+from cairn.components.simulation.base import SimulatedBase
+from cairn.components.simulation.recognizer import SimulatedRecognizer
+from cairn.components.simulation.scanner import SimulatedScanner
+from cairn.components.simulation.world_component import SimulatedWorld
+from cairn.planar.messages import planar_pose
+from cairn.planar.poses import Pose
+from cairn.runtime.component import Component
+from cairn.schemas.cairn_msgs import RecognizedObjectArray
+from cairn.schemas.cairn_nav_msgs import Collision
+from cairn.schemas.cairn_sim_msgs import WorldState
+from cairn.schemas.geometry_msgs import PoseStamped, Twist, Vector3
+from cairn.schemas.nav_msgs import Odometry
+from cairn.schemas.sensor_msgs import LaserScan
+from cairn.schemas.tf2_msgs import TFMessage
+from tests.cairn.runtime.running import Lockstep, Placed, taken
 from tests.components.simulation.worlds import box
 
 EXACT = {"way_scale_sd": 0, "turn_scale_sd": 0, "way": 0, "turn_error": 0, "turn_per_metre": 0}

@@ -15,22 +15,22 @@ from numpy.typing import NDArray
 from cairn.bus.codec import Codec
 from cairn.bus.qos import LATCHED
 from cairn.clock import SECOND, to_ns
-from cairn.component.parameters import ParameterRefused
+from cairn.components.simulation.camera import SimulatedStereoCamera
+from cairn.components.simulation.lens import Lens
+from cairn.components.simulation.textures import drawn_picture
+from cairn.components.simulation.view import Station, panel_corners
 from cairn.errors import CairnError
-from components.simulation.camera import SimulatedStereoCamera
-from components.simulation.lens import Lens
-from components.simulation.textures import drawn_picture
-from components.simulation.view import Station, panel_corners
-from planar.messages import planar_pose
-from planar.poses import Pose, compose
-from schemas.geometry_msgs import TransformStamped
-from schemas.sensor_msgs import CameraInfo, Image
-from schemas.tf2_msgs import TFMessage
-from tests.cairn.component.running import Placed, taken
+from cairn.planar.messages import planar_pose
+from cairn.planar.poses import Pose, compose
+from cairn.runtime.parameters import ParameterRefused
+from cairn.schemas.geometry_msgs import TransformStamped
+from cairn.schemas.sensor_msgs import CameraInfo, Image
+from cairn.schemas.tf2_msgs import TFMessage
+from cairn.vision.rectification import Rectifier
+from cairn.vision.stereo import StereoRig
+from tests.cairn.runtime.running import Placed, taken
 from tests.components.simulation.seeing import cut_out
 from tests.components.simulation.stage import Simulation
-from vision.rectification import Rectifier
-from vision.stereo import StereoRig
 
 Begin = Callable[..., Simulation]
 

@@ -8,14 +8,14 @@ import pytest
 
 from cairn.bus.qos import LATCHED
 from cairn.clock import SECOND, to_ns
+from cairn.components.simulation.base import SimulatedBase
+from cairn.components.simulation.recognizer import SimulatedRecognizer
+from cairn.components.simulation.scanner import SimulatedScanner
 from cairn.errors import CairnError
-from components.simulation.base import SimulatedBase
-from components.simulation.recognizer import SimulatedRecognizer
-from components.simulation.scanner import SimulatedScanner
-from planar.messages import planar_pose
-from planar.poses import distance
-from schemas.cairn_msgs import VisualMap
-from tests.cairn.component.running import taken
+from cairn.planar.messages import planar_pose
+from cairn.planar.poses import distance
+from cairn.schemas.cairn_msgs import VisualMap
+from tests.cairn.runtime.running import taken
 from tests.components.simulation.stage import EXACT, MOUNT, OBJECTS, TABLE, Simulation
 
 Begin = Callable[..., Simulation]

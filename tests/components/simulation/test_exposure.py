@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from components.simulation.exposure import Film, Noise, blurred
+from cairn.components.simulation.exposure import Film, Noise, blurred
 
 NONE = Noise(0.0, 0.0)
 

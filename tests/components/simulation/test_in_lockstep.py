@@ -11,14 +11,14 @@ import pytest
 
 from cairn.bus.codec import Codec
 from cairn.clock import SECOND, to_ns
+from cairn.components.simulation.rays import cast
+from cairn.components.simulation.scanner import SimulatedScanner
+from cairn.components.simulation.scene import Scene
+from cairn.components.simulation.world_file import read_world
 from cairn.errors import CairnError
-from components.simulation.rays import cast
-from components.simulation.scanner import SimulatedScanner
-from components.simulation.scene import Scene
-from components.simulation.world_file import read_world
-from planar.messages import planar_pose
-from planar.poses import compose, distance, wrap
-from schemas.geometry_msgs import Vector3
+from cairn.planar.messages import planar_pose
+from cairn.planar.poses import compose, distance, wrap
+from cairn.schemas.geometry_msgs import Vector3
 from tests.components.simulation.stage import (
     OBJECTS,
     TABLE,

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from components.simulation.people import Walker
-from components.simulation.rays import clearance
-from components.simulation.world_file import Person
+from cairn.components.simulation.people import Walker
+from cairn.components.simulation.rays import clearance
+from cairn.components.simulation.world_file import Person
 
 OPEN, NOBODY = np.zeros((0, 4)), np.zeros((0, 3))
 STEP = 0.02

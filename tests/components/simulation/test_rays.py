@@ -8,7 +8,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from components.simulation.rays import NOTHING, cast, clearance
+from cairn.components.simulation.rays import NOTHING, cast, clearance
 
 COORDINATE = st.floats(-8, 8).map(lambda value: round(value, 2))
 SEGMENTS = arrays.arrays(np.float64, st.tuples(st.integers(0, 6), st.just(4)), elements=COORDINATE)

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from components.simulation.recognition import Eye, Recognised, Thing, recognised
-from components.simulation.scanning import Surroundings
-from components.simulation.scene import SURFACES
-from components.simulation.world_file import Surface
-from planar.poses import Pose
+from cairn.components.simulation.recognition import Eye, Recognised, Thing, recognised
+from cairn.components.simulation.scanning import Surroundings
+from cairn.components.simulation.scene import SURFACES
+from cairn.components.simulation.world_file import Surface
+from cairn.planar.poses import Pose
 
 EYE = Eye(
     field_of_view=math.radians(60),

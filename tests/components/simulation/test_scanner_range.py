@@ -5,8 +5,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from cairn.components.simulation.scanner import SimulatedScanner
 from cairn.errors import CairnError
-from components.simulation.scanner import SimulatedScanner
 from tests.components.simulation.stage import Simulation
 
 

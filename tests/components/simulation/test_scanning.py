@@ -7,13 +7,13 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from components.simulation.scanner_models import MODELS
-from components.simulation.scanning import Beams, Faults, Surroundings, sweep
-from components.simulation.scene import SURFACES
-from components.simulation.world_file import Surface
-from planar.poses import Pose, compose, relative
-from planar.sweep import rays_of
-from schemas.sensor_msgs import LaserScan
+from cairn.components.simulation.scanner_models import MODELS
+from cairn.components.simulation.scanning import Beams, Faults, Surroundings, sweep
+from cairn.components.simulation.scene import SURFACES
+from cairn.components.simulation.world_file import Surface
+from cairn.planar.poses import Pose, compose, relative
+from cairn.planar.sweep import rays_of
+from cairn.schemas.sensor_msgs import LaserScan
 
 NONE = Faults(dropouts=0.0, dark_dropouts=0.0, dark_reach=1.0, glass_returns=0.0)
 EVERYWHERE = (-math.pi, math.pi, 1)

@@ -5,8 +5,8 @@ from unittest.mock import patch
 
 import pytest
 
-from components.simulation.state_file import StateFile
-from components.simulation.world import World
+from cairn.components.simulation.state_file import StateFile
+from cairn.components.simulation.world import World
 from tests.components.simulation.worlds import world_of
 
 TABLE = {"name": "table", "x": 1.5, "y": 2.0, "size": [0.8, 0.8]}

@@ -8,10 +8,15 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from cairn.components.simulation.survey import (
+    RESOLUTION,
+    grid_of_world,
+    surveyed_grid,
+    surveyed_objects,
+)
 from cairn.errors import CairnError
-from components.simulation.survey import RESOLUTION, grid_of_world, surveyed_grid, surveyed_objects
-from planar.grid import FREE, OCCUPIED, UNKNOWN
-from planar.poses import compose
+from cairn.planar.grid import FREE, OCCUPIED, UNKNOWN
+from cairn.planar.poses import compose
 from tests.components.simulation.worlds import box, world_file
 
 WORLDS = Path(__file__).parents[3] / "deploy" / "worlds"

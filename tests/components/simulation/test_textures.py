@@ -7,18 +7,23 @@ import numpy as np
 import pytest
 import yaml
 
+from cairn.components.simulation.checks import problems_of
+from cairn.components.simulation.photography import seen_from
+from cairn.components.simulation.survey import surveyed_pictures
+from cairn.components.simulation.textures import (
+    LONGEST_PX,
+    drawn_picture,
+    read_picture,
+    surface_pattern,
+)
+from cairn.components.simulation.world_file import read_world
 from cairn.errors import CairnError
-from components.simulation.checks import problems_of
-from components.simulation.photography import seen_from
-from components.simulation.survey import surveyed_pictures
-from components.simulation.textures import LONGEST_PX, drawn_picture, read_picture, surface_pattern
-from components.simulation.world_file import read_world
+from cairn.vision.features import extract
+from cairn.vision.recognition import Recognizer
+from cairn.vision.taught import TaughtObject
+from cairn.vision.teaching import view_of
 from tests.commands import cairn
 from tests.components.simulation.worlds import RADIUS, box
-from vision.features import extract
-from vision.recognition import Recognizer
-from vision.taught import TaughtObject
-from vision.teaching import view_of
 
 ROOM = Path(__file__).parents[3] / "deploy" / "worlds" / "room.yaml"
 

@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from components.simulation.textures import drawn_picture
-from components.simulation.view import Station, ideal_image
-from planar.poses import Pose
+from cairn.components.simulation.textures import drawn_picture
+from cairn.components.simulation.view import Station, ideal_image
+from cairn.planar.poses import Pose
 from tests.components.simulation.seeing import LENS, POSTER, corners, cut_out, seen, stands
 
 PICTURE = drawn_picture(7, (0.5, 0.4))

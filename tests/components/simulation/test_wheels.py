@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from components.simulation.encoders import EncoderErrors, Encoders
-from components.simulation.wheels import BaseLimits, Wheels
-from planar.poses import Pose, compose, relative, wrap
+from cairn.components.simulation.encoders import EncoderErrors, Encoders
+from cairn.components.simulation.wheels import BaseLimits, Wheels
+from cairn.planar.poses import Pose, compose, relative, wrap
 
 STEP = 0.02
 LIMITS = BaseLimits()

@@ -8,10 +8,10 @@ from typing import Any
 import pytest
 import yaml
 
+from cairn.components.simulation.checks import problems_of
+from cairn.components.simulation.pictures import label_places
+from cairn.components.simulation.world_file import WorldFile, read_world
 from cairn.errors import CairnError
-from components.simulation.checks import problems_of
-from components.simulation.pictures import label_places
-from components.simulation.world_file import WorldFile, read_world
 from tests.commands import cairn
 from tests.components.simulation.worlds import RADIUS, box
 

@@ -4,8 +4,8 @@ from typing import Any
 
 import numpy as np
 
-from components.simulation.world import Slip, World
-from components.simulation.world_file import WorldFile
+from cairn.components.simulation.world import Slip, World
+from cairn.components.simulation.world_file import WorldFile
 
 RADIUS = 0.22
 NO_SLIP = Slip(0.0, 0.0, 0.0)

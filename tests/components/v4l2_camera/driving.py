@@ -11,11 +11,11 @@ from typing import Any, Self
 from cairn.bus.lockstep_bus import LockstepBus
 from cairn.bus.qos import Qos
 from cairn.clock import SystemClock
-from cairn.component.lifecycle import Transition
-from cairn.component.loop import ThreadLoop
-from cairn.component.ports import ports_of
-from cairn.component.runtime import Assignment, End, Runtime
-from components.v4l2_camera.component import V4l2StereoCamera
+from cairn.components.v4l2_camera.component import V4l2StereoCamera
+from cairn.runtime.lifecycle import Transition
+from cairn.runtime.loop import ThreadLoop
+from cairn.runtime.ports import ports_of
+from cairn.runtime.runtime import Assignment, End, Runtime
 from tests.patience import LIMIT_S
 
 _LOOK_S = 0.05

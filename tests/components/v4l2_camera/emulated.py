@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cairn.components.v4l2_camera.component import V4l2StereoCamera
+from cairn.components.v4l2_camera.device import Setup
+from cairn.components.v4l2_camera.stream import Capture
 from cairn.driver.errors import LinkLost
-from components.v4l2_camera.component import V4l2StereoCamera
-from components.v4l2_camera.device import Setup
-from components.v4l2_camera.stream import Capture
 from tests.components.v4l2_camera.fakes import HEIGHT, WIDTH, FakeCamera, FakeDevice
 
 RATE = 10.0

@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cairn.components.v4l2_camera import videodev
+from cairn.components.v4l2_camera.controls import STANDARD, Control
+from cairn.components.v4l2_camera.device import Setup
+from cairn.components.v4l2_camera.offers import PictureSize
+from cairn.components.v4l2_camera.pixels import PictureLayout
+from cairn.components.v4l2_camera.stream import Capture
 from cairn.driver.errors import DeviceError, LinkLost
-from components.v4l2_camera import videodev
-from components.v4l2_camera.controls import STANDARD, Control
-from components.v4l2_camera.device import Setup
-from components.v4l2_camera.offers import PictureSize
-from components.v4l2_camera.pixels import PictureLayout
-from components.v4l2_camera.stream import Capture
 from tests.patience import LIMIT_S
 
 WIDTH, HEIGHT, RATE = 64, 48, 25.0

@@ -9,11 +9,11 @@ from typing import Any
 
 import pytest
 
+from cairn.components.v4l2_camera import listing, videodev
+from cairn.components.v4l2_camera.controls import STANDARD
+from cairn.components.v4l2_camera.device import VideoDevice
+from cairn.components.v4l2_camera.names import CameraNode
 from cairn.driver.errors import DeviceError, LinkLost
-from components.v4l2_camera import listing, videodev
-from components.v4l2_camera.controls import STANDARD
-from components.v4l2_camera.device import VideoDevice
-from components.v4l2_camera.names import CameraNode
 
 BRIGHTNESS, GAIN, EXPOSURE = (
     STANDARD[name] for name in ("brightness", "gain", "exposure_time_absolute")

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
+from cairn.components.v4l2_camera.config import ControlsConfig, V4l2StereoCameraConfig
+from cairn.components.v4l2_camera.offers import PictureSize, best_format
 from cairn.driver.device_names import devices_named
 from cairn.errors import CairnError
-from components.v4l2_camera.config import ControlsConfig, V4l2StereoCameraConfig
-from components.v4l2_camera.offers import PictureSize, best_format
-from schemas.sensor_msgs import CameraInfo
+from cairn.schemas.sensor_msgs import CameraInfo
+from cairn.vision.camera_file import write_camera
 from tests.components.v4l2_camera.driving import Driver, RestartedDriver
 from tests.components.v4l2_camera.fakes import HEIGHT, WIDTH, FakeCameras
-from vision.camera_file import write_camera
 
 LEFT, RIGHT = "/dev/left", "/dev/right"
 BASELINE_M = 0.12

@@ -2,8 +2,14 @@
 
 import pytest
 
-from components.v4l2_camera import videodev
-from components.v4l2_camera.controls import STANDARD, Control, ControlRefused, assigned, plain_name
+from cairn.components.v4l2_camera import videodev
+from cairn.components.v4l2_camera.controls import (
+    STANDARD,
+    Control,
+    ControlRefused,
+    assigned,
+    plain_name,
+)
 
 GAIN = Control(STANDARD["gain"], "gain", videodev.CTRL_TYPE_INTEGER, 0, 100, 5, 0, 0)
 AUTO = Control(

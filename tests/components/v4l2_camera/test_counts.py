@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import pytest
 
+from cairn.components.v4l2_camera.counts import Counts, health
 from cairn.driver.diagnostics import ERROR, OK, WARN
-from components.v4l2_camera.counts import Counts, health
 
 BEFORE = Counts(pictures=100, lost=7, skipped=3, marked=1)
 

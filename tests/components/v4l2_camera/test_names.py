@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
+from cairn.components.v4l2_camera.names import find_camera, is_name, video_nodes
 from cairn.driver.errors import LinkLost
-from components.v4l2_camera.names import find_camera, is_name, video_nodes
 
 
 class Computer:

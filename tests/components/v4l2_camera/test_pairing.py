@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from components.v4l2_camera.pairing import Pairing, Picture
+from cairn.components.v4l2_camera.pairing import Pairing, Picture
 
 PERIOD = 40_000_000
 GREY = np.zeros((1, 1), np.uint8)

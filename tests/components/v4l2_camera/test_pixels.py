@@ -9,7 +9,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from components.v4l2_camera.pixels import (
+from cairn.components.v4l2_camera.pixels import (
     DamagedPicture,
     PictureLayout,
     ShortPicture,

@@ -4,7 +4,7 @@ import time
 
 import pytest
 
-from components.v4l2_camera.stamps import Sequence, is_likely, system_offset
+from cairn.components.v4l2_camera.stamps import Sequence, is_likely, system_offset
 
 LAST = 2**32 - 1
 SECOND = 1_000_000_000

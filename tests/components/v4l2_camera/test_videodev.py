@@ -4,7 +4,7 @@ import ctypes
 
 import pytest
 
-from components.v4l2_camera import videodev
+from cairn.components.v4l2_camera import videodev
 
 
 @pytest.mark.parametrize(

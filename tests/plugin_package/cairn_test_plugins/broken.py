@@ -1,6 +1,6 @@
 """A plugin whose module cannot be imported."""
 
-from cairn.component.component import Component
+from cairn.runtime.component import Component
 
 raise RuntimeError("this module is broken on purpose")
 

@@ -8,11 +8,11 @@ from typing import Literal
 
 from pydantic import Field
 
-from cairn.component.component import Component, Context
-from cairn.component.handlers import every
-from cairn.component.parameters import Config
-from cairn.component.ports import Out
-from schemas.geometry_msgs import Twist, Vector3
+from cairn.runtime.component import Component, Context
+from cairn.runtime.handlers import every
+from cairn.runtime.parameters import Config
+from cairn.runtime.ports import Out
+from cairn.schemas.geometry_msgs import Twist, Vector3
 
 Fault = Literal[
     "none",

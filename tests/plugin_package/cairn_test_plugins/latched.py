@@ -1,10 +1,10 @@
 """A component that publishes once, latched, and one that waits for it."""
 
 from cairn.bus.qos import LATCHED
-from cairn.component.component import Component
-from cairn.component.handlers import on
-from cairn.component.ports import In, Out
-from schemas.geometry_msgs import Point, Pose, PoseStamped
+from cairn.runtime.component import Component
+from cairn.runtime.handlers import on
+from cairn.runtime.ports import In, Out
+from cairn.schemas.geometry_msgs import Point, Pose, PoseStamped
 
 
 class Beacon(Component):

@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from cairn.component.component import Component
-from cairn.component.parameters import Config
+from cairn.runtime.component import Component
+from cairn.runtime.parameters import Config
 
 
 class NotaryConfig(Config):

@@ -2,11 +2,11 @@
 
 from pydantic import Field
 
-from cairn.component.component import Component
-from cairn.component.handlers import every, on
-from cairn.component.parameters import Config, ParameterRefused
-from cairn.component.ports import In, Out
-from schemas.geometry_msgs import Twist, Vector3
+from cairn.runtime.component import Component
+from cairn.runtime.handlers import every, on
+from cairn.runtime.parameters import Config, ParameterRefused
+from cairn.runtime.ports import In, Out
+from cairn.schemas.geometry_msgs import Twist, Vector3
 
 
 class TalkerConfig(Config):

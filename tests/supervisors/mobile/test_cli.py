@@ -8,10 +8,10 @@ import pytest
 from cairn.bus.session import open_router
 from cairn.cli.connection import connected
 from cairn.errors import CairnError
+from cairn.supervisors.mobile import reaching
+from cairn.supervisors.mobile.cli import parse_goals
+from cairn.supervisors.mobile.reaching import await_active
 from cairn.testing.launching import free_port
-from supervisors.mobile import reaching
-from supervisors.mobile.cli import parse_goals
-from supervisors.mobile.reaching import await_active
 from tests.commands import cairn
 
 

@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 
 from cairn.deployment.load import load_deployment
-from schemas.cairn_nav_msgs import MoveStatus
-from supervisors.mobile.following import Operator, follow
+from cairn.schemas.cairn_nav_msgs import MoveStatus
+from cairn.supervisors.mobile.following import Operator, follow
 from tests.navigation.deployed import Deployed
 from tests.supervisors.mobile.test_orders import TREE, tell
 

@@ -10,11 +10,11 @@ import pytest
 from cairn.bus.qos import LATCHED
 from cairn.deployment.load import load_deployment
 from cairn.errors import CairnError
-from planar.messages import planar_poses, pose_message
-from schemas.cairn_nav_msgs import MoveOrder, MoveStatus
-from schemas.geometry_msgs import PoseStamped
-from schemas.std_msgs import Header
-from supervisors.mobile.orders import checked_goals, saved
+from cairn.planar.messages import planar_poses, pose_message
+from cairn.schemas.cairn_nav_msgs import MoveOrder, MoveStatus
+from cairn.schemas.geometry_msgs import PoseStamped
+from cairn.schemas.std_msgs import Header
+from cairn.supervisors.mobile.orders import checked_goals, saved
 from tests.navigation.deployed import Deployed, taken
 
 TREE = """

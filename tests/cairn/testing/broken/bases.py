@@ -6,10 +6,10 @@ import math
 
 from cairn.bus.qos import SENSOR
 from cairn.clock import SECOND, from_ns
-from cairn.component.component import Component
-from cairn.component.handlers import every, on
-from cairn.component.ports import In, Out
-from schemas.geometry_msgs import (
+from cairn.runtime.component import Component
+from cairn.runtime.handlers import every, on
+from cairn.runtime.ports import In, Out
+from cairn.schemas.geometry_msgs import (
     Point,
     Pose,
     PoseWithCovariance,
@@ -20,9 +20,9 @@ from schemas.geometry_msgs import (
     TwistWithCovariance,
     Vector3,
 )
-from schemas.nav_msgs import Odometry
-from schemas.std_msgs import Header
-from schemas.tf2_msgs import TFMessage
+from cairn.schemas.nav_msgs import Odometry
+from cairn.schemas.std_msgs import Header
+from cairn.schemas.tf2_msgs import TFMessage
 from tests.cairn.testing.broken.evenly import EvenTurns
 
 RATE_HZ = 20.0

@@ -8,11 +8,11 @@ import numpy as np
 
 from cairn.bus.qos import SENSOR
 from cairn.clock import from_ns
-from cairn.component.component import Component
-from cairn.component.handlers import every
-from cairn.component.ports import Out
-from schemas.sensor_msgs import CameraInfo, Image
-from schemas.std_msgs import Header
+from cairn.runtime.component import Component
+from cairn.runtime.handlers import every
+from cairn.runtime.ports import Out
+from cairn.schemas.sensor_msgs import CameraInfo, Image
+from cairn.schemas.std_msgs import Header
 from tests.cairn.testing.broken.evenly import EvenTurns
 
 WIDTH, HEIGHT = 32, 24

@@ -5,8 +5,8 @@ from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any
 
-from cairn.component.component import Component
-from cairn.component.ports import ports_of
+from cairn.runtime.component import Component
+from cairn.runtime.ports import ports_of
 from cairn.testing.bench import Bench
 
 ROOT = Path(__file__).parents[4]

@@ -16,13 +16,13 @@ from pydantic import Field
 
 from cairn.bus.qos import SENSOR
 from cairn.clock import SECOND, from_ns
-from cairn.component.component import Component
-from cairn.component.handlers import every
-from cairn.component.parameters import Config
-from cairn.component.ports import Out
 from cairn.errors import CairnError
-from schemas.sensor_msgs import LaserScan
-from schemas.std_msgs import Header
+from cairn.runtime.component import Component
+from cairn.runtime.handlers import every
+from cairn.runtime.parameters import Config
+from cairn.runtime.ports import Out
+from cairn.schemas.sensor_msgs import LaserScan
+from cairn.schemas.std_msgs import Header
 from tests.cairn.testing.broken.evenly import EvenTurns
 
 BEAMS = 181

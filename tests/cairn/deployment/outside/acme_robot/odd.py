@@ -1,7 +1,7 @@
 """A component whose port does not say what it carries."""
 
-from cairn.component.component import Component
-from cairn.component.ports import Out
+from cairn.runtime.component import Component
+from cairn.runtime.ports import Out
 
 
 class OddPort(Component):

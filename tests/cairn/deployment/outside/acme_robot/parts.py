@@ -4,14 +4,14 @@ from typing import ClassVar, Literal
 
 from pydantic import Field, field_validator
 
-from cairn.component.component import Component
-from cairn.component.handlers import on
-from cairn.component.parameters import Config
-from cairn.component.ports import In, Out
-from schemas.geometry_msgs import Twist
-from schemas.nav_msgs import Odometry
-from schemas.rosgraph_msgs import Clock
-from schemas.sensor_msgs import LaserScan
+from cairn.runtime.component import Component
+from cairn.runtime.handlers import on
+from cairn.runtime.parameters import Config
+from cairn.runtime.ports import In, Out
+from cairn.schemas.geometry_msgs import Twist
+from cairn.schemas.nav_msgs import Odometry
+from cairn.schemas.rosgraph_msgs import Clock
+from cairn.schemas.sensor_msgs import LaserScan
 
 
 class Supervisor(Component):

@@ -1,0 +1,204 @@
+"""Grid maps as files of ROS's map_server: a YAML file and an image."""
+
+from __future__ import annotations
+
+import math
+from io import BytesIO
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+from PIL import Image
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+
+from cairn.errors import CairnError
+from cairn.files import replace_file
+from cairn.planar.grid import (
+    FREE,
+    FREE_TO,
+    OCCUPIED,
+    OCCUPIED_FROM,
+    UNKNOWN,
+    Frame,
+    Grid,
+    OccupancyCells,
+)
+
+Mode = Literal["trinary", "scale", "raw"]
+
+
+def _truth(value: object) -> object:
+    return {0: False, 1: True}.get(value, value) if isinstance(value, int) else value
+
+
+class MapFile(BaseModel):
+    """What stands in the YAML file (map_server's documentation); other keys are ignored."""
+
+    model_config = ConfigDict(extra="ignore", allow_inf_nan=False)
+
+    image: Path
+    mode: Mode = "trinary"
+    resolution: float = Field(gt=0, le=100)
+    origin: tuple[float, float, float]
+    negate: Annotated[bool, BeforeValidator(_truth)] = False
+    occupied_thresh: float = Field(gt=0, le=1)
+    free_thresh: float = Field(ge=0, lt=1)
+    width: int | None = Field(None, gt=0, description="Width the image must have [pixels].")
+    height: int | None = Field(None, gt=0, description="Height the image must have [pixels].")
+
+
+def read_map(file: Path) -> OccupancyCells:
+    """The map of a YAML file and the image that it names, row 0 at the bottom of the image.
+
+    A pixel's lightness (mean of its colours) gives the probability p of an obstacle: dark is
+    occupied, unless `negate`. trinary: occupied above occupied_thresh, free below free_thresh,
+    unknown between; scale: p between the thresholds in percent, unknown where the image is
+    transparent; raw: the pixel's value is the cell's, above 100 unknown. Raises `CairnError` with
+    file, value and remedy.
+    """
+    described = _described(file)
+    path = file.parent / described.image
+    pixels, opaque = _pixels(path)
+    _check_size(file, path, described, pixels)
+    if described.mode == "raw":
+        values = _raw(pixels)
+    else:
+        lightness = pixels / 255.0
+        occupied = lightness if described.negate else 1.0 - lightness
+        values = _cells(occupied, opaque, described)
+    x, y, yaw = described.origin
+    return Grid(np.ascontiguousarray(values[::-1]), Frame(described.resolution, (x, y, yaw)))
+
+
+def write_map(file: Path, grid: OccupancyCells, mode: Mode = "trinary") -> None:
+    """Write a map as YAML file `file` and a PGM (raw, trinary) or PNG (scale) beside it.
+
+    Each is replaced at once or not at all. What was read is written the same in its mode;
+    trinary keeps only free, occupied, unknown. Raises `CairnError` if it cannot be written.
+    """
+    image = file.with_suffix(".png" if mode == "scale" else ".pgm")
+    values = grid.values[::-1]
+    unknown = values == UNKNOWN
+    if mode == "raw":
+        picture = Image.fromarray(np.where(unknown, 255, values).astype(np.uint8))
+    elif mode == "scale":
+        light = np.rint(255.0 * (1.0 - np.clip(values, 0, 100) / 100.0)).astype(np.uint8)
+        picture = Image.fromarray(np.dstack((light, np.where(unknown, 0, 255).astype(np.uint8))))
+    else:
+        light = np.full(values.shape, 205, np.uint8)
+        light[(values >= FREE) & (values <= FREE_TO)] = 254
+        light[values >= OCCUPIED_FROM] = 0
+        picture = Image.fromarray(light)
+    # Pillow does not tell of a file that was cut off by a full disk.
+    encoded = BytesIO()
+    picture.save(encoded, format="PNG" if mode == "scale" else "PPM")
+    text = yaml.safe_dump(
+        {
+            "image": image.name,
+            "mode": mode,
+            "resolution": grid.frame.resolution,
+            "origin": list(grid.frame.origin),
+            "negate": 0,
+            "occupied_thresh": 1.0 if mode == "scale" else OCCUPIED_FROM / 100,
+            "free_thresh": 0.0 if mode == "scale" else 0.196,
+            "width": values.shape[1],
+            "height": values.shape[0],
+        },
+        sort_keys=False,
+    )
+    try:
+        replace_file(image, encoded.getvalue())
+        replace_file(file, text.encode())
+    except OSError as error:
+        raise CairnError(
+            f"the map cannot be written to {file}: {error.strerror or error}; give another folder, "
+            "or make room there"
+        ) from error
+
+
+def _described(file: Path) -> MapFile:
+    try:
+        found = yaml.safe_load(file.read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        raise CairnError(f"{file}: no such map; give a map_server YAML file") from error
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise CairnError(f"{file}: not a map_server YAML file: {error}") from error
+    if not isinstance(found, dict):
+        raise CairnError(f"{file}: not a map_server YAML file: it holds no keys")
+    try:
+        described = MapFile.model_validate(found)
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(map(str, first["loc"]))
+        given = "" if first["type"] == "missing" else f" = {first['input']!r}"
+        raise CairnError(f"{file}: {key}{given}: {first['msg'].lower()}") from error
+    if described.free_thresh >= described.occupied_thresh:
+        raise CairnError(
+            f"{file}: free_thresh = {described.free_thresh} must be below occupied_thresh = "
+            f"{described.occupied_thresh}"
+        )
+    if not all(math.isfinite(value) for value in described.origin):
+        raise CairnError(f"{file}: origin = {described.origin} must be finite")
+    return described
+
+
+def _pixels(path: Path) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Mean of the colours (rows, columns), 0 to 255, and where the image is opaque."""
+    try:
+        with Image.open(path) as opened:
+            opened.load()
+            image: Image.Image = opened
+            if image.mode in ("I;16", "I;16B", "I"):
+                pixels = np.asarray(image, np.float64) / 257.0
+                return pixels, np.ones(pixels.shape, np.bool_)
+            if image.mode == "P":
+                image = image.convert("RGBA")
+            elif image.mode == "1":
+                image = image.convert("L")
+            raster = np.asarray(image, np.float64)
+            bands = image.getbands()
+    except FileNotFoundError as error:
+        raise CairnError(f"{path}: no such image; the map's YAML file names it") from error
+    except (OSError, ValueError, SyntaxError) as error:
+        raise CairnError(f"{path}: not an image that can be read: {error}") from error
+    if raster.ndim == 2:
+        return raster, np.ones(raster.shape, np.bool_)
+    if bands[-1] == "A":
+        return raster[:, :, :-1].mean(axis=2), raster[:, :, -1] > 0
+    return raster.mean(axis=2), np.ones(raster.shape[:2], np.bool_)
+
+
+def _check_size(file: Path, path: Path, described: MapFile, pixels: NDArray[np.float64]) -> None:
+    height, width = pixels.shape
+    for name, wanted, found in (
+        ("width", described.width, width),
+        ("height", described.height, height),
+    ):
+        if wanted is not None and wanted != found:
+            raise CairnError(f"{file}: {name} = {wanted}, but {path} is {width} x {height} pixels")
+
+
+def _raw(pixels: NDArray[np.float64]) -> NDArray[np.int8]:
+    values = np.rint(pixels)
+    cells: NDArray[np.int8] = np.where(values > OCCUPIED, UNKNOWN, values).astype(np.int8)
+    return cells
+
+
+def _cells(
+    occupied: NDArray[np.float64], opaque: NDArray[np.bool_], described: MapFile
+) -> NDArray[np.int8]:
+    cells = np.full(occupied.shape, UNKNOWN, np.int8)
+    least, most = described.free_thresh, described.occupied_thresh
+    if described.mode == "scale":
+        share = (occupied - least) / (most - least)
+        between = np.rint(1.0 + 98.0 * np.clip(share, 0.0, 1.0))
+        if least == 0.0 and most == 1.0:
+            between = np.rint(100.0 * occupied)
+        cells = np.clip(between, FREE, OCCUPIED).astype(np.int8)
+    cells[occupied > most] = OCCUPIED
+    cells[occupied < least] = FREE
+    if described.mode == "scale":
+        cells[~opaque] = UNKNOWN
+    return cells

@@ -1,0 +1,88 @@
+"""Planar poses as messages, and messages as planar poses."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cairn.planar import poses
+from cairn.schemas.geometry_msgs import (
+    Point,
+    Pose,
+    PoseWithCovariance,
+    Quaternion,
+    Transform,
+    TransformStamped,
+    Vector3,
+)
+from cairn.schemas.packed import Packed
+from cairn.schemas.std_msgs import Header
+
+Array = NDArray[np.float64]
+
+# Where the rows and columns of x, y and yaw stand in a message's row-major 6 x 6 covariance.
+_PLANAR = (6 * np.array([0, 1, 5])[:, None] + np.array([0, 1, 5])).ravel()
+
+
+def pose_message(pose: poses.Pose) -> Pose:
+    """A planar pose as a message."""
+    x, y, theta = pose
+    return Pose(position=Point(x=x, y=y), orientation=_rotation(theta))
+
+
+def planar_pose(pose: Pose) -> poses.Pose:
+    """x [m], y [m] and yaw [rad] of a message."""
+    q = pose.orientation
+    yaw = math.atan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y * q.y + q.z * q.z))
+    return pose.position.x, pose.position.y, yaw
+
+
+def transform_message(header: Header, child_frame: str, pose: poses.Pose) -> TransformStamped:
+    """Where a frame is in that of the header: `pose`."""
+    x, y, theta = pose
+    transform = Transform(translation=Vector3(x=x, y=y), rotation=_rotation(theta))
+    return TransformStamped(header=header, child_frame_id=child_frame, transform=transform)
+
+
+def with_covariance(pose: poses.Pose, covariance: Array) -> PoseWithCovariance:
+    """A planar pose and its covariance (3, 3) over x, y, yaw as a message."""
+    full = np.zeros(36)
+    full[_PLANAR] = 0.5 * (covariance + covariance.T).ravel()
+    return PoseWithCovariance(pose=pose_message(pose), covariance=full)
+
+
+def planar_covariance(pose: PoseWithCovariance) -> Array:
+    """The covariance (3, 3) over x, y, yaw of a message."""
+    covariance: Array = pose.covariance[_PLANAR].reshape(3, 3)
+    return covariance
+
+
+def is_covariance(covariance: Array) -> bool:
+    """Whether a matrix (n, n) is one: symmetric, and no direction has a negative variance."""
+    if not np.isfinite(covariance).all() or not np.allclose(covariance, covariance.T):
+        return False
+    variances = np.linalg.eigvalsh(covariance)
+    return bool(variances[0] >= -1e-9 * max(1.0, variances[-1]))
+
+
+def packed_poses(rows: Array) -> Packed[Pose]:
+    """Planar poses (n, 3) as a sequence of messages."""
+    packed = np.zeros((rows.shape[0], 7))
+    packed[:, 0], packed[:, 1] = rows[:, 0], rows[:, 1]
+    packed[:, 5], packed[:, 6] = np.sin(rows[:, 2] / 2), np.cos(rows[:, 2] / 2)
+    return Packed(Pose, packed)
+
+
+def planar_poses(packed: Packed[Pose]) -> Array:
+    """Planar poses (n, 3) of a sequence of messages."""
+    rows = np.empty((len(packed), 3))
+    rows[:, 0], rows[:, 1] = packed.array[:, 0], packed.array[:, 1]
+    x, y, z, w = packed.array[:, 3:].T
+    rows[:, 2] = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    return rows
+
+
+def _rotation(theta: float) -> Quaternion:
+    return Quaternion(z=math.sin(theta / 2), w=math.cos(theta / 2))

@@ -1,0 +1,251 @@
+"""The ports of one running component: advertised, subscribed, delivered and counted."""
+
+from collections.abc import Callable, Iterator, Mapping
+from functools import partial
+from typing import Any, Protocol
+
+from cairn.bus.bus import Node, Publisher, Subscription, full_name
+from cairn.runtime.component import Component
+from cairn.runtime.handlers import PortHandler, TimerHandler, handlers_of
+from cairn.runtime.loop import Scheduler
+from cairn.runtime.ports import BoundIn, BoundOut, PortSpec, ports_of
+from cairn.schemas.cairn_msgs import PortStatus
+from cairn.schemas.fields import fields_of
+from cairn.schemas.message import InvalidMessage, type_name
+
+Counts = tuple[int, int, int]
+"""Messages received, dropped and invalid."""
+
+
+class Owner(Protocol):
+    """What the ports need of the component's runtime."""
+
+    log: Any
+
+    @property
+    def may_publish(self) -> bool:
+        """Whether messages may leave now."""
+        ...
+
+    def run(self, where: str, call: Callable[..., None], *arguments: Any) -> None:
+        """Make one call into the component."""
+        ...
+
+
+class PortTable:
+    """Binds the ports declared by a component's class to the bus."""
+
+    def __init__(
+        self,
+        component: Component,
+        owner: Owner,
+        node: Node,
+        scheduler: Scheduler,
+        robot: str,
+        topics: Mapping[str, str],
+    ) -> None:
+        self._component = component
+        handlers = handlers_of(type(component))
+        self._timers = [
+            (name, handler.period_ns, getattr(component, name))
+            for name, handler in handlers.items()
+            if isinstance(handler, TimerHandler)
+        ]
+        self._inputs: list[_Input] = []
+        self._outputs: list[_Output] = []
+        for spec in ports_of(type(component)).values():
+            topic = full_name(robot, topics.get(spec.name, spec.name))
+            if spec.direction == "in":
+                calls = [
+                    (name, getattr(component, name))
+                    for name, handler in handlers.items()
+                    if isinstance(handler, PortHandler) and handler.port == spec.name
+                ]
+                port = _Input(spec, topic, owner, node, scheduler, calls)
+                setattr(component, spec.name, port.bound)
+                self._inputs.append(port)
+            else:
+                output = _Output(component.name, spec, topic, owner, node)
+                setattr(component, spec.name, output.bound)
+                self._outputs.append(output)
+
+    def advertise(self) -> None:
+        """Announce the outputs."""
+        for output in self._outputs:
+            output.open()
+
+    def subscribe(self) -> None:
+        """Begin to receive."""
+        for port in self._inputs:
+            port.open()
+
+    def drain(self) -> None:
+        """Handle what waits already."""
+        for port in self._inputs:
+            port.drain()
+
+    def unsubscribe(self) -> None:
+        """Cease to receive."""
+        for port in self._inputs:
+            port.close()
+
+    def forget(self) -> None:
+        """Withdraw the outputs and forget what was received."""
+        for output in self._outputs:
+            output.close()
+        for port in self._inputs:
+            port.bound.handled(None)
+
+    def timers(self) -> Iterator[tuple[str, int, Callable[[], None]]]:
+        """The periodic handlers: name, period [ns], method."""
+        yield from self._timers
+
+    def carriers(self, message: str) -> list[str]:
+        """The outputs whose messages are of the type of that name, or hold one of it."""
+        return [
+            output.spec.name for output in self._outputs if _holds(output.spec.message, message)
+        ]
+
+    def status(self) -> tuple[PortStatus, ...]:
+        """The counters of every port."""
+        return (
+            *(port.status() for port in self._inputs),
+            *(output.status() for output in self._outputs),
+        )
+
+
+class _Input:
+    def __init__(
+        self,
+        spec: PortSpec,
+        topic: str,
+        owner: Owner,
+        node: Node,
+        scheduler: Scheduler,
+        calls: list[tuple[str, Callable[..., None]]],
+    ) -> None:
+        self.bound: BoundIn[Any] = BoundIn(spec, topic)
+        self._spec = spec
+        self._topic = topic
+        self._owner = owner
+        self._node = node
+        self._wake = partial(scheduler.deliver, self._woken)
+        self._calls = [(f"{name} (port {spec.name})", call) for name, call in calls]
+        self._subscription: Subscription | None = None
+        # The subscription to count, and what came before it; one tuple, read by other threads.
+        self._counted: tuple[Subscription | None, Counts] = (None, (0, 0, 0))
+
+    def open(self) -> None:
+        if self._subscription is None:
+            self._subscription = self._node.subscribe(
+                self._topic, self._spec.message, self._spec.qos, self._wake
+            )
+            self._counted = (self._subscription, self._counted[1])
+
+    def drain(self) -> None:
+        # Not more than fits into the port: a writer faster than the handlers must not hold it up.
+        for _ in range(self._spec.qos.depth):
+            if not self._deliver():
+                return
+
+    def close(self) -> None:
+        if self._subscription is not None:
+            self._subscription.close()
+            self._subscription = None
+            self._counted = (None, self._counts())
+
+    def status(self) -> PortStatus:
+        received, dropped, invalid = self._counts()
+        return PortStatus(
+            port=self._spec.name,
+            topic=self._topic,
+            direction=PortStatus.IN,
+            messages=received,
+            dropped=dropped,
+            invalid=invalid,
+        )
+
+    def _counts(self) -> Counts:
+        now, (received, dropped, invalid) = self._counted
+        if now is None:
+            return received, dropped, invalid
+        return received + now.received, dropped + now.dropped, invalid + now.invalid
+
+    def _woken(self) -> None:
+        self._deliver()
+
+    def _deliver(self) -> bool:
+        if self._subscription is None:
+            return False
+        try:
+            message = self._subscription.take()
+        except InvalidMessage as error:
+            self._complain(error)
+            return True
+        if message is None:
+            return False
+        self.bound.handled(message)
+        for where, call in self._calls:
+            self._owner.run(where, call, message)
+        return True
+
+    def _complain(self, error: InvalidMessage) -> None:
+        count = self._counts()[2]
+        if count & (count - 1) == 0:  # the 1st, 2nd, 4th, 8th ...: told, never flooding the log
+            self._owner.log.error(
+                "port %s: message on %s refused (%d so far): %s",
+                self._spec.name, self._topic, count, error,
+            )  # fmt: skip
+
+
+class _Output:
+    def __init__(
+        self, component: str, spec: PortSpec, topic: str, owner: Owner, node: Node
+    ) -> None:
+        self.bound: BoundOut[Any] = BoundOut(component, spec, topic, self._send, self._wanted)
+        self.spec = spec
+        self._topic = topic
+        self._owner = owner
+        self._node = node
+        self._publisher: Publisher | None = None
+        self._counted: tuple[Publisher | None, int] = (None, 0)
+
+    def open(self) -> None:
+        if self._publisher is None:
+            self._publisher = self._node.advertise(self._topic, self.spec.message, self.spec.qos)
+            self._counted = (self._publisher, self._counted[1])
+
+    def close(self) -> None:
+        if self._publisher is not None:
+            self._publisher.close()
+            self._publisher = None
+            self._counted = (None, self._sent())
+
+    def status(self) -> PortStatus:
+        return PortStatus(
+            port=self.spec.name,
+            topic=self._topic,
+            direction=PortStatus.OUT,
+            messages=self._sent(),
+            dropped=0,
+            invalid=0,
+        )
+
+    def _sent(self) -> int:
+        now, past = self._counted
+        return past if now is None else past + now.published
+
+    def _wanted(self) -> bool:
+        publisher = self._publisher
+        return publisher is not None and self._owner.may_publish and publisher.wanted
+
+    def _send(self, message: Any) -> None:
+        if self._publisher is not None and self._owner.may_publish:
+            self._publisher.publish(message)
+
+
+def _holds(message: type[Any], name: str) -> bool:
+    return type_name(message) == name or any(
+        isinstance(field.element, type) and _holds(field.element, name)
+        for field in fields_of(message)
+    )

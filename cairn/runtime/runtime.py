@@ -1,0 +1,368 @@
+"""Runs one component: joins it to the bus, its clock and its loop, and walks its life cycle."""
+
+import logging
+import os
+import time
+import zlib
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from cairn.bus.bus import Bus, full_name
+from cairn.clock import Clock, SimulatedClock, SystemClock, from_ns
+from cairn.errors import CairnError
+from cairn.runtime.clock_input import TOPIC, ClockInput
+from cairn.runtime.component import Component
+from cairn.runtime.lifecycle import Recoveries, State, Transition, goal
+from cairn.runtime.loop import Scheduler
+from cairn.runtime.parameters import Config, changed, describe
+from cairn.runtime.port_table import PortTable
+from cairn.runtime.status import StatusPublisher, wire_text
+from cairn.runtime.timing import Timing
+from cairn.schemas.cairn_msgs import ComponentStatus
+from cairn.schemas.message import InvalidMessage
+from cairn.schemas.std_msgs import Header
+
+SETTLE_LIMIT_S = 2.0
+
+
+@dataclass(frozen=True)
+class Assignment:
+    """What a component is told about itself by its deployment."""
+
+    name: str
+    plugin: str
+    robot: str = "robot"
+    parent: str = ""
+    placement: str = "process"
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+    topics: Mapping[str, str] = field(default_factory=dict)
+    simulated_time: bool = False
+    seed: int = 0
+    restarts: int = 0
+    former_end: str = ""
+    children: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class End:
+    """How a component ended: normally (it finished, or was told to stop), or by a failure.
+
+    One that finished did so with `success` or without.
+    """
+
+    normal: bool
+    reason: str
+    success: bool = True
+
+
+class Runtime:
+    """One running component. Of its methods only `status` and `post` are for any thread."""
+
+    def __init__(
+        self,
+        component: type[Component],
+        assignment: Assignment,
+        bus: Bus,
+        scheduler: Scheduler,
+        system_clock: Clock,
+        on_end: Callable[[End], None],
+        awake: Callable[[], float] = time.monotonic,
+    ) -> None:
+        """Construct the component; `CairnError` names it, its plugin and what went wrong.
+
+        `awake` is the time [s] by which it is told how long a handler has been at work.
+        """
+        self.assignment = assignment
+        self.name = assignment.name
+        self.restarts = assignment.restarts
+        self.log = logging.getLogger(f"cairn.{assignment.robot}.{assignment.name}")
+        self.config = _config(component, assignment)
+        self.random = np.random.default_rng([assignment.seed, zlib.crc32(assignment.name.encode())])
+        self._bus = bus
+        self._scheduler = scheduler
+        self._system_clock = system_clock
+        self._on_end = on_end
+        self._awake = awake
+        self._state = State.UNCONFIGURED
+        self._walking: Transition | None = None
+        self._busy: tuple[str, float] | None = None
+        self._finishing: End | None = None
+        self._reason = f"restarted: {assignment.former_end}" if assignment.former_end else ""
+        self._recoveries = Recoveries()
+        if component.clock_source == "device" and (
+            assignment.simulated_time or not isinstance(system_clock, SystemClock)
+        ):
+            raise CairnError(
+                f"{self.name}: plugin {assignment.plugin} drives a device, which cannot follow "
+                "simulated time; start the deployment without --lockstep and with `clock: system`, "
+                "or put a simulated driver in its place"
+            )
+        simulated = assignment.simulated_time and component.clock_source == "deployment"
+        told = SimulatedClock() if simulated else None
+        self.clock: Clock = system_clock if told is None else told
+        self._timing = Timing(self.clock, scheduler, self.log, told=told is not None)
+        self.node = bus.node(full_name(assignment.robot, assignment.name), self.log.error)
+        try:
+            self._construct(component, told)
+        except (Exception, SystemExit) as error:
+            self.node.close()
+            raise CairnError(
+                f"{self.name}: plugin {assignment.plugin} cannot be constructed: {_text(error)}"
+            ) from error
+
+    @property
+    def state(self) -> State:
+        """The primary state of the life cycle."""
+        return self._state
+
+    def schedule(self, at: int, call: Callable[[], None]) -> None:
+        """Have the component's `call` made at `at` [ns] of its clock."""
+        name = getattr(call, "__name__", "scheduled call")
+        self._timing.at(at, partial(self.run, name, call))
+
+    def post(self, call: Callable[[], None]) -> None:
+        """Have the component's `call` made among its handlers; from any thread."""
+        name = getattr(call, "__name__", "posted call")
+        self._scheduler.post(partial(self.run, name, call))
+
+    def finish(self, reason: str, *, success: bool = True) -> None:
+        """End normally once the current handler returns."""
+        self._finishing = End(True, reason or "finished", success)
+
+    def transition(self, transition: Transition) -> None:
+        """Walk one step of the life cycle.
+
+        Raises `CairnError` with the component's own error if it fails; the component is then
+        either unconfigured again (its `on_error` recovered) or has ended.
+        """
+        end = goal(self._state, transition)
+        self._walking = transition
+        try:
+            self._call(f"on_{transition}", self._step, transition)
+        except _Failure as failure:
+            self._walking = None
+            self._fail(failure, last=transition is Transition.SHUTDOWN)
+            why = self._reason.removeprefix(f"on_{transition}: ")
+            raise CairnError(f"{self.name}: {transition} failed: {why}") from failure.error
+        finally:
+            self._walking = None
+        self._state = end
+        if transition is Transition.SHUTDOWN:
+            self._ended(self._finishing or End(True, "shut down"))
+        else:
+            self.heartbeat.publish()
+            self._finish_if_asked()
+
+    def set_parameters(self, changes: Mapping[str, Any]) -> None:
+        """Change live parameters, all or none; `ParameterRefused` says which and why."""
+        new = changed(self.config, changes)
+        self.component.on_parameters(new)
+        self.config = new
+        self.component.config = new
+        self.log.info("parameters changed: %s", dict(changes))
+
+    def request(self, verb: str, arguments: Mapping[str, Any]) -> Any:
+        """Answer a control request; raises `CairnError` when it cannot be done."""
+        if verb in set(Transition):
+            self.transition(Transition(verb))
+            return self._state.value
+        if verb == "parameters":
+            return [vars(parameter) for parameter in describe(self.config)]
+        try:
+            if verb == "set_parameters":
+                return self._call("on_parameters", self.set_parameters, arguments)
+            return self._call(f"on_request {verb}", self.component.on_request, verb, arguments)
+        except _Failure as failure:
+            if isinstance(failure.error, CairnError):
+                raise failure.error from failure.error.__cause__
+            self.log.error("request %s failed", verb, exc_info=failure.error)
+            raise CairnError(f"{self.name}: {verb} failed: {_text(failure.error)}") from failure
+        finally:
+            self._finish_if_asked()
+
+    def run(self, where: str, call: Callable[..., None], *arguments: Any) -> None:
+        """Make one call into the component if it is active; an exception fails the component."""
+        if self._state is not State.ACTIVE:
+            return
+        if self._walking is not None:  # on its way out of `active`, it handles what waits already
+            self._call(where, call, *arguments)
+            return
+        try:
+            self._call(where, call, *arguments)
+        except _Failure as failure:
+            if self._fail(failure):
+                self._scheduler.post(self._recover)
+        self._finish_if_asked()
+
+    def progress(self, what: str) -> None:
+        """Tell the watch that a long call gets on: it is not hung."""
+        if self._busy is not None:
+            self._busy = (what, self._awake())
+
+    def status(self) -> ComponentStatus:
+        """The component's status now; from any thread."""
+        busy = self._busy
+        return ComponentStatus(
+            header=Header(stamp=from_ns(self._system_clock.now()), frame_id=""),
+            component=self.name,
+            plugin=self.assignment.plugin,
+            parent=self.assignment.parent,
+            placement=self.assignment.placement,
+            state=self._state.value,
+            pid=os.getpid(),
+            handler=busy[0] if busy else "",
+            handler_s=self._awake() - busy[1] if busy else 0.0,
+            restarts=self.assignment.restarts,
+            reason=wire_text(self._reason),
+            children=self.assignment.children,
+            ports=self._ports.status(),
+        )
+
+    @property
+    def may_publish(self) -> bool:
+        """Whether messages leave the component: an inactive component publishes nothing."""
+        return self._state is State.ACTIVE or self._walking is Transition.ACTIVATE
+
+    def _construct(self, component: type[Component], told: SimulatedClock | None) -> None:
+        self.component = component(self)
+        self.component.config = self.config
+        robot, topics = self.assignment.robot, self.assignment.topics
+        self._ports = PortTable(self.component, self, self.node, self._scheduler, robot, topics)
+        self._clock_input: ClockInput | None = None
+        if told is not None:
+            topic = full_name(robot, topics.get(TOPIC, TOPIC))
+            self._clock_input = ClockInput(
+                told, self.node, topic, self._scheduler, self._timing.moved, self.log.error
+            )
+        self.heartbeat = StatusPublisher(self.node, robot, self.status)
+
+    def _step(self, transition: Transition) -> None:
+        match transition:
+            case Transition.CONFIGURE:
+                self._ports.advertise()
+                if self._clock_input is not None:
+                    self._clock_input.open()
+                self.component.on_configure()
+            case Transition.ACTIVATE:
+                self._ports.subscribe()
+                unreached = self._bus.settle(SETTLE_LIMIT_S)
+                if unreached:
+                    self.log.warning("no link yet to %s", ", ".join(unreached))
+                self.component.on_activate()
+                self._timing.start(
+                    (period, partial(self.run, name, call))
+                    for name, period, call in self._ports.timers()
+                )
+            case Transition.DEACTIVATE:
+                self._deactivate()
+            case Transition.CLEANUP:
+                self._ports.forget()
+                self.component.on_cleanup()
+            case Transition.SHUTDOWN:
+                if self._state is State.ACTIVE:
+                    self._deactivate()
+                    self._state = State.INACTIVE
+                if self._state is not State.UNCONFIGURED:
+                    self.component.on_cleanup()
+                self.component.on_shutdown()
+
+    def _deactivate(self) -> None:
+        self._ports.drain()
+        self.component.on_deactivate()
+        self._ports.unsubscribe()
+        self._timing.stop()
+
+    def _call(self, where: str, call: Callable[..., Any], *arguments: Any) -> Any:
+        """Make one call that the status tells of; what it raises becomes a `_Failure`."""
+        outer, self._busy = self._busy, (where, self._awake())
+        try:
+            return call(*arguments)
+        except _Failure:  # of a handler within
+            raise
+        except Exception as error:
+            raise _Failure(where, error) from error
+        except SystemExit as error:
+            refusal = CairnError(f"it called sys.exit({error.code}); use self.finish(reason)")
+            raise _Failure(where, refusal) from error
+        finally:
+            self._busy = outer
+
+    def _finish_if_asked(self) -> None:
+        if (
+            self._finishing is not None
+            and self._walking is None
+            and self._state is not State.FINALIZED
+        ):
+            with suppress(CairnError):  # `_fail` has told it, and ended
+                self.transition(Transition.SHUTDOWN)
+
+    def _fail(self, failure: "_Failure", *, last: bool = False) -> bool:
+        self._reason = f"{failure.where}: {self._explained(failure.error)}"
+        self.log.error("%s", self._reason, exc_info=failure.error)
+        self._finishing = None
+        self._ports.unsubscribe()
+        self._timing.stop()
+        recovered = False
+        try:
+            recovered = self._call("on_error", self.component.on_error, failure.error)
+        except _Failure as second:
+            self.log.error("on_error failed: %s", _text(second.error), exc_info=second.error)
+        if recovered and not last and self._recoveries.admit(self._system_clock.now(), self.log):
+            self._state = State.UNCONFIGURED
+            self._ports.forget()
+            self.heartbeat.publish()
+            return True
+        self._state = State.FINALIZED
+        self._ended(End(False, self._reason))
+        return False
+
+    def _explained(self, error: Exception) -> str:
+        ports = self._ports.carriers(error.type_name) if isinstance(error, InvalidMessage) else []
+        carried = f" (for port {' or '.join(ports)})" if ports else ""
+        return f"{_text(error)}{carried}"
+
+    def _recover(self) -> None:
+        if self._state is not State.UNCONFIGURED:
+            return  # it was asked to do something else meanwhile
+        try:
+            self.transition(Transition.CONFIGURE)
+            if self.state is not State.FINALIZED:
+                self.transition(Transition.ACTIVATE)
+        except CairnError as error:
+            self.log.error("recovery failed: %s", error)
+            self._scheduler.post(self._recover)  # until it has tried too often
+        else:
+            self.log.info("recovered")
+
+    def _ended(self, end: End) -> None:
+        self._reason = end.reason
+        try:
+            self.heartbeat.publish()
+            self.heartbeat.close()
+            self.node.close()
+        finally:
+            self._scheduler.stop()
+            self._on_end(end)
+
+
+class _Failure(Exception):  # noqa: N818 - carries the component's own error and its place
+    def __init__(self, where: str, error: Exception) -> None:
+        super().__init__(where)
+        self.where = where
+        self.error = error
+
+
+def _config(component: type[Component], assignment: Assignment) -> Config:
+    try:
+        return component.config_class().model_validate(dict(assignment.parameters))
+    except ValueError as error:
+        raise CairnError(f"{assignment.name}: parameters refused: {error}") from error
+
+
+def _text(error: BaseException) -> str:
+    return str(error) if isinstance(error, CairnError) else f"{type(error).__name__}: {error}"

@@ -1,0 +1,1 @@
+"""Commands that use components as a library: camera calibration, evaluation, experiments."""

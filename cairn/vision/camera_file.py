@@ -1,0 +1,138 @@
+"""Calibrations as files that ROS reads and writes (camera_info_manager's YAML)."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from cairn.errors import CairnError
+from cairn.files import replace_file
+from cairn.schemas.sensor_msgs import CameraInfo
+from cairn.schemas.std_msgs import Header
+from cairn.vision.file_errors import why
+from cairn.vision.rectification import Lens
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+
+
+class _Matrix(BaseModel):
+    model_config = ConfigDict(extra="ignore")
+
+    rows: int = Field(ge=1)
+    cols: int = Field(ge=0)
+    data: list[Finite]
+
+    @model_validator(mode="after")
+    def _whole(self) -> _Matrix:
+        if len(self.data) != self.rows * self.cols:
+            raise ValueError(
+                f"must have rows * cols = {self.rows * self.cols} numbers, not {len(self.data)}"
+            )
+        return self
+
+
+class _CameraFile(BaseModel):
+    """The keys of the file (camera_calibration_parsers); others are ignored."""
+
+    model_config = ConfigDict(extra="ignore")
+
+    image_width: int = Field(gt=0, le=100_000)
+    image_height: int = Field(gt=0, le=100_000)
+    distortion_model: str = "plumb_bob"
+    camera_matrix: _Matrix
+    distortion_coefficients: _Matrix
+    rectification_matrix: _Matrix
+    projection_matrix: _Matrix
+
+
+_SHAPES = {
+    "camera_matrix": (3, 3),
+    "rectification_matrix": (3, 3),
+    "projection_matrix": (3, 4),
+}
+
+
+def read_camera(file: Path, frame_id: str = "") -> CameraInfo:
+    """The calibration in a YAML file, for the camera whose optical frame is `frame_id`.
+
+    Raises `CairnError` that names file, key and value if it is none that can be used.
+    """
+    found = _found(file)
+    for key, shape in _SHAPES.items():
+        matrix = getattr(found, key)
+        if (matrix.rows, matrix.cols) != shape:
+            raise CairnError(
+                f"{file}: {key} is {matrix.rows} x {matrix.cols}, but must be {shape[0]} x "
+                f"{shape[1]}; {_REMEDY}"
+            )
+    info = CameraInfo(
+        header=Header(frame_id=frame_id),
+        width=found.image_width,
+        height=found.image_height,
+        distortion_model=found.distortion_model,
+        d=np.array(found.distortion_coefficients.data, np.float64),
+        k=np.array(found.camera_matrix.data, np.float64),
+        r=np.array(found.rectification_matrix.data, np.float64),
+        p=np.array(found.projection_matrix.data, np.float64),
+    )
+    try:
+        Lens.of(info)
+    except CairnError as error:
+        told = str(error)
+        raise CairnError(told if told.startswith(f"{file}: ") else f"{file}: {told}") from error
+    return info
+
+
+def write_camera(file: Path, info: CameraInfo, name: str) -> None:
+    """Write the calibration of the camera `name`; raises `CairnError` if that cannot be."""
+    content = {
+        "image_width": info.width,
+        "image_height": info.height,
+        "camera_name": name,
+        "camera_matrix": _matrix(info.k.reshape(3, 3)),
+        "distortion_model": info.distortion_model,
+        "distortion_coefficients": _matrix(info.d.reshape(1, -1)),
+        "rectification_matrix": _matrix(info.r.reshape(3, 3)),
+        "projection_matrix": _matrix(info.p.reshape(3, 4)),
+    }
+    text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=math.inf)
+    try:
+        replace_file(file, text.encode())
+    except OSError as error:
+        raise CairnError(f"the calibration cannot be written to {file}: {why(error)}") from error
+
+
+_REMEDY = "calibrate the camera anew with `cairn camera calibrate`, or take a fresh copy"
+
+
+def _found(file: Path) -> _CameraFile:
+    try:
+        content = yaml.safe_load(file.read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        raise CairnError(
+            f"{file}: no such calibration; `cairn camera calibrate` makes one"
+        ) from error
+    except OSError as error:
+        raise CairnError(f"{file}: its calibration cannot be read: {why(error)}") from error
+    except (UnicodeDecodeError, yaml.YAMLError) as error:
+        told = " ".join(str(error).split())
+        raise CairnError(f"{file}: no camera's calibration in YAML: {told}; {_REMEDY}") from error
+    if not isinstance(content, dict):
+        raise CairnError(f"{file}: no camera's calibration in YAML: it has no keys; {_REMEDY}")
+    try:
+        return _CameraFile.model_validate(content)
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(map(str, first["loc"]))
+        value = "" if first["type"] == "missing" else f" = {str(first['input'])[:60]}"
+        raise CairnError(f"{file}: {key}{value}: {first['msg'].lower()}; {_REMEDY}") from error
+
+
+def _matrix(values: NDArray[np.float64]) -> dict[str, Any]:
+    return {"rows": values.shape[0], "cols": values.shape[1], "data": values.ravel().tolist()}

@@ -1,0 +1,150 @@
+"""Images as an ideal camera would have taken them: without distortion, rows of a pair aligned."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from cairn.errors import CairnError
+from cairn.schemas.sensor_msgs import CameraInfo
+
+Array = NDArray[np.float64]
+Grey = NDArray[np.uint8]
+
+_FISHEYE: Final = "equidistant"
+# Numbers of coefficients of each model (sensor_msgs/distortion_models.hpp), as OpenCV takes them.
+_COEFFICIENTS: Final = {
+    "plumb_bob": (0, 4, 5),
+    "rational_polynomial": (0, 8, 12, 14),
+    _FISHEYE: (4,),
+}
+# Below this no pixel of an image moves visibly [px].
+_NOTHING = 1e-3
+
+
+@dataclass(frozen=True)
+class Lens:
+    """A calibrated camera as matrices.
+
+    `intrinsics` K (3, 3) and `distortion` (n,) of the image as taken; `rotation` R (3, 3) from the
+    camera to the rectified camera; `projection` P (3, 4) of the rectified image.
+    """
+
+    width: int
+    height: int
+    intrinsics: Array
+    distortion: Array
+    fisheye: bool
+    rotation: Array
+    projection: Array
+
+    @classmethod
+    def of(cls, info: CameraInfo) -> Lens:
+        """The lens that `info` describes; raises `CairnError` if it describes none, or no usual."""
+        name = info.header.frame_id or "camera"
+        if not is_calibrated(info):
+            raise CairnError(
+                f"{name}: its CameraInfo holds no calibration (k or p is zero): calibrate it with "
+                "`cairn camera calibrate`, and give its driver the file"
+            )
+        _check_whole(info, name)
+        model = info.distortion_model
+        known = _COEFFICIENTS.get(model)
+        if known is None and (model or info.d.any()):
+            raise CairnError(
+                f"{name}: distortion_model = {model!r} is not known; calibrate it with one of "
+                f"{', '.join(_COEFFICIENTS)}"
+            )
+        if known is not None and info.d.size not in known:
+            raise CairnError(
+                f"{name}: d has {info.d.size} coefficients, but {model} has "
+                f"{' or '.join(str(n) for n in known if n)}; calibrate the camera anew"
+            )
+        intrinsics, rotation = info.k.reshape(3, 3), info.r.reshape(3, 3)
+        projection = info.p.reshape(3, 4)
+        for key, matrix in (("k", intrinsics), ("p", projection)):
+            if matrix[0, 0] <= 0 or matrix[1, 1] <= 0 or not np.allclose(matrix[2, :3], (0, 0, 1)):
+                raise CairnError(
+                    f"{name}: {key} = {matrix.ravel().tolist()} is no camera's matrix: its focal "
+                    "lengths must be above 0 and its last row 0 0 1; calibrate the camera anew"
+                )
+        if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3) or (
+            np.linalg.det(rotation) < 0
+        ):
+            raise CairnError(
+                f"{name}: r = {rotation.ravel().tolist()} is no rotation; for a camera alone it is "
+                "1 0 0 0 1 0 0 0 1"
+            )
+        return cls(
+            info.width, info.height, intrinsics, info.d, model == _FISHEYE, rotation, projection
+        )
+
+    def maps(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """For each pixel of the rectified image the place in the image as taken: x, y [px]."""
+        make = cv2.fisheye.initUndistortRectifyMap if self.fisheye else cv2.initUndistortRectifyMap
+        x, y = make(
+            self.intrinsics,
+            self._d(),
+            self.rotation,
+            self.projection[:, :3],
+            (self.width, self.height),
+            cv2.CV_32FC1,
+        )
+        return np.asarray(x, np.float32), np.asarray(y, np.float32)
+
+    def _d(self) -> Array:
+        d: Array = self.distortion.reshape(-1, 1) if self.distortion.size else np.zeros((4, 1))
+        return d
+
+
+class Rectifier:
+    """Rectifies the images of one camera; where there is nothing to do, it does nothing."""
+
+    def __init__(self, info: CameraInfo) -> None:
+        """Prepare for the images of the camera of `info`; raises `CairnError` as `Lens.of`."""
+        self._name = info.header.frame_id or "camera"
+        self._size = (info.height, info.width)
+        x, y = Lens.of(info).maps()
+        columns, rows = np.meshgrid(np.arange(info.width), np.arange(info.height))
+        moves = max(np.abs(x - columns).max(), np.abs(y - rows).max())
+        self._maps = cv2.convertMaps(x, y, cv2.CV_16SC2) if moves > _NOTHING else None
+
+    def apply(self, grey: Grey) -> Grey:
+        """The rectified image (h, w), black where the camera saw nothing.
+
+        Raises `CairnError` if the image has not the size that the camera was calibrated for.
+        """
+        if grey.shape != self._size:
+            raise CairnError(
+                f"{self._name}: the image is {grey.shape[1]} x {grey.shape[0]} pixels, but its "
+                f"CameraInfo is of {self._size[1]} x {self._size[0]}: calibrate the camera at the "
+                "size that it sends, or have it send that size"
+            )
+        if self._maps is None:
+            return grey
+        return np.asarray(cv2.remap(grey, *self._maps, cv2.INTER_LINEAR), np.uint8)
+
+
+def is_calibrated(info: CameraInfo) -> bool:
+    """Whether a calibration stands in `info`: drivers of cameras without one leave it zero."""
+    return bool(info.k.any() and info.p.any() and info.width and info.height)
+
+
+def _check_whole(info: CameraInfo, name: str) -> None:
+    """A calibration is that of the whole image, which must be what is sent."""
+    if info.binning_x > 1 or info.binning_y > 1:
+        raise CairnError(
+            f"{name}: binning of {info.binning_x} x {info.binning_y} is not supported: switch it "
+            "off in the camera's driver, and calibrate the camera so"
+        )
+    roi = info.roi
+    parts = (roi.x_offset, roi.y_offset, roi.width, roi.height)
+    if any(parts) and parts != (0, 0, info.width, info.height):
+        raise CairnError(
+            f"{name}: a region of interest of {roi.width} x {roi.height} pixels at "
+            f"({roi.x_offset}, {roi.y_offset}) is not supported: have the driver send whole images"
+        )

@@ -1,0 +1,34 @@
+"""The distance field is exact, and the same each time."""
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+from numpy.typing import NDArray
+
+from cairn.planar.distance import distance_field
+
+
+@given(arrays.arrays(np.bool_, arrays.array_shapes(min_dims=2, max_dims=2, max_side=20)))
+def test_each_cell_is_told_its_distance_to_the_nearest_obstacle(
+    obstacles: NDArray[np.bool_],
+) -> None:
+    field = distance_field(obstacles, 0.05)
+
+    places = np.argwhere(obstacles)
+    if not len(places):
+        assert np.all(np.isinf(field))
+        return
+    cells = np.argwhere(np.ones_like(obstacles))
+    squares = np.square(cells[:, None, :] - places[None, :, :]).sum(axis=2).min(axis=1)
+    nearest = np.sqrt(squares.astype(np.float32)) * np.float32(0.05)
+    assert np.array_equal(field.ravel(), nearest)
+
+
+@given(st.integers(0, 63), st.integers(0, 2**32 - 1))
+def test_where_in_memory_a_grid_lies_changes_not_one_bit(offset: int, seed: int) -> None:
+    obstacles = np.random.default_rng(seed).random((39, 47)) < 0.02
+    moved = np.empty(obstacles.size + offset, np.bool_)[offset:].reshape(obstacles.shape)
+    moved[:] = obstacles
+
+    assert distance_field(moved, 0.05).tobytes() == distance_field(obstacles, 0.05).tobytes()

@@ -1,0 +1,72 @@
+"""Where odometry says the robot was, and what it makes of time that goes back."""
+
+import math
+
+import pytest
+
+from cairn.clock import SECOND
+from cairn.planar.odometry import Added, OdometryHistory, jumped
+
+
+def test_odometry_tells_poses_between_its_messages_and_guesses_none() -> None:
+    history = OdometryHistory(1_000)
+    for stamp, x in ((100, 0.0), (200, 1.0), (300, 3.0)):
+        assert history.add(stamp, (x, 0.0, 0.0)) is Added.IN_ORDER
+
+    assert history.at(50) is None
+    assert history.at(150) == (0.5, 0.0, 0.0)
+    assert history.at(999) == (3.0, 0.0, 0.0)
+    assert history.carried((10.0, 10.0, math.pi / 2), 150, 250) == pytest.approx(
+        (10.0, 11.5, math.pi / 2)
+    )
+
+
+def test_odometry_is_forgotten_after_its_horizon() -> None:
+    history = OdometryHistory(1_000)
+    for stamp in range(0, 5_000, 100):
+        history.add(stamp, (stamp / 100, 0.0, 0.0))
+
+    assert history.at(1_000) is None
+    assert history.at(4_500) == (45.0, 0.0, 0.0)
+
+
+def test_a_pose_that_is_a_little_late_is_ignored() -> None:
+    history = OdometryHistory(SECOND)
+    history.add(10 * SECOND, (1.0, 0.0, 0.0))
+
+    assert history.add(10 * SECOND - SECOND // 20, (9.0, 9.0, 9.0)) is Added.IGNORED
+
+    assert history.newest == 10 * SECOND
+    assert history.at(11 * SECOND) == (1.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("back", [SECOND // 5, 3600 * SECOND])
+def test_when_time_is_set_back_odometry_begins_anew_and_says_so_once(back: int) -> None:
+    history = OdometryHistory(SECOND)
+    for k in range(10):
+        history.add(5000 * SECOND + k * SECOND // 50, (0.01 * k, 0.0, 0.0))
+    newest = 5000 * SECOND + 9 * SECOND // 50
+
+    told = [history.add(newest - back + k * SECOND // 50, (1.0 + k, 0.0, 0.0)) for k in range(3)]
+
+    assert told == [Added.ANEW, Added.IN_ORDER, Added.IN_ORDER]
+    assert history.at(newest - back - 1) is None
+    assert history.at(newest - back + SECOND // 50) == (2.0, 0.0, 0.0)
+    assert history.newest == newest - back + SECOND // 25
+
+
+@pytest.mark.parametrize(
+    ("step", "seconds", "jump"),
+    [
+        ((0.1, 0.0, 0.2), 0.05, False),
+        ((0.3, 0.0, 0.0), 0.05, True),
+        ((0.0, 0.0, 1.0), 0.05, True),
+        ((0.0, 0.0, 2 * math.pi), 0.05, False),
+        ((1.0, 0.0, 0.0), 0.5, False),
+        ((2.0, 0.0, 0.0), 3.0, True),  # a driver started anew after a silence
+    ],
+)
+def test_a_step_that_no_wheels_make_is_a_jump(
+    step: tuple[float, float, float], seconds: float, jump: bool
+) -> None:
+    assert jumped((0.0, 0.0, 0.0), step, seconds, 2.0, 4.0) is jump

@@ -1,0 +1,45 @@
+"""A component that hears words, has parameters and drives."""
+
+from pydantic import Field
+
+from cairn.bus.qos import LATCHED, RELIABLE
+from cairn.runtime.component import Component, Context
+from cairn.runtime.handlers import on
+from cairn.runtime.parameters import Config
+from cairn.runtime.ports import In, Out
+from cairn.schemas.geometry_msgs import Twist
+from cairn.schemas.std_msgs import String
+
+
+class Limits(Config):
+    high: float = Field(1.0, gt=0, le=5, description="Greatest speed [m/s].")
+
+
+class BaseConfig(Config):
+    gain: float = Field(0.5, ge=0, le=1, description="Gain [1].")
+    limits: Limits = Field(default_factory=Limits, description="Limits.")
+
+
+class Base(Component):
+    """Hears words, has parameters, drives."""
+
+    config: BaseConfig
+    word: In[String] = In(qos=RELIABLE.with_depth(5))
+    map: In[String] = In(qos=LATCHED)
+    cmd_vel: Out[Twist]
+
+    def __init__(self, context: Context) -> None:
+        super().__init__(context)
+        self.calls: list[str] = []
+
+    @on("word")
+    def hear(self, word: String) -> None:
+        self.calls.append(word.data)
+
+    @on("map")
+    def chart(self, word: String) -> None:
+        self.calls.append(f"map {word.data}")
+
+
+def word(data: str) -> String:
+    return String(data=data)

@@ -1,0 +1,71 @@
+"""A component that notes its calls, and fails where it is told to."""
+
+from typing import Any
+
+from cairn.runtime.component import Component, Context
+from cairn.runtime.handlers import on
+from cairn.runtime.ports import In, Out
+from cairn.schemas.std_msgs import String
+
+STEPS = ("configure", "activate", "deactivate", "cleanup", "shutdown")
+BOOM = "RuntimeError: boom"
+
+
+class Part(Component):
+    """Notes its calls, and fails where it is told to."""
+
+    word: In[String]
+    echo: Out[String]
+
+    fails_in: frozenset[str] = frozenset()
+    recovers: Any = False
+
+    def __init__(self, context: Context) -> None:
+        super().__init__(context)
+        self.calls: list[str] = []
+
+    def step(self, name: str) -> None:
+        self.calls.append(name)
+        if name in self.fails_in:
+            raise RuntimeError("boom")
+
+    def on_configure(self) -> None:
+        self.step("configure")
+
+    def on_activate(self) -> None:
+        self.step("activate")
+
+    def on_deactivate(self) -> None:
+        self.step("deactivate")
+
+    def on_cleanup(self) -> None:
+        self.step("cleanup")
+
+    def on_shutdown(self) -> None:
+        self.step("shutdown")
+
+    def on_error(self, error: Exception) -> bool:
+        self.calls.append(f"error {error}")
+        if isinstance(self.recovers, Exception):
+            raise self.recovers
+        return bool(self.recovers)
+
+    @on("word")
+    def hear(self, word: String) -> None:
+        self.step(f"hear {word.data}")
+        if word.data == "finish":
+            self.finish("all is said")
+        if word.data == "finish and fail":
+            self.finish("all is said")
+            raise RuntimeError("boom")
+        if word.data == "exit":
+            raise SystemExit(3)
+        self.echo.publish(word)
+
+
+def failing(*steps: str, recovers: Any = False) -> type[Part]:
+    return type("Failing", (Part,), {"fails_in": frozenset(steps), "recovers": recovers})
+
+
+def word(data: str) -> String:
+    return String(data=data)

@@ -1,0 +1,147 @@
+"""Components for the tests: on threads of their own or in lockstep, with what they tell."""
+
+import threading
+from collections.abc import Mapping
+from concurrent.futures import Future
+from typing import Any, Generic, TypeVar, cast
+
+from cairn.bus.bus import Bus, full_name
+from cairn.bus.lockstep_bus import LockstepBus, LockstepSubscription
+from cairn.bus.qos import LATCHED, RELIABLE, Qos
+from cairn.clock import SystemClock
+from cairn.placement.lockstep import LockstepExecutor
+from cairn.runtime.component import Component
+from cairn.runtime.loop import ThreadLoop
+from cairn.runtime.runtime import Assignment, End, Runtime
+from tests.patience import LIMIT_S
+
+C = TypeVar("C", bound=Component)
+
+
+class Threaded:
+    """A component on a thread of its own."""
+
+    def __init__(self, component: type[Component], bus: Bus, /, **assignment: Any) -> None:
+        self.loop = ThreadLoop()
+        self.ended = threading.Event()
+        self.end: End | None = None
+        assigned = Assignment(**({"name": "part", "plugin": "test"} | assignment))
+        self.runtime = Runtime(component, assigned, bus, self.loop, SystemClock(), self._note)
+        self.thread = threading.Thread(target=self.loop.run)
+        self.thread.start()
+
+    def ask(self, verb: str, arguments: Mapping[str, Any] | None = None) -> Any:
+        """The answer to a control request."""
+        answer: Future[Any] = Future()
+
+        def make() -> None:
+            try:
+                answer.set_result(self.runtime.request(verb, arguments or {}))
+            except Exception as error:
+                answer.set_exception(error)
+
+        self.loop.post(make)
+        return answer.result(LIMIT_S)
+
+    def activate(self) -> None:
+        """Configure and activate."""
+        self.ask("configure")
+        self.ask("activate")
+
+    def close(self) -> None:
+        """Shut down, unless it has ended."""
+        if not self.ended.is_set():
+            self.ask("shutdown")
+        self.thread.join(LIMIT_S)
+        assert not self.thread.is_alive()
+
+    def _note(self, end: End) -> None:
+        self.end = end
+        self.ended.set()
+
+
+class Lockstep:
+    """Components in virtual time on a bus in memory."""
+
+    def __init__(self) -> None:
+        self.executor = LockstepExecutor()
+        self.bus = LockstepBus()
+        self.observer = self.bus.node("/observer", _ignore)
+
+    def add(self, component: type[C], /, **assignment: Any) -> "Placed[C]":
+        """One more component, unconfigured."""
+        return Placed(self, component, **assignment)
+
+    def read(self, topic: str, message: type[Any], qos: Qos = RELIABLE) -> LockstepSubscription:
+        """All that is published on a topic from now on."""
+        qos = qos.with_depth(1_000_000)
+        return self.observer.subscribe(full_name("robot", topic), message, qos, _nothing)
+
+    def publish(self, topic: str, *messages: Any, qos: Qos = RELIABLE) -> None:
+        """Put messages on a topic."""
+        writer = self.observer.advertise(full_name("robot", topic), type(messages[0]), qos)
+        for message in messages:
+            writer.publish(message)
+        if qos is not LATCHED:
+            writer.close()
+
+    def run_until(self, time: int) -> None:
+        """Let everything happen up to that time [ns], and what follows from it at once."""
+        over: list[bool] = []
+
+        def leave(turns: int) -> None:
+            if turns:
+                self.executor.at(time, lambda: leave(turns - 1))
+            else:
+                over.append(True)
+
+        self.executor.at(time, lambda: leave(100))
+        self.executor.run(lambda: bool(over))
+
+    def run(self) -> None:
+        """Let everything happen that is to happen now."""
+        self.run_until(self.executor.now())
+
+
+class Placed(Generic[C]):
+    """A component in lockstep."""
+
+    def __init__(self, lockstep: Lockstep, component: type[C], /, **assignment: Any) -> None:
+        self.ends: list[End] = []
+        assigned = Assignment(**({"name": "part", "plugin": "test"} | assignment))
+        self.runtime = Runtime(
+            component, assigned, lockstep.bus, lockstep.executor.scheduler(), lockstep.executor,
+            self.ends.append,
+        )  # fmt: skip
+
+    @property
+    def component(self) -> C:
+        """The component itself."""
+        return cast("C", self.runtime.component)
+
+    @property
+    def state(self) -> str:
+        """Its state."""
+        return self.runtime.state.value
+
+    def ask(self, verb: str, **arguments: Any) -> Any:
+        """The answer to a control request."""
+        return self.runtime.request(verb, arguments)
+
+    def activate(self) -> None:
+        """Configure and activate."""
+        self.ask("configure")
+        self.ask("activate")
+
+
+def taken(subscription: LockstepSubscription) -> list[Any]:
+    """All that waits there."""
+    return list(iter(subscription.take, None))
+
+
+def _nothing() -> None:
+    """Nobody is woken."""
+
+
+def _ignore(complaint: str) -> None:
+    """Complaints to the observer."""

@@ -1,0 +1,108 @@
+"""What a component on a thread of its own can rely on."""
+
+import threading
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from cairn.bus.lockstep_bus import LockstepBus
+from cairn.runtime.component import Context
+from cairn.runtime.handlers import every, on
+from cairn.runtime.runtime import End
+from cairn.schemas.std_msgs import String
+from tests.cairn.runtime.base import Base, word
+from tests.cairn.runtime.running import Threaded
+from tests.patience import LIMIT_S
+
+
+class Slow(Base):
+    """Stays in a handler until it is let go."""
+
+    def __init__(self, context: Context) -> None:
+        super().__init__(context)
+        self.within = threading.Semaphore(0)
+        self.release = threading.Semaphore(0)
+        self.at_once = 0
+        self.most_at_once = 0
+
+    def stay(self) -> None:
+        self.at_once += 1
+        self.most_at_once = max(self.most_at_once, self.at_once)
+        self.within.release()
+        assert self.release.acquire(timeout=LIMIT_S)
+        self.at_once -= 1
+
+    @on("word")
+    def hear(self, word: String) -> None:
+        self.stay()
+
+    @every(hz=1000)
+    def tick(self) -> None:
+        self.stay()
+
+    def on_request(self, verb: str, arguments: Any) -> str:
+        self.stay()
+        return "done"
+
+
+@pytest.fixture
+def slow() -> Iterator[Threaded]:
+    threaded = Threaded(Slow, LockstepBus(), name="slow")
+    yield threaded
+    component = threaded.runtime.component
+    assert isinstance(component, Slow)
+    component.release.release(1_000_000)
+    threaded.close()
+
+
+def test_its_status_tells_the_handler_it_is_in_and_for_how_long(slow: Threaded) -> None:
+    component = slow.runtime.component
+    assert isinstance(component, Slow)
+    assert slow.runtime.status().handler == ""
+    slow.activate()
+    assert component.within.acquire(timeout=LIMIT_S)
+
+    first, second = slow.runtime.status(), slow.runtime.status()
+
+    assert first.handler == "tick"
+    assert 0 <= first.handler_s < second.handler_s
+    assert first.state == "active"
+
+
+def test_timers_messages_and_requests_are_handled_one_at_a_time(slow: Threaded) -> None:
+    component = slow.runtime.component
+    assert isinstance(component, Slow)
+    slow.activate()
+    assert component.within.acquire(timeout=LIMIT_S)
+    for _ in range(20):
+        slow.loop.deliver(lambda: slow.runtime.run("hear", component.hear, word("a")))
+        slow.loop.post(lambda: slow.runtime.run("hear", component.hear, word("b")))
+    component.release.release(60)
+
+    assert slow.ask("wait") == "done"
+    assert component.most_at_once == 1
+
+
+def test_timers_that_overload_it_do_not_keep_it_from_requests(slow: Threaded) -> None:
+    component = slow.runtime.component
+    assert isinstance(component, Slow)
+    slow.activate()
+    component.release.release(1_000_000)
+
+    assert [slow.ask("wait") for _ in range(20)] == ["done"] * 20
+    assert slow.ask("deactivate") == "inactive"
+
+
+def test_a_component_that_finishes_ends_its_thread() -> None:
+    class Finishes(Base):
+        def on_activate(self) -> None:
+            self.finish("nothing to do")
+
+    part = Threaded(Finishes, LockstepBus())
+    part.activate()
+
+    assert part.ended.wait(LIMIT_S)
+    part.thread.join(LIMIT_S)
+    assert not part.thread.is_alive()
+    assert part.end == End(True, "nothing to do")

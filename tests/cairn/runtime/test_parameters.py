@@ -1,0 +1,102 @@
+"""Parameters are described for the operator, and changed all or nothing."""
+
+from typing import Annotated, Any, Literal
+
+import pytest
+from pydantic import Field, ValidationError, model_validator
+
+from cairn.runtime.marks import ReadPath
+from cairn.runtime.parameters import Config, Parameter, ParameterRefused, changed, describe
+
+
+class Filter(Config):
+    sigma: float = Field(0.1, gt=0, le=1, description="Noise of a beam [m].")
+
+
+class Localizer(Config):
+    particles: int = Field(500, ge=10, le=200_000, description="Number of particles [1].")
+    mode: Literal["paper", "improved"] = Field("paper", description="Which equations.")
+    low: float = Field(0.0, description="Lower limit [m].")
+    high: float | None = Field(None, gt=0, description="Upper limit [m], or none.")
+    filter: Filter = Field(default_factory=Filter, description="Sensor model.")
+    gain: Annotated[int, Field(ge=0, le=255)] | None = Field(None, description="Gain [1].")
+    map: ReadPath | None = Field(None, description="Where it is kept.")
+
+    @model_validator(mode="after")
+    def _ordered(self) -> "Localizer":
+        if self.high is not None and self.low >= self.high:
+            raise ValueError(f"low {self.low} must be less than high {self.high}")
+        return self
+
+
+def test_every_parameter_is_described_with_type_value_and_bounds() -> None:
+    assert describe(Localizer(particles=20)) == [
+        Parameter("particles", 20, "int", "Number of particles [1].", ">= 10, <= 200000"),
+        Parameter("mode", "paper", "Literal['paper', 'improved']", "Which equations.", ""),
+        Parameter("low", 0.0, "float", "Lower limit [m].", ""),
+        Parameter("high", None, "float | None", "Upper limit [m], or none.", "> 0"),
+        Parameter("filter.sigma", 0.1, "float", "Noise of a beam [m].", "> 0, <= 1"),
+        Parameter("gain", None, "int | None", "Gain [1].", ">= 0, <= 255"),
+        Parameter("map", None, "pathlib.Path | None", "Where it is kept.", ""),
+    ]
+
+
+def test_changes_give_a_new_configuration() -> None:
+    before = Localizer(particles=20)
+
+    after = changed(before, {"filter.sigma": 0.5, "high": 3})
+
+    assert after == Localizer(particles=20, high=3.0, filter=Filter(sigma=0.5))
+    assert before == Localizer(particles=20)
+
+
+@pytest.mark.parametrize(
+    ("changes", "refusal"),
+    [
+        (
+            {"high": 5.0, "particles": 5},
+            "parameter particles = 5 refused: should be greater than or equal to 10 "
+            "(allowed: >= 10, <= 200000)",
+        ),
+        (
+            {"filter.sigma": 2},
+            "parameter filter.sigma = 2 refused: should be less than or equal to 1 "
+            "(allowed: > 0, <= 1)",
+        ),
+        ({"low": float("nan")}, "parameter low = nan refused: should be a finite number"),
+        (
+            {"low": 4.0, "high": 3.0},
+            "low = 4.0, high = 3.0 refused: low 4.0 must be less than high 3.0",
+        ),
+        ({"partcles": 5}, "there is no parameter partcles; did you mean particles?"),
+        (
+            {"zzz": 5},
+            "there is no parameter zzz; the parameters are particles, mode, low, high, "
+            "filter.sigma, gain, map",
+        ),
+        (
+            {"filter": {"sigma": 0.5}},
+            "filter is a group of parameters; change one of filter.sigma",
+        ),
+        (
+            {"particles": 5, "mode": "best"},
+            "parameter particles = 5 refused: should be greater than or equal to 10 "
+            "(allowed: >= 10, <= 200000); "
+            "parameter mode = 'best' refused: should be 'paper' or 'improved'",
+        ),
+    ],
+)
+def test_a_refusal_names_parameter_value_and_bound(changes: dict[str, Any], refusal: str) -> None:
+    with pytest.raises(ParameterRefused) as caught:
+        changed(Localizer(), changes)
+
+    assert str(caught.value) == refusal
+
+
+def test_a_configuration_is_frozen_and_knows_no_other_names() -> None:
+    config = Localizer()
+
+    with pytest.raises(ValidationError):
+        config.particles = 30  # type: ignore[misc]
+    with pytest.raises(ValidationError):
+        Localizer(partcles=30)  # type: ignore[call-arg]

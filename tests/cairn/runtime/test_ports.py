@@ -1,0 +1,116 @@
+"""Ports are declared by annotation, read from the class, and bound on the instance."""
+
+from typing import Annotated, Any, ClassVar
+
+import pytest
+
+from cairn.bus.qos import LATCHED, RELIABLE, SENSOR
+from cairn.errors import CairnError
+from cairn.runtime.ports import BoundIn, BoundOut, In, Out, PortSpec, ports_of
+from cairn.schemas.builtin_interfaces import Time
+from cairn.schemas.geometry_msgs import Twist
+from cairn.schemas.nav_msgs import Odometry
+from cairn.schemas.rosgraph_msgs import Clock
+from cairn.schemas.sensor_msgs import LaserScan
+
+
+class Driver:
+    limit: ClassVar[int] = 3
+    scan: Out[LaserScan] = Out(qos=SENSOR)
+
+
+class Localizer(Driver):
+    odom: In[Odometry]
+    command: In[Twist] = In(qos=LATCHED, optional=True)
+    pose: Annotated[Out[Odometry], "for the planner"]
+    note: str = ""
+
+
+class Timer:
+    since: Out[Time] = Out()
+
+
+class Tolerant(Localizer):
+    odom = In(optional=True)
+
+
+def test_ports_come_from_the_class_and_its_bases_in_order() -> None:
+    assert list(ports_of(Localizer).values()) == [
+        PortSpec("scan", "out", LaserScan, SENSOR),
+        PortSpec("odom", "in", Odometry, RELIABLE),
+        PortSpec("command", "in", Twist, LATCHED, optional=True),
+        PortSpec("pose", "out", Odometry, RELIABLE),
+    ]
+
+
+def test_a_subclass_may_give_an_inherited_port_another_default() -> None:
+    assert ports_of(Tolerant)["odom"] == PortSpec("odom", "in", Odometry, RELIABLE, optional=True)
+
+
+def test_a_class_without_ports_has_none() -> None:
+    assert ports_of(type("Plain", (), {})) == {}
+
+
+def declared(annotation: Any, **body: Any) -> type:
+    return type("Odd", (), {"__annotations__": {"port": annotation}, **body})
+
+
+@pytest.mark.parametrize(
+    ("cls", "error"),
+    [
+        (declared(In), "Odd.port: the port has no message type; annotate it, as in `port: In"),
+        (declared(int, port=Out()), "Odd.port: the port has no message type; annotate it, as in"),
+        (type("Odd", (), {"port": Out()}), "Odd.port: the port has no message type; annotate it"),
+        (declared("In[LaserScn]"), "annotations cannot be evaluated"),
+        (declared(In[int]), "Odd.port: builtins.int is not a message; a port carries a class"),
+        (declared(In[Twist], port=Out()), "annotated In, but its default is Out; give In"),
+        (declared(Out[Twist], port=5), "annotated Out, but its default is int; give Out"),
+        (
+            type("Odd", (declared(int, count=1),), {"__annotations__": {"count": In[Twist]}}),
+            "Odd.count: Odd uses the name count itself; give the port another name",
+        ),
+    ],
+)
+def test_a_declaration_that_makes_no_sense_is_named(cls: type, error: str) -> None:
+    with pytest.raises(CairnError) as caught:
+        ports_of(cls)
+
+    assert error in str(caught.value)
+
+
+def test_a_bound_output_hands_over_messages_of_its_type_only() -> None:
+    sent: list[Time] = []
+    spec = PortSpec("since", "out", Time, RELIABLE)
+    out: Out[Time] = BoundOut("base", spec, "go", sent.append, lambda: True)
+    message = Time(sec=1, nanosec=2)
+
+    out.publish(message)
+
+    assert out.topic == "go"
+    assert sent == [message]
+    with pytest.raises(
+        CairnError, match="base: port since writes builtin_interfaces/msg/Time, not rosg"
+    ):
+        out.publish(Clock(clock=message))  # type: ignore[arg-type]
+    with pytest.raises(CairnError, match=r"not builtins\.str"):
+        out.publish("stop")  # type: ignore[arg-type]
+    assert sent == [message]
+
+
+def test_a_bound_input_knows_the_last_message_handled() -> None:
+    bound = BoundIn[Time](PortSpec("since", "in", Time, RELIABLE), "go")
+    message = Time(sec=1, nanosec=2)
+
+    before = bound.latest
+    bound.handled(message)
+
+    assert before is None
+    assert bound.topic == "go"
+    assert bound.latest is message
+
+
+def test_a_declaration_cannot_be_used_as_a_port() -> None:
+    with pytest.raises(CairnError, match="this Out port is a declaration"):
+        Timer.since.publish(Time(sec=1, nanosec=2))
+    with pytest.raises(CairnError, match="this In port is a declaration"):
+        _ = Localizer.command.latest

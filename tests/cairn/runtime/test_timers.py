@@ -1,0 +1,234 @@
+"""Periodic and scheduled calls keep to the component's clock, whatever is done to that clock."""
+
+from collections.abc import Callable
+
+import pytest
+
+from cairn.bus.lockstep_bus import LockstepBus
+from cairn.clock import SECOND, from_ns
+from cairn.errors import CairnError
+from cairn.runtime.component import Component, Context
+from cairn.runtime.handlers import every, on
+from cairn.runtime.ports import In
+from cairn.runtime.runtime import Assignment, Runtime
+from cairn.schemas.rosgraph_msgs import Clock
+from cairn.schemas.std_msgs import String
+from tests.cairn.runtime.running import Lockstep, Placed
+
+
+class Part(Component):
+    """Notes when it is called."""
+
+    word: In[String]
+
+    def __init__(self, context: Context) -> None:
+        super().__init__(context)
+        self.ticks: list[float] = []
+        self.calls: list[float] = []
+
+    @every(hz=10)
+    def tick(self) -> None:
+        self.ticks.append(self.clock.now() / SECOND)
+
+    def note(self) -> None:
+        self.calls.append(self.clock.now() / SECOND)
+
+
+def seconds(time: float) -> int:
+    return round(time * SECOND)
+
+
+def tell(lockstep: Lockstep, *times: float) -> None:
+    """Put clock messages on the bus, one after another."""
+    for time in times:
+        lockstep.publish("clock", Clock(clock=from_ns(seconds(time))))
+        lockstep.run()
+
+
+def simulated(lockstep: Lockstep) -> Placed[Part]:
+    part = lockstep.add(Part, simulated_time=True)
+    part.activate()
+    return part
+
+
+def test_a_periodic_call_keeps_its_period(lockstep: Lockstep) -> None:
+    part = lockstep.add(Part)
+    lockstep.run_until(seconds(0.05))
+    part.activate()
+    lockstep.run_until(seconds(0.5))
+
+    assert part.component.ticks == [0.15, 0.25, 0.35, 0.45]
+
+
+def test_periods_that_were_missed_are_skipped(lockstep: Lockstep) -> None:
+    part = simulated(lockstep)
+    tell(lockstep, 0.05, 0.1, 0.15, 1.05, 1.08, 1.1, 1.25)
+
+    assert part.component.ticks == [0.1, 1.05, 1.1, 1.25]
+
+
+def test_simulated_time_alone_counts_where_time_is_simulated(lockstep: Lockstep) -> None:
+    part = simulated(lockstep)
+    lockstep.run_until(100 * SECOND)
+    assert (part.component.ticks, part.component.clock.now()) == ([], 0)
+
+    tell(lockstep, 0.1)
+
+    assert (part.component.ticks, part.component.clock.now()) == ([0.1], seconds(0.1))
+
+
+def test_who_keeps_system_time_does_so_in_simulated_time(lockstep: Lockstep) -> None:
+    class OnSystemTime(Part):
+        clock_source = "system"
+
+    part = lockstep.add(OnSystemTime, simulated_time=True)
+    part.activate()
+    lockstep.run_until(seconds(0.2))
+    tell(lockstep, 50.0)
+
+    assert part.component.ticks == [0.1, 0.2]
+
+
+def test_when_time_is_set_back_periodic_calls_start_anew(lockstep: Lockstep) -> None:
+    part = simulated(lockstep)
+    tell(lockstep, 10.0, 10.1, 5.0, 5.05, 5.1, 5.2)
+
+    assert part.component.ticks == [10.0, 10.1, 5.1, 5.2]
+
+
+def test_when_time_is_set_back_a_scheduled_call_waits_for_its_time(lockstep: Lockstep) -> None:
+    part = simulated(lockstep)
+    tell(lockstep, 10.0)
+    part.component.schedule(seconds(11.0), part.component.note)
+    tell(lockstep, 5.0, 10.5, 11.0, 12.0)
+
+    assert part.component.calls == [11.0]
+
+
+def test_a_clock_of_the_system_that_is_set_back_stops_nothing() -> None:
+    settable = Settable()
+    part = Runtime(
+        Part, Assignment(name="part", plugin="test"), LockstepBus(), settable, settable,
+        lambda _: None,
+    )  # fmt: skip
+    part.request("configure", {})
+    part.request("activate", {})
+    for time in (1000.0, 1000.1, 3.0, 3.1, 3.2):
+        settable.time = seconds(time)
+        settable.on_time()
+
+    assert isinstance(part.component, Part)
+    assert part.component.ticks == [1000.0, 1000.1, 3.1, 3.2]
+    assert settable.wake == seconds(3.3)
+
+
+def test_a_scheduled_call_is_made_once_at_its_time(lockstep: Lockstep) -> None:
+    part = lockstep.add(Part)
+    part.activate()
+    part.component.schedule(seconds(0.33), part.component.note)
+    part.component.schedule(seconds(0.11), part.component.note)
+    part.component.schedule(seconds(0.33), part.component.note)
+    lockstep.run_until(SECOND)
+
+    assert part.component.calls == [0.11, 0.33, 0.33]
+
+
+@pytest.mark.parametrize("add", [lambda one: one.add(Part), simulated])
+def test_a_call_for_a_time_that_is_past_is_made_soon(
+    lockstep: Lockstep, add: Callable[[Lockstep], Placed[Part]]
+) -> None:
+    part = add(lockstep)
+    if part.state != "active":
+        part.activate()
+    part.component.schedule(-5, part.component.note)
+    assert part.component.calls == []
+    lockstep.run()
+
+    assert part.component.calls == [0.0]
+
+
+@pytest.mark.parametrize("told", [True, False])
+def test_a_call_that_sets_itself_anew_for_now_keeps_no_other_from_its_turn(
+    lockstep: Lockstep, told: bool
+) -> None:
+    class Eager(Part):
+        heard = False
+
+        def again(self) -> None:
+            self.note()
+            if not self.heard:
+                self.schedule(self.clock.now(), self.again)
+
+        @on("word")
+        def hear(self, word: String) -> None:
+            self.heard = True
+
+    part = lockstep.add(Eager, simulated_time=told)
+    part.activate()
+    part.component.schedule(0, part.component.again)
+    lockstep.executor.at(0, lambda: lockstep.publish("word", String(data="stop")))
+    lockstep.run()
+
+    assert part.component.heard
+    assert 1 <= len(part.component.calls) < 10
+
+
+def test_nothing_scheduled_outlives_a_deactivation(lockstep: Lockstep) -> None:
+    part = lockstep.add(Part)
+    part.activate()
+    part.component.schedule(seconds(0.5), part.component.note)
+    part.ask("deactivate")
+    part.ask("activate")
+    lockstep.run_until(SECOND)
+
+    assert part.component.calls == []
+
+
+def test_a_periodic_call_that_fails_does_not_run_twice_after_recovery(lockstep: Lockstep) -> None:
+    class Recovers(Part):
+        def on_error(self, error: Exception) -> bool:
+            return True
+
+        @every(hz=10)
+        def tick(self) -> None:
+            super().tick()
+            if len(self.ticks) == 1:
+                raise RuntimeError("once")
+
+    part = lockstep.add(Recovers)
+    part.activate()
+    lockstep.run_until(seconds(0.4))
+
+    assert part.component.ticks == [0.1, 0.2, 0.3, 0.4]
+
+
+def test_an_invalid_rate_is_refused() -> None:
+    for hz in (0.0, -1.0, 1001.0, float("nan"), float("inf")):
+        with pytest.raises(CairnError, match="a rate must be above 0 and at most 1000 Hz"):
+            every(hz=hz)
+
+
+class Settable:
+    """A clock and scheduler in the hands of the test."""
+
+    def __init__(self) -> None:
+        self.time = seconds(999.9)
+        self.wake = 0
+        self.on_time: Callable[[], None] = lambda: None
+
+    def now(self) -> int:
+        return self.time
+
+    def post(self, call: Callable[[], None]) -> None:
+        call()
+
+    deliver = post
+
+    def wake_at(self, time: int) -> None:
+        self.wake = time
+
+    def bind(self, on_time: Callable[[], None]) -> None:
+        self.on_time = on_time
+
+    def stop(self) -> None:
+        pass

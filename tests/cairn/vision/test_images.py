@@ -1,0 +1,281 @@
+"""Images of every kind become grey ones; what is no image is refused in words."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from PIL import Image as Picture
+
+from cairn.errors import CairnError
+from cairn.schemas.sensor_msgs import Image
+from cairn.schemas.std_msgs import Header
+from cairn.vision.images import eight_bits, grey_of, read_image, upright_size
+from tests.cairn.vision.taught_objects import texture
+
+GREY = texture(3, 48, 32)
+
+
+def message(
+    encoding: str, rows: NDArray[Any], width: int = 48, padding: int = 0, big: bool = False
+) -> Image:
+    """An image message of rows of numbers."""
+    if rows.dtype.itemsize == 2:
+        rows = rows.astype(">u2" if big else "<u2")
+    data = np.ascontiguousarray(rows).view(np.uint8).reshape(rows.shape[0], -1)
+    padded = np.pad(data, ((0, 0), (0, padding)), constant_values=77)
+    return Image(
+        header=Header(frame_id="left_camera_optical_frame"),
+        height=padded.shape[0],
+        width=width,
+        encoding=encoding,
+        is_bigendian=int(big),
+        step=padded.shape[1],
+        data=padded.ravel(),
+    )
+
+
+def coloured() -> NDArray[np.uint8]:
+    """Blue, green and red that are far apart, (h, w, 3)."""
+    return np.dstack([texture(k, 48, 32) for k in range(3)])
+
+
+@given(padding=st.integers(0, 9))
+def test_the_rows_of_a_grey_message_may_be_padded(padding: int) -> None:
+    np.testing.assert_array_equal(grey_of(message("mono8", GREY, padding=padding)), GREY)
+
+
+@given(padding=st.integers(0, 9), big=st.booleans(), bits=st.sampled_from([8, 10, 12, 16]))
+def test_16_bits_of_either_byte_order_show_the_same(padding: int, big: bool, bits: int) -> None:
+    wide = GREY.astype(np.uint16) << (bits - 8)
+
+    grey = grey_of(message("mono16", wide, padding=padding, big=big))
+
+    np.testing.assert_array_equal(grey, eight_bits(wide))
+    assert np.abs(grey.astype(int) - GREY).max() <= 1
+
+
+@pytest.mark.parametrize("alpha", [False, True])
+@pytest.mark.parametrize("bits", [8, 16])
+@pytest.mark.parametrize("order", ["bgr", "rgb"])
+def test_colours_become_grey_by_their_names(order: str, bits: int, alpha: bool) -> None:
+    colour = coloured()
+    expected = cv2.cvtColor(colour, cv2.COLOR_BGR2GRAY)
+    given = colour if order == "bgr" else colour[..., ::-1]
+    if alpha:
+        given = np.dstack([given, np.full((32, 48), 255, np.uint8)])
+    wide = given if bits == 8 else given.astype(np.uint16) << 8
+
+    name = f"{order}{'a' if alpha else ''}{bits}"
+    grey = grey_of(message(name, wide.reshape(32, -1), padding=3))
+
+    assert np.abs(grey.astype(int) - expected).max() <= 1
+
+
+@pytest.mark.parametrize(
+    ("encoding", "first"), [("yuv422", False), ("uyvy", False), ("yuv422_yuy2", True)]
+)
+def test_the_brightness_of_yuv_is_taken(encoding: str, first: bool) -> None:
+    colour = np.full_like(GREY, 128)
+    pixels = np.dstack([GREY, colour] if first else [colour, GREY]).reshape(32, -1)
+
+    np.testing.assert_array_equal(grey_of(message(encoding, pixels, padding=4)), GREY)
+
+
+@pytest.mark.parametrize("pattern", ["rggb", "bggr", "gbrg", "grbg"])
+@pytest.mark.parametrize("bits", [8, 16])
+def test_a_bayer_mosaic_of_one_colour_is_that_colour(pattern: str, bits: int) -> None:
+    level = {"r": 200, "g": 120, "b": 40}
+    cell = np.array([level[letter] for letter in pattern], np.uint16).reshape(2, 2)
+    mosaic = np.tile(cell, (16, 24)).astype(np.uint8)
+    wide = mosaic if bits == 8 else mosaic.astype(np.uint16) << 8
+
+    grey = grey_of(message(f"bayer_{pattern}{bits}", wide))
+
+    expected = cv2.cvtColor(np.array([[[40, 120, 200]]], np.uint8), cv2.COLOR_BGR2GRAY)[0, 0]
+    assert np.abs(grey[4:-4, 4:-4].astype(int) - int(expected)).max() <= 2
+
+
+def test_a_dark_16_bit_image_stays_dark_and_a_hot_pixel_does_not_blacken_it() -> None:
+    dark = np.random.default_rng(1).integers(0, 4, (100, 100)).astype(np.uint16)
+    assert eight_bits(dark).max() < 4
+
+    hot = GREY.astype(np.uint16) << 4
+    hot[3, 3] = 65535
+    assert np.abs(eight_bits(hot).astype(int) - GREY)[4:].max() <= 1
+
+
+@pytest.mark.parametrize(
+    ("image", "complaint"),
+    [
+        (message("jpeg", GREY), "encoding = 'jpeg' is not known"),
+        (message("rgb8", GREY), "step = 48 is too small for 48 pixels of rgb8"),
+        (message("mono8", GREY[:, :2], width=2), "2 x 32 pixels: too few"),
+        (Image(encoding="mono8"), "0 x 0 pixels: too few"),
+        (Image(encoding="mono8", width=2**31, height=0), "too few"),
+    ],
+)
+def test_a_message_that_holds_no_such_image_is_refused(image: Image, complaint: str) -> None:
+    with pytest.raises(CairnError, match=complaint):
+        grey_of(image)
+
+
+@pytest.mark.parametrize("suffix", [".png", ".bmp", ".tiff", ".pgm", ".webp"])
+def test_grey_files_are_read_as_they_are(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"a{suffix}"
+    parameters = [cv2.IMWRITE_WEBP_QUALITY, 101] if suffix == ".webp" else []
+    cv2.imwrite(str(path), GREY, parameters)
+
+    assert np.abs(read_image(path).astype(int) - GREY).max() <= 1
+
+
+def test_colour_palette_and_16_bit_files_are_read(tmp_path: Path) -> None:
+    colour = coloured()
+    grey = cv2.cvtColor(colour, cv2.COLOR_BGR2GRAY).astype(int)
+    cv2.imwrite(str(tmp_path / "colour.png"), colour)
+    cv2.imwrite(str(tmp_path / "colour16.tiff"), colour.astype(np.uint16) << 4)
+    cv2.imwrite(str(tmp_path / "grey16.png"), GREY.astype(np.uint16) << 4)
+    Picture.fromarray(GREY).convert("P").save(tmp_path / "palette.png")
+
+    assert np.abs(read_image(tmp_path / "colour.png") - grey).max() <= 1
+    assert np.abs(read_image(tmp_path / "colour16.tiff") - grey).max() <= 1
+    assert np.abs(read_image(tmp_path / "grey16.png").astype(int) - GREY).max() <= 1
+    assert np.abs(read_image(tmp_path / "palette.png").astype(int) - GREY).max() <= 1
+
+
+def test_what_is_transparent_is_white(tmp_path: Path) -> None:
+    half = np.full((32, 48), 255, np.uint8)
+    half[:, :24] = 0
+    cv2.imwrite(str(tmp_path / "a.png"), np.dstack([coloured(), half]))
+
+    read = read_image(tmp_path / "a.png")
+
+    assert (read[:, :24] == 255).all()
+    expected = cv2.cvtColor(coloured(), cv2.COLOR_BGR2GRAY)[:, 24:]
+    assert np.abs(read[:, 24:].astype(int) - expected).max() <= 1
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_photographs_are_turned_upright(tmp_path: Path, orientation: int) -> None:
+    undo: Callable[[Any], Any] = {  # what a camera that is held so makes of it
+        1: lambda a: a,
+        2: lambda a: a[:, ::-1],
+        3: lambda a: a[::-1, ::-1],
+        4: lambda a: a[::-1],
+        5: lambda a: a.T,
+        6: lambda a: np.rot90(a, 1),
+        7: lambda a: a[::-1, ::-1].T,
+        8: lambda a: np.rot90(a, -1),
+    }[orientation]
+    exif = Picture.Exif()
+    exif[0x0112] = orientation
+    Picture.fromarray(np.ascontiguousarray(undo(GREY))).save(tmp_path / "a.png", exif=exif)
+
+    np.testing.assert_array_equal(read_image(tmp_path / "a.png"), GREY)
+
+
+@pytest.mark.parametrize("suffix", [".png", ".jpg", ".tiff", ".bmp", ".pgm"])
+def test_a_truncated_file_is_refused(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"a{suffix}"
+    cv2.imwrite(str(path), texture(1, 320, 240))
+    data = path.read_bytes()
+    path.write_bytes(data[: len(data) * 2 // 3])
+
+    with pytest.raises(CairnError, match=rf"a\{suffix} is .*truncated"):
+        read_image(path)
+
+
+@pytest.mark.parametrize("suffix", [".png", ".jpg"])
+@pytest.mark.parametrize("how", ["zeros", "noise", "missing", "ended"])
+def test_a_file_that_is_damaged_in_its_middle_is_refused(
+    tmp_path: Path, suffix: str, how: str
+) -> None:
+    path = tmp_path / f"a{suffix}"
+    cv2.imwrite(str(path), texture(2, 320, 240))
+    data = path.read_bytes()
+    middle = len(data) // 2
+    part = {
+        "zeros": bytes(200),
+        "noise": np.random.default_rng(1).bytes(200),
+        "missing": b"",
+        "ended": b"\xff\xd9" + data[middle + 2 : middle + 200],
+    }[how]
+    path.write_bytes(data[:middle] + part + data[middle + 200 :])
+
+    with pytest.raises(CairnError, match=rf"a\{suffix} is truncated or damaged .* give a whole"):
+        read_image(path)
+
+
+def sampled(path: Path, factors: int) -> Path:
+    """A JPEG file that tells these sampling factors of its first component (ITU T.81, B.2.2)."""
+    Picture.fromarray(GREY).convert("RGB").save(path)
+    data = bytearray(path.read_bytes())
+    data[data.index(b"\xff\xc0") + 11] = factors
+    path.write_bytes(data)
+    return path
+
+
+@pytest.mark.parametrize("factors", [0x13, 0x31, 0x42])
+def test_a_jpeg_file_of_unusual_sampling_is_read(tmp_path: Path, factors: int) -> None:
+    assert read_image(sampled(tmp_path / "a.jpg", factors)).shape == GREY.shape
+
+
+@pytest.mark.parametrize("factors", [0x00, 0x11, 0x44, 0xFF])
+def test_a_jpeg_file_of_impossible_sampling_is_refused(tmp_path: Path, factors: int) -> None:
+    with pytest.raises(CairnError, match=r"a\.jpg is truncated or damaged"):
+        read_image(sampled(tmp_path / "a.jpg", factors))
+
+
+@pytest.mark.parametrize("suffix", [".jpg", ".png", ".tif"])
+@pytest.mark.parametrize("orientation", [1, 3, 6])
+def test_the_size_is_that_of_the_upright_image(
+    tmp_path: Path, suffix: str, orientation: int
+) -> None:
+    path = tmp_path / f"a{suffix}"
+    exif = Picture.Exif()
+    exif[0x0112] = orientation
+    Picture.fromarray(GREY[:40]).save(path, exif=exif)
+
+    width, height = upright_size(path)
+
+    assert read_image(path).shape == (height, width)
+
+
+@pytest.mark.parametrize("mode", ["L", "RGB", "CMYK"])
+@pytest.mark.parametrize("progressive", [False, True])
+@pytest.mark.parametrize("subsampling", [0, 2])
+def test_whole_jpeg_files_of_any_kind_are_read(
+    tmp_path: Path, mode: str, progressive: bool, subsampling: int
+) -> None:
+    Picture.fromarray(GREY).convert(mode).save(
+        tmp_path / "a.jpg", quality=98, progressive=progressive, subsampling=subsampling
+    )
+
+    # Subsampled, CMYK loses detail.
+    assert np.median(np.abs(read_image(tmp_path / "a.jpg").astype(int) - GREY)) <= 6
+
+
+def test_what_is_no_image_is_refused_by_name(tmp_path: Path) -> None:
+    (tmp_path / "empty.png").touch()
+    (tmp_path / "text.png").write_text("no image " * 50)
+    cv2.imwrite(str(tmp_path / "tiny.png"), GREY[:3, :3])
+    cv2.imwrite(str(tmp_path / "bright.tif"), np.maximum(GREY, 255).astype(np.float32))
+    Picture.new("1", (20000, 10000)).save(tmp_path / "huge.png")
+
+    for name, complaint in {
+        "missing.png": "No such file",
+        "empty.png": "is empty",
+        "text.png": "is no image",
+        "tiny.png": "has 3 x 3 pixels: too few",
+        "huge.png": "is too large",
+        "bright.tif": "holds float32 numbers up to 255, where 1 is white",
+        ".": "Is a directory",
+    }.items():
+        with pytest.raises(CairnError, match=complaint) as told:
+            read_image(tmp_path / name)
+        assert str(tmp_path) in str(told.value)
