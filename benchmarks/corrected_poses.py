@@ -32,7 +32,7 @@ from cairn.planar.poses import compose, wrap, wrap_all
 
 Array = NDArray[np.float64]
 
-# Standard deviations: a relation's [m, rad]; odometry's at least, and per metre and radian.
+# Standard deviations: a relation's [m, rad]; odometry's at least, and per meter and radian.
 # Where this robot shunted, its wheels told of turns that it did not make: relations go before.
 _RELATION = (0.02, 0.007)
 _STEP = (0.01, 0.01)
@@ -212,7 +212,7 @@ def main() -> None:
     parser.add_argument("log", type=Path)
     parser.add_argument("relations", type=Path)
     parser.add_argument("out", type=Path)
-    parser.add_argument("--apart", type=float, default=0.3, help="metres between scans kept")
+    parser.add_argument("--apart", type=float, default=0.3, help="meters between scans kept")
     parser.add_argument("--turned", type=float, default=0.2, help="radians between scans kept")
     parser.add_argument("--after", type=float, default=1.0, help="seconds between scans kept")
     parser.add_argument("--delay", type=float, default=0.0, help="seconds scans are stamped late")

@@ -1,4 +1,4 @@
-"""A fast topic's latency while a neighbour in the same process reads slowly and images pass."""
+"""A fast topic's latency while a neighbor in the same process reads slowly and images pass."""
 
 import json
 import time
@@ -53,7 +53,7 @@ class Camera(Component):
 
 
 class Household(SupervisorComponent):
-    """Hosts the reader and its slow neighbour in one process."""
+    """Hosts the reader and its slow neighbor in one process."""
 
 
 class SlowReader(Component):
@@ -117,6 +117,4 @@ def measure() -> list[Figure]:
     )
     found = results(output)[0]
     note = f"median {found['median_ms']:.2f} ms, longest {found['max_ms']:.1f} ms"
-    return [
-        Figure("fast topic beside a slow neighbour: p99", found["p99_ms"], "ms", 5.0, note=note)
-    ]
+    return [Figure("fast topic beside a slow neighbor: p99", found["p99_ms"], "ms", 5.0, note=note)]

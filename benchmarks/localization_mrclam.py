@@ -58,7 +58,7 @@ class Result:
     lost: list[int]
     falsely_removed: list[int]
     located_s: float
-    relocalised: int
+    relocalized: int
     cpu_s: float
     detect_s: dict[int, float]
 
@@ -167,7 +167,7 @@ def solve(case: Case) -> Result:
         lost,
         false,
         located,
-        outcome.relocalised,
+        outcome.relocalized,
         cpu,
         detect,
     )
@@ -207,7 +207,7 @@ def report(results: list[Result], verbose: bool) -> None:
                 f"still: removed {sum(len(r.falsely_removed) for r in mine)}, "
                 f"lost {sum(len(r.lost) for r in mine)}; "
                 f"located max {max(r.located_s for r in mine):.1f} s; "
-                f"relocalised {sum(r.relocalised for r in mine)}; "
+                f"relocalized {sum(r.relocalized for r in mine)}; "
                 f"cpu {np.mean([r.cpu_s for r in mine]):.1f} s",
                 flush=True,
             )
@@ -221,7 +221,7 @@ def report(results: list[Result], verbose: bool) -> None:
                         f"missed {r.missed} unregistered {r.not_registered} "
                         f"errors { {i: round(e, 2) for i, e in r.registered_error.items()} } "
                         f"lost {r.lost} removed {r.falsely_removed} located {r.located_s:.1f} "
-                        f"relocalised {r.relocalised}"
+                        f"relocalized {r.relocalized}"
                     )
 
 

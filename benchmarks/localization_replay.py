@@ -41,7 +41,7 @@ class Outcome:
     objects: dict[int, MapObject]
     changes: list[tuple[float, Change]] = field(default_factory=list)
     located_at: float = math.nan
-    relocalised: int = 0
+    relocalized: int = 0
 
 
 def load(dataset: Dataset, robot: int) -> Recording:
@@ -164,11 +164,11 @@ def _update(
             robot,
             frame.healthy,
         )
-        for j in frame.judgements
+        for j in frame.judgments
     ]
     changes = list(visual_map.apply(evidence, t).changes)
-    if frame.relocalised:
-        outcome.relocalised += 1
+    if frame.relocalized:
+        outcome.relocalized += 1
         changes += visual_map.take_back(localization.sure_until)[1]
     outcome.changes += [(t, c) for c in changes]
     localization.use_map(landmarks_of(visual_map))

@@ -72,15 +72,15 @@ def plain_sensor_step(field: LikelihoodField, poses: Array, points: Array) -> Ar
     """The same sum in numpy: float32, in chunks that stay in the cache, one gather and one sum."""
     flat = field.cells.ravel()
     rows, columns = field.cells.shape
-    per_metre = np.float32(1.0 / field.frame.resolution)
-    x, y = (points.T * per_metre).astype(np.float32)
+    per_meter = np.float32(1.0 / field.frame.resolution)
+    x, y = (points.T * per_meter).astype(np.float32)
     total = np.empty(poses.shape[1], np.float32)
     chunk = max(1, 65_536 // len(points))
     for begin in range(0, poses.shape[1], chunk):
         part = poses[:, begin : begin + chunk].astype(np.float32)
         cosine, sine = np.cos(part[2])[:, None], np.sin(part[2])[:, None]
-        column = (part[0][:, None] * per_metre + (cosine * x - sine * y)).astype(np.int32)
-        row = (part[1][:, None] * per_metre + (sine * x + cosine * y)).astype(np.int32)
+        column = (part[0][:, None] * per_meter + (cosine * x - sine * y)).astype(np.int32)
+        row = (part[1][:, None] * per_meter + (sine * x + cosine * y)).astype(np.int32)
         column += 1
         row += 1
         np.clip(column, 0, columns - 1, out=column)

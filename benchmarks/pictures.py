@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-Grey = NDArray[np.uint8]
+Gray = NDArray[np.uint8]
 Homography = NDArray[np.float64]
 
 WIDTH, HEIGHT = 640, 480
@@ -18,7 +18,7 @@ _DATA = Path(__file__).parents[1] / "tests" / "data"
 _CUT = ("images/box_in_scene.png", "images/board.jpg", "images/building.jpg", "images/graf1.jpg")
 _BEHIND = ("stereo/aloeL.jpg", "images/home.jpg", "images/tsukuba_l.png", "images/blox.jpg")
 _CELL = (100, 120)  # px, rows and columns of what is cut from photographs
-_PLAIN = 25.0  # grey levels, standard deviation: sky and walls are not taught
+_PLAIN = 25.0  # gray levels, standard deviation: sky and walls are not taught
 
 
 @dataclass(frozen=True)
@@ -27,12 +27,12 @@ class Scenery:
 
     scale: tuple[float, float] = (0.6, 1.6)
     tilt_deg: tuple[float, float] = (0.0, 50.0)
-    noise: float = 4.0  # grey levels
+    noise: float = 4.0  # gray levels
     blur: float = 0.7  # px
     covered: float = 0.0  # share of the picture
 
 
-def read(name: str) -> Grey:
+def read(name: str) -> Gray:
     """A photograph of the tests' data."""
     image = cv2.imread(str(_DATA / name), cv2.IMREAD_GRAYSCALE)
     if image is None:
@@ -40,7 +40,7 @@ def read(name: str) -> Grey:
     return image.astype(np.uint8, copy=False)
 
 
-def pictures(count: int, seed: int) -> list[Grey]:
+def pictures(count: int, seed: int) -> list[Gray]:
     """So many different pictures: as many cuts from photographs as there are, the rest drawn."""
     random = np.random.default_rng(seed)
     cuts = [
@@ -55,7 +55,7 @@ def pictures(count: int, seed: int) -> list[Grey]:
     return [mixed[i] for i in random.permutation(len(mixed))][:count]
 
 
-def drawing(random: np.random.Generator) -> Grey:
+def drawing(random: np.random.Generator) -> Gray:
     """Shapes, letters and grain on a ground that changes slowly."""
     width, height = (int(side) for side in random.integers(140, 260, 2))
     coarse = random.normal(0, random.uniform(5, 40), random.integers(2, 8, 2))
@@ -68,33 +68,33 @@ def drawing(random: np.random.Generator) -> Grey:
     grain = cv2.GaussianBlur(random.normal(0, 1, picture.shape), (0, 0), random.uniform(0.6, 3.0))
     grain *= random.uniform(2, 15) / grain.std()
     smooth = cv2.GaussianBlur(picture, (0, 0), 0.6).astype(np.float64)
-    drawn: Grey = np.clip(smooth + grain, 0, 255).astype(np.uint8)
+    drawn: Gray = np.clip(smooth + grain, 0, 255).astype(np.uint8)
     return drawn
 
 
-def _draw(picture: Grey, random: np.random.Generator) -> None:
+def _draw(picture: Gray, random: np.random.Generator) -> None:
     height, width = picture.shape
     place = (int(random.integers(0, width)), int(random.integers(0, height)))
-    grey, thickness = int(random.integers(0, 256)), int(random.integers(1, 5))
+    gray, thickness = int(random.integers(0, 256)), int(random.integers(1, 5))
     match random.integers(0, 4):
         case 0:
             axes = (int(random.integers(3, 40)), int(random.integers(3, 40)))
             filled = -1 if random.random() < 0.4 else thickness
             turn, arc = float(random.uniform(0, 360)), float(random.uniform(90, 360))
-            cv2.ellipse(picture, place, axes, turn, 0, arc, grey, filled, cv2.LINE_AA)
+            cv2.ellipse(picture, place, axes, turn, 0, arc, gray, filled, cv2.LINE_AA)
         case 1:
             corners = place + random.integers(-30, 31, (int(random.integers(3, 7)), 2))
-            cv2.fillPoly(picture, [corners.astype(np.int32)], grey, cv2.LINE_AA)
+            cv2.fillPoly(picture, [corners.astype(np.int32)], gray, cv2.LINE_AA)
         case 2:
             end = (int(random.integers(0, width)), int(random.integers(0, height)))
-            cv2.line(picture, place, end, grey, thickness, cv2.LINE_AA)
+            cv2.line(picture, place, end, gray, thickness, cv2.LINE_AA)
         case _:
             text = "".join(chr(random.integers(48, 123)) for _ in range(random.integers(1, 9)))
             font, size = int(random.integers(0, 8)), float(random.uniform(0.4, 2.0))
-            cv2.putText(picture, text, place, font, size, grey, thickness, cv2.LINE_AA)
+            cv2.putText(picture, text, place, font, size, gray, thickness, cv2.LINE_AA)
 
 
-def behind(random: np.random.Generator) -> Grey:
+def behind(random: np.random.Generator) -> Gray:
     """A photograph (none that was cut from) that fills an image, mirrored and framed by chance."""
     photograph = read(_BEHIND[random.integers(len(_BEHIND))])
     share = random.uniform(0.7, 1.0)
@@ -109,7 +109,7 @@ def behind(random: np.random.Generator) -> Grey:
     ).astype(np.uint8, copy=False)
 
 
-def seen(picture: Grey, scenery: Scenery, random: np.random.Generator) -> Homography:
+def seen(picture: Gray, scenery: Scenery, random: np.random.Generator) -> Homography:
     """Where a pinhole camera of 60 degrees sees a picture that hangs about somewhere before it."""
     height, width = picture.shape
     focal = WIDTH / 2 / math.tan(math.radians(30))
@@ -121,12 +121,12 @@ def seen(picture: Grey, scenery: Scenery, random: np.random.Generator) -> Homogr
     middle = random.uniform((0.3 * WIDTH, 0.3 * HEIGHT), (0.7 * WIDTH, 0.7 * HEIGHT))
     place = np.append((middle - (WIDTH / 2, HEIGHT / 2)) / focal, 1.0) * away
     camera = np.array([[focal, 0, WIDTH / 2], [0, focal, HEIGHT / 2], [0, 0, 1]])
-    centred = np.array([[1, 0, -(width - 1) / 2], [0, 1, -(height - 1) / 2], [0, 0, 1]])
-    homography = camera @ np.column_stack((turn[:, 0], turn[:, 1], place)) @ centred
+    centerd = np.array([[1, 0, -(width - 1) / 2], [0, 1, -(height - 1) / 2], [0, 0, 1]])
+    homography = camera @ np.column_stack((turn[:, 0], turn[:, 1], place)) @ centerd
     return np.asarray(homography / homography[2, 2])
 
 
-def hung(image: Grey, picture: Grey, homography: Homography, covered: float = 0.0) -> Grey:
+def hung(image: Gray, picture: Gray, homography: Homography, covered: float = 0.0) -> Gray:
     """The image with the picture in it, a share of it covered by the image from one side."""
     height, width = picture.shape
     # Seen smaller, a picture loses what is finer than the image's pixels.
@@ -140,7 +140,7 @@ def hung(image: Grey, picture: Grey, homography: Homography, covered: float = 0.
     return (image * (1.0 - mask) + warped * mask).astype(np.uint8)
 
 
-def photographed(image: Grey, scenery: Scenery, random: np.random.Generator) -> Grey:
+def photographed(image: Gray, scenery: Scenery, random: np.random.Generator) -> Gray:
     """The image in other light, blurred, and with noise."""
     light = 255.0 * random.uniform(0.6, 1.3) * (image / 255.0) ** random.uniform(0.7, 1.4)
     blurred = cv2.GaussianBlur(light, (0, 0), scenery.blur)

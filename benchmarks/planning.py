@@ -67,7 +67,7 @@ def planned(costs: CostMap) -> tuple[float, float]:
 
 
 def dijkstra_ms(costs: CostMap) -> tuple[float, float]:
-    """Time [ms] and length [m] of SciPy's Dijkstra over eight neighbours, its graph at hand."""
+    """Time [ms] and length [m] of SciPy's Dijkstra over eight neighbors, its graph at hand."""
     free = costs.prices[MARGIN:-MARGIN, MARGIN:-MARGIN] < CLOSED
     rows, columns = free.shape
     numbers = np.arange(rows * columns).reshape(rows, columns)
@@ -118,7 +118,7 @@ def measure() -> list[Figure]:
             )  # fmt: skip
             shortest = planned(CostMap(boxes(size, 0), LENGTH_ALONE))[1]
             figures += [
-                Figure(f"{size} x {size}: length, weight 0, to Dijkstra's over 8 neighbours",
+                Figure(f"{size} x {size}: length, weight 0, to Dijkstra's over 8 neighbors",
                        shortest / length, "", at_most=1.0),
                 Figure(f"{size} x {size}: length to that with weight 0",
                        plans[0][1] / shortest, "", at_most=1.1),

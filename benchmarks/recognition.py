@@ -1,4 +1,4 @@
-"""How long objects take to be recognised, how many are, and how many that are not there.
+"""How long objects take to be recognized, how many are, and how many that are not there.
 
 The time is that of one core, beside that of extracting the features of the same image.
 """
@@ -15,7 +15,7 @@ import numpy as np
 from benchmarks.pictures import (
     HEIGHT,
     WIDTH,
-    Grey,
+    Gray,
     Homography,
     Scenery,
     behind,
@@ -93,7 +93,7 @@ def measure() -> list[Figure]:
     return figures
 
 
-def _taught(number: int, picture: Grey) -> TaughtObject:
+def _taught(number: int, picture: Gray) -> TaughtObject:
     return TaughtObject(number, f"object {number}", None, (view_of(picture),))
 
 

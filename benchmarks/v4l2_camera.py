@@ -49,7 +49,7 @@ class FedCamera(V4l2StereoCamera):
     def take(self) -> None:
         """Convert and publish a pair."""
         began = time.thread_time(), time.perf_counter()
-        left, right = (self._layout.grey(buffer) for buffer in self._buffers)
+        left, right = (self._layout.gray(buffer) for buffer in self._buffers)
         converted = time.thread_time()
         self._publish(self.clock.now(), (left, right))
         ended = time.thread_time(), time.perf_counter()
@@ -105,12 +105,12 @@ def _buffer(pixel_format: str, seed: int) -> bytes:
     coarse = random.integers(0, 256, (_HEIGHT // 16, _WIDTH // 16), np.uint8)
     large = cv2.resize(coarse, (_WIDTH, _HEIGHT), interpolation=cv2.INTER_LINEAR)
     noise = random.integers(-6, 7, large.shape)
-    grey = np.clip(large + noise, 0, 255).astype(np.uint8)
+    gray = np.clip(large + noise, 0, 255).astype(np.uint8)
     if pixel_format == "GREY":
-        return bytes(grey)
+        return bytes(gray)
     if pixel_format == "YUYV":
-        return bytes(np.dstack((grey, np.full_like(grey, 128))))
-    colours = np.dstack((grey, grey, grey))
+        return bytes(np.dstack((gray, np.full_like(gray, 128))))
+    colors = np.dstack((gray, gray, gray))
     return bytes(
-        simplejpeg.encode_jpeg(colours, quality=90, colorspace="RGB", colorsubsampling="422")
+        simplejpeg.encode_jpeg(colors, quality=90, colorspace="RGB", colorsubsampling="422")
     )

@@ -26,7 +26,7 @@ _NEWEST_ONLY = ("object_recognizer.left_image", "object_recognizer.right_image")
 
 
 class SightingWatch(Component):
-    """Times from an exposure to what was recognised in it."""
+    """Times from an exposure to what was recognized in it."""
 
     recognized_objects: In[RecognizedObjectArray] = In(qos=RELIABLE.with_depth(200))
 
@@ -38,7 +38,7 @@ class SightingWatch(Component):
 
     @on("recognized_objects")
     def note(self, frame: RecognizedObjectArray) -> None:
-        """What was recognised has come."""
+        """What was recognized has come."""
         self._times_ms.append((self.clock.now() - to_ns(frame.header.stamp)) / (SECOND / 1000))
         self._stamps.append(to_ns(frame.header.stamp))
         self._seen += len(frame.objects)

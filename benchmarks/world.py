@@ -73,7 +73,7 @@ def rays() -> list[Figure]:
         cast(starts, angles, segments, nobody, REACH)
     rate = 20 * angles.size / (time.process_time() - began)
     began = time.process_time()
-    vectorised = np.concatenate(
+    vectorized = np.concatenate(
         [
             in_numpy(starts[one : one + 1081], angles[one : one + 1081], segments)
             for one in range(0, angles.size, 1081)
@@ -87,7 +87,7 @@ def rays() -> list[Figure]:
         for (x, y), angle in zip(starts[:count].tolist(), angles[:count].tolist(), strict=True)
     ]
     python_rate = count / (time.process_time() - began)
-    wrong = np.sum(~np.isclose(ranges, vectorised, atol=1e-9))
+    wrong = np.sum(~np.isclose(ranges, vectorized, atol=1e-9))
     wrong += np.sum(~np.isclose(ranges[:count], plain, atol=1e-9))
     return [
         Figure("hall: rays a second", rate / 1e6, "million", at_least=2),
@@ -100,7 +100,7 @@ def rays() -> list[Figure]:
 
 
 def simulated(world: str, seconds: float) -> float:
-    """CPU ms a simulated second of world, base, scanner and recogniser, driven in a curve."""
+    """CPU ms a simulated second of world, base, scanner and recognizer, driven in a curve."""
     executor, bus, ends = LockstepExecutor(SECOND), LockstepBus(), list[End]()
     parts: dict[str, tuple[type[Component], dict[str, object]]] = {
         "world": (SimulatedWorld, {"world": str(WORLDS / world)}),

@@ -46,7 +46,7 @@ class Movement:
 
     header: Header = Header()
     leg: UInt32 = 0
-    behaviour: Annotated[int, Scalar("uint8", at_most=4)] = 0
+    behavior: Annotated[int, Scalar("uint8", at_most=4)] = 0
     goal: Pose = Pose()
     distance: NotNegative = 0.0
     position_tolerance: NotNegative = 0.1
@@ -89,7 +89,7 @@ class MotionStatus:
     """What motion control does for a leg, and why.
 
     STANDING: nothing else is wanted. MOVING: on the way. BLOCKED: something is in the way, or there
-    is no plan. DONE: the goal is reached, or the behaviour is finished. STOPPED: an input is stale,
+    is no plan. DONE: the goal is reached, or the behavior is finished. STOPPED: an input is stale,
     which `reason` names.
     """
 
@@ -145,7 +145,7 @@ MOVE_STATES: Final = {
     MoveStatus.RECOVERING: "recovering",
     MoveStatus.SUCCEEDED: "succeeded",
     MoveStatus.FAILED: "failed",
-    MoveStatus.CANCELLED: "cancelled",
+    MoveStatus.CANCELLED: "canceled",
 }
 """What the states of a `MoveStatus` are called."""
 MOVE_ENDS: Final = frozenset({MoveStatus.SUCCEEDED, MoveStatus.FAILED, MoveStatus.CANCELLED})
@@ -179,8 +179,8 @@ class LocalizationHealth:
     reason: String = ""
 
 
-@message("cairn_nav_msgs/msg/Relocalisation")
-class Relocalisation:
+@message("cairn_nav_msgs/msg/Relocalization")
+class Relocalization:
     """The robot was lost and has found itself at `pose` in frame map.
 
     Until `sure_until` objects at two places had agreed that it was where it believed to be: what it

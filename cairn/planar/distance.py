@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 
 def distance_field(obstacles: NDArray[np.bool_], resolution: float) -> NDArray[np.float32]:
-    """Distance [m] of each cell's centre to that of the nearest obstacle cell, exact.
+    """Distance [m] of each cell's center to that of the nearest obstacle cell, exact.
 
     Infinite everywhere if there is none. `obstacles` (rows, columns); Felzenszwalb and
     Huttenlocher 2012, as OpenCV's precise distance transform.

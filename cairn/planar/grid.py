@@ -32,7 +32,7 @@ class Frame:
     """Where a grid lies: size of a cell [m], pose of the outer corner of cell (0, 0) [m, rad].
 
     Cell (row, column) covers column..column + 1 cells along the origin's x axis and
-    row..row + 1 along its y axis; its centre is half a cell in.
+    row..row + 1 along its y axis; its center is half a cell in.
     """
 
     resolution: float
@@ -54,7 +54,7 @@ class Frame:
         )
 
     def point(self, row: float, column: float) -> tuple[float, float]:
-        """x, y [m] of the centre of a cell."""
+        """x, y [m] of the center of a cell."""
         ox, oy, theta = self.origin
         along, across = (column + 0.5) * self.resolution, (row + 0.5) * self.resolution
         cosine, sine = math.cos(theta), math.sin(theta)

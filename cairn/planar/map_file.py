@@ -52,7 +52,7 @@ class MapFile(BaseModel):
 def read_map(file: Path) -> OccupancyCells:
     """The map of a YAML file and the image that it names, row 0 at the bottom of the image.
 
-    A pixel's lightness (mean of its colours) gives the probability p of an obstacle: dark is
+    A pixel's lightness (mean of its colors) gives the probability p of an obstacle: dark is
     occupied, unless `negate`. trinary: occupied above occupied_thresh, free below free_thresh,
     unknown between; scale: p between the thresholds in percent, unknown where the image is
     transparent; raw: the pixel's value is the cell's, above 100 unknown. Raises `CairnError` with
@@ -145,7 +145,7 @@ def _described(file: Path) -> MapFile:
 
 
 def _pixels(path: Path) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Mean of the colours (rows, columns), 0 to 255, and where the image is opaque."""
+    """Mean of the colors (rows, columns), 0 to 255, and where the image is opaque."""
     try:
         with Image.open(path) as opened:
             opened.load()

@@ -17,12 +17,12 @@ Points = NDArray[np.float64]
 
 # How often corners are cut, what a cut must gain [cells], and how finely its place is sought.
 _ROUNDS, _GAIN, _HALVINGS = 6, 1e-3, 5
-# How often each point is drawn towards the middle of its neighbours.
+# How often each point is drawn toward the middle of its neighbors.
 _SWEEPS = 12
 
 
-def centres(cells: NDArray[np.int64]) -> Points:
-    """The centres of cells given by rows and columns (n, 2)."""
+def centers(cells: NDArray[np.int64]) -> Points:
+    """The centers of cells given by rows and columns (n, 2)."""
     return cells[:, ::-1].astype(np.float64) + 0.5
 
 

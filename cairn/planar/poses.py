@@ -1,4 +1,4 @@
-"""Poses in the plane and their composition; angles in radians, lengths in metres."""
+"""Poses in the plane and their composition; angles in radians, lengths in meters."""
 
 from __future__ import annotations
 
@@ -51,9 +51,9 @@ def distance(a: Pose, b: Pose) -> float:
     return math.hypot(a[0] - b[0], a[1] - b[1])
 
 
-def apart(a: Pose, b: Pose, metres: float, radians: float) -> bool:
+def apart(a: Pose, b: Pose, meters: float, radians: float) -> bool:
     """Whether two poses differ by more than so much in position or in heading."""
-    return distance(a, b) > metres or abs(wrap(a[2] - b[2])) > radians
+    return distance(a, b) > meters or abs(wrap(a[2] - b[2])) > radians
 
 
 def between(a: Pose, b: Pose, share: float) -> Pose:

@@ -82,7 +82,7 @@ class PathSearch:
 
         A step costs its length times the mean price of the cells it touches; it touches no closed
         cell. The cost is within 2.8 % of that of the cheapest way in any directions, but for the
-        half cells that a way over centres keeps off corners.
+        half cells that a way over centers keeps off corners.
         """
         if prices.shape != self.shape:
             raise ValueError(f"prices of shape {prices.shape}, and room for {self.shape}")

@@ -87,7 +87,7 @@ class Zygote:
         for watched in (self._woken, self._wakeup, self._listener):
             watched.setblocking(False)
         self._selector.register(0, selectors.EVENT_READ, self._end_everything)
-        self._selector.register(self._woken, selectors.EVENT_READ, self._signalled)
+        self._selector.register(self._woken, selectors.EVENT_READ, self._signaled)
         self._selector.register(self._listener, selectors.EVENT_READ, self._accept)
         self._serving = True
 
@@ -208,7 +208,7 @@ class Zygote:
         if owner.settle():
             self._connections.discard(owner)
 
-    def _signalled(self) -> None:
+    def _signaled(self) -> None:
         if signal.SIGTERM in self._woken.recv(4096):
             self._end_everything()
         else:

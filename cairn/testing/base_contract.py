@@ -1,7 +1,7 @@
 """The contract of a base: `cmd_vel` in, geometry_msgs/Twist; `odom`, nav_msgs/Odometry, and `tf`.
 
 The tests drive the robot: a short way ahead, a turn to the left on the spot. A real one needs half
-a metre of room, or wheels that are off the ground.
+a meter of room, or wheels that are off the ground.
 """
 
 from __future__ import annotations
@@ -107,21 +107,21 @@ class DriveContract(OdometryContract):
 
     def test_it_stands_without_commands(self, drive: Drive) -> None:
         """Whatever was commanded before it was activated."""
-        way = judged.travelled([arrival.message for arrival in drive.before])
+        way = judged.traveled([arrival.message for arrival in drive.before])
         assert abs(way.ahead_m) <= self.still, f"it moves {way.ahead_m:.3f} m without a command"
         assert abs(way.left_rad) <= self.still, f"it turns {way.left_rad:.3f} rad without a command"
 
     def test_ahead_is_ahead(self, drive: Drive) -> None:
-        """In metres a second, and forward (REP 103: x)."""
+        """In meters a second, and forward (REP 103: x)."""
         speed = _mean([odom.twist.twist.linear.x for odom in _second_half(drive.ahead)])
-        way = judged.travelled([arrival.message for arrival in drive.ahead])
+        way = judged.traveled([arrival.message for arrival in drive.ahead])
         self._check_speed(speed, self.speed, "m/s ahead")
         assert way.ahead_m > 0.0, f"commanded ahead, it went {way.ahead_m:.3f} m by its poses"
 
     def test_left_is_left(self, drive: Drive) -> None:
         """In radians a second; counterclockwise from above is positive (REP 103)."""
         turn = _mean([odom.twist.twist.angular.z for odom in _second_half(drive.left)])
-        way = judged.travelled([arrival.message for arrival in drive.left])
+        way = judged.traveled([arrival.message for arrival in drive.left])
         self._check_speed(turn, self.turn, "rad/s to the left")
         assert way.left_rad > 0.0, f"commanded to the left, it turned {way.left_rad:.3f} rad"
 
@@ -217,7 +217,7 @@ class SafetyContract(DriveContract):
             pytest.skip("top_speed does not tell how fast it may go")
         with robot.sending(self.topic(robot, "cmd_vel"), Twist(linear=Vector3(x=1000.0))):
             odoms = self.sample(output, math.ceil(self.drive_s * self.rate_hz), after=output.count)
-        fastest = judged.travelled([arrival.message for arrival in odoms]).longest_speed
+        fastest = judged.traveled([arrival.message for arrival in odoms]).longest_speed
         assert fastest <= self.top_speed * (1.0 + self.accuracy), (
             f"commanded 1000 m/s it went {fastest:.3f} m/s; its limit is {self.top_speed:g} m/s"
         )

@@ -181,7 +181,7 @@ class PicturesContract(Contract):
         assert len(sizes) == 1, f"left and right images have different sizes: {sorted(sizes)}"
 
     def test_calibration_is_of_such_a_camera(self, pictures: Pictures) -> None:
-        """Lengths in pixels, the centre within the image."""
+        """Lengths in pixels, the center within the image."""
         infos = {side: some[0].message for side, some in pictures.infos.items()}
         found = all(map(judged.is_calibrated, infos.values()))
         if not self.calibrated:
@@ -191,7 +191,7 @@ class PicturesContract(Contract):
             judged.check_calibration(info, side)
 
     def test_right_is_right(self, pictures: Pictures) -> None:
-        """The baseline is positive and in metres; swapped cameras see everything behind them."""
+        """The baseline is positive and in meters; swapped cameras see everything behind them."""
         if not (self.stereo and self.calibrated):
             pytest.skip("a single camera, or one that is not calibrated, has no baseline")
         left, right = (pictures.infos[side][0].message for side in self.sides())

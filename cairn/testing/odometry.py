@@ -1,6 +1,6 @@
 """Judges odometry: units, signs, and whether pose, twist and transform tell the same.
 
-All raise `AssertionError` with a sentence that names the fault. Lengths are in metres, angles in
+All raise `AssertionError` with a sentence that names the fault. Lengths are in meters, angles in
 radians, times in seconds.
 """
 
@@ -22,7 +22,7 @@ _TURN_RAD = 0.05
 
 
 @dataclass(frozen=True)
-class Travelled:
+class Traveled:
     """What a piece of odometry adds up to: by its poses, and by its twists over time."""
 
     ahead_m: float
@@ -33,7 +33,7 @@ class Travelled:
     """The greatest speed that a twist tells [m/s]."""
 
 
-def travelled(odoms: Sequence[Odometry]) -> Travelled:
+def traveled(odoms: Sequence[Odometry]) -> Traveled:
     """Add up the way ahead (along the heading; negative backwards) and the turn to the left."""
     ahead = left = ahead_by_twist = left_by_twist = 0.0
     for before, after in pairwise(odoms):
@@ -50,7 +50,7 @@ def travelled(odoms: Sequence[Odometry]) -> Travelled:
         ahead_by_twist += seconds * twist.linear.x
         left_by_twist += seconds * twist.angular.z
     fastest = max((abs(odom.twist.twist.linear.x) for odom in odoms), default=0.0)
-    return Travelled(ahead, ahead_by_twist, left, left_by_twist, fastest)
+    return Traveled(ahead, ahead_by_twist, left, left_by_twist, fastest)
 
 
 def check_frames(odom: Odometry, frame: str, child: str) -> None:
@@ -91,7 +91,7 @@ def check_covariance(odom: Odometry) -> None:
 
 def check_twist_agrees(odoms: Sequence[Odometry], tolerance: float) -> None:
     """What the twists add up to over time is what the poses say, within a share."""
-    way = travelled(odoms)
+    way = traveled(odoms)
     _agree(
         way.ahead_m, way.ahead_by_twist_m, tolerance, _WAY_M, "m ahead", "m/s (and in base_link)"
     )

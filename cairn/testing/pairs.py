@@ -1,6 +1,6 @@
 """Judges the images of a stereo camera: sizes, encodings, calibrations, and what belongs together.
 
-All raise `AssertionError` with a sentence that names the fault. Lengths are in metres and pixels.
+All raise `AssertionError` with a sentence that names the fault. Lengths are in meters and pixels.
 """
 
 from __future__ import annotations
@@ -73,14 +73,14 @@ def check_size(image: Image, info: CameraInfo, side: str) -> None:
 
 
 def check_calibration(info: CameraInfo, side: str) -> None:
-    """Focal lengths and centre are those of a camera of this size [px]."""
+    """Focal lengths and center are those of a camera of this size [px]."""
     fx, fy, cx, cy = info.k[0], info.k[4], info.k[2], info.k[5]
     assert min(fx, fy) > 0.0, f"the {side} camera has the focal lengths {fx:g}, {fy:g} px"
     assert 0.0 < cx < info.width, (
-        f"the {side} camera's centre is at {cx:g}, {cy:g} px, outside of the image"
+        f"the {side} camera's center is at {cx:g}, {cy:g} px, outside of the image"
     )
     assert 0.0 < cy < info.height, (
-        f"the {side} camera's centre is at {cx:g}, {cy:g} px, outside of the image"
+        f"the {side} camera's center is at {cx:g}, {cy:g} px, outside of the image"
     )
 
 
@@ -92,7 +92,7 @@ def check_baseline(left: CameraInfo, right: CameraInfo) -> None:
     baseline = -right.p[3] / right.p[0] if right.p[0] else math.nan
     assert 0.0 < baseline < _LONGEST_BASELINE_M, (
         f"by p of the right camera it is {baseline:g} m to the right of the left one (at most "
-        f"{_LONGEST_BASELINE_M:g} m): Tx is -fx * baseline in metres"
+        f"{_LONGEST_BASELINE_M:g} m): Tx is -fx * baseline in meters"
     )
 
 

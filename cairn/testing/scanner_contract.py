@@ -89,7 +89,7 @@ class ScanContract(Contract):
         """All scans are of the frame that transforms and maps know."""
         judged.check_frame((scan.message.header.frame_id for scan in scans), self.frame)
 
-    def test_limits_are_in_metres(self, scans: Scans) -> None:
+    def test_limits_are_in_meters(self, scans: Scans) -> None:
         """`range_min` and `range_max` (REP 103: SI units)."""
         judged.check_limits(scans[0].message)
 
@@ -113,7 +113,7 @@ class ScanContract(Contract):
         judged.check_times(scans[0].message, self.rate_hz, max(self.rate_tolerance, self.jitter))
 
     def test_surroundings_are_seen_where_they_are(self, scans: Scans) -> None:
-        """Left is left, and a metre is a metre."""
+        """Left is left, and a meter is a meter."""
         if not self.surroundings:
             pytest.skip("surroundings tells nothing of what stands around the scanner")
         messages = [scan.message for scan in scans]

@@ -1,6 +1,6 @@
 """Judges scans: units, angles, limits, and what is seen where.
 
-All raise `AssertionError` with a sentence that names the fault. Lengths are in metres, angles in
+All raise `AssertionError` with a sentence that names the fault. Lengths are in meters, angles in
 radians.
 """
 
@@ -24,11 +24,11 @@ def check_frame(frames: Iterable[str], frame: str) -> None:
 
 
 def check_limits(scan: LaserScan) -> None:
-    """`range_min` and `range_max` are those of a scanner, in metres."""
+    """`range_min` and `range_max` are those of a scanner, in meters."""
     assert scan.ranges.size > 1, f"a scan has {scan.ranges.size} ranges"
     assert scan.range_max <= _FARTHEST_M, (
         f"range_max = {scan.range_max:g} m, and no scanner sees farther than {_FARTHEST_M:g} m: "
-        "are these millimetres?"
+        "are these millimeters?"
     )
     assert 0.0 <= scan.range_min < scan.range_max, (
         f"range_min = {scan.range_min:g} m, range_max = {scan.range_max:g} m: there is no range"
@@ -41,7 +41,7 @@ def check_ranges(scan: LaserScan) -> None:
     low = scan.range_min * (1.0 - _ROUNDING)
     high = scan.range_max * (1.0 + _ROUNDING)
     wrong = finite[(finite < low) | (finite > high)]
-    hint = ": are these millimetres?" if wrong.size and np.median(wrong) > 10 * high else ""
+    hint = ": are these millimeters?" if wrong.size and np.median(wrong) > 10 * high else ""
     assert not wrong.size, (
         f"{wrong.size} of {scan.ranges.size} ranges are outside of range_min = {scan.range_min:g} m"
         f" to range_max = {scan.range_max:g} m, such as {wrong[0]:g} m{hint}; too near is -inf, "
@@ -97,7 +97,7 @@ def check_sees(
         if abs(seen_at(scans, -bearing) - there) <= tolerance_m:
             hint = "; it is seen on the other side: angles must count to the left (REP 103)"
         elif abs(seen / 1000.0 - there) <= tolerance_m:
-            hint = "; a thousand times as far: are these millimetres?"
+            hint = "; a thousand times as far: are these millimeters?"
         raise AssertionError(
             f"at {math.degrees(bearing):g} degrees stands something {there:g} m away, but "
             f"{seen:g} m are measured{hint}"

@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-Grey = NDArray[np.uint8]
+Gray = NDArray[np.uint8]
 
 _ROUNDS = 8
 # From the whole disparity that it starts from, no true one lies further [px].
 _FURTHEST = 1.5
-# Aligned patches that are less alike (normalised correlation) show different things.
+# Aligned patches that are less alike (normalized correlation) show different things.
 _ALIKE = 0.8
 # How disparity may change within a patch [px per px]: a surface turned by 45 degrees at a distance
 # of ten baselines has 0.1. Without it, patches with little texture would tilt at will.
@@ -25,7 +25,7 @@ _SLANT = 0.2
 _NOISE = 0.1
 
 
-def aligned(left: Grey, right: Grey, points: Array, start: Array, half: int) -> Array:
+def aligned(left: Gray, right: Gray, points: Array, start: Array, half: int) -> Array:
     """The disparities (n,) [px] at `points` (n, 2) of the left image, NaN where patches differ.
 
     `start` (n,) [px] are those disparities within a pixel; patches have 2 * half + 1 pixels a side.
@@ -37,7 +37,7 @@ def aligned(left: Grey, right: Grey, points: Array, start: Array, half: int) -> 
     model = np.column_stack((np.ones(across.size), across, down))
     columns = points[:, :1] + across
     rows = points[:, 1:] + down
-    wanted, _ = _normalised(_sampled(left.astype(np.float32), columns, rows))
+    wanted, _ = _normalized(_sampled(left.astype(np.float32), columns, rows))
     target = right.astype(np.float32)
     slope = np.asarray(
         cv2.filter2D(target, cv2.CV_32F, np.array([[-0.5, 0.0, 0.5]], np.float32)), np.float32
@@ -46,7 +46,7 @@ def aligned(left: Grey, right: Grey, points: Array, start: Array, half: int) -> 
     found = np.column_stack((start, np.zeros_like(start), np.zeros_like(start)))
     for _ in range(_ROUNDS):
         at = columns - found @ model.T
-        seen, contrast = _normalised(_sampled(target, at, rows))
+        seen, contrast = _normalized(_sampled(target, at, rows))
         gradient = _sampled(slope, at, rows) / contrast[:, None]
         gradient -= gradient.mean(axis=1, keepdims=True)
         # Patches move left as the disparity grows: d(seen) = -gradient * d(disparity).
@@ -55,7 +55,7 @@ def aligned(left: Grey, right: Grey, points: Array, start: Array, half: int) -> 
         normal += 1e-9 * np.eye(3)
         right_side = np.einsum("npi,np->ni", jacobian, wanted - seen) - found @ prior
         found += np.linalg.solve(normal, right_side[:, :, None])[:, :, 0]
-    seen, _ = _normalised(_sampled(target, columns - found @ model.T, rows))
+    seen, _ = _normalized(_sampled(target, columns - found @ model.T, rows))
     alike = np.mean(wanted * seen, axis=1)
     good = (np.abs(found[:, 0] - start) <= _FURTHEST) & (alike >= _ALIKE)
     return np.where(good, found[:, 0], np.nan)
@@ -77,7 +77,7 @@ def _sampled(image: NDArray[np.float32], columns: Array, rows: Array) -> Array:
     return values
 
 
-def _normalised(patches: Array) -> tuple[Array, Array]:
+def _normalized(patches: Array) -> tuple[Array, Array]:
     """Patches (n, m) with mean 0 and deviation 1, and the deviations (n,) that they had."""
     contrast = np.maximum(patches.std(axis=1), 1e-6)
     return (patches - patches.mean(axis=1, keepdims=True)) / contrast[:, None], contrast

@@ -51,8 +51,8 @@ def _residuals(axes: Axes, name: str, found: Calibration) -> None:
     # A few corners far off would leave the rest a dot.
     reach = 1.2 * float(np.percentile(np.abs(of), 99.5))
     axes.add_patch(Circle((0.0, 0.0), found.rms, fill=False, color="black", linestyle="--"))
-    axes.axhline(0.0, color="grey", linewidth=0.5)
-    axes.axvline(0.0, color="grey", linewidth=0.5)
+    axes.axhline(0.0, color="gray", linewidth=0.5)
+    axes.axvline(0.0, color="gray", linewidth=0.5)
     axes.set_xlim(-reach, reach)
     axes.set_ylim(reach, -reach)
     axes.set_aspect("equal")
@@ -63,8 +63,8 @@ def _residuals(axes: Axes, name: str, found: Calibration) -> None:
 
 def _errors(axes: Axes, errors: Mapping[str, float], rms: float, outlying: Collection[str]) -> None:
     places = range(len(errors))
-    colours = ["tab:orange" if key in outlying else "tab:blue" for key in errors]
-    axes.bar(places, list(errors.values()), color=colours)
+    colors = ["tab:orange" if key in outlying else "tab:blue" for key in errors]
+    axes.bar(places, list(errors.values()), color=colors)
     axes.axhline(rms, color="black", linewidth=0.8, linestyle="--")
     labels = [Path(key).stem for key in errors]
     if len(labels) <= _MOST_LABELS:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-Grey = NDArray[np.uint8]
+Gray = NDArray[np.uint8]
 
 # Boards are found in images no larger than this [px], and measured in the whole image then; what
 # takes long is done in smaller ones.
@@ -40,21 +40,21 @@ class Board:
         return flat * self.square
 
 
-def find_corners(grey: Grey, board: Board) -> Array | None:
+def find_corners(gray: Gray, board: Board) -> Array | None:
     """The board's inner corners (n, 2) [px], row by row; None if the whole board is not seen."""
     size = (board.columns, board.rows)
-    small, reduced = _reduced(grey, _SEARCHED)
+    small, reduced = _reduced(gray, _SEARCHED)
     found, corners = cv2.findChessboardCorners(small, size)
     if not found:
         # Slower, but it finds boards that are blurred or badly lit.
-        small, reduced = _reduced(grey, _SEARCHED_LONG)
+        small, reduced = _reduced(gray, _SEARCHED_LONG)
         found, corners = cv2.findChessboardCornersSB(small, size, flags=cv2.CALIB_CB_EXHAUSTIVE)
     if not found:
         return None
     # The middle of a pixel is at whole numbers in both images.
     start = (np.asarray(corners, np.float32).reshape(-1, 1, 2) + 0.5) * reduced - 0.5
     window = int(np.clip(_WINDOW * _spacing(start, board), _SMALLEST, _LARGEST * reduced).round())
-    refined = cv2.cornerSubPix(grey, start.astype(np.float32), (window, window), (-1, -1), _ENOUGH)
+    refined = cv2.cornerSubPix(gray, start.astype(np.float32), (window, window), (-1, -1), _ENOUGH)
     return np.asarray(refined, np.float64).reshape(-1, 2)
 
 
@@ -74,7 +74,7 @@ def in_order_of(corners: Array, other: Array, board: Board) -> Array:
     return orders[int(np.argmin(apart))]
 
 
-def other_board(images: Sequence[Grey], board: Board, *, larger: bool = False) -> Board | None:
+def other_board(images: Sequence[Gray], board: Board, *, larger: bool = False) -> Board | None:
     """The largest board near `board` in size that is seen in one of the images; None if none is.
 
     If `larger`, only such boards are looked for that have `board` as a part.
@@ -108,12 +108,12 @@ def _corners(board: Board) -> int:
     return board.columns * board.rows
 
 
-def _reduced(grey: Grey, most: int) -> tuple[Grey, float]:
+def _reduced(gray: Gray, most: int) -> tuple[Gray, float]:
     """The image with no side longer than `most` [px], and how many times larger it was."""
-    by = max(1.0, max(grey.shape) / most)
+    by = max(1.0, max(gray.shape) / most)
     if by == 1.0:
-        return grey, by
-    small = cv2.resize(grey, None, fx=1 / by, fy=1 / by, interpolation=cv2.INTER_AREA)
+        return gray, by
+    small = cv2.resize(gray, None, fx=1 / by, fy=1 / by, interpolation=cv2.INTER_AREA)
     return np.asarray(small, np.uint8), by
 
 

@@ -15,7 +15,7 @@ LARGEST = 2_000_000
 DESCRIPTOR = 128
 """Numbers in a descriptor."""
 
-# Grey levels from the darkest to the brightest hundredth of an image that is worth calling lit; the
+# Gray levels from the darkest to the brightest hundredth of an image that is worth calling lit; the
 # level of the darkest; the gain that gets it there, at most; and one that is not worth it.
 _SPAN, _LOWEST, _MOST_GAIN, _ENOUGH = 200.0, 10.0, 6.0, 1.3
 
@@ -50,29 +50,29 @@ class Features:
         )
 
 
-def extract(grey: NDArray[np.uint8], most: int = 0) -> Features:
-    """The features of a grey image (h, w), of any size; the `most` that stand out most, or all (0).
+def extract(gray: NDArray[np.uint8], most: int = 0) -> Features:
+    """The features of a gray image (h, w), of any size; the `most` that stand out most, or all (0).
 
     An image of more than `LARGEST` pixels is scaled down first, so that what is to be told about
     it is told in bounded time; its features are given in pixels of the image itself. Raises
     `ValueError` if it is no such image.
     """
-    if grey.ndim != 2 or grey.dtype != np.uint8:
-        raise ValueError(f"a grey image is uint8 (h, w), not {grey.dtype} {grey.shape}")
-    if not grey.size:
+    if gray.ndim != 2 or gray.dtype != np.uint8:
+        raise ValueError(f"a gray image is uint8 (h, w), not {gray.dtype} {gray.shape}")
+    if not gray.size:
         return none()
-    factor = math.sqrt(LARGEST / grey.size)
+    factor = math.sqrt(LARGEST / gray.size)
     if factor < 1.0:
-        height, width = grey.shape
+        height, width = gray.shape
         smaller = (max(1, round(width * factor)), max(1, round(height * factor)))
-        grey = cv2.resize(grey, smaller, interpolation=cv2.INTER_AREA).astype(np.uint8, copy=False)
+        gray = cv2.resize(gray, smaller, interpolation=cv2.INTER_AREA).astype(np.uint8, copy=False)
         stretch = np.array([width / smaller[0], height / smaller[1]])
     else:
         stretch = np.ones(2)
-    grey = _in_good_light(grey)
+    gray = _in_good_light(gray)
     # The precise upscaling: without it all points lie a quarter of a pixel off.
     sift = cv2.SIFT.create(nfeatures=most, enable_precise_upscale=True)
-    keypoints, histograms = sift.detectAndCompute(grey, None)
+    keypoints, histograms = sift.detectAndCompute(gray, None)
     if histograms is None or not keypoints:
         return none()
     table = np.array([(*k.pt, k.size, k.angle, k.response) for k in keypoints], np.float64)
@@ -87,18 +87,18 @@ def extract(grey: NDArray[np.uint8], most: int = 0) -> Features:
     )
 
 
-def _in_good_light(grey: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """An image whose grey levels span much, made of one that is dark or without contrast.
+def _in_good_light(gray: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """An image whose gray levels span much, made of one that is dark or without contrast.
 
-    What stands out is measured in grey levels, so in bad light nothing would. The gain is at most
+    What stands out is measured in gray levels, so in bad light nothing would. The gain is at most
     `_MOST_GAIN`: beyond it there is more noise than image.
     """
-    low, high = np.percentile(grey[::4, ::4], [1.0, 99.0])
+    low, high = np.percentile(gray[::4, ::4], [1.0, 99.0])
     gain = min(_MOST_GAIN, _SPAN / max(high - low, 1.0))
     if gain <= _ENOUGH:
-        return grey
+        return gray
     levels = np.clip((np.arange(256) - low) * gain + _LOWEST, 0, 255).astype(np.uint8)
-    return np.asarray(cv2.LUT(grey, levels), np.uint8)
+    return np.asarray(cv2.LUT(gray, levels), np.uint8)
 
 
 def varied(features: Features, most: int) -> Features:

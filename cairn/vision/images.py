@@ -1,4 +1,4 @@
-"""Grey images from files and from messages, of any usual kind."""
+"""Gray images from files and from messages, of any usual kind."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from cairn.errors import CairnError
 from cairn.schemas.sensor_msgs import Image
 from cairn.vision.file_errors import why
 
-Grey = NDArray[np.uint8]
+Gray = NDArray[np.uint8]
 
 LEAST_SIDE: Final = 16
-"""Smaller images [px] show nothing that could be recognised."""
+"""Smaller images [px] show nothing that could be recognized."""
 
 MOST_PIXELS: Final = 80_000_000
 """Larger images are refused: they would take a robot's memory."""
@@ -40,7 +40,7 @@ _UPRIGHT: Final = {
     8: (1, False),
 }
 
-# Bytes per pixel, bytes per number, and how it becomes grey: None is grey already.
+# Bytes per pixel, bytes per number, and how it becomes gray: None is gray already.
 # (sensor_msgs/image_encodings.hpp)
 _CHANNELS: Final[dict[str, tuple[int, int, int | None]]] = {
     "mono8": (1, 1, None),
@@ -70,7 +70,7 @@ _CHANNELS: Final[dict[str, tuple[int, int, int | None]]] = {
 _BRIGHTNESS: Final = {"yuv422": 1, "uyvy": 1, "yuv422_yuy2": 0, "yuyv": 0}
 
 
-def read_image(path: Path) -> Grey:
+def read_image(path: Path) -> Gray:
     """The image in a file, as `decoded`; `CairnError` as well if it cannot be read."""
     try:
         data = path.read_bytes()
@@ -79,8 +79,8 @@ def read_image(path: Path) -> Grey:
     return decoded(str(path), data)
 
 
-def decoded(what: str, data: bytes) -> Grey:
-    """The image in an image file's bytes, grey (h, w), upright as its Exif data say and as viewers
+def decoded(what: str, data: bytes) -> Gray:
+    """The image in an image file's bytes, gray (h, w), upright as its Exif data say and as viewers
     show it.
 
     What is transparent becomes white; of 16-bit images see `eight_bits`. Raises `CairnError` with
@@ -103,10 +103,10 @@ def decoded(what: str, data: bytes) -> Grey:
             f"{what} holds float32 numbers up to {np.nanmax(pixels):g}, where 1 is white: give an "
             "image of 8 or 16 bits."
         )
-    grey = _grey(pixels)
-    _check_size(what, grey.shape[1], grey.shape[0])
+    gray = _gray(pixels)
+    _check_size(what, gray.shape[1], gray.shape[0])
     turns, mirrored = _UPRIGHT.get(orientation, (0, False))
-    return np.ascontiguousarray(np.rot90(grey[:, ::-1] if mirrored else grey, turns))
+    return np.ascontiguousarray(np.rot90(gray[:, ::-1] if mirrored else gray, turns))
 
 
 def upright_size(path: Path) -> tuple[int, int]:
@@ -130,8 +130,8 @@ def upright_size(path: Path) -> tuple[int, int]:
     return (height, width) if turns % 2 else (width, height)
 
 
-def grey_of(image: Image) -> Grey:
-    """The image in a message, grey (h, w); its own memory where it is grey already.
+def gray_of(image: Image) -> Gray:
+    """The image in a message, gray (h, w); its own memory where it is gray already.
 
     Of 16-bit images see `eight_bits`. Raises `CairnError` with the encoding or the size that it
     cannot have.
@@ -161,23 +161,23 @@ def grey_of(image: Image) -> Grey:
     return eight_bits(values)
 
 
-def eight_bits(grey: NDArray[np.integer[Any]]) -> Grey:
+def eight_bits(gray: NDArray[np.integer[Any]]) -> Gray:
     """An image of uint8 or uint16 with values up to 255.
 
     Cameras put 8 to 16 bits into 16 without telling how many. So values are shifted by as many
     bits as all but the brightest thousandth need: no image turns black, and no dark one is
     stretched until its noise looks like something.
     """
-    if grey.dtype == np.uint8:
-        return np.asarray(grey, np.uint8)
-    bits = int(np.percentile(grey, 99.9, method="lower")).bit_length()
-    return np.asarray(np.minimum(grey >> max(0, bits - 8), 255), np.uint8)
+    if gray.dtype == np.uint8:
+        return np.asarray(gray, np.uint8)
+    bits = int(np.percentile(gray, 99.9, method="lower")).bit_length()
+    return np.asarray(np.minimum(gray >> max(0, bits - 8), 255), np.uint8)
 
 
 def _checked(what: str, data: bytes) -> int:
     """The orientation that Exif gives; raises `CairnError` if not all of the image is there.
 
-    OpenCV shows what is there of a truncated image, and grey below; of a JPEG image that is damaged
+    OpenCV shows what is there of a truncated image, and gray below; of a JPEG image that is damaged
     in its middle Pillow does so too.
     """
     with warnings.catch_warnings():
@@ -210,22 +210,22 @@ def _is_usual(jpeg: bytes) -> bool:
     return True
 
 
-def _grey(pixels: NDArray[Any]) -> Grey:
+def _gray(pixels: NDArray[Any]) -> Gray:
     if pixels.dtype == np.float32:  # of HDR and EXR files: from 0 to 1, and beyond
         pixels = np.rint(np.clip(np.nan_to_num(pixels), 0.0, 1.0) * 255.0).astype(np.uint8)
     channels = pixels.shape[2] if pixels.ndim == 3 else 1
     if channels in (2, 4):
         whole = np.iinfo(pixels.dtype).max
         opaque = pixels[..., -1:].astype(np.float32) / whole
-        colour = pixels[..., :-1].astype(np.float32) * opaque + whole * (1.0 - opaque)
-        pixels = np.rint(colour).astype(pixels.dtype)
+        color = pixels[..., :-1].astype(np.float32) * opaque + whole * (1.0 - opaque)
+        pixels = np.rint(color).astype(pixels.dtype)
         channels -= 1
     if channels == 3:
         pixels = cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY)
     return eight_bits(np.asarray(pixels).reshape(pixels.shape[:2]))
 
 
-def _rows(what: str, image: Image, pixel: int) -> Grey:
+def _rows(what: str, image: Image, pixel: int) -> Gray:
     """The bytes of the pixels alone, (height, width * pixel)."""
     length = image.width * pixel
     if image.step < length:
@@ -241,7 +241,7 @@ def _check_size(what: str, width: int, height: int) -> None:
         raise _too_large(what, f"{width} x {height} pixels")
     if min(width, height) < LEAST_SIDE:
         raise CairnError(
-            f"{what} has {width} x {height} pixels: too few to recognise anything. Give one of at "
+            f"{what} has {width} x {height} pixels: too few to recognize anything. Give one of at "
             f"least {LEAST_SIDE} x {LEAST_SIDE}."
         )
 

@@ -51,7 +51,7 @@ _TAUGHT: Final = (
     "INSERT INTO taught_changes VALUES (0)",
 )
 
-# From where an object is usually recognised: JSON, "" for nothing known.
+# From where an object is usually recognized: JSON, "" for nothing known.
 _VIEWPOINTS: Final = ("ALTER TABLE objects ADD COLUMN viewpoints TEXT NOT NULL DEFAULT ''",)
 
 # What a row is known to be whole by; NULL in rows that older programs wrote. That of a view does

@@ -48,7 +48,7 @@ class Located:
 class Fused:
     """What two ways of ranging give together, and how far they are apart.
 
-    `distance` is the squared Mahalanobis distance of the two (normalised innovation squared, 3
+    `distance` is the squared Mahalanobis distance of the two (normalized innovation squared, 3
     degrees of freedom), None where there was one way only.
     """
 
@@ -71,8 +71,8 @@ def by_stereo(
     that agree, and taken at the middle. None where too few agree, or the object is too far.
     """
     known = np.isfinite(disparities)
-    centred = np.asarray(points, np.float64)[known] - middle
-    plane = fit_plane(centred, disparities[known])
+    centerd = np.asarray(points, np.float64)[known] - middle
+    plane = fit_plane(centerd, disparities[known])
     if plane is None:
         return None
     disparity = float(plane.coefficients[0])
@@ -146,7 +146,7 @@ def fused(stereo: Located | None, size: Located | None) -> Fused | None:
     """Both by their information, with their distance; None if there is neither.
 
     Two that are not `consistent` must not be used: the object has another size than stated, the
-    cameras are not where their calibration says, or what was recognised is something else.
+    cameras are not where their calibration says, or what was recognized is something else.
     """
     if stereo is None or size is None:
         one = size if stereo is None else stereo

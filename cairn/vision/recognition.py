@@ -16,7 +16,7 @@ from cairn.vision.index import DescriptorIndex
 from cairn.vision.taught import TaughtObject, View
 from cairn.vision.verification import Placed, Scene
 
-_NEIGHBOURS = 10
+_NEIGHBORS = 10
 _RATIO = 0.85
 _ALIKE = 90.0  # so near that it is the same, of however many objects, but not if one repeats it
 _UNLIKE = 290.0  # between descriptors of different things, where so few are known that all are far
@@ -79,7 +79,7 @@ class _Match:
 
 
 class Recognizer:
-    """What recognises a set of taught objects; built once for them, and never changed."""
+    """What recognizes a set of taught objects; built once for them, and never changed."""
 
     def __init__(self, objects: Sequence[TaughtObject]) -> None:
         self.objects = tuple(objects)
@@ -108,13 +108,13 @@ class Recognizer:
         return self._settled(scene, list(self._placed(scene, self._matched(scene.features))))
 
     def _matched(self, features: Features) -> _Match:
-        """Neighbours that are clearly nearer than what else there is.
+        """Neighbors that are clearly nearer than what else there is.
 
-        What else there is, is told by the last of the neighbours (McCann and Lowe, "Local naive
+        What else there is, is told by the last of the neighbors (McCann and Lowe, "Local naive
         Bayes nearest neighbor", 2012), not by the second as usual: objects that look alike, several
         views of one, and repeated parts of it do not take each other's matches away.
         """
-        found, distances = self._index.nearest(features.descriptors, _NEIGHBOURS)
+        found, distances = self._index.nearest(features.descriptors, _NEIGHBORS)
         ratios = distances / np.clip(distances[:, -1:], 1.0, _UNLIKE)
         owners = np.where(found >= 0, self._entry_of[found], -1)
         once = (owners[:, :, None] == owners[:, None, :]).sum(axis=2) == 1

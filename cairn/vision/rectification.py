@@ -13,7 +13,7 @@ from cairn.errors import CairnError
 from cairn.schemas.sensor_msgs import CameraInfo
 
 Array = NDArray[np.float64]
-Grey = NDArray[np.uint8]
+Gray = NDArray[np.uint8]
 
 _FISHEYE: Final = "equidistant"
 # Numbers of coefficients of each model (sensor_msgs/distortion_models.hpp), as OpenCV takes them.
@@ -113,20 +113,20 @@ class Rectifier:
         moves = max(np.abs(x - columns).max(), np.abs(y - rows).max())
         self._maps = cv2.convertMaps(x, y, cv2.CV_16SC2) if moves > _NOTHING else None
 
-    def apply(self, grey: Grey) -> Grey:
+    def apply(self, gray: Gray) -> Gray:
         """The rectified image (h, w), black where the camera saw nothing.
 
         Raises `CairnError` if the image has not the size that the camera was calibrated for.
         """
-        if grey.shape != self._size:
+        if gray.shape != self._size:
             raise CairnError(
-                f"{self._name}: the image is {grey.shape[1]} x {grey.shape[0]} pixels, but its "
+                f"{self._name}: the image is {gray.shape[1]} x {gray.shape[0]} pixels, but its "
                 f"CameraInfo is of {self._size[1]} x {self._size[0]}: calibrate the camera at the "
                 "size that it sends, or have it send that size"
             )
         if self._maps is None:
-            return grey
-        return np.asarray(cv2.remap(grey, *self._maps, cv2.INTER_LINEAR), np.uint8)
+            return gray
+        return np.asarray(cv2.remap(gray, *self._maps, cv2.INTER_LINEAR), np.uint8)
 
 
 def is_calibrated(info: CameraInfo) -> bool:

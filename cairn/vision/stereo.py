@@ -15,18 +15,18 @@ from cairn.vision.alignment import aligned
 from cairn.vision.rectification import Lens
 
 Array = NDArray[np.float64]
-Grey = NDArray[np.uint8]
+Gray = NDArray[np.uint8]
 
 HALF = 7
 """Patches have 2 * HALF + 1 pixels a side."""
 
-# A match this weak (normalised correlation) is none.
+# A match this weak (normalized correlation) is none.
 _ALIKE = 0.75
 # Another place that looks as alike, less this, makes a match ambiguous...
 _MARGIN = 0.04
 # ...if it is further away than this [px]: a peak of correlation is that wide.
 _PEAK = 3
-# A patch of less contrast (standard deviation) is of a blank wall, matched by noise [grey levels].
+# A patch of less contrast (standard deviation) is of a blank wall, matched by noise [gray levels].
 _CONTRAST = 2.0
 # How far the way back from right to left may miss the point [px].
 _RETURN = 1.0
@@ -104,8 +104,8 @@ class StereoRig:
 
 
 def disparities(
-    left: Grey,
-    right: Grey,
+    left: Gray,
+    right: Gray,
     points: NDArray[np.floating],
     rig: StereoRig,
     *,
@@ -139,7 +139,7 @@ def disparities(
     return result
 
 
-def rows_off(left: Grey, right: Grey, points: NDArray[np.floating], rig: StereoRig) -> float:
+def rows_off(left: Gray, right: Gray, points: NDArray[np.floating], rig: StereoRig) -> float:
     """By how many rows [px] lower the right image shows `points` (n, 2) of the left one.
 
     In a rectified pair none; 0 also where too few points tell (fewer than 8), or do not agree.
@@ -166,7 +166,7 @@ def rows_off(left: Grey, right: Grey, points: NDArray[np.floating], rig: StereoR
     return off if np.mean(np.abs(np.array(offs) - off) <= 1.0) > _AGREE else 0.0
 
 
-def look_swapped(left: Grey, right: Grey, points: NDArray[np.floating], rig: StereoRig) -> bool:
+def look_swapped(left: Gray, right: Gray, points: NDArray[np.floating], rig: StereoRig) -> bool:
     """Whether `left` was taken by the right camera: points have moved in the wrong direction.
 
     Those that have moved at all tell, what is far away has not. False also where too few (fewer
@@ -178,7 +178,7 @@ def look_swapped(left: Grey, right: Grey, points: NDArray[np.floating], rig: Ste
     return against >= _FEWEST and against > 3 * int(np.count_nonzero(found > _MOVED))
 
 
-def _matched(source: Grey, target: Grey, points: NDArray[np.int64], low: int, high: int) -> Array:
+def _matched(source: Gray, target: Gray, points: NDArray[np.int64], low: int, high: int) -> Array:
     """Whole disparities (n,) by which pixels (n, 2) of `source` lie right of those of `target`."""
     result = np.full(len(points), np.nan)
     height, width = source.shape

@@ -14,8 +14,8 @@ from cairn.vision.features import Features
 class View:
     """One photograph of an object, cut to the object.
 
-    `width` and `height` [px] are those of `picture` (h, w), which is grey; `features` are what is
-    recognised of it, in its pixels.
+    `width` and `height` [px] are those of `picture` (h, w), which is gray; `features` are what is
+    recognized of it, in its pixels.
     """
 
     width: int

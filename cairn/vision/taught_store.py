@@ -35,7 +35,7 @@ def read_taught(path: Path, *, pictures: bool = True) -> Taught:
     """All objects that were taught to a map, by number.
 
     Without `pictures` those of the views are left out (0 x 0), which are large and which nothing
-    is recognised by.
+    is recognized by.
 
     Raises `MapFileError`, which names the file, what is wrong with it and the remedy.
     """
@@ -79,7 +79,7 @@ def teach(path: Path, name: str, views: Sequence[View], size: Size | None = None
         try:
             size_from_row(*size)
         except ValueError as error:
-            raise CairnError(f"{name}: {error}. Give width and height in metres.") from None
+            raise CairnError(f"{name}: {error}. Give width and height in meters.") from None
     with _changing(path) as connection:
         known = connection.execute(
             "SELECT object_id FROM taught_objects WHERE name = ?", (name,)

@@ -18,7 +18,7 @@ from cairn.vision.index import DescriptorIndex
 from cairn.vision.recognition import Recognizer
 from cairn.vision.taught import TaughtObject, View
 
-Grey = NDArray[np.uint8]
+Gray = NDArray[np.uint8]
 Box = tuple[int, int, int, int]
 
 LONGEST: Final = 800
@@ -31,18 +31,18 @@ MOST: Final = 300
 # diagonals), make a second place of it if so large a share of what is to be seen there is. Tiles
 # have 0.6 and more, photographs 0.35 and less, those of chessboards included.
 _ALIKE, _APART, _SHARE = 150.0, 0.1, 0.5
-_NEIGHBOURS = 10
-# What it is tried on: smaller, darker, and turned in front of a grey wall.
+_NEIGHBORS = 10
+# What it is tried on: smaller, darker, and turned in front of a gray wall.
 _SMALLER, _DARKER, _TURNED_DEG = 0.6, 0.8, 12.0
-# The image of a usual camera [px], its noise [grey levels], and how large it may show an object.
+# The image of a usual camera [px], its noise [gray levels], and how large it may show an object.
 _CAMERA, _NOISE = (640, 480), 2.0
 _TRIED = (400, 300, 220, 160, 120, 90, 65, 45)
 
 
-def cut(grey: Grey, box: Box) -> Grey:
+def cut(gray: Gray, box: Box) -> Gray:
     """The part x, y, width, height [px] of an image; raises `CairnError` if it is not in there."""
     x, y, width, height = box
-    rows, columns = grey.shape
+    rows, columns = gray.shape
     if x < 0 or y < 0 or x + width > columns or y + height > rows:
         raise CairnError(
             f"the box {x},{y},{width},{height} reaches beyond the image of {columns} x {rows} "
@@ -53,28 +53,28 @@ def cut(grey: Grey, box: Box) -> Grey:
             f"the box {x},{y},{width},{height} is too small: give at least {LEAST_SIDE} pixels "
             "each way"
         )
-    return grey[y : y + height, x : x + width]
+    return gray[y : y + height, x : x + width]
 
 
-def view_of(grey: Grey) -> View:
+def view_of(gray: Gray) -> View:
     """The view that a photograph (h, w) of the object alone is.
 
     At most `LONGEST` pixels a side, with at most `MOST` features.
     """
-    height, width = grey.shape
+    height, width = gray.shape
     factor = LONGEST / max(width, height)
     if factor < 1.0:
         smaller = (max(1, round(width * factor)), max(1, round(height * factor)))
-        grey = cv2.resize(grey, smaller, interpolation=cv2.INTER_AREA).astype(np.uint8, copy=False)
-    picture = np.ascontiguousarray(grey)
+        gray = cv2.resize(gray, smaller, interpolation=cv2.INTER_AREA).astype(np.uint8, copy=False)
+    picture = np.ascontiguousarray(gray)
     features = varied(extract(picture), MOST)
     return View(picture.shape[1], picture.shape[0], features, picture)
 
 
 def unfit(view: View) -> str:
-    """Why an object would not be recognised by this view; empty if it would.
+    """Why an object would not be recognized by this view; empty if it would.
 
-    It is tried: the picture, smaller, darker and turned, must be recognised by it.
+    It is tried: the picture, smaller, darker and turned, must be recognized by it.
     """
     if not len(view.features):
         return "it shows nothing that stands out, such as a blank wall"
@@ -83,13 +83,13 @@ def unfit(view: View) -> str:
     if one.recognize(extract(scene), scene.shape[1], scene.shape[0]):
         return ""
     return (
-        f"its {len(view.features)} features are too few, or too much alike, to recognise it by: "
+        f"its {len(view.features)} features are too few, or too much alike, to recognize it by: "
         "give a sharp photograph of something with more detail"
     )
 
 
-def recognised_from(view: View) -> int | None:
-    """From how large on [px], its longer side in a camera's image, this view is recognised.
+def recognized_from(view: View) -> int | None:
+    """From how large on [px], its longer side in a camera's image, this view is recognized.
 
     It is tried upright and turned a little in an image that is well lit, with the noise of a
     camera. None if it is not even as large as the image allows.
@@ -110,7 +110,7 @@ def repeats(view: View) -> bool:
     """
     scene, features = extract(view.picture), view.features
     diagonal = math.hypot(view.width, view.height)
-    found, distances = DescriptorIndex(features.descriptors).nearest(scene.descriptors, _NEIGHBOURS)
+    found, distances = DescriptorIndex(features.descriptors).nearest(scene.descriptors, _NEIGHBORS)
     off = np.linalg.norm(features.points[found] - scene.points[:, None], axis=2)
     image, column = np.nonzero((found >= 0) & (off > _APART * diagonal) & (distances < _ALIKE))
     if len(image) < verification.LEAST:
@@ -128,7 +128,7 @@ def repeats(view: View) -> bool:
 
 
 def look_alikes(view: View, known: Sequence[TaughtObject]) -> list[TaughtObject]:
-    """Those of the known objects that are recognised in this view."""
+    """Those of the known objects that are recognized in this view."""
     if not known:
         return []
     features = extract(view.picture)
@@ -138,7 +138,7 @@ def look_alikes(view: View, known: Sequence[TaughtObject]) -> list[TaughtObject]
     return [taught for taught in known if taught.object_id in numbers]
 
 
-def _before_a_camera(view: View, longest: int) -> Grey:
+def _before_a_camera(view: View, longest: int) -> Gray:
     """What a usual camera shows of a view so large [px], turned a little, and of what is around it.
 
     Further off than its longer side there is nothing to be found: it is left out, being most of
@@ -159,7 +159,7 @@ def _before_a_camera(view: View, longest: int) -> Grey:
     return np.clip(np.rint(scene + noise), 0, 255).astype(np.uint8)
 
 
-def _scene(view: View) -> Grey:
+def _scene(view: View) -> Gray:
     side = round(1.2 * max(view.width, view.height))
     middle = ((view.width - 1) / 2, (view.height - 1) / 2)
     turn = np.asarray(cv2.getRotationMatrix2D(middle, _TURNED_DEG, _SMALLER), np.float64)

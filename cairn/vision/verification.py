@@ -14,7 +14,7 @@ from cairn.vision.features import Features
 from cairn.vision.taught import View
 
 LEAST = 8
-"""Matched features without which nothing is recognised: a homography always fits four."""
+"""Matched features without which nothing is recognized: a homography always fits four."""
 
 NEAR = 3.0
 """How far a match may lie off [px]: in the image, or in the view if that is the coarser one."""
@@ -97,7 +97,7 @@ def _fitted(
 ) -> Homography | None:
     middle = source.mean(axis=0)
     off = 0.5 * NEAR * max(1.0, float(_local(before, middle[None].astype(np.float64))[1][0]))
-    # Tight, with local optimisation: two planes at a small angle are not averaged.
+    # Tight, with local optimization: two planes at a small angle are not averaged.
     found, _ = cv2.findHomography(source, target, cv2.USAC_ACCURATE, off, maxIters=1000)
     return None if found is None else found.astype(np.float64)
 

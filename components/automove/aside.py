@@ -12,7 +12,7 @@ from cairn.planar.poses import Pose, distance
 _MOST_BACK_M = 1.8
 # What is nearer to where it can get than this [m] sees no more from there.
 _NEAR_M = 1.0
-# So long it may take for each metre as the crow flies [s/m], beside what any recovery may take.
+# So long it may take for each meter as the crow flies [s/m], beside what any recovery may take.
 _SLOWEST_S_PER_M = 5.0
 
 
@@ -25,13 +25,13 @@ class Aside:
     most_s: float
 
 
-def give_way(goal: Pose, seen: Seen, behaviour_s: float) -> Aside | None:
+def give_way(goal: Pose, seen: Seen, behavior_s: float) -> Aside | None:
     """Back to where it came from; None if it came from nowhere."""
     place = seen.trail.back(goal)
-    return None if place is None else Aside(place, _MOST_BACK_M, behaviour_s)
+    return None if place is None else Aside(place, _MOST_BACK_M, behavior_s)
 
 
-def go_near(goal: Pose, seen: Seen, behaviour_s: float) -> Aside | None:
+def go_near(goal: Pose, seen: Seen, behavior_s: float) -> Aside | None:
     """To the reachable place nearest to the goal; None if there is none, or the robot is there."""
     if seen.pose is None or seen.plan is None or math.isnan(seen.plan.nearest_x):
         return None
@@ -40,4 +40,4 @@ def go_near(goal: Pose, seen: Seen, behaviour_s: float) -> Aside | None:
     apart = distance(seen.pose, place)
     if apart < _NEAR_M:
         return None
-    return Aside(place, math.inf, behaviour_s + _SLOWEST_S_PER_M * apart)
+    return Aside(place, math.inf, behavior_s + _SLOWEST_S_PER_M * apart)

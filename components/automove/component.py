@@ -4,16 +4,12 @@ from typing import Literal
 
 from pydantic import Field
 
-from cairn.bus.qos import LATCHED
-from cairn.clock import SECOND, from_ns, to_ns
+from cairn import LATCHED, SECOND, Config, In, Out, every, from_ns, on, to_ns
 from cairn.components.automove.course import Course
 from cairn.components.automove.legs import Legs
 from cairn.components.automove.recoveries import Patience
 from cairn.components.automove.seen import Seen
 from cairn.planar.messages import planar_pose, planar_poses, pose_message
-from cairn.runtime.handlers import every, on
-from cairn.runtime.parameters import Config
-from cairn.runtime.ports import In, Out
 from cairn.schemas.cairn_nav_msgs import (
     LocalizationHealth,
     MotionStatus,
@@ -221,7 +217,7 @@ class AutoMove(SupervisorComponent):
             Movement(
                 header=header,
                 leg=course.leg,
-                behaviour=course.behaviour,
+                behavior=course.behavior,
                 goal=pose_message(course.target),
                 distance=course.explores_m,
                 position_tolerance=self.config.position_tolerance,

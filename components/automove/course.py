@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 from cairn.components.automove.aside import Aside, give_way, go_near
 from cairn.components.automove.recoveries import (
-    BEHAVIOUR,
+    BEHAVIOR,
     WHEN_LOST,
     WHEN_NO_WAY,
     WHEN_STUCK,
@@ -34,7 +34,7 @@ _EXPLORES_M, _EXPLORES_MOST_M = 2.0, 8.0
 class Course:
     """One order: goals (in frame map) from number `at` on, and how far it has come.
 
-    `tick` looks at what was seen and decides; `leg`, `behaviour` and `target` are then what the
+    `tick` looks at what was seen and decides; `leg`, `behavior` and `target` are then what the
     planner and motion control are to do, and `state`, `reason` how it gets on. `leg` numbers what
     is wanted: every new want has a new one, of `next_leg`.
     """
@@ -48,7 +48,7 @@ class Course:
     state: int = MoveStatus.LOADING
     reason: str = ""
     recoveries: int = 0
-    behaviour: int = Movement.STAND
+    behavior: int = Movement.STAND
     leg: int = field(init=False)
     # Where it goes instead while it gives way or goes near; how far it goes while it explores [m].
     instead: Aside | None = None
@@ -224,7 +224,7 @@ class Course:
 
     def _recover(self, now_s: float, seen: Seen, doubt: str) -> None:
         waited = now_s - self._since_s
-        if self.behaviour == Movement.STAND:
+        if self.behavior == Movement.STAND:
             over = waited > self.patience.waiting_s
         elif self.instead is not None:
             if doubt or self._is_aside(now_s, seen, self.instead):
@@ -236,7 +236,7 @@ class Course:
                 return
             self.reason = self._attempt
             ended = motion.state in (MotionStatus.DONE, MotionStatus.BLOCKED)
-            over = ended or waited > self.patience.behaviour_s
+            over = ended or waited > self.patience.behavior_s
         # A robot that was lost and has found itself need not look any further.
         found = self._sequence is WHEN_LOST and not doubt
         found = found or (self._sequence is WHEN_UNSURE and self._sure(seen))
@@ -287,9 +287,9 @@ class Course:
         what = sequence[self._tries % len(sequence)]
         instead = None
         if what == "give way":
-            instead = give_way(self.goal, seen, self.patience.behaviour_s)
+            instead = give_way(self.goal, seen, self.patience.behavior_s)
         elif what == "go near":
-            instead = go_near(self.goal, seen, self.patience.behaviour_s)
+            instead = go_near(self.goal, seen, self.patience.behavior_s)
             what = "look around" if instead is None else what
         self._tries += 1
         self.recoveries += 1
@@ -298,18 +298,18 @@ class Course:
         if what == "explore":
             self.explores_m = min(_EXPLORES_M * 2.0**self._explorations, _EXPLORES_MOST_M)
             self._explorations += 1
-        behaviour = BEHAVIOUR[what]
-        if behaviour == Movement.FOLLOW and instead is None:
-            behaviour = Movement.STAND
-        self._want(now_s, MoveStatus.RECOVERING, behaviour, self._attempt)
+        behavior = BEHAVIOR[what]
+        if behavior == Movement.FOLLOW and instead is None:
+            behavior = Movement.STAND
+        self._want(now_s, MoveStatus.RECOVERING, behavior, self._attempt)
         self.instead = instead
 
     def _sure(self, seen: Seen) -> bool:
         """Whether the pose is so sure that a goal counts as reached."""
         return seen.health is not None and seen.health.health >= self.patience.sure_health
 
-    def _want(self, now_s: float, state: int, behaviour: int, reason: str) -> None:
-        self.state, self.behaviour, self.reason = state, behaviour, reason
+    def _want(self, now_s: float, state: int, behavior: int, reason: str) -> None:
+        self.state, self.behavior, self.reason = state, behavior, reason
         self.instead = None
         self.leg = self.next_leg()
         self._begin(now_s)
@@ -319,7 +319,7 @@ class Course:
         self._running_s = self._moving_s = now_s
 
     def _end(self, state: int, reason: str) -> None:
-        self.state, self.behaviour, self.reason = state, Movement.STAND, reason
+        self.state, self.behavior, self.reason = state, Movement.STAND, reason
         self.instead = None
         self.leg = self.next_leg()
 

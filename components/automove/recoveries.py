@@ -14,7 +14,7 @@ WHEN_LOST = ("wait", "look around", "explore", "look around", "explore", "look a
 WHEN_UNSURE = ("look around", "explore", "look around")
 WHEN_STUCK = ("wait", "look around", "back off", "give way", "look around", "wait")
 WHEN_NO_WAY = ("wait", "give way", "go near", "look around")
-BEHAVIOUR = {
+BEHAVIOR = {
     "wait": Movement.STAND,
     "look around": Movement.LOOK_AROUND,
     "explore": Movement.EXPLORE,
@@ -39,5 +39,5 @@ class Patience:
     stuck_s: float = 20.0
     planning_s: float = 10.0
     waiting_s: float = 4.0
-    behaviour_s: float = 30.0
+    behavior_s: float = 30.0
     silent_s: float = 2.0

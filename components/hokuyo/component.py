@@ -4,8 +4,18 @@ from __future__ import annotations
 
 import time
 
-from cairn.bus.qos import LATCHED, SENSOR
-from cairn.clock import SECOND, from_ns
+from cairn import (
+    LATCHED,
+    SECOND,
+    SENSOR,
+    CairnError,
+    Component,
+    Config,
+    Out,
+    ParameterRefused,
+    every,
+    from_ns,
+)
 from cairn.components.hokuyo import health
 from cairn.components.hokuyo.config import LIVE, HokuyoConfig
 from cairn.components.hokuyo.measurement import Measured, Measurement
@@ -14,12 +24,7 @@ from cairn.components.hokuyo.sensor import request_of
 from cairn.driver.device_feed import DeviceFeed
 from cairn.driver.diagnostics import diagnostics
 from cairn.driver.errors import DeviceError
-from cairn.errors import CairnError
 from cairn.planar.messages import transform_message
-from cairn.runtime.component import Component
-from cairn.runtime.handlers import every
-from cairn.runtime.parameters import Config, ParameterRefused
-from cairn.runtime.ports import Out
 from cairn.schemas.diagnostic_msgs import DiagnosticArray
 from cairn.schemas.sensor_msgs import LaserScan, MultiEchoLaserScan
 from cairn.schemas.std_msgs import Header

@@ -7,12 +7,11 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
+from cairn import Config, Mount
 from cairn.components.hokuyo.greeting import SPEEDS
 from cairn.components.hokuyo.requests import Encoding
 from cairn.components.hokuyo.scan_message import Echo
 from cairn.driver.device_names import NamesHost, SerialPort
-from cairn.runtime.mount import Mount
-from cairn.runtime.parameters import Config
 
 
 class HokuyoConfig(Config):
@@ -49,7 +48,7 @@ class HokuyoConfig(Config):
         1,
         ge=1,
         le=99,
-        description="How many neighbouring rays become one, the nearest of them [1].",
+        description="How many neighboring rays become one, the nearest of them [1].",
     )
     skip: int = Field(0, ge=0, le=9, description="Scans that are left out after each one [1].")
     intensity: bool = Field(

@@ -7,13 +7,13 @@ from typing import Annotated
 
 import typer
 
+from cairn import CairnError
 from cairn.components.hokuyo.emulated_commands import BAUDS
 from cairn.components.hokuyo.emulated_models import MODELS
 from cairn.components.hokuyo.emulated_scip import EmulatedScip
 from cairn.driver.emulate_command import Faults, Paced, Place, Pty, Seed, Serial, Tcp, emulate
 from cairn.driver.emulator_orders import Order
 from cairn.driver.emulator_record import recording
-from cairn.errors import CairnError
 
 _MODEL_HELP = f"Its model: {', '.join(MODELS)}."
 

@@ -88,7 +88,7 @@ class Measurement:
             with suppress(Stopped):
                 sensor = self.sensor or self.connect(stopping)
                 sensor.dialogue.stopping = stopping
-                sensor.synchronise(read_clock=self.config.calibrate_time)
+                sensor.synchronize(read_clock=self.config.calibrate_time)
                 self._measure(sensor, stopping, well)
             self._rest()
         except BaseException:

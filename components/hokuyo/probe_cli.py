@@ -17,6 +17,7 @@ from rich.live import Live
 from rich.text import Text
 from serial.tools import list_ports
 
+from cairn import CairnError
 from cairn.cli.connection import Json
 from cairn.cli.tables import line, print_json, show
 from cairn.components.hokuyo import health
@@ -27,7 +28,6 @@ from cairn.components.hokuyo.scan_picture import drawn
 from cairn.driver.device_names import TCP
 from cairn.driver.errors import DeviceError
 from cairn.driver.rate import RateWindow
-from cairn.errors import CairnError
 from cairn.runtime.parameters import reason
 from cairn.schemas.std_msgs import Header
 

@@ -13,7 +13,7 @@ Encoding = Literal[2, 3]
 class ScanRequest:
     """A stream of scans without end: which steps, how many of them are one value, which scans.
 
-    `cluster` neighbours become one value, the smallest; `skip` scans are left out after each one.
+    `cluster` neighbors become one value, the smallest; `skip` scans are left out after each one.
     """
 
     first: int

@@ -29,9 +29,9 @@ def drawn(scan: LaserScan, size: tuple[int, int], reach: float | None = None) ->
         reach = 1.05 * float(np.quantile(ranges, _SHARE)) if ranges.size else scan.range_max
     # A dot is as wide as high in most terminals: a cell is twice as high as wide.
     dots = np.array([columns * _ACROSS, lines * _DOWN])
-    metre = 0.5 * (dots.min() - 1) / reach
-    across = np.rint(0.5 * (dots[0] - 1) - metre * ranges * np.sin(angles)).astype(int)
-    down = np.rint(0.5 * (dots[1] - 1) - metre * ranges * np.cos(angles)).astype(int)
+    meter = 0.5 * (dots.min() - 1) / reach
+    across = np.rint(0.5 * (dots[0] - 1) - meter * ranges * np.sin(angles)).astype(int)
+    down = np.rint(0.5 * (dots[1] - 1) - meter * ranges * np.cos(angles)).astype(int)
     inside = (across >= 0) & (across < dots[0]) & (down >= 0) & (down < dots[1])
     across, down = across[inside], down[inside]
     cells = np.zeros((lines, columns), int)

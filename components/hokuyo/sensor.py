@@ -9,6 +9,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
+from cairn import CairnError
 from cairn.components.hokuyo.config import HokuyoConfig
 from cairn.components.hokuyo.device_facts import Measuring
 from cairn.components.hokuyo.dialogue import Dialogue, Stopped
@@ -19,7 +20,6 @@ from cairn.components.hokuyo.scip2 import Refused, Scip2
 from cairn.components.hokuyo.stamping import Stamping
 from cairn.driver.errors import DeviceError, LinkLost
 from cairn.driver.link import Link, SerialLink, TcpLink
-from cairn.errors import CairnError
 
 T = TypeVar("T")
 
@@ -49,7 +49,7 @@ class Sensor:
         """What tells it from others; empty if it does not say."""
         return self.version.get("SERI", "")
 
-    def synchronise(self, *, read_clock: bool) -> None:
+    def synchronize(self, *, read_clock: bool) -> None:
         """Find out anew how its clock goes; with `read_clock` by reading it, 0.1 s.
 
         For each time that it begins to measure: while it rests its clock drifts unseen.

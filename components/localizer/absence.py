@@ -26,7 +26,7 @@ _ASIDE_RAD = 0.06
 _BEFORE_M = 0.3
 
 
-# An object is missed only if another one was recognised no longer ago than this [s]: else it may be
+# An object is missed only if another one was recognized no longer ago than this [s]: else it may be
 # the light or the camera that fails. Should it fail, only a look or two fall into this time.
 _PROVEN_S = 3.0
 # It may be so long ago [s] if none but this one was missed since.
@@ -35,7 +35,7 @@ _PROVEN_BUT_FOR_ONE_S = 30.0
 
 @dataclass(frozen=True)
 class View:
-    """Where an object could have been recognised: bearings [rad, left positive], ranges [m]."""
+    """Where an object could have been recognized: bearings [rad, left positive], ranges [m]."""
 
     right: float
     left: float
@@ -96,7 +96,7 @@ class AbsenceWatch:
         return [one for one in found if self._proven(stamp, one[0].object_id)]
 
     def _proven(self, stamp: float, object_id: int) -> bool:
-        """Whether the camera recognises others: it is this object that is missing."""
+        """Whether the camera recognizes others: it is this object that is missing."""
         ages = [stamp - then for other, then in self._agreed_at.items() if other != object_id]
         alone = self._missed <= {object_id}
         within_s = _PROVEN_BUT_FOR_ONE_S if alone else _PROVEN_S

@@ -14,7 +14,7 @@ from cairn.components.localizer.particles import (
     Estimate,
     estimate,
     narrow,
-    normalised,
+    normalized,
     systematic_choice,
 )
 
@@ -132,7 +132,7 @@ class Bank:
         row = self._row_of.pop(object_id, None)
         if row is None:
             return
-        weights = normalised(self.log_weights[row])
+        weights = normalized(self.log_weights[row])
         chosen = systematic_choice(weights, self.cloud.count, self.random)
         self.cloud.settle(self.poses[:, row][:, chosen])
         for other in range(len(self.log_weights)):

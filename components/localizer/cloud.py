@@ -14,7 +14,7 @@ from cairn.components.localizer.particles import (
     Estimate,
     estimate,
     narrow,
-    normalised,
+    normalized,
     redraw,
     systematic_choice,
 )
@@ -67,7 +67,7 @@ class Cloud:
     def fuse(self, log_likelihood: Callable[[Array], Array]) -> None:
         """Weigh all poses (3, n) by a log-likelihood (n,); resample if few of them are left."""
         weighed = self.log_weights + log_likelihood(self.poses)
-        weights = normalised(weighed)
+        weights = normalized(weighed)
         share = 1.0 / (float(weights @ weights) * self.count)
         if share >= 0.5:
             self.log_weights = weighed - weighed.max()
@@ -84,7 +84,7 @@ class Cloud:
 
     def sample(self, count: int, random: np.random.Generator) -> Array:
         """`count` equally weighted poses (3, count)."""
-        chosen = systematic_choice(normalised(self.log_weights), count, random)
+        chosen = systematic_choice(normalized(self.log_weights), count, random)
         drawn: Array = self.poses[:, chosen]
         return drawn
 

@@ -6,8 +6,22 @@ import math
 
 import numpy as np
 
-from cairn.bus.qos import LATCHED, RELIABLE, SENSOR
-from cairn.clock import SECOND, from_ns, to_ns
+from cairn import (
+    LATCHED,
+    RELIABLE,
+    SECOND,
+    SENSOR,
+    CairnError,
+    Component,
+    Config,
+    In,
+    Out,
+    ParameterRefused,
+    every,
+    from_ns,
+    on,
+    to_ns,
+)
 from cairn.components.localizer.beginning import first_pose, pointed_out
 from cairn.components.localizer.config import LocalizerConfig
 from cairn.components.localizer.health import Health
@@ -26,20 +40,15 @@ from cairn.components.localizer.odometry import MeasuredTrack
 from cairn.components.localizer.order import Held
 from cairn.components.localizer.resume import save
 from cairn.components.localizer.scanner_watch import ScannerWatch
-from cairn.errors import CairnError
 from cairn.planar.grid import grid_of
 from cairn.planar.messages import packed_poses, planar_pose, with_covariance
 from cairn.planar.odometry import OdometryHistory
 from cairn.planar.poses import Pose, compose, inverse, relative
 from cairn.planar.sweep import rays_of, sweep_s
 from cairn.runtime.complaints import Complaints
-from cairn.runtime.component import Component
-from cairn.runtime.handlers import every, on
-from cairn.runtime.parameters import Config, ParameterRefused
-from cairn.runtime.ports import In, Out
 from cairn.schemas.builtin_interfaces import Time
 from cairn.schemas.cairn_msgs import ObjectEvidenceArray, RecognizedObjectArray, VisualMap
-from cairn.schemas.cairn_nav_msgs import LocalizationHealth, Relocalisation
+from cairn.schemas.cairn_nav_msgs import LocalizationHealth, Relocalization
 from cairn.schemas.geometry_msgs import PoseArray, PoseWithCovarianceStamped
 from cairn.schemas.map_msgs import OccupancyGridUpdate
 from cairn.schemas.nav_msgs import OccupancyGrid, Odometry
@@ -66,7 +75,7 @@ SHOWN = 200  # poses of the cloud on topic `particles`
 class Localizer(Component):
     """Estimates the robot's pose in the map by Monte Carlo localization.
 
-    Fuses odometry, a range scanner against the grid map, and recognised objects of the visual map;
+    Fuses odometry, a range scanner against the grid map, and recognized objects of the visual map;
     either sensor may be missing. Judges every sighted object against the pose that all else gives.
     """
 
@@ -82,7 +91,7 @@ class Localizer(Component):
     localization_health: Out[LocalizationHealth]
     particles: Out[PoseArray]
     object_evidence: Out[ObjectEvidenceArray] = Out(qos=RELIABLE.with_depth(200))
-    relocalised: Out[Relocalisation]
+    relocalized: Out[Relocalization]
     tf: Out[TFMessage]
 
     def on_configure(self) -> None:
@@ -184,7 +193,7 @@ class Localizer(Component):
 
     @on("objects")
     def see(self, message: RecognizedObjectArray) -> None:
-        """Take recognised objects; they wait until odometry has reached their time."""
+        """Take recognized objects; they wait until odometry has reached their time."""
         stamp = _seconds(message.header.stamp)
         if self._in_time(stamp, self.objects.topic):
             self._held.add(stamp, message)
@@ -303,9 +312,9 @@ class Localizer(Component):
             return
         self._tell_ranges()
         header = self._header(stamp)
-        if frame.judgements:
+        if frame.judgments:
             self.object_evidence.publish(evidence_message(header, frame))
-        if frame.relocalised:
+        if frame.relocalized:
             self._tell_found(stamp)
 
     def _tell_ranges(self) -> None:
@@ -324,7 +333,7 @@ class Localizer(Component):
         """How the robot has moved from `stamp` [s] to the time that the cloud has come to; None if
         odometry does not tell, as across a jump.
 
-        Scans come sooner than what a recogniser has to compute: its sightings are older than the
+        Scans come sooner than what a recognizer has to compute: its sightings are older than the
         cloud.
         """
         measured = isinstance(self._track, MeasuredTrack)
@@ -344,7 +353,7 @@ class Localizer(Component):
             "the robot was lost and found itself at (%.2f m, %.2f m, %.2f rad)", *found.mean
         )
         sure_until = self._localization.sure_until
-        self.relocalised.publish(found_message(self._header(stamp), found, sure_until))
+        self.relocalized.publish(found_message(self._header(stamp), found, sure_until))
 
     def _localization_at(self, stamp: float, odom: Pose) -> None:
         if not self._localization.located:

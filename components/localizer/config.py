@@ -8,12 +8,11 @@ from typing import Literal
 
 from pydantic import Field
 
+from cairn import Config, Mount
 from cairn.components.localizer.judge import Mode
 from cairn.components.localizer.motion import MotionModel
 from cairn.components.localizer.odometry import CommandedTrack, MeasuredTrack, OdometryTrack
 from cairn.components.localizer.settings import Fusion, Settings
-from cairn.runtime.mount import Mount
-from cairn.runtime.parameters import Config
 
 
 class StartPose(Config):
@@ -63,7 +62,7 @@ class MeasuredBase(Config):
     turn_slip: float = Field(
         0.04, ge=0, le=1, description="Random walk of the heading in turns [rad/sqrt(rad)]."
     )
-    turn_per_metre: float = Field(
+    turn_per_meter: float = Field(
         0.03, ge=0, le=1, description="Random walk of the heading on the way [rad/sqrt(m)]."
     )
 
@@ -73,7 +72,7 @@ class MeasuredBase(Config):
 
     def model(self) -> MotionModel:
         """Its noise."""
-        return MotionModel(0.0, 0.0, self.forward_slip, self.turn_slip, self.turn_per_metre)
+        return MotionModel(0.0, 0.0, self.forward_slip, self.turn_slip, self.turn_per_meter)
 
 
 class LocalizerConfig(Config):

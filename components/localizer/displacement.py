@@ -39,7 +39,7 @@ class _Implied:
 class Displacements:
     """The places that the newest sightings of each object imply.
 
-    A single sighting of an object that was moved by a few decimetres agrees with its old place as
+    A single sighting of an object that was moved by a few decimeters agrees with its old place as
     far as its noise goes. The mean of several does not.
     """
 

@@ -36,7 +36,7 @@ from cairn.components.localizer.similarity import (
     similarity_to_the_letter,
 )
 from cairn.planar.poses import Pose, apart, wrap
-from cairn.planar.poses import distance as metres_between
+from cairn.planar.poses import distance as meters_between
 
 Array = NDArray[np.float64]
 
@@ -63,7 +63,7 @@ class Verdict(IntEnum):
 
 
 @dataclass(frozen=True)
-class Judgement:
+class Judgment:
     """One object's evidence: similarity of equation (1), verdict, the place that it implies."""
 
     sighting: Sighting
@@ -110,19 +110,19 @@ class Judge:
         self._displacements.clear()
         self.ranges.clear()
 
-    def place(self, sighting: Sighting, pose: Estimate, healthy: bool) -> Judgement:
+    def place(self, sighting: Sighting, pose: Estimate, healthy: bool) -> Judgment:
         """Where an object that the map does not hold stands: no similarity to judge."""
         self.forget(sighting.object_id)
         sure = healthy and self.ranges.wrong is None
         verdict = Verdict.AGREES if sure else Verdict.NOT_CONVERGED
-        return _judgement(sighting, pose, NEUTRAL, verdict, 0.0, False)
+        return _judgment(sighting, pose, NEUTRAL, verdict, 0.0, False)
 
     def unseen(
         self, pose: Estimate, landmark: Landmark, range_m: float, bearing: float
-    ) -> Judgement:
+    ) -> Judgment:
         """A live object that should be in view at `range_m` [m], `bearing` [rad], and is not."""
         expected = Sighting(landmark.object_id, range_m, bearing, 0.0, 0.0)
-        return _judgement(expected, pose, NEUTRAL, Verdict.UNSEEN, 0.0, False)
+        return _judgment(expected, pose, NEUTRAL, Verdict.UNSEEN, 0.0, False)
 
     def compare(
         self,
@@ -135,12 +135,12 @@ class Judge:
         converged: bool,
         scanned: bool,
         others: Callable[[Array], Array],
-    ) -> Judgement:
+    ) -> Judgment:
         """Judge a live object against `pose`, to which it contributed nothing.
 
         `by_all` is the pose to which it did contribute.
         `vouched`: scans or other objects speak for that pose; `likely`: they rather do than not;
-        `scanned`: scans do, so it is exact to centimetres, if it lies that near `by_all`, too.
+        `scanned`: scans do, so it is exact to centimeters, if it lies that near `by_all`, too.
         `others` is the log-likelihood of poses by all that was seen of late but the object.
         """
         landmark = landmarks[sighting.object_id]
@@ -155,7 +155,7 @@ class Judge:
             sure = converged or self.mode == "letter"
             similarity = similarity if sure else NEUTRAL
             verdict = _plainly(similarity)
-            return _judgement(sighting, pose, similarity, verdict, distance, contradicts)
+            return _judgment(sighting, pose, similarity, verdict, distance, contradicts)
         # To speak against an object takes a firmer pose than to speak for it.
         trusted = vouched or (similarity > NEUTRAL and likely)
         verdict = Verdict.NOT_CONVERGED
@@ -168,7 +168,7 @@ class Judge:
             vouched
             and scanned
             and not misled
-            and metres_between(pose.mean, by_all.mean) <= _EXACT_M
+            and meters_between(pose.mean, by_all.mean) <= _EXACT_M
             and self._displacements.shifted(sighting, pose, landmark)
         ):
             near = self._near_another(sighting, pose, landmarks)
@@ -183,7 +183,7 @@ class Judge:
             similarity = NEUTRAL
         else:
             similarity, verdict = self._contradicted(sighting, pose, landmarks, similarity)
-        return _judgement(sighting, pose, similarity, verdict, distance, contradicts)
+        return _judgment(sighting, pose, similarity, verdict, distance, contradicts)
 
     def _contradicted(
         self,
@@ -257,13 +257,13 @@ def _plainly(similarity: float) -> Verdict:
     return Verdict.AGREES if similarity > NEUTRAL else Verdict.DISAGREES
 
 
-def _judgement(
+def _judgment(
     sighting: Sighting,
     pose: Estimate,
     similarity: float,
     verdict: Verdict,
     distance: float,
     contradicts: bool,
-) -> Judgement:
+) -> Judgment:
     x, y, covariance = implied_place(pose, sighting)
-    return Judgement(sighting, similarity, verdict, distance, x, y, covariance, contradicts)
+    return Judgment(sighting, similarity, verdict, distance, x, y, covariance, contradicts)

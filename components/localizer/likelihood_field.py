@@ -151,7 +151,7 @@ def _weigh(
     poses: Array,
     points: NDArray[np.float32],
     field: NDArray[np.float32],
-    per_metre: float,
+    per_meter: float,
     origin_x: float,
     origin_y: float,
     origin_theta: float,
@@ -166,8 +166,8 @@ def _weigh(
     for i in range(poses.shape[1]):
         dx, dy = poses[0, i] - origin_x, poses[1, i] - origin_y
         # In cells of the padded field: its ring is one cell wide.
-        x = np.float32((along * dx + across * dy) * per_metre + 1.0)
-        y = np.float32((along * dy - across * dx) * per_metre + 1.0)
+        x = np.float32((along * dx + across * dy) * per_meter + 1.0)
+        y = np.float32((along * dy - across * dx) * per_meter + 1.0)
         theta = poses[2, i] - origin_theta
         cosine, sine = np.float32(math.cos(theta)), np.float32(math.sin(theta))
         sum_ = zero
@@ -191,7 +191,7 @@ def _gather(
     theta: float,
     points: NDArray[np.float32],
     field: NDArray[np.float32],
-    per_metre: float,
+    per_meter: float,
     origin_x: float,
     origin_y: float,
     origin_theta: float,
@@ -200,8 +200,8 @@ def _gather(
     rows, columns = field.shape
     dx, dy = x - origin_x, y - origin_y
     across, along = math.sin(origin_theta), math.cos(origin_theta)
-    begin_x = (along * dx + across * dy) * per_metre + 1.0
-    begin_y = (along * dy - across * dx) * per_metre + 1.0
+    begin_x = (along * dx + across * dy) * per_meter + 1.0
+    begin_y = (along * dy - across * dx) * per_meter + 1.0
     cosine, sine = math.cos(theta - origin_theta), math.sin(theta - origin_theta)
     for b in range(points.shape[1]):
         column = begin_x + cosine * points[0, b] - sine * points[1, b]

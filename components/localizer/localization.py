@@ -1,4 +1,4 @@
-"""Monte Carlo localization by odometry, scans and recognised objects; its verdict on these."""
+"""Monte Carlo localization by odometry, scans and recognized objects; its verdict on these."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from cairn.components.localizer.beams import BeamChoice
 from cairn.components.localizer.cloud import Cloud
 from cairn.components.localizer.evidence import Evidence
 from cairn.components.localizer.health import LOST, Health, health_of, not_yet_sure
-from cairn.components.localizer.judge import Judge, Judgement, Verdict
+from cairn.components.localizer.judge import Judge, Judgment, Verdict
 from cairn.components.localizer.motion import move_pose
 from cairn.components.localizer.object_likelihood import Landmark, Sighting, believed
 from cairn.components.localizer.odometry import OdometryTrack
@@ -44,13 +44,13 @@ NO_RAYS = (np.empty((0, 2)), np.empty((0, 2)))
 
 @dataclass(frozen=True)
 class Frame:
-    """What one set of sightings gave: the pose before it was fused, health, judgements."""
+    """What one set of sightings gave: the pose before it was fused, health, judgments."""
 
     before: Estimate
     healthy: bool
     reason: str
-    judgements: tuple[Judgement, ...]
-    relocalised: bool
+    judgments: tuple[Judgment, ...]
+    relocalized: bool
 
 
 class Localization:
@@ -245,20 +245,20 @@ class Localization:
             self.bank.watch(sighting.object_id)
         before = self.bank.estimate()
         healthy, reason = self._healthy(before, self._support(before, None))
-        judgements = tuple(self._judge(sighting, before, healthy) for sighting in sightings)
-        contradicted = any(one.contradicts for one in judgements)
-        agreed = [one.sighting.object_id for one in judgements if one.verdict is Verdict.AGREES]
+        judgments = tuple(self._judge(sighting, before, healthy) for sighting in sightings)
+        contradicted = any(one.contradicts for one in judgments)
+        agreed = [one.sighting.object_id for one in judgments if one.verdict is Verdict.AGREES]
         self._absence.agreed(stamp, agreed)
         self._agreements.note(stamp, (one for one in agreed if self._is_live(one)))
         if healthy and view is not None and self.range_factor is None:
             missed = self._absence.missed(stamp, view, seen, self.landmarks, before, self._reckoned)
-            judgements += tuple(self.judge.unseen(before, *one) for one in missed)
+            judgments += tuple(self.judge.unseen(before, *one) for one in missed)
         if live:
             self.bank.fuse_objects(live, self._fused(), self.settings.independence)
-        relocalised = False
+        relocalized = False
         if self.recovery.due(stamp, contradicted=contradicted):
-            relocalised = self._recover(stamp)
-        return Frame(before, healthy, reason, judgements, relocalised)
+            relocalized = self._recover(stamp)
+        return Frame(before, healthy, reason, judgments, relocalized)
 
     def _fused(self) -> Mapping[int, Landmark]:
         """The objects as they are fused."""
@@ -311,7 +311,7 @@ class Localization:
             )
         return True, ""
 
-    def _judge(self, sighting: Sighting, before: Estimate, healthy: bool) -> Judgement:
+    def _judge(self, sighting: Sighting, before: Estimate, healthy: bool) -> Judgment:
         object_id = sighting.object_id
         if not self._is_live(object_id):
             return self.judge.place(sighting, before, healthy)

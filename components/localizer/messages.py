@@ -6,10 +6,10 @@ import math
 
 import numpy as np
 
-from cairn.clock import SECOND, from_ns
+from cairn import SECOND, from_ns
 from cairn.components.localizer.absence import View
 from cairn.components.localizer.health import Health
-from cairn.components.localizer.judge import Judgement
+from cairn.components.localizer.judge import Judgment
 from cairn.components.localizer.localization import Frame
 from cairn.components.localizer.object_likelihood import Landmark, Sighting
 from cairn.components.localizer.particles import Estimate
@@ -22,7 +22,7 @@ from cairn.schemas.cairn_msgs import (
     VisualMap,
     VisualObject,
 )
-from cairn.schemas.cairn_nav_msgs import LocalizationHealth, Relocalisation
+from cairn.schemas.cairn_nav_msgs import LocalizationHealth, Relocalization
 from cairn.schemas.geometry_msgs import Quaternion, Transform, TransformStamped, Vector3
 from cairn.schemas.std_msgs import Header
 from cairn.schemas.tf2_msgs import TFMessage
@@ -49,7 +49,7 @@ def landmarks_of(visual_map: VisualMap) -> list[Landmark]:
 
 
 def sightings_of(message: RecognizedObjectArray) -> list[Sighting]:
-    """The recognised objects as sightings."""
+    """The recognized objects as sightings."""
     return [
         Sighting(
             object_id=o.object_id,
@@ -64,7 +64,7 @@ def sightings_of(message: RecognizedObjectArray) -> list[Sighting]:
 
 
 def view_of(message: RecognizedObjectArray) -> View | None:
-    """Where an object could have been recognised; None if that is not known."""
+    """Where an object could have been recognized; None if that is not known."""
     if message.view_left <= message.view_right:
         return None
     return View(message.view_right, message.view_left, message.nearest, message.farthest)
@@ -101,9 +101,9 @@ def health_message(
     )
 
 
-def found_message(header: Header, found: Estimate, sure_until: float) -> Relocalisation:
+def found_message(header: Header, found: Estimate, sure_until: float) -> Relocalization:
     """Where a lost robot was found, and until when [s] it was not lost, -inf if nobody knows."""
-    return Relocalisation(
+    return Relocalization(
         header=header,
         pose=with_covariance(found.mean, found.covariance),
         sure_until=from_ns(round(max(0.0, sure_until) * SECOND)),
@@ -111,7 +111,7 @@ def found_message(header: Header, found: Estimate, sure_until: float) -> Relocal
 
 
 def evidence_message(header: Header, frame: Frame) -> ObjectEvidenceArray:
-    """The judgements of one frame and the pose that they were made from."""
+    """The judgments of one frame and the pose that they were made from."""
     before: Estimate = frame.before
     x, y, theta = before.mean
     covariance = 0.5 * (before.covariance + before.covariance.T)
@@ -123,20 +123,20 @@ def evidence_message(header: Header, frame: Frame) -> ObjectEvidenceArray:
         robot_covariance=covariance.ravel(),
         healthy=frame.healthy,
         reason=frame.reason,
-        evidence=tuple(map(_evidence, frame.judgements)),
+        evidence=tuple(map(_evidence, frame.judgments)),
     )
 
 
-def _evidence(judgement: Judgement) -> ObjectEvidence:
-    covariance = 0.5 * (judgement.covariance + judgement.covariance.T)
+def _evidence(judgment: Judgment) -> ObjectEvidence:
+    covariance = 0.5 * (judgment.covariance + judgment.covariance.T)
     return ObjectEvidence(
-        object_id=judgement.sighting.object_id,
-        similarity=judgement.similarity,
-        verdict=int(judgement.verdict),
-        distance=judgement.distance,
-        x=judgement.x,
-        y=judgement.y,
+        object_id=judgment.sighting.object_id,
+        similarity=judgment.similarity,
+        verdict=int(judgment.verdict),
+        distance=judgment.distance,
+        x=judgment.x,
+        y=judgment.y,
         covariance=covariance.ravel(),
-        range=judgement.sighting.range_m,
-        bearing=judgement.sighting.bearing,
+        range=judgment.sighting.range_m,
+        bearing=judgment.sighting.bearing,
     )

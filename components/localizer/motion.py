@@ -19,7 +19,7 @@ class MotionModel:
     """Random walk of the base about the motion that odometry tells.
 
     `forward_noise` [m/sqrt(s)] and `turn_noise` [rad/sqrt(s)] while it moves; `forward_slip`
-    [m/sqrt(m)], `turn_slip` [rad/sqrt(rad)] and `turn_per_metre` [rad/sqrt(m)] per motion.
+    [m/sqrt(m)], `turn_slip` [rad/sqrt(rad)] and `turn_per_meter` [rad/sqrt(m)] per motion.
     Sideways it slips as it does ahead.
     """
 
@@ -27,7 +27,7 @@ class MotionModel:
     turn_noise: float = 0.04
     forward_slip: float = 0.016
     turn_slip: float = 0.03
-    turn_per_metre: float = 0.0
+    turn_per_meter: float = 0.0
 
     def deviations(self, step: Increment) -> tuple[float, float, float]:
         """Standard deviations of a step: ahead [m], to the left [m], of the turn [rad]."""
@@ -37,7 +37,7 @@ class MotionModel:
         turn = (
             self.turn_noise**2 * step.moving_s
             + self.turn_slip**2 * turned
-            + self.turn_per_metre**2 * far
+            + self.turn_per_meter**2 * far
         )
         aside = self.forward_slip**2 * far if step.measured else 0.0
         return math.sqrt(ahead), math.sqrt(aside), math.sqrt(turn)
@@ -45,7 +45,7 @@ class MotionModel:
 
 @dataclass(frozen=True)
 class Increment:
-    """Motion over a stretch of time, along the middle heading: metres ahead and to the left,
+    """Motion over a stretch of time, along the middle heading: meters ahead and to the left,
     radians to the left, seconds in motion; `measured` by the wheels, or only commanded.
     """
 

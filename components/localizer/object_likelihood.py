@@ -17,7 +17,7 @@ STRAY = -4.6
 
 @dataclass(frozen=True)
 class Sighting:
-    """One recognised object: range [m], bearing [rad, left positive] and their variances.
+    """One recognized object: range [m], bearing [rad, left positive] and their variances.
 
     `alternatives` are other objects that it may be as well.
     """
@@ -61,7 +61,7 @@ def object_log_likelihood(
     dx = landmark.x - poses[0]
     dy = landmark.y - poses[1]
     distance = np.sqrt(dx * dx + dy * dy)
-    # The map's own uncertainty seen from here: isotropic is enough (centimetres).
+    # The map's own uncertainty seen from here: isotropic is enough (centimeters).
     spread = 0.5 * (landmark.xx + landmark.yy)
     range_variance = sighting.range_variance + spread
     bearing_variance = sighting.bearing_variance + spread / max(sighting.range_m, 0.3) ** 2

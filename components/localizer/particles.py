@@ -30,7 +30,7 @@ class Estimate:
         return math.sqrt(max(0.0, float(self.covariance[0, 0] + self.covariance[1, 1])))
 
 
-def normalised(log_weights: Array) -> Array:
+def normalized(log_weights: Array) -> Array:
     """Weights (..., n) that sum to one over the last axis."""
     weights: Array = np.exp(log_weights - log_weights.max(axis=-1, keepdims=True))
     weights /= weights.sum(axis=-1, keepdims=True)
@@ -39,7 +39,7 @@ def normalised(log_weights: Array) -> Array:
 
 def estimate(poses: Array, log_weights: Array) -> Estimate:
     """Weighted mean and covariance of `poses` (3, n); the heading's mean is circular."""
-    return _moments_of(np.ascontiguousarray(poses), normalised(log_weights))
+    return _moments_of(np.ascontiguousarray(poses), normalized(log_weights))
 
 
 def effective_count(log_weights: Array) -> Array:
@@ -70,7 +70,7 @@ def redraw(
 
     They are spread by a kernel that keeps mean and covariance.
 
-    Each chosen sample is drawn in towards the mean by sqrt(1 - h^2) and moved by h times the
+    Each chosen sample is drawn in toward the mean by sqrt(1 - h^2) and moved by h times the
     cloud's own covariance (Liu and West 2001), so copies differ and the spread is unchanged.
     """
     count = poses.shape[1] if count is None else count
@@ -109,7 +109,7 @@ def narrow(
             log_weights[:] = full - full.max(axis=1, keepdims=True)
             break
         share = _shares(log_weights[poor], contribution[poor], left[poor])
-        weights = normalised(log_weights[poor] + contribution[poor] * share[:, None])
+        weights = normalized(log_weights[poor] + contribution[poor] * share[:, None])
         for row, of_row in zip(poor, weights, strict=True):
             poses[:, row] = redraw(poses[:, row], of_row, bandwidth, random)
         log_weights[poor] = 0.0
@@ -210,7 +210,7 @@ def _kernel(
     shrink: float,
     bandwidth: float,
 ) -> None:
-    """Draw poses in towards the mean and move them by `root` @ `noise`, in place."""
+    """Draw poses in toward the mean and move them by `root` @ `noise`, in place."""
     for i in range(poses.shape[1]):
         turn = _wrapped(poses[2, i] - theta)
         a, b, c = bandwidth * noise[0, i], bandwidth * noise[1, i], bandwidth * noise[2, i]

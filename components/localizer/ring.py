@@ -1,4 +1,4 @@
-"""The paper's new samples NR: poses on a ring around a recognised object, and their convergence."""
+"""The paper's new samples NR: poses on a ring around a recognized object, and their convergence."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cairn.components.localizer.object_likelihood import Landmark, Sighting
-from cairn.components.localizer.particles import Estimate, estimate, normalised, systematic_choice
+from cairn.components.localizer.particles import Estimate, estimate, normalized, systematic_choice
 from cairn.planar.poses import wrap_all
 
 Array = NDArray[np.float64]
@@ -53,7 +53,7 @@ def converge(
     count = poses.shape[1]
     for k in range(rounds):
         temper = min(1.0, 0.25 * (k + 1))
-        weights = normalised(temper * log_likelihood(poses))
+        weights = normalized(temper * log_likelihood(poses))
         poses = poses[:, systematic_choice(weights, count, random)]
         jitter = 0.5**k * random.standard_normal((3, count))
         poses = poses + jitter * np.array([[0.08], [0.08], [math.radians(5.0)]])

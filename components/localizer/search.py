@@ -8,14 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cairn.components.localizer.evidence import Evidence
-from cairn.components.localizer.particles import Estimate, estimate, normalised, systematic_choice
+from cairn.components.localizer.particles import Estimate, estimate, normalized, systematic_choice
 from cairn.components.localizer.recent import Support, carry
 from cairn.components.localizer.ring import draw_ring
 from cairn.planar.poses import relative, wrap_all
 
 Array = NDArray[np.float64]
 
-# Poses drawn per square metre of free space, and at most.
+# Poses drawn per square meter of free space, and at most.
 _PER_M2, _MOST = 300.0, 200_000
 # Share of the log-likelihood and jitter [m] (and 0.7 of it [rad]) of each round of annealing.
 _ANNEALING = ((0.4, 0.10), (0.7, 0.05), (1.0, 0.03))
@@ -118,7 +118,7 @@ def _on_rings(evidence: Evidence, count: int, random: np.random.Generator) -> li
 def _thinned(
     poses: Array, log_weights: Array, count: int, jitter: float, random: np.random.Generator
 ) -> Array:
-    poses = poses[:, systematic_choice(normalised(log_weights), count, random)]
+    poses = poses[:, systematic_choice(normalized(log_weights), count, random)]
     noise = jitter * random.standard_normal((3, count))
     noise[2] *= 0.7
     return poses + noise
@@ -127,7 +127,7 @@ def _thinned(
 def _best_mode(poses: Array, evidence: Evidence) -> Found:
     """The densest place, not the single best sample: weight within 0.5 m and 0.5 rad."""
     log_weights = evidence.log_likelihood(poses)
-    weights = normalised(log_weights)
+    weights = normalized(log_weights)
     heads = np.argsort(-weights)[:50]
     near = _near(poses, poses[:, heads], 0.5)
     share = near @ weights
@@ -165,11 +165,11 @@ def _found(
     )
 
 
-def _near(poses: Array, centres: Array, reach: float) -> NDArray[np.bool_]:
+def _near(poses: Array, centers: Array, reach: float) -> NDArray[np.bool_]:
     apart = np.hypot(
-        poses[0] - centres[0][:, None],
-        poses[1] - centres[1][:, None],
+        poses[0] - centers[0][:, None],
+        poses[1] - centers[1][:, None],
     )
-    turn = np.abs(wrap_all(poses[2] - centres[2][:, None]))
+    turn = np.abs(wrap_all(poses[2] - centers[2][:, None]))
     near: NDArray[np.bool_] = (apart < reach) & (turn < reach)
     return near

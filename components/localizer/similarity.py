@@ -21,14 +21,14 @@ CLUTTER = 1.0 / (4.0 * math.radians(60.0))
 # The map's and the pose's errors that no covariance speaks of [m].
 MAP_SIGMA = 0.03
 POSE_FLOOR = 0.12
-# Outside this normalised innovation squared (2 dof, 99.9 %) a sighting contradicts a pose.
+# Outside this normalized innovation squared (2 dof, 99.9 %) a sighting contradicts a pose.
 GATE = 13.8
 ACCEPTED = 9.21  # inside this one (99 %) a gate takes it for granted
 
 
 @dataclass(frozen=True)
 class Innovation:
-    """A sighting against a prediction: normalised innovation squared, and the Gaussian's density
+    """A sighting against a prediction: normalized innovation squared, and the Gaussian's density
     [1/(m rad)] where they meet exactly.
     """
 
@@ -77,7 +77,7 @@ def likelihood_ratio_similarity(seen: Innovation) -> float:
 
 
 def paper_similarity(radius: float, distance: float) -> float:
-    """Mode "paper": equation (1), r / d, 1 inside the bound; clamped. Both in metres."""
+    """Mode "paper": equation (1), r / d, 1 inside the bound; clamped. Both in meters."""
     return clamp(min(1.0, radius / max(distance, 1e-6)))
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cairn.components.localizer.likelihood_field import LikelihoodField
-from cairn.components.localizer.particles import Estimate, estimate, normalised, systematic_choice
+from cairn.components.localizer.particles import Estimate, estimate, normalized, systematic_choice
 from cairn.planar.poses import Pose, compose, distance, relative, wrap
 
 Array = NDArray[np.float64]
@@ -61,10 +61,10 @@ class SlipWatch:
         self._usual = usual + (_NEWEST if fit >= 0.8 * usual else _NEWEST_OF_BAD) * (fit - usual)
         if fit >= _GOOD:
             return None
-        centre = np.asarray(here.mean)[:, None]
-        poses = centre + _ASTRAY * self.random.standard_normal((3, _POSES))
+        center = np.asarray(here.mean)[:, None]
+        poses = center + _ASTRAY * self.random.standard_normal((3, _POSES))
         for temper, jitter in _ANNEALING:
-            weights = normalised(temper * share * field.log_likelihood(poses, points))
+            weights = normalized(temper * share * field.log_likelihood(poses, points))
             poses = poses[:, systematic_choice(weights, _POSES // 3, self.random)]
             poses += jitter * self.random.standard_normal(poses.shape)
         found = estimate(poses, np.zeros(poses.shape[1]))
@@ -74,7 +74,7 @@ class SlipWatch:
         both = np.column_stack((found.mean, here.mean))
         score, before = share * field.log_likelihood(both, points)
         # The farther, the less likely a slip is.
-        away = ((both[:, :1] - centre) / _ASTRAY).ravel()
+        away = ((both[:, :1] - center) / _ASTRAY).ravel()
         away[2] = wrap(found.mean[2] - here.mean[2]) / _ASTRAY[2, 0]
         if score - 0.5 * float(away @ away) < before + _BETTER:
             return None

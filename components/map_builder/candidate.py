@@ -20,7 +20,7 @@ from cairn.components.map_builder.viewpoints import NOWHERE
 from cairn.planar.poses import apart
 
 # A candidate no farther than this [m] from where the object stood has not moved, if its sightings
-# are not more exact than that: normalised distance squared (2 dof, 90 %).
+# are not more exact than that: normalized distance squared (2 dof, 90 %).
 _UNMOVED_M, _UNMOVED_NIS = 0.35, 4.6
 # From poses that differ by more than this [m], [rad] sightings are independent.
 ANOTHER_M, ANOTHER_RAD = 0.15, 0.2

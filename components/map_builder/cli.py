@@ -11,6 +11,7 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
+from cairn import CairnError
 from cairn.cli.tables import line, print_json
 from cairn.cli.tables import show as show_rows
 from cairn.components.map_builder.explaining import (
@@ -28,7 +29,6 @@ from cairn.components.map_builder.importing import (
 )
 from cairn.components.map_builder.objects import MapObject
 from cairn.components.map_builder.store import open_map
-from cairn.errors import CairnError
 from cairn.planar.grid import FREE, FREE_TO, OCCUPIED_FROM, UNKNOWN
 from cairn.planar.map_file import read_map as read_grid
 from cairn.planar.map_file import write_map as write_grid
@@ -195,7 +195,7 @@ def _displacements(given: list[str]) -> dict[int, tuple[float, float]]:
             object_id = int(name)
         except ValueError:
             raise CairnError(
-                f"--displace {text}: write it as ID:DX,DY with metres, such as 8:1.5,0."
+                f"--displace {text}: write it as ID:DX,DY with meters, such as 8:1.5,0."
             ) from None
         if not (math.isfinite(dx) and math.isfinite(dy)):
             raise CairnError(f"--displace {text}: the distances must be finite.")

@@ -5,8 +5,22 @@ from __future__ import annotations
 import logging
 from collections.abc import Sequence
 
-from cairn.bus.qos import LATCHED, RELIABLE, SENSOR
-from cairn.clock import SECOND, from_ns, to_ns
+from cairn import (
+    LATCHED,
+    RELIABLE,
+    SECOND,
+    SENSOR,
+    CairnError,
+    Component,
+    Config,
+    In,
+    Out,
+    ParameterRefused,
+    every,
+    from_ns,
+    on,
+    to_ns,
+)
 from cairn.components.map_builder.config import MapBuilderConfig
 from cairn.components.map_builder.grid_keeper import GridKeeper
 from cairn.components.map_builder.grid_updates import GridUpdates
@@ -16,18 +30,13 @@ from cairn.components.map_builder.objects import Kind
 from cairn.components.map_builder.posed_scans import PosedScans
 from cairn.components.map_builder.rules import rule_named
 from cairn.components.map_builder.store import open_map
-from cairn.errors import CairnError
 from cairn.planar.grid import map_message as grid_message
 from cairn.planar.map_file import read_map
 from cairn.planar.messages import planar_pose
 from cairn.planar.odometry import Added
 from cairn.runtime.complaints import Complaints
-from cairn.runtime.component import Component
-from cairn.runtime.handlers import every, on
-from cairn.runtime.parameters import Config, ParameterRefused
-from cairn.runtime.ports import In, Out
 from cairn.schemas.cairn_msgs import ObjectEvidenceArray, VisualMap, VisualMapChange
-from cairn.schemas.cairn_nav_msgs import LocalizationHealth, Relocalisation
+from cairn.schemas.cairn_nav_msgs import LocalizationHealth, Relocalization
 from cairn.schemas.geometry_msgs import PoseWithCovarianceStamped
 from cairn.schemas.map_msgs import OccupancyGridUpdate
 from cairn.schemas.nav_msgs import OccupancyGrid, Odometry
@@ -51,7 +60,7 @@ class MapBuilder(Component):
 
     config: MapBuilderConfig
     object_evidence: In[ObjectEvidenceArray] = In(qos=RELIABLE.with_depth(200), optional=True)
-    relocalised: In[Relocalisation] = In(optional=True)
+    relocalized: In[Relocalization] = In(optional=True)
     scan: In[LaserScan] = In(qos=SENSOR, optional=True)
     odom: In[Odometry] = In(qos=RELIABLE.with_depth(1000), optional=True)
     pose: In[PoseWithCovarianceStamped] = In(optional=True)
@@ -114,8 +123,8 @@ class MapBuilder(Component):
         if keeper is not None and self.config.update_objects and not of_lost:
             self._tell(stamp_ns, *keeper.apply(stamp_ns, evidence_of(frame)))
 
-    @on("relocalised")
-    def take_back(self, found: Relocalisation) -> None:
+    @on("relocalized")
+    def take_back(self, found: Relocalization) -> None:
         """Undo what the robot judged and drew while it was lost."""
         keeper, grid = self._open(), self._open_grid()
         stamp_ns = self._found_at = to_ns(found.header.stamp)

@@ -6,10 +6,8 @@ from pathlib import Path
 
 from pydantic import Field, model_validator
 
+from cairn import Config, Mount, ReadPath
 from cairn.components.map_builder.rules import RuleName
-from cairn.runtime.marks import ReadPath
-from cairn.runtime.mount import Mount
-from cairn.runtime.parameters import Config
 
 
 class MapBuilderConfig(Config):

@@ -35,7 +35,7 @@ def build_map(
     Of the rays that reached a cell the share that ended there tells whether it is occupied (the
     counting model: Haehnel, Burgard, Thrun 2003). Rays longer than `reach` [m] count as
     passing only. A ray tells nothing of the cells in front of its end that lie within a cell's
-    size of the surface that it hit: where it grazes a wall, errors of a few centimetres lead it
+    size of the surface that it hit: where it grazes a wall, errors of a few centimeters lead it
     through a good many cells of that wall. Raises `ValueError` if there is no scan.
     """
     segments = [

@@ -6,9 +6,9 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from cairn import CairnError
 from cairn.components.map_builder.objects import MapObject, State, Verdict
 from cairn.components.map_builder.store import KeptChange, KeptEvidence, MapStore
-from cairn.errors import CairnError
 
 
 @dataclass(frozen=True)
@@ -150,5 +150,5 @@ def _why_not(evidence: KeptEvidence) -> str:
     if evidence.verdict is Verdict.NOT_CONVERGED:
         return ": the pose without it could not tell"
     if evidence.verdict is Verdict.UNSEEN:
-        return ": it is not known to be recognised from here, or was missed from here just now"
+        return ": it is not known to be recognized from here, or was missed from here just now"
     return ": seen from the same pose as before"

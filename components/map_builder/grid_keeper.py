@@ -7,10 +7,10 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from cairn import CairnError
 from cairn.components.map_builder.occupancy import Occupancy
 from cairn.components.map_builder.window import Window
 from cairn.components.map_builder.working_copy import LOG, gone_on_with
-from cairn.errors import CairnError
 from cairn.files import replace_file
 from cairn.planar.grid import OccupancyCells
 from cairn.planar.map_file import read_map, write_map

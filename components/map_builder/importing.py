@@ -8,11 +8,11 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
+from cairn import CairnError
 from cairn.components.map_builder.counting import build_map
 from cairn.components.map_builder.objects import Change, Kind, MapObject
 from cairn.components.map_builder.place import Place
 from cairn.components.map_builder.store import create_map
-from cairn.errors import CairnError
 from cairn.files import replacing
 from cairn.planar.grid import OccupancyCells
 from cairn.planar.poses import Pose
@@ -135,7 +135,7 @@ def write_map(
 ) -> None:
     """Write a new map file with the given objects, each with its change IMPORTED.
 
-    Those of them that are in `taught` are recognised from it at once.
+    Those of them that are in `taught` are recognized from it at once.
     """
     with replacing(path) as part:
         with create_map(part, source) as store:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from cairn.clock import SECOND
+from cairn import SECOND
 from cairn.components.map_builder.objects import Change, Evidence, MapObject
 from cairn.components.map_builder.rule import Rule, judge
 from cairn.components.map_builder.store import Judged, MapStore, open_map
@@ -73,7 +73,7 @@ class MapKeeper:
         try:
             return taught_name(self._taught, object_id)
         except MapFileError:
-            return None  # the recogniser tells of the file, and a map without the name is a map
+            return None  # the recognizer tells of the file, and a map without the name is a map
 
     def save(self) -> None:
         """Commit the evidence gathered so far."""

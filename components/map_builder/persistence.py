@@ -12,7 +12,7 @@ from cairn.components.map_builder.objects import Change, Evidence, Kind, MapObje
 from cairn.planar.poses import apart
 
 _REMOVAL = 0.1
-# Inside this normalised distance (2 dof, 99 %) a sighting is a detection of the mapped feature.
+# Inside this normalized distance (2 dof, 99 %) a sighting is a detection of the mapped feature.
 _DETECTED = 3.03
 _LEAST, _MOST = 1e-6, 1.0 - 1e-6
 

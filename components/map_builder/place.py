@@ -27,7 +27,7 @@ class Place:
     yy: float
 
     def distance(self, other: Place) -> float:
-        """Metres between two places."""
+        """Meters between two places."""
         return math.hypot(self.x - other.x, self.y - other.y)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass
 
-from cairn.clock import SECOND, to_ns
+from cairn import SECOND, to_ns
 from cairn.planar.odometry import Added, OdometryHistory
 from cairn.planar.poses import Pose, compose, relative
 from cairn.planar.sweep import Rays, rays_of, sweep_s

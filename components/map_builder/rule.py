@@ -67,7 +67,7 @@ def _judge_live(
     place = known.place
     if evidence.verdict is Verdict.AGREES and evidence.healthy and place is not None:
         here = cell_of(place.x, place.y, evidence.robot)
-        judged = replace(judged, viewpoints=known.viewpoints.recognised(here), missed_from=None)
+        judged = replace(judged, viewpoints=known.viewpoints.recognized(here), missed_from=None)
     if reliability <= REMOVAL:
         start = Candidate(evidence.implied, CARRIED_OVER, 1, evidence.robot)
         stays = known.stays.leave(place, now_s) if place else known.stays
@@ -86,7 +86,7 @@ def _judge_live(
 def _judge_absence(known: MapObject, evidence: Evidence) -> tuple[MapObject, Change | None]:
     """Take that an object was not seen where it should have been.
 
-    It counts from where the object is known to be recognised, and once the robot has moved on:
+    It counts from where the object is known to be recognized, and once the robot has moved on:
     what hides it now hides it in the next image, too.
     """
     place = known.place

@@ -1,4 +1,4 @@
-"""From where an object is usually recognised, and so from where it is missed when it is gone."""
+"""From where an object is usually recognized, and so from where it is missed when it is gone."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ _SECTORS = 12
 _BAND_M = 1.0
 # Counts are halved beyond this, so that what holds now outweighs what was long ago.
 _MOST = 64
-# An object that was recognised less often than this from a cell is not expected to be again.
+# An object that was recognized less often than this from a cell is not expected to be again.
 _KNOWN_FROM = 3
-# Chance to recognise an object that is not there.
+# Chance to recognize an object that is not there.
 _FALSE = 0.02
 # One absence never says more than this: what hides an object at one moment does so at the next.
 _LEAST_SIMILARITY = 0.3
@@ -26,7 +26,7 @@ _LEAST_SIMILARITY = 0.3
 class Viewpoints:
     """How often an object was `seen` and `missed` from each cell while it stood where it stands.
 
-    `absent` are the cells from which it was not seen since it was last recognised: whether it was
+    `absent` are the cells from which it was not seen since it was last recognized: whether it was
     missed there, or gone, is not known yet.
     """
 
@@ -34,8 +34,8 @@ class Viewpoints:
     missed: tuple[tuple[Cell, int], ...] = ()
     absent: tuple[Cell, ...] = ()
 
-    def recognised(self, cell: Cell) -> Viewpoints:
-        """It was recognised from a cell; so it was there, and was missed before."""
+    def recognized(self, cell: Cell) -> Viewpoints:
+        """It was recognized from a cell; so it was there, and was missed before."""
         missed = dict(self.missed)
         for one in self.absent:
             missed[one] = missed.get(one, 0) + 1
@@ -47,14 +47,14 @@ class Viewpoints:
         return Viewpoints(tuple(sorted(seen.items())), tuple(sorted(missed.items())))
 
     def not_seen(self, cell: Cell) -> Viewpoints:
-        """It was not recognised from a cell."""
+        """It was not recognized from a cell."""
         return replace(self, absent=(*self.absent, cell))
 
     def similarity_of_absence(self, cell: Cell) -> float | None:
-        """What not being recognised from a cell says for its place: at most 0.5, in [0, 1].
+        """What not being recognized from a cell says for its place: at most 0.5, in [0, 1].
 
-        None if it is not known to be recognised from there. The chance of missing what is there
-        against that of not "recognising" what is gone.
+        None if it is not known to be recognized from there. The chance of missing what is there
+        against that of not "recognizing" what is gone.
         """
         seen = dict(self.seen).get(cell, 0)
         if seen < _KNOWN_FROM:

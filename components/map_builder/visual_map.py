@@ -100,7 +100,7 @@ class VisualMap:
             if now.state is not before.state or _apart(now.place, before.place):
                 reason = (
                     "the robot was lost, or may have been, when it judged this object; that "
-                    "judgement is undone"
+                    "judgment is undone"
                 )
                 changes.append(
                     Change(

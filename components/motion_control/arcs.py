@@ -2,7 +2,7 @@
 
 Everywhere `radius` [m] is that of the circle to keep free, and `least` [m] that of the robot. A
 point that is within the circle at the start may not come nearer than it is then; one that is within
-the robot itself, as noise makes it seem, blocks what leads towards it and lets the robot leave.
+the robot itself, as noise makes it seem, blocks what leads toward it and lets the robot leave.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def arc_clearances(
 
     `points` (n, 2) [m] in the robot's frame; `curvatures` (m,) [1/m], left positive. Fills `free`
     (m,) [m] with the arc length up to the first touch, and `clear` (m,) [m] with the least distance
-    of a point to the centre's way over `lengths` (m,) [m].
+    of a point to the center's way over `lengths` (m,) [m].
     """
     for j in range(curvatures.size):
         bend, length = abs(curvatures[j]), lengths[j]

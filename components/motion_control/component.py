@@ -4,11 +4,23 @@ from __future__ import annotations
 
 import math
 
-from cairn.bus.qos import LATCHED, RELIABLE, SENSOR
-from cairn.clock import SECOND, from_ns, to_ns
-from cairn.components.motion_control.behaviours import (
+from cairn import (
+    LATCHED,
+    RELIABLE,
+    SECOND,
+    SENSOR,
+    Component,
+    Config,
+    In,
+    Out,
+    every,
+    from_ns,
+    on,
+    to_ns,
+)
+from cairn.components.motion_control.behaviors import (
     BackOff,
-    Behaviour,
+    Behavior,
     Explore,
     Follow,
     LookAround,
@@ -28,10 +40,6 @@ from cairn.planar.messages import planar_pose, planar_poses
 from cairn.planar.odometry import began_anew
 from cairn.planar.poses import Pose, relative
 from cairn.planar.sweep import rays_of, sweep_s
-from cairn.runtime.component import Component
-from cairn.runtime.handlers import every, on
-from cairn.runtime.parameters import Config
-from cairn.runtime.ports import In, Out
 from cairn.schemas.cairn_nav_msgs import LocalizationHealth, MotionStatus, Movement, Plan
 from cairn.schemas.geometry_msgs import PoseWithCovarianceStamped, Twist, Vector3
 from cairn.schemas.nav_msgs import Odometry
@@ -68,7 +76,7 @@ class MotionControl(Component):
         self._freshness = Freshness()
         self._movement: Movement | None = None
         self._plan: Plan | None = None
-        self._behaviour: Behaviour | None = None
+        self._behavior: Behavior | None = None
         self._done = False
         self._lost = False
         self._paused_until, self._pause = 0, ""
@@ -97,7 +105,7 @@ class MotionControl(Component):
         now = self.clock.now()
         self._freshness.note("movement", now, now)
         last, self._movement = self._movement, movement
-        if last is None or (last.leg, last.behaviour) != (movement.leg, movement.behaviour):
+        if last is None or (last.leg, last.behavior) != (movement.leg, movement.behavior):
             self._done = False
             self._begin()
             self._drive()
@@ -200,34 +208,34 @@ class MotionControl(Component):
     def _begin(self) -> None:
         """Begin what is wanted anew, unless it is done."""
         movement = self._movement if self._movement is not None else Movement()
-        wanted = movement.behaviour
-        self._behaviour = None
+        wanted = movement.behavior
+        self._behavior = None
         if wanted == Movement.BACK_OFF:
-            self._behaviour = BackOff(self._limits)
+            self._behavior = BackOff(self._limits)
         elif wanted == Movement.LOOK_AROUND:
-            self._behaviour = LookAround(self._limits)
+            self._behavior = LookAround(self._limits)
         elif wanted == Movement.EXPLORE:
-            self._behaviour = Explore(self._limits, movement.distance)
+            self._behavior = Explore(self._limits, movement.distance)
         elif wanted == Movement.FOLLOW:
             self._route()
 
     def _route(self) -> None:
         """Follow the plan if it is of the leg that is wanted."""
         movement, plan = self._movement, self._plan
-        if movement is None or movement.behaviour != Movement.FOLLOW:
+        if movement is None or movement.behavior != Movement.FOLLOW:
             return
         if plan is None or plan.leg != movement.leg:
             return
         if plan.outcome != Plan.FOUND:
-            self._behaviour = None
+            self._behavior = None
             return
         poses = planar_poses(plan.poses)
         goal = planar_pose(movement.goal)
         route = Route(poses, goal)
-        if isinstance(self._behaviour, Follow):
-            self._behaviour.route = route
+        if isinstance(self._behavior, Follow):
+            self._behavior.route = route
             return
-        self._behaviour = Follow(
+        self._behavior = Follow(
             self._limits, route, movement.position_tolerance, movement.heading_tolerance
         )
 
@@ -252,7 +260,7 @@ class MotionControl(Component):
         stopped = self._stopped(now)
         if stopped is not None:
             return stopped, STAND
-        if self._behaviour is None:
+        if self._behavior is None:
             return Motion(state=State.BLOCKED, reason=self._no_plan()), STAND
         odom = self._whereabouts.odom(now)
         if odom is None:  # its first time is yet to come
@@ -262,7 +270,7 @@ class MotionControl(Component):
         self._around = around
         pose = self._whereabouts.pose(now)
         situation = Situation(now, odom, speed, turn, pose, self._space, around, self._view)
-        motion = self._behaviour.step(situation)
+        motion = self._behavior.step(situation)
         if motion.state is State.DONE:
             self._done = True
             return motion, STAND
@@ -275,7 +283,7 @@ class MotionControl(Component):
         stale = self._freshness.complaint("movement", self.movement.topic, timeouts.movement, now)
         if stale or movement is None:
             return Motion(state=State.STOPPED, reason=stale)
-        if movement.behaviour == Movement.STAND:
+        if movement.behavior == Movement.STAND:
             return Motion(state=State.STANDING)
         if self._done:
             return Motion(state=State.DONE, reason=self._motion.reason)
@@ -286,7 +294,7 @@ class MotionControl(Component):
         )
         if not stale and now < self._paused_until:
             stale = self._pause
-        if not stale and movement.behaviour == Movement.FOLLOW:
+        if not stale and movement.behavior == Movement.FOLLOW:
             stale = self._unsure(now)
         return Motion(state=State.STOPPED, reason=stale) if stale else None
 

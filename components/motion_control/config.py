@@ -6,9 +6,8 @@ from typing import Self
 
 from pydantic import Field, model_validator
 
+from cairn import Config, Mount
 from cairn.components.motion_control.limits import Limits
-from cairn.runtime.mount import Mount
-from cairn.runtime.parameters import Config
 
 
 class Timeouts(Config):
@@ -24,7 +23,7 @@ class Timeouts(Config):
 class MotionControlConfig(Config):
     """Parameters of motion control."""
 
-    # What was seen is looked at up to 1.6 m from the robot's centre.
+    # What was seen is looked at up to 1.6 m from the robot's center.
     radius: float = Field(0.22, gt=0.05, le=1, description="Radius of the round robot [m].")
     margin: float = Field(
         0.05, ge=0.01, le=1, description="Space around the robot that is kept free [m]."

@@ -22,7 +22,7 @@ WITHIN = _CELL * (_HALF - 2)
 _WIDE, _DEAR = 0.2, 60.0
 # Corners are cut only with so much more room [m], as scans are noisy.
 _SPARE = 0.06
-# A cell's centre may be so far [m] from the point in it, which the margin allows for.
+# A cell's center may be so far [m] from the point in it, which the margin allows for.
 _ROUNDING = 0.01
 # A detour may be so much longer than the straight line, by share [1] and by length [m].
 _LONGER, _MORE = 2.0, 0.6
@@ -37,7 +37,7 @@ class DetourSearch:
         self._search = PathSearch(self._prices.shape)
 
     def find(self, points: Array, x: float, y: float) -> Array | None:
-        """A way (n, 2) [m] from the robot's centre to x, y [m] in its frame; None if there is none.
+        """A way (n, 2) [m] from the robot's center to x, y [m] in its frame; None if there is none.
 
         `points` (m, 2) [m] are the obstacles. Where the robot stands within the margin of some the
         way leads out of it.

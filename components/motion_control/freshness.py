@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from cairn.clock import SECOND
+from cairn import SECOND
 from cairn.planar.odometry import began_anew
 
 

@@ -57,7 +57,7 @@ class Limits:
 
     @property
     def kept(self) -> float:
-        """Radius [m] of the circle that is kept free around the robot's centre."""
+        """Radius [m] of the circle that is kept free around the robot's center."""
         return self.radius + self.margin
 
     @property
@@ -67,7 +67,7 @@ class Limits:
 
     @property
     def touching(self) -> float:
-        """Distance [m] of what almost touches the robot to its centre: never less on purpose."""
+        """Distance [m] of what almost touches the robot to its center: never less on purpose."""
         return self.radius + min(0.01, 0.4 * self.margin)
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from cairn.clock import SECOND
+from cairn import SECOND
 from cairn.components.motion_control.seen_space import REACH
 from cairn.planar.compiled import compiled
 from cairn.planar.odometry import began_anew

@@ -41,7 +41,7 @@ _MEETING, _PASSED = 0.9, 0.6
 class Surroundings:
     """Points (n, 2) [m] in the robot's frame, those where something will come to included.
 
-    `nearest` is the least distance [m] of what is there now to the robot's centre; `seen_ahead`
+    `nearest` is the least distance [m] of what is there now to the robot's center; `seen_ahead`
     is whether the space that it moves into was seen lately.
     """
 
@@ -146,7 +146,7 @@ class SeenSpace:
 
 @compiled()
 def _behind(starts: Array, angles: Array, ranges: Array, x: float, y: float) -> tuple[float, float]:
-    """How far [m] the beam towards a place goes on behind it, and the beam's direction [rad].
+    """How far [m] the beam toward a place goes on behind it, and the beam's direction [rad].
 
     Negative where it ends before; nan if no beam tells.
     """

@@ -1,1 +1,1 @@
-"""The object recogniser: which taught objects the camera sees, and where they are."""
+"""The object recognizer: which taught objects the camera sees, and where they are."""

@@ -32,7 +32,7 @@ class Place:
 
 @dataclass(frozen=True)
 class Field:
-    """Where objects can be recognised: bearings [rad, left positive] and ranges [m]."""
+    """Where objects can be recognized: bearings [rad, left positive] and ranges [m]."""
 
     right: float = 0.0
     left: float = 0.0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from cairn.errors import CairnError
+from cairn import CairnError
 from cairn.schemas.sensor_msgs import CameraInfo
 from cairn.vision.rectification import Lens, Rectifier
 from cairn.vision.stereo import StereoRig

@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
+from cairn import CairnError
 from cairn.cli.connection import DEFAULT_CONNECT, Connect, Domain, Json, Robot, connected
 from cairn.cli.tables import line, print_json, show
 from cairn.components.object_recognizer.given import (
@@ -18,13 +19,12 @@ from cairn.components.object_recognizer.given import (
 from cairn.components.object_recognizer.pictures import draw_views
 from cairn.components.object_recognizer.running import map_of_recognizer, newest_image
 from cairn.components.object_recognizer.teach_report import report
-from cairn.errors import CairnError
-from cairn.vision.images import Grey, read_image
+from cairn.vision.images import Gray, read_image
 from cairn.vision.taught import TaughtObject, View
 from cairn.vision.taught_store import Taught, check_name, read_taught, remove_taught
 from cairn.vision.teaching import cut, unfit, view_of
 
-app = typer.Typer(help="Objects that robots recognise: teach and show them.", no_args_is_help=True)
+app = typer.Typer(help="Objects that robots recognize: teach and show them.", no_args_is_help=True)
 Name = Annotated[str, typer.Argument(help="The object's name.", metavar="NAME")]
 
 _COLUMNS = {
@@ -74,23 +74,23 @@ def teach_object(
     of the map that has this name keeps its number. Without images, --size tells a known object's.
 
     --json prints object_id, name, map, views (number in all), taught (for each new view: image,
-    width, height, features, and recognised_from: from how large on [px], its longer side in a
-    camera's image, it is recognised), look_alikes and remarks.
+    width, height, features, and recognized_from: from how large on [px], its longer side in a
+    camera's image, it is recognized), look_alikes and remarks.
     """
     if camera and images:
         raise CairnError("give images or --camera, not both")
     if not (camera or images or size):
         raise CairnError("give images of the object, or --camera to take one of a running robot")
     check_name(name)
-    metres = parsed_size(size) if size else None
-    sources: list[tuple[str, Grey]] = [(str(path), read_image(path)) for path in images or []]
+    meters = parsed_size(size) if size else None
+    sources: list[tuple[str, Gray]] = [(str(path), read_image(path)) for path in images or []]
     if camera:
         with connected(connect, domain) as connection:
             map_file = map_file or map_of_recognizer(connection, robot)
             sources.append(newest_image(connection, topic, robot))
     path = map_file or DEFAULT_MAP
-    views = {source: _fit_view(source, grey, box) for source, grey in sources}
-    report(path, name, views, metres, as_json=json)
+    views = {source: _fit_view(source, gray, box) for source, gray in sources}
+    report(path, name, views, meters, as_json=json)
 
 
 @app.command("list")
@@ -137,12 +137,12 @@ def show_object(
 def remove_object(name: Name, map_file: MapFile = None) -> None:
     """Forget what an object looks like; its place in the map stays until robots miss it there."""
     object_id = remove_taught(map_file or DEFAULT_MAP, name)
-    line(f"{name} (object {object_id}) is no longer recognised")
+    line(f"{name} (object {object_id}) is no longer recognized")
 
 
-def _fit_view(source: str, grey: Grey, box: str) -> View:
+def _fit_view(source: str, gray: Gray, box: str) -> View:
     try:
-        view = view_of(cut(grey, parsed_box(box)) if box else grey)
+        view = view_of(cut(gray, parsed_box(box)) if box else gray)
     except CairnError as error:
         raise CairnError(f"{source}: {error}") from error
     why = unfit(view)

@@ -5,8 +5,21 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from cairn.bus.qos import RELIABLE, SENSOR
-from cairn.clock import SECOND, from_ns, to_ns
+from cairn import (
+    RELIABLE,
+    SECOND,
+    SENSOR,
+    CairnError,
+    Component,
+    Config,
+    In,
+    Out,
+    ParameterRefused,
+    every,
+    from_ns,
+    on,
+    to_ns,
+)
 from cairn.components.object_recognizer.agreement import Agreement
 from cairn.components.object_recognizer.bearings import NOWHERE, Field, Place, field_of, place_of
 from cairn.components.object_recognizer.cameras import Cameras, cameras_of, same_camera
@@ -16,17 +29,12 @@ from cairn.components.object_recognizer.known import KnownObjects
 from cairn.components.object_recognizer.pairing import Pair, Pairing
 from cairn.components.object_recognizer.sighting import Sighting, sighted, without_wrong_twins
 from cairn.components.object_recognizer.stereo_check import swapped, unlike
-from cairn.errors import CairnError
 from cairn.runtime.complaints import Complaints
-from cairn.runtime.component import Component
-from cairn.runtime.handlers import every, on
-from cairn.runtime.parameters import Config, ParameterRefused
-from cairn.runtime.ports import In, Out
 from cairn.schemas.cairn_msgs import RecognizedObject, RecognizedObjectArray
 from cairn.schemas.sensor_msgs import CameraInfo, Image
 from cairn.schemas.std_msgs import Header
 from cairn.vision.features import Features, extract
-from cairn.vision.images import Grey, grey_of
+from cairn.vision.images import Gray, gray_of
 from cairn.vision.map_file import MapFileError
 
 # A camera that is silent, or shows the same, for so long is complained of.
@@ -35,10 +43,10 @@ _STANDSTILL_NS = SECOND
 
 
 class ObjectRecognizer(Component):
-    """Recognises taught objects in the images of a camera or of a stereo pair.
+    """Recognizes taught objects in the images of a camera or of a stereo pair.
 
     Tells of every new image which objects are in it, where they are from the robot, and where it
-    could have recognised any. Corners are those in the rectified left image.
+    could have recognized any. Corners are those in the rectified left image.
     """
 
     config: ObjectRecognizerConfig
@@ -70,7 +78,7 @@ class ObjectRecognizer(Component):
         """All but the file, the number of cameras and threads may be changed while it runs."""
         for name in ("map_file", "stereo", "threads"):
             if getattr(new, name) != getattr(self.config, name):
-                raise ParameterRefused(f"{name} is taken when the recogniser is configured")
+                raise ParameterRefused(f"{name} is taken when the recognizer is configured")
 
     @on("left_info")
     def know_left(self, info: CameraInfo) -> None:
@@ -114,7 +122,7 @@ class ObjectRecognizer(Component):
                 self._tell_known()
             self._complaints.over("file", f"{self.config.map_file} is read again")
         except MapFileError as error:
-            self._complaints.tell("file", f"still recognising what was taught before: {error}")
+            self._complaints.tell("file", f"still recognizing what was taught before: {error}")
         now = self.clock.now()
         if now <= 0:
             return  # nobody has told the time yet
@@ -129,10 +137,10 @@ class ObjectRecognizer(Component):
     def _tell_known(self) -> None:
         count = len(self._known.now.objects)
         if count:
-            self.log.info("%d taught objects of %s are recognised", count, self.config.map_file)
+            self.log.info("%d taught objects of %s are recognized", count, self.config.map_file)
         else:
             self.log.warning(
-                "no object was taught to %s, so none is recognised: teach some with `cairn object "
+                "no object was taught to %s, so none is recognized: teach some with `cairn object "
                 "teach NAME IMAGE --map %s`",
                 *[self.config.map_file] * 2,
             )
@@ -164,7 +172,7 @@ class ObjectRecognizer(Component):
             field, told = self._seen(pair)
             self._complaints.over("image", f"{self.left_image.topic} is looked at again")
         except CairnError as error:
-            self._complaints.tell("image", f"nothing is recognised: {error}")
+            self._complaints.tell("image", f"nothing is recognized: {error}")
             field, told = NOWHERE, []
         self.objects.publish(
             RecognizedObjectArray(
@@ -178,9 +186,9 @@ class ObjectRecognizer(Component):
         )
 
     def _seen(self, pair: Pair) -> tuple[Field, list[RecognizedObject]]:
-        """Where objects could have been recognised, and those that were and are placed."""
+        """Where objects could have been recognized, and those that were and are placed."""
         config, cameras = self.config, self._looking()
-        left = cameras.left.apply(self._grey(pair.left, self.left_image.topic))
+        left = cameras.left.apply(self._gray(pair.left, self.left_image.topic))
         features = extract(left, config.most_features)
         blind = blindness(left)
         if blind:
@@ -224,7 +232,7 @@ class ObjectRecognizer(Component):
         return place_of(sighting.located, self.config.mount.pose, self.config.bearing_sd)
 
     def _question_stereo(
-        self, left: Grey, right: Grey, features: Features, cameras: Cameras
+        self, left: Gray, right: Gray, features: Features, cameras: Cameras
     ) -> None:
         """Tell why stereo tells nothing; raises `CairnError` if the cameras are swapped."""
         if swapped(left, right, features, cameras.rig):
@@ -256,7 +264,7 @@ class ObjectRecognizer(Component):
             self._complaints.over("pair", "left and right cameras are a pair")
         return self._cameras
 
-    def _rectified_right(self, cameras: Cameras, pair: Pair) -> Grey | None:
+    def _rectified_right(self, cameras: Cameras, pair: Pair) -> Gray | None:
         if pair.right is None or cameras.right is None:
             return None
         try:
@@ -265,7 +273,7 @@ class ObjectRecognizer(Component):
                     f"{self.right_image.topic} shows the same as {self.left_image.topic}, bit for "
                     "bit: have the right camera's driver send its own images"
                 )
-            right = cameras.right.apply(self._grey(pair.right, self.right_image.topic))
+            right = cameras.right.apply(self._gray(pair.right, self.right_image.topic))
             self._complaints.over("right image", f"{self.right_image.topic} is looked at again")
             return right
         except CairnError as error:
@@ -273,9 +281,9 @@ class ObjectRecognizer(Component):
             return None
 
     @staticmethod
-    def _grey(image: Image, topic: str) -> Grey:
+    def _gray(image: Image, topic: str) -> Gray:
         try:
-            return grey_of(image)
+            return gray_of(image)
         except CairnError as error:
             raise CairnError(f"{topic}: {error}") from error
 

@@ -10,16 +10,16 @@ from numpy.typing import NDArray
 from cairn.schemas.sensor_msgs import Image
 from cairn.vision.features import Features
 
-# Grey levels that nearly all pixels of an image in the dark, or into a lamp, are below, or above.
+# Gray levels that nearly all pixels of an image in the dark, or into a lamp, are below, or above.
 _DARK, _BRIGHT = 40, 215
 _NEARLY_ALL: Final = 95.0  # [%]
 # An image with fewer features shows next to nothing, an object among it or not.
 _FEW = 25
 
 
-def blindness(grey: NDArray[np.uint8]) -> str:
+def blindness(gray: NDArray[np.uint8]) -> str:
     """Why the camera sees nothing; empty if it does."""
-    sample = grey[::4, ::4]
+    sample = gray[::4, ::4]
     if np.percentile(sample, _NEARLY_ALL) < _DARK:
         return "it is too dark"
     if np.percentile(sample, 100 - _NEARLY_ALL) > _BRIGHT:

@@ -1,22 +1,20 @@
-"""Parameters of the object recogniser."""
+"""Parameters of the object recognizer."""
 
 from __future__ import annotations
 
 from pydantic import Field, model_validator
 
-from cairn.runtime.marks import ReadPath
-from cairn.runtime.mount import Mount
-from cairn.runtime.parameters import Config
+from cairn import Config, Mount, ReadPath
 from cairn.vision.verification import LEAST
 
 
 class ObjectRecognizerConfig(Config):
-    """What is recognised, and by which camera."""
+    """What is recognized, and by which camera."""
 
     map_file: ReadPath = Field(
-        description="The visual map whose taught objects are recognised (`cairn object teach`). "
+        description="The visual map whose taught objects are recognized (`cairn object teach`). "
         "Objects are taught to this file, never to the map builder's working copy of it, which is "
-        "the robot's own; what is taught while the robot runs is recognised a second later."
+        "the robot's own; what is taught while the robot runs is recognized a second later."
     )
     stereo: bool = Field(True, description="Whether there is a right camera.")
     mount: Mount = Field(Mount(), description="Where the left camera sits on the robot.")

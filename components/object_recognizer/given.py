@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from cairn.errors import CairnError
+from cairn import CairnError
 from cairn.vision.taught import View
 
 DEFAULT_MAP = Path("visual_map.cairn")
@@ -36,7 +36,7 @@ def parsed_size(text: str) -> tuple[float, float]:
         width = height = math.nan
     if not (0 < width <= _LARGEST_M and 0 < height <= _LARGEST_M):
         raise CairnError(
-            f"--size {text}: write it as W,H, width and height of what the image shows in metres, "
+            f"--size {text}: write it as W,H, width and height of what the image shows in meters, "
             f"above 0 and at most {_LARGEST_M:g}, such as 0.21,0.297"
         )
     return width, height

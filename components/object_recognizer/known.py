@@ -1,4 +1,4 @@
-"""The taught objects of a map's file, and what recognises them; kept up to date."""
+"""The taught objects of a map's file, and what recognizes them; kept up to date."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from cairn.vision.taught_store import read_taught, taught_number
 
 @dataclass(frozen=True)
 class Known:
-    """What was taught as of a `number`, and what recognises it."""
+    """What was taught as of a `number`, and what recognizes it."""
 
     number: int
     objects: Mapping[int, TaughtObject]
@@ -23,10 +23,10 @@ class Known:
 
 
 class KnownObjects:
-    """What can be recognised at present.
+    """What can be recognized at present.
 
-    What many objects are recognised by takes many seconds to build, so that is done by another
-    thread, while those that were known before are recognised.
+    What many objects are recognized by takes many seconds to build, so that is done by another
+    thread, while those that were known before are recognized.
     """
 
     def __init__(self, path: Path) -> None:

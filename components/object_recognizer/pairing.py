@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from cairn.clock import SECOND
+from cairn import SECOND
 from cairn.schemas.sensor_msgs import Image
 
 PATIENCE_NS = SECOND

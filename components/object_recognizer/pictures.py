@@ -1,4 +1,4 @@
-"""Draws taught objects and what was recognised in an image."""
+"""Draws taught objects and what was recognized in an image."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from cairn.errors import CairnError
+from cairn import CairnError
 from cairn.files import replacing
 from cairn.vision.file_errors import why
 from cairn.vision.recognition import Recognition
 from cairn.vision.taught import TaughtObject
 
-_COLOURS = ("tab:red", "tab:green", "tab:blue", "tab:orange", "tab:purple", "tab:cyan", "tab:pink")
+_COLORS = ("tab:red", "tab:green", "tab:blue", "tab:orange", "tab:purple", "tab:cyan", "tab:pink")
 _DPI = 100
 
 
@@ -40,36 +40,36 @@ def draw_views(known: TaughtObject, file: Path) -> None:
 
 
 def draw_recognized(
-    grey: NDArray[np.uint8], found: Sequence[Recognition], labels: Sequence[str], file: Path
+    gray: NDArray[np.uint8], found: Sequence[Recognition], labels: Sequence[str], file: Path
 ) -> None:
-    """An image with outline, matched features and label of each object recognised in it.
+    """An image with outline, matched features and label of each object recognized in it.
 
     Raises `CairnError` if it cannot be written.
     """
-    height, width = grey.shape
+    height, width = gray.shape
     scale = max(1.0, 600 / width)
     figure = Figure(figsize=(scale * width / _DPI, scale * height / _DPI))
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
-    axes.imshow(grey, cmap="gray", vmin=0, vmax=255)
+    axes.imshow(gray, cmap="gray", vmin=0, vmax=255)
     axes.set_xlim(-0.5, width - 0.5)
     axes.set_ylim(height - 0.5, -0.5)
     axes.axis("off")
     for number, (one, label) in enumerate(zip(found, labels, strict=True)):
-        _draw_one(axes, one, label, _COLOURS[number % len(_COLOURS)])
+        _draw_one(axes, one, label, _COLORS[number % len(_COLORS)])
     _save(figure, file)
 
 
-def _draw_one(axes: Axes, one: Recognition, label: str, colour: str) -> None:
+def _draw_one(axes: Axes, one: Recognition, label: str, color: str) -> None:
     outline = np.vstack((one.corners, one.corners[:1]))
-    axes.plot(outline[:, 0], outline[:, 1], color=colour, linewidth=2)
-    axes.scatter(one.image_points[:, 0], one.image_points[:, 1], s=6, color=colour)
+    axes.plot(outline[:, 0], outline[:, 1], color=color, linewidth=2)
+    axes.scatter(one.image_points[:, 0], one.image_points[:, 1], s=6, color=color)
     (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
     x, y = one.corners[one.corners[:, 1].argmin()]
     axes.text(
         float(np.clip(x, left, right)), float(np.clip(y, top + 12, bottom)), label,
         color="white", fontsize=9, va="bottom", clip_on=True,
         ha="left" if x < (left + right) / 2 else "right",
-        bbox={"facecolor": colour, "edgecolor": "none", "pad": 1.5, "alpha": 0.8},
+        bbox={"facecolor": color, "edgecolor": "none", "pad": 1.5, "alpha": 0.8},
     )  # fmt: skip
 
 

@@ -11,6 +11,7 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
+from cairn import CairnError
 from cairn.cli.connection import Json
 from cairn.cli.tables import line, note, print_json
 from cairn.components.object_recognizer.agreement import contradiction
@@ -21,11 +22,10 @@ from cairn.components.object_recognizer.given import DEFAULT_MAP, MapFile
 from cairn.components.object_recognizer.pictures import draw_recognized
 from cairn.components.object_recognizer.sighting import Sighting, sighted, without_wrong_twins
 from cairn.components.object_recognizer.stereo_check import swapped, unlike
-from cairn.errors import CairnError
 from cairn.schemas.sensor_msgs import CameraInfo
 from cairn.vision.camera_file import read_camera
 from cairn.vision.features import extract
-from cairn.vision.images import Grey, read_image
+from cairn.vision.images import Gray, read_image
 from cairn.vision.recognition import Recognizer
 from cairn.vision.stereo import StereoRig
 from cairn.vision.taught import TaughtObject
@@ -41,12 +41,12 @@ _NARROW, _WIDE = 15.0, 140.0
 
 @dataclass(frozen=True)
 class Seen:
-    """What was recognised in an image, rectified if the camera is calibrated, and what is odd.
+    """What was recognized in an image, rectified if the camera is calibrated, and what is odd.
 
     `no_stereo` says why stereo told nothing; it is empty if it might have.
     """
 
-    grey: Grey
+    gray: Gray
     features: int
     sightings: list[Sighting]
     no_stereo: str
@@ -71,14 +71,14 @@ def recognize(
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option(metavar="PICTURE", help="Draw what was recognised: outlines and features."),
+        typer.Option(metavar="PICTURE", help="Draw what was recognized: outlines and features."),
     ] = None,
     json: Json = False,
 ) -> None:
-    """Recognise taught objects in an image, and with a calibration tell where they are.
+    """Recognize taught objects in an image, and with a calibration tell where they are.
 
     Range [m] and bearing [rad, left positive] are from the camera, in the plane; corners are in the
-    image, in the rectified one if there is a calibration. Nothing recognised is no error.
+    image, in the rectified one if there is a calibration. Nothing recognized is no error.
 
     --json prints image, right_image, map, width, height, features, remarks and objects, each with
     object_id, name, view, inliers, corners (four x, y [px]: top left, top right, bottom right,
@@ -99,8 +99,8 @@ def recognize(
     if infos:
         calibrations = [read_camera(file, str(file)) for file in infos]
         given = zip((image, right_image), (left, right), calibrations, strict=False)
-        for file, grey, calibration in given:
-            _check_size(file, grey, calibration)
+        for file, gray, calibration in given:
+            _check_size(file, gray, calibration)
         cameras = cameras_of(calibrations[0], calibrations[1] if len(infos) == 2 else None)
     known = {one.object_id: one for one in taught.objects}
     seen = _seen(image, right_image, left, right, cameras, known)
@@ -108,15 +108,15 @@ def recognize(
     objects = [_object(one, names) for one in seen.sightings]
     if out is not None:
         labels = [_label(one) for one in objects]
-        draw_recognized(seen.grey, [one.recognition for one in seen.sightings], labels, out)
+        draw_recognized(seen.gray, [one.recognition for one in seen.sightings], labels, out)
     if json:
         print_json(
             {
                 "image": str(image),
                 "right_image": str(right_image) if right_image is not None else None,
                 "map": str(map_file or DEFAULT_MAP),
-                "width": seen.grey.shape[1],
-                "height": seen.grey.shape[0],
+                "width": seen.gray.shape[1],
+                "height": seen.gray.shape[0],
                 "features": seen.features,
                 "objects": objects,
                 "no_stereo": seen.no_stereo or None,
@@ -127,7 +127,7 @@ def recognize(
     for one in objects:
         line(_told(one))
     if not objects:
-        line("nothing recognised")
+        line("nothing recognized")
     for remark in seen.remarks:
         note(remark)
 
@@ -139,8 +139,8 @@ def _same(one: Path, other: Path | None) -> bool:
 def _seen(
     image: Path,
     right_image: Path | None,
-    left: Grey,
-    right: Grey | None,
+    left: Gray,
+    right: Gray | None,
     cameras: Cameras | None,
     known: dict[int, TaughtObject],
 ) -> Seen:
@@ -177,14 +177,14 @@ def _seen(
             if any(one.rows_off for one in sightings):
                 no_stereo = "the rows of the images are not aligned"
             elif sightings and not no_stereo:
-                no_stereo = "what was recognised is not found in the right image, or is too far"
+                no_stereo = "what was recognized is not found in the right image, or is too far"
         if no_stereo and (right is not None or cameras.right is not None):
             remarks.append(f"no stereo: {no_stereo}")
         remarks += dict.fromkeys(one.doubt for one in sightings if one.doubt)
     return Seen(rectified, len(features), sightings, no_stereo, remarks)
 
 
-def _no_pair(left: Grey, right: Grey | None, cameras: Cameras) -> str:
+def _no_pair(left: Gray, right: Gray | None, cameras: Cameras) -> str:
     """Why stereo cannot be tried, in words; empty if it can."""
     if cameras.complaint:
         raise CairnError(cameras.complaint)
@@ -220,10 +220,10 @@ def _doubted(sightings: Sequence[Sighting]) -> list[Sighting]:
     ]
 
 
-def _check_size(file: Path | None, grey: Grey | None, calibration: CameraInfo) -> None:
-    if grey is None:
+def _check_size(file: Path | None, gray: Gray | None, calibration: CameraInfo) -> None:
+    if gray is None:
         return
-    height, width = grey.shape
+    height, width = gray.shape
     if (width, height) != (calibration.width, calibration.height):
         raise CairnError(
             f"{file} is {width} x {height} pixels, but {calibration.header.frame_id} is of images "

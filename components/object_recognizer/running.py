@@ -5,20 +5,20 @@ from __future__ import annotations
 import queue
 from pathlib import Path
 
+from cairn import CairnError
 from cairn.bus import rmw
 from cairn.bus.codec import Codec
 from cairn.bus.control import request
 from cairn.cli.connection import Connection, resolve
-from cairn.errors import CairnError
 from cairn.schemas.message import InvalidMessage, type_name
 from cairn.schemas.sensor_msgs import Image
-from cairn.vision.images import Grey, grey_of
+from cairn.vision.images import Gray, gray_of
 
 PLUGIN = "object_recognizer"
 _LIMIT_S = 5.0
 
 
-def newest_image(connection: Connection, topic: str, robot: str) -> tuple[str, Grey]:
+def newest_image(connection: Connection, topic: str, robot: str) -> tuple[str, Gray]:
     """The next image on a topic, and the topic's full name.
 
     Raises `CairnError` if there is no such topic of images, or if none comes within 5 s.
@@ -41,13 +41,13 @@ def newest_image(connection: Connection, topic: str, robot: str) -> tuple[str, G
                 f"no image has come on {full} within {_LIMIT_S:g} s: look after the camera"
             ) from None
     try:
-        return full, grey_of(codec.decode(Image, sample.payload.to_bytes()))
+        return full, gray_of(codec.decode(Image, sample.payload.to_bytes()))
     except (InvalidMessage, CairnError) as error:
         raise CairnError(f"{full}: {error}") from error
 
 
 def map_of_recognizer(connection: Connection, robot: str) -> Path | None:
-    """The map file whose objects the robot recognises; None if no recogniser runs."""
+    """The map file whose objects the robot recognizes; None if no recognizer runs."""
     running = [name for name, status in connection.statuses().items() if status.plugin == PLUGIN]
     if not running:
         return None

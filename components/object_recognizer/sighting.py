@@ -1,4 +1,4 @@
-"""Where a recognised object is: by stereo, by its size, and whether the two bear each other out."""
+"""Where a recognized object is: by stereo, by its size, and whether the two bear each other out."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from cairn.vision.stereo import disparities, rows_off
 from cairn.vision.taught import TaughtObject
 
 Array = NDArray[np.float64]
-Grey = NDArray[np.uint8]
+Gray = NDArray[np.uint8]
 Way = Literal["stereo", "size", "both", "none"]
 
 APART: Final = 0.25
@@ -39,7 +39,7 @@ _MOST_POINTS = 60
 
 @dataclass(frozen=True)
 class Sighting:
-    """A recognised object and where it is, or why that is not known.
+    """A recognized object and where it is, or why that is not known.
 
     `located` is in the rectified left optical frame; `way` says by what. `ratio` is the distance
     by stereo over that by size, where there are both; `consistent` is whether the two may be of
@@ -65,10 +65,10 @@ def sighted(
     recognition: Recognition,
     known: Mapping[int, TaughtObject],
     cameras: Cameras,
-    left: Grey,
-    right: Grey | None,
+    left: Gray,
+    right: Gray | None,
 ) -> Sighting:
-    """Where what was recognised in the rectified `left` image is.
+    """Where what was recognized in the rectified `left` image is.
 
     `right` is the rectified right image, None if there is none.
     """

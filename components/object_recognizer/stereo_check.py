@@ -9,7 +9,7 @@ from cairn.components.object_recognizer.condition import blindness
 from cairn.vision.features import Features
 from cairn.vision.stereo import StereoRig, disparities, look_swapped
 
-Grey = NDArray[np.uint8]
+Gray = NDArray[np.uint8]
 
 # Points of the left image that are looked for in the right one.
 _PROBES = 100
@@ -17,12 +17,12 @@ _PROBES = 100
 _FEW = 0.2
 
 
-def swapped(left: Grey, right: Grey, features: Features, rig: StereoRig) -> bool:
+def swapped(left: Gray, right: Gray, features: Features, rig: StereoRig) -> bool:
     """Whether the rectified `left` image with these features is the right camera's."""
     return look_swapped(left, right, features.points[:_PROBES], rig)
 
 
-def unlike(left: Grey, right: Grey, features: Features, rig: StereoRig) -> str:
+def unlike(left: Gray, right: Gray, features: Features, rig: StereoRig) -> str:
     """Why rectified images are no pair of one moment, in words; empty if they may well be."""
     points = features.points[:_PROBES]
     most = rig.nearest_disparity(0.3)

@@ -6,15 +6,15 @@ from pathlib import Path
 
 import numpy as np
 
+from cairn import CairnError
 from cairn.cli.tables import line, note, print_json
 from cairn.components.object_recognizer.given import check_shape
-from cairn.errors import CairnError
 from cairn.vision.map_file import create, told
 from cairn.vision.taught import TaughtObject, View
 from cairn.vision.taught_store import Taught, read_taught, teach
-from cairn.vision.teaching import look_alikes, recognised_from, repeats
+from cairn.vision.teaching import look_alikes, recognized_from, repeats
 
-# What must be so many pixels across in an image [px] is recognised from near by only.
+# What must be so many pixels across in an image [px] is recognized from near by only.
 _LARGE = 160
 
 
@@ -42,7 +42,7 @@ def report(
     views, again = _new_views(given, known)
     # First: it may refuse them, and to try them all takes a while.
     sizes = _odd_sizes(views, known, size)
-    smallest = {source: recognised_from(view) for source, view in views.items()}
+    smallest = {source: recognized_from(view) for source, view in views.items()}
     others = [one for one in taught.objects if one.name != name]
     alike = {one.name: one for view in views.values() for one in look_alikes(view, others)}
     remarks = [
@@ -80,7 +80,7 @@ def report(
                         "width": view.width,
                         "height": view.height,
                         "features": len(view.features),
-                        "recognised_from": smallest[source],
+                        "recognized_from": smallest[source],
                     }
                     for source, view in views.items()
                 ],
@@ -92,7 +92,7 @@ def report(
     for source, view in views.items():
         shown = f"{source}: {view.width} x {view.height} pixels, {len(view.features)} features"
         longest = smallest[source]
-        line(shown if longest is None else f"{shown}, recognised from about {longest} pixels on")
+        line(shown if longest is None else f"{shown}, recognized from about {longest} pixels on")
     line(f"{name} (object {object_id}) has {total} view{'s' if total != 1 else ''} in {path}")
     for remark in remarks:
         note(remark)
@@ -122,16 +122,16 @@ def _repeating(source: str, name: str) -> str:
 
 
 def _only_near(source: str, longest: int | None) -> str:
-    """A remark on a view that is recognised from `longest` [px] on; empty if that is well."""
+    """A remark on a view that is recognized from `longest` [px] on; empty if that is well."""
     if longest is None:
         return (
-            f"{source} has so little contrast that it may not be recognised in a camera's image: "
+            f"{source} has so little contrast that it may not be recognized in a camera's image: "
             "give a photograph in good light, or teach something else"
         )
     if longest < _LARGE:
         return ""
     return (
-        f"{source} has little contrast, or only fine detail: it is recognised where it is "
+        f"{source} has little contrast, or only fine detail: it is recognized where it is "
         f"{longest} pixels or more across in the camera's image, and not from farther away"
     )
 

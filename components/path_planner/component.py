@@ -2,8 +2,20 @@
 
 from __future__ import annotations
 
-from cairn.bus.qos import LATCHED, RELIABLE, SENSOR
-from cairn.clock import SECOND, from_ns, to_ns
+from cairn import (
+    LATCHED,
+    RELIABLE,
+    SECOND,
+    SENSOR,
+    Component,
+    Config,
+    In,
+    Out,
+    every,
+    from_ns,
+    on,
+    to_ns,
+)
 from cairn.components.path_planner.config import PathPlannerConfig
 from cairn.components.path_planner.cost_map import CostMap
 from cairn.components.path_planner.hindrances import Hindrances
@@ -22,10 +34,6 @@ from cairn.planar.grid import OccupancyCells, grid_of
 from cairn.planar.messages import planar_pose
 from cairn.planar.poses import Pose
 from cairn.planar.scans import beams_of
-from cairn.runtime.component import Component
-from cairn.runtime.handlers import every, on
-from cairn.runtime.parameters import Config
-from cairn.runtime.ports import In, Out
 from cairn.schemas.cairn_nav_msgs import LocalizationHealth, MotionStatus, Movement, Plan
 from cairn.schemas.geometry_msgs import PoseWithCovarianceStamped
 from cairn.schemas.map_msgs import OccupancyGridUpdate
@@ -185,7 +193,7 @@ class PathPlanner(Component):
     @on("movement")
     def want(self, movement: Movement) -> None:
         """Plan at once for a new leg; a repeated want changes nothing."""
-        if movement.behaviour != Movement.FOLLOW:
+        if movement.behavior != Movement.FOLLOW:
             self._wanted, self._answer = None, None
             return
         wanted = self._wanted

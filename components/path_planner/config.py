@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from pydantic import Field
 
+from cairn import Config, Mount
 from cairn.components.path_planner.cost_map import Costs
-from cairn.runtime.mount import Mount
-from cairn.runtime.parameters import Config
 
 
 class PathPlannerConfig(Config):

@@ -22,7 +22,7 @@ BLOCKED = 255
 class Costs:
     """How obstacles make cells dear.
 
-    Cells whose centres are within the robot's `radius`, its `margin` and half a cell [m] of an
+    Cells whose centers are within the robot's `radius`, its `margin` and half a cell [m] of an
     obstacle's are closed: no path leads through what motion control will not pass. Those closed by
     the margin alone do not break a path that exists, and the goal may be there. Beyond, a cell
     costs up to `weight` times its length more, falling to none over `reach` [m]. Unknown cells are

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from cairn.clock import SECOND
+from cairn import SECOND
 from cairn.planar.poses import Pose, distance
 from cairn.schemas.cairn_nav_msgs import MotionStatus
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from cairn.components.path_planner.cost_map import BLOCKED, CostMap, nearest_open
 from cairn.planar.grid import Frame
-from cairn.planar.path_shape import centres, cost, first_closed, stepped, taut
+from cairn.planar.path_shape import centers, cost, first_closed, stepped, taut
 from cairn.planar.poses import Pose
 from cairn.planar.shortest_path import CLOSED, MARGIN, Cell, PathSearch, Prices
 
@@ -199,7 +199,7 @@ class Planner:
         entering = _closed(prices, frame.cell(goal[0], goal[1]))
         head = np.empty((0, 2)) if leaving else np.array([here])
         tail = np.empty((0, 2)) if entering else np.array([there])
-        line = taut(prices, np.vstack((head, centres(cells), tail)))
+        line = taut(prices, np.vstack((head, centers(cells), tail)))
         points = stepped(prices, line, self._step_m / frame.resolution)
         if leaving:
             points = np.vstack(([here], points))

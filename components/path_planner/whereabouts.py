@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from enum import Enum, auto
 
-from cairn.clock import SECOND
+from cairn import SECOND
 from cairn.planar.odometry import Added, OdometryHistory, jumped
 from cairn.planar.poses import Pose
 

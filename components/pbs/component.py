@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import time
 
-from cairn.bus.qos import LATCHED, SENSOR
-from cairn.clock import SECOND, from_ns
+from cairn import LATCHED, SECOND, SENSOR, Component, Config, Out, ParameterRefused, every, from_ns
 from cairn.components.pbs.config import PbsConfig
 from cairn.components.pbs.conversation import Conversation, Measured
 from cairn.components.pbs.scan_message import ScanShape
@@ -13,10 +12,6 @@ from cairn.driver.device_feed import DeviceFeed
 from cairn.driver.diagnostics import ERROR, OK, WARN, diagnostics
 from cairn.driver.errors import DeviceError
 from cairn.planar.messages import transform_message
-from cairn.runtime.component import Component
-from cairn.runtime.handlers import every
-from cairn.runtime.parameters import Config, ParameterRefused
-from cairn.runtime.ports import Out
 from cairn.schemas.diagnostic_msgs import DiagnosticArray
 from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.std_msgs import Header
@@ -82,7 +77,7 @@ class PbsScanner(Component):
     def report(self) -> None:
         """Tell how the sensor is."""
         hz = self._feed.hz()
-        level, text = self._judgement(hz)
+        level, text = self._judgment(hz)
         conversation = self._conversation
         values = {
             "port": self.config.port,
@@ -97,7 +92,7 @@ class PbsScanner(Component):
         told = diagnostics(self.clock.now(), self.name, self.config.port, level, text, values)
         self.diagnostics.publish(told)
 
-    def _judgement(self, hz: float) -> tuple[int, str]:
+    def _judgment(self, hz: float) -> tuple[int, str]:
         damaged = self._conversation.damaged - self._damaged_before
         self._damaged_before += damaged
         if self._feed.trouble:

@@ -7,9 +7,8 @@ from typing import Literal
 
 from pydantic import Field
 
+from cairn import Config, Mount
 from cairn.driver.device_names import SerialPort
-from cairn.runtime.mount import Mount
-from cairn.runtime.parameters import Config
 
 
 class PbsConfig(Config):

@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from cairn.clock import SECOND, from_ns
+from cairn import SECOND, from_ns
 from cairn.components.replay.bag_file import read_bag
 from cairn.components.replay.bag_images import bag_images, image_topics
 from cairn.components.replay.bag_times import own_stamps

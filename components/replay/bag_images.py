@@ -12,14 +12,13 @@ import numpy as np
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
-from cairn.clock import SECOND
+from cairn import SECOND, CairnError
 from cairn.components.replay.bag_times import own_stamps
-from cairn.components.replay.recording import Grey, Images, RecordingError
-from cairn.errors import CairnError
+from cairn.components.replay.recording import Gray, Images, RecordingError
 from cairn.schemas.message import InvalidMessage
 from cairn.schemas.sensor_msgs import Image
 from cairn.vision.image_files import side_of
-from cairn.vision.images import decoded, grey_of
+from cairn.vision.images import decoded, gray_of
 
 IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 """The types of topics that hold images."""
@@ -77,7 +76,7 @@ def bag_images(path: Path, topics: list[str]) -> tuple[Images, list[str]]:
     height, width = _first_whole(_InOrder(path, topics[0], chosen[0]), len(chosen[0])).shape
     readers = [_InOrder(path, topic, of) for topic, of in zip(topics, chosen, strict=True)]
 
-    def load(index: int) -> tuple[Grey, ...]:
+    def load(index: int) -> tuple[Gray, ...]:
         return tuple(reader.image(index) for reader in readers)
 
     stamps = [times[0][number] for number in chosen[0]]
@@ -92,14 +91,14 @@ class _InOrder:
         self._numbers = numbers
         self._messages = enumerate(_messages(path, topic))
 
-    def image(self, index: int) -> Grey:
+    def image(self, index: int) -> Gray:
         for number, (_, message) in self._messages:
             if number == self._numbers[index]:
-                return _grey(self._name, number, message)
+                return _gray(self._name, number, message)
         raise RecordingError(f"{self._name} ends before image {index + 1}")
 
 
-def _first_whole(images: _InOrder, count: int) -> Grey:
+def _first_whole(images: _InOrder, count: int) -> Gray:
     """The first image that is not damaged; raises `RecordingError` if there is none."""
     for index in range(count - 1):
         with suppress(RecordingError):
@@ -152,11 +151,11 @@ def _paired(left: Mapping[int, int], right: Mapping[int, int]) -> list[list[int]
     return pairs
 
 
-def _grey(name: str, number: int, message: Any) -> Grey:
+def _gray(name: str, number: int, message: Any) -> Gray:
     try:
         if hasattr(message, "format"):
             return decoded(f"it ({message.format})", np.asarray(message.data, np.uint8).tobytes())
-        return grey_of(
+        return gray_of(
             Image(
                 height=message.height,
                 width=message.width,

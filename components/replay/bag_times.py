@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from cairn.clock import SECOND
+from cairn import SECOND
 
 # Stamps that are further from the time of receipt than this are of another clock [ns].
 _ANOTHER_CLOCK = 60 * SECOND

@@ -7,16 +7,11 @@ from dataclasses import replace
 import numpy as np
 from pydantic import Field
 
-from cairn.bus.qos import SENSOR
-from cairn.clock import from_ns
+from cairn import SENSOR, CairnError, Out, ReadPath, every, from_ns
 from cairn.components.replay.driver import RecordingConfig, RecordingDriver
 from cairn.components.replay.due import Records
-from cairn.components.replay.recording import Grey, Images
-from cairn.errors import CairnError
+from cairn.components.replay.recording import Gray, Images
 from cairn.runtime.complaints import Complaints
-from cairn.runtime.handlers import every
-from cairn.runtime.marks import ReadPath
-from cairn.runtime.ports import Out
 from cairn.schemas.sensor_msgs import CameraInfo, Image
 from cairn.schemas.std_msgs import Header
 from cairn.vision.camera_file import read_camera
@@ -42,7 +37,7 @@ class ReplayCameraConfig(RecordingConfig):
 class ReplayCamera(RecordingDriver):
     """Replays the images of a camera, or of a stereo camera in pairs, each at its recorded time.
 
-    Images are sent grey and as they were taken; how to rectify them is told before them.
+    Images are sent gray and as they were taken; how to rectify them is told before them.
     """
 
     config: ReplayCameraConfig
@@ -126,7 +121,7 @@ class ReplayCamera(RecordingDriver):
         return infos
 
 
-def _message(pixels: Grey, header: Header) -> Image:
+def _message(pixels: Gray, header: Header) -> Image:
     height, width = pixels.shape
     return Image(
         header=header,

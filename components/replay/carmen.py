@@ -9,7 +9,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from cairn.clock import from_ns
+from cairn import from_ns
 from cairn.components.replay.carmen_lines import LaserLine, OdometryLine, read_log
 from cairn.components.replay.carmen_poses import chained, corrected, signed
 from cairn.components.replay.recording import (
@@ -34,7 +34,7 @@ from cairn.schemas.std_msgs import Header
 Line = TypeVar("Line", OdometryLine, LaserLine)
 
 _KINDS = ("FLASER", "ROBOTLASER1", "RAWLASER1")  # the first that a log holds is replayed
-# A SICK LMS tells by codes of centimetres why it measured nothing: 8183 that all was beyond its
+# A SICK LMS tells by codes of centimeters why it measured nothing: 8183 that all was beyond its
 # reach, 8186 to 8191 an error such as dazzling or a signal too weak: at edges of things, too. [m]
 _SICK_LONGEST, _SICK_ERRORS = 81.83, 81.855
 _SHORTEST = 0.02  # [m]; zero is what some lasers tell where they measured nothing

@@ -6,14 +6,9 @@ from typing import ClassVar, Literal
 
 from pydantic import Field
 
-from cairn.bus.qos import LATCHED
-from cairn.clock import SECOND, from_ns, to_ns
+from cairn import LATCHED, SECOND, Component, Config, In, Out, ParameterRefused, from_ns, on, to_ns
 from cairn.components.replay.driver import RecordingConfig
 from cairn.components.replay.odometry import REACHED_EVERY
-from cairn.runtime.component import Component
-from cairn.runtime.handlers import on
-from cairn.runtime.parameters import Config, ParameterRefused
-from cairn.runtime.ports import In, Out
 from cairn.schemas.rosgraph_msgs import Clock
 
 # How long to listen for the time of a replay that runs already [ns].

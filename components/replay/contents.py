@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from cairn.clock import SECOND
+from cairn import SECOND
 from cairn.components.replay.recording import Recording
 
 

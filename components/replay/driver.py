@@ -6,13 +6,10 @@ from collections.abc import Callable, Sequence
 
 from pydantic import Field
 
-from cairn.clock import SECOND
+from cairn import SECOND, Component, Config, ParameterRefused, ReadPath
 from cairn.components.replay.due import Records
 from cairn.components.replay.formats import open_recording
 from cairn.components.replay.recording import Recording, RecordingError
-from cairn.runtime.component import Component
-from cairn.runtime.marks import ReadPath
-from cairn.runtime.parameters import Config, ParameterRefused
 
 
 class Topics(Config):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
 
-from cairn.clock import SECOND
+from cairn import SECOND
 
 LATE_NS = SECOND // 2
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from cairn.components.replay.image_times import check_order, times_of
-from cairn.components.replay.recording import Grey, Images, RecordingError
+from cairn.components.replay.recording import Gray, Images, RecordingError
 from cairn.vision.image_files import images_in, paired, sides_of
 from cairn.vision.images import read_image, upright_size
 
@@ -45,7 +45,7 @@ def open_folder(folder: Path, rate_hz: float | None) -> tuple[Images, list[str]]
     stamps = [row[0] for row in rows]
     check_order(folder, [row[1] for row in rows], stamps)
 
-    def load(index: int) -> tuple[Grey, ...]:
+    def load(index: int) -> tuple[Gray, ...]:
         return tuple(read_image(file) for file in rows[index][1:])
 
     return Images(folder.name, stamps, len(columns), size, load), notes

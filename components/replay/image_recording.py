@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from cairn import CairnError
 from cairn.components.replay.image_folder import open_folder
 from cairn.components.replay.recording import (
     Images,
@@ -16,7 +17,6 @@ from cairn.components.replay.recording import (
     Trajectory,
 )
 from cairn.components.replay.video import is_video, open_videos
-from cairn.errors import CairnError
 from cairn.schemas.cairn_msgs import VisualMap
 from cairn.vision.image_files import SUFFIXES, is_of_camera, paired, side_of
 

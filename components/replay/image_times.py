@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 
-from cairn.clock import SECOND
+from cairn import SECOND
 from cairn.components.replay.recording import RecordingError
 from cairn.components.replay.text_lines import text_lines
 

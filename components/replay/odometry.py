@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from cairn.bus.qos import LATCHED, RELIABLE
-from cairn.clock import SECOND, from_ns
+from cairn import LATCHED, RELIABLE, SECOND, Out, every, from_ns
 from cairn.components.replay.driver import RecordingDriver
 from cairn.components.replay.due import Records
 from cairn.planar.messages import with_covariance
-from cairn.runtime.handlers import every
-from cairn.runtime.ports import Out
 from cairn.schemas.geometry_msgs import Twist, TwistWithCovariance, Vector3
 from cairn.schemas.nav_msgs import Odometry
 from cairn.schemas.rosgraph_msgs import Clock

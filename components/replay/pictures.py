@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from cairn.clock import SECOND
+from cairn import SECOND
 from cairn.components.replay.recording import Odometry, Recording, RecordingError, Scans
 from cairn.planar.poses import Pose
 from cairn.planar.scans import beams_of
@@ -17,7 +17,7 @@ from cairn.planar.scans import beams_of
 Array = NDArray[np.float64]
 
 _ALONE, _MAPPED = 4, 400  # how many scans are drawn each for itself, and in the map
-_COLOURS = ("tab:blue", "tab:orange", "tab:green", "tab:red")
+_COLORS = ("tab:blue", "tab:orange", "tab:green", "tab:red")
 _AT_SCANNER: Pose = (0.0, 0.0, 0.0)
 
 
@@ -65,10 +65,10 @@ def draw_recording(recording: Recording, title: str, file: Path) -> None:
 
 
 def _draw_scans(axes: Axes, scans: Scans) -> None:
-    for number, colour in zip(_chosen(len(scans.stamps), _ALONE), _COLOURS, strict=False):
+    for number, color in zip(_chosen(len(scans.stamps), _ALONE), _COLORS, strict=False):
         points = beams_of(scans.messages[number], _AT_SCANNER).points()
         seconds = (scans.stamps[number] - scans.stamps[0]) / SECOND
-        axes.plot(*points.T, ".", color=colour, markersize=3, label=f"scan at {seconds:.1f} s")
+        axes.plot(*points.T, ".", color=color, markersize=3, label=f"scan at {seconds:.1f} s")
     axes.plot(0, 0, marker=(3, 0, -90), color="black", markersize=10, label="the scanner")
     axes.set_title("Scans in the scanner's frame")
 

@@ -9,12 +9,12 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from cairn.errors import CairnError
+from cairn import CairnError
 from cairn.schemas.cairn_msgs import VisualMap
 from cairn.schemas.sensor_msgs import LaserScan
 
 Array = NDArray[np.float64]
-Grey = NDArray[np.uint8]
+Gray = NDArray[np.uint8]
 
 
 class RecordingError(CairnError):
@@ -86,7 +86,7 @@ class Images:
     stamps: Sequence[int]
     cameras: int
     size: tuple[int, int]
-    load: Callable[[int], tuple[Grey, ...]]
+    load: Callable[[int], tuple[Gray, ...]]
 
 
 @dataclass(frozen=True)

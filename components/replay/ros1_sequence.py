@@ -40,7 +40,7 @@ class SequentialBag:
     _connections: dict[bytes, Connection] = field(default_factory=dict)
 
     def messages(self) -> Iterator[tuple[Connection, int, bytes]]:
-        """Connection, time of receipt [ns] and serialised bytes of each message in the file."""
+        """Connection, time of receipt [ns] and serialized bytes of each message in the file."""
         try:
             data = self.path.read_bytes()
         except OSError as error:

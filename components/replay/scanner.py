@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from cairn.bus.qos import SENSOR
+from cairn import SENSOR, Out, every
 from cairn.components.replay.driver import RecordingDriver
 from cairn.components.replay.due import Records
-from cairn.runtime.handlers import every
-from cairn.runtime.ports import Out
 from cairn.schemas.sensor_msgs import LaserScan
 
 

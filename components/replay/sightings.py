@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from cairn.clock import from_ns
+from cairn import Out, every, from_ns
 from cairn.components.replay.driver import RecordingDriver
 from cairn.components.replay.due import Records
 from cairn.components.replay.recording import Sighting, Sightings
-from cairn.runtime.handlers import every
-from cairn.runtime.ports import Out
 from cairn.schemas.cairn_msgs import RecognizedObject, RecognizedObjectArray
 from cairn.schemas.std_msgs import Header
 

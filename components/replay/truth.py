@@ -4,13 +4,10 @@ from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
 
-from cairn.bus.qos import LATCHED
-from cairn.clock import from_ns
+from cairn import LATCHED, Out, every, from_ns
 from cairn.components.replay.driver import RecordingDriver
 from cairn.components.replay.due import Records
 from cairn.planar.messages import pose_message
-from cairn.runtime.handlers import every
-from cairn.runtime.ports import Out
 from cairn.schemas.cairn_msgs import VisualMap
 from cairn.schemas.geometry_msgs import PoseStamped
 from cairn.schemas.std_msgs import Header

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from cairn.components.replay.image_times import at_rate
-from cairn.components.replay.recording import Grey, Images, RecordingError
+from cairn.components.replay.recording import Gray, Images, RecordingError
 
 
 def is_video(path: Path) -> bool:
@@ -52,7 +52,7 @@ def open_videos(files: Sequence[Path], rate_hz: float | None) -> tuple[Images, l
         )
     name = " and ".join(file.name for file in files)
 
-    def load(index: int) -> tuple[Grey, ...]:
+    def load(index: int) -> tuple[Gray, ...]:
         return tuple(video.frame(index) for video in videos)
 
     return Images(name, at_rate(count, rate), len(videos), first.size, load), notes
@@ -80,7 +80,7 @@ class _Video:
         if self.frames < 1:
             raise RecordingError(f"{file} holds no frames: take a fresh copy, or convert it")
 
-    def frame(self, index: int) -> Grey:
+    def frame(self, index: int) -> Gray:
         """Frame `index`, no earlier than the last one asked for; raises `RecordingError`."""
         while self._next < index and self._capture.grab():
             self._next += 1

@@ -41,7 +41,7 @@ def deviations(poses: Array) -> Array:
     """Standard deviations (n, 2) of place [m] and turn [rad] of poses (n, 3), from the first on.
 
     By the way and the turns behind the robot: 1 % of the way; a heading that veers by 0.02 rad per
-    metre, drifts by 0.03 rad per square root of a metre, and misses 3 % of the turns. That is what
+    meter, drifts by 0.03 rad per square root of a meter, and misses 3 % of the turns. That is what
     the wheels of the Freiburg recordings fr079 and fr101 were off against corrected poses.
     """
     forward, turned = _steps(poses)

@@ -8,17 +8,11 @@ from pathlib import Path
 
 from pydantic import Field
 
-from cairn.bus.qos import LATCHED, RELIABLE
-from cairn.clock import to_ns
+from cairn import LATCHED, RELIABLE, CairnError, Component, Config, In, every, on, to_ns
 from cairn.components.report.journal import Journal, Value
 from cairn.components.report.record import RunRecord
 from cairn.components.report.table import render_table
-from cairn.errors import CairnError
 from cairn.planar.messages import planar_pose, planar_poses
-from cairn.runtime.component import Component
-from cairn.runtime.handlers import every, on
-from cairn.runtime.parameters import Config
-from cairn.runtime.ports import In
 from cairn.schemas.cairn_msgs import ComponentStatus, VisualMap, VisualMapChange, VisualObject
 from cairn.schemas.cairn_nav_msgs import MOVE_STATES, Collision, MoveOrder, MoveStatus
 from cairn.schemas.geometry_msgs import PoseStamped, PoseWithCovarianceStamped

@@ -49,7 +49,7 @@ class Moves:
             self.standing[-1].registered_at = None
 
     def _since(self, place: Place) -> int:
-        """The move that left this place; sightings may have refined it by centimetres before."""
+        """The move that left this place; sightings may have refined it by centimeters before."""
         left = [move.left for move in self.standing]
         apart = [math.inf if one is None else math.dist(one, place) for one in left]
         return min(reversed(range(len(apart))), key=apart.__getitem__, default=0)

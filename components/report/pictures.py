@@ -28,7 +28,7 @@ def draw_map(
 ) -> None:
     """Draw the true and the estimated path and each object's old, new and true place.
 
-    `grids` are the grid map as it was first and as it is now: what has changed is coloured.
+    `grids` are the grid map as it was first and as it is now: what has changed is colored.
     """
     shape = 1.0 if grids is None else grids[1].info.height / max(1, grids[1].info.width)
     figure = Figure(figsize=(9, max(5.0, 9 * shape + 1.5 * (shape < 1))), layout="constrained")
@@ -59,7 +59,7 @@ def draw_map(
 
 
 def draw_reliability(record: RunRecord, file: Path) -> None:
-    """Draw each object's pose reliability over time; those removed or registered in colour."""
+    """Draw each object's pose reliability over time; those removed or registered in color."""
     changed = [thing for thing in record.objects.values() if _has_changed(thing)]
     still = [thing for thing in record.objects.values() if not _has_changed(thing)]
     figure = Figure(figsize=(11, 6), layout="constrained")

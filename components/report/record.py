@@ -122,7 +122,7 @@ class RunRecord:
         self.collisions.append(Touch(stamp, what, x, y, speed))
 
     def driven_m(self) -> float:
-        """The way truly driven [m]; steps of more than half a metre are not driven but carried."""
+        """The way truly driven [m]; steps of more than half a meter are not driven but carried."""
         steps = np.hypot(*np.diff(self.true_track()[:, :2], axis=0).T)
         return float(steps[steps < _CARRIED_M].sum())
 

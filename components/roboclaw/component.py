@@ -5,7 +5,18 @@ from __future__ import annotations
 import math
 import time
 
-from cairn.bus.qos import RELIABLE, SENSOR
+from cairn import (
+    RELIABLE,
+    SENSOR,
+    CairnError,
+    Component,
+    Config,
+    In,
+    Out,
+    ParameterRefused,
+    every,
+    on,
+)
 from cairn.components.roboclaw.commanding import LatestCommand
 from cairn.components.roboclaw.config import RoboclawBaseConfig
 from cairn.components.roboclaw.driving import Driving, Step
@@ -23,12 +34,7 @@ from cairn.components.roboclaw.setting_up import Ready
 from cairn.driver.device_thread import DeviceThread
 from cairn.driver.errors import DeviceError
 from cairn.driver.rate import RateWindow
-from cairn.errors import CairnError
 from cairn.runtime.complaints import Complaints
-from cairn.runtime.component import Component
-from cairn.runtime.handlers import every, on
-from cairn.runtime.parameters import Config, ParameterRefused
-from cairn.runtime.ports import In, Out
 from cairn.schemas.diagnostic_msgs import DiagnosticArray
 from cairn.schemas.geometry_msgs import Twist
 from cairn.schemas.nav_msgs import Odometry

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from pydantic import Field, model_validator
 
+from cairn import Config
 from cairn.components.roboclaw.driving import DriveSettings
 from cairn.components.roboclaw.kinematics import Channel, Geometry, Limits
 from cairn.components.roboclaw.odometry import OdometryErrors
 from cairn.components.roboclaw.wheel_watch import WatchLimits
 from cairn.driver.device_names import SerialPort
-from cairn.runtime.parameters import Config
 
 _CYCLES = 4
 
@@ -79,7 +79,7 @@ class RoboclawBaseConfig(Config):
     )
     way: float = Field(0.01, ge=0, le=1, description="Error of ways [m/sqrt(m)].")
     turn_error: float = Field(0.02, ge=0, le=1, description="Error of turns [rad/sqrt(rad)].")
-    turn_per_metre: float = Field(
+    turn_per_meter: float = Field(
         0.01, ge=0, le=1, description="Error of the heading on the way [rad/sqrt(m)]."
     )
 
@@ -129,4 +129,4 @@ class RoboclawBaseConfig(Config):
 
     def odometry_errors(self) -> OdometryErrors:
         """How fast the odometry's covariance grows."""
-        return OdometryErrors(self.way, self.turn_error, self.turn_per_metre)
+        return OdometryErrors(self.way, self.turn_error, self.turn_per_meter)

@@ -63,7 +63,7 @@ class Dialogue:
     def order(self, order: Order) -> None:
         """Send an order, and have it acknowledged; raises `DeviceError`."""
         packet = order_packet(self._address, order.command, order.data)
-        self._converse(order.command, packet, len(ACKNOWLEDGED), _acknowledgement)
+        self._converse(order.command, packet, len(ACKNOWLEDGED), _acknowledgment)
 
     def ask(self, question: Question) -> tuple[int, ...]:
         """The numbers that answer a question; raises `DeviceError`."""
@@ -180,5 +180,5 @@ class Dialogue:
         return reply, None
 
 
-def _acknowledgement(reply: bytes) -> bytes | None:
+def _acknowledgment(reply: bytes) -> bytes | None:
     return reply if reply == ACKNOWLEDGED else None

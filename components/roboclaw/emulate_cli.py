@@ -6,13 +6,13 @@ from typing import Annotated, get_args
 
 import typer
 
+from cairn import CairnError
 from cairn.components.roboclaw.emulated_controller import Firmware
 from cairn.components.roboclaw.emulated_motor import MotorFault
 from cairn.components.roboclaw.emulator import EmulatedRoboclaw
 from cairn.components.roboclaw.packets import ADDRESSES
 from cairn.driver.emulate_command import Faults, Paced, Place, Pty, Seed, Serial, Tcp, emulate
 from cairn.driver.emulator_orders import Order
-from cairn.errors import CairnError
 
 _FIRMWARES: tuple[Firmware, ...] = get_args(Firmware)
 _FAULTS: tuple[MotorFault, ...] = get_args(MotorFault)

@@ -80,7 +80,7 @@ def _power(*motors: int) -> Callable[..., None]:
 
 
 def _ramped_power(*motors: int) -> Callable[..., None]:
-    """Duty and its acceleration by turns; the ramp is not modelled."""
+    """Duty and its acceleration by turns; the ramp is not modeled."""
     return lambda it, *numbers: _power(*motors)(it, *numbers[::2])
 
 

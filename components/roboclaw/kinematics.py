@@ -1,8 +1,8 @@
 """What wheels do when a differential base moves: twists, wheel speeds, encoder counts.
 
-Frames as REP 103 has them: x ahead, turns anticlockwise. With wheels at distance b, forward speed v
-and turn w: v_left = v - w b/2, v_right = v + w b/2 (Siegwart and Nourbakhsh, Introduction to
-Autonomous Mobile Robots, section 3.2).
+Frames as REP 103 has them: x ahead, turns counterclockwise. With wheels at distance b,
+forward speed v and turn w: v_left = v - w b/2, v_right = v + w b/2 (Siegwart and Nourbakhsh,
+Introduction to Autonomous Mobile Robots, section 3.2).
 """
 
 from __future__ import annotations
@@ -45,21 +45,21 @@ class Geometry:
 
     def channel_counts(self, left: float, right: float) -> tuple[int, int]:
         """Counts [1/s] for M1 and M2 of wheels' speeds [m/s]."""
-        scales = self._counts_per_metre()
+        scales = self._counts_per_meter()
         wheels = (round(left * scales[0]), round(right * scales[1]))
         return wheels if self.left == "m1" else (wheels[1], wheels[0])
 
     def wheel_ways(self, first: int, second: int) -> Pair:
         """Ways [m] of the left and the right wheel of counts of M1 and M2."""
         left, right = (first, second) if self.left == "m1" else (second, first)
-        scales = self._counts_per_metre()
+        scales = self._counts_per_meter()
         return left / scales[0], right / scales[1]
 
     def fastest_wheels(self, first: int, second: int) -> float:
         """The speed [m/s] that both wheels reach, where M1 and M2 reach these [counts/s]."""
         return min(abs(way) for way in self.wheel_ways(first, second))
 
-    def _counts_per_metre(self) -> Pair:
+    def _counts_per_meter(self) -> Pair:
         left = self.counts_per_turn / (2.0 * math.pi * self.radius)
         right = left / self.radius_ratio
         return (

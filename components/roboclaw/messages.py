@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cairn.clock import from_ns
+from cairn import from_ns
 from cairn.components.roboclaw.driving import Step
 from cairn.components.roboclaw.health import Health
 from cairn.components.roboclaw.odometry import OdometryErrors, WheelOdometry
@@ -35,7 +35,7 @@ def odometry_message(
     # The random walks of a step, as speeds.
     covariance[_FORWARD] = errors.way**2 * abs(step.way) / seconds**2
     covariance[_TURN] = (
-        errors.turn**2 * abs(step.turned) + errors.turn_per_metre**2 * abs(step.way)
+        errors.turn**2 * abs(step.turned) + errors.turn_per_meter**2 * abs(step.way)
     ) / seconds**2
     twist = Twist(linear=Vector3(x=speed[0]), angular=Vector3(z=speed[1]))
     return Odometry(

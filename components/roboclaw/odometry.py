@@ -22,7 +22,7 @@ class OdometryErrors:
     """[m/sqrt(m)]"""
     turn: float
     """[rad/sqrt(rad)]"""
-    turn_per_metre: float
+    turn_per_meter: float
     """[rad/sqrt(m)]"""
 
 
@@ -78,6 +78,6 @@ class WheelOdometry:
         of_pose[0, 2], of_pose[1, 2] = -chord * sine, chord * cosine
         of_step = np.array([[cosine, -0.5 * chord * sine], [sine, 0.5 * chord * cosine], [0, 1]])
         way_variance = errors.way**2 * abs(way)
-        turn_variance = errors.turn**2 * abs(turned) + errors.turn_per_metre**2 * abs(way)
+        turn_variance = errors.turn**2 * abs(turned) + errors.turn_per_meter**2 * abs(way)
         noise = (of_step * (way_variance, turn_variance)) @ of_step.T
         self.covariance = of_pose @ self.covariance @ of_pose.T + noise

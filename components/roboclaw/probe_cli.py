@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 
 import typer
 
+from cairn import CairnError
 from cairn.cli.connection import Json
 from cairn.cli.tables import line, note, print_json
 from cairn.components.roboclaw.dialogue import Dialogue
@@ -14,7 +15,6 @@ from cairn.components.roboclaw.kinematics import counted
 from cairn.components.roboclaw.packets import ADDRESSES
 from cairn.components.roboclaw.probing import counts, facts, talking, turn_motor
 from cairn.components.roboclaw.wheel_advice import Direction, Turned, Wheel, advice
-from cairn.errors import CairnError
 
 _EVERY_S = 0.5
 _TURN_S = 1.0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from cairn import CairnError
 from cairn.components.roboclaw import commands
 from cairn.components.roboclaw.commands import (
     MAIN_VOLTAGES,
@@ -14,7 +15,6 @@ from cairn.components.roboclaw.commands import (
 )
 from cairn.components.roboclaw.dialogue import Dialogue
 from cairn.components.roboclaw.kinematics import Geometry, Limits
-from cairn.errors import CairnError
 
 _FULL_SPEED_SHARE = 0.95  # the speed loop needs something in hand
 

@@ -2,8 +2,19 @@
 
 from __future__ import annotations
 
-from cairn.bus.qos import RELIABLE, SENSOR
-from cairn.clock import SECOND, to_ns
+from cairn import (
+    RELIABLE,
+    SECOND,
+    SENSOR,
+    Component,
+    Config,
+    In,
+    Out,
+    ParameterRefused,
+    every,
+    on,
+    to_ns,
+)
 from cairn.components.ros2_base.commanding import REST, Commanding
 from cairn.components.ros2_base.config import Ros2BaseConfig
 from cairn.components.ros2_base.messages import odometry, stamped_twist, transform, twist
@@ -12,10 +23,6 @@ from cairn.driver.diagnostics import ERROR, OK, WARN, diagnostics
 from cairn.driver.rate import RateWindow
 from cairn.planar.messages import planar_pose
 from cairn.runtime.complaints import Complaints
-from cairn.runtime.component import Component
-from cairn.runtime.handlers import every, on
-from cairn.runtime.parameters import Config, ParameterRefused
-from cairn.runtime.ports import In, Out
 from cairn.schemas.diagnostic_msgs import DiagnosticArray
 from cairn.schemas.geometry_msgs import Twist, TwistStamped
 from cairn.schemas.nav_msgs import Odometry

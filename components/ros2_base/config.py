@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from cairn.runtime.parameters import Config
+from cairn import Config
 
 
 class Ros2BaseConfig(Config):

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
-from cairn.clock import from_ns
+from cairn import from_ns
 from cairn.planar.messages import pose_message, transform_message
 from cairn.planar.poses import Pose
 from cairn.schemas.geometry_msgs import (

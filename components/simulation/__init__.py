@@ -1,1 +1,1 @@
-"""A simulated world, and drivers of a robot in it: base, range scanner, object recogniser."""
+"""A simulated world, and drivers of a robot in it: base, range scanner, object recognizer."""

@@ -4,15 +4,22 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from cairn.bus.qos import RELIABLE, SENSOR
-from cairn.clock import SECOND, from_ns
+from cairn import (
+    RELIABLE,
+    SECOND,
+    SENSOR,
+    Component,
+    Config,
+    In,
+    Out,
+    ParameterRefused,
+    every,
+    from_ns,
+    on,
+)
 from cairn.components.simulation.encoders import EncoderErrors, Encoders
 from cairn.components.simulation.wheels import BaseLimits, Wheels
 from cairn.planar.messages import transform_message, with_covariance
-from cairn.runtime.component import Component
-from cairn.runtime.handlers import every, on
-from cairn.runtime.parameters import Config, ParameterRefused
-from cairn.runtime.ports import In, Out
 from cairn.schemas.cairn_sim_msgs import WheelMotion
 from cairn.schemas.geometry_msgs import Twist, TwistWithCovariance, Vector3
 from cairn.schemas.nav_msgs import Odometry
@@ -43,7 +50,7 @@ class SimulatedBaseConfig(Config):
     )
     way: float = Field(0.01, ge=0, le=1, description="Error of ways [m/sqrt(m)].")
     turn_error: float = Field(0.02, ge=0, le=1, description="Error of turns [rad/sqrt(rad)].")
-    turn_per_metre: float = Field(
+    turn_per_meter: float = Field(
         0.01, ge=0, le=1, description="Error of the heading on the way [rad/sqrt(m)]."
     )
 
@@ -80,7 +87,7 @@ class SimulatedBase(Component):
             config.turn_scale_sd,
             config.way,
             config.turn_error,
-            config.turn_per_metre,
+            config.turn_per_meter,
         )
         self._encoders = Encoders(errors, self.random)
         self._stepped: int | None = None

@@ -8,8 +8,20 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cairn.bus.qos import LATCHED, RELIABLE, SENSOR
-from cairn.clock import SECOND, from_ns
+from cairn import (
+    LATCHED,
+    RELIABLE,
+    SECOND,
+    SENSOR,
+    CairnError,
+    Component,
+    Config,
+    In,
+    Out,
+    ParameterRefused,
+    from_ns,
+    on,
+)
 from cairn.components.simulation.atlas import Atlas
 from cairn.components.simulation.camera_config import LIVE, SimulatedStereoCameraConfig
 from cairn.components.simulation.exposure import Film
@@ -18,18 +30,13 @@ from cairn.components.simulation.photography import photograph, refuse_height
 from cairn.components.simulation.surfaces import Surfaces, surfaces_of
 from cairn.components.simulation.view import Station
 from cairn.components.simulation.watching import WorldWatch, composed
-from cairn.errors import CairnError
-from cairn.runtime.component import Component
-from cairn.runtime.handlers import on
-from cairn.runtime.parameters import Config, ParameterRefused
-from cairn.runtime.ports import In, Out
 from cairn.schemas.cairn_sim_msgs import Scene, WorldState
 from cairn.schemas.geometry_msgs import Quaternion, Transform, TransformStamped, Vector3
 from cairn.schemas.sensor_msgs import CameraInfo, Image
 from cairn.schemas.std_msgs import Header
 from cairn.schemas.tf2_msgs import TFMessage
 
-Grey = NDArray[np.uint8]
+Gray = NDArray[np.uint8]
 
 _LEFT, _RIGHT = "left_camera_optical_frame", "right_camera_optical_frame"
 
@@ -67,7 +74,7 @@ class SimulatedStereoCamera(Component):
         self._drifted = float(self.random.standard_normal())
         self._watch = WorldWatch()
         self._stands: tuple[Surfaces, Atlas] | None = None
-        self._last: tuple[Grey, Grey] | None = None
+        self._last: tuple[Gray, Gray] | None = None
         self._period = round(SECOND / config.rate)
 
     def on_activate(self) -> None:
@@ -128,7 +135,7 @@ class SimulatedStereoCamera(Component):
         self._tell(stamp, *self._spoiled(pair))
         self._last = pair
 
-    def _pair(self, left: Station, turn: float) -> tuple[Grey, Grey]:
+    def _pair(self, left: Station, turn: float) -> tuple[Gray, Gray]:
         if self.config.fault == "frozen" and self._last is not None:
             return self._last
         assert self._stands is not None  # or nothing is photographed
@@ -146,7 +153,7 @@ class SimulatedStereoCamera(Component):
             other = self._last[1]
         return one, other
 
-    def _spoiled(self, pair: tuple[Grey, Grey]) -> tuple[Grey | None, Grey | None]:
+    def _spoiled(self, pair: tuple[Gray, Gray]) -> tuple[Gray | None, Gray | None]:
         left, right = pair
         match self.config.fault:
             case "left_missing":
@@ -158,7 +165,7 @@ class SimulatedStereoCamera(Component):
             case _:
                 return pair
 
-    def _tell(self, stamp: int, left: Grey | None, right: Grey | None) -> None:
+    def _tell(self, stamp: int, left: Gray | None, right: Gray | None) -> None:
         headers = [replace(info.header, stamp=from_ns(stamp)) for info in self._infos]
         ports = (self.left_info, self.right_info)
         for image, info, header, port in zip(

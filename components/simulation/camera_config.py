@@ -7,8 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from cairn.runtime.mount import Mount
-from cairn.runtime.parameters import Config
+from cairn import Config, Mount
 
 Fault = Literal["none", "left_missing", "right_missing", "frozen", "right_frozen", "swapped"]
 Coefficient = Annotated[float, Field(ge=-10, le=10)]
@@ -41,10 +40,10 @@ class SensorConfig(Config):
     )
     defocus: float = Field(0.6, ge=0, le=20, description="Deviation of the lens's blur [px].")
     read_noise: float = Field(
-        1.5, ge=0, le=100, description="Deviation of reading a pixel [grey levels]."
+        1.5, ge=0, le=100, description="Deviation of reading a pixel [gray levels]."
     )
     shot_noise: float = Field(
-        0.02, ge=0, le=10, description="Variance per grey level of light [grey levels]."
+        0.02, ge=0, le=10, description="Variance per gray level of light [gray levels]."
     )
 
 

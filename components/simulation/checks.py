@@ -6,12 +6,12 @@ from itertools import pairwise
 
 import shapely
 
+from cairn import CairnError
 from cairn.components.simulation.recognition import BEHIND_M
 from cairn.components.simulation.scene import Scene
 from cairn.components.simulation.textures import read_picture
 from cairn.components.simulation.walls import gaps_around, wall_problems
 from cairn.components.simulation.world_file import Event, Person, VisibleObject, WorldFile
-from cairn.errors import CairnError
 from cairn.planar.poses import Pose, compose
 
 

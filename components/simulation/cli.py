@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
+from cairn import CairnError
 from cairn.bus.control import request
 from cairn.cli.connection import (
     DEFAULT_CONNECT,
@@ -26,7 +27,6 @@ from cairn.components.simulation.pictures import draw_world
 from cairn.components.simulation.scene import Scene
 from cairn.components.simulation.walls import cut_off
 from cairn.components.simulation.world_file import read_world
-from cairn.errors import CairnError
 
 app = typer.Typer(
     help="Simulated worlds: check and draw their files, change the one that runs.",

@@ -175,7 +175,7 @@ def paint(
     spread: float,
     image: Float32,
 ) -> None:
-    """Paint columns: `image` (w, h) becomes grey levels in full light.
+    """Paint columns: `image` (w, h) becomes gray levels in full light.
 
     The first three are results of `project`; the next those of `Surfaces`, then those of `Atlas`.
     The ceiling is at that height [m]; light varies from place to place by `spread` [1].

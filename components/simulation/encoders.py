@@ -18,14 +18,14 @@ class EncoderErrors:
     """Standard deviations of what the wheels measure.
 
     `way_scale`, `turn_scale` [1] of the scales, which are drawn once; random walks `way`
-    [m/sqrt(m)], `turn` [rad/sqrt(rad)] and `turn_per_metre` [rad/sqrt(m)].
+    [m/sqrt(m)], `turn` [rad/sqrt(rad)] and `turn_per_meter` [rad/sqrt(m)].
     """
 
     way_scale: float
     turn_scale: float
     way: float
     turn: float
-    turn_per_metre: float
+    turn_per_meter: float
 
 
 class Encoders:
@@ -59,7 +59,7 @@ class Encoders:
         errors = self._errors
         noise = self._random.standard_normal(2)
         way_variance = errors.way**2 * abs(way)
-        turn_variance = errors.turn**2 * abs(turned) + errors.turn_per_metre**2 * abs(way)
+        turn_variance = errors.turn**2 * abs(turned) + errors.turn_per_meter**2 * abs(way)
         seen_way = self._scales[0] * way + math.sqrt(way_variance) * float(noise[0])
         seen_turn = self._scales[1] * turned + math.sqrt(turn_variance) * float(noise[1])
         self._spread(seen_way, seen_turn, way_variance, turn_variance)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from cairn.planar.compiled import compiled
 
 Float32 = NDArray[np.float32]
-Grey = NDArray[np.uint8]
+Gray = NDArray[np.uint8]
 
 # So many normal numbers are drawn once; each row of an image takes them from a place of its own.
 _NORMALS = 1 << 20
@@ -19,14 +19,14 @@ _NORMALS = 1 << 20
 
 @dataclass(frozen=True)
 class Noise:
-    """Standard deviation of reading [grey levels], and variance per grey level of light."""
+    """Standard deviation of reading [gray levels], and variance per gray level of light."""
 
     read: float
     shot: float
 
 
 class Film:
-    """Turns light into grey levels; all randomness is that of `random`."""
+    """Turns light into gray levels; all randomness is that of `random`."""
 
     def __init__(self, width: int, height: int, random: np.random.Generator) -> None:
         self._random = random
@@ -36,7 +36,7 @@ class Film:
         square = across**2 + down[:, None] ** 2
         self._off_axis = (square / square.max()).astype(np.float32)
 
-    def exposed(self, light: Float32, brightness: float, vignetting: float, noise: Noise) -> Grey:
+    def exposed(self, light: Float32, brightness: float, vignetting: float, noise: Noise) -> Gray:
         """The image of `light` (h, w) times `brightness`; read-only.
 
         The corners get that much less light [1].
@@ -101,12 +101,12 @@ def _expose(
     shot: np.float32,
     normals: Float32,
     begins: NDArray[np.int64],
-    image: Grey,
+    image: Gray,
 ) -> None:
     black, white, half = np.float32(0.0), np.float32(255.0), np.float32(0.5)
     for r in range(light.shape[0]):
         begin = begins[r]
         for c in range(light.shape[1]):
-            grey = brightness * light[r, c] * (np.float32(1.0) - vignetting * off_axis[r, c])
-            grey += np.sqrt(read + shot * grey) * normals[begin + c]
-            image[r, c] = np.uint8(min(max(grey, black), white) + half)
+            gray = brightness * light[r, c] * (np.float32(1.0) - vignetting * off_axis[r, c])
+            gray += np.sqrt(read + shot * gray) * normals[begin + c]
+            image[r, c] = np.uint8(min(max(gray, black), white) + half)

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cairn.errors import CairnError
+from cairn import CairnError
 from cairn.schemas.sensor_msgs import CameraInfo
 from cairn.schemas.std_msgs import Header
 

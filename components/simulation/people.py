@@ -50,7 +50,7 @@ class _Surroundings:
 
     def meets(self, place: Point, goal: Point, near: float) -> bool:
         """Whether the robot is nearer than that [m], in the direction of the goal."""
-        ahead, to_robot = _towards(place, goal), _towards(place, self.robot)
+        ahead, to_robot = _toward(place, goal), _toward(place, self.robot)
         in_front = ahead[0] * to_robot[0] + ahead[1] * to_robot[1] > 0.5
         return in_front and self.gap(place) < near
 
@@ -142,10 +142,10 @@ class Walker:
         """To where the robot can get past, if there is room, stay for a while, and come back."""
         here, goal = (self.x, self.y), self.person.waypoints[self.goal]
         ahead = math.atan2(goal[1] - self.y, goal[0] - self.x)
-        for metres in _ASIDE_M:
+        for meters in _ASIDE_M:
             for angle in _ASIDE_RAD:
-                x = self.x + metres * math.cos(ahead + angle)
-                y = self.y + metres * math.sin(ahead + angle)
+                x = self.x + meters * math.cos(ahead + angle)
+                y = self.y + meters * math.sin(ahead + angle)
                 if around.open(here, (x, y)):
                     self.detour = [(x, y, _PATIENCE_S), (*here, 0.0)]
                     return
@@ -181,12 +181,12 @@ def _free(here: Point, there: Point, around: _Surroundings) -> bool:
 
 def _beside(around: _Surroundings, here: Point, goal: Point) -> tuple[Point, Point]:
     """The places right and left of the robot, for who comes from here."""
-    x, y = _towards(here, goal)
+    x, y = _toward(here, goal)
     (robot_x, robot_y), off = around.robot, around.radius + around.robot_radius + _BESIDE_M
     return (robot_x + off * y, robot_y - off * x), (robot_x - off * y, robot_y + off * x)
 
 
-def _towards(begin: Point, end: Point) -> Point:
+def _toward(begin: Point, end: Point) -> Point:
     """The direction from one place to another; none between a place and itself."""
     apart = math.dist(begin, end) or 1.0
     return (end[0] - begin[0]) / apart, (end[1] - begin[1]) / apart

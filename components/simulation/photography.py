@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from cairn import CairnError
 from cairn.components.simulation.atlas import Atlas
 from cairn.components.simulation.camera_config import (
     LightConfig,
@@ -23,13 +24,12 @@ from cairn.components.simulation.scene import Scene
 from cairn.components.simulation.surfaces import Surfaces, surfaces_of
 from cairn.components.simulation.view import Station, ideal_image
 from cairn.components.simulation.world_file import WorldFile
-from cairn.errors import CairnError
 from cairn.planar.poses import Pose
 from cairn.schemas.std_msgs import Header
 
-Grey = NDArray[np.uint8]
+Gray = NDArray[np.uint8]
 
-# An exposure of this length with gain 1 gives grey levels as surfaces have them [s].
+# An exposure of this length with gain 1 gives gray levels as surfaces have them [s].
 _REFERENCE_S = 0.004
 
 
@@ -43,7 +43,7 @@ def photograph(
     sensor: SensorConfig,
     drifted: float = 0.0,
     turn: float = 0.0,
-) -> Grey:
+) -> Gray:
     """The image (h, w), read-only.
 
     `drifted` is how far the light has drifted, in its deviations; `turn` [rad] how far the camera
@@ -57,7 +57,7 @@ def photograph(
     return film.exposed(image, brightness, sensor.vignetting, noise)
 
 
-def seen_from(world: WorldFile, pose: Pose, height: float, right: bool) -> Grey:
+def seen_from(world: WorldFile, pose: Pose, height: float, right: bool) -> Gray:
     """What a camera of the default kind sees of a world at its beginning, from `height` [m].
 
     Raises `CairnError` if that is not below the ceiling.
@@ -86,7 +86,7 @@ def refuse_height(height: float, surfaces: Surfaces) -> None:
         )
 
 
-def write_picture(picture: Grey, file: Path) -> None:
+def write_picture(picture: Gray, file: Path) -> None:
     """Write an image; `CairnError` if that cannot be."""
     try:
         written = cv2.imwrite(str(file), picture)

@@ -15,7 +15,7 @@ from matplotlib.patches import Circle, Polygon
 from cairn.components.simulation.scene import corners_of
 from cairn.components.simulation.world_file import WorldFile
 
-_COLOURS = {"plain": "tab:gray", "dark": "black", "glass": "tab:cyan"}
+_COLORS = {"plain": "tab:gray", "dark": "black", "glass": "tab:cyan"}
 _WIDTH_IN, _LABEL_PT, _ARROW_M = 9.0, 7.0, 0.35
 
 
@@ -28,10 +28,10 @@ def draw_world(world: WorldFile, radius: float, file: Path) -> None:
     axes = figure.add_subplot()
     for wall in world.walls:
         xs, ys = zip(*wall.points, strict=True)
-        axes.plot(xs, ys, color=_COLOURS[wall.surface], linewidth=2)
+        axes.plot(xs, ys, color=_COLORS[wall.surface], linewidth=2)
     for piece in world.furniture:
-        colour = _COLOURS[piece.surface]
-        axes.add_patch(Polygon(corners_of(piece), facecolor=colour, alpha=0.4, edgecolor=colour))
+        color = _COLORS[piece.surface]
+        axes.add_patch(Polygon(corners_of(piece), facecolor=color, alpha=0.4, edgecolor=color))
     for name, (x, y) in label_places(world, (width + 1.0) / _WIDTH_IN).items():
         axes.text(x, y, name, ha="center", va="center", fontsize=_LABEL_PT)
     for thing in world.objects:
@@ -51,13 +51,13 @@ def draw_world(world: WorldFile, radius: float, file: Path) -> None:
     figure.savefig(file, dpi=100)
 
 
-def label_places(world: WorldFile, metres_per_inch: float) -> dict[str, tuple[float, float]]:
+def label_places(world: WorldFile, meters_per_inch: float) -> dict[str, tuple[float, float]]:
     """The middle of each piece of furniture's name [m]: on it if it is large enough, else beside.
 
     Beside it is where the name covers no other piece, name or object, if there is such a place.
     """
     outlines = {piece.name: shapely.Polygon(corners_of(piece)) for piece in world.furniture}
-    point = metres_per_inch / 72.0
+    point = meters_per_inch / 72.0
     high, gap = 1.2 * _LABEL_PT * point, 0.3 * _LABEL_PT * point
     objects = [shapely.Point(thing.x, thing.y).buffer(_ARROW_M) for thing in world.objects]
     taken = [*outlines.values(), *objects]
@@ -88,11 +88,11 @@ def _covered(box: shapely.Polygon, taken: Sequence[shapely.Polygon]) -> float:
     return float(sum(box.intersection(one).area for one in taken))
 
 
-def _arrow(axes: Axes, pose: tuple[float, float, float], length: float, colour: str) -> None:
+def _arrow(axes: Axes, pose: tuple[float, float, float], length: float, color: str) -> None:
     x, y, theta = pose
     axes.annotate(
         "",
         (x + length * math.cos(theta), y + length * math.sin(theta)),
         (x, y),
-        arrowprops={"arrowstyle": "->", "color": colour},
+        arrowprops={"arrowstyle": "->", "color": color},
     )

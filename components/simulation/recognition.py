@@ -1,4 +1,4 @@
-"""Which objects a camera would recognise, by geometry."""
+"""Which objects a camera would recognize, by geometry."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ BEHIND_M = 0.1
 
 @dataclass(frozen=True)
 class Eye:
-    """A camera and its recogniser: field of view [rad], range [m], facing [rad], chances [1].
+    """A camera and its recognizer: field of view [rad], range [m], facing [rad], chances [1].
 
     Deviations: `range_sd` [m] + `range_sd_m2` [1/m] times the range squared; `bearing_sd` [rad].
     """
@@ -43,8 +43,8 @@ class Thing:
 
 
 @dataclass(frozen=True)
-class Recognised:
-    """An object as the recogniser tells it: range [m], bearing [rad], their deviations."""
+class Recognized:
+    """An object as the recognizer tells it: range [m], bearing [rad], their deviations."""
 
     object_id: int
     range_m: float
@@ -53,15 +53,15 @@ class Recognised:
     bearing_sd: float
 
 
-def recognised(
+def recognized(
     eye: Eye,
     robot: Pose,
     mount: Pose,
     things: Sequence[Thing],
     around: Surroundings,
     random: np.random.Generator,
-) -> list[Recognised]:
-    """What is recognised from a robot's pose, range and bearing from the robot's base."""
+) -> list[Recognized]:
+    """What is recognized from a robot's pose, range and bearing from the robot's base."""
     camera = compose(robot, mount)
     opaque = around.without_glass
     found = []
@@ -80,7 +80,7 @@ def recognised(
             others = [other.object_id for other in things if other.object_id != object_id]
             object_id = others[int(confusion / eye.mistaken * len(others))]
         found.append(
-            Recognised(
+            Recognized(
                 object_id,
                 max(0.05, distance + range_sd * float(noise[0])),
                 wrap(math.atan2(dy, dx) - robot[2] + eye.bearing_sd * float(noise[1])),

@@ -1,4 +1,4 @@
-"""The driver of a simulated object recogniser: what a camera would recognise, by geometry."""
+"""The driver of a simulated object recognizer: what a camera would recognize, by geometry."""
 
 from __future__ import annotations
 
@@ -7,22 +7,16 @@ import math
 import numpy as np
 from pydantic import Field
 
-from cairn.bus.qos import LATCHED, RELIABLE
-from cairn.clock import from_ns
-from cairn.components.simulation.recognition import Eye, recognised
+from cairn import LATCHED, RELIABLE, Component, Config, In, Mount, Out, every, from_ns, on
+from cairn.components.simulation.recognition import Eye, recognized
 from cairn.components.simulation.watching import WorldWatch
-from cairn.runtime.component import Component
-from cairn.runtime.handlers import every, on
-from cairn.runtime.mount import Mount
-from cairn.runtime.parameters import Config
-from cairn.runtime.ports import In, Out
 from cairn.schemas.cairn_msgs import RecognizedObject, RecognizedObjectArray
 from cairn.schemas.cairn_sim_msgs import Scene, WorldState
 from cairn.schemas.std_msgs import Header
 
 
 class SimulatedRecognizerConfig(Config):
-    """A camera and its recogniser; all may be changed while it runs."""
+    """A camera and its recognizer; all may be changed while it runs."""
 
     field_of_view: float = Field(
         math.radians(60), gt=0, le=2 * math.pi, description="Horizontal field of view [rad]."
@@ -30,7 +24,7 @@ class SimulatedRecognizerConfig(Config):
     nearest: float = Field(0.4, ge=0, le=100, description="Nearest object [m].")
     farthest: float = Field(5.0, gt=0, le=100, description="Farthest object [m].")
     facing: float = Field(
-        math.radians(70), gt=0, le=math.pi, description="How aslant an object is recognised [rad]."
+        math.radians(70), gt=0, le=math.pi, description="How aslant an object is recognized [rad]."
     )
     range_sd: float = Field(0.01, ge=0, le=1, description="Deviation of the range [m].")
     range_sd_m2: float = Field(
@@ -40,7 +34,7 @@ class SimulatedRecognizerConfig(Config):
         math.radians(1), gt=0, le=1, description="Deviation of the bearing [rad]."
     )
     detected: float = Field(
-        0.7, ge=0, le=1, description="Chance that an object in view is recognised [1]."
+        0.7, ge=0, le=1, description="Chance that an object in view is recognized [1]."
     )
     mistaken: float = Field(
         0.01, ge=0, le=1, description="Chance that it is taken for another one [1]."
@@ -49,7 +43,7 @@ class SimulatedRecognizerConfig(Config):
 
 
 class SimulatedRecognizer(Component):
-    """Recognises the objects of the simulated world five times a second."""
+    """Recognizes the objects of the simulated world five times a second."""
 
     config: SimulatedRecognizerConfig
 
@@ -76,7 +70,7 @@ class SimulatedRecognizer(Component):
 
     @every(hz=5)
     def look(self) -> None:
-        """Tell what is recognised now, be it nothing."""
+        """Tell what is recognized now, be it nothing."""
         now = self.clock.now()
         poses = self._watch.robot_at(now, np.zeros(1))
         if poses is None:
@@ -95,7 +89,7 @@ class SimulatedRecognizer(Component):
             config.mistaken,
         )
         watch = self._watch
-        found = recognised(
+        found = recognized(
             eye, (x, y, theta), config.mount.pose, watch.things, watch.around, self.random
         )
         middle, half = config.mount.theta, config.field_of_view / 2

@@ -9,8 +9,8 @@ from typing import Any, get_args, get_origin
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
+from cairn import Config
 from cairn.deployment.problems import one_of
-from cairn.runtime.parameters import Config
 
 _PLAIN = {
     "missing": "must be given",

@@ -8,18 +8,25 @@ from typing import Literal
 
 from pydantic import Field
 
-from cairn.bus.qos import LATCHED, RELIABLE, SENSOR
-from cairn.clock import SECOND, from_ns
+from cairn import (
+    LATCHED,
+    RELIABLE,
+    SECOND,
+    SENSOR,
+    CairnError,
+    Component,
+    Config,
+    In,
+    Mount,
+    Out,
+    ParameterRefused,
+    from_ns,
+    on,
+)
 from cairn.components.simulation.scanner_models import MODELS
 from cairn.components.simulation.scanning import Beams, Faults, sweep
 from cairn.components.simulation.watching import WorldWatch, composed
-from cairn.errors import CairnError
 from cairn.planar.messages import transform_message
-from cairn.runtime.component import Component
-from cairn.runtime.handlers import on
-from cairn.runtime.mount import Mount
-from cairn.runtime.parameters import Config, ParameterRefused
-from cairn.runtime.ports import In, Out
 from cairn.schemas.cairn_sim_msgs import Scene, WorldState
 from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.std_msgs import Header

@@ -12,6 +12,7 @@ import shapely
 from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
+from cairn import CairnError
 from cairn.components.simulation.world_file import (
     Furniture,
     Surface,
@@ -19,7 +20,6 @@ from cairn.components.simulation.world_file import (
     Wall,
     WorldFile,
 )
-from cairn.errors import CairnError
 from cairn.planar.poses import Pose, compose
 
 SURFACES: dict[Surface, int] = {"plain": 0, "dark": 1, "glass": 2}

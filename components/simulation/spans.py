@@ -1,4 +1,4 @@
-"""What fills a part of one column of an image: a side, a level plane, or one grey.
+"""What fills a part of one column of an image: a side, a level plane, or one gray.
 
 Columns are painted from front to back: `value` (h,) is what has come together, and `left` (h,) the
 share of each pixel that nothing in front covers yet.
@@ -100,13 +100,13 @@ def _texel(levels: Float32, begin: int, size: int, x: float, y: float) -> float:
 
 
 @compiled()
-def flat(value: Array, left: Array, first: float, last: float, opacity: float, grey: float) -> None:
-    """Rows from `first` to `last` [px] in one grey, through which the rest shines."""
+def flat(value: Array, left: Array, first: float, last: float, opacity: float, gray: float) -> None:
+    """Rows from `first` to `last` [px] in one gray, through which the rest shines."""
     top, bottom = max(0, math.floor(first + 0.5)), min(len(value) - 1, int(last + 0.5))
     for r in range(top, bottom + 1):
         cover = min(r + 0.5, last) - max(r - 0.5, first)
         part = max(0.0, cover) * opacity * left[r]
-        value[r] += part * grey
+        value[r] += part * gray
         left[r] -= part
 
 
@@ -122,7 +122,7 @@ def side(
     below: float,
     surface: int,
     scales: Array,
-    grey: float,
+    gray: float,
     kinds: Integers,
     sums: Float32,
     begins: Integers,
@@ -163,13 +163,13 @@ def side(
         part = left[r]
         if not top < r < bottom:
             part *= max(0.0, min(r + 0.5, last) - max(r - 0.5, first))
-        value[r] += part * grey * mean
+        value[r] += part * gray * mean
         left[r] -= part
 
 
 @compiled()
 def light_at(x: float, y: float, spread: float) -> float:
-    """How light it is at a place: lamps are some metres apart."""
+    """How light it is at a place: lamps are some meters apart."""
     return 1.0 + spread * math.sin(1.1 * x + 0.7) * math.sin(0.9 * y + 1.9)
 
 
@@ -180,7 +180,7 @@ def plane(
     first: float,
     last: float,
     away: float,
-    grey: float,
+    gray: float,
     contrast: float,
     spread: float,
     right: float,
@@ -200,8 +200,8 @@ def plane(
             min(away * unit[begin], _FURTHEST_M),
             min(away * unit[end - 1], _FURTHEST_M),
         )
-        light = grey * light_at(camera[0] + depth * ahead_x, camera[1] + depth * ahead_y, spread)
-        step = grey * light_at(camera[0] + further * ahead_x, camera[1] + further * ahead_y, spread)
+        light = gray * light_at(camera[0] + depth * ahead_x, camera[1] + depth * ahead_y, spread)
+        step = gray * light_at(camera[0] + further * ahead_x, camera[1] + further * ahead_y, spread)
         step = (step - light) / max(1, end - 1 - begin)
         level = int(min(max(coarse[(begin + end) // 2] + coarser + 0.5, 0.0), _COARSEST))
         at, size = level_begins[level], PATTERN_TEXELS >> level

@@ -20,7 +20,7 @@ SIDE, GLASS, PICTURE = 0, 1, 2
 PERSON_M = 1.75
 # A person is drawn as a prism of so many sides.
 _SIDES = 16
-# Brightness of surfaces in full light [grey levels].
+# Brightness of surfaces in full light [gray levels].
 _WALL, _FURNITURE, _DARK, _PERSON = 165.0, 115.0, 35.0, 75.0
 
 
@@ -29,7 +29,7 @@ class Surfaces:
     """Upright rectangles.
 
     `ends` (n, 4) are x1, y1, x2, y2 [m]; who sees a picture from its front has the first on the
-    left. `extents` (n, 2) are the heights of bottom and top [m]. `scales` (n, 3): texels per metre
+    left. `extents` (n, 2) are the heights of bottom and top [m]. `scales` (n, 3): texels per meter
     across and down, and that of the first end. `brightness` (n,) is what texels are multiplied by.
     `kinds` (n, 3): kind, texture, and the number of the solid that it is a side of, or 0. The
     ceiling is as high [m] as the highest wall.
@@ -69,8 +69,8 @@ def surfaces_of(scene: Scene) -> tuple[Surfaces, Atlas]:
     seen = np.asarray(scene.heights > 0)
     segments, solids = segments[seen], np.array(scene.solids[seen], np.int64)
     surfaces, heights = scene.surfaces[seen], scene.heights[seen]
-    grey = np.where(solids > 0, _FURNITURE, _WALL)
-    grey[surfaces == SURFACES["dark"]] = _DARK
+    gray = np.where(solids > 0, _FURNITURE, _WALL)
+    gray[surfaces == SURFACES["dark"]] = _DARK
     kinds = np.where(surfaces == SURFACES["glass"], GLASS, SIDE)
     count = len(segments)
     sizes = scene.object_sizes.reshape(-1, 2)
@@ -97,7 +97,7 @@ def surfaces_of(scene: Scene) -> tuple[Surfaces, Atlas]:
                 np.column_stack((shapes / sizes, 0.0 * half)),
             )
         ),
-        np.concatenate((grey * _slant(segments), np.ones(things))),
+        np.concatenate((gray * _slant(segments), np.ones(things))),
         np.concatenate(
             (
                 np.column_stack((kinds, np.full(count, PATTERN), solids)),

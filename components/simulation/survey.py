@@ -8,12 +8,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from cairn import CairnError
 from cairn.components.simulation.checks import problems_of
 from cairn.components.simulation.scene import Scene
 from cairn.components.simulation.textures import picture_of
 from cairn.components.simulation.walls import gaps_around
 from cairn.components.simulation.world_file import WorldFile, read_world
-from cairn.errors import CairnError
 from cairn.planar.grid import FREE, OCCUPIED, UNKNOWN, Frame, Grid, OccupancyCells
 from cairn.schemas.cairn_msgs import VisualMap, VisualObject
 from cairn.vision.taught import TaughtObject

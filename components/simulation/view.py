@@ -36,7 +36,7 @@ class Station:
 def ideal_image(
     surfaces: Surfaces, atlas: Atlas, station: Station, lens: Lens, spread: float = 0.0
 ) -> Float32:
-    """The image (h, w) in grey levels as they are in full light.
+    """The image (h, w) in gray levels as they are in full light.
 
     It varies from place to place by `spread` [1] of it.
     """

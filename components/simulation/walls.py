@@ -54,8 +54,8 @@ class Gap:
 
     def __str__(self) -> str:
         (x, y), (to_x, to_y) = self.begin, self.end
-        metres = shapely.Point(self.begin).distance(shapely.Point(self.end))
-        return f"of {metres:.2f} m from ({x:.2f}, {y:.2f}) to ({to_x:.2f}, {to_y:.2f})"
+        meters = shapely.Point(self.begin).distance(shapely.Point(self.end))
+        return f"of {meters:.2f} m from ({x:.2f}, {y:.2f}) to ({to_x:.2f}, {to_y:.2f})"
 
 
 def gaps_around(scene: Scene, place: Pose, radius: float) -> list[Gap]:

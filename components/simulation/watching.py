@@ -7,7 +7,7 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
-from cairn.clock import SECOND, to_ns
+from cairn import SECOND, to_ns
 from cairn.components.simulation.recognition import Thing
 from cairn.components.simulation.scanning import Surroundings
 from cairn.planar.messages import planar_pose, planar_poses

@@ -9,6 +9,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from cairn import CairnError
 from cairn.components.simulation.checks import way_problems
 from cairn.components.simulation.people import Walker, circles_of
 from cairn.components.simulation.rays import clearance
@@ -20,7 +21,6 @@ from cairn.components.simulation.world_file import (
     VisibleObject,
     WorldFile,
 )
-from cairn.errors import CairnError
 from cairn.planar.poses import Pose, compose
 
 # A robot that was in touch with something is clear of it from here on [m].
@@ -53,7 +53,7 @@ class Slip:
 
     way: float
     turn: float
-    turn_per_metre: float
+    turn_per_meter: float
 
 
 class World:
@@ -95,7 +95,7 @@ class World:
         if not (way or turned):
             return True, []
         noise = self._random.standard_normal(2)
-        spread = self._slip.turn**2 * abs(turned) + self._slip.turn_per_metre**2 * abs(way)
+        spread = self._slip.turn**2 * abs(turned) + self._slip.turn_per_meter**2 * abs(way)
         way += self._slip.way * math.sqrt(abs(way)) * float(noise[0])
         turned += math.sqrt(spread) * float(noise[1])
         # In pieces so short that it cannot get through anything.

@@ -9,8 +9,22 @@ from typing import Any
 
 from pydantic import Field, ValidationError
 
-from cairn.bus.qos import LATCHED, RELIABLE
-from cairn.clock import SECOND, from_ns, to_ns
+from cairn import (
+    LATCHED,
+    RELIABLE,
+    SECOND,
+    CairnError,
+    Component,
+    Config,
+    In,
+    Out,
+    ParameterRefused,
+    ReadPath,
+    every,
+    from_ns,
+    on,
+    to_ns,
+)
 from cairn.components.simulation.checks import problems_of, unseen_problems
 from cairn.components.simulation.messages import scene_message, true_map
 from cairn.components.simulation.refusals import what_is_wrong
@@ -25,14 +39,8 @@ from cairn.components.simulation.world_file import (
     VisibleObject,
     read_world,
 )
-from cairn.errors import CairnError
 from cairn.planar.messages import planar_pose, pose_message
 from cairn.planar.poses import Pose
-from cairn.runtime.component import Component
-from cairn.runtime.handlers import every, on
-from cairn.runtime.marks import ReadPath
-from cairn.runtime.parameters import Config, ParameterRefused
-from cairn.runtime.ports import In, Out
 from cairn.schemas.cairn_msgs import VisualMap
 from cairn.schemas.cairn_nav_msgs import Collision
 from cairn.schemas.cairn_sim_msgs import Scene, WheelMotion, WorldState
@@ -50,7 +58,7 @@ class SlipConfig(Config):
 
     way: float = Field(0.005, ge=0, le=1, description="Random walk of the way [m/sqrt(m)].")
     turn: float = Field(0.01, ge=0, le=1, description="Random walk of turns [rad/sqrt(rad)].")
-    turn_per_metre: float = Field(
+    turn_per_meter: float = Field(
         0.005, ge=0, le=1, description="Random walk of the heading on the way [rad/sqrt(m)]."
     )
 
@@ -118,7 +126,7 @@ class SimulatedWorld(Component):
         problems = problems_of(world, config.radius)
         if problems:
             raise CairnError(f"{config.world}: " + "; ".join(problems))
-        slip = Slip(config.slip.way, config.slip.turn, config.slip.turn_per_metre)
+        slip = Slip(config.slip.way, config.slip.turn, config.slip.turn_per_meter)
         self._world = World(world, config.radius, slip, self.random)
         self._state_file = StateFile(config.state_file) if config.state_file else None
         self._unkept = False

@@ -10,13 +10,12 @@ from typing import Annotated, Any, Literal
 import yaml
 from pydantic import Field, ValidationError, model_validator
 
+from cairn import CairnError, Config
 from cairn.components.simulation.refusals import what_is_wrong
-from cairn.errors import CairnError
-from cairn.runtime.parameters import Config
 
-Metres = Annotated[float, Field(ge=-10_000, le=10_000)]
+Meters = Annotated[float, Field(ge=-10_000, le=10_000)]
 Length = Annotated[float, Field(gt=0, le=1000)]
-Place = tuple[Metres, Metres]
+Place = tuple[Meters, Meters]
 Height = Annotated[float, Field(gt=0, le=20)]
 Surface = Literal["plain", "dark", "glass"]
 Name = Annotated[str, Field(min_length=1, max_length=60, pattern=r"^[A-Za-z0-9_.-]+$")]
@@ -163,7 +162,7 @@ class WorldFile(Config):
 
     walls: list[Wall] = Field(min_length=1, description="Walls; the outer ones close the world.")
     furniture: list[Furniture] = Field(default_factory=list, description="What can be moved.")
-    objects: list[VisibleObject] = Field(default_factory=list, description="What is recognised.")
+    objects: list[VisibleObject] = Field(default_factory=list, description="What is recognized.")
     people: list[Person] = Field(default_factory=list, description="Who walks.")
     events: list[Event] = Field(default_factory=list, description="What happens when.")
     robot: Placed = Field(description="Where the robot stands at the beginning.")

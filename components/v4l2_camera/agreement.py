@@ -6,7 +6,7 @@ import logging
 import threading
 from collections.abc import Sequence
 
-from cairn.clock import SECOND
+from cairn import SECOND
 from cairn.components.v4l2_camera.config import V4l2StereoCameraConfig
 from cairn.components.v4l2_camera.device import Setup
 from cairn.components.v4l2_camera.offers import is_same_rate

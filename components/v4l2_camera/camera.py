@@ -17,7 +17,7 @@ from cairn.components.v4l2_camera.device import Setup, VideoDevice
 from cairn.components.v4l2_camera.names import find_camera
 from cairn.components.v4l2_camera.offers import best_format
 from cairn.components.v4l2_camera.pairing import Picture
-from cairn.components.v4l2_camera.pixels import Grey, NoPicture, ShortPicture
+from cairn.components.v4l2_camera.pixels import Gray, NoPicture, ShortPicture
 from cairn.components.v4l2_camera.stamps import Sequence, is_likely, system_offset
 from cairn.components.v4l2_camera.stream import Capture, Stream
 from cairn.driver.errors import DeviceError, LinkLost
@@ -254,8 +254,8 @@ class Camera:
                 counts.skipped += 1
             else:
                 newest = capture
-        grey = None if newest is None else self._developed(newest.data or b"")
-        if newest is None or grey is None:
+        gray = None if newest is None else self._developed(newest.data or b"")
+        if newest is None or gray is None:
             return
         taken = newest.taken
         if taken is None or not is_likely(taken, arrived):
@@ -271,12 +271,12 @@ class Camera:
         if not self.is_streaming:
             self.is_streaming = True
             self._complaints.over("stream", f"{self._settings.device}: pictures come again")
-        self._on_picture(Picture(grey, taken, stamp + offset))
+        self._on_picture(Picture(gray, taken, stamp + offset))
 
-    def _developed(self, data: bytes) -> Grey | None:
+    def _developed(self, data: bytes) -> Gray | None:
         assert self.setup is not None  # or there is no stream
         try:
-            return self.setup.layout.grey(data)
+            return self.setup.layout.gray(data)
         except NoPicture as error:
             short = isinstance(error, ShortPicture)
             if short:

@@ -9,13 +9,13 @@ import cv2
 import typer
 from pydantic import ValidationError
 
+from cairn import CairnError
 from cairn.cli.connection import Json
 from cairn.cli.tables import line, note, print_json
 from cairn.components.v4l2_camera.config import V4l2StereoCameraConfig
 from cairn.components.v4l2_camera.listing import as_lines, listed
 from cairn.components.v4l2_camera.pairing import Picture
 from cairn.components.v4l2_camera.trial import tried
-from cairn.errors import CairnError
 from cairn.runtime.parameters import reason
 
 
@@ -103,7 +103,7 @@ def _save(file: Path, picture: Picture | None) -> None:
     if picture is None:
         return
     try:
-        written = cv2.imwrite(str(file), picture.grey)
+        written = cv2.imwrite(str(file), picture.gray)
     except cv2.error as error:
         raise CairnError(f"{file}: no picture can be written so: {error.err}") from error
     if not written:

@@ -9,24 +9,29 @@ from functools import partial
 
 import numpy as np
 
-from cairn.bus.qos import LATCHED, SENSOR
-from cairn.clock import SECOND, from_ns
+from cairn import (
+    LATCHED,
+    SECOND,
+    SENSOR,
+    CairnError,
+    Component,
+    Config,
+    Out,
+    ParameterRefused,
+    every,
+    from_ns,
+)
 from cairn.components.v4l2_camera.agreement import Agreement
 from cairn.components.v4l2_camera.calibrations import read_calibrations
 from cairn.components.v4l2_camera.camera import Camera
 from cairn.components.v4l2_camera.config import LIVE, V4l2StereoCameraConfig
 from cairn.components.v4l2_camera.controls import ControlRefused
 from cairn.components.v4l2_camera.pairing import Pairing, Picture
-from cairn.components.v4l2_camera.pixels import Grey, halves
+from cairn.components.v4l2_camera.pixels import Gray, halves
 from cairn.components.v4l2_camera.placing import placed
 from cairn.components.v4l2_camera.report import CameraReport, PairReport
 from cairn.driver.device_thread import DeviceThread
 from cairn.driver.errors import DeviceError
-from cairn.errors import CairnError
-from cairn.runtime.component import Component
-from cairn.runtime.handlers import every
-from cairn.runtime.parameters import Config, ParameterRefused
-from cairn.runtime.ports import Out
 from cairn.schemas.diagnostic_msgs import DiagnosticArray
 from cairn.schemas.sensor_msgs import CameraInfo, Image
 from cairn.schemas.std_msgs import Header
@@ -39,7 +44,7 @@ _SIDES = ("left", "right")
 class V4l2StereoCamera(Component):
     """A camera behind V4L2, a side-by-side stereo camera, or two cameras that make a stereo one.
 
-    Images are grey, as they were taken, and the newest there are. Both of a pair have the stamp of
+    Images are gray, as they were taken, and the newest there are. Both of a pair have the stamp of
     the left one: when the kernel says that it was taken. A camera that is unplugged is waited for.
     """
 
@@ -193,24 +198,24 @@ class V4l2StereoCamera(Component):
         except IndexError:  # two had come, and the newer one was taken
             return
         if not self._has_two:
-            self._publish(picture.stamp, self._views(picture.grey))
+            self._publish(picture.stamp, self._views(picture.gray))
             return
         self._pairing.within = self._agreement.half_period()  # a camera may have come meanwhile
         pair = self._pairing.add(side, picture)
         if pair is not None:
             left, right = pair
-            self._publish(left.stamp, (left.grey, right.grey))
+            self._publish(left.stamp, (left.gray, right.gray))
         elif side == 0 and not self._cameras[1].is_streaming:
             # What sees with one eye ranges by size: better than nothing until the other is back.
-            self._publish(picture.stamp, (picture.grey,))
+            self._publish(picture.stamp, (picture.gray,))
 
-    def _views(self, grey: Grey) -> tuple[Grey, ...]:
+    def _views(self, gray: Gray) -> tuple[Gray, ...]:
         if not self.config.side_by_side:
-            return (grey,)
-        left, right = halves(grey)
+            return (gray,)
+        left, right = halves(gray)
         return (right, left) if self.config.right_comes_first else (left, right)
 
-    def _publish(self, stamp: int, views: tuple[Grey, ...]) -> None:
+    def _publish(self, stamp: int, views: tuple[Gray, ...]) -> None:
         time = from_ns(stamp - round(self.config.stamp_delay_s * SECOND))
         headers = [Header(stamp=time, frame_id=frame) for frame in _FRAMES[: len(views)]]
         infos, images = (self.left_info, self.right_info), (self.left_image, self.right_image)
@@ -238,7 +243,7 @@ class V4l2StereoCamera(Component):
             camera.close()
 
 
-def _message(pixels: Grey, header: Header) -> Image:
+def _message(pixels: Gray, header: Header) -> Image:
     height, width = pixels.shape
     return Image(
         header=header,

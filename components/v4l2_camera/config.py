@@ -6,13 +6,11 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
+from cairn import Config, Mount, ReadPath
 from cairn.components.v4l2_camera.camera import CameraSettings
 from cairn.components.v4l2_camera.names import find_camera, is_name
 from cairn.components.v4l2_camera.pixels import FORMATS
 from cairn.driver.device_names import NamesDevice
-from cairn.runtime.marks import ReadPath
-from cairn.runtime.mount import Mount
-from cairn.runtime.parameters import Config
 
 _Value = Annotated[int, Field(ge=-(2**31), le=2**32 - 1)]
 _Setting = _Value | None
@@ -38,7 +36,7 @@ class ControlsConfig(Config):
     gain: _Setting = Field(None, description="Of the sensor [camera's own unit].")
     brightness: _Setting = Field(None, description="Added to all pixels [camera's own unit].")
     contrast: _Setting = Field(None, description="[camera's own unit].")
-    saturation: _Setting = Field(None, description="Of colours [camera's own unit].")
+    saturation: _Setting = Field(None, description="Of colors [camera's own unit].")
     gamma: _Setting = Field(None, description="[camera's own unit, mostly 0.01].")
     sharpness: _Setting = Field(None, description="Of edges [camera's own unit].")
     backlight_compensation: _Setting = Field(None, description="[camera's own unit].")
@@ -46,7 +44,7 @@ class ControlsConfig(Config):
         None, description="Against flicker of lamps: 0 nothing, 1 50 Hz, 2 60 Hz, 3 automatic."
     )
     white_balance_automatic: _Setting = Field(
-        None, description="1: the camera balances colours [0 or 1]."
+        None, description="1: the camera balances colors [0 or 1]."
     )
     white_balance_temperature: _Setting = Field(None, description="Of the light [K].")
     focus_automatic_continuous: _Setting = Field(

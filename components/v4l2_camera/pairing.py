@@ -5,20 +5,20 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass
 
-from cairn.components.v4l2_camera.pixels import Grey
+from cairn.components.v4l2_camera.pixels import Gray
 
 _WAITING = 3
 
 
 @dataclass(frozen=True)
 class Picture:
-    """A grey picture (h, w), when its camera took it, and the stamp that messages get.
+    """A gray picture (h, w), when its camera took it, and the stamp that messages get.
 
     `taken` is CLOCK_MONOTONIC as the camera's driver told it, which pictures are paired by, and
     `stamp` the system's time [ns].
     """
 
-    grey: Grey
+    gray: Gray
     taken: int
     stamp: int
 
@@ -26,7 +26,7 @@ class Picture:
 class Pairing:
     """Pairs each picture with the one of the other camera that was taken nearest to it.
 
-    Cameras that are not synchronised drift against each other, so numbers of pictures tell nothing.
+    Cameras that are not synchronized drift against each other, so numbers of pictures tell nothing.
     Two pictures further apart than `within` [ns], which may be changed, are none of a pair: half a
     period is as far as the nearest can be. `unpaired` counts pictures, left and right, that found
     no other; of the last pair the right one was taken `apart` [ns] after the left one.

@@ -1,4 +1,4 @@
-"""From a camera's bytes to grey pixels, and which of them are no whole picture."""
+"""From a camera's bytes to gray pixels, and which of them are no whole picture."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import simplejpeg
 from numpy.typing import NDArray
 
-Grey = NDArray[np.uint8]
+Gray = NDArray[np.uint8]
 
 FORMATS: Final = ("GREY", "YUYV", "MJPG")
 """Pixel formats that are understood, the one that is preferred first: exact and light before
@@ -43,10 +43,10 @@ class PictureLayout:
     def __str__(self) -> str:
         return f"{self.format} {self.width} x {self.height}"
 
-    def grey(self, data: bytes) -> Grey:
-        """The picture in a buffer's bytes as grey levels (height, width), in memory of its own.
+    def gray(self, data: bytes) -> Gray:
+        """The picture in a buffer's bytes as gray levels (height, width), in memory of its own.
 
-        Of YUYV that is Y, of MJPG the decoded Y: no conversion of colours is made, so that values
+        Of YUYV that is Y, of MJPG the decoded Y: no conversion of colors is made, so that values
         are the camera's own. Raises `ShortPicture` or `DamagedPicture`.
         """
         if self.format == "MJPG":
@@ -62,7 +62,7 @@ class PictureLayout:
         taken[:] = np.ndarray((self.height, self.width), np.uint8, data, 0, strides)
         return taken
 
-    def _decoded(self, data: bytes) -> Grey:
+    def _decoded(self, data: bytes) -> Gray:
         if not data.startswith(_BEGIN):
             raise DamagedPicture(f"it begins with {data[:2].hex() or 'nothing'}, not with ffd8")
         end = data.rfind(_END)
@@ -80,11 +80,11 @@ class PictureLayout:
             pixels = simplejpeg.decode_jpeg(whole, colorspace="GRAY", strict=True)
         except (ValueError, KeyError) as error:  # the latter by a sampling that it does not know
             raise DamagedPicture(str(error)) from error
-        grey: Grey = pixels[:, :, 0]
-        return grey
+        gray: Gray = pixels[:, :, 0]
+        return gray
 
 
-def halves(grey: Grey) -> tuple[Grey, Grey]:
+def halves(gray: Gray) -> tuple[Gray, Gray]:
     """The left and the right half (h, w / 2) of a side-by-side picture, each in its own memory."""
-    middle = grey.shape[1] // 2
-    return np.ascontiguousarray(grey[:, :middle]), np.ascontiguousarray(grey[:, middle:])
+    middle = gray.shape[1] // 2
+    return np.ascontiguousarray(gray[:, :middle]), np.ascontiguousarray(gray[:, middle:])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from cairn.runtime.mount import Mount
+from cairn import Mount
 from cairn.schemas.geometry_msgs import Quaternion, Transform, TransformStamped, Vector3
 from cairn.schemas.std_msgs import Header
 

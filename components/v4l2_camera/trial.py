@@ -10,7 +10,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 from functools import partial
 
-from cairn.clock import SECOND
+from cairn import SECOND
 from cairn.components.v4l2_camera.camera import Camera, CameraSettings
 from cairn.components.v4l2_camera.device import Setup
 from cairn.components.v4l2_camera.pairing import Pairing, Picture

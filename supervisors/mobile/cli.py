@@ -5,9 +5,9 @@ from typing import Annotated
 
 import typer
 
+from cairn import CairnError
 from cairn.cli.connection import DEFAULT_CONNECT, Connect, Domain, Json, Robot, connected
 from cairn.cli.tables import line, print_json
-from cairn.errors import CairnError
 from cairn.supervisors.mobile.following import Operator, follow, refusals_told
 from cairn.supervisors.mobile.locating import point_out
 from cairn.supervisors.mobile.reaching import reach
@@ -18,7 +18,7 @@ def go(
         list[str] | None,
         typer.Argument(
             metavar="X Y [HEADING] | X,Y[,HEADING]...",
-            help="Where to, in metres in the map; heading in radians, or as 90deg; 0 if not given. "
+            help="Where to, in meters in the map; heading in radians, or as 90deg; 0 if not given. "
             "Several goals, each with commas, are driven to one after the other.",
         ),
     ] = None,
@@ -46,7 +46,7 @@ def go(
         with refusals_told(as_json=json):
             operator = Operator(connection, reach(connection, robot))
             if cancel:
-                _tell(operator.cancel(), "cancelled", as_json=json)
+                _tell(operator.cancel(), "canceled", as_json=json)
             elif not wait:
                 _tell(operator.go(goals), "given", as_json=json)
         if wait and not cancel:
@@ -58,7 +58,7 @@ def locate(
         list[str],
         typer.Argument(
             metavar="X Y [HEADING]",
-            help="Where the robot is, in metres in the map; heading in radians, or as 90deg; 0 if "
+            help="Where the robot is, in meters in the map; heading in radians, or as 90deg; 0 if "
             "not given.",
         ),
     ],
@@ -66,7 +66,7 @@ def locate(
     domain: Domain = 0,
     robot: Robot = "",
 ) -> None:
-    """Tell a robot where it is, to about half a metre and 15 degrees."""
+    """Tell a robot where it is, to about half a meter and 15 degrees."""
     x, y, heading = _pose(place, "place")
     with connected(connect, domain) as connection:
         topic = point_out(connection, robot, (x, y, heading))

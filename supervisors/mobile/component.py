@@ -7,13 +7,8 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field
 
-from cairn.bus.qos import LATCHED
-from cairn.clock import SECOND, from_ns
-from cairn.errors import CairnError
+from cairn import LATCHED, SECOND, CairnError, Config, In, Out, from_ns, on
 from cairn.planar.messages import packed_poses, planar_pose
-from cairn.runtime.handlers import on
-from cairn.runtime.parameters import Config
-from cairn.runtime.ports import In, Out
 from cairn.schemas.cairn_nav_msgs import MOVE_ENDS, MOVE_STATES, MoveOrder, MoveStatus
 from cairn.schemas.geometry_msgs import PoseStamped
 from cairn.schemas.std_msgs import Header
@@ -171,7 +166,7 @@ class MobileSupervisor(SupervisorComponent):
             raise CairnError(f"{self.name}: there is no order {which}")
         if token not in (None, order.token):
             raise CairnError(f"{self.name}: it is another's order that is under way")
-        self._close(order, "cancelled: taken back")
+        self._close(order, "canceled: taken back")
         return order.order_id
 
     def _resume(self) -> None:

@@ -11,12 +11,12 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from typing import Any
 
+from cairn import CairnError
 from cairn.bus import rmw
 from cairn.bus.codec import Codec
 from cairn.bus.control import ControlError, NoAnswer, request
 from cairn.cli.connection import Connection
 from cairn.cli.tables import OutputLost, line, note, print_json
-from cairn.errors import CairnError
 from cairn.schemas.cairn_nav_msgs import MOVE_ENDS, MOVE_STATES, MoveStatus, without_numbers
 from cairn.schemas.message import InvalidMessage, type_name
 from cairn.supervisors.mobile.reaching import await_active, linked
@@ -162,12 +162,12 @@ def _take_back(operator: Operator, *, as_json: bool) -> None:
         try:
             order = operator.cancel_own()
         except CairnError as error:  # it has just ended, was pre-empted, or its robot has gone
-            note(f"nothing is cancelled: {error}")
+            note(f"nothing is canceled: {error}")
             return
         if as_json:
-            print_json({"order_id": order, "state": "cancelled"})
+            print_json({"order_id": order, "state": "canceled"})
         else:
-            line("cancelled: the robot stops")
+            line("canceled: the robot stops")
 
 
 def _await_end(

@@ -7,10 +7,10 @@ import time
 
 import zenoh
 
+from cairn import CairnError
 from cairn.bus import rmw
 from cairn.bus.codec import Codec
 from cairn.cli.connection import Connection, resolve
-from cairn.errors import CairnError
 from cairn.planar.messages import pose_message
 from cairn.planar.poses import Pose
 from cairn.schemas.geometry_msgs import PoseWithCovariance, PoseWithCovarianceStamped

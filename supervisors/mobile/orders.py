@@ -8,7 +8,7 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from cairn.errors import CairnError
+from cairn import CairnError
 from cairn.files import replace_file
 
 Goal = tuple[float, float, float]

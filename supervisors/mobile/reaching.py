@@ -6,12 +6,12 @@ import queue
 import time
 from collections.abc import Mapping
 
+from cairn import CairnError
 from cairn.bus import rmw
 from cairn.bus.codec import Codec
 from cairn.bus.session import is_linked
 from cairn.cli.connection import STATUS_TOPIC, Connection, resolve
 from cairn.cli.tables import note
-from cairn.errors import CairnError
 from cairn.schemas.cairn_msgs import ComponentStatus
 from cairn.schemas.message import InvalidMessage, type_name
 

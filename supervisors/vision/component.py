@@ -4,4 +4,4 @@ from cairn.supervision.component import SupervisorComponent
 
 
 class VisionSupervisor(SupervisorComponent):
-    """Loads the vision framework: the camera and the object recogniser, or their stand-ins."""
+    """Loads the vision framework: the camera and the object recognizer, or their stand-ins."""

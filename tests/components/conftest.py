@@ -6,12 +6,10 @@ from typing import Any
 
 import pytest
 
+from cairn import SECOND, Component, Qos
 from cairn.bus.bus import full_name
 from cairn.bus.lockstep_bus import LockstepBus
-from cairn.bus.qos import Qos
-from cairn.clock import SECOND
 from cairn.placement.lockstep import LockstepExecutor
-from cairn.runtime.component import Component
 from cairn.runtime.lifecycle import Transition
 from cairn.runtime.ports import ports_of
 from cairn.runtime.runtime import Assignment, End, Runtime

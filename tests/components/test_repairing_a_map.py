@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import yaml
 
-from cairn.bus.qos import Qos
+from cairn import Qos
 from cairn.components.map_builder.importing import altered, write_map
 from cairn.components.replay.landmarks import read_landmarks
 from cairn.components.replay.mrclam_files import Dataset

@@ -81,7 +81,7 @@ def test_lockstep_gives_the_same_run_for_the_same_seed(user: Any, tmp_path: Path
         user.cairn("up", TURTLE, *words)
         logs.append((folder / "logs" / "lockstep.log").read_text(encoding="utf-8"))
 
-    assert "5.0 m travelled" in logs[0]
+    assert "5.0 m traveled" in logs[0]
     assert logs[0] == logs[1]
 
 
@@ -110,7 +110,7 @@ def test_in_real_processes_it_is_watched_and_tuned_as_the_page_says(
 def test_in_its_parents_process_it_runs_unchanged(user: Any, tmp_path: Path, endpoint: str) -> None:
     placement = "components.wanderer.placement=in_process"
     with running(user, tmp_path, f"bus.listen={endpoint}", placement, "distance=0.2") as turtle:
-        assert "m travelled" in wait_for(turtle, "ended: ")
+        assert "m traveled" in wait_for(turtle, "ended: ")
         assert turtle.wait(timeout=LIMIT_S) == 0
 
     logs = {log.stem for log in (tmp_path / "logs").iterdir()}

@@ -31,11 +31,11 @@ OFFLINE = ("cairn check deploy/", "cairn schema ", "cairn plugins", "cairn map "
 BEGINNING = """\
 from pydantic import Field
 
-from cairn.bus.qos import SENSOR
-from cairn.runtime.component import Component
-from cairn.runtime.handlers import every, on
-from cairn.runtime.parameters import Config
-from cairn.runtime.ports import In, Out
+from cairn import SENSOR
+from cairn import Component
+from cairn import every, on
+from cairn import Config
+from cairn import In, Out
 from cairn.schemas.geometry_msgs import Twist, Vector3
 from cairn.schemas.sensor_msgs import LaserScan
 

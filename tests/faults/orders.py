@@ -1,6 +1,6 @@
 """What the tests of faults ask of a running deployment."""
 
-from cairn.bus.qos import RELIABLE
+from cairn import RELIABLE
 from cairn.bus.session import open_peer
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.schemas.geometry_msgs import Point, Pose, PoseStamped

@@ -3,9 +3,9 @@
 import math
 import struct
 
+from cairn import RELIABLE
 from cairn.bus import rmw
 from cairn.bus.codec import Codec
-from cairn.bus.qos import RELIABLE
 from cairn.bus.session import open_peer
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.schemas.geometry_msgs import PoseStamped, Twist, Vector3

@@ -55,8 +55,8 @@ def main() -> int:
 def _options(folder: str) -> list[str]:
     """Without what the guest's tests do not need: loading it would take longer than they do."""
     unneeded = ("cacheprovider", "xdist", "hypothesispytest")
-    colour = "yes" if sys.stdout.isatty() else "no"
-    options = [f"--color={colour}", f"--confcutdir={folder}"]
+    color = "yes" if sys.stdout.isatty() else "no"
+    options = [f"--color={color}", f"--confcutdir={folder}"]
     return [*options, *(word for name in unneeded for word in ("-p", f"no:{name}"))]
 
 

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from cairn import RELIABLE, SECOND, Qos
 from cairn.bus.bus import full_name
-from cairn.bus.qos import RELIABLE, Qos
-from cairn.clock import SECOND
 from cairn.deployment.model import Deployment
 from cairn.placement.lockstep_run import LockstepRun
 from cairn.runtime.lifecycle import Transition

@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from cairn.bus.qos import RELIABLE
+from cairn import RELIABLE
 from cairn.bus.session import open_peer
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.planar.messages import planar_pose
@@ -60,19 +60,19 @@ class Robot:
         """Kill a component's process."""
         os.kill(self.run.pid_of(component), signal.SIGKILL)
 
-    def await_moved(self, metres: float) -> None:
+    def await_moved(self, meters: float) -> None:
         """Wait until the robot has come so far from where it is now."""
         begin = self.place
-        self._await(lambda: distance(begin, self._truths[-1][1]) >= metres, "moves")
+        self._await(lambda: distance(begin, self._truths[-1][1]) >= meters, "moves")
 
-    def await_near(self, place: Pose, metres: float, since: float = math.inf) -> None:
+    def await_near(self, place: Pose, meters: float, since: float = math.inf) -> None:
         """Wait until the robot is so near to a place, or was `since` a moment."""
 
         def near() -> bool:
             poses = [self._truths[-1][1], *self.way(since)]
-            return any(distance(place, pose) <= metres for pose in poses)
+            return any(distance(place, pose) <= meters for pose in poses)
 
-        self._await(near, f"comes within {metres:.2f} m of {place}")
+        self._await(near, f"comes within {meters:.2f} m of {place}")
 
     def await_stand(self) -> None:
         """Wait until the robot has stood for 0.25 s."""

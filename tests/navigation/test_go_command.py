@@ -121,7 +121,7 @@ def test_ctrl_c_cancels_its_own_order_and_the_robot_stands(robot: Robot) -> None
 
     robot.await_stand()
     assert going.await_end() == 130
-    assert going.lines[-1] == "cancelled: the robot stops\n"
+    assert going.lines[-1] == "canceled: the robot stops\n"
     answer = cairn("go", "--cancel", connect=robot.run.endpoint)
     assert (answer.code, answer.err) == (
         1,
@@ -138,7 +138,7 @@ def test_sigterm_cancels_its_own_order_and_the_robot_stands(robot: Robot) -> Non
 
     robot.await_stand()
     assert going.await_end() == 128 + signal.SIGTERM
-    assert going.lines[-1] == "cancelled: the robot stops\n"
+    assert going.lines[-1] == "canceled: the robot stops\n"
 
 
 def test_a_terminal_that_is_closed_cancels_its_order(robot: Robot) -> None:
@@ -157,7 +157,7 @@ def test_a_terminal_that_is_closed_cancels_its_order(robot: Robot) -> None:
     assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 128 + signal.SIGHUP
 
 
-def test_an_order_whose_teller_is_not_read_any_more_is_cancelled(robot: Robot) -> None:
+def test_an_order_whose_teller_is_not_read_any_more_is_canceled(robot: Robot) -> None:
     lines = len(robot.run.lines)
     going = subprocess.Popen(
         [CAIRN, "go", *far_place(robot), "--connect", robot.run.endpoint],
@@ -169,7 +169,7 @@ def test_an_order_whose_teller_is_not_read_any_more_is_cancelled(robot: Robot) -
         assert "go to (" in going.stdout.readline()
         going.stdout.close()
 
-        robot.run.await_line("cancelled: taken back", after=lines)
+        robot.run.await_line("canceled: taken back", after=lines)
         assert going.wait(LIMIT_S) == 1
 
 
@@ -196,14 +196,14 @@ def test_an_order_is_taken_back_from_a_supervisor_that_hangs(robot: Robot) -> No
     answer = cairn("go", "--cancel", connect=robot.run.endpoint)
 
     assert answer.code == 0
-    assert re.fullmatch(r"order \d+ is cancelled\n", answer.out)
+    assert re.fullmatch(r"order \d+ is canceled\n", answer.out)
     assert answer.err == (
         "mobile_supervisor does not answer; if it hangs it is killed and started anew: "
         "waiting up to 30 s\n"
     )
     robot.await_stand()
     assert going.await_end() == 1
-    assert "cancelled after" in going.lines[-1]
+    assert "canceled after" in going.lines[-1]
 
 
 def test_whoever_is_pre_empted_is_told_and_takes_nothing_back(robot: Robot) -> None:
@@ -215,8 +215,8 @@ def test_whoever_is_pre_empted_is_told_and_takes_nothing_back(robot: Robot) -> N
     assert first.await_end() == 1
 
     assert re.fullmatch(rf"cairn: order \d+ was pre-empted by order {order}\n", first.lines[-1])
-    cancelled = cairn("go", "--cancel", connect=robot.run.endpoint)
-    assert (cancelled.code, cancelled.out) == (0, f"order {order} is cancelled\n")
+    canceled = cairn("go", "--cancel", connect=robot.run.endpoint)
+    assert (canceled.code, canceled.out) == (0, f"order {order} is canceled\n")
 
 
 def test_an_order_that_its_supervisor_lost_is_told_of(robot: Robot) -> None:

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import pytest
 
-from cairn.errors import CairnError
+from cairn import CairnError
 from cairn.schemas.cairn_nav_msgs import MotionStatus, MoveStatus
 from tests.navigation.driving import STOPS_S, Drive
 
@@ -52,7 +52,7 @@ def test_a_new_goal_pre_empts_the_old_one(drive: DriveOf) -> None:
     assert [s.state for s in robot.statuses if s.order_id == first][-1] == MoveStatus.DRIVING
 
 
-def test_a_cancelled_order_leaves_the_robot_standing(drive: DriveOf) -> None:
+def test_a_canceled_order_leaves_the_robot_standing(drive: DriveOf) -> None:
     robot = drive()
     order = robot.ask("mobile_supervisor", "go", goals=[[7.5, 5.0, 0.0]])["order_id"]
     robot.await_state(MoveStatus.DRIVING)
@@ -63,7 +63,7 @@ def test_a_cancelled_order_leaves_the_robot_standing(drive: DriveOf) -> None:
     assert robot.time_to_stand() <= STOPS_S
     assert robot.await_end(1.0).state == MoveStatus.CANCELLED
     assert robot.motions[-1].state == MotionStatus.STANDING
-    assert robot.ask("mobile_supervisor", "order")["result"] == "cancelled: taken back"
+    assert robot.ask("mobile_supervisor", "order")["result"] == "canceled: taken back"
     with pytest.raises(CairnError, match=f"there is no order {order} under way"):
         robot.ask("mobile_supervisor", "cancel", order_id=order)
 

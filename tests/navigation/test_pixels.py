@@ -1,4 +1,4 @@
-"""From pixels to a repaired map: a stereo camera, the recogniser and navigation, in lockstep."""
+"""From pixels to a repaired map: a stereo camera, the recognizer and navigation, in lockstep."""
 
 import json
 import math

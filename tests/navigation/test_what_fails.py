@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from cairn.bus.qos import SENSOR
-from cairn.errors import CairnError
+from cairn import SENSOR, CairnError
 from cairn.planar.poses import distance
 from cairn.schemas.cairn_nav_msgs import MotionStatus, MoveStatus
 from cairn.schemas.sensor_msgs import LaserScan

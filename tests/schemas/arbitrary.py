@@ -34,7 +34,7 @@ from cairn.schemas.sensor_msgs import Image, LaserEcho, LaserScan, MultiEchoLase
 
 LONGEST = 6
 TEXT = st.text(st.characters(exclude_characters="\0", codec="utf-8"), max_size=12)
-METRES = st.floats(-1e6, 1e6)
+METERS = st.floats(-1e6, 1e6)
 
 
 def _every_message() -> dict[str, type[Any]]:
@@ -219,7 +219,7 @@ def _grid_updates(draw: st.DrawFn) -> Any:
 def _plans() -> st.SearchStrategy[Plan]:
     none = st.just(math.nan)
     return st.one_of(
-        _built(Plan, nearest_x=METRES, nearest_y=METRES),
+        _built(Plan, nearest_x=METERS, nearest_y=METERS),
         _built(Plan, nearest_x=none, nearest_y=none),
     )
 
@@ -253,7 +253,7 @@ def _recognized() -> st.SearchStrategy[RecognizedObject]:
 
 @st.composite
 def _recognized_arrays(draw: st.DrawFn) -> Any:
-    right, left = sorted(draw(st.tuples(METRES, METRES)))
+    right, left = sorted(draw(st.tuples(METERS, METERS)))
     nearest, farthest = sorted(draw(st.tuples(st.floats(0, 1e6), st.floats(0, 1e6))))
     return draw(
         _built(
@@ -268,7 +268,7 @@ def _recognized_arrays(draw: st.DrawFn) -> Any:
 
 def _visual_objects() -> st.SearchStrategy[VisualObject]:
     return st.one_of(
-        _built(VisualObject, candidate_x=METRES, candidate_y=METRES),
+        _built(VisualObject, candidate_x=METERS, candidate_y=METERS),
         _built(VisualObject, candidate_x=st.just(math.nan), candidate_y=st.just(math.nan)),
     )
 
@@ -276,8 +276,8 @@ def _visual_objects() -> st.SearchStrategy[VisualObject]:
 def _changes() -> st.SearchStrategy[VisualMapChange]:
     none = st.just(math.nan)
     return st.one_of(
-        _built(VisualMapChange, old_x=none, old_y=none, new_x=METRES, new_y=METRES),
-        _built(VisualMapChange, old_x=METRES, old_y=METRES, new_x=none, new_y=none),
+        _built(VisualMapChange, old_x=none, old_y=none, new_x=METERS, new_y=METERS),
+        _built(VisualMapChange, old_x=METERS, old_y=METERS, new_x=none, new_y=none),
     )
 
 

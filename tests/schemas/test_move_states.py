@@ -13,7 +13,7 @@ def test_every_state_is_called_as_its_constant() -> None:
 
 
 def test_the_results_are_the_last_states() -> None:
-    assert {MOVE_STATES[state] for state in MOVE_ENDS} == {"succeeded", "failed", "cancelled"}
+    assert {MOVE_STATES[state] for state in MOVE_ENDS} == {"succeeded", "failed", "canceled"}
 
 
 def test_a_reason_that_differs_in_its_numbers_alone_is_no_news() -> None:

@@ -27,7 +27,7 @@ from cairn.cli.tables import line, print_json
 from cairn.deployment.model import Deployment
 from cairn.placement.root import endpoints
 
-_COLOURS = {"ok": "green", "warn": "yellow", "fail": "bold red"}
+_COLORS = {"ok": "green", "warn": "yellow", "fail": "bold red"}
 _UNFOLDED = 10_000  # columns, where the output is not a terminal but perhaps `grep`
 
 File = Annotated[
@@ -88,7 +88,7 @@ def _print(findings: Sequence[Finding]) -> None:
         found = Text(finding.found)
         if finding.remedy:
             found.append(f"\n-> {finding.remedy}", style="cyan")
-        state = Text(finding.state, style=_COLOURS[finding.state])
+        state = Text(finding.state, style=_COLORS[finding.state])
         table.add_row(state, Text(finding.subject), found)
     with console.capture() as drawn:
         console.print(table)

@@ -73,10 +73,10 @@ def _clock(root: Path) -> Iterator[Finding]:
     if now < installed:
         found = f"{told}, which is before Cairn was installed"
         yield Finding(_TOPIC, "clock", "fail", found, remedy)
-    elif _is_synchronised():
-        yield Finding(_TOPIC, "clock", "ok", f"{told}, synchronised")
+    elif _is_synchronized():
+        yield Finding(_TOPIC, "clock", "ok", f"{told}, synchronized")
     else:
-        found = f"{told}, not synchronised: it may step while the robot runs"
+        found = f"{told}, not synchronized: it may step while the robot runs"
         yield Finding(_TOPIC, "clock", "warn", found, remedy)
     source = root / "sys/devices/system/clocksource/clocksource0/current_clocksource"
     name = source.read_text().strip() if source.exists() else "unknown"
@@ -87,7 +87,7 @@ def _clock(root: Path) -> Iterator[Finding]:
         yield Finding(_TOPIC, "clock source", "ok", name)
 
 
-def _is_synchronised() -> bool:
+def _is_synchronized() -> bool:
     timex = ctypes.create_string_buffer(512)  # larger than any; all 0: only asks, sets nothing
     return int(ctypes.CDLL(None).adjtimex(timex)) != _UNSYNCHRONISED
 

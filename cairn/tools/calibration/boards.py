@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cairn.errors import CairnError
+from cairn import CairnError
 from cairn.vision.calibration import FEWEST
 from cairn.vision.chessboard import Board, find_corners, other_board
 from cairn.vision.images import read_image
 
 Array = NDArray[np.float64]
-Grey = NDArray[np.uint8]
+Gray = NDArray[np.uint8]
 
 # In so many images another board is looked for, which takes long.
 _LOOKED_AT = 2
@@ -45,8 +45,8 @@ def look_for(board: Board, files: Sequence[Path]) -> Seen:
         )
     sizes: dict[str, tuple[int, int]] = {}
     corners: dict[str, Array] = {}
-    with_board: list[Grey] = []
-    without: dict[str, Grey | None] = {}
+    with_board: list[Gray] = []
+    without: dict[str, Gray | None] = {}
     for file in files:
         image, name = read_image(file), str(file)
         sizes[name] = (image.shape[1], image.shape[0])
@@ -90,7 +90,7 @@ def _listed(names: Sequence[str]) -> str:
     return ", ".join(names[:_NAMED]) + (f" and {more} more" if more > 0 else "")
 
 
-def _check_whole(board: Board, images: Sequence[Grey]) -> None:
+def _check_whole(board: Board, images: Sequence[Gray]) -> None:
     """Of a larger board any part could have been taken, in each image another."""
     found: Board | None = None
     for image in images:

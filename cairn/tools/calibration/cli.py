@@ -9,9 +9,9 @@ from typing import Annotated, Any
 
 import typer
 
+from cairn import CairnError
 from cairn.cli.connection import Json
 from cairn.cli.tables import line, note, print_json, show
-from cairn.errors import CairnError
 from cairn.schemas.sensor_msgs import CameraInfo
 from cairn.tools.calibration.boards import look_for
 from cairn.tools.calibration.given import sorted_out
@@ -164,8 +164,8 @@ def _views(info: CameraInfo) -> list[float]:
     """Angles of view [deg] of the rectified image, across and down."""
     spans = ((info.width, info.p[2], info.p[0]), (info.height, info.p[6], info.p[5]))
     return [
-        math.degrees(math.atan((centre + 0.5) / focal) + math.atan((size - 0.5 - centre) / focal))
-        for size, centre, focal in spans
+        math.degrees(math.atan((center + 0.5) / focal) + math.atan((size - 0.5 - center) / focal))
+        for size, center, focal in spans
     ]
 
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from cairn.errors import CairnError
+from cairn import CairnError
 from cairn.vision.file_errors import why
 from cairn.vision.image_files import images_in, natural, sides_of
 

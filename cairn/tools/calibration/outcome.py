@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from cairn.errors import CairnError
+from cairn import CairnError
 from cairn.schemas.sensor_msgs import CameraInfo
 from cairn.tools.calibration.boards import Seen
 from cairn.vision.calibration import Calibration, calibrate, camera_info

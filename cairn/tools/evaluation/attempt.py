@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from cairn.clock import SECOND
+from cairn import SECOND
 from cairn.planar.poses import Pose, distance, wrap
 from cairn.schemas.cairn_nav_msgs import MoveStatus
 from cairn.tools.evaluation.results import GoalResult
@@ -71,7 +71,7 @@ class Attempt:
             end_error=error,
             end_turn=turn,
             kidnapped=carried_ns is not None,
-            relocalised_s=None
+            relocalized_s=None
             if found_ns is None or carried_ns is None
             else (found_ns - carried_ns) / SECOND,
         )

@@ -10,16 +10,23 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from cairn.bus.qos import LATCHED, RELIABLE
-from cairn.clock import SECOND, to_ns
-from cairn.errors import CairnError
+from cairn import (
+    LATCHED,
+    RELIABLE,
+    SECOND,
+    CairnError,
+    Component,
+    Config,
+    In,
+    Out,
+    ParameterRefused,
+    every,
+    on,
+    to_ns,
+)
 from cairn.planar.messages import planar_covariance, planar_pose, planar_poses, pose_message
 from cairn.planar.odometry import OdometryHistory
 from cairn.planar.poses import Pose, distance, wrap
-from cairn.runtime.component import Component
-from cairn.runtime.handlers import every, on
-from cairn.runtime.parameters import Config, ParameterRefused
-from cairn.runtime.ports import In, Out
 from cairn.schemas.cairn_nav_msgs import MOVE_ENDS, Collision, MoveOrder, MoveStatus
 from cairn.schemas.cairn_sim_msgs import Scene, WorldState
 from cairn.schemas.geometry_msgs import PoseStamped, PoseWithCovarianceStamped

@@ -16,7 +16,7 @@ SIGMAS = (2.296, 6.180, 11.829)
 
 
 class LocalizationQuality:
-    """Gathers errors [m] and normalised errors squared of the position."""
+    """Gathers errors [m] and normalized errors squared of the position."""
 
     def __init__(self) -> None:
         self.errors: list[float] = []

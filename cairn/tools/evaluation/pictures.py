@@ -30,12 +30,12 @@ def draw_tracks(grid: OccupancyCells, runs: Sequence[RunResult], file: Path) -> 
         track = _broken_where_carried(np.array(run.track).reshape(-1, 2))
         axes.plot(track[:, 0], track[:, 1], color="tab:blue", linewidth=0.6, alpha=0.5)
     goals = [goal for run in runs for goal in run.goals]
-    for reached, marker, colour in ((True, "o", "tab:green"), (False, "x", "tab:red")):
+    for reached, marker, color in ((True, "o", "tab:green"), (False, "x", "tab:red")):
         places = [(goal.x, goal.y) for goal in goals if goal.reached is reached]
         if places:
             xs, ys = zip(*places, strict=True)
             label = f"{len(places)} goals {'reached' if reached else 'not reached'}"
-            axes.scatter(xs, ys, s=18, marker=marker, color=colour, label=label, zorder=3)
+            axes.scatter(xs, ys, s=18, marker=marker, color=color, label=label, zorder=3)
     axes.set_title("true ways, broken where the robot was carried off", fontsize="medium")
     axes.set_xlabel("x [m]")
     axes.set_ylabel("y [m]")
@@ -57,13 +57,13 @@ def draw_ways(runs: Sequence[RunResult], file: Path) -> None:
     left.set_ylabel("way driven [m]")
     left.legend(frameon=False)
     seeds = [run.seed for run in runs]
-    for key, label, colour in (
+    for key, label, color in (
         ("error_median", "median", "tab:blue"),
         ("error_p95", "95 % of the poses below", "tab:orange"),
     ):
         # A run without poses has no error: NaN is not drawn.
         values = [math.nan if (error := getattr(run, key)) is None else error for run in runs]
-        right.plot(seeds, values, "o", markersize=4, color=colour, label=label)
+        right.plot(seeds, values, "o", markersize=4, color=color, label=label)
     right.set_xlabel("seed")
     right.xaxis.set_major_locator(MaxNLocator(integer=True))
     right.set_ylabel("error of the position, unless lost [m]")
@@ -79,7 +79,7 @@ def _broken_where_carried(track: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _painted(grid: OccupancyCells) -> NDArray[np.uint8]:
-    """The map as a picture: white free, black occupied, grey unknown; row 0 at the bottom."""
+    """The map as a picture: white free, black occupied, gray unknown; row 0 at the bottom."""
     picture = np.full(grid.values.shape, 200, np.uint8)
     picture[(grid.values >= 0) & (grid.values <= FREE_TO)] = 255
     picture[grid.values >= OCCUPIED_FROM] = 0

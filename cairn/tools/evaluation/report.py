@@ -75,10 +75,10 @@ def _events(summary: Summary) -> Iterator[str]:
 
 def _carried_off(summary: Summary) -> Iterator[str]:
     yield f"  carried off       arrived {summary.kidnapped_reached} of {summary.kidnapped}"
-    found = f"  found itself      {summary.relocalised} of {summary.kidnapped}"
-    if summary.relocalised_median_s is not None:
+    found = f"  found itself      {summary.relocalized} of {summary.kidnapped}"
+    if summary.relocalized_median_s is not None:
         found += (
-            f", in {summary.relocalised_median_s:.1f} s median, "
-            f"{summary.relocalised_worst_s:.1f} s at worst"
+            f", in {summary.relocalized_median_s:.1f} s median, "
+            f"{summary.relocalized_worst_s:.1f} s at worst"
         )
     yield found

@@ -34,7 +34,7 @@ class GoalResult(BaseModel):
     end_error: float = Field(description="How far from the goal the robot truly was [m].")
     end_turn: float = Field(description="How far it was truly turned from the goal [rad].")
     kidnapped: bool = Field(False, description="It was carried off on the way, as the truth shows.")
-    relocalised_s: float | None = Field(
+    relocalized_s: float | None = Field(
         None, description="How long it took to find itself after that [s]; null: it did not."
     )
 
@@ -80,9 +80,9 @@ class Summary(BaseModel):
     reached_share: float
     kidnapped: int = Field(description="Goals on the way to which the robot was carried off.")
     kidnapped_reached: int
-    relocalised: int = Field(description="How often it found itself after that.")
-    relocalised_median_s: float | None
-    relocalised_worst_s: float | None
+    relocalized: int = Field(description="How often it found itself after that.")
+    relocalized_median_s: float | None
+    relocalized_worst_s: float | None
     collisions: int
     path_ratio_mean: float | None = Field(
         description="Way driven over the shortest, of goals reached without being carried off."
@@ -114,7 +114,7 @@ def summed_up(runs: Sequence[RunResult], events: Mapping[str, float]) -> Summary
     plain = [g for g in goals if g.reached and not g.kidnapped and g.shortest > 0]
     ratios = [g.driven / g.shortest for g in plain]
     kidnapped = [g for g in goals if g.kidnapped]
-    found = [g.relocalised_s for g in kidnapped if g.relocalised_s is not None]
+    found = [g.relocalized_s for g in kidnapped if g.relocalized_s is not None]
     ends = [g for g in goals if g.claimed]
     errors = pooled_errors(runs)
     reached = sum(goal.reached for goal in goals)
@@ -130,9 +130,9 @@ def summed_up(runs: Sequence[RunResult], events: Mapping[str, float]) -> Summary
         reached_share=reached / len(goals) if goals else 0.0,
         kidnapped=len(kidnapped),
         kidnapped_reached=sum(goal.reached for goal in kidnapped),
-        relocalised=len(found),
-        relocalised_median_s=_percentile(found, 50),
-        relocalised_worst_s=max(found, default=None),
+        relocalized=len(found),
+        relocalized_median_s=_percentile(found, 50),
+        relocalized_worst_s=max(found, default=None),
         collisions=sum(len(run.collisions) for run in runs),
         path_ratio_mean=float(np.mean(ratios)) if ratios else None,
         path_ratio_p95=_percentile(ratios, 95),

@@ -7,10 +7,10 @@ import logging
 from dataclasses import dataclass
 from pathlib import Path
 
+from cairn import CairnError
 from cairn.cli.log_file import log_file
 from cairn.deployment.load import load_deployment
 from cairn.deployment.model import Deployment
-from cairn.errors import CairnError
 from cairn.placement.lockstep_run import LockstepRun
 from cairn.planar.poses import Pose
 from cairn.tools.evaluation.results import RunResult

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from cairn.errors import CairnError
+from cairn import CairnError
 from cairn.tools.experiments import text
 from cairn.tools.experiments.comparison import (
     ENOUGH_SIGHTINGS,

@@ -48,7 +48,7 @@ class Condition:
     name: str
     title: str
     reference: str
-    colour: str
+    color: str
     style: str
 
 

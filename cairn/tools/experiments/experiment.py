@@ -15,7 +15,7 @@ from cairn.tools.experiments.series import PairSeries, WorldSeries, read_pair, r
 
 @dataclass(frozen=True)
 class Observed:
-    """A run that was done: what was true, what each pair told by its method, and the judgement."""
+    """A run that was done: what was true, what each pair told by its method, and the judgment."""
 
     job: Job
     world: WorldSeries
@@ -60,7 +60,7 @@ def _lacking(run: Observed) -> str:
     """Why a run that was finished has nothing to tell; "" if it has."""
     if not run.result.sightings:
         return (
-            "no object was recognised in all of the run; if it is from pixels, see that the "
+            "no object was recognized in all of the run; if it is from pixels, see that the "
             "visual map holds the objects' pictures (cairn object list): `cairn map import "
             "world` makes one that does, for --set visual_map=FILE"
         )

@@ -20,14 +20,14 @@ from cairn.tools.experiments.series import PairSeries, WorldSeries
 
 Array = NDArray[np.float64]
 
-_COLOURS = "RdYlGn"
+_COLORS = "RdYlGn"
 _STEP_S = 0.5
 
 
 def draw_sequence(
     sequence: Sequence[Moment], world: WorldSeries, grid_file: Path, file: Path
 ) -> None:
-    """The moments as maps, with the objects in the colour of their reliability."""
+    """The moments as maps, with the objects in the color of their reliability."""
     grid = read_map(grid_file)
     width, height = grid.size_m
     figure = Figure(figsize=(16.0, 8.0 * height / width + 1.4), layout="constrained")
@@ -38,11 +38,11 @@ def draw_sequence(
         axes.set_title(f"({moment.letter}) {moment.title}\n{when}", fontsize="small")
         if moment.stamp is not None:
             _draw_moment(axes, moment, world)
-    colours = ScalarMappable(Normalize(0.0, 1.0), _COLOURS)
-    figure.colorbar(colours, ax=panels, label="reliability of an object", shrink=0.6)
+    colors = ScalarMappable(Normalize(0.0, 1.0), _COLORS)
+    figure.colorbar(colors, ax=panels, label="reliability of an object", shrink=0.6)
     figure.supxlabel(
         "squares: objects where the map has them; crosses: removed; rings: where they truly are; "
-        "dots: new samples; orange: the robot. Metres.",
+        "dots: new samples; orange: the robot. Meters.",
         fontsize="small",
     )
     figure.savefig(file, dpi=100)
@@ -59,7 +59,7 @@ def draw_reliabilities(runs: Sequence[tuple[PairSeries, WorldSeries]], file: Pat
         moved = {move.object_id for move in world.moves}
         for key in pair.map_at(math.inf):
             groups[key in moved].append(_reliability(pair, key, stamps))
-    for is_moved, label, colour in (
+    for is_moved, label, color in (
         (False, "objects that stay", "tab:green"),
         (True, "objects that are moved", "tab:red"),
     ):
@@ -67,8 +67,8 @@ def draw_reliabilities(runs: Sequence[tuple[PairSeries, WorldSeries]], file: Pat
             continue
         rows = np.array(groups[is_moved])
         low, high = np.percentile(rows, [5, 95], axis=0)
-        axes.plot(stamps, rows.mean(axis=0), color=colour, label=f"{label}: mean, 5 to 95 %")
-        axes.fill_between(stamps, low, high, color=colour, alpha=0.15, linewidth=0)
+        axes.plot(stamps, rows.mean(axis=0), color=color, label=f"{label}: mean, 5 to 95 %")
+        axes.fill_between(stamps, low, high, color=color, alpha=0.15, linewidth=0)
     for stamp in {move.stamp for _, world in runs for move in world.moves}:
         axes.axvline(stamp, color="black", linewidth=0.8)
     axes.set_ylim(0.0, 1.02)
@@ -106,17 +106,17 @@ def _draw_moment(axes: Axes, moment: Moment, world: WorldSeries) -> None:
     for x, y in world.places(moment.stamp).values():
         axes.plot(x, y, "o", markersize=13, markerfacecolor="none", color="gray", zorder=2)
     for one in moment.objects:
-        marker, colour = ("s", "black") if one.live else ("X", "tab:red")
+        marker, color = ("s", "black") if one.live else ("X", "tab:red")
         axes.scatter(
             one.place[0],
             one.place[1],
             s=70,
             marker=marker,
             c=[one.reliability],
-            cmap=_COLOURS,
+            cmap=_COLORS,
             vmin=0.0,
             vmax=1.0,
-            edgecolors=colour,
+            edgecolors=color,
             linewidths=1.8 if one.object_id == moment.of else 0.6,
             zorder=3,
         )

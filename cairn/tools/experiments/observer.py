@@ -10,15 +10,20 @@ from typing import IO
 import numpy as np
 from pydantic import Field
 
-from cairn.bus.qos import LATCHED, RELIABLE
-from cairn.clock import SECOND, to_ns
-from cairn.errors import CairnError
+from cairn import (
+    LATCHED,
+    RELIABLE,
+    SECOND,
+    CairnError,
+    Component,
+    Config,
+    In,
+    ParameterRefused,
+    on,
+    to_ns,
+)
 from cairn.planar.messages import planar_covariance, planar_pose, planar_poses
 from cairn.planar.poses import wrap_all
-from cairn.runtime.component import Component
-from cairn.runtime.handlers import on
-from cairn.runtime.parameters import Config, ParameterRefused
-from cairn.runtime.ports import In
 from cairn.schemas.builtin_interfaces import Time
 from cairn.schemas.cairn_msgs import (
     ObjectEvidenceArray,
@@ -26,7 +31,7 @@ from cairn.schemas.cairn_msgs import (
     VisualMap,
     VisualMapChange,
 )
-from cairn.schemas.cairn_nav_msgs import Collision, Relocalisation
+from cairn.schemas.cairn_nav_msgs import Collision, Relocalization
 from cairn.schemas.geometry_msgs import PoseArray, PoseStamped, PoseWithCovarianceStamped
 
 _MANY = RELIABLE.with_depth(500)
@@ -80,7 +85,7 @@ class Observer(Component):
 
 
 class WorldObserver(Observer):
-    """Writes down what was true in a run, and what the recogniser told of it."""
+    """Writes down what was true in a run, and what the recognizer told of it."""
 
     truth: In[PoseStamped] = In(qos=_MANY)
     true_map: In[VisualMap] = In(qos=LATCHED.with_depth(100))
@@ -100,7 +105,7 @@ class WorldObserver(Observer):
 
     @on("recognized_objects")
     def see(self, seen: RecognizedObjectArray) -> None:
-        """Write what was recognised."""
+        """Write what was recognized."""
         for one in seen.objects:
             self._write(
                 "sighting",
@@ -123,7 +128,7 @@ class PairObserver(Observer):
     visual_map_changes: In[VisualMapChange] = In(qos=_MANY)
     object_evidence: In[ObjectEvidenceArray] = In(qos=_MANY)
     particles: In[PoseArray] = In(optional=True)
-    relocalised: In[Relocalisation] = In(optional=True)
+    relocalized: In[Relocalization] = In(optional=True)
 
     def on_configure(self) -> None:
         """Nothing was mapped yet."""
@@ -178,11 +183,11 @@ class PairObserver(Observer):
                 robot,
             )
 
-    @on("relocalised")
-    def find(self, found: Relocalisation) -> None:
+    @on("relocalized")
+    def find(self, found: Relocalization) -> None:
         """Write that the robot was lost and found itself, and until when it was sure not to be."""
         pose = _rounded(*planar_pose(found.pose.pose))
-        self._write("relocalised", found.header.stamp, *pose, to_ns(found.sure_until) / SECOND)
+        self._write("relocalized", found.header.stamp, *pose, to_ns(found.sure_until) / SECOND)
 
 
 def _rounded(*values: float) -> list[float]:

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from cairn.errors import CairnError
+from cairn import CairnError
 
 Seeds = Annotated[str, typer.Option(help="Seeds A..B, a run or two each.")]
 Out = Annotated[
@@ -44,7 +44,7 @@ DEPLOYMENT, OVERLAY = Path("deploy/sim.yaml"), Path("deploy/experiment.yaml")
 
 
 class Driver(StrEnum):
-    """Who recognises objects."""
+    """Who recognizes objects."""
 
     pixels = "pixels"
     geometric = "geometric"
@@ -53,8 +53,8 @@ class Driver(StrEnum):
 DriverOption = Annotated[
     Driver,
     typer.Option(
-        help="pixels: a simulated stereo camera and the object recogniser; geometric: what a "
-        "recogniser would tell, by geometry, many times faster."
+        help="pixels: a simulated stereo camera and the object recognizer; geometric: what a "
+        "recognizer would tell, by geometry, many times faster."
     ),
 ]
 

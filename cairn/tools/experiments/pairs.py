@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from cairn import CairnError
 from cairn.deployment.load import load_deployment
 from cairn.deployment.model import ComponentSpec, Deployment
 from cairn.deployment.plugins import load_plugin
-from cairn.errors import CairnError
 from cairn.runtime.ports import PortSpec, ports_of
 from cairn.tools.experiments.methods import Method
 

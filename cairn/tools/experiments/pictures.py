@@ -23,9 +23,9 @@ def draw_methods(summaries: Sequence[MethodSummary], file: Path) -> None:
     figure = Figure(figsize=(9.0, 0.8 + 0.45 * len(summaries)), layout="constrained")
     left, right = figure.subplots(1, 2, sharey=True)
     for row, one in enumerate(summaries):
-        colour = "tab:green" if row == 0 else "tab:blue"
+        color = "tab:green" if row == 0 else "tab:blue"
         for axes, value, per in ((left, one.recall, 1), (right, one.false_removals, 1000)):
-            _interval(axes, value, per, row, colour)
+            _interval(axes, value, per, row, color)
     if not any(one.recall.of for one in summaries):
         left.annotate("none moved and sighted", (0.5, 0.5), xycoords="axes fraction", ha="center")
     left.set_yticks(range(len(summaries)), [one.title for one in summaries])
@@ -39,12 +39,12 @@ def draw_methods(summaries: Sequence[MethodSummary], file: Path) -> None:
     figure.savefig(file, dpi=110)
 
 
-def _interval(axes: Axes, value: Rate, per: int, row: int, colour: str) -> None:
+def _interval(axes: Axes, value: Rate, per: int, row: int, color: str) -> None:
     if value.rate is None or value.low is None or value.high is None:
         return
     middle = per * value.rate
     around = [[middle - per * value.low], [per * value.high - middle]]
-    axes.errorbar([middle], [row], xerr=around, fmt="o", color=colour, capsize=3, markersize=5)
+    axes.errorbar([middle], [row], xerr=around, fmt="o", color=color, capsize=3, markersize=5)
 
 
 def draw_courses(ways: Sequence[Way], quantities: Sequence[str], file: Path) -> None:
@@ -87,12 +87,12 @@ def _draw_column(
                 stamps,
                 mean,
                 condition.style,
-                color=condition.colour,
+                color=condition.color,
                 linewidth=1.4,
                 label=condition.title,
             )
             low, high = np.maximum(mean - spread, 0.0), mean + spread
-            axes.fill_between(stamps, low, high, color=condition.colour, alpha=0.12, linewidth=0)
+            axes.fill_between(stamps, low, high, color=condition.color, alpha=0.12, linewidth=0)
         axes.axvline(ways[0].changed_at, color="black", linewidth=0.8)
         if registered:
             axes.axvline(float(np.median(registered)), color="gray", linewidth=0.8, linestyle="--")

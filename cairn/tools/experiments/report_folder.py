@@ -14,9 +14,9 @@ from typing import Any
 
 from pydantic import BaseModel
 
+from cairn import CairnError
 from cairn.cli.report_folder import writing_report
 from cairn.cli.tables import note
-from cairn.errors import CairnError
 from cairn.files import replace_file
 
 _FIGURES, _TEXT, _RUNS = "report.json", "report.txt", "runs"

@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 import shapely
 
+from cairn import CairnError
 from cairn.components.simulation.scene import Scene
 from cairn.components.simulation.world_file import VisibleObject, read_world
-from cairn.errors import CairnError
 from cairn.planar.poses import Pose, compose
 
-# Places along the walls are looked at every so many metres, so far from corners.
+# Places along the walls are looked at every so many meters, so far from corners.
 _EVERY_M, _FROM_CORNERS_M = 0.05, 0.25
 # An object needs so much free space before it, or nobody could see it [m].
 _BEFORE_M, _ROOM_M = 0.6, 0.15
@@ -118,8 +118,8 @@ def _along(begin: tuple[float, float], end: tuple[float, float]) -> Iterator[Pos
             yield round(x, 3), round(y, 3), round(theta, 4)
 
 
-def _before(place: Pose, metres: float) -> tuple[float, float]:
-    return compose(place, (metres, 0.0, 0.0))[:2]
+def _before(place: Pose, meters: float) -> tuple[float, float]:
+    return compose(place, (meters, 0.0, 0.0))[:2]
 
 
 def _fits(

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from cairn import CairnError
 from cairn.cli.log_file import log_file
 from cairn.cli.workers import worker_pool
-from cairn.errors import CairnError
 from cairn.placement.lockstep_run import LockstepRun
 from cairn.tools.experiments.pairs import Plan, planned
 

@@ -17,7 +17,7 @@ from cairn.tools.experiments.series import Change, Evidence, Mapped, Move, PairS
 Array = NDArray[np.float64]
 T = TypeVar("T")
 
-# The object of the paper's panels (b) and (c); where it is never recognised, the first that is.
+# The object of the paper's panels (b) and (c); where it is never recognized, the first that is.
 _PAPERS_OBJECT = 7
 # Reliability that (c) waits for: 0.5 after one similarity of 0.9.
 _RELIED_ON = 0.9 - 1e-6
@@ -58,8 +58,8 @@ def ring(center: tuple[float, float], radius: float, seed: int) -> Array:
 def _moments(pair: PairSeries, world: WorldSeries) -> Iterator[Moment]:
     begin = pair.mapped[0].stamp if pair.mapped else None
     yield Moment("a", "all reliabilities at first", begin)
-    first = _first_recognised(pair)
-    yield _new_samples("b", "new samples around object {}, just recognised", pair, first)
+    first = _first_recognized(pair)
+    yield _new_samples("b", "new samples around object {}, just recognized", pair, first)
     yield _relied_on(pair, first)
     move = world.moves[0] if world.moves else None
     if move is None:
@@ -81,14 +81,14 @@ def _moments(pair: PairSeries, world: WorldSeries) -> Iterator[Moment]:
     yield Moment("h", f"object {name} registered at its new place", found.stamp if found else None)
 
 
-def _first_recognised(pair: PairSeries) -> Evidence | None:
+def _first_recognized(pair: PairSeries) -> Evidence | None:
     mine = (one for one in pair.evidence if one.object_id == _PAPERS_OBJECT)
     return _next(mine) or _next(iter(pair.evidence))
 
 
 def _relied_on(pair: PairSeries, first: Evidence | None) -> Moment:
     if first is None:
-        return Moment("c", "nothing was recognised")
+        return Moment("c", "nothing was recognized")
     name = first.object_id
     risen = _next(
         one

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cairn.errors import CairnError
+from cairn import CairnError
 from cairn.planar.poses import Pose
 
 Array = NDArray[np.float64]
@@ -20,7 +20,7 @@ Place = tuple[float, float]
 
 @dataclass(frozen=True)
 class Sighting:
-    """What the recogniser told: of which object, when [s], range [m] and bearing [rad]."""
+    """What the recognizer told: of which object, when [s], range [m] and bearing [rad]."""
 
     stamp: float
     object_id: int

@@ -6,18 +6,13 @@ import time
 from typing import ClassVar, Literal
 
 import numpy as np
-from cairn.bus.qos import SENSOR
-from cairn.clock import SECOND, from_ns
+from cairn import SECOND, SENSOR, Component, Config, Out, ParameterRefused, every, from_ns
 from cairn.driver.device_clock import DeviceClock
 from cairn.driver.device_feed import DeviceFeed
 from cairn.driver.device_names import SerialPort
 from cairn.driver.diagnostics import ERROR, OK, WARN, diagnostics
 from cairn.driver.errors import DeviceError
 from cairn.driver.link import SerialLink
-from cairn.runtime.component import Component
-from cairn.runtime.handlers import every
-from cairn.runtime.parameters import Config, ParameterRefused
-from cairn.runtime.ports import Out
 from cairn.schemas.diagnostic_msgs import DiagnosticArray
 from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.std_msgs import Header
@@ -145,7 +140,7 @@ class LanternScanner(Component):
 
 
 def _ranges(turn: Turn, farthest: float) -> np.ndarray:
-    """Metres; infinite where nothing was seen within the reach (REP 117)."""
-    metres = np.array(turn.millimetres, np.float32) / np.float32(1000.0)
-    metres[(metres == 0.0) | (metres > farthest)] = np.inf
-    return metres
+    """Meters; infinite where nothing was seen within the reach (REP 117)."""
+    meters = np.array(turn.millimeters, np.float32) / np.float32(1000.0)
+    meters[(meters == 0.0) | (meters > farthest)] = np.inf
+    return meters

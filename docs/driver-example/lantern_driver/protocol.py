@@ -28,12 +28,12 @@ class Turn:
     """When a turn ended by the device's clock [ms], and its distances [mm], from left to right."""
 
     ended_ms: int
-    millimetres: tuple[int, ...]
+    millimeters: tuple[int, ...]
 
 
 def write_turn(turn: Turn) -> bytes:
     """The line that tells a turn: for devices in software."""
-    body = " ".join(["T", str(turn.ended_ms), *map(str, turn.millimetres)]).encode()
+    body = " ".join(["T", str(turn.ended_ms), *map(str, turn.millimeters)]).encode()
     return b"%s*%02X\n" % (body, sum(body) & 0xFF)
 
 
@@ -45,8 +45,8 @@ def read_turn(line: bytes) -> Turn:
     kind, *words = body.split(b" ")
     if kind != b"T" or len(words) != 1 + BEAMS or not all(word.isdigit() for word in words):
         raise DamagedLine(f"{line[:20]!r} ... tells no turn of {BEAMS} beams")
-    ended, *millimetres = map(int, words)
-    return Turn(ended, tuple(millimetres))
+    ended, *millimeters = map(int, words)
+    return Turn(ended, tuple(millimeters))
 
 
 class Lines:

@@ -1,7 +1,7 @@
 """The base moves on command and stops without."""
 
 import pytest
-from cairn.clock import SECOND
+from cairn import SECOND
 from cairn.runtime.lifecycle import State
 from cairn.schemas.geometry_msgs import Twist, Vector3
 from cairn.testing.stage import Stage

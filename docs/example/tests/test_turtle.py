@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import pytest
-from cairn.clock import SECOND
+from cairn import SECOND
 from cairn.deployment.load import load_deployment
 from cairn.placement.lockstep_run import LockstepRun
 
@@ -16,7 +16,7 @@ def test_the_turtle_wanders_its_way_and_the_deployment_ends() -> None:
     end = run.run(lambda: None)
 
     assert end.normal
-    assert "5.0 m travelled" in end.reason
+    assert "5.0 m traveled" in end.reason
 
 
 def test_it_rests_when_its_battery_is_low(caplog: pytest.LogCaptureFixture) -> None:

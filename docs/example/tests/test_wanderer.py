@@ -1,7 +1,7 @@
 """The wanderer goes ahead, turns at walls, and ends."""
 
 import pytest
-from cairn.runtime.parameters import ParameterRefused
+from cairn import ParameterRefused
 from cairn.schemas.geometry_msgs import Point, Pose, PoseWithCovariance
 from cairn.schemas.nav_msgs import Odometry
 from cairn.testing.stage import Stage

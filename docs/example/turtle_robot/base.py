@@ -2,12 +2,7 @@
 
 import math
 
-from cairn.bus.qos import SENSOR
-from cairn.clock import SECOND, from_ns
-from cairn.runtime.component import Component
-from cairn.runtime.handlers import every, on
-from cairn.runtime.parameters import Config
-from cairn.runtime.ports import In, Out
+from cairn import SECOND, SENSOR, Component, Config, In, Out, every, from_ns, on
 from cairn.schemas.geometry_msgs import (
     Point,
     Pose,

@@ -1,8 +1,6 @@
 """The supervisor of the turtle: lets it wander while the battery lasts."""
 
-from cairn.runtime.handlers import on
-from cairn.runtime.parameters import Config
-from cairn.runtime.ports import In
+from cairn import Config, In, on
 from cairn.supervision.component import SupervisorComponent
 from pydantic import Field
 

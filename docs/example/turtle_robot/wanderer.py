@@ -2,12 +2,7 @@
 
 import math
 
-from cairn.bus.qos import SENSOR
-from cairn.clock import SECOND
-from cairn.runtime.component import Component
-from cairn.runtime.handlers import every, on
-from cairn.runtime.parameters import Config, ParameterRefused
-from cairn.runtime.ports import In, Out
+from cairn import SECOND, SENSOR, Component, Config, In, Out, ParameterRefused, every, on
 from cairn.schemas.geometry_msgs import Point, Twist, Vector3
 from cairn.schemas.nav_msgs import Odometry
 from pydantic import Field
@@ -34,7 +29,7 @@ class Wanderer(Component):
 
     def on_configure(self) -> None:
         """Begin with no way behind it."""
-        self._travelled_m = 0.0
+        self._traveled_m = 0.0
         self._last: Point | None = None
 
     def on_activate(self) -> None:
@@ -48,8 +43,8 @@ class Wanderer(Component):
     def on_parameters(self, new: Config) -> None:
         """Refuse a way that is behind it already."""
         assert isinstance(new, WandererConfig)
-        if new.distance < self._travelled_m:
-            raise ParameterRefused(f"{self._travelled_m:.1f} m are behind the turtle already")
+        if new.distance < self._traveled_m:
+            raise ParameterRefused(f"{self._traveled_m:.1f} m are behind the turtle already")
 
     @on("odom")
     def follow(self, odom: Odometry) -> None:
@@ -58,9 +53,9 @@ class Wanderer(Component):
         self._last = place
         step_m = 0.0 if last is None else math.hypot(place.x - last.x, place.y - last.y)
         if step_m < 0.2:  # else the base began anew at its origin
-            self._travelled_m += step_m
-        if self._travelled_m >= self.config.distance:
-            self.finish(f"{self._travelled_m:.1f} m travelled")
+            self._traveled_m += step_m
+        if self._traveled_m >= self.config.distance:
+            self.finish(f"{self._traveled_m:.1f} m traveled")
 
     @on("base_state")
     def avoid(self, state: BaseState) -> None:

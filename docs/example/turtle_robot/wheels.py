@@ -3,7 +3,7 @@
 import math
 
 import numpy as np
-from cairn.errors import CairnError
+from cairn import CairnError
 
 
 class WheelJamError(CairnError):

@@ -7,9 +7,9 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from typing import Any
 
+from cairn import Qos
 from cairn.bus.bus import Bus, Node
 from cairn.bus.graph import read_graph
-from cairn.bus.qos import Qos
 from cairn.bus.rmw import EndpointEntity, NodeEntity
 from cairn.bus.session import open_client, open_peer, open_router
 from cairn.bus.zenoh_bus import ZenohBus

@@ -7,7 +7,7 @@ each line one more word, and for each word on /robot/answer a line "heard WORD".
 import sys
 import threading
 
-from cairn.bus.qos import RELIABLE
+from cairn import RELIABLE
 from cairn.bus.session import open_peer
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.schemas.std_msgs import String

@@ -6,9 +6,9 @@ from dataclasses import FrozenInstanceError, dataclass
 
 import pytest
 
+from cairn import LATCHED, RELIABLE, SENSOR, Qos
 from cairn.bus.bus import Bus, mismatch
 from cairn.bus.lockstep_bus import LockstepBus
-from cairn.bus.qos import LATCHED, RELIABLE, SENSOR, Qos
 from cairn.schemas.geometry_msgs import Twist, Vector3
 from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.std_msgs import String

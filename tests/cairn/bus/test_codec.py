@@ -8,8 +8,8 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
+from cairn import CairnError
 from cairn.bus.codec import Codec
-from cairn.errors import CairnError
 from cairn.schemas.builtin_interfaces import Time
 from cairn.schemas.geometry_msgs import (
     Pose,

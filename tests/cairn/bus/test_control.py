@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
+from cairn import CairnError
 from cairn.bus.control import ControlError, ControlServer, control_key, request
 from cairn.bus.zenoh_bus import ZenohBus
-from cairn.errors import CairnError
 from cairn.runtime.loop import ThreadLoop
 from tests.cairn.bus.network import Network
 from tests.patience import LIMIT_S

@@ -5,8 +5,8 @@ import time
 
 import pytest
 
+from cairn import RELIABLE
 from cairn.bus.codec import Codec
-from cairn.bus.qos import RELIABLE
 from cairn.bus.rmw import Attachment, data_key
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.schemas.geometry_msgs import Twist, Vector3

@@ -9,8 +9,8 @@ import zenoh.ext
 from hypothesis import given
 from hypothesis import strategies as st
 
+from cairn import LATCHED, RELIABLE, SENSOR, Qos
 from cairn.bus.codec import Codec
-from cairn.bus.qos import LATCHED, RELIABLE, SENSOR, Qos
 from cairn.bus.rmw import (
     Attachment,
     EndpointEntity,

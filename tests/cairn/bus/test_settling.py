@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO
 
-from cairn.bus.qos import LATCHED, RELIABLE
+from cairn import LATCHED, RELIABLE
 from cairn.bus.session import open_peer
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.schemas.std_msgs import String

@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 import zenoh
 
+from cairn import LATCHED, SENSOR, Qos
 from cairn.bus.codec import Codec
-from cairn.bus.qos import LATCHED, SENSOR, Qos
 from cairn.bus.rmw import Attachment, EndpointEntity, NodeEntity, gid, token_key
 from cairn.bus.session import open_client, open_peer
 from cairn.bus.zenoh_bus import ZenohBus

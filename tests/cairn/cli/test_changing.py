@@ -23,7 +23,7 @@ def test_param_set_changes_a_running_component(command: Command) -> None:
 def test_param_set_is_refused_with_the_reason(command: Command) -> None:
     command("param", "set", "talker", "volume=5")
     refusals = {
-        "volume=11": "cairn: volume: the neighbours object to more than 10\n",
+        "volume=11": "cairn: volume: the neighbors object to more than 10\n",
         "volume=12": "cairn: parameter volume = 12 refused: should be less than or equal to 11 "
         "(allowed: >= 0, <= 11)\n",
         "volume=loud": "cairn: parameter volume = 'loud' refused: should be a valid integer, "

@@ -47,7 +47,7 @@ def test_what_is_waited_for_is_told_once_while_plugins_take_long_to_import(
 ) -> None:
     module = """
         import fcntl
-        from cairn.runtime.component import Component
+        from cairn import Component
         with open({gate!r}) as gate:
             fcntl.flock(gate, fcntl.LOCK_SH)
         class Slow(Component):

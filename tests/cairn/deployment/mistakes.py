@@ -39,7 +39,7 @@ CASES = {
             "is missing; give Entry point of group cairn.components, or package.module:Class",
         ),
     ),
-    "misspelt plugin": (
+    "misspelled plugin": (
         HEAD + PARTS + "  other:\n    plugin: acme_locaizer\n",
         (
             6,
@@ -48,7 +48,7 @@ CASES = {
             "(`cairn plugins` lists all; package.module:Class names a class directly)",
         ),
     ),
-    "misspelt module": (
+    "misspelled module": (
         HEAD + PARTS + "  other: {plugin: 'acme_robots.parts:Base'}\n",
         (
             5,
@@ -58,7 +58,7 @@ CASES = {
             "file on PYTHONPATH",
         ),
     ),
-    "misspelt class": (
+    "misspelled class": (
         HEAD + PARTS + "  other: {plugin: 'acme_robot.parts:Bass'}\n",
         (
             5,

@@ -8,10 +8,10 @@ from concurrent.futures import Future
 
 import pytest
 
+from cairn import Component
 from cairn.bus.lockstep_bus import LockstepBus
 from cairn.driver.device_feed import DeviceFeed
 from cairn.driver.errors import DeviceError
-from cairn.runtime.component import Component
 from tests.cairn.runtime.running import Threaded
 from tests.patience import LIMIT_S
 

@@ -7,9 +7,9 @@ import threading
 
 import pytest
 
+from cairn import CairnError
 from cairn.driver.device_thread import DeviceThread
 from cairn.driver.errors import DeviceError
-from cairn.errors import CairnError
 from tests.patience import LIMIT_S
 
 LOG = logging.getLogger("test_device_thread")

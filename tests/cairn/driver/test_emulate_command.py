@@ -11,9 +11,9 @@ from pathlib import Path
 
 import pytest
 
+from cairn import CairnError
 from cairn.driver.emulate_command import Place, fault_shares
 from cairn.driver.link import SerialLink, TcpLink
-from cairn.errors import CairnError
 from cairn.testing.launching import CAIRN
 from tests.cairn.driver.parrot import read_until
 from tests.commands import cairn

@@ -9,13 +9,13 @@ from pathlib import Path
 
 import pytest
 
+from cairn import CairnError
 from cairn.driver.emulated_lines import LineEnd, PtyEnd, TcpEnd
 from cairn.driver.emulated_serial_port import SerialEnd
 from cairn.driver.emulation import Emulation
 from cairn.driver.errors import LinkLost
 from cairn.driver.faults import FrameFault
 from cairn.driver.link import Link, SerialLink, TcpLink
-from cairn.errors import CairnError
 from tests.cairn.driver.parrot import Parrot, asked, read_count, read_until
 from tests.patience import LIMIT_S
 

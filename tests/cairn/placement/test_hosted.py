@@ -4,14 +4,12 @@ from collections.abc import Iterator
 
 import pytest
 
+from cairn import CairnError, Component, every
 from cairn.bus.session import open_router
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.deployment.model import ComponentSpec
-from cairn.errors import CairnError
 from cairn.placement.hosted import Hosted
 from cairn.placement.order import Order, Surroundings
-from cairn.runtime.component import Component
-from cairn.runtime.handlers import every
 from cairn.testing.launching import LIMIT_S, free_port
 
 

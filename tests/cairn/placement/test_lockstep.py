@@ -4,14 +4,9 @@ import hashlib
 
 import pytest
 
+from cairn import LATCHED, SECOND, CairnError, Component, In, Out, Qos, every, from_ns, on
 from cairn.bus.codec import Codec
-from cairn.bus.qos import LATCHED, Qos
-from cairn.clock import SECOND, from_ns
-from cairn.errors import CairnError
 from cairn.placement.lockstep import LockstepExecutor
-from cairn.runtime.component import Component
-from cairn.runtime.handlers import every, on
-from cairn.runtime.ports import In, Out
 from cairn.schemas.cairn_msgs import ComponentStatus
 from cairn.schemas.geometry_msgs import PoseStamped, Twist, Vector3
 from cairn.schemas.std_msgs import Header

@@ -52,7 +52,7 @@ def cost_along(prices: Prices, points: NDArray[np.float64]) -> float:
 
 
 def shortest(closed: NDArray[np.bool_], start: Cell, goal: Cell) -> float:
-    """Length [cells] of the shortest way between the centres of two cells past closed ones.
+    """Length [cells] of the shortest way between the centers of two cells past closed ones.
 
     Infinite without a way. It turns at corners of closed cells, a thousandth of a cell off.
     """

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
-from cairn.errors import CairnError
+from cairn import CairnError
 from cairn.planar.grid import FREE, OCCUPIED, UNKNOWN, Frame, Grid
 from cairn.planar.map_file import Mode, read_map, write_map
 from tests.disk import room_for
@@ -33,7 +33,7 @@ def painted(folder: Path, rows: list[list[int]], name: str = "map.pgm") -> None:
     Image.fromarray(np.array(rows, np.uint8)).save(folder / name)
 
 
-def test_dark_is_occupied_light_is_free_and_grey_unknown_bottom_row_first(tmp_path: Path) -> None:
+def test_dark_is_occupied_light_is_free_and_gray_unknown_bottom_row_first(tmp_path: Path) -> None:
     painted(tmp_path, [[0, 205, 254], [254, 254, 0]])
 
     grid = read_map(described(tmp_path))

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from cairn.clock import SECOND
+from cairn import SECOND
 from cairn.planar.odometry import Added, OdometryHistory, jumped
 
 

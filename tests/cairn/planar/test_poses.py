@@ -17,8 +17,8 @@ from cairn.planar.messages import (
 )
 from cairn.planar.poses import Pose, between, compose, inverse, relative, wrap
 
-metres = st.floats(-100.0, 100.0)
-poses = st.tuples(metres, metres, st.floats(-math.pi, math.pi, exclude_max=True))
+meters = st.floats(-100.0, 100.0)
+poses = st.tuples(meters, meters, st.floats(-math.pi, math.pi, exclude_max=True))
 
 
 def same(a: Pose, b: Pose) -> bool:

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from cairn.planar.path_shape import centres, taut
+from cairn.planar.path_shape import centers, taut
 from cairn.planar.shortest_path import (
     CLOSED,
     DEAREST,
@@ -146,7 +146,7 @@ def test_pulled_taut_it_is_as_short_as_in_any_directions(seed: int) -> None:
 
     assert (way.cells is None) == math.isinf(optimum)
     if way.cells is not None:
-        length = cost_along(prices, taut(prices, centres(way.cells)))
+        length = cost_along(prices, taut(prices, centers(way.cells)))
         assert 0.999 * optimum <= length <= 1.03 * optimum
 
 
@@ -158,7 +158,7 @@ def test_a_serpentine_is_followed_to_its_end() -> None:
     way = PathSearch(prices.shape).way(prices, (2, 2), (197, 197))
 
     assert way.cells is not None
-    line = taut(prices, centres(way.cells))
+    line = taut(prices, centers(way.cells))
     assert cost_along(prices, line) == pytest.approx(length, rel=0.005)
 
 

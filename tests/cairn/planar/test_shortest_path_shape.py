@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from cairn.planar.path_shape import centres, first_closed, stepped, taut
+from cairn.planar.path_shape import centers, first_closed, stepped, taut
 from cairn.planar.shortest_path import CLOSED, LEAST, MARGIN, PathSearch, Prices, priced
 from tests.cairn.planar.any_angle import clear, cost_along
 
@@ -84,7 +84,7 @@ def test_no_shape_of_a_path_touches_a_closed_cell_or_is_dearer(
     cells = PathSearch(prices.shape).way(prices, (0, 0), (23, 23)).cells
     if cells is None:
         return
-    points = centres(cells)
+    points = centers(cells)
 
     line = taut(prices, points)
     path = stepped(prices, line, 2.0)

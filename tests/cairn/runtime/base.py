@@ -2,11 +2,8 @@
 
 from pydantic import Field
 
-from cairn.bus.qos import LATCHED, RELIABLE
-from cairn.runtime.component import Component, Context
-from cairn.runtime.handlers import on
-from cairn.runtime.parameters import Config
-from cairn.runtime.ports import In, Out
+from cairn import LATCHED, RELIABLE, Component, Config, In, Out, on
+from cairn.runtime.component import Context
 from cairn.schemas.geometry_msgs import Twist
 from cairn.schemas.std_msgs import String
 

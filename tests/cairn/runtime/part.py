@@ -2,9 +2,8 @@
 
 from typing import Any
 
-from cairn.runtime.component import Component, Context
-from cairn.runtime.handlers import on
-from cairn.runtime.ports import In, Out
+from cairn import Component, In, Out, on
+from cairn.runtime.component import Context
 from cairn.schemas.std_msgs import String
 
 STEPS = ("configure", "activate", "deactivate", "cleanup", "shutdown")

@@ -5,12 +5,11 @@ from collections.abc import Mapping
 from concurrent.futures import Future
 from typing import Any, Generic, TypeVar, cast
 
+from cairn import LATCHED, RELIABLE, Component, Qos
 from cairn.bus.bus import Bus, full_name
 from cairn.bus.lockstep_bus import LockstepBus, LockstepSubscription
-from cairn.bus.qos import LATCHED, RELIABLE, Qos
 from cairn.clock import SystemClock
 from cairn.placement.lockstep import LockstepExecutor
-from cairn.runtime.component import Component
 from cairn.runtime.loop import ThreadLoop
 from cairn.runtime.runtime import Assignment, End, Runtime
 from tests.patience import LIMIT_S

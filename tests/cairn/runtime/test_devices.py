@@ -7,11 +7,8 @@ from typing import ClassVar, Literal
 
 import pytest
 
+from cairn import LATCHED, CairnError, Component, Out
 from cairn.bus.lockstep_bus import LockstepBus
-from cairn.bus.qos import LATCHED
-from cairn.errors import CairnError
-from cairn.runtime.component import Component
-from cairn.runtime.ports import Out
 from cairn.schemas.std_msgs import String
 from tests.cairn.runtime.base import Base
 from tests.cairn.runtime.running import Lockstep, Threaded

@@ -4,8 +4,7 @@ from typing import Any
 
 import pytest
 
-from cairn.clock import SECOND
-from cairn.errors import CairnError
+from cairn import SECOND, CairnError
 from cairn.runtime.component import Context
 from cairn.runtime.runtime import End
 from cairn.schemas.std_msgs import String

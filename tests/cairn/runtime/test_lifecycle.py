@@ -4,9 +4,7 @@ import logging
 
 import pytest
 
-from cairn.clock import SECOND
-from cairn.errors import CairnError
-from cairn.runtime.handlers import every
+from cairn import SECOND, CairnError, every
 from cairn.runtime.runtime import End
 from cairn.schemas.cairn_msgs import ComponentStatus
 from cairn.schemas.std_msgs import String

@@ -2,8 +2,7 @@
 
 import pytest
 
-from cairn.errors import CairnError
-from cairn.runtime.parameters import Config, ParameterRefused
+from cairn import CairnError, Config, ParameterRefused
 from tests.cairn.runtime.base import Base, BaseConfig, Limits
 from tests.cairn.runtime.running import Lockstep
 

@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 
+from cairn import every, on
 from cairn.bus.lockstep_bus import LockstepBus
 from cairn.runtime.component import Context
-from cairn.runtime.handlers import every, on
 from cairn.runtime.runtime import End
 from cairn.schemas.std_msgs import String
 from tests.cairn.runtime.base import Base, word

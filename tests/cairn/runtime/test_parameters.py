@@ -5,8 +5,8 @@ from typing import Annotated, Any, Literal
 import pytest
 from pydantic import Field, ValidationError, model_validator
 
-from cairn.runtime.marks import ReadPath
-from cairn.runtime.parameters import Config, Parameter, ParameterRefused, changed, describe
+from cairn import Config, ParameterRefused, ReadPath
+from cairn.runtime.parameters import Parameter, changed, describe
 
 
 class Filter(Config):

@@ -4,9 +4,8 @@ from typing import Annotated, Any, ClassVar
 
 import pytest
 
-from cairn.bus.qos import LATCHED, RELIABLE, SENSOR
-from cairn.errors import CairnError
-from cairn.runtime.ports import BoundIn, BoundOut, In, Out, PortSpec, ports_of
+from cairn import LATCHED, RELIABLE, SENSOR, CairnError, In, Out
+from cairn.runtime.ports import BoundIn, BoundOut, PortSpec, ports_of
 from cairn.schemas.builtin_interfaces import Time
 from cairn.schemas.geometry_msgs import Twist
 from cairn.schemas.nav_msgs import Odometry

@@ -5,10 +5,8 @@ from typing import Any
 
 import pytest
 
-from cairn.bus.qos import LATCHED
-from cairn.errors import CairnError
-from cairn.runtime.handlers import every, handlers_of, on
-from cairn.runtime.ports import Out
+from cairn import LATCHED, CairnError, Out, every, on
+from cairn.runtime.handlers import handlers_of
 from cairn.runtime.rosout import RosoutHandler
 from cairn.schemas.geometry_msgs import Twist, Vector3
 from cairn.schemas.rcl_interfaces import Log

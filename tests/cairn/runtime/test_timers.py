@@ -4,12 +4,9 @@ from collections.abc import Callable
 
 import pytest
 
+from cairn import SECOND, CairnError, Component, In, every, from_ns, on
 from cairn.bus.lockstep_bus import LockstepBus
-from cairn.clock import SECOND, from_ns
-from cairn.errors import CairnError
-from cairn.runtime.component import Component, Context
-from cairn.runtime.handlers import every, on
-from cairn.runtime.ports import In
+from cairn.runtime.component import Context
 from cairn.runtime.runtime import Assignment, Runtime
 from cairn.schemas.rosgraph_msgs import Clock
 from cairn.schemas.std_msgs import String

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from cairn.errors import CairnError
+from cairn import CairnError
 from cairn.supervision.child import Accident, ChildEnd, ChildSpec, Verb
 from cairn.supervision.events import SupervisionEvent
 from cairn.supervision.policy import Intensity, Strategy

@@ -11,7 +11,7 @@ import tempfile
 from pathlib import Path
 from typing import Any, TextIO
 
-from cairn.errors import CairnError
+from cairn import CairnError
 from cairn.supervision.child import ChildEnd, ChildSpec, Verb
 from cairn.supervision.child_process import ChildExit, ChildProcess
 from cairn.supervision.events import SupervisionEvent

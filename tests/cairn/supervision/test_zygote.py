@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 import zenoh
 
-from cairn.errors import CairnError
+from cairn import CairnError
 from cairn.supervision.child_process import ChildExit
 from cairn.supervision.zygote_client import SpawnFailed, ZygoteClient, ZygoteLost
 from cairn.supervision.zygote_process import ZygoteProcess, start_zygote
@@ -79,7 +79,7 @@ def test_a_signal_reaches_a_process_however_young(owner: Owner, fresh: bool) -> 
         assert ended.signal == signal.SIGTERM
 
 
-def test_a_process_that_has_ended_can_be_signalled_in_vain(owner: Owner) -> None:
+def test_a_process_that_has_ended_can_be_signaled_in_vain(owner: Owner) -> None:
     child = owner.spawn("speak", said="")
     child.wait(LIMIT_S)
     child.terminate()

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from cairn.errors import CairnError
+from cairn import CairnError
 from cairn.supervision.zygote_client import ZygoteLost
 from cairn.supervision.zygote_process import ZygoteProcess, start_zygote
 from tests.patience import LIMIT_S

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from cairn.runtime.component import Component
+from cairn import Component
 from cairn.testing.base_contract import SafetyContract
 from cairn.testing.camera_contract import PicturesContract
 from cairn.testing.scanner_contract import ScanContract
@@ -19,12 +19,12 @@ SECONDS = 0.8  # of scans and of pictures: sixteen
 
 SCANNERS: dict[type[Component], dict[str, str]] = {
     scanners.SoundScanner: {},
-    scanners.Millimetres: {
-        "test_ranges_are_within_limits": "are these millimetres?",
+    scanners.Millimeters: {
+        "test_ranges_are_within_limits": "are these millimeters?",
         "test_surroundings_are_seen_where_they_are": "a thousand times as far",
     },
-    scanners.MillimetreLimits: {
-        "test_limits_are_in_metres": "are these millimetres?",
+    scanners.MillimeterLimits: {
+        "test_limits_are_in_meters": "are these millimeters?",
         "test_surroundings_are_seen_where_they_are": "a thousand times as far",
     },
     scanners.Clockwise: {"test_surroundings_are_seen_where_they_are": "on the other side"},

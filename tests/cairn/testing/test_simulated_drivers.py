@@ -49,7 +49,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
 @pytest.mark.realtime
 class TestScans(ScanContract):
     rate_hz = 20.0
-    # It stands in a corner of the room, a metre from the wall on its right.
+    # It stands in a corner of the room, a meter from the wall on its right.
     surroundings = {math.radians(-90.0): 1.0}
 
 

@@ -10,7 +10,7 @@ from cairn.schemas.sensor_msgs import CameraInfo
 from cairn.schemas.std_msgs import Header
 
 Array = NDArray[np.float64]
-Grey = NDArray[np.uint8]
+Gray = NDArray[np.uint8]
 
 WIDTH, HEIGHT, FOCAL, BASELINE = 320, 240, 250.0, 0.1
 CX, CY = 159.5, 119.5
@@ -39,7 +39,7 @@ def projection(fx: float = FOCAL, cx: float = CX, cy: float = CY, tx: float = 0.
 def pattern(seed: int, columns: Array, rows: Array, finest: float = 5.0) -> Array:
     """A texture that is known at every place [px], not at pixels alone; 0 to 255."""
     random = np.random.default_rng(seed)
-    # Single precision suffices for grey levels, and takes a quarter of the time.
+    # Single precision suffices for gray levels, and takes a quarter of the time.
     columns, rows = columns.astype(np.float32), rows.astype(np.float32)
     value = np.zeros_like(columns)
     for _ in range(40):
@@ -49,7 +49,7 @@ def pattern(seed: int, columns: Array, rows: Array, finest: float = 5.0) -> Arra
     return np.clip(128 + 18 * value.astype(np.float64), 0, 255)
 
 
-def plane_pair(seed: int, plane: tuple[float, float, float], noise: float = 0.0) -> list[Grey]:
+def plane_pair(seed: int, plane: tuple[float, float, float], noise: float = 0.0) -> list[Gray]:
     """Left and right images of a plane with disparity c + a * u + b * v [px]."""
     c, a, b = plane
     columns, rows = np.meshgrid(np.arange(WIDTH, dtype=float), np.arange(HEIGHT, dtype=float))

@@ -9,21 +9,21 @@ from cairn.vision.recognition import Recognition
 from cairn.vision.taught import TaughtObject, View
 from tests.cairn.vision.taught_objects import texture
 
-Grey = NDArray[np.uint8]
+Gray = NDArray[np.uint8]
 Homography = NDArray[np.float64]
 
 WIDTH, HEIGHT = 640, 480
 
 
-def taught(number: int, *pictures: Grey) -> TaughtObject:
+def taught(number: int, *pictures: Gray) -> TaughtObject:
     return TaughtObject(number, f"object {number}", None, tuple(view(p) for p in pictures))
 
 
-def view(picture: Grey) -> View:
+def view(picture: Gray) -> View:
     return View(picture.shape[1], picture.shape[0], varied(extract(picture), 400), picture)
 
 
-def wall(seed: int = 999) -> Grey:
+def wall(seed: int = 999) -> Gray:
     """A background that is full of features, none of them those of other seeds' textures."""
     return texture(seed, WIDTH, HEIGHT)
 
@@ -35,7 +35,7 @@ def at(x: float, y: float, scale: float = 1.0, turn_deg: float = 0.0) -> Homogra
     return np.array([[cosine, -sine, x], [sine, cosine, y], [0.0, 0.0, 1.0]])
 
 
-def paste(image: Grey, picture: Grey, homography: Homography) -> Grey:
+def paste(image: Gray, picture: Gray, homography: Homography) -> Gray:
     """The image with the picture in it."""
     size = (image.shape[1], image.shape[0])
     inside = cv2.warpPerspective(np.full(picture.shape, 255, np.uint8), homography, size)
@@ -43,7 +43,7 @@ def paste(image: Grey, picture: Grey, homography: Homography) -> Grey:
     return np.where(inside > 127, warped, image).astype(np.uint8)
 
 
-def corner_error(found: Recognition, picture: Grey, homography: Homography) -> float:
+def corner_error(found: Recognition, picture: Gray, homography: Homography) -> float:
     """How far the farthest corner lies off [px]."""
     right, bottom = picture.shape[1] - 0.5, picture.shape[0] - 0.5
     corners = np.array([[[-0.5, -0.5], [right, -0.5], [right, bottom], [-0.5, bottom]]])

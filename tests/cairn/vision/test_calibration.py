@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cairn.errors import CairnError
+from cairn import CairnError
 from cairn.vision.calibration import calibrate, camera_info
 from cairn.vision.chessboard import Board, find_corners, in_order_of, other_board
 from cairn.vision.images import read_image
@@ -208,7 +208,7 @@ def test_no_board_is_found_where_there_is_none() -> None:
     assert find_corners(random.integers(0, 255, (240, 320), np.uint8), BOARD) is None
 
 
-def test_another_board_than_told_is_recognised() -> None:
+def test_another_board_than_told_is_recognized() -> None:
     images = [read_image(IMAGES / "left01.jpg")]
 
     seen = other_board(images, Board(10, 5, 0.025))

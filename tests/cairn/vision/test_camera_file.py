@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import yaml
 
-from cairn.errors import CairnError
+from cairn import CairnError
 from cairn.vision.camera_file import read_camera, write_camera
 from tests.cairn.vision.cameras import info
 

@@ -99,7 +99,7 @@ def test_varied_features_are_of_all_sizes() -> None:
 
 
 @pytest.mark.parametrize("image", [np.zeros((4, 4, 3), np.uint8), np.zeros((4, 4), np.float32)])
-def test_what_is_no_grey_image_is_refused(image: NDArray[np.uint8]) -> None:
+def test_what_is_no_gray_image_is_refused(image: NDArray[np.uint8]) -> None:
     with pytest.raises(ValueError, match="uint8"):
         extract(image)
 

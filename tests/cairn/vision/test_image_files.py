@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from cairn.errors import CairnError
+from cairn import CairnError
 from cairn.vision.image_files import images_in, natural, paired, side_of, sides_of
 
 

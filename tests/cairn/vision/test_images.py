@@ -1,4 +1,4 @@
-"""Images of every kind become grey ones; what is no image is refused in words."""
+"""Images of every kind become gray ones; what is no image is refused in words."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from PIL import Image as Picture
 
-from cairn.errors import CairnError
+from cairn import CairnError
 from cairn.schemas.sensor_msgs import Image
 from cairn.schemas.std_msgs import Header
-from cairn.vision.images import eight_bits, grey_of, read_image, upright_size
+from cairn.vision.images import eight_bits, gray_of, read_image, upright_size
 from tests.cairn.vision.taught_objects import texture
 
 GREY = texture(3, 48, 32)
@@ -40,65 +40,65 @@ def message(
     )
 
 
-def coloured() -> NDArray[np.uint8]:
+def colored() -> NDArray[np.uint8]:
     """Blue, green and red that are far apart, (h, w, 3)."""
     return np.dstack([texture(k, 48, 32) for k in range(3)])
 
 
 @given(padding=st.integers(0, 9))
-def test_the_rows_of_a_grey_message_may_be_padded(padding: int) -> None:
-    np.testing.assert_array_equal(grey_of(message("mono8", GREY, padding=padding)), GREY)
+def test_the_rows_of_a_gray_message_may_be_padded(padding: int) -> None:
+    np.testing.assert_array_equal(gray_of(message("mono8", GREY, padding=padding)), GREY)
 
 
 @given(padding=st.integers(0, 9), big=st.booleans(), bits=st.sampled_from([8, 10, 12, 16]))
 def test_16_bits_of_either_byte_order_show_the_same(padding: int, big: bool, bits: int) -> None:
     wide = GREY.astype(np.uint16) << (bits - 8)
 
-    grey = grey_of(message("mono16", wide, padding=padding, big=big))
+    gray = gray_of(message("mono16", wide, padding=padding, big=big))
 
-    np.testing.assert_array_equal(grey, eight_bits(wide))
-    assert np.abs(grey.astype(int) - GREY).max() <= 1
+    np.testing.assert_array_equal(gray, eight_bits(wide))
+    assert np.abs(gray.astype(int) - GREY).max() <= 1
 
 
 @pytest.mark.parametrize("alpha", [False, True])
 @pytest.mark.parametrize("bits", [8, 16])
 @pytest.mark.parametrize("order", ["bgr", "rgb"])
-def test_colours_become_grey_by_their_names(order: str, bits: int, alpha: bool) -> None:
-    colour = coloured()
-    expected = cv2.cvtColor(colour, cv2.COLOR_BGR2GRAY)
-    given = colour if order == "bgr" else colour[..., ::-1]
+def test_colors_become_gray_by_their_names(order: str, bits: int, alpha: bool) -> None:
+    color = colored()
+    expected = cv2.cvtColor(color, cv2.COLOR_BGR2GRAY)
+    given = color if order == "bgr" else color[..., ::-1]
     if alpha:
         given = np.dstack([given, np.full((32, 48), 255, np.uint8)])
     wide = given if bits == 8 else given.astype(np.uint16) << 8
 
     name = f"{order}{'a' if alpha else ''}{bits}"
-    grey = grey_of(message(name, wide.reshape(32, -1), padding=3))
+    gray = gray_of(message(name, wide.reshape(32, -1), padding=3))
 
-    assert np.abs(grey.astype(int) - expected).max() <= 1
+    assert np.abs(gray.astype(int) - expected).max() <= 1
 
 
 @pytest.mark.parametrize(
     ("encoding", "first"), [("yuv422", False), ("uyvy", False), ("yuv422_yuy2", True)]
 )
 def test_the_brightness_of_yuv_is_taken(encoding: str, first: bool) -> None:
-    colour = np.full_like(GREY, 128)
-    pixels = np.dstack([GREY, colour] if first else [colour, GREY]).reshape(32, -1)
+    color = np.full_like(GREY, 128)
+    pixels = np.dstack([GREY, color] if first else [color, GREY]).reshape(32, -1)
 
-    np.testing.assert_array_equal(grey_of(message(encoding, pixels, padding=4)), GREY)
+    np.testing.assert_array_equal(gray_of(message(encoding, pixels, padding=4)), GREY)
 
 
 @pytest.mark.parametrize("pattern", ["rggb", "bggr", "gbrg", "grbg"])
 @pytest.mark.parametrize("bits", [8, 16])
-def test_a_bayer_mosaic_of_one_colour_is_that_colour(pattern: str, bits: int) -> None:
+def test_a_bayer_mosaic_of_one_color_is_that_color(pattern: str, bits: int) -> None:
     level = {"r": 200, "g": 120, "b": 40}
     cell = np.array([level[letter] for letter in pattern], np.uint16).reshape(2, 2)
     mosaic = np.tile(cell, (16, 24)).astype(np.uint8)
     wide = mosaic if bits == 8 else mosaic.astype(np.uint16) << 8
 
-    grey = grey_of(message(f"bayer_{pattern}{bits}", wide))
+    gray = gray_of(message(f"bayer_{pattern}{bits}", wide))
 
     expected = cv2.cvtColor(np.array([[[40, 120, 200]]], np.uint8), cv2.COLOR_BGR2GRAY)[0, 0]
-    assert np.abs(grey[4:-4, 4:-4].astype(int) - int(expected)).max() <= 2
+    assert np.abs(gray[4:-4, 4:-4].astype(int) - int(expected)).max() <= 2
 
 
 def test_a_dark_16_bit_image_stays_dark_and_a_hot_pixel_does_not_blacken_it() -> None:
@@ -122,11 +122,11 @@ def test_a_dark_16_bit_image_stays_dark_and_a_hot_pixel_does_not_blacken_it() ->
 )
 def test_a_message_that_holds_no_such_image_is_refused(image: Image, complaint: str) -> None:
     with pytest.raises(CairnError, match=complaint):
-        grey_of(image)
+        gray_of(image)
 
 
 @pytest.mark.parametrize("suffix", [".png", ".bmp", ".tiff", ".pgm", ".webp"])
-def test_grey_files_are_read_as_they_are(tmp_path: Path, suffix: str) -> None:
+def test_gray_files_are_read_as_they_are(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"a{suffix}"
     parameters = [cv2.IMWRITE_WEBP_QUALITY, 101] if suffix == ".webp" else []
     cv2.imwrite(str(path), GREY, parameters)
@@ -134,29 +134,29 @@ def test_grey_files_are_read_as_they_are(tmp_path: Path, suffix: str) -> None:
     assert np.abs(read_image(path).astype(int) - GREY).max() <= 1
 
 
-def test_colour_palette_and_16_bit_files_are_read(tmp_path: Path) -> None:
-    colour = coloured()
-    grey = cv2.cvtColor(colour, cv2.COLOR_BGR2GRAY).astype(int)
-    cv2.imwrite(str(tmp_path / "colour.png"), colour)
-    cv2.imwrite(str(tmp_path / "colour16.tiff"), colour.astype(np.uint16) << 4)
-    cv2.imwrite(str(tmp_path / "grey16.png"), GREY.astype(np.uint16) << 4)
+def test_color_palette_and_16_bit_files_are_read(tmp_path: Path) -> None:
+    color = colored()
+    gray = cv2.cvtColor(color, cv2.COLOR_BGR2GRAY).astype(int)
+    cv2.imwrite(str(tmp_path / "color.png"), color)
+    cv2.imwrite(str(tmp_path / "color16.tiff"), color.astype(np.uint16) << 4)
+    cv2.imwrite(str(tmp_path / "gray16.png"), GREY.astype(np.uint16) << 4)
     Picture.fromarray(GREY).convert("P").save(tmp_path / "palette.png")
 
-    assert np.abs(read_image(tmp_path / "colour.png") - grey).max() <= 1
-    assert np.abs(read_image(tmp_path / "colour16.tiff") - grey).max() <= 1
-    assert np.abs(read_image(tmp_path / "grey16.png").astype(int) - GREY).max() <= 1
+    assert np.abs(read_image(tmp_path / "color.png") - gray).max() <= 1
+    assert np.abs(read_image(tmp_path / "color16.tiff") - gray).max() <= 1
+    assert np.abs(read_image(tmp_path / "gray16.png").astype(int) - GREY).max() <= 1
     assert np.abs(read_image(tmp_path / "palette.png").astype(int) - GREY).max() <= 1
 
 
 def test_what_is_transparent_is_white(tmp_path: Path) -> None:
     half = np.full((32, 48), 255, np.uint8)
     half[:, :24] = 0
-    cv2.imwrite(str(tmp_path / "a.png"), np.dstack([coloured(), half]))
+    cv2.imwrite(str(tmp_path / "a.png"), np.dstack([colored(), half]))
 
     read = read_image(tmp_path / "a.png")
 
     assert (read[:, :24] == 255).all()
-    expected = cv2.cvtColor(coloured(), cv2.COLOR_BGR2GRAY)[:, 24:]
+    expected = cv2.cvtColor(colored(), cv2.COLOR_BGR2GRAY)[:, 24:]
     assert np.abs(read[:, 24:].astype(int) - expected).max() <= 1
 
 

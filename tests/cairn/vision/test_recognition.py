@@ -1,4 +1,4 @@
-"""Objects are recognised wherever they are in an image, and nothing that is not there."""
+"""Objects are recognized wherever they are in an image, and nothing that is not there."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -15,7 +15,7 @@ from cairn.vision.taught import TaughtObject, View
 from tests.cairn.vision.scenes import (
     HEIGHT,
     WIDTH,
-    Grey,
+    Gray,
     Homography,
     at,
     corner_error,
@@ -34,7 +34,7 @@ OBJECTS = [taught(number, picture) for number, picture in enumerate(PICTURES)]
 KNOWN = Recognizer(OBJECTS)
 
 
-def recognized(image: Grey, known: Recognizer = KNOWN, most: int = AS_A_ROBOT) -> list[Recognition]:
+def recognized(image: Gray, known: Recognizer = KNOWN, most: int = AS_A_ROBOT) -> list[Recognition]:
     return known.recognize(extract(image, most), image.shape[1], image.shape[0])
 
 
@@ -67,8 +67,8 @@ def test_an_object_is_found_with_its_name_and_place() -> None:
 def test_it_is_found_at_any_place_scale_turn_and_slant(
     x: float, y: float, scale: float, turn: float, slant_x: float, slant_y: float
 ) -> None:
-    centred = np.array([[1.0, 0, -79.5], [0, 1.0, -59.5], [slant_x, slant_y, 1.0]])
-    homography = at(x + 80, y + 60, scale, turn) @ centred
+    centerd = np.array([[1.0, 0, -79.5], [0, 1.0, -59.5], [slant_x, slant_y, 1.0]])
+    homography = at(x + 80, y + 60, scale, turn) @ centerd
 
     found = recognized(paste(wall(), PICTURES[0], homography))
 
@@ -125,7 +125,7 @@ def test_an_object_half_covered_is_found() -> None:
         np.random.default_rng(1).integers(0, 256, (HEIGHT, WIDTH)).astype(np.uint8),
     ],
 )
-def test_nothing_is_found_where_nothing_is(image: Grey) -> None:
+def test_nothing_is_found_where_nothing_is(image: Gray) -> None:
     assert recognized(image, most=ALL) == []
 
 
@@ -137,7 +137,7 @@ def test_a_mirror_image_is_not_the_object() -> None:
 
 def test_what_keeps_its_features_but_not_their_places_is_not_the_object() -> None:
     tiles = PICTURES[3].reshape(4, 30, 4, 40).swapaxes(1, 2).reshape(16, 30, 40)
-    # No tile keeps a neighbour.
+    # No tile keeps a neighbor.
     order = [0, 2, 4, 6, 9, 11, 13, 15, 1, 3, 5, 7, 8, 10, 12, 14]
     shuffled = tiles[order].reshape(4, 4, 30, 40).swapaxes(1, 2).reshape(120, 160)
 
@@ -219,7 +219,7 @@ def test_a_recognizer_does_not_notice_what_becomes_of_the_list_of_objects() -> N
     assert ids(recognized(paste(wall(), PICTURES[1], at(200, 100, 1.2)), known)) == [1]
 
 
-def test_objects_without_features_or_views_and_no_objects_recognise_nothing() -> None:
+def test_objects_without_features_or_views_and_no_objects_recognize_nothing() -> None:
     blank = View(100, 80, none(), np.zeros((80, 100), np.uint8))
     features = extract(paste(wall(), PICTURES[1], at(200, 100, 1.2)))
 

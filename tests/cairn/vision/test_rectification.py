@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from cairn.errors import CairnError
+from cairn import CairnError
 from cairn.schemas.sensor_msgs import CameraInfo, RegionOfInterest
 from cairn.vision.rectification import Lens, Rectifier, is_calibrated
 from tests.cairn.vision.cameras import CX, CY, FOCAL, HEIGHT, WIDTH, info, pattern, projection

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from cairn.errors import CairnError
+from cairn import CairnError
 from cairn.vision.alignment import aligned
 from cairn.vision.stereo import StereoRig, disparities, look_swapped, rows_off
 from tests.cairn.vision.cameras import (

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cairn.errors import CairnError
+from cairn import CairnError
 from cairn.vision.map_file import MapFileError, connect, create, writing
 from cairn.vision.taught_store import read_taught, remove_taught, taught_number, teach
 from tests.cairn.vision.taught_objects import view
@@ -121,7 +121,7 @@ def test_a_name_that_cannot_be_shown_is_refused(map_file: Path, name: str) -> No
 
 @pytest.mark.parametrize("size", [(0.0, 1.0), (-1.0, 1.0), (float("nan"), 1.0)])
 def test_a_size_that_nothing_has_is_refused(map_file: Path, size: tuple[float, float]) -> None:
-    with pytest.raises(CairnError, match=r"cup: its size .* Give width and height in metres"):
+    with pytest.raises(CairnError, match=r"cup: its size .* Give width and height in meters"):
         teach(map_file, "cup", [view(1)], size)
 
 

@@ -47,7 +47,7 @@ class Journey:
             if self.health is not None:
                 self.seen.health, self.seen.health_s = self.health, self.now
             leg = self.course.leg
-            wanted = self.course.behaviour
+            wanted = self.course.behavior
             if self.plan is not None and wanted == Movement.FOLLOW:
                 self.seen.plan = Plan(leg=leg, **self.plan)
             if self.motion is not None:
@@ -55,7 +55,7 @@ class Journey:
                 given = standing if wanted == Movement.STAND else self.motion
                 self.seen.motion, self.seen.motion_s = MotionStatus(leg=leg, **given), self.now
             self.course.tick(self.now, self.seen)
-            row = (self.course.state, self.course.behaviour, self.course.reason)
+            row = (self.course.state, self.course.behavior, self.course.reason)
             if not self.told or self.told[-1][:2] != row[:2]:
                 self.told.append(row)
         return self
@@ -86,7 +86,7 @@ class Way(Journey):
         """Follow the way, which is `blocked` or not with so much left, at most so long."""
         until = self.now + limit_s
         while self.now < until and not self.course.over:
-            self.motion = self._moved(self.course.behaviour, blocked)
+            self.motion = self._moved(self.course.behavior, blocked)
             self.run(0.1)
         return self
 

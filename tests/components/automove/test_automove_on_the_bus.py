@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cairn.bus.qos import LATCHED
+from cairn import LATCHED
 from cairn.deployment.load import load_deployment
 from cairn.planar.messages import packed_poses, planar_pose, pose_message
 from cairn.schemas.cairn_nav_msgs import (
@@ -98,7 +98,7 @@ def test_what_is_wanted_is_told_on_change_and_twice_a_second(deployed: DeployedO
     robot.publish("order", order(1, (1.0, 2.0, 0.5), (3.0, 4.0, 0.0), first=1), LATCHED)
     robot.wait(0.1)
     wanted = taken(movements)[-1]
-    assert wanted.behaviour == Movement.FOLLOW
+    assert wanted.behavior == Movement.FOLLOW
     assert planar_pose(wanted.goal) == pytest.approx((3.0, 4.0, 0.0))
     assert (wanted.position_tolerance, wanted.heading_tolerance) == (0.1, 0.1)
 
@@ -116,7 +116,7 @@ def test_what_is_wanted_is_told_on_change_and_twice_a_second(deployed: DeployedO
 
     robot.publish("motion_status", MotionStatus(leg=wanted.leg, state=MotionStatus.DONE))
     assert taken(statuses)[-1].state == MoveStatus.SUCCEEDED
-    assert taken(movements)[-1].behaviour == Movement.STAND
+    assert taken(movements)[-1].behavior == Movement.STAND
 
 
 def test_where_to_give_way_is_wanted_of_the_planner(deployed: DeployedOf) -> None:
@@ -132,7 +132,7 @@ def test_where_to_give_way_is_wanted_of_the_planner(deployed: DeployedOf) -> Non
     for _ in range(120):
         robot.publish("localization_health", LocalizationHealth(located=True, health=0.9))
         for wanted in taken(movements):
-            if wanted.behaviour == Movement.FOLLOW:
+            if wanted.behavior == Movement.FOLLOW:
                 goals.append(planar_pose(wanted.goal)[0])
                 robot.publish("plan", Plan(leg=wanted.leg, outcome=Plan.GOAL_BLOCKED), LATCHED)
         robot.wait(0.1)
@@ -200,7 +200,7 @@ def test_a_new_order_pre_empts_and_one_without_goals_takes_back(deployed: Deploy
     last = taken(statuses)[-1]
     assert (last.order_id, last.state) == (2, MoveStatus.CANCELLED)
     stand = taken(movements)[-1]
-    assert stand.behaviour == Movement.STAND
+    assert stand.behavior == Movement.STAND
     assert legs == 2
 
 

@@ -24,14 +24,14 @@ LOST = LocalizationHealth(located=True, health=0.1, reason="the map explains 20%
 def test_it_plans_and_drives_once_the_robot_is_located_and_ends_when_motion_is_done() -> None:
     journey = Journey().run(1.0)
     assert journey.states == [MoveStatus.PLANNING, MoveStatus.DRIVING]
-    assert journey.course.behaviour == Movement.FOLLOW
+    assert journey.course.behavior == Movement.FOLLOW
 
     journey.motion = {"state": MotionStatus.DONE}
     journey.run(0.1)
 
     assert journey.course.state == MoveStatus.SUCCEEDED
     assert journey.course.reason == "arrived at (3.00, 4.00)"
-    assert journey.course.behaviour == Movement.STAND
+    assert journey.course.behavior == Movement.STAND
     assert journey.course.over
 
 
@@ -65,7 +65,7 @@ def test_nothing_moves_before_the_robot_is_located(health: LocalizationHealth | 
     journey.health = health
     journey.run(1.5)
     assert journey.course.state == MoveStatus.LOCALIZING
-    assert journey.course.behaviour == Movement.STAND
+    assert journey.course.behavior == Movement.STAND
     assert journey.course.reason in (LOST.reason, "the localizer has told nothing yet")
 
 
@@ -87,7 +87,7 @@ def test_a_lost_robot_stands_then_looks_for_itself_in_turn_and_gives_up() -> Non
     journey = Journey().run(1.0)
     journey.health = LOST
     journey.run(2.0)
-    assert (journey.course.state, journey.course.behaviour) == (
+    assert (journey.course.state, journey.course.behavior) == (
         MoveStatus.LOCALIZING,
         Movement.STAND,
     )
@@ -108,7 +108,7 @@ def test_who_explores_in_vain_goes_twice_as_far_the_next_time() -> None:
     far = []
     for _ in range(400):
         journey.run(1.0)
-        if journey.course.behaviour == Movement.EXPLORE and journey.course.explores_m not in far:
+        if journey.course.behavior == Movement.EXPLORE and journey.course.explores_m not in far:
             far.append(journey.course.explores_m)
 
     assert far == [2.0, 4.0, 8.0]
@@ -118,7 +118,7 @@ def test_a_robot_that_finds_itself_stops_looking_and_drives_on() -> None:
     journey = Journey().run(1.0)
     journey.health = LOST
     journey.run(10.0)
-    assert journey.course.behaviour == Movement.LOOK_AROUND
+    assert journey.course.behavior == Movement.LOOK_AROUND
 
     journey.health = SURE
     journey.run(2.0)
@@ -267,13 +267,13 @@ def test_a_silent_motion_control_is_told_with_the_time_it_has_been_silent() -> N
     assert journey.course.state == MoveStatus.FAILED
 
 
-def test_a_cancelled_course_stands_and_stays_so() -> None:
+def test_a_canceled_course_stands_and_stays_so() -> None:
     journey = Journey().run(1.0)
     leg = journey.course.leg
     journey.course.cancel()
     journey.run(1.0)
     assert journey.course.state == MoveStatus.CANCELLED
-    assert journey.course.behaviour == Movement.STAND
+    assert journey.course.behavior == Movement.STAND
     assert journey.course.leg != leg
 
 
@@ -296,5 +296,5 @@ def test_a_goal_is_not_reached_by_a_robot_that_is_not_sure_where_it_is() -> None
     journey.motion = {"state": MotionStatus.DONE}
     journey.run(0.1)
     assert journey.course.state == MoveStatus.RECOVERING
-    assert journey.course.behaviour == Movement.LOOK_AROUND
+    assert journey.course.behavior == Movement.LOOK_AROUND
     assert "found but now" in journey.course.reason

@@ -42,7 +42,7 @@ def gives_way(**more: object) -> Journey:
 def test_it_goes_back_along_its_way_waits_there_and_plans_to_its_goal_anew() -> None:
     journey = gives_way()
     assert journey.tried == [Movement.STAND, Movement.FOLLOW]
-    assert journey.course.behaviour == Movement.FOLLOW
+    assert journey.course.behavior == Movement.FOLLOW
     x, y, theta = journey.course.target
     assert (x, y) == pytest.approx((8 * STEP, 0.0))
     assert theta == pytest.approx(math.atan2(4.0, 3.0 - x))  # it watches its goal from there
@@ -50,17 +50,17 @@ def test_it_goes_back_along_its_way_waits_there_and_plans_to_its_goal_anew() -> 
     assert journey.course.reason == "give way (2 of 4): no path: somebody is there"
 
     journey.run(4.0)
-    assert journey.course.behaviour == Movement.FOLLOW
+    assert journey.course.behavior == Movement.FOLLOW
     journey.motion = {"state": MotionStatus.DONE}
     journey.run(0.1)
-    assert (journey.course.state, journey.course.behaviour) == (
+    assert (journey.course.state, journey.course.behavior) == (
         MoveStatus.RECOVERING,
         Movement.STAND,
     )
     assert journey.course.target == journey.course.goal
     journey.motion = {"state": MotionStatus.MOVING}
     journey.run(3.5)
-    assert journey.course.behaviour == Movement.STAND
+    assert journey.course.behavior == Movement.STAND
 
     journey.run(1.0)
 
@@ -85,14 +85,14 @@ def test_it_waits_where_it_is_when_it_cannot_get_back_soon(there: dict[str, obje
     journey.run(1.5)
 
     assert journey.course.state == MoveStatus.RECOVERING
-    assert journey.course.behaviour == Movement.STAND
+    assert journey.course.behavior == Movement.STAND
     assert journey.course.reason.startswith("give way (2 of 4)")
 
 
 def test_a_way_back_that_never_ends_is_given_up() -> None:
     journey = gives_way()
     journey.run(31.0)
-    assert journey.course.behaviour == Movement.STAND
+    assert journey.course.behavior == Movement.STAND
 
 
 def test_a_robot_that_came_from_nowhere_waits_instead() -> None:
@@ -114,9 +114,9 @@ def test_what_is_driven_again_after_giving_way_is_no_progress() -> None:
     assert way.course.recoveries == 6
 
 
-def back_from(*metres: float) -> Pose | None:
+def back_from(*meters: float) -> Pose | None:
     trail = Trail()
-    for x in metres:
+    for x in meters:
         trail.note((x, 0.0, 0.0))
     return trail.back((9.0, 0.0, 1.0))
 

@@ -34,10 +34,10 @@ def test_it_goes_to_the_nearest_place_looks_from_there_and_plans_anew() -> None:
     assert journey.course.target == pytest.approx((2.0, 4.0, 0.0))
     assert journey.course.reason == "go near (3 of 4): no path: something is there"
     journey.run(40.0)
-    assert journey.course.behaviour == FOLLOW
+    assert journey.course.behavior == FOLLOW
     journey.motion = {"state": MotionStatus.DONE}
     journey.run(0.1)
-    assert (journey.course.state, journey.course.behaviour) == (MoveStatus.RECOVERING, STAND)
+    assert (journey.course.state, journey.course.behavior) == (MoveStatus.RECOVERING, STAND)
     journey.motion = {"state": MotionStatus.MOVING}
     journey.run(5.0)
 
@@ -49,7 +49,7 @@ def test_a_way_there_that_never_ends_is_given_up() -> None:
     journey = goes_near()
     journey.run(54.0)
     assert journey.course.reason.startswith("go near")
-    assert journey.course.behaviour == STAND
+    assert journey.course.behavior == STAND
 
 
 @pytest.mark.parametrize("nearest", [(0.6, 0.7), (math.nan, math.nan)])

@@ -9,8 +9,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from cairn import RELIABLE
 from cairn.bus.lockstep_bus import LockstepBus
-from cairn.bus.qos import RELIABLE
 from cairn.components.hokuyo.component import HokuyoScanner
 from cairn.components.hokuyo.emulated_record import SentScan
 from cairn.components.hokuyo.emulated_scip import EmulatedScip

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cairn import CairnError
 from cairn.components.hokuyo.config import HokuyoConfig
 from cairn.components.hokuyo.sensor import connect
 from cairn.driver.emulated_lines import PtyEnd
 from cairn.driver.emulation import Emulation
 from cairn.driver.errors import DeviceError
 from cairn.driver.link import SerialLink
-from cairn.errors import CairnError
 from tests.cairn.driver.parrot import Parrot
 from tests.components.hokuyo.comparing import assert_were_sent, ranges
 from tests.components.hokuyo.driving import Driven, Heard, driven

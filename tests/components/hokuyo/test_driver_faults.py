@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cairn import CairnError
 from cairn.components.hokuyo.component import HokuyoScanner
 from cairn.components.hokuyo.emulated_record import SentScan
 from cairn.components.hokuyo.emulated_scip import EmulatedScip
@@ -18,7 +19,6 @@ from cairn.components.hokuyo.scan_data import ScanData
 from cairn.components.hokuyo.stream import ScanStream
 from cairn.driver.diagnostics import ERROR, OK, WARN
 from cairn.driver.faults import FrameFault, FrameFaults
-from cairn.errors import CairnError
 from tests.components.hokuyo.comparing import assert_were_sent
 from tests.components.hokuyo.driving import Driven, driven
 

@@ -1,4 +1,4 @@
-"""What a sensor measured becomes ranges in metres at angles to the left, as REP 117 has them."""
+"""What a sensor measured becomes ranges in meters at angles to the left, as REP 117 has them."""
 
 from __future__ import annotations
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cairn.clock import SECOND
+from cairn import SECOND
 from cairn.components.hokuyo.device_facts import Measuring
 from cairn.components.hokuyo.requests import ScanRequest
 from cairn.components.hokuyo.scip2 import ClockReading

@@ -1,4 +1,4 @@
-"""What should be in view and is not recognised is told, unless something may hide it."""
+"""What should be in view and is not recognized is told, unless something may hide it."""
 
 import math
 
@@ -34,15 +34,15 @@ def missed(
     return [landmark.object_id for landmark, _, _ in found]
 
 
-def test_a_poster_on_the_wall_ahead_that_is_not_recognised_is_missed() -> None:
+def test_a_poster_on_the_wall_ahead_that_is_not_recognized_is_missed() -> None:
     assert missed(watch()) == [1]
 
 
-def test_one_that_is_recognised_is_not() -> None:
+def test_one_that_is_recognized_is_not() -> None:
     assert missed(watch(), Sighting(1, 3.0, 0.0, 0.01, 0.001)) == []
 
 
-def test_nor_is_one_that_may_have_been_recognised_as_another() -> None:
+def test_nor_is_one_that_may_have_been_recognized_as_another() -> None:
     assert missed(watch(), Sighting(5, 3.0, 0.0, 0.01, 0.001, (1,))) == []
 
 
@@ -61,7 +61,7 @@ def test_without_a_beam_in_its_direction_nothing_is_missed() -> None:
     assert missed(AbsenceWatch()) == []
 
 
-def test_a_camera_that_has_not_recognised_anything_of_late_misses_nothing() -> None:
+def test_a_camera_that_has_not_recognized_anything_of_late_misses_nothing() -> None:
     assert missed(watch(scanned=40.0), stamp=40.0) == [1]
     assert missed(watch(scanned=41.0), stamp=41.0) == []
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from cairn.components.localizer.judge import Judge, Judgement, Mode, Verdict
+from cairn.components.localizer.judge import Judge, Judgment, Mode, Verdict
 from cairn.components.localizer.object_likelihood import Landmark, Sighting
 from cairn.components.localizer.particles import Estimate
 from cairn.planar.poses import wrap
@@ -21,7 +21,7 @@ def judged(
     at: tuple[float, float],
     sd: float = 0.05,
     by_all: Estimate | None = None,
-) -> Judgement:
+) -> Judgment:
     """`object_id` is seen at a place from the pose that is `step` times 0.2 m along the way, which
     is also that by all objects if no other is given.
     """

@@ -11,8 +11,8 @@ from cairn.components.localizer.late import seen_from, view_from
 from cairn.components.localizer.object_likelihood import Sighting
 from cairn.planar.poses import Pose, compose
 
-metres = st.floats(-3.0, 3.0)
-poses = st.tuples(metres, metres, st.floats(-3.0, 3.0))
+meters = st.floats(-3.0, 3.0)
+poses = st.tuples(meters, meters, st.floats(-3.0, 3.0))
 
 
 def placed(robot: Pose, sighting: Sighting) -> tuple[float, float]:

@@ -37,7 +37,7 @@ class Run:
             frame = self.localization.sight(moment.time, moment.sightings)
             if frame is not None:
                 self.frames.append((moment, frame))
-                if frame.relocalised:
+                if frame.relocalized:
                     self.sure_until.append(self.localization.sure_until)
             if self.localization.located:
                 x, y, _ = self.localization.pose().mean
@@ -48,12 +48,12 @@ class Run:
         return [
             j.verdict
             for _, frame in self.frames
-            for j in frame.judgements
+            for j in frame.judgments
             if j.sighting.object_id == object_id
         ]
 
 
-def test_a_known_start_is_kept_to_centimetres() -> None:
+def test_a_known_start_is_kept_to_centimeters() -> None:
     run = Run(landmarks())
     run.localization.locate((0.0, 0.0, 0.0), CERTAIN)
 
@@ -81,7 +81,7 @@ def test_a_moved_object_is_told_from_those_that_stand_still(mode: str) -> None:
     lowered = [
         (j.sighting.object_id, j.similarity)
         for _, frame in run.frames
-        for j in frame.judgements
+        for j in frame.judgments
         if j.verdict is Verdict.DISAGREES
     ]
     assert sum(i == 3 and s <= 0.45 for i, s in lowered) >= 5
@@ -89,7 +89,7 @@ def test_a_moved_object_is_told_from_those_that_stand_still(mode: str) -> None:
     implied = [
         (j.x, j.y)
         for _, frame in run.frames
-        for j in frame.judgements
+        for j in frame.judgments
         if j.sighting.object_id == 3 and frame.healthy
     ]
     assert np.mean(implied, axis=0) == pytest.approx((-1.0, 3.5), abs=0.2)
@@ -105,7 +105,7 @@ def test_a_gross_error_lowers_no_object_by_much() -> None:
     run.through(moments)
 
     hit = next(f for m, f in run.frames if m.sightings == [wrong])
-    assert hit.judgements[0].similarity >= 0.45
+    assert hit.judgments[0].similarity >= 0.45
 
 
 def test_a_sighting_taken_for_another_object_is_a_false_match() -> None:
@@ -123,9 +123,9 @@ def test_a_sighting_taken_for_another_object_is_a_false_match() -> None:
 
         run.through(moments)
 
-        (judgement,) = next(f for m, f in run.frames if m is moments[when]).judgements
-        assert judgement.similarity == 0.5
-        verdicts.append(judgement.verdict)
+        (judgment,) = next(f for m, f in run.frames if m is moments[when]).judgments
+        assert judgment.similarity == 0.5
+        verdicts.append(judgment.verdict)
 
     assert verdicts.count(Verdict.FALSE_MATCH) >= 5
     assert set(verdicts) <= {Verdict.FALSE_MATCH, Verdict.NOT_CONVERGED}
@@ -140,7 +140,7 @@ def test_nothing_is_lowered_while_the_robot_is_badly_located() -> None:
     for _, frame in run.frames:
         if not frame.healthy:
             assert frame.reason
-    assert all(j.similarity >= 0.45 for _, frame in run.frames for j in frame.judgements)
+    assert all(j.similarity >= 0.45 for _, frame in run.frames for j in frame.judgments)
 
 
 def test_a_kidnapped_robot_finds_itself_again() -> None:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cairn.clock import from_ns
+from cairn import from_ns
 from cairn.components.localizer.component import Localizer
 from cairn.schemas.cairn_msgs import (
     ObjectEvidence,
@@ -58,7 +58,7 @@ def odometry(moment: Moment, drift_m: float = 0.0) -> Odometry:
     )
 
 
-def recognised(moment: Moment) -> RecognizedObjectArray:
+def recognized(moment: Moment) -> RecognizedObjectArray:
     return RecognizedObjectArray(
         header=header(moment.time, "base_link"),
         objects=tuple(
@@ -106,7 +106,7 @@ def travel(it: Any, moments: Iterable[Moment], drift_m: float = 0.0, late_s: flo
         while waiting and waiting[0].time <= moment.time - late_s:
             ready = waiting.pop(0)
             if ready.sightings:
-                it.give("objects", recognised(ready))
+                it.give("objects", recognized(ready))
 
 
 def error(message: PoseWithCovarianceStamped, moments: Sequence[Moment]) -> float:
@@ -170,7 +170,7 @@ def test_a_sighting_waits_for_odometry_but_not_for_ever(
     ahead = next(m for m in moments[21:] if m.sightings)
     it.wait(ahead.time + BEGIN - it.executor.now() / 1e9)
 
-    it.give("objects", recognised(ahead))
+    it.give("objects", recognized(ahead))
     assert it.taken("object_evidence") == []
     it.wait(2.0)
 
@@ -186,7 +186,7 @@ def test_time_that_runs_backwards_is_told_and_ignored(
     travel(it, moments[:60])
 
     it.give("odom", odometry(moments[3]))
-    it.give("objects", recognised(next(m for m in moments if m.sightings)))
+    it.give("objects", recognized(next(m for m in moments if m.sightings)))
     travel(it, moments[60:])
 
     assert "time on /robot/odom runs backwards, from 1011.800 s to 1000.600 s" in caplog.text

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cairn.clock import from_ns
+from cairn import from_ns
 from cairn.components.localizer.component import Localizer
 from cairn.planar.grid import FREE, OCCUPIED, Frame, Grid, OccupancyCells, map_message
 from cairn.planar.messages import planar_pose, pose_message
@@ -353,4 +353,4 @@ def test_a_wrong_word_of_an_operator_is_not_believed_for_long(stage: StageOf) ->
     travel(it, moments[30:])
 
     assert last_error(it, moments) < 0.1
-    assert it.taken("relocalised")
+    assert it.taken("relocalized")

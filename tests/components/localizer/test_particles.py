@@ -11,7 +11,7 @@ from cairn.components.localizer.particles import (
     effective_count,
     estimate,
     narrow,
-    normalised,
+    normalized,
     redraw,
     systematic_choice,
 )
@@ -85,4 +85,4 @@ def test_narrowing_finds_the_posterior_that_few_samples_lie_in(
 
 
 def test_weights_of_vanishing_likelihood_are_still_weights() -> None:
-    assert normalised(np.array([-1e5, -1e5 - 1.0])).sum() == pytest.approx(1.0)
+    assert normalized(np.array([-1e5, -1e5 - 1.0])).sum() == pytest.approx(1.0)

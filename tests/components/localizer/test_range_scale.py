@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from cairn.components.localizer.judge import Judge, Judgement, Mode, Verdict
+from cairn.components.localizer.judge import Judge, Judgment, Mode, Verdict
 from cairn.components.localizer.object_likelihood import Landmark, Sighting
 from cairn.components.localizer.particles import Estimate
 from cairn.planar.poses import Pose, wrap
@@ -24,7 +24,7 @@ class Robot:
         self.judge = Judge(mode, 300, np.random.default_rng(0))
         self.random = np.random.default_rng(1)
 
-    def sees(self, object_id: int, at: Pose, factor: float) -> Judgement:
+    def sees(self, object_id: int, at: Pose, factor: float) -> Judgment:
         """An object at `factor` times its distance on the map."""
         landmark = MAP[object_id]
         dx, dy = landmark.x - at[0], landmark.y - at[1]
@@ -43,7 +43,7 @@ class Robot:
             lambda poses: np.zeros(poses.shape[1]),
         )
 
-    def looks_around(self, factors: dict[int, float]) -> list[Judgement]:
+    def looks_around(self, factors: dict[int, float]) -> list[Judgment]:
         return [self.sees(key, at, factors.get(key, 1.0)) for at in WAY for key in MAP]
 
 
@@ -52,9 +52,9 @@ class Robot:
 def test_no_object_is_doubted_if_all_ranges_are_wrong(factor: float, mode: Mode) -> None:
     robot = Robot(mode)
 
-    judgements = robot.looks_around(dict.fromkeys(MAP, factor))
+    judgments = robot.looks_around(dict.fromkeys(MAP, factor))
 
-    assert not [one for one in judgements if one.verdict is Verdict.DISAGREES]
+    assert not [one for one in judgments if one.verdict is Verdict.DISAGREES]
     assert robot.judge.ranges.wrong == pytest.approx(factor, abs=0.02)
 
 
@@ -64,10 +64,10 @@ def test_an_object_that_moved_towards_the_robot_is_doubted_as_the_others_are_rig
 ) -> None:
     robot = Robot()
 
-    judgements = robot.looks_around({0: factor})
+    judgments = robot.looks_around({0: factor})
 
     assert robot.judge.ranges.wrong is None
-    doubted = [one for one in judgements if one.verdict is Verdict.DISAGREES]
+    doubted = [one for one in judgments if one.verdict is Verdict.DISAGREES]
     assert {one.sighting.object_id for one in doubted} == {0}
     assert min(one.similarity for one in doubted) == pytest.approx(0.1)
 
@@ -75,10 +75,10 @@ def test_an_object_that_moved_towards_the_robot_is_doubted_as_the_others_are_rig
 def test_nothing_is_wrong_with_ranges_that_err_by_chance() -> None:
     robot = Robot()
 
-    judgements = robot.looks_around({})
+    judgments = robot.looks_around({})
 
     assert robot.judge.ranges.wrong is None
-    assert {one.verdict for one in judgements} == {Verdict.AGREES}
+    assert {one.verdict for one in judgments} == {Verdict.AGREES}
 
 
 def test_the_first_object_that_is_seen_cannot_tell_whether_it_or_the_camera_is_wrong() -> None:

@@ -97,7 +97,7 @@ def test_a_robot_that_stands_still_misses_an_object_once() -> None:
 
 
 def test_an_object_that_is_often_missed_and_still_there_stays() -> None:
-    """Two looks of three fail, as for one that hangs in bad light: that is learnt."""
+    """Two looks of three fail, as for one that hangs in bad light: that is learned."""
     visual_map = VisualMap([surveyed()])
     seen_often(visual_map)
     kinds: list[Kind] = []
@@ -137,7 +137,7 @@ def test_absence_never_speaks_for_an_object(looks: list[tuple[int, bool]], last:
     viewpoints = NOWHERE
     for look, seen in looks:
         cell = cell_of(HERE.x, HERE.y, IN_FRONT[look])
-        viewpoints = viewpoints.recognised(cell) if seen else viewpoints.not_seen(cell)
+        viewpoints = viewpoints.recognized(cell) if seen else viewpoints.not_seen(cell)
 
     said = viewpoints.similarity_of_absence(cell_of(HERE.x, HERE.y, IN_FRONT[last]))
 

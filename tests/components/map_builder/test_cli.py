@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
+from cairn import CairnError
 from cairn.components.map_builder.cli import app
-from cairn.errors import CairnError
 from cairn.planar.grid import FREE, OCCUPIED, UNKNOWN, Frame, Grid
 from cairn.planar.map_file import read_map, write_map
 

@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cairn.clock import SECOND, from_ns
+from cairn import SECOND, CairnError, from_ns
 from cairn.components.map_builder.component import MapBuilder
-from cairn.errors import CairnError
 from cairn.planar.grid import FREE, OCCUPIED, Grid, grid_of
 from cairn.planar.map_file import read_map, write_map
 from cairn.planar.messages import with_covariance

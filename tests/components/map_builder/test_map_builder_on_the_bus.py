@@ -7,18 +7,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cairn.clock import from_ns
+from cairn import CairnError, from_ns
 from cairn.components.map_builder.component import MapBuilder
 from cairn.components.map_builder.importing import write_map
 from cairn.components.map_builder.store import open_map
-from cairn.errors import CairnError
 from cairn.schemas.cairn_msgs import (
     ObjectEvidence,
     ObjectEvidenceArray,
     VisualMapChange,
     VisualObject,
 )
-from cairn.schemas.cairn_nav_msgs import Relocalisation
+from cairn.schemas.cairn_nav_msgs import Relocalization
 from cairn.schemas.std_msgs import Header
 from tests.components.map_builder.evidence import surveyed
 from tests.disk import room_for
@@ -50,9 +49,9 @@ def frame(step: int, similarity: float, x: float) -> ObjectEvidenceArray:
     return ObjectEvidenceArray(header=header, robot_x=0.3 * step, healthy=True, evidence=(piece,))
 
 
-def found(stamp: int, sure_until: int = 0) -> Relocalisation:
+def found(stamp: int, sure_until: int = 0) -> Relocalization:
     header = Header(stamp=from_ns(stamp * 10**9), frame_id="map")
-    return Relocalisation(header=header, sure_until=from_ns(sure_until * 10**9))
+    return Relocalization(header=header, sure_until=from_ns(sure_until * 10**9))
 
 
 def states(it: Any) -> dict[int, int]:
@@ -102,7 +101,7 @@ def test_what_a_lost_robot_judged_is_restored(stage: StageOf, map_file: Path) ->
     it = stage(MapBuilder, 1000.0, map_file=str(map_file)).begin()
     it.give("object_evidence", frame(0, 0.1, 3.5))
 
-    it.give("relocalised", found(1010))
+    it.give("relocalized", found(1010))
 
     kinds = [c.kind for c in it.taken("visual_map_changes")]
     assert kinds == [VisualMapChange.REMOVED, VisualMapChange.RESTORED]
@@ -113,7 +112,7 @@ def test_what_it_judged_while_it_was_sure_stays(stage: StageOf, map_file: Path) 
     it = stage(MapBuilder, 1000.0, map_file=str(map_file)).begin()
     it.give("object_evidence", frame(0, 0.1, 3.5))
 
-    it.give("relocalised", found(1010, sure_until=1001))
+    it.give("relocalized", found(1010, sure_until=1001))
 
     assert [c.kind for c in it.taken("visual_map_changes")] == [VisualMapChange.REMOVED]
     assert states(it)[7] == VisualObject.RELOCATING
@@ -123,7 +122,7 @@ def test_what_it_judged_long_ago_stays(stage: StageOf, map_file: Path) -> None:
     it = stage(MapBuilder, 1000.0, map_file=str(map_file)).begin()
     it.give("object_evidence", frame(0, 0.1, 3.5))
 
-    it.give("relocalised", found(1061))
+    it.give("relocalized", found(1061))
 
     assert states(it)[7] == VisualObject.RELOCATING
 
@@ -133,7 +132,7 @@ def test_what_a_lost_robot_judged_and_comes_late_is_not_taken(
 ) -> None:
     it = stage(MapBuilder, 1000.0, map_file=str(map_file)).begin()
 
-    it.give("relocalised", found(1005))
+    it.give("relocalized", found(1005))
     it.give("object_evidence", frame(5, 0.1, 3.5))
     assert it.taken("visual_map_changes") == []
 
@@ -144,7 +143,7 @@ def test_what_a_lost_robot_judged_and_comes_late_is_not_taken(
 def test_where_time_was_set_back_evidence_is_taken(stage: StageOf, map_file: Path) -> None:
     it = stage(MapBuilder, 1000.0, map_file=str(map_file)).begin()
 
-    it.give("relocalised", found(1100))
+    it.give("relocalized", found(1100))
     it.give("object_evidence", frame(5, 0.1, 3.5))
 
     assert states(it)[7] == VisualObject.RELOCATING

@@ -6,12 +6,11 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner, Result
 
-from cairn.clock import SECOND
+from cairn import SECOND, CairnError
 from cairn.components.map_builder.cli import app
 from cairn.components.map_builder.importing import write_map
 from cairn.components.map_builder.keeper import MapKeeper
 from cairn.components.map_builder.objects import Verdict
-from cairn.errors import CairnError
 from tests.components.map_builder.evidence import HERE, THERE, sighting, surveyed
 
 

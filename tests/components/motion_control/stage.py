@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from cairn.bus.qos import LATCHED, RELIABLE, SENSOR, Qos
-from cairn.clock import SECOND, from_ns
+from cairn import LATCHED, RELIABLE, SECOND, SENSOR, Qos, from_ns
 from cairn.components.motion_control.component import MotionControl
 from cairn.planar.messages import packed_poses, pose_message
 from cairn.planar.poses import Pose, compose, wrap
@@ -78,11 +77,11 @@ class Stage:
         return self.statuses[-1]
 
     def want(
-        self, leg: int, behaviour: int, goal: Pose = (0.0, 0.0, 0.0), distance: float = 0.0
+        self, leg: int, behavior: int, goal: Pose = (0.0, 0.0, 0.0), distance: float = 0.0
     ) -> None:
         """Want something from now on."""
         self.movement = Movement(
-            leg=leg, behaviour=behaviour, goal=pose_message(goal), distance=distance
+            leg=leg, behavior=behavior, goal=pose_message(goal), distance=distance
         )
         self._send("movement", self.movement, LATCHED)
 

@@ -19,7 +19,7 @@ def swept(points: np.ndarray, curvature: float, length: float = 0.5) -> tuple[fl
 
 
 def stepped(x: float, y: float, curvature: float, length: float) -> list[float]:
-    """Distance of a point to the centre at every millimetre of an arc."""
+    """Distance of a point to the center at every millimeter of an arc."""
     way = np.arange(0.0, length, 0.001)
     if abs(curvature) < 1e-9:
         places = np.column_stack((way, np.zeros_like(way)))

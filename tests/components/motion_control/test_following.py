@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cairn.components.motion_control.behaviours import Follow, State
+from cairn.components.motion_control.behaviors import Follow, State
 from cairn.planar.poses import Pose, wrap
 from tests.components.motion_control.people import Walker
 from tests.components.motion_control.world import (
@@ -206,7 +206,7 @@ def test_the_goal_is_reached_from_anywhere(
 @given(
     heading=headings, away=st.floats(-3.0, -0.15), length=st.floats(1, 3), seed=st.integers(0, 9)
 )
-def test_a_robot_a_centimetre_off_a_wall_gets_away(
+def test_a_robot_a_centimeter_off_a_wall_gets_away(
     heading: float, away: float, length: float, seed: int
 ) -> None:
     goal = length * math.cos(away), min(-0.1, length * math.sin(away))

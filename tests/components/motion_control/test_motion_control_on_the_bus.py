@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cairn.clock import SECOND
+from cairn import SECOND
 from cairn.schemas.cairn_nav_msgs import LocalizationHealth, MotionStatus, Movement, Plan
 from tests.components.motion_control.stage import Stage
 from tests.components.motion_control.world import Robot, World, box
@@ -219,19 +219,19 @@ def test_a_lost_robot_stands_until_it_is_found() -> None:
     assert it.status.state == STATES.MOVING
 
 
-@pytest.mark.parametrize("behaviour", [Movement.BACK_OFF, Movement.LOOK_AROUND, Movement.EXPLORE])
-def test_recoveries_need_no_pose(behaviour: int) -> None:
+@pytest.mark.parametrize("behavior", [Movement.BACK_OFF, Movement.LOOK_AROUND, Movement.EXPLORE])
+def test_recoveries_need_no_pose(behavior: int) -> None:
     it = stage()
     it.muted |= {"pose", "localization_health"}
 
-    it.want(3, behaviour, distance=2.5)
+    it.want(3, behavior, distance=2.5)
     it.wait(20, until=STATES.DONE)
 
     assert it.status.state == STATES.DONE
     x, y, _ = it.robot.pose
     gone = math.hypot(x + 3, y)
     expected = {Movement.BACK_OFF: 0.3, Movement.LOOK_AROUND: 0.0, Movement.EXPLORE: 2.5}
-    assert gone == pytest.approx(expected[behaviour], abs=0.15)
+    assert gone == pytest.approx(expected[behavior], abs=0.15)
 
 
 def test_a_jump_of_odometry_is_told_and_it_stands_for_a_moment(

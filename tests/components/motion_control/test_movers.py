@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from cairn.clock import SECOND
+from cairn import SECOND
 from cairn.components.motion_control.movers import Movers
 from cairn.planar.poses import Pose
 from tests.components.motion_control.world import Array, Disc, World, box, rays_from

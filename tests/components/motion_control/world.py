@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from cairn.components.motion_control.behaviours import Behaviour, Motion, Situation, State
+from cairn.components.motion_control.behaviors import Behavior, Motion, Situation, State
 from cairn.components.motion_control.limits import Limits
 from cairn.components.motion_control.local_planner import LOOK
 from cairn.components.motion_control.movers import Movers
@@ -131,7 +131,7 @@ class Record:
 def drive(
     world: World,
     robot: Robot,
-    behaviour: Behaviour,
+    behavior: Behavior,
     seconds: float,
     *,
     seed: int = 0,
@@ -142,7 +142,7 @@ def drive(
     until: State | None = State.DONE,
     limits: Limits = LIMITS,
 ) -> Record:
-    """Let a behaviour drive: scans at 10 Hz, odometry at 50 Hz, and commands."""
+    """Let a behavior drive: scans at 10 Hz, odometry at 50 Hz, and commands."""
     random = np.random.default_rng(seed)
     space = SeenSpace(3_000_000_000, limits.radius)
     movers = Movers()
@@ -177,7 +177,7 @@ def drive(
                 space.around(robot.odom, LOOK, robot.speed, limits.speed),
                 (0.0, view / 2),
             )
-            motion = behaviour.step(situation)
+            motion = behavior.step(situation)
             command = steering.command(
                 motion.wish, now, (robot.speed, robot.turn), situation.around
             )

@@ -1,4 +1,4 @@
-"""A map with taught objects, a recogniser before a camera, and each image's features once."""
+"""A map with taught objects, a recognizer before a camera, and each image's features once."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cairn.clock import SECOND
+from cairn import SECOND
 from cairn.components.object_recognizer import component, recognize_cli
 from cairn.components.object_recognizer.component import ObjectRecognizer
 from cairn.schemas.cairn_msgs import RecognizedObjectArray
@@ -37,7 +37,7 @@ BEGIN_S = 1000.0
 
 
 class Robot:
-    """A recogniser that gets an image every 0.2 s."""
+    """A recognizer that gets an image every 0.2 s."""
 
     def __init__(self, stage: Stage) -> None:
         self.stage = stage
@@ -84,11 +84,11 @@ class Extracted:
     def __init__(self) -> None:
         self._known: dict[tuple[bytes, tuple[int, ...], int], Features] = {}
 
-    def __call__(self, grey: NDArray[np.uint8], most: int = 0) -> Features:
+    def __call__(self, gray: NDArray[np.uint8], most: int = 0) -> Features:
         """What `vision.features.extract` gives, anew only for an image that is new."""
-        key = (hashlib.sha256(grey.tobytes()).digest(), grey.shape, most)
+        key = (hashlib.sha256(gray.tobytes()).digest(), gray.shape, most)
         if key not in self._known:
-            self._known[key] = extract(grey, most)
+            self._known[key] = extract(gray, most)
         features = self._known[key]
         return features.at(np.arange(len(features)))  # a copy
 

@@ -5,12 +5,7 @@ from dataclasses import replace
 import numpy as np
 from pydantic import Field
 
-from cairn.bus.qos import SENSOR
-from cairn.clock import SECOND, from_ns
-from cairn.runtime.component import Component
-from cairn.runtime.handlers import every
-from cairn.runtime.parameters import Config
-from cairn.runtime.ports import Out
+from cairn import SECOND, SENSOR, Component, Config, Out, every, from_ns
 from cairn.schemas.sensor_msgs import CameraInfo, Image
 from tests.components.object_recognizer.scenes import Thing, info, message, pair
 
@@ -33,9 +28,9 @@ class PosterCamera(Component):
         now = self.clock.now()
         for port, one in ((self.left_info, info()), (self.right_info, info(right=True))):
             port.publish(replace(one, header=replace(one.header, stamp=from_ns(now))))
-        for out, grey in zip((self.left_image, self.right_image), self._pair, strict=True):
-            noise = self.random.integers(0, 3, grey.shape, np.uint8)
-            out.publish(message(np.minimum(grey, 252) + noise, now / SECOND))
+        for out, gray in zip((self.left_image, self.right_image), self._pair, strict=True):
+            noise = self.random.integers(0, 3, gray.shape, np.uint8)
+            out.publish(message(np.minimum(gray, 252) + noise, now / SECOND))
 
 
 class EndingConfig(Config):

@@ -11,12 +11,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cairn.clock import from_ns
+from cairn import from_ns
 from cairn.schemas.sensor_msgs import CameraInfo, Image
 from cairn.schemas.std_msgs import Header
 from tests.cairn.vision.taught_objects import texture
 
-Grey = NDArray[np.uint8]
+Gray = NDArray[np.uint8]
 
 WIDTH, HEIGHT, FOCAL, BASELINE = 640, 480, 500.0, 0.12
 SIZE = (0.4, 0.3)
@@ -35,14 +35,14 @@ class Thing:
 
 
 @cache
-def picture_of(seed: int) -> Grey:
+def picture_of(seed: int) -> Gray:
     """What an object looks like, 1 mm a pixel."""
     picture = texture(seed, 400, 300)
     picture.flags.writeable = False
     return picture
 
 
-def photograph(things: Sequence[Thing], right: bool = False, noise: int = 0) -> Grey:
+def photograph(things: Sequence[Thing], right: bool = False, noise: int = 0) -> Gray:
     """What the left or the right camera sees; `noise` is a seed."""
     random = np.random.default_rng(noise)
     image = _without_noise(tuple(things), right)
@@ -76,7 +76,7 @@ def _without_noise(things: tuple[Thing, ...], right: bool) -> NDArray[np.float32
     return image
 
 
-def pair(things: Sequence[Thing], noise: int = 0) -> tuple[Grey, Grey]:
+def pair(things: Sequence[Thing], noise: int = 0) -> tuple[Gray, Gray]:
     """The images of both cameras."""
     return photograph(things, noise=2 * noise), photograph(things, right=True, noise=2 * noise + 1)
 
@@ -100,13 +100,13 @@ def info(right: bool = False, baseline: float = BASELINE, focal: float = FOCAL) 
     )
 
 
-def message(grey: NDArray[np.generic], stamp_s: float, encoding: str = "mono8") -> Image:
+def message(gray: NDArray[np.generic], stamp_s: float, encoding: str = "mono8") -> Image:
     """An image as a driver sends it."""
-    rows = np.ascontiguousarray(grey).view(np.uint8).reshape(grey.shape[0], -1)
+    rows = np.ascontiguousarray(gray).view(np.uint8).reshape(gray.shape[0], -1)
     return Image(
         header=Header(stamp=from_ns(round(stamp_s * 1e9)), frame_id="left_camera_optical_frame"),
-        height=grey.shape[0],
-        width=grey.shape[1],
+        height=gray.shape[0],
+        width=gray.shape[1],
         encoding=encoding,
         step=rows.shape[1],
         data=rows.ravel(),

@@ -54,15 +54,15 @@ def test_images_that_show_nothing_are_told_and_nothing_is_missed_in_them(
 @pytest.mark.parametrize(
     ("encoding", "convert"),
     [
-        ("bgr8", lambda grey: cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)),
-        ("mono16", lambda grey: grey.astype("<u2") << 4),
-        ("rgba8", lambda grey: cv2.cvtColor(grey, cv2.COLOR_GRAY2RGBA)),
+        ("bgr8", lambda gray: cv2.cvtColor(gray, cv2.COLOR_GRAY2BGR)),
+        ("mono16", lambda gray: gray.astype("<u2") << 4),
+        ("rgba8", lambda gray: cv2.cvtColor(gray, cv2.COLOR_GRAY2RGBA)),
     ],
 )
-def test_colour_and_16_bit_images_are_seen_as_grey_ones(
+def test_color_and_16_bit_images_are_seen_as_gray_ones(
     robot: Begin, encoding: str, convert: Callable[[Any], Any]
 ) -> None:
-    left, right = (convert(grey) for grey in pair([HERE]))
+    left, right = (convert(gray) for gray in pair([HERE]))
 
     told = robot().know().show(left, right, encoding)
 

@@ -1,4 +1,4 @@
-"""In lockstep in the simulated world: what its cameras see is recognised where it stands."""
+"""In lockstep in the simulated world: what its cameras see is recognized where it stands."""
 
 import math
 from pathlib import Path
@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 import yaml
 
-from cairn.bus.qos import Qos
+from cairn import Qos
 from cairn.deployment.load import load_deployment
 from cairn.placement.lockstep_run import LockstepRun
 from cairn.schemas.cairn_msgs import RecognizedObject, RecognizedObjectArray
@@ -27,7 +27,7 @@ def surveyed(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def seen(folder: Path, map_file: Path, fault: str, seconds: int = 2) -> list[RecognizedObjectArray]:
-    """What is recognised by a robot that stands before objects 3 and 4.
+    """What is recognized by a robot that stands before objects 3 and 4.
 
     For longer than the right camera is waited for, and than an image may be the same: a second.
     """
@@ -82,7 +82,7 @@ def check(one: RecognizedObject) -> None:
     assert one.bearing == pytest.approx(math.atan2(left, ahead), abs=0.01)
 
 
-def test_objects_in_view_are_recognised_where_they_stand(tmp_path: Path, surveyed: Path) -> None:
+def test_objects_in_view_are_recognized_where_they_stand(tmp_path: Path, surveyed: Path) -> None:
     frames = seen(tmp_path, surveyed, "none", seconds=3)
 
     assert len(frames) >= 12

@@ -61,7 +61,7 @@ def test_an_object_is_taught_listed_shown_and_removed(folder: Path) -> None:
     again = cairn("object", "teach", "cup", photo("b.png", picture_of(2)), "--json").json
     assert (again["object_id"], again["views"], again["map"]) == (1, 2, "visual_map.cairn")
     (view,) = again["taught"]
-    assert 45 <= view.pop("recognised_from") <= 90
+    assert 45 <= view.pop("recognized_from") <= 90
     assert view == {"image": "b.png", "width": 400, "height": 300, "features": 300}
     assert (again["look_alikes"], again["remarks"]) == ([], [])
 
@@ -78,7 +78,7 @@ def test_an_object_is_taught_listed_shown_and_removed(folder: Path) -> None:
     assert [view["features"] for view in shown["views"]] == [300, 300]
     assert np.std(np.asarray(cv2.imread("cup_views.png"))) > 10
 
-    assert "no longer recognised" in cairn("object", "remove", "cup").out
+    assert "no longer recognized" in cairn("object", "remove", "cup").out
     assert cairn("object", "list").out.strip() == "no object was taught"
 
 
@@ -171,7 +171,7 @@ def test_what_is_hardly_seen_by_a_camera_is_told(folder: Path, contrast: float, 
     taught = cairn("object", "teach", "cup", faint, "--size", "0.4,0.3", "--json").json
 
     (view,) = taught["taught"]
-    assert view["recognised_from"] is None or view["recognised_from"] >= 160
+    assert view["recognized_from"] is None or view["recognized_from"] >= 160
     assert why in taught["remarks"][0]
 
 
@@ -190,7 +190,7 @@ STRIPES = np.tile(np.repeat(np.array([60, 200], np.uint8), 20), (300, 10))
         (picture_of(1)[:4, :4], "has 4 x 4 pixels: too few"),
     ],
 )
-def test_what_would_not_be_recognised_is_not_taught(
+def test_what_would_not_be_recognized_is_not_taught(
     folder: Path, picture: np.ndarray[Any, Any], why: str
 ) -> None:
     photo("good.png", picture_of(2))
@@ -208,7 +208,7 @@ def test_what_would_not_be_recognised_is_not_taught(
         (("a.png", "--camera"), "give images or --camera, not both"),
         (("a.png", "--size", "0.4"), "--size 0.4: write it as W,H"),
         (("a.png", "--size", "0,1"), "--size 0,1: write it as W,H"),
-        (("a.png", "--size", "300,2"), "in metres, above 0 and at most 100"),
+        (("a.png", "--size", "300,2"), "in meters, above 0 and at most 100"),
         (("a.png", "--size", "0.3,0.4"), "1.33 times as wide as high, but the size 0.3 m x 0.4 m"),
         (("a.png", "--box", "1,2,3"), "--box 1,2,3: write it as X,Y,W,H"),
         (("--size", "1,1"), "no such map file: give images of cup"),
@@ -288,7 +288,7 @@ ROBOT = """
     """
 
 
-def test_an_object_before_a_running_robot_is_taught_and_recognised(folder: Path) -> None:
+def test_an_object_before_a_running_robot_is_taught_and_recognized(folder: Path) -> None:
     path = folder / "robot.cairn"
     create(path, "a test").close()
     with launching(folder) as launch:
@@ -308,7 +308,7 @@ def test_an_object_before_a_running_robot_is_taught_and_recognised(folder: Path)
         assert (told["object_id"], told["map"]) == (1, str(path))
         assert told["taught"][0]["image"] == "/robot/left_image"
 
-        run.await_line("1 taught objects of .* are recognised")
+        run.await_line("1 taught objects of .* are recognized")
         seen = robot("topic", "echo", "objects", "--count", "4", "--json").out.splitlines()
         assert '"object_id": 1' in seen[-1]
         assert run.stop() == 0

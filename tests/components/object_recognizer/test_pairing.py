@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cairn.clock import SECOND
+from cairn import SECOND
 from cairn.components.object_recognizer.pairing import PATIENCE_NS, Pair, Pairing
 from cairn.schemas.sensor_msgs import Image
 

@@ -67,7 +67,7 @@ def test_what_is_found_is_told_with_its_outline(folder: Path) -> None:
     )
     assert "no range: give the camera's calibration by --camera-info" in found["remarks"]
     drawn = np.asarray(cv2.imread("found.png"))
-    assert (drawn[..., 0] != drawn[..., 2]).any()  # colours: outlines
+    assert (drawn[..., 0] != drawn[..., 2]).any()  # colors: outlines
 
 
 def test_a_calibration_gives_ranges_by_size_and_a_pair_by_both(folder: Path) -> None:
@@ -102,7 +102,7 @@ BOTH = ("--camera-info", "left.yaml", "--camera-info", "right.yaml")
         ("black.png", "the right image shows next to nothing (it is too dark)"),
         ("left.png", "the right image is the same as the left one"),
         ("elsewhere.png", "hardly anything of the left image is found again in the right one"),
-        ("without.png", "what was recognised is not found in the right image"),
+        ("without.png", "what was recognized is not found in the right image"),
     ],
 )
 def test_a_right_image_that_tells_nothing_is_told(folder: Path, right: str, why: str) -> None:
@@ -188,11 +188,11 @@ def test_a_calibration_that_cannot_be_right_is_told(
     assert (poster["doubt"] is not None) is (why.endswith("by"))
 
 
-def test_nothing_recognised_is_no_error(folder: Path) -> None:
+def test_nothing_recognized_is_no_error(folder: Path) -> None:
     cv2.imwrite("other.png", picture_of(9))
     for image in ("other.png", cv2.imwrite("black.png", np.zeros((480, 640))) and "black.png"):
         answer = cairn("recognize", str(image))
-        assert (answer.code, answer.out.strip()) == (0, "nothing recognised")
+        assert (answer.code, answer.out.strip()) == (0, "nothing recognized")
         assert cairn("recognize", str(image), "--json").json["objects"] == []
     assert "it is too dark" in cairn("recognize", "black.png").err
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cairn.errors import CairnError
+from cairn import CairnError
 from cairn.vision.taught_store import remove_taught, teach
 from cairn.vision.teaching import view_of
 from tests.components.object_recognizer.conftest import Robot
@@ -76,7 +76,7 @@ def test_several_objects_and_two_of_a_kind_are_all_told(robot: Begin) -> None:
     ]
 
 
-def test_what_was_not_taught_is_not_recognised(robot: Begin) -> None:
+def test_what_was_not_taught_is_not_recognized(robot: Begin) -> None:
     told = robot().know().see([Thing(77, 0.0, 1.2), Thing(78, 0.5, 1.6)])
 
     assert told.objects == ()
@@ -110,14 +110,14 @@ def test_what_is_too_near_or_too_far_is_not_told(robot: Begin, limits: dict[str,
     assert robot(**limits).know().see([Thing(1, 0.0, 1.5)]).objects == ()
 
 
-def test_what_is_recognised_but_not_told_of_is_not_missed(robot: Begin) -> None:
+def test_what_is_recognized_but_not_told_of_is_not_missed(robot: Begin) -> None:
     told = robot(least_inliers=1000).know().see([Thing(1, 0.0, 1.5)])
 
     assert told.objects == ()
     assert (told.view_left, told.farthest) == (0.0, 0.0)
 
 
-def test_what_is_taught_while_it_runs_is_recognised(
+def test_what_is_taught_while_it_runs_is_recognized(
     robot: Begin, map_file: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.INFO)
@@ -134,7 +134,7 @@ def test_what_is_taught_while_it_runs_is_recognised(
 
 
 def await_log(it: Robot, caplog: pytest.LogCaptureFixture, text: str) -> None:
-    """Let time pass until the recogniser says that it has read the file again."""
+    """Let time pass until the recognizer says that it has read the file again."""
     deadline = time.monotonic() + 20
     caplog.clear()
     while text not in caplog.text:
@@ -150,7 +150,7 @@ def test_a_map_that_is_damaged_while_it_runs_is_told_and_what_was_known_is_kept(
     map_file.write_bytes(b"no map " * 100)
     it.stage.wait(1.0)
 
-    assert "still recognising what was taught before" in complaints()
+    assert "still recognizing what was taught before" in complaints()
     assert str(map_file) in complaints()
     assert [one.object_id for one in it.see([Thing(1, 0.0, 1.5)]).objects] == [1]
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from cairn.clock import from_ns
+from cairn import from_ns
 from cairn.planar.grid import Frame, OccupancyCells, map_message
 from cairn.planar.messages import pose_message
 from cairn.planar.poses import Pose
@@ -68,11 +68,11 @@ def health(value: float, located: bool = True, reason: str = "") -> Localization
 
 
 def follow(goal: Pose, leg: int = 1) -> Movement:
-    return Movement(leg=leg, behaviour=Movement.FOLLOW, goal=pose_message(goal))
+    return Movement(leg=leg, behavior=Movement.FOLLOW, goal=pose_message(goal))
 
 
 def stand(leg: int) -> Movement:
-    return Movement(leg=leg, behaviour=Movement.STAND)
+    return Movement(leg=leg, behavior=Movement.STAND)
 
 
 def scan_of(grid: OccupancyCells, pose: Pose, time: float, beams: int = 360) -> LaserScan:

@@ -88,7 +88,7 @@ def test_paths_keep_clear_turn_gently_and_are_little_longer_than_the_shortest(se
     grid = furnished(seed)
     found, shortest = route(grid), route(grid, costs=SHORTEST)
 
-    # A closed cell begins where its centre is 0.295 m from an obstacle's: 0.25 m from its edge.
+    # A closed cell begins where its center is 0.295 m from an obstacle's: 0.25 m from its edge.
     for poses in (found.poses, shortest.poses):
         assert clearance(grid, between(poses)).min() >= 0.25 - 1e-9
     assert shortest.length() - 1e-6 <= found.length() <= 1.2 * shortest.length()

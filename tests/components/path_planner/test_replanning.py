@@ -5,8 +5,7 @@ from typing import Any
 
 import pytest
 
-from cairn.bus.qos import LATCHED, SENSOR
-from cairn.clock import SECOND, from_ns
+from cairn import LATCHED, SECOND, SENSOR, from_ns
 from cairn.components.path_planner.component import PathPlanner
 from cairn.planar.messages import planar_poses
 from cairn.schemas.cairn_nav_msgs import MotionStatus, Plan
@@ -149,7 +148,7 @@ def test_what_comes_a_little_too_near_to_a_path_does_not_break_it(begun: Any) ->
     it.give("movement", follow((8.0, 1.025, 0.0)))
     it.taken("plan")
 
-    it.give("map_updates", window((4.0, 1.25, 5.0, 1.6), 100))  # centres 0.25 m off: closed
+    it.give("map_updates", window((4.0, 1.25, 5.0, 1.6), 100))  # centers 0.25 m off: closed
     it.wait(2.0)
     assert it.taken("plan") == []
     it.give("map_updates", window((4.0, 1.2, 5.0, 1.25), 100))

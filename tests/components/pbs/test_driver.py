@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cairn import SECOND, CairnError, to_ns
 from cairn.bus.control import ControlError
 from cairn.bus.lockstep_bus import LockstepBus
-from cairn.clock import SECOND, to_ns
 from cairn.components.pbs.component import PbsScanner
 from cairn.components.pbs.emulated_pbs import EmulatedPbs, SentDistances
 from cairn.components.pbs.frames import FrameSplitter, framed
@@ -23,7 +23,6 @@ from cairn.driver.emulated_lines import PtyEnd
 from cairn.driver.emulation import Emulation
 from cairn.driver.faults import FRAME_FAULTS
 from cairn.driver.link import SerialLink
-from cairn.errors import CairnError
 from cairn.schemas.diagnostic_msgs import DiagnosticArray, DiagnosticStatus
 from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.tf2_msgs import TFMessage
@@ -62,10 +61,10 @@ def _driven(folder: Path, *, activate: bool = True, **line: Any) -> Iterator[Dri
             component.close()
 
 
-def _millimetres(scan: LaserScan) -> list[int]:
+def _millimeters(scan: LaserScan) -> list[int]:
     """Distances as they were sent, and 0 where they are out of the scanner's range."""
-    metres = np.where(np.isfinite(scan.ranges), scan.ranges, 0.0)
-    return [round(1000.0 * one) for one in metres.tolist()]
+    meters = np.where(np.isfinite(scan.ranges), scan.ranges, 0.0)
+    return [round(1000.0 * one) for one in meters.tolist()]
 
 
 def _in_range(sent: SentDistances) -> list[int]:
@@ -77,7 +76,7 @@ def test_every_scan_is_as_it_was_sent(tmp_path: Path) -> None:
         scans = driven.scans.wait(5)
         (mounted,) = driven.mounted.wait(1)
         now = time.time_ns()
-    assert [_millimetres(scan) for scan in scans] == [_in_range(one) for one in driven.sent[:5]]
+    assert [_millimeters(scan) for scan in scans] == [_in_range(one) for one in driven.sent[:5]]
     stamps = [to_ns(scan.header.stamp) for scan in scans]
     assert all(0 < later - sooner < SECOND for sooner, later in pairwise(stamps))
     assert 0 < now - stamps[-1] < SECOND
@@ -105,7 +104,7 @@ def test_nothing_false_is_published_whatever_the_line_does(tmp_path: Path) -> No
     with _driven(tmp_path, shares=shares, seed=3) as driven:
         scans = driven.scans.wait(10)
     sent = [_in_range(one) for one in driven.sent]
-    assert all(_millimetres(scan) in sent for scan in scans)
+    assert all(_millimeters(scan) in sent for scan in scans)
 
 
 def test_unplugged_it_says_so_and_goes_on_when_the_sensor_is_back(tmp_path: Path) -> None:

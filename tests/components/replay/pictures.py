@@ -8,17 +8,17 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cairn.clock import SECOND
+from cairn import SECOND
 from cairn.components.replay.camera import ReplayCamera
 from cairn.components.replay.formats import open_recording
 from cairn.vision.camera_file import write_camera
 from tests.cairn.vision.cameras import HEIGHT, WIDTH, info
 
 StageOf = Callable[..., Any]
-Grey = NDArray[np.uint8]
+Gray = NDArray[np.uint8]
 
 
-def picture(shade: int, width: int = WIDTH, height: int = HEIGHT) -> Grey:
+def picture(shade: int, width: int = WIDTH, height: int = HEIGHT) -> Gray:
     """An image that is told from others after compression, too: its shade is in the middle."""
     image = np.full((height, width), shade, np.uint8)
     image[: height // 4] = 255 - shade

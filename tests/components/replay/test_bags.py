@@ -13,7 +13,7 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Ros2Writer
 from rosbags.typesys import Stores, get_typestore
 
-from cairn.clock import SECOND, to_ns
+from cairn import SECOND, to_ns
 from cairn.components.replay.bag import BagRecording
 from cairn.components.replay.formats import open_recording
 from cairn.components.replay.recording import RecordingError

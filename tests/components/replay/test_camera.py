@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 import yaml
 
-from cairn.bus.qos import Qos
-from cairn.clock import SECOND, to_ns
+from cairn import SECOND, Qos, to_ns
 from cairn.components.replay.clock import ReplayClock
 from cairn.components.replay.formats import open_recording
 from cairn.deployment.load import load_deployment

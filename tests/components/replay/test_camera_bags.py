@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from cairn.clock import SECOND
+from cairn import SECOND
 from cairn.components.replay.formats import open_recording
 from cairn.components.replay.recording import RecordingError
 from tests.cairn.vision.cameras import HEIGHT, WIDTH

@@ -5,8 +5,8 @@ from typing import Any
 
 import pytest
 
+from cairn import CairnError
 from cairn.components.replay.camera import ReplayCamera
-from cairn.errors import CairnError
 from tests.components.replay.pictures import StageOf, calibrations, pairs, save, video
 
 

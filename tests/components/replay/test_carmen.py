@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cairn.clock import SECOND, to_ns
+from cairn import SECOND, to_ns
 from cairn.components.replay.carmen import CarmenRecording, posed_scans
 from cairn.components.replay.recording import RecordingError
 from cairn.planar.poses import distance, relative, wrap

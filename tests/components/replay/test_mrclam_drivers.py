@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cairn.clock import SECOND, from_ns, to_ns
+from cairn import SECOND, from_ns, to_ns
 from cairn.components.replay.clock import ReplayClock
 from cairn.components.replay.dead_reckoning import reckon
 from cairn.components.replay.mrclam_files import Dataset

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from cairn.clock import SECOND
+from cairn import SECOND
 from cairn.components.replay.pictures import rough_map
 from cairn.components.replay.recording import Odometry, Scans
 from cairn.schemas.sensor_msgs import LaserScan
@@ -108,9 +108,9 @@ def test_scans_are_placed_where_odometry_has_the_robot_at_their_time() -> None:
         [
             LaserScan(
                 angle_min=bearing, angle_max=bearing + 0.1, angle_increment=0.1, range_min=0.1,
-                range_max=9.0, ranges=np.array([metres, math.inf], np.float32),
+                range_max=9.0, ranges=np.array([meters, math.inf], np.float32),
             )
-            for _, bearing, metres in seen
+            for _, bearing, meters in seen
         ],
     )  # fmt: skip
 

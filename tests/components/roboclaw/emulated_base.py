@@ -41,7 +41,7 @@ DEPLOYMENT = """
     """
 """The wheels' encoders begin just below the wrap of their counters."""
 
-_METRES = 2.0 * math.pi * RADIUS / COUNTS
+_METERS = 2.0 * math.pi * RADIUS / COUNTS
 _STANDS_BELOW = 0.01  # [m/s]
 
 
@@ -87,7 +87,7 @@ class EmulatedBase:
             speeds.extend(abs(motor.speed) for motor in self.device.controller.motors)
 
         self.emulation.ask(look)
-        return max(speeds) * _METRES
+        return max(speeds) * _METERS
 
     def moved(self) -> list[Moved]:
         """All that the wheels have done so far."""
@@ -98,14 +98,14 @@ class EmulatedBase:
     def fastest_since(self, time_s: float) -> float:
         """The faster wheel's highest speed since then [m/s; s of the monotonic clock]."""
         speeds = (max(map(abs, step.speeds)) for step in self.moved() if step.time >= time_s)
-        return max(speeds, default=0.0) * _METRES
+        return max(speeds, default=0.0) * _METERS
 
     def true_pose(self) -> Pose:
         """Where the wheels have led since the beginning, step by step: m1 left, m2 inverted."""
         pose: Pose = (0.0, 0.0, 0.0)
         left = right = 0.0
         for step in self.moved():
-            now_left, now_right = step.turned[0] * _METRES, -step.turned[1] * _METRES
+            now_left, now_right = step.turned[0] * _METERS, -step.turned[1] * _METERS
             way = 0.5 * (now_left - left + now_right - right)
             turned = (now_right - right - (now_left - left)) / SEPARATION
             half = (0.0, 0.0, 0.5 * turned)

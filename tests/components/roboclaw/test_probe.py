@@ -8,9 +8,9 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
+from cairn import CairnError
 from cairn.components.roboclaw.probe_cli import base as probe
 from cairn.components.roboclaw.wheel_advice import Direction, Turned, Wheel, advice
-from cairn.errors import CairnError
 from tests.components.roboclaw.emulated_base import EmulatedBase, emulated_base
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cairn.clock import SECOND, from_ns, to_ns
+from cairn import SECOND, from_ns, to_ns
 from cairn.components.ros2_base.component import Ros2Base
 from cairn.planar.messages import planar_pose, pose_message
 from cairn.runtime.lifecycle import Transition

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from cairn.bus.qos import SENSOR
+from cairn import SENSOR
 from cairn.bus.session import open_peer
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.components.ros2_base.component import Ros2Base

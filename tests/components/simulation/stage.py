@@ -5,15 +5,13 @@ from typing import Any
 
 import yaml
 
-from cairn.bus.qos import LATCHED, SENSOR
-from cairn.clock import SECOND, to_ns
+from cairn import LATCHED, SECOND, SENSOR, Component, to_ns
 from cairn.components.simulation.base import SimulatedBase
 from cairn.components.simulation.recognizer import SimulatedRecognizer
 from cairn.components.simulation.scanner import SimulatedScanner
 from cairn.components.simulation.world_component import SimulatedWorld
 from cairn.planar.messages import planar_pose
 from cairn.planar.poses import Pose
-from cairn.runtime.component import Component
 from cairn.schemas.cairn_msgs import RecognizedObjectArray
 from cairn.schemas.cairn_nav_msgs import Collision
 from cairn.schemas.cairn_sim_msgs import WorldState
@@ -24,8 +22,8 @@ from cairn.schemas.tf2_msgs import TFMessage
 from tests.cairn.runtime.running import Lockstep, Placed, taken
 from tests.components.simulation.worlds import box
 
-EXACT = {"way_scale_sd": 0, "turn_scale_sd": 0, "way": 0, "turn_error": 0, "turn_per_metre": 0}
-NO_SLIP = {"way": 0, "turn": 0, "turn_per_metre": 0}
+EXACT = {"way_scale_sd": 0, "turn_scale_sd": 0, "way": 0, "turn_error": 0, "turn_per_meter": 0}
+NO_SLIP = {"way": 0, "turn": 0, "turn_per_meter": 0}
 MOUNT = {"x": 0.1, "y": 0.0, "theta": 0.2}
 TABLE = {"name": "table", "x": 1.5, "y": 3.0, "theta": 0.3, "size": [0.8, 0.8]}
 OBJECTS = [{"id": 1, "x": 6, "y": 2.0, "theta": 3.1416}, {"id": 2, "x": 0, "y": 2.0}]

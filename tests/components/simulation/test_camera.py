@@ -12,17 +12,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from cairn import LATCHED, SECOND, CairnError, ParameterRefused, to_ns
 from cairn.bus.codec import Codec
-from cairn.bus.qos import LATCHED
-from cairn.clock import SECOND, to_ns
 from cairn.components.simulation.camera import SimulatedStereoCamera
 from cairn.components.simulation.lens import Lens
 from cairn.components.simulation.textures import drawn_picture
 from cairn.components.simulation.view import Station, panel_corners
-from cairn.errors import CairnError
 from cairn.planar.messages import planar_pose
 from cairn.planar.poses import Pose, compose
-from cairn.runtime.parameters import ParameterRefused
 from cairn.schemas.geometry_msgs import TransformStamped
 from cairn.schemas.sensor_msgs import CameraInfo, Image
 from cairn.schemas.tf2_msgs import TFMessage
@@ -263,7 +260,7 @@ def test_a_distorted_image_is_rectified_to_what_an_ideal_lens_shows(
         ({"distortion": [-5.0]}, r"simulatedstereocamera: distortion = \[-5.0\] folds the image"),
         ({"distortion": [0.1] * 6}, "distortion"),
         ({"fault": "broken"}, "fault"),
-        ({"light": {"colour": 1}}, "colour"),
+        ({"light": {"color": 1}}, "color"),
     ],
 )
 def test_a_camera_that_cannot_be_is_told_of(

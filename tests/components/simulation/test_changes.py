@@ -6,12 +6,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cairn.bus.qos import LATCHED
-from cairn.clock import SECOND, to_ns
+from cairn import LATCHED, SECOND, CairnError, to_ns
 from cairn.components.simulation.base import SimulatedBase
 from cairn.components.simulation.recognizer import SimulatedRecognizer
 from cairn.components.simulation.scanner import SimulatedScanner
-from cairn.errors import CairnError
 from cairn.planar.messages import planar_pose
 from cairn.planar.poses import distance
 from cairn.schemas.cairn_msgs import VisualMap

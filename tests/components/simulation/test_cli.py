@@ -35,7 +35,7 @@ World = Callable[..., Answer]
 
 @pytest.fixture(scope="module")
 def simulation(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Run]:
-    """A world with base, scanner and recogniser, running."""
+    """A world with base, scanner and recognizer, running."""
     folder = tmp_path_factory.mktemp("simulation")
     file = folder / "world.yaml"
     file.write_text(yaml.safe_dump(box(furniture=[TABLE], objects=OBJECTS, people=[ADA])))

@@ -14,17 +14,17 @@ def film(seed: int = 0) -> Film:
     return Film(320, 240, np.random.default_rng(seed))
 
 
-def even(grey: float) -> np.ndarray:
-    return np.full((240, 320), grey, np.float32)
+def even(gray: float) -> np.ndarray:
+    return np.full((240, 320), gray, np.float32)
 
 
-@pytest.mark.parametrize("grey", [20.0, 100.0, 200.0])
-def test_noise_has_the_stated_deviation(grey: float) -> None:
+@pytest.mark.parametrize("gray", [20.0, 100.0, 200.0])
+def test_noise_has_the_stated_deviation(gray: float) -> None:
     noise = Noise(2.0, 0.05)
-    image = film().exposed(even(grey), 1.0, 0.0, noise).astype(float)
+    image = film().exposed(even(gray), 1.0, 0.0, noise).astype(float)
 
-    wanted = np.sqrt(noise.read**2 + noise.shot * grey + 1 / 12)
-    assert image.mean() == pytest.approx(grey, abs=0.1)
+    wanted = np.sqrt(noise.read**2 + noise.shot * gray + 1 / 12)
+    assert image.mean() == pytest.approx(gray, abs=0.1)
     assert image.std() == pytest.approx(wanted, rel=0.02)
     beside = np.corrcoef(image[:, 1:].ravel(), image[:, :-1].ravel())[0, 1]
     assert abs(beside) < 0.02

@@ -9,13 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cairn import SECOND, CairnError, to_ns
 from cairn.bus.codec import Codec
-from cairn.clock import SECOND, to_ns
 from cairn.components.simulation.rays import cast
 from cairn.components.simulation.scanner import SimulatedScanner
 from cairn.components.simulation.scene import Scene
 from cairn.components.simulation.world_file import read_world
-from cairn.errors import CairnError
 from cairn.planar.messages import planar_pose
 from cairn.planar.poses import compose, distance, wrap
 from cairn.schemas.geometry_msgs import Vector3

@@ -1,4 +1,4 @@
-"""Objects are recognised where a camera would see them, and as often as asked."""
+"""Objects are recognized where a camera would see them, and as often as asked."""
 
 import math
 from collections.abc import Sequence
@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cairn.components.simulation.recognition import Eye, Recognised, Thing, recognised
+from cairn.components.simulation.recognition import Eye, Recognized, Thing, recognized
 from cairn.components.simulation.scanning import Surroundings
 from cairn.components.simulation.scene import SURFACES
 from cairn.components.simulation.world_file import Surface
@@ -39,8 +39,8 @@ def seen(
     eye: Eye = EYE,
     mount: Pose = (0.0, 0.0, 0.0),
     seed: int = 0,
-) -> list[Recognised]:
-    return recognised(eye, ROBOT, mount, things, around, np.random.default_rng(seed))
+) -> list[Recognized]:
+    return recognized(eye, ROBOT, mount, things, around, np.random.default_rng(seed))
 
 
 def across(x: float, surface: Surface = "plain") -> Surroundings:
@@ -97,7 +97,7 @@ def test_objects_are_missed_and_mistaken_as_often_as_asked() -> None:
     eye = replace(EYE, detected=0.7, mistaken=0.2)
     things = [facing(2, 0, 1), facing(-2, 0, 2), facing(-2, 1, 3)]
     random = np.random.default_rng(0)
-    found = [recognised(eye, ROBOT, (0, 0, 0), things, NOWHERE, random) for _ in range(2000)]
+    found = [recognized(eye, ROBOT, (0, 0, 0), things, NOWHERE, random) for _ in range(2000)]
     ids = [one.object_id for sighting in found for one in sighting]
 
     assert len(ids) / 2000 == pytest.approx(0.7, abs=0.04)

@@ -5,8 +5,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from cairn import CairnError
 from cairn.components.simulation.scanner import SimulatedScanner
-from cairn.errors import CairnError
 from tests.components.simulation.stage import Simulation
 
 

@@ -8,13 +8,13 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from cairn import CairnError
 from cairn.components.simulation.survey import (
     RESOLUTION,
     grid_of_world,
     surveyed_grid,
     surveyed_objects,
 )
-from cairn.errors import CairnError
 from cairn.planar.grid import FREE, OCCUPIED, UNKNOWN
 from cairn.planar.poses import compose
 from tests.components.simulation.worlds import box, world_file

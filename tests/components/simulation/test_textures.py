@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import yaml
 
+from cairn import CairnError
 from cairn.components.simulation.checks import problems_of
 from cairn.components.simulation.photography import seen_from
 from cairn.components.simulation.survey import surveyed_pictures
@@ -17,7 +18,6 @@ from cairn.components.simulation.textures import (
     surface_pattern,
 )
 from cairn.components.simulation.world_file import read_world
-from cairn.errors import CairnError
 from cairn.vision.features import extract
 from cairn.vision.recognition import Recognizer
 from cairn.vision.taught import TaughtObject
@@ -45,16 +45,16 @@ def test_drawn_pictures_are_rich_and_each_is_like_itself_alone() -> None:
 
 def test_surfaces_are_plain_beside_pictures_and_repeat_without_seams() -> None:
     pattern = surface_pattern()
-    grey = np.asarray(170 * np.tile(pattern, (2, 2)), np.uint8)
+    gray = np.asarray(170 * np.tile(pattern, (2, 2)), np.uint8)
     picture = drawn_picture(1, (0.5, 0.5))
     inside = np.abs(np.diff(pattern, axis=1)).max()
 
     assert pattern.mean() == pytest.approx(1.0, abs=1e-3)
     assert np.abs(pattern[:, 0] - pattern[:, -1]).max() < 1.5 * inside
-    assert grey.std() < 0.2 * picture.std()
+    assert gray.std() < 0.2 * picture.std()
 
 
-def test_large_pictures_are_read_smaller_and_colour_as_grey(tmp_path: Path) -> None:
+def test_large_pictures_are_read_smaller_and_color_as_gray(tmp_path: Path) -> None:
     file = tmp_path / "large.png"
     cv2.imwrite(str(file), np.full((1000, 2000, 3), (0, 0, 255), np.uint8))
 
@@ -112,7 +112,7 @@ def test_textures_lie_beside_their_world(tmp_path: Path, monkeypatch: pytest.Mon
     assert np.array_equal(taught.views[0].picture, picture)
 
 
-def test_the_rooms_objects_are_recognised_where_they_hang() -> None:
+def test_the_rooms_objects_are_recognized_where_they_hang() -> None:
     world = read_world(ROOM)
     recognizer = Recognizer(surveyed_pictures(ROOM))
     for pose, there in (

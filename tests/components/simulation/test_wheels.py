@@ -11,7 +11,7 @@ from cairn.planar.poses import Pose, compose, relative, wrap
 
 STEP = 0.02
 LIMITS = BaseLimits()
-ERRORS = EncoderErrors(way_scale=0.01, turn_scale=0.02, way=0.01, turn=0.02, turn_per_metre=0.01)
+ERRORS = EncoderErrors(way_scale=0.01, turn_scale=0.02, way=0.01, turn=0.02, turn_per_meter=0.01)
 
 
 def driven(
@@ -58,7 +58,7 @@ def test_the_wheels_stop_when_commands_go_stale() -> None:
 
 
 def odometry(seed: int, errors: EncoderErrors) -> tuple[Encoders, Pose]:
-    """Twelve metres in two bends: what the wheels measured, and where they really went."""
+    """Twelve meters in two bends: what the wheels measured, and where they really went."""
     encoders, true = Encoders(errors, np.random.default_rng(seed)), (0.0, 0.0, 0.0)
     for number in range(200):
         turned = 0.03 if number < 100 else -0.015

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from cairn import CairnError
 from cairn.components.simulation.rays import clearance
 from cairn.components.simulation.world import Contact, Slip, World
 from cairn.components.simulation.world_file import Furniture, Person, VisibleObject
-from cairn.errors import CairnError
 from tests.components.simulation.worlds import RADIUS, world_of
 
 TABLE = {"name": "table", "x": 1.5, "y": 2.0, "size": [0.8, 0.8]}

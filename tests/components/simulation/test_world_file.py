@@ -8,10 +8,10 @@ from typing import Any
 import pytest
 import yaml
 
+from cairn import CairnError
 from cairn.components.simulation.checks import problems_of
 from cairn.components.simulation.pictures import label_places
 from cairn.components.simulation.world_file import WorldFile, read_world
-from cairn.errors import CairnError
 from tests.commands import cairn
 from tests.components.simulation.worlds import RADIUS, box
 
@@ -43,9 +43,9 @@ def test_a_file_that_is_no_world_is_told_with_its_place(case: str, tmp_path: Pat
 
 
 WRONG: dict[str, tuple[dict[str, Any], str]] = {
-    "an unknown key": ({"colour": "red"}, "colour = 'red': there is no such key; expected one of"),
-    "a key misspelt": ({"furnitures": []}, "there is no such key; did you mean furniture?"),
-    "a key misspelt within": (
+    "an unknown key": ({"color": "red"}, "color = 'red': there is no such key; expected one of"),
+    "a key misspelled": ({"furnitures": []}, "there is no such key; did you mean furniture?"),
+    "a key misspelled within": (
         {"events": [{"at": 1, "add_furniture": {**DESK, "sise": [1, 1]}}]},
         r"events\[0\].add_furniture.sise = .*; did you mean size",
     ),

@@ -8,8 +8,8 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any, Self
 
+from cairn import Qos
 from cairn.bus.lockstep_bus import LockstepBus
-from cairn.bus.qos import Qos
 from cairn.clock import SystemClock
 from cairn.components.v4l2_camera.component import V4l2StereoCamera
 from cairn.runtime.lifecycle import Transition

@@ -44,7 +44,7 @@ class _Device(FakeDevice):
 
 
 class _Stream:
-    """A picture of noise at each whole period, so that two cameras are synchronised."""
+    """A picture of noise at each whole period, so that two cameras are synchronized."""
 
     def __init__(self, device: _Device, _buffers: int) -> None:
         self._path = device.path

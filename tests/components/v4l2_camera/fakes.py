@@ -47,10 +47,10 @@ class FakeCamera:
         self._sequence = 0
 
     def send(
-        self, grey: int = 0, *, taken: int | None = -1, short: int = 0, is_damaged: bool = False
+        self, gray: int = 0, *, taken: int | None = -1, short: int = 0, is_damaged: bool = False
     ) -> None:
-        """Have it give a picture of one grey level, taken [ns] now unless told otherwise."""
-        data = bytes([grey]) * (self.size[0] * self.size[1] - short)
+        """Have it give a picture of one gray level, taken [ns] now unless told otherwise."""
+        data = bytes([gray]) * (self.size[0] * self.size[1] - short)
         told = time.monotonic_ns() if taken == -1 else taken
         self.events.put(Capture(data, self._sequence, told, False, is_damaged))
         self._sequence += 1
@@ -181,6 +181,6 @@ class _Stream:
 
 
 def level(image: object) -> int:
-    """The grey level of an image that has one only."""
+    """The gray level of an image that has one only."""
     [found] = np.unique(np.asarray(image.data))  # type: ignore[attr-defined]
     return int(found)

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
+from cairn import CairnError
 from cairn.components.v4l2_camera.config import ControlsConfig, V4l2StereoCameraConfig
 from cairn.components.v4l2_camera.offers import PictureSize, best_format
 from cairn.driver.device_names import devices_named
-from cairn.errors import CairnError
 from cairn.schemas.sensor_msgs import CameraInfo
 from cairn.vision.camera_file import write_camera
 from tests.components.v4l2_camera.driving import Driver, RestartedDriver

@@ -7,9 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from cairn.clock import to_ns
+from cairn import CairnError, to_ns
 from cairn.driver.diagnostics import ERROR, OK
-from cairn.errors import CairnError
 from tests.components.v4l2_camera.driving import Driver
 from tests.components.v4l2_camera.fakes import ONE, TWO, FakeCamera, FakeCameras, level
 

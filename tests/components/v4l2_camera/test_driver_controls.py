@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from cairn.runtime.parameters import ParameterRefused
+from cairn import ParameterRefused
 from tests.components.v4l2_camera.driving import Driver
 from tests.components.v4l2_camera.fakes import ONE, TWO, FakeCamera
 

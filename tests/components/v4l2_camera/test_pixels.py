@@ -1,4 +1,4 @@
-"""Grey levels are those that the camera sent; what is no whole picture is refused."""
+"""Gray levels are those that the camera sent; what is no whole picture is refused."""
 
 import tracemalloc
 
@@ -24,23 +24,23 @@ def noise(width: int = WIDTH, height: int = HEIGHT) -> NDArray[np.uint8]:
 
 
 def jpeg(sampling: str = "422") -> bytes:
-    grey = noise()
-    colours = np.dstack((grey, grey[::-1], 255 - grey))
+    gray = noise()
+    colors = np.dstack((gray, gray[::-1], 255 - gray))
     return bytes(
-        simplejpeg.encode_jpeg(colours, quality=90, colorspace="RGB", colorsubsampling=sampling)
+        simplejpeg.encode_jpeg(colors, quality=90, colorspace="RGB", colorsubsampling=sampling)
     )
 
 
 @pytest.mark.parametrize("width", [1, 7, 64])
 @pytest.mark.parametrize("height", [1, 5])
 @pytest.mark.parametrize(("filling", "more"), [(0, 0), (1, 0), (9, 100)])
-def test_grey_rows_are_taken_without_what_fills_them_up(
+def test_gray_rows_are_taken_without_what_fills_them_up(
     width: int, height: int, filling: int, more: int
 ) -> None:
     sent = noise(width, height)
     rows = np.hstack((sent, np.full((height, filling), 7, np.uint8)))
 
-    taken = PictureLayout(width, height, "GREY", width + filling).grey(rows.tobytes() + bytes(more))
+    taken = PictureLayout(width, height, "GREY", width + filling).gray(rows.tobytes() + bytes(more))
 
     assert taken.tolist() == sent.tolist()
 
@@ -55,7 +55,7 @@ def test_of_yuyv_the_brightness_is_taken(half: int, height: int, filling: int) -
 
     layout = PictureLayout(2 * half, height, "YUYV", 4 * half + filling)
 
-    assert layout.grey(rows.tobytes()).tolist() == sent.tolist()
+    assert layout.gray(rows.tobytes()).tolist() == sent.tolist()
 
 
 @pytest.mark.parametrize(("name", "pixel"), [("GREY", 1), ("YUYV", 2)])
@@ -63,24 +63,24 @@ def test_a_picture_of_too_few_bytes_is_refused(name: str, pixel: int) -> None:
     layout = PictureLayout(WIDTH, HEIGHT, name)
     whole = bytes(WIDTH * HEIGHT * pixel)
 
-    assert layout.grey(whole).shape == (HEIGHT, WIDTH)
+    assert layout.gray(whole).shape == (HEIGHT, WIDTH)
     with pytest.raises(ShortPicture, match=f"{len(whole) - 1} bytes of {len(whole)}"):
-        layout.grey(whole[:-1])
+        layout.gray(whole[:-1])
 
 
 @pytest.mark.parametrize("sampling", ["444", "422", "420"])
 def test_mjpg_is_decoded_to_its_brightness(sampling: str) -> None:
     data = jpeg(sampling)
 
-    taken = PictureLayout(WIDTH, HEIGHT, "MJPG").grey(data)
+    taken = PictureLayout(WIDTH, HEIGHT, "MJPG").gray(data)
 
     assert taken.tolist() == simplejpeg.decode_jpeg(data, colorspace="GRAY")[..., 0].tolist()
 
 
 def test_mjpg_without_its_tables_is_decoded_by_the_usual_ones() -> None:
-    whole = PictureLayout(WIDTH, HEIGHT, "MJPG").grey(jpeg())
+    whole = PictureLayout(WIDTH, HEIGHT, "MJPG").gray(jpeg())
 
-    taken = PictureLayout(WIDTH, HEIGHT, "MJPG").grey(without_tables(jpeg()))
+    taken = PictureLayout(WIDTH, HEIGHT, "MJPG").gray(without_tables(jpeg()))
 
     assert taken.tolist() == whole.tolist()
 
@@ -89,7 +89,7 @@ def test_mjpg_without_its_tables_is_decoded_by_the_usual_ones() -> None:
 def test_what_follows_the_end_of_mjpg_is_no_part_of_it(behind: bytes) -> None:
     layout = PictureLayout(WIDTH, HEIGHT, "MJPG")
 
-    assert layout.grey(jpeg() + behind).tolist() == layout.grey(jpeg()).tolist()
+    assert layout.gray(jpeg() + behind).tolist() == layout.gray(jpeg()).tolist()
 
 
 @pytest.mark.parametrize(
@@ -104,12 +104,12 @@ def test_what_follows_the_end_of_mjpg_is_no_part_of_it(behind: bytes) -> None:
 )
 def test_damaged_mjpg_is_refused(data: bytes, what: str) -> None:
     with pytest.raises((ShortPicture, DamagedPicture), match=what):
-        PictureLayout(WIDTH, HEIGHT, "MJPG").grey(data)
+        PictureLayout(WIDTH, HEIGHT, "MJPG").gray(data)
 
 
 def test_mjpg_of_another_size_is_refused() -> None:
     with pytest.raises(DamagedPicture, match="it is 64 x 48 pixels, not 32 x 48"):
-        PictureLayout(32, HEIGHT, "MJPG").grey(jpeg())
+        PictureLayout(32, HEIGHT, "MJPG").gray(jpeg())
 
 
 def test_memory_is_not_taken_for_a_size_that_damage_has_made() -> None:
@@ -118,7 +118,7 @@ def test_memory_is_not_taken_for_a_size_that_damage_has_made() -> None:
 
     tracemalloc.start()
     with pytest.raises(DamagedPicture, match="it is 9999 x 9999 pixels, not 64 x 48"):
-        PictureLayout(WIDTH, HEIGHT, "MJPG").grey(jpeg().replace(size, b"\x27\x0f" * 2))
+        PictureLayout(WIDTH, HEIGHT, "MJPG").gray(jpeg().replace(size, b"\x27\x0f" * 2))
     _, most = tracemalloc.get_traced_memory()
     tracemalloc.stop()
 
@@ -133,7 +133,7 @@ def test_overwritten_mjpg_gives_a_picture_or_is_refused(place: int, over: bytes)
     layout = PictureLayout(WIDTH, HEIGHT, "MJPG")
 
     try:
-        taken = layout.grey(data)
+        taken = layout.gray(data)
     except (ShortPicture, DamagedPicture):
         return
     assert taken.shape == (HEIGHT, WIDTH)

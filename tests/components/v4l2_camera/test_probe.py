@@ -10,8 +10,8 @@ from pathlib import Path
 import cv2
 import pytest
 
+from cairn import CairnError
 from cairn.components.v4l2_camera.cli import probe
-from cairn.errors import CairnError
 from tests.commands import cairn
 from tests.components.v4l2_camera.fakes import HEIGHT, LEFT, RIGHT, WIDTH, FakeCamera, FakeCameras
 

@@ -6,8 +6,8 @@ import time
 
 import pytest
 
+from cairn import CairnError
 from cairn.driver.diagnostics import ERROR
-from cairn.errors import CairnError
 from tests.components.v4l2_camera.driving import Driver, RestartedDriver
 from tests.components.v4l2_camera.fakes import (
     HEIGHT,

@@ -7,10 +7,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from cairn.clock import to_ns
+from cairn import CairnError, ParameterRefused, to_ns
 from cairn.components.v4l2_camera.listing import as_lines, listed
-from cairn.errors import CairnError
-from cairn.runtime.parameters import ParameterRefused
 from tests.components.v4l2_camera.driving import Driver
 from tests.hardware.guest.camera import LEFT, RIGHT, SMALL, load_cameras, unload, value_of
 

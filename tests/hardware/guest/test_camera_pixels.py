@@ -15,7 +15,7 @@ from tests.hardware.guest.camera import Loopback, load, unload
 
 NAME = "cairn-test"
 WIDTH, HEIGHT = 640, 480
-Grey = NDArray[np.uint8]
+Gray = NDArray[np.uint8]
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -25,24 +25,24 @@ def _loopback() -> Iterator[None]:
     unload("v4l2loopback")
 
 
-def pictures(count: int) -> list[Grey]:
+def pictures(count: int) -> list[Gray]:
     random = np.random.default_rng(0)
     return [random.integers(0, 256, (HEIGHT, WIDTH), np.uint8) for _ in range(count)]
 
 
-def yuyv(grey: Grey) -> bytes:
+def yuyv(gray: Gray) -> bytes:
     both = np.empty((HEIGHT, WIDTH, 2), np.uint8)
-    both[..., 0], both[..., 1] = grey, 255 - grey
+    both[..., 0], both[..., 1] = gray, 255 - gray
     return both.tobytes()
 
 
-def jpeg(grey: Grey) -> bytes:
-    colours = np.dstack((grey, 255 - grey, grey[::-1]))
-    data = simplejpeg.encode_jpeg(colours, quality=80, colorspace="RGB", colorsubsampling="422")
+def jpeg(gray: Gray) -> bytes:
+    colors = np.dstack((gray, 255 - gray, gray[::-1]))
+    data = simplejpeg.encode_jpeg(colors, quality=80, colorspace="RGB", colorsubsampling="422")
     return bytes(data)
 
 
-def pixels(image: Any) -> Grey:
+def pixels(image: Any) -> Gray:
     assert image.encoding == "mono8"
     return np.asarray(image.data).reshape(image.height, image.width)
 
@@ -59,7 +59,7 @@ def source(request: pytest.FixtureRequest) -> Iterator[Loopback]:
     source.close()
 
 
-def sent_and_received(source: Loopback, camera: Driver, sent: list[bytes]) -> list[Grey]:
+def sent_and_received(source: Loopback, camera: Driver, sent: list[bytes]) -> list[Gray]:
     received = []
     camera.taken("left_image")
     for data in sent:
@@ -71,7 +71,7 @@ def sent_and_received(source: Loopback, camera: Driver, sent: list[bytes]) -> li
 
 
 @pytest.mark.parametrize("source", ["GREY"], indirect=True)
-def test_grey(source: Loopback) -> None:
+def test_gray(source: Loopback) -> None:
     sent = pictures(5)
     with driver("GREY") as camera:
         received = sent_and_received(source, camera, [one.tobytes() for one in sent])

@@ -1,6 +1,6 @@
 """A plugin whose module cannot be imported."""
 
-from cairn.runtime.component import Component
+from cairn import Component
 
 raise RuntimeError("this module is broken on purpose")
 

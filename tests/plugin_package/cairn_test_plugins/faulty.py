@@ -8,10 +8,8 @@ from typing import Literal
 
 from pydantic import Field
 
-from cairn.runtime.component import Component, Context
-from cairn.runtime.handlers import every
-from cairn.runtime.parameters import Config
-from cairn.runtime.ports import Out
+from cairn import Component, Config, Out, every
+from cairn.runtime.component import Context
 from cairn.schemas.geometry_msgs import Twist, Vector3
 
 Fault = Literal[

@@ -1,9 +1,6 @@
 """A component that publishes once, latched, and one that waits for it."""
 
-from cairn.bus.qos import LATCHED
-from cairn.runtime.component import Component
-from cairn.runtime.handlers import on
-from cairn.runtime.ports import In, Out
+from cairn import LATCHED, Component, In, Out, on
 from cairn.schemas.geometry_msgs import Point, Pose, PoseStamped
 
 

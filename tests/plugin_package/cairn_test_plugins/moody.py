@@ -2,7 +2,7 @@
 
 import os
 
-from cairn.runtime.component import Component
+from cairn import Component
 
 if "CAIRN_TREE" in os.environ:
     raise RuntimeError("not in this environment")

@@ -2,8 +2,7 @@
 
 from pathlib import Path
 
-from cairn.runtime.component import Component
-from cairn.runtime.parameters import Config
+from cairn import Component, Config
 
 
 class NotaryConfig(Config):

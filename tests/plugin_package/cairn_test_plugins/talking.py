@@ -2,10 +2,7 @@
 
 from pydantic import Field
 
-from cairn.runtime.component import Component
-from cairn.runtime.handlers import every, on
-from cairn.runtime.parameters import Config, ParameterRefused
-from cairn.runtime.ports import In, Out
+from cairn import Component, Config, In, Out, ParameterRefused, every, on
 from cairn.schemas.geometry_msgs import Twist, Vector3
 
 
@@ -13,7 +10,7 @@ class TalkerConfig(Config):
     """How much is said."""
 
     words: int = Field(0, ge=0, description="Ends normally after so many [1]; 0: never.")
-    volume: int = Field(3, ge=0, le=11, description="Loudness [1]; above 10 the neighbours object.")
+    volume: int = Field(3, ge=0, le=11, description="Loudness [1]; above 10 the neighbors object.")
 
 
 class Talker(Component):
@@ -37,7 +34,7 @@ class Talker(Component):
     def on_parameters(self, new: Config) -> None:
         """Refuse to be too loud."""
         if isinstance(new, TalkerConfig) and new.volume > 10:
-            raise ParameterRefused("volume: the neighbours object to more than 10")
+            raise ParameterRefused("volume: the neighbors object to more than 10")
 
 
 class Listener(Component):

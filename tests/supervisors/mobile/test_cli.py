@@ -5,9 +5,9 @@ from collections.abc import Iterator
 
 import pytest
 
+from cairn import CairnError
 from cairn.bus.session import open_router
 from cairn.cli.connection import connected
-from cairn.errors import CairnError
 from cairn.supervisors.mobile import reaching
 from cairn.supervisors.mobile.cli import parse_goals
 from cairn.supervisors.mobile.reaching import await_active

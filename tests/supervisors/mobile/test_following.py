@@ -71,8 +71,8 @@ def test_the_order_given_is_taken_back(
     with pytest.raises(KeyboardInterrupt):
         follow(AtTheTerminal(robot, moment), GOALS, as_json=False)
 
-    assert last_order(robot)["result"] == "cancelled: taken back"
-    assert capsys.readouterr().out.splitlines()[-1] == "cancelled: the robot stops"
+    assert last_order(robot)["result"] == "canceled: taken back"
+    assert capsys.readouterr().out.splitlines()[-1] == "canceled: the robot stops"
 
 
 def test_anothers_order_goes_on(robot: Deployed, capsys: pytest.CaptureFixture[str]) -> None:
@@ -83,9 +83,9 @@ def test_anothers_order_goes_on(robot: Deployed, capsys: pytest.CaptureFixture[s
 
     assert last_order(robot)["result"] == ""
     said = capsys.readouterr()
-    assert "cancelled: the robot stops" not in said.out
+    assert "canceled: the robot stops" not in said.out
     assert said.err == (
-        "nothing is cancelled: mobile_supervisor: it is another's order that is under way\n"
+        "nothing is canceled: mobile_supervisor: it is another's order that is under way\n"
     )
 
 
@@ -98,5 +98,5 @@ def test_an_order_that_ends_at_that_moment_keeps_its_result(
 
     assert last_order(robot)["result"] == "succeeded: "
     assert capsys.readouterr().err == (
-        "nothing is cancelled: mobile_supervisor: there is no order to cancel\n"
+        "nothing is canceled: mobile_supervisor: there is no order to cancel\n"
     )

@@ -7,9 +7,8 @@ from typing import Any
 
 import pytest
 
-from cairn.bus.qos import LATCHED
+from cairn import LATCHED, CairnError
 from cairn.deployment.load import load_deployment
-from cairn.errors import CairnError
 from cairn.planar.messages import planar_poses, pose_message
 from cairn.schemas.cairn_nav_msgs import MoveOrder, MoveStatus
 from cairn.schemas.geometry_msgs import PoseStamped

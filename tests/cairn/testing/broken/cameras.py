@@ -6,11 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from cairn.bus.qos import SENSOR
-from cairn.clock import from_ns
-from cairn.runtime.component import Component
-from cairn.runtime.handlers import every
-from cairn.runtime.ports import Out
+from cairn import SENSOR, Component, Out, every, from_ns
 from cairn.schemas.sensor_msgs import CameraInfo, Image
 from cairn.schemas.std_msgs import Header
 from tests.cairn.testing.broken.evenly import EvenTurns

@@ -5,7 +5,7 @@ from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any
 
-from cairn.runtime.component import Component
+from cairn import Component
 from cairn.runtime.ports import ports_of
 from cairn.testing.bench import Bench
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from cairn.clock import to_ns
+from cairn import to_ns
 from cairn.testing.base_contract import DriveContract
 from cairn.testing.camera_contract import Pictures
 from cairn.testing.driver_contract import Contract

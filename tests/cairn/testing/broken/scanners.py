@@ -14,13 +14,7 @@ from subprocess import Popen
 import numpy as np
 from pydantic import Field
 
-from cairn.bus.qos import SENSOR
-from cairn.clock import SECOND, from_ns
-from cairn.errors import CairnError
-from cairn.runtime.component import Component
-from cairn.runtime.handlers import every
-from cairn.runtime.parameters import Config
-from cairn.runtime.ports import Out
+from cairn import SECOND, SENSOR, CairnError, Component, Config, Out, every, from_ns
 from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.std_msgs import Header
 from tests.cairn.testing.broken.evenly import EvenTurns
@@ -86,7 +80,7 @@ class SoundScanner(Component):
         return replace(scan, header=replace(scan.header, stamp=from_ns(ns)))
 
 
-class Millimetres(SoundScanner):
+class Millimeters(SoundScanner):
     """Takes the device's numbers as they are."""
 
     def taken(self) -> LaserScan:
@@ -94,7 +88,7 @@ class Millimetres(SoundScanner):
         return replace(scan, ranges=scan.ranges * np.float32(1000.0))
 
 
-class MillimetreLimits(SoundScanner):
+class MillimeterLimits(SoundScanner):
     """The same, with limits alike."""
 
     def taken(self) -> LaserScan:
@@ -158,7 +152,7 @@ class StampsOfAnotherClock(SoundScanner):
 
 
 class OtherFrame(SoundScanner):
-    """Its frame is misspelt."""
+    """Its frame is misspelled."""
 
     def taken(self) -> LaserScan:
         scan = super().taken()

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from cairn.clock import SECOND, from_ns
+from cairn import SECOND, from_ns
 from cairn.planar.messages import packed_poses, planar_pose, pose_message, with_covariance
 from cairn.planar.poses import Pose
 from cairn.schemas.cairn_nav_msgs import Collision, MoveOrder, MoveStatus

@@ -41,7 +41,7 @@ def test_a_robot_reaches_its_goals_though_it_is_carried_off(tmp_path: Path) -> N
     runs = json.loads((tmp_path / "out" / "runs.json").read_text())["runs"]
     assert runs[0]["seed"] == 3
     assert runs[0]["error_median"] < 0.05
-    assert summary["relocalised"] == 1
+    assert summary["relocalized"] == 1
     assert summary["end_error_p95"] < 0.15
     for goal in runs[0]["goals"]:
         assert goal["shortest"] >= 1.5

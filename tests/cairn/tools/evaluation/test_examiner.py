@@ -179,7 +179,7 @@ def test_a_robot_is_carried_off_when_the_truth_shows_it(begin: Begin) -> None:
     run = examination.result
     (result,) = run.goals
     assert (run.failure, result.reached, result.kidnapped) == ("", True, True)
-    assert result.relocalised_s == pytest.approx(2.5)
+    assert result.relocalized_s == pytest.approx(2.5)
     assert run.error_counts == {0: 1, 2000: 1}  # of who is lost they say little
     assert result.driven == pytest.approx(math.dist(place[:2], goal[:2]))
     assert math.dist(place[:2], before[:2]) >= 1.5
@@ -219,7 +219,7 @@ def test_a_robot_that_never_finds_itself_is_told_of_so(begin: Begin) -> None:
 
     run = examination.result
     assert [goal.kidnapped for goal in run.goals] == [True, False]
-    assert run.goals[0].relocalised_s is None
+    assert run.goals[0].relocalized_s is None
     assert run.error_max is not None
     assert run.error_max > 1.0
 
@@ -241,7 +241,7 @@ def test_where_the_world_refuses_another_place_is_tried(begin: Begin) -> None:
 
     (result,) = examination.result.goals
     assert result.kidnapped
-    assert result.relocalised_s == pytest.approx(0.0)
+    assert result.relocalized_s == pytest.approx(0.0)
 
 
 def test_nobody_is_near_where_the_robot_is_set_down(begin: Begin) -> None:
@@ -270,7 +270,7 @@ def test_a_run_in_which_the_robot_was_never_carried_off_has_failed(begin: Begin)
 
     run = examination.result
     assert run.failure == "the robot was to be carried off and never was"
-    assert [(goal.kidnapped, goal.relocalised_s) for goal in run.goals] == [(False, None)] * 2
+    assert [(goal.kidnapped, goal.relocalized_s) for goal in run.goals] == [(False, None)] * 2
 
 
 def test_poses_are_compared_with_the_truth_of_their_time(begin: Begin) -> None:

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
+from cairn import CairnError
 from cairn.cli.seeds import seeds_of
-from cairn.errors import CairnError
 from cairn.tools.evaluation.localization_quality import LocalizationQuality
 from cairn.tools.evaluation.report import report_lines
 from cairn.tools.evaluation.results import GoalResult, RunResult, summed_up
@@ -27,7 +27,7 @@ def goal(reached: bool, shortest: float, driven: float, kidnapped: bool = False)
         end_error=0.02 if reached else 0.2,
         end_turn=0.01,
         kidnapped=kidnapped,
-        relocalised_s=2.0 if kidnapped else None,
+        relocalized_s=2.0 if kidnapped else None,
     )
 
 
@@ -88,7 +88,7 @@ def test_ends_are_of_goals_where_the_robot_said_to_be_there() -> None:
 
 
 def test_the_report_tells_what_went_wrong_and_what_is_left_out_of_the_errors() -> None:
-    never = goal(True, 4.0, 4.4, kidnapped=True).model_copy(update={"relocalised_s": None})
+    never = goal(True, 4.0, 4.4, kidnapped=True).model_copy(update={"relocalized_s": None})
     runs = [
         run(goal(False, 4.0, 4.4), goal(True, 1.0, 8.0, kidnapped=True), never, collisions=1),
         RunResult(seed=2, failure="the robot was to be carried off and never was"),

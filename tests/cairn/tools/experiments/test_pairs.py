@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from cairn import CairnError
 from cairn.deployment.model import ComponentSpec, Deployment
 from cairn.deployment.plugins import load_plugin
-from cairn.errors import CairnError
 from cairn.runtime.ports import ports_of
 from cairn.tools.experiments.methods import ABLATION, NO_UPDATE, OURS, PAPER
 from cairn.tools.experiments.pairs import Plan, changed_at, planned

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from cairn.errors import CairnError
+from cairn import CairnError
 from cairn.tools.experiments.report_folder import ReportFolder, begun, write_report
 
 

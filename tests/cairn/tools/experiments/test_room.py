@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from cairn import CairnError
 from cairn.components.simulation.checks import problems_of
 from cairn.components.simulation.world_file import Event, read_world
-from cairn.errors import CairnError
 from cairn.tools.experiments.room import Room
 
 ROOM = Path(__file__).parents[4] / "deploy" / "worlds" / "room.yaml"

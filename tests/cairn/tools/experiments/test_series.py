@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cairn.clock import SECOND, from_ns
-from cairn.errors import CairnError
+from cairn import SECOND, CairnError, from_ns
 from cairn.planar.messages import packed_poses, pose_message, with_covariance
 from cairn.schemas.cairn_msgs import (
     ObjectEvidence,

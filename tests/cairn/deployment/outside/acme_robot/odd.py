@@ -1,7 +1,6 @@
 """A component whose port does not say what it carries."""
 
-from cairn.runtime.component import Component
-from cairn.runtime.ports import Out
+from cairn import Component, Out
 
 
 class OddPort(Component):

@@ -4,10 +4,7 @@ from typing import ClassVar, Literal
 
 from pydantic import Field, field_validator
 
-from cairn.runtime.component import Component
-from cairn.runtime.handlers import on
-from cairn.runtime.parameters import Config
-from cairn.runtime.ports import In, Out
+from cairn import Component, Config, In, Out, on
 from cairn.schemas.geometry_msgs import Twist
 from cairn.schemas.nav_msgs import Odometry
 from cairn.schemas.rosgraph_msgs import Clock

@@ -68,7 +68,7 @@ class Motion:
     left: float = 0.0
 
 
-class Behaviour(Protocol):
+class Behavior(Protocol):
     """One thing to do, until it is DONE."""
 
     def step(self, situation: Situation) -> Motion:
@@ -220,7 +220,7 @@ class LookAround:
 
 
 class Explore:
-    """Goes `length` [m] towards where there is most room."""
+    """Goes `length` [m] toward where there is most room."""
 
     # There must be so much room [m] to set out; it keeps so far [m] from what ends the room.
     _ROOM, _APART = 0.6, 0.3

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from cairn.components.motion_control.behaviours import BackOff, Explore, LookAround, State
+from cairn.components.motion_control.behaviors import BackOff, Explore, LookAround, State
 from tests.components.motion_control.world import LIMITS, Robot, World, box, drive
 
 HALL = box(0, 0, 20, 20)
@@ -12,7 +12,7 @@ FRONT = 1.5 * math.pi
 
 
 @pytest.mark.parametrize("view", [2 * math.pi, FRONT])
-def test_it_backs_off_by_thirty_centimetres(view: float) -> None:
+def test_it_backs_off_by_thirty_centimeters(view: float) -> None:
     record = drive(World(HALL), Robot((0, 0, 0)), BackOff(LIMITS), 20, view=view)
 
     assert record.states[-1] is State.DONE
