@@ -34,7 +34,7 @@ check: .venv/tests
 	$(MAKE) test
 
 ## What is measured, against what.
-bench: .venv/bench
+bench: .venv/ready
 	$(BIN)/python -m benchmarks
 
 .venv/ready: pyproject.toml
@@ -47,10 +47,6 @@ bench: .venv/bench
 # The plugins that the tests run, some of them broken on purpose.
 .venv/tests: .venv/ready tests/plugin_package/pyproject.toml
 	$(BIN)/python -m pip install --quiet --editable tests/plugin_package
-	@touch $@
-
-.venv/bench: .venv/ready
-	$(BIN)/python -m pip install --quiet --group bench
 	@touch $@
 
 clean:
