@@ -15,27 +15,28 @@ Probability = Annotated[float, Scalar("float64", at_least=0, at_most=1)]
 NotNegative = Annotated[float, Scalar("float64", at_least=0)]
 
 
-@message("cairn_nav_msgs/msg/MoveOrder")
-class MoveOrder:
+@message("cairn_nav_msgs/msg/NavigateGoal")
+class NavigateGoal:
     """What the robot is ordered to do: reach `goals` in frame map, from number `first` on.
 
-    `order_id` counts the orders, 0 before the first. Without goals there is nothing to do: the
+    `mission_id` counts the orders, 0 before the first. Without goals there is nothing to do: the
     order is done, or was taken back.
     """
 
     header: Header = Header()
-    order_id: UInt32 = 0
+    mission_id: UInt32 = 0
     first: UInt32 = 0
     goals: Packed[Pose] = Packed(Pose)
 
 
-@message("cairn_nav_msgs/msg/Movement")
-class Movement:
-    """What AutoMove wants of the planner and of motion control now; sent again and again.
+@message("cairn_nav_msgs/msg/NavCommand")
+class NavCommand:
+    """AutoMove's current command to the path planner and motion control; repeated periodically.
 
-    `leg` counts the wants: a plan and a motion status carry the leg that they belong to. STAND:
-    stand still. FOLLOW: plan to `goal` and follow the plan. BACK_OFF, LOOK_AROUND, EXPLORE: without
-    a plan go back a little, turn once around, go `distance` [m] to where there is room.
+    `goal_id` identifies the command: a plan and a motion status carry the goal_id that they belong
+    to. STAND: stand still. FOLLOW: plan to `goal` and follow the plan. BACK_OFF, LOOK_AROUND,
+    EXPLORE: without a plan, back off a little, turn around once, or drive `distance` [m] to where
+    there is free space.
     """
 
     STAND: ClassVar[UInt8] = 0
@@ -45,7 +46,7 @@ class Movement:
     EXPLORE: ClassVar[UInt8] = 4
 
     header: Header = Header()
-    leg: UInt32 = 0
+    goal_id: UInt32 = 0
     behavior: Annotated[int, Scalar("uint8", at_most=4)] = 0
     goal: Pose = Pose()
     distance: NotNegative = 0.0
@@ -55,7 +56,7 @@ class Movement:
 
 @message("cairn_nav_msgs/msg/Plan")
 class Plan:
-    """The planner's answer to a leg: poses to follow in frame map, or why there are none.
+    """The planner's answer to a goal_id: poses to follow in frame map, or why there are none.
 
     `length` [m] is the way along `poses`; `nearest_x`, `nearest_y` [m] is the reachable place
     nearest to the goal where there is no path to it, NaN if there is none.
@@ -69,7 +70,7 @@ class Plan:
     UNREACHABLE: ClassVar[UInt8] = 5
 
     header: Header = Header()
-    leg: UInt32 = 0
+    goal_id: UInt32 = 0
     outcome: Annotated[int, Scalar("uint8", at_most=5)] = 0
     reason: String = ""
     length: NotNegative = 0.0
@@ -86,7 +87,7 @@ class Plan:
 
 @message("cairn_nav_msgs/msg/MotionStatus")
 class MotionStatus:
-    """What motion control does for a leg, and why.
+    """What motion control does for a goal_id, and why.
 
     STANDING: nothing else is wanted. MOVING: on the way. BLOCKED: something is in the way, or there
     is no plan. DONE: the goal is reached, or the behavior is finished. STOPPED: an input is stale,
@@ -100,7 +101,7 @@ class MotionStatus:
     STOPPED: ClassVar[UInt8] = 4
 
     header: Header = Header()
-    leg: UInt32 = 0
+    goal_id: UInt32 = 0
     state: Annotated[int, Scalar("uint8", at_most=4)] = 0
     reason: String = ""
     distance_left: NotNegative = 0.0
@@ -108,8 +109,8 @@ class MotionStatus:
     clearance: NotNegative = 0.0
 
 
-@message("cairn_nav_msgs/msg/MoveStatus")
-class MoveStatus:
+@message("cairn_nav_msgs/msg/NavigationStatus")
+class NavigationStatus:
     """How an order to move gets on: AutoMove's feedback, and in the end its result.
 
     `goal` is the number of the goal being driven to, of `goals`; `distance_left` [m] and
@@ -123,10 +124,10 @@ class MoveStatus:
     RECOVERING: ClassVar[UInt8] = 4
     SUCCEEDED: ClassVar[UInt8] = 5
     FAILED: ClassVar[UInt8] = 6
-    CANCELLED: ClassVar[UInt8] = 7
+    CANCELED: ClassVar[UInt8] = 7
 
     header: Header = Header()
-    order_id: UInt32 = 0
+    mission_id: UInt32 = 0
     state: Annotated[int, Scalar("uint8", at_most=7)] = 0
     goal: UInt32 = 0
     goals: UInt32 = 0
@@ -137,18 +138,20 @@ class MoveStatus:
     reason: String = ""
 
 
-MOVE_STATES: Final = {
-    MoveStatus.LOADING: "loading",
-    MoveStatus.LOCALIZING: "localizing",
-    MoveStatus.PLANNING: "planning",
-    MoveStatus.DRIVING: "driving",
-    MoveStatus.RECOVERING: "recovering",
-    MoveStatus.SUCCEEDED: "succeeded",
-    MoveStatus.FAILED: "failed",
-    MoveStatus.CANCELLED: "canceled",
+NAVIGATION_STATES: Final = {
+    NavigationStatus.LOADING: "loading",
+    NavigationStatus.LOCALIZING: "localizing",
+    NavigationStatus.PLANNING: "planning",
+    NavigationStatus.DRIVING: "driving",
+    NavigationStatus.RECOVERING: "recovering",
+    NavigationStatus.SUCCEEDED: "succeeded",
+    NavigationStatus.FAILED: "failed",
+    NavigationStatus.CANCELED: "canceled",
 }
-"""What the states of a `MoveStatus` are called."""
-MOVE_ENDS: Final = frozenset({MoveStatus.SUCCEEDED, MoveStatus.FAILED, MoveStatus.CANCELLED})
+"""What the states of a `NavigationStatus` are called."""
+NAVIGATION_END_STATES: Final = frozenset(
+    {NavigationStatus.SUCCEEDED, NavigationStatus.FAILED, NavigationStatus.CANCELED}
+)
 """The states that are the result of an order."""
 
 

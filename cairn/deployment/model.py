@@ -129,7 +129,7 @@ class ComponentSpec(_Section):
     hang_timeout_s: Seconds = Field(
         5.0, description="Limit for one handler, then taken for hung and killed [s]."
     )
-    load: Literal["at_start", "on_order"] = Field(
+    load: Literal["at_start", "on_request"] = Field(
         "at_start", description="Started with its parent, or when its parent or operator orders it."
     )
     supervision: Supervision = Field(

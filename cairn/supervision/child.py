@@ -6,7 +6,7 @@ from typing import Literal, Protocol
 from cairn.errors import CairnError
 from cairn.supervision.policy import Restart
 
-Load = Literal["at_start", "on_order"]
+Load = Literal["at_start", "on_request"]
 Verb = Literal["configure", "activate", "deactivate", "shutdown"]
 
 

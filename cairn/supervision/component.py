@@ -55,8 +55,8 @@ class SupervisorComponent(Component):
     """Loads the components below it in its deployment, and restarts them as supervision says.
 
     Children are started in order when it is activated, each when the former is active, and stopped
-    in reverse; those with `load: on_order` are loaded by `self.children.load(name)`. When too many
-    restarts fall in the window, it fails itself, and its own supervisor decides.
+    in reverse; those with `load: on_request` are loaded by `self.children.load(name)`. When too
+    many restarts fall in the window, it fails itself, and its own supervisor decides.
     """
 
     is_supervisor: ClassVar[bool] = True

@@ -6,16 +6,16 @@ from pydantic import Field
 
 from cairn import LATCHED, SECOND, Config, In, Out, every, from_ns, on, to_ns
 from cairn.components.automove.course import Course
-from cairn.components.automove.legs import Legs
+from cairn.components.automove.goal_ids import GoalIds
 from cairn.components.automove.recoveries import Patience
 from cairn.components.automove.seen import Seen
 from cairn.planar.messages import planar_pose, planar_poses, pose_message
 from cairn.schemas.cairn_nav_msgs import (
     LocalizationHealth,
     MotionStatus,
-    Movement,
-    MoveOrder,
-    MoveStatus,
+    NavCommand,
+    NavigateGoal,
+    NavigationStatus,
     Plan,
     without_numbers,
 )
@@ -31,8 +31,8 @@ _REPEAT = SECOND // 2
 class AutoMoveConfig(Config):
     """When the plugins are loaded, and how an order is carried out."""
 
-    load_plugins: Literal["on_order", "on_activation"] = Field(
-        "on_order",
+    load_plugins: Literal["on_request", "on_activation"] = Field(
+        "on_request",
         description="On the first order to move; or at once, where somebody else drives the robot, "
         "as in a recording.",
     )
@@ -79,13 +79,13 @@ class AutoMove(SupervisorComponent):
 
     config: AutoMoveConfig
 
-    order: In[MoveOrder] = In(qos=LATCHED, optional=True)
+    navigate_goal: In[NavigateGoal] = In(qos=LATCHED, optional=True)
     plan: In[Plan] = In(qos=LATCHED, optional=True)
     motion_status: In[MotionStatus] = In(optional=True)
     pose: In[PoseWithCovarianceStamped] = In(optional=True)
     localization_health: In[LocalizationHealth] = In(optional=True)
-    movement: Out[Movement] = Out(qos=LATCHED)
-    move_status: Out[MoveStatus] = Out(qos=LATCHED)
+    nav_command: Out[NavCommand] = Out(qos=LATCHED)
+    navigation_status: Out[NavigationStatus] = Out(qos=LATCHED)
 
     _course: Course | None = None
     _told: tuple[int, int, int, str] | None = None
@@ -94,7 +94,7 @@ class AutoMove(SupervisorComponent):
     def on_configure(self) -> None:
         """Nothing was seen yet, and nothing is wanted."""
         self._seen = Seen()
-        self._legs = Legs()
+        self._goal_ids = GoalIds()
 
     def on_activate(self) -> None:
         """Load what the configuration says is loaded before any order."""
@@ -103,21 +103,21 @@ class AutoMove(SupervisorComponent):
             for child in self.children.status():
                 self._load(child.name)
 
-    @on("order")
-    def take(self, order: MoveOrder) -> None:
+    @on("navigate_goal")
+    def take(self, order: NavigateGoal) -> None:
         """Take an order: a new one pre-empts the old, one without goals takes it back."""
         course = self._course
         if not len(order.goals):
-            if course is not None and not course.over and course.order_id == order.order_id:
+            if course is not None and not course.over and course.mission_id == order.mission_id:
                 course.cancel()
                 self._note_change(course)
             return
-        if course is not None and course.order_id == order.order_id:
+        if course is not None and course.mission_id == order.mission_id:
             return  # the order under way, told again
         if order.first >= len(order.goals):
             return
         if course is not None and not course.over:
-            self.log.info("order %d is pre-empted by order %d", course.order_id, order.order_id)
+            self.log.info("order %d is pre-empted by order %d", course.mission_id, order.mission_id)
         self._begin(order)
 
     @on("plan")
@@ -148,21 +148,21 @@ class AutoMove(SupervisorComponent):
         course = self._course
         if course is None:
             return
-        before = course.state, course.leg
+        before = course.state, course.goal_id
         course.tick(self.clock.now() / SECOND, self._seen)
-        if (course.state, course.leg) != before:
+        if (course.state, course.goal_id) != before:
             self._note_change(course)
         else:
             self._tell(course)
 
-    def _begin(self, order: MoveOrder) -> None:
+    def _begin(self, order: NavigateGoal) -> None:
         config = self.config
         now, given = self.clock.now(), to_ns(order.header.stamp)
         self._course = course = Course(
-            order_id=order.order_id,
+            mission_id=order.mission_id,
             goals=[(x, y, theta) for x, y, theta in planar_poses(order.goals).tolist()],
             at=order.first,
-            next_leg=lambda: self._legs.next(self.clock.now()),
+            next_goal_id=lambda: self._goal_ids.next(self.clock.now()),
             # One that a forerunner of this component began goes on.
             began_s=(min(given, now) or now) / SECOND,
             patience=Patience(
@@ -176,7 +176,7 @@ class AutoMove(SupervisorComponent):
         x, y, _ = course.goal
         self.log.info(
             "order %d: goal %d of %d at (%.2f, %.2f)",
-            order.order_id, course.at + 1, len(course.goals), x, y,
+            order.mission_id, course.at + 1, len(course.goals), x, y,
         )  # fmt: skip
         self._load_plugins(course)
         self._note_change(course)
@@ -208,15 +208,15 @@ class AutoMove(SupervisorComponent):
 
     def _tell(self, course: Course) -> None:
         now = self.clock.now()
-        told = (course.leg, course.state, course.at, without_numbers(course.reason))
+        told = (course.goal_id, course.state, course.at, without_numbers(course.reason))
         if told == self._told and now - self._told_at < _REPEAT:
             return
         self._told, self._told_at = told, now
         header = Header(stamp=from_ns(now), frame_id="map")
-        self.movement.publish(
-            Movement(
+        self.nav_command.publish(
+            NavCommand(
                 header=header,
-                leg=course.leg,
+                goal_id=course.goal_id,
                 behavior=course.behavior,
                 goal=pose_message(course.target),
                 distance=course.explores_m,
@@ -225,10 +225,10 @@ class AutoMove(SupervisorComponent):
             )
         )
         left_m = 0.0 if course.over else course.distance_left(self._seen)
-        self.move_status.publish(
-            MoveStatus(
+        self.navigation_status.publish(
+            NavigationStatus(
                 header=header,
-                order_id=course.order_id,
+                mission_id=course.mission_id,
                 state=course.state,
                 goal=course.at,
                 goals=len(course.goals),
@@ -243,13 +243,13 @@ class AutoMove(SupervisorComponent):
     def _log(self, course: Course) -> None:
         x, y, _ = course.goal
         match course.state:
-            case MoveStatus.LOCALIZING if course.reason:
+            case NavigationStatus.LOCALIZING if course.reason:
                 self.log.warning("the robot stands: %s", course.reason)
-            case MoveStatus.DRIVING:
+            case NavigationStatus.DRIVING:
                 self.log.info("driving to (%.2f, %.2f)", x, y)
-            case MoveStatus.RECOVERING:
+            case NavigationStatus.RECOVERING:
                 self.log.warning("recovering: %s", course.reason)
-            case MoveStatus.SUCCEEDED | MoveStatus.CANCELLED:
-                self.log.info("order %d: %s", course.order_id, course.reason)
-            case MoveStatus.FAILED:
-                self.log.error("order %d failed: %s", course.order_id, course.reason)
+            case NavigationStatus.SUCCEEDED | NavigationStatus.CANCELED:
+                self.log.info("order %d: %s", course.mission_id, course.reason)
+            case NavigationStatus.FAILED:
+                self.log.error("order %d failed: %s", course.mission_id, course.reason)

@@ -17,7 +17,13 @@ from cairn.components.automove.recoveries import (
 )
 from cairn.components.automove.seen import Seen
 from cairn.planar.poses import Pose, distance
-from cairn.schemas.cairn_nav_msgs import MOVE_ENDS, MotionStatus, Movement, MoveStatus, Plan
+from cairn.schemas.cairn_nav_msgs import (
+    NAVIGATION_END_STATES,
+    MotionStatus,
+    NavCommand,
+    NavigationStatus,
+    Plan,
+)
 
 # So much nearer to its goal than before [m] and whatever was in the way is overcome.
 _PROGRESS_M = 0.3
@@ -34,22 +40,22 @@ _EXPLORES_M, _EXPLORES_MOST_M = 2.0, 8.0
 class Course:
     """One order: goals (in frame map) from number `at` on, and how far it has come.
 
-    `tick` looks at what was seen and decides; `leg`, `behavior` and `target` are then what the
-    planner and motion control are to do, and `state`, `reason` how it gets on. `leg` numbers what
-    is wanted: every new want has a new one, of `next_leg`.
+    `tick` looks at what was seen and decides; `goal_id`, `behavior` and `target` are then what the
+    planner and motion control are to do, and `state`, `reason` how it gets on. `goal_id` numbers
+    the commands: each new command has a new one, from `next_goal_id`.
     """
 
-    order_id: int
+    mission_id: int
     goals: Sequence[Pose]
     at: int
-    next_leg: Callable[[], int]
+    next_goal_id: Callable[[], int]
     began_s: float
     patience: Patience = field(default_factory=Patience)
-    state: int = MoveStatus.LOADING
+    state: int = NavigationStatus.LOADING
     reason: str = ""
     recoveries: int = 0
-    behavior: int = Movement.STAND
-    leg: int = field(init=False)
+    behavior: int = NavCommand.STAND
+    goal_id: int = field(init=False)
     # Where it goes instead while it gives way or goes near; how far it goes while it explores [m].
     instead: Aside | None = None
     explores_m: float = _EXPLORES_M
@@ -72,13 +78,13 @@ class Course:
 
     def __post_init__(self) -> None:
         """Stand; begin to wait now."""
-        self.leg = self.next_leg()
+        self.goal_id = self.next_goal_id()
         self._begin(self.began_s)
 
     @property
     def over(self) -> bool:
         """Whether the order has its result."""
-        return self.state in MOVE_ENDS
+        return self.state in NAVIGATION_END_STATES
 
     @property
     def goal(self) -> Pose:
@@ -92,40 +98,45 @@ class Course:
 
     def loaded(self, now_s: float) -> None:
         """All that it takes is loaded: find out where the robot is."""
-        self.state, self.reason = MoveStatus.LOCALIZING, ""
+        self.state, self.reason = NavigationStatus.LOCALIZING, ""
         self._begin(now_s)
 
     def cancel(self) -> None:
         """Take the order back."""
-        self._end(MoveStatus.CANCELLED, "taken back")
+        self._end(NavigationStatus.CANCELED, "taken back")
 
     def fail(self, reason: str) -> None:
         """Give up."""
-        self._end(MoveStatus.FAILED, reason)
+        self._end(NavigationStatus.FAILED, reason)
 
     def distance_left(self, seen: Seen) -> float:
         """To the goal [m]: along the path, or as the crow flies as long as none is followed."""
         motion = seen.motion
-        driving = self.state == MoveStatus.DRIVING
+        driving = self.state == NavigationStatus.DRIVING
         # Without a way to go, motion control tells no distance.
-        if driving and motion is not None and motion.leg == self.leg and motion.distance_left > 0.0:
+        if (
+            driving
+            and motion is not None
+            and motion.goal_id == self.goal_id
+            and motion.distance_left > 0.0
+        ):
             return motion.distance_left
         return distance(seen.pose, self.goal) if seen.pose is not None else 0.0
 
     def tick(self, now_s: float, seen: Seen) -> None:
         """Decide anew."""
         doubt = self._doubt(now_s, seen)
-        if self.over or self.state == MoveStatus.LOADING:
+        if self.over or self.state == NavigationStatus.LOADING:
             return
         if not doubt or now_s - seen.health_s > self.patience.silent_s:
             self._sure_s = now_s  # motion control stops for inputs that are missing, and says which
-        if self.state == MoveStatus.LOCALIZING:
+        if self.state == NavigationStatus.LOCALIZING:
             self._localize(now_s, seen, doubt)
-        elif self.state == MoveStatus.RECOVERING:
+        elif self.state == NavigationStatus.RECOVERING:
             self._recover(now_s, seen, doubt)
         elif now_s - self._sure_s > self.patience.unsure_s:
-            self._want(now_s, MoveStatus.LOCALIZING, Movement.STAND, doubt)
-        elif self.state == MoveStatus.PLANNING:
+            self._want(now_s, NavigationStatus.LOCALIZING, NavCommand.STAND, doubt)
+        elif self.state == NavigationStatus.PLANNING:
             self._plan(now_s, seen)
         else:
             self._drive(now_s, seen)
@@ -133,7 +144,7 @@ class Course:
     def _localize(self, now_s: float, seen: Seen, doubt: str) -> None:
         waited = now_s - self._since_s
         if not doubt:
-            self._want(now_s, MoveStatus.PLANNING, Movement.FOLLOW, "")
+            self._want(now_s, NavigationStatus.PLANNING, NavCommand.FOLLOW, "")
             return
         self.reason = doubt
         if now_s - seen.health_s > self.patience.silent_s:  # moving would not make it talk
@@ -144,7 +155,7 @@ class Course:
 
     def _plan(self, now_s: float, seen: Seen) -> None:
         waited = now_s - self._since_s
-        plan = seen.plan if seen.plan is not None and seen.plan.leg == self.leg else None
+        plan = seen.plan if seen.plan is not None and seen.plan.goal_id == self.goal_id else None
         if plan is None or plan.outcome == Plan.NOT_READY:
             self.reason = plan.reason if plan is not None else ""
             if waited > self.patience.planning_s:
@@ -152,7 +163,7 @@ class Course:
                     now_s, seen, WHEN_STUCK, self.reason or "the planner gives no answer"
                 )
         elif plan.outcome == Plan.FOUND:
-            self.state, self.reason = MoveStatus.DRIVING, ""
+            self.state, self.reason = NavigationStatus.DRIVING, ""
             self._begin(now_s)
         elif plan.outcome == Plan.OUTSIDE_MAP:
             self.fail(f"no path: {plan.reason}")
@@ -184,7 +195,7 @@ class Course:
                 self._try_next(now_s, seen, WHEN_STUCK, "the robot moves but gets no nearer")
             return
         plan = seen.plan
-        no_path = plan is not None and plan.leg == self.leg and plan.outcome != Plan.FOUND
+        no_path = plan is not None and plan.goal_id == self.goal_id and plan.outcome != Plan.FOUND
         self.reason = f"no path: {plan.reason}" if plan is not None and no_path else motion.reason
         if now_s - self._moving_s > self.patience.blocked_s:
             self._try_next(now_s, seen, WHEN_STUCK, self.reason)
@@ -210,7 +221,7 @@ class Course:
         silent_s = now_s - seen.motion_s
         if silent_s > self.patience.silent_s and motion is not None:
             self.reason = f"nothing was heard of motion control for {silent_s:.1f} s"
-        elif motion is None or motion.leg != self.leg:
+        elif motion is None or motion.goal_id != self.goal_id:
             self.reason = "motion control has not answered yet"
         elif motion.state == MotionStatus.STOPPED:
             self.reason = motion.reason
@@ -224,11 +235,11 @@ class Course:
 
     def _recover(self, now_s: float, seen: Seen, doubt: str) -> None:
         waited = now_s - self._since_s
-        if self.behavior == Movement.STAND:
+        if self.behavior == NavCommand.STAND:
             over = waited > self.patience.waiting_s
         elif self.instead is not None:
             if doubt or self._is_aside(now_s, seen, self.instead):
-                self._want(now_s, MoveStatus.RECOVERING, Movement.STAND, self._attempt)
+                self._want(now_s, NavigationStatus.RECOVERING, NavCommand.STAND, self._attempt)
             return
         else:
             halted, motion = self._halted(now_s, seen)
@@ -241,11 +252,11 @@ class Course:
         found = self._sequence is WHEN_LOST and not doubt
         found = found or (self._sequence is WHEN_UNSURE and self._sure(seen))
         if over or (found and waited > self.patience.unsure_s):
-            self._want(now_s, MoveStatus.LOCALIZING, Movement.STAND, self._trouble)
+            self._want(now_s, NavigationStatus.LOCALIZING, NavCommand.STAND, self._trouble)
 
     def _is_aside(self, now_s: float, seen: Seen, aside: Aside) -> bool:
         """Whether the robot is where it goes instead, or cannot get there soon."""
-        plan = seen.plan if seen.plan is not None and seen.plan.leg == self.leg else None
+        plan = seen.plan if seen.plan is not None and seen.plan.goal_id == self.goal_id else None
         if plan is not None and (plan.outcome != Plan.FOUND or plan.length > aside.most_m):
             return True
         halted, motion = self._halted(now_s, seen)
@@ -264,9 +275,9 @@ class Course:
         x, y, _ = self.goal
         self.at += 1
         if self.at >= len(self.goals):
-            self._end(MoveStatus.SUCCEEDED, f"arrived at ({x:.2f}, {y:.2f})")
+            self._end(NavigationStatus.SUCCEEDED, f"arrived at ({x:.2f}, {y:.2f})")
         else:
-            self._want(now_s, MoveStatus.PLANNING, Movement.FOLLOW, "")
+            self._want(now_s, NavigationStatus.PLANNING, NavCommand.FOLLOW, "")
 
     def _try_next(self, now_s: float, seen: Seen, sequence: Sequence[str], trouble: str) -> None:
         most = self.patience.recoveries
@@ -299,9 +310,9 @@ class Course:
             self.explores_m = min(_EXPLORES_M * 2.0**self._explorations, _EXPLORES_MOST_M)
             self._explorations += 1
         behavior = BEHAVIOR[what]
-        if behavior == Movement.FOLLOW and instead is None:
-            behavior = Movement.STAND
-        self._want(now_s, MoveStatus.RECOVERING, behavior, self._attempt)
+        if behavior == NavCommand.FOLLOW and instead is None:
+            behavior = NavCommand.STAND
+        self._want(now_s, NavigationStatus.RECOVERING, behavior, self._attempt)
         self.instead = instead
 
     def _sure(self, seen: Seen) -> bool:
@@ -311,7 +322,7 @@ class Course:
     def _want(self, now_s: float, state: int, behavior: int, reason: str) -> None:
         self.state, self.behavior, self.reason = state, behavior, reason
         self.instead = None
-        self.leg = self.next_leg()
+        self.goal_id = self.next_goal_id()
         self._begin(now_s)
 
     def _begin(self, now_s: float) -> None:
@@ -319,9 +330,9 @@ class Course:
         self._running_s = self._moving_s = now_s
 
     def _end(self, state: int, reason: str) -> None:
-        self.state, self.behavior, self.reason = state, Movement.STAND, reason
+        self.state, self.behavior, self.reason = state, NavCommand.STAND, reason
         self.instead = None
-        self.leg = self.next_leg()
+        self.goal_id = self.next_goal_id()
 
     def _doubt(self, now_s: float, seen: Seen) -> str:
         """Why the robot's pose cannot be relied on; empty if it can."""

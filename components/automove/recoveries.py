@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from cairn.schemas.cairn_nav_msgs import Movement
+from cairn.schemas.cairn_nav_msgs import NavCommand
 
 # What is tried, one after the other, when the robot is lost; when it cannot get on; when there is
 # no way to its goal, where waiting may help, or giving way to somebody for whom the robot is in the
@@ -15,12 +15,12 @@ WHEN_UNSURE = ("look around", "explore", "look around")
 WHEN_STUCK = ("wait", "look around", "back off", "give way", "look around", "wait")
 WHEN_NO_WAY = ("wait", "give way", "go near", "look around")
 BEHAVIOR = {
-    "wait": Movement.STAND,
-    "look around": Movement.LOOK_AROUND,
-    "explore": Movement.EXPLORE,
-    "back off": Movement.BACK_OFF,
-    "give way": Movement.FOLLOW,
-    "go near": Movement.FOLLOW,
+    "wait": NavCommand.STAND,
+    "look around": NavCommand.LOOK_AROUND,
+    "explore": NavCommand.EXPLORE,
+    "back off": NavCommand.BACK_OFF,
+    "give way": NavCommand.FOLLOW,
+    "go near": NavCommand.FOLLOW,
 }
 
 

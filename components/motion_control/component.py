@@ -40,7 +40,7 @@ from cairn.planar.messages import planar_pose, planar_poses
 from cairn.planar.odometry import began_anew
 from cairn.planar.poses import Pose, relative
 from cairn.planar.sweep import rays_of, sweep_s
-from cairn.schemas.cairn_nav_msgs import LocalizationHealth, MotionStatus, Movement, Plan
+from cairn.schemas.cairn_nav_msgs import LocalizationHealth, MotionStatus, NavCommand, Plan
 from cairn.schemas.geometry_msgs import PoseWithCovarianceStamped, Twist, Vector3
 from cairn.schemas.nav_msgs import Odometry
 from cairn.schemas.sensor_msgs import LaserScan
@@ -62,7 +62,7 @@ class MotionControl(Component):
     """
 
     config: MotionControlConfig
-    movement: In[Movement] = In(qos=LATCHED.with_depth(5))
+    nav_command: In[NavCommand] = In(qos=LATCHED.with_depth(5))
     plan: In[Plan] = In(qos=LATCHED)
     pose: In[PoseWithCovarianceStamped]
     localization_health: In[LocalizationHealth]
@@ -74,7 +74,7 @@ class MotionControl(Component):
     def on_configure(self) -> None:
         """Take memory; nothing is wanted yet."""
         self._freshness = Freshness()
-        self._movement: Movement | None = None
+        self._nav_command: NavCommand | None = None
         self._plan: Plan | None = None
         self._behavior: Behavior | None = None
         self._done = False
@@ -99,13 +99,16 @@ class MotionControl(Component):
         self._take(new)
         self._begin()
 
-    @on("movement")
-    def want(self, movement: Movement) -> None:
+    @on("nav_command")
+    def want(self, nav_command: NavCommand) -> None:
         """Take what is wanted now."""
         now = self.clock.now()
-        self._freshness.note("movement", now, now)
-        last, self._movement = self._movement, movement
-        if last is None or (last.leg, last.behavior) != (movement.leg, movement.behavior):
+        self._freshness.note("nav_command", now, now)
+        last, self._nav_command = self._nav_command, nav_command
+        if last is None or (last.goal_id, last.behavior) != (
+            nav_command.goal_id,
+            nav_command.behavior,
+        ):
             self._done = False
             self._begin()
             self._drive()
@@ -181,7 +184,7 @@ class MotionControl(Component):
         self.motion_status.publish(
             MotionStatus(
                 header=Header(stamp=from_ns(self.clock.now()), frame_id="base_link"),
-                leg=self._movement.leg if self._movement is not None else 0,
+                goal_id=self._nav_command.goal_id if self._nav_command is not None else 0,
                 state=int(self._motion.state),
                 reason=self._motion.reason,
                 distance_left=max(0.0, self._motion.left),
@@ -207,36 +210,36 @@ class MotionControl(Component):
 
     def _begin(self) -> None:
         """Begin what is wanted anew, unless it is done."""
-        movement = self._movement if self._movement is not None else Movement()
-        wanted = movement.behavior
+        nav_command = self._nav_command if self._nav_command is not None else NavCommand()
+        wanted = nav_command.behavior
         self._behavior = None
-        if wanted == Movement.BACK_OFF:
+        if wanted == NavCommand.BACK_OFF:
             self._behavior = BackOff(self._limits)
-        elif wanted == Movement.LOOK_AROUND:
+        elif wanted == NavCommand.LOOK_AROUND:
             self._behavior = LookAround(self._limits)
-        elif wanted == Movement.EXPLORE:
-            self._behavior = Explore(self._limits, movement.distance)
-        elif wanted == Movement.FOLLOW:
+        elif wanted == NavCommand.EXPLORE:
+            self._behavior = Explore(self._limits, nav_command.distance)
+        elif wanted == NavCommand.FOLLOW:
             self._route()
 
     def _route(self) -> None:
-        """Follow the plan if it is of the leg that is wanted."""
-        movement, plan = self._movement, self._plan
-        if movement is None or movement.behavior != Movement.FOLLOW:
+        """Follow the plan if it is of the goal_id that is wanted."""
+        nav_command, plan = self._nav_command, self._plan
+        if nav_command is None or nav_command.behavior != NavCommand.FOLLOW:
             return
-        if plan is None or plan.leg != movement.leg:
+        if plan is None or plan.goal_id != nav_command.goal_id:
             return
         if plan.outcome != Plan.FOUND:
             self._behavior = None
             return
         poses = planar_poses(plan.poses)
-        goal = planar_pose(movement.goal)
+        goal = planar_pose(nav_command.goal)
         route = Route(poses, goal)
         if isinstance(self._behavior, Follow):
             self._behavior.route = route
             return
         self._behavior = Follow(
-            self._limits, route, movement.position_tolerance, movement.heading_tolerance
+            self._limits, route, nav_command.position_tolerance, nav_command.heading_tolerance
         )
 
     def _drive(self) -> None:
@@ -249,9 +252,9 @@ class MotionControl(Component):
         if command is STAND:
             self._steering.stop(now)
         self.cmd_vel.publish(Twist(linear=Vector3(x=command[0]), angular=Vector3(z=command[1])))
-        leg = self._movement.leg if self._movement is not None else 0
-        if self._told != (leg, self._motion.state):
-            self._told = (leg, self._motion.state)
+        goal_id = self._nav_command.goal_id if self._nav_command is not None else 0
+        if self._told != (goal_id, self._motion.state):
+            self._told = (goal_id, self._motion.state)
             reason = f": {self._motion.reason}" if self._motion.reason else ""
             self.log.info("%s%s", self._motion.state.name.lower(), reason)
             self.tell()
@@ -278,12 +281,14 @@ class MotionControl(Component):
 
     def _stopped(self, now: int) -> Motion | None:
         """Why it must stand still; None if it may move."""
-        movement = self._movement
+        nav_command = self._nav_command
         timeouts = self.config.timeouts
-        stale = self._freshness.complaint("movement", self.movement.topic, timeouts.movement, now)
-        if stale or movement is None:
+        stale = self._freshness.complaint(
+            "nav_command", self.nav_command.topic, timeouts.nav_command, now
+        )
+        if stale or nav_command is None:
             return Motion(state=State.STOPPED, reason=stale)
-        if movement.behavior == Movement.STAND:
+        if nav_command.behavior == NavCommand.STAND:
             return Motion(state=State.STANDING)
         if self._done:
             return Motion(state=State.DONE, reason=self._motion.reason)
@@ -294,7 +299,7 @@ class MotionControl(Component):
         )
         if not stale and now < self._paused_until:
             stale = self._pause
-        if not stale and movement.behavior == Movement.FOLLOW:
+        if not stale and nav_command.behavior == NavCommand.FOLLOW:
             stale = self._unsure(now)
         return Motion(state=State.STOPPED, reason=stale) if stale else None
 
@@ -313,9 +318,9 @@ class MotionControl(Component):
         return stale
 
     def _no_plan(self) -> str:
-        movement, plan = self._movement, self._plan
-        if plan is None or plan.leg != (movement.leg if movement is not None else 0):
-            return f"no plan of this leg yet on {self.plan.topic}"
+        nav_command, plan = self._nav_command, self._plan
+        if plan is None or plan.goal_id != (nav_command.goal_id if nav_command is not None else 0):
+            return f"no plan of this goal_id yet on {self.plan.topic}"
         return f"there is no path: {plan.reason}"
 
 

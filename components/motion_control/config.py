@@ -17,7 +17,7 @@ class Timeouts(Config):
     odom: float = Field(0.3, gt=0, le=10, description="Age of the newest odometry [s].")
     pose: float = Field(1.0, gt=0, le=10, description="Age of the newest pose in the map [s].")
     health: float = Field(2.0, gt=0, le=10, description="Age of the localization's health [s].")
-    movement: float = Field(1.5, gt=0, le=10, description="Age of what is wanted [s].")
+    nav_command: float = Field(1.5, gt=0, le=10, description="Age of what is wanted [s].")
 
 
 class MotionControlConfig(Config):

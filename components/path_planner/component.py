@@ -34,7 +34,7 @@ from cairn.planar.grid import OccupancyCells, grid_of
 from cairn.planar.messages import planar_pose
 from cairn.planar.poses import Pose
 from cairn.planar.scans import beams_of
-from cairn.schemas.cairn_nav_msgs import LocalizationHealth, MotionStatus, Movement, Plan
+from cairn.schemas.cairn_nav_msgs import LocalizationHealth, MotionStatus, NavCommand, Plan
 from cairn.schemas.geometry_msgs import PoseWithCovarianceStamped
 from cairn.schemas.map_msgs import OccupancyGridUpdate
 from cairn.schemas.nav_msgs import OccupancyGrid, Odometry, Path
@@ -51,14 +51,14 @@ BEFORE_M = 0.4
 
 
 class PathPlanner(Component):
-    """Plans the path to the goal of the movement wanted, and plans anew when that is due.
+    """Plans the path to the goal of the nav_command wanted, and plans anew when that is due.
 
     Due: what is in the way is seen or mapped, the robot has left the path, or another path has
     become clearly better.
     """
 
     config: PathPlannerConfig
-    movement: In[Movement] = In(qos=LATCHED.with_depth(5))
+    nav_command: In[NavCommand] = In(qos=LATCHED.with_depth(5))
     map: In[OccupancyGrid] = In(qos=LATCHED)
     map_updates: In[OccupancyGridUpdate] = In(qos=RELIABLE.with_depth(50))
     pose: In[PoseWithCovarianceStamped]
@@ -76,7 +76,7 @@ class PathPlanner(Component):
         self._recent: RecentObstacles | None = None
         self._hindrances = Hindrances()
         self._whereabouts = Whereabouts()
-        self._wanted: Movement | None = None
+        self._wanted: NavCommand | None = None
         self._answer: Answer | None = None
         self._planned_at = 0
         self._looked_at = 0
@@ -176,7 +176,7 @@ class PathPlanner(Component):
     def heed(self, status: MotionStatus) -> None:
         """Look for another way when motion control does not get on along the path."""
         pose, answer, wanted = self._now_at(), self._answer, self._wanted
-        if wanted is None or status.leg != wanted.leg or pose is None:
+        if wanted is None or status.goal_id != wanted.goal_id or pose is None:
             return
         if answer is None or answer.route is None or self._costs is None:
             return
@@ -190,15 +190,18 @@ class PathPlanner(Component):
         self._costs.hinder(self._hindrances.places())
         self._improve(longer=True)
 
-    @on("movement")
-    def want(self, movement: Movement) -> None:
-        """Plan at once for a new leg; a repeated want changes nothing."""
-        if movement.behavior != Movement.FOLLOW:
+    @on("nav_command")
+    def want(self, nav_command: NavCommand) -> None:
+        """Plan at once for a new goal_id; a repeated want changes nothing."""
+        if nav_command.behavior != NavCommand.FOLLOW:
             self._wanted, self._answer = None, None
             return
         wanted = self._wanted
-        if wanted is None or (wanted.leg, wanted.goal) != (movement.leg, movement.goal):
-            self._wanted, self._answer = movement, None
+        if wanted is None or (wanted.goal_id, wanted.goal) != (
+            nav_command.goal_id,
+            nav_command.goal,
+        ):
+            self._wanted, self._answer = nav_command, None
             self._replan()
 
     @every(hz=2)
@@ -321,12 +324,12 @@ class PathPlanner(Component):
     def _tell(self, answer: Answer) -> None:
         """Publish an answer, unless it is the last one's refusal again."""
         assert self._wanted is not None
-        told = (self._wanted.leg, int(answer.outcome), answer.reason)
+        told = (self._wanted.goal_id, int(answer.outcome), answer.reason)
         if answer.route is None and told == self._told:
             return
         if answer.route is None:
             self.log.info("no path: %s", answer.reason)
         self._told = told
         header = Header(stamp=from_ns(self.clock.now()), frame_id="map")
-        self.plan.publish(plan_message(header, self._wanted.leg, answer))
+        self.plan.publish(plan_message(header, self._wanted.goal_id, answer))
         self.path.publish(path_message(header, answer))

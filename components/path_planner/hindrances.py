@@ -24,7 +24,7 @@ class Hindrances:
 
     def __init__(self) -> None:
         self._places: dict[Place, int] = {}
-        self._stay: tuple[int, int, Pose] | None = None  # the leg, since when, and where
+        self._stay: tuple[int, int, Pose] | None = None  # the goal_id, since when, and where
 
     def is_stuck(self, now: int, status: MotionStatus, pose: Pose) -> bool:
         """Whether the robot, following a path, has not got on; counts anew once it was told."""
@@ -32,12 +32,12 @@ class Hindrances:
             self._stay = None
             return False
         stay = self._stay
-        if stay is None or stay[0] != status.leg or distance(stay[2], pose) > _STAYS:
-            self._stay = status.leg, now, pose
+        if stay is None or stay[0] != status.goal_id or distance(stay[2], pose) > _STAYS:
+            self._stay = status.goal_id, now, pose
             return False
         if now - stay[1] < (_BLOCKED if status.state == MotionStatus.BLOCKED else _MOVING):
             return False
-        self._stay = status.leg, now, pose
+        self._stay = status.goal_id, now, pose
         return True
 
     def add(self, place: Place, until: int) -> None:

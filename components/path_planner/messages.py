@@ -14,12 +14,12 @@ from cairn.schemas.std_msgs import Header
 SHOWN = 500  # poses of a path that people look at
 
 
-def plan_message(header: Header, leg: int, answer: Answer) -> Plan:
-    """An answer to a leg."""
+def plan_message(header: Header, goal_id: int, answer: Answer) -> Plan:
+    """An answer to a goal_id."""
     nearest = answer.nearest or (float("nan"), float("nan"))
     told = Plan(
         header=header,
-        leg=leg,
+        goal_id=goal_id,
         outcome=int(answer.outcome),
         reason=answer.reason,
         nearest_x=nearest[0],
@@ -29,7 +29,7 @@ def plan_message(header: Header, leg: int, answer: Answer) -> Plan:
         return told
     return Plan(
         header=header,
-        leg=leg,
+        goal_id=goal_id,
         outcome=int(answer.outcome),
         length=answer.route.length(),
         poses=packed_poses(answer.route.poses),

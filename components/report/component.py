@@ -14,7 +14,12 @@ from cairn.components.report.record import RunRecord
 from cairn.components.report.table import render_table
 from cairn.planar.messages import planar_pose, planar_poses
 from cairn.schemas.cairn_msgs import ComponentStatus, VisualMap, VisualMapChange, VisualObject
-from cairn.schemas.cairn_nav_msgs import MOVE_STATES, Collision, MoveOrder, MoveStatus
+from cairn.schemas.cairn_nav_msgs import (
+    NAVIGATION_STATES,
+    Collision,
+    NavigateGoal,
+    NavigationStatus,
+)
 from cairn.schemas.geometry_msgs import PoseStamped, PoseWithCovarianceStamped
 from cairn.schemas.nav_msgs import OccupancyGrid
 
@@ -44,8 +49,8 @@ class Report(Component):
     visual_map: In[VisualMap] = In(qos=LATCHED.with_depth(100), optional=True)
     visual_map_changes: In[VisualMapChange] = In(qos=_MANY, optional=True)
     map: In[OccupancyGrid] = In(qos=LATCHED.with_depth(10), optional=True)
-    order: In[MoveOrder] = In(qos=LATCHED.with_depth(20), optional=True)
-    move_status: In[MoveStatus] = In(qos=LATCHED.with_depth(100), optional=True)
+    navigate_goal: In[NavigateGoal] = In(qos=LATCHED.with_depth(20), optional=True)
+    navigation_status: In[NavigationStatus] = In(qos=LATCHED.with_depth(100), optional=True)
     collisions: In[Collision] = In(qos=RELIABLE.with_depth(100), optional=True)
     component_status: In[ComponentStatus] = In(qos=LATCHED.with_depth(500), optional=True)
 
@@ -113,24 +118,24 @@ class Report(Component):
         """Keep the grid map as it was first, and as it is now."""
         self._grids = (self._grids[0] if self._grids else message, message)
 
-    @on("order")
-    def follow_orders(self, order: MoveOrder) -> None:
+    @on("navigate_goal")
+    def follow_orders(self, order: NavigateGoal) -> None:
         """Keep the goals of an order."""
         if len(order.goals):
             goals: list[Value] = [list(row) for row in planar_poses(order.goals).tolist()]
-            self._note("ordered", order.order_id, goals)
+            self._note("ordered", order.mission_id, goals)
 
-    @on("move_status")
-    def follow_moves(self, status: MoveStatus) -> None:
+    @on("navigation_status")
+    def follow_moves(self, status: NavigationStatus) -> None:
         """Keep how an order gets on, when that changes."""
-        state = MOVE_STATES[status.state]
-        now = (status.order_id, state, status.goal)
+        state = NAVIGATION_STATES[status.state]
+        now = (status.mission_id, state, status.goal)
         if now == self._moved:
             return
         self._moved = now
         self._note(
             "moved_on",
-            status.order_id,
+            status.mission_id,
             state,
             status.goal,
             status.reason,

@@ -12,7 +12,7 @@ Goal = tuple[float, float, float]
 class OrderRecord:
     """One order: its goals (x, y [m], heading [rad]), how many were reached, and how it ended."""
 
-    order_id: int
+    mission_id: int
     goals: list[Goal] = field(default_factory=list)
     reached: int = 0
     state: str = "given"
@@ -23,7 +23,7 @@ class OrderRecord:
     def summary(self) -> dict[str, Any]:
         """As plain values."""
         return {
-            "order_id": self.order_id,
+            "mission_id": self.mission_id,
             "goals": [list(goal) for goal in self.goals],
             "reached": self.reached,
             "state": self.state,

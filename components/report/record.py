@@ -104,16 +104,22 @@ class RunRecord:
         """Note that an object never left a place [m]; NaN: that it is still to be found."""
         self.object(object_id).moves.restored(_place(x, y))
 
-    def ordered(self, order_id: int, goals: list[tuple[float, float, float]]) -> None:
+    def ordered(self, mission_id: int, goals: list[tuple[float, float, float]]) -> None:
         """Note an order to move and its goals (x, y [m], heading [rad])."""
-        order = self.orders.setdefault(order_id, OrderRecord(order_id))
+        order = self.orders.setdefault(mission_id, OrderRecord(mission_id))
         order.goals = [(x, y, theta) for x, y, theta in goals]
 
     def moved_on(
-        self, order_id: int, state: str, reached: int, reason: str, seconds: float, recoveries: int
+        self,
+        mission_id: int,
+        state: str,
+        reached: int,
+        reason: str,
+        seconds: float,
+        recoveries: int,
     ) -> None:
         """Note how an order gets on: state, goals reached, time taken [s]."""
-        order = self.orders.setdefault(order_id, OrderRecord(order_id))
+        order = self.orders.setdefault(mission_id, OrderRecord(mission_id))
         order.state, order.reached, order.reason = state, reached, reason
         order.seconds, order.recoveries = seconds, recoveries
 

@@ -75,7 +75,7 @@ def locate(
 
 def _tell(order: int, what: str, *, as_json: bool) -> None:
     if as_json:
-        print_json({"order_id": order})
+        print_json({"mission_id": order})
     else:
         line(f"order {order} is {what}")
 

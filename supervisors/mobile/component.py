@@ -9,12 +9,17 @@ from pydantic import Field
 
 from cairn import LATCHED, SECOND, CairnError, Config, In, Out, from_ns, on
 from cairn.planar.messages import packed_poses, planar_pose
-from cairn.schemas.cairn_nav_msgs import MOVE_ENDS, MOVE_STATES, MoveOrder, MoveStatus
+from cairn.schemas.cairn_nav_msgs import (
+    NAVIGATION_END_STATES,
+    NAVIGATION_STATES,
+    NavigateGoal,
+    NavigationStatus,
+)
 from cairn.schemas.geometry_msgs import PoseStamped
 from cairn.schemas.std_msgs import Header
 from cairn.supervision.component import SupervisorComponent
 from cairn.supervision.supervisor import StartFailed
-from cairn.supervisors.mobile.orders import (
+from cairn.supervisors.mobile.mission import (
     FARTHEST,
     Goal,
     Order,
@@ -62,8 +67,8 @@ class MobileSupervisor(SupervisorComponent):
     config: MobileSupervisorConfig
 
     goal_pose: In[PoseStamped] = In(optional=True)
-    move_status: In[MoveStatus] = In(qos=LATCHED.with_depth(20), optional=True)
-    order: Out[MoveOrder] = Out(qos=LATCHED)
+    navigation_status: In[NavigationStatus] = In(qos=LATCHED.with_depth(20), optional=True)
+    navigate_goal: Out[NavigateGoal] = Out(qos=LATCHED)
 
     _order: Order | None = None
 
@@ -88,15 +93,15 @@ class MobileSupervisor(SupervisorComponent):
     def on_request(self, verb: str, arguments: Mapping[str, Any]) -> Any:
         """Answer `go` with `goals` [[x, y, heading], ...], `cancel`, `order`; else a supervisor's.
 
-        `go` may choose a `token` for its order. `cancel` may name the `order_id` or the `token`
+        `go` may choose a `token` for its order. `cancel` may name the `mission_id` or the `token`
         that it means, else it is whichever order is under way.
         """
         if verb == "go" and {"goals"} <= set(arguments) <= {"goals", "token"}:
             goals, token = checked_goals(arguments["goals"]), checked_token(arguments.get("token"))
-            return {"order_id": self._go(goals, token=token).order_id}
-        if verb == "cancel" and set(arguments) <= {"order_id", "token"}:
-            return {"order_id": self._cancel(**arguments)}
-        if verb == "order" and not arguments:
+            return {"mission_id": self._go(goals, token=token).mission_id}
+        if verb == "cancel" and set(arguments) <= {"mission_id", "token"}:
+            return {"mission_id": self._cancel(**arguments)}
+        if verb == "mission" and not arguments:
             return self._order.model_dump(mode="json") if self._order is not None else None
         return super().on_request(verb, arguments)
 
@@ -111,15 +116,15 @@ class MobileSupervisor(SupervisorComponent):
         except CairnError as error:
             self.log.error("the order to move is not carried out: %s", error)
 
-    @on("move_status")
-    def follow(self, status: MoveStatus) -> None:
+    @on("navigation_status")
+    def follow(self, status: NavigationStatus) -> None:
         """Note how far the order has come; let go of it when it has its result."""
         order = self._order
-        if order is None or order.result or status.order_id != order.order_id:
+        if order is None or order.result or status.mission_id != order.mission_id:
             return
-        if status.state in MOVE_ENDS:
-            done = status.state == MoveStatus.SUCCEEDED
-            self._close(order, f"{MOVE_STATES[status.state]}: {status.reason}", success=done)
+        if status.state in NAVIGATION_END_STATES:
+            done = status.state == NavigationStatus.SUCCEEDED
+            self._close(order, f"{NAVIGATION_STATES[status.state]}: {status.reason}", success=done)
         elif status.goal > order.first:
             self._take(order.model_copy(update={"first": status.goal}))
 
@@ -128,12 +133,12 @@ class MobileSupervisor(SupervisorComponent):
     ) -> Order:
         self._load_automove()
         before = self._order
-        last = before.order_id if before is not None else 0
+        last = before.mission_id if before is not None else 0
         # Larger than any that a forerunner of this supervisor gave.
         now = self.clock.now()
-        order_id = max(last + 1, now // SECOND & 0x7FFFFFFF)
+        mission_id = max(last + 1, now // SECOND & 0x7FFFFFFF)
         order = Order(
-            order_id=order_id,
+            mission_id=mission_id,
             given_ns=now,
             goals=goals,
             mission=mission,
@@ -142,10 +147,10 @@ class MobileSupervisor(SupervisorComponent):
         )
         x, y, _ = goals[-1]
         via = f" by way of {len(goals) - 1} others" if len(goals) > 1 else ""
-        self.log.info("order %d: go to (%.2f, %.2f)%s", order_id, x, y, via)
+        self.log.info("order %d: go to (%.2f, %.2f)%s", mission_id, x, y, via)
         if order.in_place_of_mission and self.config.finish:
             self.log.warning(
-                "the mission is pre-empted: the deployment ends with order %d", order_id
+                "the mission is pre-empted: the deployment ends with order %d", mission_id
             )
         self._take(order)
         return order
@@ -159,15 +164,15 @@ class MobileSupervisor(SupervisorComponent):
         except StartFailed as error:
             raise CairnError(f"{name} cannot be loaded: {error}") from error
 
-    def _cancel(self, *, order_id: Any = None, token: Any = None) -> int:
+    def _cancel(self, *, mission_id: Any = None, token: Any = None) -> int:
         order = self._order
-        if order is None or order.result or order_id not in (None, order.order_id):
-            which = "to cancel" if order_id is None else f"{order_id} under way"
+        if order is None or order.result or mission_id not in (None, order.mission_id):
+            which = "to cancel" if mission_id is None else f"{mission_id} under way"
             raise CairnError(f"{self.name}: there is no order {which}")
         if token not in (None, order.token):
             raise CairnError(f"{self.name}: it is another's order that is under way")
         self._close(order, "canceled: taken back")
-        return order.order_id
+        return order.mission_id
 
     def _resume(self) -> None:
         file = self.config.state_file
@@ -178,25 +183,25 @@ class MobileSupervisor(SupervisorComponent):
                 return
             if order.resumed >= _RESUMED_AT_MOST:
                 why = f"failed: given up after {self.name} was started anew {order.resumed} times"
-                self.log.error("order %d %s", order.order_id, why)
+                self.log.error("order %d %s", order.mission_id, why)
                 self._close(order, why)
                 return
             self._load_automove()
         except CairnError as error:
             self.log.error("the order to move is not gone on with: %s", error)
             return
-        self.log.warning("going on with order %d", order.order_id)
+        self.log.warning("going on with order %d", order.mission_id)
         self._take(order.model_copy(update={"resumed": order.resumed + 1}))
 
     def _close(self, order: Order, result: str, *, success: bool = False) -> None:
-        self.log.info("order %d %s", order.order_id, result)
+        self.log.info("order %d %s", order.mission_id, result)
         self._take(order.model_copy(update={"result": result}))
         if not self.config.finish:
             return
         if order.mission:
             self.finish(f"the mission {result}", success=success)
         elif order.in_place_of_mission:  # not before: the robot must not stop under its operator
-            which = f"order {order.order_id}"
+            which = f"order {order.mission_id}"
             self.finish(f"the mission was pre-empted by {which}, which {result}", success=False)
 
     def _take(self, order: Order) -> None:
@@ -209,10 +214,10 @@ class MobileSupervisor(SupervisorComponent):
             except OSError as error:
                 self.log.error("the order cannot be kept in %s: %s", file, error.strerror)
         goals = () if order.result else order.goals
-        self.order.publish(
-            MoveOrder(
+        self.navigate_goal.publish(
+            NavigateGoal(
                 header=Header(stamp=from_ns(order.given_ns), frame_id="map"),
-                order_id=order.order_id,
+                mission_id=order.mission_id,
                 first=order.first,
                 goals=packed_poses(np.array(goals, np.float64).reshape(-1, 3)),
             )

@@ -17,7 +17,12 @@ from cairn.bus.codec import Codec
 from cairn.bus.control import ControlError, NoAnswer, request
 from cairn.cli.connection import Connection
 from cairn.cli.tables import OutputLost, line, note, print_json
-from cairn.schemas.cairn_nav_msgs import MOVE_ENDS, MOVE_STATES, MoveStatus, without_numbers
+from cairn.schemas.cairn_nav_msgs import (
+    NAVIGATION_END_STATES,
+    NAVIGATION_STATES,
+    NavigationStatus,
+    without_numbers,
+)
 from cairn.schemas.message import InvalidMessage, type_name
 from cairn.supervisors.mobile.reaching import await_active, linked
 
@@ -43,7 +48,7 @@ class Operator:
     def go(self, goals: Sequence[Sequence[float]]) -> int:
         """Give an order; its number."""
         asked = {"goals": [list(goal) for goal in goals], "token": self._token}
-        return int(self._ask("go", asked, _LOADING_S)["order_id"])
+        return int(self._ask("go", asked, _LOADING_S)["mission_id"])
 
     def cancel(self) -> int:
         """Take back whichever order is under way; its number."""
@@ -55,7 +60,7 @@ class Operator:
 
     def order(self) -> dict[str, Any] | None:
         """The last order with its result, empty if it is under way; None if there was none."""
-        order: dict[str, Any] | None = self._ask("order", {}, _ANSWER_S)
+        order: dict[str, Any] | None = self._ask("mission", {}, _ANSWER_S)
         return order
 
     def linked(self) -> bool:
@@ -65,21 +70,21 @@ class Operator:
     @contextmanager
     def statuses(self) -> Iterator[queue.Queue[Any]]:
         """All that is told of orders from now on, as samples."""
-        topic = f"{self._supervisor.rpartition('/')[0]}/move_status"
+        topic = f"{self._supervisor.rpartition('/')[0]}/navigation_status"
         key = rmw.data_key(
             self._connection.domain,
             topic,
-            type_name(MoveStatus),
-            self._codec.type_hash(MoveStatus),
+            type_name(NavigationStatus),
+            self._codec.type_hash(NavigationStatus),
         )
         with self._connection.listen(key, latched=True) as samples:
             yield samples
 
-    def next_status(self, samples: queue.Queue[Any], wait_s: float) -> MoveStatus | None:
+    def next_status(self, samples: queue.Queue[Any], wait_s: float) -> NavigationStatus | None:
         """The next that is told; None if nothing comes in time, or it is not readable."""
         try:
             sample = samples.get(timeout=wait_s)
-            return self._codec.decode(MoveStatus, sample.payload.to_bytes())
+            return self._codec.decode(NavigationStatus, sample.payload.to_bytes())
         except (queue.Empty, InvalidMessage):
             return None
 
@@ -89,7 +94,7 @@ class Operator:
         except NoAnswer:  # it hung and was killed; started anew, it goes on with the order
             await_active(self._connection, self._supervisor)
             answer = self._ask("cancel", which, _LOADING_S)
-        return int(answer["order_id"])
+        return int(answer["mission_id"])
 
     def _ask(self, verb: str, arguments: dict[str, Any], limit_s: float) -> Any:
         connection = self._connection
@@ -132,8 +137,8 @@ def follow(operator: Operator, goals: Sequence[Sequence[float]], *, as_json: boo
             raise
     if as_json:
         print_json(_fields(status))
-    state = MOVE_STATES[status.state]
-    if status.state != MoveStatus.SUCCEEDED:
+    state = NAVIGATION_STATES[status.state]
+    if status.state != NavigationStatus.SUCCEEDED:
         raise CairnError(f"order {order} {state} after {status.elapsed:.1f} s: {status.reason}")
     if not as_json:
         line(f"{status.elapsed:6.1f} s  {status.reason}")
@@ -165,26 +170,26 @@ def _take_back(operator: Operator, *, as_json: bool) -> None:
             note(f"nothing is canceled: {error}")
             return
         if as_json:
-            print_json({"order_id": order, "state": "canceled"})
+            print_json({"mission_id": order, "state": "canceled"})
         else:
             line("canceled: the robot stops")
 
 
 def _await_end(
     operator: Operator, order: int, samples: queue.Queue[Any], *, as_json: bool
-) -> MoveStatus:
-    last = MoveStatus(order_id=order)
+) -> NavigationStatus:
+    last = NavigationStatus(mission_id=order)
     told: tuple[int, int, str] | None = None
     told_at = 0.0
     heard = asked = time.monotonic()
     while True:
         status = operator.next_status(samples, 0.5)
         now = time.monotonic()
-        if status is not None and status.order_id > order:
-            raise CairnError(f"order {order} was pre-empted by order {status.order_id}")
-        if status is not None and status.order_id == order:
+        if status is not None and status.mission_id > order:
+            raise CairnError(f"order {order} was pre-empted by order {status.mission_id}")
+        if status is not None and status.mission_id == order:
             last, heard = status, now
-            if status.state in MOVE_ENDS:
+            if status.state in NAVIGATION_END_STATES:
                 return status
             news = (status.state, status.goal, without_numbers(status.reason))
             if not as_json and (news != told or now - told_at >= _REPEAT_S):
@@ -212,23 +217,23 @@ def _await_end(
 
 
 def _result(
-    order: int, found: dict[str, Any] | None, last: MoveStatus, silent_s: float
-) -> MoveStatus | None:
+    order: int, found: dict[str, Any] | None, last: NavigationStatus, silent_s: float
+) -> NavigationStatus | None:
     """The result by the supervisor's word, None if the order is under way."""
-    if found is None or int(found["order_id"]) < order:
+    if found is None or int(found["mission_id"]) < order:
         if silent_s < _LOST_S:
             return None
         raise CairnError(
             f"order {order} was lost: its supervisor was started anew and does not know it; the "
             "robot stands"
         )
-    if int(found["order_id"]) > order:
-        raise CairnError(f"order {order} was pre-empted by order {found['order_id']}")
+    if int(found["mission_id"]) > order:
+        raise CairnError(f"order {order} was pre-empted by order {found['mission_id']}")
     state, _, reason = str(found["result"]).partition(": ")
-    for number, name in MOVE_STATES.items():
+    for number, name in NAVIGATION_STATES.items():
         if state == name:
-            return MoveStatus(
-                order_id=order,
+            return NavigationStatus(
+                mission_id=order,
                 state=number,
                 goal=last.goal,
                 goals=last.goals,
@@ -243,19 +248,19 @@ def _place(goal: Sequence[float]) -> str:
     return f"({goal[0]:.2f}, {goal[1]:.2f}, {math.degrees(goal[2]):.0f} deg)"
 
 
-def _sentence(status: MoveStatus) -> str:
+def _sentence(status: NavigationStatus) -> str:
     of = f"goal {status.goal + 1} of {status.goals}: " if status.goals > 1 else ""
     left = ""
-    if status.state == MoveStatus.DRIVING and status.distance_left > 0.0:
+    if status.state == NavigationStatus.DRIVING and status.distance_left > 0.0:
         left = f": {status.distance_left:.1f} m left, about {status.time_left:.0f} s"
     why = f"{', but' if left else ':'} {status.reason}" if status.reason else ""
-    return f"{status.elapsed:6.1f} s  {of}{MOVE_STATES[status.state]}{left}{why}"
+    return f"{status.elapsed:6.1f} s  {of}{NAVIGATION_STATES[status.state]}{left}{why}"
 
 
-def _fields(status: MoveStatus) -> dict[str, object]:
+def _fields(status: NavigationStatus) -> dict[str, object]:
     return {
-        "order_id": status.order_id,
-        "state": MOVE_STATES[status.state],
+        "mission_id": status.mission_id,
+        "state": NAVIGATION_STATES[status.state],
         "goal": status.goal,
         "goals": status.goals,
         "elapsed_s": status.elapsed,

@@ -176,7 +176,7 @@ def test_a_supervisor_busy_with_one_child_takes_no_other_for_hung(launch: Launch
       base:
         plugin: test_faulty
         parameters: {fault: nap, where: on_configure}
-        load: on_order
+        load: on_request
     """
     )
     run.await_line("listener active")

@@ -130,10 +130,10 @@ def test_an_order_to_move_loads_the_plugins_which_load_and_unload_alone(
         children:
           automove:
             plugin: automove
-            load: on_order
+            load: on_request
             children:
-              beacon: {plugin: test_beacon, load: on_order}
-              reader: {plugin: test_reader, load: on_order}
+              beacon: {plugin: test_beacon, load: on_request}
+              reader: {plugin: test_reader, load: on_request}
     """
     )
     active = run.await_line("mobile_supervisor active")
@@ -167,11 +167,11 @@ def test_an_order_to_move_that_cannot_be_carried_out_is_told_and_can_be_repeated
         children:
           automove:
             plugin: automove
-            load: on_order
+            load: on_request
             children:
               base:
                 plugin: test_faulty
-                load: on_order
+                load: on_request
                 parameters: {fault: raise, where: on_activate}
     """
     )

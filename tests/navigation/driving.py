@@ -11,7 +11,12 @@ from cairn.deployment.load import load_deployment
 from cairn.planar.grid import OccupancyCells, grid_of
 from cairn.planar.messages import planar_pose, pose_message
 from cairn.planar.poses import Pose, distance
-from cairn.schemas.cairn_nav_msgs import MOVE_ENDS, Collision, MotionStatus, MoveStatus
+from cairn.schemas.cairn_nav_msgs import (
+    NAVIGATION_END_STATES,
+    Collision,
+    MotionStatus,
+    NavigationStatus,
+)
 from cairn.schemas.geometry_msgs import PoseStamped
 from cairn.schemas.nav_msgs import OccupancyGrid
 from cairn.schemas.std_msgs import Header
@@ -29,12 +34,12 @@ class Drive(Deployed):
 
     def __init__(self, folder: Path, *sets: str, seed: int = 1) -> None:
         super().__init__(load_deployment(SIM, sets=[f"settings.report={folder}", *sets]), seed)
-        self._statuses = self.read("move_status", MoveStatus)
+        self._statuses = self.read("navigation_status", NavigationStatus)
         self._motions = self.read("motion_status", MotionStatus)
         self._collisions = self.read("collisions", Collision)
         self._truths = self.read("truth", PoseStamped)
         self._maps = self.read("map", OccupancyGrid)
-        self.statuses: list[MoveStatus] = []
+        self.statuses: list[NavigationStatus] = []
         self.motions: list[MotionStatus] = []
         self.collisions: list[Collision] = []
         self.truth: Pose = (math.nan, math.nan, math.nan)
@@ -45,18 +50,18 @@ class Drive(Deployed):
         pose = pose_message((x, y, theta))
         self.publish("goal_pose", PoseStamped(header=Header(frame_id=frame), pose=pose))
 
-    def await_end(self, limit_s: float = 300.0) -> MoveStatus:
+    def await_end(self, limit_s: float = 300.0) -> NavigationStatus:
         """Let time pass until an order has its result, another than was awaited before."""
 
         def ended() -> bool:
-            last = self.statuses[-1] if self.statuses else MoveStatus()
-            return last.state in MOVE_ENDS and last.order_id != self._awaited
+            last = self.statuses[-1] if self.statuses else NavigationStatus()
+            return last.state in NAVIGATION_END_STATES and last.mission_id != self._awaited
 
         self.await_that(ended, limit_s)
-        self._awaited = self.statuses[-1].order_id
+        self._awaited = self.statuses[-1].mission_id
         return self.statuses[-1]
 
-    def await_state(self, state: int, limit_s: float = 60.0) -> MoveStatus:
+    def await_state(self, state: int, limit_s: float = 60.0) -> NavigationStatus:
         """Let time pass until an order is in that state."""
         self.await_that(lambda: bool(self.statuses) and self.statuses[-1].state == state, limit_s)
         return self.statuses[-1]
@@ -68,7 +73,7 @@ class Drive(Deployed):
     def arrives(self, goal: tuple[float, float], limit_s: float = 300.0) -> None:
         """The order under way must end at its goal, truly, without touching anything."""
         end = self.await_end(limit_s)
-        assert end.state == MoveStatus.SUCCEEDED, str(self)
+        assert end.state == NavigationStatus.SUCCEEDED, str(self)
         assert distance(self.truth, (*goal, 0.0)) < 0.25
         assert self.collisions == []
 
@@ -114,7 +119,7 @@ class Drive(Deployed):
         """What was told, for a test that fails."""
         rows: list[str] = []
         for status in self.statuses:
-            row = f"{status.order_id} {status.state} {status.goal} {status.reason}"
+            row = f"{status.mission_id} {status.state} {status.goal} {status.reason}"
             if not rows or rows[-1] != row:
                 rows.append(row)
         return "\n".join([f"at {self.truth}, {self.now:.1f} s", *rows[-25:]])

@@ -158,7 +158,7 @@ def robot_in(folder: Path, *sets: str) -> Iterator[Robot]:
     """Start the deployment; at the end nothing of it is left."""
     with launching(folder) as launch:
         endpoint = f"tcp/127.0.0.1:{free_port()}"
-        kept = "components.mobile_supervisor.parameters.state_file=${report}/order.json"
+        kept = "components.mobile_supervisor.parameters.state_file=${report}/mission.json"
         given = [f"bus.listen={endpoint}", kept, *sets]
         arguments = [str(SIM), *(word for one in given for word in ("--set", one))]
         run = Run(arguments, folder / "report", endpoint, {}, None)

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 from cairn.planar.poses import distance
 from cairn.schemas.cairn_msgs import VisualMap
-from cairn.schemas.cairn_nav_msgs import MoveStatus
+from cairn.schemas.cairn_nav_msgs import NavigationStatus
 from tests.navigation.deployed import taken
 from tests.navigation.driving import Drive, share_occupied
 
@@ -50,7 +50,7 @@ def test_a_person_who_stands_on_the_goal_is_waited_for(drive: DriveOf) -> None:
     robot = drive()
     robot.ask("world", "person", name="guard", waypoints=[[4.0, 1.4]])
     robot.go(4.0, 1.4)
-    robot.await_state(MoveStatus.RECOVERING)
+    robot.await_state(NavigationStatus.RECOVERING)
     assert "no path: the goal (4.00, 1.40)" in robot.statuses[-1].reason
 
     robot.ask("world", "remove", name="guard")
@@ -79,7 +79,7 @@ def test_a_person_who_stays_on_the_goal_has_the_robot_give_up(drive: DriveOf) ->
 
     end = robot.await_end(120.0)
 
-    assert end.state == MoveStatus.FAILED
+    assert end.state == NavigationStatus.FAILED
     assert end.reason.startswith("no path: the goal (4.00, 1.40)")
     assert "nearest place that can be reached" in end.reason
     assert robot.collisions == []
@@ -106,7 +106,7 @@ def test_a_robot_that_is_walled_in_gives_up_with_the_nearest_place(drive: DriveO
     robot.go(7.0, 3.0)
     end = robot.await_end(200.0)
 
-    assert end.state == MoveStatus.FAILED
+    assert end.state == NavigationStatus.FAILED
     assert end.reason.startswith("no path: ")
     assert "nearest place that can be reached" in end.reason
     assert "recoveries" in end.reason
@@ -118,7 +118,7 @@ def test_a_robot_whose_walls_go_away_drives_on(drive: DriveOf) -> None:
     robot = drive()
     walled_in(robot)
     robot.go(3.0, 3.4)
-    robot.await_state(MoveStatus.RECOVERING)
+    robot.await_state(NavigationStatus.RECOVERING)
 
     for name in ("east", "north"):
         robot.ask("world", "remove", name=name)

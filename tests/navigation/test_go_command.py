@@ -210,7 +210,7 @@ def test_whoever_is_pre_empted_is_told_and_takes_nothing_back(robot: Robot) -> N
     first = robot.go(*far_place(robot))
     first.await_word("driving")
     answer = cairn("go", "4.0", "5.0", "--no-wait", "--json", connect=robot.run.endpoint)
-    order = answer.json["order_id"]
+    order = answer.json["mission_id"]
 
     assert first.await_end() == 1
 
@@ -222,7 +222,7 @@ def test_whoever_is_pre_empted_is_told_and_takes_nothing_back(robot: Robot) -> N
 def test_an_order_that_its_supervisor_lost_is_told_of(robot: Robot) -> None:
     going = robot.go(*far_place(robot))
     going.await_word("driving")
-    (Path(robot.run.report) / "order.json").unlink()
+    (Path(robot.run.report) / "mission.json").unlink()
 
     robot.kill("mobile_supervisor")
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from cairn.schemas.cairn_nav_msgs import MoveStatus
+from cairn.schemas.cairn_nav_msgs import NavigationStatus
 from cairn.testing.launching import Launching, Run, free_port, launching
 from tests.navigation.driving import SIM, Drive
 
@@ -50,7 +50,7 @@ def test_a_mission_that_is_pre_empted_ends_the_deployment_once_the_operators_ord
     drive: DriveOf,
 ) -> None:
     robot = drive(THERE, FINISH)
-    robot.await_state(MoveStatus.DRIVING)
+    robot.await_state(NavigationStatus.DRIVING)
 
     robot.go(2.0, 1.2)
     robot.arrives((2.0, 1.2))
@@ -68,7 +68,7 @@ def test_a_mission_that_is_pre_empted_ends_the_deployment_once_the_operators_ord
 
 def test_without_finish_a_pre_empted_mission_ends_nothing(drive: DriveOf) -> None:
     robot = drive(THERE)
-    robot.await_state(MoveStatus.DRIVING)
+    robot.await_state(NavigationStatus.DRIVING)
 
     robot.go(2.0, 1.2)
     robot.arrives((2.0, 1.2))

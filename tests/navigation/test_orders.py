@@ -7,7 +7,7 @@ from collections.abc import Callable
 import pytest
 
 from cairn import CairnError
-from cairn.schemas.cairn_nav_msgs import MotionStatus, MoveStatus
+from cairn.schemas.cairn_nav_msgs import MotionStatus, NavigationStatus
 from tests.navigation.driving import STOPS_S, Drive
 
 DriveOf = Callable[..., Drive]
@@ -21,15 +21,15 @@ def test_an_order_shows_all_its_steps_and_ends_where_it_should(drive: DriveOf) -
     robot.arrives((7.5, 5.0))
 
     assert robot.states() == [
-        MoveStatus.LOADING,
-        MoveStatus.LOCALIZING,
-        MoveStatus.PLANNING,
-        MoveStatus.DRIVING,
-        MoveStatus.SUCCEEDED,
+        NavigationStatus.LOADING,
+        NavigationStatus.LOCALIZING,
+        NavigationStatus.PLANNING,
+        NavigationStatus.DRIVING,
+        NavigationStatus.SUCCEEDED,
     ]
-    loaded = [s.reason for s in robot.statuses if s.state == MoveStatus.LOADING]
+    loaded = [s.reason for s in robot.statuses if s.state == NavigationStatus.LOADING]
     assert loaded == ["map_builder", "localizer", "path_planner", "motion_control"]
-    driving = [s for s in robot.statuses if s.state == MoveStatus.DRIVING]
+    driving = [s for s in robot.statuses if s.state == NavigationStatus.DRIVING]
     assert driving[0].distance_left == pytest.approx(7.9, abs=0.5)
     assert driving[0].time_left == pytest.approx(driving[0].distance_left / 0.4, rel=0.01)
     assert driving[-1].distance_left < 0.5
@@ -41,31 +41,33 @@ def test_an_order_shows_all_its_steps_and_ends_where_it_should(drive: DriveOf) -
 def test_a_new_goal_pre_empts_the_old_one(drive: DriveOf) -> None:
     robot = drive()
     robot.go(7.5, 5.0)
-    robot.await_state(MoveStatus.DRIVING)
+    robot.await_state(NavigationStatus.DRIVING)
     robot.wait(4.0)
-    first = robot.statuses[-1].order_id
+    first = robot.statuses[-1].mission_id
 
     robot.go(1.2, 3.0)
     robot.arrives((1.2, 3.0))
 
-    assert robot.statuses[-1].order_id > first
-    assert [s.state for s in robot.statuses if s.order_id == first][-1] == MoveStatus.DRIVING
+    assert robot.statuses[-1].mission_id > first
+    assert [s.state for s in robot.statuses if s.mission_id == first][
+        -1
+    ] == NavigationStatus.DRIVING
 
 
 def test_a_canceled_order_leaves_the_robot_standing(drive: DriveOf) -> None:
     robot = drive()
-    order = robot.ask("mobile_supervisor", "go", goals=[[7.5, 5.0, 0.0]])["order_id"]
-    robot.await_state(MoveStatus.DRIVING)
+    order = robot.ask("mobile_supervisor", "go", goals=[[7.5, 5.0, 0.0]])["mission_id"]
+    robot.await_state(NavigationStatus.DRIVING)
     robot.wait(4.0)
 
-    assert robot.ask("mobile_supervisor", "cancel", order_id=order) == {"order_id": order}
+    assert robot.ask("mobile_supervisor", "cancel", mission_id=order) == {"mission_id": order}
 
     assert robot.time_to_stand() <= STOPS_S
-    assert robot.await_end(1.0).state == MoveStatus.CANCELLED
+    assert robot.await_end(1.0).state == NavigationStatus.CANCELED
     assert robot.motions[-1].state == MotionStatus.STANDING
-    assert robot.ask("mobile_supervisor", "order")["result"] == "canceled: taken back"
+    assert robot.ask("mobile_supervisor", "mission")["result"] == "canceled: taken back"
     with pytest.raises(CairnError, match=f"there is no order {order} under way"):
-        robot.ask("mobile_supervisor", "cancel", order_id=order)
+        robot.ask("mobile_supervisor", "cancel", mission_id=order)
 
 
 def test_several_goals_are_driven_to_one_after_the_other(drive: DriveOf) -> None:
@@ -98,7 +100,7 @@ def test_a_goal_where_no_robot_can_be_is_given_up_with_the_nearest_place(
 
     end = robot.await_end(60.0)
 
-    assert end.state == MoveStatus.FAILED
+    assert end.state == NavigationStatus.FAILED
     assert re.match(reason, end.reason), end.reason
     assert robot.collisions == []
     robot.go(1.5, 1.2)
@@ -108,7 +110,7 @@ def test_a_goal_where_no_robot_can_be_is_given_up_with_the_nearest_place(
 def test_what_is_no_goal_is_refused_and_the_order_under_way_goes_on(drive: DriveOf) -> None:
     robot = drive()
     robot.go(3.0, 1.2)
-    robot.await_state(MoveStatus.DRIVING)
+    robot.await_state(NavigationStatus.DRIVING)
 
     for goals, why in [
         ([[math.nan, 1.0, 0.0]], "must be finite"),
@@ -122,4 +124,4 @@ def test_what_is_no_goal_is_refused_and_the_order_under_way_goes_on(drive: Drive
     robot.go(7.0, 5.0, frame="odom")
 
     robot.arrives((3.0, 1.2))
-    assert len({status.order_id for status in robot.statuses}) == 1
+    assert len({status.mission_id for status in robot.statuses}) == 1

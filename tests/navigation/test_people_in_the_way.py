@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-from cairn.schemas.cairn_nav_msgs import MoveStatus
+from cairn.schemas.cairn_nav_msgs import NavigationStatus
 from tests.navigation.driving import Drive
 
 DriveOf = Callable[..., Drive]
@@ -28,5 +28,5 @@ def test_the_robot_gives_way_to_who_comes_out_of_a_dead_end(drive: DriveOf) -> N
     robot.go(8.3, 2.0)
     robot.arrives((8.3, 2.0))
 
-    recoveries = [one.reason for one in robot.statuses if one.state == MoveStatus.RECOVERING]
+    recoveries = [one.reason for one in robot.statuses if one.state == NavigationStatus.RECOVERING]
     assert any(reason.startswith("give way") for reason in recoveries)

@@ -12,7 +12,7 @@ from PIL import Image
 
 from cairn import SENSOR, CairnError
 from cairn.planar.poses import distance
-from cairn.schemas.cairn_nav_msgs import MotionStatus, MoveStatus
+from cairn.schemas.cairn_nav_msgs import MotionStatus, NavigationStatus
 from cairn.schemas.sensor_msgs import LaserScan
 from tests.navigation.deployed import taken
 from tests.navigation.driving import DEPLOY, STOPS_S, Drive
@@ -25,7 +25,7 @@ def test_a_silent_scanner_stops_the_robot_which_says_so_and_goes_on_when_it_is_b
 ) -> None:
     robot = drive()
     robot.go(7.0, 5.0)
-    robot.await_state(MoveStatus.DRIVING)
+    robot.await_state(NavigationStatus.DRIVING)
     robot.wait(4.0)
 
     robot.ask("mobile_supervisor", "unload", name="range_scanner")
@@ -41,12 +41,12 @@ def test_a_silent_scanner_stops_the_robot_which_says_so_and_goes_on_when_it_is_b
 def test_a_scanner_that_stays_silent_ends_the_order_with_its_name(drive: DriveOf) -> None:
     robot = drive()
     robot.go(7.0, 5.0)
-    robot.await_state(MoveStatus.DRIVING)
+    robot.await_state(NavigationStatus.DRIVING)
     robot.ask("mobile_supervisor", "unload", name="range_scanner")
 
     end = robot.await_end(40.0)
 
-    assert end.state == MoveStatus.FAILED
+    assert end.state == NavigationStatus.FAILED
     assert re.match(r"no scan for \d+\.\d+ s on /robot/scan", end.reason)
     assert robot.stands()
 
@@ -73,7 +73,7 @@ def test_scans_that_tell_nothing_stop_the_robot_before_what_it_cannot_see(
     relay(1.0)
     robot.go(7.0, 5.0)
     relay(4.0)
-    assert robot.states()[-1] == MoveStatus.DRIVING
+    assert robot.states()[-1] == NavigationStatus.DRIVING
     spoils = True
     relay(0.2)
     x, y, theta = robot.truth
@@ -82,7 +82,7 @@ def test_scans_that_tell_nothing_stop_the_robot_before_what_it_cannot_see(
     relay(6.0)
 
     assert robot.collisions == []
-    assert robot.statuses[-1].state != MoveStatus.SUCCEEDED
+    assert robot.statuses[-1].state != NavigationStatus.SUCCEEDED
     assert re.search(
         r"no scan( on /robot/scan)? that tells anything for", robot.statuses[-1].reason
     )
@@ -102,7 +102,7 @@ def test_a_silent_component_leaves_the_robot_standing_in_time(
 ) -> None:
     robot = drive()
     robot.go(6.6, 1.8)
-    robot.await_state(MoveStatus.DRIVING)
+    robot.await_state(NavigationStatus.DRIVING)
     robot.wait(3.0)
 
     robot.silence(component)
@@ -119,13 +119,13 @@ def test_a_plugin_that_begins_anew_on_the_way_does_not_end_the_order(
 ) -> None:
     robot = drive()
     robot.go(6.6, 1.8)
-    robot.await_state(MoveStatus.DRIVING)
+    robot.await_state(NavigationStatus.DRIVING)
     robot.wait(3.0)
 
     robot.ask("automove", "restart", name=component)
 
     robot.arrives((6.6, 1.8))
-    assert len({status.order_id for status in robot.statuses}) == 1
+    assert len({status.mission_id for status in robot.statuses}) == 1
 
 
 @pytest.mark.parametrize("component", ["base", "range_scanner", "automove"])
@@ -140,11 +140,11 @@ def test_a_component_below_the_supervisor_that_begins_anew_does_not_end_the_orde
     robot.ask("mobile_supervisor", "restart", name=component)
 
     robot.arrives((6.6, 1.8))
-    assert len({status.order_id for status in robot.statuses}) == 1
+    assert len({status.mission_id for status in robot.statuses}) == 1
     assert all(s.goal > 0 for s in robot.statuses if s.elapsed > 30.0)
 
 
-KEPT = "components.mobile_supervisor.parameters.state_file=${report}/order.json"
+KEPT = "components.mobile_supervisor.parameters.state_file=${report}/mission.json"
 
 
 def test_a_supervisor_that_begins_anew_goes_on_with_the_order_it_kept(drive: DriveOf) -> None:
@@ -155,8 +155,8 @@ def test_a_supervisor_that_begins_anew_goes_on_with_the_order_it_kept(drive: Dri
     robot.ask("root", "restart", name="mobile_supervisor")
 
     robot.arrives((6.6, 1.8))
-    assert {status.order_id for status in robot.statuses} == {order["order_id"]}
-    assert robot.ask("mobile_supervisor", "order")["resumed"] == 1
+    assert {status.mission_id for status in robot.statuses} == {order["mission_id"]}
+    assert robot.ask("mobile_supervisor", "mission")["resumed"] == 1
 
 
 def test_a_supervisor_that_finds_no_order_lets_the_robot_stand(
@@ -164,15 +164,15 @@ def test_a_supervisor_that_finds_no_order_lets_the_robot_stand(
 ) -> None:
     robot = drive(KEPT)
     robot.go(6.6, 1.8)
-    robot.await_state(MoveStatus.DRIVING)
+    robot.await_state(NavigationStatus.DRIVING)
     robot.wait(3.0)
-    (tmp_path / "order.json").unlink()
+    (tmp_path / "mission.json").unlink()
 
     robot.ask("root", "restart", name="mobile_supervisor")
 
     robot.wait(2.0)
     assert robot.stands()
-    assert robot.ask("mobile_supervisor", "order") is None
+    assert robot.ask("mobile_supervisor", "mission") is None
 
 
 AT_START = (
@@ -230,6 +230,6 @@ def test_a_map_that_is_none_fails_an_order_at_once_with_its_cause(
 
     end = robot.await_end(5.0)
 
-    assert end.state == MoveStatus.FAILED
+    assert end.state == NavigationStatus.FAILED
     assert end.reason.startswith("not all plugins can be loaded: map_builder: ")
     assert "nowhere.yaml" in end.reason

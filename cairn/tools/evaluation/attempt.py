@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from cairn import SECOND
 from cairn.planar.poses import Pose, distance, wrap
-from cairn.schemas.cairn_nav_msgs import MoveStatus
+from cairn.schemas.cairn_nav_msgs import NavigationStatus
 from cairn.tools.evaluation.results import GoalResult
 
 # So near the truth [m], [rad] a robot that was carried off has found itself.
@@ -25,17 +25,17 @@ class Tolerance:
 class Attempt:
     """A goal being driven to since `began_ns`; `shortest` [m] is the way to it.
 
-    `order_id` is the robot's number of it, None before it is known; `end` what the robot told last
-    of it.
+    `mission_id` is the robot's number of it, None before it is known; `end` is the robot's last
+    status of it.
     """
 
     goal: Pose
     began_ns: int
     shortest: float
-    order_id: int | None = None
+    mission_id: int | None = None
     driven: float = 0.0
     recoveries: int = 0
-    end: MoveStatus | None = None
+    end: NavigationStatus | None = None
     carried_ns: int | None = None
     found_ns: int | None = None
 
@@ -52,7 +52,7 @@ class Attempt:
         """What came of it, the robot being truly `here`; `given_up`: why it is not waited for."""
         error, turn = distance(here, self.goal), abs(wrap(here[2] - self.goal[2]))
         there = error <= tolerance.position and turn <= tolerance.heading
-        claimed = self.end is not None and self.end.state == MoveStatus.SUCCEEDED
+        claimed = self.end is not None and self.end.state == NavigationStatus.SUCCEEDED
         reason = given_up or (self.end.reason if self.end is not None else "")
         if claimed and not there:
             reason = f"said to be there, but was {error:.2f} m off and turned by {turn:.2f} rad"

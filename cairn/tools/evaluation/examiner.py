@@ -27,7 +27,12 @@ from cairn import (
 from cairn.planar.messages import planar_covariance, planar_pose, planar_poses, pose_message
 from cairn.planar.odometry import OdometryHistory
 from cairn.planar.poses import Pose, distance, wrap
-from cairn.schemas.cairn_nav_msgs import MOVE_ENDS, Collision, MoveOrder, MoveStatus
+from cairn.schemas.cairn_nav_msgs import (
+    NAVIGATION_END_STATES,
+    Collision,
+    NavigateGoal,
+    NavigationStatus,
+)
 from cairn.schemas.cairn_sim_msgs import Scene, WorldState
 from cairn.schemas.geometry_msgs import PoseStamped, PoseWithCovarianceStamped
 from cairn.schemas.std_msgs import Header
@@ -103,8 +108,8 @@ class NavigationExaminer(Component):
     world_state: In[WorldState] = In(qos=RELIABLE.with_depth(200), optional=True)
     truth: In[PoseStamped]
     pose: In[PoseWithCovarianceStamped]
-    order: In[MoveOrder] = In(qos=LATCHED)
-    move_status: In[MoveStatus] = In(qos=LATCHED.with_depth(20))
+    navigate_goal: In[NavigateGoal] = In(qos=LATCHED)
+    navigation_status: In[NavigationStatus] = In(qos=LATCHED.with_depth(20))
     collisions: In[Collision] = In(qos=RELIABLE.with_depth(100))
     goal_pose: Out[PoseStamped]
     kidnap: Out[PoseStamped]
@@ -175,8 +180,8 @@ class NavigationExaminer(Component):
             f"{collision.what} at ({collision.x:.2f}, {collision.y:.2f}), {collision.speed:.2f} m/s"
         )
 
-    @on("order")
-    def note_order(self, order: MoveOrder) -> None:
+    @on("navigate_goal")
+    def note_order(self, order: NavigateGoal) -> None:
         """Learn which number the goal under way has: a result of another one is not its result."""
         attempt = self._attempt
         goals = planar_poses(order.goals).tolist()
@@ -185,16 +190,16 @@ class NavigationExaminer(Component):
         (x, y, theta), goal = goals[0], attempt.goal
         off = max(abs(x - goal[0]), abs(y - goal[1]), abs(wrap(theta - goal[2])))
         if off < _SAME:
-            attempt.order_id = order.order_id
+            attempt.mission_id = order.mission_id
 
-    @on("move_status")
-    def judge(self, status: MoveStatus) -> None:
+    @on("navigation_status")
+    def judge(self, status: NavigationStatus) -> None:
         """Take the result of the order; it is judged by the next truth."""
         attempt = self._attempt
-        if attempt is None or status.order_id != attempt.order_id or attempt.end is not None:
+        if attempt is None or status.mission_id != attempt.mission_id or attempt.end is not None:
             return
         attempt.recoveries = status.recoveries
-        if status.state in MOVE_ENDS:
+        if status.state in NAVIGATION_END_STATES:
             attempt.end = status
 
     @every(hz=5)

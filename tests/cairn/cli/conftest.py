@@ -16,7 +16,7 @@ ROVER = """
         plugin: mobile_supervisor
         children:
           listener: {plugin: test_listener}
-          reader: {plugin: test_reader, load: on_order}
+          reader: {plugin: test_reader, load: on_request}
       beacon: {plugin: test_beacon}
       talker: {plugin: test_talker}
     """

@@ -12,8 +12,8 @@ from cairn.components.automove.seen import Seen
 from cairn.schemas.cairn_nav_msgs import (
     LocalizationHealth,
     MotionStatus,
-    Movement,
-    MoveStatus,
+    NavCommand,
+    NavigationStatus,
     Plan,
 )
 
@@ -30,10 +30,10 @@ class Journey:
         self.plan: dict[str, Any] | None = {"outcome": Plan.FOUND}
         self.motion: dict[str, Any] | None = {"state": MotionStatus.MOVING}
         self.course = Course(
-            order_id=1,
+            mission_id=1,
             goals=goals or ((3.0, 4.0, 0.0),),
             at=0,
-            next_leg=itertools.count(1).__next__,
+            next_goal_id=itertools.count(1).__next__,
             began_s=self.now,
             patience=Patience(**patience),
         )
@@ -46,14 +46,17 @@ class Journey:
             self.now += 0.1
             if self.health is not None:
                 self.seen.health, self.seen.health_s = self.health, self.now
-            leg = self.course.leg
+            goal_id = self.course.goal_id
             wanted = self.course.behavior
-            if self.plan is not None and wanted == Movement.FOLLOW:
-                self.seen.plan = Plan(leg=leg, **self.plan)
+            if self.plan is not None and wanted == NavCommand.FOLLOW:
+                self.seen.plan = Plan(goal_id=goal_id, **self.plan)
             if self.motion is not None:
                 standing = {"state": MotionStatus.STANDING}
-                given = standing if wanted == Movement.STAND else self.motion
-                self.seen.motion, self.seen.motion_s = MotionStatus(leg=leg, **given), self.now
+                given = standing if wanted == NavCommand.STAND else self.motion
+                self.seen.motion, self.seen.motion_s = (
+                    MotionStatus(goal_id=goal_id, **given),
+                    self.now,
+                )
             self.course.tick(self.now, self.seen)
             row = (self.course.state, self.course.behavior, self.course.reason)
             if not self.told or self.told[-1][:2] != row[:2]:
@@ -68,7 +71,7 @@ class Journey:
     @property
     def tried(self) -> list[int]:
         """The recoveries."""
-        return [what for state, what, _ in self.told if state == MoveStatus.RECOVERING]
+        return [what for state, what, _ in self.told if state == NavigationStatus.RECOVERING]
 
 
 class Way(Journey):
@@ -97,7 +100,7 @@ class Way(Journey):
             self.drive(0.1, lambda now_left: now_left <= left)
 
     def _moved(self, wanted: int, blocked: Callable[[float], bool]) -> dict[str, Any]:
-        if wanted == Movement.BACK_OFF and self._back < self.BACK_OFF:
+        if wanted == NavCommand.BACK_OFF and self._back < self.BACK_OFF:
             self._back += 0.02
             self.left += 0.02
             return {"state": MotionStatus.MOVING}
@@ -108,7 +111,7 @@ class Way(Journey):
         self._back = 0.0
         if self.course.instead is not None:
             return {"state": MotionStatus.DONE}
-        if wanted != Movement.FOLLOW or self.left <= 0.0:
+        if wanted != NavCommand.FOLLOW or self.left <= 0.0:
             return {"state": MotionStatus.DONE}
         if blocked(self.left):
             state = MotionStatus.BLOCKED

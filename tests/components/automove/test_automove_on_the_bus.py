@@ -12,9 +12,9 @@ from cairn.planar.messages import packed_poses, planar_pose, pose_message
 from cairn.schemas.cairn_nav_msgs import (
     LocalizationHealth,
     MotionStatus,
-    Movement,
-    MoveOrder,
-    MoveStatus,
+    NavCommand,
+    NavigateGoal,
+    NavigationStatus,
     Plan,
 )
 from cairn.schemas.geometry_msgs import PoseWithCovariance, PoseWithCovarianceStamped
@@ -27,8 +27,8 @@ components:
   automove:
     plugin: automove
     children:
-      beacon: {plugin: test_beacon, load: on_order}
-      talker: {plugin: test_talker, load: on_order, parameters: {words: 1000000}}
+      beacon: {plugin: test_beacon, load: on_request}
+      talker: {plugin: test_talker, load: on_request, parameters: {words: 1000000}}
 """
 BROKEN = """
 cairn: 1
@@ -37,7 +37,7 @@ components:
   automove:
     plugin: automove
     children:
-      base: {plugin: test_faulty, load: on_order, parameters: {fault: raise, where: on_activate}}
+      base: {plugin: test_faulty, load: on_request, parameters: {fault: raise, where: on_activate}}
 """
 DeployedOf = Callable[..., Deployed]
 
@@ -57,34 +57,34 @@ def deployed(tmp_path: Path) -> Iterator[DeployedOf]:
         one.end()
 
 
-def order(number: int, *goals: tuple[float, float, float], first: int = 0) -> MoveOrder:
+def order(number: int, *goals: tuple[float, float, float], first: int = 0) -> NavigateGoal:
     rows = np.array(goals, np.float64).reshape(-1, 3)
-    return MoveOrder(order_id=number, first=first, goals=packed_poses(rows))
+    return NavigateGoal(mission_id=number, first=first, goals=packed_poses(rows))
 
 
 def test_an_order_loads_the_plugins_in_turn_and_tells_which(deployed: DeployedOf) -> None:
     robot = deployed(PLUGINS)
-    statuses = robot.read("move_status", MoveStatus)
+    statuses = robot.read("navigation_status", NavigationStatus)
     robot.wait(1.0)
     assert taken(statuses) == []
 
-    robot.publish("order", order(7, (1.0, 2.0, 0.5)), LATCHED)
+    robot.publish("navigate_goal", order(7, (1.0, 2.0, 0.5)), LATCHED)
     told = taken(statuses)
-    assert [(s.order_id, s.state, s.reason) for s in told] == [
-        (7, MoveStatus.LOADING, "beacon"),
-        (7, MoveStatus.LOADING, "talker"),
-        (7, MoveStatus.LOCALIZING, ""),
-        (7, MoveStatus.LOCALIZING, "the localizer has told nothing yet"),
+    assert [(s.mission_id, s.state, s.reason) for s in told] == [
+        (7, NavigationStatus.LOADING, "beacon"),
+        (7, NavigationStatus.LOADING, "talker"),
+        (7, NavigationStatus.LOCALIZING, ""),
+        (7, NavigationStatus.LOCALIZING, "the localizer has told nothing yet"),
     ]
 
 
 def test_plugins_that_cannot_be_loaded_end_the_order_with_the_cause(deployed: DeployedOf) -> None:
     robot = deployed(BROKEN)
-    statuses = robot.read("move_status", MoveStatus)
+    statuses = robot.read("navigation_status", NavigationStatus)
     for number in (1, 2):
-        robot.publish("order", order(number, (1.0, 2.0, 0.5)), LATCHED)
+        robot.publish("navigate_goal", order(number, (1.0, 2.0, 0.5)), LATCHED)
         last = taken(statuses)[-1]
-        assert (last.order_id, last.state) == (number, MoveStatus.FAILED)
+        assert (last.mission_id, last.state) == (number, NavigationStatus.FAILED)
         assert last.reason == (
             "not all plugins can be loaded: base: activate failed: ValueError: broken on purpose"
         )
@@ -93,48 +93,53 @@ def test_plugins_that_cannot_be_loaded_end_the_order_with_the_cause(deployed: De
 
 def test_what_is_wanted_is_told_on_change_and_twice_a_second(deployed: DeployedOf) -> None:
     robot = deployed(PLUGINS)
-    movements, statuses = robot.read("movement", Movement), robot.read("move_status", MoveStatus)
+    nav_commands, statuses = (
+        robot.read("nav_command", NavCommand),
+        robot.read("navigation_status", NavigationStatus),
+    )
     robot.publish("localization_health", LocalizationHealth(located=True, health=0.9))
-    robot.publish("order", order(1, (1.0, 2.0, 0.5), (3.0, 4.0, 0.0), first=1), LATCHED)
+    robot.publish("navigate_goal", order(1, (1.0, 2.0, 0.5), (3.0, 4.0, 0.0), first=1), LATCHED)
     robot.wait(0.1)
-    wanted = taken(movements)[-1]
-    assert wanted.behavior == Movement.FOLLOW
+    wanted = taken(nav_commands)[-1]
+    assert wanted.behavior == NavCommand.FOLLOW
     assert planar_pose(wanted.goal) == pytest.approx((3.0, 4.0, 0.0))
     assert (wanted.position_tolerance, wanted.heading_tolerance) == (0.1, 0.1)
 
-    robot.publish("plan", Plan(leg=wanted.leg), LATCHED)
+    robot.publish("plan", Plan(goal_id=wanted.goal_id), LATCHED)
     robot.publish(
         "motion_status",
-        MotionStatus(leg=wanted.leg, state=MotionStatus.MOVING, distance_left=2.0),
+        MotionStatus(goal_id=wanted.goal_id, state=MotionStatus.MOVING, distance_left=2.0),
     )
     robot.wait(1.0)
-    assert 2 <= len(taken(movements)) <= 4
+    assert 2 <= len(taken(nav_commands)) <= 4
     told = taken(statuses)[-1]
-    assert (told.state, told.goal, told.goals) == (MoveStatus.DRIVING, 1, 2)
+    assert (told.state, told.goal, told.goals) == (NavigationStatus.DRIVING, 1, 2)
     assert (told.distance_left, told.time_left) == (2.0, 5.0)
     assert told.elapsed == pytest.approx(1.1, abs=0.5)
 
-    robot.publish("motion_status", MotionStatus(leg=wanted.leg, state=MotionStatus.DONE))
-    assert taken(statuses)[-1].state == MoveStatus.SUCCEEDED
-    assert taken(movements)[-1].behavior == Movement.STAND
+    robot.publish("motion_status", MotionStatus(goal_id=wanted.goal_id, state=MotionStatus.DONE))
+    assert taken(statuses)[-1].state == NavigationStatus.SUCCEEDED
+    assert taken(nav_commands)[-1].behavior == NavCommand.STAND
 
 
 def test_where_to_give_way_is_wanted_of_the_planner(deployed: DeployedOf) -> None:
     robot = deployed(PLUGINS)
-    movements = robot.read("movement", Movement)
+    nav_commands = robot.read("nav_command", NavCommand)
     for x in range(11):
         pose = PoseWithCovariance(pose=pose_message((0.2 * x, 0.0, 0.0)))
         robot.publish("pose", PoseWithCovarianceStamped(pose=pose))
     robot.publish("localization_health", LocalizationHealth(located=True, health=0.9))
-    robot.publish("order", order(1, (4.0, 0.0, 0.5)), LATCHED)
+    robot.publish("navigate_goal", order(1, (4.0, 0.0, 0.5)), LATCHED)
 
     goals = []
     for _ in range(120):
         robot.publish("localization_health", LocalizationHealth(located=True, health=0.9))
-        for wanted in taken(movements):
-            if wanted.behavior == Movement.FOLLOW:
+        for wanted in taken(nav_commands):
+            if wanted.behavior == NavCommand.FOLLOW:
                 goals.append(planar_pose(wanted.goal)[0])
-                robot.publish("plan", Plan(leg=wanted.leg, outcome=Plan.GOAL_BLOCKED), LATCHED)
+                robot.publish(
+                    "plan", Plan(goal_id=wanted.goal_id, outcome=Plan.GOAL_BLOCKED), LATCHED
+                )
         robot.wait(0.1)
 
     assert goals[0] == pytest.approx(4.0)
@@ -144,39 +149,46 @@ def test_where_to_give_way_is_wanted_of_the_planner(deployed: DeployedOf) -> Non
 @pytest.mark.parametrize(
     ("sets", "state"),
     [
-        ((), MoveStatus.SUCCEEDED),
-        (("components.automove.parameters.sure_health=0.8",), MoveStatus.RECOVERING),
+        ((), NavigationStatus.SUCCEEDED),
+        (("components.automove.parameters.sure_health=0.8",), NavigationStatus.RECOVERING),
     ],
 )
 def test_how_sure_a_robot_at_its_goal_must_be_is_configured(
     deployed: DeployedOf, sets: tuple[str, ...], state: int
 ) -> None:
     robot = deployed(PLUGINS, *sets)
-    statuses, movements = robot.read("move_status", MoveStatus), robot.read("movement", Movement)
+    statuses, nav_commands = (
+        robot.read("navigation_status", NavigationStatus),
+        robot.read("nav_command", NavCommand),
+    )
     robot.publish("localization_health", LocalizationHealth(located=True, health=0.7))
-    robot.publish("order", order(1, (1.0, 2.0, 0.5)), LATCHED)
+    robot.publish("navigate_goal", order(1, (1.0, 2.0, 0.5)), LATCHED)
     robot.wait(0.1)
-    leg = taken(movements)[-1].leg
-    robot.publish("plan", Plan(leg=leg), LATCHED)
+    goal_id = taken(nav_commands)[-1].goal_id
+    robot.publish("plan", Plan(goal_id=goal_id), LATCHED)
     robot.wait(0.2)
 
-    robot.publish("motion_status", MotionStatus(leg=leg, state=MotionStatus.DONE))
+    robot.publish("motion_status", MotionStatus(goal_id=goal_id, state=MotionStatus.DONE))
 
     assert taken(statuses)[-1].state == state
 
 
 def test_an_age_that_grows_within_a_reason_is_no_news(deployed: DeployedOf) -> None:
     robot = deployed(PLUGINS)
-    statuses, movements = robot.read("move_status", MoveStatus), robot.read("movement", Movement)
+    statuses, nav_commands = (
+        robot.read("navigation_status", NavigationStatus),
+        robot.read("nav_command", NavCommand),
+    )
     robot.publish("localization_health", LocalizationHealth(located=True, health=0.9))
-    robot.publish("order", order(1, (1.0, 2.0, 0.5)), LATCHED)
+    robot.publish("navigate_goal", order(1, (1.0, 2.0, 0.5)), LATCHED)
     robot.wait(0.1)
-    leg = taken(movements)[-1].leg
-    robot.publish("plan", Plan(leg=leg), LATCHED)
+    goal_id = taken(nav_commands)[-1].goal_id
+    robot.publish("plan", Plan(goal_id=goal_id), LATCHED)
     for tenths in range(6, 26):
         reason = f"no scan for {tenths / 10:.1f} s on /robot/scan"
         robot.publish(
-            "motion_status", MotionStatus(leg=leg, state=MotionStatus.STOPPED, reason=reason)
+            "motion_status",
+            MotionStatus(goal_id=goal_id, state=MotionStatus.STOPPED, reason=reason),
         )
         robot.wait(0.1)
     assert len(taken(statuses)) < 12
@@ -184,30 +196,33 @@ def test_an_age_that_grows_within_a_reason_is_no_news(deployed: DeployedOf) -> N
 
 def test_a_new_order_pre_empts_and_one_without_goals_takes_back(deployed: DeployedOf) -> None:
     robot = deployed(PLUGINS)
-    statuses, movements = robot.read("move_status", MoveStatus), robot.read("movement", Movement)
-    robot.publish("order", order(1, (1.0, 2.0, 0.5)), LATCHED)
-    robot.publish("order", order(2, (3.0, 4.0, 0.5)), LATCHED)
-    robot.publish("order", order(2, (3.0, 4.0, 0.5)), LATCHED)  # told again: nothing new
+    statuses, nav_commands = (
+        robot.read("navigation_status", NavigationStatus),
+        robot.read("nav_command", NavCommand),
+    )
+    robot.publish("navigate_goal", order(1, (1.0, 2.0, 0.5)), LATCHED)
+    robot.publish("navigate_goal", order(2, (3.0, 4.0, 0.5)), LATCHED)
+    robot.publish("navigate_goal", order(2, (3.0, 4.0, 0.5)), LATCHED)  # told again: nothing new
     robot.wait(0.2)
-    assert taken(statuses)[-1].order_id == 2
-    legs = len({movement.leg for movement in taken(movements)})
+    assert taken(statuses)[-1].mission_id == 2
+    goal_ids = len({nav_command.goal_id for nav_command in taken(nav_commands)})
 
-    robot.publish("order", order(1), LATCHED)  # of an order that is over: no matter
+    robot.publish("navigate_goal", order(1), LATCHED)  # of an order that is over: no matter
     robot.wait(0.2)
     assert taken(statuses) == []
-    robot.publish("order", order(2), LATCHED)
+    robot.publish("navigate_goal", order(2), LATCHED)
 
     last = taken(statuses)[-1]
-    assert (last.order_id, last.state) == (2, MoveStatus.CANCELLED)
-    stand = taken(movements)[-1]
-    assert stand.behavior == Movement.STAND
-    assert legs == 2
+    assert (last.mission_id, last.state) == (2, NavigationStatus.CANCELED)
+    stand = taken(nav_commands)[-1]
+    assert stand.behavior == NavCommand.STAND
+    assert goal_ids == 2
 
 
 def test_an_order_that_is_over_is_nothing_to_do(deployed: DeployedOf) -> None:
     robot = deployed(PLUGINS)
-    statuses = robot.read("move_status", MoveStatus)
-    robot.publish("order", order(9), LATCHED)
-    robot.publish("order", order(10, (1.0, 1.0, 0.0), first=1), LATCHED)
+    statuses = robot.read("navigation_status", NavigationStatus)
+    robot.publish("navigate_goal", order(9), LATCHED)
+    robot.publish("navigate_goal", order(10, (1.0, 1.0, 0.0), first=1), LATCHED)
     robot.wait(1.0)
     assert taken(statuses) == []

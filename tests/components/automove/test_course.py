@@ -12,8 +12,8 @@ from cairn.components.automove.seen import Seen
 from cairn.schemas.cairn_nav_msgs import (
     LocalizationHealth,
     MotionStatus,
-    Movement,
-    MoveStatus,
+    NavCommand,
+    NavigationStatus,
     Plan,
 )
 from tests.components.automove.journey import SURE, Journey
@@ -23,37 +23,37 @@ LOST = LocalizationHealth(located=True, health=0.1, reason="the map explains 20%
 
 def test_it_plans_and_drives_once_the_robot_is_located_and_ends_when_motion_is_done() -> None:
     journey = Journey().run(1.0)
-    assert journey.states == [MoveStatus.PLANNING, MoveStatus.DRIVING]
-    assert journey.course.behavior == Movement.FOLLOW
+    assert journey.states == [NavigationStatus.PLANNING, NavigationStatus.DRIVING]
+    assert journey.course.behavior == NavCommand.FOLLOW
 
     journey.motion = {"state": MotionStatus.DONE}
     journey.run(0.1)
 
-    assert journey.course.state == MoveStatus.SUCCEEDED
+    assert journey.course.state == NavigationStatus.SUCCEEDED
     assert journey.course.reason == "arrived at (3.00, 4.00)"
-    assert journey.course.behavior == Movement.STAND
+    assert journey.course.behavior == NavCommand.STAND
     assert journey.course.over
 
 
 def test_every_want_has_a_leg_of_its_own_and_old_answers_change_nothing() -> None:
     journey = Journey((1.0, 0.0, 0.0), (2.0, 0.0, 0.0)).run(1.0)
-    first = journey.course.leg
+    first = journey.course.goal_id
     journey.motion = {"state": MotionStatus.DONE}
     journey.run(0.1)
-    assert (journey.course.at, journey.course.state) == (1, MoveStatus.PLANNING)
-    assert journey.course.leg != first
+    assert (journey.course.at, journey.course.state) == (1, NavigationStatus.PLANNING)
+    assert journey.course.goal_id != first
 
     journey.course.tick(journey.now, journey.seen)  # plan and motion are still those of before
 
-    assert (journey.course.at, journey.course.state) == (1, MoveStatus.PLANNING)
+    assert (journey.course.at, journey.course.state) == (1, NavigationStatus.PLANNING)
 
 
 def test_a_course_begins_with_the_goal_that_it_is_told() -> None:
     course = Course(
-        order_id=1,
+        mission_id=1,
         goals=((1.0, 0.0, 0.0), (2.0, 0.0, 0.0)),
         at=1,
-        next_leg=itertools.count(1).__next__,
+        next_goal_id=itertools.count(1).__next__,
         began_s=0.0,
     )
     assert course.goal == (2.0, 0.0, 0.0)
@@ -64,8 +64,8 @@ def test_nothing_moves_before_the_robot_is_located(health: LocalizationHealth | 
     journey = Journey()
     journey.health = health
     journey.run(1.5)
-    assert journey.course.state == MoveStatus.LOCALIZING
-    assert journey.course.behavior == Movement.STAND
+    assert journey.course.state == NavigationStatus.LOCALIZING
+    assert journey.course.behavior == NavCommand.STAND
     assert journey.course.reason in (LOST.reason, "the localizer has told nothing yet")
 
 
@@ -73,14 +73,16 @@ def test_a_silent_localizer_is_not_looked_for_by_driving() -> None:
     journey = Journey(stopped_s=5.0)
     journey.health = None
     journey.run(6.0)
-    assert journey.states == [MoveStatus.LOCALIZING, MoveStatus.FAILED]
+    assert journey.states == [NavigationStatus.LOCALIZING, NavigationStatus.FAILED]
     assert journey.course.reason == "the localizer has told nothing yet"
 
     journey = Journey()
     journey.run(1.0)
     journey.health = None
     journey.run(1.5)
-    assert journey.course.state == MoveStatus.DRIVING  # motion control stops by itself, and says so
+    assert (
+        journey.course.state == NavigationStatus.DRIVING
+    )  # motion control stops by itself, and says so
 
 
 def test_a_lost_robot_stands_then_looks_for_itself_in_turn_and_gives_up() -> None:
@@ -88,15 +90,15 @@ def test_a_lost_robot_stands_then_looks_for_itself_in_turn_and_gives_up() -> Non
     journey.health = LOST
     journey.run(2.0)
     assert (journey.course.state, journey.course.behavior) == (
-        MoveStatus.LOCALIZING,
-        Movement.STAND,
+        NavigationStatus.LOCALIZING,
+        NavCommand.STAND,
     )
 
     journey.run(600.0)
 
-    look, explore = Movement.LOOK_AROUND, Movement.EXPLORE
-    assert journey.tried == 2 * [Movement.STAND, look, explore, look, explore, look]
-    assert journey.course.state == MoveStatus.FAILED
+    look, explore = NavCommand.LOOK_AROUND, NavCommand.EXPLORE
+    assert journey.tried == 2 * [NavCommand.STAND, look, explore, look, explore, look]
+    assert journey.course.state == NavigationStatus.FAILED
     assert journey.course.reason == "the map explains 20% of the scan (after 12 recoveries)"
     assert journey.course.recoveries == 12
 
@@ -108,7 +110,7 @@ def test_who_explores_in_vain_goes_twice_as_far_the_next_time() -> None:
     far = []
     for _ in range(400):
         journey.run(1.0)
-        if journey.course.behavior == Movement.EXPLORE and journey.course.explores_m not in far:
+        if journey.course.behavior == NavCommand.EXPLORE and journey.course.explores_m not in far:
             far.append(journey.course.explores_m)
 
     assert far == [2.0, 4.0, 8.0]
@@ -118,12 +120,12 @@ def test_a_robot_that_finds_itself_stops_looking_and_drives_on() -> None:
     journey = Journey().run(1.0)
     journey.health = LOST
     journey.run(10.0)
-    assert journey.course.behavior == Movement.LOOK_AROUND
+    assert journey.course.behavior == NavCommand.LOOK_AROUND
 
     journey.health = SURE
     journey.run(2.0)
 
-    assert journey.course.state == MoveStatus.DRIVING
+    assert journey.course.state == NavigationStatus.DRIVING
 
 
 def test_a_short_doubt_does_not_stop_it() -> None:
@@ -132,22 +134,22 @@ def test_a_short_doubt_does_not_stop_it() -> None:
     journey.run(0.8)
     journey.health = SURE
     journey.run(1.0)
-    assert journey.states == [MoveStatus.PLANNING, MoveStatus.DRIVING]
+    assert journey.states == [NavigationStatus.PLANNING, NavigationStatus.DRIVING]
 
 
 def test_what_blocks_it_is_waited_for_then_driven_around_and_progress_counts_anew() -> None:
     journey = Journey().run(1.0)
     journey.motion = {"state": MotionStatus.BLOCKED, "reason": "a wall", "distance_left": 4.0}
     journey.run(2.5)
-    assert (journey.course.state, journey.course.reason) == (MoveStatus.DRIVING, "a wall")
+    assert (journey.course.state, journey.course.reason) == (NavigationStatus.DRIVING, "a wall")
     journey.run(10.0)
-    assert journey.tried[0] == Movement.STAND
+    assert journey.tried[0] == NavCommand.STAND
     assert journey.course.recoveries > 1
 
     for left in (4.0, 3.5):
         journey.motion = {"state": MotionStatus.MOVING, "distance_left": left}
         journey.run(6.0)
-    assert journey.course.state == MoveStatus.DRIVING
+    assert journey.course.state == NavigationStatus.DRIVING
     journey.motion = {"state": MotionStatus.BLOCKED, "reason": "a wall", "distance_left": 3.5}
     journey.run(3.2)
     assert journey.course.reason == "wait (1 of 6): a wall"
@@ -158,12 +160,12 @@ def test_it_gives_up_after_all_recoveries_and_tells_why() -> None:
     journey.motion = {"state": MotionStatus.BLOCKED, "reason": "a wall"}
     journey.run(200.0)
     assert journey.tried == [
-        Movement.STAND,
-        Movement.LOOK_AROUND,
-        Movement.BACK_OFF,
-        Movement.STAND,
-        Movement.LOOK_AROUND,
-        Movement.STAND,
+        NavCommand.STAND,
+        NavCommand.LOOK_AROUND,
+        NavCommand.BACK_OFF,
+        NavCommand.STAND,
+        NavCommand.LOOK_AROUND,
+        NavCommand.STAND,
     ]
     assert journey.course.reason == "a wall (after 6 recoveries)"
 
@@ -172,14 +174,14 @@ def test_without_recoveries_it_gives_up_at_once() -> None:
     journey = Journey(recoveries=0).run(1.0)
     journey.motion = {"state": MotionStatus.BLOCKED, "reason": "a wall"}
     journey.run(3.5)
-    assert (journey.course.state, journey.course.reason) == (MoveStatus.FAILED, "a wall")
+    assert (journey.course.state, journey.course.reason) == (NavigationStatus.FAILED, "a wall")
 
 
 def test_a_robot_that_moves_but_gets_no_nearer_recovers() -> None:
     journey = Journey().run(1.0)
     journey.motion = {"state": MotionStatus.MOVING, "distance_left": 2.0}
     journey.run(21.0)
-    assert journey.course.state == MoveStatus.RECOVERING
+    assert journey.course.state == NavigationStatus.RECOVERING
     assert journey.course.reason == "wait (1 of 6): the robot moves but gets no nearer"
 
 
@@ -196,7 +198,7 @@ def test_no_path_is_waited_for_and_then_told_in_the_planners_words(
     assert journey.course.reason == "no path: the goal is in a wall"
     journey.run(200.0)
     assert len(journey.tried) == tries
-    assert journey.course.state == MoveStatus.FAILED
+    assert journey.course.state == NavigationStatus.FAILED
     assert journey.course.reason == f"no path: the goal is in a wall (after {tries} recoveries)"
 
 
@@ -204,7 +206,7 @@ def test_a_goal_outside_the_map_is_given_up_at_once() -> None:
     journey = Journey()
     journey.plan = {"outcome": Plan.OUTSIDE_MAP, "reason": "the goal is outside the map"}
     journey.run(0.3)
-    assert journey.states == [MoveStatus.PLANNING, MoveStatus.FAILED]
+    assert journey.states == [NavigationStatus.PLANNING, NavigationStatus.FAILED]
     assert journey.course.reason == "no path: the goal is outside the map"
 
 
@@ -213,13 +215,13 @@ def test_a_robot_that_seems_to_be_outside_the_map_recovers_and_drives_on() -> No
     outside = "the robot at (-0.10, 3.00) is outside the map"
     journey.plan = {"outcome": Plan.START_BLOCKED, "reason": outside}
     journey.run(5.0)
-    assert journey.course.state == MoveStatus.RECOVERING
+    assert journey.course.state == NavigationStatus.RECOVERING
     assert journey.course.reason == f"wait (1 of 6): no path: {outside}"
 
     journey.plan = {"outcome": Plan.FOUND}
     journey.run(5.0)
 
-    assert journey.course.state == MoveStatus.DRIVING
+    assert journey.course.state == NavigationStatus.DRIVING
 
 
 def test_a_planner_that_gives_no_answer_is_told_of() -> None:
@@ -233,16 +235,16 @@ def test_a_missing_input_is_waited_for_and_then_named() -> None:
     journey = Journey(stopped_s=5.0).run(1.0)
     journey.motion = {"state": MotionStatus.STOPPED, "reason": "no scan for 0.6 s on /robot/scan"}
     journey.run(4.0)
-    assert journey.course.state == MoveStatus.DRIVING
+    assert journey.course.state == NavigationStatus.DRIVING
     assert journey.course.reason == "no scan for 0.6 s on /robot/scan"
 
     journey.motion = {"state": MotionStatus.MOVING}
     journey.run(1.0)
-    assert (journey.course.state, journey.course.reason) == (MoveStatus.DRIVING, "")
+    assert (journey.course.state, journey.course.reason) == (NavigationStatus.DRIVING, "")
 
     journey.motion = {"state": MotionStatus.STOPPED, "reason": "no scan for 0.6 s on /robot/scan"}
     journey.run(5.5)
-    assert journey.course.state == MoveStatus.FAILED
+    assert journey.course.state == NavigationStatus.FAILED
     assert journey.course.reason == "no scan for 0.6 s on /robot/scan"
 
 
@@ -254,27 +256,27 @@ def test_an_input_missing_while_it_recovers_is_named_too() -> None:
     journey.run(1.0)
     assert journey.course.reason == "no odom for 0.6 s on /robot/odom"
     journey.run(5.0)
-    assert journey.course.state == MoveStatus.FAILED
+    assert journey.course.state == NavigationStatus.FAILED
 
 
 def test_a_silent_motion_control_is_told_with_the_time_it_has_been_silent() -> None:
     journey = Journey(stopped_s=5.0).run(1.0)
     journey.motion = None
     journey.run(3.0)
-    assert journey.course.state == MoveStatus.DRIVING
+    assert journey.course.state == NavigationStatus.DRIVING
     assert journey.course.reason == "nothing was heard of motion control for 3.0 s"
     journey.run(5.0)
-    assert journey.course.state == MoveStatus.FAILED
+    assert journey.course.state == NavigationStatus.FAILED
 
 
 def test_a_canceled_course_stands_and_stays_so() -> None:
     journey = Journey().run(1.0)
-    leg = journey.course.leg
+    goal_id = journey.course.goal_id
     journey.course.cancel()
     journey.run(1.0)
-    assert journey.course.state == MoveStatus.CANCELLED
-    assert journey.course.behavior == Movement.STAND
-    assert journey.course.leg != leg
+    assert journey.course.state == NavigationStatus.CANCELED
+    assert journey.course.behavior == NavCommand.STAND
+    assert journey.course.goal_id != goal_id
 
 
 def test_the_distance_left_is_along_the_path_where_one_is_followed() -> None:
@@ -295,6 +297,6 @@ def test_a_goal_is_not_reached_by_a_robot_that_is_not_sure_where_it_is() -> None
     journey.health = LocalizationHealth(located=True, health=0.45, reason="found but now")
     journey.motion = {"state": MotionStatus.DONE}
     journey.run(0.1)
-    assert journey.course.state == MoveStatus.RECOVERING
-    assert journey.course.behavior == Movement.LOOK_AROUND
+    assert journey.course.state == NavigationStatus.RECOVERING
+    assert journey.course.behavior == NavCommand.LOOK_AROUND
     assert "found but now" in journey.course.reason

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from cairn.schemas.cairn_nav_msgs import MotionStatus, MoveStatus
+from cairn.schemas.cairn_nav_msgs import MotionStatus, NavigationStatus
 from tests.components.automove.journey import Way
 
 
 def test_what_a_recovery_undid_and_is_driven_again_is_no_progress() -> None:
     way = Way(10.0).drive(3600.0, blocked=lambda left: left <= 9.0)
 
-    assert way.course.state == MoveStatus.FAILED
+    assert way.course.state == NavigationStatus.FAILED
     assert way.course.reason == "a wall (after 6 recoveries)"
     assert way.course.recoveries == 6
 
@@ -19,7 +19,7 @@ def test_progress_that_never_ends_at_the_goal_is_given_up_too() -> None:
     for left in range(99, 0, -1):
         way.drive_until_blocked_at(left)
 
-    assert way.course.state == MoveStatus.FAILED
+    assert way.course.state == NavigationStatus.FAILED
     assert way.course.reason == (
         "a wall (after 20 recoveries on the way to this goal, the most allowed)"
     )
@@ -36,7 +36,7 @@ def test_every_goal_has_recoveries_of_its_own() -> None:
         while way.course.at == number:
             way.drive(0.1)
 
-    assert way.course.state == MoveStatus.SUCCEEDED
+    assert way.course.state == NavigationStatus.SUCCEEDED
 
 
 def test_a_long_way_around_what_is_in_the_way_is_progress() -> None:
@@ -49,7 +49,7 @@ def test_a_long_way_around_what_is_in_the_way_is_progress() -> None:
         way.drive_until_blocked_at(left)
     way.drive(60.0)
 
-    assert way.course.state == MoveStatus.SUCCEEDED
+    assert way.course.state == NavigationStatus.SUCCEEDED
     assert way.course.recoveries == 5
 
 
@@ -60,7 +60,7 @@ def test_a_robot_that_takes_a_long_way_around_is_not_stuck() -> None:
     way.left = 30.0  # planned anew on the way
     way.drive(100.0)
 
-    assert way.course.state == MoveStatus.SUCCEEDED
+    assert way.course.state == NavigationStatus.SUCCEEDED
     assert way.course.recoveries == 0
 
 
@@ -72,7 +72,7 @@ def test_a_robot_sent_to_and_fro_between_two_blocked_ways_gives_up() -> None:
         way.left = 20.0
         way.drive(30.0, blocked=lambda left: left <= 16.0)
 
-    assert way.course.state == MoveStatus.FAILED
+    assert way.course.state == NavigationStatus.FAILED
     assert way.course.recoveries <= 30
 
 
@@ -83,7 +83,7 @@ def test_a_robot_whose_way_changes_for_ever_while_it_moves_gives_up() -> None:
             way.left = length
             way.drive(5.0)
 
-    assert way.course.state == MoveStatus.FAILED
+    assert way.course.state == NavigationStatus.FAILED
     assert way.course.reason == "the robot moves but gets no nearer (after 6 recoveries)"
     assert way.motion is not None
     assert way.motion["state"] != MotionStatus.BLOCKED

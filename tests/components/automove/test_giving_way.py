@@ -11,8 +11,8 @@ from cairn.planar.poses import Pose
 from cairn.schemas.cairn_nav_msgs import (
     LocalizationHealth,
     MotionStatus,
-    Movement,
-    MoveStatus,
+    NavCommand,
+    NavigationStatus,
     Plan,
 )
 from tests.components.automove.journey import Journey, Way
@@ -41,8 +41,8 @@ def gives_way(**more: object) -> Journey:
 
 def test_it_goes_back_along_its_way_waits_there_and_plans_to_its_goal_anew() -> None:
     journey = gives_way()
-    assert journey.tried == [Movement.STAND, Movement.FOLLOW]
-    assert journey.course.behavior == Movement.FOLLOW
+    assert journey.tried == [NavCommand.STAND, NavCommand.FOLLOW]
+    assert journey.course.behavior == NavCommand.FOLLOW
     x, y, theta = journey.course.target
     assert (x, y) == pytest.approx((8 * STEP, 0.0))
     assert theta == pytest.approx(math.atan2(4.0, 3.0 - x))  # it watches its goal from there
@@ -50,21 +50,21 @@ def test_it_goes_back_along_its_way_waits_there_and_plans_to_its_goal_anew() -> 
     assert journey.course.reason == "give way (2 of 4): no path: somebody is there"
 
     journey.run(4.0)
-    assert journey.course.behavior == Movement.FOLLOW
+    assert journey.course.behavior == NavCommand.FOLLOW
     journey.motion = {"state": MotionStatus.DONE}
     journey.run(0.1)
     assert (journey.course.state, journey.course.behavior) == (
-        MoveStatus.RECOVERING,
-        Movement.STAND,
+        NavigationStatus.RECOVERING,
+        NavCommand.STAND,
     )
     assert journey.course.target == journey.course.goal
     journey.motion = {"state": MotionStatus.MOVING}
     journey.run(3.5)
-    assert journey.course.behavior == Movement.STAND
+    assert journey.course.behavior == NavCommand.STAND
 
     journey.run(1.0)
 
-    assert (journey.course.state, journey.course.recoveries) == (MoveStatus.DRIVING, 2)
+    assert (journey.course.state, journey.course.recoveries) == (NavigationStatus.DRIVING, 2)
     assert journey.course.target == (3.0, 4.0, 0.0)
 
 
@@ -84,24 +84,24 @@ def test_it_waits_where_it_is_when_it_cannot_get_back_soon(there: dict[str, obje
 
     journey.run(1.5)
 
-    assert journey.course.state == MoveStatus.RECOVERING
-    assert journey.course.behavior == Movement.STAND
+    assert journey.course.state == NavigationStatus.RECOVERING
+    assert journey.course.behavior == NavCommand.STAND
     assert journey.course.reason.startswith("give way (2 of 4)")
 
 
 def test_a_way_back_that_never_ends_is_given_up() -> None:
     journey = gives_way()
     journey.run(31.0)
-    assert journey.course.behavior == Movement.STAND
+    assert journey.course.behavior == NavCommand.STAND
 
 
 def test_a_robot_that_came_from_nowhere_waits_instead() -> None:
     journey = Journey()
     journey.plan = NO_WAY
     journey.run(200.0)
-    stand, look = Movement.STAND, Movement.LOOK_AROUND
+    stand, look = NavCommand.STAND, NavCommand.LOOK_AROUND
     assert journey.tried == [stand, stand, look, look]
-    assert journey.course.state == MoveStatus.FAILED
+    assert journey.course.state == NavigationStatus.FAILED
 
 
 def test_what_is_driven_again_after_giving_way_is_no_progress() -> None:
@@ -109,7 +109,7 @@ def test_what_is_driven_again_after_giving_way_is_no_progress() -> None:
     came(way)
     way.drive(3600.0, blocked=lambda left: left <= 9.0)
 
-    assert Movement.FOLLOW in way.tried
+    assert NavCommand.FOLLOW in way.tried
     assert way.course.reason == "a wall (after 6 recoveries)"
     assert way.course.recoveries == 6
 

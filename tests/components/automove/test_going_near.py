@@ -6,10 +6,10 @@ import math
 
 import pytest
 
-from cairn.schemas.cairn_nav_msgs import MotionStatus, Movement, MoveStatus, Plan
+from cairn.schemas.cairn_nav_msgs import MotionStatus, NavCommand, NavigationStatus, Plan
 from tests.components.automove.journey import Journey
 
-STAND, LOOK, FOLLOW = Movement.STAND, Movement.LOOK_AROUND, Movement.FOLLOW
+STAND, LOOK, FOLLOW = NavCommand.STAND, NavCommand.LOOK_AROUND, NavCommand.FOLLOW
 
 
 def no_way(**nearest: float) -> Journey:
@@ -37,11 +37,11 @@ def test_it_goes_to_the_nearest_place_looks_from_there_and_plans_anew() -> None:
     assert journey.course.behavior == FOLLOW
     journey.motion = {"state": MotionStatus.DONE}
     journey.run(0.1)
-    assert (journey.course.state, journey.course.behavior) == (MoveStatus.RECOVERING, STAND)
+    assert (journey.course.state, journey.course.behavior) == (NavigationStatus.RECOVERING, STAND)
     journey.motion = {"state": MotionStatus.MOVING}
     journey.run(5.0)
 
-    assert journey.course.state == MoveStatus.DRIVING
+    assert journey.course.state == NavigationStatus.DRIVING
     assert journey.course.target == (3.0, 4.0, 0.0)
 
 
@@ -60,5 +60,5 @@ def test_it_looks_around_when_it_is_near_or_there_is_no_such_place(
     journey.run(200.0)
 
     assert journey.tried == [STAND, STAND, LOOK, LOOK]
-    assert journey.course.state == MoveStatus.FAILED
+    assert journey.course.state == NavigationStatus.FAILED
     assert journey.course.reason == "no path: something is there (after 4 recoveries)"

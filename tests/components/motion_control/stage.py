@@ -11,7 +11,7 @@ from cairn import LATCHED, RELIABLE, SECOND, SENSOR, Qos, from_ns
 from cairn.components.motion_control.component import MotionControl
 from cairn.planar.messages import packed_poses, pose_message
 from cairn.planar.poses import Pose, compose, wrap
-from cairn.schemas.cairn_nav_msgs import LocalizationHealth, MotionStatus, Movement, Plan
+from cairn.schemas.cairn_nav_msgs import LocalizationHealth, MotionStatus, NavCommand, Plan
 from cairn.schemas.geometry_msgs import (
     PoseWithCovariance,
     PoseWithCovarianceStamped,
@@ -46,7 +46,7 @@ class Stage:
         self.beams = 360
         self.mount: Pose = (0.0, 0.0, 0.0)
         self.health = LocalizationHealth(located=True, health=0.9)
-        self.movement = Movement()
+        self.nav_command = NavCommand()
         self.commands: list[tuple[int, float, float]] = []
         self.statuses: list[MotionStatus] = []
         self.clearance = math.inf
@@ -77,18 +77,18 @@ class Stage:
         return self.statuses[-1]
 
     def want(
-        self, leg: int, behavior: int, goal: Pose = (0.0, 0.0, 0.0), distance: float = 0.0
+        self, goal_id: int, behavior: int, goal: Pose = (0.0, 0.0, 0.0), distance: float = 0.0
     ) -> None:
         """Want something from now on."""
-        self.movement = Movement(
-            leg=leg, behavior=behavior, goal=pose_message(goal), distance=distance
+        self.nav_command = NavCommand(
+            goal_id=goal_id, behavior=behavior, goal=pose_message(goal), distance=distance
         )
-        self._send("movement", self.movement, LATCHED)
+        self._send("nav_command", self.nav_command, LATCHED)
 
-    def plan(self, leg: int, *points: tuple[float, float], **fields: Any) -> None:
+    def plan(self, goal_id: int, *points: tuple[float, float], **fields: Any) -> None:
         """Give a path through these points."""
         poses = packed_poses(np.array([(x, y, 0.0) for x, y in points]).reshape(-1, 3))
-        self._send("plan", Plan(leg=leg, poses=poses, **fields), LATCHED)
+        self._send("plan", Plan(goal_id=goal_id, poses=poses, **fields), LATCHED)
 
     def wait(self, seconds: float, until: int | None = None) -> None:
         """Let time pass, or until there is a status of that state."""
@@ -101,7 +101,7 @@ class Stage:
         stamp = from_ns(self.now - self.back)
         self._send("clock", Clock(clock=stamp), RELIABLE)
         if self._tick % 25 == 0:
-            self._send("movement", self.movement, LATCHED)
+            self._send("nav_command", self.nav_command, LATCHED)
         twist = Twist(linear=Vector3(x=self.robot.speed), angular=Vector3(z=self.robot.turn))
         self._send(
             "odom",

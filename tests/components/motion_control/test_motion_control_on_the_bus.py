@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from cairn import SECOND
-from cairn.schemas.cairn_nav_msgs import LocalizationHealth, MotionStatus, Movement, Plan
+from cairn.schemas.cairn_nav_msgs import LocalizationHealth, MotionStatus, NavCommand, Plan
 from tests.components.motion_control.stage import Stage
 from tests.components.motion_control.world import Robot, World, box
 
@@ -22,7 +22,7 @@ def stage(*walls: tuple[float, float, float, float], **parameters: Any) -> Stage
 def following(**parameters: Any) -> Stage:
     """A robot at full speed on its way to (3, 0)."""
     it = stage(**parameters)
-    it.want(7, Movement.FOLLOW, (3.0, 0.0, 1.0))
+    it.want(7, NavCommand.FOLLOW, (3.0, 0.0, 1.0))
     it.plan(7, (-3, 0), (3, 0))
     it.wait(3.0)
     return it
@@ -38,7 +38,7 @@ def test_a_plan_is_followed_to_the_goal_and_its_heading() -> None:
 
     x, y, heading = it.robot.pose
     assert it.status.state == STATES.DONE
-    assert it.status.leg == 7
+    assert it.status.goal_id == 7
     assert math.hypot(x - 3, y) < 0.1
     assert heading == pytest.approx(1.0, abs=0.1)
 
@@ -67,11 +67,11 @@ def test_it_stays_done_and_stands_when_the_leg_is_done() -> None:
 def test_it_stands_when_nothing_else_is_wanted() -> None:
     it = following()
 
-    it.want(8, Movement.STAND)
+    it.want(8, NavCommand.STAND)
     it.wait(1.5)
 
     assert it.status.state == STATES.STANDING
-    assert it.status.leg == 8
+    assert it.status.goal_id == 8
     assert it.robot.speed == 0.0
 
 
@@ -81,7 +81,7 @@ def test_it_stands_when_nothing_else_is_wanted() -> None:
         ("scan", 0.5, "no scan for 0.5"),
         ("odom", 0.3, "no odom for 0.3"),
         ("pose", 1.0, "no pose for 1.0"),
-        ("movement", 1.5, "no movement for 1.5"),
+        ("nav_command", 1.5, "no nav_command for 1.5"),
         ("localization_health", 2.0, "no localization_health for 2.0"),
     ],
 )
@@ -121,7 +121,7 @@ def test_when_time_is_set_back_it_stands_for_a_moment_and_goes_on(
     assert caplog.text.count(f"odometry on /robot/odom went back in time by {back_s:.1f} s") == 1
 
 
-@pytest.mark.parametrize("topic", ["scan", "odom", "pose", "movement", "localization_health"])
+@pytest.mark.parametrize("topic", ["scan", "odom", "pose", "nav_command", "localization_health"])
 def test_what_ends_as_time_is_set_back_is_stale_at_once(topic: str) -> None:
     it = following(simulated_time=True)
 
@@ -142,7 +142,7 @@ def test_it_says_what_never_came() -> None:
     it = stage()
     it.muted.add("scan")
 
-    it.want(1, Movement.LOOK_AROUND)
+    it.want(1, NavCommand.LOOK_AROUND)
     it.wait(0.5)
 
     assert it.status.state == STATES.STOPPED
@@ -152,11 +152,11 @@ def test_it_says_what_never_came() -> None:
 def test_only_a_plan_of_the_same_leg_counts() -> None:
     it = following()
 
-    it.want(8, Movement.FOLLOW, (3.0, 3.0, 0.0))
+    it.want(8, NavCommand.FOLLOW, (3.0, 3.0, 0.0))
     it.wait(2.0)
 
     assert it.status.state == STATES.BLOCKED
-    assert it.status.reason == "no plan of this leg yet on /robot/plan"
+    assert it.status.reason == "no plan of this goal_id yet on /robot/plan"
     assert it.robot.speed == 0.0
     it.plan(8, (it.robot.pose[0], 0.0), (3.0, 3.0))
     it.wait(20, until=STATES.DONE)
@@ -176,7 +176,7 @@ def test_a_plan_of_another_leg_does_not_disturb() -> None:
 def test_it_tells_why_there_is_no_path() -> None:
     it = stage()
 
-    it.want(1, Movement.FOLLOW)
+    it.want(1, NavCommand.FOLLOW)
     it.plan(1, outcome=Plan.UNREACHABLE, reason="no way through the door")
     it.wait(0.5)
 
@@ -197,7 +197,7 @@ def test_a_path_is_exchanged_on_the_way() -> None:
 def test_a_goal_where_it_is_already_needs_no_way() -> None:
     it = stage()
 
-    it.want(1, Movement.FOLLOW, (-3.0, 0.0, 2.0))
+    it.want(1, NavCommand.FOLLOW, (-3.0, 0.0, 2.0))
     it.plan(1)
     it.wait(10, until=STATES.DONE)
 
@@ -219,7 +219,9 @@ def test_a_lost_robot_stands_until_it_is_found() -> None:
     assert it.status.state == STATES.MOVING
 
 
-@pytest.mark.parametrize("behavior", [Movement.BACK_OFF, Movement.LOOK_AROUND, Movement.EXPLORE])
+@pytest.mark.parametrize(
+    "behavior", [NavCommand.BACK_OFF, NavCommand.LOOK_AROUND, NavCommand.EXPLORE]
+)
 def test_recoveries_need_no_pose(behavior: int) -> None:
     it = stage()
     it.muted |= {"pose", "localization_health"}
@@ -230,7 +232,7 @@ def test_recoveries_need_no_pose(behavior: int) -> None:
     assert it.status.state == STATES.DONE
     x, y, _ = it.robot.pose
     gone = math.hypot(x + 3, y)
-    expected = {Movement.BACK_OFF: 0.3, Movement.LOOK_AROUND: 0.0, Movement.EXPLORE: 2.5}
+    expected = {NavCommand.BACK_OFF: 0.3, NavCommand.LOOK_AROUND: 0.0, NavCommand.EXPLORE: 2.5}
     assert gone == pytest.approx(expected[behavior], abs=0.15)
 
 
@@ -253,7 +255,7 @@ def test_a_jump_of_odometry_is_told_and_it_stands_for_a_moment(
 def test_what_blocks_the_path_is_told() -> None:
     it = stage((0.0, -10.0, 0.0, 10.0))
 
-    it.want(1, Movement.FOLLOW, (3.0, 0.0, 0.0))
+    it.want(1, NavCommand.FOLLOW, (3.0, 0.0, 0.0))
     it.plan(1, (-3, 0), (3, 0))
     it.wait(10, until=STATES.BLOCKED)
 
@@ -293,7 +295,7 @@ def test_a_scanner_that_sits_askew_is_understood() -> None:
     it = stage((0.0, -10.0, 0.0, 10.0), mount={"x": 0.1, "theta": math.pi / 2})
     it.mount = (0.1, 0.0, math.pi / 2)
 
-    it.want(1, Movement.FOLLOW, (3.0, 0.0, 0.0))
+    it.want(1, NavCommand.FOLLOW, (3.0, 0.0, 0.0))
     it.plan(1, (-3, 0), (3, 0))
     it.wait(10, until=STATES.BLOCKED)
 

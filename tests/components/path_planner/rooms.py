@@ -11,7 +11,7 @@ from cairn.planar.grid import Frame, OccupancyCells, map_message
 from cairn.planar.messages import pose_message
 from cairn.planar.poses import Pose
 from cairn.schemas.builtin_interfaces import Time
-from cairn.schemas.cairn_nav_msgs import LocalizationHealth, Movement
+from cairn.schemas.cairn_nav_msgs import LocalizationHealth, NavCommand
 from cairn.schemas.geometry_msgs import PoseWithCovariance, PoseWithCovarianceStamped
 from cairn.schemas.nav_msgs import OccupancyGrid, Odometry
 from cairn.schemas.sensor_msgs import LaserScan
@@ -67,12 +67,12 @@ def health(value: float, located: bool = True, reason: str = "") -> Localization
     return LocalizationHealth(located=located, health=value, reason=reason)
 
 
-def follow(goal: Pose, leg: int = 1) -> Movement:
-    return Movement(leg=leg, behavior=Movement.FOLLOW, goal=pose_message(goal))
+def follow(goal: Pose, goal_id: int = 1) -> NavCommand:
+    return NavCommand(goal_id=goal_id, behavior=NavCommand.FOLLOW, goal=pose_message(goal))
 
 
-def stand(leg: int) -> Movement:
-    return Movement(leg=leg, behavior=Movement.STAND)
+def stand(goal_id: int) -> NavCommand:
+    return NavCommand(goal_id=goal_id, behavior=NavCommand.STAND)
 
 
 def scan_of(grid: OccupancyCells, pose: Pose, time: float, beams: int = 360) -> LaserScan:

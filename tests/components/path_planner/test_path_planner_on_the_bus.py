@@ -38,12 +38,12 @@ def test_outcomes_are_those_of_the_message() -> None:
 def test_a_leg_is_planned_at_once(begun: Any) -> None:
     it = begun(room(DOOR))
 
-    it.give("movement", follow(THERE, leg=7))
+    it.give("nav_command", follow(THERE, goal_id=7))
 
     (plan,) = it.taken("plan")
     (path,) = it.taken("path")
     poses = planar_poses(plan.poses)
-    assert (plan.leg, plan.outcome, plan.header.frame_id) == (7, Plan.FOUND, "map")
+    assert (plan.goal_id, plan.outcome, plan.header.frame_id) == (7, Plan.FOUND, "map")
     assert tuple(poses[0, :2]) == HERE[:2]
     assert tuple(poses[-1]) == pytest.approx(THERE)
     assert plan.length == pytest.approx(np.hypot(*np.diff(poses[:, :2], axis=0).T).sum())
@@ -54,7 +54,7 @@ def test_a_leg_is_planned_at_once(begun: Any) -> None:
 def test_what_is_missing_is_told_and_planned_as_soon_as_it_comes(begun: Any) -> None:
     it = begun(None, None)
 
-    it.give("movement", follow(THERE))
+    it.give("nav_command", follow(THERE))
     it.give("pose", pose_at(HERE, BEGIN))
     it.give("localization_health", health(0.0, located=False, reason="no objects seen"))
     it.give("map", as_map(room()))
@@ -69,16 +69,16 @@ def test_what_is_missing_is_told_and_planned_as_soon_as_it_comes(begun: Any) -> 
 def test_a_want_that_is_repeated_changes_nothing_and_another_leg_is_planned(begun: Any) -> None:
     it = begun(room())
     for _ in range(3):
-        it.give("movement", follow(THERE, leg=1))
+        it.give("nav_command", follow(THERE, goal_id=1))
         it.wait(0.5)
     assert len(it.taken("plan")) == 1
 
-    it.give("movement", stand(leg=2))
+    it.give("nav_command", stand(goal_id=2))
     it.wait(3.0)
     assert it.taken("plan") == []
 
-    it.give("movement", follow(THERE, leg=3))
-    assert [plan.leg for plan in it.taken("plan")] == [3]
+    it.give("nav_command", follow(THERE, goal_id=3))
+    assert [plan.goal_id for plan in it.taken("plan")] == [3]
 
 
 def test_odometry_carries_the_robot_on_since_its_last_pose(begun: Any) -> None:
@@ -88,7 +88,7 @@ def test_odometry_carries_the_robot_on_since_its_last_pose(begun: Any) -> None:
     it.wait(1.0)
     it.give("odom", odom_at((5.0, 5.5, 1.0), BEGIN + 1.0))
 
-    it.give("movement", follow(THERE))
+    it.give("nav_command", follow(THERE))
 
     poses = planar_poses(it.taken("plan")[0].poses)
     assert poses[0, :2] == pytest.approx((1.0, 1.5))
@@ -99,7 +99,7 @@ def driven_away(begun: Any) -> Any:
     it = begun(room(), pose=None)
     it.give("odom", odom_at((3.0, 2.3, 0.0), BEGIN))
     it.give("pose", pose_at((4.0, 4.0, 0.0), BEGIN))
-    it.give("movement", follow(THERE))
+    it.give("nav_command", follow(THERE))
     assert [plan.outcome for plan in it.taken("plan")] == [Plan.FOUND]
     return it
 
@@ -127,7 +127,7 @@ def test_a_leg_wanted_after_odometry_began_anew_waits_for_a_pose(begun: Any) -> 
 
     it.wait(2.0)
     it.give("odom", odom_at((0.0, 0.0, 0.0), BEGIN + 2.0))
-    it.give("movement", follow(THERE, leg=2))
+    it.give("nav_command", follow(THERE, goal_id=2))
     it.give("pose", pose_at((4.0, 4.0, 0.0), BEGIN + 1.9))
     (refused,) = it.taken("plan")
     it.give("odom", odom_at((0.1, 0.0, 0.0), now(it) + 0.1))
@@ -145,7 +145,7 @@ def test_a_pose_from_after_the_jump_that_came_before_odometry_counts(begun: Any)
     it.give("pose", pose_at((5.0, 5.0, 0.0), BEGIN + 2.0))
 
     it.give("odom", odom_at((0.0, 0.0, 0.0), BEGIN + 1.98))
-    it.give("movement", follow(THERE, leg=2))
+    it.give("nav_command", follow(THERE, goal_id=2))
 
     (plan,) = it.taken("plan")
     assert tuple(planar_poses(plan.poses)[0, :2]) == (5.0, 5.0)
@@ -155,7 +155,7 @@ def test_a_pose_from_before_time_was_set_back_is_not_planned_from(begun: Any) ->
     it = driven_away(begun)
 
     it.give("odom", odom_at((3.0, 2.3, 0.0), BEGIN - 50.0))
-    it.give("movement", follow(THERE, leg=2))
+    it.give("nav_command", follow(THERE, goal_id=2))
     it.give("pose", pose_at((4.5, 4.5, 0.0), BEGIN - 50.0))
 
     refused, found = it.taken("plan")
@@ -173,7 +173,7 @@ def test_fast_robots_and_odometry_told_seldom_are_carried_on(
 
     it.wait(seconds)
     it.give("odom", odom_at(compose((3.0, 2.3, 0.0), step), now(it)))
-    it.give("movement", follow(THERE, leg=2))
+    it.give("nav_command", follow(THERE, goal_id=2))
 
     (plan,) = it.taken("plan")
     assert planar_poses(plan.poses)[0, :2] == pytest.approx((4.0 + step[0], 4.0))
@@ -181,7 +181,7 @@ def test_fast_robots_and_odometry_told_seldom_are_carried_on(
 
 def test_a_restarted_planner_goes_on_with_the_leg_that_is_latched(begun: Any) -> None:
     it = begun(room())
-    it.give("movement", follow(THERE, leg=4))
+    it.give("nav_command", follow(THERE, goal_id=4))
     it.taken("plan")
 
     for step in ("DEACTIVATE", "CLEANUP", "CONFIGURE", "ACTIVATE"):
@@ -190,8 +190,8 @@ def test_a_restarted_planner_goes_on_with_the_leg_that_is_latched(begun: Any) ->
     it.give("pose", pose_at((2.0, 2.0, 0.0), now(it)))
 
     *refused, found = it.taken("plan")
-    assert {(plan.leg, plan.outcome) for plan in refused} == {(4, Plan.NOT_READY)}
-    assert (found.leg, found.outcome) == (4, Plan.FOUND)
+    assert {(plan.goal_id, plan.outcome) for plan in refused} == {(4, Plan.NOT_READY)}
+    assert (found.goal_id, found.outcome) == (4, Plan.FOUND)
     assert tuple(planar_poses(found.poses)[0, :2]) == (2.0, 2.0)
 
 
@@ -207,7 +207,7 @@ def test_a_window_that_leaves_the_map_is_told_and_ignored(
 
 def test_costs_can_be_changed_on_the_way(begun: Any) -> None:
     it = begun(room(wall_with_door(0.6)))
-    it.give("movement", follow(THERE))
+    it.give("nav_command", follow(THERE))
     assert it.taken("plan")[0].outcome == Plan.FOUND
 
     it.runtime.set_parameters({"radius": 0.4})

@@ -35,7 +35,7 @@ from tests.components.path_planner.rooms import (
 def test_while_the_path_is_free_it_is_kept(begun: Any) -> None:
     grid = room(DOOR)
     it = begun(grid)
-    it.give("movement", follow(THERE))
+    it.give("nav_command", follow(THERE))
 
     stay(it, grid, 4.0)
 
@@ -46,7 +46,7 @@ def test_a_box_that_only_the_scanner_sees_is_planned_around_and_forgotten(begun:
     box = (2.5, 1.7, 2.9, 2.4)
     it = begun(room(DOOR, size=(9.0, 7.0)), pose=(1.0, 1.8, 0.0))
     here = (1.0, 1.8, 0.0)
-    it.give("movement", follow((4.0, 2.3, 0.0)))
+    it.give("nav_command", follow((4.0, 2.3, 0.0)))
     (first,) = it.taken("plan")
     assert clear_of(first, [box]) < 0.1
 
@@ -67,13 +67,13 @@ def test_what_was_seen_on_an_earlier_leg_is_not_planned_around(begun: Any) -> No
     box = (2.5, 1.7, 2.9, 2.4)
     here, there = (1.0, 1.8, 0.0), (4.0, 2.3, 0.0)
     it = begun(room(), pose=here)
-    it.give("movement", follow(there, leg=1))
+    it.give("nav_command", follow(there, goal_id=1))
     stay(it, room([box]), 0.5, here)
-    it.give("movement", stand(leg=2))
+    it.give("nav_command", stand(goal_id=2))
     it.wait(5.0)
     it.taken("plan")
 
-    it.give("movement", follow(there, leg=3))
+    it.give("nav_command", follow(there, goal_id=3))
 
     assert clear_of(it.taken("plan")[0], [box]) < 0.1
 
@@ -95,7 +95,7 @@ def test_when_time_is_set_back_what_was_seen_is_forgotten_and_what_is_seen_count
             lockstep.publish("clock", Clock(clock=from_ns(round(time * SECOND))))
             lockstep.publish("odom", odom_at((0.0, 0.0, 0.0), time))
             lockstep.publish("pose", pose_at(here, time))
-            lockstep.publish("movement", follow((4.0, 2.3, 0.0)), qos=LATCHED)
+            lockstep.publish("nav_command", follow((4.0, 2.3, 0.0)), qos=LATCHED)
             lockstep.run()
             lockstep.publish("scan", scan_of(room([box]), here, time), qos=SENSOR)
             lockstep.run()
@@ -114,7 +114,7 @@ def test_a_door_that_somebody_stands_in_is_told_until_they_leave(begun: Any) -> 
     somebody = (4.4, 2.3, 4.7, 2.6)
     it = begun(room(DOOR), pose=(2.0, 2.4, 0.0))
     here = (2.0, 2.4, 0.0)
-    it.give("movement", follow((7.0, 2.4, 0.0)))
+    it.give("nav_command", follow((7.0, 2.4, 0.0)))
     assert it.taken("plan")[0].outcome == Plan.FOUND
 
     stay(it, room([*DOOR, somebody]), 3.0, here)
@@ -131,7 +131,7 @@ def test_a_door_that_somebody_stands_in_is_told_until_they_leave(begun: Any) -> 
 
 def test_a_path_that_the_map_closes_is_planned_anew(begun: Any) -> None:
     it = begun(room())
-    it.give("movement", follow(THERE))
+    it.give("nav_command", follow(THERE))
     it.taken("plan")
     box = (4.0, 3.0, 5.0, 4.0)
 
@@ -145,7 +145,7 @@ def test_a_path_that_the_map_closes_is_planned_anew(begun: Any) -> None:
 
 def test_what_comes_a_little_too_near_to_a_path_does_not_break_it(begun: Any) -> None:
     it = begun(room(), pose=(1.0, 1.025, 0.0))
-    it.give("movement", follow((8.0, 1.025, 0.0)))
+    it.give("nav_command", follow((8.0, 1.025, 0.0)))
     it.taken("plan")
 
     it.give("map_updates", window((4.0, 1.25, 5.0, 1.6), 100))  # centers 0.25 m off: closed
@@ -158,7 +158,7 @@ def test_what_comes_a_little_too_near_to_a_path_does_not_break_it(begun: Any) ->
 
 def test_a_way_that_the_map_opens_is_taken_if_it_is_clearly_shorter(begun: Any) -> None:
     it = begun(room([(3.0, 0.0, 3.1, 6.0)]), pose=(1.5, 3.0, 0.0))
-    it.give("movement", follow((7.0, 3.0, 0.0)))
+    it.give("nav_command", follow((7.0, 3.0, 0.0)))
     (long,) = it.taken("plan")
 
     it.give("map_updates", window((3.0, 2.0, 3.1, 4.0), 0))
@@ -179,7 +179,7 @@ def stand_blocked(it: Any, duration: float, state: int = MotionStatus.BLOCKED) -
     """Let motion control tell for some time, five times a second, that it does not get on."""
     for _ in range(round(duration * 5)):
         it.wait(0.2)
-        it.give("motion_status", MotionStatus(leg=1, state=state))
+        it.give("motion_status", MotionStatus(goal_id=1, state=state))
 
 
 @pytest.mark.parametrize(
@@ -189,7 +189,7 @@ def test_where_motion_control_does_not_get_on_the_other_way_is_taken_and_kept(
     begun: Any, state: int, seconds: float
 ) -> None:
     it = begun(room(TWO_DOORS), pose=(4.0, 2.4, 0.0))
-    it.give("movement", follow(BEYOND))
+    it.give("nav_command", follow(BEYOND))
     (straight,) = it.taken("plan")
 
     stand_blocked(it, seconds, state)
@@ -203,13 +203,13 @@ def test_where_motion_control_does_not_get_on_the_other_way_is_taken_and_kept(
 
 def test_where_there_is_no_other_way_motion_control_tries_on(begun: Any) -> None:
     it = begun(room(DOOR), pose=(4.0, 2.4, 0.0))
-    it.give("movement", follow(BEYOND))
+    it.give("nav_command", follow(BEYOND))
     it.taken("plan")
 
     stand_blocked(it, 10.0)
     kept = it.taken("plan")
-    it.give("movement", stand(leg=2))
-    it.give("movement", follow(BEYOND, leg=3))
+    it.give("nav_command", stand(goal_id=2))
+    it.give("nav_command", follow(BEYOND, goal_id=3))
 
     assert kept == []
     assert [plan.outcome for plan in it.taken("plan")] == [Plan.FOUND]
@@ -219,7 +219,7 @@ def test_a_robot_that_stands_for_an_input_that_is_missing_is_not_sent_another_wa
     begun: Any,
 ) -> None:
     it = begun(room(TWO_DOORS), pose=(4.0, 2.4, 0.0))
-    it.give("movement", follow(BEYOND))
+    it.give("nav_command", follow(BEYOND))
     it.taken("plan")
 
     stand_blocked(it, 10.0, MotionStatus.STOPPED)
@@ -232,7 +232,7 @@ def test_a_way_that_was_seen_blocked_is_not_taken_again_as_soon_as_it_is_out_of_
 ) -> None:
     here, blocking = (3.0, 2.4, 0.0), (4.3, 2.0, 4.5, 2.8)
     it = begun(room(TWO_DOORS), pose=here)
-    it.give("movement", follow(BEYOND))
+    it.give("nav_command", follow(BEYOND))
     stay(it, room([*TWO_DOORS, blocking]), 0.5, here)
     around = it.taken("plan")[-1]
 
@@ -247,7 +247,7 @@ def test_a_way_that_was_seen_blocked_is_not_taken_again_as_soon_as_it_is_out_of_
 
 def test_a_map_that_has_grown_is_planned_on(begun: Any) -> None:
     it = begun(room(size=(5.0, 7.0)))
-    it.give("movement", follow(THERE))
+    it.give("nav_command", follow(THERE))
     (outside,) = it.taken("plan")
 
     it.give("map", as_map(room()))
@@ -259,7 +259,7 @@ def test_a_map_that_has_grown_is_planned_on(begun: Any) -> None:
 
 def test_a_wall_across_the_path_is_noticed_in_a_map_that_begins_elsewhere(begun: Any) -> None:
     it = begun(room())
-    it.give("movement", follow(THERE))
+    it.give("nav_command", follow(THERE))
     (straight,) = it.taken("plan")
 
     grown = partial(room, size=(14.0, 12.0), origin=(-5.0, -5.0, 0.0))
@@ -274,7 +274,7 @@ def test_a_wall_across_the_path_is_noticed_in_a_map_that_begins_elsewhere(begun:
 
 def test_a_path_that_leaves_a_map_that_has_shrunk_is_planned_anew_at_once(begun: Any) -> None:
     it = begun(room(), pose=(1.0, 1.5, 0.0))
-    it.give("movement", follow((8.0, 1.5, 0.0)))
+    it.give("nav_command", follow((8.0, 1.5, 0.0)))
     it.taken("plan")
 
     it.give("map", as_map(room(size=(9.0, 3.0), origin=(-5.0, 0.0, 0.0))))  # to x = 4
@@ -286,7 +286,7 @@ def test_a_path_that_leaves_a_map_that_has_shrunk_is_planned_anew_at_once(begun:
 
 def test_a_robot_off_the_map_is_planned_for_as_soon_as_it_is_back(begun: Any) -> None:
     it = begun(room(), pose=(-0.1, 3.0, 0.0))
-    it.give("movement", follow(THERE))
+    it.give("nav_command", follow(THERE))
     (off,) = it.taken("plan")
 
     it.give("pose", pose_at((1.0, 3.0, 0.0), now(it)))
@@ -299,7 +299,7 @@ def test_a_robot_off_the_map_is_planned_for_as_soon_as_it_is_back(begun: Any) ->
 
 def test_a_robot_that_has_left_the_path_gets_another(begun: Any) -> None:
     it = begun(room())
-    it.give("movement", follow((8.0, 1.0, 0.0)))
+    it.give("nav_command", follow((8.0, 1.0, 0.0)))
     it.taken("plan")
 
     it.wait(1.0)
@@ -315,7 +315,7 @@ def test_a_robot_that_has_left_the_path_gets_another(begun: Any) -> None:
 def test_a_way_out_of_an_obstacle_is_kept(begun: Any) -> None:
     here = (1.2, 1.0, 0.0)
     it = begun(room([(0.8, 0.8, 1.3, 1.2)]), pose=here)
-    it.give("movement", follow(THERE))
+    it.give("nav_command", follow(THERE))
 
     for _ in range(10):
         it.wait(0.3)
@@ -326,7 +326,7 @@ def test_a_way_out_of_an_obstacle_is_kept(begun: Any) -> None:
 
 def test_a_lost_robots_scans_are_placed_nowhere(begun: Any) -> None:
     it = begun(room(DOOR))
-    it.give("movement", follow(THERE))
+    it.give("nav_command", follow(THERE))
     it.give("localization_health", health(0.1))
 
     stay(it, room([*DOOR, (2.0, 1.0, 2.4, 2.0)]), 1.0)

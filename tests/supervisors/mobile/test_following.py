@@ -11,10 +11,10 @@ from typing import Any
 import pytest
 
 from cairn.deployment.load import load_deployment
-from cairn.schemas.cairn_nav_msgs import MoveStatus
+from cairn.schemas.cairn_nav_msgs import NavigationStatus
 from cairn.supervisors.mobile.following import Operator, follow
 from tests.navigation.deployed import Deployed
-from tests.supervisors.mobile.test_orders import TREE, tell
+from tests.supervisors.mobile.test_mobile_supervisor import TREE, tell
 
 GOALS = [[1.0, 2.0, 0.0]]
 
@@ -42,11 +42,11 @@ class AtTheTerminal(Operator):
     def statuses(self) -> Iterator[queue.Queue[Any]]:
         yield queue.Queue()
 
-    def next_status(self, samples: queue.Queue[Any], wait_s: float) -> MoveStatus | None:
+    def next_status(self, samples: queue.Queue[Any], wait_s: float) -> NavigationStatus | None:
         order = self.order()
         assert order is not None
         if self._pressed == "as it ends":
-            tell(self._robot, order_id=order["order_id"], state=MoveStatus.SUCCEEDED)
+            tell(self._robot, mission_id=order["mission_id"], state=NavigationStatus.SUCCEEDED)
         raise KeyboardInterrupt
 
 
@@ -60,7 +60,7 @@ def robot(tmp_path: Path) -> Iterator[Deployed]:
 
 
 def last_order(robot: Deployed) -> dict[str, Any]:
-    order: dict[str, Any] = robot.ask("mobile_supervisor", "order")
+    order: dict[str, Any] = robot.ask("mobile_supervisor", "mission")
     return order
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from cairn import SECOND, from_ns
 from cairn.planar.messages import packed_poses, planar_pose, pose_message, with_covariance
 from cairn.planar.poses import Pose
-from cairn.schemas.cairn_nav_msgs import Collision, MoveOrder, MoveStatus
+from cairn.schemas.cairn_nav_msgs import Collision, NavigateGoal, NavigationStatus
 from cairn.schemas.cairn_sim_msgs import Scene, WorldState
 from cairn.schemas.geometry_msgs import Point, PoseStamped, PoseWithCovarianceStamped
 from cairn.schemas.packed import Packed
@@ -107,26 +107,26 @@ class Examination:
         goal = planar_pose(message.pose)
         self.orders += 1
         goals = packed_poses(np.array([goal]))
-        self.stage.give("order", MoveOrder(order_id=self.orders, goals=goals))
-        self.say(MoveStatus.DRIVING)
+        self.stage.give("navigate_goal", NavigateGoal(mission_id=self.orders, goals=goals))
+        self.say(NavigationStatus.DRIVING)
         return goal
 
     def say(self, state: int, order: int | None = None, recoveries: int = 0) -> None:
         """Tell how the order gets on; the last one, if none is named."""
-        status = MoveStatus(
+        status = NavigationStatus(
             header=Header(stamp=from_ns(self.now)),
-            order_id=self.orders if order is None else order,
+            mission_id=self.orders if order is None else order,
             state=state,
             recoveries=recoveries,
             reason="as the robot says",
         )
-        self.stage.give("move_status", status)
+        self.stage.give("navigation_status", status)
 
     def arrive(self, off: Pose = (0.0, 0.0, 0.0)) -> Pose:
         """Drive to the goal, or so far off, and say to be there; the goal."""
         goal = self.goal()
         self.drive((goal[0] + off[0], goal[1] + off[1], goal[2] + off[2]))
-        self.say(MoveStatus.SUCCEEDED)
+        self.say(NavigationStatus.SUCCEEDED)
         self.stand(0.2)
         return goal
 

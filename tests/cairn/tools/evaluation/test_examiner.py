@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from cairn.planar.poses import Pose
-from cairn.schemas.cairn_nav_msgs import MoveStatus
+from cairn.schemas.cairn_nav_msgs import NavigationStatus
 from tests.cairn.tools.evaluation.examination import Examination
 
 Begin = Callable[..., Examination]
@@ -60,7 +60,7 @@ def test_what_counts_is_where_the_robot_claims_to_be_and_a_stated_allowance(begi
 def test_who_is_there_but_says_to_have_failed_has_not_reached_the_goal(begin: Begin) -> None:
     examination = begin(goals=1)
     examination.drive(examination.goal())
-    examination.say(MoveStatus.FAILED, recoveries=2)
+    examination.say(NavigationStatus.FAILED, recoveries=2)
     examination.stand(0.2)
 
     (result,) = examination.result.goals
@@ -73,7 +73,7 @@ def test_an_end_is_judged_by_the_truth_of_that_time_not_of_before(begin: Begin) 
     examination.drive(goal)
     examination.robot = (goal[0] + 0.3, goal[1], goal[2])  # it slides on
     examination.stage.wait(0.05)
-    examination.say(MoveStatus.SUCCEEDED)
+    examination.say(NavigationStatus.SUCCEEDED)
     there, examination.robot = examination.robot, goal
     examination.truth(ago_s=0.04)  # late: from before it slid
     examination.robot = there
@@ -99,7 +99,7 @@ def test_the_way_driven_is_the_true_one_and_the_shortest_that_of_the_world(begin
     start, goal = examination.robot, examination.goal()
     beside = (start[0], start[1] + 2.0, 0.0)
     examination.drive(beside, goal)
-    examination.say(MoveStatus.SUCCEEDED)
+    examination.say(NavigationStatus.SUCCEEDED)
     examination.stand(0.2)
     examination.arrive()
 
@@ -113,7 +113,7 @@ def test_goals_and_ways_are_of_the_world_as_it_stands_then(begin: Begin) -> None
     examination = begin(goals=2)
     examination.goal()
     examination.show((0.0, 3.0, 12.0, 10.0))  # all but a strip is blocked
-    examination.say(MoveStatus.FAILED)
+    examination.say(NavigationStatus.FAILED)
     examination.stand(0.2)
     goal = examination.goal()
 
@@ -142,13 +142,13 @@ def test_who_takes_too_long_has_failed_and_its_late_result_is_not_that_of_the_ne
 ) -> None:
     examination = begin(goals=2, limit=20.0)
     examination.goal()
-    examination.say(MoveStatus.RECOVERING, recoveries=3)
+    examination.say(NavigationStatus.RECOVERING, recoveries=3)
     examination.stand(20.2)
     goal = examination.goal()
-    examination.say(MoveStatus.SUCCEEDED, order=1)  # of the goal before
+    examination.say(NavigationStatus.SUCCEEDED, order=1)  # of the goal before
     examination.stand(0.5)
     examination.drive(goal)
-    examination.say(MoveStatus.SUCCEEDED)
+    examination.say(NavigationStatus.SUCCEEDED)
     examination.stand(0.2)
 
     late, next_ = examination.result.goals
@@ -173,7 +173,7 @@ def test_a_robot_is_carried_off_when_the_truth_shows_it(begin: Begin) -> None:
     examination.told(place)
     examination.told((place[0] + 0.2, *place[1:]))  # from now on errors count again
     examination.drive(goal)
-    examination.say(MoveStatus.SUCCEEDED)
+    examination.say(NavigationStatus.SUCCEEDED)
     examination.stand(0.2)
 
     run = examination.result
@@ -189,14 +189,14 @@ def test_who_was_there_before_it_was_carried_off_has_reached_its_goal(begin: Beg
     examination = begin(goals=2, kidnap_at=1, kidnap_after=1.0)
     examination.drive(examination.goal())
     place = examination.carried_to()[-1]
-    examination.say(MoveStatus.SUCCEEDED)
+    examination.say(NavigationStatus.SUCCEEDED)
     examination.robot = place
     examination.stand(0.1)
     goal = examination.goal()
     examination.stand(1.0)
     (examination.robot,) = examination.carried_to()  # the other one did not disturb anything
     examination.drive(goal)
-    examination.say(MoveStatus.SUCCEEDED)
+    examination.say(NavigationStatus.SUCCEEDED)
     examination.stand(0.2)
 
     run = examination.result
@@ -212,7 +212,7 @@ def test_a_robot_that_never_finds_itself_is_told_of_so(begin: Begin) -> None:
     (examination.robot,) = examination.carried_to()
     examination.stand(1.0)
     examination.told(before)
-    examination.say(MoveStatus.FAILED)
+    examination.say(NavigationStatus.FAILED)
     examination.stand(0.2)
     examination.told(before)  # from the end of that goal on errors count, lost or not
     examination.arrive()
@@ -236,7 +236,7 @@ def test_where_the_world_refuses_another_place_is_tried(begin: Begin) -> None:
     examination.told(second)
     examination.drive(goal)
     assert examination.carried_to() == []  # once is enough
-    examination.say(MoveStatus.SUCCEEDED)
+    examination.say(NavigationStatus.SUCCEEDED)
     examination.stand(0.2)
 
     (result,) = examination.result.goals
@@ -265,7 +265,7 @@ def test_a_run_in_which_the_robot_was_never_carried_off_has_failed(begin: Begin)
         assert examination.carried_to()
         examination.drive(goal)
         examination.told(examination.robot)
-        examination.say(MoveStatus.SUCCEEDED)
+        examination.say(NavigationStatus.SUCCEEDED)
         examination.stand(0.2)
 
     run = examination.result
@@ -286,7 +286,7 @@ def test_poses_are_compared_with_the_truth_of_their_time(begin: Begin) -> None:
     examination.truth()
     examination.told((4.04, 2.3, 0.0))
     examination.drive(goal)
-    examination.say(MoveStatus.SUCCEEDED)
+    examination.say(NavigationStatus.SUCCEEDED)
     examination.stand(0.2)
 
     run = examination.result

@@ -10,10 +10,10 @@ import pytest
 from cairn import LATCHED, CairnError
 from cairn.deployment.load import load_deployment
 from cairn.planar.messages import planar_poses, pose_message
-from cairn.schemas.cairn_nav_msgs import MoveOrder, MoveStatus
+from cairn.schemas.cairn_nav_msgs import NavigateGoal, NavigationStatus
 from cairn.schemas.geometry_msgs import PoseStamped
 from cairn.schemas.std_msgs import Header
-from cairn.supervisors.mobile.orders import checked_goals, saved
+from cairn.supervisors.mobile.mission import checked_goals, saved
 from tests.navigation.deployed import Deployed, taken
 
 TREE = """
@@ -24,9 +24,9 @@ components:
     plugin: mobile_supervisor
     restart: transient
     significant: true
-    parameters: {state_file: "${here}/order.json"}
+    parameters: {state_file: "${here}/mission.json"}
     children:
-      automove: {plugin: test_beacon, load: on_order}
+      automove: {plugin: test_beacon, load: on_request}
 """
 MISSION = (
     "components.mobile_supervisor.parameters.mission=[[1, 2, 0]]",
@@ -50,61 +50,68 @@ def deployed(tmp_path: Path) -> Iterator[DeployedOf]:
         one.end()
 
 
-def goals_of(order: MoveOrder) -> list[list[float]]:
+def goals_of(order: NavigateGoal) -> list[list[float]]:
     rows: list[list[float]] = planar_poses(order.goals).round(6).tolist()
     return rows
 
 
 def tell(robot: Deployed, **status: Any) -> None:
-    robot.publish("move_status", MoveStatus(**status), LATCHED)
+    robot.publish("navigation_status", NavigationStatus(**status), LATCHED)
 
 
 def test_an_order_is_told_latched_and_kept_until_its_result(
     deployed: DeployedOf, tmp_path: Path
 ) -> None:
     robot = deployed()
-    orders = robot.read("order", MoveOrder)
+    orders = robot.read("navigate_goal", NavigateGoal)
     goals = [[1.0, -2.0, 0.5], [3.0, 4.0, 0.0]]
-    number = robot.ask("mobile_supervisor", "go", goals=goals)["order_id"]
+    number = robot.ask("mobile_supervisor", "go", goals=goals)["mission_id"]
     (first,) = taken(orders)
-    assert (first.order_id, first.first, goals_of(first)) == (number, 0, goals)
+    assert (first.mission_id, first.first, goals_of(first)) == (number, 0, goals)
 
-    tell(robot, order_id=number, state=MoveStatus.DRIVING, goal=1, goals=2)
+    tell(robot, mission_id=number, state=NavigationStatus.DRIVING, goal=1, goals=2)
     (again,) = taken(orders)
-    assert (again.order_id, again.first, goals_of(again)) == (number, 1, goals)
-    kept = saved(tmp_path / "order.json")
+    assert (again.mission_id, again.first, goals_of(again)) == (number, 1, goals)
+    kept = saved(tmp_path / "mission.json")
     assert kept is not None
-    assert (kept.order_id, kept.first, kept.result) == (number, 1, "")
+    assert (kept.mission_id, kept.first, kept.result) == (number, 1, "")
 
-    tell(robot, order_id=number, state=MoveStatus.SUCCEEDED, goal=2, goals=2, reason="arrived")
+    tell(
+        robot,
+        mission_id=number,
+        state=NavigationStatus.SUCCEEDED,
+        goal=2,
+        goals=2,
+        reason="arrived",
+    )
     (over,) = taken(orders)
-    assert (over.order_id, len(over.goals)) == (number, 0)
-    assert robot.ask("mobile_supervisor", "order")["result"] == "succeeded: arrived"
+    assert (over.mission_id, len(over.goals)) == (number, 0)
+    assert robot.ask("mobile_supervisor", "mission")["result"] == "succeeded: arrived"
 
 
 def test_numbers_of_orders_go_up_and_a_word_on_an_old_one_changes_nothing(
     deployed: DeployedOf,
 ) -> None:
     robot = deployed()
-    orders = robot.read("order", MoveOrder)
-    one = robot.ask("mobile_supervisor", "go", goals=[[1.0, 2.0, 0.0]])["order_id"]
-    two = robot.ask("mobile_supervisor", "go", goals=[[3.0, 2.0, 0.0]])["order_id"]
+    orders = robot.read("navigate_goal", NavigateGoal)
+    one = robot.ask("mobile_supervisor", "go", goals=[[1.0, 2.0, 0.0]])["mission_id"]
+    two = robot.ask("mobile_supervisor", "go", goals=[[3.0, 2.0, 0.0]])["mission_id"]
     assert two > one
     taken(orders)
-    tell(robot, order_id=one, state=MoveStatus.FAILED)
+    tell(robot, mission_id=one, state=NavigationStatus.FAILED)
     assert taken(orders) == []
-    assert robot.ask("mobile_supervisor", "order")["result"] == ""
+    assert robot.ask("mobile_supervisor", "mission")["result"] == ""
 
 
 def test_an_order_is_taken_back_once(deployed: DeployedOf) -> None:
     robot = deployed()
-    orders = robot.read("order", MoveOrder)
+    orders = robot.read("navigate_goal", NavigateGoal)
     with pytest.raises(CairnError, match="there is no order to cancel"):
         robot.ask("mobile_supervisor", "cancel")
-    number = robot.ask("mobile_supervisor", "go", goals=[[1.0, 2.0, 0.0]])["order_id"]
+    number = robot.ask("mobile_supervisor", "go", goals=[[1.0, 2.0, 0.0]])["mission_id"]
     with pytest.raises(CairnError, match="there is no order 3 under way"):
-        robot.ask("mobile_supervisor", "cancel", order_id=3)
-    assert robot.ask("mobile_supervisor", "cancel", order_id=number) == {"order_id": number}
+        robot.ask("mobile_supervisor", "cancel", mission_id=3)
+    assert robot.ask("mobile_supervisor", "cancel", mission_id=number) == {"mission_id": number}
     assert [len(order.goals) for order in taken(orders)] == [1, 0]
     with pytest.raises(CairnError, match="there is no order to cancel"):
         robot.ask("mobile_supervisor", "cancel")
@@ -113,11 +120,11 @@ def test_an_order_is_taken_back_once(deployed: DeployedOf) -> None:
 def test_an_order_is_taken_back_by_the_token_that_it_was_given_with(deployed: DeployedOf) -> None:
     robot = deployed()
     goals = [[1.0, 2.0, 0.0]]
-    number = robot.ask("mobile_supervisor", "go", goals=goals, token="mine")["order_id"]
+    number = robot.ask("mobile_supervisor", "go", goals=goals, token="mine")["mission_id"]
     for other in ("yours", ""):
         with pytest.raises(CairnError, match="it is another's order that is under way"):
             robot.ask("mobile_supervisor", "cancel", token=other)
-    assert robot.ask("mobile_supervisor", "cancel", token="mine") == {"order_id": number}
+    assert robot.ask("mobile_supervisor", "cancel", token="mine") == {"mission_id": number}
 
     robot.ask("mobile_supervisor", "go", goals=goals)  # without a token
     with pytest.raises(CairnError, match="it is another's order"):
@@ -132,7 +139,7 @@ def test_what_is_no_token_is_refused(deployed: DeployedOf, token: Any) -> None:
 
 def test_a_goal_pose_is_an_order_unless_it_is_of_another_frame(deployed: DeployedOf) -> None:
     robot = deployed()
-    orders = robot.read("order", MoveOrder)
+    orders = robot.read("navigate_goal", NavigateGoal)
     for frame in ("map", "", "odom"):
         pose = pose_message((-1.0, 2.0, 0.5))
         robot.publish("goal_pose", PoseStamped(header=Header(frame_id=frame), pose=pose))
@@ -141,32 +148,32 @@ def test_a_goal_pose_is_an_order_unless_it_is_of_another_frame(deployed: Deploye
 
 def test_a_supervisor_that_begins_anew_goes_on_where_the_order_was(deployed: DeployedOf) -> None:
     robot = deployed()
-    orders = robot.read("order", MoveOrder)
+    orders = robot.read("navigate_goal", NavigateGoal)
     goals = [[1.0, 2.0, 0.0], [3.0, 4.0, 0.0]]
-    number = robot.ask("mobile_supervisor", "go", goals=goals)["order_id"]
-    tell(robot, order_id=number, state=MoveStatus.DRIVING, goal=1, goals=2)
+    number = robot.ask("mobile_supervisor", "go", goals=goals)["mission_id"]
+    tell(robot, mission_id=number, state=NavigationStatus.DRIVING, goal=1, goals=2)
     taken(orders)
 
     robot.ask("root", "restart", name="mobile_supervisor")
 
     (again,) = taken(orders)
-    assert (again.order_id, again.first, goals_of(again)) == (number, 1, goals)
+    assert (again.mission_id, again.first, goals_of(again)) == (number, 1, goals)
 
 
 def test_an_order_that_is_over_stays_so_and_its_number_is_not_given_again(
     deployed: DeployedOf,
 ) -> None:
     robot = deployed()
-    orders = robot.read("order", MoveOrder)
-    number = robot.ask("mobile_supervisor", "go", goals=[[1.0, 2.0, 0.0]])["order_id"]
-    tell(robot, order_id=number, state=MoveStatus.FAILED, reason="no path")
+    orders = robot.read("navigate_goal", NavigateGoal)
+    number = robot.ask("mobile_supervisor", "go", goals=[[1.0, 2.0, 0.0]])["mission_id"]
+    tell(robot, mission_id=number, state=NavigationStatus.FAILED, reason="no path")
     taken(orders)
 
     robot.ask("root", "restart", name="mobile_supervisor")
 
     assert taken(orders) == []
-    assert robot.ask("mobile_supervisor", "order")["result"] == "failed: no path"
-    assert robot.ask("mobile_supervisor", "go", goals=[[1.0, 2.0, 0.0]])["order_id"] > number
+    assert robot.ask("mobile_supervisor", "mission")["result"] == "failed: no path"
+    assert robot.ask("mobile_supervisor", "go", goals=[[1.0, 2.0, 0.0]])["mission_id"] > number
 
 
 def test_an_order_is_not_gone_on_with_for_ever(deployed: DeployedOf) -> None:
@@ -175,25 +182,25 @@ def test_an_order_is_not_gone_on_with_for_ever(deployed: DeployedOf) -> None:
     for _ in range(4):
         robot.wait(20.0)
         robot.ask("root", "restart", name="mobile_supervisor")
-    assert robot.ask("mobile_supervisor", "order")["result"] == (
+    assert robot.ask("mobile_supervisor", "mission")["result"] == (
         "failed: given up after mobile_supervisor was started anew 3 times"
     )
 
 
-@pytest.mark.parametrize("text", ["", "{}", '{"order_id": 1, "goals": [[NaN, 0, 0]]}', "\x00"])
+@pytest.mark.parametrize("text", ["", "{}", '{"mission_id": 1, "goals": [[NaN, 0, 0]]}', "\x00"])
 def test_a_kept_order_that_cannot_be_read_is_not_gone_on_with(
     deployed: DeployedOf, tmp_path: Path, text: str
 ) -> None:
     robot = deployed()
-    orders = robot.read("order", MoveOrder)
+    orders = robot.read("navigate_goal", NavigateGoal)
     robot.ask("mobile_supervisor", "go", goals=[[1.0, 2.0, 0.0]])
     taken(orders)
-    (tmp_path / "order.json").write_text(text, encoding="utf-8")
+    (tmp_path / "mission.json").write_text(text, encoding="utf-8")
 
     robot.ask("root", "restart", name="mobile_supervisor")
 
     assert taken(orders) == []
-    assert robot.ask("mobile_supervisor", "order") is None
+    assert robot.ask("mobile_supervisor", "mission") is None
 
 
 def test_an_order_of_an_earlier_run_is_not_carried_out(
@@ -203,21 +210,21 @@ def test_an_order_of_an_earlier_run_is_not_carried_out(
     first.ask("mobile_supervisor", "go", goals=[[1.0, 2.0, 0.0]])
     first.end()
     second = deployed()
-    orders = second.read("order", MoveOrder)
+    orders = second.read("navigate_goal", NavigateGoal)
 
     second.ask("root", "restart", name="mobile_supervisor")
 
     assert taken(orders) == []
-    assert not (tmp_path / "order.json").exists()
+    assert not (tmp_path / "mission.json").exists()
 
 
 def test_a_mission_begins_at_once_and_its_end_ends_the_deployment(deployed: DeployedOf) -> None:
     robot = deployed(*MISSION)
-    orders = robot.read("order", MoveOrder)
+    orders = robot.read("navigate_goal", NavigateGoal)
     robot.wait(0.0)
     (order,) = taken(orders)
 
-    tell(robot, order_id=order.order_id, state=MoveStatus.FAILED, reason="no path")
+    tell(robot, mission_id=order.mission_id, state=NavigationStatus.FAILED, reason="no path")
 
     robot.await_that(lambda: robot.run.end is not None)
     assert robot.run.end is not None
@@ -229,10 +236,10 @@ def test_a_supervisor_that_begins_anew_knows_that_the_mission_was_pre_empted(
 ) -> None:
     robot = deployed(*MISSION)
     robot.ask("mobile_supervisor", "go", goals=[[3.0, 4.0, 0.0]])
-    number = robot.ask("mobile_supervisor", "go", goals=[[5.0, 6.0, 0.0]])["order_id"]
+    number = robot.ask("mobile_supervisor", "go", goals=[[5.0, 6.0, 0.0]])["mission_id"]
 
     robot.ask("root", "restart", name="mobile_supervisor")
-    tell(robot, order_id=number, state=MoveStatus.SUCCEEDED, reason="arrived")
+    tell(robot, mission_id=number, state=NavigationStatus.SUCCEEDED, reason="arrived")
 
     robot.await_that(lambda: robot.run.end is not None)
     assert robot.run.end is not None
@@ -249,7 +256,7 @@ def test_without_automove_an_order_is_refused(deployed: DeployedOf) -> None:
 
 
 def test_a_folder_that_is_none_is_told_at_once(deployed: DeployedOf) -> None:
-    robot = deployed("components.mobile_supervisor.parameters.state_file=/nowhere/order.json")
+    robot = deployed("components.mobile_supervisor.parameters.state_file=/nowhere/mission.json")
     with pytest.raises(CairnError, match="/nowhere: no such folder to keep the order in"):
         robot.begin()
 

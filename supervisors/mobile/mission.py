@@ -28,7 +28,7 @@ class Order(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
-    order_id: int
+    mission_id: int
     given_ns: int
     goals: tuple[Goal, ...]
     first: int = 0

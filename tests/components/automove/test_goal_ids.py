@@ -1,9 +1,9 @@
-"""Numbers of legs never come twice, whoever begins anew."""
+"""Numbers of goal_ids never come twice, whoever begins anew."""
 
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cairn.components.automove.legs import Legs
+from cairn.components.automove.goal_ids import GoalIds
 
 NOW = 1_795_261_862_000_000_000
 UINT32 = 2**32
@@ -13,26 +13,26 @@ UINT32 = 2**32
 def test_numbers_differ_and_fit_their_message_whatever_time_passes_between(
     steps: list[int],
 ) -> None:
-    legs, now, given_out = Legs(), NOW, []
+    goal_ids, now, given_out = GoalIds(), NOW, []
     for step in steps:
         now += step
-        given_out.append(legs.next(now))
+        given_out.append(goal_ids.next(now))
     assert len(set(given_out)) == len(given_out)
-    assert all(0 < leg < UINT32 for leg in given_out)
+    assert all(0 < goal_id < UINT32 for goal_id in given_out)
 
 
 def test_a_successor_begins_beyond_all_numbers_of_its_forerunner() -> None:
-    forerunner = Legs()
+    forerunner = GoalIds()
     given_out = [forerunner.next(NOW + ms * 1_000_000) for ms in range(0, 100, 2)]
-    assert Legs().next(NOW + 100_000_000) not in given_out
+    assert GoalIds().next(NOW + 100_000_000) not in given_out
 
 
 def test_numbers_go_on_when_they_overflow_and_when_the_clock_is_set_back() -> None:
     wrap = (UINT32 - 1) * 1_000_000
-    legs = Legs()
-    assert [legs.next(wrap), legs.next(wrap), legs.next(wrap)] == [UINT32 - 1, 1, 2]
-    assert legs.next(wrap - 10_000_000) == 3
+    goal_ids = GoalIds()
+    assert [goal_ids.next(wrap), goal_ids.next(wrap), goal_ids.next(wrap)] == [UINT32 - 1, 1, 2]
+    assert goal_ids.next(wrap - 10_000_000) == 3
 
 
 def test_a_run_on_virtual_time_begins_with_one() -> None:
-    assert Legs().next(0) == 1
+    assert GoalIds().next(0) == 1
