@@ -121,8 +121,8 @@ def seen(picture: Gray, scenery: Scenery, random: np.random.Generator) -> Homogr
     middle = random.uniform((0.3 * WIDTH, 0.3 * HEIGHT), (0.7 * WIDTH, 0.7 * HEIGHT))
     place = np.append((middle - (WIDTH / 2, HEIGHT / 2)) / focal, 1.0) * away
     camera = np.array([[focal, 0, WIDTH / 2], [0, focal, HEIGHT / 2], [0, 0, 1]])
-    centerd = np.array([[1, 0, -(width - 1) / 2], [0, 1, -(height - 1) / 2], [0, 0, 1]])
-    homography = camera @ np.column_stack((turn[:, 0], turn[:, 1], place)) @ centerd
+    centered = np.array([[1, 0, -(width - 1) / 2], [0, 1, -(height - 1) / 2], [0, 0, 1]])
+    homography = camera @ np.column_stack((turn[:, 0], turn[:, 1], place)) @ centered
     return np.asarray(homography / homography[2, 2])
 
 

@@ -71,8 +71,8 @@ def by_stereo(
     that agree, and taken at the middle. None where too few agree, or the object is too far.
     """
     known = np.isfinite(disparities)
-    centerd = np.asarray(points, np.float64)[known] - middle
-    plane = fit_plane(centerd, disparities[known])
+    centered = np.asarray(points, np.float64)[known] - middle
+    plane = fit_plane(centered, disparities[known])
     if plane is None:
         return None
     disparity = float(plane.coefficients[0])

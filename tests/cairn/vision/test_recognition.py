@@ -67,8 +67,8 @@ def test_an_object_is_found_with_its_name_and_place() -> None:
 def test_it_is_found_at_any_place_scale_turn_and_slant(
     x: float, y: float, scale: float, turn: float, slant_x: float, slant_y: float
 ) -> None:
-    centerd = np.array([[1.0, 0, -79.5], [0, 1.0, -59.5], [slant_x, slant_y, 1.0]])
-    homography = at(x + 80, y + 60, scale, turn) @ centerd
+    centered = np.array([[1.0, 0, -79.5], [0, 1.0, -59.5], [slant_x, slant_y, 1.0]])
+    homography = at(x + 80, y + 60, scale, turn) @ centered
 
     found = recognized(paste(wall(), PICTURES[0], homography))
 

@@ -1,0 +1,128 @@
+"""Generates the reference pages of the site from the code: commands, messages, parameters.
+
+A hook of MkDocs (`hooks:` in mkdocs.yml). The pages exist only in the built site.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from inspect import cleandoc, getdoc
+
+import click
+import typer
+from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.structure.files import File, Files
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+
+from cairn import Component
+from cairn.bus.codec import Codec
+from cairn.cli.main import build
+from cairn.cli.message_types import known_messages
+from cairn.deployment.plugins import installed, load_plugin
+from cairn.runtime.parameters import bounds
+from cairn.runtime.ports import ports_of
+from cairn.schemas.message import type_name
+
+PACKAGE = "cairn-robotics"
+
+
+def on_files(files: Files, config: MkDocsConfig) -> Files:
+    """Add the generated pages to those that MkDocs read from docs/."""
+    pages = {
+        "reference/cli.md": _commands_page(),
+        "reference/messages.md": _messages_page(),
+        "reference/plugins.md": _plugins_page(),
+    }
+    for path, text in pages.items():
+        files.append(File.generated(config, path, content=text))
+    return files
+
+
+def _commands_page() -> str:
+    command = typer.main.get_command(build())
+    intro = "# Commands\n\nEvery command prints this text with `--help`.\n"
+    return intro + "".join(_command_sections(command, click.Context(command, info_name="cairn")))
+
+
+def _command_sections(command: click.Command, context: click.Context) -> Iterator[str]:
+    depth = context.command_path.count(" ")
+    if depth:
+        yield f"\n{'#' * min(depth + 1, 4)} {context.command_path}\n\n"
+        yield f"```text\n{command.get_help(context)}\n```\n"
+    if isinstance(command, click.Group):
+        for name in command.list_commands(context):
+            child = command.get_command(context, name)
+            if child is not None:
+                inner = click.Context(child, info_name=name, parent=context, max_content_width=100)
+                yield from _command_sections(child, inner)
+
+
+def _messages_page() -> str:
+    parts = [
+        "# Messages\n\nEvery message type that Cairn ships, as a ROS 2 definition. "
+        "`cairn schema show TYPE` prints the same.\n"
+    ]
+    codec = Codec()
+    package = ""
+    for name, cls in sorted(known_messages().items()):
+        if not cls.__module__.startswith("cairn."):
+            continue  # of a plugin that happens to be installed
+        if name.split("/")[0] != package:
+            package = name.split("/")[0]
+            parts.append(f"\n## {package}\n")
+        parts.append(
+            f"\n### {name.split('/')[-1]}\n\n{getdoc(cls) or ''}\n\n"
+            f"```text\n{codec.definition(cls).rstrip()}\n```\n\nType hash: `{codec.type_hash(cls)}`\n"
+        )
+    return "".join(parts)
+
+
+def _plugins_page() -> str:
+    parts = [
+        "# Plugins\n\nThe components that Cairn ships, with their ports and parameters. "
+        "`cairn plugins NAME` prints the same.\n"
+    ]
+    for plugin in installed():
+        if plugin.package.split()[0] == PACKAGE:
+            parts.append(_plugin_section(plugin.name, load_plugin(plugin.name)))
+    return "".join(parts)
+
+
+def _plugin_section(name: str, cls: type[Component]) -> str:
+    lines = [f"\n## {name}\n", getdoc(cls) or "", "", f"Class: `{cls.__module__}:{cls.__name__}`"]
+    ports = [
+        (f"`{port.name}`", port.direction, f"`{type_name(port.message)}`", str(port.qos.depth))
+        for port in ports_of(cls).values()
+    ]
+    if ports:
+        lines += ["", *_table(("port", "direction", "type", "depth"), ports)]
+    parameters = list(_parameters(cls.config_class(), ""))
+    if parameters:
+        header = ("parameter", "default", "bounds", "meaning")
+        lines += ["", *_table(header, parameters)]
+    return "\n".join(lines) + "\n"
+
+
+def _parameters(config: type[BaseModel], prefix: str) -> Iterator[tuple[str, str, str, str]]:
+    for name, field in config.model_fields.items():
+        group = field.annotation
+        if isinstance(group, type) and issubclass(group, BaseModel):
+            yield from _parameters(group, f"{prefix}{name}.")
+        else:
+            yield f"`{prefix}{name}`", _default(field), bounds(field), field.description or ""
+
+
+def _default(field: FieldInfo) -> str:
+    if field.is_required():
+        return "required"
+    value = field.get_default(call_default_factory=True, validated_data={})
+    return f"`{value:.7g}`" if isinstance(value, float) else f"`{value}`"
+
+
+def _table(header: tuple[str, ...], rows: list[tuple[str, ...]]) -> list[str]:
+    cells = [
+        [cleandoc(cell).replace("|", "\\|").replace("\n", " ") for cell in row] for row in rows
+    ]
+    lines = [header, tuple("---" for _ in header), *cells]
+    return ["| " + " | ".join(line) + " |" for line in lines]
