@@ -3,7 +3,7 @@ PYTHON ?= python3.11
 BIN := .venv/bin
 REPORT ?= demo-report
 
-.PHONY: demo test test-hardware test-service check bench clean
+.PHONY: demo test test-hardware test-service check docs bench clean
 
 ## A simulated robot's tour of a room that is rearranged meanwhile; then a real robot's recording.
 demo: .venv/ready
@@ -33,6 +33,10 @@ check: .venv/tests
 	$(BIN)/lint-imports
 	$(MAKE) test
 
+## The documentation site, in build/site: a broken link fails the build.
+docs: .venv/docs
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+
 ## What is measured, against what.
 bench: .venv/ready
 	$(BIN)/python -m benchmarks
@@ -47,6 +51,10 @@ bench: .venv/ready
 # The plugins that the tests run, some of them broken on purpose.
 .venv/tests: .venv/ready tests/plugin_package/pyproject.toml
 	$(BIN)/python -m pip install --quiet --editable tests/plugin_package
+	@touch $@
+
+.venv/docs: .venv/ready
+	$(BIN)/python -m pip install --quiet --group docs
 	@touch $@
 
 clean:

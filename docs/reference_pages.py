@@ -73,7 +73,8 @@ def _messages_page() -> str:
             parts.append(f"\n## {package}\n")
         parts.append(
             f"\n### {name.split('/')[-1]}\n\n{getdoc(cls) or ''}\n\n"
-            f"```text\n{codec.definition(cls).rstrip()}\n```\n\nType hash: `{codec.type_hash(cls)}`\n"
+            f"```text\n{codec.definition(cls).rstrip()}\n```\n\n"
+            f"Type hash: `{codec.type_hash(cls)}`\n"
         )
     return "".join(parts)
 
@@ -83,9 +84,11 @@ def _plugins_page() -> str:
         "# Plugins\n\nThe components that Cairn ships, with their ports and parameters. "
         "`cairn plugins NAME` prints the same.\n"
     ]
-    for plugin in installed():
-        if plugin.package.split()[0] == PACKAGE:
-            parts.append(_plugin_section(plugin.name, load_plugin(plugin.name)))
+    parts.extend(
+        _plugin_section(plugin.name, load_plugin(plugin.name))
+        for plugin in installed()
+        if plugin.package.split()[0] == PACKAGE
+    )
     return "".join(parts)
 
 

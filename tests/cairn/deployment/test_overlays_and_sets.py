@@ -87,8 +87,8 @@ def test_a_set_reaches_a_component_at_any_depth_by_its_name(write: Write) -> Non
         ),
         ("settings.zz.top=1", "there is no setting zz.top; expected one of: recording, "),
         (
-            "components.localizer.restart=transient",
-            "components.localizer: there is no component localizer; did you mean localizer?",
+            "components.localizr.restart=transient",
+            "components.localizr: there is no component localizr; did you mean localizer?",
         ),
         ("particles", "'particles' is not an assignment; write key.path=value, as in "),
         ("=5", "'=5' is not an assignment; write key.path=value, as in recording.rate=10"),

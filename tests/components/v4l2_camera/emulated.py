@@ -29,8 +29,8 @@ class EmulatedStereoCamera(V4l2StereoCamera):
     def on_configure(self) -> None:
         """Put emulated cameras in the place of the kernel's."""
         patch = pytest.MonkeyPatch()  # never undone: the process is this driver's alone
-        patch.setattr("components.v4l2_camera.camera.VideoDevice", _Device)
-        patch.setattr("components.v4l2_camera.camera.Stream", _Stream)
+        patch.setattr("cairn.components.v4l2_camera.camera.VideoDevice", _Device)
+        patch.setattr("cairn.components.v4l2_camera.camera.Stream", _Stream)
         super().on_configure()
 
 

@@ -94,7 +94,7 @@ class FakeCameras:
 
     def __init__(self, patch: pytest.MonkeyPatch) -> None:
         self.cameras: dict[str, FakeCamera] = {}
-        module = "components.v4l2_camera.camera"
+        module = "cairn.components.v4l2_camera.camera"
         patch.setattr(f"{module}.find_camera", self._find)
         patch.setattr(f"{module}.VideoDevice", self._open)
         patch.setattr(f"{module}.Stream", _Stream)

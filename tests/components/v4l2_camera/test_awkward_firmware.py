@@ -59,7 +59,7 @@ class Firmware:
 @pytest.fixture
 def firmware(monkeypatch: pytest.MonkeyPatch) -> Firmware:
     camera = Firmware(BRIGHTNESS, GAIN, EXPOSURE)
-    monkeypatch.setattr("components.v4l2_camera.device._IOCTL", camera.ioctl)
+    monkeypatch.setattr("cairn.components.v4l2_camera.device._IOCTL", camera.ioctl)
     return camera
 
 

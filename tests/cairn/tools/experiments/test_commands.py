@@ -173,7 +173,7 @@ def test_a_folder_that_holds_anything_else_is_refused_before_any_run(tmp_path: P
         (("ablation", "--moved", "40"), "of 10 objects only 10 can be moved"),
         (("ablation", "--scanner-range", "1.2", "--seeds", "x"), "write it as A..B"),
         (("uncertainty", "--set", "components.world.parameters.events=[]"), "nothing is changed"),
-        (("map-update", "--set", "components.localizer.x=1"), "localizer"),
+        (("map-update", "--set", "components.localizr.x=1"), "localizr"),
         (("map-update", "--deployment", "none.yaml"), "none.yaml: no such deployment"),
         (("map-update", "--overlay", "none.yaml"), "none.yaml: no such deployment"),
     ],
