@@ -17,6 +17,7 @@ class LockstepExecutor:
         self._now = start
         self._events: list[tuple[int, int, Callable[[], None]]] = []
         self._order = itertools.count()
+        self._calls_at_now = 0
 
     def now(self) -> int:
         """Virtual time in nanoseconds."""
@@ -40,23 +41,35 @@ class LockstepExecutor:
         Raises `CairnError` when nothing is left to happen before that, or when time stands still
         under a flood of calls: two components that answer each other without end.
         """
-        events = self._events
-        at_this_time = 0
         while not until():
-            if not events:
+            if not self._events:
                 raise CairnError(
                     "lockstep: nothing is left to happen and nothing has ended the run; a "
                     "component with `significant: true` must finish"
                 )
-            time, _, call = heapq.heappop(events)
-            at_this_time = at_this_time + 1 if time == self._now else 0
-            if at_this_time > _EVENTS_AT_ONE_TIME:
-                raise CairnError(
-                    f"lockstep: {_EVENTS_AT_ONE_TIME} calls at one instant ({time} ns); do two "
-                    "components answer each other without end?"
-                )
-            self._now = time
-            call()
+            self._step()
+
+    def run_to(self, time: int) -> None:
+        """Make all calls that are due at virtual time `time` [ns] or before; it is `time` then.
+
+        Calls that these calls add for `time` or before are made too. Raises `CairnError` under a
+        flood of calls at one instant, as `run` does.
+        """
+        while self._events and self._events[0][0] <= time:
+            self._step()
+        self._now = max(self._now, time)
+
+    def _step(self) -> None:
+        """Make the next call."""
+        time, _, call = heapq.heappop(self._events)
+        self._calls_at_now = self._calls_at_now + 1 if time == self._now else 0
+        if self._calls_at_now > _EVENTS_AT_ONE_TIME:
+            raise CairnError(
+                f"lockstep: {_EVENTS_AT_ONE_TIME} calls at one instant ({time} ns); do two "
+                "components answer each other without end?"
+            )
+        self._now = time
+        call()
 
 
 class LockstepScheduler:

@@ -1,6 +1,6 @@
 """Runs a whole deployment in lockstep: the same components, one thread, virtual time."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from typing import Any
 
@@ -20,7 +20,11 @@ _HEARTBEAT_NS = SECOND
 
 
 class LockstepRun:
-    """A deployment on virtual time; `bus` may be watched, `executor` is its clock."""
+    """A deployment on virtual time; `bus` may be watched, `executor` is its clock.
+
+    `run` runs it from beginning to end. To run it piece by piece: `start`, then `executor.run_to`
+    or `run_until` as often as wanted, then `shutdown`.
+    """
 
     def __init__(self, deployment: Deployment, seed: int) -> None:
         """Raises `CairnError` if the root cannot be made."""
@@ -38,24 +42,68 @@ class LockstepRun:
 
         `refresh` is called before every event.
         """
-        self.executor.at(0, self._heartbeat)
-        self._root.runtime.transition(Transition.CONFIGURE)
+
+        def refreshed() -> bool:
+            refresh()
+            return False
+
+        self._configure()
         try:
             with suppress(CairnError):  # it has ended then, with that as its reason
                 self._root.runtime.transition(Transition.ACTIVATE)
-            self.executor.run(lambda: self._over(refresh))
+            self.run_until(refreshed)
         finally:
-            if self.end is None:
-                self._root.runtime.transition(Transition.SHUTDOWN)
+            self.shutdown()
         return self.end or End(False, "the root ended without a word")
+
+    def start(self) -> None:
+        """Configure and activate all components.
+
+        Raises `CairnError` if one of them cannot be; the run has ended then, with that as its
+        reason.
+        """
+        self._configure()
+        self._root.runtime.transition(Transition.ACTIVATE)
+
+    def run_until(self, condition: Callable[[], bool]) -> None:
+        """Run until `condition()` holds, which is asked before every event, or until the end.
+
+        That end is the deployment's own, or that of `stop`.
+        """
+        self.executor.run(lambda: condition() or self.end is not None or self._stopping)
+
+    def shutdown(self) -> None:
+        """Shut down all components in good order, unless the run has ended."""
+        if self.end is None:
+            self._root.runtime.transition(Transition.SHUTDOWN)
 
     def stop(self) -> None:
         """End the run at the next event; from a signal handler."""
         self._stopping = True
 
-    def _over(self, refresh: Callable[[], None]) -> bool:
-        refresh()
-        return self.end is not None or self._stopping
+    def runtime(self, component: str) -> Runtime:
+        """Return what runs a component, which takes requests and has its state.
+
+        Raises `CairnError` if no component of that name runs.
+        """
+        return self._place(component).runtime
+
+    def suspend(self, component: str) -> None:
+        """Have a component make no further calls, as if its process were stopped (SIGSTOP).
+
+        Raises `CairnError` if no component of that name runs.
+        """
+        self._place(component).suspend()
+
+    def _configure(self) -> None:
+        self.executor.at(0, self._heartbeat)
+        self._root.runtime.transition(Transition.CONFIGURE)
+
+    def _place(self, component: str) -> "_Place":
+        for place in self._root.tree():
+            if place.runtime.name == component:
+                return place
+        raise CairnError(f"{component}: no component of this name runs in lockstep")
 
     def _note_end(self, end: End) -> None:
         self.end = end
@@ -101,6 +149,17 @@ class _Place:
         )
         if isinstance(self.runtime.component, SupervisorComponent):
             self.runtime.component.adopt(spec.children, spec.supervision, self, self)
+
+    def tree(self) -> Iterator["_Place"]:
+        """Give itself and all that run below it."""
+        yield self
+        for child in self._children:
+            if child.end is None:
+                yield from child.place.tree()
+
+    def suspend(self) -> None:
+        """Make no further calls."""
+        self._scheduler.stop()
 
     def launch(self, spec: ChildSpec, incarnation: int, former_end: str) -> Child:
         """Construct a child."""

@@ -10,8 +10,8 @@ import pytest
 from cairn import Component
 from cairn.testing.base_contract import SafetyContract
 from cairn.testing.camera_contract import PicturesContract
+from cairn.testing.lockstep import ComponentHarness
 from cairn.testing.scanner_contract import ScanContract
-from cairn.testing.stage import Stage
 from tests.cairn.testing.broken import bases, cameras, scanners
 from tests.cairn.testing.broken.sampling import arrivals, drive, failures_of, pictures
 
@@ -79,22 +79,22 @@ class Drives(SafetyContract):
 def test_scanners(driver: type[Component], tmp_path: Path) -> None:
     device = tmp_path / "device"
     device.touch()
-    stage = Stage(driver, device=str(device))
-    stage.wait(SECONDS)
+    harness = ComponentHarness(driver, {"device": str(device)})
+    harness.run_for(SECONDS)
 
-    found_as_meant(failures_of(Scans(), scans=arrivals(stage)["scan"]), SCANNERS[driver])
+    found_as_meant(failures_of(Scans(), scans=arrivals(harness)["scan"]), SCANNERS[driver])
 
 
 @pytest.mark.parametrize("driver", CAMERAS)
 def test_cameras(driver: type[Component]) -> None:
-    seen = pictures(Stage(driver), SECONDS)
+    seen = pictures(ComponentHarness(driver), SECONDS)
 
     found_as_meant(failures_of(Images(), pictures=seen), CAMERAS[driver])
 
 
 @pytest.mark.parametrize("driver", BASES)
 def test_bases(driver: type[Component]) -> None:
-    driven = drive(Stage(driver), Drives)
+    driven = drive(ComponentHarness(driver), Drives)
 
     found_as_meant(failures_of(Drives(), drive=driven), BASES[driver])
 

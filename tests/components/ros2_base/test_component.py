@@ -23,22 +23,19 @@ from cairn.schemas.geometry_msgs import (
 )
 from cairn.schemas.nav_msgs import Odometry
 from cairn.schemas.std_msgs import Header
+from cairn.testing.lockstep import ComponentHarness
 from cairn.testing.odometry import check_pose
-from cairn.testing.stage import Stage
 
 AHEAD = Twist(linear=Vector3(x=0.3), angular=Vector3(z=0.2))
 REST = Twist()
 
 
-class Base(Stage):
+class Base(ComponentHarness[Ros2Base]):
     """The driver, and a base that tells odometry 20 times a second while it is `well`."""
 
     def __init__(self, **parameters: Any) -> None:
-        super().__init__(Ros2Base, **parameters)
+        super().__init__(Ros2Base, parameters)
         self.x = 0.0
-
-    def now(self) -> int:
-        return self.executor.now()
 
     def odometry(
         self,
@@ -48,7 +45,7 @@ class Base(Stage):
         child: str = "base_link",
         heading: float = 0.1,
     ) -> Odometry:
-        stamp = from_ns(self.now() - round(age_s * SECOND))
+        stamp = from_ns(self.now_ns - round(age_s * SECOND))
         return Odometry(
             header=Header(stamp=stamp, frame_id=frame),
             child_frame_id=child,
@@ -60,10 +57,10 @@ class Base(Stage):
         """Let time pass, with odometry, and a command ten times a second."""
         for step in range(round(seconds * 20)):
             if well:
-                self.give("base_odom", self.odometry(self.x))
+                self.publish("base_odom", self.odometry(self.x))
             if command is not None and step % 2 == 0:
-                self.give("cmd_vel", command)
-            self.wait(0.05)
+                self.publish("cmd_vel", command)
+            self.run_for(0.05)
 
     def go_to(self, x: float) -> None:
         """Be commanded ahead, and go so far."""
@@ -72,104 +69,104 @@ class Base(Stage):
             self.run(0.05, AHEAD)
 
     def levels(self) -> list[int]:
-        return [one.status[0].level for one in self.taken("diagnostics")]
+        return [one.status[0].level for one in self.take("diagnostics")]
 
     def diagnosis(self) -> str:
         """What it told of itself last."""
-        message: str = self.taken("diagnostics")[-1].status[0].message
+        message: str = self.take("diagnostics")[-1].status[0].message
         return message
 
 
 def started(**parameters: Any) -> Base:
     """One whose base works, and which has been silent for a while."""
     base = Base(**parameters)
-    base.wait(10.0)  # the virtual clock begins at 0, where ages would be beyond it
+    base.run_for(10.0)  # the virtual clock begins at 0, where ages would be beyond it
     base.run(2.0)
     for port in ("base_cmd_vel", "base_cmd_vel_stamped", "odom", "tf", "diagnostics"):
-        base.taken(port)
+        base.take(port)
     return base
 
 
 def test_a_command_is_sent_on_at_once_and_said_again() -> None:
     base = started()
 
-    base.give("cmd_vel", AHEAD)
-    assert base.taken("base_cmd_vel") == [AHEAD]
+    base.publish("cmd_vel", AHEAD)
+    assert base.take("base_cmd_vel") == [AHEAD]
 
-    base.wait(0.26)
-    assert base.taken("base_cmd_vel") == 5 * [AHEAD]
-    assert base.taken("base_cmd_vel_stamped") == []
+    base.run_for(0.26)
+    assert base.take("base_cmd_vel") == 5 * [AHEAD]
+    assert base.take("base_cmd_vel_stamped") == []
 
 
 def test_stale_it_becomes_rest_and_then_silence() -> None:
     base = started()
     base.run(1.0, AHEAD)
-    base.taken("base_cmd_vel")
+    base.take("base_cmd_vel")
 
     base.run(1.0)
-    sent = base.taken("base_cmd_vel")
+    sent = base.take("base_cmd_vel")
     assert sent[-1] == REST
     assert sent.count(REST) >= 10
     assert set(map(repr, sent)) <= {repr(AHEAD), repr(REST)}
 
     base.run(1.0)
-    base.taken("base_cmd_vel")
+    base.take("base_cmd_vel")
     base.run(2.0)
-    assert base.taken("base_cmd_vel") == []  # a joystick may have the base
+    assert base.take("base_cmd_vel") == []  # a joystick may have the base
 
 
 def test_at_first_it_tells_the_base_to_rest() -> None:
     base = Base()
-    base.wait(0.5)
+    base.run_for(0.5)
 
-    assert set(map(repr, base.taken("base_cmd_vel"))) == {repr(REST)}
+    assert set(map(repr, base.take("base_cmd_vel"))) == {repr(REST)}
 
 
 def test_failing_it_tells_the_base_to_rest() -> None:
     base = started()
-    base.give("cmd_vel", AHEAD)
-    base.taken("base_cmd_vel")
+    base.publish("cmd_vel", AHEAD)
+    base.take("base_cmd_vel")
 
     def fail(message: Odometry) -> None:
         raise ArithmeticError(message.child_frame_id)
 
     base.runtime.run("tell", fail, base.odometry(0.0))
 
-    assert base.taken("base_cmd_vel") == [REST]
+    assert base.take("base_cmd_vel") == [REST]
 
 
 def test_deactivated_it_tells_the_base_to_rest() -> None:
     base = started()
-    base.give("cmd_vel", AHEAD)
-    base.taken("base_cmd_vel")
+    base.publish("cmd_vel", AHEAD)
+    base.take("base_cmd_vel")
 
     base.runtime.transition(Transition.DEACTIVATE)
 
-    assert base.taken("base_cmd_vel") == [REST]
+    assert base.take("base_cmd_vel") == [REST]
 
 
 def test_without_odometry_the_base_is_not_driven() -> None:
     base = started()
     base.run(1.0, AHEAD)
-    assert base.taken("base_cmd_vel")[-1] == AHEAD
+    assert base.take("base_cmd_vel")[-1] == AHEAD
 
     base.run(1.0, AHEAD, well=False)
-    assert base.taken("base_cmd_vel")[-1] == REST
+    assert base.take("base_cmd_vel")[-1] == REST
     base.run(1.1, AHEAD, well=False)
-    assert set(map(repr, base.taken("base_cmd_vel"))) == {repr(REST)}
+    assert set(map(repr, base.take("base_cmd_vel"))) == {repr(REST)}
     assert base.levels()[-1] == 2
 
     base.run(1.1, AHEAD)
-    assert base.taken("base_cmd_vel")[-1] == AHEAD
+    assert base.take("base_cmd_vel")[-1] == AHEAD
     assert base.levels()[-1] == 0
 
 
 def test_a_command_beyond_the_limits_keeps_its_curve() -> None:
     base = started(speed=0.5, turn=1.0)
 
-    base.give("cmd_vel", Twist(linear=Vector3(x=-5.0), angular=Vector3(z=2.0)))
+    base.publish("cmd_vel", Twist(linear=Vector3(x=-5.0), angular=Vector3(z=2.0)))
 
-    (sent,) = base.taken("base_cmd_vel")
+    (sent,) = base.take("base_cmd_vel")
     assert sent.linear.x == pytest.approx(-0.5)
     assert sent.angular.z == pytest.approx(0.2)
 
@@ -177,21 +174,21 @@ def test_a_command_beyond_the_limits_keeps_its_curve() -> None:
 def test_a_controller_since_jazzy_is_sent_stamped_commands() -> None:
     base = started(stamped=True)
 
-    base.give("cmd_vel", AHEAD)
+    base.publish("cmd_vel", AHEAD)
 
-    (sent,) = base.taken("base_cmd_vel_stamped")
+    (sent,) = base.take("base_cmd_vel_stamped")
     assert isinstance(sent, TwistStamped)
     assert sent.twist == AHEAD
-    assert (to_ns(sent.header.stamp), sent.header.frame_id) == (base.now(), "base_link")
-    assert base.taken("base_cmd_vel") == []
+    assert (to_ns(sent.header.stamp), sent.header.frame_id) == (base.now_ns, "base_link")
+    assert base.take("base_cmd_vel") == []
 
 
 def test_a_base_without_a_clock_is_sent_commands_of_its_own_present() -> None:
     base = started(stamped=True, stamp_on_arrival=True)
 
-    base.give("cmd_vel", AHEAD)
+    base.publish("cmd_vel", AHEAD)
 
-    (sent,) = base.taken("base_cmd_vel_stamped")
+    (sent,) = base.take("base_cmd_vel_stamped")
     assert sent.twist == AHEAD
     assert to_ns(sent.header.stamp) == 0  # its controller puts its own time there
 
@@ -200,14 +197,14 @@ def test_odometry_is_sent_on_as_it_is_with_its_transform() -> None:
     base = started(odom_frame="bot/odom", base_frame="bot/base_footprint")
     given = base.odometry(1.5, frame="bot/odom", child="bot/base_footprint")
 
-    base.give("base_odom", given)
+    base.publish("base_odom", given)
 
-    (odom,) = base.taken("odom")
+    (odom,) = base.take("odom")
     assert (odom.header.frame_id, odom.child_frame_id) == ("odom", "base_link")
     assert odom.header.stamp == given.header.stamp
     assert planar_pose(odom.pose.pose) == pytest.approx((1.5, 0.0, 0.1))
     assert odom.twist == given.twist
-    (tf,) = base.taken("tf")
+    (tf,) = base.take("tf")
     assert tf.transforms[0].transform.translation.x == 1.5
     assert tf.transforms[0].child_frame_id == "base_link"
 
@@ -216,8 +213,8 @@ def test_a_base_that_sends_its_own_transform_is_left_to_it() -> None:
     base = started(send_tf=False)
     base.run(0.5)
 
-    assert base.taken("odom")
-    assert base.taken("tf") == []
+    assert base.take("odom")
+    assert base.take("tf") == []
 
 
 def test_where_odometry_jumps_it_is_led_on() -> None:
@@ -229,7 +226,7 @@ def test_where_odometry_jumps_it_is_led_on() -> None:
     base.x = 0.02
     base.run(0.2)
 
-    xs = [planar_pose(odom.pose.pose)[0] for odom in base.taken("odom")]
+    xs = [planar_pose(odom.pose.pose)[0] for odom in base.take("odom")]
     assert max(xs) - min(xs) < 0.05
     assert xs[-1] - xs[0] == pytest.approx(0.02 * math.cos(0.0), abs=0.001)
 
@@ -239,46 +236,46 @@ def test_a_base_that_comes_back_at_its_origin_was_started_anew() -> None:
     base.go_to(0.6)
     base.run(3.0, AHEAD, well=False)  # it starts; nobody has noticed, and commands go on
     base.x = 0.0
-    base.taken("odom")
-    base.taken("base_cmd_vel")
+    base.take("odom")
+    base.take("base_cmd_vel")
 
     base.run(1.2, AHEAD)
 
-    xs = [planar_pose(odom.pose.pose)[0] for odom in base.taken("odom")]
+    xs = [planar_pose(odom.pose.pose)[0] for odom in base.take("odom")]
     assert xs == pytest.approx(len(xs) * [0.6]), "the robot is where it was"
-    assert set(map(repr, base.taken("base_cmd_vel"))) == {repr(REST)}, "it sets off by itself"
+    assert set(map(repr, base.take("base_cmd_vel"))) == {repr(REST)}, "it sets off by itself"
     assert "once the command has been rest" in base.diagnosis()
 
     base.run(0.1, REST)
     base.run(1.2, AHEAD)
-    assert base.taken("base_cmd_vel")[-1] == AHEAD
+    assert base.take("base_cmd_vel")[-1] == AHEAD
     assert base.diagnosis() == "drives"
 
 
 def test_a_base_that_was_out_of_reach_goes_on_where_it_is() -> None:
     base = started()
     base.go_to(0.6)
-    base.wait(3.0)
+    base.run_for(3.0)
     base.x = 1.6  # somebody drove it meanwhile
-    base.taken("odom")
+    base.take("odom")
 
     base.run(0.2, AHEAD)
 
-    assert planar_pose(base.taken("odom")[-1].pose.pose)[0] == pytest.approx(1.6)
-    assert base.taken("base_cmd_vel")[-1] == AHEAD
+    assert planar_pose(base.take("odom")[-1].pose.pose)[0] == pytest.approx(1.6)
+    assert base.take("base_cmd_vel")[-1] == AHEAD
 
 
 def test_led_on_with_another_heading_the_covariance_is_turned_with_the_pose() -> None:
     base = started()
-    base.give("base_odom", base.odometry(2.0, heading=0.1 + math.pi / 2))
-    base.wait(0.05)
+    base.publish("base_odom", base.odometry(2.0, heading=0.1 + math.pi / 2))
+    base.run_for(0.05)
     covariance = np.diag([4.0, 1.0, 0.0, 0.0, 0.0, 9.0])
     given = base.odometry(2.0, heading=0.1 + math.pi / 2)
-    base.taken("odom")
+    base.take("odom")
 
-    base.give("base_odom", _with_covariance(given, covariance))
+    base.publish("base_odom", _with_covariance(given, covariance))
 
-    (odom,) = base.taken("odom")
+    (odom,) = base.take("odom")
     turned = odom.pose.covariance.reshape(6, 6)
     assert np.diag(turned) == pytest.approx([1.0, 4.0, 0.0, 0.0, 0.0, 9.0])
     assert turned == pytest.approx(turned.T)
@@ -295,9 +292,9 @@ def test_odometry_of_a_base_that_tilts_is_brought_to_the_plane() -> None:
     tilted = Quaternion(x=0.1, y=0.0, z=0.2, w=0.97)  # of length 0.995
     pose = PoseWithCovariance(pose=Pose(position=Point(z=0.05), orientation=tilted))
 
-    base.give("base_odom", replace(given, pose=pose))
+    base.publish("base_odom", replace(given, pose=pose))
 
-    (odom,) = base.taken("odom")
+    (odom,) = base.take("odom")
     check_pose(odom)
 
 
@@ -309,7 +306,7 @@ def test_odometry_of_a_base_that_tilts_is_brought_to_the_plane() -> None:
         lambda base: base.odometry(0.0, frame="map"),
         lambda base: base.odometry(0.0, child="camera"),
         lambda base: Odometry(
-            header=Header(stamp=from_ns(base.now()), frame_id="odom"),
+            header=Header(stamp=from_ns(base.now_ns), frame_id="odom"),
             child_frame_id="base_link",
             pose=PoseWithCovariance(pose=Pose(orientation=Quaternion(w=0.0))),
         ),
@@ -319,11 +316,11 @@ def test_odometry_of_a_base_that_tilts_is_brought_to_the_plane() -> None:
 def test_odometry_that_cannot_be_relied_on_is_not_sent_on(message: Any) -> None:
     base = started()
 
-    base.give("base_odom", message(base))
+    base.publish("base_odom", message(base))
 
-    assert base.taken("odom") == []
-    base.wait(1.1)
-    assert base.taken("diagnostics")[-1].status[0].values[2].value == "1"
+    assert base.take("odom") == []
+    base.run_for(1.1)
+    assert base.take("diagnostics")[-1].status[0].values[2].value == "1"
 
 
 def test_why_odometry_is_refused_is_told_instead_of_silence() -> None:
@@ -338,10 +335,10 @@ def test_odometry_that_comes_twice_is_sent_on_once(age_s: float) -> None:
     base = started()
     message = base.odometry(0.0, age_s)
 
-    base.give("base_odom", message)
-    base.give("base_odom", message)
+    base.publish("base_odom", message)
+    base.publish("base_odom", message)
 
-    assert len(base.taken("odom")) == 1
+    assert len(base.take("odom")) == 1
 
 
 def test_two_nodes_that_tell_odometry_do_not_flood_the_log(
@@ -351,7 +348,7 @@ def test_two_nodes_that_tell_odometry_do_not_flood_the_log(
     caplog.clear()
     for _ in range(40):
         base.run(0.05)
-        base.give("base_odom", base.odometry(0.0, age_s=0.07))  # the other one's, which is later
+        base.publish("base_odom", base.odometry(0.0, age_s=0.07))  # the other one's, which is later
 
     told = [record.message for record in caplog.records if "out of order" in record.message]
     assert "does more than one node write" in told[0]
@@ -361,7 +358,7 @@ def test_two_nodes_that_tell_odometry_do_not_flood_the_log(
 def test_a_base_whose_clock_is_not_set_is_stamped_on_arrival() -> None:
     base = started(stamp_on_arrival=True)
 
-    base.give("base_odom", base.odometry(0.0, age_s=9.0))
+    base.publish("base_odom", base.odometry(0.0, age_s=9.0))
 
-    (odom,) = base.taken("odom")
-    assert to_ns(odom.header.stamp) == base.now()
+    (odom,) = base.take("odom")
+    assert to_ns(odom.header.stamp) == base.now_ns

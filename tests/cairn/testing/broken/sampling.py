@@ -10,10 +10,10 @@ from cairn import to_ns
 from cairn.testing.base_contract import DriveContract
 from cairn.testing.camera_contract import Pictures
 from cairn.testing.driver_contract import Contract
+from cairn.testing.lockstep import ComponentHarness
 from cairn.testing.odometry_contract import Drive
 from cairn.testing.pairs import outline
 from cairn.testing.reading import Arrival
-from cairn.testing.stage import Stage
 
 SIDES = ("left", "right")
 
@@ -35,25 +35,25 @@ def failures_of(contract: Contract, **given: object) -> dict[str, str]:
     return said
 
 
-def arrivals(stage: Stage) -> Arrivals:
+def arrivals(driver: ComponentHarness[Any]) -> Arrivals:
     """All that has been published since the last call, by port; it comes when it is published."""
     times: dict[str, list[int]] = {}
-    for port, at_ns in stage.order:
+    for port, at_ns in driver.published:
         times.setdefault(port, []).append(at_ns)
-    stage.order.clear()
+    driver.published.clear()
     return {
         port: [
-            Arrival(message, at, at) for message, at in zip(stage.taken(port), when, strict=True)
+            Arrival(message, at, at) for message, at in zip(driver.take(port), when, strict=True)
         ]
         for port, when in times.items()
     }
 
 
-def pictures(stage: Stage, seconds: float) -> Pictures:
+def pictures(driver: ComponentHarness[Any], seconds: float) -> Pictures:
     """What a stereo camera publishes meanwhile."""
-    stage.wait(seconds)
-    order = [port for port, _ in stage.order]
-    came = arrivals(stage)
+    driver.run_for(seconds)
+    order = [port for port, _ in driver.published]
+    came = arrivals(driver)
     rest = {port: iter(some) for port, some in came.items()}
     stamped = [(port, to_ns(next(rest[port]).message.header.stamp)) for port in order]
     return Pictures(
@@ -70,7 +70,7 @@ def pictures(stage: Stage, seconds: float) -> Pictures:
     )
 
 
-def drive(stage: Stage, contract: type[DriveContract]) -> Drive:
+def drive(driver: ComponentHarness[Any], contract: type[DriveContract]) -> Drive:
     """A drive as the contract has it: rest, ahead, to the left, and left alone."""
     parts: list[Arrivals] = []
     for command, seconds in (
@@ -81,9 +81,9 @@ def drive(stage: Stage, contract: type[DriveContract]) -> Drive:
     ):
         for _ in range(round(20 * seconds)):
             if command is not None:
-                stage.give("cmd_vel", command)
-            stage.wait(0.05)
-        parts.append(arrivals(stage))
+                driver.publish("cmd_vel", command)
+            driver.run_for(0.05)
+        parts.append(arrivals(driver))
     before, ahead, left, after = (part["odom"] for part in parts)
     transforms = [one.message for part in parts for one in part["tf"]]
     return Drive(before, ahead, left, after, transforms)
