@@ -9,8 +9,7 @@ from benchmarks.result import Figure
 from benchmarks.running import results, run_deployment
 from cairn.bus.qos import RELIABLE, SENSOR
 from cairn.runtime.component import Component
-from cairn.runtime.handlers import every, on
-from cairn.runtime.ports import In, Out
+from cairn.runtime.ports import In, Out, every, on
 from cairn.schemas.geometry_msgs import Twist, Vector3
 from cairn.schemas.sensor_msgs import Image
 from cairn.schemas.std_msgs import Header

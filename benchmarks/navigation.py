@@ -20,8 +20,7 @@ from cairn.clock import SECOND, from_ns, to_ns
 from cairn.components.motion_control.component import MotionControl
 from cairn.planar.sweep import sweep_s
 from cairn.runtime.component import Component
-from cairn.runtime.handlers import on
-from cairn.runtime.ports import In, Out
+from cairn.runtime.ports import In, Out, on
 from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.std_msgs import Header
 

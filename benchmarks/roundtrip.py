@@ -16,9 +16,8 @@ from benchmarks.result import Figure
 from benchmarks.running import free_port, results, run_deployment
 from cairn.bus.codec import Codec
 from cairn.runtime.component import Component
-from cairn.runtime.handlers import on
 from cairn.runtime.parameters import Config
-from cairn.runtime.ports import In, Out
+from cairn.runtime.ports import In, Out, on
 from cairn.schemas.sensor_msgs import Image, LaserScan
 from cairn.schemas.std_msgs import Header, String
 

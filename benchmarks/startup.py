@@ -22,8 +22,7 @@ from scipy import ndimage
 from benchmarks.result import Figure
 from benchmarks.running import free_port
 from cairn.runtime.component import Component
-from cairn.runtime.handlers import every
-from cairn.runtime.ports import Out
+from cairn.runtime.ports import Out, every
 from cairn.schemas.geometry_msgs import Twist, Vector3
 
 COUNT = 10

@@ -16,8 +16,7 @@ from cairn.bus.qos import SENSOR
 from cairn.components.v4l2_camera.component import V4l2StereoCamera
 from cairn.components.v4l2_camera.pixels import PictureLayout
 from cairn.runtime.component import Component
-from cairn.runtime.handlers import every, on
-from cairn.runtime.ports import In
+from cairn.runtime.ports import In, every, on
 from cairn.schemas.sensor_msgs import CameraInfo, Image
 
 _HERE = "benchmarks.v4l2_camera"

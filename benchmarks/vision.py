@@ -14,8 +14,7 @@ from benchmarks.result import Figure
 from cairn.bus.qos import RELIABLE
 from cairn.clock import SECOND, to_ns
 from cairn.runtime.component import Component
-from cairn.runtime.handlers import on
-from cairn.runtime.ports import In
+from cairn.runtime.ports import In, on
 from cairn.schemas.cairn_msgs import RecognizedObjectArray
 
 _PIXELS = ROOT / "deploy" / "pixels.yaml"

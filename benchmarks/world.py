@@ -21,7 +21,7 @@ from cairn.components.simulation.world_file import read_world
 from cairn.placement.lockstep import LockstepExecutor
 from cairn.runtime.component import Component
 from cairn.runtime.lifecycle import Transition
-from cairn.runtime.runtime import Assignment, End, Runtime
+from cairn.runtime.runtime import ComponentExit, Runtime, RuntimeOptions
 from cairn.schemas.geometry_msgs import Twist, Vector3
 
 Array = NDArray[np.float64]
@@ -101,7 +101,7 @@ def rays() -> list[Figure]:
 
 def simulated(world: str, seconds: float) -> float:
     """CPU ms a simulated second of world, base, scanner and recognizer, driven in a curve."""
-    executor, bus, ends = LockstepExecutor(SECOND), LockstepBus(), list[End]()
+    executor, bus, ends = LockstepExecutor(SECOND), LockstepBus(), list[ComponentExit]()
     parts: dict[str, tuple[type[Component], dict[str, object]]] = {
         "world": (SimulatedWorld, {"world": str(WORLDS / world)}),
         "base": (SimulatedBase, {}),
@@ -111,7 +111,7 @@ def simulated(world: str, seconds: float) -> float:
     for name, (component, parameters) in parts.items():
         runtime = Runtime(
             component,
-            Assignment(name=name, plugin=name, parameters=parameters),
+            RuntimeOptions(name=name, plugin=name, parameters=parameters),
             bus,
             executor.scheduler(),
             executor,

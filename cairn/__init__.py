@@ -15,11 +15,8 @@ if TYPE_CHECKING:
     from cairn.clock import SECOND, Clock, from_ns, to_ns
     from cairn.errors import CairnError
     from cairn.runtime.component import Component
-    from cairn.runtime.handlers import every, on
-    from cairn.runtime.marks import ReadPath
-    from cairn.runtime.mount import Mount
-    from cairn.runtime.parameters import Config, ParameterRefused
-    from cairn.runtime.ports import In, Out
+    from cairn.runtime.parameters import Config, Mount, ParameterRejected, ReadPath
+    from cairn.runtime.ports import In, Out, every, on
 
 __all__ = [
     "LATCHED",
@@ -33,7 +30,7 @@ __all__ = [
     "In",
     "Mount",
     "Out",
-    "ParameterRefused",
+    "ParameterRejected",
     "Qos",
     "ReadPath",
     "every",
@@ -47,11 +44,8 @@ _MODULES: Final = {
     "cairn.clock": ("SECOND", "Clock", "from_ns", "to_ns"),
     "cairn.errors": ("CairnError",),
     "cairn.runtime.component": ("Component",),
-    "cairn.runtime.handlers": ("every", "on"),
-    "cairn.runtime.marks": ("ReadPath",),
-    "cairn.runtime.mount": ("Mount",),
-    "cairn.runtime.parameters": ("Config", "ParameterRefused"),
-    "cairn.runtime.ports": ("In", "Out"),
+    "cairn.runtime.parameters": ("Config", "Mount", "ParameterRejected", "ReadPath"),
+    "cairn.runtime.ports": ("In", "Out", "every", "on"),
 }
 
 

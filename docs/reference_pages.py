@@ -19,8 +19,8 @@ from cairn import Component
 from cairn.bus.codec import Codec
 from cairn.cli.main import build
 from cairn.cli.message_types import known_messages
-from cairn.deployment.plugins import installed, load_plugin
-from cairn.runtime.parameters import bounds
+from cairn.deployment.plugins import installed_plugins, load_plugin
+from cairn.runtime.parameters import bounds_text
 from cairn.runtime.ports import ports_of
 from cairn.schemas.message import type_name
 
@@ -86,7 +86,7 @@ def _plugins_page() -> str:
     ]
     parts.extend(
         _plugin_section(plugin.name, load_plugin(plugin.name))
-        for plugin in installed()
+        for plugin in installed_plugins()
         if plugin.package.split()[0] == PACKAGE
     )
     return "".join(parts)
@@ -113,7 +113,7 @@ def _parameters(config: type[BaseModel], prefix: str) -> Iterator[tuple[str, str
         if isinstance(group, type) and issubclass(group, BaseModel):
             yield from _parameters(group, f"{prefix}{name}.")
         else:
-            yield f"`{prefix}{name}`", _default(field), bounds(field), field.description or ""
+            yield f"`{prefix}{name}`", _default(field), bounds_text(field), field.description or ""
 
 
 def _default(field: FieldInfo) -> str:

@@ -2,8 +2,8 @@
 
 from typing import Annotated
 
+from cairn.schemas.field_types import Int32, Scalar
 from cairn.schemas.message import message
-from cairn.schemas.primitives import Int32, Scalar
 
 Nanoseconds = Annotated[int, Scalar("uint32", at_most=999_999_999)]
 

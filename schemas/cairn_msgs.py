@@ -6,11 +6,11 @@ from typing import Annotated, ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from cairn.schemas.covariance import Covariance2, Covariance3
-from cairn.schemas.message import message, refuse
-from cairn.schemas.primitives import (
+from cairn.schemas.field_types import (
     Array,
     Bool,
+    Covariance2,
+    Covariance3,
     FiniteFloat64,
     Float64,
     Scalar,
@@ -24,6 +24,7 @@ from cairn.schemas.primitives import (
     finite,
     zeros,
 )
+from cairn.schemas.message import message, reject
 from cairn.schemas.std_msgs import Header
 
 Probability = Annotated[float, Scalar("float64", at_least=0, at_most=1)]
@@ -54,7 +55,7 @@ class RecognizedObject:
     def __post_init__(self) -> None:
         """Check that there are four corners or none."""
         if self.corners.size not in (0, 8):
-            refuse(self, "corners", self.corners, "must be none, or 8 image coordinates")
+            reject(self, "corners", self.corners, "must be none, or 8 image coordinates")
 
 
 @message("cairn_msgs/msg/RecognizedObjectArray")
@@ -75,9 +76,9 @@ class RecognizedObjectArray:
     def __post_init__(self) -> None:
         """Check that the limits of the view are in order."""
         if not self.view_right <= self.view_left:
-            refuse(self, "view_left", self.view_left, f"must be {self.view_right} or more")
+            reject(self, "view_left", self.view_left, f"must be {self.view_right} or more")
         if not self.nearest <= self.farthest:
-            refuse(self, "farthest", self.farthest, f"must be nearest = {self.nearest} or more")
+            reject(self, "farthest", self.farthest, f"must be nearest = {self.nearest} or more")
 
 
 @message("cairn_msgs/msg/ObjectEvidence")
@@ -231,4 +232,4 @@ class ComponentStatus:
 
 def _place_or_none(message: object, name: str, x: float, y: float) -> None:
     if isinf(x) or isinf(y) or isnan(x) != isnan(y):
-        refuse(message, f"{name}_x, {name}_y", (x, y), "must be two finite numbers, or NaN twice")
+        reject(message, f"{name}_x, {name}_y", (x, y), "must be two finite numbers, or NaN twice")

@@ -5,10 +5,10 @@ from math import isinf, isnan, nan
 from typing import Annotated, ClassVar, Final
 
 from cairn.schemas.builtin_interfaces import Time
+from cairn.schemas.field_types import Bool, FiniteFloat64, Float64, Scalar, String, UInt8, UInt32
 from cairn.schemas.geometry_msgs import Pose, PoseWithCovariance
-from cairn.schemas.message import message, refuse
+from cairn.schemas.message import message, reject
 from cairn.schemas.packed import Packed
-from cairn.schemas.primitives import Bool, FiniteFloat64, Float64, Scalar, String, UInt8, UInt32
 from cairn.schemas.std_msgs import Header
 
 Probability = Annotated[float, Scalar("float64", at_least=0, at_most=1)]
@@ -82,7 +82,7 @@ class Plan:
         """Check that the nearest place has both coordinates or none."""
         x, y = self.nearest_x, self.nearest_y
         if isinf(x) or isinf(y) or isnan(x) != isnan(y):
-            refuse(self, "nearest_x, nearest_y", (x, y), "must be two finite numbers, or NaN twice")
+            reject(self, "nearest_x, nearest_y", (x, y), "must be two finite numbers, or NaN twice")
 
 
 @message("cairn_nav_msgs/msg/MotionStatus")

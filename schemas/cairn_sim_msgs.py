@@ -4,10 +4,7 @@ from typing import Annotated, ClassVar
 
 import numpy as np
 
-from cairn.schemas.geometry_msgs import Point, Pose
-from cairn.schemas.message import message, refuse
-from cairn.schemas.packed import Packed
-from cairn.schemas.primitives import (
+from cairn.schemas.field_types import (
     FiniteFloat64,
     Float64Array,
     Scalar,
@@ -17,6 +14,9 @@ from cairn.schemas.primitives import (
     UInt32Array,
     empty,
 )
+from cairn.schemas.geometry_msgs import Point, Pose
+from cairn.schemas.message import message, reject
+from cairn.schemas.packed import Packed
 from cairn.schemas.std_msgs import Header
 
 
@@ -74,13 +74,13 @@ class Scene:
     def __post_init__(self) -> None:
         """Check that the lengths agree."""
         if self.segments.size != 4 * self.surfaces.size:
-            refuse(self, "segments", self.segments, f"must be 4 x {self.surfaces.size} numbers")
+            reject(self, "segments", self.segments, f"must be 4 x {self.surfaces.size} numbers")
         if not self.heights.size == self.solids.size == self.surfaces.size:
-            refuse(self, "surfaces", self.surfaces, "must be as many as heights and solids")
+            reject(self, "surfaces", self.surfaces, "must be as many as heights and solids")
         objects = self.object_ids.size
         theirs = (self.object_names, self.object_poses, self.object_zs, self.object_textures)
         if any(len(one) != objects for one in theirs) or self.object_sizes.size != 2 * objects:
-            refuse(
+            reject(
                 self,
                 "object_ids",
                 self.object_ids,

@@ -2,8 +2,8 @@
 
 from typing import Annotated, ClassVar
 
+from cairn.schemas.field_types import Byte, Scalar, String
 from cairn.schemas.message import message
-from cairn.schemas.primitives import Byte, Scalar, String
 from cairn.schemas.std_msgs import Header
 
 

@@ -5,9 +5,9 @@ from typing import Annotated
 import numpy as np
 import numpy.typing as npt
 
+from cairn.schemas.field_types import Array, FiniteFloat64, String, finite, zeros
 from cairn.schemas.message import message
 from cairn.schemas.packed import Packed
-from cairn.schemas.primitives import Array, FiniteFloat64, String, finite, zeros
 from cairn.schemas.std_msgs import Header
 
 Covariance6 = Annotated[npt.NDArray[np.float64], Array("float64", length=36, check=finite)]

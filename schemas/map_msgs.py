@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from cairn.schemas.message import message, refuse
-from cairn.schemas.primitives import Int8Array, Int32, UInt32, empty
+from cairn.schemas.field_types import Int8Array, Int32, UInt32, empty
+from cairn.schemas.message import message, reject
 from cairn.schemas.std_msgs import Header
 
 
@@ -22,6 +22,6 @@ class OccupancyGridUpdate:
         """Check that there are width * height cells with values of a map."""
         cells = self.width * self.height
         if self.data.size != cells:
-            refuse(self, "data", self.data, f"must have width * height = {cells} cells")
+            reject(self, "data", self.data, f"must have width * height = {cells} cells")
         if cells and not (self.data.min() >= -1 and self.data.max() <= 100):
-            refuse(self, "data", self.data, "must hold values from -1 to 100")
+            reject(self, "data", self.data, "must hold values from -1 to 100")

@@ -5,9 +5,9 @@ from typing import Annotated
 import numpy as np
 
 from cairn.schemas.builtin_interfaces import Time
+from cairn.schemas.field_types import Int8Array, Scalar, String, UInt32, empty
 from cairn.schemas.geometry_msgs import Pose, PoseStamped, PoseWithCovariance, TwistWithCovariance
-from cairn.schemas.message import message, refuse
-from cairn.schemas.primitives import Int8Array, Scalar, String, UInt32, empty
+from cairn.schemas.message import message, reject
 from cairn.schemas.std_msgs import Header
 
 
@@ -44,11 +44,11 @@ class OccupancyGrid:
         """Check that there are width * height cells with values of a map."""
         cells = self.info.width * self.info.height
         if self.data.size != cells:
-            refuse(self, "data", self.data, f"must have width * height = {cells} cells")
+            reject(self, "data", self.data, f"must have width * height = {cells} cells")
         if cells and not (self.data.min() >= -1 and self.data.max() <= 100):
-            refuse(self, "data", self.data, "must hold values from -1 to 100")
+            reject(self, "data", self.data, "must hold values from -1 to 100")
         if cells and self.info.resolution == 0:
-            refuse(self, "info.resolution", 0.0, "must be above 0 where there are cells")
+            reject(self, "info.resolution", 0.0, "must be above 0 where there are cells")
 
 
 @message("nav_msgs/msg/Path")

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic_core import CoreSchema, core_schema
 
-from cairn.schemas.primitives import Scalar, mark_of
+from cairn.schemas.field_types import Scalar, mark_of
 
 M = TypeVar("M")
 

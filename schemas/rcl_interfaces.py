@@ -3,8 +3,8 @@
 from typing import ClassVar
 
 from cairn.schemas.builtin_interfaces import Time
+from cairn.schemas.field_types import String, UInt8, UInt32
 from cairn.schemas.message import message
-from cairn.schemas.primitives import String, UInt8, UInt32
 
 
 @message("rcl_interfaces/msg/Log")

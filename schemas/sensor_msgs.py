@@ -6,8 +6,7 @@ from typing import Annotated, ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from cairn.schemas.message import message, refuse
-from cairn.schemas.primitives import (
+from cairn.schemas.field_types import (
     Array,
     Bool,
     FiniteFloat32,
@@ -21,6 +20,7 @@ from cairn.schemas.primitives import (
     finite,
     zeros,
 )
+from cairn.schemas.message import message, reject
 from cairn.schemas.std_msgs import Header
 
 _EPSILON = float(np.finfo(np.float32).eps)
@@ -53,17 +53,17 @@ class LaserScan:
         """Check that angles, ranges and intensities agree in number, and the limits of ranges."""
         beams = self.ranges.size
         if self.intensities.size not in (0, beams):
-            refuse(self, "intensities", self.intensities, f"must be none or {beams}, as the ranges")
+            reject(self, "intensities", self.intensities, f"must be none or {beams}, as the ranges")
         if not self.range_min <= self.range_max:
-            refuse(
+            reject(
                 self, "range_max", self.range_max, f"must be range_min = {self.range_min} or more"
             )
         if beams:
             # A range from range_max on is no return: left at 0, all would be free.
             if not 0.0 < self.range_max < math.inf:
-                refuse(self, "range_max", self.range_max, "must be above 0 and finite")
+                reject(self, "range_max", self.range_max, "must be above 0 and finite")
             if self.range_min < 0.0:
-                refuse(self, "range_min", self.range_min, "must be at least 0")
+                reject(self, "range_min", self.range_min, "must be at least 0")
             step = self.angle_increment
             last = self.angle_min + (beams - 1) * step
             # Some drivers count the beams, some the gaps: one step of freedom. The increment is
@@ -72,7 +72,7 @@ class LaserScan:
                 2 * _EPSILON * (abs(self.angle_min) + abs(self.angle_max) + beams * abs(step))
             )
             if abs(last - self.angle_max) > abs(step) + rounding:
-                refuse(
+                reject(
                     self,
                     "angle_max",
                     self.angle_max,
@@ -107,7 +107,7 @@ class MultiEchoLaserScan:
         if self.intensities and [echo.echoes.size for echo in self.intensities] != [
             echo.echoes.size for echo in self.ranges
         ]:
-            refuse(self, "intensities", self.intensities, "must be none, or one for each range")
+            reject(self, "intensities", self.intensities, "must be none, or one for each range")
 
 
 @message("sensor_msgs/msg/Image")
@@ -126,7 +126,7 @@ class Image:
         """Check that there are as many bytes as rows of that length have."""
         size = self.height * self.step
         if self.data.size != size:
-            refuse(self, "data", self.data, f"must have height * step = {size} bytes")
+            reject(self, "data", self.data, f"must have height * step = {size} bytes")
 
 
 @message("sensor_msgs/msg/RegionOfInterest")

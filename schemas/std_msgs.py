@@ -1,6 +1,6 @@
 """ROS 2 package std_msgs: the header of stamped messages, and bare values."""
 
-from cairn.schemas import primitives
+from cairn.schemas import field_types
 from cairn.schemas.builtin_interfaces import Time
 from cairn.schemas.message import message
 
@@ -10,11 +10,11 @@ class Header:
     """When and in which coordinate frame the data of a message hold."""
 
     stamp: Time = Time()
-    frame_id: primitives.String = ""
+    frame_id: field_types.String = ""
 
 
 @message("std_msgs/msg/String")
 class String:
     """A text."""
 
-    data: primitives.String = ""
+    data: field_types.String = ""

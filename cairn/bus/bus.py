@@ -15,7 +15,7 @@ class Publisher(Protocol):
         ...
 
     @property
-    def wanted(self) -> bool:
+    def has_subscribers(self) -> bool:
         """Whether a message sent now would come to anybody, be it one who comes later."""
         ...
 
@@ -90,7 +90,7 @@ class Bus(Protocol):
         """
         ...
 
-    def settle(self, timeout_s: float) -> list[str]:
+    def wait_for_peers(self, timeout_s: float) -> list[str]:
         """Wait until all that was declared here is known to everybody on the bus, and theirs here.
 
         Returns whom it could not reach within the limit.
@@ -103,7 +103,7 @@ def full_name(robot: str, topic: str) -> str:
     return topic if topic.startswith("/") else f"/{robot}/{topic}"
 
 
-def mismatch(topic: str, ours: str, other: str, theirs: str) -> str:
+def type_conflict(topic: str, ours: str, other: str, theirs: str) -> str:
     """The complaint about two message types on one topic."""
     return (
         f"topic {topic}: {other} uses it with {theirs}, this component with {ours}; they cannot "

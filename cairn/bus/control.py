@@ -14,6 +14,7 @@ from typing import Any
 import zenoh
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from cairn.bus.keys import control_key
 from cairn.errors import CairnError
 
 
@@ -21,7 +22,7 @@ class ControlError(CairnError):
     """A request was refused, or there was no answer."""
 
 
-class NoAnswer(ControlError):  # noqa: N818 - says what came
+class NoReplyError(ControlError):
     """Nobody answered, or whoever was to answer has gone."""
 
 
@@ -52,8 +53,8 @@ def request(
 ) -> Any:
     """Ask the component with that full name (`/robot/localizer`) and return its answer.
 
-    Raises `ControlError` with the component's own words if it refuses; `NoAnswer` naming component,
-    request and limit if none comes.
+    Raises `ControlError` with the component's error if it rejects the request; `NoReplyError`,
+    with component, request and limit, if no reply arrives.
     """
     asked = ControlRequest(verb=verb, arguments=dict(arguments or {}))
     begun = time.monotonic()
@@ -75,12 +76,12 @@ def request(
             return answer.value
     waited_s = time.monotonic() - begun
     if waited_s < timeout_s:
-        raise NoAnswer(
+        raise NoReplyError(
             f"{component} gave no answer to {verb}, and after {waited_s:.1f} s it was certain that "
             "none would come: it is not running, has just ended, or the link to it was lost; "
             "`cairn ps` shows what runs"
         )
-    raise NoAnswer(
+    raise NoReplyError(
         f"{component} gave no answer to {verb} within {timeout_s:g} s: it hangs, or is "
         "still busy; `cairn ps` shows with what"
     )
@@ -152,8 +153,3 @@ def _reply(component: str, payload: bytes) -> ControlReply:
         return ControlReply.model_validate_json(payload)
     except ValidationError as error:
         raise ControlError(f"{component} gave an answer that is none: {error}") from error
-
-
-def control_key(domain: int, component: str) -> str:
-    """Where the component with that full name (`/robot/localizer`) is asked."""
-    return f"@cairn/{domain}/component{component}"

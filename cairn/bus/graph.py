@@ -6,38 +6,38 @@ from typing import Any
 
 import zenoh
 
-from cairn.bus import rmw
+from cairn.bus import keys
 
 _WAITING = 10_000
 
 
 def read_graph(
     session: zenoh.Session, domain: int, timeout_s: float = 2.0
-) -> list[rmw.NodeEntity | rmw.EndpointEntity]:
+) -> list[keys.NodeEntity | keys.EndpointEntity]:
     """All nodes and endpoints alive in a domain, sorted by their tokens.
 
     For the session of a client (`open_client`): to a peer, zenoh 1.10 may declare the answer
-    complete before all of it has come; peers follow with `GraphWatch`.
+    complete before all of it has come; peers follow with `GraphWatcher`.
     """
-    replies = session.liveliness().get(f"{rmw.TOKENS}/{domain}/**", timeout=timeout_s)
-    keys = sorted(str(reply.ok.key_expr) for reply in replies if reply.ok is not None)
-    return list(_parsed(keys))
+    replies = session.liveliness().get(keys.tokens_pattern(domain), timeout=timeout_s)
+    tokens = sorted(str(reply.ok.key_expr) for reply in replies if reply.ok is not None)
+    return list(_parsed(tokens))
 
 
-class GraphWatch:
+class GraphWatcher:
     """Tells those who ask about each endpoint that appears in the domain or is there already."""
 
     def __init__(self, session: zenoh.Session, domain: int) -> None:
         self._lock = threading.Lock()
-        self._endpoints: dict[str, rmw.EndpointEntity] = {}
-        self._watchers: list[Callable[[rmw.EndpointEntity], None]] = []
+        self._endpoints: dict[str, keys.EndpointEntity] = {}
+        self._watchers: list[Callable[[keys.EndpointEntity], None]] = []
         self._subscriber: zenoh.Subscriber[Any] = session.liveliness().declare_subscriber(
-            f"{rmw.TOKENS}/{domain}/**", zenoh.handlers.RingChannel(_WAITING), history=True
+            keys.tokens_pattern(domain), zenoh.handlers.RingChannel(_WAITING), history=True
         )
         self._thread = threading.Thread(target=self._follow, name="cairn graph", daemon=True)
         self._thread.start()
 
-    def watch(self, appeared: Callable[[rmw.EndpointEntity], None]) -> Callable[[], None]:
+    def watch(self, appeared: Callable[[keys.EndpointEntity], None]) -> Callable[[], None]:
         """Have `appeared` called for every endpoint, now and later; returns how to end that."""
         with self._lock:
             self._watchers.append(appeared)
@@ -66,7 +66,7 @@ class GraphWatch:
                 return
             key = str(sample.key_expr)
             for entity in _parsed([key]):
-                if not isinstance(entity, rmw.EndpointEntity):
+                if not isinstance(entity, keys.EndpointEntity):
                     continue
                 with self._lock:
                     if sample.kind == zenoh.SampleKind.DELETE:
@@ -79,9 +79,9 @@ class GraphWatch:
                     appeared(entity)
 
 
-def _parsed(keys: Iterable[str]) -> Iterable[rmw.NodeEntity | rmw.EndpointEntity]:
-    for key in keys:
+def _parsed(tokens: Iterable[str]) -> Iterable[keys.NodeEntity | keys.EndpointEntity]:
+    for token in tokens:
         try:
-            yield rmw.parse_token(key)
-        except rmw.RmwError:
+            yield keys.parse_token(token)
+        except keys.WireFormatError:
             continue  # a token of another profile or version: not of our graph

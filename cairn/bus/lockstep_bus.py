@@ -4,9 +4,9 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any, TypeVar
 
-from cairn.bus.bus import mismatch
+from cairn.bus.bus import type_conflict
+from cairn.bus.drops import DropOldestQueue
 from cairn.bus.qos import Qos
-from cairn.bus.waiting import Waiting
 from cairn.schemas.message import type_name
 
 End = TypeVar("End", "LockstepPublisher", "LockstepSubscription")
@@ -22,7 +22,7 @@ class LockstepBus:
         """Join under a full name."""
         return LockstepNode(self, name, complain)
 
-    def settle(self, timeout_s: float) -> list[str]:  # noqa: ARG002 - nothing to wait for
+    def wait_for_peers(self, timeout_s: float) -> list[str]:  # noqa: ARG002 - nothing to wait for
         """Everybody knows everything at once in memory."""
         return []
 
@@ -74,7 +74,7 @@ class LockstepPublisher:
         topic.join(self, topic.writers)
 
     @property
-    def wanted(self) -> bool:
+    def has_subscribers(self) -> bool:
         """Whether somebody reads, or may come and read what is latched."""
         return not self._closed and (bool(self.latched.maxlen) or bool(self._topic.readers))
 
@@ -110,7 +110,7 @@ class LockstepSubscription:
         self.received = 0
         self.invalid = 0
         self._topic = topic
-        self._waiting: Waiting[Any] = Waiting(qos.depth)
+        self._waiting: DropOldestQueue[Any] = DropOldestQueue(qos.depth)
         self._wake = wake
         topic.join(self, topic.readers)
         if _latches(qos):
@@ -153,8 +153,8 @@ class _Topic:
         for other in others:
             if other.message is not end.message:
                 ours, theirs = type_name(end.message), type_name(other.message)
-                end.node.complain(mismatch(self.name, ours, other.node.name, theirs))
-                other.node.complain(mismatch(self.name, theirs, end.node.name, ours))
+                end.node.complain(type_conflict(self.name, ours, other.node.name, theirs))
+                other.node.complain(type_conflict(self.name, theirs, end.node.name, ours))
         ends.append(end)
 
     def leave(self, end: End, ends: list[End]) -> None:

@@ -32,7 +32,7 @@ def open_peer(connect: Sequence[str]) -> zenoh.Session:
     """
     listen = ["tcp/127.0.0.1:0"]
     session = _open(_config("peer", listen, connect), f"cannot open a session to {connect}")
-    if not is_linked(session):
+    if not is_connected(session):
         session.close()
         raise CairnError(_nobody(connect))
     return session
@@ -61,7 +61,7 @@ def open_router(listen: str, connect: Sequence[str] = ()) -> zenoh.Session:
     )
 
 
-def is_linked(session: zenoh.Session) -> bool:
+def is_connected(session: zenoh.Session) -> bool:
     """Whether the session has a link to a router, or gets one within `CONNECT_LIMIT_S`.
 
     A link that was lost comes back by itself, if the router is still there.
@@ -113,7 +113,7 @@ def _config(mode: str, listen: Sequence[str], connect: Sequence[str]) -> zenoh.C
         # Opening waits for nobody: by default it lasts half a second, for peers now and then.
         "open/return_conditions/connect_scouted": False,
         "scouting/delay": 0,
-        # The router tells who is linked to it: `cairn.bus.links`.
+        # The router tells who is linked to it: `cairn.bus.discovery`.
         "adminspace/enabled": mode == "router",
         "timestamping/enabled": True,
         "transport/link/tx/lease": LEASE_MS,

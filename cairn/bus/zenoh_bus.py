@@ -15,13 +15,13 @@ from zenoh.ext import (
     declare_advanced_subscriber,
 )
 
-from cairn.bus import rmw
-from cairn.bus.bus import mismatch
+from cairn.bus import keys
+from cairn.bus.bus import type_conflict
 from cairn.bus.codec import Codec
-from cairn.bus.graph import GraphWatch
-from cairn.bus.meeting import Meeting
+from cairn.bus.discovery import DiscoveryBarrier
+from cairn.bus.drops import DropOldestQueue
+from cairn.bus.graph import GraphWatcher
 from cairn.bus.qos import Qos
-from cairn.bus.waiting import Waiting
 from cairn.schemas.message import InvalidMessage, type_name
 
 _PUBLISHERS = 1000
@@ -40,17 +40,17 @@ class ZenohBus:
         self.domain = domain
         self.codec = Codec()
         self._ids = itertools.count()
-        self.graph = GraphWatch(session, domain)
-        self._meeting = Meeting(session)
+        self.graph = GraphWatcher(session, domain)
+        self._meeting = DiscoveryBarrier(session)
         self._closed = False
 
     def node(self, name: str, complain: Callable[[str], None]) -> "ZenohNode":
         """Join under a full name such as `/robot/localizer`."""
         return ZenohNode(self, name, complain)
 
-    def settle(self, timeout_s: float) -> list[str]:
+    def wait_for_peers(self, timeout_s: float) -> list[str]:
         """Wait until every process on the bus and this one know all of each other."""
-        return self._meeting.settle(timeout_s)
+        return self._meeting.wait_for_peers(timeout_s)
 
     def next_id(self) -> int:
         """A number for a node or an endpoint, unique in this session."""
@@ -73,11 +73,11 @@ class ZenohNode:
         self.bus = bus
         self.name = name
         zid = str(bus.session.info.zid())
-        self._entity = rmw.NodeEntity(bus.domain, zid, bus.next_id(), name)
+        self._entity = keys.NodeEntity(bus.domain, zid, bus.next_id(), name)
         self._ends: list[ZenohPublisher | ZenohSubscription] = []
         self._closed = False
         self._complain = complain
-        self._token = bus.session.liveliness().declare_token(rmw.token_key(self._entity))
+        self._token = bus.session.liveliness().declare_token(keys.token_key(self._entity))
 
     def advertise(self, topic: str, message: type[Any], qos: Qos) -> "ZenohPublisher":
         """Write messages of class `message` to `topic`."""
@@ -94,11 +94,11 @@ class ZenohNode:
         return subscription
 
     def declare(
-        self, kind: rmw.EndpointKind, topic: str, message: type[Any], qos: Qos
+        self, kind: keys.EndpointKind, topic: str, message: type[Any], qos: Qos
     ) -> "Announcement":
         """Announce an endpoint of this node to the graph."""
         bus = self.bus
-        entity = rmw.EndpointEntity(
+        entity = keys.EndpointEntity(
             self._entity, bus.next_id(), kind, topic, type_name(message),
             bus.codec.type_hash(message), qos,
         )  # fmt: skip
@@ -119,11 +119,11 @@ class Announcement:
     """An endpoint's liveliness token, and the watch for others that use its topic differently."""
 
     def __init__(
-        self, bus: ZenohBus, entity: rmw.EndpointEntity, complain: Callable[[str], None]
+        self, bus: ZenohBus, entity: keys.EndpointEntity, complain: Callable[[str], None]
     ) -> None:
-        token = rmw.token_key(entity)
-        self.key = rmw.data_key(bus.domain, entity.topic, entity.type_name, entity.type_hash)
-        self.gid = rmw.gid(token)
+        token = keys.token_key(entity)
+        self.key = entity.data_key
+        self.gid = keys.gid(token)
         self._entity = entity
         self._complain = complain
         self._token = bus.session.liveliness().declare_token(token)
@@ -134,7 +134,7 @@ class Announcement:
         self._end_watch()
         self._token.undeclare()
 
-    def _appeared(self, other: rmw.EndpointEntity) -> None:
+    def _appeared(self, other: keys.EndpointEntity) -> None:
         mine = self._entity
         if other.topic != mine.topic or other.kind not in ("MP", "MS"):
             return
@@ -143,7 +143,7 @@ class Announcement:
         theirs = other.type_name
         if theirs == mine.type_name:
             theirs = f"another definition of it ({other.type_hash})"
-        self._complain(mismatch(mine.topic, mine.type_name, other.node.name, theirs))
+        self._complain(type_conflict(mine.topic, mine.type_name, other.node.name, theirs))
 
 
 class ZenohPublisher:
@@ -186,7 +186,7 @@ class ZenohPublisher:
             )
 
     @property
-    def wanted(self) -> bool:
+    def has_subscribers(self) -> bool:
         """Whether somebody reads, or may come and read what is latched."""
         return not self._closed and (self._latched or self._publisher.matching_status.matching)
 
@@ -195,10 +195,10 @@ class ZenohPublisher:
         if self._closed:
             return
         self.published += 1
-        if not self.wanted:
+        if not self.has_subscribers:
             return
         self._sent += 1
-        attachment = rmw.Attachment(self._sent, time.time_ns(), self._gid)
+        attachment = keys.Attachment(self._sent, time.time_ns(), self._gid)
         self._publisher.put(self._codec.encode(message), attachment=attachment.encode())
 
     def close(self) -> None:
@@ -232,7 +232,7 @@ class ZenohSubscription:
         self._codec = node.bus.codec
         self._message = message
         self._wake = wake
-        self._waiting: Waiting[zenoh.Sample] = Waiting(qos.depth)
+        self._waiting: DropOldestQueue[zenoh.Sample] = DropOldestQueue(qos.depth)
         self._last: dict[bytes, int] = {}
         self._announcement = node.declare("MS", topic, message, qos)
         key = self._announcement.key
@@ -298,8 +298,8 @@ class ZenohSubscription:
         # Numbers are per publisher and without gaps: what is missing was lost on the way or in
         # the ring.
         try:
-            number = rmw.Attachment.decode(attachment)
-        except rmw.RmwError:
+            number = keys.Attachment.decode(attachment)
+        except keys.WireFormatError:
             return  # a peer without rmw_zenoh's numbering
         if len(self._last) >= _PUBLISHERS:  # or a peer that invents names would fill the memory
             self._last.clear()

@@ -11,7 +11,7 @@ import typer
 import zenoh
 from zenoh.ext import HistoryConfig, declare_advanced_subscriber
 
-from cairn.bus import rmw
+from cairn.bus import keys
 from cairn.bus.codec import Codec
 from cairn.bus.graph import read_graph
 from cairn.bus.session import open_client
@@ -47,27 +47,27 @@ class Connection:
     session: zenoh.Session
     domain: int
 
-    def graph(self) -> list[rmw.NodeEntity | rmw.EndpointEntity]:
+    def graph(self) -> list[keys.NodeEntity | keys.EndpointEntity]:
         """All nodes and endpoints alive."""
         return read_graph(self.session, self.domain)
 
-    def endpoints(self) -> list[rmw.EndpointEntity]:
+    def endpoints(self) -> list[keys.EndpointEntity]:
         """All publishers and subscriptions alive."""
-        return [entity for entity in self.graph() if isinstance(entity, rmw.EndpointEntity)]
+        return [entity for entity in self.graph() if isinstance(entity, keys.EndpointEntity)]
 
     def statuses(self) -> dict[str, ComponentStatus]:
         """The last status of every component that answers, by full name (`/robot/localizer`)."""
         codec = Codec()
         wanted = type_name(ComponentStatus)
         writers = {
-            rmw.gid(rmw.token_key(endpoint)): endpoint
+            keys.gid(keys.token_key(endpoint)): endpoint
             for endpoint in self.endpoints()
             if endpoint.kind == "MP" and endpoint.type_name == wanted
         }
         found: dict[str, ComponentStatus] = {}
         deadline = time.monotonic() + _LIMIT_S
         for topic in sorted({endpoint.topic for endpoint in writers.values()}):
-            key = rmw.data_key(self.domain, topic, wanted, codec.type_hash(ComponentStatus))
+            key = keys.message_key(self.domain, topic, ComponentStatus, codec)
             expected = {gid for gid, endpoint in writers.items() if endpoint.topic == topic}
             with self.listen(key, latched=True) as samples:
                 while expected:
@@ -91,7 +91,7 @@ class Connection:
         have answered.
         """
         replies = self.session.get(
-            f"{key}/@adv/**",
+            keys.cached_samples_key(key),
             target=zenoh.QueryTarget.ALL,
             consolidation=zenoh.ConsolidationMode.NONE,
             accept_replies=zenoh.ReplyKeyExpr.ANY,  # they stand under the writer's key
@@ -123,13 +123,13 @@ class Connection:
             subscriber.undeclare()
 
 
-def attachment_of(sample: Any) -> rmw.Attachment | None:
+def attachment_of(sample: Any) -> keys.Attachment | None:
     """Number, time and writer of a sample, None if a foreign writer has not given them."""
     if sample.attachment is None:
         return None
     try:
-        return rmw.Attachment.decode(sample.attachment.to_bytes())
-    except rmw.RmwError:
+        return keys.Attachment.decode(sample.attachment.to_bytes())
+    except keys.WireFormatError:
         return None
 
 

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from cairn.bus import rmw
+from cairn.bus import keys
 from cairn.cli.connection import (
     DEFAULT_CONNECT,
     STATUS_TOPIC,
@@ -43,7 +43,7 @@ def graph(
     show(listed, ("topic", "type", "writers", "readers"), as_json=json, nothing="there is no topic")
 
 
-def rows(endpoints: list[rmw.EndpointEntity], robot: str) -> list[dict[str, str | list[str]]]:
+def rows(endpoints: list[keys.EndpointEntity], robot: str) -> list[dict[str, str | list[str]]]:
     """One row for each topic and message type, sorted; those of a `robot` alone if given."""
     ends: dict[tuple[str, str], dict[str, set[str]]] = defaultdict(
         lambda: {"MP": set(), "MS": set()}

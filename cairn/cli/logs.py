@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from cairn.bus import rmw
+from cairn.bus import keys
 from cairn.bus.codec import Codec
 from cairn.cli.connection import (
     DEFAULT_CONNECT,
@@ -18,7 +18,7 @@ from cairn.cli.connection import (
 )
 from cairn.cli.tables import line, note
 from cairn.runtime.rosout import ROSOUT, render
-from cairn.schemas.message import InvalidMessage, type_name
+from cairn.schemas.message import InvalidMessage
 from cairn.schemas.rcl_interfaces import Log
 
 
@@ -32,7 +32,7 @@ def logs(
 ) -> None:
     """Print the last log messages of the running components in order of time."""
     codec = Codec()
-    key = rmw.data_key(domain, ROSOUT, type_name(Log), codec.type_hash(Log))
+    key = keys.message_key(domain, ROSOUT, Log, codec)
     with connected(connect, domain) as connection:
         writers = [
             end for end in connection.endpoints() if end.kind == "MP" and end.topic == ROSOUT

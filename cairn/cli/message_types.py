@@ -6,11 +6,10 @@ from collections.abc import Iterator
 from typing import Any
 
 from cairn import schemas
-from cairn.deployment.plugins import installed
-from cairn.deployment.problems import one_of
+from cairn.deployment.plugins import installed_plugins
+from cairn.deployment.problems import suggestion
 from cairn.errors import CairnError
-from cairn.schemas.fields import fields_of
-from cairn.schemas.message import type_name
+from cairn.schemas.message import fields_of, type_name
 
 
 def known_messages() -> dict[str, type[Any]]:
@@ -26,7 +25,7 @@ def find_message(name: str) -> type[Any]:
     known = _of_plugins() | ours
     if name not in known:
         raise CairnError(
-            f"unknown message type {name}; {one_of(name, sorted(known))} (`cairn schema list` "
+            f"unknown message type {name}; {suggestion(name, sorted(known))} (`cairn schema list` "
             "lists all: Cairn's own and those of the ports of installed plugins)"
         )
     return known[name]
@@ -48,7 +47,7 @@ def _of_schemas() -> dict[str, type[Any]]:
 def _of_plugins() -> dict[str, type[Any]]:
     return {
         type_name(message): message
-        for plugin in installed()
+        for plugin in installed_plugins()
         for port in plugin.ports
         for message in _with_parts(port.message)
     }

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 import typer
 import yaml
 
-from cairn.bus import rmw
+from cairn.bus import keys
 from cairn.bus.control import request
 from cairn.cli.connection import (
     DEFAULT_CONNECT,
@@ -105,6 +105,6 @@ def _readable(parameter: dict[str, Any]) -> dict[str, Any]:
 def _ask(
     connection: Connection, component: str, robot: str, verb: str, arguments: dict[str, Any]
 ) -> Any:
-    nodes = [entity.name for entity in connection.graph() if isinstance(entity, rmw.NodeEntity)]
+    nodes = [entity.name for entity in connection.graph() if isinstance(entity, keys.NodeEntity)]
     full = resolve(nodes, component, robot)
     return request(connection.session, connection.domain, full, verb, arguments, timeout_s=_LIMIT_S)

@@ -8,8 +8,8 @@ from pydantic import BaseModel
 
 from cairn.cli.connection import Json
 from cairn.cli.tables import line, print_json, show
-from cairn.deployment.plugins import installed, load_plugin
-from cairn.runtime.parameters import bounds
+from cairn.deployment.plugins import installed_plugins, load_plugin
+from cairn.runtime.parameters import bounds_text
 from cairn.runtime.ports import PortSpec, ports_of
 from cairn.schemas.message import type_name
 
@@ -41,7 +41,7 @@ def plugins(
             "package": found.package,
             "usable": not found.error,
         }
-        for found in installed()
+        for found in installed_plugins()
     ]
     show(rows, ("plugin", "package", "summary"), as_json=json, nothing="no plugin is installed")
 
@@ -53,7 +53,7 @@ def _show_one(reference: str, *, as_json: bool) -> None:
         {
             "parameter": name,
             "default": "required" if field.is_required() else field.get_default(),
-            "bounds": bounds(field),
+            "bounds": bounds_text(field),
             "description": field.description or "",
         }
         for name, field in cls.config_class().model_fields.items()

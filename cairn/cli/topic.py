@@ -10,9 +10,8 @@ from typing import Annotated, Any
 import typer
 import yaml
 
-from cairn.bus import rmw
-from cairn.bus.codec import Codec
-from cairn.bus.plain import to_plain
+from cairn.bus import keys
+from cairn.bus.codec import Codec, to_plain
 from cairn.cli import graph
 from cairn.cli.connection import (
     DEFAULT_CONNECT,
@@ -70,7 +69,7 @@ def echo(
         endpoint = _endpoint(connection, topic, robot)
         message = find_message(endpoint.type_name)
         latched = endpoint.qos.durability == "transient_local"
-        with connection.listen(_key(domain, endpoint), latched=latched) as samples:
+        with connection.listen(endpoint.data_key, latched=latched) as samples:
             printed = 0
             while count is None or printed < count:
                 sample = _next(samples, wait, endpoint.topic)
@@ -104,7 +103,7 @@ def hz(
         sizes: list[int] = []
         last: dict[bytes, int] = {}
         lost = 0
-        with connection.listen(_key(domain, endpoint)) as samples:
+        with connection.listen(endpoint.data_key) as samples:
             end = time.monotonic() + seconds
             while (left := end - time.monotonic()) > 0:
                 try:
@@ -138,7 +137,7 @@ def hz(
         show([result], titles, as_json=False)
 
 
-def _endpoint(connection: Connection, topic: str, robot: str) -> rmw.EndpointEntity:
+def _endpoint(connection: Connection, topic: str, robot: str) -> keys.EndpointEntity:
     endpoints = [end for end in connection.endpoints() if end.kind in ("MP", "MS")]
     full = resolve(sorted({end.topic for end in endpoints}), topic, robot)
     ends = [end for end in endpoints if end.topic == full]
@@ -147,10 +146,6 @@ def _endpoint(connection: Connection, topic: str, robot: str) -> rmw.EndpointEnt
         raise CairnError(f"{full} is used with several message types: {', '.join(types)}")
     writers = [end for end in ends if end.kind == "MP"]
     return (writers or ends)[0]
-
-
-def _key(domain: int, endpoint: rmw.EndpointEntity) -> str:
-    return rmw.data_key(domain, endpoint.topic, endpoint.type_name, endpoint.type_hash)
 
 
 def _next(samples: "queue.Queue[Any]", wait_s: float, topic: str) -> Any:

@@ -29,12 +29,12 @@ from cairn.cli.watch import LogWatch, Watch
 from cairn.clock import from_ns
 from cairn.deployment.load import assembled, read_sources
 from cairn.deployment.model import Deployment
-from cairn.deployment.plugins import modules_named
+from cairn.deployment.plugins import plugin_modules
 from cairn.errors import CairnError
 from cairn.placement.lockstep_run import LockstepRun
 from cairn.placement.root import run_processes, started_zygote
 from cairn.placement.service import ServiceManager, service_manager
-from cairn.runtime.runtime import End
+from cairn.runtime.runtime import ComponentExit
 from cairn.schemas.rcl_interfaces import Log
 from cairn.supervision.zygote_process import ZygoteProcess
 
@@ -69,7 +69,7 @@ def up(
     documents = [source.node.plain() for source in sources if source.node is not None]
     with ExitStack() as stack:
         if not lockstep:
-            modules = [name for document in documents for name in modules_named(document)]
+            modules = [name for document in documents for name in plugin_modules(document)]
             zygote = stack.enter_context(started_zygote(modules))
         where = _report_setting(documents, folder)
         with _long_import_told():
@@ -102,7 +102,7 @@ def _run_processes(
     folder: Path,
     view: LiveView | PlainView,
     service: ServiceManager,
-) -> End:
+) -> ComponentExit:
     with log_file(folder / "logs" / "root.log", time.time_ns):
 
         def watch(bus: ZenohBus, hurry: Callable[[], None]) -> LogWatch:
@@ -114,7 +114,7 @@ def _run_processes(
 
 def _run_lockstep(
     deployment: Deployment, seed: int, folder: Path, view: LiveView | PlainView
-) -> End:
+) -> ComponentExit:
     run = LockstepRun(deployment, seed)
     watch = Watch(run.bus, deployment.robot, view, clock=run.simulated)
     events = 0

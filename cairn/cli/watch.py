@@ -11,9 +11,9 @@ from cairn.bus.qos import LATCHED, Qos
 from cairn.cli.view import View
 from cairn.clock import to_ns
 from cairn.deployment.model import VIEW
-from cairn.runtime.clock_input import TOPIC as CLOCK
-from cairn.runtime.rosout import KEPT, ROSOUT
-from cairn.runtime.status import TOPIC as STATUS
+from cairn.runtime.rosout import ROSOUT, ROSOUT_QOS
+from cairn.runtime.runtime import STATUS_TOPIC
+from cairn.runtime.timers import CLOCK_TOPIC
 from cairn.schemas.cairn_msgs import ComponentStatus
 from cairn.schemas.message import InvalidMessage
 from cairn.schemas.rcl_interfaces import Log
@@ -35,11 +35,11 @@ class Watch:
         self._robot = robot
         self._node = bus.node(full_name(robot, VIEW), lambda _: None)
         self._sources: list[tuple[Subscription, Callable[[Any], None]]] = []
-        status = full_name(robot, STATUS)
+        status = full_name(robot, STATUS_TOPIC)
         self._add(status, ComponentStatus, LATCHED.with_depth(1000), view.status)
         if clock:
             newest = Qos("reliable", "volatile", 1)
-            self._add(full_name(robot, CLOCK), Clock, newest, self._time)
+            self._add(full_name(robot, CLOCK_TOPIC), Clock, newest, self._time)
 
     def refresh(self) -> None:
         """Pass on all that has come, then have the view drawn."""
@@ -80,8 +80,8 @@ class LogWatch(Watch):
         self._news = threading.Event()  # some have come since the last refresh
         self._mark = Log(level=Log.DEBUG, name=f"{robot}.{VIEW}", msg=f"end of view {uuid4()}")
         self._marked = False
-        self._marker = self._node.advertise(ROSOUT, Log, KEPT)
-        self._add(ROSOUT, Log, KEPT, self._log, self._wake)
+        self._marker = self._node.advertise(ROSOUT, Log, ROSOUT_QOS)
+        self._add(ROSOUT, Log, ROSOUT_QOS, self._log, self._wake)
 
     def refresh(self) -> None:
         """Pass on all that has come, then have the view drawn."""

@@ -1,24 +1,49 @@
-"""Checks a whole deployment in one pass: every problem, each with its line and its remedy."""
+"""Check a whole deployment in one pass: every problem, each with its line and its remedy."""
 
+from collections import defaultdict
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-from cairn.deployment.document import Node, Steps, dotted
+from cairn.deployment.document import DocumentNode, Steps, components, dotted
 from cairn.deployment.model import RESERVED, Deployment
 from cairn.deployment.plugins import PluginError, load_plugin
-from cairn.deployment.problems import Problem, one_of
-from cairn.deployment.tree import Placed, components
+from cairn.deployment.problems import Location, Problem, suggestion
 from cairn.deployment.validation import invalid
-from cairn.deployment.wiring import wiring_problems
 from cairn.errors import CairnError
-from cairn.runtime.handlers import handlers_of
-from cairn.runtime.ports import ports_of
+from cairn.runtime.ports import PortSpec, handlers_of, ports_of
+from cairn.schemas.message import type_name
+
+if TYPE_CHECKING:
+    from cairn.runtime.component import Component
 
 
-def problems_of(root: Node, unresolved: frozenset[Steps]) -> list[Problem]:
+@dataclass(frozen=True)
+class CheckedComponent:
+    """A component of the document with its plugin's class and ports, as far as they are known."""
+
+    name: str
+    path: Steps
+    node: DocumentNode
+    cls: "type[Component] | None" = None
+    ports: "dict[str, PortSpec] | None" = None
+
+    def topic(self, port: str) -> str:
+        """The topic that the port is given in the document."""
+        node = self.node.find("topics", port)
+        return node.value if node is not None and isinstance(node.value, str) else port
+
+    def line(self, port: str) -> Location:
+        """Where the port's topic is written, else where the plugin is."""
+        node = self.node.find("topics", port) or self.node.find("plugin") or self.node
+        return node.where
+
+
+def problems_of(root: DocumentNode, unresolved: frozenset[Steps]) -> list[Problem]:
     """All problems of a document whose references are replaced, but for those in `unresolved`."""
     problems = invalid(Deployment, root, (), unresolved)
     placed = []
-    first: dict[str, Node] = {}
+    first: dict[str, DocumentNode] = {}
     for name, path, node in components(root):
         if name in first:
             found = f"the name {name} is used twice, first at {first[name].key_at}"
@@ -29,7 +54,7 @@ def problems_of(root: Node, unresolved: frozenset[Steps]) -> list[Problem]:
             found = f"{name} is the name of {RESERVED[name]}"
             at = node.key_at or node.at
             problems.append(Problem(at, dotted(path), found, "give it another name"))
-        component, found_problems = _resolved(Placed(name, path, node), unresolved)
+        component, found_problems = _resolved(CheckedComponent(name, path, node), unresolved)
         placed.append(component)
         problems += found_problems
         problems += _ports_known(component)
@@ -37,7 +62,9 @@ def problems_of(root: Node, unresolved: frozenset[Steps]) -> list[Problem]:
     return problems + list(wiring_problems(root, placed))
 
 
-def _resolved(placed: Placed, unresolved: frozenset[Steps]) -> tuple[Placed, list[Problem]]:
+def _resolved(
+    placed: CheckedComponent, unresolved: frozenset[Steps]
+) -> tuple[CheckedComponent, list[Problem]]:
     plugin = placed.node.find("plugin")
     path = (*placed.path, "plugin")
     if plugin is None or not isinstance(plugin.value, str) or path in unresolved:
@@ -52,14 +79,14 @@ def _resolved(placed: Placed, unresolved: frozenset[Steps]) -> tuple[Placed, lis
     except CairnError as error:
         remedy = "correct the class, or use another plugin"
         return placed, [Problem(plugin.where, dotted(path), str(error), remedy)]
-    known = Placed(placed.name, placed.path, placed.node, cls, ports)
-    parameters = placed.node.find("parameters") or Node({}, placed.node.where)
+    known = CheckedComponent(placed.name, placed.path, placed.node, cls, ports)
+    parameters = placed.node.find("parameters") or DocumentNode({}, placed.node.where)
     if not isinstance(parameters.value, Mapping):
         return known, []
     return known, invalid(config, parameters, (*placed.path, "parameters"), unresolved)
 
 
-def _ports_known(placed: Placed) -> Iterator[Problem]:
+def _ports_known(placed: CheckedComponent) -> Iterator[Problem]:
     topics = placed.node.find("topics")
     if topics is None or placed.ports is None:
         return
@@ -67,10 +94,10 @@ def _ports_known(placed: Placed) -> Iterator[Problem]:
         if port not in placed.ports:
             at = node.key_at or node.at
             path = dotted((*placed.path, "topics", port))
-            yield Problem(at, path, f"there is no port {port}", one_of(port, placed.ports))
+            yield Problem(at, path, f"there is no port {port}", suggestion(port, placed.ports))
 
 
-def _agreement(placed: Placed) -> Iterator[Problem]:
+def _agreement(placed: CheckedComponent) -> Iterator[Problem]:
     """Keys that are right alone, but cannot work together."""
     name, node = dotted(placed.path), placed.node
     if placed.cls is not None and not placed.cls.is_supervisor:
@@ -96,5 +123,115 @@ def _agreement(placed: Placed) -> Iterator[Problem]:
         yield Problem(interpreter.where, f"{name}.interpreter", found, "use placement: process")
 
 
-def _is(node: Node | None, value: str, default: bool = False) -> bool:
+def _is(node: DocumentNode | None, value: str, default: bool = False) -> bool:
     return default if node is None else node.value == value
+
+
+_CLOCK = "clock"
+_CLOCK_TYPE = "rosgraph_msgs/msg/Clock"
+
+
+@dataclass(frozen=True)
+class _End:
+    """One port of one component on a topic."""
+
+    placed: CheckedComponent
+    port: PortSpec
+
+    def problem(self, found: str, remedy: str) -> Problem:
+        path = dotted((*self.placed.path, "topics", self.port.name))
+        return Problem(self.placed.line(self.port.name), path, found, remedy)
+
+
+def wiring_problems(root: DocumentNode, placed: list[CheckedComponent]) -> Iterator[Problem]:
+    """Topics with two types, inputs that nobody writes, and a simulated clock without a writer."""
+    robot = root.find("robot")
+    own = f"/{robot.value if robot is not None else 'robot'}/"
+    topics: defaultdict[str, list[_End]] = defaultdict(list)
+    for component in placed:
+        for port in (component.ports or {}).values():
+            topics[component.topic(port.name).removeprefix(own)].append(_End(component, port))
+    external = {topic.removeprefix(own) for topic in _texts(root.find("external_topics"))}
+    written = external | {
+        topic for topic, ends in topics.items() if any(end.port.direction == "out" for end in ends)
+    }
+    complete = all(component.ports is not None for component in placed)
+    for topic, ends in topics.items():
+        yield from _types(topic, ends)
+        if topic not in written:
+            yield from _unwritten(topic, ends, written, complete)
+    yield from _devices(root, placed)
+    yield from _clock(root, topics[_CLOCK], _CLOCK in external)
+
+
+def _types(topic: str, ends: list[_End]) -> Iterator[Problem]:
+    ends = sorted(ends, key=lambda end: end.port.direction == "in")
+    first = ends[0]
+    expected = type_name(first.port.message)
+    verbs = {"in": "reads", "out": "writes"}
+    for end in ends[1:]:
+        if type_name(end.port.message) != expected:
+            yield end.problem(
+                f"topic {topic} has two types: {end.port.name} {verbs[end.port.direction]} "
+                f"{type_name(end.port.message)}, but {first.placed.name}.{first.port.name} "
+                f"{verbs[first.port.direction]} {expected}",
+                "give one of them another topic",
+            )
+
+
+def _unwritten(
+    topic: str, ends: list[_End], written: set[str], complete: bool
+) -> Iterator[Problem]:
+    unknown = "" if complete else " (a plugin that could not be loaded may write it)"
+    remedy = "add its writer, correct the topic, or list it under external_topics"
+    close = suggestion(topic, written)
+    for end in ends:
+        if not end.port.optional:
+            yield end.problem(
+                f"nobody writes topic {topic}, which input {end.port.name} needs{unknown}",
+                f"{remedy}; {close}" if close.startswith("did you mean") else remedy,
+            )
+
+
+def _clock(root: DocumentNode, ends: list[_End], external: bool) -> Iterator[Problem]:
+    clock = root.find("clock")
+    if clock is None or clock.value != "simulated" or external:
+        return
+    writers = [
+        end
+        for end in ends
+        if end.port.direction == "out" and type_name(end.port.message) == _CLOCK_TYPE
+    ]
+    if not writers:
+        yield Problem(
+            clock.where,
+            "clock",
+            f"the clock is simulated, but no component writes {_CLOCK_TYPE} on topic {_CLOCK}",
+            f"add one that does, list {_CLOCK} under external_topics, or use clock: system",
+        )
+    for writer in writers:
+        if writer.placed.cls is not None and writer.placed.cls.clock_source != "system":
+            yield writer.problem(
+                f"{writer.placed.cls.__name__} makes the simulated clock, but waits for it itself",
+                'give the class `clock_source = "system"`',
+            )
+
+
+def _devices(root: DocumentNode, placed: list[CheckedComponent]) -> Iterator[Problem]:
+    clock = root.find("clock")
+    if clock is None or clock.value != "simulated":
+        return
+    for one in placed:
+        plugin = one.node.find("plugin")
+        if plugin is not None and one.cls is not None and one.cls.clock_source == "device":
+            yield Problem(
+                plugin.where,
+                dotted((*one.path, "plugin")),
+                f"{one.cls.__name__} drives a device, which cannot follow simulated time",
+                "use clock: system, or put a simulated or replayed driver in its place",
+            )
+
+
+def _texts(node: DocumentNode | None) -> list[str]:
+    items = node.value if node is not None and isinstance(node.value, tuple) else ()
+    return [item.value for item in items if isinstance(item.value, str)]

@@ -1,6 +1,7 @@
-"""Reads YAML into a tree in which every key and value knows the line it was written on."""
+"""Read YAML into a tree in which every key and value knows the line it was written on."""
 
-from collections.abc import Mapping
+import re
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -8,7 +9,6 @@ from typing import Any, TypeAlias
 import yaml
 
 from cairn.deployment.problems import Location, Problem
-from cairn.deployment.yaml_scalars import PLAIN_TAGS, CoreLoader, UnknownTagError, scalar
 
 Steps: TypeAlias = tuple[str, ...]
 
@@ -19,15 +19,15 @@ _DEEPEST = 100
 
 
 @dataclass(frozen=True)
-class Node:
+class DocumentNode:
     """A value as written; `key_at` is the place of its key, None at the root and in a list."""
 
-    value: "Mapping[str, Node] | tuple[Node, ...] | str | int | float | bool | None"
+    value: "Mapping[str, DocumentNode] | tuple[DocumentNode, ...] | str | int | float | bool | None"
     at: Location
     key_at: Location | None = None
 
     @property
-    def entries(self) -> "Mapping[str, Node]":
+    def entries(self) -> "Mapping[str, DocumentNode]":
         """The keys and values of a mapping; nothing for any other node."""
         return self.value if isinstance(self.value, Mapping) else {}
 
@@ -45,7 +45,7 @@ class Node:
             return [node.plain() for node in self.value]
         return self.value
 
-    def find(self, *steps: str | int) -> "Node | None":
+    def find(self, *steps: str | int) -> "DocumentNode | None":
         """The node at a path of keys and list indices, or None."""
         node = self
         for step in steps:
@@ -58,7 +58,7 @@ class Node:
         return node
 
 
-def read(file: Path) -> tuple[Node | None, list[Problem]]:
+def read(file: Path) -> tuple[DocumentNode | None, list[Problem]]:
     """The tree of a YAML file with one mapping, and what is wrong with it; None if unreadable."""
     start = Location(str(file), 1, 1, file.absolute().parent)
     try:
@@ -75,7 +75,7 @@ def read(file: Path) -> tuple[Node | None, list[Problem]]:
     return node, problems
 
 
-def parse(text: str, start: Location) -> tuple[Node | None, list[Problem]]:
+def parse(text: str, start: Location) -> tuple[DocumentNode | None, list[Problem]]:
     """The tree of a YAML text that starts at a location; None if its syntax is wrong."""
     try:
         root = yaml.compose(text, Loader=CoreLoader)
@@ -88,7 +88,7 @@ def parse(text: str, start: Location) -> tuple[Node | None, list[Problem]]:
     except RecursionError:
         return None, [_syntax(start, "it is nested too deeply")]
     if root is None:
-        return Node(None, start), []
+        return DocumentNode(None, start), []
     builder = _Builder(start)
     try:
         return builder.node(root, None, ()), builder.problems
@@ -109,7 +109,7 @@ class _Builder:
         self.open: set[int] = set()
         self.built = 0
 
-    def node(self, raw: yaml.Node, key_at: Location | None, path: Steps) -> Node:
+    def node(self, raw: yaml.Node, key_at: Location | None, path: Steps) -> DocumentNode:
         at = _place(raw.start_mark, self.start)
         self.built += 1
         if self.built > MOST_VALUES:
@@ -118,16 +118,16 @@ class _Builder:
             raise _TooMuchError(f"is nested deeper than {_DEEPEST} levels at {at}")
         if id(raw) in self.open:
             self.report(at, path, "the alias contains itself", "write the values out")
-            return Node(None, at, key_at)
+            return DocumentNode(None, at, key_at)
         self.open.add(id(raw))
         try:
-            return Node(self.value(raw, at, path), at, key_at)
+            return DocumentNode(self.value(raw, at, path), at, key_at)
         finally:
             self.open.remove(id(raw))
 
     def value(
         self, raw: yaml.Node, at: Location, path: Steps
-    ) -> Mapping[str, Node] | tuple[Node, ...] | str | int | float | bool | None:
+    ) -> Mapping[str, DocumentNode] | tuple[DocumentNode, ...] | str | int | float | bool | None:
         if isinstance(raw, yaml.CollectionNode) and raw.tag not in PLAIN_TAGS:
             self.report(at, path, f"the tag {raw.tag} is not allowed", "write the plain value")
         if isinstance(raw, yaml.MappingNode):
@@ -143,8 +143,8 @@ class _Builder:
             self.report(at, path, str(error), "write the plain value")
             return None
 
-    def mapping(self, raw: yaml.MappingNode, path: Steps) -> dict[str, Node]:
-        entries: dict[str, Node] = {}
+    def mapping(self, raw: yaml.MappingNode, path: Steps) -> dict[str, DocumentNode]:
+        entries: dict[str, DocumentNode] = {}
         for raw_key, raw_value in raw.value:
             at = _place(raw_key.start_mark, self.start)
             if not isinstance(raw_key, yaml.ScalarNode):
@@ -180,7 +180,7 @@ def _place(mark: yaml.Mark | None, start: Location) -> Location:
     return Location(start.origin, mark.line + 1, mark.column + 1, start.folder)
 
 
-def _kind(node: Node) -> str:
+def _kind(node: DocumentNode) -> str:
     return "a list" if isinstance(node.value, tuple) else f"{node.value!r}"
 
 
@@ -190,3 +190,71 @@ def _syntax(at: Location, what: str) -> Problem:
 
 def _unreadable(at: Location, what: str, remedy: str) -> Problem:
     return Problem(at, "", f"the file cannot be read: {what}", remedy)
+
+
+_TAG = "tag:yaml.org,2002:"
+_RULES = [
+    ("null", r"null|Null|NULL|~|", [*"nN~", ""]),
+    ("bool", r"true|True|TRUE|false|False|FALSE", [*"tTfF"]),
+    ("int", r"[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+", [*"-+0123456789"]),
+    (
+        "float",
+        r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)",
+        [*"-+.0123456789"],
+    ),
+]
+
+
+class CoreLoader(yaml.SafeLoader):
+    """PyYAML's parser with the implicit types of YAML 1.2's core schema."""
+
+    yaml_implicit_resolvers: dict[str, list[tuple[str, re.Pattern[str]]]] = {}
+
+
+for _name, _pattern, _first in _RULES:
+    CoreLoader.add_implicit_resolver(_TAG + _name, re.compile(rf"(?:{_pattern})\Z"), _first)
+
+
+PLAIN_TAGS = frozenset(_TAG + name for name in ("map", "seq"))
+
+
+class UnknownTagError(ValueError):
+    """A scalar with a tag, or a value for its tag, that the core schema does not know."""
+
+
+def scalar(node: yaml.ScalarNode) -> str | int | float | bool | None:
+    """The Python value of a scalar; `UnknownTagError` for tags such as `!!binary`."""
+    text = str(node.value)
+    kind = str(node.tag).removeprefix(_TAG)
+    try:
+        match kind:
+            case "str":
+                return text
+            case "null":
+                return None
+            case "bool":
+                return {"true": True, "false": False}[text.lower()]
+            case "int":
+                return int(text, 0 if text[:2] in ("0o", "0x") else 10)
+            case "float":
+                return float(text.lower().replace(".inf", "inf").replace(".nan", "nan"))
+    except (KeyError, ValueError) as error:
+        raise UnknownTagError(f"{text!r} is not a value of type {kind}") from error
+    raise UnknownTagError(f"the tag {node.tag} is not allowed")
+
+
+def components(root: DocumentNode) -> Iterator[tuple[str, Steps, DocumentNode]]:
+    """Name, path and node of each component at any depth, in start order."""
+    yield from _below(root, "components", ())
+
+
+def _below(
+    parent: DocumentNode, key: str, path: Steps
+) -> Iterator[tuple[str, Steps, DocumentNode]]:
+    mapping = parent.find(key)
+    if mapping is None:
+        return
+    for name, node in mapping.entries.items():
+        place = (*path, key, name)
+        yield name, place, node
+        yield from _below(node, "children", place)

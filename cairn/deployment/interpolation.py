@@ -3,8 +3,8 @@
 import re
 from collections.abc import Mapping
 
-from cairn.deployment.document import Node, Steps, dotted
-from cairn.deployment.problems import Location, Problem, one_of
+from cairn.deployment.document import DocumentNode, Steps, dotted
+from cairn.deployment.problems import Location, Problem, suggestion
 
 # "$${" stands for a literal "${"; the last alternative finds a reference that is not closed.
 _REFERENCE = re.compile(r"\$\$\{|\$\{([^{}]*)\}|\$\{")
@@ -12,7 +12,7 @@ _REFERENCE = re.compile(r"\$\$\{|\$\{([^{}]*)\}|\$\{")
 _LONGEST_TEXT = 100_000
 
 
-def interpolated(root: Node) -> tuple[Node, list[Problem], frozenset[Steps]]:
+def interpolated(root: DocumentNode) -> tuple[DocumentNode, list[Problem], frozenset[Steps]]:
     """The tree with all references replaced, the problems, and the paths left unresolved.
 
     A reference that is a whole value keeps the setting's type, and its place is where the setting
@@ -28,27 +28,27 @@ class _UnresolvedError(Exception):
 
 
 class _References:
-    def __init__(self, root: Node) -> None:
-        self.settings = root.find("settings") or Node({}, root.at)
+    def __init__(self, root: DocumentNode) -> None:
+        self.settings = root.find("settings") or DocumentNode({}, root.at)
         self.problems: list[Problem] = []
         self.unresolved: set[Steps] = set()
-        self.resolved: dict[Steps, Node | None] = {}
+        self.resolved: dict[Steps, DocumentNode | None] = {}
         self.open: list[Steps] = []
 
-    def resolve(self, node: Node, path: Steps) -> Node:
+    def resolve(self, node: DocumentNode, path: Steps) -> DocumentNode:
         if path[:1] == ("settings",) and len(path) > 1:
             return self.setting(path[1:]) or node
         return self.inside(node, path)
 
-    def inside(self, node: Node, path: Steps) -> Node:
+    def inside(self, node: DocumentNode, path: Steps) -> DocumentNode:
         if isinstance(node.value, Mapping):
             entries = {key: self.resolve(child, (*path, key)) for key, child in node.value.items()}
-            return Node(entries, node.at, node.key_at)
+            return DocumentNode(entries, node.at, node.key_at)
         if isinstance(node.value, tuple):
             items = tuple(
                 self.resolve(child, (*path, str(index))) for index, child in enumerate(node.value)
             )
-            return Node(items, node.at, node.key_at)
+            return DocumentNode(items, node.at, node.key_at)
         if not isinstance(node.value, str):
             return node
         try:
@@ -57,7 +57,7 @@ class _References:
             self.unresolved.add(path)
             return node
 
-    def setting(self, name: Steps) -> Node | None:
+    def setting(self, name: Steps) -> DocumentNode | None:
         """A setting with its own references replaced; None if that is not possible."""
         if name not in self.resolved:
             node = self.settings.find(*name)
@@ -71,16 +71,16 @@ class _References:
             self.resolved[name] = None if broken else result
         return self.resolved[name]
 
-    def text(self, node: Node, text: str, path: Steps) -> Node:
+    def text(self, node: DocumentNode, text: str, path: Steps) -> DocumentNode:
         whole = _REFERENCE.fullmatch(text)
         if whole is not None and whole[1] is not None and whole[1].strip() != "here":
             value = self.value(whole[1].strip(), node.at, path)
-            return Node(value.value, value.at, node.key_at)
+            return DocumentNode(value.value, value.at, node.key_at)
         replaced = _REFERENCE.sub(lambda match: self.replacement(match, node.at, path), text)
         if len(replaced) > _LONGEST_TEXT:
             found = f"with its settings it is longer than {_LONGEST_TEXT:,} characters"
             raise self.problem(node.at, path, found, "write less")
-        return Node(replaced, node.at, node.key_at)
+        return DocumentNode(replaced, node.at, node.key_at)
 
     def replacement(self, match: re.Match[str], at: Location, path: Steps) -> str:
         if match[0] == "$${":
@@ -96,11 +96,11 @@ class _References:
             raise self.problem(at, path, found, "refer to a text, number or boolean")
         return str(value).lower() if isinstance(value, bool) else str(value)
 
-    def value(self, name: str, at: Location, path: Steps) -> Node:
+    def value(self, name: str, at: Location, path: Steps) -> DocumentNode:
         steps = tuple(name.split("."))
         if self.settings.find(*steps) is None:
             known = [".".join(known) for known in _names(self.settings, ())]
-            raise self.problem(at, path, f"there is no setting {name}", one_of(name, known))
+            raise self.problem(at, path, f"there is no setting {name}", suggestion(name, known))
         within = [one[: len(steps)] == steps for one in self.open]
         ring = within.index(True) if True in within else None
         if ring is not None:
@@ -117,7 +117,7 @@ class _References:
         return _UnresolvedError()
 
 
-def _names(node: Node, path: Steps) -> list[Steps]:
+def _names(node: DocumentNode, path: Steps) -> list[Steps]:
     names = []
     for key, child in node.entries.items():
         names += [(*path, key), *_names(child, (*path, key))]

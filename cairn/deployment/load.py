@@ -1,30 +1,37 @@
-"""Loads a deployment: a file with overlays, `--set`s and settings, checked as a whole."""
+"""Load a deployment: a file with overlays, `--set`s and settings, checked as a whole."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 from cairn.deployment.check import problems_of
-from cairn.deployment.document import MOST_VALUES, Node, read
+from cairn.deployment.document import (
+    MOST_VALUES,
+    DocumentNode,
+    Steps,
+    components,
+    dotted,
+    parse,
+    read,
+)
 from cairn.deployment.interpolation import interpolated
 from cairn.deployment.model import Deployment
-from cairn.deployment.overlays import assigned, overlaid
-from cairn.deployment.problems import DeploymentError, Problem
+from cairn.deployment.problems import DeploymentError, Location, Problem, suggestion
 
 _SECTIONS = frozenset(Deployment.model_fields)
 
 
-class Source(NamedTuple):
+class SourceDocument(NamedTuple):
     """A file that was read: its tree, None if that is not possible, and what is wrong with it."""
 
     file: Path
-    node: Node | None
+    node: DocumentNode | None
     problems: list[Problem]
 
 
-def read_sources(file: Path, overlays: Sequence[Path] = ()) -> list[Source]:
+def read_sources(file: Path, overlays: Sequence[Path] = ()) -> list[SourceDocument]:
     """Read a deployment's file and its overlays, once: one may be a pipe."""
-    return [Source(one, *read(one)) for one in (file, *overlays)]
+    return [SourceDocument(one, *read(one)) for one in (file, *overlays)]
 
 
 def load_deployment(
@@ -38,7 +45,7 @@ def load_deployment(
     return assembled(read_sources(file, overlays), sets)
 
 
-def assembled(sources: Sequence[Source], sets: Sequence[str] = ()) -> Deployment:
+def assembled(sources: Sequence[SourceDocument], sets: Sequence[str] = ()) -> Deployment:
     """As `load_deployment`, of files that were read before."""
     problems = [problem for source in sources for problem in source.problems]
     nodes = [source.node for source in sources if source.node is not None]
@@ -66,7 +73,7 @@ def assembled(sources: Sequence[Source], sets: Sequence[str] = ()) -> Deployment
     return Deployment.model_validate(root.plain())
 
 
-def _exceeds(root: Node, limit: int) -> bool:
+def _exceeds(root: DocumentNode, limit: int) -> bool:
     """Whether a tree has more values than that; references share theirs, but not when used."""
     waiting, seen = [root], 0
     while waiting:
@@ -83,3 +90,95 @@ def _order(problem: Problem, origins: list[str]) -> tuple[int, int, int]:
     at = problem.at
     file = origins.index(at.origin) if at.origin in origins else len(origins)
     return file, at.line, at.column
+
+
+def overlaid(base: DocumentNode, over: DocumentNode) -> tuple[DocumentNode, list[Problem]]:
+    """The base with an overlay on it; places follow the file that each value comes from."""
+    problems: list[Problem] = []
+    return _merged(base, over, (), problems), problems
+
+
+def _merged(
+    base: DocumentNode, over: DocumentNode, path: Steps, problems: list[Problem]
+) -> DocumentNode:
+    if not isinstance(over.value, Mapping):
+        return over
+    merged = isinstance(base.value, Mapping)
+    entries = dict(base.entries)
+    for key, node in over.value.items():
+        steps = (*path, key)
+        if node.value is None and path[:1] == ("settings",):
+            entries[key] = node
+        elif node.value is not None:
+            nothing = DocumentNode({}, node.at, node.key_at)
+            entries[key] = _merged(entries.get(key, nothing), node, steps, problems)
+        elif entries.pop(key, None) is None:
+            remedy = suggestion(key, base.entries) if base.entries else "remove the line"
+            problems.append(
+                Problem(node.where, dotted(steps), "null removes a key, and there is none", remedy)
+            )
+    return (
+        DocumentNode(entries, base.at, base.key_at)
+        if merged
+        else DocumentNode(entries, over.at, over.key_at)
+    )
+
+
+def assigned(
+    base: DocumentNode, assignment: str, sections: frozenset[str]
+) -> tuple[DocumentNode, list[Problem]]:
+    """The base with one `--set` laid over it: `path=value`, the value in YAML.
+
+    A path whose first key is not one of the format's `sections` names a setting, which must exist;
+    `components.NAME` finds the component at any depth of the tree.
+    """
+    at = Location(f"--set {assignment}", 0, 0, Path.cwd())
+    path, equals, text = assignment.partition("=")
+    keys = path.strip().split(".")
+    if not equals or not all(keys):
+        remedy = "write key.path=value, as in recording.rate=10"
+        return base, [Problem(at, "", f"{assignment!r} is not an assignment", remedy)]
+    if not text.strip():
+        remedy = "give one, or null to remove the key"
+        return base, [Problem(at, "", "there is no value after the =", remedy)]
+    value, problems = parse(text, at)
+    if value is None or problems:
+        return base, problems
+    steps, problem = _target(base, keys, at, sections)
+    if problem is not None:
+        return base, [problem]
+    return overlaid(base, _nested(steps, value, at))
+
+
+def _target(
+    base: DocumentNode, keys: list[str], at: Location, sections: frozenset[str]
+) -> tuple[Steps, Problem | None]:
+    if keys[0] == "components" and len(keys) > 1:
+        places = {name: path for name, path, _ in components(base)}
+        if keys[1] not in places:
+            found = f"there is no component {keys[1]}"
+            return (), Problem(at, ".".join(keys[:2]), found, suggestion(keys[1], places))
+        return (*places[keys[1]], *keys[2:]), None
+    if keys[0] in sections and keys[0] != "settings":
+        return tuple(keys), None
+    names = keys[1:] if keys[0] == "settings" else keys
+    if base.find("settings", *names) is None:
+        known = [".".join(steps) for steps in _settings(base.find("settings"), ())]
+        found = f"there is no setting {'.'.join(names)}"
+        return (), Problem(at, "", found, suggestion(".".join(names), known))
+    return ("settings", *names), None
+
+
+def _settings(node: DocumentNode | None, path: Steps) -> Iterator[Steps]:
+    if node is None:
+        return
+    for key, child in node.entries.items():
+        yield (*path, key)
+        yield from _settings(child, (*path, key))
+
+
+def _nested(steps: Steps, value: DocumentNode, at: Location) -> DocumentNode:
+    node = DocumentNode(value.value, at, at)
+    for step in reversed(steps):
+        node = DocumentNode({step: node}, at, at)
+    return node

@@ -56,7 +56,7 @@ class _Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, validate_default=True)
 
 
-class Bus(_Section):
+class BusSettings(_Section):
     """How the components of the deployment reach each other over Zenoh."""
 
     allow_remote: bool = Field(
@@ -159,7 +159,9 @@ class Deployment(_Section):
     cairn: Literal[1] = Field(description="Version of this format.")
     robot: Name = Field("robot", description="Namespace of every name on the bus.")
     domain: int = Field(0, ge=0, le=232, description="As ROS_DOMAIN_ID; robots meet within one.")
-    bus: Bus = Field(default_factory=Bus, description="How the components reach each other.")
+    bus: BusSettings = Field(
+        default_factory=BusSettings, description="How the components reach each other."
+    )
     clock: Literal["system", "simulated"] = Field(
         "system", description="System time, or the time on topic `clock`."
     )

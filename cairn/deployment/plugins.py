@@ -9,7 +9,7 @@ from importlib.metadata import EntryPoint, entry_points
 from inspect import getdoc
 from typing import TYPE_CHECKING
 
-from cairn.deployment.problems import one_of
+from cairn.deployment.problems import suggestion
 from cairn.errors import CairnError
 from cairn.runtime.ports import PortSpec, ports_of
 
@@ -40,7 +40,7 @@ class Plugin:
     error: str = ""
 
 
-def installed() -> list[Plugin]:
+def installed_plugins() -> list[Plugin]:
     """All plugins of all installed packages by name, those that cannot be imported included."""
     return [_listed(point) for point in sorted(_entry_points(), key=lambda point: point.name)]
 
@@ -58,7 +58,7 @@ def load_plugin(reference: str) -> "type[Component]":
     if not offers:
         raise PluginError(
             f"there is no plugin {reference}",
-            f"{one_of(reference, sorted({point.name for point in points}))} "
+            f"{suggestion(reference, sorted({point.name for point in points}))} "
             "(`cairn plugins` lists all; package.module:Class names a class directly)",
         )
     if len(offers) > 1:
@@ -70,7 +70,7 @@ def load_plugin(reference: str) -> "type[Component]":
     return _component(next(iter(offers)))
 
 
-def modules_named(document: object) -> list[str]:
+def plugin_modules(document: object) -> list[str]:
     """The modules of all plugins named anywhere in a deployment's plain data, not imported.
 
     It may be any data: what is not a deployment is for the check to tell.
@@ -97,7 +97,9 @@ def _component(target: str) -> "type[Component]":
     found = getattr(module, class_name, None)
     if found is None:
         classes = [name for name, value in vars(module).items() if _is_component(value, Component)]
-        raise PluginError(f"{module_name} has no class {class_name}", one_of(class_name, classes))
+        raise PluginError(
+            f"{module_name} has no class {class_name}", suggestion(class_name, classes)
+        )
     if not _is_component(found, Component):
         raise PluginError(
             f"{target} is not a component",

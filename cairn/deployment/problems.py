@@ -52,7 +52,7 @@ class DeploymentError(CairnError):
         return DeploymentError, (self.problems,)
 
 
-def one_of(name: str, known: Iterable[str]) -> str:
+def suggestion(name: str, known: Iterable[str]) -> str:
     """The remedy for an unknown name: the close matches, or else all known names."""
     names = list(known)
     close = get_close_matches(name, names, cutoff=0.8) or get_close_matches(name, names, n=1)

@@ -7,15 +7,15 @@ from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
-from cairn.deployment.document import Node, Steps, dotted
-from cairn.deployment.problems import Location, Problem, one_of
-from cairn.runtime.parameters import bounds, reason
+from cairn.deployment.document import DocumentNode, Steps, dotted
+from cairn.deployment.problems import Location, Problem, suggestion
+from cairn.runtime.parameters import bounds_text, error_reason
 
 _SHOWN = 60  # characters of a wrong value
 
 
 def invalid(
-    model: type[BaseModel], node: Node, path: Steps, unresolved: frozenset[Steps]
+    model: type[BaseModel], node: DocumentNode, path: Steps, unresolved: frozenset[Steps]
 ) -> list[Problem]:
     """What the model refuses in a node at `path`; values with unresolved references are left out.
 
@@ -37,7 +37,7 @@ def invalid(
     return []
 
 
-def _steps(node: Node, detail: ErrorDetails) -> Steps:
+def _steps(node: DocumentNode, detail: ErrorDetails) -> Steps:
     """The error's path as far as it exists in the document, and a last step that is missing."""
     steps: Steps = ()
     for step in detail["loc"]:
@@ -48,7 +48,7 @@ def _steps(node: Node, detail: ErrorDetails) -> Steps:
 
 
 def _problem(
-    model: type[BaseModel], node: Node, path: Steps, steps: Steps, detail: ErrorDetails
+    model: type[BaseModel], node: DocumentNode, path: Steps, steps: Steps, detail: ErrorDetails
 ) -> Problem:
     value = node.find(*steps)
     shown = dotted((*path, *steps))
@@ -61,18 +61,18 @@ def _problem(
             key_at,
             shown,
             f"there is no {steps[-1]} here",
-            one_of(steps[-1], _fields(model, steps[:-1])),
+            suggestion(steps[-1], _fields(model, steps[:-1])),
         )
     if detail["loc"][-1:] == ("[key]",):
         remedy = "names are lower-case letters, digits and _, and begin with a letter"
         return Problem(key_at, shown, f"{steps[-1]!r} is not a name", remedy)
-    found = reason(detail)
+    found = error_reason(detail)
     if detail["type"] not in ("value_error", "assertion_error"):
         found = f"{_written(value)} {found}"
     return Problem(value.where, shown, found, f"expected {_meaning(field)}")
 
 
-def _enclosing(node: Node, steps: Steps) -> Location:
+def _enclosing(node: DocumentNode, steps: Steps) -> Location:
     parent = node.find(*steps[:-1])
     return parent.where if parent is not None else node.where
 
@@ -80,11 +80,11 @@ def _enclosing(node: Node, steps: Steps) -> Location:
 def _meaning(field: FieldInfo | None) -> str:
     if field is None:
         return "values that agree with each other"
-    limits = f" ({bounds(field)})" if bounds(field) else ""
+    limits = f" ({bounds_text(field)})" if bounds_text(field) else ""
     return f"{(field.description or 'a value').rstrip('.')}{limits}"
 
 
-def _written(node: Node) -> str:
+def _written(node: DocumentNode) -> str:
     if isinstance(node.value, Mapping):
         return "a mapping"
     if isinstance(node.value, tuple):

@@ -11,7 +11,7 @@ from typing import Annotated
 from pydantic import BaseModel
 
 from cairn.driver.ports import find_port
-from cairn.runtime.marks import Marked, marked
+from cairn.runtime.parameters import MarkedParameter, marked_parameters
 
 TCP = "tcp:"
 """Begins the name of a device on the network: `tcp:HOST:PORT`."""
@@ -52,15 +52,15 @@ class NamedDevice:
 
 def devices_named(config: BaseModel) -> Iterator[NamedDevice]:
     """All devices that a driver's parameters name; those that are None name none."""
-    for device in marked(config, NamesDevice):
+    for device in marked_parameters(config, NamesDevice):
         yield NamedDevice(device.name, partial(_found, device))
-    for host in marked(config, NamesHost):
+    for host in marked_parameters(config, NamesHost):
         yield NamedDevice(host.name, partial(_address, host))
 
 
-def _found(device: Marked[NamesDevice]) -> str:
+def _found(device: MarkedParameter[NamesDevice]) -> str:
     return str(device.mark.find(device.value))
 
 
-def _address(host: Marked[NamesHost]) -> str:
+def _address(host: MarkedParameter[NamesHost]) -> str:
     return f"{TCP}{host.value}:{getattr(host.group, host.mark.port)}"

@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 from cairn.driver.errors import DeviceError
 from cairn.errors import CairnError
-from cairn.runtime.complaints import Complaints
+from cairn.runtime.rate_limited_log import RateLimitedLog
 
 RETRY_S = 0.2
 """How long after a failure the device is tried again: soon, as it may have come back."""
@@ -36,7 +36,7 @@ class DeviceThread:
         on_failure: Callable[[Exception], None],
     ) -> None:
         self._converse = converse
-        self._complaints = Complaints(log)
+        self._warnings = RateLimitedLog(log)
         self._on_trouble = on_trouble
         self._on_failure = on_failure
         self._stopping = threading.Event()
@@ -48,7 +48,7 @@ class DeviceThread:
 
     def well(self, what: str) -> None:
         """Say, from within `converse`, that the device works: `what` is logged after trouble."""
-        self._complaints.over("device", what)
+        self._warnings.resolved("device", what)
 
     def stop(self) -> None:
         """End the conversation, and wait for that; raises `CairnError` if it takes too long."""
@@ -65,7 +65,7 @@ class DeviceThread:
             try:
                 self._converse(self._stopping)
             except DeviceError as error:
-                self._complaints.tell("device", str(error))
+                self._warnings.warn("device", str(error))
                 self._on_trouble(error)
             except Exception as error:
                 self._on_failure(error)

@@ -17,7 +17,7 @@ from cairn.placement.awake import AwakeTime
 from cairn.placement.order import Order
 from cairn.runtime.loop import ThreadLoop
 from cairn.runtime.rosout import RosoutHandler
-from cairn.runtime.runtime import End, Runtime
+from cairn.runtime.runtime import ComponentExit, Runtime
 from cairn.supervision.child import Accident
 
 JOIN_LIMIT_S = 5.0
@@ -30,7 +30,7 @@ class Hosted:
         """Raises `CairnError` if the component cannot be constructed."""
         self.order = order
         self.bus = bus
-        self.end: End | None = None
+        self.end: ComponentExit | None = None
         self.ended = threading.Event()
         self.on_end: Callable[[], object] = self.ended.is_set
         self._loop = ThreadLoop()
@@ -39,7 +39,7 @@ class Hosted:
         surroundings = order.surroundings
         self.runtime = Runtime(
             load_plugin(order.spec.plugin),
-            order.assignment(),
+            order.runtime_options(),
             bus,
             self._loop,
             SystemClock(),
@@ -117,10 +117,12 @@ class Hosted:
         try:
             self._loop.run()
         except BaseException as error:  # sys.exit() included: no mute process is left behind
-            self._note_end(End(False, f"its loop failed: {type(error).__name__}: {error}"))
+            self._note_end(
+                ComponentExit(False, f"its loop failed: {type(error).__name__}: {error}")
+            )
             self.runtime.log.exception("the component's loop failed")
 
-    def _note_end(self, end: End) -> None:
+    def _note_end(self, end: ComponentExit) -> None:
         self.end = self.end or end  # the first cause, not what followed from it
         self.ended.set()
         self.on_end()

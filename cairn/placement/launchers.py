@@ -8,9 +8,10 @@ from collections.abc import Callable
 from concurrent.futures import Future, InvalidStateError
 from pathlib import Path
 
-from cairn.bus.arrival import Arrival
 from cairn.bus.bus import full_name
-from cairn.bus.control import NoAnswer, control_key, request
+from cairn.bus.control import NoReplyError, request
+from cairn.bus.discovery import QueryableWatcher
+from cairn.bus.keys import control_key
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.deployment.plugins import load_plugin
 from cairn.errors import CairnError
@@ -75,13 +76,13 @@ class HostLauncher:
         self._here: list[Household] = []
         self._starting: ProcessChild | None = None
 
-    def launch(self, spec: ChildSpec, incarnation: int, former_end: str) -> Child:
+    def launch(self, spec: ChildSpec, incarnation: int, previous_exit: str) -> Child:
         """Start a child and wait until it can be asked; `CairnError` with the cause if not."""
         order = Order(
             name=spec.name,
             parent=self._order.name,
             incarnation=incarnation,
-            former_end=former_end,
+            previous_exit=previous_exit,
             spec=self._order.spec.children[spec.name],
             surroundings=self._order.surroundings,
         )
@@ -115,7 +116,7 @@ class HostLauncher:
         fresh = order.spec.interpreter == "fresh"
         session = self._supervisor.bus.session
         words = LastWords(log)
-        with Arrival(session, control_key(surroundings.domain, name)) as arrival:
+        with QueryableWatcher(session, control_key(surroundings.domain, name)) as arrival:
             if not arrival.wait_gone(min(timeout_s, _ENDING_LIMIT_S)):
                 raise Accident(
                     f"somebody else on this bus answers as {name}; stop that, or give this robot "
@@ -203,7 +204,7 @@ class ProcessChild:
             else:
                 self._ask(verb, timeout_s)
         except CairnError as error:
-            if not isinstance(error, NoAnswer):  # its own words
+            if not isinstance(error, NoReplyError):  # its own words
                 self.wait(_WORDS_LEAD_S)  # after them it ends
                 raise
             # Its leaving the bus is told before its end.

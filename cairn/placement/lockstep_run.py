@@ -12,7 +12,7 @@ from cairn.errors import CairnError
 from cairn.placement.lockstep import LockstepExecutor
 from cairn.placement.root import root_spec
 from cairn.runtime.lifecycle import Transition
-from cairn.runtime.runtime import Assignment, End, Runtime
+from cairn.runtime.runtime import ComponentExit, Runtime, RuntimeOptions
 from cairn.supervision.child import Child, ChildEnd, ChildSpec, Verb
 from cairn.supervision.component import SupervisorComponent
 
@@ -33,11 +33,11 @@ class LockstepRun:
         self.robot = deployment.robot
         self.simulated = deployment.clock == "simulated"
         self.seed = seed
-        self.end: End | None = None
+        self.end: ComponentExit | None = None
         self._root = _Place(self, ROOT, "", root_spec(deployment), 1, "", self._note_end)
         self._stopping = False
 
-    def run(self, refresh: Callable[[], None]) -> End:
+    def run(self, refresh: Callable[[], None]) -> ComponentExit:
         """Run until a significant component ends, all fails, or `stop`; gives how it ended.
 
         `refresh` is called before every event.
@@ -54,7 +54,7 @@ class LockstepRun:
             self.run_until(refreshed)
         finally:
             self.shutdown()
-        return self.end or End(False, "the root ended without a word")
+        return self.end or ComponentExit(False, "the root ended without a word")
 
     def start(self) -> None:
         """Configure and activate all components.
@@ -105,7 +105,7 @@ class LockstepRun:
                 return place
         raise CairnError(f"{component}: no component of this name runs in lockstep")
 
-    def _note_end(self, end: End) -> None:
+    def _note_end(self, end: ComponentExit) -> None:
         self.end = end
 
     def _heartbeat(self) -> None:
@@ -123,14 +123,14 @@ class _Place:
         parent: str,
         spec: ComponentSpec,
         incarnation: int,
-        former_end: str,
-        on_end: Callable[[End], None],
+        previous_exit: str,
+        on_end: Callable[[ComponentExit], None],
     ) -> None:
         self.run = run
         self.spec = spec
         self._scheduler = run.executor.scheduler()
         self._children: list[_LockstepChild] = []
-        assignment = Assignment(
+        options = RuntimeOptions(
             name=name,
             plugin=spec.plugin,
             robot=run.robot,
@@ -141,11 +141,11 @@ class _Place:
             simulated_time=run.simulated,
             seed=run.seed,
             restarts=incarnation - 1,
-            former_end=former_end,
+            previous_exit=previous_exit,
             children=tuple(spec.children),
         )
         self.runtime = Runtime(
-            load_plugin(spec.plugin), assignment, run.bus, self._scheduler, run.executor, on_end
+            load_plugin(spec.plugin), options, run.bus, self._scheduler, run.executor, on_end
         )
         if isinstance(self.runtime.component, SupervisorComponent):
             self.runtime.component.adopt(spec.children, spec.supervision, self, self)
@@ -161,9 +161,9 @@ class _Place:
         """Make no further calls."""
         self._scheduler.stop()
 
-    def launch(self, spec: ChildSpec, incarnation: int, former_end: str) -> Child:
+    def launch(self, spec: ChildSpec, incarnation: int, previous_exit: str) -> Child:
         """Construct a child."""
-        child = _LockstepChild(self, spec.name, incarnation, former_end)
+        child = _LockstepChild(self, spec.name, incarnation, previous_exit)
         self._children = [other for other in self._children if other.end is None]
         self._children.append(child)
         return child
@@ -197,13 +197,13 @@ class _Place:
 
 
 class _LockstepChild:
-    def __init__(self, supervisor: _Place, name: str, incarnation: int, former_end: str) -> None:
-        self.end: End | None = None
+    def __init__(self, supervisor: _Place, name: str, incarnation: int, previous_exit: str) -> None:
+        self.end: ComponentExit | None = None
         self._supervisor = supervisor
         spec = supervisor.spec.children[name]
         parent = supervisor.runtime.name
         self.place = _Place(
-            supervisor.run, name, parent, spec, incarnation, former_end, self._note_end
+            supervisor.run, name, parent, spec, incarnation, previous_exit, self._note_end
         )
 
     def request(self, verb: Verb, timeout_s: float) -> None:  # noqa: ARG002 - time stands still
@@ -231,6 +231,6 @@ class _LockstepChild:
             else ChildEnd(False, f"failed: {end.reason}")
         )
 
-    def _note_end(self, end: End) -> Any:
+    def _note_end(self, end: ComponentExit) -> Any:
         self.end = end
         self._supervisor.child_changed()

@@ -5,7 +5,7 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict
 
 from cairn.deployment.model import ComponentSpec
-from cairn.runtime.runtime import Assignment
+from cairn.runtime.runtime import RuntimeOptions
 
 
 class Surroundings(BaseModel):
@@ -30,13 +30,13 @@ class Order(BaseModel):
     name: str
     parent: str
     incarnation: int
-    former_end: str = ""
+    previous_exit: str = ""
     spec: ComponentSpec
     surroundings: Surroundings
 
-    def assignment(self) -> Assignment:
+    def runtime_options(self) -> RuntimeOptions:
         """What the component's runtime is told."""
-        return Assignment(
+        return RuntimeOptions(
             name=self.name,
             plugin=self.spec.plugin,
             robot=self.surroundings.robot,
@@ -47,7 +47,7 @@ class Order(BaseModel):
             simulated_time=self.surroundings.simulated_time,
             seed=self.surroundings.seed,
             restarts=self.incarnation - 1,
-            former_end=self.former_end,
+            previous_exit=self.previous_exit,
             children=tuple(self.spec.children),
         )
 

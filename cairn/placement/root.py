@@ -12,7 +12,7 @@ from typing import Protocol
 
 from cairn.bus.bus import full_name
 from cairn.bus.graph import read_graph
-from cairn.bus.rmw import NodeEntity
+from cairn.bus.keys import NodeEntity
 from cairn.bus.session import open_client, open_peer, open_router
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.deployment.model import ROOT, ComponentSpec, Deployment
@@ -21,8 +21,8 @@ from cairn.placement.attendance import Attendance
 from cairn.placement.launchers import Household
 from cairn.placement.order import Order, Surroundings
 from cairn.placement.service import ServiceManager
-from cairn.runtime.lifecycle import State
-from cairn.runtime.runtime import End
+from cairn.runtime.lifecycle import LifecycleState
+from cairn.runtime.runtime import ComponentExit
 from cairn.supervision.component import longest_handler_s
 from cairn.supervision.zygote_process import ZygoteProcess, start_zygote
 
@@ -69,7 +69,7 @@ def run_processes(
     seed: int,
     watch: Callable[[ZenohBus, Callable[[], None]], Onlooker],
     service: ServiceManager | None = None,
-) -> End:
+) -> ComponentExit:
     """Run a deployment until a significant component ends, it fails, or SIGINT or SIGTERM comes.
 
     `watch(bus, hurry)` returns who looks on; a call of `hurry` has it refreshed soon. `service` is
@@ -113,7 +113,7 @@ def _run(
     onlooker: Onlooker,
     zygote: ZygoteProcess,
     service: ServiceManager,
-) -> End:
+) -> ComponentExit:
     hosted = household.hosted
     watch = _Watch(onlooker, zygote, attendance)
 
@@ -121,7 +121,7 @@ def _run(
         watch.turn()
         status = hosted.runtime.status()
         sound = status.handler_s <= longest_handler_s(hosted.order.spec)
-        service.tell(active=status.state == State.ACTIVE, sound=sound)
+        service.tell(active=status.state == LifecycleState.ACTIVE, sound=sound)
 
     try:
         with attendance.signals(signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
@@ -138,8 +138,10 @@ def _run(
     failed = hosted.end is None or not hosted.end.normal
     # The loss of its connection is noticed a moment before its end.
     if failed and zygote.ends_within(_ZYGOTE_END_S):
-        return End(False, "the zygote was killed, and with it every component; nothing is left")
-    return hosted.end or End(False, "the root ended without a word")
+        return ComponentExit(
+            False, "the zygote was killed, and with it every component; nothing is left"
+        )
+    return hosted.end or ComponentExit(False, "the root ended without a word")
 
 
 class _Watch:

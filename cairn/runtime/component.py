@@ -11,7 +11,7 @@ from cairn.errors import CairnError
 from cairn.runtime.parameters import Config
 
 
-class Context(Protocol):
+class ComponentContext(Protocol):
     """What the runtime gives a component; not for use by component authors."""
 
     name: str
@@ -54,7 +54,7 @@ class Component:
 
     config: Config
 
-    def __init__(self, context: Context) -> None:
+    def __init__(self, context: ComponentContext) -> None:
         """Called by the runtime; take memory and open devices in `on_configure`, not here."""
         self._context = context
 
@@ -147,6 +147,6 @@ class Component:
     def on_parameters(self, new: Config) -> None:
         """Judge a valid change of parameters before it is made.
 
-        Raise `ParameterRefused` to keep all parameters as they are. `self.config` is still the
+        Raise `ParameterRejected` to keep all parameters as they are. `self.config` is still the
         old one here and becomes `new` when this returns.
         """

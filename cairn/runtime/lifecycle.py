@@ -11,7 +11,7 @@ RECOVERIES = 3
 RECOVERY_WINDOW_S = 10
 
 
-class State(StrEnum):
+class LifecycleState(StrEnum):
     """The primary states."""
 
     UNCONFIGURED = "unconfigured"
@@ -31,17 +31,17 @@ class Transition(StrEnum):
 
 
 _GOAL = {
-    (State.UNCONFIGURED, Transition.CONFIGURE): State.INACTIVE,
-    (State.INACTIVE, Transition.ACTIVATE): State.ACTIVE,
-    (State.ACTIVE, Transition.DEACTIVATE): State.INACTIVE,
-    (State.INACTIVE, Transition.CLEANUP): State.UNCONFIGURED,
-    (State.UNCONFIGURED, Transition.SHUTDOWN): State.FINALIZED,
-    (State.INACTIVE, Transition.SHUTDOWN): State.FINALIZED,
-    (State.ACTIVE, Transition.SHUTDOWN): State.FINALIZED,
+    (LifecycleState.UNCONFIGURED, Transition.CONFIGURE): LifecycleState.INACTIVE,
+    (LifecycleState.INACTIVE, Transition.ACTIVATE): LifecycleState.ACTIVE,
+    (LifecycleState.ACTIVE, Transition.DEACTIVATE): LifecycleState.INACTIVE,
+    (LifecycleState.INACTIVE, Transition.CLEANUP): LifecycleState.UNCONFIGURED,
+    (LifecycleState.UNCONFIGURED, Transition.SHUTDOWN): LifecycleState.FINALIZED,
+    (LifecycleState.INACTIVE, Transition.SHUTDOWN): LifecycleState.FINALIZED,
+    (LifecycleState.ACTIVE, Transition.SHUTDOWN): LifecycleState.FINALIZED,
 }
 
 
-def goal(state: State, transition: Transition) -> State:
+def target_state(state: LifecycleState, transition: Transition) -> LifecycleState:
     """The state that a transition leads to if it succeeds.
 
     Raises `CairnError` if the transition does not begin in that state.
@@ -54,7 +54,7 @@ def goal(state: State, transition: Transition) -> State:
     return _GOAL[state, transition]
 
 
-class Recoveries:
+class RecoveryLimit:
     """Counts how often a component recovers from errors by itself: at most 3 times within 10 s."""
 
     def __init__(self) -> None:

@@ -6,18 +6,24 @@ from typing import Any, Protocol
 
 from cairn.bus.bus import Node, Publisher, Subscription, full_name
 from cairn.runtime.component import Component
-from cairn.runtime.handlers import PortHandler, TimerHandler, handlers_of
 from cairn.runtime.loop import Scheduler
-from cairn.runtime.ports import BoundIn, BoundOut, PortSpec, ports_of
+from cairn.runtime.ports import (
+    BoundIn,
+    BoundOut,
+    PortHandler,
+    PortSpec,
+    TimerHandler,
+    handlers_of,
+    ports_of,
+)
 from cairn.schemas.cairn_msgs import PortStatus
-from cairn.schemas.fields import fields_of
-from cairn.schemas.message import InvalidMessage, type_name
+from cairn.schemas.message import InvalidMessage, fields_of, type_name
 
 Counts = tuple[int, int, int]
 """Messages received, dropped and invalid."""
 
 
-class Owner(Protocol):
+class PortOwner(Protocol):
     """What the ports need of the component's runtime."""
 
     log: Any
@@ -38,7 +44,7 @@ class PortTable:
     def __init__(
         self,
         component: Component,
-        owner: Owner,
+        owner: PortOwner,
         node: Node,
         scheduler: Scheduler,
         robot: str,
@@ -119,7 +125,7 @@ class _Input:
         self,
         spec: PortSpec,
         topic: str,
-        owner: Owner,
+        owner: PortOwner,
         node: Node,
         scheduler: Scheduler,
         calls: list[tuple[str, Callable[..., None]]],
@@ -200,7 +206,7 @@ class _Input:
 
 class _Output:
     def __init__(
-        self, component: str, spec: PortSpec, topic: str, owner: Owner, node: Node
+        self, component: str, spec: PortSpec, topic: str, owner: PortOwner, node: Node
     ) -> None:
         self.bound: BoundOut[Any] = BoundOut(component, spec, topic, self._send, self._wanted)
         self.spec = spec
@@ -237,7 +243,7 @@ class _Output:
 
     def _wanted(self) -> bool:
         publisher = self._publisher
-        return publisher is not None and self._owner.may_publish and publisher.wanted
+        return publisher is not None and self._owner.may_publish and publisher.has_subscribers
 
     def _send(self, message: Any) -> None:
         if self._publisher is not None and self._owner.may_publish:

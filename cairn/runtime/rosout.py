@@ -7,11 +7,10 @@ from datetime import UTC, datetime
 from cairn.bus.bus import Node
 from cairn.bus.qos import Qos
 from cairn.clock import SECOND, from_ns
-from cairn.runtime.status import wire_text
 from cairn.schemas.rcl_interfaces import Log
 
 ROSOUT = "/rosout"
-KEPT = Qos("reliable", "transient_local", 1000)
+ROSOUT_QOS = Qos("reliable", "transient_local", 1000)
 
 _LEVELS = {
     logging.DEBUG: 10,
@@ -28,7 +27,7 @@ class RosoutHandler(logging.Handler):
 
     def __init__(self, node: Node) -> None:
         super().__init__()
-        self._publisher = node.advertise(ROSOUT, Log, KEPT)
+        self._publisher = node.advertise(ROSOUT, Log, ROSOUT_QOS)
 
     def emit(self, record: logging.LogRecord) -> None:
         """Publish one record; `logging` calls this under the handler's lock."""
@@ -43,8 +42,8 @@ def _entry(record: logging.LogRecord) -> Log:
         stamp=from_ns(int(record.created * SECOND)),
         level=_LEVELS.get(record.levelno, 20),
         name=record.name.removeprefix("cairn."),
-        msg=wire_text(record.getMessage()),
-        file=wire_text(record.filename),
+        msg=wire_safe_text(record.getMessage()),
+        file=wire_safe_text(record.filename),
         function=record.funcName or "",
         line=record.lineno,
     )
@@ -60,3 +59,8 @@ def render(entry: Log, *, as_json: bool = False) -> str:
         )
     clock = datetime.fromtimestamp(seconds, UTC).astimezone().strftime("%H:%M:%S.%f")[:-3]
     return f"{clock} {level:<7} {entry.name}: {entry.msg}"
+
+
+def wire_safe_text(text: str) -> str:
+    """Any text as a message can hold it: without NUL, and of characters that UTF-8 has."""
+    return text.replace("\0", "?").encode("utf-8", "replace").decode()

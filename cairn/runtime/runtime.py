@@ -1,7 +1,8 @@
-"""Runs one component: joins it to the bus, its clock and its loop, and walks its life cycle."""
+"""Run one component: join it to the bus, its clock and its loop, and walk its life cycle."""
 
 import logging
 import os
+import threading
 import time
 import zlib
 from collections.abc import Callable, Mapping
@@ -12,17 +13,17 @@ from typing import Any
 
 import numpy as np
 
-from cairn.bus.bus import Bus, full_name
+from cairn.bus.bus import Bus, Node, full_name
+from cairn.bus.qos import LATCHED
 from cairn.clock import Clock, SimulatedClock, SystemClock, from_ns
 from cairn.errors import CairnError
-from cairn.runtime.clock_input import TOPIC, ClockInput
 from cairn.runtime.component import Component
-from cairn.runtime.lifecycle import Recoveries, State, Transition, goal
+from cairn.runtime.lifecycle import LifecycleState, RecoveryLimit, Transition, target_state
 from cairn.runtime.loop import Scheduler
-from cairn.runtime.parameters import Config, changed, describe
+from cairn.runtime.parameters import Config, describe_parameters, with_changes
 from cairn.runtime.port_table import PortTable
-from cairn.runtime.status import StatusPublisher, wire_text
-from cairn.runtime.timing import Timing
+from cairn.runtime.rosout import wire_safe_text
+from cairn.runtime.timers import CLOCK_TOPIC, ClockInput, ComponentTimers
 from cairn.schemas.cairn_msgs import ComponentStatus
 from cairn.schemas.message import InvalidMessage
 from cairn.schemas.std_msgs import Header
@@ -31,7 +32,7 @@ SETTLE_LIMIT_S = 2.0
 
 
 @dataclass(frozen=True)
-class Assignment:
+class RuntimeOptions:
     """What a component is told about itself by its deployment."""
 
     name: str
@@ -44,12 +45,12 @@ class Assignment:
     simulated_time: bool = False
     seed: int = 0
     restarts: int = 0
-    former_end: str = ""
+    previous_exit: str = ""
     children: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
-class End:
+class ComponentExit:
     """How a component ended: normally (it finished, or was told to stop), or by a failure.
 
     One that finished did so with `success` or without.
@@ -66,57 +67,57 @@ class Runtime:
     def __init__(
         self,
         component: type[Component],
-        assignment: Assignment,
+        options: RuntimeOptions,
         bus: Bus,
         scheduler: Scheduler,
         system_clock: Clock,
-        on_end: Callable[[End], None],
+        on_end: Callable[[ComponentExit], None],
         awake: Callable[[], float] = time.monotonic,
     ) -> None:
         """Construct the component; `CairnError` names it, its plugin and what went wrong.
 
         `awake` is the time [s] by which it is told how long a handler has been at work.
         """
-        self.assignment = assignment
-        self.name = assignment.name
-        self.restarts = assignment.restarts
-        self.log = logging.getLogger(f"cairn.{assignment.robot}.{assignment.name}")
-        self.config = _config(component, assignment)
-        self.random = np.random.default_rng([assignment.seed, zlib.crc32(assignment.name.encode())])
+        self.options = options
+        self.name = options.name
+        self.restarts = options.restarts
+        self.log = logging.getLogger(f"cairn.{options.robot}.{options.name}")
+        self.config = _config(component, options)
+        self.random = np.random.default_rng([options.seed, zlib.crc32(options.name.encode())])
         self._bus = bus
         self._scheduler = scheduler
         self._system_clock = system_clock
         self._on_end = on_end
         self._awake = awake
-        self._state = State.UNCONFIGURED
+        self._state = LifecycleState.UNCONFIGURED
         self._walking: Transition | None = None
         self._busy: tuple[str, float] | None = None
-        self._finishing: End | None = None
-        self._reason = f"restarted: {assignment.former_end}" if assignment.former_end else ""
-        self._recoveries = Recoveries()
+        self._finishing: ComponentExit | None = None
+        self._reason = f"restarted: {options.previous_exit}" if options.previous_exit else ""
+        self._recoveries = RecoveryLimit()
         if component.clock_source == "device" and (
-            assignment.simulated_time or not isinstance(system_clock, SystemClock)
+            options.simulated_time or not isinstance(system_clock, SystemClock)
         ):
             raise CairnError(
-                f"{self.name}: plugin {assignment.plugin} drives a device, which cannot follow "
+                f"{self.name}: plugin {options.plugin} drives a device, which cannot follow "
                 "simulated time; start the deployment without --lockstep and with `clock: system`, "
                 "or put a simulated driver in its place"
             )
-        simulated = assignment.simulated_time and component.clock_source == "deployment"
+        simulated = options.simulated_time and component.clock_source == "deployment"
         told = SimulatedClock() if simulated else None
         self.clock: Clock = system_clock if told is None else told
-        self._timing = Timing(self.clock, scheduler, self.log, told=told is not None)
-        self.node = bus.node(full_name(assignment.robot, assignment.name), self.log.error)
+        self._timing = ComponentTimers(self.clock, scheduler, self.log, told=told is not None)
+        self.node = bus.node(full_name(options.robot, options.name), self.log.error)
         try:
             self._construct(component, told)
         except (Exception, SystemExit) as error:
             self.node.close()
             raise CairnError(
-                f"{self.name}: plugin {assignment.plugin} cannot be constructed: {_text(error)}"
+                f"{self.name}: plugin {options.plugin} cannot be constructed: {_text(error)}"
             ) from error
 
     @property
-    def state(self) -> State:
+    def state(self) -> LifecycleState:
         """The primary state of the life cycle."""
         return self._state
 
@@ -132,7 +133,7 @@ class Runtime:
 
     def finish(self, reason: str, *, success: bool = True) -> None:
         """End normally once the current handler returns."""
-        self._finishing = End(True, reason or "finished", success)
+        self._finishing = ComponentExit(True, reason or "finished", success)
 
     def transition(self, transition: Transition) -> None:
         """Walk one step of the life cycle.
@@ -140,7 +141,7 @@ class Runtime:
         Raises `CairnError` with the component's own error if it fails; the component is then
         either unconfigured again (its `on_error` recovered) or has ended.
         """
-        end = goal(self._state, transition)
+        end = target_state(self._state, transition)
         self._walking = transition
         try:
             self._call(f"on_{transition}", self._step, transition)
@@ -153,14 +154,14 @@ class Runtime:
             self._walking = None
         self._state = end
         if transition is Transition.SHUTDOWN:
-            self._ended(self._finishing or End(True, "shut down"))
+            self._ended(self._finishing or ComponentExit(True, "shut down"))
         else:
             self.heartbeat.publish()
             self._finish_if_asked()
 
     def set_parameters(self, changes: Mapping[str, Any]) -> None:
-        """Change live parameters, all or none; `ParameterRefused` says which and why."""
-        new = changed(self.config, changes)
+        """Change live parameters, all or none; `ParameterRejected` says which and why."""
+        new = with_changes(self.config, changes)
         self.component.on_parameters(new)
         self.config = new
         self.component.config = new
@@ -172,7 +173,7 @@ class Runtime:
             self.transition(Transition(verb))
             return self._state.value
         if verb == "parameters":
-            return [vars(parameter) for parameter in describe(self.config)]
+            return [vars(parameter) for parameter in describe_parameters(self.config)]
         try:
             if verb == "set_parameters":
                 return self._call("on_parameters", self.set_parameters, arguments)
@@ -187,7 +188,7 @@ class Runtime:
 
     def run(self, where: str, call: Callable[..., None], *arguments: Any) -> None:
         """Make one call into the component if it is active; an exception fails the component."""
-        if self._state is not State.ACTIVE:
+        if self._state is not LifecycleState.ACTIVE:
             return
         if self._walking is not None:  # on its way out of `active`, it handles what waits already
             self._call(where, call, *arguments)
@@ -210,32 +211,32 @@ class Runtime:
         return ComponentStatus(
             header=Header(stamp=from_ns(self._system_clock.now()), frame_id=""),
             component=self.name,
-            plugin=self.assignment.plugin,
-            parent=self.assignment.parent,
-            placement=self.assignment.placement,
+            plugin=self.options.plugin,
+            parent=self.options.parent,
+            placement=self.options.placement,
             state=self._state.value,
             pid=os.getpid(),
             handler=busy[0] if busy else "",
             handler_s=self._awake() - busy[1] if busy else 0.0,
-            restarts=self.assignment.restarts,
-            reason=wire_text(self._reason),
-            children=self.assignment.children,
+            restarts=self.options.restarts,
+            reason=wire_safe_text(self._reason),
+            children=self.options.children,
             ports=self._ports.status(),
         )
 
     @property
     def may_publish(self) -> bool:
         """Whether messages leave the component: an inactive component publishes nothing."""
-        return self._state is State.ACTIVE or self._walking is Transition.ACTIVATE
+        return self._state is LifecycleState.ACTIVE or self._walking is Transition.ACTIVATE
 
     def _construct(self, component: type[Component], told: SimulatedClock | None) -> None:
         self.component = component(self)
         self.component.config = self.config
-        robot, topics = self.assignment.robot, self.assignment.topics
+        robot, topics = self.options.robot, self.options.topics
         self._ports = PortTable(self.component, self, self.node, self._scheduler, robot, topics)
         self._clock_input: ClockInput | None = None
         if told is not None:
-            topic = full_name(robot, topics.get(TOPIC, TOPIC))
+            topic = full_name(robot, topics.get(CLOCK_TOPIC, CLOCK_TOPIC))
             self._clock_input = ClockInput(
                 told, self.node, topic, self._scheduler, self._timing.moved, self.log.error
             )
@@ -250,7 +251,7 @@ class Runtime:
                 self.component.on_configure()
             case Transition.ACTIVATE:
                 self._ports.subscribe()
-                unreached = self._bus.settle(SETTLE_LIMIT_S)
+                unreached = self._bus.wait_for_peers(SETTLE_LIMIT_S)
                 if unreached:
                     self.log.warning("no link yet to %s", ", ".join(unreached))
                 self.component.on_activate()
@@ -264,10 +265,10 @@ class Runtime:
                 self._ports.forget()
                 self.component.on_cleanup()
             case Transition.SHUTDOWN:
-                if self._state is State.ACTIVE:
+                if self._state is LifecycleState.ACTIVE:
                     self._deactivate()
-                    self._state = State.INACTIVE
-                if self._state is not State.UNCONFIGURED:
+                    self._state = LifecycleState.INACTIVE
+                if self._state is not LifecycleState.UNCONFIGURED:
                     self.component.on_cleanup()
                 self.component.on_shutdown()
 
@@ -296,7 +297,7 @@ class Runtime:
         if (
             self._finishing is not None
             and self._walking is None
-            and self._state is not State.FINALIZED
+            and self._state is not LifecycleState.FINALIZED
         ):
             with suppress(CairnError):  # `_fail` has told it, and ended
                 self.transition(Transition.SHUTDOWN)
@@ -313,12 +314,12 @@ class Runtime:
         except _Failure as second:
             self.log.error("on_error failed: %s", _text(second.error), exc_info=second.error)
         if recovered and not last and self._recoveries.admit(self._system_clock.now(), self.log):
-            self._state = State.UNCONFIGURED
+            self._state = LifecycleState.UNCONFIGURED
             self._ports.forget()
             self.heartbeat.publish()
             return True
-        self._state = State.FINALIZED
-        self._ended(End(False, self._reason))
+        self._state = LifecycleState.FINALIZED
+        self._ended(ComponentExit(False, self._reason))
         return False
 
     def _explained(self, error: Exception) -> str:
@@ -327,11 +328,11 @@ class Runtime:
         return f"{_text(error)}{carried}"
 
     def _recover(self) -> None:
-        if self._state is not State.UNCONFIGURED:
+        if self._state is not LifecycleState.UNCONFIGURED:
             return  # it was asked to do something else meanwhile
         try:
             self.transition(Transition.CONFIGURE)
-            if self.state is not State.FINALIZED:
+            if self.state is not LifecycleState.FINALIZED:
                 self.transition(Transition.ACTIVATE)
         except CairnError as error:
             self.log.error("recovery failed: %s", error)
@@ -339,7 +340,7 @@ class Runtime:
         else:
             self.log.info("recovered")
 
-    def _ended(self, end: End) -> None:
+    def _ended(self, end: ComponentExit) -> None:
         self._reason = end.reason
         try:
             self.heartbeat.publish()
@@ -357,12 +358,36 @@ class _Failure(Exception):  # noqa: N818 - carries the component's own error and
         self.error = error
 
 
-def _config(component: type[Component], assignment: Assignment) -> Config:
+def _config(component: type[Component], options: RuntimeOptions) -> Config:
     try:
-        return component.config_class().model_validate(dict(assignment.parameters))
+        return component.config_class().model_validate(dict(options.parameters))
     except ValueError as error:
-        raise CairnError(f"{assignment.name}: parameters refused: {error}") from error
+        raise CairnError(f"{options.name}: parameters refused: {error}") from error
 
 
 def _text(error: BaseException) -> str:
     return str(error) if isinstance(error, CairnError) else f"{type(error).__name__}: {error}"
+
+
+STATUS_TOPIC = "component_status"
+
+
+class StatusPublisher:
+    """Publishes a component's status, latched; from the component's thread and its host's."""
+
+    def __init__(self, node: Node, robot: str, status: Callable[[], ComponentStatus]) -> None:
+        self._publisher = node.advertise(full_name(robot, STATUS_TOPIC), ComponentStatus, LATCHED)
+        self._status = status
+        self._lock = threading.Lock()
+        self._open = True
+
+    def publish(self) -> None:
+        """Publish the status as it is now."""
+        with self._lock:
+            if self._open:
+                self._publisher.publish(self._status())
+
+    def close(self) -> None:
+        """Publish no more."""
+        with self._lock:
+            self._open = False

@@ -1,10 +1,86 @@
-"""Timers of one component, ordered by due time, then by the order in which they were set."""
+"""Timers of a component: calls ordered by the time at which they are due, and their clock."""
 
 import heapq
-from collections.abc import Callable
+import logging
+from collections.abc import Callable, Iterable
+
+from cairn.bus.bus import Node, Subscription
+from cairn.bus.qos import Qos
+from cairn.clock import Clock, SimulatedClock, to_ns
+from cairn.runtime.loop import Scheduler
+from cairn.schemas.message import InvalidMessage
+from cairn.schemas.rosgraph_msgs import Clock as ClockMessage
+
+Periodic = tuple[int, Callable[[], None]]
+"""A period [ns] and what is called in it."""
 
 
-class Timers:
+class ComponentTimers:
+    """Has the calls of one component made when its clock says so; only from its calls."""
+
+    def __init__(
+        self, clock: Clock, scheduler: Scheduler, log: logging.Logger, *, told: bool
+    ) -> None:
+        """`told`: the clock is moved by messages, and `moved` called then; else it runs."""
+        self._clock = clock
+        self._scheduler = scheduler
+        self._log = log
+        self._told = told
+        self._timers = TimerQueue()
+        self._periodic: tuple[Periodic, ...] = ()
+        self._seen = clock.now()
+        self._posted = False
+        scheduler.bind(self._turn)
+
+    def start(self, periodic: Iterable[Periodic]) -> None:
+        """Have these calls made in their periods, from now."""
+        self._periodic = tuple(periodic)
+        now = self._clock.now()
+        for period, call in self._periodic:
+            self._timers.every(now + period, period, self._clock.now, call)
+        self._arm()
+
+    def at(self, due: int, call: Callable[[], None]) -> None:
+        """Have `call` made once at time `due`; soon if that is past."""
+        self._timers.at(due, call)
+        self._arm()
+
+    def moved(self) -> None:
+        """Make the calls that are due now that the clock has been moved, forth or back."""
+        now = self._clock.now()
+        back, self._seen = now < self._seen, now
+        if back:
+            self._log.warning("time was set back; periodic calls start anew")
+            self._timers.forget_periodic()
+            self.start(self._periodic)
+        # What is set meanwhile waits for the next turn: a call that sets itself anew for now
+        # must not keep all others from being made.
+        newest = self._timers.newest
+        while (call := self._timers.pop_due(now, newest)) is not None:
+            call()
+        self._arm()
+
+    def stop(self) -> None:
+        """Forget all calls."""
+        self._periodic = ()
+        self._timers.clear()
+
+    def _turn(self) -> None:
+        self._posted = False
+        self.moved()
+
+    def _arm(self) -> None:
+        due = self._timers.next_due()
+        if due is None:
+            return
+        if not self._told:
+            self._scheduler.wake_at(due)
+        elif due <= self._clock.now() and not self._posted:
+            self._posted = True
+            self._scheduler.post(self._turn)
+
+
+class TimerQueue:
     """A queue of calls to be made at given times of one clock, in nanoseconds."""
 
     def __init__(self) -> None:
@@ -58,3 +134,47 @@ class Timers:
     def _push(self, due: int, call: Callable[[], None], *, periodic: bool) -> None:
         self.newest += 1
         heapq.heappush(self._heap, (due, self.newest, call, periodic))
+
+
+CLOCK_TOPIC = "clock"
+_NEWEST = Qos("reliable", "volatile", 1)
+
+
+class ClockInput:
+    """Reads clock messages (only the newest matters) and moves the clock and the timers."""
+
+    def __init__(
+        self,
+        clock: SimulatedClock,
+        node: Node,
+        topic: str,
+        scheduler: Scheduler,
+        moved: Callable[[], None],
+        complain: Callable[[str], None],
+    ) -> None:
+        self._clock = clock
+        self._node = node
+        self._topic = topic
+        self._scheduler = scheduler
+        self._moved = moved
+        self._complain = complain
+        self._subscription: Subscription | None = None
+
+    def open(self) -> None:
+        """Begin to follow the topic."""
+        if self._subscription is None:
+            self._subscription = self._node.subscribe(
+                self._topic, ClockMessage, _NEWEST, lambda: self._scheduler.deliver(self._deliver)
+            )
+
+    def _deliver(self) -> None:
+        if self._subscription is None:
+            return
+        try:
+            message = self._subscription.take()
+        except InvalidMessage as error:
+            self._complain(f"message on {self._topic} refused: {error}")
+            return
+        if message is not None:
+            self._clock.set(to_ns(message.clock))
+            self._moved()

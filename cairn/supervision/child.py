@@ -69,10 +69,10 @@ class Child(Protocol):
 class Launcher(Protocol):
     """Starts components."""
 
-    def launch(self, spec: ChildSpec, incarnation: int, former_end: str) -> Child:
+    def launch(self, spec: ChildSpec, incarnation: int, previous_exit: str) -> Child:
         """Start a child for the `incarnation`th time (from 1), and give it once it takes requests.
 
-        `former_end` says in words how the incarnation before ended, "" for the first.
+        `previous_exit` says in words how the incarnation before ended, "" for the first.
         Raises `CairnError` with the cause if that fails, `Accident` if it is killed or takes longer
         than `start_timeout_s`; nothing of it runs then. Raises `LauncherLost` if that is not the
         child's fault.

@@ -11,8 +11,7 @@ from cairn.bus.qos import LATCHED
 from cairn.deployment.model import ComponentSpec, Supervision
 from cairn.errors import CairnError
 from cairn.runtime.component import Component
-from cairn.runtime.handlers import every, on
-from cairn.runtime.ports import In
+from cairn.runtime.ports import In, every, on
 from cairn.schemas.cairn_msgs import ComponentStatus
 from cairn.supervision.child import ChildSpec, Launcher
 from cairn.supervision.events import ChildStatus, SupervisionEvent

@@ -39,9 +39,9 @@ from cairn.deployment.model import Deployment
 from cairn.placement.lockstep import LockstepExecutor
 from cairn.placement.lockstep_run import LockstepRun
 from cairn.runtime.component import Component
-from cairn.runtime.lifecycle import State
+from cairn.runtime.lifecycle import LifecycleState
 from cairn.runtime.ports import ports_of
-from cairn.runtime.runtime import Assignment, End, Runtime
+from cairn.runtime.runtime import ComponentExit, Runtime, RuntimeOptions
 
 C = TypeVar("C", bound=Component)
 M = TypeVar("M")
@@ -194,7 +194,7 @@ class ComponentHarness(Lockstep, Generic[C]):
         start_s: float = 0.0,
         beside: Lockstep | None = None,
         activate: bool = True,
-        **assignment: Any,
+        **options: Any,
     ) -> None:
         """Construct the component with its parameters; configure and activate it.
 
@@ -204,25 +204,25 @@ class ComponentHarness(Lockstep, Generic[C]):
             start_s: virtual time at the beginning [s].
             beside: share the bus and the time of another harness.
             activate: False leaves the component unconfigured; see `activate` and `request`.
-            assignment: other fields of `Assignment`, such as `name`, `topics` or `seed`.
+            options: other fields of `RuntimeOptions`, such as `name`, `topics` or `seed`.
 
         Raises `CairnError` if the component cannot be constructed, configured or activated.
         """
-        assigned = Assignment(
+        settings = RuntimeOptions(
             **{
                 "name": "component",
                 "plugin": f"{component.__module__}:{component.__qualname__}",
                 "parameters": parameters or {},
-                **assignment,
+                **options,
             }
         )
         if beside is None:
-            super().__init__(start_s, robot=assigned.robot)
+            super().__init__(start_s, robot=settings.robot)
         else:
-            super().__init__(robot=assigned.robot, executor=beside.executor, bus=beside.bus)
+            super().__init__(robot=settings.robot, executor=beside.executor, bus=beside.bus)
         self.published: list[tuple[str, int]] = []
-        self.ends: list[End] = []
-        self._topics = {name: assigned.topics.get(name, name) for name in ports_of(component)}
+        self.ends: list[ComponentExit] = []
+        self._topics = {name: settings.topics.get(name, name) for name in ports_of(component)}
         self._inputs = {
             name: port for name, port in ports_of(component).items() if port.direction == "in"
         }
@@ -235,7 +235,7 @@ class ComponentHarness(Lockstep, Generic[C]):
         }
         self.runtime = Runtime(
             component,
-            assigned,
+            settings,
             self.bus,
             self.executor.scheduler(),
             self.executor,
@@ -250,12 +250,12 @@ class ComponentHarness(Lockstep, Generic[C]):
         return cast("C", self.runtime.component)
 
     @property
-    def state(self) -> State:
+    def state(self) -> LifecycleState:
         """The state of its life cycle."""
         return self.runtime.state
 
     @property
-    def end(self) -> End | None:
+    def end(self) -> ComponentExit | None:
         """How it ended, None while it runs."""
         return self.ends[0] if self.ends else None
 
@@ -272,7 +272,7 @@ class ComponentHarness(Lockstep, Generic[C]):
         return self.runtime.request(verb, arguments)
 
     def set_parameters(self, changes: Mapping[str, Any]) -> None:
-        """Change parameters, all or none; raises `ParameterRefused` if it refuses."""
+        """Change parameters, all or none; raises `ParameterRejected` if it refuses."""
         self.request("set_parameters", **changes)
 
     def publish(
@@ -318,7 +318,7 @@ class DeploymentHarness(Lockstep):
         self._started = False
 
     @property
-    def end(self) -> End | None:
+    def end(self) -> ComponentExit | None:
         """How the deployment ended, None while it runs."""
         return self.run.end
 
@@ -345,7 +345,7 @@ class DeploymentHarness(Lockstep):
         self.start()
         super().publish(topic, *messages, qos=qos, handled=handled)
 
-    def run_to_end(self, limit_s: float = 3600.0) -> End:
+    def run_to_end(self, limit_s: float = 3600.0) -> ComponentExit:
         """Let virtual time advance until the deployment ends by itself; return how it ended.
 
         Raises `AssertionError` if it does not end within `limit_s` [s] of virtual time.
@@ -354,7 +354,7 @@ class DeploymentHarness(Lockstep):
         assert self.run.end is not None
         return self.run.end
 
-    def state(self, component: str) -> State:
+    def state(self, component: str) -> LifecycleState:
         """Return the state of a component's life cycle; raises `CairnError` if it does not run."""
         self.start()
         return self.run.runtime(component).state
@@ -370,7 +370,7 @@ class DeploymentHarness(Lockstep):
         return answer
 
     def set_parameters(self, component: str, changes: Mapping[str, Any]) -> None:
-        """Change a component's parameters, all or none; raises `ParameterRefused` if it refuses."""
+        """Change parameters of a component, all or none; raises `ParameterRejected`."""
         self.request(component, "set_parameters", **changes)
 
     def suspend(self, component: str) -> None:

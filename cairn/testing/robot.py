@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 
 import zenoh
 
-from cairn.bus import rmw
+from cairn.bus import keys
 from cairn.bus.bus import full_name
 from cairn.bus.control import request
 from cairn.bus.qos import RELIABLE, Qos
@@ -68,7 +68,7 @@ class Robot:
 
     def settle(self) -> None:
         """Wait until every process of the deployment and this one know of each other's ports."""
-        unreached = self._bus.settle(_SETTLE_S)
+        unreached = self._bus.wait_for_peers(_SETTLE_S)
         assert not unreached, f"not reached within {_SETTLE_S:g} s: {unreached}; {self.run}"
 
     def close(self) -> None:
@@ -154,7 +154,7 @@ class Robot:
 
     def send_bytes(self, topic: str, message: type[Any], data: bytes) -> None:
         """Put bytes on the topic of a message type, such as no port would send."""
-        attachment = rmw.Attachment(1, time.time_ns(), os.urandom(16))
+        attachment = keys.Attachment(1, time.time_ns(), os.urandom(16))
         self._bus.session.put(self._key(topic, message), data, attachment=attachment.encode())
 
     def encoded(self, message: Any) -> bytes:
@@ -196,7 +196,8 @@ class Robot:
     ) -> Any:
         """What a component answers to a request (life cycle, parameters, its own).
 
-        Raises `ControlError` with the component's words if it refuses; `NoAnswer` if none comes.
+        Raises `ControlError` with the component's error if it rejects the request; `NoReplyError`
+        if no reply arrives.
         """
         return request(
             self._bus.session,
@@ -247,12 +248,11 @@ class Robot:
         self.request(supervisor, verb, limit_s, name=component)
 
     def _key(self, topic: str, message: type[Any]) -> str:
-        type_hash = self._bus.codec.type_hash(message)
         full = full_name(self.name, topic)
-        return rmw.data_key(self._bus.domain, full, type_name(message), type_hash)
+        return keys.message_key(self._bus.domain, full, message, self._bus.codec)
 
-    def _writers(self) -> list[rmw.EndpointEntity]:
-        found: list[rmw.EndpointEntity] = []
+    def _writers(self) -> list[keys.EndpointEntity]:
+        found: list[keys.EndpointEntity] = []
         end = self._bus.graph.watch(found.append)
         end()
         return [endpoint for endpoint in found if endpoint.kind == "MP"]

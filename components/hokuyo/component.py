@@ -12,7 +12,7 @@ from cairn import (
     Component,
     Config,
     Out,
-    ParameterRefused,
+    ParameterRejected,
     every,
     from_ns,
 )
@@ -108,7 +108,7 @@ class HokuyoScanner(Component):
         assert isinstance(new, HokuyoConfig)
         for name in HokuyoConfig.model_fields:
             if name not in LIVE and getattr(new, name) != getattr(self.config, name):
-                raise ParameterRefused(
+                raise ParameterRejected(
                     f"the driver takes {name} when it is configured; {', '.join(LIVE)} may be "
                     "changed while it runs"
                 )
@@ -117,7 +117,7 @@ class HokuyoScanner(Component):
             try:
                 request_of(new, measuring)
             except CairnError as error:
-                raise ParameterRefused(str(error)) from error
+                raise ParameterRejected(str(error)) from error
         self._measurement.config = new
         self._feed.rate.restart()
 
@@ -146,5 +146,5 @@ class HokuyoScanner(Component):
         header = Header(stamp=from_ns(stamp), frame_id=self.config.frame_id)
         shape = ScanShape(measured.sensor.measuring, measured.request, self.config.range_max)
         self.scan.publish(shape.scan(measured.data, header, self.config.echo))
-        if measured.request.multi_echo and self.multi_echo_scan.wanted:
+        if measured.request.multi_echo and self.multi_echo_scan.has_subscribers:
             self.multi_echo_scan.publish(shape.multi_echo_scan(measured.data, header))

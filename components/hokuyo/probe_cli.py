@@ -28,7 +28,7 @@ from cairn.components.hokuyo.scan_picture import drawn
 from cairn.driver.device_names import TCP
 from cairn.driver.errors import DeviceError
 from cairn.driver.rate import RateWindow
-from cairn.runtime.parameters import reason
+from cairn.runtime.parameters import error_reason
 from cairn.schemas.std_msgs import Header
 
 _Came = queue.SimpleQueue[Measured | Exception]
@@ -115,7 +115,7 @@ def _config(device: str, baud: int, intensity: bool) -> HokuyoConfig:
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         named = ".".join(map(str, first["loc"])) or device
-        raise CairnError(f"{named} = {first['input']!r}: {reason(first)}") from error
+        raise CairnError(f"{named} = {first['input']!r}: {error_reason(first)}") from error
 
 
 @contextmanager

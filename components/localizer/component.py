@@ -16,7 +16,7 @@ from cairn import (
     Config,
     In,
     Out,
-    ParameterRefused,
+    ParameterRejected,
     every,
     from_ns,
     on,
@@ -45,7 +45,7 @@ from cairn.planar.messages import packed_poses, planar_pose, with_covariance
 from cairn.planar.odometry import OdometryHistory
 from cairn.planar.poses import Pose, compose, inverse, relative
 from cairn.planar.sweep import rays_of, sweep_s
-from cairn.runtime.complaints import Complaints
+from cairn.runtime.rate_limited_log import RateLimitedLog
 from cairn.schemas.builtin_interfaces import Time
 from cairn.schemas.cairn_msgs import ObjectEvidenceArray, RecognizedObjectArray, VisualMap
 from cairn.schemas.cairn_nav_msgs import LocalizationHealth, Relocalization
@@ -100,7 +100,7 @@ class Localizer(Component):
         if folder is not None and not folder.is_dir():
             raise CairnError(f"{folder}: no such folder to keep the last pose in (resume_file)")
         self._was_located = False
-        self._complaints = Complaints(self.log)
+        self._warnings = RateLimitedLog(self.log)
         self._lay_out()
 
     def _lay_out(self) -> None:
@@ -114,13 +114,13 @@ class Localizer(Component):
 
     def on_parameters(self, new: Config) -> None:  # noqa: ARG002 - none can be changed
         """The clouds are laid out once."""
-        raise ParameterRefused("the localizer takes its parameters when it is configured")
+        raise ParameterRejected("the localizer takes its parameters when it is configured")
 
     @on("map")
     def use_grid(self, message: OccupancyGrid) -> None:
         """Take a grid map."""
         if message.data.size == 0:
-            self._complaints.tell("map", f"the map on {self.map.topic} is empty: ignored")
+            self._warnings.warn("map", f"the map on {self.map.topic} is empty: ignored")
             return
         self._localization.use_grid(grid_of(message))
 
@@ -132,7 +132,7 @@ class Localizer(Component):
             return
         values = update.data.reshape(update.height, update.width)
         if not here.fits(update.y, update.x, values):
-            self._complaints.tell("update", f"an update on {self.map_updates.topic} is off the map")
+            self._warnings.warn("update", f"an update on {self.map_updates.topic} is off the map")
             return
         here.renew(update.y, update.x, values)
 
@@ -160,14 +160,14 @@ class Localizer(Component):
             if known is not None:
                 self._localization.locate(known.mean, known.covariance)
         elif stamp - latest > GAP_S:
-            self._complaints.tell(
+            self._warnings.warn(
                 "gap", f"no odometry on {self.odom.topic} for {stamp - latest:.1f} s"
             )
         twist = odom.twist.twist
         if not self._localization.command(stamp, pose, twist.linear.x, twist.angular.z):
             self._older += 1
             if self._older < OLDER_IN_A_ROW:
-                self._complaints.tell(
+                self._warnings.warn(
                     self.odom.topic,
                     f"time on {self.odom.topic} runs backwards, from {latest:.3f} s to "
                     f"{stamp:.3f} s: ignored",
@@ -222,7 +222,7 @@ class Localizer(Component):
         try:
             save(file, at, estimate.mean, estimate.covariance, odom)
         except OSError as error:
-            self._complaints.tell("resume", f"the pose cannot be kept in {file}: {error.strerror}")
+            self._warnings.warn("resume", f"the pose cannot be kept in {file}: {error.strerror}")
 
     def _in_time(self, stamp: float, topic: str) -> bool:
         late_s = self._track.integrated_to - stamp
@@ -233,7 +233,7 @@ class Localizer(Component):
             why = f"{ahead_s:.1f} s ahead of the clock; set that of its driver"
         else:
             return True
-        self._complaints.tell(topic, f"what {topic} tells of {stamp:.3f} s is ignored: it is {why}")
+        self._warnings.warn(topic, f"what {topic} tells of {stamp:.3f} s is ignored: it is {why}")
         return False
 
     def _set_back(self, stamp: float) -> None:
@@ -250,7 +250,7 @@ class Localizer(Component):
             self._jumps = track.jumps
             self._history.clear()
             self._localization.doubt(JUMP_M, JUMP_RAD)
-            self._complaints.tell(
+            self._warnings.warn(
                 "jump", f"odometry on {self.odom.topic} jumped: that step is left out"
             )
 
@@ -259,7 +259,7 @@ class Localizer(Component):
         now = self.clock.now() / SECOND
         for stamp, item in self._held.release(track.latest, now):
             if stamp > track.latest:
-                self._complaints.tell(
+                self._warnings.warn(
                     "wait", f"what was seen at {stamp:.3f} s found no odometry of that time"
                 )
             if isinstance(item, LaserScan):
@@ -280,7 +280,7 @@ class Localizer(Component):
         self._scanned = ends
         found = self._localization.scan(ends, rays.points(), rays.misses())
         if not self._scanner.note(ends, rays, self._localization.contradicted):
-            self._complaints.tell("blind", f"a scan on {self.scan.topic} tells nothing")
+            self._warnings.warn("blind", f"a scan on {self.scan.topic} tells nothing")
         if found:
             self._tell_found(ends)
         # Without odometry of its time nobody can tell where the odometry frame lies.
@@ -296,7 +296,7 @@ class Localizer(Component):
         was_located = self._localization.located
         step = self._since(stamp)
         if step is None:
-            self._complaints.tell(
+            self._warnings.warn(
                 "late", f"what was seen at {stamp:.3f} s is ignored: no odometry of that time"
             )
             return
@@ -320,9 +320,9 @@ class Localizer(Component):
     def _tell_ranges(self) -> None:
         factor = self._localization.range_factor
         if factor is None:
-            self._complaints.over("ranges", "objects are as far away as the map has them again")
+            self._warnings.resolved("ranges", "objects are as far away as the map has them again")
             return
-        self._complaints.tell(
+        self._warnings.warn(
             "ranges",
             f"all objects on {self.objects.topic} are seen {100 * factor:.0f} % as far away as the "
             "map has them, so none is judged: calibrate the camera anew with `cairn camera "

@@ -15,7 +15,7 @@ from cairn import (
     Config,
     In,
     Out,
-    ParameterRefused,
+    ParameterRejected,
     every,
     from_ns,
     on,
@@ -34,7 +34,7 @@ from cairn.planar.grid import map_message as grid_message
 from cairn.planar.map_file import read_map
 from cairn.planar.messages import planar_pose
 from cairn.planar.odometry import Added
-from cairn.runtime.complaints import Complaints
+from cairn.runtime.rate_limited_log import RateLimitedLog
 from cairn.schemas.cairn_msgs import ObjectEvidenceArray, VisualMap, VisualMapChange
 from cairn.schemas.cairn_nav_msgs import LocalizationHealth, Relocalization
 from cairn.schemas.geometry_msgs import PoseWithCovarianceStamped
@@ -84,7 +84,7 @@ class MapBuilder(Component):
             config.mount.pose, config.scans_per_s, config.least_health, config.most_spread
         )
         self._updates = GridUpdates()
-        self._complaints = Complaints(self.log)
+        self._warnings = RateLimitedLog(self.log)
         self._full_map_at = self._saved_at = 0
         self._found_at = -_ON_THE_WAY_NS
 
@@ -111,7 +111,7 @@ class MapBuilder(Component):
 
     def on_parameters(self, new: Config) -> None:  # noqa: ARG002 - none can be changed
         """Files cannot be exchanged under a map in use."""
-        raise ParameterRefused("the map builder takes its parameters when it is configured")
+        raise ParameterRejected("the map builder takes its parameters when it is configured")
 
     @on("object_evidence")
     def judge(self, frame: ObjectEvidenceArray) -> None:
@@ -195,14 +195,14 @@ class MapBuilder(Component):
             keeper.save_pending()
         except MapFileError as error:
             # It stays pending, and goes with the next change, which is told once it is kept.
-            self._complaints.tell("evidence", f"evidence of objects is not kept yet: {error}")
+            self._warnings.warn("evidence", f"evidence of objects is not kept yet: {error}")
 
     def _save_grid(self, grid: GridKeeper) -> None:
         try:
             grid.save(self.clock.now())
         except CairnError as error:
             # The map that the robot drives by is in memory, and what was told of it holds.
-            self._complaints.tell("grid", f"the grid map is not kept: {error}")
+            self._warnings.warn("grid", f"the grid map is not kept: {error}")
 
     def _open_both(self) -> None:
         self._open()

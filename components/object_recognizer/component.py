@@ -14,7 +14,7 @@ from cairn import (
     Config,
     In,
     Out,
-    ParameterRefused,
+    ParameterRejected,
     every,
     from_ns,
     on,
@@ -29,7 +29,7 @@ from cairn.components.object_recognizer.known import KnownObjects
 from cairn.components.object_recognizer.pairing import Pair, Pairing
 from cairn.components.object_recognizer.sighting import Sighting, sighted, without_wrong_twins
 from cairn.components.object_recognizer.stereo_check import swapped, unlike
-from cairn.runtime.complaints import Complaints
+from cairn.runtime.rate_limited_log import RateLimitedLog
 from cairn.schemas.cairn_msgs import RecognizedObject, RecognizedObjectArray
 from cairn.schemas.sensor_msgs import CameraInfo, Image
 from cairn.schemas.std_msgs import Header
@@ -62,7 +62,7 @@ class ObjectRecognizer(Component):
         cv2.setNumThreads(self.config.threads)
         self._known = KnownObjects(self.config.map_file)
         self._tell_known()
-        self._complaints = Complaints(self.log)
+        self._warnings = RateLimitedLog(self.log)
         self._infos: dict[str, CameraInfo | None] = {"left": None, "right": None}
         self._cameras: Cameras | None = None
 
@@ -78,7 +78,7 @@ class ObjectRecognizer(Component):
         """All but the file, the number of cameras and threads may be changed while it runs."""
         for name in ("map_file", "stereo", "threads"):
             if getattr(new, name) != getattr(self.config, name):
-                raise ParameterRefused(f"{name} is taken when the recognizer is configured")
+                raise ParameterRejected(f"{name} is taken when the recognizer is configured")
 
     @on("left_info")
     def know_left(self, info: CameraInfo) -> None:
@@ -100,7 +100,7 @@ class ObjectRecognizer(Component):
         self._look_at(self._pairing.take_left(to_ns(image.header.stamp), image, now))
         if self._pairing.right_is_missing(now) and not self._standstills["right"].lasts:
             remedy = "" if self._right_came else ", or set stereo to false if there is none"
-            self._complaints.tell(
+            self._warnings.warn(
                 "right",
                 f"no image on {self.right_image.topic} is of the time of one on "
                 f"{self.left_image.topic}: objects are ranged by their sizes alone. Look after "
@@ -120,16 +120,16 @@ class ObjectRecognizer(Component):
         try:
             if self._known.refresh():
                 self._tell_known()
-            self._complaints.over("file", f"{self.config.map_file} is read again")
+            self._warnings.resolved("file", f"{self.config.map_file} is read again")
         except MapFileError as error:
-            self._complaints.tell("file", f"still recognizing what was taught before: {error}")
+            self._warnings.warn("file", f"still recognizing what was taught before: {error}")
         now = self.clock.now()
         if now <= 0:
             return  # nobody has told the time yet
         self._last_left = min(self._last_left or now, now)  # time may be set back
         if now - self._last_left >= _SILENCE_NS:
             silent_s = (now - self._last_left) / SECOND
-            self._complaints.tell(
+            self._warnings.warn(
                 "left",
                 f"no image on {self.left_image.topic} for {silent_s:.0f} s: look after the camera",
             )
@@ -153,26 +153,26 @@ class ObjectRecognizer(Component):
     def _is_new(self, side: str, image: Image, topic: str) -> bool:
         lasts_ns = self._standstills[side].lasts_ns(image, self.clock.now())
         if lasts_ns is not None and lasts_ns >= _STANDSTILL_NS:
-            self._complaints.tell(
+            self._warnings.warn(
                 f"{side} stands still",
                 f"the images on {topic} have been the same for {lasts_ns / SECOND:.0f} s, bit for "
                 "bit: the camera hangs. Start its driver anew",
             )
         if lasts_ns is None:
-            self._complaints.over(f"{side} stands still", f"the images on {topic} change again")
+            self._warnings.resolved(f"{side} stands still", f"the images on {topic} change again")
         return lasts_ns is None
 
     def _look_at(self, pair: Pair | None) -> None:
         if pair is None:
             return
-        self._complaints.over("left", f"images come again on {self.left_image.topic}")
+        self._warnings.resolved("left", f"images come again on {self.left_image.topic}")
         if pair.right is not None:
-            self._complaints.over("right", f"images come again on {self.right_image.topic}")
+            self._warnings.resolved("right", f"images come again on {self.right_image.topic}")
         try:
             field, told = self._seen(pair)
-            self._complaints.over("image", f"{self.left_image.topic} is looked at again")
+            self._warnings.resolved("image", f"{self.left_image.topic} is looked at again")
         except CairnError as error:
-            self._complaints.tell("image", f"nothing is recognized: {error}")
+            self._warnings.warn("image", f"nothing is recognized: {error}")
             field, told = NOWHERE, []
         self.objects.publish(
             RecognizedObjectArray(
@@ -192,9 +192,9 @@ class ObjectRecognizer(Component):
         features = extract(left, config.most_features)
         blind = blindness(left)
         if blind:
-            self._complaints.tell("blind", f"{self.left_image.topic}: {blind}")
+            self._warnings.warn("blind", f"{self.left_image.topic}: {blind}")
         else:
-            self._complaints.over("blind", f"{self.left_image.topic} shows something again")
+            self._warnings.resolved("blind", f"{self.left_image.topic} shows something again")
         known = self._known.now
         if shows_little(features) or not known.objects:
             return NOWHERE, []
@@ -204,7 +204,7 @@ class ObjectRecognizer(Component):
             [sighted(one, known.objects, cameras, left, right) for one in found]
         )
         if any(one.by_stereo for one in sightings):
-            self._complaints.over("stereo", "objects are ranged by stereo again")
+            self._warnings.resolved("stereo", "objects are ranged by stereo again")
         elif right is not None and sightings:
             self._question_stereo(left, right, features, cameras)
         placed = [(one, self._place(one)) for one in sightings]
@@ -224,9 +224,9 @@ class ObjectRecognizer(Component):
         if sighting.ratio is not None:
             wrong = self._agreement.add(recognition.name, sighting.ratio)
             if wrong:
-                self._complaints.tell("agreement", wrong)
+                self._warnings.warn("agreement", wrong)
         if sighting.doubt:
-            self._complaints.tell(f"doubt {recognition.object_id}", sighting.doubt)
+            self._warnings.warn(f"doubt {recognition.object_id}", sighting.doubt)
         if sighting.located is None or recognition.inliers < self.config.least_inliers:
             return None
         return place_of(sighting.located, self.config.mount.pose, self.config.bearing_sd)
@@ -241,7 +241,7 @@ class ObjectRecognizer(Component):
             )
         why = unlike(left, right, features, cameras.rig)
         if why:
-            self._complaints.tell(
+            self._warnings.warn(
                 "stereo",
                 f"{self.right_image.topic}: objects are ranged by their sizes alone: {why}",
             )
@@ -257,11 +257,11 @@ class ObjectRecognizer(Component):
                 )
             self._cameras = cameras_of(left, right if self.config.stereo else None)
         if self._cameras.complaint:
-            self._complaints.tell(
+            self._warnings.warn(
                 "pair", f"objects are ranged by their sizes alone: {self._cameras.complaint}"
             )
         else:
-            self._complaints.over("pair", "left and right cameras are a pair")
+            self._warnings.resolved("pair", "left and right cameras are a pair")
         return self._cameras
 
     def _rectified_right(self, cameras: Cameras, pair: Pair) -> Gray | None:
@@ -274,10 +274,10 @@ class ObjectRecognizer(Component):
                     "bit: have the right camera's driver send its own images"
                 )
             right = cameras.right.apply(self._gray(pair.right, self.right_image.topic))
-            self._complaints.over("right image", f"{self.right_image.topic} is looked at again")
+            self._warnings.resolved("right image", f"{self.right_image.topic} is looked at again")
             return right
         except CairnError as error:
-            self._complaints.tell("right image", f"ranged by their sizes alone: {error}")
+            self._warnings.warn("right image", f"ranged by their sizes alone: {error}")
             return None
 
     @staticmethod

@@ -6,7 +6,6 @@ import queue
 from pathlib import Path
 
 from cairn import CairnError
-from cairn.bus import rmw
 from cairn.bus.codec import Codec
 from cairn.bus.control import request
 from cairn.cli.connection import Connection, resolve
@@ -32,8 +31,7 @@ def newest_image(connection: Connection, topic: str, robot: str) -> tuple[str, G
             f"{full} carries {writer.type_name}, not images: give the topic of a camera's images "
             "by --topic"
         )
-    key = rmw.data_key(connection.domain, full, writer.type_name, writer.type_hash)
-    with connection.listen(key) as samples:
+    with connection.listen(writer.data_key) as samples:
         try:
             sample = samples.get(timeout=_LIMIT_S)
         except queue.Empty:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-from cairn import LATCHED, SECOND, SENSOR, Component, Config, Out, ParameterRefused, every, from_ns
+from cairn import LATCHED, SECOND, SENSOR, Component, Config, Out, ParameterRejected, every, from_ns
 from cairn.components.pbs.config import PbsConfig
 from cairn.components.pbs.conversation import Conversation, Measured
 from cairn.components.pbs.scan_message import ScanShape
@@ -71,7 +71,7 @@ class PbsScanner(Component):
 
     def on_parameters(self, new: Config) -> None:  # noqa: ARG002 - none can be changed
         """The sensor measures as it does."""
-        raise ParameterRefused(f"{self.name} takes its parameters when it is configured")
+        raise ParameterRejected(f"{self.name} takes its parameters when it is configured")
 
     @every(hz=1)
     def report(self) -> None:

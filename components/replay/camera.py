@@ -11,7 +11,7 @@ from cairn import SENSOR, CairnError, Out, ReadPath, every, from_ns
 from cairn.components.replay.driver import RecordingConfig, RecordingDriver
 from cairn.components.replay.due import Records
 from cairn.components.replay.recording import Gray, Images
-from cairn.runtime.complaints import Complaints
+from cairn.runtime.rate_limited_log import RateLimitedLog
 from cairn.schemas.sensor_msgs import CameraInfo, Image
 from cairn.schemas.std_msgs import Header
 from cairn.vision.camera_file import read_camera
@@ -57,7 +57,7 @@ class ReplayCamera(RecordingDriver):
             self.records = Records(())
             return
         self._images = images
-        self._complaints = Complaints(self.log)
+        self._warnings = RateLimitedLog(self.log)
         self._infos = self._calibrations(images)
         self.take(recording, images.stamps)
 
@@ -71,7 +71,7 @@ class ReplayCamera(RecordingDriver):
             taken = self._images.load(index)
         except CairnError as error:
             # A camera misses an image now and then, too.
-            self._complaints.tell("image", f"image {index + 1} is left out: {error}")
+            self._warnings.warn("image", f"image {index + 1} is left out: {error}")
             return
         if self.config.side_by_side:
             middle = taken[0].shape[1] // 2

@@ -6,7 +6,7 @@ from typing import ClassVar, Literal
 
 from pydantic import Field
 
-from cairn import LATCHED, SECOND, Component, Config, In, Out, ParameterRefused, from_ns, on, to_ns
+from cairn import LATCHED, SECOND, Component, Config, In, Out, ParameterRejected, from_ns, on, to_ns
 from cairn.components.replay.driver import RecordingConfig
 from cairn.components.replay.odometry import REACHED_EVERY
 from cairn.schemas.rosgraph_msgs import Clock
@@ -54,7 +54,7 @@ class ReplayClock(Component):
 
     def on_parameters(self, new: Config) -> None:  # noqa: ARG002 - none can be changed
         """A replay keeps its rate, so that its report means something."""
-        raise ParameterRefused("the clock of a replay takes its parameters when it is configured")
+        raise ParameterRejected("the clock of a replay takes its parameters when it is configured")
 
     @on("reached")
     def note(self, reached: Clock) -> None:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 from pydantic import Field
 
-from cairn import SECOND, Component, Config, ParameterRefused, ReadPath
+from cairn import SECOND, Component, Config, ParameterRejected, ReadPath
 from cairn.components.replay.due import Records
 from cairn.components.replay.formats import open_recording
 from cairn.components.replay.recording import Recording, RecordingError
@@ -98,7 +98,7 @@ class RecordingDriver(Component):
 
     def on_parameters(self, new: Config) -> None:  # noqa: ARG002 - none can be changed
         """A recording cannot be exchanged under a replay."""
-        raise ParameterRefused("a driver takes its recording when it is configured")
+        raise ParameterRejected("a driver takes its recording when it is configured")
 
     def publish_due(self, publish: Callable[[int], None]) -> None:
         """Have `publish` called with the index of each record whose time has come."""

@@ -13,7 +13,7 @@ from cairn import (
     Config,
     In,
     Out,
-    ParameterRefused,
+    ParameterRejected,
     every,
     on,
 )
@@ -34,7 +34,7 @@ from cairn.components.roboclaw.setting_up import Ready
 from cairn.driver.device_thread import DeviceThread
 from cairn.driver.errors import DeviceError
 from cairn.driver.rate import RateWindow
-from cairn.runtime.complaints import Complaints
+from cairn.runtime.rate_limited_log import RateLimitedLog
 from cairn.schemas.diagnostic_msgs import DiagnosticArray
 from cairn.schemas.geometry_msgs import Twist
 from cairn.schemas.nav_msgs import Odometry
@@ -95,7 +95,7 @@ class RoboclawBase(Component):
         What the wheels have turned meanwhile is found in their counters.
         """
         self._command.forget()
-        self._complaints = Complaints(self.log)
+        self._warnings = RateLimitedLog(self.log)
         self._health.fault, self._health.trouble = None, "it is not connected yet"
         thread = DeviceThread(
             f"{self.name}: RoboClaw",
@@ -122,7 +122,7 @@ class RoboclawBase(Component):
 
     def on_parameters(self, new: Config) -> None:  # noqa: ARG002 - none can be changed
         """A base stays the one that it is."""
-        raise ParameterRefused("the base takes its parameters when it is configured")
+        raise ParameterRejected("the base takes its parameters when it is configured")
 
     @on("cmd_vel")
     def obey(self, command: Twist) -> None:
@@ -162,16 +162,16 @@ class RoboclawBase(Component):
         """Log what the operator has to see to."""
         health = self._health
         if health.fault is not None:
-            self._complaints.tell("wheel", f"{health.fault}; the motors are off until a restart")
+            self._warnings.warn("wheel", f"{health.fault}; the motors are off until a restart")
         if health.status.errors:
             what = ", ".join(health.status.errors)
-            self._complaints.tell("status", f"the RoboClaw does not drive: {what}")
+            self._warnings.warn("status", f"the RoboClaw does not drive: {what}")
         else:
-            self._complaints.over("status", "the RoboClaw can drive again")
+            self._warnings.resolved("status", "the RoboClaw can drive again")
         if health.awaits_rest and not health.status.errors:
-            self._complaints.tell("rest", AWAITS_REST)
+            self._warnings.warn("rest", AWAITS_REST)
         else:
-            self._complaints.over("rest", "the base goes where it is commanded again")
+            self._warnings.resolved("rest", "the base goes where it is commanded again")
 
     def _ready(self, ready: Ready) -> None:
         if self._thread is not None:

@@ -10,7 +10,7 @@ from cairn import (
     Config,
     In,
     Out,
-    ParameterRefused,
+    ParameterRejected,
     every,
     on,
     to_ns,
@@ -22,7 +22,7 @@ from cairn.components.ros2_base.odometry_checks import Continuity, Expected, ref
 from cairn.driver.diagnostics import ERROR, OK, WARN, diagnostics
 from cairn.driver.rate import RateWindow
 from cairn.planar.messages import planar_pose
-from cairn.runtime.complaints import Complaints
+from cairn.runtime.rate_limited_log import RateLimitedLog
 from cairn.schemas.diagnostic_msgs import DiagnosticArray
 from cairn.schemas.geometry_msgs import Twist, TwistStamped
 from cairn.schemas.nav_msgs import Odometry
@@ -62,7 +62,7 @@ class Ros2Base(Component):
             config.odom_timeout_s,
         )
         self._continuity = Continuity(self._expected)
-        self._complaints = Complaints(self.log)
+        self._warnings = RateLimitedLog(self.log)
 
     def on_activate(self) -> None:
         """Have the base rest, whatever it was told before."""
@@ -87,7 +87,7 @@ class Ros2Base(Component):
 
     def on_parameters(self, new: Config) -> None:  # noqa: ARG002 - none can be changed
         """A base stays the one that it is."""
-        raise ParameterRefused("the base takes its parameters when it is configured")
+        raise ParameterRejected("the base takes its parameters when it is configured")
 
     @on("cmd_vel")
     def obey(self, command: Twist) -> None:
@@ -111,7 +111,7 @@ class Ros2Base(Component):
         if why is not None:
             self._refused += 1
             self._refusal, self._refused_at = why, now
-            self._complaints.tell("odometry", why)
+            self._warnings.warn("odometry", why)
             return
         pause = not self._usable()
         if pause:
@@ -137,11 +137,11 @@ class Ros2Base(Component):
         """Tell how the base's odometry comes."""
         now = self.clock.now()
         if self._usable():
-            self._complaints.over("silence", "the base tells its odometry again")
+            self._warnings.resolved("silence", "the base tells its odometry again")
         else:
-            self._complaints.tell("silence", self._silence())
+            self._warnings.warn("silence", self._silence())
         if now - self._refused_at > _WELL_S * SECOND:
-            self._complaints.over("odometry", "all of the base's odometry can be used again")
+            self._warnings.resolved("odometry", "all of the base's odometry can be used again")
         hz = self._rate.hz(now / SECOND)
         level, text = self._judged(hz)
         values = {

@@ -12,7 +12,7 @@ from cairn import (
     Config,
     In,
     Out,
-    ParameterRefused,
+    ParameterRejected,
     every,
     from_ns,
     on,
@@ -94,7 +94,7 @@ class SimulatedBase(Component):
 
     def on_parameters(self, new: Config) -> None:  # noqa: ARG002 - none can be changed
         """A base stays the one that it is."""
-        raise ParameterRefused("the simulated base takes its parameters when it is configured")
+        raise ParameterRejected("the simulated base takes its parameters when it is configured")
 
     @on("cmd_vel")
     def obey(self, command: Twist) -> None:

@@ -18,7 +18,7 @@ from cairn import (
     Config,
     In,
     Out,
-    ParameterRefused,
+    ParameterRejected,
     from_ns,
     on,
 )
@@ -96,7 +96,7 @@ class SimulatedStereoCamera(Component):
         """Light, sensor and fault may change; the camera stays the one that it is."""
         for name in type(self.config).model_fields:
             if name not in LIVE and getattr(new, name) != getattr(self.config, name):
-                raise ParameterRefused(
+                raise ParameterRejected(
                     f"the simulated camera takes {name} when it is configured; {', '.join(LIVE)} "
                     "may be changed while it runs"
                 )

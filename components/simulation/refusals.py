@@ -10,7 +10,7 @@ from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
 from cairn import Config
-from cairn.deployment.problems import one_of
+from cairn.deployment.problems import suggestion
 
 _PLAIN = {
     "missing": "must be given",
@@ -50,7 +50,7 @@ def _why(error: ErrorDetails, model: type[Config]) -> str:
         return _PLAIN[kind]
     if kind == "extra_forbidden":
         *place, key = error["loc"]
-        return f"there is no such key; {one_of(str(key), _keys_at(model, place))}"
+        return f"there is no such key; {suggestion(str(key), _keys_at(model, place))}"
     if kind in ("model_type", "dict_type"):
         return f"must be a mapping with the keys {', '.join(_keys_at(model, error['loc']))}"
     if kind == "too_short":

@@ -19,7 +19,7 @@ from cairn import (
     In,
     Mount,
     Out,
-    ParameterRefused,
+    ParameterRejected,
     from_ns,
     on,
 )
@@ -116,7 +116,7 @@ class SimulatedScanner(Component):
 
     def on_parameters(self, new: Config) -> None:  # noqa: ARG002 - none can be changed
         """A scanner stays the one that it is."""
-        raise ParameterRefused("the simulated scanner takes its parameters when it is configured")
+        raise ParameterRejected("the simulated scanner takes its parameters when it is configured")
 
     @on("scene")
     def know(self, scene: Scene) -> None:

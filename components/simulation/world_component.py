@@ -18,7 +18,7 @@ from cairn import (
     Config,
     In,
     Out,
-    ParameterRefused,
+    ParameterRejected,
     ReadPath,
     every,
     from_ns,
@@ -143,7 +143,7 @@ class SimulatedWorld(Component):
 
     def on_parameters(self, new: Config) -> None:  # noqa: ARG002 - none can be changed
         """A world is changed by requests, not by parameters."""
-        raise ParameterRefused("a world takes its parameters when it is configured")
+        raise ParameterRejected("a world takes its parameters when it is configured")
 
     @on("wheel_motion")
     def drive(self, motion: WheelMotion) -> None:

@@ -22,7 +22,7 @@ from cairn.components.v4l2_camera.stamps import Sequence, is_likely, system_offs
 from cairn.components.v4l2_camera.stream import Capture, Stream
 from cairn.driver.errors import DeviceError, LinkLost
 from cairn.driver.rate import RateWindow
-from cairn.runtime.complaints import Complaints
+from cairn.runtime.rate_limited_log import RateLimitedLog
 
 # How long the thread waits for a picture before it looks whether it is to stop [s].
 _LOOK_S = 0.1
@@ -71,7 +71,7 @@ class Camera:
         self._accept = accept
         self._on_picture = on_picture
         self._log = log
-        self._complaints = Complaints(log)
+        self._warnings = RateLimitedLog(log)
         self._device: VideoDevice | None = None
         self._panel: dict[str, Control] = {}
         # Whoever adjusts the camera must not meet one that is being closed.
@@ -223,7 +223,7 @@ class Camera:
                     raise
                 self.counts.restarts += 1
                 self.is_streaming = False
-                self._complaints.tell("stream", f"{error}; the stream is started anew")
+                self._warnings.warn("stream", f"{error}; the stream is started anew")
             stream.stop()
 
     def _read(self, stream: Stream, stopping: threading.Event) -> None:
@@ -270,7 +270,7 @@ class Camera:
             self._rate.note(1e-9 * arrived)
         if not self.is_streaming:
             self.is_streaming = True
-            self._complaints.over("stream", f"{self._settings.device}: pictures come again")
+            self._warnings.resolved("stream", f"{self._settings.device}: pictures come again")
         self._on_picture(Picture(gray, taken, stamp + offset))
 
     def _developed(self, data: bytes) -> Gray | None:
@@ -284,7 +284,7 @@ class Camera:
             else:
                 self.counts.damaged += 1
             what = "is too short" if short else "is damaged"
-            self._complaints.tell(what, f"{self._settings.device}: a picture {what}: {error}")
+            self._warnings.warn(what, f"{self._settings.device}: a picture {what}: {error}")
             return None
 
 

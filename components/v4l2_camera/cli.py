@@ -16,7 +16,7 @@ from cairn.components.v4l2_camera.config import V4l2StereoCameraConfig
 from cairn.components.v4l2_camera.listing import as_lines, listed
 from cairn.components.v4l2_camera.pairing import Picture
 from cairn.components.v4l2_camera.trial import tried
-from cairn.runtime.parameters import reason
+from cairn.runtime.parameters import error_reason
 
 
 def probe(
@@ -82,7 +82,7 @@ def _asked(values: dict[str, Any]) -> V4l2StereoCameraConfig:
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(map(str, first["loc"]))
-        raise CairnError(f"{key} {reason(first)}".lstrip()) from error
+        raise CairnError(f"{key} {error_reason(first)}".lstrip()) from error
 
 
 def _list(*, json: bool) -> None:

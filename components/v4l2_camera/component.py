@@ -17,7 +17,7 @@ from cairn import (
     Component,
     Config,
     Out,
-    ParameterRefused,
+    ParameterRejected,
     every,
     from_ns,
 )
@@ -140,7 +140,7 @@ class V4l2StereoCamera(Component):
         assert isinstance(new, V4l2StereoCameraConfig)
         for name in type(new).model_fields:
             if name not in LIVE and getattr(new, name) != getattr(self.config, name):
-                raise ParameterRefused(
+                raise ParameterRejected(
                     f"the camera takes {name} when it is configured; {', '.join(LIVE)} may be "
                     "changed while it runs"
                 )
@@ -149,7 +149,7 @@ class V4l2StereoCamera(Component):
                 for camera in self._cameras:
                     undo.callback(camera.adjust(new.controls.given()))
             except (ControlRefused, DeviceError) as error:
-                raise ParameterRefused(str(error)) from error
+                raise ParameterRejected(str(error)) from error
             undo.pop_all()
 
     @every(hz=1)

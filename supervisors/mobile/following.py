@@ -12,9 +12,9 @@ from contextlib import contextmanager, suppress
 from typing import Any
 
 from cairn import CairnError
-from cairn.bus import rmw
+from cairn.bus import keys
 from cairn.bus.codec import Codec
-from cairn.bus.control import ControlError, NoAnswer, request
+from cairn.bus.control import ControlError, NoReplyError, request
 from cairn.cli.connection import Connection
 from cairn.cli.tables import OutputLost, line, note, print_json
 from cairn.schemas.cairn_nav_msgs import (
@@ -23,7 +23,7 @@ from cairn.schemas.cairn_nav_msgs import (
     NavigationStatus,
     without_numbers,
 )
-from cairn.schemas.message import InvalidMessage, type_name
+from cairn.schemas.message import InvalidMessage
 from cairn.supervisors.mobile.reaching import await_active, linked
 
 # AutoMove tells twice a second how it gets on; what is told is repeated so often, if it is no news.
@@ -71,12 +71,7 @@ class Operator:
     def statuses(self) -> Iterator[queue.Queue[Any]]:
         """All that is told of orders from now on, as samples."""
         topic = f"{self._supervisor.rpartition('/')[0]}/navigation_status"
-        key = rmw.data_key(
-            self._connection.domain,
-            topic,
-            type_name(NavigationStatus),
-            self._codec.type_hash(NavigationStatus),
-        )
+        key = keys.message_key(self._connection.domain, topic, NavigationStatus, self._codec)
         with self._connection.listen(key, latched=True) as samples:
             yield samples
 
@@ -91,7 +86,7 @@ class Operator:
     def _cancel(self, which: dict[str, Any]) -> int:
         try:
             answer = self._ask("cancel", which, _LOADING_S)
-        except NoAnswer:  # it hung and was killed; started anew, it goes on with the order
+        except NoReplyError:  # it hung and was killed; started anew, it goes on with the order
             await_active(self._connection, self._supervisor)
             answer = self._ask("cancel", which, _LOADING_S)
         return int(answer["mission_id"])
@@ -115,7 +110,7 @@ def refusals_told(*, as_json: bool) -> Iterator[None]:
         yield
     except CairnError as error:
         if as_json:
-            state = "unanswered" if isinstance(error, NoAnswer) else "refused"
+            state = "unanswered" if isinstance(error, NoReplyError) else "refused"
             print_json({"state": state, "reason": str(error)})
         raise
 

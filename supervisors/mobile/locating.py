@@ -8,7 +8,7 @@ import time
 import zenoh
 
 from cairn import CairnError
-from cairn.bus import rmw
+from cairn.bus import keys
 from cairn.bus.codec import Codec
 from cairn.cli.connection import Connection, resolve
 from cairn.planar.messages import pose_message
@@ -36,7 +36,7 @@ def point_out(connection: Connection, robot: str, pose: Pose) -> str:
     topic = resolve(sorted(topics), _TOPIC, robot)
     codec = Codec()
     connection.session.put(
-        rmw.data_key(connection.domain, topic, _TYPE, codec.type_hash(PoseWithCovarianceStamped)),
+        keys.message_key(connection.domain, topic, PoseWithCovarianceStamped, codec),
         codec.encode(
             PoseWithCovarianceStamped(
                 header=Header(frame_id="map"), pose=PoseWithCovariance(pose=pose_message(pose))
@@ -44,6 +44,6 @@ def point_out(connection: Connection, robot: str, pose: Pose) -> str:
         ),
         encoding=zenoh.Encoding.APPLICATION_CDR.with_schema(_TYPE),
         congestion_control=zenoh.CongestionControl.BLOCK,
-        attachment=rmw.Attachment(1, time.time_ns(), secrets.token_bytes(16)).encode(),
+        attachment=keys.Attachment(1, time.time_ns(), secrets.token_bytes(16)).encode(),
     )
     return topic

@@ -7,13 +7,13 @@ import time
 from collections.abc import Mapping
 
 from cairn import CairnError
-from cairn.bus import rmw
+from cairn.bus import keys
 from cairn.bus.codec import Codec
-from cairn.bus.session import is_linked
+from cairn.bus.session import is_connected
 from cairn.cli.connection import STATUS_TOPIC, Connection, resolve
 from cairn.cli.tables import note
 from cairn.schemas.cairn_msgs import ComponentStatus
-from cairn.schemas.message import InvalidMessage, type_name
+from cairn.schemas.message import InvalidMessage
 
 _PLUGIN, _AUTOMOVE = "mobile_supervisor", "automove"
 _ACTIVE = "active"
@@ -48,12 +48,7 @@ def await_active(connection: Connection, name: str) -> None:
         f"waiting up to {PATIENCE_S:g} s"
     )
     codec = Codec()
-    key = rmw.data_key(
-        connection.domain,
-        f"/{robot}/{STATUS_TOPIC}",
-        type_name(ComponentStatus),
-        codec.type_hash(ComponentStatus),
-    )
+    key = keys.message_key(connection.domain, f"/{robot}/{STATUS_TOPIC}", ComponentStatus, codec)
     deadline = time.monotonic() + PATIENCE_S
     with connection.listen(key) as samples:
         while (left_s := deadline - time.monotonic()) > 0 and linked(connection):
@@ -75,7 +70,7 @@ def await_active(connection: Connection, name: str) -> None:
 
 def linked(connection: Connection) -> bool:
     """Whether the deployment is still there."""
-    return not connection.session.is_closed() and is_linked(connection.session)
+    return not connection.session.is_closed() and is_connected(connection.session)
 
 
 def _expected(statuses: Mapping[str, ComponentStatus]) -> set[str]:

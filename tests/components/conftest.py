@@ -12,7 +12,7 @@ from cairn.bus.lockstep_bus import LockstepBus
 from cairn.placement.lockstep import LockstepExecutor
 from cairn.runtime.lifecycle import Transition
 from cairn.runtime.ports import ports_of
-from cairn.runtime.runtime import Assignment, End, Runtime
+from cairn.runtime.runtime import ComponentExit, Runtime, RuntimeOptions
 
 DATASET = Path(__file__).parents[1] / "data" / "mrclam" / "MRCLAM_Dataset6"
 MANY = Qos("reliable", "transient_local", 100_000)
@@ -24,12 +24,12 @@ class Stage:
     def __init__(self, component: type[Component], start_s: float, **parameters: Any) -> None:
         self.executor = LockstepExecutor(round(start_s * SECOND))
         self.bus = LockstepBus()
-        self.ends: list[End] = []
+        self.ends: list[ComponentExit] = []
         self._ports = ports_of(component)
         self._outside = self.bus.node("/robot/outside", pytest.fail)
         self.runtime = Runtime(
             component,
-            Assignment(name="it", plugin="it", parameters=parameters),
+            RuntimeOptions(name="it", plugin="it", parameters=parameters),
             self.bus,
             self.executor.scheduler(),
             self.executor,

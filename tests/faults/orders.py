@@ -21,7 +21,7 @@ def order_to_move(run: Run, x: float, y: float) -> None:
     try:
         node = bus.node("/operator", _heed)
         publisher = node.advertise("/robot/goal_pose", PoseStamped, RELIABLE)
-        assert bus.settle(10.0) == []
+        assert bus.wait_for_peers(10.0) == []
         publisher.publish(PoseStamped(pose=Pose(position=Point(x=x, y=y))))
     finally:
         bus.close()

@@ -4,7 +4,7 @@ import math
 import struct
 
 from cairn import RELIABLE
-from cairn.bus import rmw
+from cairn.bus import keys
 from cairn.bus.codec import Codec
 from cairn.bus.session import open_peer
 from cairn.bus.zenoh_bus import ZenohBus
@@ -65,12 +65,12 @@ def test_nan_and_rubbish_in_messages_of_a_foreign_node(launch: Launching) -> Non
     )
     run.await_line("listener active")
     codec = Codec()
-    key = rmw.data_key(0, "/robot/words", type_name(Twist), codec.type_hash(Twist))
+    key = keys.data_key(0, "/robot/words", type_name(Twist), codec.type_hash(Twist))
     good = codec.encode(Twist(linear=Vector3(x=42.0)))
     nan = good.replace(struct.pack("<d", 42.0), struct.pack("<d", math.nan))
     bus = ZenohBus(open_peer([run.endpoint]))
     try:
-        assert bus.settle(10.0) == []
+        assert bus.wait_for_peers(10.0) == []
         for payload in (nan, good[:20], good):
             bus.session.put(key, payload)
     finally:

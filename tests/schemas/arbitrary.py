@@ -23,13 +23,12 @@ from cairn.schemas.cairn_msgs import (
 )
 from cairn.schemas.cairn_nav_msgs import Plan
 from cairn.schemas.cairn_sim_msgs import Scene
-from cairn.schemas.covariance import Covariance2, Covariance3
+from cairn.schemas.field_types import Array, Covariance2, Covariance3, Scalar, Text, finite, mark_of
 from cairn.schemas.geometry_msgs import Pose
 from cairn.schemas.map_msgs import OccupancyGridUpdate
 from cairn.schemas.message import type_name
 from cairn.schemas.nav_msgs import MapMetaData, OccupancyGrid
 from cairn.schemas.packed import Packed
-from cairn.schemas.primitives import Array, Scalar, Text, finite, mark_of
 from cairn.schemas.sensor_msgs import Image, LaserEcho, LaserScan, MultiEchoLaserScan
 
 LONGEST = 6

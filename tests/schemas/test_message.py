@@ -11,6 +11,7 @@ from pydantic import ValidationError
 
 from cairn.schemas.builtin_interfaces import Time
 from cairn.schemas.cairn_msgs import ObjectEvidence, RecognizedObject, VisualMapChange
+from cairn.schemas.field_types import BoolArray, Float32, Int16Array, String, UInt8, empty
 from cairn.schemas.geometry_msgs import (
     Point,
     Pose,
@@ -19,9 +20,8 @@ from cairn.schemas.geometry_msgs import (
     Twist,
     Vector3,
 )
-from cairn.schemas.message import InvalidMessage, message, refuse, type_name
+from cairn.schemas.message import InvalidMessage, message, reject, type_name
 from cairn.schemas.nav_msgs import MapMetaData, OccupancyGrid, Path
-from cairn.schemas.primitives import BoolArray, Float32, Int16Array, String, UInt8, empty
 from cairn.schemas.sensor_msgs import CameraInfo, Image, LaserScan
 from cairn.schemas.std_msgs import Header
 
@@ -260,7 +260,7 @@ class Battery:
     def __post_init__(self) -> None:
         """A battery has a voltage."""
         if self.voltage <= 0:
-            refuse(self, "voltage", self.voltage, "must be above 0")
+            reject(self, "voltage", self.voltage, "must be above 0")
 
 
 def test_truth_values_must_be_zero_or_one() -> None:

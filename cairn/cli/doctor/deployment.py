@@ -16,8 +16,7 @@ from cairn.deployment.plugins import load_plugin
 from cairn.deployment.problems import DeploymentError
 from cairn.driver.device_names import TCP, devices_named
 from cairn.errors import CairnError
-from cairn.runtime.marks import IsRead, marked
-from cairn.runtime.parameters import Config
+from cairn.runtime.parameters import Config, ReadPathMark, marked_parameters
 
 _LIMIT_S = 2.0
 
@@ -42,7 +41,7 @@ def files(file: Path, deployment: Deployment) -> Iterator[Finding]:
     """Every file that a component of the deployment reads: is it there, may it be read?"""
     topic = f"files of {file.name}"
     for member in deployment.members():
-        for read in marked(_config(member), IsRead):
+        for read in marked_parameters(_config(member), ReadPathMark):
             what = f"{member.name}.{read.name}"
             if os.access(read.value, os.R_OK):
                 yield Finding(topic, str(read.value), "ok", what)

@@ -19,7 +19,7 @@ from cairn import (
     Config,
     In,
     Out,
-    ParameterRefused,
+    ParameterRejected,
     every,
     on,
     to_ns,
@@ -138,7 +138,7 @@ class NavigationExaminer(Component):
 
     def on_parameters(self, new: Config) -> None:  # noqa: ARG002 - none can be changed
         """An examination keeps its rules."""
-        raise ParameterRefused("the examiner takes its parameters when it is configured")
+        raise ParameterRejected("the examiner takes its parameters when it is configured")
 
     @on("scene")
     def learn(self, scene: Scene) -> None:

@@ -18,7 +18,7 @@ from cairn import (
     Component,
     Config,
     In,
-    ParameterRefused,
+    ParameterRejected,
     on,
     to_ns,
 )
@@ -62,7 +62,7 @@ class Observer(Component):
 
     def on_parameters(self, new: Config) -> None:  # noqa: ARG002 - none can be changed
         """A series goes to one file."""
-        raise ParameterRefused("an observer takes its parameters when it is configured")
+        raise ParameterRejected("an observer takes its parameters when it is configured")
 
     def on_cleanup(self) -> None:
         """Close the file."""

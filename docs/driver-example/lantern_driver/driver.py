@@ -6,7 +6,7 @@ import time
 from typing import ClassVar, Literal
 
 import numpy as np
-from cairn import SECOND, SENSOR, Component, Config, Out, ParameterRefused, every, from_ns
+from cairn import SECOND, SENSOR, Component, Config, Out, ParameterRejected, every, from_ns
 from cairn.driver.device_clock import DeviceClock
 from cairn.driver.device_feed import DeviceFeed
 from cairn.driver.device_names import SerialPort
@@ -70,7 +70,7 @@ class LanternScanner(Component):
         """Another reach can be had at once, another line or frame cannot."""
         assert isinstance(new, LanternConfig)
         if (new.port, new.frame_id) != (self.config.port, self.config.frame_id):
-            raise ParameterRefused(f"{self.name} takes port and frame_id when it is configured")
+            raise ParameterRejected(f"{self.name} takes port and frame_id when it is configured")
 
     @every(hz=1)
     def report(self) -> None:

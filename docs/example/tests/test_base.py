@@ -1,7 +1,7 @@
 """The base moves on command and stops without."""
 
 import pytest
-from cairn.runtime.lifecycle import State
+from cairn.runtime.lifecycle import LifecycleState
 from cairn.schemas.geometry_msgs import Twist, Vector3
 from cairn.testing.lockstep import ComponentHarness
 
@@ -50,4 +50,4 @@ def test_a_jam_is_mended_in_place_but_not_for_ever() -> None:
     # It recovers three times within ten seconds; the next jam is for its supervisor.
     assert base.end is not None
     assert base.end.reason == "move: the left wheel has jammed"
-    assert base.state is State.FINALIZED
+    assert base.state is LifecycleState.FINALIZED

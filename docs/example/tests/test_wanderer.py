@@ -1,7 +1,7 @@
 """The wanderer goes ahead, turns at walls, and ends."""
 
 import pytest
-from cairn import ParameterRefused
+from cairn import ParameterRejected
 from cairn.schemas.geometry_msgs import Point, Pose, PoseWithCovariance
 from cairn.schemas.nav_msgs import Odometry
 from cairn.testing.lockstep import ComponentHarness
@@ -43,7 +43,7 @@ def test_a_way_that_is_behind_it_is_refused() -> None:
     for step in range(10):
         wanderer.publish("odom", at(0.1 * step))
 
-    with pytest.raises(ParameterRefused, match=r"0\.9 m are behind the turtle already"):
+    with pytest.raises(ParameterRejected, match=r"0\.9 m are behind the turtle already"):
         wanderer.set_parameters({"distance": 0.5, "speed": 1.0})
 
     assert wanderer.component.config.model_dump()["speed"] == 0.5

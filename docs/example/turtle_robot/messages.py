@@ -2,8 +2,8 @@
 
 from typing import Annotated
 
+from cairn.schemas.field_types import Bool, Scalar
 from cairn.schemas.message import message
-from cairn.schemas.primitives import Bool, Scalar
 from cairn.schemas.std_msgs import Header
 
 Share = Annotated[float, Scalar("float32", at_least=0, at_most=1)]

@@ -2,7 +2,7 @@
 
 import math
 
-from cairn import SECOND, SENSOR, Component, Config, In, Out, ParameterRefused, every, on
+from cairn import SECOND, SENSOR, Component, Config, In, Out, ParameterRejected, every, on
 from cairn.schemas.geometry_msgs import Point, Twist, Vector3
 from cairn.schemas.nav_msgs import Odometry
 from pydantic import Field
@@ -44,7 +44,7 @@ class Wanderer(Component):
         """Refuse a way that is behind it already."""
         assert isinstance(new, WandererConfig)
         if new.distance < self._traveled_m:
-            raise ParameterRefused(f"{self._traveled_m:.1f} m are behind the turtle already")
+            raise ParameterRejected(f"{self._traveled_m:.1f} m are behind the turtle already")
 
     @on("odom")
     def follow(self, odom: Odometry) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 from cairn import Qos
 from cairn.bus.bus import Bus, Node
 from cairn.bus.graph import read_graph
-from cairn.bus.rmw import EndpointEntity, NodeEntity
+from cairn.bus.keys import EndpointEntity, NodeEntity
 from cairn.bus.session import open_client, open_peer, open_router
 from cairn.bus.zenoh_bus import ZenohBus
 from tests.patience import LIMIT_S

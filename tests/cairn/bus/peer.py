@@ -26,7 +26,7 @@ def main(endpoint: str, name: str) -> None:
             tell(f"heard {answer.data if answer is not None else answer}")
 
     threading.Thread(target=listen, daemon=True).start()
-    unreached = bus.settle(10.0)
+    unreached = bus.wait_for_peers(10.0)
     words.publish(String(data=f"first of {name}"))
     tell(f"settled {unreached}")
     for line in sys.stdin:

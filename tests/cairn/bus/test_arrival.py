@@ -2,7 +2,7 @@
 
 import threading
 
-from cairn.bus.arrival import Arrival
+from cairn.bus.discovery import QueryableWatcher
 from tests.cairn.bus.network import Network
 from tests.patience import LIMIT_S
 
@@ -13,14 +13,14 @@ def test_who_is_there_already_is_not_waited_for(network: Network) -> None:
     asks, answers = network.bus().session, network.bus().session
     answers.declare_queryable(KEY, lambda _: None)
 
-    with Arrival(asks, KEY) as arrival:
+    with QueryableWatcher(asks, KEY) as arrival:
         assert arrival.wait(LIMIT_S)
 
 
 def test_a_former_one_that_has_gone_is_not_taken_for_the_next(network: Network) -> None:
     asks, former, latter = (network.bus().session for _ in range(3))
     queryable = former.declare_queryable(KEY, lambda _: None)
-    with Arrival(asks, KEY) as arrival:
+    with QueryableWatcher(asks, KEY) as arrival:
         assert arrival.wait(LIMIT_S)
         queryable.undeclare()
         assert arrival.wait_gone(LIMIT_S)
@@ -34,7 +34,7 @@ def test_a_former_one_that_has_gone_is_not_taken_for_the_next(network: Network) 
 
 
 def test_the_wait_for_who_will_not_come_can_be_ended(network: Network) -> None:
-    with Arrival(network.bus().session, KEY) as arrival:
+    with QueryableWatcher(network.bus().session, KEY) as arrival:
         ends = threading.Timer(0.2, arrival.give_up)
         ends.start()
         try:

@@ -7,7 +7,7 @@ from dataclasses import FrozenInstanceError, dataclass
 import pytest
 
 from cairn import LATCHED, RELIABLE, SENSOR, Qos
-from cairn.bus.bus import Bus, mismatch
+from cairn.bus.bus import Bus, type_conflict
 from cairn.bus.lockstep_bus import LockstepBus
 from cairn.schemas.geometry_msgs import Twist, Vector3
 from cairn.schemas.sensor_msgs import LaserScan
@@ -25,10 +25,10 @@ class Pair:
     writers: Bus
     readers: Bus
 
-    def settle(self) -> None:
+    def wait_for_peers(self) -> None:
         """After this, nothing is lost between the two."""
-        assert self.writers.settle(LIMIT_S) == []
-        assert self.readers.settle(LIMIT_S) == []
+        assert self.writers.wait_for_peers(LIMIT_S) == []
+        assert self.readers.wait_for_peers(LIMIT_S) == []
 
 
 @pytest.fixture(params=["two processes", "one process", "lockstep"])
@@ -53,7 +53,7 @@ def words(*numbers: int) -> list[String]:
 def test_messages_arrive_in_order(pair: Pair, qos: Qos) -> None:
     reader = Reader(node(pair.readers, "/robot/ear"), TOPIC, String, qos.with_depth(200))
     writer = node(pair.writers, "/robot/mouth").advertise(TOPIC, String, qos)
-    pair.settle()
+    pair.wait_for_peers()
 
     for word in words(*range(200)):
         writer.publish(word)
@@ -67,7 +67,7 @@ def test_two_writers_and_two_readers_hear_each_other(pair: Pair) -> None:
     ear, mouth = node(pair.readers, "/robot/ear"), node(pair.writers, "/robot/mouth")
     readers = [Reader(ear, TOPIC, String, RELIABLE) for _ in range(2)]
     writers = [mouth.advertise(TOPIC, String, RELIABLE) for _ in range(2)]
-    pair.settle()
+    pair.wait_for_peers()
 
     for writer, word in zip(writers, words(1, 2), strict=True):
         writer.publish(word)
@@ -82,12 +82,12 @@ def test_who_comes_late_gets_what_is_latched(pair: Pair, kept: int, asked: int, 
     writer = node(pair.writers, "/robot/mouth").advertise(TOPIC, String, LATCHED.with_depth(kept))
     for word in words(*range(9)):
         writer.publish(word)
-    pair.settle()
+    pair.wait_for_peers()
 
     reader = Reader(node(pair.readers, "/robot/ear"), TOPIC, String, LATCHED.with_depth(asked))
 
     assert reader.next_of(got) == words(*range(9 - got, 9))
-    pair.settle()
+    pair.wait_for_peers()
     writer.publish(String(data="then"))
     assert reader.next() == String(data="then")
     assert reader.subscription.dropped == 0
@@ -99,12 +99,12 @@ def test_who_comes_late_gets_what_is_latched(pair: Pair, kept: int, asked: int, 
 def test_otherwise_who_comes_late_gets_what_comes_then(pair: Pair, writes: Qos, reads: Qos) -> None:
     early = Reader(node(pair.readers, "/robot/early"), TOPIC, String, RELIABLE)
     writer = node(pair.writers, "/robot/mouth").advertise(TOPIC, String, writes)
-    pair.settle()
+    pair.wait_for_peers()
     writer.publish(String(data="before"))
     assert early.next() == String(data="before")
 
     late = Reader(node(pair.readers, "/robot/late"), TOPIC, String, reads)
-    pair.settle()
+    pair.wait_for_peers()
     writer.publish(String(data="after"))
 
     assert late.next() == String(data="after")
@@ -117,10 +117,10 @@ def test_nothing_is_latched_beyond_its_writers_end(pair: Pair) -> None:
     first.publish(String(data="old"))
     first.close()
     second = mouth.advertise(TOPIC, String, LATCHED)
-    pair.settle()
+    pair.wait_for_peers()
 
     reader = Reader(node(pair.readers, "/robot/ear"), TOPIC, String, LATCHED)
-    pair.settle()
+    pair.wait_for_peers()
     second.publish(String(data="new"))
 
     assert reader.next() == String(data="new")
@@ -130,7 +130,7 @@ def test_nothing_is_latched_beyond_its_writers_end(pair: Pair) -> None:
 def test_a_slow_reader_keeps_the_newest_and_counts_the_rest(pair: Pair, depth: int) -> None:
     slow = Reader(node(pair.readers, "/robot/ear"), TOPIC, String, RELIABLE.with_depth(depth))
     writer = node(pair.writers, "/robot/mouth").advertise(TOPIC, String, RELIABLE)
-    pair.settle()
+    pair.wait_for_peers()
     writer.publish(String(data="0"))
     slow.await_first()
 
@@ -147,7 +147,7 @@ def test_a_slow_reader_keeps_the_newest_and_counts_the_rest(pair: Pair, depth: i
 def test_what_waits_is_announced_however_reader_and_writer_race(pair: Pair) -> None:
     reader = Reader(node(pair.readers, "/robot/ear"), TOPIC, String, RELIABLE.with_depth(1))
     writer = node(pair.writers, "/robot/mouth").advertise(TOPIC, String, RELIABLE)
-    pair.settle()
+    pair.wait_for_peers()
     ends = threading.Event()
     got: list[str] = []
 
@@ -177,13 +177,13 @@ def test_two_types_on_one_topic_are_complained_about_on_both_sides(pair: Pair) -
     ear = pair.readers.node("/robot/ear", of_ear.append)
     writer = mouth.advertise(TOPIC, String, RELIABLE)
     subscription = ear.subscribe(TOPIC, Twist, RELIABLE, lambda: None)
-    pair.settle()
+    pair.wait_for_peers()
 
     writer.publish(String(data="unheard"))
 
     string, twist = "std_msgs/msg/String", "geometry_msgs/msg/Twist"
-    assert eventually(lambda: of_mouth == [mismatch(TOPIC, string, "/robot/ear", twist)])
-    assert eventually(lambda: of_ear == [mismatch(TOPIC, twist, "/robot/mouth", string)])
+    assert eventually(lambda: of_mouth == [type_conflict(TOPIC, string, "/robot/ear", twist)])
+    assert eventually(lambda: of_ear == [type_conflict(TOPIC, twist, "/robot/mouth", string)])
     assert all(part in of_ear[0] for part in (TOPIC, "/robot/mouth", string, twist))
     assert subscription.take() is None
 
@@ -194,7 +194,7 @@ def test_closing_twice_is_harmless_and_what_is_closed_is_silent(pair: Pair) -> N
     other = Reader(ear, TOPIC, String, RELIABLE)
     writer = mouth.advertise(TOPIC, String, RELIABLE)
     closing = mouth.advertise(TOPIC, String, RELIABLE)
-    pair.settle()
+    pair.wait_for_peers()
     closed.subscription.close()
     closing.close()
 
@@ -220,7 +220,7 @@ def test_closing_ends_all_threads() -> None:
         for qos in (RELIABLE, LATCHED):
             Reader(component, TOPIC, String, qos)
             component.advertise(TOPIC, String, qos)
-        bus.settle(LIMIT_S)
+        bus.wait_for_peers(LIMIT_S)
         component.close()
     for bus in buses * 2:
         bus.close()
@@ -232,7 +232,7 @@ def test_closing_ends_all_threads() -> None:
 def test_what_is_received_cannot_be_changed(pair: Pair) -> None:
     reader = Reader(node(pair.readers, "/robot/ear"), "/robot/scan", LaserScan, SENSOR)
     writer = node(pair.writers, "/robot/laser").advertise("/robot/scan", LaserScan, SENSOR)
-    pair.settle()
+    pair.wait_for_peers()
 
     writer.publish(
         LaserScan(angle_max=0.1, angle_increment=0.1, range_max=5.0, ranges=[1.0, 2.0])  # type: ignore[arg-type]
@@ -247,7 +247,7 @@ def test_what_is_received_cannot_be_changed(pair: Pair) -> None:
 
 def test_publishing_to_nobody_does_not_even_look_at_the_message(pair: Pair) -> None:
     writer = node(pair.writers, "/robot/mouth").advertise(TOPIC, String, RELIABLE)
-    pair.settle()
+    pair.wait_for_peers()
 
     writer.publish(object())
 
@@ -257,13 +257,13 @@ def test_publishing_to_nobody_does_not_even_look_at_the_message(pair: Pair) -> N
 def test_the_first_message_to_a_reader_counts_no_drops(pair: Pair) -> None:
     writer = node(pair.writers, "/robot/mouth").advertise("/robot/speed", Twist, RELIABLE)
     early = Reader(node(pair.readers, "/robot/early"), "/robot/speed", Twist, RELIABLE)
-    pair.settle()
+    pair.wait_for_peers()
     for _ in range(5):
         writer.publish(Twist())
     early.next_of(5)
 
     late = Reader(node(pair.readers, "/robot/late"), "/robot/speed", Twist, RELIABLE)
-    pair.settle()
+    pair.wait_for_peers()
     writer.publish(Twist(linear=Vector3(x=0.5)))
 
     assert late.next().linear.x == 0.5

@@ -11,6 +11,17 @@ import pytest
 from cairn import CairnError
 from cairn.bus.codec import Codec
 from cairn.schemas.builtin_interfaces import Time
+from cairn.schemas.field_types import (
+    Bool,
+    BoolArray,
+    Byte,
+    Float64,
+    Float64Array,
+    Int64,
+    String,
+    UInt8,
+    UInt16Array,
+)
 from cairn.schemas.geometry_msgs import (
     Pose,
     PoseArray,
@@ -22,17 +33,6 @@ from cairn.schemas.geometry_msgs import (
 from cairn.schemas.message import InvalidMessage, message
 from cairn.schemas.nav_msgs import MapMetaData, OccupancyGrid, Path
 from cairn.schemas.packed import Packed
-from cairn.schemas.primitives import (
-    Bool,
-    BoolArray,
-    Byte,
-    Float64,
-    Float64Array,
-    Int64,
-    String,
-    UInt8,
-    UInt16Array,
-)
 from cairn.schemas.rosgraph_msgs import Clock
 from cairn.schemas.sensor_msgs import Image, LaserScan
 from cairn.schemas.std_msgs import Header

@@ -8,7 +8,8 @@ from typing import Any
 import pytest
 
 from cairn import CairnError
-from cairn.bus.control import ControlError, ControlServer, control_key, request
+from cairn.bus.control import ControlError, ControlServer, request
+from cairn.bus.keys import control_key
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.runtime.loop import ThreadLoop
 from tests.cairn.bus.network import Network
@@ -56,7 +57,7 @@ def served(network: Network) -> Iterator[Served]:
 @pytest.fixture
 def asker(network: Network, served: Served) -> ZenohBus:
     bus = network.bus()
-    assert bus.settle(LIMIT_S) == []
+    assert bus.wait_for_peers(LIMIT_S) == []
     return bus
 
 
@@ -113,7 +114,7 @@ def test_an_answer_that_is_none_is_an_error(network: Network) -> None:
     queryable: Any = impostor.session.declare_queryable(
         key, lambda query: query.reply(key, b"what?")
     )
-    asker.settle(LIMIT_S)
+    asker.wait_for_peers(LIMIT_S)
 
     with pytest.raises(ControlError, match="/robot/part gave an answer that is none"):
         ask(asker, "ping")
@@ -144,7 +145,7 @@ def test_a_request_behind_the_components_end_is_over_at_once(
 def test_closing_ends_the_thread_and_leaves_nobody_waiting(network: Network) -> None:
     bus, asker = network.bus(), network.bus()
     server = ControlServer(bus.session, 0, NAME, lambda call: None, lambda *_: None)
-    asker.settle(LIMIT_S)
+    asker.wait_for_peers(LIMIT_S)
     before = threading.active_count()
 
     server.close()

@@ -7,7 +7,7 @@ import pytest
 
 from cairn import RELIABLE
 from cairn.bus.codec import Codec
-from cairn.bus.rmw import Attachment, data_key
+from cairn.bus.keys import Attachment, data_key
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.schemas.geometry_msgs import Twist, Vector3
 from cairn.schemas.message import InvalidMessage, type_name
@@ -29,7 +29,7 @@ def reader(network: Network) -> Reader:
 @pytest.fixture
 def foreign(network: Network, reader: Reader) -> ZenohBus:
     bus = network.bus()
-    bus.settle(LIMIT_S)
+    bus.wait_for_peers(LIMIT_S)
     return bus
 
 

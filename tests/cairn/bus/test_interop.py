@@ -10,9 +10,8 @@ from typing import Any, ClassVar
 import pytest
 
 from cairn import RELIABLE, SENSOR, Component, In, Out, on
-from cairn.bus.codec import Codec
-from cairn.bus.plain import to_plain
-from cairn.bus.rmw import EndpointEntity, NodeEntity
+from cairn.bus.codec import Codec, to_plain
+from cairn.bus.keys import EndpointEntity, NodeEntity
 from cairn.schemas.builtin_interfaces import Time
 from cairn.schemas.cairn_msgs import RecognizedObject, RecognizedObjectArray
 from cairn.schemas.geometry_msgs import Point, Pose, PoseWithCovariance, Twist, Vector3

@@ -2,7 +2,7 @@
 
 import threading
 
-from cairn.bus.session import is_linked, open_client, open_router
+from cairn.bus.session import is_connected, open_client, open_router
 from cairn.testing.launching import free_port
 from tests.cairn.bus.network import eventually
 
@@ -11,7 +11,7 @@ def test_a_router_that_comes_back_in_time_was_never_gone() -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     router = open_router(endpoint)
     with open_client([endpoint]) as session:
-        assert is_linked(session)
+        assert is_connected(session)
         router.close()
         assert eventually(lambda: not list(session.info.routers_zid()))
 
@@ -19,7 +19,7 @@ def test_a_router_that_comes_back_in_time_was_never_gone() -> None:
         comes_back = threading.Timer(0.3, lambda: returned.append(open_router(endpoint)))
         comes_back.start()
         try:
-            assert is_linked(session)
+            assert is_connected(session)
         finally:
             comes_back.join()
             for one in returned:
@@ -33,4 +33,4 @@ def test_a_router_that_stays_away_is_gone() -> None:
         router.close()
 
         assert eventually(lambda: not list(session.info.routers_zid()))
-        assert not is_linked(session)
+        assert not is_connected(session)

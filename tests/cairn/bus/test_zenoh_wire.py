@@ -9,7 +9,7 @@ import zenoh
 
 from cairn import LATCHED, SENSOR, Qos
 from cairn.bus.codec import Codec
-from cairn.bus.rmw import Attachment, EndpointEntity, NodeEntity, gid, token_key
+from cairn.bus.keys import Attachment, EndpointEntity, NodeEntity, gid, token_key
 from cairn.bus.session import open_client, open_peer
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.schemas.geometry_msgs import Twist, Vector3
@@ -30,7 +30,7 @@ def test_a_nodes_tokens(network: Network) -> None:
     localizer.subscribe("/robot/word", String, LATCHED, lambda: None)
     lonely = node(bus, "/lonely")
     lonely.advertise("/word", String, Qos("reliable", "volatile", 42))
-    bus.settle(LIMIT_S)
+    bus.wait_for_peers(LIMIT_S)
     with open_client([network.endpoint]) as command:
         replies = command.liveliness().get("@ros2_lv/**", timeout=LIMIT_S)
         tokens = sorted(str(reply.ok.key_expr) for reply in replies if reply.ok is not None)
@@ -55,7 +55,7 @@ def test_a_message_on_the_wire(network: Network) -> None:
     plain = network.bus()
     ring: zenoh.handlers.RingChannel[Any] = zenoh.handlers.RingChannel(10)
     everything: Any = plain.session.declare_subscriber("0/robot/**", ring)
-    plain.settle(LIMIT_S)
+    plain.wait_for_peers(LIMIT_S)
     before = time.time_ns()
 
     for speed in (0.25, 0.5):
@@ -83,7 +83,7 @@ def test_bulk_gives_way_to_what_is_small_and_urgent(network: Network) -> None:
     robot = node(bus, "/robot/base")
     ring: zenoh.handlers.RingChannel[Any] = zenoh.handlers.RingChannel(10)
     everything: Any = plain.session.declare_subscriber("0/robot/**", ring)
-    plain.settle(LIMIT_S)
+    plain.wait_for_peers(LIMIT_S)
 
     for topic, message, priority in (
         ("/robot/cmd_vel", Twist(), zenoh.Priority.INTERACTIVE_HIGH),
@@ -97,7 +97,7 @@ def test_the_graph_tells_who_is_there_and_who_has_left(network: Network) -> None
     bus = network.bus()
     one, other = node(bus, "/robot/one"), node(bus, "/other")
     one.advertise("/robot/word", String, SENSOR)
-    bus.settle(LIMIT_S)
+    bus.wait_for_peers(LIMIT_S)
     graph = network.graph()
     assert [one.name for one in graph if isinstance(one, NodeEntity)] == ["/robot/one", "/other"]
     assert [one.topic for one in graph if isinstance(one, EndpointEntity)] == ["/robot/word"]
@@ -121,8 +121,8 @@ def test_another_domain_is_another_world(network: Network) -> None:
         mouth = node(elsewhere, "/robot/mouth")
         writer = mouth.advertise("/robot/word", String, SENSOR)
         here = node(network.bus(), "/robot/here").advertise("/robot/word", String, SENSOR)
-        elsewhere.settle(LIMIT_S)
-        bus.settle(LIMIT_S)
+        elsewhere.wait_for_peers(LIMIT_S)
+        bus.wait_for_peers(LIMIT_S)
         writer.publish(String(data="elsewhere"))
         here.publish(String(data="here"))
         assert reader.next() == String(data="here")
@@ -155,7 +155,7 @@ def test_each_endpoint_is_told_once_however_watching_and_coming_race(
         end()
     last = Reader(node(bus, "/robot/ear"), "/robot/more", String, SENSOR)
     more = part.advertise("/robot/more", String, SENSOR)
-    other.settle(LIMIT_S)
+    other.wait_for_peers(LIMIT_S)
     more.publish(String(data="more"))
     last.next()
     assert len(told) == len(topics)

@@ -5,7 +5,7 @@ import subprocess
 
 import zenoh
 
-from cairn.bus import rmw
+from cairn.bus import keys
 from cairn.bus.codec import Codec
 from cairn.bus.session import open_peer
 from cairn.runtime.rosout import ROSOUT
@@ -116,7 +116,7 @@ def test_logs_prints_what_was_said(command: Command) -> None:
 
 def test_logs_tells_that_somebody_has_not_answered(command: Command, rover: Run) -> None:
     codec = Codec()
-    kept = f"{rmw.data_key(0, ROSOUT, type_name(Log), codec.type_hash(Log))}/@adv/pub/hangs"
+    kept = f"{keys.data_key(0, ROSOUT, type_name(Log), codec.type_hash(Log))}/@adv/pub/hangs"
     unanswered: list[zenoh.Query] = []
     with (
         open_peer([rover.endpoint]) as session,

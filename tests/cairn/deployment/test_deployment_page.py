@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from cairn.deployment.load import load_deployment
-from cairn.deployment.model import Bus, ComponentSpec, Deployment, Supervision
+from cairn.deployment.model import BusSettings, ComponentSpec, Deployment, Supervision
 from cairn.deployment.problems import DeploymentError
 
 Write = Callable[..., Path]
@@ -64,7 +64,7 @@ def test_the_problems_are_those_on_the_page() -> None:
     ("keys", "prefix"),
     [
         (Deployment.model_fields.keys() - {"bus"}, ""),
-        (Bus.model_fields.keys(), "bus."),
+        (BusSettings.model_fields.keys(), "bus."),
         (ComponentSpec.model_fields.keys() - {"supervision"}, ""),
         (Supervision.model_fields.keys(), "supervision."),
     ],

@@ -10,9 +10,8 @@ import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from cairn.deployment.document import Node, read
-from cairn.deployment.load import load_deployment
-from cairn.deployment.overlays import assigned, overlaid
+from cairn.deployment.document import DocumentNode, read
+from cairn.deployment.load import assigned, load_deployment, overlaid
 from cairn.deployment.problems import DeploymentError
 
 Write = Callable[..., Path]
@@ -315,7 +314,7 @@ QUICK = settings(
 )
 
 
-def tree(values: dict[str, Any], folder: Path) -> Node:
+def tree(values: dict[str, Any], folder: Path) -> DocumentNode:
     file = folder / "some.yaml"
     file.write_text(json.dumps(values), encoding="utf-8")
     node, problems = read(file)

@@ -4,11 +4,11 @@ from pathlib import Path
 
 import pytest
 
-from cairn.deployment.plugins import PluginError, installed, load_plugin
+from cairn.deployment.plugins import PluginError, installed_plugins, load_plugin
 
 
 def test_all_installed_plugins_are_listed_with_package_summary_and_ports() -> None:
-    listed = {plugin.name: plugin for plugin in installed()}
+    listed = {plugin.name: plugin for plugin in installed_plugins()}
 
     base = listed["acme_base"]
     assert (base.target, base.package) == ("acme_robot.parts:Base", "acme-robot 1.2")
@@ -21,7 +21,7 @@ def test_all_installed_plugins_are_listed_with_package_summary_and_ports() -> No
 
 
 def test_a_plugin_that_cannot_be_used_is_listed_with_its_error() -> None:
-    listed = {plugin.name: plugin for plugin in installed()}
+    listed = {plugin.name: plugin for plugin in installed_plugins()}
 
     assert "No module named 'acme_camera_library'" in listed["acme_camera"].error
     assert "is not a component" in listed["acme_no_component"].error

@@ -3,7 +3,7 @@
 from pydantic import Field
 
 from cairn import LATCHED, RELIABLE, Component, Config, In, Out, on
-from cairn.runtime.component import Context
+from cairn.runtime.component import ComponentContext
 from cairn.schemas.geometry_msgs import Twist
 from cairn.schemas.std_msgs import String
 
@@ -25,7 +25,7 @@ class Base(Component):
     map: In[String] = In(qos=LATCHED)
     cmd_vel: Out[Twist]
 
-    def __init__(self, context: Context) -> None:
+    def __init__(self, context: ComponentContext) -> None:
         super().__init__(context)
         self.calls: list[str] = []
 

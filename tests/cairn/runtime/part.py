@@ -3,7 +3,7 @@
 from typing import Any
 
 from cairn import Component, In, Out, on
-from cairn.runtime.component import Context
+from cairn.runtime.component import ComponentContext
 from cairn.schemas.std_msgs import String
 
 STEPS = ("configure", "activate", "deactivate", "cleanup", "shutdown")
@@ -19,7 +19,7 @@ class Part(Component):
     fails_in: frozenset[str] = frozenset()
     recovers: Any = False
 
-    def __init__(self, context: Context) -> None:
+    def __init__(self, context: ComponentContext) -> None:
         super().__init__(context)
         self.calls: list[str] = []
 

@@ -11,7 +11,7 @@ from cairn.bus.lockstep_bus import LockstepBus, LockstepSubscription
 from cairn.clock import SystemClock
 from cairn.placement.lockstep import LockstepExecutor
 from cairn.runtime.loop import ThreadLoop
-from cairn.runtime.runtime import Assignment, End, Runtime
+from cairn.runtime.runtime import ComponentExit, Runtime, RuntimeOptions
 from tests.patience import LIMIT_S
 
 C = TypeVar("C", bound=Component)
@@ -20,11 +20,11 @@ C = TypeVar("C", bound=Component)
 class Threaded:
     """A component on a thread of its own."""
 
-    def __init__(self, component: type[Component], bus: Bus, /, **assignment: Any) -> None:
+    def __init__(self, component: type[Component], bus: Bus, /, **options: Any) -> None:
         self.loop = ThreadLoop()
         self.ended = threading.Event()
-        self.end: End | None = None
-        assigned = Assignment(**({"name": "part", "plugin": "test"} | assignment))
+        self.end: ComponentExit | None = None
+        assigned = RuntimeOptions(**({"name": "part", "plugin": "test"} | options))
         self.runtime = Runtime(component, assigned, bus, self.loop, SystemClock(), self._note)
         self.thread = threading.Thread(target=self.loop.run)
         self.thread.start()
@@ -54,7 +54,7 @@ class Threaded:
         self.thread.join(LIMIT_S)
         assert not self.thread.is_alive()
 
-    def _note(self, end: End) -> None:
+    def _note(self, end: ComponentExit) -> None:
         self.end = end
         self.ended.set()
 
@@ -67,9 +67,9 @@ class Lockstep:
         self.bus = LockstepBus()
         self.observer = self.bus.node("/observer", _ignore)
 
-    def add(self, component: type[C], /, **assignment: Any) -> "Placed[C]":
+    def add(self, component: type[C], /, **options: Any) -> "Placed[C]":
         """One more component, unconfigured."""
-        return Placed(self, component, **assignment)
+        return Placed(self, component, **options)
 
     def read(self, topic: str, message: type[Any], qos: Qos = RELIABLE) -> LockstepSubscription:
         """All that is published on a topic from now on."""
@@ -105,9 +105,9 @@ class Lockstep:
 class Placed(Generic[C]):
     """A component in lockstep."""
 
-    def __init__(self, lockstep: Lockstep, component: type[C], /, **assignment: Any) -> None:
-        self.ends: list[End] = []
-        assigned = Assignment(**({"name": "part", "plugin": "test"} | assignment))
+    def __init__(self, lockstep: Lockstep, component: type[C], /, **options: Any) -> None:
+        self.ends: list[ComponentExit] = []
+        assigned = RuntimeOptions(**({"name": "part", "plugin": "test"} | options))
         self.runtime = Runtime(
             component, assigned, lockstep.bus, lockstep.executor.scheduler(), lockstep.executor,
             self.ends.append,

@@ -75,15 +75,15 @@ def test_an_output_knows_whether_anybody_reads() -> None:
     part = Threaded(Driver, bus)
     driver = part.runtime.component
     assert isinstance(driver, Driver)
-    assert not driver.heard.wanted
+    assert not driver.heard.has_subscribers
     part.activate()
-    assert not driver.heard.wanted
-    assert driver.latched.wanted  # somebody may come later
+    assert not driver.heard.has_subscribers
+    assert driver.latched.has_subscribers  # somebody may come later
     reader = bus.node("/robot/reader", lambda complaint: None)
     reader.subscribe("/robot/heard", String, driver.heard.qos, lambda: None)
-    assert driver.heard.wanted
+    assert driver.heard.has_subscribers
     part.ask("deactivate")
-    assert not driver.heard.wanted
+    assert not driver.heard.has_subscribers
     part.close()
 
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from cairn import CairnError, Config, ParameterRefused
+from cairn import CairnError, Config, ParameterRejected
 from tests.cairn.runtime.base import Base, BaseConfig, Limits
 from tests.cairn.runtime.running import Lockstep
 
@@ -13,7 +13,7 @@ def test_parameters_change_while_it_runs_all_or_none(lockstep: Lockstep) -> None
 
     part.ask("set_parameters", **{"gain": 0.75, "limits.high": 2})
     assert part.component.config == BaseConfig(gain=0.75, limits=Limits(high=2.0))
-    with pytest.raises(ParameterRefused, match=r"limits\.high = 9 refused"):
+    with pytest.raises(ParameterRejected, match=r"limits\.high = 9 refused"):
         part.ask("set_parameters", **{"gain": 0.1, "limits.high": 9})
 
     assert part.component.config == BaseConfig(gain=0.75, limits=Limits(high=2.0))
@@ -29,13 +29,13 @@ def test_a_component_may_refuse_parameters_or_fail_at_it_and_keeps_the_old(
         def on_parameters(self, new: Config) -> None:
             assert isinstance(new, BaseConfig)
             if new.gain < self.config.gain:
-                raise ParameterRefused("gain may only grow while it drives")
+                raise ParameterRejected("gain may only grow while it drives")
             if new.gain > 0.9:
                 raise ZeroDivisionError("dear me")
 
     part = lockstep.add(Picky)
     part.activate()
-    with pytest.raises(ParameterRefused, match=r"^gain may only grow while it drives$"):
+    with pytest.raises(ParameterRejected, match=r"^gain may only grow while it drives$"):
         part.ask("set_parameters", gain=0.1)
     with pytest.raises(CairnError, match="part: set_parameters failed: ZeroDivisionError: dear me"):
         part.ask("set_parameters", gain=1.0)

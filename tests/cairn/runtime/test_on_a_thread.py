@@ -8,8 +8,8 @@ import pytest
 
 from cairn import every, on
 from cairn.bus.lockstep_bus import LockstepBus
-from cairn.runtime.component import Context
-from cairn.runtime.runtime import End
+from cairn.runtime.component import ComponentContext
+from cairn.runtime.runtime import ComponentExit
 from cairn.schemas.std_msgs import String
 from tests.cairn.runtime.base import Base, word
 from tests.cairn.runtime.running import Threaded
@@ -19,7 +19,7 @@ from tests.patience import LIMIT_S
 class Slow(Base):
     """Stays in a handler until it is let go."""
 
-    def __init__(self, context: Context) -> None:
+    def __init__(self, context: ComponentContext) -> None:
         super().__init__(context)
         self.within = threading.Semaphore(0)
         self.release = threading.Semaphore(0)
@@ -105,4 +105,4 @@ def test_a_component_that_finishes_ends_its_thread() -> None:
     assert part.ended.wait(LIMIT_S)
     part.thread.join(LIMIT_S)
     assert not part.thread.is_alive()
-    assert part.end == End(True, "nothing to do")
+    assert part.end == ComponentExit(True, "nothing to do")

@@ -5,8 +5,8 @@ from typing import Annotated, Any, Literal
 import pytest
 from pydantic import Field, ValidationError, model_validator
 
-from cairn import Config, ParameterRefused, ReadPath
-from cairn.runtime.parameters import Parameter, changed, describe
+from cairn import Config, ParameterRejected, ReadPath
+from cairn.runtime.parameters import Parameter, describe_parameters, with_changes
 
 
 class Filter(Config):
@@ -30,7 +30,7 @@ class Localizer(Config):
 
 
 def test_every_parameter_is_described_with_type_value_and_bounds() -> None:
-    assert describe(Localizer(particles=20)) == [
+    assert describe_parameters(Localizer(particles=20)) == [
         Parameter("particles", 20, "int", "Number of particles [1].", ">= 10, <= 200000"),
         Parameter("mode", "paper", "Literal['paper', 'improved']", "Which equations.", ""),
         Parameter("low", 0.0, "float", "Lower limit [m].", ""),
@@ -44,7 +44,7 @@ def test_every_parameter_is_described_with_type_value_and_bounds() -> None:
 def test_changes_give_a_new_configuration() -> None:
     before = Localizer(particles=20)
 
-    after = changed(before, {"filter.sigma": 0.5, "high": 3})
+    after = with_changes(before, {"filter.sigma": 0.5, "high": 3})
 
     assert after == Localizer(particles=20, high=3.0, filter=Filter(sigma=0.5))
     assert before == Localizer(particles=20)
@@ -87,8 +87,8 @@ def test_changes_give_a_new_configuration() -> None:
     ],
 )
 def test_a_refusal_names_parameter_value_and_bound(changes: dict[str, Any], refusal: str) -> None:
-    with pytest.raises(ParameterRefused) as caught:
-        changed(Localizer(), changes)
+    with pytest.raises(ParameterRejected) as caught:
+        with_changes(Localizer(), changes)
 
     assert str(caught.value) == refusal
 

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from cairn import LATCHED, CairnError, Out, every, on
-from cairn.runtime.handlers import handlers_of
+from cairn.runtime.ports import handlers_of
 from cairn.runtime.rosout import RosoutHandler
 from cairn.schemas.geometry_msgs import Twist, Vector3
 from cairn.schemas.rcl_interfaces import Log

@@ -6,8 +6,8 @@ import pytest
 
 from cairn import SECOND, CairnError, Component, In, every, from_ns, on
 from cairn.bus.lockstep_bus import LockstepBus
-from cairn.runtime.component import Context
-from cairn.runtime.runtime import Assignment, Runtime
+from cairn.runtime.component import ComponentContext
+from cairn.runtime.runtime import Runtime, RuntimeOptions
 from cairn.schemas.rosgraph_msgs import Clock
 from cairn.schemas.std_msgs import String
 from tests.cairn.runtime.running import Lockstep, Placed
@@ -18,7 +18,7 @@ class Part(Component):
 
     word: In[String]
 
-    def __init__(self, context: Context) -> None:
+    def __init__(self, context: ComponentContext) -> None:
         super().__init__(context)
         self.ticks: list[float] = []
         self.calls: list[float] = []
@@ -105,7 +105,7 @@ def test_when_time_is_set_back_a_scheduled_call_waits_for_its_time(lockstep: Loc
 def test_a_clock_of_the_system_that_is_set_back_stops_nothing() -> None:
     settable = Settable()
     part = Runtime(
-        Part, Assignment(name="part", plugin="test"), LockstepBus(), settable, settable,
+        Part, RuntimeOptions(name="part", plugin="test"), LockstepBus(), settable, settable,
         lambda _: None,
     )  # fmt: skip
     part.request("configure", {})

@@ -96,7 +96,7 @@ class World:
         """What a child does at each step, by incarnation; further ones do well."""
         self.scripts[name] = list(incarnations)
 
-    def launch(self, spec: ChildSpec, incarnation: int, former_end: str) -> ScriptedChild:
+    def launch(self, spec: ChildSpec, incarnation: int, previous_exit: str) -> ScriptedChild:
         self.steps.append(f"launch {spec.name}")
         scripts = self.scripts.get(spec.name, [])
         script = scripts[incarnation - 1] if incarnation <= len(scripts) else {}

@@ -70,7 +70,7 @@ class Household:
             intensity=Intensity(2, 60.0),
         )
 
-    def launch(self, spec: ChildSpec, incarnation: int, former_end: str) -> ProcessChild:
+    def launch(self, spec: ChildSpec, incarnation: int, previous_exit: str) -> ProcessChild:
         argument = {**self.argument, "name": spec.name, "controls": self.controls.path}
         argument["incarnation"] = incarnation
         entry = f"{MODULE}:{ENTRIES[spec.name]}"

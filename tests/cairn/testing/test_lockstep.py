@@ -13,12 +13,12 @@ from cairn import (
     Config,
     In,
     Out,
-    ParameterRefused,
+    ParameterRejected,
     every,
     on,
     to_ns,
 )
-from cairn.runtime.lifecycle import State
+from cairn.runtime.lifecycle import LifecycleState
 from cairn.schemas.cairn_msgs import ComponentStatus
 from cairn.schemas.geometry_msgs import Vector3
 from cairn.schemas.std_msgs import String
@@ -104,13 +104,13 @@ def test_messages_published_as_not_handled_wait_until_time_advances() -> None:
 
 def test_a_component_walks_its_life_cycle_on_request_and_its_end_is_known() -> None:
     harness = ComponentHarness(Sum, activate=False)
-    assert harness.state is State.UNCONFIGURED
+    assert harness.state is LifecycleState.UNCONFIGURED
     with pytest.raises(CairnError, match="cannot deactivate in state unconfigured"):
         harness.request("deactivate")
 
     harness.activate()
     harness.set_parameters({"factor": 2.0})
-    with pytest.raises(ParameterRefused, match="factor"):
+    with pytest.raises(ParameterRejected, match="factor"):
         harness.set_parameters({"factor": "many"})
     harness.publish("word", String(data="enough"))
 
@@ -160,7 +160,7 @@ def test_a_deployment_runs_step_by_step(deployment: Path) -> None:
 
         assert harness.now <= 1.2
         assert total.messages[-1].x == 2.0
-        assert harness.state("last") is State.ACTIVE
+        assert harness.state("last") is LifecycleState.ACTIVE
     assert harness.end is not None
     assert harness.end.normal
 
@@ -172,7 +172,7 @@ def test_a_deployment_takes_sets_requests_and_parameters(deployment: Path) -> No
         assert values == {"factor": 5.0}
         harness.set_parameters("last", {"factor": 7.0})
         harness.request("first", "deactivate")
-        assert harness.state("first") is State.INACTIVE
+        assert harness.state("first") is LifecycleState.INACTIVE
         harness.request("first", "activate")
         with pytest.raises(CairnError, match="nowhere: no component of this name"):
             harness.request("nowhere", "deactivate")

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cairn import LATCHED, SECOND, CairnError, ParameterRefused, to_ns
+from cairn import LATCHED, SECOND, CairnError, ParameterRejected, to_ns
 from cairn.bus.codec import Codec
 from cairn.components.simulation.camera import SimulatedStereoCamera
 from cairn.components.simulation.lens import Lens
@@ -183,7 +183,9 @@ def test_the_camera_itself_stays_the_one_that_it_is(watched: Make, name: str) ->
     it = watched()
     value = [0.1] if name == "distortion" else 64 if name == "width" else 0.5
 
-    with pytest.raises(ParameterRefused, match=f"takes {name.split('.')[0]} when it is configured"):
+    with pytest.raises(
+        ParameterRejected, match=f"takes {name.split('.')[0]} when it is configured"
+    ):
         it.camera.ask("set_parameters", **{name: value})
 
 

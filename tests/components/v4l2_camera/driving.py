@@ -15,7 +15,7 @@ from cairn.components.v4l2_camera.component import V4l2StereoCamera
 from cairn.runtime.lifecycle import Transition
 from cairn.runtime.loop import ThreadLoop
 from cairn.runtime.ports import ports_of
-from cairn.runtime.runtime import Assignment, End, Runtime
+from cairn.runtime.runtime import ComponentExit, Runtime, RuntimeOptions
 from tests.patience import LIMIT_S
 
 _LOOK_S = 0.05
@@ -29,14 +29,14 @@ class Driver:
 
     def __init__(self, **parameters: Any) -> None:
         """Configure and activate it; raises `CairnError` if it cannot be."""
-        self.ends: list[End] = []
+        self.ends: list[ComponentExit] = []
         self._loop = ThreadLoop()
         bus = LockstepBus()
-        assignment = Assignment(
+        options = RuntimeOptions(
             name="camera", plugin="v4l2", parameters=parameters, restarts=self.restarts
         )
         self.runtime = Runtime(
-            V4l2StereoCamera, assignment, bus, self._loop, SystemClock(), self.ends.append
+            V4l2StereoCamera, options, bus, self._loop, SystemClock(), self.ends.append
         )
         self._came = threading.Event()
         test = bus.node("/robot/test", self.runtime.log.error)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from cairn import ParameterRefused
+from cairn import ParameterRejected
 from tests.components.v4l2_camera.driving import Driver
 from tests.components.v4l2_camera.fakes import ONE, TWO, FakeCamera
 
@@ -15,13 +15,13 @@ def test_controls_are_set_on_both_cameras_or_on_none(
 ) -> None:
     right.refused_values.add(66)
     with Driver(**TWO, controls=given) as driver:
-        with pytest.raises(ParameterRefused, match="/dev/right: set gain = 66"):
+        with pytest.raises(ParameterRejected, match="/dev/right: set gain = 66"):
             driver.set(controls__gain=66)
 
         assert (left.values["gain"], right.values["gain"]) == (10, 10)
         driver.set(controls__gain=55)
         assert (left.values["gain"], right.values["gain"]) == (55, 55)
-        with pytest.raises(ParameterRefused, match="gain = 256: the camera takes 0 to 255"):
+        with pytest.raises(ParameterRejected, match="gain = 256: the camera takes 0 to 255"):
             driver.set(controls__gain=256)
 
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from cairn import CairnError, ParameterRefused, to_ns
+from cairn import CairnError, ParameterRejected, to_ns
 from cairn.components.v4l2_camera.listing import as_lines, listed
 from tests.components.v4l2_camera.driving import Driver
 from tests.hardware.guest.camera import LEFT, RIGHT, SMALL, load_cameras, unload, value_of
@@ -56,7 +56,7 @@ def test_what_a_camera_does_not_take_is_refused_with_its_bounds(
     with Driver(device=LEFT, **SMALL) as driver:
         before = value_of(LEFT, "brightness")
 
-        with pytest.raises(ParameterRefused) as refused:
+        with pytest.raises(ParameterRejected) as refused:
             driver.set(**changes)
 
         assert told in str(refused.value)

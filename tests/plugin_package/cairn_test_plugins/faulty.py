@@ -9,7 +9,7 @@ from typing import Literal
 from pydantic import Field
 
 from cairn import Component, Config, Out, every
-from cairn.runtime.component import Context
+from cairn.runtime.component import ComponentContext
 from cairn.schemas.geometry_msgs import Twist, Vector3
 
 Fault = Literal[
@@ -42,7 +42,7 @@ class Faulty(Component):
     config: FaultyConfig
     velocity: Out[Twist] = Out()
 
-    def __init__(self, context: Context) -> None:
+    def __init__(self, context: ComponentContext) -> None:
         """Fail if told so."""
         super().__init__(context)
         assert isinstance(context.config, FaultyConfig)

@@ -2,7 +2,7 @@
 
 from pydantic import Field
 
-from cairn import Component, Config, In, Out, ParameterRefused, every, on
+from cairn import Component, Config, In, Out, ParameterRejected, every, on
 from cairn.schemas.geometry_msgs import Twist, Vector3
 
 
@@ -34,7 +34,7 @@ class Talker(Component):
     def on_parameters(self, new: Config) -> None:
         """Refuse to be too loud."""
         if isinstance(new, TalkerConfig) and new.volume > 10:
-            raise ParameterRefused("volume: the neighbors object to more than 10")
+            raise ParameterRejected("volume: the neighbors object to more than 10")
 
 
 class Listener(Component):

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from cairn.bus.waiting import Waiting
+from cairn.bus.drops import DropOldestQueue
 from tests.patience import LIMIT_S
 
 _MESSAGES = 100_000
@@ -23,14 +23,14 @@ def threads_taking_turns_often() -> Iterator[None]:
 
 
 def test_the_newest_wait_in_order() -> None:
-    waiting: Waiting[int] = Waiting(3)
+    waiting: DropOldestQueue[int] = DropOldestQueue(3)
     assert [waiting.put(number) for number in range(5)] == [True, True, True, False, False]
     assert waiting.dropped == 2
     assert [waiting.take() for _ in range(4)] == [2, 3, 4, None]
 
 
 def test_what_is_cleared_is_gone() -> None:
-    waiting: Waiting[int] = Waiting(2)
+    waiting: DropOldestQueue[int] = DropOldestQueue(2)
     waiting.put(1)
     waiting.clear()
     assert waiting.take() is None
@@ -41,7 +41,7 @@ def test_what_is_cleared_is_gone() -> None:
 @pytest.mark.usefixtures("threads_taking_turns_often")
 def test_a_reader_that_takes_one_at_each_wake_up_gets_the_last(depth: int) -> None:
     """A clock of depth 1 stood still in a process for good when a wake-up was lost."""
-    waiting: Waiting[int] = Waiting(depth)
+    waiting: DropOldestQueue[int] = DropOldestQueue(depth)
     wake_ups: queue.SimpleQueue[bool] = queue.SimpleQueue()
     taken = [-1]
 

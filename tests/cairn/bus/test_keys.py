@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 
 from cairn import LATCHED, RELIABLE, SENSOR, Qos
 from cairn.bus.codec import Codec
-from cairn.bus.rmw import (
+from cairn.bus.keys import (
     Attachment,
     EndpointEntity,
     NodeEntity,
-    RmwError,
+    WireFormatError,
     data_key,
     dds_type,
     gid,
@@ -104,7 +104,7 @@ def test_an_attachment_is_what_zenohs_own_serializer_writes(
 
 @pytest.mark.parametrize("data", [b"", bytes(32), bytes(33), bytes(34), b"x" * 10_000])
 def test_other_bytes_are_no_attachment(data: bytes) -> None:
-    with pytest.raises(RmwError, match="33 bytes") as refused:
+    with pytest.raises(WireFormatError, match="33 bytes") as refused:
         Attachment.decode(data)
     assert len(str(refused.value)) < 200
 
@@ -161,7 +161,7 @@ def test_humble_tokens_are_read_although_they_have_no_hash() -> None:
     ],
 )
 def test_other_keys_are_no_tokens(key: str) -> None:
-    with pytest.raises(RmwError) as refused:
+    with pytest.raises(WireFormatError) as refused:
         parse_token(key)
     assert len(str(refused.value)) < 500
 
@@ -171,7 +171,7 @@ def test_any_key_is_a_token_or_refused(text: str) -> None:
     for key in (text, f"@ros2_lv/2/aa/0/1/{text}", f"@ros2_lv/2/aa/0/1/MP/%/%/n/%t/{text}"):
         try:
             entity = parse_token(key)
-        except RmwError:
+        except WireFormatError:
             continue
         assert parse_token(token_key(entity)) == entity
 
@@ -211,7 +211,7 @@ def test_qos_of_other_writers_is_read(chunk: str, qos: Qos) -> None:
      f"::,{'9' * 9000}:,:,:,,", "::,10:,:,:,,\n"],
 )  # fmt: skip
 def test_malformed_qos_is_refused(chunk: str) -> None:
-    with pytest.raises(RmwError, match="is not a QoS chunk") as refused:
+    with pytest.raises(WireFormatError, match="is not a QoS chunk") as refused:
         parse_qos_chunk(chunk)
     assert len(str(refused.value)) < 500
 

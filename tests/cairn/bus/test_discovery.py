@@ -36,12 +36,12 @@ def test_nobody_misses_the_first_word_of_who_joins_nor_do_they_miss_the_next(
 ) -> None:
     present = [Everybody(network.bus(), f"present{number}") for number in range(3)]
     for one in present:
-        assert one.bus.settle(LIMIT_S) == []
+        assert one.bus.wait_for_peers(LIMIT_S) == []
 
     for turn in range(20):
         bus = network.bus()
         joiner = Everybody(bus, f"joiner{turn}")
-        assert bus.settle(LIMIT_S) == []
+        assert bus.wait_for_peers(LIMIT_S) == []
         joiner.say(f"hello {turn}")
         present[turn % 3].say(f"welcome {turn}")
 
@@ -64,7 +64,7 @@ def test_those_who_join_at_the_same_time_all_hear_all(network: Network) -> None:
             bus = network.bus()
             one = Everybody(bus, f"one{turn}{number}")  # noqa: B023 - ends within the turn
             together.wait()  # noqa: B023
-            assert bus.settle(LIMIT_S) == []
+            assert bus.wait_for_peers(LIMIT_S) == []
             together.wait()  # noqa: B023
             one.say(f"from {number}")
             heard[number] = {one.reader.next().data for _ in range(count)}  # noqa: B023
@@ -91,7 +91,7 @@ def test_latched_writers_that_come_and_go_while_links_are_made_hold_up_nobody() 
             latched.publish(String(data=word))
             latched.close()
 
-        assert other.settle(2.0) == []
+        assert other.wait_for_peers(2.0) == []
         network.close()
 
 
@@ -100,7 +100,7 @@ def test_processes_started_again_and_again_lose_nothing(network: Network) -> Non
     here = node(bus, "/robot/here")
     ear = Reader(here, "/robot/word", String, RELIABLE)
     answers = here.advertise("/robot/answer", String, RELIABLE)
-    assert bus.settle(LIMIT_S) == []
+    assert bus.wait_for_peers(LIMIT_S) == []
 
     for turn in range(5):
         with process(network, f"turn{turn}") as (peer, _, output):
@@ -137,7 +137,7 @@ def test_a_hanging_process_is_named_and_keeps_nobody_from_the_others(network: Ne
         peer.send_signal(signal.SIGSTOP)
         joiner = Everybody(network.bus(), "joiner")
 
-        unreached = joiner.bus.settle(0.5)
+        unreached = joiner.bus.wait_for_peers(0.5)
 
         assert [key.startswith("@cairn/session/") for key in unreached] == [True]
         assert str(other.bus.session.info.zid()) not in unreached[0]
@@ -151,7 +151,7 @@ def test_a_process_that_leaves_without_having_answered_is_not_waited_for(network
     leaves = threading.Timer(0.3, mute.close)
     leaves.start()
     try:
-        assert bus.settle(LIMIT_S / 4) == []
+        assert bus.wait_for_peers(LIMIT_S / 4) == []
     finally:
         leaves.join()
 
@@ -163,7 +163,7 @@ def test_a_process_that_was_killed_is_not_waited_for(network: Network) -> None:
         peer.kill()
         peer.wait(LIMIT_S)
 
-        assert eventually(lambda: bus.settle(0.2) == [])
+        assert eventually(lambda: bus.wait_for_peers(0.2) == [])
 
 
 @contextmanager

@@ -5,14 +5,14 @@ from __future__ import annotations
 import logging
 
 
-class Complaints:
+class RateLimitedLog:
     """Counts complaints by what they are about, and logs some of them."""
 
     def __init__(self, log: logging.Logger) -> None:
         self._log = log
         self._told: dict[str, int] = {}
 
-    def over(self, about: str, what: str) -> None:
+    def resolved(self, about: str, what: str) -> None:
         """Note that there is nothing to complain of: the next time is a first one.
 
         If there was, `what` is logged: how it is now.
@@ -20,7 +20,7 @@ class Complaints:
         if self._told.pop(about, None) is not None:
             self._log.info("%s", what)
 
-    def tell(self, about: str, what: str) -> None:
+    def warn(self, about: str, what: str) -> None:
         """Log the 1st, 2nd, 4th, 8th ... complaint about something."""
         count = self._told[about] = self._told.get(about, 0) + 1
         if count & (count - 1) == 0:

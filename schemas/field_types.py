@@ -1,14 +1,96 @@
-"""The primitive types of ROS 2 messages as annotations, each with its validation."""
+"""Types of message fields: ROS 2 primitives, arrays and covariances, each with its validation."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from itertools import chain
+from math import isfinite
 from typing import Annotated, Any, get_origin
 
 import numpy as np
 import numpy.typing as npt
 from pydantic_core import CoreSchema, core_schema
 
-from cairn.schemas.arrays import array_validator
+Check = Callable[[npt.NDArray[Any]], None]
+
+
+def array_validator(
+    dtype: np.dtype[Any], length: int | None, check: Check | None
+) -> Callable[[object], npt.NDArray[Any]]:
+    """A function that makes a one-dimensional read-only array of `dtype` of any sequence.
+
+    It raises `ValueError` if that loses something, if there are not `length` elements, or if
+    `check` does. A read-only array of the right type is taken as it is, without a copy.
+    """
+
+    def validate(value: object) -> npt.NDArray[Any]:
+        if type(value) is np.ndarray and value.dtype is dtype:
+            flags = value.flags
+            taken = not flags.writeable and flags.c_contiguous and value.ndim == 1
+            array = value if taken else _converted(value, dtype)
+        else:
+            array = _converted(value, dtype)
+        if length is not None and array.size != length:
+            raise ValueError(f"must have {length} elements, not {array.size}")
+        if check is not None:
+            check(array)
+        return array
+
+    return validate
+
+
+def _converted(value: object, dtype: np.dtype[Any]) -> npt.NDArray[Any]:
+    if isinstance(value, np.ndarray):
+        source = value
+    elif isinstance(value, bytes | bytearray | memoryview):
+        source = np.frombuffer(value, np.uint8)
+        if isinstance(value, bytes) and dtype == np.uint8:
+            return source
+    elif isinstance(value, list | tuple | range):
+        source = _of_sequence(value, dtype)
+    else:
+        raise ValueError(f"must be a sequence of {dtype} numbers")
+    if source.ndim != 1:
+        raise ValueError(f"must be one-dimensional (.ravel() it), not of shape {source.shape}")
+    array = np.array(source, dtype, order="C") if source.dtype == dtype else _cast(source, dtype)
+    array.flags.writeable = False
+    return array
+
+
+def _of_sequence(values: "list[Any] | tuple[Any, ...] | range", dtype: np.dtype[Any]) -> Any:
+    if not values:
+        return np.zeros(0, dtype)
+    try:
+        source = np.asarray(values)
+    except (ValueError, OverflowError) as error:
+        raise ValueError(f"must be a sequence of {dtype} numbers") from error
+    if source.dtype == np.float64 and dtype == np.float32:
+        # Python's floats have no width of their own: they are rounded, but not to infinity.
+        with np.errstate(over="ignore"):
+            single = source.astype(dtype)
+        if np.isfinite(source).tobytes() != np.isfinite(single).tobytes():
+            raise ValueError("must hold numbers that fit float32")
+        return single
+    return source
+
+
+def _cast(source: npt.NDArray[Any], dtype: np.dtype[Any]) -> npt.NDArray[Any]:
+    kinds = (source.dtype.kind, dtype.kind)
+    if source.dtype.kind not in "biuf" or ("b" in kinds and kinds != ("b", "b")):
+        raise ValueError(f"must be a sequence of {dtype} numbers, not of {source.dtype}")
+    if source.size == 0:
+        return np.zeros(0, dtype)
+    if kinds[0] in "iu" and kinds[1] in "iu":
+        limits = np.iinfo(dtype)
+        lossless = limits.min <= int(source.min()) and int(source.max()) <= limits.max
+        array = source.astype(dtype)
+    else:
+        with np.errstate(over="ignore", invalid="ignore"):
+            array = source.astype(dtype)
+            lossless = np.array_equal(array.astype(source.dtype), source, equal_nan=True)
+    if not lossless:
+        raise ValueError(f"must hold numbers that {dtype} represents exactly")
+    return array
+
 
 _INTEGERS = {
     f"{sign}int{bits}": (0 if sign else -(2 ** (bits - 1)), 2 ** (bits if sign else bits - 1) - 1)
@@ -199,3 +281,47 @@ UInt32Array = Annotated[npt.NDArray[np.uint32], Array("uint32")]
 UInt64Array = Annotated[npt.NDArray[np.uint64], Array("uint64")]
 Float32Array = Annotated[npt.NDArray[np.float32], Array("float32")]
 Float64Array = Annotated[npt.NDArray[np.float64], Array("float64")]
+
+
+_TOLERANCE = 1e-9  # relative to the largest entry: more than rounding, less than any error
+
+
+def _check2(array: npt.NDArray[Any]) -> None:
+    a, b, c, d = array.tolist()
+    largest = max(abs(a), abs(b), abs(c), abs(d))
+    if not isfinite(a + b + c + d) and not all(map(isfinite, (a, b, c, d))):
+        raise ValueError("must hold finite numbers only")
+    if largest == 0.0:
+        return
+    a, b, c, d = a / largest, b / largest, c / largest, d / largest
+    if abs(b - c) > _TOLERANCE:
+        raise ValueError("must be symmetric")
+    if a < -_TOLERANCE or d < -_TOLERANCE or a * d - b * c < -_TOLERANCE:
+        raise ValueError("must be positive semidefinite")
+
+
+def _check3(array: npt.NDArray[Any]) -> None:
+    values = array.tolist()
+    if not all(map(isfinite, values)):
+        raise ValueError("must hold finite numbers only")
+    largest = max(map(abs, values))
+    if largest == 0.0:
+        return
+    a, b, c, d, e, f, g, h, i = (value / largest for value in values)
+    if max(abs(b - d), abs(c - g), abs(f - h)) > _TOLERANCE:
+        raise ValueError("must be symmetric")
+    # A symmetric matrix is positive semidefinite if and only if all principal minors are.
+    minors = chain(
+        (a, e, i),
+        (a * e - b * d, a * i - c * g, e * i - f * h),
+        (a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g),),
+    )
+    if min(minors) < -_TOLERANCE:
+        raise ValueError("must be positive semidefinite")
+
+
+Covariance2 = Annotated[npt.NDArray[np.float64], Array("float64", length=4, check=_check2)]
+"""Row-major 2x2."""
+
+Covariance3 = Annotated[npt.NDArray[np.float64], Array("float64", length=9, check=_check3)]
+"""Row-major 3x3."""

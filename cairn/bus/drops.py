@@ -7,7 +7,7 @@ from typing import Generic, TypeVar
 T = TypeVar("T")
 
 
-class Waiting(Generic[T]):
+class DropOldestQueue(Generic[T]):
     """The newest `depth` messages, with as many wake-ups of the reader on their way, or more.
 
     Putting and taking are whole steps, for two threads: a message put in the place of one that
