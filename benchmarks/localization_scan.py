@@ -22,8 +22,7 @@ from cairn.components.localizer.localization import Localization
 from cairn.components.localizer.motion import Increment, move_pose
 from cairn.components.localizer.odometry import MeasuredTrack
 from cairn.components.localizer.settings import Settings
-from cairn.planar.distance import distance_field
-from cairn.planar.grid import FREE, OCCUPIED, Frame, Grid, OccupancyCells
+from cairn.planar.grid import FREE, OCCUPIED, Frame, Grid, OccupancyCells, distance_field
 from cairn.planar.poses import Pose, compose, wrap
 from cairn.tools.evaluation.localization_quality import SIGMAS
 

@@ -18,7 +18,7 @@ from benchmarks.running import free_port, results
 from cairn.bus.qos import SENSOR
 from cairn.clock import SECOND, from_ns, to_ns
 from cairn.components.motion_control.component import MotionControl
-from cairn.planar.sweep import sweep_s
+from cairn.planar.scans import sweep_s
 from cairn.runtime.component import Component
 from cairn.runtime.ports import In, Out, on
 from cairn.schemas.sensor_msgs import LaserScan

@@ -1,4 +1,4 @@
-"""Grid maps as files of ROS's map_server: a YAML file and an image."""
+"""Read and write grid maps as ROS's map_server files: a YAML file and an image."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ from cairn.planar.grid import (
 Mode = Literal["trinary", "scale", "raw"]
 
 
-def _truth(value: object) -> object:
+def _as_bool(value: object) -> object:
     return {0: False, 1: True}.get(value, value) if isinstance(value, int) else value
 
 
 class MapFile(BaseModel):
-    """What stands in the YAML file (map_server's documentation); other keys are ignored."""
+    """The keys of the YAML file, as in map_server's documentation; other keys are ignored."""
 
     model_config = ConfigDict(extra="ignore", allow_inf_nan=False)
 
@@ -42,7 +42,7 @@ class MapFile(BaseModel):
     mode: Mode = "trinary"
     resolution: float = Field(gt=0, le=100)
     origin: tuple[float, float, float]
-    negate: Annotated[bool, BeforeValidator(_truth)] = False
+    negate: Annotated[bool, BeforeValidator(_as_bool)] = False
     occupied_thresh: float = Field(gt=0, le=1)
     free_thresh: float = Field(ge=0, lt=1)
     width: int | None = Field(None, gt=0, description="Width the image must have [pixels].")
@@ -50,33 +50,37 @@ class MapFile(BaseModel):
 
 
 def read_map(file: Path) -> OccupancyCells:
-    """The map of a YAML file and the image that it names, row 0 at the bottom of the image.
+    """Read a map from a YAML file and the image that it names; row 0 is the image's bottom row.
 
     A pixel's lightness (mean of its colors) gives the probability p of an obstacle: dark is
-    occupied, unless `negate`. trinary: occupied above occupied_thresh, free below free_thresh,
-    unknown between; scale: p between the thresholds in percent, unknown where the image is
-    transparent; raw: the pixel's value is the cell's, above 100 unknown. Raises `CairnError` with
-    file, value and remedy.
+    occupied, unless `negate`. The modes are:
+
+    - trinary: occupied above occupied_thresh, free below free_thresh, otherwise unknown;
+    - scale: p between the thresholds in percent, unknown where the image is transparent;
+    - raw: the pixel's value is the cell's, above 100 unknown.
+
+    Raises `CairnError` with file, value and remedy.
     """
-    described = _described(file)
-    path = file.parent / described.image
+    description = _read_description(file)
+    path = file.parent / description.image
     pixels, opaque = _pixels(path)
-    _check_size(file, path, described, pixels)
-    if described.mode == "raw":
-        values = _raw(pixels)
+    _check_size(file, path, description, pixels)
+    if description.mode == "raw":
+        values = _raw_cells(pixels)
     else:
         lightness = pixels / 255.0
-        occupied = lightness if described.negate else 1.0 - lightness
-        values = _cells(occupied, opaque, described)
-    x, y, yaw = described.origin
-    return Grid(np.ascontiguousarray(values[::-1]), Frame(described.resolution, (x, y, yaw)))
+        occupied = lightness if description.negate else 1.0 - lightness
+        values = _cells(occupied, opaque, description)
+    x, y, yaw = description.origin
+    return Grid(np.ascontiguousarray(values[::-1]), Frame(description.resolution, (x, y, yaw)))
 
 
 def write_map(file: Path, grid: OccupancyCells, mode: Mode = "trinary") -> None:
     """Write a map as YAML file `file` and a PGM (raw, trinary) or PNG (scale) beside it.
 
-    Each is replaced at once or not at all. What was read is written the same in its mode;
-    trinary keeps only free, occupied, unknown. Raises `CairnError` if it cannot be written.
+    Each file is replaced atomically. A map that was read in a mode is written identically in that
+    mode; trinary keeps only free, occupied and unknown. Raises `CairnError` if a file cannot be
+    written.
     """
     image = file.with_suffix(".png" if mode == "scale" else ".pgm")
     values = grid.values[::-1]
@@ -91,7 +95,7 @@ def write_map(file: Path, grid: OccupancyCells, mode: Mode = "trinary") -> None:
         light[(values >= FREE) & (values <= FREE_TO)] = 254
         light[values >= OCCUPIED_FROM] = 0
         picture = Image.fromarray(light)
-    # Pillow does not tell of a file that was cut off by a full disk.
+    # Encoded in memory first: Pillow does not report a file that a full disk has truncated.
     encoded = BytesIO()
     picture.save(encoded, format="PNG" if mode == "scale" else "PPM")
     text = yaml.safe_dump(
@@ -113,39 +117,41 @@ def write_map(file: Path, grid: OccupancyCells, mode: Mode = "trinary") -> None:
         replace_file(file, text.encode())
     except OSError as error:
         raise CairnError(
-            f"the map cannot be written to {file}: {error.strerror or error}; give another folder, "
-            "or make room there"
+            f"{file}: the map cannot be written: {error.strerror or error}; choose another folder "
+            "or free disk space"
         ) from error
 
 
-def _described(file: Path) -> MapFile:
+def _read_description(file: Path) -> MapFile:
     try:
-        found = yaml.safe_load(file.read_text(encoding="utf-8"))
+        content = yaml.safe_load(file.read_text(encoding="utf-8"))
     except FileNotFoundError as error:
-        raise CairnError(f"{file}: no such map; give a map_server YAML file") from error
+        raise CairnError(f"{file}: no such file; give the YAML file of a map_server map") from error
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
         raise CairnError(f"{file}: not a map_server YAML file: {error}") from error
-    if not isinstance(found, dict):
-        raise CairnError(f"{file}: not a map_server YAML file: it holds no keys")
+    if not isinstance(content, dict):
+        raise CairnError(f"{file}: not a map_server YAML file: it has no keys")
     try:
-        described = MapFile.model_validate(found)
+        description = MapFile.model_validate(content)
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(map(str, first["loc"]))
         given = "" if first["type"] == "missing" else f" = {first['input']!r}"
-        raise CairnError(f"{file}: {key}{given}: {first['msg'].lower()}") from error
-    if described.free_thresh >= described.occupied_thresh:
+        raise CairnError(f"{file}: {key}{given}: {first['msg'].lower()}; correct it") from error
+    if description.free_thresh >= description.occupied_thresh:
         raise CairnError(
-            f"{file}: free_thresh = {described.free_thresh} must be below occupied_thresh = "
-            f"{described.occupied_thresh}"
+            f"{file}: free_thresh = {description.free_thresh} is not below occupied_thresh = "
+            f"{description.occupied_thresh}; lower free_thresh"
         )
-    if not all(math.isfinite(value) for value in described.origin):
-        raise CairnError(f"{file}: origin = {described.origin} must be finite")
-    return described
+    if not all(math.isfinite(value) for value in description.origin):
+        raise CairnError(
+            f"{file}: origin = {description.origin} is not finite; give three finite numbers"
+        )
+    return description
 
 
 def _pixels(path: Path) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Mean of the colors (rows, columns), 0 to 255, and where the image is opaque."""
+    """Return the mean of the colors (rows, columns), 0 to 255, and a mask of opaque pixels."""
     try:
         with Image.open(path) as opened:
             opened.load()
@@ -160,9 +166,11 @@ def _pixels(path: Path) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
             raster = np.asarray(image, np.float64)
             bands = image.getbands()
     except FileNotFoundError as error:
-        raise CairnError(f"{path}: no such image; the map's YAML file names it") from error
+        raise CairnError(
+            f"{path}: no such image; correct `image` in the map's YAML file"
+        ) from error
     except (OSError, ValueError, SyntaxError) as error:
-        raise CairnError(f"{path}: not an image that can be read: {error}") from error
+        raise CairnError(f"{path}: not a readable image: {error}") from error
     if raster.ndim == 2:
         return raster, np.ones(raster.shape, np.bool_)
     if bands[-1] == "A":
@@ -170,28 +178,30 @@ def _pixels(path: Path) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     return raster.mean(axis=2), np.ones(raster.shape[:2], np.bool_)
 
 
-def _check_size(file: Path, path: Path, described: MapFile, pixels: NDArray[np.float64]) -> None:
+def _check_size(file: Path, path: Path, description: MapFile, pixels: NDArray[np.float64]) -> None:
     height, width = pixels.shape
-    for name, wanted, found in (
-        ("width", described.width, width),
-        ("height", described.height, height),
+    for name, expected, actual in (
+        ("width", description.width, width),
+        ("height", description.height, height),
     ):
-        if wanted is not None and wanted != found:
-            raise CairnError(f"{file}: {name} = {wanted}, but {path} is {width} x {height} pixels")
+        if expected is not None and expected != actual:
+            raise CairnError(
+                f"{file}: {name} = {expected}, but {path} is {width} x {height} pixels; correct one"
+            )
 
 
-def _raw(pixels: NDArray[np.float64]) -> NDArray[np.int8]:
+def _raw_cells(pixels: NDArray[np.float64]) -> NDArray[np.int8]:
     values = np.rint(pixels)
     cells: NDArray[np.int8] = np.where(values > OCCUPIED, UNKNOWN, values).astype(np.int8)
     return cells
 
 
 def _cells(
-    occupied: NDArray[np.float64], opaque: NDArray[np.bool_], described: MapFile
+    occupied: NDArray[np.float64], opaque: NDArray[np.bool_], description: MapFile
 ) -> NDArray[np.int8]:
     cells = np.full(occupied.shape, UNKNOWN, np.int8)
-    least, most = described.free_thresh, described.occupied_thresh
-    if described.mode == "scale":
+    least, most = description.free_thresh, description.occupied_thresh
+    if description.mode == "scale":
         share = (occupied - least) / (most - least)
         between = np.rint(1.0 + 98.0 * np.clip(share, 0.0, 1.0))
         if least == 0.0 and most == 1.0:
@@ -199,6 +209,6 @@ def _cells(
         cells = np.clip(between, FREE, OCCUPIED).astype(np.int8)
     cells[occupied > most] = OCCUPIED
     cells[occupied < least] = FREE
-    if described.mode == "scale":
+    if description.mode == "scale":
         cells[~opaque] = UNKNOWN
     return cells

@@ -1,4 +1,4 @@
-"""Planar poses as messages, and messages as planar poses."""
+"""Conversions between planar poses and ROS messages."""
 
 from __future__ import annotations
 
@@ -22,45 +22,45 @@ from cairn.schemas.std_msgs import Header
 
 Array = NDArray[np.float64]
 
-# Where the rows and columns of x, y and yaw stand in a message's row-major 6 x 6 covariance.
+# Positions of x, y and yaw in a message's row-major 6 x 6 covariance.
 _PLANAR = (6 * np.array([0, 1, 5])[:, None] + np.array([0, 1, 5])).ravel()
 
 
 def pose_message(pose: poses.Pose) -> Pose:
-    """A planar pose as a message."""
+    """Return a planar pose as a message."""
     x, y, theta = pose
     return Pose(position=Point(x=x, y=y), orientation=_rotation(theta))
 
 
 def planar_pose(pose: Pose) -> poses.Pose:
-    """x [m], y [m] and yaw [rad] of a message."""
+    """Return x [m], y [m] and yaw [rad] of a message."""
     q = pose.orientation
     yaw = math.atan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y * q.y + q.z * q.z))
     return pose.position.x, pose.position.y, yaw
 
 
 def transform_message(header: Header, child_frame: str, pose: poses.Pose) -> TransformStamped:
-    """Where a frame is in that of the header: `pose`."""
+    """Return the transform of a frame that is at `pose` in the header's frame."""
     x, y, theta = pose
     transform = Transform(translation=Vector3(x=x, y=y), rotation=_rotation(theta))
     return TransformStamped(header=header, child_frame_id=child_frame, transform=transform)
 
 
 def with_covariance(pose: poses.Pose, covariance: Array) -> PoseWithCovariance:
-    """A planar pose and its covariance (3, 3) over x, y, yaw as a message."""
+    """Return a planar pose and its covariance (3, 3) over x, y, yaw as a message."""
     full = np.zeros(36)
     full[_PLANAR] = 0.5 * (covariance + covariance.T).ravel()
     return PoseWithCovariance(pose=pose_message(pose), covariance=full)
 
 
 def planar_covariance(pose: PoseWithCovariance) -> Array:
-    """The covariance (3, 3) over x, y, yaw of a message."""
+    """Return the covariance (3, 3) over x, y, yaw of a message."""
     covariance: Array = pose.covariance[_PLANAR].reshape(3, 3)
     return covariance
 
 
 def is_covariance(covariance: Array) -> bool:
-    """Whether a matrix (n, n) is one: symmetric, and no direction has a negative variance."""
+    """Return whether a matrix (n, n) is symmetric, finite and positive semidefinite."""
     if not np.isfinite(covariance).all() or not np.allclose(covariance, covariance.T):
         return False
     variances = np.linalg.eigvalsh(covariance)
@@ -68,7 +68,7 @@ def is_covariance(covariance: Array) -> bool:
 
 
 def packed_poses(rows: Array) -> Packed[Pose]:
-    """Planar poses (n, 3) as a sequence of messages."""
+    """Return planar poses (n, 3) as a sequence of messages."""
     packed = np.zeros((rows.shape[0], 7))
     packed[:, 0], packed[:, 1] = rows[:, 0], rows[:, 1]
     packed[:, 5], packed[:, 6] = np.sin(rows[:, 2] / 2), np.cos(rows[:, 2] / 2)
@@ -76,7 +76,7 @@ def packed_poses(rows: Array) -> Packed[Pose]:
 
 
 def planar_poses(packed: Packed[Pose]) -> Array:
-    """Planar poses (n, 3) of a sequence of messages."""
+    """Return the planar poses (n, 3) of a sequence of messages."""
     rows = np.empty((len(packed), 3))
     rows[:, 0], rows[:, 1] = packed.array[:, 0], packed.array[:, 1]
     x, y, z, w = packed.array[:, 3:].T

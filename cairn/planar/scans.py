@@ -1,4 +1,4 @@
-"""Laser scans as points around the robot."""
+"""Laser scans as points and rays around the robot, also while it moves during the sweep."""
 
 from __future__ import annotations
 
@@ -8,19 +8,22 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cairn.planar.poses import Pose
+from cairn.planar.poses import Pose, inverse
 from cairn.schemas.sensor_msgs import LaserScan
 
 Array = NDArray[np.float64]
 
+# A scan is uninformative if less than this share of its rays measures anything; single beams fail.
+_LEAST_INFORMATIVE = 0.1
+
 
 @dataclass(frozen=True)
-class Beams:
+class ScanBeams:
     """The beams of one scan in the frame of the robot's base.
 
     `start` is the scanner's pose on the robot; `angles` (n,) [rad] are directions in the base's
     frame; `ranges` (n,) [m]: finite where something was hit, +inf where nothing was hit within
-    `reach` [m], NaN where the beam tells nothing.
+    `reach` [m], NaN where the beam measured nothing.
     """
 
     start: Pose
@@ -34,7 +37,7 @@ class Beams:
         return np.isfinite(self.ranges)
 
     def points(self) -> Array:
-        """x, y (m, 2) [m] of what was hit, in the base's frame."""
+        """Return x, y (m, 2) [m] of the hits in the base's frame."""
         ranges = self.ranges[self.hit]
         angles = self.angles[self.hit]
         x = self.start[0] + ranges * np.cos(angles)
@@ -42,11 +45,55 @@ class Beams:
         return np.column_stack((x, y))
 
 
-def beams_of(scan: LaserScan, mount: Pose) -> Beams:
-    """The beams of a scan taken by a scanner that sits at `mount` on the robot.
+@dataclass(frozen=True)
+class Rays:
+    """Rays of a scan, in the frame of the base at the end of the sweep, unless `placed` elsewhere.
+
+    `starts` (n, 2) [m], directions `angles` (n,) [rad], `ranges` (n,) [m]: finite where something
+    was hit, +inf where nothing was hit within `reach` [m], NaN where the ray measured nothing.
+    """
+
+    starts: Array
+    angles: Array
+    ranges: Array
+    reach: float
+
+    @property
+    def informative(self) -> bool:
+        """Whether at least a tenth of the rays measured anything."""
+        known = int(np.count_nonzero(~np.isnan(self.ranges)))
+        return known > 0 and known >= _LEAST_INFORMATIVE * self.ranges.size
+
+    def points(self) -> Array:
+        """Return x, y (m, 2) [m] of the hits."""
+        hit = np.isfinite(self.ranges)
+        ranges, angles = self.ranges[hit], self.angles[hit]
+        points: Array = self.starts[hit].copy()
+        points[:, 0] += ranges * np.cos(angles)
+        points[:, 1] += ranges * np.sin(angles)
+        return points
+
+    def misses(self) -> tuple[Array, Array]:
+        """Return starts and ends, x, y (m, 2) [m] each, of the rays without a hit within reach."""
+        missed = np.isposinf(self.ranges)
+        starts, angles = self.starts[missed], self.angles[missed]
+        return starts, starts + self.reach * np.column_stack((np.cos(angles), np.sin(angles)))
+
+    def placed(self, base: Pose) -> Rays:
+        """Return the rays in the frame in which the base was at `base` when the sweep ended."""
+        x, y, turn = base
+        cosine, sine = math.cos(turn), math.sin(turn)
+        starts = np.empty_like(self.starts)
+        starts[:, 0] = x + cosine * self.starts[:, 0] - sine * self.starts[:, 1]
+        starts[:, 1] = y + sine * self.starts[:, 0] + cosine * self.starts[:, 1]
+        return Rays(starts, self.angles + turn, self.ranges, self.reach)
+
+
+def beams_of(scan: LaserScan, mount: Pose) -> ScanBeams:
+    """Return the beams of a scan by a scanner that is mounted at `mount` on the robot.
 
     As in REP 117: +inf is no return; -inf (too near), NaN, and ranges outside the scanner's own
-    limits tell nothing, except that a range at or above `range_max` is no return too.
+    limits measure nothing, except that a range at or above `range_max` is no return as well.
     """
     ranges = scan.ranges.astype(np.float64)
     with np.errstate(invalid="ignore"):
@@ -54,4 +101,28 @@ def beams_of(scan: LaserScan, mount: Pose) -> Beams:
         ranges[ranges >= scan.range_max] = math.inf
     steps = np.arange(ranges.size, dtype=np.float64)
     angles: Array = mount[2] + scan.angle_min + scan.angle_increment * steps
-    return Beams(mount, angles, ranges, float(scan.range_max))
+    return ScanBeams(mount, angles, ranges, float(scan.range_max))
+
+
+def sweep_s(scan: LaserScan) -> float:
+    """Return the time [s] from the first to the last beam of a scan."""
+    return max(0.0, scan.time_increment * (scan.ranges.size - 1))
+
+
+def rays_of(scan: LaserScan, mount: Pose, moved: Pose) -> Rays:
+    """Return the rays of a scan, each from the pose that the robot had at the ray's time.
+
+    The scanner is mounted at `mount` on the robot. `moved` is the pose of the base at the last beam
+    relative to its pose at the first one; between them it moved evenly.
+    """
+    beams = beams_of(scan, mount)
+    count = beams.ranges.size
+    # The pose of the base at each beam relative to its pose at the end of the sweep.
+    back_x, back_y, back_turn = inverse(moved)
+    share = np.linspace(1.0, 0.0, count) if scan.time_increment > 0 else np.zeros(count)
+    turn = share * back_turn
+    cosine, sine = np.cos(turn), np.sin(turn)
+    starts = np.empty((count, 2))
+    starts[:, 0] = share * back_x + cosine * mount[0] - sine * mount[1]
+    starts[:, 1] = share * back_y + sine * mount[0] + cosine * mount[1]
+    return Rays(starts, beams.angles + turn, beams.ranges, beams.reach)

@@ -44,7 +44,7 @@ from cairn.planar.grid import grid_of
 from cairn.planar.messages import packed_poses, planar_pose, with_covariance
 from cairn.planar.odometry import OdometryHistory
 from cairn.planar.poses import Pose, compose, inverse, relative
-from cairn.planar.sweep import rays_of, sweep_s
+from cairn.planar.scans import rays_of, sweep_s
 from cairn.runtime.rate_limited_log import RateLimitedLog
 from cairn.schemas.builtin_interfaces import Time
 from cairn.schemas.cairn_msgs import ObjectEvidenceArray, RecognizedObjectArray, VisualMap

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cairn.planar.compiled import compiled
-from cairn.planar.distance import distance_field
-from cairn.planar.grid import OCCUPIED_FROM, Frame, OccupancyCells
+from cairn.planar.grid import OCCUPIED_FROM, Frame, OccupancyCells, distance_field
 from cairn.planar.poses import Pose
 
 Array = NDArray[np.float64]

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from cairn.components.localizer.health import Health
-from cairn.planar.sweep import Rays
+from cairn.planar.scans import Rays
 
 SILENT_S = 1.0
 """For so long [s] scans may hit nothing, or not come at all."""
@@ -29,7 +29,7 @@ class ScannerWatch:
 
         `contradicted`: it hit nothing, although the map has obstacles within its reach.
         """
-        self._blind = contradicted or not rays.tell
+        self._blind = contradicted or not rays.informative
         if self._blind:
             return False
         self._told = stamp

@@ -15,7 +15,7 @@ from cairn.files import replace_file
 from cairn.planar.grid import OccupancyCells
 from cairn.planar.map_file import read_map, write_map
 from cairn.planar.poses import Pose
-from cairn.planar.sweep import Rays
+from cairn.planar.scans import Rays
 
 
 class _Origin(BaseModel):

@@ -22,7 +22,7 @@ from cairn.planar.grid import (
     OccupancyCells,
 )
 from cairn.planar.poses import Pose
-from cairn.planar.sweep import Rays
+from cairn.planar.scans import Rays
 
 # Log-odds. What the map holds begins at the limits, so that it takes many contrary scans.
 _LEAST, _MOST = -2.0, 3.5

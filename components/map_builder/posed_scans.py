@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from cairn import SECOND, to_ns
 from cairn.planar.odometry import Added, OdometryHistory
 from cairn.planar.poses import Pose, compose, relative
-from cairn.planar.sweep import Rays, rays_of, sweep_s
+from cairn.planar.scans import Rays, rays_of, sweep_s
 from cairn.schemas.cairn_nav_msgs import LocalizationHealth
 from cairn.schemas.sensor_msgs import LaserScan
 

@@ -39,7 +39,7 @@ from cairn.components.motion_control.whereabouts import Whereabouts
 from cairn.planar.messages import planar_pose, planar_poses
 from cairn.planar.odometry import began_anew
 from cairn.planar.poses import Pose, relative
-from cairn.planar.sweep import rays_of, sweep_s
+from cairn.planar.scans import rays_of, sweep_s
 from cairn.schemas.cairn_nav_msgs import LocalizationHealth, MotionStatus, NavCommand, Plan
 from cairn.schemas.geometry_msgs import PoseWithCovarianceStamped, Twist, Vector3
 from cairn.schemas.nav_msgs import Odometry
@@ -160,11 +160,11 @@ class MotionControl(Component):
         if robot is None or end is None:
             return
         rays = rays_of(scan, self._mount, relative(robot, end)).placed(end)
-        if rays.tell:
+        if rays.informative:
             self._freshness.note("scan", stamp, self.clock.now())
         elif self._scan_told:
             self.log.warning("the beams of the scan on %s tell nothing", self.scan.topic)
-        self._scan_told = rays.tell
+        self._scan_told = rays.informative
         self._space.add(stamp, robot, rays)
         self._space.expect(self._movers.see(stamp, rays, self._whereabouts.turn))
         self._view = _view(scan, self._mount)

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from cairn.components.motion_control.arcs import sees
 from cairn.components.motion_control.limits import Limits
-from cairn.planar.distance import distance_field
-from cairn.planar.shortest_path import CLOSED, LEAST, MARGIN, PathSearch, priced
+from cairn.planar.grid import distance_field
+from cairn.planar.shortest_path import CLOSED, MARGIN, MIN_COST, PathSearch, open_costs
 
 Array = NDArray[np.float64]
 
@@ -33,7 +33,7 @@ class DetourSearch:
 
     def __init__(self, limits: Limits) -> None:
         self._limits = limits
-        self._prices = priced(2 * _HALF, 2 * _HALF)
+        self._prices = open_costs(2 * _HALF, 2 * _HALF)
         self._search = PathSearch(self._prices.shape)
 
     def find(self, points: Array, x: float, y: float) -> Array | None:
@@ -49,14 +49,14 @@ class DetourSearch:
         kept = limits.kept - _ROUNDING
         wide = np.clip((kept + _WIDE - distances) / _WIDE, 0.0, 1.0)
         inner = self._prices[MARGIN:-MARGIN, MARGIN:-MARGIN]
-        inner[:] = LEAST + _DEAR * wide
+        inner[:] = MIN_COST + _DEAR * wide
         closed = distances < kept
         inner[closed] = CLOSED
         if closed[start]:
             self._leave(inner, closed, distances)
         if inner[goal] >= CLOSED:
             return None
-        cells = self._search.way(self._prices, start, goal).cells
+        cells = self._search.find(self._prices, start, goal).cells
         if cells is None:
             return None
         way: Array = (cells[:, ::-1].astype(np.float64) - _HALF + 0.5) * _CELL
@@ -84,7 +84,7 @@ class DetourSearch:
         near = slice(_HALF - reach, _HALF + reach + 1)
         least = distances[_HALF, _HALF] - 0.01
         opened = closed[near, near] & (distances[near, near] >= least)
-        prices[near, near][opened] = round(LEAST + 2.0 * _DEAR)
+        prices[near, near][opened] = round(MIN_COST + 2.0 * _DEAR)
 
     def _straightened(self, way: Array, points: Array) -> Array:
         """The way by those of its points that see one another."""

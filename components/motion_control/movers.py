@@ -13,7 +13,7 @@ from cairn import SECOND
 from cairn.components.motion_control.seen_space import REACH
 from cairn.planar.compiled import compiled
 from cairn.planar.odometry import began_anew
-from cairn.planar.sweep import Rays
+from cairn.planar.scans import Rays
 
 Array = NDArray[np.float64]
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cairn.planar.compiled import compiled
-from cairn.planar.sweep import Rays
+from cairn.planar.scans import Rays
 
 Array = NDArray[np.float64]
 Cells = NDArray[np.int64]

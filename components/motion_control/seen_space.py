@@ -15,7 +15,7 @@ from cairn.components.motion_control.seen_cells import CELL, SEEN_REACH, SeenCel
 from cairn.planar.compiled import compiled
 from cairn.planar.odometry import began_anew
 from cairn.planar.poses import Pose
-from cairn.planar.sweep import Rays
+from cairn.planar.scans import Rays
 
 Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]

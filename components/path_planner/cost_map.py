@@ -10,9 +10,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cairn.planar.compiled import compiled
-from cairn.planar.distance import distance_field
-from cairn.planar.grid import OCCUPIED_FROM, Frame, Grid, OccupancyCells, changed_window
-from cairn.planar.shortest_path import CLOSED, DEAREST, LEAST, MARGIN, Cell, Prices, priced
+from cairn.planar.grid import (
+    OCCUPIED_FROM,
+    Frame,
+    Grid,
+    OccupancyCells,
+    changed_window,
+    distance_field,
+)
+from cairn.planar.shortest_path import (
+    CLOSED,
+    MARGIN,
+    MAX_COST,
+    MIN_COST,
+    Cell,
+    CellCosts,
+    open_costs,
+)
 
 BLOCKED = 255
 """Price of a cell where the robot itself does not fit, let alone its margin."""
@@ -22,7 +36,7 @@ BLOCKED = 255
 class Costs:
     """How obstacles make cells dear.
 
-    Cells whose centers are within the robot's `radius`, its `margin` and half a cell [m] of an
+    Cells whose cell_centers are within the robot's `radius`, its `margin` and half a cell [m] of an
     obstacle's are closed: no path leads through what motion control will not pass. Those closed by
     the margin alone do not break a path that exists, and the goal may be there. Beyond, a cell
     costs up to `weight` times its length more, falling to none over `reach` [m]. Unknown cells are
@@ -37,7 +51,7 @@ class Costs:
 
 
 class CostMap:
-    """Prices of a map's cells, kept up with its changes, and with what the scanner sees on top.
+    """CellCosts of a map's cells, kept up with its changes, and with what the scanner sees on top.
 
     `map_prices` are those of the map alone, `prices` those with the scanner's obstacles, and with
     where motion control did not get on; both have the margin of `planar.shortest_path`.
@@ -54,9 +68,9 @@ class CostMap:
             math.isqrt(self._table.size - 2) + 1, math.ceil(self._near / grid.frame.resolution)
         )
         self._held = np.zeros((rows, columns), np.bool_)
-        self.map_prices: Prices = priced(rows, columns)
+        self.map_prices: CellCosts = open_costs(rows, columns)
         self._price(0, rows, 0, columns)
-        self.prices: Prices = self.map_prices.copy()
+        self.prices: CellCosts = self.map_prices.copy()
         self._overlaid = self._seen = self._hindered = np.empty((0, 2), np.int64)
         self._stained = (0, 0, 0, 0)
 
@@ -191,7 +205,7 @@ HELD_M = 0.15
 """What the scanner sees this near [m] to an obstacle of the map is that obstacle."""
 
 
-def nearest_open(prices: Prices, row: float, column: float) -> tuple[Cell, float] | None:
+def nearest_open(prices: CellCosts, row: float, column: float) -> tuple[Cell, float] | None:
     """The cell that is not closed nearest to a place, given in cells, and how many cells off.
 
     None if all are closed.
@@ -210,10 +224,10 @@ def _table(costs: Costs, resolution: float) -> NDArray[np.uint8]:
     last = math.ceil((closed + costs.reach) / resolution)
     distance = np.sqrt(np.arange(last * last + 2, dtype=np.float64)) * resolution
     share = np.clip(1.0 - (distance - closed) / max(costs.reach, 1e-9), 0.0, 1.0)
-    price = np.minimum(np.rint(LEAST * (1.0 + costs.weight * share**2)), DEAREST)
+    price = np.minimum(np.rint(MIN_COST * (1.0 + costs.weight * share**2)), MAX_COST)
     price[distance <= closed + 1e-9] = CLOSED
     price[distance <= blocked + 1e-9] = BLOCKED
-    price[-1] = LEAST
+    price[-1] = MIN_COST
     table: NDArray[np.uint8] = price.astype(np.uint8)
     return table
 
@@ -225,7 +239,7 @@ def _fill(
     table: NDArray[np.uint8],
     values: NDArray[np.int8],
     allow_unknown: bool,
-    prices: Prices,
+    prices: CellCosts,
 ) -> None:
     """Price cells by their distance to obstacles."""
     last = table.size - 1
@@ -244,7 +258,7 @@ def _fill(
 
 
 @compiled("void(int64[:,::1], int64, uint8[::1], uint8[:,::1])")
-def _stamp(cells: NDArray[np.int64], far: int, table: NDArray[np.uint8], prices: Prices) -> None:
+def _stamp(cells: NDArray[np.int64], far: int, table: NDArray[np.uint8], prices: CellCosts) -> None:
     """Raise the prices around each obstacle to what its distance makes them."""
     last = table.size - 1
     for i in range(len(cells)):
@@ -257,7 +271,7 @@ def _stamp(cells: NDArray[np.int64], far: int, table: NDArray[np.uint8], prices:
 
 
 @compiled("void(int64[:,::1], int64, uint8[:,::1])")
-def _make_dear(cells: NDArray[np.int64], far: int, prices: Prices) -> None:
+def _make_dear(cells: NDArray[np.int64], far: int, prices: CellCosts) -> None:
     """Raise the prices around each cell to the highest of those that are not closed."""
     for i in range(len(cells)):
         row, column = cells[i, 0] + MARGIN, cells[i, 1] + MARGIN
@@ -265,11 +279,11 @@ def _make_dear(cells: NDArray[np.int64], far: int, prices: Prices) -> None:
             for c in range(max(0, column - far), min(prices.shape[1], column + far + 1)):
                 within = (r - row) * (r - row) + (c - column) * (c - column) <= far * far
                 if within and prices[r, c] < CLOSED:
-                    prices[r, c] = DEAREST
+                    prices[r, c] = MAX_COST
 
 
 @compiled("UniTuple(int64, 2)(uint8[:,::1], float64, float64)")
-def _nearest_open(prices: Prices, row: float, column: float) -> tuple[int, int]:
+def _nearest_open(prices: CellCosts, row: float, column: float) -> tuple[int, int]:
     """Search in growing squares around the place; (-1, -1) if all is closed."""
     rows, columns = prices.shape[0] - 2 * MARGIN, prices.shape[1] - 2 * MARGIN
     middle_row = int(min(max(math.floor(row), 0), rows - 1))

@@ -11,9 +11,15 @@ from numpy.typing import NDArray
 
 from cairn.components.path_planner.cost_map import BLOCKED, CostMap, nearest_open
 from cairn.planar.grid import Frame
-from cairn.planar.path_shape import centers, cost, first_closed, stepped, taut
+from cairn.planar.path_shape import (
+    cell_centers,
+    first_closed_segment,
+    path_cost,
+    pull_taut,
+    resampled,
+)
 from cairn.planar.poses import Pose
-from cairn.planar.shortest_path import CLOSED, MARGIN, Cell, PathSearch, Prices
+from cairn.planar.shortest_path import CLOSED, MARGIN, Cell, CellCosts, PathSearch
 
 Array = NDArray[np.float64]
 
@@ -116,7 +122,7 @@ class Planner:
                 costs, way_out, goal, Outcome.GOAL_BLOCKED,
                 f"{_place(goal)} {_why_closed(costs, target)}",
             )  # fmt: skip
-        way = self._search.way(costs.prices, way_out, way_in)
+        way = self._search.find(costs.prices, way_out, way_in)
         if way.cells is None:
             return self._unreachable(costs, way_out, start, goal, way.nearest)
         return Answer(Outcome.FOUND, self._route(costs, costs.prices, way.cells, start, goal))
@@ -145,7 +151,7 @@ class Planner:
         if found is None or found[1] * costs.frame.resolution > ESCAPE_M:
             return None
         last = np.array([(found[0][1] + 0.5, found[0][0] + 0.5), (column, row)])
-        return found[0] if first_closed(costs.prices, last, BLOCKED) < 0 else None
+        return found[0] if first_closed_segment(costs.prices, last, BLOCKED) < 0 else None
 
     def _instead(
         self, costs: CostMap, begin: Cell, goal: Pose, outcome: Outcome, what: str
@@ -154,7 +160,7 @@ class Planner:
         column, row = costs.frame.cells(goal[0], goal[1])
         free = nearest_open(costs.prices, row, column)
         assert free is not None  # where the robot begins is open
-        way = self._search.way(costs.prices, begin, free[0])
+        way = self._search.find(costs.prices, begin, free[0])
         reached = free[0] if way.cells is not None else way.nearest
         nearest = costs.frame.point(*reached)
         apart = math.hypot(nearest[0] - goal[0], nearest[1] - goal[1])
@@ -182,16 +188,16 @@ class Planner:
         """Whether the map has no way, or which of the scanner's obstacles closes it."""
         target = self._way_in(costs, goal, costs.frame.cell(goal[0], goal[1]))
         assert target is not None  # or the goal would have been refused
-        way = self._search.way(costs.map_prices, begin, target) if costs.overlaid else None
+        way = self._search.find(costs.map_prices, begin, target) if costs.overlaid else None
         if way is None or way.cells is None:
             return "there is no way"
         route = self._route(costs, costs.map_prices, way.cells, start, goal)
-        at = first_closed(costs.prices, route.points[route.leaving :]) + route.leaving
+        at = first_closed_segment(costs.prices, route.points[route.leaving :]) + route.leaving
         x, y = costs.nearest_seen(*route.poses[at, :2])
         return f"blocked by what the scanner sees at {_place((x, y))}"
 
     def _route(
-        self, costs: CostMap, prices: Prices, cells: NDArray[np.int64], start: Pose, goal: Pose
+        self, costs: CostMap, prices: CellCosts, cells: NDArray[np.int64], start: Pose, goal: Pose
     ) -> Route:
         frame = costs.frame
         here, there = frame.cells(start[0], start[1]), frame.cells(goal[0], goal[1])
@@ -199,8 +205,8 @@ class Planner:
         entering = _closed(prices, frame.cell(goal[0], goal[1]))
         head = np.empty((0, 2)) if leaving else np.array([here])
         tail = np.empty((0, 2)) if entering else np.array([there])
-        line = taut(prices, np.vstack((head, centers(cells), tail)))
-        points = stepped(prices, line, self._step_m / frame.resolution)
+        line = pull_taut(prices, np.vstack((head, cell_centers(cells), tail)))
+        points = resampled(prices, line, self._step_m / frame.resolution)
         if leaving:
             points = np.vstack(([here], points))
         if entering:
@@ -226,7 +232,7 @@ def remaining(route: Route, pose: Pose) -> tuple[int, float]:
 def cost_left(costs: CostMap, route: Route, since: int = 0) -> float:
     """What the route costs from its pose number `since` on, in cells of the least price."""
     first = max(since, route.leaving)
-    return cost(costs.prices, route.cells_at(costs.frame)[first:], BLOCKED)
+    return path_cost(costs.prices, route.cells_at(costs.frame)[first:], BLOCKED)
 
 
 def obstructed(costs: CostMap, route: Route, since: int) -> int | None:
@@ -235,11 +241,11 @@ def obstructed(costs: CostMap, route: Route, since: int) -> int | None:
     The map may be another than the route was planned on; what lies off it is blocked.
     """
     first = max(since, route.leaving)
-    at = first_closed(costs.prices, route.cells_at(costs.frame)[first:], BLOCKED)
+    at = first_closed_segment(costs.prices, route.cells_at(costs.frame)[first:], BLOCKED)
     return None if at < 0 else first + at
 
 
-def _closed(prices: Prices, cell: Cell) -> bool:
+def _closed(prices: CellCosts, cell: Cell) -> bool:
     return bool(prices[cell[0] + MARGIN, cell[1] + MARGIN] >= CLOSED)
 
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from cairn.planar.grid import Frame
 from cairn.planar.poses import Pose, compose
-from cairn.planar.scans import Beams
+from cairn.planar.scans import ScanBeams
 
 # A beam that goes on this far [m] behind a place shows that nothing stands there.
 _BEHIND_M = 0.1
@@ -29,7 +29,7 @@ class RecentObstacles:
         return frame == self._frame and shape == self._shape
 
     def see(
-        self, stamp: int, pose: Pose, beams: Beams, within: tuple[float, float], memory_ns: int
+        self, stamp: int, pose: Pose, beams: ScanBeams, within: tuple[float, float], memory_ns: int
     ) -> None:
         """Take a scan made at `pose`, and forget what it sees through or is older than the memory.
 
@@ -86,7 +86,7 @@ class RecentObstacles:
         return numbers
 
     def _seen_through(
-        self, cells: NDArray[np.int64], pose: Pose, beams: Beams
+        self, cells: NDArray[np.int64], pose: Pose, beams: ScanBeams
     ) -> NDArray[np.bool_]:
         """Which of the cells a beam passes through and goes on behind."""
         rows, columns = np.divmod(cells, self._shape[1])

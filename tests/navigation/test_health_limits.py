@@ -11,7 +11,7 @@ from cairn.components.localizer.scanner_watch import ScannerWatch
 from cairn.components.map_builder.config import MapBuilderConfig
 from cairn.components.motion_control.config import MotionControlConfig
 from cairn.components.path_planner.config import PathPlannerConfig
-from cairn.planar.sweep import Rays
+from cairn.planar.scans import Rays
 
 BEST = Health(1.0, "", Support(0, 0), None)
 JUST_FOUND = not_yet_sure(BEST, "why").value

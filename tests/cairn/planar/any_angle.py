@@ -1,4 +1,4 @@
-"""The shortest way in any directions over small grids, by brute force: what others are held to."""
+"""The shortest any-angle path over small grids by brute force, the reference of the tests."""
 
 import heapq
 import math
@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from cairn.planar.shortest_path import LEAST, MARGIN, Prices
+from cairn.planar.shortest_path import MARGIN, MIN_COST, CellCosts
 
 Cell = tuple[int, int]
 
@@ -35,7 +35,7 @@ def clear(
     return bool(np.all(missed | (enter > leave + 1e-9)))
 
 
-def cost_along(prices: Prices, points: NDArray[np.float64]) -> float:
+def cost_along(prices: CellCosts, points: NDArray[np.float64]) -> float:
     """Cost of a polyline of points (column, row) [cells], in cells of the least price."""
     total = 0.0
     for a, b in pairwise(points):
@@ -47,12 +47,12 @@ def cost_along(prices: Prices, points: NDArray[np.float64]) -> float:
         shares = np.unique(np.concatenate(crossings))
         middles = a + (shares[:-1, None] + np.diff(shares)[:, None] / 2) * (b - a)
         columns, rows = np.floor(middles).astype(int).T + MARGIN
-        total += math.dist(a, b) * float(np.diff(shares) @ prices[rows, columns]) / LEAST
+        total += math.dist(a, b) * float(np.diff(shares) @ prices[rows, columns]) / MIN_COST
     return total
 
 
 def shortest(closed: NDArray[np.bool_], start: Cell, goal: Cell) -> float:
-    """Length [cells] of the shortest way between the centers of two cells past closed ones.
+    """Length [cells] of the shortest way between the cell_centers of two cells past closed ones.
 
     Infinite without a way. It turns at corners of closed cells, a thousandth of a cell off.
     """

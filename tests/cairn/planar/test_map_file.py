@@ -1,4 +1,4 @@
-"""Grid maps are read and written as map_server does, and a wrong file is told of by name."""
+"""Grid maps are read and written as by map_server; invalid files are rejected by name."""
 
 from pathlib import Path
 
@@ -33,7 +33,9 @@ def painted(folder: Path, rows: list[list[int]], name: str = "map.pgm") -> None:
     Image.fromarray(np.array(rows, np.uint8)).save(folder / name)
 
 
-def test_dark_is_occupied_light_is_free_and_gray_unknown_bottom_row_first(tmp_path: Path) -> None:
+def test_trinary_dark_is_occupied_light_is_free_gray_is_unknown_bottom_row_first(
+    tmp_path: Path,
+) -> None:
     painted(tmp_path, [[0, 205, 254], [254, 254, 0]])
 
     grid = read_map(described(tmp_path))
@@ -48,7 +50,7 @@ def test_negate_makes_light_occupied(tmp_path: Path) -> None:
     assert read_map(described(tmp_path, negate=1)).values.tolist() == [[FREE, OCCUPIED]]
 
 
-def test_an_origin_may_be_turned(tmp_path: Path) -> None:
+def test_origin_may_be_rotated(tmp_path: Path) -> None:
     painted(tmp_path, [[254, 254]])
 
     frame = read_map(described(tmp_path, origin=[1.0, 2.0, 1.5708])).frame
@@ -57,7 +59,7 @@ def test_an_origin_may_be_turned(tmp_path: Path) -> None:
     assert frame.cell(0.975, 2.075) == (0, 1)
 
 
-def test_scale_gives_probabilities_and_transparent_is_unknown(tmp_path: Path) -> None:
+def test_scale_gives_probabilities_and_transparent_pixels_are_unknown(tmp_path: Path) -> None:
     light = np.array([[255, 128, 0, 128]], np.uint8)
     opaque = np.array([[255, 255, 255, 0]], np.uint8)
     Image.fromarray(np.dstack((light, opaque))).save(tmp_path / "map.png")
@@ -69,7 +71,7 @@ def test_scale_gives_probabilities_and_transparent_is_unknown(tmp_path: Path) ->
     assert half == pytest.approx(50, abs=1)
 
 
-def test_raw_takes_pixels_as_they_are(tmp_path: Path) -> None:
+def test_raw_mode_takes_pixels_as_cell_values(tmp_path: Path) -> None:
     painted(tmp_path, [[0, 42, 100, 255]])
 
     file = described(tmp_path, mode="raw")
@@ -84,7 +86,7 @@ def test_raw_takes_pixels_as_they_are(tmp_path: Path) -> None:
     columns=st.integers(1, 6),
     seed=st.integers(0, 1000),
 )
-def test_what_is_written_is_read_again(
+def test_written_map_is_read_back_unchanged(
     tmp_path_factory: pytest.TempPathFactory, mode: Mode, rows: int, columns: int, seed: int
 ) -> None:
     random = np.random.default_rng(seed)
@@ -106,40 +108,43 @@ def test_what_is_written_is_read_again(
         ({"resolution": -0.05}, "resolution"),
         ({"resolution": None}, "resolution"),
         ({"origin": [0.0, ".nan", 0.0]}, "origin"),
-        ({"free_thresh": 0.7}, "free_thresh = 0.7 must be below"),
+        ({"free_thresh": 0.7}, "free_thresh = 0.7 is not below"),
         ({"mode": "fancy"}, "mode"),
         ({"image": "other.pgm"}, "other.pgm: no such image"),
         ({"width": 7, "height": 1}, "width = 7, but"),
     ],
 )
-def test_a_wrong_file_is_told_of_by_name_and_value(
+def test_invalid_file_is_rejected_with_its_name_and_the_value(
     tmp_path: Path, keys: dict[str, object], named: str
 ) -> None:
     painted(tmp_path, [[0, 255]])
 
-    with pytest.raises(CairnError) as told:
+    with pytest.raises(CairnError) as error:
         read_map(described(tmp_path, **keys))
 
-    assert named in str(told.value)
-    assert "map.yaml" in str(told.value) or "other.pgm" in str(told.value)
+    assert named in str(error.value)
+    assert "map.yaml" in str(error.value) or "other.pgm" in str(error.value)
 
 
-def test_a_full_disk_is_told_of_and_leaves_the_old_map_as_it_was(tmp_path: Path) -> None:
+def test_full_disk_is_reported_and_leaves_the_old_map_unchanged(tmp_path: Path) -> None:
     file = tmp_path / "map.yaml"
     old = Grid(np.full((40, 40), OCCUPIED, np.int8), Frame(0.05))
     write_map(file, old)
 
-    with room_for(1000), pytest.raises(CairnError, match=r"map\.yaml: File too large; .* room"):
+    with (
+        room_for(1000),
+        pytest.raises(CairnError, match=r"map\.yaml: File too large; .* free disk space"),
+    ):
         write_map(file, Grid(np.zeros((40, 40), np.int8), Frame(0.05)))
 
     assert np.array_equal(read_map(file).values, old.values)
     assert sorted(one.name for one in tmp_path.iterdir()) == ["map.pgm", "map.yaml"]
 
 
-def test_a_damaged_image_and_a_missing_map_are_told_of(tmp_path: Path) -> None:
+def test_damaged_image_and_missing_map_are_rejected(tmp_path: Path) -> None:
     (tmp_path / "map.pgm").write_bytes(b"P5\n100 100\n255\nshort")
 
-    with pytest.raises(CairnError, match=r"map\.pgm: not an image"):
+    with pytest.raises(CairnError, match=r"map\.pgm: not a readable image"):
         read_map(described(tmp_path))
-    with pytest.raises(CairnError, match="no such map"):
+    with pytest.raises(CairnError, match="no such file"):
         read_map(tmp_path / "none.yaml")

@@ -1,4 +1,4 @@
-"""Where odometry says the robot was, and what it makes of time that goes back."""
+"""The odometry history: interpolation, late messages, jumps, and time that goes back."""
 
 import math
 
@@ -8,7 +8,7 @@ from cairn import SECOND
 from cairn.planar.odometry import Added, OdometryHistory, jumped
 
 
-def test_odometry_tells_poses_between_its_messages_and_guesses_none() -> None:
+def test_history_interpolates_between_messages_and_does_not_extrapolate() -> None:
     history = OdometryHistory(1_000)
     for stamp, x in ((100, 0.0), (200, 1.0), (300, 3.0)):
         assert history.add(stamp, (x, 0.0, 0.0)) is Added.IN_ORDER
@@ -21,7 +21,7 @@ def test_odometry_tells_poses_between_its_messages_and_guesses_none() -> None:
     )
 
 
-def test_odometry_is_forgotten_after_its_horizon() -> None:
+def test_history_forgets_poses_older_than_its_horizon() -> None:
     history = OdometryHistory(1_000)
     for stamp in range(0, 5_000, 100):
         history.add(stamp, (stamp / 100, 0.0, 0.0))
@@ -30,7 +30,7 @@ def test_odometry_is_forgotten_after_its_horizon() -> None:
     assert history.at(4_500) == (45.0, 0.0, 0.0)
 
 
-def test_a_pose_that_is_a_little_late_is_ignored() -> None:
+def test_pose_slightly_older_than_the_newest_is_ignored() -> None:
     history = OdometryHistory(SECOND)
     history.add(10 * SECOND, (1.0, 0.0, 0.0))
 
@@ -41,7 +41,7 @@ def test_a_pose_that_is_a_little_late_is_ignored() -> None:
 
 
 @pytest.mark.parametrize("back", [SECOND // 5, 3600 * SECOND])
-def test_when_time_is_set_back_odometry_begins_anew_and_says_so_once(back: int) -> None:
+def test_history_restarts_once_when_time_goes_back(back: int) -> None:
     history = OdometryHistory(SECOND)
     for k in range(10):
         history.add(5000 * SECOND + k * SECOND // 50, (0.01 * k, 0.0, 0.0))
@@ -66,7 +66,7 @@ def test_when_time_is_set_back_odometry_begins_anew_and_says_so_once(back: int) 
         ((2.0, 0.0, 0.0), 3.0, True),  # a driver started anew after a silence
     ],
 )
-def test_a_step_that_no_wheels_make_is_a_jump(
+def test_step_that_is_impossible_for_wheels_is_a_jump(
     step: tuple[float, float, float], seconds: float, jump: bool
 ) -> None:
     assert jumped((0.0, 0.0, 0.0), step, seconds, 2.0, 4.0) is jump

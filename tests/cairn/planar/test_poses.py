@@ -1,4 +1,4 @@
-"""Poses compose and invert as rigid motions do; messages carry them there and back."""
+"""Poses compose and invert as rigid motions; conversion to messages and back is exact."""
 
 import math
 
@@ -27,28 +27,28 @@ def same(a: Pose, b: Pose) -> bool:
 
 
 @given(poses)
-def test_there_and_back_is_where_one_was(pose: Pose) -> None:
+def test_pose_composed_with_its_inverse_is_the_origin(pose: Pose) -> None:
     assert same(compose(pose, inverse(pose)), (0.0, 0.0, 0.0))
     assert same(compose(inverse(pose), pose), (0.0, 0.0, 0.0))
 
 
 @given(poses, poses)
-def test_a_pose_seen_from_another_leads_there(origin: Pose, pose: Pose) -> None:
+def test_relative_pose_composed_with_its_origin_is_the_pose(origin: Pose, pose: Pose) -> None:
     assert same(compose(origin, relative(origin, pose)), pose)
 
 
 @given(poses, poses, poses)
-def test_steps_may_be_taken_together(a: Pose, b: Pose, c: Pose) -> None:
+def test_composition_is_associative(a: Pose, b: Pose, c: Pose) -> None:
     assert same(compose(compose(a, b), c), compose(a, compose(b, c)))
 
 
 @given(poses)
-def test_a_message_carries_a_pose(pose: Pose) -> None:
+def test_pose_survives_conversion_to_a_message_and_back(pose: Pose) -> None:
     assert same(planar_pose(pose_message(pose)), pose)
 
 
 @given(st.lists(poses, max_size=5))
-def test_packed_messages_carry_poses(rows: list[Pose]) -> None:
+def test_packed_poses_survive_conversion_and_back(rows: list[Pose]) -> None:
     array = np.array(rows, np.float64).reshape(-1, 3)
 
     again = planar_poses(packed_poses(array))
@@ -56,7 +56,7 @@ def test_packed_messages_carry_poses(rows: list[Pose]) -> None:
     assert all(same(tuple(a), tuple(b)) for a, b in zip(array, again, strict=True))
 
 
-def test_a_covariance_is_carried_where_ros_has_it() -> None:
+def test_covariance_is_stored_at_the_positions_that_ros_defines() -> None:
     root = np.array([[0.3, 0.0, 0.0], [0.1, 0.2, 0.0], [0.01, -0.02, 0.05]])
     covariance = root @ root.T
 
@@ -68,7 +68,7 @@ def test_a_covariance_is_carried_where_ros_has_it() -> None:
     assert full[0, 5] == pytest.approx(covariance[0, 2])
 
 
-def test_headings_are_interpolated_the_short_way_round() -> None:
+def test_headings_are_interpolated_along_the_shorter_arc() -> None:
     middle = between((0.0, 0.0, 3.0), (1.0, 0.0, -3.0), 0.5)
 
     assert middle[0] == 0.5

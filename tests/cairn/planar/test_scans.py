@@ -1,4 +1,4 @@
-"""Scans become rays and points around the robot, wherever the scanner sits on it."""
+"""Scans become rays and points in the robot's frame, for each mounting of the scanner."""
 
 import math
 
@@ -7,8 +7,7 @@ import pytest
 
 from cairn.planar.grid import Frame, Grid, grid_of, map_message
 from cairn.planar.poses import Pose, between, compose, relative
-from cairn.planar.scans import beams_of
-from cairn.planar.sweep import rays_of, sweep_s
+from cairn.planar.scans import beams_of, rays_of, sweep_s
 from cairn.schemas.builtin_interfaces import Time
 from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.std_msgs import Header
@@ -28,7 +27,7 @@ def scan(
     )
 
 
-def test_what_a_range_means_is_told_apart_as_in_rep_117() -> None:
+def test_ranges_are_interpreted_as_in_rep_117() -> None:
     beams = beams_of(scan([1.0, 0.05, 10.0, math.inf, -math.inf, math.nan, 12.0]), (0.0, 0.0, 0.0))
 
     assert beams.ranges[0] == 1.0
@@ -37,13 +36,13 @@ def test_what_a_range_means_is_told_apart_as_in_rep_117() -> None:
     assert beams.hit.tolist() == [True, False, False, False, False, False, False]
 
 
-def test_a_scanner_that_sits_askew_is_put_right() -> None:
+def test_mounting_pose_of_the_scanner_is_applied() -> None:
     points = beams_of(scan([2.0]), (0.3, -0.1, math.pi / 2)).points()
 
     assert points[0] == pytest.approx((0.3, 1.9))
 
 
-def test_a_robot_that_stands_has_the_same_points_with_and_without_the_sweep() -> None:
+def test_standing_robot_has_the_same_points_with_and_without_sweep_times() -> None:
     taken = scan([1.0, 2.0, 3.0], time_increment=0.01)
 
     still = rays_of(taken, (0.2, 0.0, 0.1), (0.0, 0.0, 0.0)).points()
@@ -51,7 +50,7 @@ def test_a_robot_that_stands_has_the_same_points_with_and_without_the_sweep() ->
     assert still == pytest.approx(beams_of(taken, (0.2, 0.0, 0.1)).points())
 
 
-def test_each_ray_of_a_sweep_is_put_where_the_robot_was() -> None:
+def test_each_ray_starts_at_the_pose_of_the_robot_at_its_time() -> None:
     # A wall at x = 3, seen by a robot that drives and turns while it sweeps.
     mount: Pose = (0.2, 0.1, 0.0)
     begin, end = (0.0, 0.0, -0.3), (0.1, 0.05, 0.4)
@@ -69,7 +68,7 @@ def test_each_ray_of_a_sweep_is_put_where_the_robot_was() -> None:
     assert sweep_s(taken) == pytest.approx(0.04)
 
 
-def test_rays_may_be_placed_where_the_robot_was() -> None:
+def test_rays_are_transformed_to_the_frame_of_the_base_pose() -> None:
     base, mount = (2.0, -1.0, 2.5), (0.2, 0.1, 0.3)
     rays = rays_of(scan([1.0, 2.0], time_increment=0.1), mount, (0.3, 0.0, 0.4))
 
@@ -79,13 +78,13 @@ def test_rays_may_be_placed_where_the_robot_was() -> None:
     assert placed.points() == pytest.approx(np.array(expected))
 
 
-def test_cells_and_points_of_a_turned_grid_belong_together() -> None:
+def test_cells_and_points_of_a_rotated_grid_correspond() -> None:
     frame = Frame(0.1, (1.0, 2.0, math.pi / 6))
     for row, column in ((0, 0), (3, 7), (-2, 5)):
         assert frame.cell(*frame.point(row, column)) == (row, column)
 
 
-def test_a_map_is_the_same_after_a_journey_as_a_message() -> None:
+def test_map_survives_conversion_to_a_message_and_back() -> None:
     grid = Grid(np.arange(12, dtype=np.int8).reshape(3, 4), Frame(0.05, (-1.0, 0.5, 0.2)))
 
     again = grid_of(map_message(Header(frame_id="map"), grid, Time()))

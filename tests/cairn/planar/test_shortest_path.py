@@ -1,4 +1,4 @@
-"""Ways over grids of prices: as cheap as by brute force, on winding maps, again and again."""
+"""Paths over cost grids are as cheap as by brute force, also in repeated searches."""
 
 import heapq
 import math
@@ -9,16 +9,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from cairn.planar.path_shape import centers, taut
+from cairn.planar.path_shape import cell_centers, pull_taut
 from cairn.planar.shortest_path import (
     CLOSED,
-    DEAREST,
-    LEAST,
     MARGIN,
+    MAX_COST,
+    MIN_COST,
     Cell,
+    CellCosts,
     PathSearch,
-    Prices,
-    priced,
+    open_costs,
 )
 from tests.cairn.planar.any_angle import cost_along, shortest
 
@@ -27,8 +27,8 @@ MOVES = [
 ]
 
 
-def grid(prices: Prices) -> Prices:
-    inner: Prices = prices[MARGIN:-MARGIN, MARGIN:-MARGIN]
+def grid(prices: CellCosts) -> CellCosts:
+    inner: CellCosts = prices[MARGIN:-MARGIN, MARGIN:-MARGIN]
     return inner
 
 
@@ -44,7 +44,7 @@ def touched(cell: Cell, y: int, x: int) -> list[Cell]:
     return ends
 
 
-def cheapest(prices: Prices, start: Cell, goal: Cell) -> dict[Cell, float]:
+def cheapest(prices: CellCosts, start: Cell, goal: Cell) -> dict[Cell, float]:
     """Dijkstra over the same moves, with true lengths; the cost of each cell that is reached."""
     best = {start: 0.0}
     queue = [(0.0, start)]
@@ -59,41 +59,41 @@ def cheapest(prices: Prices, start: Cell, goal: Cell) -> dict[Cell, float]:
                 continue
             paid = cells if {abs(y), abs(x)} == {1, 2} else cells[:2]
             mean = sum(float(prices[r + MARGIN, c + MARGIN]) for r, c in paid) / len(paid)
-            total = cost + math.hypot(y, x) * mean / LEAST
+            total = cost + math.hypot(y, x) * mean / MIN_COST
             if total < best.get(there, math.inf):
                 best[there] = total
                 heapq.heappush(queue, (total, there))
     return best
 
 
-def cost_of(prices: Prices, cells: NDArray[np.int64]) -> float:
+def cost_of(prices: CellCosts, cells: NDArray[np.int64]) -> float:
     return sum(
         cheapest_step(prices, tuple(a), tuple(b))
         for a, b in zip(cells.tolist(), cells[1:].tolist(), strict=False)
     )
 
 
-def cheapest_step(prices: Prices, a: Cell, b: Cell) -> float:
+def cheapest_step(prices: CellCosts, a: Cell, b: Cell) -> float:
     cells = touched(a, b[0] - a[0], b[1] - a[1])
     assert all(prices[r + MARGIN, c + MARGIN] < CLOSED for r, c in cells)
     length = math.hypot(b[0] - a[0], b[1] - a[1])
     paid = cells if length > 2 else cells[:2]
     mean = sum(float(prices[r + MARGIN, c + MARGIN]) for r, c in paid) / len(paid)
-    return length * mean / LEAST
+    return length * mean / MIN_COST
 
 
-def random_prices(seed: int, rows: int, columns: int, share: float, dear: bool) -> Prices:
+def random_prices(seed: int, rows: int, columns: int, share: float, dear: bool) -> CellCosts:
     rng = np.random.default_rng(seed)
-    prices = priced(rows, columns)
+    prices = open_costs(rows, columns)
     if dear:
-        grid(prices)[:] = rng.integers(LEAST, DEAREST + 1, (rows, columns))
+        grid(prices)[:] = rng.integers(MIN_COST, MAX_COST + 1, (rows, columns))
     grid(prices)[rng.random((rows, columns)) < share] = 255
-    grid(prices)[0, 0] = LEAST
+    grid(prices)[0, 0] = MIN_COST
     return prices
 
 
-def serpentine(size: int, corridor: int, wall: int) -> Prices:
-    prices = priced(size, size)
+def serpentine(size: int, corridor: int, wall: int) -> CellCosts:
+    prices = open_costs(size, size)
     for turn, row in enumerate(range(corridor, size - corridor, corridor + wall)):
         opening = slice(corridor, None) if turn % 2 else slice(None, size - corridor)
         grid(prices)[row : row + wall, opening] = 255
@@ -108,14 +108,14 @@ def serpentine(size: int, corridor: int, wall: int) -> Prices:
     share=st.floats(0, 0.6),
     dear=st.booleans(),
 )
-def test_a_way_costs_what_the_cheapest_costs(
+def test_path_costs_as_much_as_the_cheapest_by_brute_force(
     seed: int, rows: int, columns: int, share: float, dear: bool
 ) -> None:
     prices = random_prices(seed, rows, columns, share, dear)
     goal = (rows - 1, columns - 1)
     reference = cheapest(prices, (0, 0), goal)
 
-    way = PathSearch(prices.shape).way(prices, (0, 0), goal)
+    way = PathSearch(prices.shape).find(prices, (0, 0), goal)
 
     if goal in reference:
         assert way.cells is not None
@@ -131,81 +131,81 @@ def test_a_way_costs_what_the_cheapest_costs(
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_pulled_taut_it_is_as_short_as_in_any_directions(seed: int) -> None:
+def test_taut_path_is_as_short_as_the_any_angle_optimum(seed: int) -> None:
     rng = np.random.default_rng(seed)
     size = 26
-    prices = priced(size, size)
+    prices = open_costs(size, size)
     for _ in range(7):
         height, width = rng.integers(1, 9, 2)
         row, column = rng.integers(0, size, 2)
         grid(prices)[row : row + height, column : column + width] = 255
-    grid(prices)[:2, :2] = grid(prices)[-2:, -2:] = LEAST
+    grid(prices)[:2, :2] = grid(prices)[-2:, -2:] = MIN_COST
     optimum = shortest(grid(prices) >= CLOSED, (0, 0), (size - 1, size - 1))
 
-    way = PathSearch(prices.shape).way(prices, (0, 0), (size - 1, size - 1))
+    way = PathSearch(prices.shape).find(prices, (0, 0), (size - 1, size - 1))
 
     assert (way.cells is None) == math.isinf(optimum)
     if way.cells is not None:
-        length = cost_along(prices, taut(prices, centers(way.cells)))
+        length = cost_along(prices, pull_taut(prices, cell_centers(way.cells)))
         assert 0.999 * optimum <= length <= 1.03 * optimum
 
 
-def test_a_serpentine_is_followed_to_its_end() -> None:
+def test_path_through_a_serpentine_is_found() -> None:
     prices = serpentine(200, 5, 5)
     # 19 walls, past whose ends it goes: 190 across and 5 down from one to the next, 5 along each.
     length = math.hypot(192.5, 2.5) + 19 * 5 + 18 * math.hypot(190, 5) + math.hypot(2.5, 7.5)
 
-    way = PathSearch(prices.shape).way(prices, (2, 2), (197, 197))
+    way = PathSearch(prices.shape).find(prices, (2, 2), (197, 197))
 
     assert way.cells is not None
-    line = taut(prices, centers(way.cells))
+    line = pull_taut(prices, cell_centers(way.cells))
     assert cost_along(prices, line) == pytest.approx(length, rel=0.005)
 
 
-def test_a_corridor_one_cell_wide_is_a_way_and_a_gap_aslant_is_none() -> None:
-    prices = priced(9, 9)
+def test_corridor_of_one_cell_is_passable_and_a_diagonal_gap_is_not() -> None:
+    prices = open_costs(9, 9)
     grid(prices)[4] = 255
-    grid(prices)[4, 6] = LEAST
+    grid(prices)[4, 6] = MIN_COST
     search = PathSearch(prices.shape)
-    assert search.way(prices, (0, 0), (8, 0)).cells is not None
+    assert search.find(prices, (0, 0), (8, 0)).cells is not None
 
     grid(prices)[5, 6] = grid(prices)[5, 5] = 255
-    grid(prices)[5, 7] = LEAST
+    grid(prices)[5, 7] = MIN_COST
 
-    assert search.way(prices, (0, 0), (8, 0)).cells is None
+    assert search.find(prices, (0, 0), (8, 0)).cells is None
 
 
-def test_searches_after_one_another_do_not_know_of_each_other() -> None:
+def test_consecutive_searches_are_independent() -> None:
     winding = serpentine(300, 2, 1)
-    grid(winding)[grid(winding) < CLOSED] = DEAREST  # so dear that costs soon exceed 32 bits
+    grid(winding)[grid(winding) < CLOSED] = MAX_COST  # so dear that costs soon exceed 32 bits
     other = random_prices(5, 300, 300, 0.1, dear=False)
     search = PathSearch(winding.shape)
-    first = search.way(winding, (0, 0), (299, 299)).cells
+    first = search.find(winding, (0, 0), (299, 299)).cells
     assert first is not None
-    free = search.way(other, (0, 0), (299, 299)).cells
+    free = search.find(other, (0, 0), (299, 299)).cells
     assert free is not None
 
     for _ in range(40):
-        again = search.way(winding, (0, 0), (299, 299)).cells
+        again = search.find(winding, (0, 0), (299, 299)).cells
         assert again is not None
         np.testing.assert_array_equal(again, first)
-    elsewhere = search.way(other, (0, 0), (299, 299)).cells
+    elsewhere = search.find(other, (0, 0), (299, 299)).cells
 
     assert elsewhere is not None
     np.testing.assert_array_equal(elsewhere, free)
 
 
-def test_room_is_made_for_all_that_waits() -> None:
-    comb = priced(300, 300)  # cheap teeth along which the search runs ahead of all the rest
-    grid(comb)[:] = DEAREST
-    grid(comb)[::4] = grid(comb)[:, :2] = LEAST
+def test_queue_grows_when_it_is_full() -> None:
+    comb = open_costs(300, 300)  # cheap teeth along which the search runs ahead of all the rest
+    grid(comb)[:] = MAX_COST
+    grid(comb)[::4] = grid(comb)[:, :2] = MIN_COST
 
-    way = PathSearch(comb.shape).way(comb, (150, 0), (299, 299))
+    way = PathSearch(comb.shape).find(comb, (150, 0), (299, 299))
 
     assert way.cells is not None
-    assert cost_of(comb, way.cells) == pytest.approx(146 + 297 + 3 * DEAREST / LEAST, rel=0.05)
+    assert cost_of(comb, way.cells) == pytest.approx(146 + 297 + 3 * MAX_COST / MIN_COST, rel=0.05)
 
 
-def test_memory_of_another_size_is_refused() -> None:
+def test_grid_of_another_size_is_rejected() -> None:
     with pytest.raises(ValueError, match="room for"):
-        PathSearch((24, 24)).way(priced(10, 10), (0, 0), (9, 9))
+        PathSearch((24, 24)).find(open_costs(10, 10), (0, 0), (9, 9))

@@ -12,7 +12,7 @@ from cairn.components.localizer.recent import Support
 from cairn.components.localizer.resume import resumed, save
 from cairn.components.localizer.scanner_watch import ScannerWatch
 from cairn.planar.poses import Pose
-from cairn.planar.sweep import Rays
+from cairn.planar.scans import Rays
 
 LOG = logging.getLogger(__name__)
 NOTHING = Support(0, 0)

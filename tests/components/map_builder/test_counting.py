@@ -5,8 +5,7 @@ import math
 import numpy as np
 
 from cairn.components.map_builder.counting import build_map
-from cairn.planar.distance import distance_field
-from cairn.planar.grid import OCCUPIED, OccupancyCells
+from cairn.planar.grid import OCCUPIED, OccupancyCells, distance_field
 from cairn.planar.poses import Pose
 from cairn.schemas.sensor_msgs import LaserScan
 from tests.components.localizer.room import Box, room, scanned

@@ -11,7 +11,7 @@ from cairn.components.map_builder.counting import build_map
 from cairn.components.map_builder.occupancy import Occupancy
 from cairn.planar.grid import FREE, OCCUPIED, UNKNOWN, Frame, Grid, OccupancyCells
 from cairn.planar.poses import Pose
-from cairn.planar.sweep import Rays
+from cairn.planar.scans import Rays
 from cairn.schemas.sensor_msgs import LaserScan
 from tests.components.localizer.room import RESOLUTION, ROOM, Box, room, scanned
 

@@ -7,7 +7,7 @@ import pytest
 
 from cairn.components.motion_control.seen_space import SeenSpace
 from cairn.planar.poses import Pose
-from cairn.planar.sweep import Rays, rays_of
+from cairn.planar.scans import Rays, rays_of
 from cairn.schemas.sensor_msgs import LaserScan
 from tests.components.motion_control.world import rays_from
 

@@ -15,7 +15,7 @@ from cairn.components.motion_control.route import Route
 from cairn.components.motion_control.seen_space import SeenSpace
 from cairn.components.motion_control.steering import Steering
 from cairn.planar.poses import Pose, compose, relative, wrap
-from cairn.planar.sweep import Rays
+from cairn.planar.scans import Rays
 
 Array = NDArray[np.float64]
 Wall = tuple[float, float, float, float]

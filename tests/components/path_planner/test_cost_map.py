@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from cairn.components.path_planner.cost_map import BLOCKED, CostMap, Costs, nearest_open
 from cairn.components.path_planner.sightings import RecentObstacles
 from cairn.planar.grid import Frame, OccupancyCells
-from cairn.planar.scans import Beams
-from cairn.planar.shortest_path import CLOSED, DEAREST, LEAST, MARGIN, priced
+from cairn.planar.scans import ScanBeams
+from cairn.planar.shortest_path import CLOSED, MARGIN, MAX_COST, MIN_COST, open_costs
 from tests.components.path_planner.rooms import room
 
 COSTS = Costs(radius=0.22, reach=0.45, weight=1.0, margin=0.05, allow_unknown=False)
@@ -37,9 +37,9 @@ def test_prices_fall_with_the_distance_from_an_obstacle() -> None:
     row = prices[20, 20:]
     assert (row[:5] == BLOCKED).all()  # to 0.2 m: nearer than 0.22 + 0.025
     assert row[5] == CLOSED  # nearer than 0.05 more
-    assert CLOSED > row[6] > row[8] > row[11] > LEAST
-    assert (row[16:] == LEAST).all()
-    assert row[6] <= 2 * LEAST
+    assert CLOSED > row[6] > row[8] > row[11] > MIN_COST
+    assert (row[16:] == MIN_COST).all()
+    assert row[6] <= 2 * MIN_COST
 
 
 @settings(max_examples=25, deadline=None)
@@ -115,7 +115,7 @@ def test_near_where_the_robot_did_not_get_on_the_way_is_dear_and_no_more_closed(
     closed = costs.prices >= CLOSED
     costs.hinder([])
 
-    assert set(near.tolist()) == {DEAREST}
+    assert set(near.tolist()) == {MAX_COST}
     np.testing.assert_array_equal(closed, before >= CLOSED)
     np.testing.assert_array_equal(costs.prices, before)
 
@@ -137,7 +137,7 @@ def test_what_the_map_holds_anyway_is_not_laid_on_top() -> None:
     column=st.floats(-20, 30),
 )
 def test_the_nearest_open_cell_is_found(seed: int, share: float, row: float, column: float) -> None:
-    prices = priced(11, 13)
+    prices = open_costs(11, 13)
     prices[INNER][np.random.default_rng(seed).random((11, 13)) < share] = 255
     opened = np.argwhere(prices[INNER] < CLOSED)
 
@@ -152,11 +152,11 @@ def test_the_nearest_open_cell_is_found(seed: int, share: float, row: float, col
         assert prices[INNER][found[0]] < CLOSED
 
 
-def beams(**ranges: float) -> Beams:
+def beams(**ranges: float) -> ScanBeams:
     """Four beams: ahead, left, back, right; those not given see nothing in their way."""
     given_ = [ranges.get(name, math.inf) for name in ("ahead", "left", "back", "right")]
     angles = np.array([0.0, 0.5, 1.0, 1.5]) * math.pi
-    return Beams((0.0, 0.0, 0.0), angles, np.array(given_), 8.0)
+    return ScanBeams((0.0, 0.0, 0.0), angles, np.array(given_), 8.0)
 
 
 def seen(obstacles: RecentObstacles) -> set[tuple[int, ...]]:
@@ -186,16 +186,18 @@ def test_a_scanner_mounted_askew_and_clockwise_sees_the_same() -> None:
         obstacles = RecentObstacles(FRAME, (100, 100))
         angles = 0.7 + sense * 2 * math.pi / count * np.arange(count, dtype=np.float64)
         ranges = np.full(count, 1.0)
-        obstacles.see(0, here, Beams((0.1, 0.0, 0.7), angles, ranges, 8.0), (0.22, 3.0), 10)
+        obstacles.see(0, here, ScanBeams((0.1, 0.0, 0.7), angles, ranges, 8.0), (0.22, 3.0), 10)
         assert len(seen(obstacles)) > 30
-        obstacles.see(1, here, Beams((0.1, 0.0, 0.7), angles, ranges + 0.3, 8.0), (0.22, 1.2), 10)
+        obstacles.see(
+            1, here, ScanBeams((0.1, 0.0, 0.7), angles, ranges + 0.3, 8.0), (0.22, 1.2), 10
+        )
         assert seen(obstacles) == set()
 
 
 def test_beams_that_all_point_the_same_way_are_taken_and_take_nothing_away() -> None:
     obstacles = RecentObstacles(FRAME, (100, 100))
     for stamp, range_m in ((0, 1.0), (1, 2.0)):
-        same = Beams((0.0, 0.0, 0.0), np.zeros(3), np.full(3, range_m), 8.0)
+        same = ScanBeams((0.0, 0.0, 0.0), np.zeros(3), np.full(3, range_m), 8.0)
         obstacles.see(stamp, (2.5, 2.5, 0.0), same, (0.22, 3.0), 10)
 
     assert seen(obstacles) == {(50, 70), (50, 90)}
@@ -209,5 +211,5 @@ def test_weight_is_the_price_beside_an_obstacle() -> None:
     shortest = CostMap(grid, replace(COSTS, weight=0.0)).prices[INNER]
     dear = CostMap(grid, replace(COSTS, weight=3.0)).prices[INNER]
 
-    assert set(np.unique(shortest)) == {LEAST, CLOSED, BLOCKED}
-    assert 3.5 * LEAST < dear[20, 26] <= 4 * LEAST
+    assert set(np.unique(shortest)) == {MIN_COST, CLOSED, BLOCKED}
+    assert 3.5 * MIN_COST < dear[20, 26] <= 4 * MIN_COST

@@ -12,7 +12,7 @@ from cairn.components.simulation.scanning import Beams, Faults, Surroundings, sw
 from cairn.components.simulation.scene import SURFACES
 from cairn.components.simulation.world_file import Surface
 from cairn.planar.poses import Pose, compose, relative
-from cairn.planar.sweep import rays_of
+from cairn.planar.scans import rays_of
 from cairn.schemas.sensor_msgs import LaserScan
 
 NONE = Faults(dropouts=0.0, dark_dropouts=0.0, dark_reach=1.0, glass_returns=0.0)

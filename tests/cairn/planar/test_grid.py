@@ -1,4 +1,4 @@
-"""The distance field is exact, and the same each time."""
+"""Grids: the distance field is exact and reproducible."""
 
 import numpy as np
 from hypothesis import given
@@ -6,11 +6,11 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from numpy.typing import NDArray
 
-from cairn.planar.distance import distance_field
+from cairn.planar.grid import distance_field
 
 
 @given(arrays.arrays(np.bool_, arrays.array_shapes(min_dims=2, max_dims=2, max_side=20)))
-def test_each_cell_is_told_its_distance_to_the_nearest_obstacle(
+def test_distance_field_is_the_distance_to_the_nearest_obstacle(
     obstacles: NDArray[np.bool_],
 ) -> None:
     field = distance_field(obstacles, 0.05)
@@ -26,7 +26,7 @@ def test_each_cell_is_told_its_distance_to_the_nearest_obstacle(
 
 
 @given(st.integers(0, 63), st.integers(0, 2**32 - 1))
-def test_where_in_memory_a_grid_lies_changes_not_one_bit(offset: int, seed: int) -> None:
+def test_distance_field_does_not_depend_on_memory_addresses(offset: int, seed: int) -> None:
     obstacles = np.random.default_rng(seed).random((39, 47)) < 0.02
     moved = np.empty(obstacles.size + offset, np.bool_)[offset:].reshape(obstacles.shape)
     moved[:] = obstacles

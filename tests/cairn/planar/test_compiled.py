@@ -1,0 +1,147 @@
+"""Compiled kernels: an edit of whatever is compiled into one takes effect in the next process."""
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cairn.planar.compiled import compiled, fingerprint
+
+LIMITS = "FACTOR = 2.0\n"
+CALLEE = """
+from cairn.planar.compiled import compiled
+from edited_package.limits import FACTOR
+
+@compiled()
+def scaled(value: float) -> float:
+    return FACTOR * value
+"""
+CALLER = """
+from cairn.planar.compiled import compiled
+from edited_package.callee import scaled
+
+@compiled("float64(float64)")
+def caller(value: float) -> float:
+    return scaled(value) + 1.0
+"""
+RUN = """
+import json
+from edited_package.caller import caller
+print(json.dumps([caller(10.0), sum(caller.stats.cache_hits.values())]))
+"""
+
+
+class Package:
+    """A package of three modules, of which the last calls a kernel of the second."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder / "edited_package"
+        self.folder.mkdir()
+        self.cache = self.folder / "__pycache__"
+        self._environment = {**os.environ, "PYTHONPATH": str(folder)}
+        self._environment.pop("NUMBA_CACHE_DIR", None)
+        for name, text in (("limits", LIMITS), ("callee", CALLEE), ("caller", CALLER)):
+            self.write(name, text)
+
+    def write(self, module: str, text: str) -> None:
+        (self.folder / f"{module}.py").write_text(text)
+
+    def run(self, **environment: str) -> tuple[float, bool]:
+        """What the caller returns for 10 in a new process, and whether it came from the cache."""
+        done = subprocess.run(
+            [sys.executable, "-B", "-c", RUN],
+            env={**self._environment, **environment},
+            capture_output=True,
+            text=True,
+            timeout=120,
+            check=False,
+        )
+        assert done.returncode == 0, done.stderr
+        value, hits = json.loads(done.stdout)
+        return value, hits > 0
+
+
+@pytest.fixture
+def package(tmp_path: Path) -> Package:
+    return Package(tmp_path)
+
+
+def test_edit_of_a_callee_in_another_file_takes_effect_in_the_next_process(
+    package: Package,
+) -> None:
+    assert package.run() == (21.0, False)
+
+    package.write("callee", CALLEE.replace("FACTOR * value", "FACTOR * value + 100.0"))
+    assert package.run() == (121.0, False)
+    package.write("limits", "FACTOR = 3.0\n")
+    assert package.run() == (131.0, False)
+
+
+def test_unchanged_kernel_comes_from_the_cache_whatever_its_comments(package: Package) -> None:
+    package.run()
+    files = sorted(path.name for path in package.cache.glob("*.nb?"))
+
+    package.write("callee", "# A comment.\n" + CALLEE)
+    package.write("caller", "# A comment.\n" + CALLER)
+
+    assert package.run() == (21.0, True)
+    assert sorted(path.name for path in package.cache.glob("*.nb?")) == files
+
+
+def test_code_of_a_removed_kernel_leaves_the_cache(package: Package) -> None:
+    package.run()
+    orphans = [
+        package.cache / "caller.gone.cpython-311.1.nbc",
+        package.cache / "caller.b-1.py311.nbi",
+    ]
+    for orphan in orphans:
+        orphan.touch()
+
+    package.write("limits", "FACTOR = 3.0\n")
+    package.run()
+
+    assert not any(orphan.exists() for orphan in orphans)
+    assert list(package.cache.glob("caller.caller.*.nbi"))
+
+
+def test_cache_of_a_read_only_package_is_in_the_folder_that_the_environment_names(
+    package: Package, tmp_path: Path
+) -> None:
+    elsewhere = tmp_path / "elsewhere"
+
+    assert package.run(NUMBA_CACHE_DIR=str(elsewhere)) == (21.0, False)
+    assert package.run(NUMBA_CACHE_DIR=str(elsewhere)) == (21.0, True)
+
+    assert not list(package.folder.rglob("*.nb?"))
+    assert list(elsewhere.rglob("caller.caller.*.nbi"))
+
+
+def _reads(value: Any) -> Callable[[], Any]:
+    """A function that reads `value` as a global constant."""
+    names = {"CONSTANT": value}
+    exec("def kernel():\n    return CONSTANT\n", names)
+    kernel: Callable[[], Any] = names["kernel"]
+    return kernel
+
+
+@pytest.mark.parametrize(
+    ("value", "other"),
+    [
+        (1, 2),
+        (1.0, 1),
+        ((1, 2), (2, 1)),
+        (np.array([1, 2]), np.array([1, 3])),
+        (np.array([1, 2]), np.array([1.0, 2.0])),
+        (compiled()(lambda: 1), compiled()(lambda: 2)),
+    ],
+)
+def test_fingerprint_depends_on_each_constant_and_callee(value: object, other: object) -> None:
+    assert fingerprint(_reads(value)) == fingerprint(_reads(value))
+    assert fingerprint(_reads(value)) != fingerprint(_reads(other))
+    assert fingerprint(_reads(value), True) != fingerprint(_reads(value), False)
