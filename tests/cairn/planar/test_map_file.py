@@ -33,7 +33,7 @@ def painted(folder: Path, rows: list[list[int]], name: str = "map.pgm") -> None:
     Image.fromarray(np.array(rows, np.uint8)).save(folder / name)
 
 
-def test_trinary_dark_is_occupied_light_is_free_gray_is_unknown_bottom_row_first(
+def test_trinary_dark_is_occupied_light_free_gray_unknown_bottom_row_first(
     tmp_path: Path,
 ) -> None:
     painted(tmp_path, [[0, 205, 254], [254, 254, 0]])

@@ -5,12 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from cairn.planar.grid import Frame, Grid, grid_of, map_message
 from cairn.planar.poses import Pose, between, compose, relative
 from cairn.planar.scans import beams_of, rays_of, sweep_s
-from cairn.schemas.builtin_interfaces import Time
 from cairn.schemas.sensor_msgs import LaserScan
-from cairn.schemas.std_msgs import Header
 
 
 def scan(
@@ -76,21 +73,3 @@ def test_rays_are_transformed_to_the_frame_of_the_base_pose() -> None:
 
     expected = [compose(base, (x, y, 0.0))[:2] for x, y in rays.points().tolist()]
     assert placed.points() == pytest.approx(np.array(expected))
-
-
-def test_cells_and_points_of_a_rotated_grid_correspond() -> None:
-    frame = Frame(0.1, (1.0, 2.0, math.pi / 6))
-    for row, column in ((0, 0), (3, 7), (-2, 5)):
-        assert frame.cell(*frame.point(row, column)) == (row, column)
-
-
-def test_map_survives_conversion_to_a_message_and_back() -> None:
-    grid = Grid(np.arange(12, dtype=np.int8).reshape(3, 4), Frame(0.05, (-1.0, 0.5, 0.2)))
-
-    again = grid_of(map_message(Header(frame_id="map"), grid, Time()))
-
-    assert np.array_equal(again.values, grid.values)
-    assert again.frame.origin == pytest.approx(grid.frame.origin)
-    assert again.frame.resolution == pytest.approx(0.05)
-    assert again.holds(2, 3)
-    assert not again.holds(3, 0)
