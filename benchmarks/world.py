@@ -18,10 +18,13 @@ from cairn.components.simulation.scanner import SimulatedScanner
 from cairn.components.simulation.scene import Scene
 from cairn.components.simulation.world_component import SimulatedWorld
 from cairn.components.simulation.world_file import read_world
+from cairn.deployment.model import ChildSpec
 from cairn.placement.lockstep import LockstepExecutor
+from cairn.process_exit import ExitReport
 from cairn.runtime.component import Component
+from cairn.runtime.launch_request import LaunchRequest
 from cairn.runtime.lifecycle import Transition
-from cairn.runtime.runtime import ComponentExit, Runtime, RuntimeOptions
+from cairn.runtime.runtime import Runtime
 from cairn.schemas.geometry_msgs import Twist, Vector3
 
 Array = NDArray[np.float64]
@@ -101,7 +104,7 @@ def rays() -> list[Figure]:
 
 def simulated(world: str, seconds: float) -> float:
     """CPU ms a simulated second of world, base, scanner and recognizer, driven in a curve."""
-    executor, bus, ends = LockstepExecutor(SECOND), LockstepBus(), list[ComponentExit]()
+    executor, bus, ends = LockstepExecutor(SECOND), LockstepBus(), list[ExitReport]()
     parts: dict[str, tuple[type[Component], dict[str, object]]] = {
         "world": (SimulatedWorld, {"world": str(WORLDS / world)}),
         "base": (SimulatedBase, {}),
@@ -111,7 +114,7 @@ def simulated(world: str, seconds: float) -> float:
     for name, (component, parameters) in parts.items():
         runtime = Runtime(
             component,
-            RuntimeOptions(name=name, plugin=name, parameters=parameters),
+            LaunchRequest(name=name, spec=ChildSpec(plugin=name, parameters=parameters)),
             bus,
             executor.scheduler(),
             executor,

@@ -12,8 +12,8 @@ from rich.console import Console
 
 from cairn.cli import check, control, graph, logs, param, plugins, ps, schema, topic, up
 from cairn.cli.tables import line
-from cairn.ending import end_process
 from cairn.errors import CairnError
+from cairn.process_exit import end_process
 
 COMMANDS_GROUP = "cairn.commands"
 """Entry points of this group add subcommands: a `typer.Typer`, or a function as typer takes it."""

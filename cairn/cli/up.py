@@ -34,7 +34,7 @@ from cairn.errors import CairnError
 from cairn.placement.lockstep_run import LockstepRun
 from cairn.placement.root import run_processes, started_zygote
 from cairn.placement.service import ServiceManager, service_manager
-from cairn.runtime.runtime import ComponentExit
+from cairn.process_exit import ExitReport
 from cairn.schemas.rcl_interfaces import Log
 from cairn.supervision.zygote_process import ZygoteProcess
 
@@ -102,7 +102,7 @@ def _run_processes(
     folder: Path,
     view: LiveView | PlainView,
     service: ServiceManager,
-) -> ComponentExit:
+) -> ExitReport:
     with log_file(folder / "logs" / "root.log", time.time_ns):
 
         def watch(bus: ZenohBus, hurry: Callable[[], None]) -> LogWatch:
@@ -114,7 +114,7 @@ def _run_processes(
 
 def _run_lockstep(
     deployment: Deployment, seed: int, folder: Path, view: LiveView | PlainView
-) -> ComponentExit:
+) -> ExitReport:
     run = LockstepRun(deployment, seed)
     watch = Watch(run.bus, deployment.robot, view, clock=run.simulated)
     events = 0

@@ -16,6 +16,7 @@ Strategy = Literal["one_for_one", "rest_for_one", "one_for_all"]
 
 ROOT = "root"
 VIEW = "cairn_up"
+_ROOT_PLUGIN = "cairn.supervision.component:SupervisorComponent"
 RESERVED = {
     ROOT: "the root of the tree of components",
     VIEW: "the node with which `cairn up` listens",
@@ -23,6 +24,8 @@ RESERVED = {
 """Names of nodes that every deployment has, so that no component can have them."""
 
 _LISTEN = "tcp/127.0.0.1:7447"
+_KILL_S = 3.0
+"""Time [s] allowed for killing a child that did not stop in time."""
 _ENDPOINT = re.compile(r"(?:tcp|tls|quic|udp|ws)/(\[[^\]]+\]|[^:/\[\]]+):(\d+)(?:[?#].*)?")
 
 
@@ -100,8 +103,8 @@ class Supervision(_Section):
     within_s: Seconds = Field(10.0, description="Window in which restarts are counted [s].")
 
 
-class ComponentSpec(_Section):
-    """One component of the tree."""
+class ChildSpec(_Section):
+    """One component of the tree, as its supervisor starts, watches and restarts it."""
 
     plugin: str = Field(
         description="Entry point of group cairn.components, or package.module:Class."
@@ -125,19 +128,61 @@ class ComponentSpec(_Section):
     )
     significant: bool = Field(False, description="Its normal end ends the deployment.")
     start_timeout_s: Seconds = Field(60.0, description="Limit for becoming active [s].")
-    stop_timeout_s: Seconds = Field(5.0, description="Limit for stopping, then killed [s].")
+    stop_timeout_s: Seconds = Field(
+        5.0, description="Limit for stopping [s]; then its process is terminated and killed."
+    )
     hang_timeout_s: Seconds = Field(
-        5.0, description="Limit for one handler, then taken for hung and killed [s]."
+        5.0, description="Limit for one handler [s]; then it counts as hung and is killed."
     )
     load: Literal["at_start", "on_request"] = Field(
-        "at_start", description="Started with its parent, or when its parent or operator orders it."
+        "at_start", description="Started with its parent, or when its parent or `cairn load` asks."
     )
     supervision: Supervision = Field(
         default_factory=Supervision, description="For its children; supervisors only."
     )
-    children: dict[Name, "ComponentSpec"] = Field(
+    children: dict[Name, "ChildSpec"] = Field(
         default_factory=dict, description="Its components in start order; supervisors only."
     )
+
+    @property
+    def ends_supervisor(self) -> bool:
+        """Whether its normal end ends its supervisor normally, and so on up to the deployment.
+
+        This includes supervisors with something significant below them: only that can bring about
+        their normal end, and they pass it on.
+        """
+        return self.significant or self._passes_end_on
+
+    @property
+    def restart_type(self) -> Restart:
+        """When it is restarted: a supervisor that passes a normal end on is not `permanent`."""
+        return "transient" if self._passes_end_on and self.restart == "permanent" else self.restart
+
+    @property
+    def start_limit_s(self) -> float:
+        """The time [s] it may take to become active, with the children that it starts in turn."""
+        children = (child for child in self.children.values() if child.load == "at_start")
+        return self.start_timeout_s + sum(child.start_limit_s for child in children)
+
+    @property
+    def stop_limit_s(self) -> float:
+        """The time [s] it may take to stop, with the children that it stops in turn."""
+        children = self.children.values()
+        return self.stop_timeout_s + sum(child.stop_limit_s + _KILL_S for child in children)
+
+    @property
+    def handler_limit_s(self) -> float:
+        """The time [s] one handler may take before the component counts as hung.
+
+        A supervisor may be busy with one of its children meanwhile.
+        """
+        children = self.children.values()
+        steps = (max(child.start_limit_s, child.stop_limit_s) for child in children)
+        return self.hang_timeout_s + max(steps, default=0.0)
+
+    @property
+    def _passes_end_on(self) -> bool:
+        return any(child.ends_supervisor for child in self.children.values())
 
 
 @dataclass(frozen=True)
@@ -149,7 +194,7 @@ class Member:
 
     name: str
     parent: str | None
-    spec: ComponentSpec
+    spec: ChildSpec
     key: str
 
 
@@ -175,9 +220,18 @@ class Deployment(_Section):
     supervision: Supervision = Field(
         default_factory=Supervision, description="For the components directly below the root."
     )
-    components: dict[Name, ComponentSpec] = Field(
+    components: dict[Name, ChildSpec] = Field(
         min_length=1, description="The components in start order."
     )
+
+    def root(self) -> ChildSpec:
+        """Return the root of the tree: the supervisor of the deployment's components."""
+        return ChildSpec(
+            plugin=_ROOT_PLUGIN,
+            placement="in_process",
+            supervision=self.supervision,
+            children=self.components,
+        )
 
     def members(self) -> Iterator[Member]:
         """All components in start order: each before its children, those before its next one."""
@@ -191,9 +245,7 @@ class Deployment(_Section):
         raise KeyError(name)
 
 
-def _members(
-    specs: Mapping[str, ComponentSpec], parent: str | None, below: str
-) -> Iterator[Member]:
+def _members(specs: Mapping[str, ChildSpec], parent: str | None, below: str) -> Iterator[Member]:
     for name, spec in specs.items():
         key = f"{below}.{name}"
         yield Member(name, parent, spec, key)

@@ -14,10 +14,11 @@ from cairn.clock import SystemClock
 from cairn.deployment.plugins import load_plugin
 from cairn.errors import CairnError
 from cairn.placement.awake import AwakeTime
-from cairn.placement.order import Order
+from cairn.process_exit import ExitReport
+from cairn.runtime.launch_request import LaunchRequest
 from cairn.runtime.loop import ThreadLoop
 from cairn.runtime.rosout import RosoutHandler
-from cairn.runtime.runtime import ComponentExit, Runtime
+from cairn.runtime.runtime import Runtime
 from cairn.supervision.child import Accident
 
 JOIN_LIMIT_S = 5.0
@@ -26,20 +27,20 @@ JOIN_LIMIT_S = 5.0
 class Hosted:
     """Constructs the component of an order and runs it on a thread of its own."""
 
-    def __init__(self, order: Order, bus: ZenohBus) -> None:
+    def __init__(self, order: LaunchRequest, bus: ZenohBus) -> None:
         """Raises `CairnError` if the component cannot be constructed."""
         self.order = order
         self.bus = bus
-        self.end: ComponentExit | None = None
+        self.end: ExitReport | None = None
         self.ended = threading.Event()
         self.on_end: Callable[[], object] = self.ended.is_set
         self._loop = ThreadLoop()
         self._awake = AwakeTime()
         self._closed = False
-        surroundings = order.surroundings
+        context = order.context
         self.runtime = Runtime(
             load_plugin(order.spec.plugin),
-            order.runtime_options(),
+            order,
             bus,
             self._loop,
             SystemClock(),
@@ -50,8 +51,8 @@ class Hosted:
         self.runtime.log.addHandler(self._rosout)
         self._control = ControlServer(
             bus.session,
-            surroundings.domain,
-            full_name(surroundings.robot, order.name),
+            context.domain,
+            full_name(context.robot, order.name),
             self._loop.post,
             self.runtime.request,
         )
@@ -117,12 +118,10 @@ class Hosted:
         try:
             self._loop.run()
         except BaseException as error:  # sys.exit() included: no mute process is left behind
-            self._note_end(
-                ComponentExit(False, f"its loop failed: {type(error).__name__}: {error}")
-            )
+            self._note_end(ExitReport(False, f"its loop failed: {type(error).__name__}: {error}"))
             self.runtime.log.exception("the component's loop failed")
 
-    def _note_end(self, end: ComponentExit) -> None:
+    def _note_end(self, end: ExitReport) -> None:
         self.end = self.end or end  # the first cause, not what followed from it
         self.ended.set()
         self.on_end()

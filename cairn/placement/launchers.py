@@ -17,8 +17,8 @@ from cairn.deployment.plugins import load_plugin
 from cairn.errors import CairnError
 from cairn.placement.hosted import Hosted
 from cairn.placement.last_words import LastWords
-from cairn.placement.order import Order, as_json
-from cairn.supervision.child import Accident, Child, ChildEnd, ChildSpec, Verb
+from cairn.runtime.launch_request import LaunchRequest
+from cairn.supervision.child import Accident, Child, ChildEnd, ChildRules, Verb
 from cairn.supervision.child_process import ChildExit, ChildProcess
 from cairn.supervision.component import SupervisorComponent
 from cairn.supervision.zygote_client import SpawnFailed, ZygoteClient, ZygoteLost
@@ -35,7 +35,7 @@ _ENDING_LIMIT_S = 5.0  # between leaving the bus and the end of the process, in 
 class Household:
     """A component hosted in this process, with what it launches if it is a supervisor."""
 
-    def __init__(self, order: Order, bus: ZenohBus) -> None:
+    def __init__(self, order: LaunchRequest, bus: ZenohBus) -> None:
         """Construct the component and let it answer; `CairnError` if that fails."""
         self.hosted = Hosted(order, bus)
         self.launcher: HostLauncher | None = None
@@ -76,15 +76,15 @@ class HostLauncher:
         self._here: list[Household] = []
         self._starting: ProcessChild | None = None
 
-    def launch(self, spec: ChildSpec, incarnation: int, previous_exit: str) -> Child:
+    def launch(self, spec: ChildRules, incarnation: int, previous_exit: str) -> Child:
         """Start a child and wait until it can be asked; `CairnError` with the cause if not."""
-        order = Order(
+        order = LaunchRequest(
             name=spec.name,
             parent=self._order.name,
             incarnation=incarnation,
             previous_exit=previous_exit,
             spec=self._order.spec.children[spec.name],
-            surroundings=self._order.surroundings,
+            context=self._order.context,
         )
         if order.spec.placement == "in_process":
             return self._launch_here(order)
@@ -109,14 +109,14 @@ class HostLauncher:
         if self._zygote is not None:
             self._zygote.close()
 
-    def _launch_process(self, order: Order, timeout_s: float) -> "ProcessChild":
-        surroundings = order.surroundings
-        name = full_name(surroundings.robot, order.name)
-        log = Path(surroundings.log_folder) / f"{order.name}.log"
+    def _launch_process(self, order: LaunchRequest, timeout_s: float) -> "ProcessChild":
+        context = order.context
+        name = full_name(context.robot, order.name)
+        log = Path(context.log_folder) / f"{order.name}.log"
         fresh = order.spec.interpreter == "fresh"
         session = self._supervisor.bus.session
         words = LastWords(log)
-        with QueryableWatcher(session, control_key(surroundings.domain, name)) as arrival:
+        with QueryableWatcher(session, control_key(context.domain, name)) as arrival:
             if not arrival.wait_gone(min(timeout_s, _ENDING_LIMIT_S)):
                 raise Accident(
                     f"somebody else on this bus answers as {name}; stop that, or give this robot "
@@ -126,7 +126,7 @@ class HostLauncher:
                 process = self._client().spawn(
                     order.name,
                     ENTRY,
-                    as_json(order),
+                    order.model_dump(mode="json"),
                     log,
                     fresh=fresh,
                     needs=[] if fresh else [load_plugin(order.spec.plugin).__module__],
@@ -151,11 +151,11 @@ class HostLauncher:
     def _client(self) -> ZygoteClient:
         if self._zygote is None:
             self._zygote = ZygoteClient(
-                Path(self._order.surroundings.zygote), self._on_exit, self._on_lost
+                Path(self._order.context.zygote), self._on_exit, self._on_lost
             )
         return self._zygote
 
-    def _launch_here(self, order: Order) -> "InProcessChild":
+    def _launch_here(self, order: LaunchRequest) -> "InProcessChild":
         household = Household(order, self._supervisor.bus)
         household.hosted.on_end = self._changed
         self._here = [other for other in self._here if not other.hosted.ended.is_set()]
@@ -240,7 +240,7 @@ class ProcessChild:
         return None if exit_ is None else self._words.end_of(exit_)
 
     def _ask(self, verb: Verb, timeout_s: float) -> None:
-        domain = self._supervisor.order.surroundings.domain
+        domain = self._supervisor.order.context.domain
         session = self._supervisor.bus.session
         request(session, domain, self._full, verb, timeout_s=max(0.01, timeout_s))
 

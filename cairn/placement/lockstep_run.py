@@ -6,14 +6,16 @@ from typing import Any
 
 from cairn.bus.lockstep_bus import LockstepBus
 from cairn.clock import SECOND
-from cairn.deployment.model import ROOT, ComponentSpec, Deployment
+from cairn.deployment.model import ROOT, ChildSpec, Deployment
 from cairn.deployment.plugins import load_plugin
 from cairn.errors import CairnError
 from cairn.placement.lockstep import LockstepExecutor
 from cairn.placement.root import root_spec
+from cairn.process_exit import ExitReport
+from cairn.runtime.launch_request import LaunchRequest, RunContext
 from cairn.runtime.lifecycle import Transition
-from cairn.runtime.runtime import ComponentExit, Runtime, RuntimeOptions
-from cairn.supervision.child import Child, ChildEnd, ChildSpec, Verb
+from cairn.runtime.runtime import Runtime
+from cairn.supervision.child import Child, ChildEnd, ChildRules, Verb
 from cairn.supervision.component import SupervisorComponent
 
 _HEARTBEAT_NS = SECOND
@@ -33,11 +35,11 @@ class LockstepRun:
         self.robot = deployment.robot
         self.simulated = deployment.clock == "simulated"
         self.seed = seed
-        self.end: ComponentExit | None = None
+        self.end: ExitReport | None = None
         self._root = _Place(self, ROOT, "", root_spec(deployment), 1, "", self._note_end)
         self._stopping = False
 
-    def run(self, refresh: Callable[[], None]) -> ComponentExit:
+    def run(self, refresh: Callable[[], None]) -> ExitReport:
         """Run until a significant component ends, all fails, or `stop`; gives how it ended.
 
         `refresh` is called before every event.
@@ -54,7 +56,7 @@ class LockstepRun:
             self.run_until(refreshed)
         finally:
             self.shutdown()
-        return self.end or ComponentExit(False, "the root ended without a word")
+        return self.end or ExitReport(False, "the root ended without a word")
 
     def start(self) -> None:
         """Configure and activate all components.
@@ -105,7 +107,7 @@ class LockstepRun:
                 return place
         raise CairnError(f"{component}: no component of this name runs in lockstep")
 
-    def _note_end(self, end: ComponentExit) -> None:
+    def _note_end(self, end: ExitReport) -> None:
         self.end = end
 
     def _heartbeat(self) -> None:
@@ -121,31 +123,27 @@ class _Place:
         run: LockstepRun,
         name: str,
         parent: str,
-        spec: ComponentSpec,
+        spec: ChildSpec,
         incarnation: int,
         previous_exit: str,
-        on_end: Callable[[ComponentExit], None],
+        on_end: Callable[[ExitReport], None],
     ) -> None:
         self.run = run
         self.spec = spec
         self._scheduler = run.executor.scheduler()
         self._children: list[_LockstepChild] = []
-        options = RuntimeOptions(
+        request = LaunchRequest(
             name=name,
-            plugin=spec.plugin,
-            robot=run.robot,
+            spec=spec,
             parent=parent,
-            placement="lockstep",
-            parameters=spec.parameters,
-            topics=spec.topics,
-            simulated_time=run.simulated,
-            seed=run.seed,
-            restarts=incarnation - 1,
+            incarnation=incarnation,
             previous_exit=previous_exit,
-            children=tuple(spec.children),
+            context=RunContext(
+                robot=run.robot, simulated_time=run.simulated, seed=run.seed, lockstep=True
+            ),
         )
         self.runtime = Runtime(
-            load_plugin(spec.plugin), options, run.bus, self._scheduler, run.executor, on_end
+            load_plugin(spec.plugin), request, run.bus, self._scheduler, run.executor, on_end
         )
         if isinstance(self.runtime.component, SupervisorComponent):
             self.runtime.component.adopt(spec.children, spec.supervision, self, self)
@@ -161,7 +159,7 @@ class _Place:
         """Make no further calls."""
         self._scheduler.stop()
 
-    def launch(self, spec: ChildSpec, incarnation: int, previous_exit: str) -> Child:
+    def launch(self, spec: ChildRules, incarnation: int, previous_exit: str) -> Child:
         """Construct a child."""
         child = _LockstepChild(self, spec.name, incarnation, previous_exit)
         self._children = [other for other in self._children if other.end is None]
@@ -198,7 +196,7 @@ class _Place:
 
 class _LockstepChild:
     def __init__(self, supervisor: _Place, name: str, incarnation: int, previous_exit: str) -> None:
-        self.end: ComponentExit | None = None
+        self.end: ExitReport | None = None
         self._supervisor = supervisor
         spec = supervisor.spec.children[name]
         parent = supervisor.runtime.name
@@ -231,6 +229,6 @@ class _LockstepChild:
             else ChildEnd(False, f"failed: {end.reason}")
         )
 
-    def _note_end(self, end: ComponentExit) -> Any:
+    def _note_end(self, end: ExitReport) -> Any:
         self.end = end
         self._supervisor.child_changed()

@@ -9,12 +9,12 @@ from typing import Any
 
 from cairn.bus.session import open_peer
 from cairn.bus.zenoh_bus import ZenohBus
-from cairn.ending import end_process
 from cairn.errors import CairnError
 from cairn.placement.attendance import Attendance
 from cairn.placement.last_words import closing_words
 from cairn.placement.launchers import TRACEBACK_SIGNAL, Household
-from cairn.placement.order import Order
+from cairn.process_exit import end_process
+from cairn.runtime.launch_request import LaunchRequest
 from cairn.supervision.child_process import WITHOUT_SUCCESS
 
 _SWITCH_INTERVAL_S = 0.0005
@@ -25,14 +25,14 @@ LOG_FORMAT = "%(asctime)s %(levelname)-7s %(name)s: %(message)s"
 
 def main(argument: dict[str, Any]) -> None:
     """Run the component that the order `argument` names until it ends or SIGTERM comes."""
-    order = Order.model_validate(argument)
+    order = LaunchRequest.model_validate(argument)
     logging.basicConfig(level=logging.INFO, format=LOG_FORMAT, stream=sys.stderr)
     faulthandler.register(TRACEBACK_SIGNAL, all_threads=True)
     sys.setswitchinterval(_SWITCH_INTERVAL_S)
     code = 1
     reason = "it could not join the bus"
     try:
-        bus = ZenohBus(open_peer(order.surroundings.endpoints), order.surroundings.domain)
+        bus = ZenohBus(open_peer(order.context.endpoints), order.context.domain)
         try:
             code, reason = _run(Household(order, bus))
         finally:

@@ -15,14 +15,14 @@ from cairn.bus.graph import read_graph
 from cairn.bus.keys import NodeEntity
 from cairn.bus.session import open_client, open_peer, open_router
 from cairn.bus.zenoh_bus import ZenohBus
-from cairn.deployment.model import ROOT, ComponentSpec, Deployment
+from cairn.deployment.model import ROOT, ChildSpec, Deployment
 from cairn.errors import CairnError
 from cairn.placement.attendance import Attendance
 from cairn.placement.launchers import Household
-from cairn.placement.order import Order, Surroundings
 from cairn.placement.service import ServiceManager
+from cairn.process_exit import ExitReport
+from cairn.runtime.launch_request import LaunchRequest, RunContext
 from cairn.runtime.lifecycle import LifecycleState
-from cairn.runtime.runtime import ComponentExit
 from cairn.supervision.component import longest_handler_s
 from cairn.supervision.zygote_process import ZygoteProcess, start_zygote
 
@@ -69,7 +69,7 @@ def run_processes(
     seed: int,
     watch: Callable[[ZenohBus, Callable[[], None]], Onlooker],
     service: ServiceManager | None = None,
-) -> ComponentExit:
+) -> ExitReport:
     """Run a deployment until a significant component ends, it fails, or SIGINT or SIGTERM comes.
 
     `watch(bus, hurry)` returns who looks on; a call of `hurry` has it refreshed soon. `service` is
@@ -113,7 +113,7 @@ def _run(
     onlooker: Onlooker,
     zygote: ZygoteProcess,
     service: ServiceManager,
-) -> ComponentExit:
+) -> ExitReport:
     hosted = household.hosted
     watch = _Watch(onlooker, zygote, attendance)
 
@@ -138,10 +138,10 @@ def _run(
     failed = hosted.end is None or not hosted.end.normal
     # The loss of its connection is noticed a moment before its end.
     if failed and zygote.ends_within(_ZYGOTE_END_S):
-        return ComponentExit(
+        return ExitReport(
             False, "the zygote was killed, and with it every component; nothing is left"
         )
-    return hosted.end or ComponentExit(False, "the root ended without a word")
+    return hosted.end or ExitReport(False, "the root ended without a word")
 
 
 class _Watch:
@@ -183,13 +183,13 @@ class _Watch:
                 self.failure = error
 
 
-def _order(deployment: Deployment, zygote: ZygoteProcess, log_folder: Path, seed: int) -> Order:
-    return Order(
+def _order(
+    deployment: Deployment, zygote: ZygoteProcess, log_folder: Path, seed: int
+) -> LaunchRequest:
+    return LaunchRequest(
         name=ROOT,
-        parent="",
-        incarnation=1,
         spec=root_spec(deployment),
-        surroundings=Surroundings(
+        context=RunContext(
             robot=deployment.robot,
             domain=deployment.domain,
             endpoints=endpoints(deployment),
@@ -201,9 +201,9 @@ def _order(deployment: Deployment, zygote: ZygoteProcess, log_folder: Path, seed
     )
 
 
-def root_spec(deployment: Deployment) -> ComponentSpec:
+def root_spec(deployment: Deployment) -> ChildSpec:
     """The root of the tree as a component."""
-    return ComponentSpec(
+    return ChildSpec(
         plugin=_PLUGIN,
         placement="in_process",
         supervision=deployment.supervision,

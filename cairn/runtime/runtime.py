@@ -7,7 +7,6 @@ import time
 import zlib
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
@@ -17,7 +16,9 @@ from cairn.bus.bus import Bus, Node, full_name
 from cairn.bus.qos import LATCHED
 from cairn.clock import Clock, SimulatedClock, SystemClock, from_ns
 from cairn.errors import CairnError
+from cairn.process_exit import ExitReport
 from cairn.runtime.component import Component
+from cairn.runtime.launch_request import LaunchRequest
 from cairn.runtime.lifecycle import LifecycleState, RecoveryLimit, Transition, target_state
 from cairn.runtime.loop import Scheduler
 from cairn.runtime.parameters import Config, describe_parameters, with_changes
@@ -31,59 +32,29 @@ from cairn.schemas.std_msgs import Header
 SETTLE_LIMIT_S = 2.0
 
 
-@dataclass(frozen=True)
-class RuntimeOptions:
-    """What a component is told about itself by its deployment."""
-
-    name: str
-    plugin: str
-    robot: str = "robot"
-    parent: str = ""
-    placement: str = "process"
-    parameters: Mapping[str, Any] = field(default_factory=dict)
-    topics: Mapping[str, str] = field(default_factory=dict)
-    simulated_time: bool = False
-    seed: int = 0
-    restarts: int = 0
-    previous_exit: str = ""
-    children: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
-class ComponentExit:
-    """How a component ended: normally (it finished, or was told to stop), or by a failure.
-
-    One that finished did so with `success` or without.
-    """
-
-    normal: bool
-    reason: str
-    success: bool = True
-
-
 class Runtime:
     """One running component. Of its methods only `status` and `post` are for any thread."""
 
     def __init__(
         self,
         component: type[Component],
-        options: RuntimeOptions,
+        launch: LaunchRequest,
         bus: Bus,
         scheduler: Scheduler,
         system_clock: Clock,
-        on_end: Callable[[ComponentExit], None],
+        on_end: Callable[[ExitReport], None],
         awake: Callable[[], float] = time.monotonic,
     ) -> None:
         """Construct the component; `CairnError` names it, its plugin and what went wrong.
 
         `awake` is the time [s] by which it is told how long a handler has been at work.
         """
-        self.options = options
-        self.name = options.name
-        self.restarts = options.restarts
-        self.log = logging.getLogger(f"cairn.{options.robot}.{options.name}")
-        self.config = _config(component, options)
-        self.random = np.random.default_rng([options.seed, zlib.crc32(options.name.encode())])
+        self.launch = launch
+        self.name = launch.name
+        self.restarts = launch.restarts
+        self.log = logging.getLogger(f"cairn.{launch.context.robot}.{launch.name}")
+        self.config = _config(component, launch)
+        self.random = np.random.default_rng([launch.context.seed, zlib.crc32(launch.name.encode())])
         self._bus = bus
         self._scheduler = scheduler
         self._system_clock = system_clock
@@ -92,28 +63,28 @@ class Runtime:
         self._state = LifecycleState.UNCONFIGURED
         self._walking: Transition | None = None
         self._busy: tuple[str, float] | None = None
-        self._finishing: ComponentExit | None = None
-        self._reason = f"restarted: {options.previous_exit}" if options.previous_exit else ""
+        self._finishing: ExitReport | None = None
+        self._reason = f"restarted: {launch.previous_exit}" if launch.previous_exit else ""
         self._recoveries = RecoveryLimit()
         if component.clock_source == "device" and (
-            options.simulated_time or not isinstance(system_clock, SystemClock)
+            launch.context.simulated_time or not isinstance(system_clock, SystemClock)
         ):
             raise CairnError(
-                f"{self.name}: plugin {options.plugin} drives a device, which cannot follow "
+                f"{self.name}: plugin {launch.spec.plugin} drives a device, which cannot follow "
                 "simulated time; start the deployment without --lockstep and with `clock: system`, "
                 "or put a simulated driver in its place"
             )
-        simulated = options.simulated_time and component.clock_source == "deployment"
+        simulated = launch.context.simulated_time and component.clock_source == "deployment"
         told = SimulatedClock() if simulated else None
         self.clock: Clock = system_clock if told is None else told
         self._timing = ComponentTimers(self.clock, scheduler, self.log, told=told is not None)
-        self.node = bus.node(full_name(options.robot, options.name), self.log.error)
+        self.node = bus.node(full_name(launch.context.robot, launch.name), self.log.error)
         try:
             self._construct(component, told)
         except (Exception, SystemExit) as error:
             self.node.close()
             raise CairnError(
-                f"{self.name}: plugin {options.plugin} cannot be constructed: {_text(error)}"
+                f"{self.name}: plugin {launch.spec.plugin} cannot be constructed: {_text(error)}"
             ) from error
 
     @property
@@ -133,7 +104,7 @@ class Runtime:
 
     def finish(self, reason: str, *, success: bool = True) -> None:
         """End normally once the current handler returns."""
-        self._finishing = ComponentExit(True, reason or "finished", success)
+        self._finishing = ExitReport(True, reason or "finished", success)
 
     def transition(self, transition: Transition) -> None:
         """Walk one step of the life cycle.
@@ -154,7 +125,7 @@ class Runtime:
             self._walking = None
         self._state = end
         if transition is Transition.SHUTDOWN:
-            self._ended(self._finishing or ComponentExit(True, "shut down"))
+            self._ended(self._finishing or ExitReport(True, "shut down"))
         else:
             self.heartbeat.publish()
             self._finish_if_asked()
@@ -211,16 +182,16 @@ class Runtime:
         return ComponentStatus(
             header=Header(stamp=from_ns(self._system_clock.now()), frame_id=""),
             component=self.name,
-            plugin=self.options.plugin,
-            parent=self.options.parent,
-            placement=self.options.placement,
+            plugin=self.launch.spec.plugin,
+            parent=self.launch.parent,
+            placement=self.launch.placement,
             state=self._state.value,
             pid=os.getpid(),
             handler=busy[0] if busy else "",
             handler_s=self._awake() - busy[1] if busy else 0.0,
-            restarts=self.options.restarts,
+            restarts=self.restarts,
             reason=wire_safe_text(self._reason),
-            children=self.options.children,
+            children=tuple(self.launch.spec.children),
             ports=self._ports.status(),
         )
 
@@ -232,7 +203,7 @@ class Runtime:
     def _construct(self, component: type[Component], told: SimulatedClock | None) -> None:
         self.component = component(self)
         self.component.config = self.config
-        robot, topics = self.options.robot, self.options.topics
+        robot, topics = self.launch.context.robot, self.launch.spec.topics
         self._ports = PortTable(self.component, self, self.node, self._scheduler, robot, topics)
         self._clock_input: ClockInput | None = None
         if told is not None:
@@ -319,7 +290,7 @@ class Runtime:
             self.heartbeat.publish()
             return True
         self._state = LifecycleState.FINALIZED
-        self._ended(ComponentExit(False, self._reason))
+        self._ended(ExitReport(False, self._reason))
         return False
 
     def _explained(self, error: Exception) -> str:
@@ -340,7 +311,7 @@ class Runtime:
         else:
             self.log.info("recovered")
 
-    def _ended(self, end: ComponentExit) -> None:
+    def _ended(self, end: ExitReport) -> None:
         self._reason = end.reason
         try:
             self.heartbeat.publish()
@@ -358,11 +329,11 @@ class _Failure(Exception):  # noqa: N818 - carries the component's own error and
         self.error = error
 
 
-def _config(component: type[Component], options: RuntimeOptions) -> Config:
+def _config(component: type[Component], launch: LaunchRequest) -> Config:
     try:
-        return component.config_class().model_validate(dict(options.parameters))
+        return component.config_class().model_validate(dict(launch.spec.parameters))
     except ValueError as error:
-        raise CairnError(f"{options.name}: parameters refused: {error}") from error
+        raise CairnError(f"{launch.name}: parameters refused: {error}") from error
 
 
 def _text(error: BaseException) -> str:

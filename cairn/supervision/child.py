@@ -19,7 +19,7 @@ class Accident(CairnError):  # noqa: N818 - what befell the child
 
 
 @dataclass(frozen=True)
-class ChildSpec:
+class ChildRules:
     """How a supervisor is to keep one child running; time limits in seconds."""
 
     name: str
@@ -69,7 +69,7 @@ class Child(Protocol):
 class Launcher(Protocol):
     """Starts components."""
 
-    def launch(self, spec: ChildSpec, incarnation: int, previous_exit: str) -> Child:
+    def launch(self, spec: ChildRules, incarnation: int, previous_exit: str) -> Child:
         """Start a child for the `incarnation`th time (from 1), and give it once it takes requests.
 
         `previous_exit` says in words how the incarnation before ended, "" for the first.

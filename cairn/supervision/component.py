@@ -8,12 +8,12 @@ from typing import Any, ClassVar, Literal, Protocol
 import psutil
 
 from cairn.bus.qos import LATCHED
-from cairn.deployment.model import ComponentSpec, Supervision
+from cairn.deployment.model import ChildSpec, Supervision
 from cairn.errors import CairnError
 from cairn.runtime.component import Component
 from cairn.runtime.ports import In, every, on
 from cairn.schemas.cairn_msgs import ComponentStatus
-from cairn.supervision.child import ChildSpec, Launcher
+from cairn.supervision.child import ChildRules, Launcher
 from cairn.supervision.events import ChildStatus, SupervisionEvent
 from cairn.supervision.policy import Intensity
 from cairn.supervision.supervisor import Escalate, Supervisor
@@ -67,7 +67,7 @@ class SupervisorComponent(Component):
 
     def adopt(
         self,
-        specs: Mapping[str, ComponentSpec],
+        specs: Mapping[str, ChildSpec],
         supervision: Supervision,
         launcher: Launcher,
         host: Host,
@@ -201,7 +201,7 @@ class SupervisorComponent(Component):
                 self.log.debug("%s %s %s", event.child, event.what, reason)
 
 
-def child_spec(name: str, spec: ComponentSpec) -> ChildSpec:
+def child_spec(name: str, spec: ChildSpec) -> ChildRules:
     """A component of the deployment as its supervisor's engine sees it.
 
     A supervisor with something significant below it is significant itself: its normal end, which
@@ -209,7 +209,7 @@ def child_spec(name: str, spec: ComponentSpec) -> ChildSpec:
     whom it starts and stops one after the other.
     """
     inherits = any(child_spec(*child).significant for child in spec.children.items())
-    return ChildSpec(
+    return ChildRules(
         name=name,
         restart="transient" if inherits and spec.restart == "permanent" else spec.restart,
         significant=spec.significant or inherits,
@@ -219,22 +219,22 @@ def child_spec(name: str, spec: ComponentSpec) -> ChildSpec:
     )
 
 
-def _start_limit_s(spec: ComponentSpec) -> float:
+def _start_limit_s(spec: ChildSpec) -> float:
     below = (_start_limit_s(child) for child in spec.children.values() if child.load == "at_start")
     return spec.start_timeout_s + sum(below)
 
 
-def _stop_limit_s(spec: ComponentSpec) -> float:
+def _stop_limit_s(spec: ChildSpec) -> float:
     below = (_stop_limit_s(child) + _FORCE_S for child in spec.children.values())
     return spec.stop_timeout_s + sum(below)
 
 
-def longest_handler_s(spec: ComponentSpec) -> float:
+def longest_handler_s(spec: ChildSpec) -> float:
     """How long one handler of a component may last before it is taken for hung [s]."""
     return spec.hang_timeout_s + _longest_step_s(spec)
 
 
-def _longest_step_s(spec: ComponentSpec) -> float:
+def _longest_step_s(spec: ChildSpec) -> float:
     """The longest that a supervisor may be busy with one of its children, 0 for others."""
     children = spec.children.values()
     return max((max(_start_limit_s(child), _stop_limit_s(child)) for child in children), default=0)

@@ -8,7 +8,7 @@ from cairn.supervision.child import (
     Accident,
     Child,
     ChildEnd,
-    ChildSpec,
+    ChildRules,
     Launcher,
     LauncherLost,
     Verb,
@@ -36,7 +36,7 @@ class Slot:
 
     def __init__(
         self,
-        spec: ChildSpec,
+        spec: ChildRules,
         launcher: Launcher,
         observe: Callable[[SupervisionEvent], None],
         progress: Callable[[str, float], None],

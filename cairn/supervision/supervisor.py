@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import NoReturn
 
 from cairn.errors import CairnError
-from cairn.supervision.child import ChildEnd, ChildSpec, Launcher
+from cairn.supervision.child import ChildEnd, ChildRules, Launcher
 from cairn.supervision.events import ChildStatus, SupervisionEvent, What
 from cairn.supervision.policy import (
     ChildPolicy,
@@ -48,7 +48,7 @@ class Supervisor:
     def __init__(
         self,
         name: str,
-        children: Sequence[ChildSpec],
+        children: Sequence[ChildRules],
         launcher: Launcher,
         *,
         observe: Callable[[SupervisionEvent], None],

@@ -35,13 +35,15 @@ from cairn.bus.lockstep_bus import (
 from cairn.bus.qos import RELIABLE, Qos
 from cairn.clock import SECOND
 from cairn.deployment.load import load_deployment
-from cairn.deployment.model import Deployment
+from cairn.deployment.model import ChildSpec, Deployment
 from cairn.placement.lockstep import LockstepExecutor
 from cairn.placement.lockstep_run import LockstepRun
+from cairn.process_exit import ExitReport
 from cairn.runtime.component import Component
+from cairn.runtime.launch_request import LaunchRequest, RunContext
 from cairn.runtime.lifecycle import LifecycleState
 from cairn.runtime.ports import ports_of
-from cairn.runtime.runtime import ComponentExit, Runtime, RuntimeOptions
+from cairn.runtime.runtime import Runtime
 
 C = TypeVar("C", bound=Component)
 M = TypeVar("M")
@@ -194,7 +196,12 @@ class ComponentHarness(Lockstep, Generic[C]):
         start_s: float = 0.0,
         beside: Lockstep | None = None,
         activate: bool = True,
-        **options: Any,
+        name: str = "component",
+        topics: Mapping[str, str] | None = None,
+        robot: str = "robot",
+        simulated_time: bool = False,
+        seed: int = 0,
+        restarts: int = 0,
     ) -> None:
         """Construct the component with its parameters; configure and activate it.
 
@@ -204,25 +211,32 @@ class ComponentHarness(Lockstep, Generic[C]):
             start_s: virtual time at the beginning [s].
             beside: share the bus and the time of another harness.
             activate: False leaves the component unconfigured; see `activate` and `request`.
-            options: other fields of `RuntimeOptions`, such as `name`, `topics` or `seed`.
+            name: name of the component.
+            topics: topics of its ports, where they differ from the ports' names.
+            robot: namespace of its topics.
+            simulated_time: whether it takes its time from the topic `clock`.
+            seed: seed of its random numbers.
+            restarts: how many times it has been restarted before.
 
         Raises `CairnError` if the component cannot be constructed, configured or activated.
         """
-        settings = RuntimeOptions(
-            **{
-                "name": "component",
-                "plugin": f"{component.__module__}:{component.__qualname__}",
-                "parameters": parameters or {},
-                **options,
-            }
+        settings = LaunchRequest(
+            name=name,
+            spec=ChildSpec(
+                plugin=f"{component.__module__}:{component.__qualname__}",
+                parameters=dict(parameters or {}),
+                topics=dict(topics or {}),
+            ),
+            incarnation=1 + restarts,
+            context=RunContext(robot=robot, simulated_time=simulated_time, seed=seed),
         )
         if beside is None:
-            super().__init__(start_s, robot=settings.robot)
+            super().__init__(start_s, robot=robot)
         else:
-            super().__init__(robot=settings.robot, executor=beside.executor, bus=beside.bus)
+            super().__init__(robot=robot, executor=beside.executor, bus=beside.bus)
         self.published: list[tuple[str, int]] = []
-        self.ends: list[ComponentExit] = []
-        self._topics = {name: settings.topics.get(name, name) for name in ports_of(component)}
+        self.ends: list[ExitReport] = []
+        self._topics = {name: settings.spec.topics.get(name, name) for name in ports_of(component)}
         self._inputs = {
             name: port for name, port in ports_of(component).items() if port.direction == "in"
         }
@@ -255,7 +269,7 @@ class ComponentHarness(Lockstep, Generic[C]):
         return self.runtime.state
 
     @property
-    def end(self) -> ComponentExit | None:
+    def end(self) -> ExitReport | None:
         """How it ended, None while it runs."""
         return self.ends[0] if self.ends else None
 
@@ -318,7 +332,7 @@ class DeploymentHarness(Lockstep):
         self._started = False
 
     @property
-    def end(self) -> ComponentExit | None:
+    def end(self) -> ExitReport | None:
         """How the deployment ended, None while it runs."""
         return self.run.end
 
@@ -345,7 +359,7 @@ class DeploymentHarness(Lockstep):
         self.start()
         super().publish(topic, *messages, qos=qos, handled=handled)
 
-    def run_to_end(self, limit_s: float = 3600.0) -> ComponentExit:
+    def run_to_end(self, limit_s: float = 3600.0) -> ExitReport:
         """Let virtual time advance until the deployment ends by itself; return how it ended.
 
         Raises `AssertionError` if it does not end within `limit_s` [s] of virtual time.

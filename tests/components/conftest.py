@@ -9,10 +9,13 @@ import pytest
 from cairn import SECOND, Component, Qos
 from cairn.bus.bus import full_name
 from cairn.bus.lockstep_bus import LockstepBus
+from cairn.deployment.model import ChildSpec
 from cairn.placement.lockstep import LockstepExecutor
+from cairn.process_exit import ExitReport
+from cairn.runtime.launch_request import LaunchRequest
 from cairn.runtime.lifecycle import Transition
 from cairn.runtime.ports import ports_of
-from cairn.runtime.runtime import ComponentExit, Runtime, RuntimeOptions
+from cairn.runtime.runtime import Runtime
 
 DATASET = Path(__file__).parents[1] / "data" / "mrclam" / "MRCLAM_Dataset6"
 MANY = Qos("reliable", "transient_local", 100_000)
@@ -24,12 +27,12 @@ class Stage:
     def __init__(self, component: type[Component], start_s: float, **parameters: Any) -> None:
         self.executor = LockstepExecutor(round(start_s * SECOND))
         self.bus = LockstepBus()
-        self.ends: list[ComponentExit] = []
+        self.ends: list[ExitReport] = []
         self._ports = ports_of(component)
         self._outside = self.bus.node("/robot/outside", pytest.fail)
         self.runtime = Runtime(
             component,
-            RuntimeOptions(name="it", plugin="it", parameters=parameters),
+            LaunchRequest(name="it", spec=ChildSpec(plugin="it", parameters=parameters)),
             self.bus,
             self.executor.scheduler(),
             self.executor,

@@ -10,7 +10,7 @@ from typing import Any
 
 from cairn import CairnError
 from cairn.deployment.load import load_deployment
-from cairn.deployment.model import ComponentSpec, Deployment
+from cairn.deployment.model import ChildSpec, Deployment
 from cairn.deployment.plugins import load_plugin
 from cairn.runtime.ports import PortSpec, ports_of
 from cairn.tools.experiments.methods import Method
@@ -85,7 +85,7 @@ def planned(plan: Plan, series: Path, scratch: Path) -> Deployment:
     return load_deployment(plan.deployment, (*plan.overlays, overlay), sets)
 
 
-def _member(deployment: Deployment, name: str) -> ComponentSpec:
+def _member(deployment: Deployment, name: str) -> ChildSpec:
     try:
         return deployment.member(name).spec
     except KeyError:
@@ -113,7 +113,7 @@ def _observer(plugin: str, file: Path, topics: Mapping[str, str]) -> dict[str, A
 
 
 def _shadow(
-    method: Method, localizer: ComponentSpec, map_builder: ComponentSpec, series: Path, files: Path
+    method: Method, localizer: ChildSpec, map_builder: ChildSpec, series: Path, files: Path
 ) -> dict[str, Any]:
     """A pair and its observer; what the pair tells goes on topics of its own."""
     name = method.name
@@ -130,7 +130,7 @@ def _shadow(
 
 
 def _copy(
-    spec: ComponentSpec, parameters: Mapping[str, Any], own: set[str], name: str
+    spec: ChildSpec, parameters: Mapping[str, Any], own: set[str], name: str
 ) -> dict[str, Any]:
     """The same component with other parameters, and those ports on topics below `name`."""
     kept = {key: value for key, value in spec.parameters.items() if key not in _OF_THE_DRIVER}
@@ -142,7 +142,7 @@ def _copy(
     }
 
 
-def _outputs(spec: ComponentSpec) -> set[str]:
+def _outputs(spec: ChildSpec) -> set[str]:
     return {port for port, its in _ports(spec.plugin).items() if its.direction == "out"}
 
 

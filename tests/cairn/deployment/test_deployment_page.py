@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from cairn.deployment.load import load_deployment
-from cairn.deployment.model import BusSettings, ComponentSpec, Deployment, Supervision
+from cairn.deployment.model import BusSettings, ChildSpec, Deployment, Supervision
 from cairn.deployment.problems import DeploymentError
 
 Write = Callable[..., Path]
@@ -65,7 +65,7 @@ def test_the_problems_are_those_on_the_page() -> None:
     [
         (Deployment.model_fields.keys() - {"bus"}, ""),
         (BusSettings.model_fields.keys(), "bus."),
-        (ComponentSpec.model_fields.keys() - {"supervision"}, ""),
+        (ChildSpec.model_fields.keys() - {"supervision"}, ""),
         (Supervision.model_fields.keys(), "supervision."),
     ],
 )

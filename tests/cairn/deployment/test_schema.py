@@ -24,7 +24,7 @@ def test_every_key_is_described_and_no_other_is_allowed() -> None:
 
 
 def test_a_setting_may_stand_for_any_value_that_is_not_a_section() -> None:
-    component = json_schema()["$defs"]["ComponentSpec"]["properties"]
+    component = json_schema()["$defs"]["ChildSpec"]["properties"]
 
     reference = {"$ref": "#/$defs/Reference"}
     for name in ("start_timeout_s", "restart", "significant"):

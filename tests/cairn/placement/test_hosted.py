@@ -7,9 +7,9 @@ import pytest
 from cairn import CairnError, Component, every
 from cairn.bus.session import open_router
 from cairn.bus.zenoh_bus import ZenohBus
-from cairn.deployment.model import ComponentSpec
+from cairn.deployment.model import ChildSpec
 from cairn.placement.hosted import Hosted
-from cairn.placement.order import Order, Surroundings
+from cairn.runtime.launch_request import LaunchRequest, RunContext
 from cairn.testing.launching import LIMIT_S, free_port
 
 
@@ -46,20 +46,11 @@ def bus(endpoint: str) -> Iterator[ZenohBus]:
 
 def hosted(bus: ZenohBus, endpoint: str, component: type[Component]) -> Hosted:
     host = Hosted(
-        Order(
+        LaunchRequest(
             name="thing",
+            spec=ChildSpec(plugin=f"{__name__}:{component.__name__}"),
             parent="root",
-            incarnation=1,
-            spec=ComponentSpec(plugin=f"{__name__}:{component.__name__}"),
-            surroundings=Surroundings(
-                robot="robot",
-                domain=0,
-                endpoints=(endpoint,),
-                simulated_time=False,
-                seed=0,
-                zygote="",
-                log_folder="",
-            ),
+            context=RunContext(endpoints=(endpoint,)),
         ),
         bus,
     )

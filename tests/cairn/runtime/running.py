@@ -9,23 +9,46 @@ from cairn import LATCHED, RELIABLE, Component, Qos
 from cairn.bus.bus import Bus, full_name
 from cairn.bus.lockstep_bus import LockstepBus, LockstepSubscription
 from cairn.clock import SystemClock
+from cairn.deployment.model import ChildSpec
 from cairn.placement.lockstep import LockstepExecutor
+from cairn.process_exit import ExitReport
+from cairn.runtime.launch_request import LaunchRequest, RunContext
 from cairn.runtime.loop import ThreadLoop
-from cairn.runtime.runtime import ComponentExit, Runtime, RuntimeOptions
+from cairn.runtime.runtime import Runtime
 from tests.patience import LIMIT_S
 
 C = TypeVar("C", bound=Component)
 
 
+def launch_request(
+    *,
+    name: str = "part",
+    plugin: str = "test",
+    parameters: dict[str, Any] | None = None,
+    topics: dict[str, str] | None = None,
+    parent: str = "",
+    restarts: int = 0,
+    **context: Any,
+) -> LaunchRequest:
+    """The request to start a component of a test; `context` are fields of `RunContext`."""
+    return LaunchRequest(
+        name=name,
+        spec=ChildSpec(plugin=plugin, parameters=parameters or {}, topics=topics or {}),
+        parent=parent,
+        incarnation=1 + restarts,
+        context=RunContext(**context),
+    )
+
+
 class Threaded:
     """A component on a thread of its own."""
 
-    def __init__(self, component: type[Component], bus: Bus, /, **options: Any) -> None:
+    def __init__(self, component: type[Component], bus: Bus, /, **launch: Any) -> None:
         self.loop = ThreadLoop()
         self.ended = threading.Event()
-        self.end: ComponentExit | None = None
-        assigned = RuntimeOptions(**({"name": "part", "plugin": "test"} | options))
-        self.runtime = Runtime(component, assigned, bus, self.loop, SystemClock(), self._note)
+        self.end: ExitReport | None = None
+        request = launch_request(**launch)
+        self.runtime = Runtime(component, request, bus, self.loop, SystemClock(), self._note)
         self.thread = threading.Thread(target=self.loop.run)
         self.thread.start()
 
@@ -54,7 +77,7 @@ class Threaded:
         self.thread.join(LIMIT_S)
         assert not self.thread.is_alive()
 
-    def _note(self, end: ComponentExit) -> None:
+    def _note(self, end: ExitReport) -> None:
         self.end = end
         self.ended.set()
 
@@ -67,9 +90,9 @@ class Lockstep:
         self.bus = LockstepBus()
         self.observer = self.bus.node("/observer", _ignore)
 
-    def add(self, component: type[C], /, **options: Any) -> "Placed[C]":
+    def add(self, component: type[C], /, **launch: Any) -> "Placed[C]":
         """One more component, unconfigured."""
-        return Placed(self, component, **options)
+        return Placed(self, component, **launch)
 
     def read(self, topic: str, message: type[Any], qos: Qos = RELIABLE) -> LockstepSubscription:
         """All that is published on a topic from now on."""
@@ -105,11 +128,11 @@ class Lockstep:
 class Placed(Generic[C]):
     """A component in lockstep."""
 
-    def __init__(self, lockstep: Lockstep, component: type[C], /, **options: Any) -> None:
-        self.ends: list[ComponentExit] = []
-        assigned = RuntimeOptions(**({"name": "part", "plugin": "test"} | options))
+    def __init__(self, lockstep: Lockstep, component: type[C], /, **launch: Any) -> None:
+        self.ends: list[ExitReport] = []
+        request = launch_request(**launch)
         self.runtime = Runtime(
-            component, assigned, lockstep.bus, lockstep.executor.scheduler(), lockstep.executor,
+            component, request, lockstep.bus, lockstep.executor.scheduler(), lockstep.executor,
             self.ends.append,
         )  # fmt: skip
 

@@ -5,8 +5,8 @@ from typing import Any
 import pytest
 
 from cairn import SECOND, CairnError
+from cairn.process_exit import ExitReport
 from cairn.runtime.component import ComponentContext
-from cairn.runtime.runtime import ComponentExit
 from cairn.schemas.std_msgs import String
 from tests.cairn.runtime.part import BOOM, STEPS, Part, failing, word
 from tests.cairn.runtime.running import Lockstep, taken
@@ -39,7 +39,7 @@ def test_a_step_that_fails_ends_the_component_and_says_why(lockstep: Lockstep, s
 
     assert part.component.calls[-2:] == [step, "error boom"]
     assert part.state == "finalized"
-    assert part.ends == [ComponentExit(False, f"on_{step}: {BOOM}")]
+    assert part.ends == [ExitReport(False, f"on_{step}: {BOOM}")]
 
 
 @pytest.mark.parametrize("step", STEPS[:-1])
@@ -67,7 +67,7 @@ def test_a_shutdown_that_fails_is_an_end_nevertheless(lockstep: Lockstep) -> Non
     with pytest.raises(CairnError, match="shutdown failed"):
         part.ask("shutdown")
 
-    assert (part.state, part.ends) == ("finalized", [ComponentExit(False, f"on_shutdown: {BOOM}")])
+    assert (part.state, part.ends) == ("finalized", [ExitReport(False, f"on_shutdown: {BOOM}")])
 
 
 def test_a_handler_that_fails_ends_the_component(lockstep: Lockstep) -> None:
@@ -77,7 +77,7 @@ def test_a_handler_that_fails_ends_the_component(lockstep: Lockstep) -> None:
     lockstep.run()
 
     assert part.component.calls == ["configure", "activate", "hear a", "error boom"]
-    assert part.ends == [ComponentExit(False, f"hear (port word): {BOOM}")]
+    assert part.ends == [ExitReport(False, f"hear (port word): {BOOM}")]
 
 
 def test_on_error_may_fail_as_well(lockstep: Lockstep) -> None:
@@ -86,7 +86,7 @@ def test_on_error_may_fail_as_well(lockstep: Lockstep) -> None:
     lockstep.publish("word", word("a"))
     lockstep.run()
 
-    assert part.ends == [ComponentExit(False, f"hear (port word): {BOOM}")]
+    assert part.ends == [ExitReport(False, f"hear (port word): {BOOM}")]
 
 
 def test_who_recovers_works_on_anew(lockstep: Lockstep) -> None:
@@ -112,7 +112,7 @@ def test_recovering_has_a_limit(lockstep: Lockstep) -> None:
         lockstep.publish("word", word("a"))
         lockstep.run_until(lockstep.executor.now() + SECOND)
 
-    assert part.ends == [ComponentExit(False, f"hear (port word): {BOOM}")]
+    assert part.ends == [ExitReport(False, f"hear (port word): {BOOM}")]
 
 
 def test_recovering_now_and_then_has_none(lockstep: Lockstep) -> None:
@@ -134,7 +134,7 @@ def test_a_recovery_that_fails_is_tried_again_until_it_is_too_often(lockstep: Lo
     lockstep.run()
 
     assert part.component.calls.count("configure") == 4
-    assert part.ends == [ComponentExit(False, f"on_configure: {BOOM}")]
+    assert part.ends == [ExitReport(False, f"on_configure: {BOOM}")]
 
 
 def test_finishing_is_a_normal_end_behind_what_waits_already(lockstep: Lockstep) -> None:
@@ -148,7 +148,7 @@ def test_finishing_is_a_normal_end_behind_what_waits_already(lockstep: Lockstep)
     assert part.component.calls[2:] == [
         "hear finish", "hear waiting", "deactivate", "cleanup", "shutdown"
     ]  # fmt: skip
-    assert part.ends == [ComponentExit(True, "all is said")]
+    assert part.ends == [ExitReport(True, "all is said")]
 
 
 @pytest.mark.parametrize("step", ["configure", "activate", "deactivate"])
@@ -163,7 +163,7 @@ def test_finishing_in_a_step_ends_the_component_behind_it(lockstep: Lockstep, st
     for one in STEPS[: STEPS.index(step) + 1]:
         part.ask(one)
 
-    assert part.ends == [ComponentExit(True, "enough")]
+    assert part.ends == [ExitReport(True, "enough")]
     assert part.component.calls.count("shutdown") == 1
     assert part.component.calls.count("deactivate") <= 1
 
@@ -178,7 +178,7 @@ def test_finishing_in_the_answer_to_a_request_ends_the_component(lockstep: Locks
     part.activate()
 
     assert part.ask("leave") == "yes"
-    assert part.ends == [ComponentExit(True, "told to leave")]
+    assert part.ends == [ExitReport(True, "told to leave")]
 
 
 def test_who_finishes_and_fails_has_failed(lockstep: Lockstep) -> None:
@@ -203,7 +203,7 @@ def test_finishing_while_the_last_messages_are_handled_ends_it_once(lockstep: Lo
     assert part.component.calls == [
         "configure", "activate", "hear finish", "deactivate", "cleanup", "shutdown"
     ]  # fmt: skip
-    assert (part.state, part.ends) == ("finalized", [ComponentExit(True, "all is said")])
+    assert (part.state, part.ends) == ("finalized", [ExitReport(True, "all is said")])
 
 
 @pytest.mark.parametrize("step", ["deactivate", "shutdown"])
@@ -220,7 +220,7 @@ def test_failing_while_the_last_messages_are_handled_fails_the_step(
     assert part.component.calls == ["configure", "activate", "hear a", "error boom"]
     assert (part.state, part.ends) == (
         "finalized",
-        [ComponentExit(False, f"hear (port word): {BOOM}")],
+        [ExitReport(False, f"hear (port word): {BOOM}")],
     )
 
 
@@ -230,7 +230,7 @@ def test_a_finish_whose_shutdown_fails_is_one_failure(lockstep: Lockstep) -> Non
     lockstep.publish("word", word("finish"))
     lockstep.run()
 
-    assert part.ends == [ComponentExit(False, f"on_shutdown: {BOOM}")]
+    assert part.ends == [ExitReport(False, f"on_shutdown: {BOOM}")]
 
 
 def test_calling_exit_is_a_failure_like_others(lockstep: Lockstep) -> None:

@@ -5,7 +5,7 @@ import logging
 import pytest
 
 from cairn import SECOND, CairnError, every
-from cairn.runtime.runtime import ComponentExit
+from cairn.process_exit import ExitReport
 from cairn.schemas.cairn_msgs import ComponentStatus
 from cairn.schemas.std_msgs import String
 from tests.cairn.runtime.part import BOOM, STEPS, Part, failing, word
@@ -23,7 +23,7 @@ def test_the_whole_life(lockstep: Lockstep) -> None:
         "unconfigured", "inactive", "active", "inactive", "unconfigured", "finalized"
     ]  # fmt: skip
     assert part.component.calls == list(STEPS)
-    assert part.ends == [ComponentExit(True, "shut down")]
+    assert part.ends == [ExitReport(True, "shut down")]
 
 
 @pytest.mark.parametrize(
@@ -45,7 +45,7 @@ def test_a_shutdown_from_any_state_gives_back_all_that_was_taken(
         part.ask(step)
 
     assert part.component.calls == calls
-    assert part.ends == [ComponentExit(True, "shut down")]
+    assert part.ends == [ExitReport(True, "shut down")]
 
 
 def test_a_step_that_does_not_begin_here_is_refused_and_changes_nothing(lockstep: Lockstep) -> None:

@@ -8,8 +8,8 @@ import pytest
 
 from cairn import every, on
 from cairn.bus.lockstep_bus import LockstepBus
+from cairn.process_exit import ExitReport
 from cairn.runtime.component import ComponentContext
-from cairn.runtime.runtime import ComponentExit
 from cairn.schemas.std_msgs import String
 from tests.cairn.runtime.base import Base, word
 from tests.cairn.runtime.running import Threaded
@@ -105,4 +105,4 @@ def test_a_component_that_finishes_ends_its_thread() -> None:
     assert part.ended.wait(LIMIT_S)
     part.thread.join(LIMIT_S)
     assert not part.thread.is_alive()
-    assert part.end == ComponentExit(True, "nothing to do")
+    assert part.end == ExitReport(True, "nothing to do")

@@ -6,8 +6,10 @@ import pytest
 
 from cairn import SECOND, CairnError, Component, In, every, from_ns, on
 from cairn.bus.lockstep_bus import LockstepBus
+from cairn.deployment.model import ChildSpec
 from cairn.runtime.component import ComponentContext
-from cairn.runtime.runtime import Runtime, RuntimeOptions
+from cairn.runtime.launch_request import LaunchRequest
+from cairn.runtime.runtime import Runtime
 from cairn.schemas.rosgraph_msgs import Clock
 from cairn.schemas.std_msgs import String
 from tests.cairn.runtime.running import Lockstep, Placed
@@ -104,10 +106,8 @@ def test_when_time_is_set_back_a_scheduled_call_waits_for_its_time(lockstep: Loc
 
 def test_a_clock_of_the_system_that_is_set_back_stops_nothing() -> None:
     settable = Settable()
-    part = Runtime(
-        Part, RuntimeOptions(name="part", plugin="test"), LockstepBus(), settable, settable,
-        lambda _: None,
-    )  # fmt: skip
+    launch = LaunchRequest(name="part", spec=ChildSpec(plugin="test"))
+    part = Runtime(Part, launch, LockstepBus(), settable, settable, lambda _: None)
     part.request("configure", {})
     part.request("activate", {})
     for time in (1000.0, 1000.1, 3.0, 3.1, 3.2):

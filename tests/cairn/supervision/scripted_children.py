@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from cairn import CairnError
-from cairn.supervision.child import Accident, ChildEnd, ChildSpec, Verb
+from cairn.supervision.child import Accident, ChildEnd, ChildRules, Verb
 from cairn.supervision.events import SupervisionEvent
 from cairn.supervision.policy import Intensity, Strategy
 from cairn.supervision.supervisor import Supervisor
@@ -96,7 +96,7 @@ class World:
         """What a child does at each step, by incarnation; further ones do well."""
         self.scripts[name] = list(incarnations)
 
-    def launch(self, spec: ChildSpec, incarnation: int, previous_exit: str) -> ScriptedChild:
+    def launch(self, spec: ChildRules, incarnation: int, previous_exit: str) -> ScriptedChild:
         self.steps.append(f"launch {spec.name}")
         scripts = self.scripts.get(spec.name, [])
         script = scripts[incarnation - 1] if incarnation <= len(scripts) else {}
@@ -119,7 +119,7 @@ class World:
 
     def supervisor(
         self,
-        *children: ChildSpec | str,
+        *children: ChildRules | str,
         strategy: Strategy = "one_for_one",
         intensity: Intensity | None = None,
     ) -> Supervisor:
@@ -129,7 +129,7 @@ class World:
 
         return Supervisor(
             "mobile_supervisor",
-            [ChildSpec(child) if isinstance(child, str) else child for child in children],
+            [ChildRules(child) if isinstance(child, str) else child for child in children],
             self,
             observe=self.events.append,
             progress=progress,

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from cairn import CairnError
-from cairn.supervision.child import ChildEnd, ChildSpec, Verb
+from cairn.supervision.child import ChildEnd, ChildRules, Verb
 from cairn.supervision.child_process import ChildExit, ChildProcess
 from cairn.supervision.events import SupervisionEvent
 from cairn.supervision.policy import Intensity
@@ -56,7 +56,7 @@ class ProcessChild:
 class Household:
     """A supervisor with its connection to the zygote, and the loop that drives it."""
 
-    def __init__(self, name: str, children: list[ChildSpec], argument: dict[str, Any]) -> None:
+    def __init__(self, name: str, children: list[ChildRules], argument: dict[str, Any]) -> None:
         self.name = name
         self.argument = argument
         self.happened: queue.SimpleQueue[ChildExit | ZygoteLost | None] = queue.SimpleQueue()
@@ -70,7 +70,7 @@ class Household:
             intensity=Intensity(2, 60.0),
         )
 
-    def launch(self, spec: ChildSpec, incarnation: int, previous_exit: str) -> ProcessChild:
+    def launch(self, spec: ChildRules, incarnation: int, previous_exit: str) -> ProcessChild:
         argument = {**self.argument, "name": spec.name, "controls": self.controls.path}
         argument["incarnation"] = incarnation
         entry = f"{MODULE}:{ENTRIES[spec.name]}"
@@ -112,7 +112,7 @@ def base(argument: dict[str, Any]) -> None:
 
 def supervise(argument: dict[str, Any]) -> None:
     """Supervise two components, whether or not anything is requested, until shut down."""
-    children = [ChildSpec("localizer"), ChildSpec("planner")]
+    children = [ChildRules("localizer"), ChildRules("planner")]
     household = Household("mobile", children, dict(argument))
     signal.signal(signal.SIGTERM, lambda *_: household.happened.put(None))
     household.connect(Path(argument["zygote"]))
@@ -138,7 +138,7 @@ def main() -> int:
     """The root: arguments are a directory and the path of the test's socket."""
     directory, reports = Path(sys.argv[1]), sys.argv[2]
     argument = {"directory": str(directory), "reports": reports, "log": str(directory / "log")}
-    children = [ChildSpec("base"), ChildSpec("mobile", stop_timeout_s=0.2)]
+    children = [ChildRules("base"), ChildRules("mobile", stop_timeout_s=0.2)]
     household = Household("root", children, argument)
 
     def stop(*_: object) -> None:

@@ -2,7 +2,7 @@
 
 import pytest
 
-from cairn.supervision.child import ChildEnd, ChildSpec, LauncherLost
+from cairn.supervision.child import ChildEnd, ChildRules, LauncherLost
 from cairn.supervision.policy import Intensity
 from cairn.supervision.supervisor import Escalate, StartFailed
 
@@ -148,7 +148,7 @@ def test_a_child_that_keeps_dying_while_it_starts_escalates(world: World) -> Non
 
 def test_a_start_that_does_not_end_in_time_is_a_failed_start(world: World) -> None:
     world.script("base", {"launch": takes(8.0), "configure": does_not_answer})
-    supervisor = world.supervisor(ChildSpec("base", start_timeout_s=20.0))
+    supervisor = world.supervisor(ChildRules("base", start_timeout_s=20.0))
     supervisor.start_all()
     assert ("start_failed", "base did not answer within 12 s") in world.told("base")
     assert supervisor.status()[0].state == "active"
@@ -205,7 +205,7 @@ def test_stopping_goes_on_past_a_child_that_fails_to(world: World) -> None:
 
 def test_a_child_that_does_not_stop_is_terminated_and_then_killed(world: World) -> None:
     world.script("base", {"deactivate": does_not_answer, "terminate": is_ignored})
-    supervisor = world.supervisor(ChildSpec("base", stop_timeout_s=3.0))
+    supervisor = world.supervisor(ChildRules("base", stop_timeout_s=3.0))
     supervisor.start_all()
     world.take_steps()
     before = world.now_s
@@ -255,7 +255,7 @@ def test_the_loss_of_the_launcher_is_passed_on_and_counts_for_no_child(world: Wo
 
 @pytest.mark.parametrize("end", [DONE, ChildEnd(True, "not all offsets found", success=False)])
 def test_the_normal_end_of_a_significant_child_stops_all(world: World, end: ChildEnd) -> None:
-    supervisor = world.supervisor("base", ChildSpec("replay", significant=True))
+    supervisor = world.supervisor("base", ChildRules("replay", significant=True))
     supervisor.start_all()
     world.take_steps()
     world.children["replay"].end = end
@@ -270,7 +270,7 @@ def test_the_normal_end_of_a_significant_child_stops_all(world: World, end: Chil
 
 def test_before_each_step_it_says_what_it_does_and_for_how_long_at_most(world: World) -> None:
     world.script("base", {"launch": takes(2.0)})
-    supervisor = world.supervisor(ChildSpec("base", start_timeout_s=10.0, stop_timeout_s=4.0))
+    supervisor = world.supervisor(ChildRules("base", start_timeout_s=10.0, stop_timeout_s=4.0))
     supervisor.start_all()
     supervisor.stop_all()
     assert world.progress == [

@@ -2,7 +2,7 @@
 
 import pytest
 
-from cairn.supervision.child import ChildEnd, ChildSpec
+from cairn.supervision.child import ChildEnd, ChildRules
 from cairn.supervision.policy import Intensity, UnknownChild
 from cairn.supervision.supervisor import StartFailed
 
@@ -26,7 +26,7 @@ def world() -> World:
 
 
 def test_a_child_on_order_starts_when_ordered(world: World) -> None:
-    supervisor = world.supervisor("base", ChildSpec("automove", load="on_request"))
+    supervisor = world.supervisor("base", ChildRules("automove", load="on_request"))
     supervisor.start_all()
     assert world.take_steps() == START_BASE
     supervisor.load("automove")
@@ -39,7 +39,7 @@ def test_a_child_on_order_starts_when_ordered(world: World) -> None:
 
 def test_an_order_that_fails_is_told_to_who_gave_it_and_counts_for_nothing(world: World) -> None:
     world.script("automove", *[{"configure": fails("unknown planner 'a-star'")}] * 10)
-    supervisor = world.supervisor("base", ChildSpec("automove", load="on_request"))
+    supervisor = world.supervisor("base", ChildRules("automove", load="on_request"))
     supervisor.start_all()
     for _ in range(10):
         with pytest.raises(StartFailed, match=r"^automove: unknown planner"):
@@ -50,7 +50,7 @@ def test_an_order_that_fails_is_told_to_who_gave_it_and_counts_for_nothing(world
 
 def test_a_child_that_dies_while_it_is_loaded_is_tried_again(world: World) -> None:
     world.script("automove", *[{"configure": dies("was killed by SIGKILL")}] * 3)
-    supervisor = world.supervisor("base", ChildSpec("automove", load="on_request"))
+    supervisor = world.supervisor("base", ChildRules("automove", load="on_request"))
     supervisor.start_all()
     supervisor.load("automove")
     assert world.running() == ["base", "automove"]
@@ -58,7 +58,7 @@ def test_a_child_that_dies_while_it_is_loaded_is_tried_again(world: World) -> No
 
 def test_a_child_that_always_dies_while_it_is_loaded_is_not_loaded(world: World) -> None:
     world.script("automove", *[{"configure": dies("was killed by SIGKILL")}] * 10)
-    supervisor = world.supervisor("base", ChildSpec("automove", load="on_request"))
+    supervisor = world.supervisor("base", ChildRules("automove", load="on_request"))
     supervisor.start_all()
     world.take_steps()
     with pytest.raises(StartFailed, match="was killed by SIGKILL"):
@@ -124,7 +124,7 @@ def test_a_stop_requested_while_a_start_keeps_failing_ends_the_retries(world: Wo
 
 
 def test_a_stop_requested_during_an_ordered_load_stops_that_child(world: World) -> None:
-    supervisor = world.supervisor(ChildSpec("automove", load="on_request"))
+    supervisor = world.supervisor(ChildRules("automove", load="on_request"))
     world.on_step = lambda text: supervisor.request_stop()
     with pytest.raises(StartFailed, match="a stop was requested"):
         supervisor.load("automove")

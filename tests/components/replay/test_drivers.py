@@ -19,7 +19,7 @@ from cairn.components.replay.sightings import ReplaySightings
 from cairn.components.replay.truth import ReplayTruth
 from cairn.deployment.load import load_deployment
 from cairn.placement.lockstep_run import LockstepRun
-from cairn.runtime.runtime import ComponentExit
+from cairn.process_exit import ExitReport
 from cairn.schemas.nav_msgs import Odometry
 from tests.components.replay.conftest import FR079, FR101, LEGS, Write, odom
 
@@ -117,7 +117,7 @@ def test_the_clock_runs_over_the_part_that_is_replayed(stage: StageOf) -> None:
     first = CarmenRecording(FR101).span()[0] / SECOND
     assert times[0] == pytest.approx(first + 100.0)
     assert first + 110.0 < times[-1] < first + 111.2
-    assert it.ends == [ComponentExit(True, "the recording is at its end")]
+    assert it.ends == [ExitReport(True, "the recording is at its end")]
 
 
 def test_a_part_that_lies_behind_the_end_is_refused(stage: StageOf) -> None:

@@ -15,7 +15,7 @@ from cairn.components.replay.mrclam_files import Dataset
 from cairn.components.replay.odometry import ReplayOdometry
 from cairn.components.replay.sightings import ReplaySightings
 from cairn.components.replay.truth import ReplayTruth
-from cairn.runtime.runtime import ComponentExit
+from cairn.process_exit import ExitReport
 from cairn.schemas.rosgraph_msgs import Clock
 
 StageOf = Callable[..., Any]
@@ -109,7 +109,7 @@ def test_the_clock_runs_at_its_rate_to_the_end_of_the_recording(
     assert times[0] == pytest.approx(first)
     assert np.diff(times) == pytest.approx(np.full(len(times) - 1, 0.5))
     assert last < times[-1] <= last + 1.6
-    assert it.ends == [ComponentExit(True, "the recording is at its end")]
+    assert it.ends == [ExitReport(True, "the recording is at its end")]
 
 
 def test_a_clock_started_anew_goes_on_where_the_replay_stands(

@@ -12,10 +12,13 @@ from cairn import Qos
 from cairn.bus.lockstep_bus import LockstepBus
 from cairn.clock import SystemClock
 from cairn.components.v4l2_camera.component import V4l2StereoCamera
+from cairn.deployment.model import ChildSpec
+from cairn.process_exit import ExitReport
+from cairn.runtime.launch_request import LaunchRequest
 from cairn.runtime.lifecycle import Transition
 from cairn.runtime.loop import ThreadLoop
 from cairn.runtime.ports import ports_of
-from cairn.runtime.runtime import ComponentExit, Runtime, RuntimeOptions
+from cairn.runtime.runtime import Runtime
 from tests.patience import LIMIT_S
 
 _LOOK_S = 0.05
@@ -29,14 +32,16 @@ class Driver:
 
     def __init__(self, **parameters: Any) -> None:
         """Configure and activate it; raises `CairnError` if it cannot be."""
-        self.ends: list[ComponentExit] = []
+        self.ends: list[ExitReport] = []
         self._loop = ThreadLoop()
         bus = LockstepBus()
-        options = RuntimeOptions(
-            name="camera", plugin="v4l2", parameters=parameters, restarts=self.restarts
+        launch = LaunchRequest(
+            name="camera",
+            spec=ChildSpec(plugin="v4l2", parameters=parameters),
+            incarnation=1 + self.restarts,
         )
         self.runtime = Runtime(
-            V4l2StereoCamera, options, bus, self._loop, SystemClock(), self.ends.append
+            V4l2StereoCamera, launch, bus, self._loop, SystemClock(), self.ends.append
         )
         self._came = threading.Event()
         test = bus.node("/robot/test", self.runtime.log.error)

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from cairn import CairnError
-from cairn.deployment.model import ComponentSpec, Deployment
+from cairn.deployment.model import ChildSpec, Deployment
 from cairn.deployment.plugins import load_plugin
 from cairn.runtime.ports import ports_of
 from cairn.tools.experiments.methods import ABLATION, NO_UPDATE, OURS, PAPER
@@ -22,7 +22,7 @@ def made(plan: Plan, folder: Path) -> Deployment:
     return planned(plan, folder, folder)
 
 
-def topic(spec: ComponentSpec, port: str) -> str:
+def topic(spec: ChildSpec, port: str) -> str:
     return spec.topics.get(port, port)
 
 

@@ -10,7 +10,7 @@ _BUSY = """
 import atexit, sys, threading
 import zenoh
 from cairn.bus.session import open_router
-from cairn.ending import end_process
+from cairn.process_exit import end_process
 from cairn.testing.launching import free_port
 
 session = open_router(f"tcp/127.0.0.1:{free_port()}")

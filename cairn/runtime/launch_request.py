@@ -1,0 +1,43 @@
+"""What is needed to run one component: its part of the deployment, and which start this is."""
+
+from pydantic import BaseModel, ConfigDict
+
+from cairn.deployment.model import ChildSpec
+
+
+class RunContext(BaseModel):
+    """What all components of one run of a deployment share."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    robot: str = "robot"
+    domain: int = 0
+    endpoints: tuple[str, ...] = ()
+    simulated_time: bool = False
+    seed: int = 0
+    lockstep: bool = False
+    zygote: str = ""  # path of its socket
+    log_folder: str = ""
+
+
+class LaunchRequest(BaseModel):
+    """One start of one component; sent as JSON to the process that runs it."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    name: str
+    spec: ChildSpec
+    parent: str = ""
+    incarnation: int = 1  # how many times it has been started, this start included
+    previous_exit: str = ""  # the reason for which the incarnation before ended
+    context: RunContext = RunContext()
+
+    @property
+    def restarts(self) -> int:
+        """How many times the component has been restarted."""
+        return self.incarnation - 1
+
+    @property
+    def placement(self) -> str:
+        """Where the component runs, as its status reports it."""
+        return "lockstep" if self.context.lockstep else self.spec.placement
