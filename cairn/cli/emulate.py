@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
-from cairn.cli.installed import installed_commands
+import typer
+
+from cairn.cli.lazy import lazy_group
 
 EMULATORS_GROUP = "cairn.emulators"
 """Entry points of this group add devices: each a function as typer takes it."""
 
-app = installed_commands(
-    EMULATORS_GROUP,
-    "emulator",
-    "Emulate a device on a serial port in software, or a TCP port, with faults to order.",
+app = typer.Typer(
+    cls=lazy_group(entry_points=EMULATORS_GROUP, kind="emulator"),
+    help="Emulate a device on a serial port in software, or on a TCP port, with faults on request.",
+    no_args_is_help=True,
 )
+
+
+@app.callback()
+def _no_options() -> None:
+    """Take no options of its own."""

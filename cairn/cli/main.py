@@ -1,84 +1,86 @@
-"""The `cairn` command: its subcommands, those of installed packages, and how errors are told."""
+"""The `cairn` command: the table of its subcommands, and how it reports errors."""
 
 import io
 import logging
 import os
 import sys
-from importlib.metadata import entry_points, version
 from typing import Annotated, NoReturn
 
 import typer
-from rich.console import Console
 
-from cairn.cli import check, control, graph, logs, param, plugins, ps, schema, topic, up
-from cairn.cli.tables import line
+from cairn.cli.lazy import LazyCommand, lazy_group
 from cairn.errors import CairnError
 from cairn.process_exit import end_process
 
 COMMANDS_GROUP = "cairn.commands"
 """Entry points of this group add subcommands: a `typer.Typer`, or a function as typer takes it."""
 
+_RUN = "Run a robot"
+_INSPECT = "Inspect a running robot"
+_CONTROL = "Control a running robot"
+_MAPS = "Maps, objects and cameras"
+_STUDY = "Simulations, recordings and evaluation"
+_DEVELOP = "Develop components and drivers"
+
+COMMANDS = (
+    LazyCommand("up", "cairn.cli.up:up",
+                "Run a deployment until it ends or Ctrl-C.", _RUN),
+    LazyCommand("check", "cairn.cli.check:check",
+                "Check a deployment; report each problem with file and line.", _RUN),
+    LazyCommand("doctor", "cairn.cli.doctor.command:doctor",
+                "Check this computer, and what a deployment needs of it.", _RUN),
+    LazyCommand("ps", "cairn.cli.ps:ps",
+                "List the components: state, process, load, losses.", _INSPECT),
+    LazyCommand("graph", "cairn.cli.graph:graph",
+                "List the topics with their publishers and subscribers.", _INSPECT),
+    LazyCommand("topic", "cairn.cli.topic:app",
+                "List, print and time messages.", _INSPECT),
+    LazyCommand("logs", "cairn.cli.logs:logs",
+                "Print the log messages of the components.", _INSPECT),
+    LazyCommand("go", "cairn.supervisors.mobile.cli:go",
+                "Send the robot to a goal, or cancel.", _CONTROL, negative_numbers=True),
+    LazyCommand("locate", "cairn.supervisors.mobile.cli:locate",
+                "Set the robot's pose in the map.", _CONTROL, negative_numbers=True),
+    LazyCommand("param", "cairn.cli.param:app",
+                "List, read and set parameters.", _CONTROL),
+    LazyCommand("load", "cairn.cli.control:load",
+                "Start a component that is not loaded.", _CONTROL),
+    LazyCommand("unload", "cairn.cli.control:unload",
+                "Stop a component and leave it stopped.", _CONTROL),
+    LazyCommand("restart", "cairn.cli.control:restart",
+                "Stop a component and start it again.", _CONTROL),
+    LazyCommand("map", "cairn.components.map_builder.cli:app",
+                "Import, show and export visual maps and grid maps.", _MAPS),
+    LazyCommand("object", "cairn.components.object_recognizer.cli:app",
+                "Teach objects to the recognizer; show them.", _MAPS),
+    LazyCommand("recognize", "cairn.components.object_recognizer.recognize_cli:recognize",
+                "Recognize taught objects in an image.", _MAPS),
+    LazyCommand("camera", "cairn.tools.calibration.cli:app",
+                "Calibrate a camera or a stereo pair.", _MAPS),
+    LazyCommand("world", "cairn.components.simulation.cli:app",
+                "Check and draw simulated worlds; change the running one.", _STUDY),
+    LazyCommand("recording", "cairn.components.replay.cli:app",
+                "Show what a recording holds.", _STUDY),
+    LazyCommand("evaluate", "cairn.tools.evaluation.cli:app",
+                "Measure localization and navigation over many runs.", _STUDY),
+    LazyCommand("experiment", "cairn.tools.experiments.cli:app",
+                "Run the experiments of the paper.", _STUDY),
+    LazyCommand("plugins", "cairn.cli.plugins:plugins",
+                "List the component classes that a deployment can name.", _DEVELOP),
+    LazyCommand("schema", "cairn.cli.schema:app",
+                "Show the ROS 2 definitions of the message types.", _DEVELOP),
+    LazyCommand("driver", "cairn.cli.driver:app",
+                "Try a device without a deployment.", _DEVELOP),
+    LazyCommand("emulate", "cairn.cli.emulate:app",
+                "Emulate a device on a serial or TCP port.", _DEVELOP),
+)  # fmt: skip
+"""All commands of this distribution. Their modules are imported when they are invoked."""
+
 _HELP = ["-h", "--help"]
 
 
-def build(asked: str | None = None) -> typer.Typer:
-    """The command line, with the installed packages' command of the name asked for, or with all.
-
-    A package's commands may take a second to import: who asks for another need not wait for them.
-    """
-    app = typer.Typer(
-        name="cairn",
-        help="Component-based robot middleware over Zenoh, and the navigation built on it.",
-        no_args_is_help=True,
-        add_completion=False,
-        pretty_exceptions_enable=False,
-        rich_markup_mode=None,
-        context_settings={"max_content_width": 100, "help_option_names": _HELP},
-    )
-    app.callback()(_options)
-    app.command("up")(up.up)
-    app.command("check")(check.check)
-    app.command("ps")(ps.ps)
-    app.command("graph")(graph.graph)
-    app.command("plugins")(plugins.plugins)
-    app.command("load")(control.load)
-    app.command("unload")(control.unload)
-    app.command("restart")(control.restart)
-    app.command("logs")(logs.logs)
-    app.add_typer(topic.app, name="topic")
-    app.add_typer(param.app, name="param")
-    app.add_typer(schema.app, name="schema")
-    for point in sorted(entry_points(group=COMMANDS_GROUP), key=lambda point: point.name):
-        if asked not in (None, point.name):
-            continue
-        try:
-            found = point.load()
-            if isinstance(found, typer.Typer):
-                app.add_typer(found, name=point.name)
-            else:
-                # Arguments may begin with a minus, as coordinates do.
-                app.command(point.name, context_settings={"ignore_unknown_options": True})(found)
-        except Exception as error:  # a package's broken command must not take the others along
-            _complain(f"command {point.name} ({point.value}) cannot be loaded: {error!r}")
-    return app
-
-
-def _tell_version(asked: bool) -> None:
-    if asked:
-        line(f"cairn {version('cairn-robotics')}, zenoh {version('eclipse-zenoh')}")
-        raise typer.Exit
-
-
-def _options(
-    version: Annotated[
-        bool, typer.Option("--version", help="Print the version.", callback=_tell_version)
-    ] = False,
-) -> None:
-    """What `cairn` itself takes, before a command."""
-
-
 def script() -> NoReturn:
-    """What the `cairn` program runs: the command, and then the end of its process."""
+    """Run the command and end the process: the `cairn` program."""
     try:
         main()
     except SystemExit as end:
@@ -87,23 +89,57 @@ def script() -> NoReturn:
 
 
 def main() -> None:
-    """Run the command; an error of ours is a sentence on stderr and exit status 1."""
+    """Run the command; print an error of ours as one sentence on stderr and exit with status 1."""
     _open_missing_streams()
     for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):  # else a test reads it
-            stream.reconfigure(errors="backslashreplace")  # whatever the locale, no run fails so
+        if isinstance(stream, io.TextIOWrapper):  # a test replaces them
+            stream.reconfigure(errors="backslashreplace")  # no locale makes a run fail
     logging.captureWarnings(True)
     try:
         _check_folder()
-        build(next((word for word in sys.argv[1:] if word not in _HELP), None))()
+        build()()
     except CairnError as error:
-        _complain(str(error))
+        _print_error(str(error))
         sys.exit(1)
     except KeyboardInterrupt:
         sys.exit(130)
     except BrokenPipeError:  # the reader of our output, `head` perhaps, has gone
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for the flush at exit
         sys.exit(1)
+
+
+def build() -> typer.Typer:
+    """Return the command line."""
+    app = typer.Typer(
+        name="cairn",
+        cls=lazy_group(COMMANDS, entry_points=COMMANDS_GROUP, negative_numbers=True),
+        help="Component-based robot middleware over Zenoh, and a navigation system built on it.",
+        no_args_is_help=True,
+        add_completion=False,
+        pretty_exceptions_enable=False,
+        rich_markup_mode=None,
+        context_settings={"max_content_width": 100, "help_option_names": _HELP},
+    )
+    app.callback()(_options)
+    return app
+
+
+def _print_version(requested: bool) -> None:
+    if requested:
+        from importlib.metadata import version
+
+        from cairn.cli.tables import line
+
+        line(f"cairn {version('cairn-robotics')}, zenoh {version('eclipse-zenoh')}")
+        raise typer.Exit
+
+
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", help="Print the version.", callback=_print_version)
+    ] = False,
+) -> None:
+    """Take the options that stand before a command."""
 
 
 def _check_folder() -> None:
@@ -114,16 +150,18 @@ def _check_folder() -> None:
 
 
 def _open_missing_streams() -> None:
-    """Stand in for standard streams that whoever started us has closed (`cairn up ... >&-`).
+    """Replace standard streams that the caller has closed (`cairn up ... >&-`).
 
-    A socket must not get one of their numbers: it would be taken for the stream by a child.
+    A socket must not get one of their numbers: a child would take it for the stream.
     """
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:
             setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))  # noqa: SIM115
 
 
-def _complain(text: str) -> None:
+def _print_error(text: str) -> None:
+    from rich.console import Console  # takes 30 ms
+
     console = Console(stderr=True, highlight=False, soft_wrap=True, emoji=False)
     console.print(f"cairn: {text}", style="red", markup=False)
 

@@ -6,10 +6,6 @@ import sys
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from rich.console import Console
-from rich.table import Table
-from rich.text import Text
-
 from cairn.errors import CairnError
 
 _UNFOLDED = 10_000  # columns, where the output is not a terminal but perhaps `grep`
@@ -36,6 +32,10 @@ def show(
     if not rows:
         line(nothing)
         return
+    from rich.console import Console  # takes 30 ms: not for commands that print lines
+    from rich.table import Table
+    from rich.text import Text
+
     titles = columns if isinstance(columns, Mapping) else {column: column for column in columns}
     table = Table(box=None, pad_edge=False, header_style="bold")
     for key, title in titles.items():

@@ -2,10 +2,12 @@
 
 import os
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
+from cairn.cli.main import COMMANDS
 from cairn.testing.launching import CAIRN, free_port
 from tests.commands import cairn
 from tests.patience import LIMIT_S
@@ -123,21 +125,61 @@ def test_schemas_are_listed_and_shown_for_other_languages() -> None:
     assert cairn("schema", "show", "geometry_msgs/msg/Twst").code == 1
 
 
-def test_help_is_given_for_every_command() -> None:
-    shown = cairn("--help").out
-
-    for name in ("up", "check", "ps", "graph", "topic", "param", "plugins", "schema", "load"):
-        assert f"\n  {name} " in shown
-        assert cairn(name, "--help").code == 0
+@pytest.mark.parametrize("command", [command.name for command in COMMANDS])
+def test_help_lists_every_command_and_each_explains_itself(command: str) -> None:
+    assert f"\n  {command} " in cairn("--help").out
+    assert cairn(command, "--help").code == 0
 
 
-def test_packages_add_commands_and_a_broken_one_does_no_harm() -> None:
-    broken = "command test-broken (cairn_test_plugins.broken:app) cannot be loaded"
+def test_help_of_the_command_line_imports_no_implementation() -> None:
+    script = (
+        "import sys\nfrom cairn.cli.main import main\nsys.argv = ['cairn', '--help']\n"
+        "try:\n    main()\nexcept SystemExit:\n    pass\n"
+        "print([one for one in ('numpy', 'zenoh', 'pydantic', 'rich') if one in sys.modules])"
+    )
+    shown = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
 
-    assert cairn("test-greet", "-5").out == "hello, -5\n"
-    assert broken in cairn("test-broken").err
-    assert broken in cairn("--help").err
-    assert cairn("plugins").err == ""
+    assert shown.stdout.splitlines()[-1] == "[]"
+
+
+def test_importing_cairn_imports_no_dependency() -> None:
+    script = (
+        "import cairn, sys\n"
+        "print([one for one in ('numpy', 'zenoh', 'pydantic', 'typer') if one in sys.modules])"
+    )
+    shown = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+
+    assert shown.stdout == "[]\n"
+
+
+@pytest.fixture
+def other_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An installed package with two commands, one of which cannot be imported."""
+    (tmp_path / "greeting.py").write_text(
+        "def greet(number: str) -> None:\n    'Greet a number.'\n    print('hello,', number)\n"
+    )
+    (tmp_path / "failing.py").write_text("raise RuntimeError('broken on purpose')\n")
+    info = tmp_path / "greeting-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: greeting\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text(
+        "[cairn.commands]\ngreet = greeting:greet\nfail = failing:app\nps = greeting:greet\n"
+    )
+    monkeypatch.syspath_prepend(str(tmp_path))
+
+
+@pytest.mark.usefixtures("other_package")
+def test_an_installed_package_adds_commands_and_a_broken_one_does_no_harm() -> None:
+    broken = "command fail (failing:app) cannot be loaded: RuntimeError('broken on purpose')"
+
+    assert cairn("greet", "-5").out == "hello, -5\n"
+    assert broken in cairn("fail").err
+    shown = cairn("--help")
+    assert "Installed by other packages:" in shown.out
+    assert "greet       Greet a number.\n" in shown.out
+    assert "fail        broken: RuntimeError('broken on purpose')\n" in shown.out
+    assert (shown.code, shown.err) == (0, "")
+    assert "Greet" not in cairn("ps", "--help").out  # a command of Cairn's own is not replaced
 
 
 def test_a_full_disk_under_its_output_is_told() -> None:

@@ -1,0 +1,141 @@
+"""Groups of commands whose implementations are imported only when they are invoked."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pkgutil import resolve_name
+from typing import Any
+
+import typer
+from typer.core import TyperCommand, TyperGroup
+
+from cairn.errors import CairnError
+
+_OF_OTHER_PACKAGES = "Installed by other packages"
+
+
+@dataclass(frozen=True)
+class LazyCommand:
+    """A command that a group lists without importing its implementation.
+
+    Attributes:
+        name: as typed.
+        target: `package.module:attribute`, a `typer.Typer` or a function as typer takes it.
+        summary: one line for the group's help; None if only the implementation knows it.
+        section: heading under which the group's help lists the command.
+        negative_numbers: whether arguments may begin with a minus, as coordinates do.
+    """
+
+    name: str
+    target: str
+    summary: str | None = None
+    section: str = "Commands"
+    negative_numbers: bool = False
+
+    def load(self) -> Any:
+        """Import the implementation and return it as a command of the command-line library."""
+        found = resolve_name(self.target)
+        holder = typer.Typer(rich_markup_mode=None, add_completion=False)
+        holder.callback()(_no_options)  # without it, a single command would replace its group
+        if isinstance(found, typer.Typer):
+            holder.add_typer(found, name=self.name)
+        else:
+            settings = {"ignore_unknown_options": True} if self.negative_numbers else {}
+            holder.command(self.name, context_settings=settings)(found)
+        group: Any = typer.main.get_command(holder)
+        return group.commands[self.name]
+
+
+def lazy_group(
+    own: Iterable[LazyCommand] = (),
+    *,
+    entry_points: str,
+    kind: str = "command",
+    negative_numbers: bool = False,
+) -> type[TyperGroup]:
+    """Return the class of a group that has its own commands and those of installed packages.
+
+    Args:
+        own: the group's own commands, in the order in which its help lists them.
+        entry_points: group of entry points by which installed packages add commands.
+        kind: what such an entry is called in error messages.
+        negative_numbers: whether arguments of the added commands may begin with a minus.
+    """
+
+    class Group(_LazyGroup):
+        _own = {command.name: command for command in own}
+        _entry_points = entry_points
+        _kind = kind
+        _negative_numbers = negative_numbers
+
+    return Group
+
+
+class _LazyGroup(TyperGroup):
+    _own: dict[str, LazyCommand]
+    _entry_points: str
+    _kind: str
+    _negative_numbers: bool
+
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(**settings)
+        # The library suggests these names for a mistyped one; `get_command` loads the commands.
+        self.commands = {name: TyperCommand(name) for name in self._own}
+
+    def list_commands(self, ctx: Any) -> list[str]:  # noqa: ARG002 - the library's signature
+        """Return the names of all commands."""
+        return [command.name for command in self._all()]
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:  # noqa: ARG002 - the library's signature
+        """Import the command of this name; None if there is none, `CairnError` if it is broken."""
+        command = self._own.get(cmd_name) or self._installed().get(cmd_name)
+        if command is None:
+            return None
+        try:
+            return command.load()
+        except Exception as error:  # a package's module may fail in any way
+            raise CairnError(
+                f"{self._kind} {command.name} ({command.target}) cannot be loaded: {error!r}; "
+                "correct the package that provides it, or uninstall it"
+            ) from error
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write the commands with their summaries, by section."""
+        commands = list(self._all())
+        width = max((len(command.name) for command in commands), default=0)
+        for section in dict.fromkeys(command.section for command in commands):
+            rows = [
+                (command.name.ljust(width), self._summary(ctx, command))
+                for command in commands
+                if command.section == section
+            ]
+            with formatter.section(section):
+                formatter.write_dl(rows)
+
+    def _summary(self, ctx: Any, command: LazyCommand) -> str:
+        if command.summary is not None:
+            return command.summary
+        try:
+            return str(self.get_command(ctx, command.name).get_short_help_str(80))
+        except CairnError as error:
+            return f"broken: {error.__cause__!r}"
+
+    def _all(self) -> Iterator[LazyCommand]:
+        yield from self._own.values()
+        installed = self._installed()
+        yield from (installed[name] for name in sorted(installed) if name not in self._own)
+
+    def _installed(self) -> dict[str, LazyCommand]:
+        """Return the commands of installed packages; this reads the metadata of every package."""
+        from importlib.metadata import entry_points  # takes 40 ms: not for commands of our own
+
+        section = _OF_OTHER_PACKAGES if self._own else "Commands"
+        return {
+            point.name: LazyCommand(point.name, point.value, None, section, self._negative_numbers)
+            for point in entry_points(group=self._entry_points)
+        }
+
+
+def _no_options() -> None:
+    """Take no options of its own."""

@@ -1,8 +1,0 @@
-"""A subcommand of `cairn` as a package adds it."""
-
-import typer
-
-
-def greet(name: str) -> None:
-    """Say hello."""
-    typer.echo(f"hello, {name}")
