@@ -20,13 +20,21 @@ def pytest_configure() -> None:
     settings.load_profile("cairn")
 
 
-@pytest.hookimpl(tryfirst=True)  # before the plugin that reads the groups
-def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """The tests of a file share what they launch, so where several run at a time, one runs a file.
+_REAL = {"launch", "deploy", "bench", "network"}
+"""Fixtures that start real processes, or open real Zenoh sessions."""
 
-    Those of a group of their own, such as robots that drive in real time, never run side by side,
-    and begin first: such a group takes long, and at the end all others would wait for it.
+
+@pytest.hookimpl(tryfirst=True)  # before the plugins that read marks and groups
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Mark the tests that use real processes, and group the tests of a file for parallel runs.
+
+    The tests of a file share what they launch, so one worker runs all tests of a file. Those of a
+    group of their own, such as robots that drive in real time, never run side by side, and run
+    first: such a group takes long, and at the end all other workers would wait for it.
     """
+    for item in items:
+        if isinstance(item, pytest.Function) and _REAL.intersection(item.fixturenames):
+            item.add_marker(pytest.mark.processes)
     if not config.pluginmanager.hasplugin("xdist"):
         return
     items.sort(key=lambda item: item.get_closest_marker("xdist_group") is None)

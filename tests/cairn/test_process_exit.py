@@ -3,7 +3,12 @@
 import subprocess
 import sys
 
+import pytest
+
 from tests.patience import LIMIT_S
+
+pytestmark = pytest.mark.processes
+
 
 # A thread is within Zenoh, and messages come to it: Python's own end aborts the process here.
 _BUSY = """

@@ -14,6 +14,9 @@ from typing import Any
 
 import pytest
 
+pytestmark = pytest.mark.processes
+
+
 ROOT = Path(__file__).parents[2]
 EXAMPLE = ROOT / "docs" / "driver-example"
 PAGE = "docs/testing-drivers.md"

@@ -16,6 +16,9 @@ from cairn.driver.emulation import Emulation
 from cairn.driver.link import TcpLink
 from tests.patience import LIMIT_S
 
+pytestmark = pytest.mark.processes
+
+
 PAGE = "docs/drivers/emulators.md"
 
 

@@ -15,6 +15,9 @@ import pytest
 
 from tests.patience import LIMIT_S
 
+pytestmark = pytest.mark.processes
+
+
 EXAMPLE = Path(__file__).parents[2] / "docs" / "example"
 TURTLE = "deploy/turtle.yaml"
 

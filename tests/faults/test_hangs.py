@@ -11,6 +11,9 @@ from cairn.testing.launching import Launching
 from tests.commands import cairn
 from tests.faults.orders import set_fault
 
+pytestmark = pytest.mark.processes
+
+
 ONE = """
     components:
       talker: {plugin: test_talker}

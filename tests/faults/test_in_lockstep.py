@@ -1,6 +1,10 @@
 """Supervision in lockstep: the same restarts, escalation and exit code, in virtual time."""
 
+import pytest
+
 from cairn.testing.launching import Launching
+
+pytestmark = pytest.mark.processes
 
 
 def test_a_component_that_fails_is_restarted_as_often_as_virtual_time_allows(

@@ -10,6 +10,9 @@ import pytest
 from cairn.testing.launching import Launching, Run
 from tests.commands import await_status
 
+pytestmark = pytest.mark.processes
+
+
 TREE = """
     components:
       beacon: {plugin: test_beacon}

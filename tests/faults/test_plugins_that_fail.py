@@ -8,6 +8,9 @@ from cairn.testing.launching import Launching
 from tests.commands import cairn
 from tests.faults.orders import set_fault
 
+pytestmark = pytest.mark.processes
+
+
 FAILS_AT_START = """
     components:
       beacon: {{plugin: test_beacon}}

@@ -9,6 +9,9 @@ from cairn.testing.launching import Launching, Run
 from tests.commands import cairn
 from tests.faults.orders import order_to_move, set_fault
 
+pytestmark = pytest.mark.processes
+
+
 GROUP = """
     components:
       mobile:

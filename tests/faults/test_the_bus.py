@@ -3,6 +3,8 @@
 import math
 import struct
 
+import pytest
+
 from cairn import RELIABLE
 from cairn.bus import keys
 from cairn.bus.codec import Codec
@@ -12,6 +14,9 @@ from cairn.schemas.geometry_msgs import PoseStamped, Twist, Vector3
 from cairn.schemas.message import type_name
 from cairn.testing.launching import Launching
 from tests.commands import await_status
+
+pytestmark = pytest.mark.processes
+
 
 TALK = """
     components:

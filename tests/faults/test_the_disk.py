@@ -3,7 +3,12 @@
 import resource
 from pathlib import Path
 
+import pytest
+
 from cairn.testing.launching import Launching
+
+pytestmark = pytest.mark.processes
+
 
 TALK = """
     components:

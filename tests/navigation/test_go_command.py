@@ -14,7 +14,7 @@ from cairn.testing.launching import CAIRN, LIMIT_S
 from tests.commands import cairn
 from tests.navigation.processes import Robot, robot_in
 
-pytestmark = pytest.mark.xdist_group("robots in real time")
+pytestmark = [pytest.mark.xdist_group("robots in real time"), pytest.mark.processes]
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ import pytest
 from cairn.planar.poses import distance
 from tests.navigation.processes import Going, Robot, robot_in
 
-pytestmark = pytest.mark.xdist_group("robots in real time")
+pytestmark = [pytest.mark.xdist_group("robots in real time"), pytest.mark.processes]
 
 # Once around the room, so that the robot need not turn about on its way, and a bit further:
 # x, y [m], heading [deg].

@@ -10,6 +10,9 @@ from cairn.schemas.cairn_nav_msgs import NavigationStatus
 from cairn.testing.launching import Launching, Run, free_port, launching
 from tests.navigation.driving import SIM, Drive
 
+pytestmark = pytest.mark.processes
+
+
 DriveOf = Callable[..., Drive]
 THERE = "settings.mission=[[3.0, 1.2, 0.0], [1.2, 1.2, 3.1]]"
 OUTSIDE = "settings.mission=[[50.0, 1.2, 0.0]]"

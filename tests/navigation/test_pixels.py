@@ -5,9 +5,14 @@ import math
 import subprocess
 from pathlib import Path
 
+import pytest
+
 from cairn.testing.launching import CAIRN
 from tests.navigation.driving import DEPLOY, SIM
 from tests.patience import LIMIT_S
+
+pytestmark = pytest.mark.images
+
 
 ROOM = DEPLOY / "worlds" / "room.yaml"
 START = "{x: 3.5, y: 2.0, theta: 0.0}"

@@ -2,9 +2,14 @@
 
 import threading
 
+import pytest
+
 from cairn.bus.discovery import QueryableWatcher
 from tests.cairn.bus.network import Network
 from tests.patience import LIMIT_S
+
+pytestmark = pytest.mark.processes
+
 
 KEY = "@cairn/0/component/robot/base"
 

@@ -15,6 +15,9 @@ from cairn.runtime.loop import ThreadLoop
 from tests.cairn.bus.network import Network
 from tests.patience import LIMIT_S
 
+pytestmark = pytest.mark.processes
+
+
 NAME = "/robot/part"
 
 

@@ -14,6 +14,9 @@ from cairn.schemas.message import InvalidMessage, type_name
 from tests.cairn.bus.network import Network, Reader, eventually, node
 from tests.patience import LIMIT_S
 
+pytestmark = pytest.mark.processes
+
+
 CODEC = Codec()
 GOOD = CODEC.encode(Twist(linear=Vector3(x=0.5)))
 HEADER = GOOD[:4]

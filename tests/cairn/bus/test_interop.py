@@ -22,6 +22,9 @@ from cairn.schemas.std_msgs import Header, String
 from tests.cairn.bus.network import Network, eventually
 from tests.cairn.runtime.running import Threaded
 
+pytestmark = pytest.mark.processes
+
+
 HEADER = Header(stamp=Time(sec=1_700_000_000, nanosec=5), frame_id="base_link")
 MESSAGES: dict[str, Any] = {
     "word": String(data="Grüße, 世界"),

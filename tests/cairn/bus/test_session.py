@@ -2,9 +2,13 @@
 
 import threading
 
+import pytest
+
 from cairn.bus.session import is_connected, open_client, open_router
 from cairn.testing.launching import free_port
 from tests.cairn.bus.network import eventually
+
+pytestmark = pytest.mark.processes
 
 
 def test_a_router_that_comes_back_in_time_was_never_gone() -> None:

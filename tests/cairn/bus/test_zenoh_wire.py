@@ -18,6 +18,9 @@ from cairn.schemas.std_msgs import String
 from tests.cairn.bus.network import Network, Reader, eventually, node
 from tests.patience import LIMIT_S
 
+pytestmark = pytest.mark.processes
+
+
 TWIST = "RIHS01_9c45bf16fe0983d80e3cfe750d6835843d265a9a6c46bd2e609fcddde6fb8d2a"
 STRING = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
 

@@ -1,8 +1,12 @@
 """What an operator changes in a running deployment: parameters, loading, restarts."""
 
+import pytest
+
 from cairn.testing.launching import Run
 
 from .conftest import Command
+
+pytestmark = pytest.mark.processes
 
 
 def test_param_list_tells_value_bounds_and_meaning(command: Command) -> None:

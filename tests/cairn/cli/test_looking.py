@@ -3,6 +3,7 @@
 import json
 import subprocess
 
+import pytest
 import zenoh
 
 from cairn.bus import keys
@@ -15,6 +16,8 @@ from cairn.testing.launching import CAIRN, LIMIT_S, Run
 from tests.commands import await_status
 
 from .conftest import Command
+
+pytestmark = pytest.mark.processes
 
 
 def test_ps_shows_the_tree_of_components(command: Command, rover: Run) -> None:

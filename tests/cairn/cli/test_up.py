@@ -10,8 +10,13 @@ import time
 from pathlib import Path
 from textwrap import dedent
 
+import pytest
+
 from cairn.testing.launching import CAIRN, LIMIT_S, Launching, free_port
 from tests.commands import cairn
+
+pytestmark = pytest.mark.processes
+
 
 TALK = """
     components:

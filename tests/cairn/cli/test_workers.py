@@ -6,7 +6,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from tests.patience import LIMIT_S
+
+pytestmark = pytest.mark.processes
+
 
 COMMAND = """
 import os, threading

@@ -19,6 +19,8 @@ from tests.cairn.driver.parrot import read_until
 from tests.commands import cairn
 from tests.patience import LIMIT_S
 
+pytestmark = pytest.mark.processes
+
 
 class Emulator:
     """A running `cairn emulate`."""

@@ -12,6 +12,8 @@ from cairn.placement.hosted import Hosted
 from cairn.runtime.launch_request import LaunchRequest, RunContext
 from cairn.testing.launching import LIMIT_S, free_port
 
+pytestmark = pytest.mark.processes
+
 
 class Mute(Component):
     """Stands still."""

@@ -11,6 +11,8 @@ import pytest
 from cairn.placement.service import service_manager
 from cairn.testing.launching import LIMIT_S, Launching
 
+pytestmark = pytest.mark.processes
+
 
 class Manager:
     """A service manager that a deployment reports to."""

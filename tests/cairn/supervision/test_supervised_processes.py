@@ -13,6 +13,9 @@ from tests.patience import LIMIT_S
 
 from .reports import Report, Reports, Tree
 
+pytestmark = pytest.mark.processes
+
+
 COMPONENTS = ("base", "base's helper", "mobile", "localizer", "planner")
 
 

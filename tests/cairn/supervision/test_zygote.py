@@ -21,6 +21,9 @@ from . import zygote_children
 from .owner import Owner
 from .reports import Tree
 
+pytestmark = pytest.mark.processes
+
+
 CHILDREN = zygote_children.__name__
 FRESH = pytest.mark.parametrize("fresh", [False, True], ids=["shared", "fresh"])
 

@@ -8,6 +8,11 @@ from pathlib import Path
 from subprocess import run
 from xml.etree import ElementTree
 
+import pytest
+
+pytestmark = pytest.mark.processes
+
+
 CONTRACTS = Path(__file__).parent / "broken" / "life_contracts.py"
 ROOT = Path(__file__).parents[3]
 

@@ -9,6 +9,9 @@ from collections.abc import Iterator
 
 import pytest
 
+pytestmark = pytest.mark.processes
+
+
 # Samples for 0.3 s; says when it begins with each, and what came of them.
 _SAMPLER = """
 import threading

@@ -16,6 +16,9 @@ from cairn.vision.rectification import Rectifier
 from cairn.vision.stereo import StereoRig
 from cairn.vision.stereo_calibration import calibrate_pair, camera_infos
 
+pytestmark = pytest.mark.images
+
+
 Array = NDArray[np.float64]
 
 IMAGES = Path(__file__).parents[2] / "data" / "calibration"

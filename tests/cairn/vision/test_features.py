@@ -7,6 +7,9 @@ from numpy.typing import NDArray
 from cairn.vision.features import LARGEST, extract, varied
 from tests.cairn.vision.taught_objects import texture
 
+pytestmark = pytest.mark.images
+
+
 PICTURE = texture(1, 320, 240)
 
 

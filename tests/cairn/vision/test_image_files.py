@@ -7,6 +7,8 @@ import pytest
 from cairn import CairnError
 from cairn.vision.image_files import images_in, natural, paired, side_of, sides_of
 
+pytestmark = pytest.mark.images
+
 
 @pytest.mark.parametrize(
     ("name", "side"),

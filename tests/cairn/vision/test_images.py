@@ -18,6 +18,9 @@ from cairn.schemas.std_msgs import Header
 from cairn.vision.images import eight_bits, gray_of, read_image, upright_size
 from tests.cairn.vision.taught_objects import texture
 
+pytestmark = pytest.mark.images
+
+
 GREY = texture(3, 48, 32)
 
 

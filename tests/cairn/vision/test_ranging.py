@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 from cairn.vision.ranging import Located, by_size, by_stereo, fused
 from cairn.vision.stereo import StereoRig
 
+pytestmark = pytest.mark.images
+
+
 Array = NDArray[np.float64]
 
 RIG = StereoRig(500.0, 500.0, 319.5, 239.5, 0.12, 640, 480)

@@ -12,6 +12,9 @@ from cairn.vision.features import Features, extract, varied
 from cairn.vision.recognition import Recognition, Recognizer
 from cairn.vision.taught import TaughtObject, View
 
+pytestmark = pytest.mark.images
+
+
 DATA = Path(__file__).parents[2] / "data"
 
 FILES = {

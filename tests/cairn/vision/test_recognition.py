@@ -26,6 +26,9 @@ from tests.cairn.vision.scenes import (
 )
 from tests.cairn.vision.taught_objects import texture
 
+pytestmark = pytest.mark.images
+
+
 # As many features as a robot looks at; 0 is all of them, as for a single image.
 AS_A_ROBOT, ALL = 2000, 0
 

@@ -11,6 +11,9 @@ from cairn.schemas.sensor_msgs import CameraInfo, RegionOfInterest
 from cairn.vision.rectification import Lens, Rectifier, is_calibrated
 from tests.cairn.vision.cameras import CX, CY, FOCAL, HEIGHT, WIDTH, info, pattern, projection
 
+pytestmark = pytest.mark.images
+
+
 TURN = cv2.Rodrigues(np.array([0.02, -0.03, 0.01]))[0]
 RATIONAL = [0.2, -0.1, 0.001, -0.001, 0.02, 0.25, -0.05, 0.01]
 

@@ -26,6 +26,9 @@ from tests.cairn.vision.cameras import (
     projection,
 )
 
+pytestmark = pytest.mark.images
+
+
 ALOE = Path(__file__).parents[2] / "data" / "stereo"
 RIG = StereoRig.of(info(), info("right"))
 

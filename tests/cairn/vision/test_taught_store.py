@@ -15,6 +15,8 @@ from cairn.vision.map_file import MapFileError, connect, create, writing
 from cairn.vision.taught_store import read_taught, remove_taught, taught_number, teach
 from tests.cairn.vision.taught_objects import view
 
+pytestmark = pytest.mark.images
+
 
 @pytest.fixture
 def map_file(tmp_path: Path) -> Path:

@@ -8,6 +8,9 @@ from cairn.vision.teaching import repeats, unfit, view_of
 from tests.cairn.vision.taught_objects import texture
 from tests.cairn.vision.test_real_images import FILES, image_of
 
+pytestmark = pytest.mark.images
+
+
 REAL = [name for name in FILES if name != "chessboard"]
 
 

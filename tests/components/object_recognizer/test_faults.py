@@ -16,6 +16,9 @@ from cairn.vision.teaching import view_of
 from tests.components.object_recognizer.conftest import Robot
 from tests.components.object_recognizer.scenes import SIZE, Thing, info, message, pair, picture_of
 
+pytestmark = pytest.mark.images
+
+
 Begin = Callable[..., Robot]
 Complaints = Callable[[], str]
 Logged = Callable[[], str]

@@ -13,6 +13,9 @@ from cairn.placement.lockstep_run import LockstepRun
 from cairn.schemas.cairn_msgs import RecognizedObject, RecognizedObjectArray
 from tests.commands import cairn
 
+pytestmark = pytest.mark.images
+
+
 WORLD = Path(__file__).parents[3] / "deploy" / "worlds" / "room.yaml"
 MANY = Qos("reliable", "transient_local", 100_000)
 MOUNT = {"x": 0.1, "y": 0.0, "theta": 0.0}

@@ -14,6 +14,9 @@ from cairn.vision.taught_store import read_taught
 from tests.commands import Answer, cairn
 from tests.components.object_recognizer.scenes import picture_of
 
+pytestmark = [pytest.mark.processes, pytest.mark.images]
+
+
 ROOT = Path(__file__).parents[3]
 
 

@@ -1,11 +1,15 @@
 """Images are paired by their stamps, whatever order they come in and whichever are lost."""
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from cairn import SECOND
 from cairn.components.object_recognizer.pairing import PATIENCE_NS, Pair, Pairing
 from cairn.schemas.sensor_msgs import Image
+
+pytestmark = pytest.mark.images
+
 
 PERIOD = SECOND // 5
 

@@ -24,6 +24,9 @@ from tests.components.object_recognizer.scenes import (
     picture_of,
 )
 
+pytestmark = pytest.mark.images
+
+
 THINGS = [Thing(1, -0.3, 1.5), Thing(3, 0.35, 1.8)]
 
 

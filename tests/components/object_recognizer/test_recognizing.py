@@ -15,6 +15,9 @@ from cairn.vision.teaching import view_of
 from tests.components.object_recognizer.conftest import Robot
 from tests.components.object_recognizer.scenes import SIZE, Thing, info, picture_of
 
+pytestmark = pytest.mark.images
+
+
 Begin = Callable[..., Robot]
 
 

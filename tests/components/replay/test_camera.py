@@ -26,6 +26,9 @@ from tests.components.replay.pictures import (
     video,
 )
 
+pytestmark = pytest.mark.images
+
+
 MANY = Qos("reliable", "transient_local", 100_000)
 
 

@@ -20,6 +20,8 @@ from tests.components.replay.pictures import (
 )
 from tests.components.replay.test_bags import BEGIN, STORE, Messages, header, odometry, of, ros2
 
+pytestmark = pytest.mark.images
+
 
 def image(t: float, shade: int, **changes: Any) -> Any:
     told = {"height": HEIGHT, "width": WIDTH, "encoding": "bgr8", "is_bigendian": 0}

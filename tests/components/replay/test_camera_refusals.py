@@ -9,6 +9,8 @@ from cairn import CairnError
 from cairn.components.replay.camera import ReplayCamera
 from tests.components.replay.pictures import StageOf, calibrations, pairs, save, video
 
+pytestmark = pytest.mark.images
+
 
 def broken(tmp_path: Path, what: str) -> tuple[Path, dict[str, Any]]:
     """A recording that cannot be replayed, and the driver's parameters."""

@@ -29,6 +29,9 @@ from tests.cairn.runtime.running import Placed, taken
 from tests.components.simulation.seeing import cut_out
 from tests.components.simulation.stage import Simulation
 
+pytestmark = pytest.mark.images
+
+
 Begin = Callable[..., Simulation]
 
 POSTER = {"id": 7, "x": 6.0, "y": 2.0, "theta": math.pi, "width": 0.5, "height": 0.4}

@@ -14,6 +14,9 @@ from tests.commands import Answer, await_status, cairn
 from tests.components.simulation.worlds import box
 from tests.patience import LIMIT_S
 
+pytestmark = pytest.mark.processes
+
+
 TABLE = {"name": "table", "x": 1.5, "y": 3.0, "size": [0.8, 0.8]}
 OBJECTS = [{"id": 1, "x": 6.0, "y": 2.0, "theta": 3.1416}]
 ADA = {"name": "ada", "waypoints": [[5.0, 3.5]]}

@@ -25,6 +25,9 @@ from cairn.vision.teaching import view_of
 from tests.commands import cairn
 from tests.components.simulation.worlds import RADIUS, box
 
+pytestmark = pytest.mark.images
+
+
 ROOM = Path(__file__).parents[3] / "deploy" / "worlds" / "room.yaml"
 
 

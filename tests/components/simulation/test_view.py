@@ -15,6 +15,9 @@ from cairn.components.simulation.view import Station, ideal_image
 from cairn.planar.poses import Pose
 from tests.components.simulation.seeing import LENS, POSTER, corners, cut_out, seen, stands
 
+pytestmark = pytest.mark.images
+
+
 PICTURE = drawn_picture(7, (0.5, 0.4))
 LOW = {"name": "it", "x": 4.0, "y": 2.0, "size": [0.6, 3.0], "height": 0.5}
 HIGH = {**LOW, "height": 2.0}

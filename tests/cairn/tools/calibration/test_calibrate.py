@@ -18,6 +18,9 @@ from cairn.vision.image_files import paired
 from cairn.vision.stereo import StereoRig
 from tests.commands import Answer, cairn
 
+pytestmark = pytest.mark.images
+
+
 IMAGES = Path(__file__).parents[3] / "data" / "calibration"
 NUMBERS = ("01", "03", "05", "09", "12")
 FEW = NUMBERS[:3]

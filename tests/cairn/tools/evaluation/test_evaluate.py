@@ -13,6 +13,9 @@ from cairn.tools.evaluation.results import GoalResult, RunResult
 from cairn.tools.evaluation.runs import Trial, examination
 from tests.commands import Answer, cairn
 
+pytestmark = pytest.mark.processes
+
+
 ROOT = Path(__file__).parents[4]
 
 

@@ -16,6 +16,9 @@ from cairn.tools.experiments.room import Room
 from cairn.tools.experiments.series import read_pair, read_world
 from tests.commands import Answer, cairn
 
+pytestmark = pytest.mark.processes
+
+
 DEPLOY = Path(__file__).parents[4] / "deploy"
 # To where objects 8 and 9 hang, and back.
 TOUR = "settings.mission=[[4.6, 1.6, -1.0], [4.4, 1.5, -0.6]]"
