@@ -17,8 +17,8 @@ from cairn.bus.session import open_peer
 from cairn.components.hokuyo.config import HokuyoConfig
 from cairn.components.hokuyo.emulated_scip import EmulatedScip
 from cairn.components.hokuyo.measurement import Measured, Measurement
-from cairn.driver.emulated_lines import PtyEnd
-from cairn.driver.emulation import Emulation
+from cairn.driver.emulator import Emulator
+from cairn.driver.emulator_lines import PtyEnd
 from cairn.schemas.sensor_msgs import LaserScan
 from cairn.testing.launching import launching
 from cairn.testing.robot import Robot
@@ -36,8 +36,8 @@ class _TimedEnd(PtyEnd):
         super().__init__(path)
         self.scans: list[int] = []
 
-    def give(self, data: bytes) -> int:
-        given = super().give(data)
+    def write(self, data: bytes) -> int:
+        given = super().write(data)
         if given == len(data) > 1000:
             self.scans.append(time.time_ns())
         return given
@@ -82,7 +82,7 @@ def _protocol(port: Path) -> float:
             used.append(time.monotonic() - begun)
             stopping.set()
 
-    with Emulation(EmulatedScip("UTM-30LX"), PtyEnd(port)):
+    with Emulator(EmulatedScip("UTM-30LX"), PtyEnd(port)):
         measurement = Measurement(HokuyoConfig(port=str(port)), on_scan)
         measurement.converse(stopping, lambda _: None)
         measurement.disconnect()
@@ -99,7 +99,7 @@ def _driver(folder: Path) -> tuple[float, list[float], list[float]]:
         components:
           scanner: {{plugin: hokuyo_scanner, parameters: {{port: {port}}}}}
         """
-    with Emulation(EmulatedScip("UTM-30LX"), end), launching(folder) as launch:
+    with Emulator(EmulatedScip("UTM-30LX"), end), launching(folder) as launch:
         run = launch(deployment)
         robot = Robot(run)
         try:

@@ -1,4 +1,4 @@
-"""`cairn emulate`: devices in software, for trying drivers without hardware."""
+"""`cairn emulate`: emulators of devices, for trying drivers without hardware."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ import typer
 from cairn.cli.lazy import lazy_group
 
 EMULATORS_GROUP = "cairn.emulators"
-"""Entry points of this group add devices: each a function as typer takes it."""
+"""Entry points of this group add emulators: each a function for typer."""
 
 app = typer.Typer(
     cls=lazy_group(entry_points=EMULATORS_GROUP, kind="emulator"),
-    help="Emulate a device on a serial port in software, or on a TCP port, with faults on request.",
+    help="Emulate a device on a pseudo-terminal, a TCP port or a serial port, and inject faults.",
     no_args_is_help=True,
 )
 

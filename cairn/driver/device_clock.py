@@ -1,28 +1,29 @@
-"""A device's own clock against the system's: when something really happened in the device."""
+"""Conversion of a device's own clock to system time, from the arrival times of its messages."""
 
 from __future__ import annotations
 
 import math
 
-_DRIFT = 5e-4  # no clock of a device is worse: 500 ppm [1]
-_EARLY_S = 0.5  # all messages before may have been late by that, as when a busy computer begins
-_TIMELY_S = 0.05  # what is no later than that is in time
-_DOUBTED = 3  # so many, and none between them that is in time: a clock was set
-_LATE_S = 3.0  # what is late for so long is not late: a clock was set
+_MOST_DRIFT = 5e-4  # clocks of devices drift less than this from the system's: 500 ppm [1]
+_MOST_EARLY_S = 0.5  # all messages before may have been this late, as when a busy computer starts
+_ON_TIME_S = 0.05  # a message that is less late than this is on time
+_IMPOSSIBLE_BEFORE_RESET = 3  # this many, and none between them on time: a clock was set
+_LONGEST_LATE_S = 3.0  # if all messages were late for this long, they are not: a clock was set
 
 
 class DeviceClock:
-    """Finds a device's time in the system's from when messages arrive that bear it.
+    """Converts a device's time stamps to system time.
 
-    A message may come late, by the line or by a busy computer, but never early. So of all
-    differences between arrival and the device's time the least one is nearest to the truth: it is
-    kept, and given way as fast as clocks may drift from each other (500 ppm). Times on the device
-    are counted by `ticks_per_s`, and wrap around at `2**bits` ticks.
+    A message may arrive late, because of the line or a busy computer, but never early. Of all
+    differences between arrival time and device time the smallest one is therefore nearest to the
+    truth. The clock keeps it, and lets it grow as fast as clocks may drift apart (500 ppm). Device
+    time counts `ticks_per_s`, and wraps around at `2**bits` ticks.
 
-    Two things cannot be: that a message arrives before it was sent, and that its time is before
-    that of an earlier one, as a line keeps their order; a late one bears a later time all the same.
-    One such time is damaged; several are of a clock that was set, as when the device was restarted.
-    Until it is known which, the arrival stands for the time.
+    Two things are impossible: that a message arrives before it was sent, and that its stamp is
+    older than that of an earlier message, because a line keeps their order. One impossible stamp is
+    a damaged one; several in a row are of a clock that was set, as when the device restarted. Until
+    it is known which, `offset` returns the difference of that very message: its arrival time then
+    stands for the time.
     """
 
     def __init__(self, ticks_per_s: float, bits: int) -> None:
@@ -33,63 +34,69 @@ class DeviceClock:
         self.restart()
 
     def restart(self) -> None:
-        """Begin anew, as with another device, or after its power was off."""
+        """Forget everything, as for another device, or one whose power was off."""
         self._ticks: int | None = None
-        self._turns = 0
+        self._wraps = 0
         self._offset_s = math.inf
-        self._at_s = 0.0
-        self._believed_s = -math.inf
-        self._timely_s = math.inf
-        self._doubted = 0
+        self._offset_at_s = 0.0
+        self._newest_device_s = -math.inf
+        self._last_on_time_s = math.inf
+        self._impossible = 0
 
     @property
     def in_doubt(self) -> bool:
-        """Whether impossible times came, and it is not known yet why."""
-        return self._doubted > 0
+        """Whether impossible stamps arrived, and the reason is not known yet."""
+        return self._impossible > 0
 
     def seconds(self, ticks: int) -> float:
-        """The device's time [s], counted on beyond its wraps; ticks as they come."""
+        """Return the device's time [s], continued across its wraps. Call it for each stamp."""
         if self._ticks is not None:
             ahead = (ticks - self._ticks) % self._modulus
-            back = ahead > self._modulus // 2  # read before the last one: not a wrap
-            if not back and ticks < self._ticks:
-                self._turns += 1
-            if back and ticks > self._ticks:
-                self._turns -= 1
+            is_older = ahead > self._modulus // 2  # taken before the previous one: not a wrap
+            if not is_older and ticks < self._ticks:
+                self._wraps += 1
+            if is_older and ticks > self._ticks:
+                self._wraps -= 1
         self._ticks = ticks
-        return (self._turns * self._modulus + ticks) / self._ticks_per_s
+        return (self._wraps * self._modulus + ticks) / self._ticks_per_s
 
     def offset(self, device_s: float, arrived_s: float) -> float:
-        """System's time minus device's [s], with what arrived at `arrived_s` [s] taken in.
+        """Return system time minus device time [s], after a message that arrived at `arrived_s`.
 
-        It includes the least time that a message takes on its way.
+        Args:
+            device_s: the message's stamp, as `seconds` returns it [s].
+            arrived_s: system time of its arrival [s].
+
+        The offset includes the least time that a message takes to arrive.
         """
-        found = arrived_s - device_s
+        measured = arrived_s - device_s
         if math.isinf(self._offset_s):
-            return self._begin(device_s, arrived_s)
-        allowed = self._offset_s + _DRIFT * max(0.0, arrived_s - self._at_s)
-        late = found > allowed + _TIMELY_S
-        impossible = found < allowed - _EARLY_S or device_s < self._believed_s
-        if impossible or (late and self.in_doubt):
-            self._doubted += 1
-            return self._set(device_s, arrived_s) if self._doubted == _DOUBTED else found
-        self._believed_s = device_s
-        if not late:
-            self._doubted = 0
-            self._timely_s = arrived_s
-        elif arrived_s - self._timely_s > _LATE_S:
-            return self._set(device_s, arrived_s)
-        self._offset_s = min(found, allowed)
-        self._at_s = arrived_s
+            return self._start(device_s, arrived_s)
+        allowed = self._offset_s + _MOST_DRIFT * max(0.0, arrived_s - self._offset_at_s)
+        is_late = measured > allowed + _ON_TIME_S
+        is_impossible = measured < allowed - _MOST_EARLY_S or device_s < self._newest_device_s
+        if is_impossible or (is_late and self.in_doubt):
+            self._impossible += 1
+            if self._impossible == _IMPOSSIBLE_BEFORE_RESET:
+                return self._reset(device_s, arrived_s)
+            return measured
+        self._newest_device_s = device_s
+        if not is_late:
+            self._impossible = 0
+            self._last_on_time_s = arrived_s
+        elif arrived_s - self._last_on_time_s > _LONGEST_LATE_S:
+            return self._reset(device_s, arrived_s)
+        self._offset_s = min(measured, allowed)
+        self._offset_at_s = arrived_s
         return self._offset_s
 
-    def _set(self, device_s: float, arrived_s: float) -> float:
+    def _reset(self, device_s: float, arrived_s: float) -> float:
         self.jumps += 1
-        return self._begin(device_s, arrived_s)
+        return self._start(device_s, arrived_s)
 
-    def _begin(self, device_s: float, arrived_s: float) -> float:
+    def _start(self, device_s: float, arrived_s: float) -> float:
         self._offset_s = arrived_s - device_s
-        self._at_s = self._timely_s = arrived_s
-        self._believed_s = device_s
-        self._doubted = 0
+        self._offset_at_s = self._last_on_time_s = arrived_s
+        self._newest_device_s = device_s
+        self._impossible = 0
         return self._offset_s

@@ -1,4 +1,7 @@
-"""Parameters that name a device, marked as such: so `cairn doctor` can look after the devices."""
+"""How parameters name a device: serial ports, USB numbers, network addresses.
+
+Such parameters carry a mark, so that `cairn doctor` can check the devices of a deployment.
+"""
 
 from __future__ import annotations
 
@@ -10,19 +13,19 @@ from typing import Annotated
 
 from pydantic import BaseModel
 
-from cairn.driver.ports import find_port
+from cairn.driver.link import find_port
 from cairn.runtime.parameters import MarkedParameter, marked_parameters
 
 TCP = "tcp:"
-"""Begins the name of a device on the network: `tcp:HOST:PORT`."""
+"""Prefix of the name of a device on the network: `tcp:HOST:PORT`."""
 
 
 @dataclass(frozen=True)
 class NamesDevice:
     """Marks a parameter whose value names a device: `Annotated[str, NamesDevice(find_port)]`.
 
-    `find` gives the path of the device of a name now, or `tcp:HOST:PORT`; it raises `CairnError`
-    if there is none.
+    `find` returns the present path of the device of a name, or `tcp:HOST:PORT`; it raises
+    `CairnError` if there is none.
     """
 
     find: Callable[[str], str | os.PathLike[str]]
@@ -32,33 +35,33 @@ class NamesDevice:
 class NamesHost:
     """Marks a parameter whose value is the address of a device on the network.
 
-    `port` is the parameter beside it that has the TCP port.
+    `port` is the name of the parameter beside it that holds the TCP port.
     """
 
     port: str
 
 
 SerialPort = Annotated[str, NamesDevice(find_port)]
-"""A serial port, by a name that `cairn.driver.ports.find_port` takes."""
+"""A serial port, by a name that `find_port` takes."""
 
 
 @dataclass(frozen=True)
 class NamedDevice:
-    """A device that a driver is to use: the parameter that names it, and how it is found now."""
+    """A device that a driver is to use: the parameter that names it, and how to find it now."""
 
     parameter: str
     find: Callable[[], str]
 
 
 def devices_named(config: BaseModel) -> Iterator[NamedDevice]:
-    """All devices that a driver's parameters name; those that are None name none."""
+    """Yield all devices that a driver's parameters name; parameters that are None name none."""
     for device in marked_parameters(config, NamesDevice):
-        yield NamedDevice(device.name, partial(_found, device))
+        yield NamedDevice(device.name, partial(_find, device))
     for host in marked_parameters(config, NamesHost):
         yield NamedDevice(host.name, partial(_address, host))
 
 
-def _found(device: MarkedParameter[NamesDevice]) -> str:
+def _find(device: MarkedParameter[NamesDevice]) -> str:
     return str(device.mark.find(device.value))
 
 

@@ -1,9 +1,14 @@
-"""Lines to devices: serial ports and TCP connections, as streams of bytes with time limits."""
+"""Lines to devices: serial ports and TCP connections, as byte streams with time limits.
+
+Serial ports may be named by USB numbers, which stay the same when devices are plugged in in another
+order.
+"""
 
 from __future__ import annotations
 
 import errno
 import os
+import re
 import select
 import socket
 import termios
@@ -11,93 +16,98 @@ from contextlib import suppress
 from typing import Protocol
 
 import serial
+from serial.tools import list_ports
 
 from cairn.driver.errors import DeviceError, LinkLost
-from cairn.driver.ports import find_port, is_paced
 
-_CHUNK = 65536
-_KNOWN = {
-    errno.EAGAIN: "another program has it open, as `cairn doctor` tells",
-    errno.EACCES: "permission denied; the user lacks the group of the device, as `cairn doctor` "
-    "tells",
+_CHUNK_BYTES = 65536
+_WRITE_TIMEOUT_S = 1.0
+_CAUSES = {
+    errno.EAGAIN: "another program has it open; `cairn doctor` shows which",
+    errno.EACCES: "permission denied; the user is not in the device's group; `cairn doctor` shows "
+    "the remedy",
     errno.ENOTTY: "it is no serial port",
     errno.ECONNRESET: "it has closed the connection; perhaps another program is connected to it",
 }
-_WRITE_LIMIT_S = 1.0
+
+# RS-232 of all kinds; USB devices of class CDC (ttyACM) and pseudo-terminals have no speed.
+_PACED = ("ttyUSB", "ttyS", "ttyAMA", "ttyO", "ttyTHS", "ttymxc")
+
+_USB = re.compile(r"usb:([0-9a-fA-F]{4}):([0-9a-fA-F]{4})(?::(.+))?")
 
 
 class Link(Protocol):
     """A line to a device. One thread uses it at a time."""
 
     name: str
-    """What errors call it: `/dev/ttyACM0`, `192.168.0.10:10940`."""
+    """Its name in errors: `/dev/ttyACM0`, `192.168.0.10:10940`."""
     paced: bool
     """Whether bytes take the time that the line's speed gives them, as on RS-232."""
 
-    def read(self, limit_s: float) -> bytes:
-        """What has come, waiting for the first byte up to `limit_s` [s]; empty if none came.
+    def read(self, timeout_s: float) -> bytes:
+        """Return what has been received, waiting up to `timeout_s` [s] for the first byte.
 
-        Raises `LinkLost` if the line is gone.
+        Empty if nothing was received. Raises `LinkLost` if the line is lost.
         """
         ...
 
     def write(self, data: bytes) -> None:
-        """Send all of it, within a second; raises `LinkLost` if that cannot be done."""
+        """Send all bytes within a second; raises `LinkLost` if that is not possible."""
         ...
 
     def set_baud(self, baud: int) -> None:
-        """Speak at this speed from now on [bit/s]; does nothing where a line has no speed.
+        """Change the speed [bit/s]; does nothing where a line has no speed.
 
-        Raises `LinkLost` if the line is gone, `DeviceError` if it knows no such speed.
+        Raises `LinkLost` if the line is lost, `DeviceError` if the port lacks that speed.
         """
         ...
 
     def discard(self) -> None:
-        """Throw away what has come and was not read; raises `LinkLost` if the line is gone."""
+        """Discard what was received and not read; raises `LinkLost` if the line is lost."""
         ...
 
     def close(self) -> None:
-        """Let go of it; may be called again."""
+        """Close the line; may be called again."""
         ...
 
 
 class SerialLink:
-    """A serial port (RS-232, USB-CDC, PTY), for this process alone, by pyserial.
+    """A serial port (RS-232, USB-CDC, PTY), opened for this process alone by pyserial.
 
-    Bytes are read by the system's calls as they come: pyserial's own `read_until` makes a call for
-    each byte, which takes half a core for a fast scanner.
+    Bytes are read by system calls as they arrive: pyserial's own `read_until` makes a call for each
+    byte, which takes half a core for a fast scanner.
     """
 
     def __init__(self, port: str, baud: int, *, data_bits: int = 8) -> None:
-        """Open a port named as `cairn.driver.ports.find_port` takes it.
+        """Open a port, named as `find_port` takes it.
 
-        Raises `LinkLost` if there is none, or it cannot be opened: with the cause.
+        Raises `LinkLost`, with the cause, if there is none, or it cannot be opened.
         """
         device = find_port(port)
         self.name = port if device == port else f"{port} ({device})"
-        self.paced = is_paced(device)
+        self.paced = os.path.basename(os.path.realpath(device)).startswith(_PACED)
         if os.path.realpath(device).startswith("/dev/pts/"):
-            data_bits = 8  # no line has fewer in software: it would be refused
+            data_bits = 8  # a pseudo-terminal refuses fewer
         try:
             self._serial = serial.Serial(
-                device, baud, bytesize=data_bits, timeout=0, write_timeout=_WRITE_LIMIT_S,
+                device, baud, bytesize=data_bits, timeout=0, write_timeout=_WRITE_TIMEOUT_S,
                 exclusive=True,
             )  # fmt: skip
         except (serial.SerialException, OSError, termios.error, ValueError) as error:
             raise LinkLost(f"{self.name} cannot be opened: {_cause(error)}") from error
 
     def fileno(self) -> int:
-        """The file descriptor, for waiting."""
+        """Return the file descriptor, for waiting."""
         return self._serial.fileno()
 
-    def read(self, limit_s: float) -> bytes:
-        """What has come, waiting up to `limit_s` [s] for the first byte."""
+    def read(self, timeout_s: float) -> bytes:
+        """Return what has been received, waiting up to `timeout_s` [s] for the first byte."""
         try:
             descriptor = self._serial.fileno()
-            ready, _, _ = select.select([descriptor], [], [], limit_s)
+            ready, _, _ = select.select([descriptor], [], [], timeout_s)
             if not ready:
                 return b""
-            data = os.read(descriptor, _CHUNK)
+            data = os.read(descriptor, _CHUNK_BYTES)
         except (serial.SerialException, OSError, termios.error) as error:
             raise self._lost(error) from error
         if not data:
@@ -105,30 +115,30 @@ class SerialLink:
         return data
 
     def write(self, data: bytes) -> None:
-        """Send all of it."""
+        """Send all bytes."""
         try:
             self._serial.write(data)
         except (serial.SerialException, OSError, termios.error) as error:
             raise self._lost(error) from error
 
     def set_baud(self, baud: int) -> None:
-        """Speak at this speed from now on [bit/s]."""
+        """Change the speed [bit/s]."""
         try:
             self._serial.baudrate = baud
         except ValueError as error:
-            raise DeviceError(f"{self.name} knows no speed of {baud} bit/s") from error
+            raise DeviceError(f"{self.name}: the port has no speed of {baud} bit/s") from error
         except (serial.SerialException, OSError, termios.error) as error:
             raise self._lost(error) from error
 
     def discard(self) -> None:
-        """Throw away what has come and was not read."""
+        """Discard what was received and not read."""
         try:
             self._serial.reset_input_buffer()
         except (serial.SerialException, OSError, termios.error) as error:
             raise self._lost(error) from error
 
     def close(self) -> None:
-        """Let go of the port."""
+        """Close the port."""
         # A port that was unplugged cannot be closed in good order; it is gone all the same.
         with suppress(serial.SerialException, OSError, termios.error):
             self._serial.close()
@@ -140,44 +150,45 @@ class SerialLink:
 class TcpLink:
     """A device behind a TCP port: a scanner on Ethernet, or a serial device server."""
 
-    def __init__(self, host: str, port: int, limit_s: float = 2.0) -> None:
-        """Connect within `limit_s` [s]; raises `LinkLost` if that fails, with the cause."""
+    def __init__(self, host: str, port: int, timeout_s: float = 2.0) -> None:
+        """Connect within `timeout_s` [s]; raises `LinkLost`, with the cause, if that fails."""
         self.name = f"{host}:{port}"
         self.paced = False
         try:
-            self._socket = socket.create_connection((host, port), limit_s)
+            self._socket = socket.create_connection((host, port), timeout_s)
         except (OSError, UnicodeError) as error:
             raise LinkLost(f"{self.name} cannot be connected: {_cause(error)}") from error
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        self._socket.settimeout(_WRITE_LIMIT_S)
+        self._socket.settimeout(_WRITE_TIMEOUT_S)
 
-    def read(self, limit_s: float) -> bytes:
-        """What has come, waiting up to `limit_s` [s] for the first byte."""
+    def read(self, timeout_s: float) -> bytes:
+        """Return what has been received, waiting up to `timeout_s` [s] for the first byte."""
         try:
-            ready, _, _ = select.select([self._socket], [], [], limit_s)
+            ready, _, _ = select.select([self._socket], [], [], timeout_s)
             if not ready:
                 return b""
-            data = self._socket.recv(_CHUNK)
+            data = self._socket.recv(_CHUNK_BYTES)
         except (OSError, ValueError) as error:
             raise self._lost(error) from error
         if not data:
             raise LinkLost(
-                f"{self.name} has closed the connection: switched off, or another program uses it"
+                f"{self.name} has closed the connection: the device was switched off, or another "
+                "program uses it"
             )
         return data
 
     def write(self, data: bytes) -> None:
-        """Send all of it."""
+        """Send all bytes."""
         try:
             self._socket.sendall(data)
         except OSError as error:
             raise self._lost(error) from error
 
     def set_baud(self, baud: int) -> None:
-        """There is no speed to set."""
+        """Do nothing: TCP has no speed."""
 
     def discard(self) -> None:
-        """Throw away what has come and was not read."""
+        """Discard what was received and not read."""
         while self.read(0.0):
             pass
 
@@ -189,14 +200,44 @@ class TcpLink:
         return LinkLost(f"{self.name} is gone: {_cause(error)}")
 
 
+def find_port(port: str) -> str:
+    """Return the path of the serial port named `port`.
+
+    The name is a path (`/dev/serial/by-id/...`, `/dev/ttyACM0`), which is returned as it is, or
+    `usb:VENDOR:PRODUCT[:SERIAL]` with hexadecimal numbers, which is searched among the ports that
+    are present now: it stays valid when a device comes back under another path, and needs no udev.
+
+    Raises `LinkLost` if no such device, or more than one, is plugged in.
+    """
+    match = _USB.fullmatch(port)
+    if match is None:
+        return port
+    vendor, product, number = int(match[1], 16), int(match[2], 16), match[3]
+    found = [
+        known
+        for known in list_ports.comports()
+        if (known.vid, known.pid) == (vendor, product) and number in (None, known.serial_number)
+    ]
+    if len(found) == 1:
+        device: str = found[0].device
+        return device
+    if found:
+        named = ", ".join(f"{known.device} ({known.serial_number})" for known in found)
+        raise LinkLost(
+            f"{port}: several such devices are plugged in: {named}; add the serial number to the "
+            "name"
+        )
+    raise LinkLost(f"{port}: no such device is plugged in; `cairn doctor` lists those that are")
+
+
 def _cause(error: BaseException) -> str:
     if isinstance(error, socket.gaierror):
-        return f"{error.strerror}; is the address right?"
+        return f"{error.strerror}; check the address"
     number = getattr(error, "errno", None)
     if isinstance(error, termios.error):
         number = error.args[0] if error.args else None
     elif isinstance(error.__context__, termios.error):
         return _cause(error.__context__)  # pyserial says only that it failed
     if isinstance(number, int):
-        return _KNOWN.get(number, os.strerror(number))
+        return _CAUSES.get(number, os.strerror(number))
     return str(error)

@@ -21,7 +21,7 @@ from cairn.components.hokuyo.config import LIVE, HokuyoConfig
 from cairn.components.hokuyo.measurement import Measured, Measurement
 from cairn.components.hokuyo.scan_message import ScanShape
 from cairn.components.hokuyo.sensor import request_of
-from cairn.driver.device_feed import DeviceFeed
+from cairn.driver.device_thread import DeviceFeed
 from cairn.driver.diagnostics import diagnostics
 from cairn.driver.errors import DeviceError
 from cairn.planar.messages import transform_message
@@ -53,17 +53,17 @@ class HokuyoScanner(Component):
         """
         self._feed = DeviceFeed(
             self,
-            lambda stopping: self._measurement.converse(stopping, self._feed.well),
+            lambda stopping: self._measurement.converse(stopping, self._feed.report_working),
             self._publish,
         )
         self._health = health.Health()
-        self._measurement = Measurement(self.config, self._feed.give)
+        self._measurement = Measurement(self.config, self._feed.put)
         try:
             sensor = self._measurement.connect()
         except DeviceError as error:
             if not self.restarts:
                 raise
-            self._feed.trouble = str(error)
+            self._feed.device_error = str(error)
             return
         try:
             request_of(self.config, sensor.measuring)
@@ -135,7 +135,7 @@ class HokuyoScanner(Component):
                 "" if sensor is None else sensor.serial_number,
                 level,
                 text,
-                health.values(measurement, hz) | {"left out": feed.left_out},
+                health.values(measurement, hz) | {"left out": feed.dropped},
             )
         )
 

@@ -11,9 +11,18 @@ from cairn import CairnError
 from cairn.components.hokuyo.emulated_commands import BAUDS
 from cairn.components.hokuyo.emulated_models import MODELS
 from cairn.components.hokuyo.emulated_scip import EmulatedScip
-from cairn.driver.emulate_command import Faults, Paced, Place, Pty, Seed, Serial, Tcp, emulate
-from cairn.driver.emulator_orders import Order
-from cairn.driver.emulator_record import recording
+from cairn.driver.emulator_cli import (
+    FaultCommand,
+    Faults,
+    LineOptions,
+    Paced,
+    Pty,
+    Seed,
+    Serial,
+    Tcp,
+    emulate,
+    recording,
+)
 
 _MODEL_HELP = f"Its model: {', '.join(MODELS)}."
 
@@ -77,8 +86,8 @@ def hokuyo(
             serial_number=serial_number,
             on_scan=None if record is None else lambda scan: write(scan.line()),
         )
-        orders = {
-            "trouble": Order(
+        commands = {
+            "trouble": FaultCommand(
                 "STATUS [SCANS]",
                 "the next scans come as this status: 0M unstable, 21 to 49 stopped, 98 resumed, "
                 "50 to 97 broken",
@@ -88,11 +97,11 @@ def hokuyo(
         emulate(
             f"a {model}",
             device,
-            Place(pty, tcp, serial),
+            LineOptions(pty, tcp, serial),
             faults=faults,
             seed=seed,
             paced=paced,
-            orders=orders,
+            commands=commands,
         )
 
 

@@ -105,7 +105,7 @@ class Commands:
             self._reboot_asked = now
             return "01"
         self._reboot_asked = -math.inf
-        self._sensor.switched_on(now)
+        self._sensor.powered_on(now)
         self._sensor.deaf_until = now + REBOOT_S
         return "00"
 

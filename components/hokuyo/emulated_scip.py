@@ -45,7 +45,7 @@ class _Wanted:
 
 
 class EmulatedScip:
-    """A scanner of one of the `MODELS`. Implements `cairn.driver.emulation.EmulatedDevice`."""
+    """A scanner of one of the `MODELS`. Implements `cairn.driver.emulator.EmulatedDevice`."""
 
     def __init__(
         self,
@@ -84,16 +84,16 @@ class EmulatedScip:
         self._knows_scip2 = knows_scip2
         self._on_scan = on_scan
         self._wanted: _Wanted | None = None
-        self.switched_on(0.0)
+        self.powered_on(0.0)
 
-    def switched_on(self, now: float) -> None:
+    def powered_on(self, now: float) -> None:
         """Begin as after power-on."""
         self._held = b""
         self._scip1 = self._starts_in_scip1
         self._wanted = None
-        self.sensor.switched_on(now)
+        self.sensor.powered_on(now)
 
-    def hung_up(self, now: float) -> None:  # noqa: ARG002 - as every emulated device
+    def disconnected(self, now: float) -> None:  # noqa: ARG002 - as every emulated device
         """Nobody listens any more: what it heard half of is forgotten; on Ethernet it rests."""
         self._held = b""
         if self.model.line == "ethernet":

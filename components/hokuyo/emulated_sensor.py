@@ -42,7 +42,7 @@ class Sensor:
         self._sums_arrows = sums_arrows
         self.reset(0.0)
 
-    def switched_on(self, now: float) -> None:
+    def powered_on(self, now: float) -> None:
         """Begin as after power-on."""
         self.trouble = None
         self.coming.clear()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from cairn.components.hokuyo.measurement import Measured, Measurement
-from cairn.driver.device_feed import DeviceFeed
+from cairn.driver.device_thread import DeviceFeed
 from cairn.driver.diagnostics import ERROR, OK, WARN
 
 _AS_IT_SAYS = ("LASR", "SCSP", "MESM", "SBPS", "STAT")
@@ -30,10 +30,10 @@ class Health:
         self, measurement: Measurement, feed: DeviceFeed[Measured], tolerance: float
     ) -> tuple[int, str]:
         """Level and text: connected at all, anything damaged, rate as it should be."""
-        now = Counts(measurement.stream.damaged, measurement.restarts, feed.left_out)
+        now = Counts(measurement.stream.damaged, measurement.restarts, feed.dropped)
         before, self._before = self._before, now
-        if feed.trouble:
-            return ERROR, feed.trouble
+        if feed.device_error:
+            return ERROR, feed.device_error
         hz = feed.hz()
         nominal = nominal_hz(measurement)
         if now.restarts > before.restarts:

@@ -146,7 +146,7 @@ class Measurement:
             line_s, sensor.measuring.turn_s * (request.skip + 1)
         )
         heard = good = time.monotonic()
-        bytes_heard = sensor.dialogue.heard
+        bytes_received = sensor.dialogue.heard
         while self.config is config and not stopping.is_set():
             for arrival in sensor.protocol.arrivals(_LISTEN_S):
                 try:
@@ -166,8 +166,8 @@ class Measurement:
                 first = sensor.stamping.first_ray(data.time_ms, arrival.at, request, line_s)
                 self._on_scan(Measured(data, request, sensor, first))
             now = time.monotonic()
-            if sensor.dialogue.heard != bytes_heard:  # a scan may take long on a slow line
-                heard, bytes_heard = now, sensor.dialogue.heard
+            if sensor.dialogue.heard != bytes_received:  # a scan may take long on a slow line
+                heard, bytes_received = now, sensor.dialogue.heard
             if now - heard > silence_s or now - good > _DAMAGED * silence_s:
                 break
         return came

@@ -26,8 +26,8 @@ from cairn.components.hokuyo.measurement import Measured, Measurement
 from cairn.components.hokuyo.scan_message import ScanShape
 from cairn.components.hokuyo.scan_picture import drawn
 from cairn.driver.device_names import TCP
+from cairn.driver.diagnostics import RateWindow
 from cairn.driver.errors import DeviceError
-from cairn.driver.rate import RateWindow
 from cairn.runtime.parameters import error_reason
 from cairn.schemas.std_msgs import Header
 

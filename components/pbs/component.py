@@ -8,7 +8,7 @@ from cairn import LATCHED, SECOND, SENSOR, Component, Config, Out, ParameterReje
 from cairn.components.pbs.config import PbsConfig
 from cairn.components.pbs.conversation import Conversation, Measured
 from cairn.components.pbs.scan_message import ScanShape
-from cairn.driver.device_feed import DeviceFeed
+from cairn.driver.device_thread import DeviceFeed
 from cairn.driver.diagnostics import ERROR, OK, WARN, diagnostics
 from cairn.driver.errors import DeviceError
 from cairn.planar.messages import transform_message
@@ -39,18 +39,18 @@ class PbsScanner(Component):
         """
         self._feed = DeviceFeed(
             self,
-            lambda stopping: self._conversation.converse(stopping, self._feed.well),
+            lambda stopping: self._conversation.converse(stopping, self._feed.report_working),
             self._publish,
         )
         self._damaged_before = 0
         self._shape = ScanShape(self.config.resolution, self.config.range_max)
-        self._conversation = Conversation(self.config, self._feed.give)
+        self._conversation = Conversation(self.config, self._feed.put)
         try:
             self._conversation.probe()
         except DeviceError as error:
             if not self.restarts:
                 raise
-            self._feed.trouble = str(error)
+            self._feed.device_error = str(error)
 
     def on_activate(self) -> None:
         """Tell where it sits on the robot; begin to measure."""
@@ -85,7 +85,7 @@ class PbsScanner(Component):
             "nominal rate [Hz]": self.config.rate,
             "scans": conversation.scans,
             "damaged frames": conversation.damaged,
-            "left out": self._feed.left_out,
+            "left out": self._feed.dropped,
             "requests without answer": conversation.missed,
             "connections": conversation.connections,
         }
@@ -95,8 +95,8 @@ class PbsScanner(Component):
     def _judgment(self, hz: float) -> tuple[int, str]:
         damaged = self._conversation.damaged - self._damaged_before
         self._damaged_before += damaged
-        if self._feed.trouble:
-            return ERROR, self._feed.trouble
+        if self._feed.device_error:
+            return ERROR, self._feed.device_error
         if damaged:
             return WARN, f"{damaged} damaged frames: check cable and shielding"
         if abs(hz - self.config.rate) > self.config.rate_tolerance * self.config.rate:

@@ -8,8 +8,17 @@ from typing import Annotated
 import typer
 
 from cairn.components.pbs.emulated_pbs import EmulatedPbs
-from cairn.driver.emulate_command import Faults, Paced, Place, Pty, Seed, Serial, Tcp, emulate
-from cairn.driver.emulator_record import recording
+from cairn.driver.emulator_cli import (
+    Faults,
+    LineOptions,
+    Paced,
+    Pty,
+    Seed,
+    Serial,
+    Tcp,
+    emulate,
+    recording,
+)
 
 
 def pbs_03jn(
@@ -38,7 +47,7 @@ def pbs_03jn(
         emulate(
             "a PBS-03JN",
             device,
-            Place(pty, tcp, serial),
+            LineOptions(pty, tcp, serial),
             faults=faults,
             seed=seed,
             paced=paced,

@@ -35,7 +35,7 @@ Scene = Callable[[int, float], NDArray[np.uint16]]
 
 
 class EmulatedPbs:
-    """The sensor. Implements `cairn.driver.emulation.EmulatedDevice`.
+    """The sensor. Implements `cairn.driver.emulator.EmulatedDevice`.
 
     It holds the link for three seconds, and tells distances to nobody without one.
     """
@@ -55,16 +55,16 @@ class EmulatedPbs:
         self._turn_s = SLOW_TURN_S if low_speed else TURN_S
         self._fixed_code = code
         self._on_scan = on_scan
-        self.switched_on(0.0)
+        self.powered_on(0.0)
 
-    def switched_on(self, now: float) -> None:
+    def powered_on(self, now: float) -> None:
         """Begin as after power-on."""
         self._code = self._fixed_code or self._random.bytes(8)
         self._linked_until = -math.inf
         self._on_since = now
         self._splitter = FrameSplitter()
 
-    def hung_up(self, now: float) -> None:
+    def disconnected(self, now: float) -> None:
         """Its line does not tell; the link ends by itself."""
 
     def baud(self) -> int:

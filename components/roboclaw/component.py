@@ -32,8 +32,8 @@ from cairn.components.roboclaw.messages import (
 from cairn.components.roboclaw.odometry import RecentSpeed, WheelOdometry
 from cairn.components.roboclaw.setting_up import Ready
 from cairn.driver.device_thread import DeviceThread
+from cairn.driver.diagnostics import RateWindow
 from cairn.driver.errors import DeviceError
-from cairn.driver.rate import RateWindow
 from cairn.runtime.rate_limited_log import RateLimitedLog
 from cairn.schemas.diagnostic_msgs import DiagnosticArray
 from cairn.schemas.geometry_msgs import Twist
@@ -101,7 +101,7 @@ class RoboclawBase(Component):
             f"{self.name}: RoboClaw",
             self._driving.converse,
             log=self.log,
-            on_trouble=self._in_trouble,
+            on_device_error=self._in_trouble,
             on_failure=self._failed,
         )
         self._thread = thread
@@ -175,7 +175,7 @@ class RoboclawBase(Component):
 
     def _ready(self, ready: Ready) -> None:
         if self._thread is not None:
-            self._thread.well(f"{ready.version} on {self.config.port} works again")
+            self._thread.report_working(f"{ready.version} on {self.config.port} works again")
 
     def _in_trouble(self, error: DeviceError) -> None:
         self._health.trouble = str(error)

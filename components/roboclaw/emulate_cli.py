@@ -1,4 +1,4 @@
-"""`cairn emulate roboclaw`: a motor controller with two motors in software."""
+"""`cairn emulate roboclaw`: an emulated motor controller with two motors."""
 
 from __future__ import annotations
 
@@ -11,8 +11,17 @@ from cairn.components.roboclaw.emulated_controller import Firmware
 from cairn.components.roboclaw.emulated_motor import MotorFault
 from cairn.components.roboclaw.emulator import EmulatedRoboclaw
 from cairn.components.roboclaw.packets import ADDRESSES
-from cairn.driver.emulate_command import Faults, Paced, Place, Pty, Seed, Serial, Tcp, emulate
-from cairn.driver.emulator_orders import Order
+from cairn.driver.emulator_cli import (
+    FaultCommand,
+    Faults,
+    LineOptions,
+    Paced,
+    Pty,
+    Seed,
+    Serial,
+    Tcp,
+    emulate,
+)
 
 _FIRMWARES: tuple[Firmware, ...] = get_args(Firmware)
 _FAULTS: tuple[MotorFault, ...] = get_args(MotorFault)
@@ -66,11 +75,11 @@ def roboclaw(
     emulate(
         version,
         device,
-        Place(pty, tcp, serial),
+        LineOptions(pty, tcp, serial),
         faults=faults,
         seed=seed,
         paced=paced,
-        orders=_orders(device),
+        commands=_commands(device),
     )
 
 
@@ -81,7 +90,7 @@ def _firmware(name: str) -> Firmware:
     raise CairnError(f"--firmware {name}: it is one of {', '.join(_FIRMWARES)}")
 
 
-def _orders(device: EmulatedRoboclaw) -> dict[str, Order]:
+def _commands(device: EmulatedRoboclaw) -> dict[str, FaultCommand]:
     controller = device.controller
 
     def motor(words: list[str]) -> str:
@@ -119,9 +128,9 @@ def _orders(device: EmulatedRoboclaw) -> dict[str, Order]:
         return f"{'; '.join(told)}; stopped by the serial timeout {device.timeouts} times"
 
     return {
-        "motor": Order(f"1|2 well|{'|'.join(_FAULTS)}", "what is wrong with a motor", motor),
-        "stop": Order("on|off", "press the emergency stop, or release it", stop),
-        "battery": Order("VOLTS", "what the main battery has", battery),
-        "power": Order("", "lose power for a moment, and all settings", power),
-        "wheels": Order("", "tell how both motors truly turn", wheels),
+        "motor": FaultCommand(f"1|2 well|{'|'.join(_FAULTS)}", "what is wrong with a motor", motor),
+        "stop": FaultCommand("on|off", "press the emergency stop, or release it", stop),
+        "battery": FaultCommand("VOLTS", "what the main battery has", battery),
+        "power": FaultCommand("", "lose power for a moment, and all settings", power),
+        "wheels": FaultCommand("", "tell how both motors truly turn", wheels),
     }

@@ -1,4 +1,4 @@
-"""A RoboClaw that exists in software alone: its packets, its time limits, two motors.
+"""An emulated RoboClaw: its packets, its time limits, two motors.
 
 It does what the manual says (see `packets.py`, `commands.py`), and where the manual is silent, what
 is the worse for a driver.
@@ -36,7 +36,7 @@ class Moved:
 
 
 class EmulatedRoboclaw:
-    """The controller and its motors. An `EmulatedDevice` of `cairn.driver.emulation`.
+    """The controller and its motors. An `EmulatedDevice` of `cairn.driver.emulator`.
 
     Its power comes from the battery: when the line is unplugged it goes on, and its serial timeout
     is what stops the motors.
@@ -98,10 +98,10 @@ class EmulatedRoboclaw:
         self.advance(now)
         return []
 
-    def hung_up(self, now: float) -> None:
+    def disconnected(self, now: float) -> None:
         """Take no note: a serial line tells nothing of it."""
 
-    def switched_on(self, now: float) -> None:
+    def powered_on(self, now: float) -> None:
         """Begin to live at the first time; afterwards the line comes back, no more."""
         if self._now is None:
             self._now = now

@@ -19,8 +19,7 @@ from cairn.components.ros2_base.commanding import REST, Commanding
 from cairn.components.ros2_base.config import Ros2BaseConfig
 from cairn.components.ros2_base.messages import odometry, stamped_twist, transform, twist
 from cairn.components.ros2_base.odometry_checks import Continuity, Expected, refusal
-from cairn.driver.diagnostics import ERROR, OK, WARN, diagnostics
-from cairn.driver.rate import RateWindow
+from cairn.driver.diagnostics import ERROR, OK, WARN, RateWindow, diagnostics
 from cairn.planar.messages import planar_pose
 from cairn.runtime.rate_limited_log import RateLimitedLog
 from cairn.schemas.diagnostic_msgs import DiagnosticArray

@@ -20,8 +20,8 @@ from cairn.components.v4l2_camera.pairing import Picture
 from cairn.components.v4l2_camera.pixels import Gray, NoPicture, ShortPicture
 from cairn.components.v4l2_camera.stamps import Sequence, is_likely, system_offset
 from cairn.components.v4l2_camera.stream import Capture, Stream
+from cairn.driver.diagnostics import RateWindow
 from cairn.driver.errors import DeviceError, LinkLost
-from cairn.driver.rate import RateWindow
 from cairn.runtime.rate_limited_log import RateLimitedLog
 
 # How long the thread waits for a picture before it looks whether it is to stop [s].

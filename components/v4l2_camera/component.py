@@ -111,7 +111,7 @@ class V4l2StereoCamera(Component):
                 f"{self.name} {side}",
                 camera.converse,
                 log=self.log,
-                on_trouble=partial(self._troubled, index),
+                on_device_error=partial(self._troubled, index),
                 on_failure=self._failed,
             )
             for index, (side, camera) in enumerate(zip(_SIDES, self._cameras, strict=False))
@@ -185,7 +185,7 @@ class V4l2StereoCamera(Component):
 
     def _came(self, side: int, picture: Picture) -> None:
         """On the camera's thread: hand on a picture, in place of one that was not taken yet."""
-        self._threads[side].well(f"{self.config.devices()[side]}: pictures come again")
+        self._threads[side].report_working(f"{self.config.devices()[side]}: pictures come again")
         self._trouble[side] = ""
         if self._newest[side]:
             self._cameras[side].counts.skipped += 1

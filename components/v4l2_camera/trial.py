@@ -83,7 +83,7 @@ def tried(cameras: Sequence[CameraSettings], seconds: float) -> tuple[list[Tried
                 f"camera {side}",
                 outcome.camera.converse,
                 log=log,
-                on_trouble=partial(_note, outcome),
+                on_device_error=partial(_note, outcome),
                 on_failure=partial(_note, outcome),
             )
             thread.start()

@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
-from cairn.driver.emulated_lines import TcpEnd
-from cairn.driver.emulation import Emulation
+from cairn.driver.emulator import Emulator
+from cairn.driver.emulator_lines import TcpEnd
 from cairn.driver.link import TcpLink
 from tests.patience import LIMIT_S
 
@@ -50,7 +50,7 @@ def test_the_emulator_of_ones_own_works(
     monkeypatch.syspath_prepend(tmp_path)
     thermometer = import_module("my_robot.thermometer")
     end = TcpEnd(0)
-    with Emulation(thermometer.Thermometer(), end):
+    with Emulator(thermometer.Thermometer(), end):
         link = TcpLink("127.0.0.1", end.port)
         link.write(b"T")
         assert link.read(5.0) == b"21.5\n"

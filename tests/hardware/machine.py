@@ -16,7 +16,7 @@ _REPOSITORY = _HERE.parents[1]
 _STARTING = ("second_program.sh", "tests.service", "third_program.sh")
 _BOOT_MODULES = ("virtio_pci", "9pnet_virtio", "9p", "overlay")
 _ACCELERATOR = "tcg,thread=multi,tb-size=1024"
-"""Emulation, which every machine can. KVM within a virtual machine may be far slower."""
+"""Software emulation works on every machine. KVM within a virtual machine may be far slower."""
 
 
 def first_file_system(kernel: Kernel, folder: Path) -> Path:

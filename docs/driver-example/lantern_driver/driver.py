@@ -8,8 +8,8 @@ from typing import ClassVar, Literal
 import numpy as np
 from cairn import SECOND, SENSOR, Component, Config, Out, ParameterRejected, every, from_ns
 from cairn.driver.device_clock import DeviceClock
-from cairn.driver.device_feed import DeviceFeed
 from cairn.driver.device_names import SerialPort
+from cairn.driver.device_thread import DeviceFeed
 from cairn.driver.diagnostics import ERROR, OK, WARN, diagnostics
 from cairn.driver.errors import DeviceError
 from cairn.driver.link import SerialLink
@@ -77,14 +77,14 @@ class LanternScanner(Component):
         """Tell how the device is."""
         hz = self._feed.hz()
         level, text = OK, f"{hz:.1f} scans a second"
-        if self._feed.trouble:
-            level, text = ERROR, self._feed.trouble
+        if self._feed.device_error:
+            level, text = ERROR, self._feed.device_error
         elif abs(hz - protocol.RATE_HZ) > 0.1 * protocol.RATE_HZ:
             level = WARN
         values = {
             "rate [Hz]": hz,
             "damaged lines": self._damaged,
-            "left out": self._feed.left_out,
+            "left out": self._feed.dropped,
         }
         now, port = self.clock.now(), self.config.port
         self.diagnostics.publish(diagnostics(now, self.name, port, level, text, values))
@@ -107,10 +107,10 @@ class LanternScanner(Component):
                         self._damaged += 1
                         continue
                     heard = now
-                    self._feed.well(f"{link.name}: the Lantern measures")
+                    self._feed.report_working(f"{link.name}: the Lantern measures")
                     ended = clock.seconds(turn.ended_ms)
                     began = ended + clock.offset(ended, now) - protocol.SWEEP_S
-                    self._feed.give((turn, began))
+                    self._feed.put((turn, began))
                 if now - heard > _SILENCE_S:
                     raise DeviceError(f"{link.name}: no turn for {_SILENCE_S:g} s; is it on?")
             link.write(protocol.STOP)

@@ -32,7 +32,7 @@ class Turn:
 
 
 def write_turn(turn: Turn) -> bytes:
-    """The line that tells a turn: for devices in software."""
+    """Return the line that describes a turn: for emulators."""
     body = " ".join(["T", str(turn.ended_ms), *map(str, turn.millimeters)]).encode()
     return b"%s*%02X\n" % (body, sum(body) & 0xFF)
 

@@ -1,12 +1,12 @@
-"""A Lantern in software, in a room that is known."""
+"""An emulated Lantern, in a known room."""
 
 import math
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
-from cairn.driver.emulated_lines import PtyEnd
-from cairn.driver.emulation import Emulation
+from cairn.driver.emulator import Emulator
+from cairn.driver.emulator_lines import PtyEnd
 
 from lantern_driver import protocol
 from lantern_driver.protocol import Turn, write_turn
@@ -18,7 +18,7 @@ _PERIOD_S = 1.0 / protocol.RATE_HZ
 
 
 class EmulatedLantern:
-    """The device as its line shows it; `cairn.driver.emulation` plugs it in and runs it."""
+    """The device as its line shows it; `cairn.driver.emulator` plugs it in and runs it."""
 
     def __init__(self) -> None:
         self._due = math.inf
@@ -40,10 +40,10 @@ class EmulatedLantern:
         ended, self._due = self._due, self._due + _PERIOD_S
         return [write_turn(Turn(round(ended * 1000) % (1 << 16), self._distances()))]
 
-    def hung_up(self, now: float) -> None:
+    def disconnected(self, now: float) -> None:
         """It does not know: its line has three wires."""
 
-    def switched_on(self, now: float) -> None:
+    def powered_on(self, now: float) -> None:
         self._due = math.inf
 
     def baud(self) -> int:
@@ -66,7 +66,7 @@ class Lantern:
     """The device as the contracts know it: where it is, and how it is unplugged."""
 
     def __init__(self, path: Path) -> None:
-        self.emulation = Emulation(EmulatedLantern(), PtyEnd(path))
+        self.emulator = Emulator(EmulatedLantern(), PtyEnd(path))
         self._path = path
 
     @property
@@ -74,15 +74,15 @@ class Lantern:
         return {"port": str(self._path)}
 
     def unplug(self) -> None:
-        self.emulation.unplug()
+        self.emulator.unplug()
 
     def plug_in(self) -> None:
-        self.emulation.plug_in()
+        self.emulator.plug_in()
 
 
 @contextmanager
 def plugged_in(folder: Path) -> Iterator[Lantern]:
     """One that is there as long as the context lasts."""
     lantern = Lantern(folder / "lantern")
-    with lantern.emulation:
+    with lantern.emulator:
         yield lantern

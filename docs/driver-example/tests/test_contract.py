@@ -31,7 +31,7 @@ class TestLantern(RangeScannerContract):
         output.await_count(3)
         with robot.read("diagnostics", DiagnosticArray) as told:
             before = damaged(told.await_count(1)[0].message)
-            device.emulation.spoil("bad_sum", 5)
+            device.emulator.inject("bad_sum", 5)
             told.await_that(
                 lambda arrivals: any(damaged(one.message) >= before + 5 for one in arrivals),
                 "five damaged lines more",
@@ -47,9 +47,9 @@ class TestLantern(RangeScannerContract):
     ) -> None:
         output.await_count(3)
         said = len(robot.run.lines)
-        device.emulation.hang()
+        device.emulator.hang()
         robot.run.await_line("no turn for 1 s", after=said)
-        device.emulation.hang(0.0)
+        device.emulator.hang(0.0)
         output.await_count(3, after=output.count)
 
 

@@ -1,4 +1,4 @@
-"""A device for trying lines with: it repeats each line that it hears, and counts if told to."""
+"""An emulated device for tests of lines: it repeats each line that it receives, and can count."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tests.patience import LIMIT_S
 
 @dataclass
 class Parrot:
-    """Repeats lines. `count` has it send a number every `period_s`; `speak N` changes its speed."""
+    """Repeats lines. `count` starts a number every `period_s`; `speak N` changes its speed."""
 
     period_s: float = 0.01
     speed: int | None = None
@@ -24,11 +24,11 @@ class Parrot:
     heard: list[bytes] = field(default_factory=list)
     _held: bytes = b""
 
-    def switched_on(self, now: float) -> None:
+    def powered_on(self, now: float) -> None:
         self.power_ons += 1
         self.counting, self.next_at, self._held = False, math.inf, b""
 
-    def hung_up(self, now: float) -> None:
+    def disconnected(self, now: float) -> None:
         self.hang_ups += 1
 
     def baud(self) -> int | None:
@@ -58,7 +58,7 @@ class Parrot:
 
 
 def read_until(link: Link, part: bytes) -> bytes:
-    """What comes, until this is in it."""
+    """Read until this is in what was received; return that."""
     deadline = time.monotonic() + LIMIT_S
     data = b""
     while part not in data:
@@ -68,7 +68,7 @@ def read_until(link: Link, part: bytes) -> bytes:
 
 
 def read_count(link: Link, count: int) -> bytes:
-    """So many bytes, or more."""
+    """Read at least so many bytes."""
     deadline = time.monotonic() + LIMIT_S
     data = b""
     while len(data) < count:
@@ -78,6 +78,6 @@ def read_count(link: Link, count: int) -> bytes:
 
 
 def asked(link: Link, line: bytes) -> bytes:
-    """What comes for a line, with the answer in it."""
+    """Send a line; return what is received until it is repeated."""
     link.write(line + b"\n")
     return read_until(link, line + b"\n")

@@ -1,4 +1,4 @@
-"""A device's clock is followed through wraps, drift, late messages and being set."""
+"""`DeviceClock` follows a device's clock through wraps, drift, late messages and resets."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _MODULUS = 1 << 24
 
 
 @given(st.integers(0, _MODULUS - 1), st.lists(st.integers(0, _MODULUS // 2), max_size=50))
-def test_it_counts_on_beyond_wraps(begin: int, steps: list[int]) -> None:
+def test_time_continues_across_wraps(begin: int, steps: list[int]) -> None:
     clock = DeviceClock(1000, 24)
     truth, shown = [begin], begin
     for step in steps:
@@ -29,7 +29,7 @@ def test_it_counts_on_beyond_wraps(begin: int, steps: list[int]) -> None:
         assert after - before == pytest.approx(step / 1000, abs=1e-6)
 
 
-def test_one_damaged_time_does_not_count_as_a_wrap() -> None:
+def test_one_damaged_stamp_is_not_counted_as_a_wrap() -> None:
     clock = DeviceClock(1000, 24)
     begin = clock.seconds(1000)
     clock.seconds(900)  # an older one
@@ -38,7 +38,7 @@ def test_one_damaged_time_does_not_count_as_a_wrap() -> None:
     assert clock.seconds(1025) - begin == pytest.approx(0.025)
 
 
-def test_the_least_way_is_found_and_late_messages_do_not_matter() -> None:
+def test_offset_is_the_smallest_delay_and_ignores_late_messages() -> None:
     clock = DeviceClock(1000, 24)
     offsets = [
         clock.offset(t, 100.0 + t + late)
@@ -51,7 +51,7 @@ def test_the_least_way_is_found_and_late_messages_do_not_matter() -> None:
 
 
 @pytest.mark.parametrize("drift", [300e-6, -300e-6])
-def test_clocks_that_drift_are_followed(drift: float) -> None:
+def test_drifting_clocks_are_followed(drift: float) -> None:
     clock = DeviceClock(1000, 24)
     for number in range(10_000):
         arrived = 0.1 * number
@@ -63,14 +63,14 @@ def test_clocks_that_drift_are_followed(drift: float) -> None:
 
 @dataclass
 class Stream:
-    """Messages of a device: when each was sent [s], what time it bears [ms], how late it is [s]."""
+    """Messages of a device: time sent [s], stamp [ms], and delay [s] of each."""
 
     sent: list[float]
     shown: list[int]
     late: list[float]
 
     def errors(self, clock: DeviceClock) -> list[float]:
-        """How far off a driver takes each to have been sent [s]."""
+        """Return the error of each message's time as the driver computes it [s]."""
         found, arrived = [], 0.0
         for sent, ticks, late in zip(self.sent, self.shown, self.late, strict=True):
             arrived = max(arrived, sent + late)  # a line keeps their order
@@ -81,7 +81,7 @@ class Stream:
 
 @st.composite
 def restarted_devices(draw: st.DrawFn) -> Stream:
-    """A device that is away for a while, and then has its clock begin anew anywhere."""
+    """A device that is silent for a while, and whose clock then restarts at any value."""
     period_ms, away_ms = draw(st.sampled_from([25, 100, 200])), draw(st.integers(0, 2000))
     before, after = draw(st.integers(3, 20)), 20
     numbers = range(before + after)
@@ -97,7 +97,7 @@ def restarted_devices(draw: st.DrawFn) -> Stream:
 
 @settings(max_examples=200, deadline=None)
 @given(restarted_devices())
-def test_a_restarted_device_is_followed_from_its_first_message_on(stream: Stream) -> None:
+def test_a_restarted_device_is_followed_from_its_first_message(stream: Stream) -> None:
     errors = stream.errors(DeviceClock(1000, 24))
 
     # What is later than it can be by less than 0.05 s is not noticed.
@@ -106,7 +106,7 @@ def test_a_restarted_device_is_followed_from_its_first_message_on(stream: Stream
 
 @settings(max_examples=200, deadline=None)
 @given(restarted_devices(), st.data())
-def test_one_damaged_time_spoils_no_other_message(stream: Stream, data: st.DataObject) -> None:
+def test_one_damaged_stamp_affects_no_other_message(stream: Stream, data: st.DataObject) -> None:
     stream.late = [0.002] * len(stream.late)
     at = data.draw(st.integers(1, len(stream.shown) - 1))
     # Ahead by less than messages may be late it cannot be told from one that is in time.
@@ -121,7 +121,7 @@ def test_one_damaged_time_spoils_no_other_message(stream: Stream, data: st.DataO
     assert clock.jumps <= 3
 
 
-def test_a_late_message_is_not_taken_for_a_restart() -> None:
+def test_a_late_message_is_not_mistaken_for_a_restart() -> None:
     late = [2.5 if number % 30 == 10 else 0.002 for number in range(200)]
     sent = [0.1 * number for number in range(200)]
     clock = DeviceClock(1000, 24)
@@ -132,7 +132,7 @@ def test_a_late_message_is_not_taken_for_a_restart() -> None:
     assert clock.jumps == 0
 
 
-def test_messages_that_are_late_at_first_are_not_kept_to() -> None:
+def test_late_first_messages_do_not_bias_the_offset() -> None:
     sent = [0.1 * number for number in range(20)]
     late = [0.4, 0.3, *[0.002] * 18]
     clock = DeviceClock(1000, 24)
@@ -143,7 +143,7 @@ def test_messages_that_are_late_at_first_are_not_kept_to() -> None:
     assert clock.jumps == 0
 
 
-def test_another_device_begins_anew() -> None:
+def test_restart_forgets_the_previous_device() -> None:
     clock = DeviceClock(1000, 24)
     clock.offset(clock.seconds(5000), 100.0)
     clock.restart()

@@ -1,59 +1,63 @@
-"""A conversation with a device is begun again until it is stopped; mistakes are no trouble."""
+"""Device threads reopen a failed device; feeds publish its measurements, or drop the oldest."""
 
 from __future__ import annotations
 
 import logging
 import threading
+from collections.abc import Iterator
+from concurrent.futures import Future
 
 import pytest
 
-from cairn import CairnError
-from cairn.driver.device_thread import DeviceThread
+from cairn import CairnError, Component
+from cairn.bus.lockstep_bus import LockstepBus
+from cairn.driver.device_thread import DeviceFeed, DeviceThread
 from cairn.driver.errors import DeviceError
+from tests.cairn.runtime.running import Threaded
 from tests.patience import LIMIT_S
 
 LOG = logging.getLogger("test_device_thread")
 
 
-def test_it_tries_again_after_trouble_and_says_when_all_is_well(
+def test_a_failed_device_is_opened_again_and_its_recovery_logged(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     caplog.set_level(logging.INFO)
-    talking, troubles = threading.Event(), list[DeviceError]()
+    serving, errors = threading.Event(), list[DeviceError]()
 
-    def converse(stopping: threading.Event) -> None:
-        if len(troubles) < 3:
+    def serve(stopping: threading.Event) -> None:
+        if len(errors) < 3:
             raise DeviceError("no device")
-        thread.well("the device is back")
-        talking.set()
+        thread.report_working("the device is back")
+        serving.set()
         stopping.wait(LIMIT_S)
 
     thread = DeviceThread(
-        "driver", converse, log=LOG, on_trouble=troubles.append, on_failure=_never
+        "driver", serve, log=LOG, on_device_error=errors.append, on_failure=_unexpected
     )
     thread.start()
-    assert talking.wait(LIMIT_S)
+    assert serving.wait(LIMIT_S)
     thread.stop()
 
-    assert [str(trouble) for trouble in troubles] == ["no device"] * 3
-    assert [record.message for record in caplog.records] == [
-        "no device",
-        "no device (2 times so far)",
-        "the device is back",
-    ]
+    assert [str(error) for error in errors] == ["no device"] * 3
+    messages = [record.message for record in caplog.records]
+    assert messages[0] == "no device"
+    assert messages[-1] == "the device is back"
+    assert len(messages) == 3  # the second and third failure are one warning
+    assert "2 times" in messages[1]
 
 
-def test_a_mistake_in_the_driver_ends_it() -> None:
+def test_a_bug_in_the_driver_is_not_retried() -> None:
     failed, failures = threading.Event(), list[Exception]()
 
-    def converse(_: threading.Event) -> None:
-        raise KeyError("a mistake")
+    def serve(_: threading.Event) -> None:
+        raise KeyError("a bug")
 
     def fail(error: Exception) -> None:
         failures.append(error)
         failed.set()
 
-    thread = DeviceThread("driver", converse, log=LOG, on_trouble=_never, on_failure=fail)
+    thread = DeviceThread("driver", serve, log=LOG, on_device_error=_unexpected, on_failure=fail)
     thread.start()
     assert failed.wait(LIMIT_S)
     thread.stop()
@@ -61,21 +65,115 @@ def test_a_mistake_in_the_driver_ends_it() -> None:
     assert [type(failure) for failure in failures] == [KeyError]
 
 
-def test_one_that_does_not_end_is_told_of(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_thread_that_does_not_stop_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("cairn.driver.device_thread._STOP_LIMIT_S", 0.01)
-    released, talking = threading.Event(), threading.Event()
+    released, serving = threading.Event(), threading.Event()
 
-    def converse(_: threading.Event) -> None:
-        talking.set()
+    def serve(_: threading.Event) -> None:
+        serving.set()
         released.wait(LIMIT_S)
 
-    thread = DeviceThread("driver", converse, log=LOG, on_trouble=_never, on_failure=_never)
+    thread = DeviceThread(
+        "driver", serve, log=LOG, on_device_error=_unexpected, on_failure=_unexpected
+    )
     thread.start()
-    assert talking.wait(LIMIT_S)
-    with pytest.raises(CairnError, match=r"driver: its thread does not end within 0\.01 s"):
+    assert serving.wait(LIMIT_S)
+    with pytest.raises(CairnError, match=r"driver: .* did not stop within 0\.01 s"):
         thread.stop()
     released.set()
 
 
-def _never(error: Exception) -> None:
-    raise AssertionError("there is no trouble") from error
+class Driver(Component):
+    """Its device fails once, then measures eight numbers at once; on demand it has a bug."""
+
+    def on_configure(self) -> None:
+        self.feed = DeviceFeed(self, self._serve, self._publish)
+        self.published: list[int] = []
+        self.all_published = threading.Event()
+        self.failed_once, self.all_measured = threading.Event(), threading.Event()
+        self.measure, self.err = threading.Event(), threading.Event()
+        self._attempts = 0
+
+    def on_activate(self) -> None:
+        self.feed.start()
+
+    def on_deactivate(self) -> None:
+        self.feed.stop()
+
+    def on_error(self, error: Exception) -> bool:
+        self.feed.stop()
+        return False
+
+    def be_busy(self) -> None:
+        """Block all handlers until the device has measured everything."""
+        assert self.all_measured.wait(LIMIT_S)
+
+    def _serve(self, stopping: threading.Event) -> None:
+        self._attempts += 1
+        if self._attempts == 1:
+            raise DeviceError("no device")
+        self.failed_once.set()
+        assert self.measure.wait(LIMIT_S)
+        for number in range(8):
+            self.feed.put(number)
+        self.all_measured.set()
+        while not stopping.wait(0.01):
+            if self.err.is_set():
+                raise KeyError("a bug")
+
+    def _publish(self, number: int) -> None:
+        self.published.append(number)
+        if number == 7:
+            self.all_published.set()
+
+
+@pytest.fixture
+def running() -> Iterator[Threaded]:
+    it = Threaded(Driver, LockstepBus())
+    it.activate()
+    yield it
+    it.close()
+
+
+def driver_of(running: Threaded) -> Driver:
+    driver = running.runtime.component
+    assert isinstance(driver, Driver)
+    return driver
+
+
+def test_a_device_error_is_reported_until_a_measurement_arrives(running: Threaded) -> None:
+    driver = driver_of(running)
+    assert driver.failed_once.wait(LIMIT_S)
+    error: Future[str] = Future()
+    running.loop.post(lambda: error.set_result(driver.feed.device_error))
+    assert error.result(LIMIT_S) == "no device"
+
+    driver.measure.set()
+    assert driver.all_published.wait(LIMIT_S)
+
+    assert driver.feed.device_error == ""
+
+
+def test_the_oldest_measurements_are_dropped_if_the_component_is_busy(running: Threaded) -> None:
+    driver = driver_of(running)
+    assert driver.failed_once.wait(LIMIT_S)
+    running.loop.post(driver.be_busy)
+    driver.measure.set()
+    assert driver.all_published.wait(LIMIT_S)
+
+    assert driver.published[-5:] == [3, 4, 5, 6, 7]
+    assert driver.feed.dropped == 8 - len(driver.published)
+
+
+def test_a_bug_on_the_device_thread_fails_the_component(running: Threaded) -> None:
+    driver = driver_of(running)
+    driver.measure.set()
+    assert driver.all_measured.wait(LIMIT_S)
+    driver.err.set()
+
+    assert running.ended.wait(LIMIT_S)
+    assert "a bug" in str(running.end)
+
+
+def _unexpected(error: Exception) -> None:
+    raise AssertionError("no error is expected") from error

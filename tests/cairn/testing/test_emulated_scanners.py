@@ -9,8 +9,8 @@ import pytest
 
 from cairn.components.hokuyo.emulated_scip import EmulatedScip
 from cairn.components.pbs.emulated_pbs import EmulatedPbs
-from cairn.driver.emulated_lines import PtyEnd
-from cairn.driver.emulation import EmulatedDevice, Emulation
+from cairn.driver.emulator import EmulatedDevice, Emulator
+from cairn.driver.emulator_lines import PtyEnd
 from cairn.testing.bench import Bench, settings
 from cairn.testing.driver_contract import LifeCycleContract, ParametersContract
 from cairn.testing.end_contract import StopContract, UnplugContract
@@ -27,20 +27,20 @@ DEPLOYMENT = """
 
 
 @pytest.fixture(scope="module")
-def lines(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Mapping[str, Emulation]]:
+def lines(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Mapping[str, Emulator]]:
     """The emulated scanners by the names of their drivers."""
     folder = lines_of(tmp_path_factory)
     devices: dict[str, EmulatedDevice] = {"utm": EmulatedScip("UTM-30LX"), "pbs": EmulatedPbs()}
     with ExitStack() as stack:
         yield {
-            name: stack.enter_context(Emulation(device, PtyEnd(folder / name)))
+            name: stack.enter_context(Emulator(device, PtyEnd(folder / name)))
             for name, device in devices.items()
         }
 
 
 @pytest.fixture(scope="module")
 def bench(
-    lines: Mapping[str, Emulation], tmp_path_factory: pytest.TempPathFactory
+    lines: Mapping[str, Emulator], tmp_path_factory: pytest.TempPathFactory
 ) -> Iterator[Bench]:
     folder = lines_of(tmp_path_factory)
     words = settings({name: str(folder / name) for name in lines})
@@ -49,12 +49,12 @@ def bench(
 
 
 @pytest.fixture(scope="class")
-def device(request: pytest.FixtureRequest, lines: Mapping[str, Emulation]) -> Emulation:
+def device(request: pytest.FixtureRequest, lines: Mapping[str, Emulator]) -> Emulator:
     return lines[request.cls.component]
 
 
 def lines_of(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder with the serial ports in software."""
+    """The folder with the pseudo-terminals of the emulators."""
     folder = tmp_path_factory.getbasetemp() / "lines"
     folder.mkdir(exist_ok=True)
     return folder

@@ -14,8 +14,8 @@ from cairn.bus.lockstep_bus import LockstepBus
 from cairn.components.hokuyo.component import HokuyoScanner
 from cairn.components.hokuyo.emulated_record import SentScan
 from cairn.components.hokuyo.emulated_scip import EmulatedScip
-from cairn.driver.emulated_lines import LineEnd, PtyEnd, TcpEnd
-from cairn.driver.emulation import Emulation
+from cairn.driver.emulator import Emulator
+from cairn.driver.emulator_lines import LineEnd, PtyEnd, TcpEnd
 from cairn.schemas.diagnostic_msgs import DiagnosticArray
 from cairn.schemas.sensor_msgs import LaserScan, MultiEchoLaserScan
 from tests.cairn.runtime.running import Threaded
@@ -68,13 +68,13 @@ class Driven:
 
     def __init__(
         self,
-        emulation: Emulation,
+        emulator: Emulator,
         device: Any,
         sent: list[SentScan],
         restarts: int = 0,
         **parameters: Any,
     ) -> None:
-        self.emulation = emulation
+        self.emulator = emulator
         self.device = device
         self.sent = sent
         bus = LockstepBus()
@@ -113,11 +113,11 @@ def driven(
     end, port = cable or (PtyEnd(folder / "scanner"), str(folder / "scanner"))
     if tcp:
         end = TcpEnd(0)
-    with Emulation(device, end, **(line or {})) as emulation:
+    with Emulator(device, end, **(line or {})) as emulator:
         where: dict[str, Any] = {"port": port}
         if isinstance(end, TcpEnd):
             where = {"host": "127.0.0.1", "tcp_port": end.port}
-        both = Driven(emulation, device, sent, **(where | parameters))
+        both = Driven(emulator, device, sent, **(where | parameters))
         try:
             if activate:
                 both.component.activate()

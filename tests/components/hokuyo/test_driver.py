@@ -12,8 +12,8 @@ import pytest
 from cairn import CairnError
 from cairn.components.hokuyo.config import HokuyoConfig
 from cairn.components.hokuyo.sensor import connect
-from cairn.driver.emulated_lines import PtyEnd
-from cairn.driver.emulation import Emulation
+from cairn.driver.emulator import Emulator
+from cairn.driver.emulator_lines import PtyEnd
 from cairn.driver.errors import DeviceError
 from cairn.driver.link import SerialLink
 from tests.cairn.driver.parrot import Parrot
@@ -104,7 +104,7 @@ def test_it_is_silent_and_dark_unless_it_is_active(tmp_path: Path) -> None:
         it.component.ask("deactivate")
         sent = len(it.sent)
         lasers: list[bool] = []
-        it.emulation.ask(lambda: lasers.append(_laser(it)))
+        it.emulator.call(lambda: lasers.append(_laser(it)))
         assert lasers == [False]
         it.component.ask("activate")
         it.scans.wait(2, after=len(it.scans))
@@ -175,18 +175,18 @@ def test_a_sensor_that_a_crashed_program_left_streaming_is_taken_over(tmp_path: 
 
 def test_nothing_there_is_an_error_that_names_it(tmp_path: Path) -> None:
     with driven(tmp_path, activate=False) as it:
-        it.emulation.unplug()
+        it.emulator.unplug()
         with pytest.raises(CairnError, match=r"scanner cannot be opened: No such file"):
             it.component.ask("configure")
     with driven(tmp_path, activate=False, tcp=True) as it:
-        it.emulation.unplug()
+        it.emulator.unplug()
         with pytest.raises(CairnError, match=r"127.0.0.1:\d+ cannot be connected: Connection ref"):
             it.component.ask("configure")
 
 
 def test_another_device_is_an_error_that_says_so(tmp_path: Path) -> None:
     with driven(tmp_path, activate=False, tcp=True) as it:
-        it.emulation.hang()
+        it.emulator.hang()
         with pytest.raises(CairnError, match="nothing answers as a SCIP sensor"):
             it.component.ask("configure")
 
@@ -194,7 +194,7 @@ def test_another_device_is_an_error_that_says_so(tmp_path: Path) -> None:
 def test_what_another_device_says_is_told(tmp_path: Path) -> None:
     config = HokuyoConfig(port=str(tmp_path / "parrot"))
     with (
-        Emulation(Parrot(), PtyEnd(tmp_path / "parrot")),
+        Emulator(Parrot(), PtyEnd(tmp_path / "parrot")),
         pytest.raises(DeviceError, match=r"parrot: nothing .* what comes is no SCIP: b'.*QT"),
     ):
         connect(config, speeds=(115200,))

@@ -18,7 +18,7 @@ from cairn.components.hokuyo.requests import ScanRequest
 from cairn.components.hokuyo.scan_data import ScanData
 from cairn.components.hokuyo.stream import ScanStream
 from cairn.driver.diagnostics import ERROR, OK, WARN
-from cairn.driver.faults import FrameFault, FrameFaults
+from cairn.driver.emulator import FrameFault, FrameFaults
 from tests.components.hokuyo.comparing import assert_were_sent
 from tests.components.hokuyo.driving import Driven, driven
 
@@ -44,9 +44,9 @@ def test_of_a_thousand_faults_none_makes_a_wrong_scan() -> None:
     request = ScanRequest(0, 1080)
     device.receive(request.command + b"\n", 0.0)
     splitter, stream, now, taken = ReplySplitter(), ScanStream(), 0.0, 0
-    while faults.done.total() < 1000:
+    while faults.counts.total() < 1000:
         now += 0.025
-        bytes_ = b"".join(map(faults.spoil, device.tick(now)))
+        bytes_ = b"".join(map(faults.apply, device.tick(now)))
         for reply in splitter.feed(bytes_):
             data = stream.take(reply, request, scip2=True)
             if data is not None:
@@ -54,7 +54,7 @@ def test_of_a_thousand_faults_none_makes_a_wrong_scan() -> None:
                 assert np.array_equal(data.distances[:, 0], one.distances[:, 0])
                 taken += 1
 
-    assert set(faults.done) == set(FAULTS)
+    assert set(faults.counts) == set(FAULTS)
     assert taken == stream.good >= 0.3 * len(sent)
 
 
@@ -65,8 +65,8 @@ def test_after_faults_of_all_kinds_scans_come_again(tmp_path: Path, tcp: bool) -
     with driven(tmp_path, tcp=tcp) as it:
         it.scans.wait(1)
         for fault in order:
-            it.emulation.spoil(fault)
-        it.scans.wait_for(lambda scans: it.emulation.spoilt == dict.fromkeys(FAULTS, 15))
+            it.emulator.inject(fault)
+        it.scans.wait_for(lambda scans: it.emulator.injected == dict.fromkeys(FAULTS, 15))
         it.scans.wait(5, after=len(it.scans))
 
     assert_all_were_sent(it)
@@ -76,12 +76,12 @@ def test_after_faults_of_all_kinds_scans_come_again(tmp_path: Path, tcp: bool) -
 def test_a_spoilt_scan_is_left_out_and_counted(tmp_path: Path, fault: FrameFault) -> None:
     with driven(tmp_path) as it:
         it.scans.wait(2)
-        it.emulation.spoil(fault, 3)
+        it.emulator.inject(fault, 3)
         it.scans.wait(10, after=len(it.scans))
         told = it.health(lambda status: True)
 
     assert_all_were_sent(it)
-    assert it.emulation.spoilt == {fault: 3}
+    assert it.emulator.injected == {fault: 3}
     assert values(told)["connections"] == "1"
     if fault in ("bad_sum", "cut"):
         assert int(values(told)["damaged replies"]) + int(values(told)["bytes of no reply"]) >= 1
@@ -90,7 +90,7 @@ def test_a_spoilt_scan_is_left_out_and_counted(tmp_path: Path, fault: FrameFault
 def test_a_sensor_that_falls_silent_is_begun_anew(tmp_path: Path) -> None:
     with driven(tmp_path, silence_s=0.2) as it:
         it.scans.wait(2)
-        it.emulation.ask(lambda: it.device.receive(b"QT\n", 0.0))  # as if it had stopped by itself
+        it.emulator.call(lambda: it.device.receive(b"QT\n", 0.0))  # as if it had stopped by itself
         it.scans.wait(3, after=len(it.scans))
         told = it.health(lambda status: "silent" in status.message)
 
@@ -100,10 +100,10 @@ def test_a_sensor_that_falls_silent_is_begun_anew(tmp_path: Path) -> None:
 def test_a_sensor_that_hangs_comes_back(tmp_path: Path) -> None:
     with driven(tmp_path, silence_s=0.1, rate_tolerance=_ANY_RATE) as it:
         it.scans.wait(2)
-        it.emulation.hang()
+        it.emulator.hang()
         trouble = it.health(lambda status: status.level == ERROR)
         before = len(it.scans)
-        it.emulation.hang(0.0)
+        it.emulator.hang(0.0)
         it.scans.wait(3, after=before)
         it.health(lambda status: status.level == OK)
 
@@ -115,10 +115,10 @@ def test_a_sensor_that_hangs_comes_back(tmp_path: Path) -> None:
 def test_unplugged_and_plugged_in_again(tmp_path: Path, tcp: bool) -> None:
     with driven(tmp_path, tcp=tcp, rate_tolerance=_ANY_RATE) as it:
         it.scans.wait(2)
-        it.emulation.unplug()
+        it.emulator.unplug()
         trouble = it.health(lambda status: status.level == ERROR)
         before = len(it.scans)
-        it.emulation.plug_in()
+        it.emulator.plug_in()
         it.scans.wait(3, after=before)
         it.health(lambda status: status.level == OK)
 
@@ -129,12 +129,12 @@ def test_unplugged_and_plugged_in_again(tmp_path: Path, tcp: bool) -> None:
 def test_unplugged_while_it_rests(tmp_path: Path) -> None:
     with driven(tmp_path, activate=False) as it:
         it.component.ask("configure")
-        it.emulation.unplug()
+        it.emulator.unplug()
         it.component.ask("activate")
         it.health(lambda status: status.level == ERROR)
-        it.emulation.plug_in()
+        it.emulator.plug_in()
         it.scans.wait(2)
-        it.emulation.unplug()
+        it.emulator.unplug()
         it.component.ask("deactivate")
         it.component.ask("cleanup")
 
@@ -143,7 +143,7 @@ def test_unplugged_while_it_rests(tmp_path: Path) -> None:
 def test_statuses_in_a_stream_are_no_faults_of_the_line(tmp_path: Path, status: str) -> None:
     with driven(tmp_path) as it:
         it.scans.wait(2)
-        it.emulation.ask(lambda: it.device.trouble(status, 2))
+        it.emulator.call(lambda: it.device.trouble(status, 2))
         it.scans.wait(5, after=len(it.scans))
         told = it.health(lambda told: values(told).get(f"status {status}") == "2")
 
@@ -153,7 +153,7 @@ def test_statuses_in_a_stream_are_no_faults_of_the_line(tmp_path: Path, status: 
 def test_a_sensor_that_says_that_it_is_broken_is_told_of(tmp_path: Path) -> None:
     with driven(tmp_path) as it:
         it.scans.wait(2)
-        it.emulation.ask(lambda: it.device.trouble("55"))
+        it.emulator.call(lambda: it.device.trouble("55"))
         told = it.health(lambda status: status.level == ERROR)
 
     assert "55" in told.message
@@ -161,10 +161,10 @@ def test_a_sensor_that_says_that_it_is_broken_is_told_of(tmp_path: Path) -> None
 
 def test_a_driver_that_is_restarted_waits_for_its_sensor(tmp_path: Path) -> None:
     with driven(tmp_path, activate=False, restarts=1) as it:
-        it.emulation.unplug()
+        it.emulator.unplug()
         it.component.activate()
         it.health(lambda status: status.level == ERROR)
-        it.emulation.plug_in()
+        it.emulator.plug_in()
         it.scans.wait(2)
 
 
@@ -179,7 +179,7 @@ def test_what_came_while_it_was_deactivated_is_not_told_afterwards(tmp_path: Pat
         for _ in range(3):
             it.scans.wait(3, after=len(it.scans))
             it.component.ask("deactivate")
-            driver._feed.give(last)
+            driver._feed.put(last)
             it.component.ask("activate")
         it.scans.wait(3, after=len(it.scans))
 
@@ -189,19 +189,19 @@ def test_what_came_while_it_was_deactivated_is_not_told_afterwards(tmp_path: Pat
 def test_parameters_are_judged_while_it_is_unplugged_too(tmp_path: Path) -> None:
     with driven(tmp_path) as it:
         it.scans.wait(1)
-        it.emulation.unplug()
+        it.emulator.unplug()
         it.health(lambda status: status.level == ERROR)
         with pytest.raises(CairnError, match="no two rays"):
             it.component.ask("set_parameters", {"angle_min": 2.4, "angle_max": 2.5})
         it.component.ask("set_parameters", {"angle_min": 0.0})
         before = len(it.scans)
-        it.emulation.plug_in()
+        it.emulator.plug_in()
         assert it.scans.wait(1, after=before)[0].angle_min == pytest.approx(0.0, abs=0.01)
 
 
 def test_it_stops_while_it_looks_for_a_sensor(tmp_path: Path) -> None:
     with driven(tmp_path, activate=False, restarts=1) as it:
-        it.emulation.hang()
+        it.emulator.hang()
         it.component.activate()
         it.health(lambda status: status.level == ERROR)
         it.component.ask("deactivate")
@@ -213,8 +213,8 @@ def test_a_sensor_that_cannot_be_told_to_rest_is_told_of(
 ) -> None:
     with driven(tmp_path) as it:
         it.scans.wait(2)
-        it.emulation.hang()
+        it.emulator.hang()
         it.component.ask("deactivate")
-        it.emulation.hang(0.0)
+        it.emulator.hang(0.0)
 
     assert "its laser may still be on" in caplog.text

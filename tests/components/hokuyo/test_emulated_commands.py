@@ -97,7 +97,7 @@ def test_scip_1_is_spoken_until_it_is_switched_and_again_after_power_on() -> Non
     assert sensor.baud() == 115200
     assert sensor.receive(b"SCIP2.0\nSCIP2.0\n", 0.0) == [b"SCIP2.0\n0\n\n", b"SCIP2.0\n0Ee\n\n"]
     assert sensor.receive(b"QT\n", 0.0) == [b"QT\n00P\n\n"]
-    sensor.switched_on(1.0)
+    sensor.powered_on(1.0)
     assert sensor.receive(b"QT\n", 1.0) == [b"QT\nE\n\n"]
 
 

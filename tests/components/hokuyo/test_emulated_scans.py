@@ -113,7 +113,7 @@ def test_statuses_come_in_place_of_scans() -> None:
 def test_only_on_ethernet_does_a_sensor_notice_that_its_client_is_gone(model: str) -> None:
     sensor = EmulatedScip(model)
     sensor.receive(b"MD0000108001000\n", 0.0)
-    sensor.hung_up(1.0)
+    sensor.disconnected(1.0)
     assert bool(sensor.tick(1.0)) == (model == "UTM-30LX")
 
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from cairn.components.hokuyo.scip_text import encode_number, with_sum
-from cairn.driver.emulated_lines import PtyEnd
-from cairn.driver.emulation import Emulation
+from cairn.driver.emulator import Emulator
+from cairn.driver.emulator_lines import PtyEnd
 from tests.components.hokuyo.driving import Driven
 
 _LIMITS = ("DMIN:100", "DMAX:4000", "SCAN:600")
@@ -62,10 +62,10 @@ class PlainSensor:
         lines = [with_sum(text[at : at + 64]) for at in range(0, len(text), 64)]
         return [b"\n".join([self._echo, b"99b", with_sum(b"0000"), *lines, b"", b""])]
 
-    def hung_up(self, now: float) -> None:
+    def disconnected(self, now: float) -> None:
         """It does not notice."""
 
-    def switched_on(self, now: float) -> None:
+    def powered_on(self, now: float) -> None:
         """It is as it was."""
 
     def baud(self) -> int | None:
@@ -75,8 +75,8 @@ class PlainSensor:
 @pytest.mark.parametrize("wants_laser", [False, True])
 def test_a_sensor_that_knows_little(tmp_path: Path, wants_laser: bool) -> None:
     port = tmp_path / "scanner"
-    with Emulation(PlainSensor(wants_laser=wants_laser), PtyEnd(port)) as emulation:
-        it = Driven(emulation, None, [], port=str(port))
+    with Emulator(PlainSensor(wants_laser=wants_laser), PtyEnd(port)) as emulator:
+        it = Driven(emulator, None, [], port=str(port))
         try:
             it.component.activate()
             scans = it.scans.wait(5)

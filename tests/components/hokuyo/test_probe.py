@@ -13,15 +13,15 @@ from serial.tools import list_ports
 
 from cairn.components.hokuyo.emulated_scip import EmulatedScip
 from cairn.components.hokuyo.scan_picture import drawn
-from cairn.driver.emulated_lines import PtyEnd, TcpEnd
-from cairn.driver.emulation import Emulation
+from cairn.driver.emulator import Emulator
+from cairn.driver.emulator_lines import PtyEnd, TcpEnd
 from cairn.schemas.sensor_msgs import LaserScan
 from tests.commands import cairn
 
 
 @pytest.fixture
 def port(tmp_path: Path) -> Iterator[str]:
-    with Emulation(EmulatedScip("UST-20LX"), PtyEnd(tmp_path / "scanner")):
+    with Emulator(EmulatedScip("UST-20LX"), PtyEnd(tmp_path / "scanner")):
         yield str(tmp_path / "scanner")
 
 
@@ -35,7 +35,7 @@ def test_who_it_is_and_how_often_it_measures(port: str) -> None:
 
 def test_the_same_for_programs_and_over_tcp() -> None:
     end = TcpEnd(0)
-    with Emulation(EmulatedScip("UTM-30LX-EW"), end):
+    with Emulator(EmulatedScip("UTM-30LX-EW"), end):
         where = f"tcp:127.0.0.1:{end.port}"
         answer = cairn("driver", "probe", "hokuyo", where, "--seconds", "0.3", "--json")
 

@@ -19,9 +19,8 @@ from cairn.components.pbs.component import PbsScanner
 from cairn.components.pbs.emulated_pbs import EmulatedPbs, SentDistances
 from cairn.components.pbs.frames import FrameSplitter, framed
 from cairn.components.pbs.messages import BAUD, DISTANCES, LINK_CODE, distances, link_code
-from cairn.driver.emulated_lines import PtyEnd
-from cairn.driver.emulation import Emulation
-from cairn.driver.faults import FRAME_FAULTS
+from cairn.driver.emulator import FRAME_FAULTS, Emulator
+from cairn.driver.emulator_lines import PtyEnd
 from cairn.driver.link import SerialLink
 from cairn.schemas.diagnostic_msgs import DiagnosticArray, DiagnosticStatus
 from cairn.schemas.sensor_msgs import LaserScan
@@ -35,7 +34,7 @@ from tests.patience import LIMIT_S
 class Driven:
     """A driver and its emulated sensor."""
 
-    emulation: Emulation
+    emulator: Emulator
     sent: list[SentDistances]
     component: Threaded
     scans: Heard
@@ -50,13 +49,13 @@ def _driven(folder: Path, *, activate: bool = True, **line: Any) -> Iterator[Dri
     bus = LockstepBus()
     heard = (Heard(bus, "scan", LaserScan), Heard(bus, "diagnostics", DiagnosticArray))
     mounted = Heard(bus, "tf_static", TFMessage)
-    with Emulation(device, PtyEnd(folder / "scanner"), **line) as emulation:
+    with Emulator(device, PtyEnd(folder / "scanner"), **line) as emulator:
         parameters = {"port": str(folder / "scanner")}
         component = Threaded(PbsScanner, bus, parameters=parameters)
         try:
             if activate:
                 component.activate()
-            yield Driven(emulation, sent, component, *heard, mounted)
+            yield Driven(emulator, sent, component, *heard, mounted)
         finally:
             component.close()
 
@@ -88,7 +87,7 @@ def test_every_scan_is_as_it_was_sent(tmp_path: Path) -> None:
 def test_diagnostics_tell_rate_and_damage(tmp_path: Path) -> None:
     with _driven(tmp_path, paced=True) as driven:
         driven.scans.wait(1)
-        driven.emulation.spoil("bad_sum", 2)
+        driven.emulator.inject("bad_sum", 2)
         told = driven.diagnostics.wait_for(
             lambda all_: any("damaged" in one.status[0].message for one in all_)
         )
@@ -110,12 +109,12 @@ def test_nothing_false_is_published_whatever_the_line_does(tmp_path: Path) -> No
 def test_unplugged_it_says_so_and_goes_on_when_the_sensor_is_back(tmp_path: Path) -> None:
     with _driven(tmp_path) as driven:
         driven.scans.wait(2)
-        driven.emulation.unplug()
+        driven.emulator.unplug()
         driven.diagnostics.wait_for(
             lambda all_: bool(all_) and all_[-1].status[0].level == DiagnosticStatus.ERROR
         )
         before = len(driven.scans)
-        driven.emulation.plug_in()
+        driven.emulator.plug_in()
         driven.scans.wait(3, after=before)
 
 
@@ -140,13 +139,13 @@ def test_at_rest_it_lets_go_of_the_sensor_and_goes_on_afterwards(tmp_path: Path)
 
 def test_a_sensor_that_is_not_there_is_told_at_once(tmp_path: Path) -> None:
     with _driven(tmp_path, activate=False) as driven:
-        driven.emulation.unplug()
+        driven.emulator.unplug()
         with pytest.raises((CairnError, ControlError), match="scanner cannot be opened"):
             driven.component.ask("configure")
 
 
 def test_a_line_on_which_nobody_answers_is_told(tmp_path: Path) -> None:
     with _driven(tmp_path, activate=False) as driven:
-        driven.emulation.hang()
+        driven.emulator.hang()
         with pytest.raises((CairnError, ControlError), match="no PBS-03JN answers"):
             driven.component.ask("configure")

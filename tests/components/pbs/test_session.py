@@ -94,7 +94,7 @@ def test_a_silent_sensor_is_given_up_and_one_that_comes_back_is_not(talk: Talk) 
 
 def test_a_sensor_that_was_switched_off_meanwhile_has_another_code(talk: Talk) -> None:
     talk.run(0.0, 1.0)
-    talk.sensor.switched_on(1.0)
+    talk.sensor.powered_on(1.0)
     talk.run(1.0, 4.0)
     talk.received.clear()
     talk.run(4.0, 5.0)

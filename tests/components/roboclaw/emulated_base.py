@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from cairn.components.roboclaw.emulator import EmulatedRoboclaw, Moved
-from cairn.driver.emulated_lines import PtyEnd
-from cairn.driver.emulation import Emulation
+from cairn.driver.emulator import Emulator
+from cairn.driver.emulator_lines import PtyEnd
 from cairn.planar.poses import Pose, compose
 from tests.patience import LIMIT_S
 
@@ -46,22 +46,22 @@ _STANDS_BELOW = 0.01  # [m/s]
 
 
 class EmulatedBase:
-    """The controller on a serial port in software. A device as the contracts know it."""
+    """The controller on a pseudo-terminal. A device as the contracts know it."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self.device = EmulatedRoboclaw(full_speed=30_000.0, first_counts=(2**32 - 500, 300))
-        self.emulation = Emulation(self.device, PtyEnd(path))
+        self.emulator = Emulator(self.device, PtyEnd(path))
 
     @property
     def settings(self) -> Mapping[str, Any]:
         return {"port": str(self.path)}
 
     def unplug(self) -> None:
-        self.emulation.unplug()
+        self.emulator.unplug()
 
     def plug_in(self) -> None:
-        self.emulation.plug_in()
+        self.emulator.plug_in()
 
     def turns(self) -> bool:
         return self.speed() > _STANDS_BELOW
@@ -86,13 +86,13 @@ class EmulatedBase:
             self.device.advance(time.monotonic())
             speeds.extend(abs(motor.speed) for motor in self.device.controller.motors)
 
-        self.emulation.ask(look)
+        self.emulator.call(look)
         return max(speeds) * _METERS
 
     def moved(self) -> list[Moved]:
         """All that the wheels have done so far."""
         steps: list[Moved] = []
-        self.emulation.ask(lambda: steps.extend(self.device.moved))
+        self.emulator.call(lambda: steps.extend(self.device.moved))
         return steps
 
     def fastest_since(self, time_s: float) -> float:
@@ -118,5 +118,5 @@ class EmulatedBase:
 def emulated_base(folder: Path) -> Iterator[EmulatedBase]:
     """One that is plugged in as long as the context lasts."""
     base = EmulatedBase(folder / "roboclaw")
-    with base.emulation:
+    with base.emulator:
         yield base

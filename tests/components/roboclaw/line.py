@@ -2,7 +2,7 @@
 
 from cairn.components.roboclaw.dialogue import Dialogue, DialogueCounts
 from cairn.components.roboclaw.emulator import EmulatedRoboclaw
-from cairn.driver.faults import FrameFaults
+from cairn.driver.emulator import FrameFaults
 
 
 class Line:
@@ -18,7 +18,7 @@ class Line:
         self._came = b""
         self.late: list[bytes] = []
         """What arrives after the next packet was written, before the reply to it."""
-        device.switched_on(self._now)
+        device.powered_on(self._now)
 
     def read(self, limit_s: float) -> bytes:
         came, self._came = self._came, b""
@@ -30,7 +30,7 @@ class Line:
         self._came += b"".join(self.late)
         self.late.clear()
         for frame in self._device.receive(data, self._now):
-            self._came += self._faults.spoil(frame) if self._faults else frame
+            self._came += self._faults.apply(frame) if self._faults else frame
 
     def pass_time(self, seconds: float) -> None:
         self._now += seconds

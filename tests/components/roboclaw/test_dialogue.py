@@ -9,8 +9,8 @@ from cairn.components.roboclaw.emulator import EmulatedRoboclaw
 from cairn.components.roboclaw.kinematics import Geometry, Limits
 from cairn.components.roboclaw.packets import ACKNOWLEDGED, reply_packet
 from cairn.components.roboclaw.setting_up import set_up
+from cairn.driver.emulator import FRAME_FAULTS, FrameFaults
 from cairn.driver.errors import DeviceError
-from cairn.driver.faults import FRAME_FAULTS, FrameFaults
 from tests.components.roboclaw.line import dialogue_with
 
 GEOMETRY = Geometry(0.05, 1.0, 0.3, 2000.0, "m1", left_inverted=False, right_inverted=False)
@@ -32,7 +32,7 @@ def test_among_a_thousand_faults_no_false_number_is_taken() -> None:
     faults = FrameFaults(dict.fromkeys(FRAME_FAULTS, 0.15), np.random.default_rng(5))
     dialogue, _, counts = dialogue_with(device, faults, tries=30)
 
-    while sum(faults.done.values()) < 1000:
+    while sum(faults.counts.values()) < 1000:
         dialogue.order(commands.set_timeout(0.7))
         assert dialogue.ask(commands.ENCODERS) == (123456, 2**31)
         assert dialogue.ask(commands.TIMEOUT) == (7,)

@@ -1,4 +1,4 @@
-"""The conversation that drives, with a controller in software: what stops the wheels, and why."""
+"""The conversation that drives, with an emulated controller: what stops the wheels, and why."""
 
 import logging
 import threading
@@ -80,7 +80,7 @@ class Driven:
             "driven",
             self._driving.converse,
             log=logging.getLogger("driven"),
-            on_trouble=self.trouble.append,
+            on_device_error=self.trouble.append,
             on_failure=self.failures.append,
         )
 
@@ -183,7 +183,7 @@ def test_over_current_is_a_warning_by_name(base: EmulatedBase) -> None:
 def test_a_controller_that_lost_power_is_set_up_anew(base: EmulatedBase) -> None:
     with Driven(base) as driven:
         driven.drive()
-        base.emulation.ask(base.device.controller.power_cycle)
+        base.emulator.call(base.device.controller.power_cycle)
         driven.await_that(lambda: len(driven.ready) == 2)
 
         assert not driven.ready[1].kept_power
@@ -202,7 +202,7 @@ def test_one_that_lost_power_is_known_by_its_counters_if_its_settings_were_saved
         before = way(driven)
         base.unplug()
         assert base.await_stand(3.0)
-        base.emulation.ask(base.device.controller.power_cycle)
+        base.emulator.call(base.device.controller.power_cycle)
         base.device.controller.timeout_s = 1.0  # as saved
         base.plug_in()
         driven.await_that(lambda: len(driven.ready) == 2)

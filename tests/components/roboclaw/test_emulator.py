@@ -20,7 +20,7 @@ def packet(order: Order) -> bytes:
 @pytest.fixture
 def device() -> EmulatedRoboclaw:
     device = EmulatedRoboclaw()
-    device.switched_on(0.0)
+    device.powered_on(0.0)
     return device
 
 
@@ -84,7 +84,7 @@ def test_without_a_serial_timeout_it_drives_on_for_ever(device: EmulatedRoboclaw
 def test_unplugged_it_goes_on_by_its_battery(device: EmulatedRoboclaw) -> None:
     device.receive(packet(commands.set_timeout(0.5)), 0.0)
     device.receive(RUN, 0.1)
-    device.switched_on(0.3)  # the line is back
+    device.powered_on(0.3)  # the line is back
 
     assert device.controller.motors[0].speed > 0
     assert device.controller.timeout_s == 0.5

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from cairn.driver.diagnostics import ERROR, OK
-from cairn.driver.emulated_serial_port import SerialEnd
+from cairn.driver.emulator_lines import SerialEnd
 from tests.components.hokuyo.comparing import assert_were_sent
 from tests.components.hokuyo.driving import Driven, driven
 from tests.hardware.guest.cables import Cable
@@ -58,10 +58,10 @@ def test_unplugged_and_plugged_in_again(
         it.scans.wait(3)
         cable.unplug()
         trouble = it.health(lambda status: status.level == ERROR)
-        it.emulation.unplug()
+        it.emulator.unplug()
         before = len(it.scans)
         cable.plug_in()
-        it.emulation.plug_in()
+        it.emulator.plug_in()
         returned = time.monotonic()
         it.scans.wait(1, after=before)
         took_s = time.monotonic() - returned
@@ -78,8 +78,8 @@ def test_a_scanner_that_comes_back_under_another_name_is_found(acm: Cable) -> No
     with driven(Path("/nowhere"), "URG-04LX", cable=(end, name), skip=1, silence_s=2.0) as it:
         it.scans.wait(3)
         acm.unplug()
-        it.emulation.unplug()
+        it.emulator.unplug()
         before = len(it.scans)
         acm.plug_in()
-        it.emulation.plug_in()
+        it.emulator.plug_in()
         it.scans.wait(3, after=before)

@@ -1,4 +1,4 @@
-"""`cairn emulate` as users run it: a process, with orders on its stdin."""
+"""`cairn emulate` as users run it: a process that reads fault commands from stdin."""
 
 import json
 import queue
@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from cairn import CairnError
-from cairn.driver.emulate_command import Place, fault_shares
+from cairn.driver.emulator_cli import LineOptions, fault_shares
 from cairn.driver.link import SerialLink, TcpLink
 from cairn.testing.launching import CAIRN
 from tests.cairn.driver.parrot import read_until
@@ -22,7 +22,7 @@ from tests.patience import LIMIT_S
 pytestmark = pytest.mark.processes
 
 
-class Emulator:
+class RunningEmulator:
     """A running `cairn emulate`."""
 
     def __init__(self, process: "subprocess.Popen[str]") -> None:
@@ -30,8 +30,8 @@ class Emulator:
         self._lines: queue.Queue[str] = queue.Queue()
         self._thread = threading.Thread(target=self._collect, daemon=True)
         self._thread.start()
-        self.where = self.line()
-        self.line()  # how it is used
+        self.address = self.line()
+        self.line()  # how to use it
 
     def _collect(self) -> None:
         assert self.process.stdout is not None
@@ -39,23 +39,23 @@ class Emulator:
             self._lines.put(line.rstrip("\n"))
 
     def line(self) -> str:
-        """The next line of its output."""
+        """Return the next line of its output."""
         return self._lines.get(timeout=LIMIT_S)
 
-    def order(self, text: str) -> str:
-        """Its answer to an order."""
+    def execute(self, text: str) -> str:
+        """Return its answer to a fault command."""
         assert self.process.stdin is not None
         self.process.stdin.write(text + "\n")
         self.process.stdin.flush()
         return self.line()
 
     def end(self) -> int:
-        """Its exit status, once it has ended."""
+        """Wait for its end; return its exit status."""
         return self.process.wait(LIMIT_S)
 
 
 @contextmanager
-def _emulator(*words: str, stdin: int = subprocess.PIPE) -> Iterator[Emulator]:
+def _emulator(*words: str, stdin: int = subprocess.PIPE) -> Iterator[RunningEmulator]:
     process = subprocess.Popen(
         [CAIRN, "emulate", *words],
         stdin=stdin,
@@ -64,7 +64,7 @@ def _emulator(*words: str, stdin: int = subprocess.PIPE) -> Iterator[Emulator]:
         text=True,
     )
     try:
-        yield Emulator(process)
+        yield RunningEmulator(process)
     finally:
         process.kill()
         process.wait(LIMIT_S)
@@ -73,25 +73,25 @@ def _emulator(*words: str, stdin: int = subprocess.PIPE) -> Iterator[Emulator]:
                 stream.close()
 
 
-def test_faults_are_ordered_while_it_runs(tmp_path: Path) -> None:
+def test_fault_commands_take_effect_while_it_runs(tmp_path: Path) -> None:
     path, record = tmp_path / "scanner", tmp_path / "sent.jsonl"
     with _emulator("hokuyo", "--pty", str(path), "--record", str(record)) as emulator:
-        assert emulator.where == f"a UTM-30LX is on {path} (a serial port in software)"
+        assert emulator.address == f"a UTM-30LX is on {path} (a pseudo-terminal)"
         link = SerialLink(str(path), 115200)
         link.write(b"VV\n")
         assert b"PROD:SOKUIKI Sensor TOP-URG UTM-30LX;" in read_until(link, b"\n\n")
-        assert emulator.order("drop 1") == "drop: the next one"
+        assert emulator.execute("drop 1") == "drop: next frame"
         link.write(b"PP\nVV\n")
         assert read_until(link, b"SERI").startswith(b"VV")
-        assert emulator.order("trouble 0m 2") == "status 0M in place of 2 of the next scans"
+        assert emulator.execute("trouble 0m 2") == "status 0M in place of 2 of the next scans"
         link.write(b"MD0000108001003\n")
         assert read_until(link, b"MD0000108001000\n99b\n").count(b"\n0Mm\n") == 2
-        assert emulator.order("bad_sum few") == "not done: 'few' is no number of frames"
-        assert emulator.order("dance") == "not done: there is no order dance; help lists all"
-        assert "spoilt: drop 1" in emulator.order("status")
-        assert emulator.order("unplug") == "unplugged"
+        assert emulator.execute("bad_sum few") == "error: 'few' is not a number of frames"
+        assert emulator.execute("dance") == "error: unknown command dance; `help` lists all"
+        assert "damaged: drop 1" in emulator.execute("status")
+        assert emulator.execute("unplug") == "unplugged"
         assert not path.is_symlink()
-        assert emulator.order("plug") == "plugged in"
+        assert emulator.execute("plug") == "plugged in"
         assert path.is_symlink()
         link.close()
         emulator.process.stdin.write("quit\n")  # type: ignore[union-attr]
@@ -115,9 +115,9 @@ def test_without_a_stdin_it_runs_until_a_signal(tmp_path: Path) -> None:
     assert not path.is_symlink()
 
 
-def test_a_free_tcp_port_is_told() -> None:
+def test_port_0_takes_a_free_tcp_port_and_prints_it() -> None:
     with _emulator("hokuyo", "--model", "UST-10LX", "--tcp", "0") as emulator:
-        host, _, port = emulator.where.removeprefix("a UST-10LX is on ").partition(":")
+        host, _, port = emulator.address.removeprefix("a UST-10LX is on ").partition(":")
         link = TcpLink(host, int(port.partition(" ")[0]))
         link.write(b"PP\n")
         assert b"MODL:UST-10LX" in read_until(link, b"\n\n")
@@ -127,31 +127,34 @@ def test_a_free_tcp_port_is_told() -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "error"),
     [
         ("hokuyo", "one of --pty PATH, --tcp PORT, --serial PORT"),
         ("hokuyo --pty a --tcp 0", "one of --pty PATH, --tcp PORT, --serial PORT"),
         ("hokuyo --tcp 0 --model URG", "--model URG: it is one of URG-04LX, "),
         ("hokuyo --tcp 0 --scip1", "--scip1: a UTM-30LX speaks SCIP 2 alone"),
         ("hokuyo --tcp 0 --rs232 19200", "--rs232 19200: a UTM-30LX has no RS-232 line"),
-        ("hokuyo --tcp 0 --record /nowhere/a", "--record /nowhere/a cannot be written: No such"),
+        (
+            "hokuyo --tcp 0 --record /nowhere/a",
+            "--record /nowhere/a: the file cannot be written",
+        ),
     ],
 )
-def test_what_cannot_be_is_told_in_a_sentence(words: str, told: str) -> None:
+def test_invalid_options_are_named_with_the_remedy(words: str, error: str) -> None:
     answer = cairn("emulate", *words.split())
     assert answer.code == 1
-    assert told in answer.err
+    assert error in answer.err
 
 
-def test_shares_of_faults_are_read() -> None:
+def test_fault_shares_are_parsed_and_invalid_ones_refused() -> None:
     assert fault_shares("bad_sum=0.01,cut=1") == {"bad_sum": 0.01, "cut": 1.0}
     assert fault_shares("") == {}
     for text in ("bad_sum", "bad_sum=2", "bad_sum=-0.1", "sad_bum=0.1", "drop=x", "drop=nan"):
-        with pytest.raises(CairnError, match=f"--faults {text}: write FAULT=SHARE"):
+        with pytest.raises(CairnError, match=f"--faults {text}: .* write FAULT=SHARE"):
             fault_shares(text)
 
 
-def test_a_place_is_one_of_three() -> None:
-    assert Place(tcp=0).end(None).where == "127.0.0.1:0 (TCP)"
-    with pytest.raises(CairnError, match="say where it is to be"):
-        Place().end(None)
+def test_exactly_one_line_must_be_given() -> None:
+    assert LineOptions(tcp=0).end(None).address == "127.0.0.1:0 (TCP)"
+    with pytest.raises(CairnError, match="give one of --pty PATH"):
+        LineOptions().end(None)

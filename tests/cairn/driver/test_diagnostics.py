@@ -1,13 +1,13 @@
-"""How often something comes is told from when it came."""
+"""`RateWindow` measures the rate of arrivals."""
 
 from __future__ import annotations
 
 import pytest
 
-from cairn.driver.rate import RateWindow
+from cairn.driver.diagnostics import RateWindow
 
 
-def test_even_arrivals() -> None:
+def test_regular_arrivals_give_their_rate() -> None:
     window = RateWindow()
     for number in range(100):
         window.note(0.1 * number)
@@ -15,14 +15,14 @@ def test_even_arrivals() -> None:
     assert window.hz(9.95) == pytest.approx(10.0)
 
 
-def test_nothing_yet_or_one_alone_is_no_rate() -> None:
+def test_fewer_than_two_arrivals_give_rate_zero() -> None:
     window = RateWindow()
     assert window.hz(1.0) == 0.0
     window.note(1.0)
     assert window.hz(1.5) == 0.0
 
 
-def test_the_rate_falls_once_they_cease() -> None:
+def test_rate_falls_when_arrivals_stop() -> None:
     window = RateWindow(window_s=5.0)
     for number in range(100):
         window.note(0.1 * number)
@@ -31,7 +31,7 @@ def test_the_rate_falls_once_they_cease() -> None:
     assert window.hz(20.0) == 0.0
 
 
-def test_after_a_pause_that_is_accounted_for_it_begins_anew() -> None:
+def test_restart_excludes_a_pause_from_the_rate() -> None:
     window = RateWindow()
     window.note(0.0)
     window.restart()

@@ -1,4 +1,4 @@
-"""An emulated device on a line: what its host sees, in good order and with each fault."""
+"""What a host sees of an emulated device: in normal operation, and with each fault."""
 
 import os
 import socket
@@ -10,11 +10,9 @@ from pathlib import Path
 import pytest
 
 from cairn import CairnError
-from cairn.driver.emulated_lines import LineEnd, PtyEnd, TcpEnd
-from cairn.driver.emulated_serial_port import SerialEnd
-from cairn.driver.emulation import Emulation
+from cairn.driver.emulator import Emulator, FrameFault
+from cairn.driver.emulator_lines import LineEnd, PtyEnd, SerialEnd, TcpEnd
 from cairn.driver.errors import LinkLost
-from cairn.driver.faults import FrameFault
 from cairn.driver.link import Link, SerialLink, TcpLink
 from tests.cairn.driver.parrot import Parrot, asked, read_count, read_until
 from tests.patience import LIMIT_S
@@ -24,7 +22,7 @@ Opening = Callable[[], Link]
 
 @contextmanager
 def _plugged(kind: str, folder: Path) -> Iterator[tuple[LineEnd, Opening]]:
-    """A line of a kind, and how its other end is opened."""
+    """A line of a kind, and the function that opens its other end."""
     if kind == "tcp":
         end = TcpEnd(0)
         yield end, lambda: TcpLink("127.0.0.1", end.port)
@@ -51,7 +49,7 @@ class _Descriptor:
     def __init__(self, descriptor: int) -> None:
         self._file = os.fdopen(os.dup(descriptor), "r+b", buffering=0)
 
-    def read(self, limit_s: float) -> bytes:
+    def read(self, timeout_s: float) -> bytes:
         return self._file.read(65536) or b""
 
     def write(self, data: bytes) -> None:
@@ -75,8 +73,8 @@ def _await(happened: Callable[[], bool]) -> None:
 
 
 @pytest.mark.parametrize("kind", ["pty", "tcp", "serial"])
-def test_what_is_asked_is_answered(kind: str, tmp_path: Path) -> None:
-    with _plugged(kind, tmp_path) as (end, opened), Emulation(Parrot(), end):
+def test_requests_are_answered_on_each_kind_of_line(kind: str, tmp_path: Path) -> None:
+    with _plugged(kind, tmp_path) as (end, opened), Emulator(Parrot(), end):
         link = opened()
         assert asked(link, b"polly") == b"polly\n"
         link.write(b"count\n")
@@ -85,22 +83,22 @@ def test_what_is_asked_is_answered(kind: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", ["pty", "tcp"])
-def test_a_second_client_finds_it_as_the_first_one_left_it(kind: str, tmp_path: Path) -> None:
+def test_the_device_keeps_its_state_between_clients(kind: str, tmp_path: Path) -> None:
     parrot = Parrot()
-    with _plugged(kind, tmp_path) as (end, opened), Emulation(parrot, end):
+    with _plugged(kind, tmp_path) as (end, opened), Emulator(parrot, end):
         first = opened()
         asked(first, b"count")
         first.close()
         second = opened()
         assert b"hello\n" in asked(second, b"hello")
         assert parrot.power_ons == 1
-        assert parrot.hang_ups == (kind == "tcp")  # a serial line does not tell
+        assert parrot.hang_ups == (kind == "tcp")  # a serial line does not show it
         second.close()
 
 
 def test_tcp_takes_one_client_at_a_time(tmp_path: Path) -> None:
     end = TcpEnd(0)
-    with Emulation(Parrot(), end):
+    with Emulator(Parrot(), end):
         first = TcpLink("127.0.0.1", end.port)
         asked(first, b"hello")
         second = TcpLink("127.0.0.1", end.port)
@@ -111,47 +109,47 @@ def test_tcp_takes_one_client_at_a_time(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", ["pty", "tcp"])
-def test_unplugged_it_is_gone_and_plugged_in_again_it_is_new(kind: str, tmp_path: Path) -> None:
+def test_an_unplugged_device_vanishes_and_returns_restarted(kind: str, tmp_path: Path) -> None:
     parrot = Parrot()
-    with _plugged(kind, tmp_path) as (end, opened), Emulation(parrot, end) as emulation:
+    with _plugged(kind, tmp_path) as (end, opened), Emulator(parrot, end) as emulator:
         link = opened()
         asked(link, b"hello")
-        emulation.unplug()
+        emulator.unplug()
         with pytest.raises(LinkLost):
             read_count(link, 1)
         link.close()
         with pytest.raises(LinkLost):
             opened()
         assert not (tmp_path / "line").is_symlink()
-        emulation.plug_in()
+        emulator.plug_in()
         link = opened()
         assert asked(link, b"again") == b"again\n"
         assert parrot.power_ons == 2
         link.close()
 
 
-def test_it_may_come_back_by_itself(tmp_path: Path) -> None:
+def test_a_device_unplugged_for_a_time_returns_by_itself(tmp_path: Path) -> None:
     end = PtyEnd(tmp_path / "line")
-    with Emulation(Parrot(), end) as emulation:
-        emulation.unplug(0.05)
-        assert not emulation.plugged_in
+    with Emulator(Parrot(), end) as emulator:
+        emulator.unplug(0.05)
+        assert not emulator.plugged_in
         _await((tmp_path / "line").is_symlink)
         link = SerialLink(str(tmp_path / "line"), 9600)
         asked(link, b"hello")
         link.close()
 
 
-def test_hanging_it_is_silent_and_deaf(tmp_path: Path) -> None:
+def test_a_hanging_device_neither_sends_nor_receives(tmp_path: Path) -> None:
     parrot = Parrot()
     end = PtyEnd(tmp_path / "line")
-    with Emulation(parrot, end) as emulation:
+    with Emulator(parrot, end) as emulator:
         link = SerialLink(str(tmp_path / "line"), 9600)
         asked(link, b"count")
-        emulation.hang()
+        emulator.hang()
         link.discard()
         link.write(b"lost\n")
         assert link.read(0.1) == b""
-        emulation.hang(0)
+        emulator.hang(0)
         asked(link, b"hello")
         assert b"lost" not in parrot.heard
         link.close()
@@ -166,25 +164,25 @@ def test_hanging_it_is_silent_and_deaf(tmp_path: Path) -> None:
         ("drop", lambda data: data == b""),
     ],
 )
-def test_frames_are_spoilt_as_ordered(
+def test_injected_faults_damage_the_next_frame(
     fault: FrameFault, expected: Callable[[bytes], bool], tmp_path: Path
 ) -> None:
     end = PtyEnd(tmp_path / "line")
-    with Emulation(Parrot(), end) as emulation:
+    with Emulator(Parrot(), end) as emulator:
         link = SerialLink(str(tmp_path / "line"), 9600)
-        emulation.spoil(fault)
+        emulator.inject(fault)
         link.write(b"x" * 39 + b"\nend\n")
         data = read_until(link, b"end\n")
         assert expected(data.removesuffix(b"end\n")), data
-        assert emulation.spoilt == {fault: 1}
-        assert emulation.frames_sent == 2
+        assert emulator.injected == {fault: 1}
+        assert emulator.frames_sent == 2
         link.close()
 
 
-def test_shares_of_frames_are_spoilt_and_a_seed_repeats_it(tmp_path: Path) -> None:
-    def spoilt() -> bytes:
+def test_a_share_of_frames_is_damaged_the_same_for_the_same_seed(tmp_path: Path) -> None:
+    def received() -> bytes:
         end = PtyEnd(tmp_path / "line")
-        with Emulation(Parrot(), end, shares={"drop": 0.5}, seed=7):
+        with Emulator(Parrot(), end, shares={"drop": 0.5}, seed=7):
             link = SerialLink(str(tmp_path / "line"), 9600)
             for number in range(40):
                 link.write(b"%d\n" % number)
@@ -193,15 +191,15 @@ def test_shares_of_frames_are_spoilt_and_a_seed_repeats_it(tmp_path: Path) -> No
             link.close()
             return data.partition(b"end")[0]
 
-    first = spoilt()
+    first = received()
     assert 5 < first.count(b"\n") < 35
-    assert spoilt() == first
+    assert received() == first
 
 
-def test_at_the_wrong_speed_it_hears_nothing_and_what_it_says_is_noise(tmp_path: Path) -> None:
+def test_at_the_wrong_speed_nothing_is_understood_in_either_direction(tmp_path: Path) -> None:
     parrot = Parrot(speed=19200)
     end = PtyEnd(tmp_path / "line")
-    with Emulation(parrot, end):
+    with Emulator(parrot, end):
         link = SerialLink(str(tmp_path / "line"), 9600)
         link.write(b"deaf\n")
         assert link.read(0.1) == b""
@@ -215,9 +213,9 @@ def test_at_the_wrong_speed_it_hears_nothing_and_what_it_says_is_noise(tmp_path:
     assert parrot.heard == [b"count"]
 
 
-def test_a_change_of_speed_is_answered_at_the_old_one(tmp_path: Path) -> None:
+def test_a_change_of_speed_is_answered_at_the_old_speed(tmp_path: Path) -> None:
     end = PtyEnd(tmp_path / "line")
-    with Emulation(Parrot(speed=9600), end, paced=True):
+    with Emulator(Parrot(speed=9600), end, paced=True):
         link = SerialLink(str(tmp_path / "line"), 9600)
         assert asked(link, b"speak 19200") == b"speak 19200\n"
         link.set_baud(19200)
@@ -225,62 +223,62 @@ def test_a_change_of_speed_is_answered_at_the_old_one(tmp_path: Path) -> None:
         link.close()
 
 
-def test_a_slow_line_takes_its_time_and_old_news_are_not_sent(tmp_path: Path) -> None:
+def test_a_slow_line_takes_the_time_of_its_speed(tmp_path: Path) -> None:
     end = PtyEnd(tmp_path / "line")
-    with Emulation(Parrot(period_s=0.001), end) as emulation:
+    with Emulator(Parrot(period_s=0.001), end) as emulator:
         link = SerialLink(str(tmp_path / "line"), 9600)
-        emulation.slow(9600)
+        emulator.slow(9600)
         began = time.monotonic()
         asked(link, b"x" * 480)  # 0.5 s of 10 bits a byte
         assert time.monotonic() - began > 0.45
-        emulation.slow(None)
+        emulator.slow(None)
         asked(link, b"count")
         read_count(link, 100)
         link.close()
 
 
-def test_what_nobody_reads_does_not_stop_it(tmp_path: Path) -> None:
+def test_a_host_that_does_not_read_does_not_block_the_emulator(tmp_path: Path) -> None:
     parrot = Parrot(period_s=0.0)
     end = PtyEnd(tmp_path / "line")
-    with Emulation(parrot, end) as emulation:
+    with Emulator(parrot, end) as emulator:
         link = SerialLink(str(tmp_path / "line"), 9600)
         link.write(b"count\n")
         link.write((b"y" * 999 + b"\n") * 4)
         read_count(link, 1)
-        emulation.hang(0)  # it follows orders
+        emulator.hang(0)  # it still makes calls
         link.discard()
         assert b"hello\n" in asked(link, b"hello")
         link.close()
 
 
-def test_what_it_would_say_while_nobody_is_there_is_not_said() -> None:
+def test_nothing_is_sent_while_no_client_is_connected() -> None:
     parrot = Parrot(period_s=0.0)
     end = TcpEnd(0)
-    with Emulation(parrot, end) as emulation:
+    with Emulator(parrot, end) as emulator:
         link = TcpLink("127.0.0.1", end.port)
         asked(link, b"count")
         link.close()
         _await(lambda: parrot.hang_ups > 0)
-        said = emulation.ask(lambda: parrot.number)
-        emulation.slow(None)
-        assert emulation.ask(lambda: parrot.number) == said
+        number = emulator.call(lambda: parrot.number)
+        emulator.slow(None)
+        assert emulator.call(lambda: parrot.number) == number
         link = TcpLink("127.0.0.1", end.port)
         read_count(link, 20)
         link.close()
 
 
-def test_a_real_port_that_goes_and_comes_back_is_opened_again(tmp_path: Path) -> None:
+def test_a_real_port_that_vanishes_is_opened_again_when_it_returns(tmp_path: Path) -> None:
     path, parrot = tmp_path / "port", Parrot()
     host, port = os.openpty()
     path.symlink_to(os.ttyname(port))
-    with Emulation(parrot, SerialEnd(str(path), 9600)) as emulation:
+    with Emulator(parrot, SerialEnd(str(path), 9600)) as emulator:
         os.close(host)
         os.close(port)
-        _await(lambda: not emulation.plugged_in)
+        _await(lambda: not emulator.plugged_in)
         host, port = os.openpty()
         path.unlink()
         path.symlink_to(os.ttyname(port))
-        _await(lambda: emulation.plugged_in)
+        _await(lambda: emulator.plugged_in)
         link = _Descriptor(host)
         assert asked(link, b"again") == b"again\n"
         link.close()
@@ -289,39 +287,39 @@ def test_a_real_port_that_goes_and_comes_back_is_opened_again(tmp_path: Path) ->
     os.close(port)
 
 
-def test_a_link_of_one_that_was_killed_is_replaced_and_other_files_are_not(tmp_path: Path) -> None:
+def test_the_link_of_a_killed_emulator_is_replaced_but_no_other_file(tmp_path: Path) -> None:
     path = tmp_path / "line"
     path.symlink_to(tmp_path / "gone")
-    with Emulation(Parrot(), PtyEnd(path)):
+    with Emulator(Parrot(), PtyEnd(path)):
         assert path.resolve().is_char_device()
     assert not path.is_symlink()
     path.write_text("mine")
     with (
         pytest.raises(CairnError, match="name a path that is free"),
-        Emulation(Parrot(), PtyEnd(path)),
+        Emulator(Parrot(), PtyEnd(path)),
     ):
         pass
     assert path.read_text() == "mine"
 
 
-def test_a_port_that_is_taken_is_told() -> None:
+def test_a_tcp_port_in_use_is_an_error_with_the_port() -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         with pytest.raises(CairnError, match=f"127.0.0.1:{port} cannot be listened on"):
-            Emulation(Parrot(), TcpEnd(port)).__enter__()
+            Emulator(Parrot(), TcpEnd(port)).__enter__()
 
 
-def test_a_device_that_fails_is_not_silent_about_it(tmp_path: Path) -> None:
-    emulation = Emulation(Parrot(), PtyEnd(tmp_path / "line")).__enter__()
+def test_a_failure_of_the_device_is_raised_to_the_caller(tmp_path: Path) -> None:
+    emulator = Emulator(Parrot(), PtyEnd(tmp_path / "line")).__enter__()
     link = SerialLink(str(tmp_path / "line"), 9600)
     link.write(b"fail\n")
     deadline = time.monotonic() + LIMIT_S
     with suppress(CairnError):
         while time.monotonic() < deadline:
-            emulation.slow(None)
+            emulator.slow(None)
     with pytest.raises(CairnError, match="the emulated device has failed"):
-        emulation.slow(None)
+        emulator.slow(None)
     with pytest.raises(RuntimeError, match="the parrot is dead"):
-        emulation.__exit__()
+        emulator.__exit__()
     link.close()
     assert not (tmp_path / "line").is_symlink()
