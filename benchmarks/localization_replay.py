@@ -169,7 +169,7 @@ def _update(
     changes = list(visual_map.apply(evidence, t).changes)
     if frame.relocalized:
         outcome.relocalized += 1
-        changes += visual_map.take_back(localization.sure_until)[1]
+        changes += visual_map.take_back(localization.confirmed_until)[1]
     outcome.changes += [(t, c) for c in changes]
     localization.use_map(landmarks_of(visual_map))
 

@@ -83,13 +83,15 @@ class RecognizedObjectArray:
 
 @message("cairn_msgs/msg/ObjectEvidence")
 class ObjectEvidence:
-    """What one sighting says about an object's place in the map, or that there was none.
+    """The evidence of one observation, or of a missing one, about an object's position in the map.
 
     `similarity` is p(R, NR, i) of the paper's equation 1 and `distance` its d (in likelihood-ratio
     mode the square root of the normalized innovation squared); `x`, `y` [m] with `covariance` is
-    where the sighting places the object in the map; `range`, `bearing` repeat the sighting.
-    `UNSEEN`: the object should have been in view, and nothing hides it, but it was not recognized;
-    `range` and `bearing` are those of its place in the map.
+    the position in the map that the observation implies; `range`, `bearing` repeat the observation.
+    `corroborated` is false for a DISAGREES that stands alone: too few observations from other poses
+    have contradicted the map in the same way yet. UNSEEN: the object should have been in view, and
+    nothing hides it, but it was not recognized; `range` and `bearing` are those of its position in
+    the map.
     """
 
     AGREES: ClassVar[UInt8] = 0
@@ -107,13 +109,15 @@ class ObjectEvidence:
     covariance: Covariance2
     range: Distance
     bearing: FiniteFloat64
+    corroborated: Bool = True
 
 
 @message("cairn_msgs/msg/ObjectEvidenceArray")
 class ObjectEvidenceArray:
-    """The evidence of one image, with the pose of the robot [m, rad] that it was compared with.
+    """The evidence of one image, with the robot's pose [m, rad] that it was compared with.
 
-    `reason` says in words why the pose is not `healthy`.
+    `reason` says in words why the pose is not `healthy`; `reason_code` is a
+    `cairn_nav_msgs.ReasonCode`.
     """
 
     header: Header = Header()
@@ -123,6 +127,7 @@ class ObjectEvidenceArray:
     robot_covariance: Covariance3 = zeros(9)
     healthy: Bool = False
     reason: String = ""
+    reason_code: UInt8 = 0
     evidence: tuple[ObjectEvidence, ...] = ()
 
 

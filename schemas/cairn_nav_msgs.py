@@ -1,8 +1,8 @@
-"""Cairn's own messages of navigation: orders to move, plans, motion and how well all that goes."""
+"""Cairn's own messages of navigation: missions, commands, plans, motion and localization."""
 
-import re
+from enum import IntEnum
 from math import isinf, isnan, nan
-from typing import Annotated, ClassVar, Final
+from typing import Annotated, ClassVar, Final, NamedTuple
 
 from cairn.schemas.builtin_interfaces import Time
 from cairn.schemas.field_types import Bool, FiniteFloat64, Float64, Scalar, String, UInt8, UInt32
@@ -15,12 +15,79 @@ Probability = Annotated[float, Scalar("float64", at_least=0, at_most=1)]
 NotNegative = Annotated[float, Scalar("float64", at_least=0)]
 
 
+class ReasonCode(IntEnum):
+    """Why a component is in its state: the field `reason_code` beside a `reason` in words.
+
+    One numbering for all components: AutoMove passes on the code of whichever component keeps the
+    robot from its goal. The words may hold ages and distances that change with each message; the
+    code changes when the reason does.
+    """
+
+    NONE = 0
+
+    # Localization: what keeps the health of the pose below 1.
+    NOT_LOCATED = 1
+    POSITION_UNCERTAIN = 2
+    HEADING_UNCERTAIN = 3
+    SCAN_MISMATCH = 4
+    """The grid map explains too few beams of the scan."""
+    OBJECTS_CONTRADICT = 5
+    UNCONFIRMED = 6
+    """Found by a global search, or suspected to be elsewhere, and not confirmed yet."""
+    SCAN_HITS_NOTHING = 7
+    SCAN_INVALID = 8
+    """Hardly any beam of the scans is valid, or all miss obstacles that the map has in reach."""
+
+    # Inputs that are missing or too old.
+    NO_NAV_COMMAND = 20
+    NO_ODOMETRY = 21
+    NO_SCAN = 22
+    NO_LOCALIZATION = 23
+    ODOMETRY_RESET = 24
+    """Odometry jumped, or time was set back: the robot stands for a moment."""
+    NO_MOTION_STATUS = 25
+
+    # Planning.
+    NO_PLAN = 40
+    PLANNER_NOT_READY = 41
+    START_BLOCKED = 42
+    GOAL_BLOCKED = 43
+    GOAL_OUTSIDE_MAP = 44
+    GOAL_UNREACHABLE = 45
+
+    # Driving.
+    OFF_PATH = 60
+    OBSTACLE = 61
+    NO_ROOM = 62
+    """There is not enough free space to explore."""
+    NO_PROGRESS = 63
+
+    # Missions.
+    LOADING = 80
+    """`reason` names the component that is being loaded."""
+    LOADING_FAILED = 81
+    ARRIVED = 82
+    CANCELED = 83
+
+
+class Reason(NamedTuple):
+    """A reason as code (a `ReasonCode`, or a number that a newer version knows) and in words."""
+
+    code: int
+    text: str
+
+
+NO_REASON: Final = Reason(ReasonCode.NONE, "")
+
+ReasonNumber = Annotated[int, Scalar("uint8", at_most=int(max(ReasonCode)))]
+
+
 @message("cairn_nav_msgs/msg/NavigateGoal")
 class NavigateGoal:
-    """What the robot is ordered to do: reach `goals` in frame map, from number `first` on.
+    """The mission that AutoMove carries out: drive to `goals` in frame map, from index `first` on.
 
-    `mission_id` counts the orders, 0 before the first. Without goals there is nothing to do: the
-    order is done, or was taken back.
+    `mission_id` increases with each mission; 0 means that there was none. Without goals there is
+    nothing to do: the mission is finished, or was canceled.
     """
 
     header: Header = Header()
@@ -56,10 +123,10 @@ class NavCommand:
 
 @message("cairn_nav_msgs/msg/Plan")
 class Plan:
-    """The planner's answer to a goal_id: poses to follow in frame map, or why there are none.
+    """The path planner's answer to a goal_id: poses to follow in frame map, or why there are none.
 
-    `length` [m] is the way along `poses`; `nearest_x`, `nearest_y` [m] is the reachable place
-    nearest to the goal where there is no path to it, NaN if there is none.
+    `length` [m] is the length of the path along `poses`; `nearest_x`, `nearest_y` [m] is the
+    reachable position nearest to the goal if no path leads to the goal, NaN if there is none.
     """
 
     FOUND: ClassVar[UInt8] = 0
@@ -79,19 +146,31 @@ class Plan:
     poses: Packed[Pose] = Packed(Pose)
 
     def __post_init__(self) -> None:
-        """Check that the nearest place has both coordinates or none."""
+        """Check that the nearest position has both coordinates or none."""
         x, y = self.nearest_x, self.nearest_y
         if isinf(x) or isinf(y) or isnan(x) != isnan(y):
             reject(self, "nearest_x, nearest_y", (x, y), "must be two finite numbers, or NaN twice")
 
 
+PLAN_REASON_CODES: Final = {
+    Plan.FOUND: ReasonCode.NONE,
+    Plan.NOT_READY: ReasonCode.PLANNER_NOT_READY,
+    Plan.START_BLOCKED: ReasonCode.START_BLOCKED,
+    Plan.GOAL_BLOCKED: ReasonCode.GOAL_BLOCKED,
+    Plan.OUTSIDE_MAP: ReasonCode.GOAL_OUTSIDE_MAP,
+    Plan.UNREACHABLE: ReasonCode.GOAL_UNREACHABLE,
+}
+"""The reason code of each `Plan.outcome`."""
+
+
 @message("cairn_nav_msgs/msg/MotionStatus")
 class MotionStatus:
-    """What motion control does for a goal_id, and why.
+    """The state of motion control for a goal_id, and the reason for that state.
 
-    STANDING: nothing else is wanted. MOVING: on the way. BLOCKED: something is in the way, or there
-    is no plan. DONE: the goal is reached, or the behavior is finished. STOPPED: an input is stale,
-    which `reason` names.
+    STANDING: the robot is commanded to stand. MOVING: it drives. BLOCKED: an obstacle is in its
+    path, or there is no plan. DONE: the goal is reached, or the behavior is finished. STOPPED: an
+    input is missing or too old, which `reason` names. `distance_left` [m] is the rest of the path,
+    `speed` [m/s] the measured speed, `clearance` [m] the distance to the nearest obstacle.
     """
 
     STANDING: ClassVar[UInt8] = 0
@@ -104,6 +183,7 @@ class MotionStatus:
     goal_id: UInt32 = 0
     state: Annotated[int, Scalar("uint8", at_most=4)] = 0
     reason: String = ""
+    reason_code: ReasonNumber = 0
     distance_left: NotNegative = 0.0
     speed: FiniteFloat64 = 0.0
     clearance: NotNegative = 0.0
@@ -111,10 +191,10 @@ class MotionStatus:
 
 @message("cairn_nav_msgs/msg/NavigationStatus")
 class NavigationStatus:
-    """How an order to move gets on: AutoMove's feedback, and in the end its result.
+    """The progress of a mission: AutoMove's feedback, and at the end its result.
 
-    `goal` is the number of the goal being driven to, of `goals`; `distance_left` [m] and
-    `time_left` [s] are to that goal, `elapsed` [s] and `recoveries` of the whole order.
+    `goal` is the index of the current goal, of `goals`; `distance_left` [m] and `time_left` [s]
+    are to that goal, `elapsed` [s] and `recoveries` count from the start of the mission.
     """
 
     LOADING: ClassVar[UInt8] = 0
@@ -136,6 +216,7 @@ class NavigationStatus:
     elapsed: NotNegative = 0.0
     recoveries: UInt32 = 0
     reason: String = ""
+    reason_code: ReasonNumber = 0
 
 
 NAVIGATION_STATES: Final = {
@@ -148,30 +229,28 @@ NAVIGATION_STATES: Final = {
     NavigationStatus.FAILED: "failed",
     NavigationStatus.CANCELED: "canceled",
 }
-"""What the states of a `NavigationStatus` are called."""
+"""The names of the states of a `NavigationStatus`."""
 NAVIGATION_END_STATES: Final = frozenset(
     {NavigationStatus.SUCCEEDED, NavigationStatus.FAILED, NavigationStatus.CANCELED}
 )
-"""The states that are the result of an order."""
+"""The states that are the result of a mission."""
 
 
-def without_numbers(reason: str) -> str:
-    """The words of a reason: ages and distances within it change all the time, which is no news."""
-    return re.sub(r"[0-9.]+", "", reason)
+@message("cairn_nav_msgs/msg/LocalizationEstimate")
+class LocalizationEstimate:
+    """Where the robot is in frame map, and how far that estimate can be relied on.
 
-
-@message("cairn_nav_msgs/msg/LocalizationHealth")
-class LocalizationHealth:
-    """How far the robot's pose can be relied on: `health` from 0 (lost) to 1, and why.
-
-    `position_sd` [m] and `heading_sd` [rad] are the pose's standard deviations; `scan_fit` is the
-    share of the scan that the map explains, NaN without a scan; `objects_agreeing` and
-    `objects_contradicting` count the places of mapped objects seen of late. Without a pose
-    `located` is false.
+    The stamp is that of the scan or the odometry that gave the pose. `pose` is valid if `located`.
+    `health` is from 0 (lost) to 1; `reason` says in words what keeps it below 1, `reason_code` is
+    its `ReasonCode`. `position_sd` [m] and `heading_sd` [rad] are standard deviations; `scan_fit`
+    is the share of the scan's beams that the grid map explains, NaN without a scan;
+    `objects_agreeing` and `objects_contradicting` count the positions of mapped objects observed
+    recently. `particles` is the size of the particle set.
     """
 
     header: Header = Header()
     located: Bool = False
+    pose: PoseWithCovariance = PoseWithCovariance()
     health: Probability = 0.0
     position_sd: NotNegative = 0.0
     heading_sd: NotNegative = 0.0
@@ -180,27 +259,28 @@ class LocalizationHealth:
     objects_contradicting: UInt32 = 0
     particles: UInt32 = 0
     reason: String = ""
+    reason_code: ReasonNumber = 0
 
 
 @message("cairn_nav_msgs/msg/Relocalization")
 class Relocalization:
-    """The robot was lost and has found itself at `pose` in frame map.
+    """The robot was lost, and a global search has found it at `pose` in frame map.
 
-    Until `sure_until` objects at two places had agreed that it was where it believed to be: what it
-    made of things since then may be wrong. Zero if that is not known.
+    Until `confirmed_until` objects at two positions had agreed with the pose that the robot
+    believed: conclusions drawn after that time may be wrong. Zero if that time is not known.
     """
 
     header: Header = Header()
     pose: PoseWithCovariance = PoseWithCovariance()
-    sure_until: Time = Time()
+    confirmed_until: Time = Time()
 
 
 @message("cairn_nav_msgs/msg/Collision")
 class Collision:
-    """The robot touched something: what, where [m], and how fast it was [m/s]."""
+    """The robot touched `obstacle` at `x`, `y` [m] in frame map while driving at `speed` [m/s]."""
 
     header: Header = Header()
-    what: String = ""
+    obstacle: String = ""
     x: FiniteFloat64 = 0.0
     y: FiniteFloat64 = 0.0
     speed: NotNegative = 0.0

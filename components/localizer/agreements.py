@@ -17,7 +17,7 @@ class Agreements:
 
     def __init__(self) -> None:
         self._at: dict[int, float] = {}
-        self.sure_until = -math.inf
+        self.confirmed_until = -math.inf
         """Until when [s] the robot was certainly not lost before it was placed anew."""
 
     def note(self, stamp: float, objects: Iterable[int]) -> None:
@@ -26,7 +26,7 @@ class Agreements:
 
     def placed_anew(self, landmarks: Mapping[int, Landmark]) -> None:
         """Take that the robot may be somewhere else than what has agreed so far made believe."""
-        self.sure_until = max(self.sure_until, self._both_since(landmarks))
+        self.confirmed_until = max(self.confirmed_until, self._both_since(landmarks))
         self._at.clear()
 
     def _both_since(self, landmarks: Mapping[int, Landmark]) -> float:

@@ -28,9 +28,9 @@ from cairn.components.localizer.health import Health
 from cairn.components.localizer.late import seen_from, view_from
 from cairn.components.localizer.localization import Localization
 from cairn.components.localizer.messages import (
+    estimate_message,
     evidence_message,
     found_message,
-    health_message,
     landmarks_of,
     sightings_of,
     transform_message,
@@ -48,8 +48,8 @@ from cairn.planar.scans import rays_of, sweep_s
 from cairn.runtime.rate_limited_log import RateLimitedLog
 from cairn.schemas.builtin_interfaces import Time
 from cairn.schemas.cairn_msgs import ObjectEvidenceArray, RecognizedObjectArray, VisualMap
-from cairn.schemas.cairn_nav_msgs import LocalizationHealth, Relocalization
-from cairn.schemas.geometry_msgs import PoseArray, PoseWithCovarianceStamped
+from cairn.schemas.cairn_nav_msgs import LocalizationEstimate, Relocalization
+from cairn.schemas.geometry_msgs import PoseArray, PoseWithCovariance, PoseWithCovarianceStamped
 from cairn.schemas.map_msgs import OccupancyGridUpdate
 from cairn.schemas.nav_msgs import OccupancyGrid, Odometry
 from cairn.schemas.sensor_msgs import LaserScan
@@ -87,8 +87,8 @@ class Localizer(Component):
     objects: In[RecognizedObjectArray] = In(qos=RELIABLE.with_depth(200), optional=True)
     visual_map: In[VisualMap] = In(qos=LATCHED.with_depth(20), optional=True)
     initialpose: In[PoseWithCovarianceStamped] = In(optional=True)
+    localization: Out[LocalizationEstimate]
     pose: Out[PoseWithCovarianceStamped]
-    localization_health: Out[LocalizationHealth]
     particles: Out[PoseArray]
     object_evidence: Out[ObjectEvidenceArray] = Out(qos=RELIABLE.with_depth(200))
     relocalized: Out[Relocalization]
@@ -283,14 +283,13 @@ class Localizer(Component):
             self._warnings.warn("blind", f"a scan on {self.scan.topic} tells nothing")
         if found:
             self._tell_found(ends)
-        # Without odometry of its time nobody can tell where the odometry frame lies.
-        if not self._localization.located or began is None:
-            self._tell_health(scan.header)
-            return
-        estimate = self._localization.pose()
-        at_first_beam = compose(estimate.mean, inverse(moved))
         header = Header(stamp=scan.header.stamp, frame_id="map")
-        self._publish(header, at_first_beam, began, estimate.covariance)
+        if not self._localization.located:
+            self._publish_estimate(header, None)
+        elif began is not None:  # else the pose of the odometry frame at that time is not known
+            estimate = self._localization.pose()
+            at_first_beam = compose(estimate.mean, inverse(moved))
+            self._publish(header, at_first_beam, began, estimate.covariance)
 
     def _fuse_objects(self, stamp: float, seen: RecognizedObjectArray) -> None:
         was_located = self._localization.located
@@ -352,13 +351,13 @@ class Localizer(Component):
         self.log.warning(
             "the robot was lost and found itself at (%.2f m, %.2f m, %.2f rad)", *found.mean
         )
-        sure_until = self._localization.sure_until
-        self.relocalized.publish(found_message(self._header(stamp), found, sure_until))
+        confirmed_until = self._localization.confirmed_until
+        self.relocalized.publish(found_message(self._header(stamp), found, confirmed_until))
 
     def _localization_at(self, stamp: float, odom: Pose) -> None:
         if not self._localization.located:
             self._published = stamp
-            self._tell_health(self._header(stamp))
+            self._publish_estimate(self._header(stamp), None)
             return
         estimate = self._localization.pose()
         now = self._localization.ahead(estimate.mean, stamp)
@@ -367,20 +366,17 @@ class Localizer(Component):
     def _publish(self, header: Header, pose: Pose, odom: Pose, covariance: np.ndarray) -> None:
         self._was_located = True
         self._published = _seconds(header.stamp)
-        self.pose.publish(
-            PoseWithCovarianceStamped(header=header, pose=with_covariance(pose, covariance))
-        )
+        message = with_covariance(pose, covariance)
+        self._publish_estimate(header, message)
+        self.pose.publish(PoseWithCovarianceStamped(header=header, pose=message))
         self.tf.publish(transform_message(header, pose, odom))
-        self._tell_health(header)
 
-    def _tell_health(self, header: Header) -> None:
+    def _publish_estimate(self, header: Header, pose: PoseWithCovariance | None) -> None:
         health: Health = self._localization.health()
         if self._localization.map is not None:
             health = self._scanner.limited(health, self._track.latest, self.scan.topic)
-        cloud = self._localization.bank.cloud
-        located = self._localization.located
-        pose = self._localization.pose() if located else None
-        self.localization_health.publish(health_message(header, health, pose, cloud.count))
+        particles = self._localization.bank.cloud.count
+        self.localization.publish(estimate_message(header, pose, health, particles))
 
     def _header(self, stamp: float) -> Header:
         return Header(stamp=from_ns(round(stamp * SECOND)), frame_id="map")

@@ -47,7 +47,6 @@ CORROBORATED, CORROBORATED_NEAR_ANOTHER = 3, 8  # contradictions from different 
 # How a sighting is compared with the pose. "lr" and "paper" are for robots; "letter" (the paper's
 # equation 1 as it stands) and "chi_square" (a hard gate) are what these are measured against.
 Mode = Literal["lr", "paper", "letter", "chi_square"]
-UNCORROBORATED = 0.45  # similarity of a contradiction that stands alone
 # Where scans tell the place, the poses with and without an object are no farther apart [m].
 _EXACT_M = 0.15
 
@@ -64,7 +63,10 @@ class Verdict(IntEnum):
 
 @dataclass(frozen=True)
 class Judgment:
-    """One object's evidence: similarity of equation (1), verdict, the place that it implies."""
+    """One object's evidence: similarity of equation (1), verdict, and the implied position.
+
+    `corroborated` is False for a disagreement that stands alone.
+    """
 
     sighting: Sighting
     similarity: float
@@ -74,6 +76,7 @@ class Judgment:
     y: float
     covariance: Array
     contradicts: bool
+    corroborated: bool = True
 
 
 @dataclass(frozen=True)
@@ -158,6 +161,7 @@ class Judge:
             return _judgment(sighting, pose, similarity, verdict, distance, contradicts)
         # To speak against an object takes a firmer pose than to speak for it.
         trusted = vouched or (similarity > NEUTRAL and likely)
+        corroborated = True
         verdict = Verdict.NOT_CONVERGED
         misled = converged and vouched and self.ranges.may_err(sighting, pose, landmarks)
         if self.ranges.wrong is not None or (misled and similarity < NEUTRAL):
@@ -182,16 +186,18 @@ class Judge:
             # contradict it. Where that one has stayed and agrees, `pose` has gone astray.
             similarity = NEUTRAL
         else:
-            similarity, verdict = self._contradicted(sighting, pose, landmarks, similarity)
-        return _judgment(sighting, pose, similarity, verdict, distance, contradicts)
+            verdict, corroborated = self._contradicted(sighting, pose, landmarks)
+            if verdict is Verdict.FALSE_MATCH:
+                similarity = NEUTRAL
+        return _judgment(sighting, pose, similarity, verdict, distance, contradicts, corroborated)
 
     def _contradicted(
         self,
         sighting: Sighting,
         pose: Estimate,
         landmarks: Mapping[int, Landmark],
-        similarity: float,
-    ) -> tuple[float, Verdict]:
+    ) -> tuple[Verdict, bool]:
+        """Return the verdict on a contradiction, and whether others corroborate it."""
         x, y, _ = implied_place(pose, sighting)
         known = self._contradictions.setdefault(sighting.object_id, [])
         if not known or apart(known[-1].seen_from, pose.mean, ANOTHER_M, ANOTHER_RAD):
@@ -199,10 +205,8 @@ class Judge:
             del known[:-20]
         together = sum(math.hypot(c.x - x, c.y - y) < SAME_PLACE for c in known)
         if together < CORROBORATED_NEAR_ANOTHER and self._near_another(sighting, pose, landmarks):
-            return NEUTRAL, Verdict.FALSE_MATCH
-        if together < CORROBORATED:
-            return UNCORROBORATED, Verdict.DISAGREES
-        return similarity, Verdict.DISAGREES
+            return Verdict.FALSE_MATCH, False
+        return Verdict.DISAGREES, together >= CORROBORATED
 
     def _near_another(
         self, sighting: Sighting, pose: Estimate, landmarks: Mapping[int, Landmark]
@@ -264,6 +268,9 @@ def _judgment(
     verdict: Verdict,
     distance: float,
     contradicts: bool,
+    corroborated: bool = True,
 ) -> Judgment:
     x, y, covariance = implied_place(pose, sighting)
-    return Judgment(sighting, similarity, verdict, distance, x, y, covariance, contradicts)
+    return Judgment(
+        sighting, similarity, verdict, distance, x, y, covariance, contradicts, corroborated
+    )

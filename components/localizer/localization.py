@@ -32,6 +32,7 @@ from cairn.components.localizer.slip import SlipWatch
 from cairn.components.localizer.stated import StatedCovariance
 from cairn.planar.grid import OccupancyCells
 from cairn.planar.poses import Pose
+from cairn.schemas.cairn_nav_msgs import ReasonCode
 
 Array = NDArray[np.float64]
 
@@ -48,6 +49,7 @@ class Frame:
 
     before: Estimate
     healthy: bool
+    code: ReasonCode
     reason: str
     judgments: tuple[Judgment, ...]
     relocalized: bool
@@ -153,11 +155,11 @@ class Localization:
         return self.judge.ranges.wrong
 
     @property
-    def sure_until(self) -> float:
+    def confirmed_until(self) -> float:
         """Until when [s] the robot was where it believed to be, before it was placed where it is
         believed to be now; -inf if that is not known.
         """
-        return self._agreements.sure_until
+        return self._agreements.confirmed_until
 
     def ahead(self, pose: Pose, stamp: float) -> Pose:
         """Where a robot that is at `pose` now is expected at the later time `stamp` [s]."""
@@ -170,7 +172,7 @@ class Localization:
         pose = self.bank.estimate()
         health = health_of(pose, self._support(pose, None), self._fit.value)
         doubt = self.recovery.doubts(self.track.integrated_to)
-        return not_yet_sure(health, doubt) if doubt else health
+        return not_yet_sure(health, *doubt) if doubt is not None else health
 
     def scan(self, stamp: float, points: Array, misses: tuple[Array, Array] = NO_RAYS) -> bool:
         """Fuse a scan of `stamp` [s], end points (m, 2) [m] in the base's frame; True if the robot
@@ -244,7 +246,7 @@ class Localization:
         for sighting in live:
             self.bank.watch(sighting.object_id)
         before = self.bank.estimate()
-        healthy, reason = self._healthy(before, self._support(before, None))
+        healthy, code, reason = self._healthy(before, self._support(before, None))
         judgments = tuple(self._judge(sighting, before, healthy) for sighting in sightings)
         contradicted = any(one.contradicts for one in judgments)
         agreed = [one.sighting.object_id for one in judgments if one.verdict is Verdict.AGREES]
@@ -258,7 +260,7 @@ class Localization:
         relocalized = False
         if self.recovery.due(stamp, contradicted=contradicted):
             relocalized = self._recover(stamp)
-        return Frame(before, healthy, reason, judgments, relocalized)
+        return Frame(before, healthy, code, reason, judgments, relocalized)
 
     def _fused(self) -> Mapping[int, Landmark]:
         """The objects as they are fused."""
@@ -300,16 +302,22 @@ class Localization:
         few = support.contradicting <= max(1, support.agreeing)
         return few or self.recovery.found_here(self.track.integrated_to)
 
-    def _healthy(self, pose: Estimate, support: Support) -> tuple[bool, str]:
+    def _healthy(self, pose: Estimate, support: Support) -> tuple[bool, ReasonCode, str]:
         limit = self.settings.healthy_spread_m
         if pose.spread > limit:
-            return False, f"the pose is uncertain by {pose.spread:.2f} m (limit {limit:.2f} m)"
-        if not self._vouched(support):
-            return False, (
-                f"of the places seen of late {support.agreeing} agree with the pose and "
-                f"{support.contradicting} contradict it"
+            return (
+                False,
+                ReasonCode.POSITION_UNCERTAIN,
+                f"the pose is uncertain by {pose.spread:.2f} m (limit {limit:.2f} m)",
             )
-        return True, ""
+        if not self._vouched(support):
+            return (
+                False,
+                ReasonCode.OBJECTS_CONTRADICT,
+                f"of the places seen of late {support.agreeing} agree with the pose and "
+                f"{support.contradicting} contradict it",
+            )
+        return True, ReasonCode.NONE, ""
 
     def _judge(self, sighting: Sighting, before: Estimate, healthy: bool) -> Judgment:
         object_id = sighting.object_id

@@ -13,7 +13,7 @@ from cairn.components.localizer.judge import Judgment
 from cairn.components.localizer.localization import Frame
 from cairn.components.localizer.object_likelihood import Landmark, Sighting
 from cairn.components.localizer.particles import Estimate
-from cairn.planar.messages import with_covariance
+from cairn.planar.messages import planar_covariance, with_covariance
 from cairn.planar.poses import Pose, compose, inverse
 from cairn.schemas.cairn_msgs import (
     ObjectEvidence,
@@ -22,8 +22,14 @@ from cairn.schemas.cairn_msgs import (
     VisualMap,
     VisualObject,
 )
-from cairn.schemas.cairn_nav_msgs import LocalizationHealth, Relocalization
-from cairn.schemas.geometry_msgs import Quaternion, Transform, TransformStamped, Vector3
+from cairn.schemas.cairn_nav_msgs import LocalizationEstimate, Relocalization
+from cairn.schemas.geometry_msgs import (
+    PoseWithCovariance,
+    Quaternion,
+    Transform,
+    TransformStamped,
+    Vector3,
+)
 from cairn.schemas.std_msgs import Header
 from cairn.schemas.tf2_msgs import TFMessage
 
@@ -82,14 +88,15 @@ def transform_message(header: Header, pose: Pose, in_odometry: Pose) -> TFMessag
     )
 
 
-def health_message(
-    header: Header, health: Health, pose: Estimate | None, particles: int
-) -> LocalizationHealth:
-    """The health of a pose, None for a robot that has none."""
-    covariance = pose.covariance if pose else np.zeros((3, 3))
-    return LocalizationHealth(
+def estimate_message(
+    header: Header, pose: PoseWithCovariance | None, health: Health, particles: int
+) -> LocalizationEstimate:
+    """Return the message of a pose with its health; `pose` is None if the robot is not located."""
+    covariance = planar_covariance(pose) if pose else np.zeros((3, 3))
+    return LocalizationEstimate(
         header=header,
         located=pose is not None,
+        pose=pose or PoseWithCovariance(),
         health=health.value,
         position_sd=math.sqrt(max(0.0, float(covariance[0, 0] + covariance[1, 1]))),
         heading_sd=math.sqrt(max(0.0, float(covariance[2, 2]))),
@@ -98,15 +105,16 @@ def health_message(
         objects_contradicting=health.support.contradicting,
         particles=particles if pose else 0,
         reason=health.reason,
+        reason_code=int(health.code),
     )
 
 
-def found_message(header: Header, found: Estimate, sure_until: float) -> Relocalization:
+def found_message(header: Header, found: Estimate, confirmed_until: float) -> Relocalization:
     """Where a lost robot was found, and until when [s] it was not lost, -inf if nobody knows."""
     return Relocalization(
         header=header,
         pose=with_covariance(found.mean, found.covariance),
-        sure_until=from_ns(round(max(0.0, sure_until) * SECOND)),
+        confirmed_until=from_ns(round(max(0.0, confirmed_until) * SECOND)),
     )
 
 
@@ -123,6 +131,7 @@ def evidence_message(header: Header, frame: Frame) -> ObjectEvidenceArray:
         robot_covariance=covariance.ravel(),
         healthy=frame.healthy,
         reason=frame.reason,
+        reason_code=int(frame.code),
         evidence=tuple(map(_evidence, frame.judgments)),
     )
 
@@ -139,4 +148,5 @@ def _evidence(judgment: Judgment) -> ObjectEvidence:
         covariance=covariance.ravel(),
         range=judgment.sighting.range_m,
         bearing=judgment.sighting.bearing,
+        corroborated=judgment.corroborated,
     )

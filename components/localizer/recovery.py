@@ -13,6 +13,7 @@ from cairn.components.localizer.particles import Estimate, estimate
 from cairn.components.localizer.recent import carry
 from cairn.components.localizer.search import Found, search
 from cairn.planar.poses import Pose, compose, distance, relative, wrap
+from cairn.schemas.cairn_nav_msgs import ReasonCode
 
 Array = NDArray[np.float64]
 
@@ -38,7 +39,10 @@ _NEWEST, _NEWEST_OF_BAD = 0.02, 0.001
 _WARY_EVERY_S, _EVERY_S = 3.0, 1.0
 # For so long [s] a search that found the robot where it is believed to be speaks for that place.
 _HERE_S = 3.0
-_NOT_SURE = "the robot was found but now, and other places are not ruled out yet"
+_UNCONFIRMED = (
+    ReasonCode.UNCONFIRMED,
+    "the robot was found just now; other positions are not ruled out yet",
+)
 
 
 class Recovery:
@@ -72,14 +76,17 @@ class Recovery:
         """Whether no other place than where the robot was found is likely any more."""
         return not self.doubts(stamp)
 
-    def doubts(self, stamp: float) -> str:
-        """Why the robot may be somewhere else, in words; "" if nothing speaks for that."""
+    def doubts(self, stamp: float) -> tuple[ReasonCode, str] | None:
+        """Return why the robot may be elsewhere, as code and in words; None if it is not likely."""
         if self._suspicious:
-            return f"scans fit the map by {self._fit:.0%}, usually by {self._usual:.0%}"
+            return (
+                ReasonCode.SCAN_MISMATCH,
+                f"scans fit the map by {self._fit:.0%}, usually by {self._usual:.0%}",
+            )
         if self._confirmations >= _CONFIRMATIONS:
-            return ""
+            return None
         undisputed = stamp >= self._probation_ends and self._away_m >= _UNDISPUTED_M
-        return "" if undisputed else _NOT_SURE
+        return None if undisputed else _UNCONFIRMED
 
     def found_here(self, stamp: float) -> bool:
         """Whether the last search, no longer ago than 3 s, found the robot where it is believed

@@ -9,6 +9,7 @@ import numpy as np
 
 from cairn.components.localizer.health import Health
 from cairn.planar.scans import Rays
+from cairn.schemas.cairn_nav_msgs import ReasonCode
 
 SILENT_S = 1.0
 """For so long [s] scans may hit nothing, or not come at all."""
@@ -41,10 +42,12 @@ class ScannerWatch:
         """What is left of a health at the time `now` [s] with the scans on `topic`."""
         if self._blind and now - self._told > _UNTOLD_S:
             most, since, what = _BLIND, now - self._told, "tells"
+            code = ReasonCode.SCAN_INVALID
         elif now - self._hit > SILENT_S:
             most, since, what = _NO_HITS, now - self._hit, "hits"
+            code = ReasonCode.SCAN_HITS_NOTHING
         else:
             return health
         how_long = f"for {since:.1f} s" if math.isfinite(since) else "so far"
         why = f"no scan on {topic} that {what} anything {how_long}"
-        return replace(health, value=min(health.value, most), reason=why)
+        return replace(health, value=min(health.value, most), code=code, reason=why)

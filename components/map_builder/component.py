@@ -36,8 +36,7 @@ from cairn.planar.messages import planar_pose
 from cairn.planar.odometry import Added
 from cairn.runtime.rate_limited_log import RateLimitedLog
 from cairn.schemas.cairn_msgs import ObjectEvidenceArray, VisualMap, VisualMapChange
-from cairn.schemas.cairn_nav_msgs import LocalizationHealth, Relocalization
-from cairn.schemas.geometry_msgs import PoseWithCovarianceStamped
+from cairn.schemas.cairn_nav_msgs import LocalizationEstimate, Relocalization
 from cairn.schemas.map_msgs import OccupancyGridUpdate
 from cairn.schemas.nav_msgs import OccupancyGrid, Odometry
 from cairn.schemas.sensor_msgs import LaserScan
@@ -63,8 +62,7 @@ class MapBuilder(Component):
     relocalized: In[Relocalization] = In(optional=True)
     scan: In[LaserScan] = In(qos=SENSOR, optional=True)
     odom: In[Odometry] = In(qos=RELIABLE.with_depth(1000), optional=True)
-    pose: In[PoseWithCovarianceStamped] = In(optional=True)
-    localization_health: In[LocalizationHealth] = In(optional=True)
+    localization: In[LocalizationEstimate] = In(optional=True)
     visual_map: Out[VisualMap] = Out(qos=LATCHED)
     visual_map_changes: Out[VisualMapChange] = Out(qos=RELIABLE.with_depth(100))
     map: Out[OccupancyGrid] = Out(qos=LATCHED)
@@ -128,7 +126,7 @@ class MapBuilder(Component):
         """Undo what the robot judged and drew while it was lost."""
         keeper, grid = self._open(), self._open_grid()
         stamp_ns = self._found_at = to_ns(found.header.stamp)
-        since_ns = max(to_ns(found.sure_until), stamp_ns - round(self.config.undo_s * SECOND))
+        since_ns = max(to_ns(found.confirmed_until), stamp_ns - round(self.config.undo_s * SECOND))
         if keeper is not None:
             self._tell(stamp_ns, *keeper.take_back(stamp_ns, since_ns))
         if grid is not None:
@@ -152,19 +150,14 @@ class MapBuilder(Component):
         """Keep a scan until its pose has come."""
         self._scans.scanned(scan)
 
-    @on("pose")
-    def place(self, pose: PoseWithCovarianceStamped) -> None:
-        """Keep a pose until its health has come."""
-        self._scans.located(to_ns(pose.header.stamp), planar_pose(pose.pose.pose))
-
-    @on("localization_health")
-    def draw(self, health: LocalizationHealth) -> None:
-        """Put the scan of a sure pose into the grid map."""
+    @on("localization")
+    def on_localization(self, estimate: LocalizationEstimate) -> None:
+        """Integrate the scan that gave a reliable pose into the grid map."""
         grid = self._open_grid()
         if grid is None or not self.config.update_grid:
             return
         waits = self._scans.waiting
-        ready = self._scans.ready(health)
+        ready = self._scans.ready(estimate)
         if bool(self._scans.waiting) != bool(waits):
             if self._scans.waiting:
                 self.log.info("the grid map waits: %s", self._scans.waiting)

@@ -28,7 +28,7 @@ def judge_to_the_letter(
         return known, None
     seen = replace(known, evidence_count=known.evidence_count + 1)
     if known.state is State.LIVE:
-        reliability = equation_2(known.reliability, evidence.similarity)
+        reliability = equation_2(known.reliability, evidence.weight)
         if reliability >= _REMOVAL:
             return replace(seen, reliability=reliability), None
         # New samples are drawn around the place that this sighting gives, and their reliability

@@ -32,6 +32,7 @@ def evidence_of(frame: ObjectEvidenceArray) -> list[Evidence]:
             ),
             robot=robot,
             healthy=frame.healthy,
+            corroborated=piece.corroborated,
         )
         for piece in frame.evidence
     ]

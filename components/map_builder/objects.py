@@ -13,6 +13,9 @@ from cairn.planar.poses import Pose
 
 # A candidate begins with the reliability that its old place had when it was removed.
 CARRIED_OVER = 0.1
+# The similarity that an uncorroborated disagreement counts as: just below neutral (0.5), so that
+# a single gross error does not remove an object.
+UNCORROBORATED = 0.45
 
 
 class State(IntEnum):
@@ -77,7 +80,10 @@ class MapObject:
 
 @dataclass(frozen=True)
 class Evidence:
-    """What one sighting says of one object, or that there was none; and the robot's pose then."""
+    """The evidence of one observation, or of a missing one, and the robot's pose at that time.
+
+    `corroborated` is False for a disagreement that no others bear out yet.
+    """
 
     object_id: int
     similarity: float
@@ -86,6 +92,17 @@ class Evidence:
     implied: Place
     robot: Pose
     healthy: bool
+    corroborated: bool = True
+
+    @property
+    def alone(self) -> bool:
+        """Whether this is a disagreement that no other observations corroborate yet."""
+        return self.verdict is Verdict.DISAGREES and not self.corroborated
+
+    @property
+    def weight(self) -> float:
+        """The similarity as it counts: a disagreement that stands alone hardly counts."""
+        return UNCORROBORATED if self.alone else self.similarity
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Brings scans, the poses they were taken from, and the health of these poses together."""
+"""Joins scans with the poses that they were taken from."""
 
 from __future__ import annotations
 
@@ -6,10 +6,11 @@ from collections import deque
 from dataclasses import dataclass
 
 from cairn import SECOND, to_ns
+from cairn.planar.messages import planar_pose
 from cairn.planar.odometry import Added, OdometryHistory
 from cairn.planar.poses import Pose, compose, relative
 from cairn.planar.scans import Rays, rays_of, sweep_s
-from cairn.schemas.cairn_nav_msgs import LocalizationHealth
+from cairn.schemas.cairn_nav_msgs import LocalizationEstimate
 from cairn.schemas.sensor_msgs import LaserScan
 
 _KEPT = 20  # scans that wait for their pose
@@ -39,7 +40,6 @@ class PosedScans:
         self._least_health, self._most_spread_m = least_health, most_spread_m
         self._history = OdometryHistory(5 * SECOND)
         self._scans: deque[LaserScan] = deque(maxlen=_KEPT)
-        self._pose: tuple[int, Pose] | None = None
         self._given_ns: int | None = None
         self.waiting = "there is no pose yet"
 
@@ -51,15 +51,11 @@ class PosedScans:
         """Take a scan."""
         self._scans.append(scan)
 
-    def located(self, stamp_ns: int, pose: Pose) -> None:
-        """Take the pose of the time `stamp_ns`."""
-        self._pose = (stamp_ns, pose)
-
-    def ready(self, health: LocalizationHealth) -> PosedScan | None:
-        """The scan of the pose that this is the health of, if it may be put into a map."""
-        self.waiting = self._doubt(health)
-        stamp = to_ns(health.header.stamp)
-        if self.waiting or self._pose is None or self._pose[0] != stamp:
+    def ready(self, estimate: LocalizationEstimate) -> PosedScan | None:
+        """Return the scan that gave this estimate, if it may be put into a map."""
+        self.waiting = self._doubt(estimate)
+        stamp = to_ns(estimate.header.stamp)
+        if self.waiting:
             return None
         if self._given_ns is not None and 0 <= stamp - self._given_ns < self._every_ns:
             return None
@@ -70,16 +66,16 @@ class PosedScans:
         ends = stamp + round(sweep_s(scan) * SECOND)
         began, ended = self._history.at(stamp), self._history.at(ends)
         moved = relative(began, ended) if began and ended else (0.0, 0.0, 0.0)
-        pose = compose(self._pose[1], moved)
+        pose = compose(planar_pose(estimate.pose.pose), moved)
         return PosedScan(ends, pose, rays_of(scan, self._mount, moved))
 
-    def _doubt(self, health: LocalizationHealth) -> str:
-        if not health.located:
-            return health.reason or "the robot is not located"
-        if health.health < self._least_health:
-            return f"the pose is not sure: {health.reason}"
-        if health.position_sd > self._most_spread_m:
-            return f"the position is uncertain by {health.position_sd:.2f} m"
-        if health.heading_sd > _MOST_HEADING_SD:
-            return f"the heading is uncertain by {health.heading_sd:.2f} rad"
+    def _doubt(self, estimate: LocalizationEstimate) -> str:
+        if not estimate.located:
+            return estimate.reason or "the robot is not located"
+        if estimate.health < self._least_health:
+            return f"the pose is not sure: {estimate.reason}"
+        if estimate.position_sd > self._most_spread_m:
+            return f"the position is uncertain by {estimate.position_sd:.2f} m"
+        if estimate.heading_sd > _MOST_HEADING_SD:
+            return f"the heading is uncertain by {estimate.heading_sd:.2f} rad"
         return ""

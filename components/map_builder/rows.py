@@ -96,7 +96,7 @@ def evidence_row(stamp_ns: int, evidence: Evidence, after: MapObject, counted: b
     return (
         stamp_ns,
         evidence.object_id,
-        evidence.similarity,
+        evidence.weight,
         evidence.verdict.name,
         evidence.distance,
         *_place_row(evidence.implied),

@@ -22,8 +22,6 @@ from cairn.components.map_builder.reliability import REMOVAL, update
 from cairn.components.map_builder.viewpoints import NOWHERE, cell_of
 from cairn.planar.poses import apart
 
-# A disagreement of this similarity or more stands alone: the localizer has yet to see it borne out.
-_ALONE = 0.4
 # From poses that differ by more than this [m], [rad] an object is missed for reasons of their own.
 _MISSED_M, _MISSED_RAD = 0.4, 0.5
 
@@ -51,8 +49,8 @@ def _judge_live(
         known.judged_from, evidence.robot, ANOTHER_M, ANOTHER_RAD
     ):
         return known, None
-    alone = evidence.verdict is Verdict.DISAGREES and evidence.similarity >= _ALONE
-    reliability = update(known.reliability, evidence.similarity)
+    alone = evidence.alone
+    reliability = update(known.reliability, evidence.weight)
     if evidence.verdict is Verdict.DISAGREES and not alone:
         # Others bear it out: they were right, and count as this one does.
         for _ in range(known.held_back):

@@ -15,7 +15,7 @@ from cairn.components.motion_control.local_planner import STILL, LocalPlanner, P
 from cairn.components.motion_control.route import Route
 from cairn.components.motion_control.seen_space import SeenSpace, Surroundings
 from cairn.planar.poses import Pose, compose, distance, relative, wrap
-from cairn.schemas.cairn_nav_msgs import MotionStatus
+from cairn.schemas.cairn_nav_msgs import MotionStatus, ReasonCode
 
 SECOND_NS = 1_000_000_000
 
@@ -60,12 +60,13 @@ class Situation:
 
 @dataclass(frozen=True)
 class Motion:
-    """What to do now, and what to say of it; `left` [m] is the distance still to go."""
+    """The velocity to drive at now, its reason, and the distance `left` [m] still to go."""
 
     wish: Wish = STILL
     state: State = State.MOVING
     reason: str = ""
     left: float = 0.0
+    code: int = ReasonCode.NONE
 
 
 class Behavior(Protocol):
@@ -116,14 +117,14 @@ class Follow:
         left = max(self.route.left, apart) if self.route.left < 0.5 else self.route.left
         if self.route.off > self.OFF:
             reason = f"the path is {self.route.off:.1f} m away"
-            return Motion(state=State.BLOCKED, reason=reason, left=left)
+            return Motion(state=State.BLOCKED, reason=reason, left=left, code=ReasonCode.OFF_PATH)
         wish = self._planner.along(way, left, situation.place)
         if wish.blocked and apart < 0.9 * self._position:
             self._arrived = True
         if not wish.blocked:
             self._moved_at = situation.now
         if situation.now - self._moved_at < self.PATIENCE_NS:
-            return Motion(wish, State.MOVING, wish.blocked, left)
+            return Motion(wish, State.MOVING, wish.blocked, left, _code(wish))
         return _moving(wish, left)
 
     def _turn(self, situation: Situation, apart: float, off: float) -> Motion:
@@ -194,7 +195,8 @@ class BackOff:
         return self._ended(State.BLOCKED, reason)
 
     def _ended(self, state: State, reason: str) -> Motion:
-        self._end = Motion(state=state, reason=reason)
+        code = ReasonCode.OBSTACLE if reason else ReasonCode.NONE
+        self._end = Motion(state=state, reason=reason, code=code)
         return self._end
 
 
@@ -250,7 +252,9 @@ class Explore:
         if self._look is not None:
             looked = self._look.step(situation)
             if looked.state is not State.DONE:
-                return Motion(looked.wish, State.MOVING, "looking for room", self._left)
+                return Motion(
+                    looked.wish, State.MOVING, "looking for room", self._left, ReasonCode.NO_ROOM
+                )
             self._look = None
         if self._route is None:
             return self._choose(situation)
@@ -263,13 +267,15 @@ class Explore:
             self._moved_at = situation.now
         elif situation.now - (self._moved_at or 0) > self._PATIENCE_NS:
             self._route = None
-        return Motion(wish, State.MOVING, wish.blocked, self._left)
+        return Motion(wish, State.MOVING, wish.blocked, self._left, _code(wish))
 
     def _choose(self, situation: Situation) -> Motion:
         """Set out in the direction of most room among those seen; or look behind; or give up."""
         if self._tries == self._TRIES:
             reason = f"no room of {self._ROOM:.1f} m to go to"
-            return Motion(state=State.BLOCKED, reason=reason, left=self._left)
+            return Motion(
+                state=State.BLOCKED, reason=reason, left=self._left, code=ReasonCode.NO_ROOM
+            )
         self._tries += 1
         limits = self._limits
         points = situation.space.around(situation.odom, self.REACH).points
@@ -296,4 +302,8 @@ class Explore:
 
 def _moving(wish: Wish, left: float) -> Motion:
     state = State.BLOCKED if wish.blocked else State.MOVING
-    return Motion(wish, state, wish.blocked, max(0.0, left))
+    return Motion(wish, state, wish.blocked, max(0.0, left), _code(wish))
+
+
+def _code(wish: Wish) -> ReasonCode:
+    return ReasonCode.OBSTACLE if wish.blocked else ReasonCode.NONE

@@ -40,8 +40,15 @@ from cairn.planar.messages import planar_pose, planar_poses
 from cairn.planar.odometry import began_anew
 from cairn.planar.poses import Pose, relative
 from cairn.planar.scans import rays_of, sweep_s
-from cairn.schemas.cairn_nav_msgs import LocalizationHealth, MotionStatus, NavCommand, Plan
-from cairn.schemas.geometry_msgs import PoseWithCovarianceStamped, Twist, Vector3
+from cairn.schemas.cairn_nav_msgs import (
+    PLAN_REASON_CODES,
+    LocalizationEstimate,
+    MotionStatus,
+    NavCommand,
+    Plan,
+    ReasonCode,
+)
+from cairn.schemas.geometry_msgs import Twist, Vector3
 from cairn.schemas.nav_msgs import Odometry
 from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.std_msgs import Header
@@ -64,8 +71,7 @@ class MotionControl(Component):
     config: MotionControlConfig
     nav_command: In[NavCommand] = In(qos=LATCHED.with_depth(5))
     plan: In[Plan] = In(qos=LATCHED)
-    pose: In[PoseWithCovarianceStamped]
-    localization_health: In[LocalizationHealth]
+    localization: In[LocalizationEstimate]
     odom: In[Odometry] = In(qos=RELIABLE.with_depth(1000))
     scan: In[LaserScan] = In(qos=SENSOR)
     cmd_vel: Out[Twist] = Out(qos=SENSOR)
@@ -84,7 +90,9 @@ class MotionControl(Component):
         self._view = (0.0, math.pi)
         self._scan_told = True
         self._around: Surroundings | None = None
-        self._motion = Motion(state=State.STANDING, reason="nothing is wanted yet")
+        self._motion = Motion(
+            state=State.STANDING, reason="nothing is wanted yet", code=ReasonCode.NO_NAV_COMMAND
+        )
         self._told: tuple[int, State] | None = None
         self._whereabouts = Whereabouts(self.config.speed, self.config.turn_speed)
         self._take(self.config)
@@ -119,22 +127,17 @@ class MotionControl(Component):
         self._plan = plan
         self._route()
 
-    @on("pose")
-    def locate(self, pose: PoseWithCovarianceStamped) -> None:
-        """Take where the robot is in the map."""
-        stamp = to_ns(pose.header.stamp)
-        self._freshness.note("pose", stamp, self.clock.now())
-        self._whereabouts.locate(stamp, planar_pose(pose.pose.pose))
-
-    @on("localization_health")
-    def heed(self, health: LocalizationHealth) -> None:
-        """Take how far that can be relied on."""
-        stamp = to_ns(health.header.stamp)
-        self._freshness.note("localization_health", stamp, self.clock.now())
+    @on("localization")
+    def on_localization(self, estimate: LocalizationEstimate) -> None:
+        """Note where the robot is in the map, and whether that can be relied on."""
+        stamp = to_ns(estimate.header.stamp)
+        self._freshness.note("localization", stamp, self.clock.now())
+        if estimate.located:
+            self._whereabouts.locate(stamp, planar_pose(estimate.pose.pose))
         limit = self.config.health_limit
-        if health.health < limit or not health.located:
+        if estimate.health < limit or not estimate.located:
             self._lost = True
-        elif health.health >= min(1.0, limit + _REGAINED):
+        elif estimate.health >= min(1.0, limit + _REGAINED):
             self._lost = False
 
     @on("odom")
@@ -187,6 +190,7 @@ class MotionControl(Component):
                 goal_id=self._nav_command.goal_id if self._nav_command is not None else 0,
                 state=int(self._motion.state),
                 reason=self._motion.reason,
+                reason_code=int(self._motion.code),
                 distance_left=max(0.0, self._motion.left),
                 speed=self._whereabouts.speed,
                 clearance=max(0.0, nearest - self.config.radius),
@@ -264,10 +268,14 @@ class MotionControl(Component):
         if stopped is not None:
             return stopped, STAND
         if self._behavior is None:
-            return Motion(state=State.BLOCKED, reason=self._no_plan()), STAND
+            return self._no_plan(), STAND
         odom = self._whereabouts.odom(now)
         if odom is None:  # its first time is yet to come
-            return Motion(state=State.STOPPED, reason=f"no odom yet on {self.odom.topic}"), STAND
+            reason = f"no odom yet on {self.odom.topic}"
+            return (
+                Motion(state=State.STOPPED, reason=reason, code=ReasonCode.NO_ODOMETRY),
+                STAND,
+            )
         speed, turn = self._whereabouts.speed, self._whereabouts.turn
         around = self._space.around(odom, LOOK, speed, self._limits.speed)
         self._around = around
@@ -287,41 +295,47 @@ class MotionControl(Component):
             "nav_command", self.nav_command.topic, timeouts.nav_command, now
         )
         if stale or nav_command is None:
-            return Motion(state=State.STOPPED, reason=stale)
+            return Motion(state=State.STOPPED, reason=stale, code=ReasonCode.NO_NAV_COMMAND)
         if nav_command.behavior == NavCommand.STAND:
             return Motion(state=State.STANDING)
         if self._done:
-            return Motion(state=State.DONE, reason=self._motion.reason)
+            return Motion(state=State.DONE, reason=self._motion.reason, code=self._motion.code)
+        code = int(ReasonCode.NO_ODOMETRY)
         stale = self._freshness.complaint("odom", self.odom.topic, timeouts.odom, now)
-        what = "scan" if self._scan_told else "scan that tells anything"
-        stale = stale or self._freshness.complaint(
-            "scan", self.scan.topic, timeouts.scan, now, what
-        )
+        if not stale:
+            code = ReasonCode.NO_SCAN
+            called = "scan" if self._scan_told else "scan that tells anything"
+            stale = self._freshness.complaint("scan", self.scan.topic, timeouts.scan, now, called)
         if not stale and now < self._paused_until:
-            stale = self._pause
+            code, stale = ReasonCode.ODOMETRY_RESET, self._pause
         if not stale and nav_command.behavior == NavCommand.FOLLOW:
-            stale = self._unsure(now)
-        return Motion(state=State.STOPPED, reason=stale) if stale else None
+            code, stale = self._unsure(now)
+        return Motion(state=State.STOPPED, reason=stale, code=code) if stale else None
 
-    def _unsure(self, now: int) -> str:
-        """Why the pose in the map cannot be relied on; empty if it can."""
-        timeouts, topic = self.config.timeouts, self.localization_health.topic
-        health = self.localization_health.latest
-        stale = self._freshness.complaint("pose", self.pose.topic, timeouts.pose, now)
-        stale = stale or self._freshness.complaint(
-            "localization_health", topic, timeouts.health, now
+    def _unsure(self, now: int) -> tuple[int, str]:
+        """Return why the pose in the map cannot be relied on; an empty reason if it can."""
+        topic, estimate = self.localization.topic, self.localization.latest
+        stale = self._freshness.complaint(
+            "localization", topic, self.config.timeouts.localization, now
         )
-        if not stale and self._lost and health is not None:
-            return f"the robot is lost, health {health.health:.2f}: {health.reason}"
+        if not stale and self._lost and estimate is not None:
+            return (
+                estimate.reason_code,
+                f"the robot is lost, health {estimate.health:.2f}: {estimate.reason}",
+            )
         if not stale and self._whereabouts.pose(now) is None:
-            return f"no pose on {self.pose.topic} since odometry began"
-        return stale
+            stale = f"no pose on {topic} since odometry began"
+        return ReasonCode.NO_LOCALIZATION, stale
 
-    def _no_plan(self) -> str:
+    def _no_plan(self) -> Motion:
         nav_command, plan = self._nav_command, self._plan
+        code = int(ReasonCode.NO_PLAN)
         if plan is None or plan.goal_id != (nav_command.goal_id if nav_command is not None else 0):
-            return f"no plan of this goal_id yet on {self.plan.topic}"
-        return f"there is no path: {plan.reason}"
+            reason = f"no plan of this goal_id yet on {self.plan.topic}"
+        else:
+            code = PLAN_REASON_CODES[plan.outcome]
+            reason = f"there is no path: {plan.reason}"
+        return Motion(state=State.BLOCKED, reason=reason, code=code)
 
 
 def _view(scan: LaserScan, mount: Pose) -> tuple[float, float]:

@@ -15,8 +15,9 @@ class Timeouts(Config):
 
     scan: float = Field(0.5, gt=0, le=10, description="Age of the newest scan [s].")
     odom: float = Field(0.3, gt=0, le=10, description="Age of the newest odometry [s].")
-    pose: float = Field(1.0, gt=0, le=10, description="Age of the newest pose in the map [s].")
-    health: float = Field(2.0, gt=0, le=10, description="Age of the localization's health [s].")
+    localization: float = Field(
+        1.0, gt=0, le=10, description="Age of the newest localization estimate [s]."
+    )
     nav_command: float = Field(1.5, gt=0, le=10, description="Age of what is wanted [s].")
 
 

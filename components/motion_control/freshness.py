@@ -20,7 +20,7 @@ class Freshness:
         self._times[name] = max(min(stamp, now), newest)
 
     def complaint(self, name: str, topic: str, timeout_s: float, now: int, called: str = "") -> str:
-        """Why an input, `called` so in words, is too old, with its age and topic; else empty."""
+        """Return why an input, `called` so in words, is too old, with age and topic; else ""."""
         time = self._times.get(name)
         if time is None:
             return f"no {called or name} yet on {topic}"

@@ -34,8 +34,7 @@ from cairn.planar.grid import OccupancyCells, grid_of
 from cairn.planar.messages import planar_pose
 from cairn.planar.poses import Pose
 from cairn.planar.scans import beams_of
-from cairn.schemas.cairn_nav_msgs import LocalizationHealth, MotionStatus, NavCommand, Plan
-from cairn.schemas.geometry_msgs import PoseWithCovarianceStamped
+from cairn.schemas.cairn_nav_msgs import LocalizationEstimate, MotionStatus, NavCommand, Plan
 from cairn.schemas.map_msgs import OccupancyGridUpdate
 from cairn.schemas.nav_msgs import OccupancyGrid, Odometry, Path
 from cairn.schemas.sensor_msgs import LaserScan
@@ -61,8 +60,7 @@ class PathPlanner(Component):
     nav_command: In[NavCommand] = In(qos=LATCHED.with_depth(5))
     map: In[OccupancyGrid] = In(qos=LATCHED)
     map_updates: In[OccupancyGridUpdate] = In(qos=RELIABLE.with_depth(50))
-    pose: In[PoseWithCovarianceStamped]
-    localization_health: In[LocalizationHealth] = In(optional=True)
+    localization: In[LocalizationEstimate]
     odom: In[Odometry] = In(qos=RELIABLE.with_depth(1000))
     scan: In[LaserScan] = In(qos=SENSOR, optional=True)
     motion_status: In[MotionStatus] = In(optional=True)
@@ -134,18 +132,14 @@ class PathPlanner(Component):
                 self._costs.overlay(self._recent.cells())
                 self._costs.hinder(())
 
-    @on("pose")
-    def locate(self, message: PoseWithCovarianceStamped) -> None:
-        """Take where the robot is; plan if that was all that was missing."""
-        self._whereabouts.locate(to_ns(message.header.stamp), planar_pose(message.pose.pose))
+    @on("localization")
+    def on_localization(self, estimate: LocalizationEstimate) -> None:
+        """Note where the robot is; plan if that was all that was missing."""
+        if not estimate.located:
+            return
+        self._whereabouts.locate(to_ns(estimate.header.stamp), planar_pose(estimate.pose.pose))
         if self._due():
             self._check()
-
-    @on("localization_health")
-    def judge(self, health: LocalizationHealth) -> None:
-        """Plan if a located robot was all that was missing."""
-        if health.located and self._waiting:
-            self._replan()
 
     @on("scan")
     def look(self, scan: LaserScan) -> None:
@@ -158,8 +152,8 @@ class PathPlanner(Component):
         self._looked_at = now
         stamp = to_ns(scan.header.stamp)
         pose = self._whereabouts.at(stamp)
-        health = self.localization_health.latest
-        if pose is None or (health is not None and health.health < config.least_health):
+        estimate = self.localization.latest
+        if pose is None or estimate is None or estimate.health < config.least_health:
             return
         mount = config.mount
         self._recent.see(
@@ -243,15 +237,17 @@ class PathPlanner(Component):
 
     def _missing(self) -> str:
         """What is still missing for a plan; nothing if all is there."""
-        health = self.localization_health.latest
+        topic, estimate = self.localization.topic, self.localization.latest
         if self._costs is None:
             return f"no map has come on {self.map.topic} yet"
+        if estimate is None:
+            return f"no pose has come on {topic} yet"
+        if not estimate.located:
+            return f"the robot is not located: {estimate.reason or 'no reason given'}"
         if self._whereabouts.lost:
-            return f"no pose on {self.pose.topic} since odometry on {self.odom.topic} began anew"
+            return f"no pose on {topic} since odometry on {self.odom.topic} began anew"
         if self._now_at() is None:
-            return f"no pose has come on {self.pose.topic} yet"
-        if health is not None and not health.located:
-            return f"the robot is not located: {health.reason or 'no reason given'}"
+            return f"no pose has come on {topic} yet"
         return ""
 
     def _now_at(self) -> Pose | None:

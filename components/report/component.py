@@ -17,10 +17,11 @@ from cairn.schemas.cairn_msgs import ComponentStatus, VisualMap, VisualMapChange
 from cairn.schemas.cairn_nav_msgs import (
     NAVIGATION_STATES,
     Collision,
+    LocalizationEstimate,
     NavigateGoal,
     NavigationStatus,
 )
-from cairn.schemas.geometry_msgs import PoseStamped, PoseWithCovarianceStamped
+from cairn.schemas.geometry_msgs import PoseStamped
 from cairn.schemas.nav_msgs import OccupancyGrid
 
 _MANY = RELIABLE.with_depth(500)
@@ -43,7 +44,7 @@ class Report(Component):
 
     config: ReportConfig
 
-    pose: In[PoseWithCovarianceStamped] = In(qos=_MANY)
+    localization: In[LocalizationEstimate] = In(qos=_MANY)
     truth: In[PoseStamped] = In(qos=_MANY, optional=True)
     true_map: In[VisualMap] = In(qos=LATCHED, optional=True)
     visual_map: In[VisualMap] = In(qos=LATCHED.with_depth(100), optional=True)
@@ -77,10 +78,12 @@ class Report(Component):
             # How long the computer takes is the one thing that `clock` does not tell.
             self._note("begins", time.monotonic(), self.clock.now())
 
-    @on("pose")
-    def follow(self, pose: PoseWithCovarianceStamped) -> None:
-        """Keep the estimated pose."""
-        self._note("estimated", to_ns(pose.header.stamp), *planar_pose(pose.pose.pose))
+    @on("localization")
+    def on_localization(self, estimate: LocalizationEstimate) -> None:
+        """Record the estimated pose."""
+        if estimate.located:
+            stamp = to_ns(estimate.header.stamp)
+            self._note("estimated", stamp, *planar_pose(estimate.pose.pose))
 
     @on("truth")
     def follow_truth(self, truth: PoseStamped) -> None:
@@ -146,7 +149,9 @@ class Report(Component):
     @on("collisions")
     def note_collision(self, touch: Collision) -> None:
         """Keep a collision."""
-        self._note("collided", to_ns(touch.header.stamp), touch.what, touch.x, touch.y, touch.speed)
+        self._note(
+            "collided", to_ns(touch.header.stamp), touch.obstacle, touch.x, touch.y, touch.speed
+        )
 
     @on("component_status")
     def count_losses(self, status: ComponentStatus) -> None:

@@ -271,7 +271,7 @@ class SimulatedWorld(Component):
         self.collisions.publish(
             Collision(
                 header=Header(stamp=from_ns(self._stepped), frame_id="map"),
-                what=contact.what,
+                obstacle=contact.what,
                 x=contact.x,
                 y=contact.y,
                 speed=contact.speed,

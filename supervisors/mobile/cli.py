@@ -70,7 +70,7 @@ def locate(
     x, y, heading = _pose(place, "place")
     with connected(connect, domain) as connection:
         topic = point_out(connection, robot, (x, y, heading))
-    line(f"told on {topic}; `cairn topic echo localization_health` shows how sure the robot is")
+    line(f"told on {topic}; `cairn topic echo localization` shows how sure the robot is")
 
 
 def _tell(order: int, what: str, *, as_json: bool) -> None:

@@ -171,7 +171,7 @@ class MobileSupervisor(SupervisorComponent):
             raise CairnError(f"{self.name}: there is no order {which}")
         if token not in (None, order.token):
             raise CairnError(f"{self.name}: it is another's order that is under way")
-        self._close(order, "canceled: taken back")
+        self._close(order, "canceled: on request")
         return order.mission_id
 
     def _resume(self) -> None:

@@ -21,7 +21,6 @@ from cairn.schemas.cairn_nav_msgs import (
     NAVIGATION_END_STATES,
     NAVIGATION_STATES,
     NavigationStatus,
-    without_numbers,
 )
 from cairn.schemas.message import InvalidMessage
 from cairn.supervisors.mobile.reaching import await_active, linked
@@ -174,7 +173,7 @@ def _await_end(
     operator: Operator, order: int, samples: queue.Queue[Any], *, as_json: bool
 ) -> NavigationStatus:
     last = NavigationStatus(mission_id=order)
-    told: tuple[int, int, str] | None = None
+    told: tuple[int | str, ...] | None = None
     told_at = 0.0
     heard = asked = time.monotonic()
     while True:
@@ -186,7 +185,8 @@ def _await_end(
             last, heard = status, now
             if status.state in NAVIGATION_END_STATES:
                 return status
-            news = (status.state, status.goal, without_numbers(status.reason))
+            loading = status.reason if status.state == NavigationStatus.LOADING else ""
+            news = (status.state, status.goal, status.reason_code, status.recoveries, loading)
             if not as_json and (news != told or now - told_at >= _REPEAT_S):
                 told, told_at = news, now
                 line(_sentence(status))

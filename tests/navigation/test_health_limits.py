@@ -12,9 +12,10 @@ from cairn.components.map_builder.config import MapBuilderConfig
 from cairn.components.motion_control.config import MotionControlConfig
 from cairn.components.path_planner.config import PathPlannerConfig
 from cairn.planar.scans import Rays
+from cairn.schemas.cairn_nav_msgs import ReasonCode
 
-BEST = Health(1.0, "", Support(0, 0), None)
-JUST_FOUND = not_yet_sure(BEST, "why").value
+BEST = Health(1.0, ReasonCode.NONE, "", Support(0, 0), None)
+JUST_FOUND = not_yet_sure(BEST, ReasonCode.UNCONFIRMED, "why").value
 
 
 def out_of_reach() -> float:

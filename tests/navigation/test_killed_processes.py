@@ -130,7 +130,7 @@ def test_without_commands_the_robot_stands_and_goes_on_when_they_come_again(robo
     os.kill(robot.run.pid_of("motion_control"), signal.SIGSTOP)
 
     robot.await_stand()
-    going.await_word("nothing was heard of motion control for")
+    going.await_word("no status from motion control for")
     assert going.await_end() == 0, f"{going}; {robot.run}"
     robot.run.await_line("motion_control hung in a process that was stopped", after=lines)
     assert robot.collisions == []

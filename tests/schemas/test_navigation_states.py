@@ -4,7 +4,6 @@ from cairn.schemas.cairn_nav_msgs import (
     NAVIGATION_END_STATES,
     NAVIGATION_STATES,
     NavigationStatus,
-    without_numbers,
 )
 
 
@@ -23,9 +22,3 @@ def test_the_results_are_the_last_states() -> None:
         "failed",
         "canceled",
     }
-
-
-def test_a_reason_that_differs_in_its_numbers_alone_is_no_news() -> None:
-    older, newer = (f"no scan for {age} s on /robot/scan" for age in (0.8, 12.31))
-    assert without_numbers(older) == without_numbers(newer)
-    assert without_numbers(older) != without_numbers("no odom for 0.8 s on /robot/odom")

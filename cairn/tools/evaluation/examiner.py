@@ -30,11 +30,12 @@ from cairn.planar.poses import Pose, distance, wrap
 from cairn.schemas.cairn_nav_msgs import (
     NAVIGATION_END_STATES,
     Collision,
+    LocalizationEstimate,
     NavigateGoal,
     NavigationStatus,
 )
 from cairn.schemas.cairn_sim_msgs import Scene, WorldState
-from cairn.schemas.geometry_msgs import PoseStamped, PoseWithCovarianceStamped
+from cairn.schemas.geometry_msgs import PoseStamped
 from cairn.schemas.std_msgs import Header
 from cairn.tools.evaluation.attempt import Attempt, Tolerance
 from cairn.tools.evaluation.free_goals import free_goal
@@ -107,7 +108,7 @@ class NavigationExaminer(Component):
     scene: In[Scene] = In(qos=LATCHED)
     world_state: In[WorldState] = In(qos=RELIABLE.with_depth(200), optional=True)
     truth: In[PoseStamped]
-    pose: In[PoseWithCovarianceStamped]
+    localization: In[LocalizationEstimate]
     navigate_goal: In[NavigateGoal] = In(qos=LATCHED)
     navigation_status: In[NavigationStatus] = In(qos=LATCHED.with_depth(20))
     collisions: In[Collision] = In(qos=RELIABLE.with_depth(100))
@@ -127,7 +128,7 @@ class NavigationExaminer(Component):
         self._ways: ShortestWays | None = None
         self._history = OdometryHistory(5 * SECOND)
         self._here: Pose | None = None
-        self._told: deque[PoseWithCovarianceStamped] = deque()
+        self._told: deque[LocalizationEstimate] = deque()
         self._quality = LocalizationQuality()
         self._results: list[GoalResult] = []
         self._collisions: list[str] = []
@@ -164,20 +165,23 @@ class NavigationExaminer(Component):
             self._compare(self._told.popleft())
         self._judge_ended(stamp, here)
 
-    @on("pose")
-    def note_pose(self, pose: PoseWithCovarianceStamped) -> None:
-        """Compare the pose told with the truth of that time, once that is known."""
+    @on("localization")
+    def on_localization(self, estimate: LocalizationEstimate) -> None:
+        """Compare the estimated pose with the truth of that time, once that is known."""
+        if not estimate.located:
+            return
         newest = self._history.newest
-        if newest is not None and to_ns(pose.header.stamp) <= newest:
-            self._compare(pose)
+        if newest is not None and to_ns(estimate.header.stamp) <= newest:
+            self._compare(estimate)
         else:
-            self._told.append(pose)
+            self._told.append(estimate)
 
     @on("collisions")
     def note_collision(self, collision: Collision) -> None:
         """Write a collision down."""
         self._collisions.append(
-            f"{collision.what} at ({collision.x:.2f}, {collision.y:.2f}), {collision.speed:.2f} m/s"
+            f"{collision.obstacle} at ({collision.x:.2f}, {collision.y:.2f}), "
+            f"{collision.speed:.2f} m/s"
         )
 
     @on("navigate_goal")
@@ -278,14 +282,14 @@ class NavigationExaminer(Component):
     def _kidnapped(self) -> bool:
         return any(result.kidnapped for result in self._results)
 
-    def _compare(self, pose: PoseWithCovarianceStamped) -> None:
-        stamp, told = to_ns(pose.header.stamp), planar_pose(pose.pose.pose)
+    def _compare(self, estimate: LocalizationEstimate) -> None:
+        stamp, told = to_ns(estimate.header.stamp), planar_pose(estimate.pose.pose)
         true = self._history.at(stamp)
         if true is None:  # older than what is known, or from before the robot was carried off
             return
         if self._attempt is not None and self._attempt.lost(stamp, told, true):
             return
-        self._quality.add(told, planar_covariance(pose.pose), true)
+        self._quality.add(told, planar_covariance(estimate.pose), true)
 
     def _ways_now(self) -> ShortestWays:
         if self._ways is None:

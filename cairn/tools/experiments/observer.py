@@ -31,8 +31,8 @@ from cairn.schemas.cairn_msgs import (
     VisualMap,
     VisualMapChange,
 )
-from cairn.schemas.cairn_nav_msgs import Collision, Relocalization
-from cairn.schemas.geometry_msgs import PoseArray, PoseStamped, PoseWithCovarianceStamped
+from cairn.schemas.cairn_nav_msgs import Collision, LocalizationEstimate, Relocalization
+from cairn.schemas.geometry_msgs import PoseArray, PoseStamped
 
 _MANY = RELIABLE.with_depth(500)
 
@@ -117,13 +117,13 @@ class WorldObserver(Observer):
     @on("collisions")
     def touch(self, touch: Collision) -> None:
         """Write what the robot touched."""
-        self._write("collision", touch.header.stamp, touch.what, *_rounded(touch.x, touch.y))
+        self._write("collision", touch.header.stamp, touch.obstacle, *_rounded(touch.x, touch.y))
 
 
 class PairObserver(Observer):
     """Writes down what one localizer and one map builder made of a run."""
 
-    pose: In[PoseWithCovarianceStamped] = In(qos=_MANY)
+    localization: In[LocalizationEstimate] = In(qos=_MANY)
     visual_map: In[VisualMap] = In(qos=LATCHED.with_depth(100))
     visual_map_changes: In[VisualMapChange] = In(qos=_MANY)
     object_evidence: In[ObjectEvidenceArray] = In(qos=_MANY)
@@ -135,9 +135,11 @@ class PairObserver(Observer):
         super().on_configure()
         self._mapped: dict[int, list[Value]] = {}
 
-    @on("pose")
-    def follow(self, told: PoseWithCovarianceStamped) -> None:
-        """Write where the robot believes to be, and how sure it is."""
+    @on("localization")
+    def on_localization(self, told: LocalizationEstimate) -> None:
+        """Write the estimated pose and its covariance."""
+        if not told.located:
+            return
         pose, covariance = planar_pose(told.pose.pose), planar_covariance(told.pose)
         xx, xy, yy = covariance[0, 0], covariance[0, 1], covariance[1, 1]
         variances = [float(f"{value:.6g}") for value in (xx, xy, yy, covariance[2, 2])]
@@ -187,7 +189,7 @@ class PairObserver(Observer):
     def find(self, found: Relocalization) -> None:
         """Write that the robot was lost and found itself, and until when it was sure not to be."""
         pose = _rounded(*planar_pose(found.pose.pose))
-        self._write("relocalized", found.header.stamp, *pose, to_ns(found.sure_until) / SECOND)
+        self._write("relocalized", found.header.stamp, *pose, to_ns(found.confirmed_until) / SECOND)
 
 
 def _rounded(*values: float) -> list[float]:

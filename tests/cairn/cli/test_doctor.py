@@ -152,7 +152,7 @@ def test_a_file_that_may_not_be_read_is_a_fault(
     grid = Path(__file__).parents[3] / "deploy" / "maps" / "room.yaml"
     file = tmp_path / "robot.yaml"
     file.write_text(
-        f"cairn: 1\nexternal_topics: [scan, odom, pose, localization_health]\n"
+        f"cairn: 1\nexternal_topics: [scan, odom, localization]\n"
         f"components: {{map_builder: {{plugin: map_builder, parameters: {{grid_file: {grid}}}}}}}"
     )
     # The tests may run as root, who may read everything.

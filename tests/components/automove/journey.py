@@ -1,4 +1,4 @@
-"""A course whose planner and motion control answer as a test says."""
+"""A navigator whose planner and motion control answer as a test says."""
 
 from __future__ import annotations
 
@@ -6,59 +6,59 @@ import itertools
 from collections.abc import Callable
 from typing import Any
 
-from cairn.components.automove.course import Course
-from cairn.components.automove.recoveries import Patience
-from cairn.components.automove.seen import Seen
+from cairn.components.automove.inputs import NavigatorInputs
+from cairn.components.automove.recovery_behaviors import NavigatorLimits
+from cairn.components.automove.state_machine import NavigatorStateMachine
 from cairn.schemas.cairn_nav_msgs import (
-    LocalizationHealth,
+    LocalizationEstimate,
     MotionStatus,
     NavCommand,
     NavigationStatus,
     Plan,
 )
 
-SURE = LocalizationHealth(located=True, health=0.9)
+SURE = LocalizationEstimate(located=True, health=0.9)
 
 
 class Journey:
     """What the planner, motion control and the localizer tell is what was set last."""
 
-    def __init__(self, *goals: tuple[float, float, float], **patience: Any) -> None:
+    def __init__(self, *goals: tuple[float, float, float], **limits: Any) -> None:
         self.now = 100.0
-        self.seen = Seen(pose=(0.0, 0.0, 0.0))
-        self.health: LocalizationHealth | None = SURE
+        self.inputs = NavigatorInputs(pose=(0.0, 0.0, 0.0))
+        self.health: LocalizationEstimate | None = SURE
         self.plan: dict[str, Any] | None = {"outcome": Plan.FOUND}
         self.motion: dict[str, Any] | None = {"state": MotionStatus.MOVING}
-        self.course = Course(
+        self.navigator = NavigatorStateMachine(
             mission_id=1,
             goals=goals or ((3.0, 4.0, 0.0),),
-            at=0,
+            goal_index=0,
             next_goal_id=itertools.count(1).__next__,
-            began_s=self.now,
-            patience=Patience(**patience),
+            started_s=self.now,
+            limits=NavigatorLimits(**limits),
         )
         self.told: list[tuple[int, int, str]] = []
-        self.course.loaded(self.now)
+        self.navigator.on_plugins_loaded(self.now)
 
     def run(self, seconds: float) -> Journey:
         """Let that much time pass, a tenth of a second at a time."""
         for _ in range(round(seconds * 10)):
             self.now += 0.1
             if self.health is not None:
-                self.seen.health, self.seen.health_s = self.health, self.now
-            goal_id = self.course.goal_id
-            wanted = self.course.behavior
+                self.inputs.localization, self.inputs.localization_s = self.health, self.now
+            goal_id = self.navigator.goal_id
+            wanted = self.navigator.behavior
             if self.plan is not None and wanted == NavCommand.FOLLOW:
-                self.seen.plan = Plan(goal_id=goal_id, **self.plan)
+                self.inputs.plan = Plan(goal_id=goal_id, **self.plan)
             if self.motion is not None:
                 standing = {"state": MotionStatus.STANDING}
                 given = standing if wanted == NavCommand.STAND else self.motion
-                self.seen.motion, self.seen.motion_s = (
+                self.inputs.motion, self.inputs.motion_s = (
                     MotionStatus(goal_id=goal_id, **given),
                     self.now,
                 )
-            self.course.tick(self.now, self.seen)
-            row = (self.course.state, self.course.behavior, self.course.reason)
+            self.navigator.step(self.now, self.inputs)
+            row = (self.navigator.state, self.navigator.behavior, self.navigator.reason.text)
             if not self.told or self.told[-1][:2] != row[:2]:
                 self.told.append(row)
         return self
@@ -80,23 +80,23 @@ class Way(Journey):
     SPEED = 0.4  # [m/s]
     BACK_OFF, GIVE_WAY = 0.4, 1.4  # [m]
 
-    def __init__(self, left: float, *goals: tuple[float, float, float], **patience: Any) -> None:
-        super().__init__(*goals, **patience)
+    def __init__(self, left: float, *goals: tuple[float, float, float], **limits: Any) -> None:
+        super().__init__(*goals, **limits)
         self.left = left
         self._back = 0.0
 
     def drive(self, limit_s: float, blocked: Callable[[float], bool] = lambda _: False) -> Way:
         """Follow the way, which is `blocked` or not with so much left, at most so long."""
         until = self.now + limit_s
-        while self.now < until and not self.course.over:
-            self.motion = self._moved(self.course.behavior, blocked)
+        while self.now < until and not self.navigator.finished:
+            self.motion = self._moved(self.navigator.behavior, blocked)
             self.run(0.1)
         return self
 
     def drive_until_blocked_at(self, left: float) -> None:
         """Follow the way until the robot recovers from an obstacle with so much left."""
-        before = self.course.recoveries
-        while self.course.recoveries == before and not self.course.over:
+        before = self.navigator.recoveries
+        while self.navigator.recoveries == before and not self.navigator.finished:
             self.drive(0.1, lambda now_left: now_left <= left)
 
     def _moved(self, wanted: int, blocked: Callable[[float], bool]) -> dict[str, Any]:
@@ -104,12 +104,12 @@ class Way(Journey):
             self._back += 0.02
             self.left += 0.02
             return {"state": MotionStatus.MOVING}
-        if self.course.instead is not None and self._back < self.GIVE_WAY:
+        if self.navigator.alternative is not None and self._back < self.GIVE_WAY:
             self._back += 0.04
             self.left += 0.04
             return {"state": MotionStatus.MOVING, "distance_left": 0.5}
         self._back = 0.0
-        if self.course.instead is not None:
+        if self.navigator.alternative is not None:
             return {"state": MotionStatus.DONE}
         if wanted != NavCommand.FOLLOW or self.left <= 0.0:
             return {"state": MotionStatus.DONE}

@@ -10,14 +10,14 @@ from cairn import LATCHED
 from cairn.deployment.load import load_deployment
 from cairn.planar.messages import packed_poses, planar_pose, pose_message
 from cairn.schemas.cairn_nav_msgs import (
-    LocalizationHealth,
+    LocalizationEstimate,
     MotionStatus,
     NavCommand,
     NavigateGoal,
     NavigationStatus,
     Plan,
 )
-from cairn.schemas.geometry_msgs import PoseWithCovariance, PoseWithCovarianceStamped
+from cairn.schemas.geometry_msgs import PoseWithCovariance
 from tests.navigation.deployed import Deployed, taken
 
 PLUGINS = """
@@ -74,7 +74,7 @@ def test_an_order_loads_the_plugins_in_turn_and_tells_which(deployed: DeployedOf
         (7, NavigationStatus.LOADING, "beacon"),
         (7, NavigationStatus.LOADING, "talker"),
         (7, NavigationStatus.LOCALIZING, ""),
-        (7, NavigationStatus.LOCALIZING, "the localizer has told nothing yet"),
+        (7, NavigationStatus.LOCALIZING, "no estimate from the localizer yet"),
     ]
 
 
@@ -97,7 +97,7 @@ def test_what_is_wanted_is_told_on_change_and_twice_a_second(deployed: DeployedO
         robot.read("nav_command", NavCommand),
         robot.read("navigation_status", NavigationStatus),
     )
-    robot.publish("localization_health", LocalizationHealth(located=True, health=0.9))
+    robot.publish("localization", LocalizationEstimate(located=True, health=0.9))
     robot.publish("navigate_goal", order(1, (1.0, 2.0, 0.5), (3.0, 4.0, 0.0), first=1), LATCHED)
     robot.wait(0.1)
     wanted = taken(nav_commands)[-1]
@@ -127,13 +127,12 @@ def test_where_to_give_way_is_wanted_of_the_planner(deployed: DeployedOf) -> Non
     nav_commands = robot.read("nav_command", NavCommand)
     for x in range(11):
         pose = PoseWithCovariance(pose=pose_message((0.2 * x, 0.0, 0.0)))
-        robot.publish("pose", PoseWithCovarianceStamped(pose=pose))
-    robot.publish("localization_health", LocalizationHealth(located=True, health=0.9))
+        robot.publish("localization", LocalizationEstimate(located=True, pose=pose, health=0.9))
     robot.publish("navigate_goal", order(1, (4.0, 0.0, 0.5)), LATCHED)
 
     goals = []
     for _ in range(120):
-        robot.publish("localization_health", LocalizationHealth(located=True, health=0.9))
+        robot.publish("localization", LocalizationEstimate(located=True, pose=pose, health=0.9))
         for wanted in taken(nav_commands):
             if wanted.behavior == NavCommand.FOLLOW:
                 goals.append(planar_pose(wanted.goal)[0])
@@ -161,7 +160,7 @@ def test_how_sure_a_robot_at_its_goal_must_be_is_configured(
         robot.read("navigation_status", NavigationStatus),
         robot.read("nav_command", NavCommand),
     )
-    robot.publish("localization_health", LocalizationHealth(located=True, health=0.7))
+    robot.publish("localization", LocalizationEstimate(located=True, health=0.7))
     robot.publish("navigate_goal", order(1, (1.0, 2.0, 0.5)), LATCHED)
     robot.wait(0.1)
     goal_id = taken(nav_commands)[-1].goal_id
@@ -179,7 +178,7 @@ def test_an_age_that_grows_within_a_reason_is_no_news(deployed: DeployedOf) -> N
         robot.read("navigation_status", NavigationStatus),
         robot.read("nav_command", NavCommand),
     )
-    robot.publish("localization_health", LocalizationHealth(located=True, health=0.9))
+    robot.publish("localization", LocalizationEstimate(located=True, health=0.9))
     robot.publish("navigate_goal", order(1, (1.0, 2.0, 0.5)), LATCHED)
     robot.wait(0.1)
     goal_id = taken(nav_commands)[-1].goal_id

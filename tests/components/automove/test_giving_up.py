@@ -9,9 +9,9 @@ from tests.components.automove.journey import Way
 def test_what_a_recovery_undid_and_is_driven_again_is_no_progress() -> None:
     way = Way(10.0).drive(3600.0, blocked=lambda left: left <= 9.0)
 
-    assert way.course.state == NavigationStatus.FAILED
-    assert way.course.reason == "a wall (after 6 recoveries)"
-    assert way.course.recoveries == 6
+    assert way.navigator.state == NavigationStatus.FAILED
+    assert way.navigator.reason.text == "a wall (after 6 recoveries)"
+    assert way.navigator.recoveries == 6
 
 
 def test_progress_that_never_ends_at_the_goal_is_given_up_too() -> None:
@@ -19,11 +19,11 @@ def test_progress_that_never_ends_at_the_goal_is_given_up_too() -> None:
     for left in range(99, 0, -1):
         way.drive_until_blocked_at(left)
 
-    assert way.course.state == NavigationStatus.FAILED
-    assert way.course.reason == (
-        "a wall (after 20 recoveries on the way to this goal, the most allowed)"
+    assert way.navigator.state == NavigationStatus.FAILED
+    assert way.navigator.reason.text == (
+        "a wall (after 20 recoveries for this goal, the most allowed)"
     )
-    assert way.course.recoveries == 20
+    assert way.navigator.recoveries == 20
 
 
 def test_every_goal_has_recoveries_of_its_own() -> None:
@@ -32,11 +32,11 @@ def test_every_goal_has_recoveries_of_its_own() -> None:
     for number in range(len(goals)):
         way.left = 2.0
         way.drive_until_blocked_at(1.0)
-        assert way.course.recoveries == number + 1
-        while way.course.at == number:
+        assert way.navigator.recoveries == number + 1
+        while way.navigator.goal_index == number:
             way.drive(0.1)
 
-    assert way.course.state == NavigationStatus.SUCCEEDED
+    assert way.navigator.state == NavigationStatus.SUCCEEDED
 
 
 def test_a_long_way_around_what_is_in_the_way_is_progress() -> None:
@@ -49,8 +49,8 @@ def test_a_long_way_around_what_is_in_the_way_is_progress() -> None:
         way.drive_until_blocked_at(left)
     way.drive(60.0)
 
-    assert way.course.state == NavigationStatus.SUCCEEDED
-    assert way.course.recoveries == 5
+    assert way.navigator.state == NavigationStatus.SUCCEEDED
+    assert way.navigator.recoveries == 5
 
 
 def test_a_robot_that_takes_a_long_way_around_is_not_stuck() -> None:
@@ -60,8 +60,8 @@ def test_a_robot_that_takes_a_long_way_around_is_not_stuck() -> None:
     way.left = 30.0  # planned anew on the way
     way.drive(100.0)
 
-    assert way.course.state == NavigationStatus.SUCCEEDED
-    assert way.course.recoveries == 0
+    assert way.navigator.state == NavigationStatus.SUCCEEDED
+    assert way.navigator.recoveries == 0
 
 
 def test_a_robot_sent_to_and_fro_between_two_blocked_ways_gives_up() -> None:
@@ -72,8 +72,8 @@ def test_a_robot_sent_to_and_fro_between_two_blocked_ways_gives_up() -> None:
         way.left = 20.0
         way.drive(30.0, blocked=lambda left: left <= 16.0)
 
-    assert way.course.state == NavigationStatus.FAILED
-    assert way.course.recoveries <= 30
+    assert way.navigator.state == NavigationStatus.FAILED
+    assert way.navigator.recoveries <= 30
 
 
 def test_a_robot_whose_way_changes_for_ever_while_it_moves_gives_up() -> None:
@@ -83,7 +83,10 @@ def test_a_robot_whose_way_changes_for_ever_while_it_moves_gives_up() -> None:
             way.left = length
             way.drive(5.0)
 
-    assert way.course.state == NavigationStatus.FAILED
-    assert way.course.reason == "the robot moves but gets no nearer (after 6 recoveries)"
+    assert way.navigator.state == NavigationStatus.FAILED
+    assert (
+        way.navigator.reason.text
+        == "the robot moves but does not get nearer to its goal (after 6 recoveries)"
+    )
     assert way.motion is not None
     assert way.motion["state"] != MotionStatus.BLOCKED

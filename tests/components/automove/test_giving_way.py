@@ -6,10 +6,10 @@ import math
 
 import pytest
 
-from cairn.components.automove.trail import Trail
+from cairn.components.automove.inputs import Trail
 from cairn.planar.poses import Pose
 from cairn.schemas.cairn_nav_msgs import (
-    LocalizationHealth,
+    LocalizationEstimate,
     MotionStatus,
     NavCommand,
     NavigationStatus,
@@ -17,7 +17,7 @@ from cairn.schemas.cairn_nav_msgs import (
 )
 from tests.components.automove.journey import Journey, Way
 
-LOST = LocalizationHealth(located=True, health=0.1, reason="lost")
+LOST = LocalizationEstimate(located=True, health=0.1, reason="lost")
 NO_WAY = {"outcome": Plan.UNREACHABLE, "reason": "somebody is there"}
 STEP = 0.11
 
@@ -25,7 +25,7 @@ STEP = 0.11
 def came(journey: Journey) -> None:
     """Let the robot have come 2.2 m along the x axis."""
     for step in range(21):
-        journey.seen.note_pose((step * STEP, 0.0, 0.0))
+        journey.inputs.set_pose((step * STEP, 0.0, 0.0))
 
 
 def gives_way(**more: object) -> Journey:
@@ -33,7 +33,7 @@ def gives_way(**more: object) -> Journey:
     journey = Journey()
     came(journey)
     journey.plan = NO_WAY
-    while journey.course.instead is None:
+    while journey.navigator.alternative is None:
         journey.run(0.1)
     journey.plan = {"outcome": Plan.FOUND, **more}
     return journey
@@ -42,30 +42,30 @@ def gives_way(**more: object) -> Journey:
 def test_it_goes_back_along_its_way_waits_there_and_plans_to_its_goal_anew() -> None:
     journey = gives_way()
     assert journey.tried == [NavCommand.STAND, NavCommand.FOLLOW]
-    assert journey.course.behavior == NavCommand.FOLLOW
-    x, y, theta = journey.course.target
+    assert journey.navigator.behavior == NavCommand.FOLLOW
+    x, y, theta = journey.navigator.target
     assert (x, y) == pytest.approx((8 * STEP, 0.0))
     assert theta == pytest.approx(math.atan2(4.0, 3.0 - x))  # it watches its goal from there
-    assert journey.course.goal == (3.0, 4.0, 0.0)
-    assert journey.course.reason == "give way (2 of 4): no path: somebody is there"
+    assert journey.navigator.goal == (3.0, 4.0, 0.0)
+    assert journey.navigator.reason.text == "give way (2 of 4): no path: somebody is there"
 
     journey.run(4.0)
-    assert journey.course.behavior == NavCommand.FOLLOW
+    assert journey.navigator.behavior == NavCommand.FOLLOW
     journey.motion = {"state": MotionStatus.DONE}
     journey.run(0.1)
-    assert (journey.course.state, journey.course.behavior) == (
+    assert (journey.navigator.state, journey.navigator.behavior) == (
         NavigationStatus.RECOVERING,
         NavCommand.STAND,
     )
-    assert journey.course.target == journey.course.goal
+    assert journey.navigator.target == journey.navigator.goal
     journey.motion = {"state": MotionStatus.MOVING}
     journey.run(3.5)
-    assert journey.course.behavior == NavCommand.STAND
+    assert journey.navigator.behavior == NavCommand.STAND
 
     journey.run(1.0)
 
-    assert (journey.course.state, journey.course.recoveries) == (NavigationStatus.DRIVING, 2)
-    assert journey.course.target == (3.0, 4.0, 0.0)
+    assert (journey.navigator.state, journey.navigator.recoveries) == (NavigationStatus.DRIVING, 2)
+    assert journey.navigator.target == (3.0, 4.0, 0.0)
 
 
 @pytest.mark.parametrize(
@@ -84,15 +84,15 @@ def test_it_waits_where_it_is_when_it_cannot_get_back_soon(there: dict[str, obje
 
     journey.run(1.5)
 
-    assert journey.course.state == NavigationStatus.RECOVERING
-    assert journey.course.behavior == NavCommand.STAND
-    assert journey.course.reason.startswith("give way (2 of 4)")
+    assert journey.navigator.state == NavigationStatus.RECOVERING
+    assert journey.navigator.behavior == NavCommand.STAND
+    assert journey.navigator.reason.text.startswith("give way (2 of 4)")
 
 
 def test_a_way_back_that_never_ends_is_given_up() -> None:
     journey = gives_way()
     journey.run(31.0)
-    assert journey.course.behavior == NavCommand.STAND
+    assert journey.navigator.behavior == NavCommand.STAND
 
 
 def test_a_robot_that_came_from_nowhere_waits_instead() -> None:
@@ -101,7 +101,7 @@ def test_a_robot_that_came_from_nowhere_waits_instead() -> None:
     journey.run(200.0)
     stand, look = NavCommand.STAND, NavCommand.LOOK_AROUND
     assert journey.tried == [stand, stand, look, look]
-    assert journey.course.state == NavigationStatus.FAILED
+    assert journey.navigator.state == NavigationStatus.FAILED
 
 
 def test_what_is_driven_again_after_giving_way_is_no_progress() -> None:
@@ -110,15 +110,15 @@ def test_what_is_driven_again_after_giving_way_is_no_progress() -> None:
     way.drive(3600.0, blocked=lambda left: left <= 9.0)
 
     assert NavCommand.FOLLOW in way.tried
-    assert way.course.reason == "a wall (after 6 recoveries)"
-    assert way.course.recoveries == 6
+    assert way.navigator.reason.text == "a wall (after 6 recoveries)"
+    assert way.navigator.recoveries == 6
 
 
 def back_from(*meters: float) -> Pose | None:
     trail = Trail()
     for x in meters:
-        trail.note((x, 0.0, 0.0))
-    return trail.back((9.0, 0.0, 1.0))
+        trail.add((x, 0.0, 0.0))
+    return trail.retreat((9.0, 0.0, 1.0))
 
 
 def test_the_last_place_that_is_far_enough_is_gone_back_to() -> None:

@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cairn.components.automove.goal_ids import GoalIds
+from cairn.components.automove.state_machine import GoalIds
 
 NOW = 1_795_261_862_000_000_000
 UINT32 = 2**32

@@ -22,7 +22,7 @@ def no_way(**nearest: float) -> Journey:
 def goes_near() -> Journey:
     """The same when it sets out for the nearest place, and there is a way."""
     journey = no_way(nearest_x=2.0, nearest_y=4.0)
-    while journey.course.instead is None:
+    while journey.navigator.alternative is None:
         journey.run(0.1)
     journey.plan = {"outcome": Plan.FOUND, "length": 7.0}
     return journey
@@ -31,25 +31,28 @@ def goes_near() -> Journey:
 def test_it_goes_to_the_nearest_place_looks_from_there_and_plans_anew() -> None:
     journey = goes_near()
     assert journey.tried == [STAND, STAND, FOLLOW]
-    assert journey.course.target == pytest.approx((2.0, 4.0, 0.0))
-    assert journey.course.reason == "go near (3 of 4): no path: something is there"
+    assert journey.navigator.target == pytest.approx((2.0, 4.0, 0.0))
+    assert journey.navigator.reason.text == "go near (3 of 4): no path: something is there"
     journey.run(40.0)
-    assert journey.course.behavior == FOLLOW
+    assert journey.navigator.behavior == FOLLOW
     journey.motion = {"state": MotionStatus.DONE}
     journey.run(0.1)
-    assert (journey.course.state, journey.course.behavior) == (NavigationStatus.RECOVERING, STAND)
+    assert (journey.navigator.state, journey.navigator.behavior) == (
+        NavigationStatus.RECOVERING,
+        STAND,
+    )
     journey.motion = {"state": MotionStatus.MOVING}
     journey.run(5.0)
 
-    assert journey.course.state == NavigationStatus.DRIVING
-    assert journey.course.target == (3.0, 4.0, 0.0)
+    assert journey.navigator.state == NavigationStatus.DRIVING
+    assert journey.navigator.target == (3.0, 4.0, 0.0)
 
 
 def test_a_way_there_that_never_ends_is_given_up() -> None:
     journey = goes_near()
     journey.run(54.0)
-    assert journey.course.reason.startswith("go near")
-    assert journey.course.behavior == STAND
+    assert journey.navigator.reason.text.startswith("go near")
+    assert journey.navigator.behavior == STAND
 
 
 @pytest.mark.parametrize("nearest", [(0.6, 0.7), (math.nan, math.nan)])
@@ -60,5 +63,5 @@ def test_it_looks_around_when_it_is_near_or_there_is_no_such_place(
     journey.run(200.0)
 
     assert journey.tried == [STAND, STAND, LOOK, LOOK]
-    assert journey.course.state == NavigationStatus.FAILED
-    assert journey.course.reason == "no path: something is there (after 4 recoveries)"
+    assert journey.navigator.state == NavigationStatus.FAILED
+    assert journey.navigator.reason.text == "no path: something is there (after 4 recoveries)"

@@ -14,7 +14,7 @@ def until(*agreed: tuple[float, int]) -> float:
     for stamp, object_id in agreed:
         it.note(stamp, [object_id])
     it.placed_anew(MAP)
-    return it.sure_until
+    return it.confirmed_until
 
 
 def test_two_places_agreed_since_the_earlier_of_their_newest_agreements() -> None:
@@ -40,7 +40,7 @@ def test_what_agreed_with_another_pose_does_not_count_together() -> None:
     it.note(4.0, [3])
     it.placed_anew(MAP)
 
-    assert it.sure_until == 1.0
+    assert it.confirmed_until == 1.0
 
 
 def test_an_object_that_left_the_map_tells_nothing() -> None:

@@ -13,6 +13,7 @@ from cairn.components.localizer.resume import resumed, save
 from cairn.components.localizer.scanner_watch import ScannerWatch
 from cairn.planar.poses import Pose
 from cairn.planar.scans import Rays
+from cairn.schemas.cairn_nav_msgs import ReasonCode
 
 LOG = logging.getLogger(__name__)
 NOTHING = Support(0, 0)
@@ -55,9 +56,9 @@ def test_what_is_not_sure_is_worth_half_at_most() -> None:
     well = health_of(pose(), NOTHING, 0.9)
     ill = health_of(pose(spread_m=0.55), NOTHING, 0.9)
 
-    assert not_yet_sure(well, "why").value < 0.5
-    assert not_yet_sure(well, "why").reason == "why"
-    assert not_yet_sure(ill, "why") == ill
+    assert not_yet_sure(well, ReasonCode.UNCONFIRMED, "why").value < 0.5
+    assert not_yet_sure(well, ReasonCode.UNCONFIRMED, "why").reason == "why"
+    assert not_yet_sure(ill, ReasonCode.UNCONFIRMED, "why") == ill
 
 
 def rays(hits: int, misses: int, unknown: int) -> Rays:

@@ -101,7 +101,7 @@ def last_error(it: Any, moments: list[Moment]) -> float:
 
 
 def last_health(it: Any) -> Any:
-    return it.taken("localization_health")[-1]
+    return it.taken("localization")[-1]
 
 
 def test_each_scan_gives_a_pose_and_a_health_of_its_stamp(stage: StageOf) -> None:
@@ -109,7 +109,7 @@ def test_each_scan_gives_a_pose_and_a_health_of_its_stamp(stage: StageOf) -> Non
 
     travel(it, moments)
 
-    poses, healths = it.taken("pose"), it.taken("localization_health")
+    poses, healths = it.taken("pose"), it.taken("localization")
     assert [p.header.stamp for p in poses] == [h.header.stamp for h in healths]
     assert len(poses) >= 0.95 * len(moments)
     assert healths[-1].health > 0.9
@@ -121,7 +121,7 @@ def test_a_robot_that_is_anywhere_is_found_by_scans(stage: StageOf) -> None:
     travel(it, moments)
 
     assert last_error(it, moments) < 0.1
-    healths = it.taken("localization_health")
+    healths = it.taken("localization")
     assert not healths[0].located
     assert healths[-1].health > 0.9
 

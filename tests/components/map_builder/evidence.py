@@ -18,8 +18,10 @@ def sighting(
     verdict: Verdict | None = None,
     healthy: bool = True,
     object_id: int = 7,
+    corroborated: bool = True,
 ) -> Evidence:
     """Evidence from the pose that is `step` times 0.2 m along the way."""
     if verdict is None:
         verdict = Verdict.AGREES if similarity >= 0.5 else Verdict.DISAGREES
-    return Evidence(object_id, similarity, verdict, 1.0, implied, (0.2 * step, 0.0, 0.0), healthy)
+    robot = (0.2 * step, 0.0, 0.0)
+    return Evidence(object_id, similarity, verdict, 1.0, implied, robot, healthy, corroborated)

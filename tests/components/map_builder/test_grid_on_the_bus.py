@@ -16,8 +16,7 @@ from cairn.planar.grid import FREE, OCCUPIED, Grid, grid_of
 from cairn.planar.map_file import read_map, write_map
 from cairn.planar.messages import with_covariance
 from cairn.planar.poses import Pose
-from cairn.schemas.cairn_nav_msgs import LocalizationHealth
-from cairn.schemas.geometry_msgs import PoseWithCovarianceStamped
+from cairn.schemas.cairn_nav_msgs import LocalizationEstimate
 from cairn.schemas.nav_msgs import Odometry
 from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.std_msgs import Header
@@ -61,11 +60,10 @@ def watch(it: Any, world: Grid[np.int8], seconds: float, sd: float = 0.02, back_
         it.give("odom", Odometry(header=header))
         it.give("scan", scan_of(world, header, random))
         told = with_covariance(HERE, np.diag([sd**2, sd**2, 0.01**2]))
-        it.give("pose", PoseWithCovarianceStamped(header=header, pose=told))
         it.give(
-            "localization_health",
-            LocalizationHealth(
-                header=header, located=True, health=1.0, position_sd=sd, heading_sd=0.01
+            "localization",
+            LocalizationEstimate(
+                header=header, located=True, pose=told, health=1.0, position_sd=sd, heading_sd=0.01
             ),
         )
 
@@ -257,8 +255,9 @@ def test_a_pose_for_which_there_is_no_scan_changes_nothing(stage: StageOf, grid_
     header = Header(stamp=from_ns(it.executor.now()), frame_id="map")
     told = with_covariance(HERE, np.diag([1e-4, 1e-4, 1e-4]))
 
-    it.give("pose", PoseWithCovarianceStamped(header=header, pose=told))
-    it.give("localization_health", LocalizationHealth(header=header, located=True, health=1.0))
+    it.give(
+        "localization", LocalizationEstimate(header=header, located=True, pose=told, health=1.0)
+    )
     it.wait(3.0)
 
     assert it.taken("map_updates") == []

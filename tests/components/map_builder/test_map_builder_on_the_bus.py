@@ -49,9 +49,9 @@ def frame(step: int, similarity: float, x: float) -> ObjectEvidenceArray:
     return ObjectEvidenceArray(header=header, robot_x=0.3 * step, healthy=True, evidence=(piece,))
 
 
-def found(stamp: int, sure_until: int = 0) -> Relocalization:
+def found(stamp: int, confirmed_until: int = 0) -> Relocalization:
     header = Header(stamp=from_ns(stamp * 10**9), frame_id="map")
-    return Relocalization(header=header, sure_until=from_ns(sure_until * 10**9))
+    return Relocalization(header=header, confirmed_until=from_ns(confirmed_until * 10**9))
 
 
 def states(it: Any) -> dict[int, int]:
@@ -112,7 +112,7 @@ def test_what_it_judged_while_it_was_sure_stays(stage: StageOf, map_file: Path) 
     it = stage(MapBuilder, 1000.0, map_file=str(map_file)).begin()
     it.give("object_evidence", frame(0, 0.1, 3.5))
 
-    it.give("relocalized", found(1010, sure_until=1001))
+    it.give("relocalized", found(1010, confirmed_until=1001))
 
     assert [c.kind for c in it.taken("visual_map_changes")] == [VisualMapChange.REMOVED]
     assert states(it)[7] == VisualObject.RELOCATING

@@ -52,7 +52,7 @@ def test_a_moved_object_is_removed_and_registered_at_its_new_place() -> None:
 def test_disagreements_that_stood_alone_count_once_others_bear_them_out() -> None:
     visual_map = VisualMap([surveyed()])
     agreed = [sighting(0.9, step) for step in range(4)]
-    alone = [sighting(0.45, step, THERE) for step in range(4, 6)]
+    alone = [sighting(0.1, step, THERE, corroborated=False) for step in range(4, 6)]
 
     assert kinds(visual_map, *agreed, *alone) == []
     assert visual_map.objects[7].reliability > 0.95
@@ -62,7 +62,10 @@ def test_disagreements_that_stood_alone_count_once_others_bear_them_out() -> Non
 def test_disagreements_that_stood_alone_are_forgotten_when_it_agrees_again() -> None:
     visual_map = VisualMap([surveyed()])
     agreed = [sighting(0.9, step) for step in range(4)]
-    errors = [sighting(0.45, 4, THERE), sighting(0.45, 5, THERE), sighting(0.9, 6)]
+    errors = [
+        *(sighting(0.1, step, THERE, corroborated=False) for step in (4, 5)),
+        sighting(0.9, 6),
+    ]
 
     assert kinds(visual_map, *agreed, *errors, sighting(0.1, 7, THERE)) == []
     assert visual_map.objects[7].reliability > 0.8

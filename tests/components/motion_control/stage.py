@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,10 +12,9 @@ from cairn import LATCHED, RELIABLE, SECOND, SENSOR, Qos, from_ns
 from cairn.components.motion_control.component import MotionControl
 from cairn.planar.messages import packed_poses, pose_message
 from cairn.planar.poses import Pose, compose, wrap
-from cairn.schemas.cairn_nav_msgs import LocalizationHealth, MotionStatus, NavCommand, Plan
+from cairn.schemas.cairn_nav_msgs import LocalizationEstimate, MotionStatus, NavCommand, Plan
 from cairn.schemas.geometry_msgs import (
     PoseWithCovariance,
-    PoseWithCovarianceStamped,
     Twist,
     TwistWithCovariance,
     Vector3,
@@ -45,7 +45,7 @@ class Stage:
         self.muted: set[str] = set()
         self.beams = 360
         self.mount: Pose = (0.0, 0.0, 0.0)
-        self.health = LocalizationHealth(located=True, health=0.9)
+        self.health = LocalizationEstimate(located=True, health=0.9)
         self.nav_command = NavCommand()
         self.commands: list[tuple[int, float, float]] = []
         self.statuses: list[MotionStatus] = []
@@ -152,15 +152,8 @@ class Stage:
         dx, dy, turned = self.random.normal(0.0, 0.01, 3)
         seen = pose_message((x + dx, y + dy, wrap(theta + turned)))
         header = Header(stamp=stamp, frame_id="map")
-        pose = PoseWithCovarianceStamped(header=header, pose=PoseWithCovariance(pose=seen))
-        self._send("pose", pose, RELIABLE)
-        health = LocalizationHealth(
-            header=header,
-            located=self.health.located,
-            health=self.health.health,
-            reason=self.health.reason,
-        )
-        self._send("localization_health", health, RELIABLE)
+        estimate = replace(self.health, header=header, pose=PoseWithCovariance(pose=seen))
+        self._send("localization", estimate, RELIABLE)
 
     def _send(self, topic: str, message: Any, qos: Qos) -> None:
         if topic in self.muted:

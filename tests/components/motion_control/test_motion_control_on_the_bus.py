@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from cairn import SECOND
-from cairn.schemas.cairn_nav_msgs import LocalizationHealth, MotionStatus, NavCommand, Plan
+from cairn.schemas.cairn_nav_msgs import LocalizationEstimate, MotionStatus, NavCommand, Plan
 from tests.components.motion_control.stage import Stage
 from tests.components.motion_control.world import Robot, World, box
 
@@ -80,9 +80,8 @@ def test_it_stands_when_nothing_else_is_wanted() -> None:
     [
         ("scan", 0.5, "no scan for 0.5"),
         ("odom", 0.3, "no odom for 0.3"),
-        ("pose", 1.0, "no pose for 1.0"),
         ("nav_command", 1.5, "no nav_command for 1.5"),
-        ("localization_health", 2.0, "no localization_health for 2.0"),
+        ("localization", 1.0, "no localization for 1.0"),
     ],
 )
 def test_a_stale_input_stops_it_and_is_named(topic: str, timeout_s: float, reason: str) -> None:
@@ -121,7 +120,7 @@ def test_when_time_is_set_back_it_stands_for_a_moment_and_goes_on(
     assert caplog.text.count(f"odometry on /robot/odom went back in time by {back_s:.1f} s") == 1
 
 
-@pytest.mark.parametrize("topic", ["scan", "odom", "pose", "nav_command", "localization_health"])
+@pytest.mark.parametrize("topic", ["scan", "odom", "nav_command", "localization"])
 def test_what_ends_as_time_is_set_back_is_stale_at_once(topic: str) -> None:
     it = following(simulated_time=True)
 
@@ -208,13 +207,13 @@ def test_a_goal_where_it_is_already_needs_no_way() -> None:
 def test_a_lost_robot_stands_until_it_is_found() -> None:
     it = following()
 
-    it.health = LocalizationHealth(located=True, health=0.1, reason="the scan does not fit")
+    it.health = LocalizationEstimate(located=True, health=0.1, reason="the scan does not fit")
     it.wait(1.5)
 
     assert it.status.state == STATES.STOPPED
     assert it.status.reason == "the robot is lost, health 0.10: the scan does not fit"
     assert it.robot.speed == 0.0
-    it.health = LocalizationHealth(located=True, health=0.8)
+    it.health = LocalizationEstimate(located=True, health=0.8)
     it.wait(1.0)
     assert it.status.state == STATES.MOVING
 
@@ -224,7 +223,7 @@ def test_a_lost_robot_stands_until_it_is_found() -> None:
 )
 def test_recoveries_need_no_pose(behavior: int) -> None:
     it = stage()
-    it.muted |= {"pose", "localization_health"}
+    it.muted.add("localization")
 
     it.want(3, behavior, distance=2.5)
     it.wait(20, until=STATES.DONE)

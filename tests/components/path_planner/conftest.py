@@ -19,7 +19,7 @@ def begun(stage: Callable[..., Any]) -> Callable[..., Any]:
         if grid is not None:
             it.give("map", as_map(grid))
         if pose is not None:
-            it.give("pose", pose_at(pose, BEGIN))
+            it.give("localization", pose_at(pose, BEGIN))
         return it
 
     return begin

@@ -30,13 +30,15 @@ def now(it: Any) -> float:
     return float(it.executor.now()) / 1e9
 
 
-def stay(it: Any, grid: OccupancyCells, duration: float, pose: Pose = HERE) -> None:
+def stay(
+    it: Any, grid: OccupancyCells, duration: float, pose: Pose = HERE, health: float = 1.0
+) -> None:
     """Let the robot stand for some time and see, ten times a second, what is in a room."""
     for _ in range(round(duration * 10)):
         it.wait(0.1)
         it.give("odom", odom_at((0.0, 0.0, 0.0), now(it)))
         it.give("scan", scan_of(grid, pose, now(it)))
-        it.give("pose", pose_at(pose, now(it)))
+        it.give("localization", pose_at(pose, now(it), health))
 
 
 def window(box: Box, kind: int) -> OccupancyGridUpdate:

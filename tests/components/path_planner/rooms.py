@@ -11,8 +11,8 @@ from cairn.planar.grid import Frame, OccupancyCells, map_message
 from cairn.planar.messages import pose_message
 from cairn.planar.poses import Pose
 from cairn.schemas.builtin_interfaces import Time
-from cairn.schemas.cairn_nav_msgs import LocalizationHealth, NavCommand
-from cairn.schemas.geometry_msgs import PoseWithCovariance, PoseWithCovarianceStamped
+from cairn.schemas.cairn_nav_msgs import LocalizationEstimate, NavCommand
+from cairn.schemas.geometry_msgs import PoseWithCovariance
 from cairn.schemas.nav_msgs import OccupancyGrid, Odometry
 from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.std_msgs import Header
@@ -51,10 +51,12 @@ def as_map(grid: OccupancyCells) -> OccupancyGrid:
     return map_message(Header(frame_id="map"), grid, Time())
 
 
-def pose_at(pose: Pose, time: float) -> PoseWithCovarianceStamped:
-    header = Header(stamp=seconds(time), frame_id="map")
-    return PoseWithCovarianceStamped(
-        header=header, pose=PoseWithCovariance(pose=pose_message(pose))
+def pose_at(pose: Pose, time: float, health: float = 1.0) -> LocalizationEstimate:
+    return LocalizationEstimate(
+        header=Header(stamp=seconds(time), frame_id="map"),
+        located=True,
+        pose=PoseWithCovariance(pose=pose_message(pose)),
+        health=health,
     )
 
 
@@ -63,8 +65,8 @@ def odom_at(pose: Pose, time: float) -> Odometry:
     return Odometry(header=header, pose=PoseWithCovariance(pose=pose_message(pose)))
 
 
-def health(value: float, located: bool = True, reason: str = "") -> LocalizationHealth:
-    return LocalizationHealth(located=located, health=value, reason=reason)
+def not_located(reason: str) -> LocalizationEstimate:
+    return LocalizationEstimate(reason=reason)
 
 
 def follow(goal: Pose, goal_id: int = 1) -> NavCommand:

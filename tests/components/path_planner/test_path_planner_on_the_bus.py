@@ -22,7 +22,7 @@ from tests.components.path_planner.happening import (
 from tests.components.path_planner.rooms import (
     as_map,
     follow,
-    health,
+    not_located,
     odom_at,
     pose_at,
     room,
@@ -55,10 +55,9 @@ def test_what_is_missing_is_told_and_planned_as_soon_as_it_comes(begun: Any) -> 
     it = begun(None, None)
 
     it.give("nav_command", follow(THERE))
-    it.give("pose", pose_at(HERE, BEGIN))
-    it.give("localization_health", health(0.0, located=False, reason="no objects seen"))
+    it.give("localization", not_located("no objects seen"))
     it.give("map", as_map(room()))
-    it.give("localization_health", health(0.9))
+    it.give("localization", pose_at(HERE, BEGIN))
 
     plans = it.taken("plan")
     assert [plan.outcome for plan in plans] == [Plan.NOT_READY, Plan.NOT_READY, Plan.FOUND]
@@ -84,7 +83,7 @@ def test_a_want_that_is_repeated_changes_nothing_and_another_leg_is_planned(begu
 def test_odometry_carries_the_robot_on_since_its_last_pose(begun: Any) -> None:
     it = begun(room(), pose=None)
     it.give("odom", odom_at((5.0, 5.0, 1.0), BEGIN))
-    it.give("pose", pose_at((1.0, 1.0, 1.0), BEGIN))
+    it.give("localization", pose_at((1.0, 1.0, 1.0), BEGIN))
     it.wait(1.0)
     it.give("odom", odom_at((5.0, 5.5, 1.0), BEGIN + 1.0))
 
@@ -98,7 +97,7 @@ def driven_away(begun: Any) -> Any:
     """A robot on its way to THERE, 3.8 m from where its odometry began."""
     it = begun(room(), pose=None)
     it.give("odom", odom_at((3.0, 2.3, 0.0), BEGIN))
-    it.give("pose", pose_at((4.0, 4.0, 0.0), BEGIN))
+    it.give("localization", pose_at((4.0, 4.0, 0.0), BEGIN))
     it.give("nav_command", follow(THERE))
     assert [plan.outcome for plan in it.taken("plan")] == [Plan.FOUND]
     return it
@@ -111,10 +110,10 @@ def test_no_pose_is_carried_on_when_odometry_begins_anew(
 
     it.wait(2.0)
     it.give("odom", odom_at((0.0, 0.0, 0.0), BEGIN + 2.0))
-    it.give("pose", pose_at((4.0, 4.0, 0.0), BEGIN + 0.5))  # from before the jump, and late
+    it.give("localization", pose_at((4.0, 4.0, 0.0), BEGIN + 0.5))  # from before the jump, and late
     it.wait(3.0)
     kept = it.taken("plan")
-    it.give("pose", pose_at((4.5, 4.5, 0.0), now(it)))
+    it.give("localization", pose_at((4.5, 4.5, 0.0), now(it)))
 
     assert kept == []
     assert "jumped: waiting for a pose since then" in caplog.text
@@ -128,13 +127,15 @@ def test_a_leg_wanted_after_odometry_began_anew_waits_for_a_pose(begun: Any) -> 
     it.wait(2.0)
     it.give("odom", odom_at((0.0, 0.0, 0.0), BEGIN + 2.0))
     it.give("nav_command", follow(THERE, goal_id=2))
-    it.give("pose", pose_at((4.0, 4.0, 0.0), BEGIN + 1.9))
+    it.give("localization", pose_at((4.0, 4.0, 0.0), BEGIN + 1.9))
     (refused,) = it.taken("plan")
     it.give("odom", odom_at((0.1, 0.0, 0.0), now(it) + 0.1))
-    it.give("pose", pose_at((4.5, 4.5, 0.0), BEGIN + 2.0))
+    it.give("localization", pose_at((4.5, 4.5, 0.0), BEGIN + 2.0))
 
     assert refused.outcome == Plan.NOT_READY
-    assert refused.reason == "no pose on /robot/pose since odometry on /robot/odom began anew"
+    assert (
+        refused.reason == "no pose on /robot/localization since odometry on /robot/odom began anew"
+    )
     (found,) = it.taken("plan")
     assert tuple(planar_poses(found.poses)[0, :2]) == (4.5, 4.5)
 
@@ -142,7 +143,7 @@ def test_a_leg_wanted_after_odometry_began_anew_waits_for_a_pose(begun: Any) -> 
 def test_a_pose_from_after_the_jump_that_came_before_odometry_counts(begun: Any) -> None:
     it = driven_away(begun)
     it.wait(2.0)
-    it.give("pose", pose_at((5.0, 5.0, 0.0), BEGIN + 2.0))
+    it.give("localization", pose_at((5.0, 5.0, 0.0), BEGIN + 2.0))
 
     it.give("odom", odom_at((0.0, 0.0, 0.0), BEGIN + 1.98))
     it.give("nav_command", follow(THERE, goal_id=2))
@@ -156,7 +157,7 @@ def test_a_pose_from_before_time_was_set_back_is_not_planned_from(begun: Any) ->
 
     it.give("odom", odom_at((3.0, 2.3, 0.0), BEGIN - 50.0))
     it.give("nav_command", follow(THERE, goal_id=2))
-    it.give("pose", pose_at((4.5, 4.5, 0.0), BEGIN - 50.0))
+    it.give("localization", pose_at((4.5, 4.5, 0.0), BEGIN - 50.0))
 
     refused, found = it.taken("plan")
     assert refused.outcome == Plan.NOT_READY
@@ -187,7 +188,7 @@ def test_a_restarted_planner_goes_on_with_the_leg_that_is_latched(begun: Any) ->
     for step in ("DEACTIVATE", "CLEANUP", "CONFIGURE", "ACTIVATE"):
         it.runtime.transition(Transition[step])
     it.wait(0.5)
-    it.give("pose", pose_at((2.0, 2.0, 0.0), now(it)))
+    it.give("localization", pose_at((2.0, 2.0, 0.0), now(it)))
 
     *refused, found = it.taken("plan")
     assert {(plan.goal_id, plan.outcome) for plan in refused} == {(4, Plan.NOT_READY)}
@@ -212,6 +213,6 @@ def test_costs_can_be_changed_on_the_way(begun: Any) -> None:
 
     it.runtime.set_parameters({"radius": 0.4})
     it.wait(1.0)
-    it.give("pose", pose_at(HERE, now(it)))
+    it.give("localization", pose_at(HERE, now(it)))
 
     assert [plan.outcome for plan in it.taken("plan")] == [Plan.UNREACHABLE]

@@ -23,7 +23,6 @@ from tests.components.path_planner.rooms import (
     Box,
     as_map,
     follow,
-    health,
     odom_at,
     pose_at,
     room,
@@ -94,7 +93,7 @@ def test_when_time_is_set_back_what_was_seen_is_forgotten_and_what_is_seen_count
             time = begin + 0.1 * k
             lockstep.publish("clock", Clock(clock=from_ns(round(time * SECOND))))
             lockstep.publish("odom", odom_at((0.0, 0.0, 0.0), time))
-            lockstep.publish("pose", pose_at(here, time))
+            lockstep.publish("localization", pose_at(here, time))
             lockstep.publish("nav_command", follow((4.0, 2.3, 0.0)), qos=LATCHED)
             lockstep.run()
             lockstep.publish("scan", scan_of(room([box]), here, time), qos=SENSOR)
@@ -289,7 +288,7 @@ def test_a_robot_off_the_map_is_planned_for_as_soon_as_it_is_back(begun: Any) ->
     it.give("nav_command", follow(THERE))
     (off,) = it.taken("plan")
 
-    it.give("pose", pose_at((1.0, 3.0, 0.0), now(it)))
+    it.give("localization", pose_at((1.0, 3.0, 0.0), now(it)))
     it.wait(1.5)
 
     assert off.outcome == Plan.START_BLOCKED
@@ -303,10 +302,10 @@ def test_a_robot_that_has_left_the_path_gets_another(begun: Any) -> None:
     it.taken("plan")
 
     it.wait(1.0)
-    it.give("pose", pose_at((3.0, 1.4, 0.0), now(it)))
+    it.give("localization", pose_at((3.0, 1.4, 0.0), now(it)))
     assert it.taken("plan") == []
     it.wait(1.0)
-    it.give("pose", pose_at((3.0, 1.7, 0.0), now(it)))
+    it.give("localization", pose_at((3.0, 1.7, 0.0), now(it)))
 
     (plan,) = it.taken("plan")
     assert tuple(planar_poses(plan.poses)[0, :2]) == (3.0, 1.7)
@@ -319,7 +318,7 @@ def test_a_way_out_of_an_obstacle_is_kept(begun: Any) -> None:
 
     for _ in range(10):
         it.wait(0.3)
-        it.give("pose", pose_at(here, now(it)))
+        it.give("localization", pose_at(here, now(it)))
 
     assert [plan.outcome for plan in it.taken("plan")] == [Plan.FOUND]
 
@@ -327,8 +326,7 @@ def test_a_way_out_of_an_obstacle_is_kept(begun: Any) -> None:
 def test_a_lost_robots_scans_are_placed_nowhere(begun: Any) -> None:
     it = begun(room(DOOR))
     it.give("nav_command", follow(THERE))
-    it.give("localization_health", health(0.1))
-
-    stay(it, room([*DOOR, (2.0, 1.0, 2.4, 2.0)]), 1.0)
+    it.give("localization", pose_at((1.0, 1.0, 0.0), now(it), health=0.1))
+    stay(it, room([*DOOR, (2.0, 1.0, 2.4, 2.0)]), 1.0, health=0.1)
 
     assert len(it.taken("plan")) == 1

@@ -40,7 +40,7 @@ def test_a_run_without_a_pose_lasts_as_long_as_its_clock_tells(report: Any, tmp_
 
 def test_a_run_whose_poses_cease_lasts_on(report: Any, tmp_path: Path) -> None:
     report.give("truth", truth_at(BEGIN))
-    report.give("pose", pose_at((0.0, 0.1, 0.0), BEGIN))
+    report.give("localization", pose_at((0.0, 0.1, 0.0), BEGIN))
     report.wait(30.0)
 
     values, text = told(report, tmp_path)
@@ -50,7 +50,7 @@ def test_a_run_whose_poses_cease_lasts_on(report: Any, tmp_path: Path) -> None:
 
 
 def test_a_run_without_the_truth_says_so(report: Any, tmp_path: Path) -> None:
-    report.give("pose", pose_at((0.0, 0.1, 0.0), BEGIN))
+    report.give("localization", pose_at((0.0, 0.1, 0.0), BEGIN))
 
     _, text = told(report, tmp_path)
 

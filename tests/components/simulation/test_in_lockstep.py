@@ -170,7 +170,7 @@ def test_a_collision_is_told_once_with_place_and_speed(begin: Begin) -> None:
     simulation.drive(9.0, 0.6, 0.0)
 
     (hit,) = simulation.taken("collisions")
-    assert hit.what == "wall 1"
+    assert hit.obstacle == "wall 1"
     assert hit.x == pytest.approx(5.78, abs=0.013)
     assert hit.speed == pytest.approx(0.6)
     state = simulation.taken("world_state")[-1]

@@ -71,7 +71,7 @@ def test_the_order_given_is_taken_back(
     with pytest.raises(KeyboardInterrupt):
         follow(AtTheTerminal(robot, moment), GOALS, as_json=False)
 
-    assert last_order(robot)["result"] == "canceled: taken back"
+    assert last_order(robot)["result"] == "canceled: on request"
     assert capsys.readouterr().out.splitlines()[-1] == "canceled: the robot stops"
 
 

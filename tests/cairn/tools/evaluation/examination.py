@@ -11,9 +11,14 @@ import numpy as np
 from cairn import SECOND, from_ns
 from cairn.planar.messages import packed_poses, planar_pose, pose_message, with_covariance
 from cairn.planar.poses import Pose
-from cairn.schemas.cairn_nav_msgs import Collision, NavigateGoal, NavigationStatus
+from cairn.schemas.cairn_nav_msgs import (
+    Collision,
+    LocalizationEstimate,
+    NavigateGoal,
+    NavigationStatus,
+)
 from cairn.schemas.cairn_sim_msgs import Scene, WorldState
-from cairn.schemas.geometry_msgs import Point, PoseStamped, PoseWithCovarianceStamped
+from cairn.schemas.geometry_msgs import Point, PoseStamped
 from cairn.schemas.packed import Packed
 from cairn.schemas.std_msgs import Header
 from cairn.tools.evaluation.examiner import NavigationExaminer
@@ -82,7 +87,9 @@ class Examination:
         """Tell where the robot believes to have been a while ago."""
         header = Header(stamp=from_ns(self.now - round(ago_s * SECOND)), frame_id="map")
         covariance = with_covariance(pose, np.eye(3) * sigma**2)
-        self.stage.give("pose", PoseWithCovarianceStamped(header=header, pose=covariance))
+        self.stage.give(
+            "localization", LocalizationEstimate(header=header, located=True, pose=covariance)
+        )
 
     def stand(self, seconds: float) -> None:
         """Let time pass."""
@@ -132,7 +139,7 @@ class Examination:
 
     def touch(self, what: str) -> None:
         """Touch something."""
-        self.stage.give("collisions", Collision(what=what, x=1.0, y=2.0, speed=0.3))
+        self.stage.give("collisions", Collision(obstacle=what, x=1.0, y=2.0, speed=0.3))
 
     def carried_to(self) -> list[Pose]:
         """Where the robot was to be carried since the last call."""

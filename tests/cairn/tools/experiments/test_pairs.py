@@ -92,7 +92,9 @@ def test_events_replace_those_of_the_world(tmp_path: Path) -> None:
 
 def test_a_deployment_without_a_map_builder_is_refused(tmp_path: Path) -> None:
     file = tmp_path / "robot.yaml"
-    file.write_text("cairn: 1\ncomponents: {report: {plugin: report}}\nexternal_topics: [pose]\n")
+    file.write_text(
+        "cairn: 1\ncomponents: {report: {plugin: report}}\nexternal_topics: [localization]\n"
+    )
 
     with pytest.raises(CairnError, match="the deployment has no component localizer"):
         made(replace(PLAN, deployment=file, overlays=()), tmp_path)

@@ -21,7 +21,8 @@ from cairn.schemas.cairn_msgs import (
     VisualMapChange,
     VisualObject,
 )
-from cairn.schemas.geometry_msgs import PoseArray, PoseStamped, PoseWithCovarianceStamped
+from cairn.schemas.cairn_nav_msgs import LocalizationEstimate
+from cairn.schemas.geometry_msgs import PoseArray, PoseStamped
 from cairn.schemas.std_msgs import Header
 from cairn.tools.experiments.observer import PairObserver, WorldObserver
 from cairn.tools.experiments.series import Move, Sighting, read_pair, read_world
@@ -67,7 +68,7 @@ def test_what_a_pair_told_is_kept(stage: Callable[..., Any], tmp_path: Path) -> 
         it.give("visual_map", VisualMap(header=at(stamp), objects=(thing,)))
     covariance = np.array([[0.04, 0.01, 0.0], [0.01, 0.09, 0.0], [0.0, 0.0, 0.16]])
     told = with_covariance((1.0, 2.0, 0.5), covariance)
-    it.give("pose", PoseWithCovarianceStamped(header=at(1.0), pose=told))
+    it.give("localization", LocalizationEstimate(header=at(1.0), located=True, pose=told))
     change = VisualMapChange(header=at(3.0), object_id=7, kind=1, old_x=1.0, old_y=2.0, reason="no")
     it.give("visual_map_changes", change)
     evidence = ObjectEvidence(

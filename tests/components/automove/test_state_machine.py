@@ -7,10 +7,10 @@ import math
 
 import pytest
 
-from cairn.components.automove.course import Course
-from cairn.components.automove.seen import Seen
+from cairn.components.automove.inputs import NavigatorInputs
+from cairn.components.automove.state_machine import NavigatorStateMachine
 from cairn.schemas.cairn_nav_msgs import (
-    LocalizationHealth,
+    LocalizationEstimate,
     MotionStatus,
     NavCommand,
     NavigationStatus,
@@ -18,55 +18,55 @@ from cairn.schemas.cairn_nav_msgs import (
 )
 from tests.components.automove.journey import SURE, Journey
 
-LOST = LocalizationHealth(located=True, health=0.1, reason="the map explains 20% of the scan")
+LOST = LocalizationEstimate(located=True, health=0.1, reason="the map explains 20% of the scan")
 
 
 def test_it_plans_and_drives_once_the_robot_is_located_and_ends_when_motion_is_done() -> None:
     journey = Journey().run(1.0)
     assert journey.states == [NavigationStatus.PLANNING, NavigationStatus.DRIVING]
-    assert journey.course.behavior == NavCommand.FOLLOW
+    assert journey.navigator.behavior == NavCommand.FOLLOW
 
     journey.motion = {"state": MotionStatus.DONE}
     journey.run(0.1)
 
-    assert journey.course.state == NavigationStatus.SUCCEEDED
-    assert journey.course.reason == "arrived at (3.00, 4.00)"
-    assert journey.course.behavior == NavCommand.STAND
-    assert journey.course.over
+    assert journey.navigator.state == NavigationStatus.SUCCEEDED
+    assert journey.navigator.reason.text == "arrived at (3.00, 4.00)"
+    assert journey.navigator.behavior == NavCommand.STAND
+    assert journey.navigator.finished
 
 
 def test_every_want_has_a_leg_of_its_own_and_old_answers_change_nothing() -> None:
     journey = Journey((1.0, 0.0, 0.0), (2.0, 0.0, 0.0)).run(1.0)
-    first = journey.course.goal_id
+    first = journey.navigator.goal_id
     journey.motion = {"state": MotionStatus.DONE}
     journey.run(0.1)
-    assert (journey.course.at, journey.course.state) == (1, NavigationStatus.PLANNING)
-    assert journey.course.goal_id != first
+    assert (journey.navigator.goal_index, journey.navigator.state) == (1, NavigationStatus.PLANNING)
+    assert journey.navigator.goal_id != first
 
-    journey.course.tick(journey.now, journey.seen)  # plan and motion are still those of before
+    journey.navigator.step(journey.now, journey.inputs)  # plan and motion are still those of before
 
-    assert (journey.course.at, journey.course.state) == (1, NavigationStatus.PLANNING)
+    assert (journey.navigator.goal_index, journey.navigator.state) == (1, NavigationStatus.PLANNING)
 
 
 def test_a_course_begins_with_the_goal_that_it_is_told() -> None:
-    course = Course(
+    navigator = NavigatorStateMachine(
         mission_id=1,
         goals=((1.0, 0.0, 0.0), (2.0, 0.0, 0.0)),
-        at=1,
+        goal_index=1,
         next_goal_id=itertools.count(1).__next__,
-        began_s=0.0,
+        started_s=0.0,
     )
-    assert course.goal == (2.0, 0.0, 0.0)
+    assert navigator.goal == (2.0, 0.0, 0.0)
 
 
 @pytest.mark.parametrize("health", [None, LOST])
-def test_nothing_moves_before_the_robot_is_located(health: LocalizationHealth | None) -> None:
+def test_nothing_moves_before_the_robot_is_located(health: LocalizationEstimate | None) -> None:
     journey = Journey()
     journey.health = health
     journey.run(1.5)
-    assert journey.course.state == NavigationStatus.LOCALIZING
-    assert journey.course.behavior == NavCommand.STAND
-    assert journey.course.reason in (LOST.reason, "the localizer has told nothing yet")
+    assert journey.navigator.state == NavigationStatus.LOCALIZING
+    assert journey.navigator.behavior == NavCommand.STAND
+    assert journey.navigator.reason.text in (LOST.reason, "no estimate from the localizer yet")
 
 
 def test_a_silent_localizer_is_not_looked_for_by_driving() -> None:
@@ -74,14 +74,14 @@ def test_a_silent_localizer_is_not_looked_for_by_driving() -> None:
     journey.health = None
     journey.run(6.0)
     assert journey.states == [NavigationStatus.LOCALIZING, NavigationStatus.FAILED]
-    assert journey.course.reason == "the localizer has told nothing yet"
+    assert journey.navigator.reason.text == "no estimate from the localizer yet"
 
     journey = Journey()
     journey.run(1.0)
     journey.health = None
     journey.run(1.5)
     assert (
-        journey.course.state == NavigationStatus.DRIVING
+        journey.navigator.state == NavigationStatus.DRIVING
     )  # motion control stops by itself, and says so
 
 
@@ -89,7 +89,7 @@ def test_a_lost_robot_stands_then_looks_for_itself_in_turn_and_gives_up() -> Non
     journey = Journey().run(1.0)
     journey.health = LOST
     journey.run(2.0)
-    assert (journey.course.state, journey.course.behavior) == (
+    assert (journey.navigator.state, journey.navigator.behavior) == (
         NavigationStatus.LOCALIZING,
         NavCommand.STAND,
     )
@@ -98,9 +98,9 @@ def test_a_lost_robot_stands_then_looks_for_itself_in_turn_and_gives_up() -> Non
 
     look, explore = NavCommand.LOOK_AROUND, NavCommand.EXPLORE
     assert journey.tried == 2 * [NavCommand.STAND, look, explore, look, explore, look]
-    assert journey.course.state == NavigationStatus.FAILED
-    assert journey.course.reason == "the map explains 20% of the scan (after 12 recoveries)"
-    assert journey.course.recoveries == 12
+    assert journey.navigator.state == NavigationStatus.FAILED
+    assert journey.navigator.reason.text == "the map explains 20% of the scan (after 12 recoveries)"
+    assert journey.navigator.recoveries == 12
 
 
 def test_who_explores_in_vain_goes_twice_as_far_the_next_time() -> None:
@@ -110,8 +110,11 @@ def test_who_explores_in_vain_goes_twice_as_far_the_next_time() -> None:
     far = []
     for _ in range(400):
         journey.run(1.0)
-        if journey.course.behavior == NavCommand.EXPLORE and journey.course.explores_m not in far:
-            far.append(journey.course.explores_m)
+        if (
+            journey.navigator.behavior == NavCommand.EXPLORE
+            and journey.navigator.explore_m not in far
+        ):
+            far.append(journey.navigator.explore_m)
 
     assert far == [2.0, 4.0, 8.0]
 
@@ -120,12 +123,12 @@ def test_a_robot_that_finds_itself_stops_looking_and_drives_on() -> None:
     journey = Journey().run(1.0)
     journey.health = LOST
     journey.run(10.0)
-    assert journey.course.behavior == NavCommand.LOOK_AROUND
+    assert journey.navigator.behavior == NavCommand.LOOK_AROUND
 
     journey.health = SURE
     journey.run(2.0)
 
-    assert journey.course.state == NavigationStatus.DRIVING
+    assert journey.navigator.state == NavigationStatus.DRIVING
 
 
 def test_a_short_doubt_does_not_stop_it() -> None:
@@ -141,18 +144,21 @@ def test_what_blocks_it_is_waited_for_then_driven_around_and_progress_counts_ane
     journey = Journey().run(1.0)
     journey.motion = {"state": MotionStatus.BLOCKED, "reason": "a wall", "distance_left": 4.0}
     journey.run(2.5)
-    assert (journey.course.state, journey.course.reason) == (NavigationStatus.DRIVING, "a wall")
+    assert (journey.navigator.state, journey.navigator.reason.text) == (
+        NavigationStatus.DRIVING,
+        "a wall",
+    )
     journey.run(10.0)
     assert journey.tried[0] == NavCommand.STAND
-    assert journey.course.recoveries > 1
+    assert journey.navigator.recoveries > 1
 
     for left in (4.0, 3.5):
         journey.motion = {"state": MotionStatus.MOVING, "distance_left": left}
         journey.run(6.0)
-    assert journey.course.state == NavigationStatus.DRIVING
+    assert journey.navigator.state == NavigationStatus.DRIVING
     journey.motion = {"state": MotionStatus.BLOCKED, "reason": "a wall", "distance_left": 3.5}
     journey.run(3.2)
-    assert journey.course.reason == "wait (1 of 6): a wall"
+    assert journey.navigator.reason.text == "wait (1 of 6): a wall"
 
 
 def test_it_gives_up_after_all_recoveries_and_tells_why() -> None:
@@ -167,22 +173,28 @@ def test_it_gives_up_after_all_recoveries_and_tells_why() -> None:
         NavCommand.LOOK_AROUND,
         NavCommand.STAND,
     ]
-    assert journey.course.reason == "a wall (after 6 recoveries)"
+    assert journey.navigator.reason.text == "a wall (after 6 recoveries)"
 
 
 def test_without_recoveries_it_gives_up_at_once() -> None:
     journey = Journey(recoveries=0).run(1.0)
     journey.motion = {"state": MotionStatus.BLOCKED, "reason": "a wall"}
     journey.run(3.5)
-    assert (journey.course.state, journey.course.reason) == (NavigationStatus.FAILED, "a wall")
+    assert (journey.navigator.state, journey.navigator.reason.text) == (
+        NavigationStatus.FAILED,
+        "a wall",
+    )
 
 
 def test_a_robot_that_moves_but_gets_no_nearer_recovers() -> None:
     journey = Journey().run(1.0)
     journey.motion = {"state": MotionStatus.MOVING, "distance_left": 2.0}
     journey.run(21.0)
-    assert journey.course.state == NavigationStatus.RECOVERING
-    assert journey.course.reason == "wait (1 of 6): the robot moves but gets no nearer"
+    assert journey.navigator.state == NavigationStatus.RECOVERING
+    assert (
+        journey.navigator.reason.text
+        == "wait (1 of 6): the robot moves but does not get nearer to its goal"
+    )
 
 
 @pytest.mark.parametrize(
@@ -195,11 +207,14 @@ def test_no_path_is_waited_for_and_then_told_in_the_planners_words(
     journey.plan = {"outcome": outcome, "reason": "the goal is in a wall"}
     journey.motion = {"state": MotionStatus.DONE}
     journey.run(1.0)
-    assert journey.course.reason == "no path: the goal is in a wall"
+    assert journey.navigator.reason.text == "no path: the goal is in a wall"
     journey.run(200.0)
     assert len(journey.tried) == tries
-    assert journey.course.state == NavigationStatus.FAILED
-    assert journey.course.reason == f"no path: the goal is in a wall (after {tries} recoveries)"
+    assert journey.navigator.state == NavigationStatus.FAILED
+    assert (
+        journey.navigator.reason.text
+        == f"no path: the goal is in a wall (after {tries} recoveries)"
+    )
 
 
 def test_a_goal_outside_the_map_is_given_up_at_once() -> None:
@@ -207,7 +222,7 @@ def test_a_goal_outside_the_map_is_given_up_at_once() -> None:
     journey.plan = {"outcome": Plan.OUTSIDE_MAP, "reason": "the goal is outside the map"}
     journey.run(0.3)
     assert journey.states == [NavigationStatus.PLANNING, NavigationStatus.FAILED]
-    assert journey.course.reason == "no path: the goal is outside the map"
+    assert journey.navigator.reason.text == "no path: the goal is outside the map"
 
 
 def test_a_robot_that_seems_to_be_outside_the_map_recovers_and_drives_on() -> None:
@@ -215,37 +230,40 @@ def test_a_robot_that_seems_to_be_outside_the_map_recovers_and_drives_on() -> No
     outside = "the robot at (-0.10, 3.00) is outside the map"
     journey.plan = {"outcome": Plan.START_BLOCKED, "reason": outside}
     journey.run(5.0)
-    assert journey.course.state == NavigationStatus.RECOVERING
-    assert journey.course.reason == f"wait (1 of 6): no path: {outside}"
+    assert journey.navigator.state == NavigationStatus.RECOVERING
+    assert journey.navigator.reason.text == f"wait (1 of 6): no path: {outside}"
 
     journey.plan = {"outcome": Plan.FOUND}
     journey.run(5.0)
 
-    assert journey.course.state == NavigationStatus.DRIVING
+    assert journey.navigator.state == NavigationStatus.DRIVING
 
 
 def test_a_planner_that_gives_no_answer_is_told_of() -> None:
     journey = Journey(planning_s=5.0)
     journey.plan = None
     journey.run(6.0)
-    assert journey.course.reason == "wait (1 of 6): the planner gives no answer"
+    assert journey.navigator.reason.text == "wait (1 of 6): the path planner has not answered"
 
 
 def test_a_missing_input_is_waited_for_and_then_named() -> None:
     journey = Journey(stopped_s=5.0).run(1.0)
     journey.motion = {"state": MotionStatus.STOPPED, "reason": "no scan for 0.6 s on /robot/scan"}
     journey.run(4.0)
-    assert journey.course.state == NavigationStatus.DRIVING
-    assert journey.course.reason == "no scan for 0.6 s on /robot/scan"
+    assert journey.navigator.state == NavigationStatus.DRIVING
+    assert journey.navigator.reason.text == "no scan for 0.6 s on /robot/scan"
 
     journey.motion = {"state": MotionStatus.MOVING}
     journey.run(1.0)
-    assert (journey.course.state, journey.course.reason) == (NavigationStatus.DRIVING, "")
+    assert (journey.navigator.state, journey.navigator.reason.text) == (
+        NavigationStatus.DRIVING,
+        "",
+    )
 
     journey.motion = {"state": MotionStatus.STOPPED, "reason": "no scan for 0.6 s on /robot/scan"}
     journey.run(5.5)
-    assert journey.course.state == NavigationStatus.FAILED
-    assert journey.course.reason == "no scan for 0.6 s on /robot/scan"
+    assert journey.navigator.state == NavigationStatus.FAILED
+    assert journey.navigator.reason.text == "no scan for 0.6 s on /robot/scan"
 
 
 def test_an_input_missing_while_it_recovers_is_named_too() -> None:
@@ -254,49 +272,49 @@ def test_an_input_missing_while_it_recovers_is_named_too() -> None:
     journey.run(10.0)
     journey.motion = {"state": MotionStatus.STOPPED, "reason": "no odom for 0.6 s on /robot/odom"}
     journey.run(1.0)
-    assert journey.course.reason == "no odom for 0.6 s on /robot/odom"
+    assert journey.navigator.reason.text == "no odom for 0.6 s on /robot/odom"
     journey.run(5.0)
-    assert journey.course.state == NavigationStatus.FAILED
+    assert journey.navigator.state == NavigationStatus.FAILED
 
 
 def test_a_silent_motion_control_is_told_with_the_time_it_has_been_silent() -> None:
     journey = Journey(stopped_s=5.0).run(1.0)
     journey.motion = None
     journey.run(3.0)
-    assert journey.course.state == NavigationStatus.DRIVING
-    assert journey.course.reason == "nothing was heard of motion control for 3.0 s"
+    assert journey.navigator.state == NavigationStatus.DRIVING
+    assert journey.navigator.reason.text == "no status from motion control for 3.0 s"
     journey.run(5.0)
-    assert journey.course.state == NavigationStatus.FAILED
+    assert journey.navigator.state == NavigationStatus.FAILED
 
 
 def test_a_canceled_course_stands_and_stays_so() -> None:
     journey = Journey().run(1.0)
-    goal_id = journey.course.goal_id
-    journey.course.cancel()
+    goal_id = journey.navigator.goal_id
+    journey.navigator.cancel()
     journey.run(1.0)
-    assert journey.course.state == NavigationStatus.CANCELED
-    assert journey.course.behavior == NavCommand.STAND
-    assert journey.course.goal_id != goal_id
+    assert journey.navigator.state == NavigationStatus.CANCELED
+    assert journey.navigator.behavior == NavCommand.STAND
+    assert journey.navigator.goal_id != goal_id
 
 
 def test_the_distance_left_is_along_the_path_where_one_is_followed() -> None:
     journey = Journey()
-    assert journey.course.distance_left(journey.seen) == pytest.approx(5.0)
+    assert journey.navigator.distance_left(journey.inputs) == pytest.approx(5.0)
     journey.motion = {"state": MotionStatus.MOVING, "distance_left": 7.0}
     journey.run(1.0)
-    assert journey.course.distance_left(journey.seen) == 7.0
+    assert journey.navigator.distance_left(journey.inputs) == 7.0
     journey.motion = {"state": MotionStatus.STOPPED, "reason": "no scan"}
     journey.run(0.5)
-    assert journey.course.distance_left(journey.seen) == pytest.approx(5.0)
-    assert journey.course.distance_left(Seen()) == 0.0
-    assert math.isinf(Seen().health_s)
+    assert journey.navigator.distance_left(journey.inputs) == pytest.approx(5.0)
+    assert journey.navigator.distance_left(NavigatorInputs()) == 0.0
+    assert math.isinf(NavigatorInputs().localization_s)
 
 
 def test_a_goal_is_not_reached_by_a_robot_that_is_not_sure_where_it_is() -> None:
     journey = Journey().run(1.0)
-    journey.health = LocalizationHealth(located=True, health=0.45, reason="found but now")
+    journey.health = LocalizationEstimate(located=True, health=0.45, reason="found but now")
     journey.motion = {"state": MotionStatus.DONE}
     journey.run(0.1)
-    assert journey.course.state == NavigationStatus.RECOVERING
-    assert journey.course.behavior == NavCommand.LOOK_AROUND
-    assert "found but now" in journey.course.reason
+    assert journey.navigator.state == NavigationStatus.RECOVERING
+    assert journey.navigator.behavior == NavCommand.LOOK_AROUND
+    assert "found but now" in journey.navigator.reason.text
