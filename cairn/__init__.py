@@ -1,8 +1,14 @@
 """Component-based robot middleware over Eclipse Zenoh, with a navigation system built on it.
 
-The names below are what components are written with: `from cairn import Component, In, Out, on`.
-They are loaded when they are first used, so that `import cairn` costs almost nothing.
-`docs/reference/api.md` lists every public module; all else is private.
+Components are written with the names of this package:
+
+    from cairn import Component, Config, In, Out, every, on
+
+`__all__` lists all of them. Each name is loaded when it is first used, so `import cairn` is fast.
+Message classes are public, too, in a module for each ROS 2 package (`cairn.schemas.sensor_msgs`),
+with `cairn.schemas.message` and `cairn.schemas.field_types` to define new ones. So are
+`cairn.testing` for tests and `cairn.driver` for drivers of devices. All other modules are private
+and may change without notice.
 """
 
 from __future__ import annotations
@@ -15,8 +21,10 @@ if TYPE_CHECKING:
     from cairn.clock import SECOND, Clock, from_ns, to_ns
     from cairn.errors import CairnError
     from cairn.runtime.component import Component
+    from cairn.runtime.lifecycle import LifecycleState
     from cairn.runtime.parameters import Config, Mount, ParameterRejected, ReadPath
     from cairn.runtime.ports import In, Out, every, on
+    from cairn.runtime.rate_limited_log import RateLimitedLog
 
 __all__ = [
     "LATCHED",
@@ -28,10 +36,12 @@ __all__ = [
     "Component",
     "Config",
     "In",
+    "LifecycleState",
     "Mount",
     "Out",
     "ParameterRejected",
     "Qos",
+    "RateLimitedLog",
     "ReadPath",
     "every",
     "from_ns",
@@ -44,8 +54,10 @@ _MODULES: Final = {
     "cairn.clock": ("SECOND", "Clock", "from_ns", "to_ns"),
     "cairn.errors": ("CairnError",),
     "cairn.runtime.component": ("Component",),
+    "cairn.runtime.lifecycle": ("LifecycleState",),
     "cairn.runtime.parameters": ("Config", "Mount", "ParameterRejected", "ReadPath"),
     "cairn.runtime.ports": ("In", "Out", "every", "on"),
+    "cairn.runtime.rate_limited_log": ("RateLimitedLog",),
 }
 
 

@@ -1,5 +1,5 @@
-"""The root of all errors that Cairn raises."""
+"""The base class of all errors that Cairn raises."""
 
 
 class CairnError(Exception):
-    """An error whose message is a sentence that an operator can act on."""
+    """An error whose message says what is wrong, with the value, and what to do about it."""

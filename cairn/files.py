@@ -1,4 +1,7 @@
-"""Replaces files, at once or not at all."""
+"""Replace files atomically.
+
+Own code because the library for it, `atomicwrites`, was archived in 2022, and this takes 20 lines.
+"""
 
 from __future__ import annotations
 
@@ -9,10 +12,12 @@ from pathlib import Path
 
 
 def replace_file(path: Path, data: bytes, *, durable: bool = True) -> None:
-    """Replace a file's content, or make the file; raises `OSError`, and then it is as it was.
+    """Replace the content of a file atomically, or create the file.
 
-    Whoever reads it finds the old content or the new, also if this process is killed meanwhile and,
-    if `durable`, after a loss of power. That costs a wait for the disk.
+    A reader finds either the old or the new content, also if this process is killed meanwhile and,
+    if `durable`, after a loss of power. Durability costs a wait for the disk.
+
+    Raises `OSError`, and leaves the file unchanged, if the new content cannot be written.
     """
     with replacing(path, durable=durable) as part:
         part.write_bytes(data)
@@ -20,13 +25,16 @@ def replace_file(path: Path, data: bytes, *, durable: bool = True) -> None:
 
 @contextmanager
 def replacing(path: Path, *, durable: bool = True) -> Iterator[Path]:
-    """A name in the same folder; what is written there replaces `path` as in `replace_file`."""
+    """Yield a temporary path in the folder of `path`; on success its file replaces `path`.
+
+    Guarantees and errors are those of `replace_file`.
+    """
     part = path.with_name(path.name + ".part")
-    part.unlink(missing_ok=True)  # of one that was killed
+    part.unlink(missing_ok=True)  # left by a process that was killed
     try:
         yield part
         if durable:
-            # Else the new name may reach the disk before the content does.
+            # Otherwise the new name may reach the disk before the content does.
             with part.open("rb") as written:
                 os.fsync(written.fileno())
         part.replace(path)

@@ -1,1 +1,1 @@
-"""The bus: topics, messages and control between components, over Zenoh or in lockstep."""
+"""The bus: topics and control requests between components, over Zenoh or in memory."""

@@ -1,4 +1,4 @@
-"""What a bus is: the contract that the Zenoh bus and the lockstep bus both keep."""
+"""The contract of a bus, which the Zenoh bus and the lockstep bus both implement."""
 
 from collections.abc import Callable
 from typing import Any, Protocol
@@ -7,105 +7,108 @@ from cairn.bus.qos import Qos
 
 
 class Publisher(Protocol):
-    """Writes messages of one type to one topic."""
+    """Publishes messages of one type on one topic."""
 
     @property
     def published(self) -> int:
-        """Messages handed to the bus so far."""
+        """Number of messages handed to the bus so far."""
         ...
 
     @property
     def has_subscribers(self) -> bool:
-        """Whether a message sent now would come to anybody, be it one who comes later."""
+        """Whether a message published now would be received; always True on a latched topic.
+
+        The last message of a latched topic is delivered to later subscribers, too.
+        """
         ...
 
     def publish(self, message: Any) -> None:
-        """Send one message; never waits for a reader."""
+        """Send one message; never waits for a subscriber."""
         ...
 
     def close(self) -> None:
-        """Stop writing; readers see the writer go."""
+        """Stop publishing and withdraw the publisher from the graph."""
         ...
 
 
 class Subscription(Protocol):
-    """Reads messages of one type from one topic; keeps the newest `qos.depth` of them."""
+    """Receives messages of one type from one topic; keeps the newest `qos.depth` of them."""
 
     @property
     def received(self) -> int:
-        """Messages taken so far."""
+        """Number of messages taken so far."""
         ...
 
     @property
     def dropped(self) -> int:
-        """Messages that were sent after the first one seen here and never taken."""
+        """Number of messages sent after the first one received here, and never taken."""
         ...
 
     @property
     def invalid(self) -> int:
-        """Messages that could not be decoded to a valid message."""
+        """Number of messages that could not be decoded to a valid message."""
         ...
 
     def take(self) -> Any | None:
-        """The oldest message waiting, None if there is none.
+        """Remove and return the oldest pending message; None if there is none.
 
-        Raises `InvalidMessage` for one that does not decode; it is then counted and gone.
+        Raises `InvalidMessage` for a message that does not decode, which is counted and discarded.
         """
         ...
 
     def close(self) -> None:
-        """Stop reading; what waits is discarded."""
+        """Stop receiving and discard the pending messages."""
         ...
 
 
 class Node(Protocol):
-    """One component's place on the bus; its name and ports are seen by everybody."""
+    """One component on the bus; its name and ports are visible in the graph."""
 
     def advertise(self, topic: str, message: type[Any], qos: Qos) -> Publisher:
-        """Write messages of class `message` to `topic` (a full name: `/robot/odom`)."""
+        """Return a publisher of class `message` on `topic` (a full name: `/robot/odom`)."""
         ...
 
     def subscribe(
         self, topic: str, message: type[Any], qos: Qos, wake: Callable[[], None]
     ) -> Subscription:
-        """Read messages of class `message` from `topic`.
+        """Return a subscription to messages of class `message` on `topic` (a full name).
 
-        `wake` is called, on whatever thread, once for each message that begins to wait.
+        `wake` is called, on any thread, once for each message that becomes pending.
         """
         ...
 
     def close(self) -> None:
-        """Leave the bus, with all publishers and subscriptions."""
+        """Leave the bus and close all publishers and subscriptions."""
         ...
 
 
 class Bus(Protocol):
-    """The connection of one process to all the others."""
+    """The connection of one process to all other processes."""
 
-    def node(self, name: str, complain: Callable[[str], None]) -> Node:
-        """Join under a full name (`/robot/localizer`).
+    def node(self, name: str, report: Callable[[str], None]) -> Node:
+        """Join the bus under a full name (`/robot/localizer`).
 
-        `complain` is told, on whatever thread, of a topic of this node that somebody else uses
-        with another message type: the two would never hear each other.
+        `report` is called, on any thread, with an error message when another node uses a topic of
+        this node with another message type: the two cannot receive each other's messages.
         """
         ...
 
     def wait_for_peers(self, timeout_s: float) -> list[str]:
-        """Wait until all that was declared here is known to everybody on the bus, and theirs here.
+        """Wait until this process and all others on the bus know each other's declarations.
 
-        Returns whom it could not reach within the limit.
+        Returns the names of the processes that were not reached within the timeout.
         """
         ...
 
 
 def full_name(robot: str, topic: str) -> str:
-    """The name on the bus of a robot's topic or component; one that starts with / stays."""
+    """Return the name on the bus of a robot's topic or component; a name with / is complete."""
     return topic if topic.startswith("/") else f"/{robot}/{topic}"
 
 
 def type_conflict(topic: str, ours: str, other: str, theirs: str) -> str:
-    """The complaint about two message types on one topic."""
+    """Return the error message about two message types on one topic."""
     return (
-        f"topic {topic}: {other} uses it with {theirs}, this component with {ours}; they cannot "
-        "hear each other. Give one of them another topic, or the same message type"
+        f"topic {topic}: {other} uses it with type {theirs}, this component with {ours}, so they "
+        "cannot receive each other's messages; rename one of the topics or use the same type"
     )

@@ -1,4 +1,8 @@
-"""Encode and decode messages as CDR; compute ROS 2 definitions and type hashes."""
+"""Codec: encode and decode messages as CDR; compute ROS 2 type hashes and definitions.
+
+rosbags generates the code for CDR and computes the hashes; here are what decodes into Cairn's
+message classes, and packed sequences, which are encoded and decoded in one piece.
+"""
 
 from collections.abc import Callable
 from dataclasses import fields, is_dataclass, replace
@@ -37,20 +41,20 @@ M = TypeVar("M")
 class Codec:
     """CDR as ROS 2 writes it, for every class decorated with `@message`; thread-safe.
 
-    A class is made known when it is first used, with all that it holds.
+    A class is registered when it is first used, with the classes of its fields.
     """
 
     def __init__(self) -> None:
         self._classes: dict[str, type[Any]] = {}
-        # As in the .msg files; for hashes and definitions.
+        # Definitions as in the .msg files, for hashes and definitions.
         self._described = Typestore()
-        # What decodes into our classes, packed sequences in one piece.
+        # Decodes into message classes, packed sequences in one piece.
         self._wire = Typestore()
-        # What decodes into tuples, without any check of ours: tells where an invalid one is so.
+        # Decodes into tuples without validation, to find out which field of a message is invalid.
         self._plain = Typestore()
 
     def encode(self, message: Any) -> bytes:
-        """CDR, little-endian, with the 4-byte encapsulation header.
+        """Return a message as little-endian CDR with the 4-byte encapsulation header.
 
         Raises `TypeError` if `message` is not of a message class.
         """
@@ -58,11 +62,11 @@ class Codec:
         return bytes(self._wire.serialize_cdr(message, name, little_endian=True))
 
     def decode(self, cls: type[M], data: bytes | memoryview) -> M:
-        """The message in `data`, which may be of either byte order.
+        """Return the message in CDR `data` of either byte order.
 
-        Its arrays are views of `data`, without a copy, and keep it alive; float64 ones are not
-        aligned, as numpy can handle but C code may not. Raises `InvalidMessage`, and nothing
-        else, if `data` is not a valid message of class `cls`.
+        Its arrays are views of `data`, without a copy, and keep it alive; float64 arrays may be
+        unaligned, which numpy handles but C code may not. Raises `InvalidMessage`, and no other
+        error, if `data` is not a valid message of class `cls`.
         """
         name = self._known(cls)
         view = memoryview(data if _is_plain(data) else bytes(data))
@@ -73,15 +77,15 @@ class Codec:
         raise self._explained(cls, view, failure)
 
     def type_hash(self, cls: type[Any]) -> str:
-        """The type hash of ROS 2 (REP 2016): "RIHS01_" and 64 hex digits."""
+        """Return the ROS 2 type hash (REP 2016): "RIHS01_" and 64 hex digits."""
         return self._described.hash_rihs01(self._known(cls))
 
     def definition(self, cls: type[Any]) -> str:
-        """The text of the .msg file, followed by those of the messages it holds, as in rosbag2."""
+        """Return the text of the .msg file and of those it refers to, as rosbag2 stores them."""
         return self._described.generate_msgdef(self._known(cls), ros_version=2)[0]
 
     def is_bulk(self, cls: type[Any]) -> bool:
-        """Whether messages of this class may be big: they hold an image, a map or the like."""
+        """Return whether messages of this class may be big: they hold an image, a map or so."""
         return any(
             field.packed
             or (field.count == 0 and field.element in ("int8", "uint8", "byte"))
@@ -96,8 +100,9 @@ class Codec:
             self._register(name, cls)
         elif known is not cls:
             raise CairnError(
-                f"{name} is defined twice: by {_place(known)} and by {_place(cls)}; "
-                "use the same class everywhere"
+                f"{name} is defined twice: by {_qualified_name(known)} and by "
+                f"{_qualified_name(cls)}; "
+                "import the same class in both places"
             )
         return name
 
@@ -124,10 +129,10 @@ class Codec:
         self._plain.types[name] = cast("type", _as_tuple)
         self._wire.fielddefs[name] = ([], wire)
         self._wire.types[name] = cast("type", decoding_constructor(cls))
-        self._classes[name] = cls  # last: who finds it there finds all
+        self._classes[name] = cls  # last, so that a thread that finds it there finds all
 
     def _explained(self, cls: type[Any], data: memoryview, failure: str) -> InvalidMessage:
-        # Only what has failed already comes here: it is decoded once more, slowly.
+        # Decode the message a second time, slowly, to name the field that is invalid.
         name = type_name(cls)
         try:
             _build(cls, self._plain.deserialize_cdr(data, name))
@@ -136,7 +141,7 @@ class Codec:
         except SerdeError as error:
             failure = str(error)
         return InvalidMessage(
-            name, "", bytes(data[:16]), f"{len(data)} bytes are not its CDR: {failure}"
+            name, "", bytes(data[:16]), f"{len(data)} bytes are not CDR of this type: {failure}"
         )
 
 
@@ -152,7 +157,7 @@ def _description(field: Field) -> FieldDesc:
 
 
 def _is_plain(data: bytes | memoryview) -> bool:
-    # What may change later, or is not simply bytes, is copied.
+    # A buffer that may change later, or is not simply bytes, is copied.
     return isinstance(data, bytes) or (
         data.readonly and data.format == "B" and data.ndim == 1 and data.c_contiguous
     )
@@ -163,7 +168,7 @@ def _as_tuple(*values: Any) -> tuple[Any, ...]:
 
 
 def _build(cls: type[Any], values: Any) -> Any:
-    """A message of plain values, from the inside out; `InvalidMessage` tells the whole path."""
+    """Return a message of plain values, built from the inside out; errors name the whole path."""
     built: list[Any] = []
     for field, value in zip(fields_of(cls), values, strict=True):
         if not isinstance(field.element, type):
@@ -175,13 +180,13 @@ def _build(cls: type[Any], values: Any) -> Any:
             try:
                 made.append(_build(field.element, item))
             except InvalidMessage as error:
-                place = field.name if field.count is None else f"{field.name}[{index}]"
-                raise error.within(type_name(cls), place) from None
+                path = field.name if field.count is None else f"{field.name}[{index}]"
+                raise error.within(type_name(cls), path) from None
         built.append(made[0] if field.count is None else made)
     return cls(*built)
 
 
-def _place(cls: type[Any]) -> str:
+def _qualified_name(cls: type[Any]) -> str:
     return f"{cls.__module__}.{cls.__qualname__}"
 
 
@@ -189,11 +194,11 @@ _NUMBER = 8  # bytes, and alignment, of a float64
 
 
 def packed_msgdef(name: str, element: type[Any]) -> Msgdef[object]:
-    """A definition to stand in a rosbags `Typestore.cache` for "sequence of `element`"."""
+    """Return a definition for a rosbags `Typestore.cache` of a packed sequence of `element`."""
     columns = Packed(element).array.shape[1]
     return Msgdef(
         name=name,
-        # For the generated code around it: aligned as a sequence of float64.
+        # So that the code generated around it aligns it as a sequence of float64.
         fields=[("numbers", (Nodetype.SEQUENCE, ((Nodetype.BASE, ("float64", 0)), 0)))],
         cls=Packed,
         size_cdr=0,
@@ -219,7 +224,7 @@ def _size(position: int, packed: Any, _: TypestoreProtocol) -> int:
 
 
 def _start(position: int, count: int) -> int:
-    # After the count; padding to the numbers only if there are any.
+    # After the count; there is padding only if numbers follow.
     position += 4
     return (position + _NUMBER - 1) & -_NUMBER if count else position
 
@@ -261,7 +266,7 @@ def _never(*_: Any) -> Any:
 
 
 def to_plain(message: Any, longest: int | None = None) -> Any:
-    """A message as dictionaries, lists and scalars.
+    """Return a message as dictionaries, lists and scalars, for people and for JSON.
 
     Sequences longer than `longest` are cut, with a note of how many elements were left out.
     """

@@ -1,7 +1,7 @@
-"""Control requests to components (life cycle, parameters, loading), beside the data plane.
+"""Control requests to components (life cycle, parameters, loading), apart from the topics.
 
-A request is JSON on a queryable of the component. Zenoh ends a query that nobody answers with
-silence, whether the component is missing, dies, or hangs; here each of these is an error.
+A request is JSON on a queryable of the component. Zenoh ends a query without a reply whether the
+component does not exist, dies, or hangs; `request` turns each of these into an error.
 """
 
 import threading
@@ -19,15 +19,15 @@ from cairn.errors import CairnError
 
 
 class ControlError(CairnError):
-    """A request was refused, or there was no answer."""
+    """A component rejected a request, or did not reply."""
 
 
 class NoReplyError(ControlError):
-    """Nobody answered, or whoever was to answer has gone."""
+    """A component did not reply, or ended before it did."""
 
 
 class ControlRequest(BaseModel):
-    """What is asked of a component."""
+    """A request to a component."""
 
     model_config = ConfigDict(extra="forbid")
     verb: str = Field(max_length=100)
@@ -35,7 +35,7 @@ class ControlRequest(BaseModel):
 
 
 class ControlReply(BaseModel):
-    """What it answers: a value, or why not."""
+    """A component's reply: a value, or an error message."""
 
     model_config = ConfigDict(extra="forbid")
     error: str | None = None
@@ -51,44 +51,44 @@ def request(
     *,
     timeout_s: float,
 ) -> Any:
-    """Ask the component with that full name (`/robot/localizer`) and return its answer.
+    """Send a request to the component of that full name (`/robot/localizer`); return its reply.
 
     Raises `ControlError` with the component's error if it rejects the request; `NoReplyError`,
-    with component, request and limit, if no reply arrives.
+    with component, request and timeout, if no reply arrives.
     """
-    asked = ControlRequest(verb=verb, arguments=dict(arguments or {}))
-    begun = time.monotonic()
+    sent = ControlRequest(verb=verb, arguments=dict(arguments or {}))
+    start = time.monotonic()
     try:
         replies = session.get(
             control_key(domain, component),
-            payload=asked.model_dump_json(),
+            payload=sent.model_dump_json(),
             timeout=timeout_s,
             priority=zenoh.Priority.REAL_TIME,
             congestion_control=zenoh.CongestionControl.BLOCK,
         )
     except zenoh.ZError as error:
-        raise ControlError(f"{component} cannot be asked: {error}") from error
-    for reply in replies:
-        if reply.ok is not None:
-            answer = _reply(component, reply.ok.payload.to_bytes())
-            if answer.error is not None:
-                raise ControlError(answer.error)
-            return answer.value
-    waited_s = time.monotonic() - begun
+        raise ControlError(f"{component}: cannot send the request {verb}: {error}") from error
+    for received in replies:
+        if received.ok is not None:
+            reply = _parsed_reply(component, received.ok.payload.to_bytes())
+            if reply.error is not None:
+                raise ControlError(reply.error)
+            return reply.value
+    waited_s = time.monotonic() - start
     if waited_s < timeout_s:
         raise NoReplyError(
-            f"{component} gave no answer to {verb}, and after {waited_s:.1f} s it was certain that "
-            "none would come: it is not running, has just ended, or the link to it was lost; "
-            "`cairn ps` shows what runs"
+            f"{component}: no reply to {verb}, and none will arrive, after {waited_s:.1f} s: "
+            "the component is not running, has just ended, or the link to it was lost; "
+            "`cairn ps` lists the running components"
         )
     raise NoReplyError(
-        f"{component} gave no answer to {verb} within {timeout_s:g} s: it hangs, or is "
-        "still busy; `cairn ps` shows with what"
+        f"{component}: no reply to {verb} within {timeout_s:g} s: it hangs or is still busy; "
+        "`cairn ps` shows in which handler"
     )
 
 
 class ControlServer:
-    """Receives the requests to one component and has them answered on its thread."""
+    """Receives the requests to one component and replies to them on the component's loop."""
 
     def __init__(
         self,
@@ -98,7 +98,16 @@ class ControlServer:
         post: Callable[[Callable[[], None]], None],
         answer: Callable[[str, Mapping[str, Any]], Any],
     ) -> None:
-        """`answer(verb, arguments)` is called through `post`; a `CairnError` refuses."""
+        """Open the queryable of the component of that full name.
+
+        Args:
+            session: the session of the component's process.
+            domain: the deployment's domain.
+            component: full name, `/robot/localizer`.
+            post: makes a call on the component's loop.
+            answer: `answer(verb, arguments)` returns the reply's value; it is called through
+                `post`, and a `CairnError` from it rejects the request.
+        """
         self._key = control_key(domain, component)
         self._post = post
         self._answer = answer
@@ -109,7 +118,7 @@ class ControlServer:
         self._thread.start()
 
     def close(self) -> None:
-        """Answer no more."""
+        """Stop receiving requests."""
         self._queryable.undeclare()
         self._thread.join(timeout=2.0)
 
@@ -121,35 +130,35 @@ class ControlServer:
             except zenoh.ZError:  # the queryable was undeclared
                 return
             self._receive(query)
-            del query  # whoever asks learns of the component's end when nobody holds this any more
+            del query  # the requester learns of this process's end when nothing holds its query
 
     def _receive(self, query: zenoh.Query) -> None:
         payload = query.payload.to_bytes() if query.payload is not None else b""
         try:
-            asked = ControlRequest.model_validate_json(payload)
+            received = ControlRequest.model_validate_json(payload)
         except ValidationError as error:
-            self._reply(query, ControlReply(error=f"not a control request: {error}"))
+            self._reply(query, ControlReply(error=f"invalid control request: {error}"))
             return
-        self._post(partial(self._handle, query, asked))
+        self._post(partial(self._handle, query, received))
 
-    def _handle(self, query: zenoh.Query, asked: ControlRequest) -> None:
+    def _handle(self, query: zenoh.Query, received: ControlRequest) -> None:
         try:
-            reply = ControlReply(value=self._answer(asked.verb, asked.arguments))
+            reply = ControlReply(value=self._answer(received.verb, received.arguments))
         except CairnError as error:
             reply = ControlReply(error=str(error))
         self._reply(query, reply)
 
     def _reply(self, query: zenoh.Query, reply: ControlReply) -> None:
         try:
-            answer = reply.model_dump_json()
+            payload = reply.model_dump_json()
         except ValueError as error:  # a value that JSON cannot carry: the component's defect
-            answer = ControlReply(error=f"its answer cannot be sent: {error}").model_dump_json()
-        with query, suppress(zenoh.ZError):  # who asked may be gone
-            query.reply(self._key, answer)
+            payload = ControlReply(error=f"the reply is not JSON: {error}").model_dump_json()
+        with query, suppress(zenoh.ZError):  # the requester may have ended
+            query.reply(self._key, payload)
 
 
-def _reply(component: str, payload: bytes) -> ControlReply:
+def _parsed_reply(component: str, payload: bytes) -> ControlReply:
     try:
         return ControlReply.model_validate_json(payload)
     except ValidationError as error:
-        raise ControlError(f"{component} gave an answer that is none: {error}") from error
+        raise ControlError(f"{component}: invalid reply to a control request: {error}") from error

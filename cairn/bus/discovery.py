@@ -1,4 +1,10 @@
-"""Discovery: wait until all processes on the bus know each other."""
+"""Discovery: wait until all processes on the bus know each other's declarations.
+
+A message published before the link to a subscriber is established, or before the subscriber's
+declaration has arrived, is lost without a trace. Therefore every process answers queries at a key
+of its own. A query travels behind the declarations on the same link, so when the reply has
+arrived, both sides know all declarations of each other.
+"""
 
 import json
 import threading
@@ -10,159 +16,152 @@ from typing import Any, cast
 import zenoh
 
 from cairn.bus.keys import router_key, session_key
-from cairn.bus.session import MARK
+from cairn.bus.session import CAIRN_ID_PREFIX
 
 _ANSWER_POLL_S = 0.1
-"""Between two looks at whether a process that does not answer yet is still there."""
+"""Interval for checking whether a process that has not answered yet still exists."""
+
+_LINK_POLL_S = 0.05
+"""Interval for checking whether a process that is not linked yet still exists."""
+
+_ROUTER_TIMEOUT_S = 1.0
+"""A router that has not answered by then is taken for one without an admin space."""
 
 
 class DiscoveryBarrier:
-    """This process's answer to the others, and its way to meet them."""
+    """Answers the discovery queries of other processes and queries them in turn."""
 
     def __init__(self, session: zenoh.Session) -> None:
         self._session = session
         self._links = PeerLinks(session)
-        own = session_key(str(session.info.zid()))
+        own_key = session_key(str(session.info.zid()))
         self._queryable: zenoh.Queryable[Any] = session.declare_queryable(
-            own, zenoh.handlers.RingChannel(256)
+            own_key, zenoh.handlers.RingChannel(256)
         )
         self._thread = threading.Thread(
-            target=self._answer, args=(own,), name="cairn meeting", daemon=True
+            target=self._answer, args=(own_key,), name="cairn discovery", daemon=True
         )
         self._thread.start()
 
     def wait_for_peers(self, timeout_s: float) -> list[str]:
-        """Meet every process on the bus; returns the keys of those not met within the limit."""
+        """Wait until every process on the bus and this one know all declarations of each other.
+
+        Returns the discovery keys of the processes that were not reached within the timeout.
+        """
         deadline = time.monotonic() + timeout_s
-        others = sorted(self._links.others(timeout_s))
-        if not others:
+        peers = sorted(self._links.peers(timeout_s))
+        if not peers:
             return []
-        # At the same time, or one that hangs would take the time that the others need.
-        with ThreadPoolExecutor(len(others), "cairn settle") as pool:
-            met = list(pool.map(lambda zid: self._meet(zid, deadline), others))
-        return [session_key(zid) for zid, known in zip(others, met, strict=True) if not known]
+        # In parallel, or one process that hangs would use up the time that the others need.
+        with ThreadPoolExecutor(len(peers), "cairn wait for peers") as pool:
+            reached = list(pool.map(lambda zid: self._reach(zid, deadline), peers))
+        return [session_key(zid) for zid, known in zip(peers, reached, strict=True) if not known]
 
     def close(self) -> None:
-        """Answer no more."""
+        """Stop answering."""
         self._queryable.undeclare()
         self._thread.join(timeout=2.0)
         self._links.close()
 
-    def _meet(self, zid: str, deadline: float) -> bool:
-        if not self._links.wait(zid, deadline):
+    def _reach(self, zid: str, deadline: float) -> bool:
+        if not self._links.wait_for_link(zid, deadline):
             return self._has_left(zid, deadline)
-        if not zid.startswith(MARK):
-            return True  # not one of ours: it does not answer
-        with QueryableWatcher(self._session, session_key(zid)) as arrival:
-            while not arrival.wait(min(_ANSWER_POLL_S, _left(deadline))):
+        if not zid.startswith(CAIRN_ID_PREFIX):
+            return True  # not a process of Cairn, so it does not answer
+        with QueryableWatcher(self._session, session_key(zid)) as watcher:
+            while not watcher.wait(min(_ANSWER_POLL_S, _remaining(deadline))):
                 if self._has_left(zid, deadline):
                     return True
                 if time.monotonic() >= deadline:
                     return False
-            replies = self._session.get(session_key(zid), timeout=_left(deadline))
+            replies = self._session.get(session_key(zid), timeout=_remaining(deadline))
             answered = any(reply.ok is not None for reply in replies)
             return answered or self._has_left(zid, deadline)
 
     def _has_left(self, zid: str, deadline: float) -> bool:
-        # On its way out a process ceases to answer before its link is closed.
-        return zid not in self._links.others(_left(deadline))
+        # A process that shuts down stops answering before its link is closed.
+        return zid not in self._links.peers(_remaining(deadline))
 
-    def _answer(self, own: str) -> None:
+    def _answer(self, own_key: str) -> None:
         channel = self._queryable.handler
         while True:
             try:
                 query = channel.recv()
             except zenoh.ZError:  # the queryable was undeclared
                 return
-            with query, suppress(zenoh.ZError):  # who asked may be gone
-                query.reply(own, b"")
-
-
-def _left(deadline: float) -> float:
-    return max(0.01, deadline - time.monotonic())
-
-
-_JOIN_LIMIT_S = 1.0
-"""After so long a router is taken for one without an admin space."""
-
-_LOOK_AGAIN_S = 0.05
-"""Between two looks at whether a process that is waited for is still there."""
+            with query, suppress(zenoh.ZError):  # the process that asked may have ended
+                query.reply(own_key, b"")
 
 
 class PeerLinks:
-    """The links of one peer's or router's session; `close` ends the following."""
+    """Knows the other processes from the router, and waits for the direct links to them.
+
+    A process that has just opened its session learns of the others from the router and links to
+    each directly. Until that link is established, neither side knows the other's declarations.
+    """
 
     def __init__(self, session: zenoh.Session) -> None:
         self._session = session
         self._zid = str(session.info.zid())
         self._changed = threading.Condition()
-        callback: Any = zenoh.handlers.Callback(self._note, indirect=False)
+        callback: Any = zenoh.handlers.Callback(self._on_link_event, indirect=False)
         self._listener = session.info.declare_transport_events_listener(callback, history=False)
         self._join()
 
-    def others(self, timeout_s: float) -> set[str]:
-        """The ids of those to which there is, or soon will be, a direct link.
+    def peers(self, timeout_s: float) -> set[str]:
+        """Return the ids of the processes to which a direct link exists or will exist soon.
 
-        They are those linked already, and the peers of which a router's admin space tells.
+        Those are the ones linked already and the peers in the description of a router.
         """
-        found = self._standing()
+        found = self._linked()
         for router in self._session.info.routers_zid():
             for reply in self._session.get(router_key(str(router)), timeout=timeout_s):
                 if reply.ok is not None:
-                    found |= _peers(reply.ok.payload.to_bytes())
+                    found |= _peers_of_router(reply.ok.payload.to_bytes())
         return found - {self._zid}
 
-    def wait(self, zid: str, deadline: float) -> bool:
-        """Whether a link to that one stands, at the latest at `deadline` (monotonic) [s].
+    def wait_for_link(self, zid: str, deadline: float) -> bool:
+        """Wait for the link to a process, until `deadline` (monotonic) [s].
 
-        False at once if the router has lost it meanwhile.
+        Returns False at once if the router no longer knows the process.
         """
-        while zid not in self._standing():
-            left = deadline - time.monotonic()
-            if left <= 0 or zid not in self.others(left):
+        while zid not in self._linked():
+            remaining = deadline - time.monotonic()
+            if remaining <= 0 or zid not in self.peers(remaining):
                 return False
             with self._changed:
-                self._changed.wait_for(lambda: zid in self._standing(), min(left, _LOOK_AGAIN_S))
+                self._changed.wait_for(lambda: zid in self._linked(), min(remaining, _LINK_POLL_S))
         return True
 
     def close(self) -> None:
-        """Follow the links no more."""
+        """Stop following link events."""
         self._listener.undeclare()
 
     def _join(self) -> None:
-        # At first a router's admin space is not known here, nor this process to the router; once
-        # it has answered, both are, and all who ask it are told of this process.
+        # At first this process does not know the router's admin space, nor the router this
+        # process. Once the router has answered, both do, and so do all that ask the router.
         for router in self._session.info.routers_zid():
-            with QueryableWatcher(self._session, router_key(str(router))) as arrival:
-                arrival.wait(_JOIN_LIMIT_S)
-        self.others(_JOIN_LIMIT_S)
+            with QueryableWatcher(self._session, router_key(str(router))) as watcher:
+                watcher.wait(_ROUTER_TIMEOUT_S)
+        self.peers(_ROUTER_TIMEOUT_S)
 
-    def _standing(self) -> set[str]:
+    def _linked(self) -> set[str]:
         info = self._session.info
         return {str(zid) for zid in (*info.peers_zid(), *info.routers_zid())}
 
-    def _note(self, _: Any) -> None:
+    def _on_link_event(self, _: Any) -> None:
         with self._changed:
             self._changed.notify_all()
 
 
-def _peers(answer: bytes) -> set[str]:
-    """From a router's own description: the peers linked to it."""
-    try:
-        sessions = json.loads(answer)["sessions"]
-        return {str(one["peer"]) for one in sessions if one["whatami"] == "peer"}
-    except (ValueError, KeyError, TypeError):
-        return set()  # another version's; what is linked here has to do
-
-
 class QueryableWatcher:
-    """Follows whether a queryable exists; use it as a context manager."""
+    """Waits until a queryable exists at a key, or no longer exists; use it as a context manager."""
 
     def __init__(self, session: zenoh.Session, key: str) -> None:
         self._given_up = False
         self._changed = threading.Event()
         self._querier = session.declare_querier(key)
-        callback = zenoh.handlers.Callback(self._note, indirect=False)
+        callback = zenoh.handlers.Callback(self._on_matching_event, indirect=False)
         self._listener = self._querier.declare_matching_listener(cast("Any", callback))
 
     def __enter__(self) -> "QueryableWatcher":
@@ -173,33 +172,46 @@ class QueryableWatcher:
         self._querier.undeclare()
 
     def wait(self, timeout_s: float) -> bool:
-        """Whether it is there, at the latest after the limit [s] or `give_up`."""
+        """Wait until the queryable exists; return whether it does at the timeout or `give_up`."""
         return self._wait_until(True, timeout_s)
 
     def wait_gone(self, timeout_s: float) -> bool:
-        """Whether it is gone, at the latest after the limit [s] or `give_up`.
+        """Wait until the queryable is gone; return whether it is at the timeout or `give_up`.
 
-        For a moment, a process that has ended still seems to be there.
+        The queryable of a process that has ended remains visible for a moment.
         """
         return self._wait_until(False, timeout_s)
 
     def give_up(self) -> None:
-        """End the wait: nothing more will change. From any thread."""
+        """End the wait, because nothing more will change; from any thread."""
         self._given_up = True
         self._changed.set()
 
-    def _wait_until(self, there: bool, timeout_s: float) -> bool:
+    def _wait_until(self, present: bool, timeout_s: float) -> bool:
         deadline = time.monotonic() + timeout_s
-        while self._there() is not there and not self._given_up:
-            # An event may tell of a change that is long over: only what is there now counts.
+        while self._is_present() is not present and not self._given_up:
+            # An event may report an outdated change, so only the current state counts.
             if not self._changed.wait(max(0.0, deadline - time.monotonic())):
                 break
             self._changed.clear()
-        return self._there() is there
+        return self._is_present() is present
 
-    def _there(self) -> bool:
-        # zenoh's stub says bool; it is an object, and always true itself
+    def _is_present(self) -> bool:
+        # zenoh's stub says bool, but it is an object, which is always true
         return bool(cast("Any", self._querier.matching_status).matching)
 
-    def _note(self, _: Any) -> None:
+    def _on_matching_event(self, _: Any) -> None:
         self._changed.set()
+
+
+def _peers_of_router(description: bytes) -> set[str]:
+    """Return the ids of the peers linked to a router, from its description of itself."""
+    try:
+        sessions = json.loads(description)["sessions"]
+        return {str(one["peer"]) for one in sessions if one["whatami"] == "peer"}
+    except (ValueError, KeyError, TypeError):
+        return set()  # a router of another version: only the direct links are known
+
+
+def _remaining(deadline: float) -> float:
+    return max(0.01, deadline - time.monotonic())

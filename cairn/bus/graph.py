@@ -1,4 +1,4 @@
-"""Who is on the bus and who reads and writes what, from the liveliness tokens alone."""
+"""The graph: which nodes are on the bus and what they publish and subscribe, from their tokens."""
 
 import threading
 from collections.abc import Callable, Iterable
@@ -8,16 +8,17 @@ import zenoh
 
 from cairn.bus import keys
 
-_WAITING = 10_000
+_MAX_PENDING = 10_000
+"""Changes of the graph that wait to be processed."""
 
 
 def read_graph(
     session: zenoh.Session, domain: int, timeout_s: float = 2.0
 ) -> list[keys.NodeEntity | keys.EndpointEntity]:
-    """All nodes and endpoints alive in a domain, sorted by their tokens.
+    """Return all nodes and endpoints alive in a domain, sorted by their tokens.
 
-    For the session of a client (`open_client`): to a peer, zenoh 1.10 may declare the answer
-    complete before all of it has come; peers follow with `GraphWatcher`.
+    For the session of a client (`open_client`): to a peer, zenoh 1.10 may declare the reply
+    complete before all of it has arrived. Peers follow the graph with `GraphWatcher`.
     """
     replies = session.liveliness().get(keys.tokens_pattern(domain), timeout=timeout_s)
     tokens = sorted(str(reply.ok.key_expr) for reply in replies if reply.ok is not None)
@@ -25,35 +26,35 @@ def read_graph(
 
 
 class GraphWatcher:
-    """Tells those who ask about each endpoint that appears in the domain or is there already."""
+    """Reports each endpoint of the domain, those that exist already and those that appear."""
 
     def __init__(self, session: zenoh.Session, domain: int) -> None:
         self._lock = threading.Lock()
         self._endpoints: dict[str, keys.EndpointEntity] = {}
-        self._watchers: list[Callable[[keys.EndpointEntity], None]] = []
+        self._callbacks: list[Callable[[keys.EndpointEntity], None]] = []
         self._subscriber: zenoh.Subscriber[Any] = session.liveliness().declare_subscriber(
-            keys.tokens_pattern(domain), zenoh.handlers.RingChannel(_WAITING), history=True
+            keys.tokens_pattern(domain), zenoh.handlers.RingChannel(_MAX_PENDING), history=True
         )
         self._thread = threading.Thread(target=self._follow, name="cairn graph", daemon=True)
         self._thread.start()
 
-    def watch(self, appeared: Callable[[keys.EndpointEntity], None]) -> Callable[[], None]:
-        """Have `appeared` called for every endpoint, now and later; returns how to end that."""
+    def watch(self, on_endpoint: Callable[[keys.EndpointEntity], None]) -> Callable[[], None]:
+        """Call `on_endpoint` for every endpoint, now and later; return a function that stops it."""
         with self._lock:
-            self._watchers.append(appeared)
+            self._callbacks.append(on_endpoint)
             present = list(self._endpoints.values())
         for endpoint in present:
-            appeared(endpoint)
+            on_endpoint(endpoint)
 
-        def end() -> None:
+        def stop() -> None:
             with self._lock:
-                if appeared in self._watchers:
-                    self._watchers.remove(appeared)
+                if on_endpoint in self._callbacks:
+                    self._callbacks.remove(on_endpoint)
 
-        return end
+        return stop
 
     def close(self) -> None:
-        """Stop following."""
+        """Stop following the graph."""
         self._subscriber.undeclare()
         self._thread.join(timeout=2.0)
 
@@ -64,19 +65,19 @@ class GraphWatcher:
                 sample = channel.recv()
             except zenoh.ZError:  # the subscriber was undeclared
                 return
-            key = str(sample.key_expr)
-            for entity in _parsed([key]):
+            token = str(sample.key_expr)
+            for entity in _parsed([token]):
                 if not isinstance(entity, keys.EndpointEntity):
                     continue
                 with self._lock:
                     if sample.kind == zenoh.SampleKind.DELETE:
-                        self._endpoints.pop(key, None)
+                        self._endpoints.pop(token, None)
                         continue
-                    known = key in self._endpoints
-                    self._endpoints[key] = entity
-                    watchers = [] if known else list(self._watchers)
-                for appeared in watchers:
-                    appeared(entity)
+                    known = token in self._endpoints
+                    self._endpoints[token] = entity
+                    callbacks = [] if known else list(self._callbacks)
+                for on_endpoint in callbacks:
+                    on_endpoint(entity)
 
 
 def _parsed(tokens: Iterable[str]) -> Iterable[keys.NodeEntity | keys.EndpointEntity]:
@@ -84,4 +85,4 @@ def _parsed(tokens: Iterable[str]) -> Iterable[keys.NodeEntity | keys.EndpointEn
         try:
             yield keys.parse_token(token)
         except keys.WireFormatError:
-            continue  # a token of another profile or version: not of our graph
+            continue  # a token of another profile or version, which is not of our graph

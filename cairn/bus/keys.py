@@ -1,4 +1,8 @@
-"""rmw_zenoh's conventions: key expressions, attachments, GIDs and liveliness tokens (Jazzy)."""
+"""Zenoh keys: every key expression of Cairn, and rmw_zenoh's tokens and attachments (ROS 2 Jazzy).
+
+Data keys, liveliness tokens, attachments and GIDs follow rmw_zenoh, so that ROS 2 nodes on the bus
+understand them. Keys that begin with `@cairn` are Cairn's own, which ROS 2 does not see.
+"""
 
 import re
 import struct
@@ -15,7 +19,11 @@ if TYPE_CHECKING:
     from cairn.bus.codec import Codec
 
 TOKENS = "@ros2_lv"
+"""First chunk of every liveliness token of rmw_zenoh."""
+
 DEFAULT_DEPTH = 42
+"""The depth that rmw_zenoh leaves out of its tokens."""
+
 _ATTACHMENT = struct.Struct("<qqB16s")
 _ROOT = "%"
 _NUMBER = re.compile("[0-9]{1,19}", re.ASCII)
@@ -26,30 +34,34 @@ _QOS = re.compile(
 )
 
 EndpointKind = Literal["MP", "MS", "SS", "SC"]
-"""Message publisher, message subscription, service server, service client."""
+"""Kind of an endpoint: message publisher, message subscription, service server, service client."""
 
 
 class WireFormatError(CairnError):
-    """Something on the bus is not of rmw_zenoh's format."""
+    """A key or an attachment on the bus does not have rmw_zenoh's format."""
 
 
 class Attachment(NamedTuple):
-    """What goes with every message: its number (from 1), when it was sent [ns], by whom."""
+    """What is sent with every message.
+
+    `sequence` is its number, from 1 for each publisher; `sent_ns` when it was sent, in nanoseconds
+    since 1970-01-01 UTC; `gid` the 16-byte identity of the publisher.
+    """
 
     sequence: int
     sent_ns: int
     gid: bytes
 
     def encode(self) -> bytes:
-        """The 33 bytes on the wire."""
+        """Return the 33 bytes on the wire."""
         return _ATTACHMENT.pack(self.sequence, self.sent_ns, 16, self.gid)
 
     @classmethod
     def decode(cls, data: bytes) -> "Attachment":
-        """Read the 33 bytes; `WireFormatError` if they are not an attachment."""
+        """Return the attachment in 33 bytes; `WireFormatError` if they are not an attachment."""
         if len(data) != _ATTACHMENT.size or data[16] != 16:
             raise WireFormatError(
-                f"an attachment has {_ATTACHMENT.size} bytes with 16 at place 16, not "
+                f"an attachment has {_ATTACHMENT.size} bytes, of which byte 16 is 16, not "
                 f"{len(data)} bytes {data[:40].hex()}"
             )
         sequence, sent_ns, _, gid = _ATTACHMENT.unpack(data)
@@ -58,9 +70,9 @@ class Attachment(NamedTuple):
 
 @dataclass(frozen=True)
 class NodeEntity:
-    """A node as its liveliness token names it; `name` is its full name, `/robot/localizer`.
+    """A node, as described by its liveliness token.
 
-    `enclave` is the name under which it has its security keys, `/` without any.
+    `name` is its full name, `/robot/localizer`; `enclave` names its security keys, `/` for none.
     """
 
     domain: int
@@ -72,7 +84,7 @@ class NodeEntity:
 
 @dataclass(frozen=True)
 class EndpointEntity:
-    """A publisher, subscription or service end of a node, as its liveliness token names it."""
+    """A publisher, subscription or service endpoint, as described by its liveliness token."""
 
     node: NodeEntity
     endpoint_id: int
@@ -124,13 +136,13 @@ def router_key(zid: str) -> str:
 
 
 def dds_type(ros_name: str) -> str:
-    """`std_msgs/msg/String` as DDS writes it: `std_msgs::msg::dds_::String_`."""
+    """Return a ROS 2 type name as DDS writes it: `std_msgs::msg::dds_::String_`."""
     package, kind, name = ros_name.split("/")
     return f"{package}::{kind}::dds_::{name}_"
 
 
 def ros_type(dds: str) -> str:
-    """The reverse of `dds_type`; `WireFormatError` if it is none."""
+    """Return the ROS 2 type name of a DDS type name; `WireFormatError` if it is malformed."""
     parts = dds.split("::")
     if len(parts) != 4 or not all(parts) or parts[2] != "dds_" or not re.fullmatch(".+_", parts[3]):
         raise WireFormatError(
@@ -140,27 +152,27 @@ def ros_type(dds: str) -> str:
 
 
 def gid(token: str) -> bytes:
-    """The 16-byte identity of the entity that has this liveliness token."""
+    """Return the 16-byte identity of the entity that has this liveliness token."""
     digest = xxhash.xxh3_128_intdigest(token.encode())
     return digest.to_bytes(16, "little")
 
 
 def token_key(entity: NodeEntity | EndpointEntity) -> str:
-    """The key of the liveliness token that announces a node or an endpoint."""
+    """Return the key of the liveliness token that announces a node or an endpoint."""
     node = entity if isinstance(entity, NodeEntity) else entity.node
     namespace, _, name = node.name.rpartition("/")
     head = f"{TOKENS}/{node.domain}/{node.zid}/{node.node_id}"
-    place = f"{_mangle(node.enclave)}/{_mangle(namespace) or _ROOT}/{name}"
+    path = f"{_mangle(node.enclave)}/{_mangle(namespace) or _ROOT}/{name}"
     if isinstance(entity, NodeEntity):
-        return f"{head}/{node.node_id}/NN/{place}"
+        return f"{head}/{node.node_id}/NN/{path}"
     return (
-        f"{head}/{entity.endpoint_id}/{entity.kind}/{place}/{_mangle(entity.topic)}/"
+        f"{head}/{entity.endpoint_id}/{entity.kind}/{path}/{_mangle(entity.topic)}/"
         f"{dds_type(entity.type_name)}/{entity.type_hash}/{qos_chunk(entity.qos)}"
     )
 
 
 def parse_token(key: str) -> NodeEntity | EndpointEntity:
-    """Read a liveliness token's key; `WireFormatError` if it is not one of rmw_zenoh's."""
+    """Return what a liveliness token announces; `WireFormatError` if it is not rmw_zenoh's."""
     chunks = key.split("/")
     if chunks[0] != TOKENS or len(chunks) not in (9, 13) or not all(chunks):
         raise WireFormatError(f"{_short(key)} is not a liveliness token of rmw_zenoh")
@@ -188,7 +200,7 @@ def parse_token(key: str) -> NodeEntity | EndpointEntity:
 
 
 def qos_chunk(qos: Qos) -> str:
-    """A port's QoS as the tokens carry it; fields equal to the defaults are empty."""
+    """Return a port's QoS as the tokens carry it; fields equal to the defaults are empty."""
     reliability = "" if qos.reliability == "reliable" else "2"
     durability = "" if qos.durability == "volatile" else "1"
     depth = "" if qos.depth == DEFAULT_DEPTH else str(qos.depth)
@@ -196,18 +208,18 @@ def qos_chunk(qos: Qos) -> str:
 
 
 def parse_qos_chunk(chunk: str) -> Qos:
-    """Read a token's QoS; `WireFormatError` if it is malformed.
+    """Return the QoS in a token; `WireFormatError` if it is malformed.
 
-    Policies left to the system count as the defaults, and so does the depth of "keep all". What
-    Cairn has no word for (deadline, lifespan, liveliness) is checked and left out.
+    Policies left to the system count as the defaults, and so does the depth of "keep all".
+    Policies that Cairn does not have (deadline, lifespan, liveliness) are checked and left out.
     """
-    found = _QOS.fullmatch(chunk)
-    if found is None:
+    match = _QOS.fullmatch(chunk)
+    if match is None:
         raise WireFormatError(f"{_short(chunk)} is not a QoS chunk such as ::,10:,:,:,,")
     return Qos(
-        "best_effort" if found["reliability"] == "2" else "reliable",
-        "transient_local" if found["durability"] == "1" else "volatile",
-        int(found["depth"] or 0) or DEFAULT_DEPTH,
+        "best_effort" if match["reliability"] == "2" else "reliable",
+        "transient_local" if match["durability"] == "1" else "volatile",
+        int(match["depth"] or 0) or DEFAULT_DEPTH,
     )
 
 

@@ -1,4 +1,4 @@
-"""The bus in memory: messages are handed over as objects, in order, for lockstep runs and tests."""
+"""The bus in memory: hands over messages as objects, in order, for lockstep runs and tests."""
 
 from collections import deque
 from collections.abc import Callable
@@ -13,35 +13,35 @@ End = TypeVar("End", "LockstepPublisher", "LockstepSubscription")
 
 
 class LockstepBus:
-    """Connects nodes within one process and one thread; messages are immutable and not copied."""
+    """Connects nodes in one process and one thread; messages are immutable and not copied."""
 
     def __init__(self) -> None:
         self._topics: dict[str, _Topic] = {}
 
-    def node(self, name: str, complain: Callable[[str], None]) -> "LockstepNode":
-        """Join under a full name."""
-        return LockstepNode(self, name, complain)
+    def node(self, name: str, report: Callable[[str], None]) -> "LockstepNode":
+        """Join the bus under a full name; `report` receives errors about conflicting types."""
+        return LockstepNode(self, name, report)
 
-    def wait_for_peers(self, timeout_s: float) -> list[str]:  # noqa: ARG002 - nothing to wait for
-        """Everybody knows everything at once in memory."""
+    def wait_for_peers(self, timeout_s: float) -> list[str]:  # noqa: ARG002 - never waits
+        """Return at once: in memory, all declarations are known to all nodes."""
         return []
 
     def topic(self, name: str) -> "_Topic":
-        """The topic of that name, made on first use."""
+        """Return the topic of that name, created on first use."""
         return self._topics.setdefault(name, _Topic(name))
 
 
 class LockstepNode:
-    """One component's place on the lockstep bus."""
+    """One component on the lockstep bus."""
 
-    def __init__(self, bus: LockstepBus, name: str, complain: Callable[[str], None]) -> None:
+    def __init__(self, bus: LockstepBus, name: str, report: Callable[[str], None]) -> None:
         self.name = name
-        self.complain = complain
+        self.report = report
         self._bus = bus
         self._ends: list[LockstepPublisher | LockstepSubscription] = []
 
     def advertise(self, topic: str, message: type[Any], qos: Qos) -> "LockstepPublisher":
-        """Write messages of class `message` to `topic`."""
+        """Return a publisher of class `message` on `topic`."""
         end = LockstepPublisher(self, self._bus.topic(topic), message, qos)
         self._ends.append(end)
         return end
@@ -49,53 +49,53 @@ class LockstepNode:
     def subscribe(
         self, topic: str, message: type[Any], qos: Qos, wake: Callable[[], None]
     ) -> "LockstepSubscription":
-        """Read messages of class `message` from `topic`; latched ones wait at once."""
+        """Return a subscription to class `message` on `topic`; latched messages pend at once."""
         end = LockstepSubscription(self, self._bus.topic(topic), message, qos, wake)
         self._ends.append(end)
         return end
 
     def close(self) -> None:
-        """Leave the bus."""
+        """Leave the bus and close all publishers and subscriptions."""
         for end in self._ends:
             end.close()
         self._ends.clear()
 
 
 class LockstepPublisher:
-    """Writes to one topic in memory."""
+    """Publishes on one topic in memory."""
 
     def __init__(self, node: LockstepNode, topic: "_Topic", message: type[Any], qos: Qos) -> None:
         self.node = node
         self.message = message
         self.published = 0
         self._closed = False
-        self.latched: deque[Any] = deque(maxlen=qos.depth if _latches(qos) else 0)
+        self.latched: deque[Any] = deque(maxlen=qos.depth if qos.latched else 0)
         self._topic = topic
-        topic.join(self, topic.writers)
+        topic.join(self, topic.publishers)
 
     @property
     def has_subscribers(self) -> bool:
-        """Whether somebody reads, or may come and read what is latched."""
-        return not self._closed and (bool(self.latched.maxlen) or bool(self._topic.readers))
+        """Whether a message published now would be received; always True if latched."""
+        return not self._closed and (bool(self.latched.maxlen) or bool(self._topic.subscriptions))
 
     def publish(self, message: Any) -> None:
-        """Hand the message to every reader of its type."""
+        """Hand the message to every subscription of its type."""
         if self._closed:
             return
         self.published += 1
         self.latched.append(message)
-        for reader in tuple(self._topic.readers):
-            if reader.message is self.message:
-                reader.put(message)
+        for subscription in tuple(self._topic.subscriptions):
+            if subscription.message is self.message:
+                subscription.put(message)
 
     def close(self) -> None:
-        """Stop writing."""
+        """Stop publishing."""
         self._closed = True
-        self._topic.leave(self, self._topic.writers)
+        self._topic.leave(self, self._topic.publishers)
 
 
 class LockstepSubscription:
-    """Reads from one topic in memory."""
+    """Receives from one topic in memory."""
 
     def __init__(
         self,
@@ -110,57 +110,55 @@ class LockstepSubscription:
         self.received = 0
         self.invalid = 0
         self._topic = topic
-        self._waiting: DropOldestQueue[Any] = DropOldestQueue(qos.depth)
+        self._pending: DropOldestQueue[Any] = DropOldestQueue(qos.depth)
         self._wake = wake
-        topic.join(self, topic.readers)
-        if _latches(qos):
-            for writer in topic.writers:
-                if writer.message is message:
-                    for latched in tuple(writer.latched)[-qos.depth :]:
+        topic.join(self, topic.subscriptions)
+        if qos.latched:
+            for publisher in topic.publishers:
+                if publisher.message is message:
+                    for latched in tuple(publisher.latched)[-qos.depth :]:
                         self.put(latched)
 
     def put(self, message: Any) -> None:
-        """Let a message wait; the oldest one gives way if too many do."""
-        if self._waiting.put(message):
+        """Add a pending message, which may drop the oldest one, and wake the subscriber."""
+        if self._pending.put(message):
             self._wake()
 
     @property
     def dropped(self) -> int:
-        """Messages that gave way to newer ones."""
-        return self._waiting.dropped
+        """Number of messages dropped in favor of newer ones."""
+        return self._pending.dropped
 
     def take(self) -> Any | None:
-        """The oldest message waiting, None if there is none."""
-        message = self._waiting.take()
+        """Remove and return the oldest pending message; None if there is none."""
+        message = self._pending.take()
         if message is not None:
             self.received += 1
         return message
 
     def close(self) -> None:
-        """Stop reading."""
-        self._waiting.clear()
-        self._topic.leave(self, self._topic.readers)
+        """Stop receiving and discard the pending messages."""
+        self._pending.clear()
+        self._topic.leave(self, self._topic.subscriptions)
 
 
 class _Topic:
     def __init__(self, name: str) -> None:
         self.name = name
-        self.writers: list[LockstepPublisher] = []
-        self.readers: list[LockstepSubscription] = []
+        self.publishers: list[LockstepPublisher] = []
+        self.subscriptions: list[LockstepSubscription] = []
 
     def join(self, end: End, ends: list[End]) -> None:
-        others: list[LockstepPublisher | LockstepSubscription] = [*self.writers, *self.readers]
+        others: list[LockstepPublisher | LockstepSubscription] = [
+            *self.publishers, *self.subscriptions,
+        ]  # fmt: skip
         for other in others:
             if other.message is not end.message:
                 ours, theirs = type_name(end.message), type_name(other.message)
-                end.node.complain(type_conflict(self.name, ours, other.node.name, theirs))
-                other.node.complain(type_conflict(self.name, theirs, end.node.name, ours))
+                end.node.report(type_conflict(self.name, ours, other.node.name, theirs))
+                other.node.report(type_conflict(self.name, theirs, end.node.name, ours))
         ends.append(end)
 
     def leave(self, end: End, ends: list[End]) -> None:
         if end in ends:
             ends.remove(end)
-
-
-def _latches(qos: Qos) -> bool:
-    return qos.durability == "transient_local"

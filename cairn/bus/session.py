@@ -1,4 +1,4 @@
-"""Opens the Zenoh session of a process: loopback, no multicast, no implicit shared memory."""
+"""Open the Zenoh session of a process: loopback, no multicast, no implicit shared memory."""
 
 import json
 import secrets
@@ -11,66 +11,67 @@ import zenoh
 
 from cairn.errors import CairnError
 
-CONNECT_LIMIT_S = 2.0
+CONNECT_TIMEOUT_S = 2.0
 """A router on the same machine answers in milliseconds."""
 
-MARK = "ca1c0de5"
-"""The ids of a component's, or its deployment's, session begin so: such a one can be met."""
+CAIRN_ID_PREFIX = "ca1c0de5"
+"""Prefix of the session ids of components and routers, which answer discovery queries."""
 
 LEASE_MS = 5000
-"""A silent peer's link is given up after so long; that of a killed one at once.
+"""The link to a silent peer is closed after this time; that to a killed process at once.
 
-Longer than a busy machine pauses: with the link, requests under way and their answers are lost.
+Longer than a busy machine pauses, because requests in progress and their replies are lost with the
+link.
 """
 
 
 def open_peer(connect: Sequence[str]) -> zenoh.Session:
-    """Open the session of a component's process or of a command.
+    """Open the session of a component's process.
 
-    It links to the router at `connect` and, told by it, to every other process directly; those
-    links outlive the router. Raises `CairnError` if nobody listens at `connect`.
+    It connects to the router at `connect` and, as that tells of other processes, to each of them
+    directly; those links outlive the router. Raises `CairnError` if no router answers.
     """
     listen = ["tcp/127.0.0.1:0"]
     session = _open(_config("peer", listen, connect), f"cannot open a session to {connect}")
     if not is_connected(session):
         session.close()
-        raise CairnError(_nobody(connect))
+        raise CairnError(_no_router(connect))
     return session
 
 
 def open_client(connect: Sequence[str]) -> zenoh.Session:
-    """Open the session of a command: one link, to the router, which knows and reaches everybody.
+    """Open the session of a command: one link, to the router, which reaches all processes.
 
     Unlike a peer it need not wait until it knows all others, and it ends with the router. Raises
-    `CairnError` if nobody listens at `connect`.
+    `CairnError` if no router answers.
     """
     config = _config("client", [], connect)
     try:
         return zenoh.open(config)
     except zenoh.ZError as error:
-        raise CairnError(_nobody(connect)) from error
+        raise CairnError(_no_router(connect)) from error
 
 
 def open_router(listen: str, connect: Sequence[str] = ()) -> zenoh.Session:
     """Open the session that is the deployment's router; `CairnError` if the port is taken."""
     return _open(
         _config("router", [listen], connect),
-        f"cannot listen on {listen}: the port is probably taken, by another deployment or a ROS 2 "
-        "router. Stop that one, join it (`--set bus.connect=[...]`), or take another port "
+        f"cannot listen on {listen}: the port is probably in use by another deployment or a ROS 2 "
+        "router; stop that one, join it (`--set bus.connect=[...]`), or use another port "
         "(`--set bus.listen=tcp/127.0.0.1:PORT`)",
     )
 
 
 def is_connected(session: zenoh.Session) -> bool:
-    """Whether the session has a link to a router, or gets one within `CONNECT_LIMIT_S`.
+    """Return whether the session has a link to a router, or gets one in `CONNECT_TIMEOUT_S`.
 
-    A link that was lost comes back by itself, if the router is still there.
+    Zenoh restores a lost link by itself if the router still runs.
     """
     changed = threading.Event()
     callback: Any = zenoh.handlers.Callback(lambda _: changed.set(), indirect=False)
     listener = session.info.declare_transport_events_listener(callback, history=True)
     try:
-        deadline = time.monotonic() + CONNECT_LIMIT_S
+        deadline = time.monotonic() + CONNECT_TIMEOUT_S
         while not list(session.info.routers_zid()):
             if not changed.wait(max(0.0, deadline - time.monotonic())):
                 return False
@@ -80,19 +81,19 @@ def is_connected(session: zenoh.Session) -> bool:
         listener.undeclare()
 
 
-def _nobody(connect: Sequence[str]) -> str:
+def _no_router(connect: Sequence[str]) -> str:
     return (
         f"no router answers at {', '.join(connect)}: is a deployment running (`cairn up`)? "
-        "Name another endpoint with --connect, or in CAIRN_CONNECT"
+        "Give another endpoint by --connect or CAIRN_CONNECT"
     )
 
 
-def _open(config: zenoh.Config, refusal: str) -> zenoh.Session:
+def _open(config: zenoh.Config, failure: str) -> zenoh.Session:
     try:
         return zenoh.open(config)
     except zenoh.ZError as error:
         reason = str(error).partition(" at /")[0]
-        raise CairnError(f"{refusal}. ({reason})") from error
+        raise CairnError(f"{failure}. ({reason})") from error
 
 
 def _config(mode: str, listen: Sequence[str], connect: Sequence[str]) -> zenoh.Config:
@@ -110,17 +111,17 @@ def _config(mode: str, listen: Sequence[str], connect: Sequence[str]) -> zenoh.C
         },
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": True,
-        # Opening waits for nobody: by default it lasts half a second, for peers now and then.
+        # Opening does not wait for peers: by default that takes half a second now and then.
         "open/return_conditions/connect_scouted": False,
         "scouting/delay": 0,
-        # The router tells who is linked to it: `cairn.bus.discovery`.
+        # The router's description lists the sessions linked to it: `cairn.bus.discovery`.
         "adminspace/enabled": mode == "router",
         "timestamping/enabled": True,
         "transport/link/tx/lease": LEASE_MS,
         "transport/shared_memory/enabled": False,
     }
     if mode != "client":
-        settings["id"] = MARK + secrets.token_hex(12)
+        settings["id"] = CAIRN_ID_PREFIX + secrets.token_hex(12)
     for key, value in settings.items():
         config.insert_json5(key, json.dumps(value))
     return config

@@ -1,4 +1,7 @@
-"""The bus over Zenoh, speaking ROS 2's language (rmw_zenoh) on the wire."""
+"""The bus over Zenoh, with the wire format of ROS 2 (rmw_zenoh).
+
+`_declare_publisher` and `_declare_subscriber` map the QoS of a topic to Zenoh.
+"""
 
 import itertools
 import threading
@@ -19,41 +22,38 @@ from cairn.bus import keys
 from cairn.bus.bus import type_conflict
 from cairn.bus.codec import Codec
 from cairn.bus.discovery import DiscoveryBarrier
-from cairn.bus.drops import DropOldestQueue
+from cairn.bus.drops import DropOldestQueue, LossCounter
 from cairn.bus.graph import GraphWatcher
 from cairn.bus.qos import Qos
 from cairn.schemas.message import InvalidMessage, type_name
-
-_PUBLISHERS = 1000
-"""So many writers of one topic have their messages counted."""
-
-_NO_GAP = 2**32
-"""A greater leap in a writer's numbers is an oddity of the writer, not a loss."""
 
 
 class ZenohBus:
     """Connects the components of one process to all others through one Zenoh session."""
 
     def __init__(self, session: zenoh.Session, domain: int = 0) -> None:
-        """Take over an open session (`cairn.bus.session`); `close` closes it."""
+        """Take over an open session (`cairn.bus.session`), which `close` closes."""
         self.session = session
         self.domain = domain
         self.codec = Codec()
         self._ids = itertools.count()
         self.graph = GraphWatcher(session, domain)
-        self._meeting = DiscoveryBarrier(session)
+        self._barrier = DiscoveryBarrier(session)
         self._closed = False
 
-    def node(self, name: str, complain: Callable[[str], None]) -> "ZenohNode":
-        """Join under a full name such as `/robot/localizer`."""
-        return ZenohNode(self, name, complain)
+    def node(self, name: str, report: Callable[[str], None]) -> "ZenohNode":
+        """Join the bus under a full name; `report` receives errors about conflicting types."""
+        return ZenohNode(self, name, report)
 
     def wait_for_peers(self, timeout_s: float) -> list[str]:
-        """Wait until every process on the bus and this one know all of each other."""
-        return self._meeting.wait_for_peers(timeout_s)
+        """Wait until every process on the bus and this one know all of each other.
+
+        Returns the discovery keys of the processes that were not reached within the timeout.
+        """
+        return self._barrier.wait_for_peers(timeout_s)
 
     def next_id(self) -> int:
-        """A number for a node or an endpoint, unique in this session."""
+        """Return a number for a node or an endpoint, unique in this session."""
         return next(self._ids)
 
     def close(self) -> None:
@@ -62,25 +62,25 @@ class ZenohBus:
             return
         self._closed = True
         self.graph.close()
-        self._meeting.close()
+        self._barrier.close()
         self.session.close()
 
 
 class ZenohNode:
-    """One component's place on the bus: a ROS 2 node with its endpoints."""
+    """One component on the bus: a ROS 2 node with its endpoints."""
 
-    def __init__(self, bus: ZenohBus, name: str, complain: Callable[[str], None]) -> None:
+    def __init__(self, bus: ZenohBus, name: str, report: Callable[[str], None]) -> None:
         self.bus = bus
         self.name = name
         zid = str(bus.session.info.zid())
         self._entity = keys.NodeEntity(bus.domain, zid, bus.next_id(), name)
         self._ends: list[ZenohPublisher | ZenohSubscription] = []
         self._closed = False
-        self._complain = complain
+        self._report = report
         self._token = bus.session.liveliness().declare_token(keys.token_key(self._entity))
 
     def advertise(self, topic: str, message: type[Any], qos: Qos) -> "ZenohPublisher":
-        """Write messages of class `message` to `topic`."""
+        """Return a publisher of class `message` on `topic`."""
         publisher = ZenohPublisher(self, topic, message, qos)
         self._ends.append(publisher)
         return publisher
@@ -88,24 +88,24 @@ class ZenohNode:
     def subscribe(
         self, topic: str, message: type[Any], qos: Qos, wake: Callable[[], None]
     ) -> "ZenohSubscription":
-        """Read messages of class `message` from `topic`."""
+        """Return a subscription to class `message` on `topic`."""
         subscription = ZenohSubscription(self, topic, message, qos, wake)
         self._ends.append(subscription)
         return subscription
 
-    def declare(
+    def announce(
         self, kind: keys.EndpointKind, topic: str, message: type[Any], qos: Qos
     ) -> "Announcement":
-        """Announce an endpoint of this node to the graph."""
+        """Announce an endpoint of this node in the graph."""
         bus = self.bus
         entity = keys.EndpointEntity(
             self._entity, bus.next_id(), kind, topic, type_name(message),
             bus.codec.type_hash(message), qos,
         )  # fmt: skip
-        return Announcement(bus, entity, self._complain)
+        return Announcement(bus, entity, self._report)
 
     def close(self) -> None:
-        """Leave the bus."""
+        """Leave the bus and close all publishers and subscriptions."""
         if self._closed:
             return
         self._closed = True
@@ -116,82 +116,62 @@ class ZenohNode:
 
 
 class Announcement:
-    """An endpoint's liveliness token, and the watch for others that use its topic differently."""
+    """An endpoint's liveliness token; reports endpoints that use its topic with another type."""
 
     def __init__(
-        self, bus: ZenohBus, entity: keys.EndpointEntity, complain: Callable[[str], None]
+        self, bus: ZenohBus, entity: keys.EndpointEntity, report: Callable[[str], None]
     ) -> None:
         token = keys.token_key(entity)
         self.key = entity.data_key
         self.gid = keys.gid(token)
         self._entity = entity
-        self._complain = complain
+        self._report = report
         self._token = bus.session.liveliness().declare_token(token)
-        self._end_watch = bus.graph.watch(self._appeared)
+        self._stop_watching = bus.graph.watch(self._on_endpoint)
 
     def close(self) -> None:
         """Withdraw the endpoint from the graph."""
-        self._end_watch()
+        self._stop_watching()
         self._token.undeclare()
 
-    def _appeared(self, other: keys.EndpointEntity) -> None:
-        mine = self._entity
-        if other.topic != mine.topic or other.kind not in ("MP", "MS"):
+    def _on_endpoint(self, other: keys.EndpointEntity) -> None:
+        own = self._entity
+        if other.topic != own.topic or other.kind not in ("MP", "MS"):
             return
-        if (other.type_name, other.type_hash) == (mine.type_name, mine.type_hash):
+        if (other.type_name, other.type_hash) == (own.type_name, own.type_hash):
             return
         theirs = other.type_name
-        if theirs == mine.type_name:
+        if theirs == own.type_name:
             theirs = f"another definition of it ({other.type_hash})"
-        self._complain(type_conflict(mine.topic, mine.type_name, other.node.name, theirs))
+        self._report(type_conflict(own.topic, own.type_name, other.node.name, theirs))
 
 
 class ZenohPublisher:
-    """Writes to one topic; only from its component's thread."""
+    """Publishes on one topic; only from its component's calls."""
 
     def __init__(self, node: ZenohNode, topic: str, message: type[Any], qos: Qos) -> None:
         self.published = 0
         self._sent = 0
         self._closed = False
         self._codec = node.bus.codec
-        self._latched = qos.durability == "transient_local"
-        self._announcement = node.declare("MP", topic, message, qos)
+        self._latched = qos.latched
+        self._announcement = node.announce("MP", topic, message, qos)
         self._gid = self._announcement.gid
-        key = self._announcement.key
-        encoding = zenoh.Encoding.APPLICATION_CDR.with_schema(type_name(message))
-        # Bulk data must not hold up small, urgent messages of the same process.
-        bulk = self._codec.is_bulk(message)
-        priority = zenoh.Priority.DATA_LOW if bulk else zenoh.Priority.INTERACTIVE_HIGH
-        session = node.bus.session
-        self._publisher: Any
-        if self._latched:
-            self._publisher = declare_advanced_publisher(
-                session,
-                key,
-                encoding=encoding,
-                congestion_control=zenoh.CongestionControl.DROP,
-                priority=priority,
-                cache=CacheConfig(max_samples=qos.depth),
-                publisher_detection=True,
-                # Without heartbeats: in zenoh 1.10 closing a publisher that has some can block for
-                # 10 s and leave the session's links dead; readers find gaps by the next message.
-                sample_miss_detection=MissDetectionConfig(heartbeat=None, sporadic_heartbeat=None),
-            )
-        else:
-            self._publisher = session.declare_publisher(
-                key,
-                encoding=encoding,
-                congestion_control=zenoh.CongestionControl.DROP,
-                priority=priority,
-            )
+        self._publisher = _declare_publisher(
+            node.bus.session,
+            self._announcement.key,
+            qos,
+            type_name(message),
+            bulk=self._codec.is_bulk(message),
+        )
 
     @property
     def has_subscribers(self) -> bool:
-        """Whether somebody reads, or may come and read what is latched."""
+        """Whether a message published now would be received; always True if latched."""
         return not self._closed and (self._latched or self._publisher.matching_status.matching)
 
     def publish(self, message: Any) -> None:
-        """Send one message; without any reader, or once closed, it is neither encoded nor sent."""
+        """Send one message; without a subscriber, or once closed, it is not even encoded."""
         if self._closed:
             return
         self.published += 1
@@ -202,7 +182,7 @@ class ZenohPublisher:
         self._publisher.put(self._codec.encode(message), attachment=attachment.encode())
 
     def close(self) -> None:
-        """Stop writing."""
+        """Stop publishing."""
         if self._closed:
             return
         self._closed = True
@@ -211,10 +191,11 @@ class ZenohPublisher:
 
 
 class ZenohSubscription:
-    """Reads from one topic.
+    """Receives from one topic.
 
-    Zenoh's own thread only moves a sample into a ring, without Python, so that no reader,
-    however slow, holds up the link; a thread per subscription takes from it and wakes the loop.
+    Zenoh's own thread only moves a sample into a ring, without Python, so that no subscriber,
+    however slow, blocks the link. A thread per subscription takes samples from the ring and wakes
+    the component's loop.
     """
 
     def __init__(
@@ -227,27 +208,14 @@ class ZenohSubscription:
     ) -> None:
         self.received = 0
         self.invalid = 0
-        self._lost = 0  # on the way or in the ring
         self._closed = False
         self._codec = node.bus.codec
         self._message = message
         self._wake = wake
-        self._waiting: DropOldestQueue[zenoh.Sample] = DropOldestQueue(qos.depth)
-        self._last: dict[bytes, int] = {}
-        self._announcement = node.declare("MS", topic, message, qos)
-        key = self._announcement.key
-        ring: Any = zenoh.handlers.RingChannel(qos.depth)
-        session = node.bus.session
-        self._subscriber: Any
-        if qos.durability == "transient_local":
-            self._subscriber = declare_advanced_subscriber(
-                session,
-                key,
-                ring,
-                history=HistoryConfig(detect_late_publishers=True, max_samples=qos.depth),
-            )
-        else:
-            self._subscriber = session.declare_subscriber(key, ring)
+        self._pending: DropOldestQueue[zenoh.Sample] = DropOldestQueue(qos.depth)
+        self._in_transit = LossCounter()
+        self._announcement = node.announce("MS", topic, message, qos)
+        self._subscriber = _declare_subscriber(node.bus.session, self._announcement.key, qos)
         self._thread = threading.Thread(
             target=self._collect, args=(self._subscriber.handler,), name=topic, daemon=True
         )
@@ -255,12 +223,18 @@ class ZenohSubscription:
 
     @property
     def dropped(self) -> int:
-        """Messages that were sent after the first one seen here and never taken."""
-        return self._lost + self._waiting.dropped
+        """Messages sent after the first one received here and never taken.
+
+        They were lost on the way or in the ring, or dropped from the queue of pending messages.
+        """
+        return self._in_transit.lost + self._pending.dropped
 
     def take(self) -> Any | None:
-        """The oldest message waiting, None if there is none."""
-        sample = self._waiting.take()
+        """Remove, decode and return the oldest pending message; None if there is none.
+
+        Raises `InvalidMessage` if it is not valid: no handler receives such a message.
+        """
+        sample = self._pending.take()
         if sample is None:
             return None
         try:
@@ -272,14 +246,14 @@ class ZenohSubscription:
         return message
 
     def close(self) -> None:
-        """Stop reading."""
+        """Stop receiving and discard the pending messages."""
         if self._closed:
             return
         self._closed = True
         self._subscriber.undeclare()
-        if threading.current_thread() is not self._thread:  # it may be making the closing call
+        if threading.current_thread() is not self._thread:  # it may be the one that closes
             self._thread.join(timeout=2.0)
-        self._waiting.clear()
+        self._pending.clear()
         self._announcement.close()
 
     def _collect(self, channel: Any) -> None:
@@ -288,22 +262,59 @@ class ZenohSubscription:
                 sample = channel.recv()
             except zenoh.ZError:  # the subscriber was undeclared
                 return
-            if self._waiting.put(sample):
+            if self._pending.put(sample):
                 self._wake()
-            # Last, because the handler may just have run, and should not have waited for it.
+            # Last, because the wake-up may run the handler, which should not wait for this.
             if sample.attachment is not None:
-                self._count_gap(sample.attachment.to_bytes())
+                self._count(sample.attachment.to_bytes())
 
-    def _count_gap(self, attachment: bytes) -> None:
-        # Numbers are per publisher and without gaps: what is missing was lost on the way or in
-        # the ring.
+    def _count(self, data: bytes) -> None:
         try:
-            number = keys.Attachment.decode(attachment)
+            attachment = keys.Attachment.decode(data)
         except keys.WireFormatError:
             return  # a peer without rmw_zenoh's numbering
-        if len(self._last) >= _PUBLISHERS:  # or a peer that invents names would fill the memory
-            self._last.clear()
-        last = self._last.get(number.gid)
-        if last is not None and 1 < number.sequence - last < _NO_GAP:
-            self._lost += number.sequence - last - 1
-        self._last[number.gid] = number.sequence
+        self._in_transit.received(attachment.gid, attachment.sequence)
+
+
+def _declare_publisher(
+    session: zenoh.Session, key: str, qos: Qos, ros_type: str, *, bulk: bool
+) -> Any:
+    """Map a topic's QoS to a Zenoh publisher.
+
+    Reliability makes no difference: congestion control is DROP for all topics, because a writer
+    that a reader blocks is the worse failure on a robot. Latched topics have a cache of `depth`.
+    Bulk data have a lower priority, so that they do not delay small, urgent messages.
+    """
+    options: dict[str, Any] = {
+        "encoding": zenoh.Encoding.APPLICATION_CDR.with_schema(ros_type),
+        "congestion_control": zenoh.CongestionControl.DROP,
+        "priority": zenoh.Priority.DATA_LOW if bulk else zenoh.Priority.INTERACTIVE_HIGH,
+    }
+    if not qos.latched:
+        return session.declare_publisher(key, **options)
+    return declare_advanced_publisher(
+        session,
+        key,
+        **options,
+        cache=CacheConfig(max_samples=qos.depth),
+        publisher_detection=True,
+        # Without heartbeats: in zenoh 1.10 closing a publisher that has some can block for 10 s
+        # and leave the session's links dead; readers find gaps by the next message.
+        sample_miss_detection=MissDetectionConfig(heartbeat=None, sporadic_heartbeat=None),
+    )
+
+
+def _declare_subscriber(session: zenoh.Session, key: str, qos: Qos) -> Any:
+    """Map a topic's QoS to a Zenoh subscriber with a ring of `depth` samples.
+
+    A latched topic's subscriber also receives the samples in its publishers' caches.
+    """
+    ring: Any = zenoh.handlers.RingChannel(qos.depth)
+    if not qos.latched:
+        return session.declare_subscriber(key, ring)
+    return declare_advanced_subscriber(
+        session,
+        key,
+        ring,
+        history=HistoryConfig(detect_late_publishers=True, max_samples=qos.depth),
+    )

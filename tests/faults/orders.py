@@ -12,7 +12,7 @@ def set_fault(run: Run, fault: str, component: str = "base") -> None:
     """Have a `test_faulty` fail at its next tick."""
     answer = cairn("param", "set", component, f"fault={fault}", connect=run.endpoint)
     # A fault that ends its process at once may take the answer with it.
-    assert answer.code == 0 or "gave no answer to set_parameters" in answer.err, f"{answer}; {run}"
+    assert answer.code == 0 or "no reply to set_parameters" in answer.err, f"{answer}; {run}"
 
 
 def order_to_move(run: Run, x: float, y: float) -> None:

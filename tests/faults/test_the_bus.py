@@ -33,8 +33,8 @@ def test_a_port_that_is_taken(launch: Launching) -> None:
     assert second.await_end() == 1
 
     second.await_line(
-        f"cairn: cannot listen on {first.endpoint}: the port is probably taken, by another "
-        r"deployment or a ROS 2 router. Stop that one, join it \(`--set bus.connect=\[...\]`\)"
+        f"cairn: cannot listen on {first.endpoint}: the port is probably in use by another "
+        r"deployment or a ROS 2 router; stop that one, join it \(`--set bus.connect=\[...\]`\)"
     )
     first.await_line("listener: heard 10")
     assert first.stop() == 0

@@ -17,7 +17,7 @@ from tests.patience import LIMIT_S
 
 
 class Network:
-    """A router and the buses of as many processes as are asked for, closed in the end."""
+    """A router and the buses of any number of processes; `close` closes all."""
 
     def __init__(self) -> None:
         self._stack = ExitStack()
@@ -28,13 +28,13 @@ class Network:
         self._stack.callback(self.router.close)
 
     def bus(self) -> ZenohBus:
-        """The bus of one more process."""
+        """Return the bus of one more process."""
         bus = ZenohBus(open_peer([self.endpoint]))
         self._stack.callback(bus.close)
         return bus
 
     def graph(self, domain: int = 0) -> list[NodeEntity | EndpointEntity]:
-        """Who is there, as a command sees it."""
+        """Return the graph as a command sees it."""
         session = open_client([self.endpoint])
         try:
             return read_graph(session, domain)
@@ -54,31 +54,31 @@ class Reader:
         self.subscription = node.subscribe(topic, message, qos, self._waiting.release)
 
     def next(self) -> Any:
-        """The next message."""
+        """Return the next message."""
         assert self._waiting.acquire(timeout=LIMIT_S), "nothing came"
         return self.subscription.take()
 
     def next_of(self, count: int) -> list[Any]:
-        """So many messages."""
+        """Return that many messages."""
         return [self.next() for _ in range(count)]
 
     def await_first(self) -> None:
-        """Wait until one message waits; it is not taken."""
+        """Wait until a message is pending, without taking it."""
         assert self._waiting.acquire(timeout=LIMIT_S), "nothing came"
         self._waiting.release()
 
     def waiting(self) -> list[Any]:
-        """All that waits now."""
+        """Return all pending messages."""
         return list(iter(self.subscription.take, None))
 
 
 def node(bus: Bus, name: str) -> Node:
-    """A node that nobody may complain to."""
+    """Return a node whose error reports fail the test."""
     return bus.node(name, refuse)
 
 
 def refuse(complaint: str) -> None:
-    """Nothing is to be complained about."""
+    """Fail the test: no error is expected."""
     raise AssertionError(complaint)
 
 

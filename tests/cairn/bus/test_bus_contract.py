@@ -1,4 +1,4 @@
-"""What every bus promises: Zenoh between processes, Zenoh within one, and lockstep."""
+"""The contract of every bus: Zenoh between processes, Zenoh within one, and lockstep."""
 
 import threading
 from collections.abc import Iterator
@@ -20,13 +20,13 @@ TOPIC = "/robot/word"
 
 @dataclass
 class Pair:
-    """Where one writes and another reads."""
+    """The bus of the publisher and that of the subscriber."""
 
     writers: Bus
     readers: Bus
 
     def wait_for_peers(self) -> None:
-        """After this, nothing is lost between the two."""
+        """Wait until no message between the two can be lost."""
         assert self.writers.wait_for_peers(LIMIT_S) == []
         assert self.readers.wait_for_peers(LIMIT_S) == []
 
@@ -63,7 +63,7 @@ def test_messages_arrive_in_order(pair: Pair, qos: Qos) -> None:
     assert writer.published == 200
 
 
-def test_two_writers_and_two_readers_hear_each_other(pair: Pair) -> None:
+def test_two_publishers_reach_two_subscriptions(pair: Pair) -> None:
     ear, mouth = node(pair.readers, "/robot/ear"), node(pair.writers, "/robot/mouth")
     readers = [Reader(ear, TOPIC, String, RELIABLE) for _ in range(2)]
     writers = [mouth.advertise(TOPIC, String, RELIABLE) for _ in range(2)]
@@ -78,7 +78,9 @@ def test_two_writers_and_two_readers_hear_each_other(pair: Pair) -> None:
 
 
 @pytest.mark.parametrize(("kept", "asked", "got"), [(1, 1, 1), (5, 5, 5), (5, 2, 2), (2, 5, 2)])
-def test_who_comes_late_gets_what_is_latched(pair: Pair, kept: int, asked: int, got: int) -> None:
+def test_late_subscriber_receives_latched_messages(
+    pair: Pair, kept: int, asked: int, got: int
+) -> None:
     writer = node(pair.writers, "/robot/mouth").advertise(TOPIC, String, LATCHED.with_depth(kept))
     for word in words(*range(9)):
         writer.publish(word)
@@ -96,7 +98,9 @@ def test_who_comes_late_gets_what_is_latched(pair: Pair, kept: int, asked: int, 
 @pytest.mark.parametrize(
     ("writes", "reads"), [(RELIABLE, RELIABLE), (LATCHED, RELIABLE), (RELIABLE, LATCHED)]
 )
-def test_otherwise_who_comes_late_gets_what_comes_then(pair: Pair, writes: Qos, reads: Qos) -> None:
+def test_late_subscriber_of_a_volatile_topic_receives_only_new_messages(
+    pair: Pair, writes: Qos, reads: Qos
+) -> None:
     early = Reader(node(pair.readers, "/robot/early"), TOPIC, String, RELIABLE)
     writer = node(pair.writers, "/robot/mouth").advertise(TOPIC, String, writes)
     pair.wait_for_peers()
@@ -111,7 +115,7 @@ def test_otherwise_who_comes_late_gets_what_comes_then(pair: Pair, writes: Qos, 
     assert late.subscription.dropped == 0
 
 
-def test_nothing_is_latched_beyond_its_writers_end(pair: Pair) -> None:
+def test_latched_messages_end_with_their_publisher(pair: Pair) -> None:
     mouth = node(pair.writers, "/robot/mouth")
     first = mouth.advertise(TOPIC, String, LATCHED)
     first.publish(String(data="old"))
@@ -127,7 +131,7 @@ def test_nothing_is_latched_beyond_its_writers_end(pair: Pair) -> None:
 
 
 @pytest.mark.parametrize("depth", [1, 10])
-def test_a_slow_reader_keeps_the_newest_and_counts_the_rest(pair: Pair, depth: int) -> None:
+def test_slow_subscriber_keeps_the_newest_and_counts_the_dropped(pair: Pair, depth: int) -> None:
     slow = Reader(node(pair.readers, "/robot/ear"), TOPIC, String, RELIABLE.with_depth(depth))
     writer = node(pair.writers, "/robot/mouth").advertise(TOPIC, String, RELIABLE)
     pair.wait_for_peers()
@@ -144,7 +148,7 @@ def test_a_slow_reader_keeps_the_newest_and_counts_the_rest(pair: Pair, depth: i
     assert (slow.subscription.received, slow.subscription.dropped) == (depth + 1, 500 - depth)
 
 
-def test_what_waits_is_announced_however_reader_and_writer_race(pair: Pair) -> None:
+def test_every_pending_message_wakes_the_subscriber_in_any_race(pair: Pair) -> None:
     reader = Reader(node(pair.readers, "/robot/ear"), TOPIC, String, RELIABLE.with_depth(1))
     writer = node(pair.writers, "/robot/mouth").advertise(TOPIC, String, RELIABLE)
     pair.wait_for_peers()
@@ -164,13 +168,13 @@ def test_what_waits_is_announced_however_reader_and_writer_race(pair: Pair) -> N
         writer.publish(word)
     writer.publish(String(data="last"))
 
-    assert ends.wait(LIMIT_S), "the last message waits, and nobody was woken for it"
+    assert ends.wait(LIMIT_S), "the last message is pending without a wake-up"
     thread.join()
     heard = [int(word) for word in got[:-1] if word]
     assert heard == sorted(heard)
 
 
-def test_two_types_on_one_topic_are_complained_about_on_both_sides(pair: Pair) -> None:
+def test_two_types_on_one_topic_are_reported_to_both_nodes(pair: Pair) -> None:
     of_mouth: list[str] = []
     of_ear: list[str] = []
     mouth = pair.writers.node("/robot/mouth", of_mouth.append)
@@ -188,7 +192,7 @@ def test_two_types_on_one_topic_are_complained_about_on_both_sides(pair: Pair) -
     assert subscription.take() is None
 
 
-def test_closing_twice_is_harmless_and_what_is_closed_is_silent(pair: Pair) -> None:
+def test_closing_twice_is_harmless_and_ends_delivery(pair: Pair) -> None:
     mouth, ear = node(pair.writers, "/robot/mouth"), node(pair.readers, "/robot/ear")
     closed = Reader(ear, TOPIC, String, RELIABLE)
     other = Reader(ear, TOPIC, String, RELIABLE)
@@ -211,7 +215,7 @@ def test_closing_twice_is_harmless_and_what_is_closed_is_silent(pair: Pair) -> N
     assert other.waiting() == []
 
 
-def test_closing_ends_all_threads() -> None:
+def test_closing_stops_all_threads() -> None:
     before = set(threading.enumerate())
     network = Network()
     buses = [network.bus(), network.bus()]
@@ -229,7 +233,7 @@ def test_closing_ends_all_threads() -> None:
     assert set(threading.enumerate()) <= before
 
 
-def test_what_is_received_cannot_be_changed(pair: Pair) -> None:
+def test_received_message_is_immutable(pair: Pair) -> None:
     reader = Reader(node(pair.readers, "/robot/ear"), "/robot/scan", LaserScan, SENSOR)
     writer = node(pair.writers, "/robot/laser").advertise("/robot/scan", LaserScan, SENSOR)
     pair.wait_for_peers()
@@ -245,7 +249,7 @@ def test_what_is_received_cannot_be_changed(pair: Pair) -> None:
         scan.ranges[0] = 9.0
 
 
-def test_publishing_to_nobody_does_not_even_look_at_the_message(pair: Pair) -> None:
+def test_publishing_without_subscriber_does_not_encode_the_message(pair: Pair) -> None:
     writer = node(pair.writers, "/robot/mouth").advertise(TOPIC, String, RELIABLE)
     pair.wait_for_peers()
 
@@ -254,7 +258,7 @@ def test_publishing_to_nobody_does_not_even_look_at_the_message(pair: Pair) -> N
     assert writer.published == 1
 
 
-def test_the_first_message_to_a_reader_counts_no_drops(pair: Pair) -> None:
+def test_first_message_to_a_subscriber_counts_no_drops(pair: Pair) -> None:
     writer = node(pair.writers, "/robot/mouth").advertise("/robot/speed", Twist, RELIABLE)
     early = Reader(node(pair.readers, "/robot/early"), "/robot/speed", Twist, RELIABLE)
     pair.wait_for_peers()

@@ -78,12 +78,12 @@ def an_arm() -> Arm:
     )
 
 
-def test_a_twist_is_two_times_three_little_endian_doubles(codec: Codec) -> None:
+def test_twist_is_encoded_as_six_little_endian_doubles(codec: Codec) -> None:
     sent = Twist(linear={"x": 0.5}, angular={"z": -1.0})  # type: ignore[arg-type]
     assert codec.encode(sent) == b"\0\1\0\0" + struct.pack("<6d", 0.5, 0, 0, 0, 0, -1)
 
 
-def test_messages_of_any_package_are_known_when_first_used(codec: Codec) -> None:
+def test_messages_of_any_package_are_registered_on_first_use(codec: Codec) -> None:
     assert codec.decode(Arm, codec.encode(an_arm())) == an_arm()
     assert codec.definition(Arm).startswith(
         "uint8 LEFT=1\nstring MAKER=acme\nbyte flags\nint64 serial\nstring[] names\nbool at_rest\n"
@@ -93,7 +93,7 @@ def test_messages_of_any_package_are_known_when_first_used(codec: Codec) -> None
 
 
 @pytest.mark.parametrize("kind", [bytes, memoryview])
-def test_arrays_are_views_of_the_bytes_and_cannot_be_changed(codec: Codec, kind: type) -> None:
+def test_decoded_arrays_are_read_only_views_of_the_bytes(codec: Codec, kind: type) -> None:
     sent = Image(height=10, step=20, data=np.arange(200, dtype=np.uint8))
     data = codec.encode(sent)
     received = codec.decode(Image, kind(data))
@@ -104,45 +104,45 @@ def test_arrays_are_views_of_the_bytes_and_cannot_be_changed(codec: Codec, kind:
     assert received == sent
 
 
-def test_packed_sequences_are_views_of_the_bytes_too(codec: Codec) -> None:
+def test_decoded_packed_sequences_are_views_of_the_bytes(codec: Codec) -> None:
     data = codec.encode(PoseArray(poses=Packed(Pose, np.ones((3, 7)))))
     received = codec.decode(PoseArray, data)
     assert np.shares_memory(received.poses.array, np.frombuffer(data, np.uint8))
 
 
-def test_bytes_that_may_change_later_are_copied(codec: Codec) -> None:
+def test_mutable_buffer_is_copied(codec: Codec) -> None:
     buffer = bytearray(codec.encode(LaserScan(range_max=8.0, ranges=[1.0, 1.0])))  # type: ignore[arg-type]
     received = codec.decode(LaserScan, memoryview(buffer))
     buffer[:] = bytes(len(buffer))
     assert received.ranges.tolist() == [1.0, 1.0]
 
 
-def test_a_view_of_other_things_than_bytes_is_read_as_bytes(codec: Codec) -> None:
+def test_view_of_another_element_type_is_read_as_bytes(codec: Codec) -> None:
     data = codec.encode(Clock(Time(5, 6)))
     words = memoryview(data).cast("I")
     assert codec.decode(Clock, words) == Clock(Time(5, 6))
 
 
-def test_padding_after_a_message_is_ignored_but_not_more(codec: Codec) -> None:
+def test_padding_after_a_message_is_ignored_and_more_is_invalid(codec: Codec) -> None:
     data = codec.encode(Twist())
     assert codec.decode(Twist, data + bytes(3)) == Twist()
-    with pytest.raises(InvalidMessage, match=r"geometry_msgs/msg/Twist: .* 56 bytes are not its"):
+    with pytest.raises(InvalidMessage, match=r"geometry_msgs/msg/Twist: .* 56 bytes are not CDR"):
         codec.decode(Twist, data + bytes(4))
 
 
 @pytest.mark.parametrize("length", range(52))
-def test_a_truncated_message_is_refused(codec: Codec, length: int) -> None:
+def test_truncated_message_is_invalid(codec: Codec, length: int) -> None:
     with pytest.raises(InvalidMessage, match=f"geometry_msgs/msg/Twist: .*{length} bytes are not"):
         codec.decode(Twist, codec.encode(Twist())[:length])
 
 
 @pytest.mark.parametrize("header", [b"\0\2\0\0", b"\1\1\0\0", b"\0\3\0\0", b"\0\7\0\0", b'{"x"'])
-def test_another_encapsulation_is_refused(codec: Codec, header: bytes) -> None:
+def test_unknown_encapsulation_is_invalid(codec: Codec, header: bytes) -> None:
     with pytest.raises(InvalidMessage, match="encapsulation"):
         codec.decode(Twist, header + codec.encode(Twist())[4:])
 
 
-def test_a_huge_count_is_refused_at_once(codec: Codec) -> None:
+def test_huge_element_count_is_invalid_without_allocation(codec: Codec) -> None:
     for cls in (Image, OccupancyGrid, PoseArray, Path, TFMessage):
         data = bytearray(codec.encode(cls()))
         data[-4:] = struct.pack("<I", 2**32 - 1)
@@ -150,7 +150,7 @@ def test_a_huge_count_is_refused_at_once(codec: Codec) -> None:
             codec.decode(cls, bytes(data))
 
 
-def test_an_error_names_the_whole_path_to_the_value(codec: Codec) -> None:
+def test_error_names_the_whole_path_to_the_value(codec: Codec) -> None:
     transforms = tuple(TransformStamped(transform=Transform()) for _ in range(3))
     data = codec.encode(TFMessage(transforms=transforms))
     nan_in_last = data[:-8] + struct.pack("<d", math.nan)
@@ -161,7 +161,7 @@ def test_an_error_names_the_whole_path_to_the_value(codec: Codec) -> None:
     )
 
 
-def test_an_error_names_the_pose_in_a_packed_sequence(codec: Codec) -> None:
+def test_error_names_the_element_of_a_packed_sequence(codec: Codec) -> None:
     data = codec.encode(PoseArray(poses=Packed(Pose, np.ones((500, 7)))))
     damaged = data[: -8 * 7 - 16] + struct.pack("<d", math.inf) + data[-8 * 7 - 8 :]
     with pytest.raises(
@@ -170,7 +170,7 @@ def test_an_error_names_the_pose_in_a_packed_sequence(codec: Codec) -> None:
         codec.decode(PoseArray, damaged)
 
 
-def test_an_error_names_a_rule_between_fields(codec: Codec) -> None:
+def test_error_names_a_rule_between_fields(codec: Codec) -> None:
     grid = OccupancyGrid(
         info=MapMetaData(resolution=0.5, width=2, height=2),
         data=np.zeros(4, np.int8),
@@ -180,11 +180,11 @@ def test_an_error_names_a_rule_between_fields(codec: Codec) -> None:
         codec.decode(OccupancyGrid, damaged)
 
 
-def test_big_endian_is_read(codec: Codec) -> None:
+def test_big_endian_is_decoded(codec: Codec) -> None:
     assert codec.decode(Clock, b"\0\0\0\0" + struct.pack(">iI", 7, 8)) == Clock(Time(7, 8))
 
 
-def test_two_classes_of_one_name_are_refused(codec: Codec) -> None:
+def test_two_classes_with_one_type_name_are_rejected(codec: Codec) -> None:
     @message("geometry_msgs/msg/Twist")
     class OwnTwist:
         """Not the Twist of the package schemas."""
@@ -196,14 +196,14 @@ def test_two_classes_of_one_name_are_refused(codec: Codec) -> None:
         codec.encode(OwnTwist())
 
 
-def test_what_is_not_a_message_is_refused(codec: Codec) -> None:
+def test_class_that_is_not_a_message_is_rejected(codec: Codec) -> None:
     with pytest.raises(TypeError, match="dict is not a message"):
         codec.encode({"linear": 1})
     with pytest.raises(TypeError, match="str is not a message"):
         codec.decode(str, b"")
 
 
-def test_a_field_of_an_unknown_type_is_refused_with_its_name(codec: Codec) -> None:
+def test_field_of_an_unknown_type_is_rejected_by_name(codec: Codec) -> None:
     @message("acme_msgs/msg/Odd")
     class Odd:
         """A bare float says nothing about the wire."""
@@ -220,7 +220,7 @@ def test_images_maps_and_particles_are_bulk(codec: Codec) -> None:
     assert not any(codec.is_bulk(cls) for cls in (LaserScan, Twist, TFMessage, Path, Clock))
 
 
-def test_decoding_holds_no_second_copy_of_the_bytes(codec: Codec) -> None:
+def test_decoding_does_not_copy_the_bytes(codec: Codec) -> None:
     data = codec.encode(Image(height=1, step=1000, data=np.zeros(1000, np.uint8)))
     references = sys.getrefcount(data)
     received = codec.decode(Image, data)

@@ -1,4 +1,4 @@
-"""A control request is answered, refused, or found to be without an answer; never left hanging."""
+"""A control request gets a reply, a rejection, or an error that no reply arrives; it never hangs."""
 
 import threading
 from collections.abc import Iterator, Mapping
@@ -22,7 +22,7 @@ NAME = "/robot/part"
 
 
 class Served:
-    """A component's loop and its control."""
+    """A component's loop and its control server."""
 
     def __init__(self, bus: ZenohBus) -> None:
         self.loop = ThreadLoop()
@@ -68,50 +68,51 @@ def ask(bus: ZenohBus, verb: str, arguments: Mapping[str, Any] | None = None) ->
     return request(bus.session, 0, NAME, verb, arguments, timeout_s=LIMIT_S)
 
 
-def test_the_answer_comes_back(asker: ZenohBus, served: Served) -> None:
+def test_request_returns_the_reply(asker: ZenohBus, served: Served) -> None:
     assert ask(asker, "echo", {"a": [1, "two", None]}) == {"a": [1, "two", None]}
     assert served.asked == [("echo", {"a": [1, "two", None]})]
 
 
-def test_a_refusal_comes_back_in_the_components_words(asker: ZenohBus) -> None:
+def test_rejection_raises_the_components_error(asker: ZenohBus) -> None:
     with pytest.raises(ControlError, match=r"^no, because it is late$"):
         ask(asker, "refuse")
 
 
-def test_an_answer_that_cannot_be_sent_is_an_error_and_the_loop_lives(asker: ZenohBus) -> None:
-    with pytest.raises(ControlError, match="its answer cannot be sent"):
+def test_reply_that_is_not_json_is_an_error_and_the_loop_continues(asker: ZenohBus) -> None:
+    with pytest.raises(ControlError, match="the reply is not JSON"):
         ask(asker, "object")
 
     assert ask(asker, "echo") == {}
 
 
 @pytest.mark.parametrize("payload", [None, b"", b"\xff", b"{}", b'{"verb": "a", "more": 1}', b"[]"])
-def test_what_is_no_request_is_refused_and_the_next_answered(
+def test_invalid_request_is_rejected_and_the_next_is_served(
     asker: ZenohBus, served: Served, payload: bytes | None
 ) -> None:
     replies = asker.session.get(control_key(0, NAME), payload=payload, timeout=LIMIT_S)
 
     (reply,) = [reply.ok.payload.to_string() for reply in replies if reply.ok is not None]
-    assert "not a control request" in reply
+    assert "invalid control request" in reply
     assert ask(asker, "echo") == {}
     assert len(served.asked) == 1
 
 
-def test_nobody_there_is_an_error_that_says_so(network: Network) -> None:
+def test_request_to_a_missing_component_raises_no_reply(network: Network) -> None:
     bus = network.bus()
 
     with pytest.raises(
-        ControlError, match=r"/robot/nobody gave no answer to ping, and after \d.\d s"
+        ControlError,
+        match=r"/robot/nobody: no reply to ping, and none will arrive, after \d.\d s",
     ):
         request(bus.session, 0, "/robot/nobody", "ping", timeout_s=5.0)
 
 
-def test_a_name_that_nobody_can_have_is_an_error(network: Network) -> None:
-    with pytest.raises(ControlError, match="/robot/#what cannot be asked"):
+def test_request_to_an_impossible_name_is_an_error(network: Network) -> None:
+    with pytest.raises(ControlError, match="/robot/#what: cannot send the request"):
         request(network.bus().session, 0, "/robot/#what", "ping", timeout_s=5.0)
 
 
-def test_an_answer_that_is_none_is_an_error(network: Network) -> None:
+def test_invalid_reply_is_an_error(network: Network) -> None:
     impostor, asker = network.bus(), network.bus()
     key = control_key(0, NAME)
     queryable: Any = impostor.session.declare_queryable(
@@ -119,12 +120,12 @@ def test_an_answer_that_is_none_is_an_error(network: Network) -> None:
     )
     asker.wait_for_peers(LIMIT_S)
 
-    with pytest.raises(ControlError, match="/robot/part gave an answer that is none"):
+    with pytest.raises(ControlError, match="/robot/part: invalid reply"):
         ask(asker, "ping")
     queryable.undeclare()
 
 
-def test_a_request_behind_the_components_end_is_over_at_once(
+def test_request_queued_when_the_component_ends_fails_at_once(
     asker: ZenohBus, served: Served
 ) -> None:
     answers = [Future[Any]() for _ in range(2)]
@@ -141,11 +142,11 @@ def test_a_request_behind_the_components_end_is_over_at_once(
     served.release.set()
 
     assert answers[0].result(LIMIT_S) == {}
-    with pytest.raises(ControlError, match="gave no answer to late"):
+    with pytest.raises(ControlError, match="no reply to late"):
         answers[1].result(LIMIT_S)
 
 
-def test_closing_ends_the_thread_and_leaves_nobody_waiting(network: Network) -> None:
+def test_closing_stops_the_thread_and_fails_pending_requests(network: Network) -> None:
     bus, asker = network.bus(), network.bus()
     server = ControlServer(bus.session, 0, NAME, lambda call: None, lambda *_: None)
     asker.wait_for_peers(LIMIT_S)

@@ -1,4 +1,4 @@
-"""Once a bus has settled, not even the first message is lost, whoever joins, dies or hangs."""
+"""Once a process has waited for its peers, not even the first message is lost, whatever they do."""
 
 import signal
 import subprocess
@@ -12,6 +12,7 @@ from typing import IO
 import pytest
 
 from cairn import LATCHED, RELIABLE
+from cairn.bus.discovery import QueryableWatcher
 from cairn.bus.session import open_peer
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.schemas.std_msgs import String
@@ -21,8 +22,8 @@ from tests.patience import LIMIT_S
 pytestmark = pytest.mark.processes
 
 
-class Everybody:
-    """One who hears all, and whom all hear."""
+class Participant:
+    """A node that publishes and receives on the topic that all participants share."""
 
     def __init__(self, bus: ZenohBus, name: str) -> None:
         self.bus = bus
@@ -35,16 +36,16 @@ class Everybody:
         self.writer.publish(String(data=word))
 
 
-def test_nobody_misses_the_first_word_of_who_joins_nor_do_they_miss_the_next(
+def test_first_message_of_a_joining_process_reaches_all_and_vice_versa(
     network: Network,
 ) -> None:
-    present = [Everybody(network.bus(), f"present{number}") for number in range(3)]
+    present = [Participant(network.bus(), f"present{number}") for number in range(3)]
     for one in present:
         assert one.bus.wait_for_peers(LIMIT_S) == []
 
     for turn in range(20):
         bus = network.bus()
-        joiner = Everybody(bus, f"joiner{turn}")
+        joiner = Participant(bus, f"joiner{turn}")
         assert bus.wait_for_peers(LIMIT_S) == []
         joiner.say(f"hello {turn}")
         present[turn % 3].say(f"welcome {turn}")
@@ -58,7 +59,9 @@ def test_nobody_misses_the_first_word_of_who_joins_nor_do_they_miss_the_next(
         bus.close()
 
 
-def test_those_who_join_at_the_same_time_all_hear_all(network: Network) -> None:
+def test_processes_that_join_at_the_same_time_receive_each_others_messages(
+    network: Network,
+) -> None:
     count = 5
     for turn in range(6):
         together = threading.Barrier(count, timeout=LIMIT_S)
@@ -66,7 +69,7 @@ def test_those_who_join_at_the_same_time_all_hear_all(network: Network) -> None:
 
         def join(number: int) -> None:
             bus = network.bus()
-            one = Everybody(bus, f"one{turn}{number}")  # noqa: B023 - ends within the turn
+            one = Participant(bus, f"one{turn}{number}")  # noqa: B023 - ends within the turn
             together.wait()  # noqa: B023
             assert bus.wait_for_peers(LIMIT_S) == []
             together.wait()  # noqa: B023
@@ -85,7 +88,7 @@ def test_those_who_join_at_the_same_time_all_hear_all(network: Network) -> None:
         assert heard == dict.fromkeys(range(count), everything)
 
 
-def test_latched_writers_that_come_and_go_while_links_are_made_hold_up_nobody() -> None:
+def test_latched_publishers_that_come_and_go_do_not_delay_discovery() -> None:
     for _ in range(40):
         network = Network()
         coming, other = network.bus(), network.bus()
@@ -99,7 +102,7 @@ def test_latched_writers_that_come_and_go_while_links_are_made_hold_up_nobody() 
         network.close()
 
 
-def test_processes_started_again_and_again_lose_nothing(network: Network) -> None:
+def test_repeatedly_started_processes_lose_no_message(network: Network) -> None:
     bus = network.bus()
     here = node(bus, "/robot/here")
     ear = Reader(here, "/robot/word", String, RELIABLE)
@@ -117,7 +120,7 @@ def test_processes_started_again_and_again_lose_nothing(network: Network) -> Non
     assert ear.subscription.dropped == 0
 
 
-def test_a_killed_writers_successor_is_heard_without_false_drops(network: Network) -> None:
+def test_successor_of_a_killed_publisher_is_received_without_false_drops(network: Network) -> None:
     bus = network.bus()
     ear = Reader(node(bus, "/robot/ear"), "/robot/word", String, RELIABLE.with_depth(50))
     for _ in range(2):
@@ -133,13 +136,13 @@ def test_a_killed_writers_successor_is_heard_without_false_drops(network: Networ
     assert (ear.subscription.received, ear.subscription.dropped) == (42, 0)
 
 
-def test_a_hanging_process_is_named_and_keeps_nobody_from_the_others(network: Network) -> None:
-    other = Everybody(network.bus(), "other")
+def test_hanging_process_is_reported_and_does_not_delay_the_others(network: Network) -> None:
+    other = Participant(network.bus(), "other")
     with process(network, "hanging") as (peer, _, output):
         assert output.readline() == "settled []\n"
         assert other.reader.next().data == "first of hanging"
         peer.send_signal(signal.SIGSTOP)
-        joiner = Everybody(network.bus(), "joiner")
+        joiner = Participant(network.bus(), "joiner")
 
         unreached = joiner.bus.wait_for_peers(0.5)
 
@@ -149,7 +152,7 @@ def test_a_hanging_process_is_named_and_keeps_nobody_from_the_others(network: Ne
         assert other.reader.next().data == "heard nevertheless"
 
 
-def test_a_process_that_leaves_without_having_answered_is_not_waited_for(network: Network) -> None:
+def test_process_that_leaves_before_answering_is_not_waited_for(network: Network) -> None:
     bus = network.bus()
     mute = open_peer([network.endpoint])
     leaves = threading.Timer(0.3, mute.close)
@@ -160,7 +163,7 @@ def test_a_process_that_leaves_without_having_answered_is_not_waited_for(network
         leaves.join()
 
 
-def test_a_process_that_was_killed_is_not_waited_for(network: Network) -> None:
+def test_killed_process_is_not_waited_for(network: Network) -> None:
     bus = network.bus()
     with process(network, "killed") as (peer, _, output):
         assert output.readline() == "settled []\n"
@@ -185,3 +188,40 @@ def process(
             yield peer, peer.stdin, peer.stdout
         finally:
             peer.kill()
+
+
+KEY = "@cairn/0/component/robot/base"
+
+
+def test_watcher_returns_at_once_if_the_queryable_exists(network: Network) -> None:
+    asking, answering = network.bus().session, network.bus().session
+    answering.declare_queryable(KEY, lambda _: None)
+
+    with QueryableWatcher(asking, KEY) as watcher:
+        assert watcher.wait(LIMIT_S)
+
+
+def test_watcher_distinguishes_a_queryable_from_its_predecessor(network: Network) -> None:
+    asking, former, latter = (network.bus().session for _ in range(3))
+    queryable = former.declare_queryable(KEY, lambda _: None)
+    with QueryableWatcher(asking, KEY) as watcher:
+        assert watcher.wait(LIMIT_S)
+        queryable.undeclare()
+        assert watcher.wait_gone(LIMIT_S)
+
+        starts = threading.Timer(0.2, lambda: latter.declare_queryable(KEY, lambda _: None))
+        starts.start()
+        try:
+            assert watcher.wait(LIMIT_S)
+        finally:
+            starts.join()
+
+
+def test_wait_for_a_queryable_can_be_given_up(network: Network) -> None:
+    with QueryableWatcher(network.bus().session, KEY) as watcher:
+        ends = threading.Timer(0.2, watcher.give_up)
+        ends.start()
+        try:
+            assert not watcher.wait(LIMIT_S)
+        finally:
+            ends.join()

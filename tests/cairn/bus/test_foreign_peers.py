@@ -1,4 +1,4 @@
-"""What a peer that is not ours, or is broken, puts on a topic is refused, counted and survived."""
+"""Invalid data from foreign or broken peers is rejected and counted, and does no harm."""
 
 import struct
 import time
@@ -41,27 +41,27 @@ def attachment(number: int, gid: bytes = bytes(16)) -> bytes:
 
 
 @pytest.mark.parametrize(
-    ("payload", "complaint"),
+    ("payload", "message"),
     [
         (HEADER + struct.pack("<6d", 0, float("nan"), 0, 0, 0, 0), "linear.y = nan: must be"),
         (HEADER + struct.pack("<6d", 0, 0, 0, 0, 0, float("inf")), "angular.z = inf: must be"),
-        (GOOD[:-1], "51 bytes are not its CDR"),
-        (HEADER, "4 bytes are not its CDR"),
-        (b"", "0 bytes are not its CDR"),
-        (b"\xff" * 52, "52 bytes are not its CDR"),
-        (b'{"linear": {"x": 1.0}}', "22 bytes are not its CDR"),
+        (GOOD[:-1], "51 bytes are not CDR of this type"),
+        (HEADER, "4 bytes are not CDR of this type"),
+        (b"", "0 bytes are not CDR of this type"),
+        (b"\xff" * 52, "52 bytes are not CDR of this type"),
+        (b'{"linear": {"x": 1.0}}', "22 bytes are not CDR of this type"),
     ],
     ids=["nan", "infinity", "truncated", "header only", "empty", "garbage", "json"],
 )
-def test_an_invalid_message_is_refused_and_the_next_one_received(
-    reader: Reader, foreign: ZenohBus, payload: bytes, complaint: str
+def test_invalid_message_is_rejected_and_the_next_one_received(
+    reader: Reader, foreign: ZenohBus, payload: bytes, message: str
 ) -> None:
     foreign.session.put(KEY, payload, attachment=attachment(1))
     foreign.session.put(KEY, GOOD, attachment=attachment(2))
 
-    with pytest.raises(InvalidMessage, match="geometry_msgs/msg/Twist: ") as refused:
+    with pytest.raises(InvalidMessage, match="geometry_msgs/msg/Twist: ") as rejected:
         reader.next()
-    assert complaint in str(refused.value)
+    assert message in str(rejected.value)
     assert reader.next() == Twist(linear=Vector3(x=0.5))
     subscription = reader.subscription
     assert (subscription.invalid, subscription.received, subscription.dropped) == (1, 1, 0)
@@ -72,7 +72,7 @@ def test_an_invalid_message_is_refused_and_the_next_one_received(
     [None, b"", b"?", bytes(33), b"\xff" * 33, b"x" * 5000],
     ids=["none", "empty", "short", "no gid", "garbage", "long"],
 )
-def test_a_message_without_rmw_zenohs_numbering_is_received(
+def test_message_without_sequence_numbers_is_received(
     reader: Reader, foreign: ZenohBus, odd: bytes | None
 ) -> None:
     for _ in range(2):
@@ -92,7 +92,7 @@ def test_a_message_without_rmw_zenohs_numbering_is_received(
     ],
     ids=["from any number", "with gaps", "starting anew", "beyond all bounds"],
 )
-def test_only_gaps_in_a_writers_numbers_count_as_dropped(
+def test_only_gaps_in_a_publishers_numbers_count_as_dropped(
     reader: Reader, foreign: ZenohBus, numbers: list[int], dropped: int
 ) -> None:
     for number in numbers:
@@ -102,25 +102,27 @@ def test_only_gaps_in_a_writers_numbers_count_as_dropped(
     assert reader.subscription.dropped == dropped
 
 
-def test_a_peer_that_invents_writers_is_survived(reader: Reader, foreign: ZenohBus) -> None:
+def test_peer_that_invents_publishers_does_not_fill_the_memory(
+    reader: Reader, foreign: ZenohBus
+) -> None:
     for number in range(3000):
         gid = number.to_bytes(16, "little")
         foreign.session.put(KEY, GOOD, attachment=attachment(1, gid))
     foreign.session.put(KEY, CODEC.encode(Twist()), attachment=attachment(1, b"\xff" * 16))
 
-    def heard_the_last() -> bool:
+    def received_the_last() -> bool:
         return Twist() in reader.waiting()
 
-    assert eventually(heard_the_last)
+    assert eventually(received_the_last)
     subscription = reader.subscription
     assert subscription.received + subscription.dropped <= 3001
     assert subscription.invalid == 0
 
 
-def test_a_token_that_is_not_rmw_zenohs_disturbs_nobody(network: Network) -> None:
-    complaints: list[str] = []
+def test_malformed_liveliness_token_is_ignored(network: Network) -> None:
+    reported: list[str] = []
     own, foreign = network.bus(), network.bus()
-    own.node("/robot/base", complaints.append).advertise("/robot/cmd_vel", Twist, RELIABLE)
+    own.node("/robot/base", reported.append).advertise("/robot/cmd_vel", Twist, RELIABLE)
     tokens = [
         foreign.session.liveliness().declare_token(f"@ros2_lv/0/{rest}")
         for rest in ("x", "aa/0/0/NN/%/%/listener/more", "aa/0/1/MP/%/%/n/%t/type/hash/qos")
@@ -130,6 +132,6 @@ def test_a_token_that_is_not_rmw_zenohs_disturbs_nobody(network: Network) -> Non
         "/robot/cmd_vel", Vector3, RELIABLE, lambda: None
     )
 
-    assert eventually(lambda: len(complaints) == 1 and len(other) == 1)
+    assert eventually(lambda: len(reported) == 1 and len(other) == 1)
     for token in tokens:
         token.undeclare()

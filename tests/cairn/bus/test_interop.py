@@ -55,7 +55,7 @@ MESSAGES: dict[str, Any] = {
 
 
 class Robot(Component):
-    """Hears and says each of the messages."""
+    """A component that receives and publishes each of the messages."""
 
     word: In[String]
     cmd_vel: In[Twist]
@@ -147,7 +147,7 @@ def robot(network: Network, ros2: Ros2) -> Iterator[Threaded]:
 
 @pytest.fixture(scope="module")
 def known(network: Network, robot: Threaded, ros2: Ros2) -> Network:
-    """Both know all of each other: the other client has no way to settle, but tells its graph."""
+    """Both know each other's declarations; the other client has no barrier, but prints its graph."""
     topics = {f"/robot/{say}{topic}" for topic in MESSAGES for say in ("", "say_")}
     assert eventually(lambda: topics <= {name for name, _ in ros2.ask("topics")})
     assert eventually(lambda: len(nodes(network)) == 2 * len(MESSAGES) + 1)
@@ -155,7 +155,7 @@ def known(network: Network, robot: Threaded, ros2: Ros2) -> Network:
 
 
 def write_definitions(directory: Path) -> None:
-    """A .msg file for each message type that is used, as a ROS 2 installation has them."""
+    """Return a folder with a .msg file per message type, as in a ROS 2 installation."""
     codec = Codec()
     for message in MESSAGES.values():
         first, *others = codec.definition(type(message)).split("=" * 80 + "\n")
@@ -175,7 +175,7 @@ def nodes(network: Network) -> set[str]:
 
 
 @pytest.mark.parametrize("topic", list(MESSAGES))
-def test_what_it_publishes_comes_in_at_a_port(
+def test_message_of_a_ros2_client_reaches_a_port(
     known: Network, robot: Threaded, ros2: Ros2, topic: str
 ) -> None:
     ros2.ask("publish", topic=f"/robot/{topic}", value=to_plain(MESSAGES[topic]))
@@ -185,7 +185,7 @@ def test_what_it_publishes_comes_in_at_a_port(
 
 
 @pytest.mark.parametrize("topic", list(MESSAGES))
-def test_what_a_port_publishes_it_receives(
+def test_message_of_a_port_reaches_a_ros2_client(
     known: Network, robot: Threaded, ros2: Ros2, topic: str
 ) -> None:
     port: Out[Any] = getattr(robot.runtime.component, f"say_{topic}")
@@ -194,13 +194,15 @@ def test_what_a_port_publishes_it_receives(
     assert ros2.ask("hear", topic=f"/robot/say_{topic}") == to_plain(MESSAGES[topic])
 
 
-def test_nothing_of_it_is_refused_or_counted_as_dropped(known: Network, robot: Threaded) -> None:
+def test_messages_of_a_ros2_client_are_neither_invalid_nor_dropped(
+    known: Network, robot: Threaded
+) -> None:
     ports = {port.port: port for port in robot.runtime.status().ports}
 
     assert all((port.dropped, port.invalid) == (0, 0) for port in ports.values())
 
 
-def test_its_nodes_are_in_our_graph(known: Network) -> None:
+def test_nodes_of_a_ros2_client_are_in_our_graph(known: Network) -> None:
     assert nodes(known) == {"/robot/base"} | {
         f"/ros/{does}_{topic}" for topic in MESSAGES for does in ("talks", "hears")
     }
@@ -214,7 +216,7 @@ def test_its_nodes_are_in_our_graph(known: Network) -> None:
     assert talker.type_hash == Codec().type_hash(LaserScan)
 
 
-def test_our_node_is_in_its_graph(known: Network, ros2: Ros2) -> None:
+def test_our_node_is_in_the_graph_of_a_ros2_client(known: Network, ros2: Ros2) -> None:
     # Being a peer, it is now and then told nothing by zenoh 1.10, and has to ask again.
     types = {f"/robot/{name}": [type_name(type(one))] for name, one in MESSAGES.items()}
     assert eventually(lambda: types.items() <= dict(ros2.ask("topics")).items())

@@ -69,21 +69,21 @@ TOKENS: list[tuple[str, NodeEntity | EndpointEntity]] = [
 ]  # fmt: skip
 
 
-def test_the_data_key_of_a_topic() -> None:
+def test_data_key_of_a_topic() -> None:
     assert data_key(0, "/robot1/chatter", type_name(String), Codec().type_hash(String)) == (
         "0/robot1/chatter/std_msgs::msg::dds_::String_/"
         "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
     )
 
 
-def test_the_data_key_of_a_service() -> None:
+def test_data_key_of_a_service() -> None:
     assert data_key(2, "/add_two_ints", "example_interfaces/srv/AddTwoInts", ADD_TWO_INTS) == (
         "2/add_two_ints/example_interfaces::srv::dds_::AddTwoInts_/"
         "RIHS01_e118de6bf5eeb66a2491b5bda11202e7b68f198d6f67922cf30364858239c81a"
     )
 
 
-def test_a_captured_attachment_is_read_and_written() -> None:
+def test_captured_attachment_is_decoded_and_encoded() -> None:
     captured = bytes.fromhex("d80000000000000034dae10162f8c41810f07168d3856ce9f689254cbed6252151")
     attachment = Attachment.decode(captured)
     assert attachment.sequence == 216
@@ -93,7 +93,7 @@ def test_a_captured_attachment_is_read_and_written() -> None:
 
 
 @given(st.integers(1, 2**63 - 1), st.integers(0, 2**63 - 1), st.binary(min_size=16, max_size=16))
-def test_an_attachment_is_what_zenohs_own_serializer_writes(
+def test_attachment_equals_that_of_zenohs_own_serializer(
     sequence: int, sent_ns: int, gid: bytes
 ) -> None:
     attachment = Attachment(sequence, sent_ns, gid)
@@ -103,32 +103,32 @@ def test_an_attachment_is_what_zenohs_own_serializer_writes(
 
 
 @pytest.mark.parametrize("data", [b"", bytes(32), bytes(33), bytes(34), b"x" * 10_000])
-def test_other_bytes_are_no_attachment(data: bytes) -> None:
+def test_other_bytes_are_rejected_as_attachment(data: bytes) -> None:
     with pytest.raises(WireFormatError, match="33 bytes") as refused:
         Attachment.decode(data)
     assert len(str(refused.value)) < 200
 
 
-def test_a_gid_is_the_low_then_the_high_half_of_xxh3_little_endian() -> None:
+def test_gid_is_the_little_endian_xxh3_of_the_token() -> None:
     # XXH3's published test value for no input: high 99aa06d3014798d8, low 6001c324468d497f.
     assert gid("").hex() == "7f498d4624c30160" + "d8984701d306aa99"
     assert len({gid(token) for token, _ in TOKENS}) == len(TOKENS)
 
 
 @pytest.mark.parametrize(("key", "entity"), TOKENS)
-def test_tokens_are_written_and_read(key: str, entity: NodeEntity | EndpointEntity) -> None:
+def test_tokens_are_written_and_parsed(key: str, entity: NodeEntity | EndpointEntity) -> None:
     assert token_key(entity) == key
     assert parse_token(key) == entity
 
 
-def test_a_security_enclave_is_kept() -> None:
+def test_security_enclave_is_kept() -> None:
     key = "@ros2_lv/0/1f/3/3/NN/%acme%arm/%/driver"
     node = parse_token(key)
     assert node == NodeEntity(0, "1f", 3, "/driver", enclave="/acme/arm")
     assert token_key(node) == key
 
 
-def test_humble_tokens_are_read_although_they_have_no_hash() -> None:
+def test_tokens_of_humble_without_type_hash_are_parsed() -> None:
     key = TOKENS[1][0].replace(STRING, "TypeHashNotSupported")
     endpoint = parse_token(key)
     assert isinstance(endpoint, EndpointEntity)
@@ -160,14 +160,14 @@ def test_humble_tokens_are_read_although_they_have_no_hash() -> None:
         TOKENS[1][0] + "x",
     ],
 )
-def test_other_keys_are_no_tokens(key: str) -> None:
+def test_other_keys_are_rejected_as_tokens(key: str) -> None:
     with pytest.raises(WireFormatError) as refused:
         parse_token(key)
     assert len(str(refused.value)) < 500
 
 
 @given(st.text("@ros2_lv/0123%NMPS:,dx", max_size=80))
-def test_any_key_is_a_token_or_refused(text: str) -> None:
+def test_any_key_is_parsed_or_rejected(text: str) -> None:
     for key in (text, f"@ros2_lv/2/aa/0/1/{text}", f"@ros2_lv/2/aa/0/1/MP/%/%/n/%t/{text}"):
         try:
             entity = parse_token(key)
@@ -186,7 +186,7 @@ def test_any_key_is_a_token_or_refused(text: str) -> None:
         (SENSOR.with_depth(42), "2::,:,:,:,,"),
     ],
 )
-def test_qos_is_written_and_read(qos: Qos, chunk: str) -> None:
+def test_qos_is_written_and_parsed(qos: Qos, chunk: str) -> None:
     assert qos_chunk(qos) == chunk
     assert parse_qos_chunk(chunk) == qos
 
@@ -200,7 +200,7 @@ def test_qos_is_written_and_read(qos: Qos, chunk: str) -> None:
         (":1:,3:1,500000000:0,0:2,5,0", LATCHED.with_depth(3)),
     ],
 )
-def test_qos_of_other_writers_is_read(chunk: str, qos: Qos) -> None:
+def test_qos_of_other_implementations_is_parsed(chunk: str, qos: Qos) -> None:
     assert parse_qos_chunk(chunk) == qos
 
 
@@ -210,17 +210,17 @@ def test_qos_of_other_writers_is_read(chunk: str, qos: Qos) -> None:
      "::,10:,:,:,", "::,10:,:,:,,,", "::,10:,:,:,,:", "::,10:x,:,:,,", "::,\u0661:,:,:,,",
      f"::,{'9' * 9000}:,:,:,,", "::,10:,:,:,,\n"],
 )  # fmt: skip
-def test_malformed_qos_is_refused(chunk: str) -> None:
+def test_malformed_qos_is_rejected(chunk: str) -> None:
     with pytest.raises(WireFormatError, match="is not a QoS chunk") as refused:
         parse_qos_chunk(chunk)
     assert len(str(refused.value)) < 500
 
 
-def test_type_names_are_translated_both_ways() -> None:
+def test_type_names_are_converted_both_ways() -> None:
     assert dds_type("nav_msgs/msg/Odometry") == "nav_msgs::msg::dds_::Odometry_"
     assert ros_type("nav_msgs::msg::dds_::Odometry_") == "nav_msgs/msg/Odometry"
 
 
-def test_a_queue_keeps_at_least_one_message() -> None:
+def test_depth_below_one_is_rejected() -> None:
     with pytest.raises(ValueError, match="depth = 0"):
         RELIABLE.with_depth(0)

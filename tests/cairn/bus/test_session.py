@@ -1,4 +1,4 @@
-"""The link of a session to its router: lost, it comes back as long as there is a router."""
+"""A session restores its lost link to the router as long as the router exists."""
 
 import threading
 
@@ -11,7 +11,7 @@ from tests.cairn.bus.network import eventually
 pytestmark = pytest.mark.processes
 
 
-def test_a_router_that_comes_back_in_time_was_never_gone() -> None:
+def test_router_that_comes_back_in_time_counts_as_connected() -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     router = open_router(endpoint)
     with open_client([endpoint]) as session:
@@ -30,7 +30,7 @@ def test_a_router_that_comes_back_in_time_was_never_gone() -> None:
                 one.close()
 
 
-def test_a_router_that_stays_away_is_gone() -> None:
+def test_router_that_stays_away_counts_as_disconnected() -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     router = open_router(endpoint)
     with open_client([endpoint]) as session:

@@ -1,4 +1,4 @@
-"""What a live bus declares and sends is rmw_zenoh's format, seen by a bare Zenoh session."""
+"""A bus declares and sends in rmw_zenoh's format, as seen by a bare Zenoh session."""
 
 import time
 from collections.abc import Callable
@@ -25,7 +25,7 @@ TWIST = "RIHS01_9c45bf16fe0983d80e3cfe750d6835843d265a9a6c46bd2e609fcddde6fb8d2a
 STRING = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
 
 
-def test_a_nodes_tokens(network: Network) -> None:
+def test_liveliness_tokens_of_a_node(network: Network) -> None:
     bus = network.bus()
     zid = bus.session.info.zid()
     localizer = node(bus, "/robot/localizer")
@@ -51,7 +51,7 @@ def test_a_nodes_tokens(network: Network) -> None:
     ]
 
 
-def test_a_message_on_the_wire(network: Network) -> None:
+def test_message_on_the_wire(network: Network) -> None:
     bus = network.bus()
     base = node(bus, "/robot/base")
     writer = base.advertise("/robot/cmd_vel", Twist, SENSOR)
@@ -81,7 +81,7 @@ def test_a_message_on_the_wire(network: Network) -> None:
         assert sample.congestion_control == zenoh.CongestionControl.DROP
 
 
-def test_bulk_gives_way_to_what_is_small_and_urgent(network: Network) -> None:
+def test_bulk_messages_have_lower_priority(network: Network) -> None:
     bus, plain = network.bus(), network.bus()
     robot = node(bus, "/robot/base")
     ring: zenoh.handlers.RingChannel[Any] = zenoh.handlers.RingChannel(10)
@@ -96,7 +96,7 @@ def test_bulk_gives_way_to_what_is_small_and_urgent(network: Network) -> None:
         assert everything.recv().priority == priority
 
 
-def test_the_graph_tells_who_is_there_and_who_has_left(network: Network) -> None:
+def test_graph_lists_nodes_alive_and_omits_closed_ones(network: Network) -> None:
     bus = network.bus()
     one, other = node(bus, "/robot/one"), node(bus, "/other")
     one.advertise("/robot/word", String, SENSOR)
@@ -116,7 +116,7 @@ def _names(network: Network) -> list[str]:
     return [one.name for one in network.graph() if isinstance(one, NodeEntity)]
 
 
-def test_another_domain_is_another_world(network: Network) -> None:
+def test_domains_are_isolated(network: Network) -> None:
     bus = network.bus()
     reader = Reader(node(bus, "/robot/ear"), "/robot/word", String, SENSOR)
     elsewhere = ZenohBus(open_peer([network.endpoint]), domain=7)
@@ -135,9 +135,7 @@ def test_another_domain_is_another_world(network: Network) -> None:
 
 
 @pytest.mark.parametrize("watched_first", [True, False])
-def test_each_endpoint_is_told_once_however_watching_and_coming_race(
-    network: Network, watched_first: bool
-) -> None:
+def test_each_endpoint_is_reported_once_in_any_race(network: Network, watched_first: bool) -> None:
     bus, other = network.bus(), network.bus()
     told: list[EndpointEntity] = []
     ends: list[Callable[[], None]] = []

@@ -32,10 +32,9 @@ def test_without_a_running_deployment_the_remedy_is_told(arguments: tuple[str, .
 
     assert answer.code == 1
     assert answer.out == ""
-    assert answer.err == (
-        f"cairn: no router answers at {endpoint}: is a deployment running (`cairn up`)? "
-        "Name another endpoint with --connect, or in CAIRN_CONNECT\n"
-    )
+    assert f"no router answers at {endpoint}" in answer.err
+    assert "`cairn up`" in answer.err
+    assert "--connect" in answer.err
 
 
 def test_an_endpoint_that_is_none_is_refused() -> None:
