@@ -1,4 +1,4 @@
-"""A control request gets a reply, a rejection, or an error that no reply arrives; it never hangs."""
+"""A control request gets a reply, a rejection, or an error that no reply will arrive."""
 
 import threading
 from collections.abc import Iterator, Mapping
