@@ -147,7 +147,7 @@ def robot(network: Network, ros2: Ros2) -> Iterator[Threaded]:
 
 @pytest.fixture(scope="module")
 def known(network: Network, robot: Threaded, ros2: Ros2) -> Network:
-    """Wait until both know all declarations; the other client has no barrier but prints its graph."""
+    """Wait until both know all declarations; the other client has no barrier, only its graph."""
     topics = {f"/robot/{say}{topic}" for topic in MESSAGES for say in ("", "say_")}
     assert eventually(lambda: topics <= {name for name, _ in ros2.ask("topics")})
     assert eventually(lambda: len(nodes(network)) == 2 * len(MESSAGES) + 1)
