@@ -43,6 +43,7 @@ from cairn.components.localizer.scanner_watch import ScannerWatch
 from cairn.planar.grid import grid_of
 from cairn.planar.messages import packed_poses, planar_pose, with_covariance
 from cairn.planar.odometry import OdometryHistory
+from cairn.planar.pose_tracker import sweep_of
 from cairn.planar.poses import Pose, compose, inverse, relative
 from cairn.planar.scans import rays_of, sweep_s
 from cairn.runtime.rate_limited_log import RateLimitedLog
@@ -273,9 +274,8 @@ class Localizer(Component):
             self._localization.advance(track.integrated_to + STEP_S)
 
     def _fuse_scan(self, ends: float, scan: LaserScan) -> None:
-        began = self._history.at(to_ns(scan.header.stamp))
-        ended = self._history.at(round(ends * SECOND))
-        moved = (0.0, 0.0, 0.0) if began is None or ended is None else relative(began, ended)
+        sweep = sweep_of(scan, self._history.at)
+        moved = sweep.motion if sweep is not None else (0.0, 0.0, 0.0)
         rays = rays_of(scan, self.config.mount.pose, moved)
         self._scanned = ends
         found = self._localization.scan(ends, rays.points(), rays.misses())
@@ -286,10 +286,10 @@ class Localizer(Component):
         header = Header(stamp=scan.header.stamp, frame_id="map")
         if not self._localization.located:
             self._publish_estimate(header, None)
-        elif began is not None:  # else the pose of the odometry frame at that time is not known
+        elif sweep is not None:  # else the pose of the odometry frame at that time is not known
             estimate = self._localization.pose()
             at_first_beam = compose(estimate.mean, inverse(moved))
-            self._publish(header, at_first_beam, began, estimate.covariance)
+            self._publish(header, at_first_beam, sweep.start, estimate.covariance)
 
     def _fuse_objects(self, stamp: float, seen: RecognizedObjectArray) -> None:
         was_located = self._localization.located

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from cairn import SECOND, to_ns
 from cairn.planar.messages import planar_pose
 from cairn.planar.odometry import Added, OdometryHistory
-from cairn.planar.poses import Pose, compose, relative
+from cairn.planar.pose_tracker import sweep_of
+from cairn.planar.poses import Pose, compose
 from cairn.planar.scans import Rays, rays_of, sweep_s
 from cairn.schemas.cairn_nav_msgs import LocalizationEstimate
 from cairn.schemas.sensor_msgs import LaserScan
@@ -63,9 +64,9 @@ class PosedScans:
         if scan is None:
             return None
         self._given_ns = stamp
+        sweep = sweep_of(scan, self._history.at)
+        moved = sweep.motion if sweep is not None else (0.0, 0.0, 0.0)
         ends = stamp + round(sweep_s(scan) * SECOND)
-        began, ended = self._history.at(stamp), self._history.at(ends)
-        moved = relative(began, ended) if began and ended else (0.0, 0.0, 0.0)
         pose = compose(planar_pose(estimate.pose.pose), moved)
         return PosedScan(ends, pose, rays_of(scan, self._mount, moved))
 
