@@ -1,4 +1,4 @@
-"""The base class of every component: what its author overrides, and what it is given."""
+"""The base class of every component: what its author overrides, and what it may use."""
 
 import logging
 from collections.abc import Callable, Mapping
@@ -12,7 +12,7 @@ from cairn.runtime.parameters import Config
 
 
 class ComponentContext(Protocol):
-    """What the runtime gives a component; not for use by component authors."""
+    """What the runtime provides to a component; component authors do not use it directly."""
 
     name: str
     config: Config
@@ -22,11 +22,11 @@ class ComponentContext(Protocol):
     restarts: int
 
     def schedule(self, at: int, call: Callable[[], None]) -> None:
-        """Run `call` once at that time of the component's clock, while active."""
+        """Make `call` once at time `at` [ns] of the component's clock, while active."""
         ...
 
     def post(self, call: Callable[[], None]) -> None:
-        """Run `call` among the handlers, while active; from any thread."""
+        """Make `call` among the handlers, while active; from any thread."""
         ...
 
     def finish(self, reason: str, *, success: bool = True) -> None:
@@ -35,37 +35,42 @@ class ComponentContext(Protocol):
 
 
 class Component:
-    """A task component or a driver: reads ports, writes ports, has parameters and a life cycle.
+    """A task component or a driver, with ports, parameters and a life cycle.
 
-    Subclasses annotate ports (`odom: In[Odometry]`, `pose: Out[PoseStamped]`) and, if they have
-    parameters, `config: TheirConfig`. Handlers (`@on`, `@every`) and life-cycle methods are
-    called one at a time, in order of arrival, so that no locks are needed; not always on the same
-    thread, so that `sqlite3` wants `check_same_thread=False`. An exception fails the component: see
-    `on_error`. Time comes from `self.clock` alone, randomness from `self.random` alone.
+    A subclass annotates its ports (`odom: In[Odometry]`, `pose: Out[PoseStamped]`) and, if it has
+    parameters, `config: TheirConfig`. Handlers (`@on`, `@every`) and life-cycle methods are called
+    one at a time, in order of arrival, so they need no locks. They are not always called on the
+    same thread: `sqlite3`, for example, needs `check_same_thread=False`. An exception fails the
+    component: see `on_error`. Take time only from `self.clock` and randomness only from
+    `self.random`, so that simulation and replay work.
     """
 
     is_supervisor: ClassVar[bool] = False
     clock_source: ClassVar[Literal["deployment", "system", "device"]] = "deployment"
-    """`system`: this component keeps system time even where the deployment's time is simulated.
+    """Where the component's time comes from.
 
-    `device`: it drives a device, which lives in the system's time alone: it is refused in lockstep,
-    and where the deployment's time is simulated.
+    `deployment`: the deployment's clock, which may be simulated. `system`: the system's time, also
+    where the deployment's time is simulated. `device`: the component drives a device, which exists
+    only in the system's time: it is rejected in lockstep and where time is simulated.
     """
 
     config: Config
 
     def __init__(self, context: ComponentContext) -> None:
-        """Called by the runtime; take memory and open devices in `on_configure`, not here."""
+        """Called by the runtime; allocate memory and open devices in `on_configure`, not here."""
         self._context = context
 
     @classmethod
     def config_class(cls) -> type[Config]:
-        """The class that `config` is annotated with."""
+        """Return the class that `config` is annotated with.
+
+        Raises `CairnError` if it is not a subclass of `Config`.
+        """
         annotation = get_type_hints(cls).get("config", Config)
         if not (isinstance(annotation, type) and issubclass(annotation, Config)):
             raise CairnError(
                 f"{cls.__module__}.{cls.__qualname__}: config is annotated {annotation!r}; "
-                "derive its class from cairn.runtime.parameters.Config"
+                "derive its class from cairn.Config"
             )
         return annotation
 
@@ -81,7 +86,7 @@ class Component:
 
     @property
     def log(self) -> logging.Logger:
-        """Writes to the component's log, and to the topic /rosout."""
+        """Writes to the component's log file and to the topic /rosout."""
         return self._context.log
 
     @property
@@ -91,62 +96,62 @@ class Component:
 
     @property
     def restarts(self) -> int:
-        """How often the component was started before in this run: above 0 it may resume work."""
+        """How often the component was restarted in this run; above 0 it may resume its work."""
         return self._context.restarts
 
     def schedule(self, at: int, call: Callable[[], None]) -> None:
-        """Run `call` once when `self.clock` reaches `at` [ns]; forgotten on deactivation."""
+        """Make `call` once when `self.clock` reaches `at` [ns]; discarded on deactivation."""
         self._context.schedule(at, call)
 
     def post(self, call: Callable[[], None]) -> None:
-        """Run `call` as one of the handlers, soon; forgotten if the component is not active then.
+        """Make `call` soon, as one of the handlers; discarded if the component is not active then.
 
-        This, and the log, are all that a thread of a driver's own may use of its component. It
-        returns at once; another thread makes the call.
+        A driver's own thread may use only this and the log of its component. It returns at once;
+        another thread makes the call.
         """
         self._context.post(call)
 
     def finish(self, reason: str, *, success: bool = True) -> None:
-        """End normally, not to be restarted, once the current handler returns.
+        """End normally, without a restart, once the current handler returns.
 
-        Without `success` its work is over, but what it was to do was not done: if that ends the
-        deployment, `cairn up` ends with exit status 1.
+        With `success=False` the component ends normally, but it did not achieve its purpose: if
+        its end ends the deployment, `cairn up` exits with status 1.
         """
         self._context.finish(reason, success=success)
 
     def on_configure(self) -> None:
-        """Take memory, open devices and files; raise to say why it cannot be done."""
+        """Allocate memory, open devices and files; raise an error that says why that fails."""
 
     def on_activate(self) -> None:
-        """Begin to work; from now on handlers are called and messages are sent."""
+        """Start working; from now on handlers are called and messages are sent."""
 
     def on_deactivate(self) -> None:
-        """Stop working, stay configured; the last messages may be sent here."""
+        """Stop working and stay configured; the last messages may be sent here."""
 
     def on_cleanup(self) -> None:
-        """Give back what `on_configure` took."""
+        """Release what `on_configure` allocated and opened."""
 
     def on_shutdown(self) -> None:
-        """Give back everything; the component is not used again."""
+        """Release everything; the component is not used again."""
 
-    def on_error(self, error: Exception) -> bool:  # noqa: ARG002 - for those who override it
-        """Tidy up after an exception in a handler or a transition.
+    def on_error(self, error: Exception) -> bool:  # noqa: ARG002 - for overriding methods
+        """Clean up after an exception in a handler or a transition.
 
-        Return True if the component can be configured anew in the same process; by default
-        it ends, and its supervisor decides.
+        Return True if the component can be configured again in the same process; by default it
+        ends, and its supervisor decides.
         """
         return False
 
     def on_request(self, verb: str, arguments: Mapping[str, Any]) -> Any:  # noqa: ARG002
-        """Answer a control request of the component's own, with a value that JSON can carry.
+        """Return the reply to a control request of the component's own, a value that is JSON.
 
-        Raises `CairnError` for one that it does not know, which is every one by default.
+        Raises `CairnError` for an unknown request, which is every one by default.
         """
-        raise CairnError(f"{self.name} does not know the request {verb}")
+        raise CairnError(f"{self.name}: unknown request {verb}")
 
     def on_parameters(self, new: Config) -> None:
-        """Judge a valid change of parameters before it is made.
+        """Check a valid change of parameters before it takes effect.
 
-        Raise `ParameterRejected` to keep all parameters as they are. `self.config` is still the
-        old one here and becomes `new` when this returns.
+        Raise `ParameterRejected` to keep all parameters as they are. `self.config` is still the old
+        configuration here and becomes `new` when this returns.
         """

@@ -1,4 +1,4 @@
-"""The life cycle of a component, as in ROS 2 managed nodes, with its error transitions."""
+"""The life cycle of a component: states and transitions of ROS 2 managed nodes, and recoveries."""
 
 import logging
 from collections import deque
@@ -7,12 +7,12 @@ from enum import StrEnum
 from cairn.clock import SECOND
 from cairn.errors import CairnError
 
-RECOVERIES = 3
+MAX_RECOVERIES = 3
 RECOVERY_WINDOW_S = 10
 
 
 class LifecycleState(StrEnum):
-    """The primary states."""
+    """The primary states of a component, as in ROS 2 managed nodes."""
 
     UNCONFIGURED = "unconfigured"
     INACTIVE = "inactive"
@@ -21,7 +21,7 @@ class LifecycleState(StrEnum):
 
 
 class Transition(StrEnum):
-    """What can be asked of a component."""
+    """The transitions that can be requested of a component."""
 
     CONFIGURE = "configure"
     ACTIVATE = "activate"
@@ -30,7 +30,7 @@ class Transition(StrEnum):
     SHUTDOWN = "shutdown"
 
 
-_GOAL = {
+_TARGETS = {
     (LifecycleState.UNCONFIGURED, Transition.CONFIGURE): LifecycleState.INACTIVE,
     (LifecycleState.INACTIVE, Transition.ACTIVATE): LifecycleState.ACTIVE,
     (LifecycleState.ACTIVE, Transition.DEACTIVATE): LifecycleState.INACTIVE,
@@ -42,28 +42,32 @@ _GOAL = {
 
 
 def target_state(state: LifecycleState, transition: Transition) -> LifecycleState:
-    """The state that a transition leads to if it succeeds.
+    """Return the state that a transition leads to if it succeeds.
 
-    Raises `CairnError` if the transition does not begin in that state.
+    Raises `CairnError` if the transition does not exist in that state.
     """
-    if (state, transition) not in _GOAL:
-        possible = [other.value for begin, other in _GOAL if begin is state]
+    if (state, transition) not in _TARGETS:
+        possible = [other.value for start, other in _TARGETS if start is state]
         raise CairnError(
             f"cannot {transition} in state {state}; possible are {', '.join(possible) or 'none'}"
         )
-    return _GOAL[state, transition]
+    return _TARGETS[state, transition]
 
 
 class RecoveryLimit:
-    """Counts how often a component recovers from errors by itself: at most 3 times within 10 s."""
+    """Limits how often a component recovers from errors by itself: 3 times within 10 s."""
 
     def __init__(self) -> None:
-        self._times: deque[int] = deque(maxlen=RECOVERIES)
+        self._times: deque[int] = deque(maxlen=MAX_RECOVERIES)
 
-    def admit(self, now: int, log: logging.Logger) -> bool:
-        """Whether one more may be made at time `now` [ns]; it is counted then, else logged."""
-        if len(self._times) == RECOVERIES and now - self._times[0] < RECOVERY_WINDOW_S * SECOND:
-            log.error("%d recoveries within %d s: ends", RECOVERIES, RECOVERY_WINDOW_S)
+    def allow(self, now: int, log: logging.Logger) -> bool:
+        """Count a recovery at time `now` [ns] and return True; log and return False if too many."""
+        if len(self._times) == MAX_RECOVERIES and now - self._times[0] < RECOVERY_WINDOW_S * SECOND:
+            log.error(
+                "no further recovery: %d within %d s is the limit",
+                MAX_RECOVERIES,
+                RECOVERY_WINDOW_S,
+            )
             return False
         self._times.append(now)
         return True

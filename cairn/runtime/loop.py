@@ -1,4 +1,4 @@
-"""The loop of a component: its calls, one at a time in order of arrival, and its timers."""
+"""The loop of a component: makes its calls one at a time, in order of arrival, and on time."""
 
 import math
 import queue
@@ -17,22 +17,22 @@ class Scheduler(Protocol):
     """Where a component's calls are queued: a thread of its own, or the lockstep executor."""
 
     def post(self, call: Callable[[], None]) -> None:
-        """Have `call` made after those before it, never by the calling thread; thread-safe."""
+        """Queue `call` behind those before it; never made by the calling thread; thread-safe."""
         ...
 
     def deliver(self, call: Callable[[], None]) -> None:
-        """As `post`, for the thread that received a message: it may make the call itself."""
+        """Queue `call` for a received message; the calling thread may make it itself."""
         ...
 
     def wake_at(self, time: int) -> None:
-        """Have the component's `on_time` called at `time` of the system clock [ns].
+        """Call the function given to `bind` at `time` of the system clock [ns].
 
         Replaces the time set before; only from within a call.
         """
         ...
 
     def bind(self, on_time: Callable[[], None]) -> None:
-        """Name the function that runs due timers."""
+        """Set the function that runs due timers."""
         ...
 
     def stop(self) -> None:
@@ -41,13 +41,13 @@ class Scheduler(Protocol):
 
 
 class ThreadLoop:
-    """Makes the calls of one component, one at a time, whatever thread they come from.
+    """Makes the calls of one component, one at a time, on whatever thread they come from.
 
-    The thread that received a message makes the call itself if no other call is being made:
-    waking a second thread for it would cost more than most handlers take. Calls are made in
-    their order of arrival. The loop's own thread, that of `run`, does it for what was posted and
-    for timers, and goes on with what came while a message was handled: a thread that receives
-    has to get back to its topic.
+    The thread that received a message makes the call itself if no other call is in progress:
+    waking a second thread for it would cost more than most handlers take. Calls are made in order
+    of arrival. The loop's own thread, which is in `run`, makes the calls that were posted and those
+    of timers, and continues with calls that arrived while a message was handled, because a
+    receiving thread has to return to its topic.
     """
 
     def __init__(self) -> None:
@@ -57,35 +57,35 @@ class ThreadLoop:
         self._clock = SystemClock()
         self._wake_at: int | None = None
         self._asleep_until = -math.inf  # of the loop's own thread
-        self._on_time: Callable[[], None] = _nothing
+        self._on_time: Callable[[], None] = _do_nothing
         self._running = True
-        self._over = False
+        self._finished = False
         self._failure: Exception | None = None
 
     def post(self, call: Callable[[], None]) -> None:
-        """Have `call` made, not by the calling thread."""
+        """Queue `call`; another thread than the calling one makes it."""
         self._calls.append(call)
         self._bell.put(None)
-        self._drop_if_over()
+        self._discard_if_finished()
 
     def deliver(self, call: Callable[[], None]) -> None:
-        """Have `call` made, by the calling thread if no other is at it."""
+        """Queue `call`; the calling thread makes it if no other call is in progress."""
         self._calls.append(call)
         self._make_calls(len(self._calls))
         if self._calls:
             self._bell.put(None)
-        self._drop_if_over()
+        self._discard_if_finished()
 
     def wake_at(self, time: int) -> None:
-        """Have the due timers run at `time` of the system clock [ns]."""
-        # Waits go by a clock that nobody sets; `time` itself may be set back for hours.
+        """Run the due timers at `time` of the system clock [ns]."""
+        # Waits use the monotonic clock, which is never set; the system clock may be set back.
         due = monotonic.monotonic_ns() + time - self._clock.now()
         self._wake_at = due
         if due < self._asleep_until:
             self._bell.put(None)
 
     def bind(self, on_time: Callable[[], None]) -> None:
-        """Name the function that runs due timers."""
+        """Set the function that runs due timers."""
         self._on_time = on_time
 
     def stop(self) -> None:
@@ -94,7 +94,7 @@ class ThreadLoop:
         self._bell.put(None)
 
     def run(self) -> None:
-        """Make calls until `stop`; raises what a call has let through, which none should."""
+        """Make calls until `stop`; raises an exception that a call has let through."""
         while self._running:
             self._sleep()
             if self._wake_at is not None and self._wake_at <= monotonic.monotonic_ns():
@@ -102,14 +102,14 @@ class ThreadLoop:
                 self._calls.append(self._on_time)
             while self._make_calls(len(self._calls)):
                 pass
-        with self._turn:  # the last call may be another thread's
-            self._over = True
-        self._drop_if_over()
+        with self._turn:  # the last call may be in progress on another thread
+            self._finished = True
+        self._discard_if_finished()
         if self._failure is not None:
             raise self._failure
 
     def _sleep(self) -> None:
-        # First say "asleep", then look for how long: a time set meanwhile rings the bell.
+        # Announce the sleep before reading its end: a time set in between rings the bell.
         self._asleep_until = math.inf
         due = self._wake_at
         wait = _LONGEST_WAIT_S
@@ -124,8 +124,8 @@ class ThreadLoop:
             self._asleep_until = -math.inf
 
     def _make_calls(self, most: int) -> bool:
-        """Make so many calls unless another thread is at it; whether there is more to do."""
-        # After the turn is given back, look again: a call may have come while it was still held.
+        """Make up to `most` calls unless another thread makes some; return whether any are left."""
+        # Check again after releasing the turn: a call may have arrived while it was still held.
         while self._calls and self._running and most > 0:
             if not self._turn.acquire(blocking=False):
                 return False
@@ -140,11 +140,11 @@ class ThreadLoop:
                 self._turn.release()
         return bool(self._calls) and self._running
 
-    def _drop_if_over(self) -> None:
-        # Whoever waits for the answer to a request that is dropped learns so at once.
-        if self._over:
+    def _discard_if_finished(self) -> None:
+        # A process that waits for the reply to a discarded request learns so at once.
+        if self._finished:
             self._calls.clear()
 
 
-def _nothing() -> None:
-    """Before `bind` there are no timers."""
+def _do_nothing() -> None:
+    """Stand in for the function that runs timers, before `bind`."""

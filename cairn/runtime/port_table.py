@@ -1,4 +1,4 @@
-"""The ports of one running component: advertised, subscribed, delivered and counted."""
+"""The ports of one running component: publishes, subscribes, delivers messages, counts them."""
 
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
@@ -30,7 +30,7 @@ class PortOwner(Protocol):
 
     @property
     def may_publish(self) -> bool:
-        """Whether messages may leave now."""
+        """Whether messages may be sent now."""
         ...
 
     def run(self, where: str, call: Callable[..., None], *arguments: Any) -> None:
@@ -50,6 +50,7 @@ class PortTable:
         robot: str,
         topics: Mapping[str, str],
     ) -> None:
+        """Bind the ports; `topics` gives those that are not named after their port."""
         self._component = component
         handlers = handlers_of(type(component))
         self._timers = [
@@ -76,44 +77,44 @@ class PortTable:
                 self._outputs.append(output)
 
     def advertise(self) -> None:
-        """Announce the outputs."""
+        """Open the publishers of the outputs."""
         for output in self._outputs:
             output.open()
 
     def subscribe(self) -> None:
-        """Begin to receive."""
+        """Open the subscriptions of the inputs."""
         for port in self._inputs:
             port.open()
 
     def drain(self) -> None:
-        """Handle what waits already."""
+        """Handle the messages that are pending."""
         for port in self._inputs:
             port.drain()
 
     def unsubscribe(self) -> None:
-        """Cease to receive."""
+        """Close the subscriptions."""
         for port in self._inputs:
             port.close()
 
-    def forget(self) -> None:
-        """Withdraw the outputs and forget what was received."""
+    def reset(self) -> None:
+        """Close the publishers and clear the latest messages."""
         for output in self._outputs:
             output.close()
         for port in self._inputs:
-            port.bound.handled(None)
+            port.bound.set_latest(None)
 
     def timers(self) -> Iterator[tuple[str, int, Callable[[], None]]]:
-        """The periodic handlers: name, period [ns], method."""
+        """Yield the periodic handlers: name, period [ns], method."""
         yield from self._timers
 
-    def carriers(self, message: str) -> list[str]:
-        """The outputs whose messages are of the type of that name, or hold one of it."""
+    def outputs_with(self, message: str) -> list[str]:
+        """Return the outputs whose messages have the type of that name, or a field of it."""
         return [
-            output.spec.name for output in self._outputs if _holds(output.spec.message, message)
+            output.spec.name for output in self._outputs if _contains(output.spec.message, message)
         ]
 
     def status(self) -> tuple[PortStatus, ...]:
-        """The counters of every port."""
+        """Return the counters of every port."""
         return (
             *(port.status() for port in self._inputs),
             *(output.status() for output in self._outputs),
@@ -135,10 +136,10 @@ class _Input:
         self._topic = topic
         self._owner = owner
         self._node = node
-        self._wake = partial(scheduler.deliver, self._woken)
+        self._wake = partial(scheduler.deliver, self._on_wake_up)
         self._calls = [(f"{name} (port {spec.name})", call) for name, call in calls]
         self._subscription: Subscription | None = None
-        # The subscription to count, and what came before it; one tuple, read by other threads.
+        # The subscription to count, and the counts before it; one tuple, read by other threads.
         self._counted: tuple[Subscription | None, Counts] = (None, (0, 0, 0))
 
     def open(self) -> None:
@@ -149,7 +150,8 @@ class _Input:
             self._counted = (self._subscription, self._counted[1])
 
     def drain(self) -> None:
-        # Not more than fits into the port: a writer faster than the handlers must not hold it up.
+        # Not more than the port's depth: a publisher faster than the handlers must not keep the
+        # component from deactivating.
         for _ in range(self._spec.qos.depth):
             if not self._deliver():
                 return
@@ -177,29 +179,30 @@ class _Input:
             return received, dropped, invalid
         return received + now.received, dropped + now.dropped, invalid + now.invalid
 
-    def _woken(self) -> None:
+    def _on_wake_up(self) -> None:
         self._deliver()
 
     def _deliver(self) -> bool:
+        """Hand the oldest pending message to the handlers; return whether there was one."""
         if self._subscription is None:
             return False
         try:
             message = self._subscription.take()
         except InvalidMessage as error:
-            self._complain(error)
+            self._log_invalid(error)
             return True
         if message is None:
             return False
-        self.bound.handled(message)
+        self.bound.set_latest(message)
         for where, call in self._calls:
             self._owner.run(where, call, message)
         return True
 
-    def _complain(self, error: InvalidMessage) -> None:
+    def _log_invalid(self, error: InvalidMessage) -> None:
         count = self._counts()[2]
-        if count & (count - 1) == 0:  # the 1st, 2nd, 4th, 8th ...: told, never flooding the log
+        if count & (count - 1) == 0:  # the 1st, 2nd, 4th, 8th ... do not flood the log
             self._owner.log.error(
-                "port %s: message on %s refused (%d so far): %s",
+                "port %s: rejected invalid message on %s (%d so far): %s",
                 self._spec.name, self._topic, count, error,
             )  # fmt: skip
 
@@ -208,7 +211,9 @@ class _Output:
     def __init__(
         self, component: str, spec: PortSpec, topic: str, owner: PortOwner, node: Node
     ) -> None:
-        self.bound: BoundOut[Any] = BoundOut(component, spec, topic, self._send, self._wanted)
+        self.bound: BoundOut[Any] = BoundOut(
+            component, spec, topic, self._send, self._has_subscribers
+        )
         self.spec = spec
         self._topic = topic
         self._owner = owner
@@ -238,10 +243,10 @@ class _Output:
         )
 
     def _sent(self) -> int:
-        now, past = self._counted
-        return past if now is None else past + now.published
+        now, before = self._counted
+        return before if now is None else before + now.published
 
-    def _wanted(self) -> bool:
+    def _has_subscribers(self) -> bool:
         publisher = self._publisher
         return publisher is not None and self._owner.may_publish and publisher.has_subscribers
 
@@ -250,8 +255,8 @@ class _Output:
             self._publisher.publish(message)
 
 
-def _holds(message: type[Any], name: str) -> bool:
+def _contains(message: type[Any], name: str) -> bool:
     return type_name(message) == name or any(
-        isinstance(field.element, type) and _holds(field.element, name)
+        isinstance(field.element, type) and _contains(field.element, name)
         for field in fields_of(message)
     )

@@ -1,4 +1,4 @@
-"""Ports and handlers: what a component class declares that it reads, writes and runs."""
+"""Ports and handlers: what a component class declares that it reads, publishes and runs."""
 
 import typing
 from collections.abc import Callable
@@ -11,13 +11,14 @@ from cairn.errors import CairnError
 from cairn.schemas.message import type_name
 
 T = TypeVar("T")
+Method = TypeVar("Method", bound=Callable[..., None])
 
 
 class In(Generic[T]):
-    """An input, declared in the body of a component: `odom: In[Odometry] = In(qos=SENSOR)`.
+    """An input port, declared in the body of a component: `odom: In[Odometry] = In(qos=SENSOR)`.
 
     A bare annotation `odom: In[Odometry]` means `In()`. With `optional=True` the component works
-    without a writer, and the check of a deployment does not ask for one.
+    without a publisher, and the check of a deployment does not require one.
     """
 
     def __init__(self, qos: Qos = RELIABLE, *, optional: bool = False) -> None:
@@ -36,21 +37,25 @@ class In(Generic[T]):
 
 
 class Out(Generic[T]):
-    """An output, declared in the body of a component: `pose: Out[Pose]`, or `= Out(qos=...)`."""
+    """An output port, declared in the body of a component: `pose: Out[PoseStamped]`.
+
+    Its quality of service is given as a default: `map: Out[OccupancyGrid] = Out(qos=LATCHED)`.
+    """
 
     def __init__(self, qos: Qos = RELIABLE) -> None:
         self.qos = qos
 
     @property
     def topic(self) -> str:
-        """The topic that the port writes in this deployment; `CairnError` on a declaration."""
+        """The topic that the port publishes on in this deployment; `CairnError` if declared."""
         raise _not_bound("Out")
 
     @property
     def has_subscribers(self) -> bool:
-        """Whether a message published now would come to anybody; `CairnError` on a declaration.
+        """Whether a message published now would be received; always True on a latched port.
 
-        For messages that are costly to make; all others are just published.
+        For messages that are costly to compute; just publish all others. Raises `CairnError` on a
+        declaration.
         """
         raise _not_bound("Out")
 
@@ -80,8 +85,8 @@ class BoundIn(In[T]):
         """The last message handled, None before the first."""
         return self._latest
 
-    def handled(self, message: T | None) -> None:
-        """Note the message handed to the component's handlers; None forgets it (clean-up)."""
+    def set_latest(self, message: T | None) -> None:
+        """Set the last message handed to the component's handlers; None clears it."""
         self._latest = message
 
 
@@ -97,7 +102,7 @@ class BoundOut(Out[T]):
         has_subscribers: Callable[[], bool],
     ) -> None:
         super().__init__(spec.qos)
-        self._wanted = has_subscribers
+        self._has_subscribers = has_subscribers
         self._component = component
         self._spec = spec
         self._topic = topic
@@ -105,27 +110,27 @@ class BoundOut(Out[T]):
 
     @property
     def topic(self) -> str:
-        """The topic that the port writes in this deployment."""
+        """The topic that the port publishes on in this deployment."""
         return self._topic
 
     @property
     def has_subscribers(self) -> bool:
-        """Whether a message published now would come to anybody."""
-        return self._wanted()
+        """Whether a message published now would be received; always True on a latched port."""
+        return self._has_subscribers()
 
     def publish(self, message: T) -> None:
         """Send a message; `CairnError` if it is of another type than the port's."""
         if not isinstance(message, self._spec.message):
             raise CairnError(
-                f"{self._component}: port {self._spec.name} writes "
-                f"{type_name(self._spec.message)}, not {_given(message)}"
+                f"{self._component}: port {self._spec.name} publishes "
+                f"{type_name(self._spec.message)}, not {_type_of(message)}"
             )
         self._send(message)
 
 
 @dataclass(frozen=True)
 class PortSpec:
-    """What a component class declares of one port."""
+    """What a component class declares about one port."""
 
     name: str
     direction: Literal["in", "out"]
@@ -135,7 +140,7 @@ class PortSpec:
 
 
 def ports_of(cls: type) -> dict[str, PortSpec]:
-    """The ports that a component class and its bases declare, in order of declaration.
+    """Return the ports that a component class and its bases declare, in order of declaration.
 
     Raises `CairnError` for a port without a message type, whose message class is not one of
     `cairn.schemas.message`, or whose default is not a port of the annotated direction.
@@ -144,8 +149,8 @@ def ports_of(cls: type) -> dict[str, PortSpec]:
         hints = typing.get_type_hints(cls, include_extras=True)
     except (NameError, TypeError) as error:
         raise CairnError(
-            f"{_name(cls)}: its annotations cannot be evaluated ({error}); import at module level, "
-            "outside `if TYPE_CHECKING`, every name that the class body annotates"
+            f"{_qualified_name(cls)}: its annotations cannot be evaluated ({error}); import at "
+            "module level, outside `if TYPE_CHECKING`, every name that the class body annotates"
         ) from error
     ports: dict[str, PortSpec] = {}
     for name, hint in hints.items():
@@ -156,74 +161,6 @@ def ports_of(cls: type) -> dict[str, PortSpec]:
     for name, port in _unannotated(cls, ports).items():
         raise _no_message_type(cls, name, type(port))
     return ports
-
-
-def _port(cls: type, name: str, kind: type, arguments: tuple[Any, ...]) -> PortSpec:
-    if not arguments or not isinstance(arguments[0], type):
-        raise _no_message_type(cls, name, kind)
-    message = arguments[0]
-    try:
-        type_name(message)
-    except TypeError as error:
-        raise CairnError(
-            f"{_name(cls)}.{name}: {_name(message)} is not a message; "
-            "a port carries a class decorated with @message of cairn.schemas.message"
-        ) from error
-    declared = getattr(cls, name, None)
-    if declared is None:
-        declared = kind()
-    if isinstance(declared, In) and kind is In:
-        return PortSpec(name, "in", message, declared.qos, declared.optional)
-    if isinstance(declared, Out) and kind is Out:
-        return PortSpec(name, "out", message, declared.qos)
-    owner = next(base for base in cls.__mro__ if name in vars(base))
-    if name not in vars(owner).get("__annotations__", {}):
-        raise CairnError(
-            f"{_name(cls)}.{name}: {owner.__name__} uses the name {name} itself; "
-            "give the port another name"
-        )
-    raise CairnError(
-        f"{_name(cls)}.{name}: annotated {kind.__name__}, but its default is "
-        f"{type(declared).__name__}; give {kind.__name__}(...) or no default"
-    )
-
-
-def _unannotated(cls: type, ports: dict[str, PortSpec]) -> dict[str, In[Any] | Out[Any]]:
-    return {
-        name: value
-        for base in cls.__mro__
-        for name, value in vars(base).items()
-        if isinstance(value, In | Out) and name not in ports
-    }
-
-
-def _no_message_type(cls: type, name: str, kind: type) -> CairnError:
-    return CairnError(
-        f"{_name(cls)}.{name}: the port has no message type; "
-        f"annotate it, as in `{name}: {kind.__name__}[LaserScan]`"
-    )
-
-
-def _not_bound(kind: str) -> CairnError:
-    return CairnError(
-        f"this {kind} port is a declaration; only the ports of a component that a deployment, "
-        "an executor or a test has started can be used"
-    )
-
-
-def _given(message: object) -> str:
-    try:
-        return type_name(type(message))
-    except TypeError:
-        return _name(type(message))
-
-
-def _name(cls: type) -> str:
-    return f"{cls.__module__}.{cls.__qualname__}"
-
-
-Method = TypeVar("Method", bound=Callable[..., None])
-_MARK = "_cairn_handler"
 
 
 @dataclass(frozen=True)
@@ -240,63 +177,130 @@ class TimerHandler:
     period_ns: int
 
 
-def on(port: str) -> Callable[[Method], Method]:
-    """Call the method with each message of the input `port`, one at a time, while active.
+_HANDLER_ATTRIBUTE = "_cairn_handler"
 
-    Raises `CairnError` for a method that is marked already.
+
+def on(port: str) -> Callable[[Method], Method]:
+    """Decorate a method to be called with each message of the input `port`, while active.
+
+    Raises `CairnError` for a method that is decorated already.
     """
 
-    def mark(method: Method) -> Method:
+    def decorate(method: Method) -> Method:
         return _marked(method, PortHandler(port))
 
-    return mark
+    return decorate
 
 
 def every(*, hz: float) -> Callable[[Method], Method]:
-    """Call the method `hz` times per second of the component's clock while active.
+    """Decorate a method to be called `hz` times per second of the component's clock, while active.
 
-    Periods that were missed are not made up for. Raises `CairnError` unless 0 < hz <= 1000, and
-    for a method that is marked already.
+    Missed periods are skipped. Raises `CairnError` unless 0 < hz <= 1000, and for a method that
+    is decorated already.
     """
     if not 0 < hz <= 1000:
         raise CairnError(f"@every(hz={hz}): a rate must be above 0 and at most 1000 Hz")
 
-    def mark(method: Method) -> Method:
+    def decorate(method: Method) -> Method:
         return _marked(method, TimerHandler(round(SECOND / hz)))
 
-    return mark
-
-
-def _marked(method: Method, handler: PortHandler | TimerHandler) -> Method:
-    if hasattr(method, _MARK):
-        raise CairnError(
-            f"{method.__qualname__} has two of the decorators @on and @every; "
-            "write a method for each"
-        )
-    setattr(method, _MARK, handler)
-    return method
+    return decorate
 
 
 def handlers_of(cls: type) -> dict[str, PortHandler | TimerHandler]:
-    """The marked methods of a component class by name, in order of declaration, bases first.
+    """Return the decorated methods of a component class, in order of declaration, bases first.
 
     Raises `CairnError` for a handler of a port that is not an input of the class.
     """
     ports = ports_of(cls)
-    found: dict[str, PortHandler | TimerHandler] = {}
+    handlers: dict[str, PortHandler | TimerHandler] = {}
     for base in reversed(cls.__mro__):
         for name, value in vars(base).items():
-            handler: Any = getattr(value, _MARK, None)
+            handler: Any = getattr(value, _HANDLER_ATTRIBUTE, None)
             if handler is None:
-                found.pop(name, None)
+                handlers.pop(name, None)
                 continue
             if isinstance(handler, PortHandler):
                 spec = ports.get(handler.port)
                 if spec is None or spec.direction != "in":
                     inputs = [port.name for port in ports.values() if port.direction == "in"]
                     raise CairnError(
-                        f"{cls.__module__}.{cls.__qualname__}.{name}: there is no input port "
-                        f"{handler.port}; the inputs are {', '.join(inputs) or 'none'}"
+                        f"{_qualified_name(cls)}.{name}: there is no input port {handler.port}; "
+                        f"the inputs are {', '.join(inputs) or 'none'}"
                     )
-            found[name] = handler
-    return found
+            handlers[name] = handler
+    return handlers
+
+
+def _marked(method: Method, handler: PortHandler | TimerHandler) -> Method:
+    if hasattr(method, _HANDLER_ATTRIBUTE):
+        raise CairnError(
+            f"{method.__qualname__} has two of the decorators @on and @every; "
+            "write a method for each"
+        )
+    setattr(method, _HANDLER_ATTRIBUTE, handler)
+    return method
+
+
+def _port(cls: type, name: str, kind: type, arguments: tuple[Any, ...]) -> PortSpec:
+    if not arguments or not isinstance(arguments[0], type):
+        raise _no_message_type(cls, name, kind)
+    message = arguments[0]
+    try:
+        type_name(message)
+    except TypeError as error:
+        raise CairnError(
+            f"{_qualified_name(cls)}.{name}: {_qualified_name(message)} is not a message; "
+            "use a class decorated with @message of cairn.schemas.message"
+        ) from error
+    declared = getattr(cls, name, None)
+    if declared is None:
+        declared = kind()
+    if isinstance(declared, In) and kind is In:
+        return PortSpec(name, "in", message, declared.qos, declared.optional)
+    if isinstance(declared, Out) and kind is Out:
+        return PortSpec(name, "out", message, declared.qos)
+    owner = next(base for base in cls.__mro__ if name in vars(base))
+    if name not in vars(owner).get("__annotations__", {}):
+        raise CairnError(
+            f"{_qualified_name(cls)}.{name}: {owner.__name__} uses the name {name} itself; "
+            "give the port another name"
+        )
+    raise CairnError(
+        f"{_qualified_name(cls)}.{name}: annotated {kind.__name__}, but its default is "
+        f"{type(declared).__name__}; give {kind.__name__}(...) or no default"
+    )
+
+
+def _unannotated(cls: type, ports: dict[str, PortSpec]) -> dict[str, In[Any] | Out[Any]]:
+    return {
+        name: value
+        for base in cls.__mro__
+        for name, value in vars(base).items()
+        if isinstance(value, In | Out) and name not in ports
+    }
+
+
+def _no_message_type(cls: type, name: str, kind: type) -> CairnError:
+    return CairnError(
+        f"{_qualified_name(cls)}.{name}: the port has no message type; "
+        f"annotate it, as in `{name}: {kind.__name__}[LaserScan]`"
+    )
+
+
+def _not_bound(kind: str) -> CairnError:
+    return CairnError(
+        f"this {kind} port is a declaration; only the ports of a component that a deployment, "
+        "an executor or a test has started can be used"
+    )
+
+
+def _type_of(message: object) -> str:
+    try:
+        return type_name(type(message))
+    except TypeError:
+        return _qualified_name(type(message))
+
+
+def _qualified_name(cls: type) -> str:
+    return f"{cls.__module__}.{cls.__qualname__}"

@@ -1,4 +1,4 @@
-"""What a component complains of again and again, told without flooding its log."""
+"""Warnings that repeat, logged without flooding the log."""
 
 from __future__ import annotations
 
@@ -6,23 +6,24 @@ import logging
 
 
 class RateLimitedLog:
-    """Counts complaints by what they are about, and logs some of them."""
+    """Logs the 1st, 2nd, 4th, 8th ... warning about each subject, and once that it is resolved.
+
+    For conditions that a component meets again and again, such as an input that stays away.
+    """
 
     def __init__(self, log: logging.Logger) -> None:
+        """Write to `log`, usually a component's `self.log`."""
         self._log = log
-        self._told: dict[str, int] = {}
+        self._counts: dict[str, int] = {}
 
-    def resolved(self, about: str, what: str) -> None:
-        """Note that there is nothing to complain of: the next time is a first one.
-
-        If there was, `what` is logged: how it is now.
-        """
-        if self._told.pop(about, None) is not None:
-            self._log.info("%s", what)
-
-    def warn(self, about: str, what: str) -> None:
-        """Log the 1st, 2nd, 4th, 8th ... complaint about something."""
-        count = self._told[about] = self._told.get(about, 0) + 1
+    def warn(self, subject: str, message: str) -> None:
+        """Count a warning about `subject`; log the 1st, 2nd, 4th, 8th ... with the count."""
+        count = self._counts[subject] = self._counts.get(subject, 0) + 1
         if count & (count - 1) == 0:
-            so_often = f" ({count} times so far)" if count > 1 else ""
-            self._log.warning("%s%s", what, so_often)
+            repeated = f" ({count} times so far)" if count > 1 else ""
+            self._log.warning("%s%s", message, repeated)
+
+    def resolved(self, subject: str, message: str) -> None:
+        """Reset the count of `subject`; log `message`, the state now, if there were warnings."""
+        if self._counts.pop(subject, None) is not None:
+            self._log.info("%s", message)

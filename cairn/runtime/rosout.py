@@ -1,4 +1,4 @@
-"""Log records on topic /rosout, as every ROS 2 node publishes its own."""
+"""Log records on topic /rosout, where every ROS 2 node publishes its log."""
 
 import json
 import logging
@@ -11,6 +11,7 @@ from cairn.schemas.rcl_interfaces import Log
 
 ROSOUT = "/rosout"
 ROSOUT_QOS = Qos("reliable", "transient_local", 1000)
+"""As ROS 2 defines it: the last 1000 records of each node are latched."""
 
 _LEVELS = {
     logging.DEBUG: 10,
@@ -30,27 +31,15 @@ class RosoutHandler(logging.Handler):
         self._publisher = node.advertise(ROSOUT, Log, ROSOUT_QOS)
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Publish one record; `logging` calls this under the handler's lock."""
+        """Publish one record; `logging` calls this with the handler's lock held."""
         try:
-            self._publisher.publish(_entry(record))
+            self._publisher.publish(_log_message(record))
         except Exception:  # a log statement must not fail the component
             self.handleError(record)
 
 
-def _entry(record: logging.LogRecord) -> Log:
-    return Log(
-        stamp=from_ns(int(record.created * SECOND)),
-        level=_LEVELS.get(record.levelno, 20),
-        name=record.name.removeprefix("cairn."),
-        msg=wire_safe_text(record.getMessage()),
-        file=wire_safe_text(record.filename),
-        function=record.funcName or "",
-        line=record.lineno,
-    )
-
-
 def render(entry: Log, *, as_json: bool = False) -> str:
-    """One log message as a line, or as JSON."""
+    """Return one log message as a line of text, or as JSON."""
     seconds = entry.stamp.sec + entry.stamp.nanosec / SECOND
     level = _NAMES.get(entry.level, str(entry.level))
     if as_json:
@@ -62,5 +51,17 @@ def render(entry: Log, *, as_json: bool = False) -> str:
 
 
 def wire_safe_text(text: str) -> str:
-    """Any text as a message can hold it: without NUL, and of characters that UTF-8 has."""
+    """Return a text as a message can hold it: without NUL and without lone surrogates."""
     return text.replace("\0", "?").encode("utf-8", "replace").decode()
+
+
+def _log_message(record: logging.LogRecord) -> Log:
+    return Log(
+        stamp=from_ns(int(record.created * SECOND)),
+        level=_LEVELS.get(record.levelno, 20),
+        name=record.name.removeprefix("cairn."),
+        msg=wire_safe_text(record.getMessage()),
+        file=wire_safe_text(record.filename),
+        function=record.funcName or "",
+        line=record.lineno,
+    )

@@ -1,4 +1,4 @@
-"""Run one component: join it to the bus, its clock and its loop, and walk its life cycle."""
+"""Runtime of one component: its life cycle, errors, requests and status, on a bus and a loop."""
 
 import logging
 import os
@@ -29,11 +29,12 @@ from cairn.schemas.cairn_msgs import ComponentStatus
 from cairn.schemas.message import InvalidMessage
 from cairn.schemas.std_msgs import Header
 
-SETTLE_LIMIT_S = 2.0
+DISCOVERY_TIMEOUT_S = 2.0
+"""Limit for the discovery barrier at activation; processes not reached are logged then."""
 
 
 class Runtime:
-    """One running component. Of its methods only `status` and `post` are for any thread."""
+    """Runs one component; only `status` and `post` may be called from any thread."""
 
     def __init__(
         self,
@@ -45,9 +46,18 @@ class Runtime:
         on_end: Callable[[ExitReport], None],
         awake: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Construct the component; `CairnError` names it, its plugin and what went wrong.
+        """Construct the component.
 
-        `awake` is the time [s] by which it is told how long a handler has been at work.
+        Args:
+            component: class of the component.
+            launch: its part of the deployment, and which start this is.
+            bus: the bus of its process.
+            scheduler: makes its calls.
+            system_clock: the system's clock, or lockstep time.
+            on_end: called once, when the component has ended.
+            awake: time [s] in which the duration of handlers is measured.
+
+        Raises `CairnError`, with component, plugin and cause, if it cannot be constructed.
         """
         self.launch = launch
         self.name = launch.name
@@ -61,11 +71,11 @@ class Runtime:
         self._on_end = on_end
         self._awake = awake
         self._state = LifecycleState.UNCONFIGURED
-        self._walking: Transition | None = None
-        self._busy: tuple[str, float] | None = None
+        self._in_transition: Transition | None = None
+        self._current_call: tuple[str, float] | None = None
         self._finishing: ExitReport | None = None
         self._reason = f"restarted: {launch.previous_exit}" if launch.previous_exit else ""
-        self._recoveries = RecoveryLimit()
+        self._recovery_limit = RecoveryLimit()
         if component.clock_source == "device" and (
             launch.context.simulated_time or not isinstance(system_clock, SystemClock)
         ):
@@ -75,12 +85,14 @@ class Runtime:
                 "or put a simulated driver in its place"
             )
         simulated = launch.context.simulated_time and component.clock_source == "deployment"
-        told = SimulatedClock() if simulated else None
-        self.clock: Clock = system_clock if told is None else told
-        self._timing = ComponentTimers(self.clock, scheduler, self.log, told=told is not None)
+        simulated_clock = SimulatedClock() if simulated else None
+        self.clock: Clock = system_clock if simulated_clock is None else simulated_clock
+        self._timers = ComponentTimers(
+            self.clock, scheduler, self.log, simulated=simulated_clock is not None
+        )
         self.node = bus.node(full_name(launch.context.robot, launch.name), self.log.error)
         try:
-            self._construct(component, told)
+            self._construct(component, simulated_clock)
         except (Exception, SystemExit) as error:
             self.node.close()
             raise CairnError(
@@ -93,12 +105,12 @@ class Runtime:
         return self._state
 
     def schedule(self, at: int, call: Callable[[], None]) -> None:
-        """Have the component's `call` made at `at` [ns] of its clock."""
+        """Make the component's `call` at `at` [ns] of its clock."""
         name = getattr(call, "__name__", "scheduled call")
-        self._timing.at(at, partial(self.run, name, call))
+        self._timers.at(at, partial(self.run, name, call))
 
     def post(self, call: Callable[[], None]) -> None:
-        """Have the component's `call` made among its handlers; from any thread."""
+        """Make the component's `call` among its handlers; from any thread."""
         name = getattr(call, "__name__", "posted call")
         self._scheduler.post(partial(self.run, name, call))
 
@@ -107,31 +119,31 @@ class Runtime:
         self._finishing = ExitReport(True, reason or "finished", success)
 
     def transition(self, transition: Transition) -> None:
-        """Walk one step of the life cycle.
+        """Make one transition of the life cycle.
 
         Raises `CairnError` with the component's own error if it fails; the component is then
         either unconfigured again (its `on_error` recovered) or has ended.
         """
         end = target_state(self._state, transition)
-        self._walking = transition
+        self._in_transition = transition
         try:
             self._call(f"on_{transition}", self._step, transition)
         except _Failure as failure:
-            self._walking = None
+            self._in_transition = None
             self._fail(failure, last=transition is Transition.SHUTDOWN)
             why = self._reason.removeprefix(f"on_{transition}: ")
             raise CairnError(f"{self.name}: {transition} failed: {why}") from failure.error
         finally:
-            self._walking = None
+            self._in_transition = None
         self._state = end
         if transition is Transition.SHUTDOWN:
             self._ended(self._finishing or ExitReport(True, "shut down"))
         else:
             self.heartbeat.publish()
-            self._finish_if_asked()
+            self._finish_if_requested()
 
     def set_parameters(self, changes: Mapping[str, Any]) -> None:
-        """Change live parameters, all or none; `ParameterRejected` says which and why."""
+        """Change live parameters, all or none; `ParameterRejected` names the one and the reason."""
         new = with_changes(self.config, changes)
         self.component.on_parameters(new)
         self.config = new
@@ -139,7 +151,7 @@ class Runtime:
         self.log.info("parameters changed: %s", dict(changes))
 
     def request(self, verb: str, arguments: Mapping[str, Any]) -> Any:
-        """Answer a control request; raises `CairnError` when it cannot be done."""
+        """Return the reply to a control request; raises `CairnError` if it is rejected or fails."""
         if verb in set(Transition):
             self.transition(Transition(verb))
             return self._state.value
@@ -155,13 +167,13 @@ class Runtime:
             self.log.error("request %s failed", verb, exc_info=failure.error)
             raise CairnError(f"{self.name}: {verb} failed: {_text(failure.error)}") from failure
         finally:
-            self._finish_if_asked()
+            self._finish_if_requested()
 
     def run(self, where: str, call: Callable[..., None], *arguments: Any) -> None:
         """Make one call into the component if it is active; an exception fails the component."""
         if self._state is not LifecycleState.ACTIVE:
             return
-        if self._walking is not None:  # on its way out of `active`, it handles what waits already
+        if self._in_transition is not None:  # while it deactivates, it handles the pending messages
             self._call(where, call, *arguments)
             return
         try:
@@ -169,16 +181,16 @@ class Runtime:
         except _Failure as failure:
             if self._fail(failure):
                 self._scheduler.post(self._recover)
-        self._finish_if_asked()
+        self._finish_if_requested()
 
     def progress(self, what: str) -> None:
-        """Tell the watch that a long call gets on: it is not hung."""
-        if self._busy is not None:
-            self._busy = (what, self._awake())
+        """Report progress of a long call, so that it does not count as hung."""
+        if self._current_call is not None:
+            self._current_call = (what, self._awake())
 
     def status(self) -> ComponentStatus:
-        """The component's status now; from any thread."""
-        busy = self._busy
+        """Return the component's current status; from any thread."""
+        call = self._current_call
         return ComponentStatus(
             header=Header(stamp=from_ns(self._system_clock.now()), frame_id=""),
             component=self.name,
@@ -187,8 +199,8 @@ class Runtime:
             placement=self.launch.placement,
             state=self._state.value,
             pid=os.getpid(),
-            handler=busy[0] if busy else "",
-            handler_s=self._awake() - busy[1] if busy else 0.0,
+            handler=call[0] if call else "",
+            handler_s=self._awake() - call[1] if call else 0.0,
             restarts=self.restarts,
             reason=wire_safe_text(self._reason),
             children=tuple(self.launch.spec.children),
@@ -197,19 +209,26 @@ class Runtime:
 
     @property
     def may_publish(self) -> bool:
-        """Whether messages leave the component: an inactive component publishes nothing."""
-        return self._state is LifecycleState.ACTIVE or self._walking is Transition.ACTIVATE
+        """Whether messages may be sent: an inactive component publishes nothing."""
+        return self._state is LifecycleState.ACTIVE or self._in_transition is Transition.ACTIVATE
 
-    def _construct(self, component: type[Component], told: SimulatedClock | None) -> None:
+    def _construct(
+        self, component: type[Component], simulated_clock: SimulatedClock | None
+    ) -> None:
         self.component = component(self)
         self.component.config = self.config
         robot, topics = self.launch.context.robot, self.launch.spec.topics
         self._ports = PortTable(self.component, self, self.node, self._scheduler, robot, topics)
         self._clock_input: ClockInput | None = None
-        if told is not None:
+        if simulated_clock is not None:
             topic = full_name(robot, topics.get(CLOCK_TOPIC, CLOCK_TOPIC))
             self._clock_input = ClockInput(
-                told, self.node, topic, self._scheduler, self._timing.moved, self.log.error
+                simulated_clock,
+                self.node,
+                topic,
+                self._scheduler,
+                self._timers.on_clock_set,
+                self.log.error,
             )
         self.heartbeat = StatusPublisher(self.node, robot, self.status)
 
@@ -222,18 +241,21 @@ class Runtime:
                 self.component.on_configure()
             case Transition.ACTIVATE:
                 self._ports.subscribe()
-                unreached = self._bus.wait_for_peers(SETTLE_LIMIT_S)
+                unreached = self._bus.wait_for_peers(DISCOVERY_TIMEOUT_S)
                 if unreached:
-                    self.log.warning("no link yet to %s", ", ".join(unreached))
+                    self.log.warning(
+                        "activated without having discovered all processes: no answer from %s",
+                        ", ".join(unreached),
+                    )
                 self.component.on_activate()
-                self._timing.start(
+                self._timers.start(
                     (period, partial(self.run, name, call))
                     for name, period, call in self._ports.timers()
                 )
             case Transition.DEACTIVATE:
                 self._deactivate()
             case Transition.CLEANUP:
-                self._ports.forget()
+                self._ports.reset()
                 self.component.on_cleanup()
             case Transition.SHUTDOWN:
                 if self._state is LifecycleState.ACTIVE:
@@ -247,67 +269,73 @@ class Runtime:
         self._ports.drain()
         self.component.on_deactivate()
         self._ports.unsubscribe()
-        self._timing.stop()
+        self._timers.stop()
 
     def _call(self, where: str, call: Callable[..., Any], *arguments: Any) -> Any:
-        """Make one call that the status tells of; what it raises becomes a `_Failure`."""
-        outer, self._busy = self._busy, (where, self._awake())
+        """Make one call, shown in the status; an exception in it becomes a `_Failure`."""
+        outer, self._current_call = self._current_call, (where, self._awake())
         try:
             return call(*arguments)
-        except _Failure:  # of a handler within
+        except _Failure:  # of a handler called within
             raise
         except Exception as error:
             raise _Failure(where, error) from error
         except SystemExit as error:
-            refusal = CairnError(f"it called sys.exit({error.code}); use self.finish(reason)")
-            raise _Failure(where, refusal) from error
+            exit_error = CairnError(f"it called sys.exit({error.code}); use self.finish(reason)")
+            raise _Failure(where, exit_error) from error
         finally:
-            self._busy = outer
+            self._current_call = outer
 
-    def _finish_if_asked(self) -> None:
+    def _finish_if_requested(self) -> None:
         if (
             self._finishing is not None
-            and self._walking is None
+            and self._in_transition is None
             and self._state is not LifecycleState.FINALIZED
         ):
-            with suppress(CairnError):  # `_fail` has told it, and ended
+            with suppress(CairnError):  # `_fail` has logged the error, and ended
                 self.transition(Transition.SHUTDOWN)
 
     def _fail(self, failure: "_Failure", *, last: bool = False) -> bool:
-        self._reason = f"{failure.where}: {self._explained(failure.error)}"
+        self._reason = f"{failure.where}: {self._describe_error(failure.error)}"
         self.log.error("%s", self._reason, exc_info=failure.error)
         self._finishing = None
         self._ports.unsubscribe()
-        self._timing.stop()
+        self._timers.stop()
         recovered = False
         try:
             recovered = self._call("on_error", self.component.on_error, failure.error)
         except _Failure as second:
             self.log.error("on_error failed: %s", _text(second.error), exc_info=second.error)
-        if recovered and not last and self._recoveries.admit(self._system_clock.now(), self.log):
+        if (
+            recovered
+            and not last
+            and self._recovery_limit.allow(self._system_clock.now(), self.log)
+        ):
             self._state = LifecycleState.UNCONFIGURED
-            self._ports.forget()
+            self._ports.reset()
             self.heartbeat.publish()
             return True
         self._state = LifecycleState.FINALIZED
         self._ended(ExitReport(False, self._reason))
         return False
 
-    def _explained(self, error: Exception) -> str:
-        ports = self._ports.carriers(error.type_name) if isinstance(error, InvalidMessage) else []
-        carried = f" (for port {' or '.join(ports)})" if ports else ""
-        return f"{_text(error)}{carried}"
+    def _describe_error(self, error: Exception) -> str:
+        ports = (
+            self._ports.outputs_with(error.type_name) if isinstance(error, InvalidMessage) else []
+        )
+        for_port = f" (for port {' or '.join(ports)})" if ports else ""
+        return f"{_text(error)}{for_port}"
 
     def _recover(self) -> None:
         if self._state is not LifecycleState.UNCONFIGURED:
-            return  # it was asked to do something else meanwhile
+            return  # another transition was requested meanwhile
         try:
             self.transition(Transition.CONFIGURE)
             if self.state is not LifecycleState.FINALIZED:
                 self.transition(Transition.ACTIVATE)
         except CairnError as error:
             self.log.error("recovery failed: %s", error)
-            self._scheduler.post(self._recover)  # until it has tried too often
+            self._scheduler.post(self._recover)  # until `RecoveryLimit` is reached
         else:
             self.log.info("recovered")
 
@@ -322,7 +350,7 @@ class Runtime:
             self._on_end(end)
 
 
-class _Failure(Exception):  # noqa: N818 - carries the component's own error and its place
+class _Failure(Exception):  # noqa: N818 - carries the component's own error and where it occurred
     def __init__(self, where: str, error: Exception) -> None:
         super().__init__(where)
         self.where = where
@@ -333,7 +361,7 @@ def _config(component: type[Component], launch: LaunchRequest) -> Config:
     try:
         return component.config_class().model_validate(dict(launch.spec.parameters))
     except ValueError as error:
-        raise CairnError(f"{launch.name}: parameters refused: {error}") from error
+        raise CairnError(f"{launch.name}: invalid parameters: {error}") from error
 
 
 def _text(error: BaseException) -> str:
@@ -353,12 +381,12 @@ class StatusPublisher:
         self._open = True
 
     def publish(self) -> None:
-        """Publish the status as it is now."""
+        """Publish the current status."""
         with self._lock:
             if self._open:
                 self._publisher.publish(self._status())
 
     def close(self) -> None:
-        """Publish no more."""
+        """Stop publishing."""
         with self._lock:
             self._open = False

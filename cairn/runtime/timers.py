@@ -11,124 +11,131 @@ from cairn.runtime.loop import Scheduler
 from cairn.schemas.message import InvalidMessage
 from cairn.schemas.rosgraph_msgs import Clock as ClockMessage
 
+CLOCK_TOPIC = "clock"
+_NEWEST = Qos("reliable", "volatile", 1)
+
 Periodic = tuple[int, Callable[[], None]]
-"""A period [ns] and what is called in it."""
+"""A period [ns] and the call to make in it."""
 
 
 class ComponentTimers:
-    """Has the calls of one component made when its clock says so; only from its calls."""
+    """Makes the timed calls of one component when its clock reaches their times.
+
+    Its methods may be called only from the component's own calls.
+    """
 
     def __init__(
-        self, clock: Clock, scheduler: Scheduler, log: logging.Logger, *, told: bool
+        self, clock: Clock, scheduler: Scheduler, log: logging.Logger, *, simulated: bool
     ) -> None:
-        """`told`: the clock is moved by messages, and `moved` called then; else it runs."""
+        """With `simulated` time, messages set the clock, and `on_clock_set` is called then."""
         self._clock = clock
         self._scheduler = scheduler
         self._log = log
-        self._told = told
+        self._simulated = simulated
         self._timers = TimerQueue()
         self._periodic: tuple[Periodic, ...] = ()
-        self._seen = clock.now()
+        self._last_time = clock.now()
         self._posted = False
-        scheduler.bind(self._turn)
+        scheduler.bind(self._run_due)
 
     def start(self, periodic: Iterable[Periodic]) -> None:
-        """Have these calls made in their periods, from now."""
+        """Start the periodic calls; the first of each is due one period from now."""
         self._periodic = tuple(periodic)
         now = self._clock.now()
         for period, call in self._periodic:
             self._timers.every(now + period, period, self._clock.now, call)
-        self._arm()
+        self._request_wake_up()
 
     def at(self, due: int, call: Callable[[], None]) -> None:
-        """Have `call` made once at time `due`; soon if that is past."""
+        """Make `call` once at time `due` [ns], or soon if that is past."""
         self._timers.at(due, call)
-        self._arm()
+        self._request_wake_up()
 
-    def moved(self) -> None:
-        """Make the calls that are due now that the clock has been moved, forth or back."""
+    def on_clock_set(self) -> None:
+        """Make the calls that are due, after the clock was set forward or back."""
         now = self._clock.now()
-        back, self._seen = now < self._seen, now
-        if back:
-            self._log.warning("time was set back; periodic calls start anew")
+        set_back, self._last_time = now < self._last_time, now
+        if set_back:
+            self._log.warning("time was set back: restarted the periodic calls")
             self._timers.forget_periodic()
             self.start(self._periodic)
-        # What is set meanwhile waits for the next turn: a call that sets itself anew for now
-        # must not keep all others from being made.
+        # Timers set by these calls wait for the next turn: a call that sets a timer for now again
+        # and again must not keep all other calls from being made.
         newest = self._timers.newest
         while (call := self._timers.pop_due(now, newest)) is not None:
             call()
-        self._arm()
+        self._request_wake_up()
 
     def stop(self) -> None:
-        """Forget all calls."""
+        """Discard all calls."""
         self._periodic = ()
         self._timers.clear()
 
-    def _turn(self) -> None:
+    def _run_due(self) -> None:
         self._posted = False
-        self.moved()
+        self.on_clock_set()
 
-    def _arm(self) -> None:
+    def _request_wake_up(self) -> None:
         due = self._timers.next_due()
         if due is None:
             return
-        if not self._told:
+        if not self._simulated:
             self._scheduler.wake_at(due)
         elif due <= self._clock.now() and not self._posted:
             self._posted = True
-            self._scheduler.post(self._turn)
+            self._scheduler.post(self._run_due)
 
 
 class TimerQueue:
-    """A queue of calls to be made at given times of one clock, in nanoseconds."""
+    """Calls to be made at times of one clock [ns], by due time, then in the order they were set."""
 
     def __init__(self) -> None:
         self._heap: list[tuple[int, int, Callable[[], None], bool]] = []
-        self._round = 0
+        self._generation = 0
         self.newest = 0
+        """Number of the newest timer, which counts from 1."""
 
     def at(self, due: int, call: Callable[[], None]) -> None:
-        """Have `call` made at time `due`."""
+        """Set a timer: make `call` at time `due`."""
         self._push(due, call, periodic=False)
 
     def every(
         self, start: int, period: int, now: Callable[[], int], call: Callable[[], None]
     ) -> None:
-        """Have `call` made at `start` and every `period` after; periods missed are skipped."""
-        begun = self._round
+        """Set a periodic timer: make `call` at `start` and every `period`, skipping missed ones."""
+        generation = self._generation
 
         def repeat() -> None:
             call()
-            if self._round != begun:
-                return  # the call has brought an end to all periodic ones
+            if self._generation != generation:
+                return  # the call has ended all periodic timers
             late = max(0, now() - start)
             self.every(start + (late // period + 1) * period, period, now, call)
 
         self._push(start, repeat, periodic=True)
 
     def next_due(self) -> int | None:
-        """When the next call is due; None if there is none."""
+        """Return when the next call is due; None if there is none."""
         return self._heap[0][0] if self._heap else None
 
     def pop_due(self, now: int, newest: int) -> Callable[[], None] | None:
-        """Take out the first call that is due at `now`; None if none is, or it is a newer one.
+        """Remove and return the first call due at `now`, if its timer is not newer than `newest`.
 
-        `newest` is the value of that attribute, the number of calls set, to be regarded.
+        Returns None otherwise.
         """
         if self._heap and self._heap[0][0] <= now and self._heap[0][1] <= newest:
             return heapq.heappop(self._heap)[2]
         return None
 
     def forget_periodic(self) -> None:
-        """Forget the calls set by `every`."""
-        self._round += 1
+        """Discard the timers set by `every`."""
+        self._generation += 1
         self._heap = [entry for entry in self._heap if not entry[3]]
         heapq.heapify(self._heap)
 
     def clear(self) -> None:
-        """Forget all calls."""
-        self._round += 1
+        """Discard all timers."""
+        self._generation += 1
         self._heap.clear()
 
     def _push(self, due: int, call: Callable[[], None], *, periodic: bool) -> None:
@@ -136,12 +143,8 @@ class TimerQueue:
         heapq.heappush(self._heap, (due, self.newest, call, periodic))
 
 
-CLOCK_TOPIC = "clock"
-_NEWEST = Qos("reliable", "volatile", 1)
-
-
 class ClockInput:
-    """Reads clock messages (only the newest matters) and moves the clock and the timers."""
+    """Subscribes to topic `clock` and sets a component's simulated clock by its newest message."""
 
     def __init__(
         self,
@@ -149,32 +152,33 @@ class ClockInput:
         node: Node,
         topic: str,
         scheduler: Scheduler,
-        moved: Callable[[], None],
-        complain: Callable[[str], None],
+        on_clock_set: Callable[[], None],
+        report: Callable[[str], None],
     ) -> None:
+        """Call `on_clock_set` after each message; `report` receives errors about invalid ones."""
         self._clock = clock
         self._node = node
         self._topic = topic
         self._scheduler = scheduler
-        self._moved = moved
-        self._complain = complain
+        self._on_clock_set = on_clock_set
+        self._report = report
         self._subscription: Subscription | None = None
 
     def open(self) -> None:
-        """Begin to follow the topic."""
+        """Subscribe to the topic, unless that is done already."""
         if self._subscription is None:
             self._subscription = self._node.subscribe(
-                self._topic, ClockMessage, _NEWEST, lambda: self._scheduler.deliver(self._deliver)
+                self._topic, ClockMessage, _NEWEST, lambda: self._scheduler.deliver(self._receive)
             )
 
-    def _deliver(self) -> None:
+    def _receive(self) -> None:
         if self._subscription is None:
             return
         try:
             message = self._subscription.take()
         except InvalidMessage as error:
-            self._complain(f"message on {self._topic} refused: {error}")
+            self._report(f"rejected an invalid message on {self._topic}: {error}")
             return
         if message is not None:
             self._clock.set(to_ns(message.clock))
-            self._moved()
+            self._on_clock_set()

@@ -17,6 +17,7 @@ from cairn import (
     In,
     Out,
     ParameterRejected,
+    RateLimitedLog,
     every,
     from_ns,
     on,
@@ -46,7 +47,6 @@ from cairn.planar.odometry import OdometryHistory
 from cairn.planar.pose_tracker import sweep_of
 from cairn.planar.poses import Pose, compose, inverse, relative
 from cairn.planar.scans import rays_of, sweep_s
-from cairn.runtime.rate_limited_log import RateLimitedLog
 from cairn.schemas.builtin_interfaces import Time
 from cairn.schemas.cairn_msgs import ObjectEvidenceArray, RecognizedObjectArray, VisualMap
 from cairn.schemas.cairn_nav_msgs import LocalizationEstimate, Relocalization

@@ -16,6 +16,7 @@ from cairn import (
     In,
     Out,
     ParameterRejected,
+    RateLimitedLog,
     every,
     from_ns,
     on,
@@ -34,7 +35,6 @@ from cairn.planar.grid import map_message as grid_message
 from cairn.planar.map_file import read_map
 from cairn.planar.messages import planar_pose
 from cairn.planar.odometry import Added
-from cairn.runtime.rate_limited_log import RateLimitedLog
 from cairn.schemas.cairn_msgs import ObjectEvidenceArray, VisualMap, VisualMapChange
 from cairn.schemas.cairn_nav_msgs import LocalizationEstimate, Relocalization
 from cairn.schemas.map_msgs import OccupancyGridUpdate

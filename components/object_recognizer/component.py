@@ -15,6 +15,7 @@ from cairn import (
     In,
     Out,
     ParameterRejected,
+    RateLimitedLog,
     every,
     from_ns,
     on,
@@ -29,7 +30,6 @@ from cairn.components.object_recognizer.known import KnownObjects
 from cairn.components.object_recognizer.pairing import Pair, Pairing
 from cairn.components.object_recognizer.sighting import Sighting, sighted, without_wrong_twins
 from cairn.components.object_recognizer.stereo_check import swapped, unlike
-from cairn.runtime.rate_limited_log import RateLimitedLog
 from cairn.schemas.cairn_msgs import RecognizedObject, RecognizedObjectArray
 from cairn.schemas.sensor_msgs import CameraInfo, Image
 from cairn.schemas.std_msgs import Header

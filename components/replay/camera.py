@@ -7,11 +7,10 @@ from dataclasses import replace
 import numpy as np
 from pydantic import Field
 
-from cairn import SENSOR, CairnError, Out, ReadPath, every, from_ns
+from cairn import SENSOR, CairnError, Out, RateLimitedLog, ReadPath, every, from_ns
 from cairn.components.replay.driver import RecordingConfig, RecordingDriver
 from cairn.components.replay.due import Records
 from cairn.components.replay.recording import Gray, Images
-from cairn.runtime.rate_limited_log import RateLimitedLog
 from cairn.schemas.sensor_msgs import CameraInfo, Image
 from cairn.schemas.std_msgs import Header
 from cairn.vision.camera_file import read_camera

@@ -14,6 +14,7 @@ from cairn import (
     In,
     Out,
     ParameterRejected,
+    RateLimitedLog,
     every,
     on,
 )
@@ -34,7 +35,6 @@ from cairn.components.roboclaw.setting_up import Ready
 from cairn.driver.device_thread import DeviceThread
 from cairn.driver.diagnostics import RateWindow
 from cairn.driver.errors import DeviceError
-from cairn.runtime.rate_limited_log import RateLimitedLog
 from cairn.schemas.diagnostic_msgs import DiagnosticArray
 from cairn.schemas.geometry_msgs import Twist
 from cairn.schemas.nav_msgs import Odometry

@@ -11,6 +11,7 @@ from cairn import (
     In,
     Out,
     ParameterRejected,
+    RateLimitedLog,
     every,
     on,
     to_ns,
@@ -21,7 +22,6 @@ from cairn.components.ros2_base.messages import odometry, stamped_twist, transfo
 from cairn.components.ros2_base.odometry_checks import Continuity, Expected, refusal
 from cairn.driver.diagnostics import ERROR, OK, WARN, RateWindow, diagnostics
 from cairn.planar.messages import planar_pose
-from cairn.runtime.rate_limited_log import RateLimitedLog
 from cairn.schemas.diagnostic_msgs import DiagnosticArray
 from cairn.schemas.geometry_msgs import Twist, TwistStamped
 from cairn.schemas.nav_msgs import Odometry

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+from cairn import RateLimitedLog
 from cairn.components.v4l2_camera.controls import Control, ControlRefused, assigned
 from cairn.components.v4l2_camera.counts import Counts
 from cairn.components.v4l2_camera.device import Setup, VideoDevice
@@ -22,7 +23,6 @@ from cairn.components.v4l2_camera.stamps import Sequence, is_likely, system_offs
 from cairn.components.v4l2_camera.stream import Capture, Stream
 from cairn.driver.diagnostics import RateWindow
 from cairn.driver.errors import DeviceError, LinkLost
-from cairn.runtime.rate_limited_log import RateLimitedLog
 
 # How long the thread waits for a picture before it looks whether it is to stop [s].
 _LOOK_S = 0.1

@@ -81,9 +81,9 @@ def test_nan_and_rubbish_in_messages_of_a_foreign_node(launch: Launching) -> Non
     finally:
         bus.close()
 
-    refused = r"ERROR   robot.listener: port words: message on /robot/words refused"
+    refused = r"ERROR   robot.listener: port words: rejected invalid message on /robot/words"
     run.await_line(refused + r" \(1 so far\): .*linear.x = nan: must be a finite number")
-    run.await_line(refused + r" \(2 so far\): .*20 bytes are not its CDR")
+    run.await_line(refused + r" \(2 so far\): .*20 bytes are not CDR")
     run.await_line("listener: heard 1, the last was 42")
     listener = await_status("/robot/listener", lambda row: row["invalid"] == 2, run.endpoint)
     assert (listener["received"], listener["restarts"]) == (1, 0)

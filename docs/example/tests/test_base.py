@@ -1,7 +1,7 @@
 """The base moves on command and stops without."""
 
 import pytest
-from cairn.runtime.lifecycle import LifecycleState
+from cairn import LifecycleState
 from cairn.schemas.geometry_msgs import Twist, Vector3
 from cairn.testing.lockstep import ComponentHarness
 

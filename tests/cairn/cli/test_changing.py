@@ -28,9 +28,9 @@ def test_param_set_is_refused_with_the_reason(command: Command) -> None:
     command("param", "set", "talker", "volume=5")
     refusals = {
         "volume=11": "cairn: volume: the neighbors object to more than 10\n",
-        "volume=12": "cairn: parameter volume = 12 refused: should be less than or equal to 11 "
+        "volume=12": "cairn: parameter volume = 12 rejected: should be less than or equal to 11 "
         "(allowed: >= 0, <= 11)\n",
-        "volume=loud": "cairn: parameter volume = 'loud' refused: should be a valid integer, "
+        "volume=loud": "cairn: parameter volume = 'loud' rejected: should be a valid integer, "
         "unable to parse string as an integer (allowed: >= 0, <= 11)\n",
         "volme=3": "cairn: there is no parameter volme; did you mean volume?\n",
         "volume": "cairn: 'volume' is not a change; write NAME=VALUE\n",

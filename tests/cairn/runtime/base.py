@@ -1,4 +1,4 @@
-"""A component that hears words, has parameters and drives."""
+"""A component that receives words, has parameters and publishes commands."""
 
 from pydantic import Field
 
@@ -18,7 +18,7 @@ class BaseConfig(Config):
 
 
 class Base(Component):
-    """Hears words, has parameters, drives."""
+    """Receives words, has parameters, publishes commands."""
 
     config: BaseConfig
     word: In[String] = In(qos=RELIABLE.with_depth(5))

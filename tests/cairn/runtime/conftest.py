@@ -1,4 +1,4 @@
-"""What the tests of components share."""
+"""Fixtures of the tests of components."""
 
 import pytest
 

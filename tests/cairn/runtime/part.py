@@ -1,4 +1,4 @@
-"""A component that notes its calls, and fails where it is told to."""
+"""A component that records its calls, and fails where a test wants it to."""
 
 from typing import Any
 
@@ -11,7 +11,7 @@ BOOM = "RuntimeError: boom"
 
 
 class Part(Component):
-    """Notes its calls, and fails where it is told to."""
+    """Records its calls, and fails where a test wants it to."""
 
     word: In[String]
     echo: Out[String]

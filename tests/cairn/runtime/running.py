@@ -1,4 +1,4 @@
-"""Components for the tests: on threads of their own or in lockstep, with what they tell."""
+"""Components for the tests, on threads of their own or in lockstep."""
 
 import threading
 from collections.abc import Mapping
@@ -53,7 +53,7 @@ class Threaded:
         self.thread.start()
 
     def ask(self, verb: str, arguments: Mapping[str, Any] | None = None) -> Any:
-        """The answer to a control request."""
+        """Return the reply to a control request."""
         answer: Future[Any] = Future()
 
         def make() -> None:
@@ -91,16 +91,16 @@ class Lockstep:
         self.observer = self.bus.node("/observer", _ignore)
 
     def add(self, component: type[C], /, **launch: Any) -> "Placed[C]":
-        """One more component, unconfigured."""
+        """Add a component, unconfigured."""
         return Placed(self, component, **launch)
 
     def read(self, topic: str, message: type[Any], qos: Qos = RELIABLE) -> LockstepSubscription:
-        """All that is published on a topic from now on."""
+        """Return a subscription to a topic."""
         qos = qos.with_depth(1_000_000)
         return self.observer.subscribe(full_name("robot", topic), message, qos, _nothing)
 
     def publish(self, topic: str, *messages: Any, qos: Qos = RELIABLE) -> None:
-        """Put messages on a topic."""
+        """Publish messages on a topic."""
         writer = self.observer.advertise(full_name("robot", topic), type(messages[0]), qos)
         for message in messages:
             writer.publish(message)
@@ -108,7 +108,7 @@ class Lockstep:
             writer.close()
 
     def run_until(self, time: int) -> None:
-        """Let everything happen up to that time [ns], and what follows from it at once."""
+        """Run until that time [ns], with what follows at once."""
         over: list[bool] = []
 
         def leave(turns: int) -> None:
@@ -121,7 +121,7 @@ class Lockstep:
         self.executor.run(lambda: bool(over))
 
     def run(self) -> None:
-        """Let everything happen that is to happen now."""
+        """Run what is due now."""
         self.run_until(self.executor.now())
 
 
@@ -138,16 +138,16 @@ class Placed(Generic[C]):
 
     @property
     def component(self) -> C:
-        """The component itself."""
+        """The component."""
         return cast("C", self.runtime.component)
 
     @property
     def state(self) -> str:
-        """Its state."""
+        """Its life-cycle state."""
         return self.runtime.state.value
 
     def ask(self, verb: str, **arguments: Any) -> Any:
-        """The answer to a control request."""
+        """Return the reply to a control request."""
         return self.runtime.request(verb, arguments)
 
     def activate(self) -> None:
@@ -157,13 +157,13 @@ class Placed(Generic[C]):
 
 
 def taken(subscription: LockstepSubscription) -> list[Any]:
-    """All that waits there."""
+    """Return all pending messages."""
     return list(iter(subscription.take, None))
 
 
 def _nothing() -> None:
-    """Nobody is woken."""
+    """Wake nothing."""
 
 
 def _ignore(complaint: str) -> None:
-    """Complaints to the observer."""
+    """Ignore error reports."""

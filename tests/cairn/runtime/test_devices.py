@@ -16,7 +16,7 @@ from tests.patience import LIMIT_S
 
 
 class Driver(Component):
-    """Hears from a thread of its own."""
+    """Posts calls from a thread of its own."""
 
     clock_source: ClassVar[Literal["deployment", "system", "device"]] = "device"
     latched: Out[String] = Out(qos=LATCHED)
@@ -31,7 +31,7 @@ class Driver(Component):
         self.called.set()
 
 
-def test_what_another_thread_posts_is_called_as_a_handler() -> None:
+def test_call_posted_by_another_thread_runs_as_a_handler() -> None:
     part = Threaded(Driver, LockstepBus())
     driver = part.runtime.component
     assert isinstance(driver, Driver)
@@ -48,7 +48,7 @@ def test_what_another_thread_posts_is_called_as_a_handler() -> None:
     part.close()
 
 
-def test_what_is_raised_in_a_posted_call_fails_the_component() -> None:
+def test_exception_in_a_posted_call_fails_the_component() -> None:
     def jam() -> None:
         raise ValueError("jammed")
 
@@ -62,7 +62,7 @@ def test_what_is_raised_in_a_posted_call_fails_the_component() -> None:
     part.close()
 
 
-def test_lockstep_and_simulated_time_are_refused(lockstep: Lockstep) -> None:
+def test_device_driver_rejects_lockstep_and_simulated_time(lockstep: Lockstep) -> None:
     refusal = "part: plugin test drives a device, which cannot follow simulated time"
     with pytest.raises(CairnError, match=refusal):
         lockstep.add(Driver)
@@ -70,7 +70,7 @@ def test_lockstep_and_simulated_time_are_refused(lockstep: Lockstep) -> None:
         Threaded(Driver, LockstepBus(), simulated_time=True)
 
 
-def test_an_output_knows_whether_anybody_reads() -> None:
+def test_output_reports_whether_it_has_subscribers() -> None:
     bus = LockstepBus()
     part = Threaded(Driver, bus)
     driver = part.runtime.component
@@ -87,7 +87,7 @@ def test_an_output_knows_whether_anybody_reads() -> None:
     part.close()
 
 
-def test_other_components_may_post_in_lockstep_too(lockstep: Lockstep) -> None:
+def test_posting_works_in_lockstep(lockstep: Lockstep) -> None:
     placed = lockstep.add(Base)
     placed.activate()
     called: list[bool] = []

@@ -1,4 +1,4 @@
-"""Every way in which a component can fail or finish ends somewhere, and is told."""
+"""Every way in which a component can fail or finish, and how its end is reported."""
 
 from typing import Any
 
@@ -12,7 +12,7 @@ from tests.cairn.runtime.part import BOOM, STEPS, Part, failing, word
 from tests.cairn.runtime.running import Lockstep, taken
 
 
-def test_who_cannot_be_constructed_is_named_with_the_cause_and_leaves_the_bus(
+def test_failed_construction_names_component_and_cause_and_leaves_the_bus(
     lockstep: Lockstep,
 ) -> None:
     class Broken(Part):
@@ -29,7 +29,9 @@ def test_who_cannot_be_constructed_is_named_with_the_cause_and_leaves_the_bus(
 
 
 @pytest.mark.parametrize("step", STEPS)
-def test_a_step_that_fails_ends_the_component_and_says_why(lockstep: Lockstep, step: str) -> None:
+def test_failed_transition_ends_the_component_with_its_reason(
+    lockstep: Lockstep, step: str
+) -> None:
     part = lockstep.add(failing(step))
     for before in STEPS[: STEPS.index(step)]:
         part.ask(before)
@@ -43,7 +45,7 @@ def test_a_step_that_fails_ends_the_component_and_says_why(lockstep: Lockstep, s
 
 
 @pytest.mark.parametrize("step", STEPS[:-1])
-def test_who_recovers_from_a_step_that_fails_can_be_configured_anew(
+def test_component_that_recovers_from_a_failed_transition_can_be_configured_again(
     lockstep: Lockstep, step: str
 ) -> None:
     part = lockstep.add(failing(step, recovers=True))
@@ -60,7 +62,7 @@ def test_who_recovers_from_a_step_that_fails_can_be_configured_anew(
     assert part.state == "active"
 
 
-def test_a_shutdown_that_fails_is_an_end_nevertheless(lockstep: Lockstep) -> None:
+def test_failed_shutdown_ends_the_component(lockstep: Lockstep) -> None:
     part = lockstep.add(failing("shutdown", recovers=True))
     part.activate()
 
@@ -70,7 +72,7 @@ def test_a_shutdown_that_fails_is_an_end_nevertheless(lockstep: Lockstep) -> Non
     assert (part.state, part.ends) == ("finalized", [ExitReport(False, f"on_shutdown: {BOOM}")])
 
 
-def test_a_handler_that_fails_ends_the_component(lockstep: Lockstep) -> None:
+def test_failed_handler_ends_the_component(lockstep: Lockstep) -> None:
     part = lockstep.add(failing("hear a"))
     part.activate()
     lockstep.publish("word", word("a"), word("b"))
@@ -80,7 +82,7 @@ def test_a_handler_that_fails_ends_the_component(lockstep: Lockstep) -> None:
     assert part.ends == [ExitReport(False, f"hear (port word): {BOOM}")]
 
 
-def test_on_error_may_fail_as_well(lockstep: Lockstep) -> None:
+def test_failed_on_error_ends_the_component(lockstep: Lockstep) -> None:
     part = lockstep.add(failing("hear a", recovers=ValueError("worse")))
     part.activate()
     lockstep.publish("word", word("a"))
@@ -89,7 +91,7 @@ def test_on_error_may_fail_as_well(lockstep: Lockstep) -> None:
     assert part.ends == [ExitReport(False, f"hear (port word): {BOOM}")]
 
 
-def test_who_recovers_works_on_anew(lockstep: Lockstep) -> None:
+def test_recovered_component_is_active_again(lockstep: Lockstep) -> None:
     part = lockstep.add(failing("hear a", recovers=True))
     part.activate()
     lockstep.publish("word", word("a"))
@@ -104,7 +106,7 @@ def test_who_recovers_works_on_anew(lockstep: Lockstep) -> None:
     assert (part.state, part.ends) == ("active", [])
 
 
-def test_recovering_has_a_limit(lockstep: Lockstep) -> None:
+def test_fourth_recovery_within_the_window_ends_the_component(lockstep: Lockstep) -> None:
     part = lockstep.add(failing("hear a", recovers=True))
     part.activate()
     for _ in range(4):
@@ -115,7 +117,7 @@ def test_recovering_has_a_limit(lockstep: Lockstep) -> None:
     assert part.ends == [ExitReport(False, f"hear (port word): {BOOM}")]
 
 
-def test_recovering_now_and_then_has_none(lockstep: Lockstep) -> None:
+def test_rare_recoveries_are_not_limited(lockstep: Lockstep) -> None:
     part = lockstep.add(failing("hear a", recovers=True))
     part.activate()
     for _ in range(10):
@@ -125,7 +127,7 @@ def test_recovering_now_and_then_has_none(lockstep: Lockstep) -> None:
     assert (part.state, part.ends) == ("active", [])
 
 
-def test_a_recovery_that_fails_is_tried_again_until_it_is_too_often(lockstep: Lockstep) -> None:
+def test_failed_recovery_is_retried_up_to_the_limit(lockstep: Lockstep) -> None:
     part = lockstep.add(failing("hear a", "configure", recovers=True))
     part.component.fails_in = frozenset({"hear a"})
     part.activate()
@@ -137,7 +139,7 @@ def test_a_recovery_that_fails_is_tried_again_until_it_is_too_often(lockstep: Lo
     assert part.ends == [ExitReport(False, f"on_configure: {BOOM}")]
 
 
-def test_finishing_is_a_normal_end_behind_what_waits_already(lockstep: Lockstep) -> None:
+def test_finish_ends_normally_after_the_pending_messages(lockstep: Lockstep) -> None:
     part = lockstep.add(Part)
     heard = lockstep.read("echo", String)
     part.activate()
@@ -152,7 +154,7 @@ def test_finishing_is_a_normal_end_behind_what_waits_already(lockstep: Lockstep)
 
 
 @pytest.mark.parametrize("step", ["configure", "activate", "deactivate"])
-def test_finishing_in_a_step_ends_the_component_behind_it(lockstep: Lockstep, step: str) -> None:
+def test_finish_in_a_transition_ends_the_component_after_it(lockstep: Lockstep, step: str) -> None:
     class Finishes(Part):
         def step(self, name: str) -> None:
             super().step(name)
@@ -168,7 +170,7 @@ def test_finishing_in_a_step_ends_the_component_behind_it(lockstep: Lockstep, st
     assert part.component.calls.count("deactivate") <= 1
 
 
-def test_finishing_in_the_answer_to_a_request_ends_the_component(lockstep: Lockstep) -> None:
+def test_finish_in_a_request_ends_the_component(lockstep: Lockstep) -> None:
     class Obeys(Part):
         def on_request(self, verb: str, arguments: Any) -> str:
             self.finish(f"told to {verb}")
@@ -181,7 +183,7 @@ def test_finishing_in_the_answer_to_a_request_ends_the_component(lockstep: Locks
     assert part.ends == [ExitReport(True, "told to leave")]
 
 
-def test_who_finishes_and_fails_has_failed(lockstep: Lockstep) -> None:
+def test_failure_after_finish_is_a_failure(lockstep: Lockstep) -> None:
     part = lockstep.add(failing(recovers=True))
     part.activate()
     lockstep.publish("word", word("finish and fail"))
@@ -193,7 +195,7 @@ def test_who_finishes_and_fails_has_failed(lockstep: Lockstep) -> None:
     assert (part.state, part.ends) == ("active", [])
 
 
-def test_finishing_while_the_last_messages_are_handled_ends_it_once(lockstep: Lockstep) -> None:
+def test_finish_during_shutdown_ends_it_once(lockstep: Lockstep) -> None:
     part = lockstep.add(Part)
     part.activate()
     lockstep.publish("word", word("finish"))
@@ -207,9 +209,7 @@ def test_finishing_while_the_last_messages_are_handled_ends_it_once(lockstep: Lo
 
 
 @pytest.mark.parametrize("step", ["deactivate", "shutdown"])
-def test_failing_while_the_last_messages_are_handled_fails_the_step(
-    lockstep: Lockstep, step: str
-) -> None:
+def test_failure_during_deactivation_fails_the_transition(lockstep: Lockstep, step: str) -> None:
     part = lockstep.add(failing("hear a"))
     part.activate()
     lockstep.publish("word", word("a"))
@@ -224,7 +224,7 @@ def test_failing_while_the_last_messages_are_handled_fails_the_step(
     )
 
 
-def test_a_finish_whose_shutdown_fails_is_one_failure(lockstep: Lockstep) -> None:
+def test_finish_with_failed_shutdown_is_one_failure(lockstep: Lockstep) -> None:
     part = lockstep.add(failing("cleanup"))
     part.activate()
     lockstep.publish("word", word("finish"))
@@ -233,7 +233,7 @@ def test_a_finish_whose_shutdown_fails_is_one_failure(lockstep: Lockstep) -> Non
     assert part.ends == [ExitReport(False, f"on_shutdown: {BOOM}")]
 
 
-def test_calling_exit_is_a_failure_like_others(lockstep: Lockstep) -> None:
+def test_sys_exit_is_a_failure(lockstep: Lockstep) -> None:
     part = lockstep.add(Part)
     part.activate()
     lockstep.publish("word", word("exit"))

@@ -1,4 +1,4 @@
-"""A component walks its life cycle, and does only what its state allows."""
+"""A component follows its life cycle and does only what its state allows."""
 
 import logging
 
@@ -12,7 +12,7 @@ from tests.cairn.runtime.part import BOOM, STEPS, Part, failing, word
 from tests.cairn.runtime.running import Lockstep, taken
 
 
-def test_the_whole_life(lockstep: Lockstep) -> None:
+def test_whole_life_cycle(lockstep: Lockstep) -> None:
     part = lockstep.add(Part)
     states = [part.state]
     for step in STEPS:
@@ -37,7 +37,7 @@ def test_the_whole_life(lockstep: Lockstep) -> None:
         ),
     ],
 )
-def test_a_shutdown_from_any_state_gives_back_all_that_was_taken(
+def test_shutdown_from_any_state_releases_everything(
     lockstep: Lockstep, steps: tuple[str, ...], calls: list[str]
 ) -> None:
     part = lockstep.add(Part)
@@ -48,7 +48,7 @@ def test_a_shutdown_from_any_state_gives_back_all_that_was_taken(
     assert part.ends == [ExitReport(True, "shut down")]
 
 
-def test_a_step_that_does_not_begin_here_is_refused_and_changes_nothing(lockstep: Lockstep) -> None:
+def test_transition_from_the_wrong_state_is_rejected(lockstep: Lockstep) -> None:
     part = lockstep.add(Part)
 
     for step in ("activate", "deactivate", "cleanup"):
@@ -74,7 +74,7 @@ def test_only_an_active_component_publishes(lockstep: Lockstep) -> None:
     assert [one.data for one in taken(heard)] == ["activate", "deactivate"] * 2
 
 
-def test_its_status_tells_of_each_step_and_of_the_end(lockstep: Lockstep) -> None:
+def test_status_is_published_at_each_transition_and_at_the_end(lockstep: Lockstep) -> None:
     statuses = lockstep.read("component_status", ComponentStatus)
     part = lockstep.add(failing("hear a"), name="ear", plugin="ears", parent="head", restarts=2)
     part.activate()
@@ -91,7 +91,7 @@ def test_its_status_tells_of_each_step_and_of_the_end(lockstep: Lockstep) -> Non
     assert ports == {"word": ("/robot/word", 2), "echo": ("/robot/echo", 1)}
 
 
-def test_a_reason_that_no_message_can_carry_is_told_nevertheless(
+def test_reason_with_nul_or_surrogates_is_published(
     lockstep: Lockstep, caplog: pytest.LogCaptureFixture
 ) -> None:
     # What pytest captures goes to another process where tests run in parallel: UTF-8 only.
@@ -112,7 +112,7 @@ def test_a_reason_that_no_message_can_carry_is_told_nevertheless(
     assert taken(statuses)[-1].reason == "hear (port word): RuntimeError: ? and ?"
 
 
-def test_no_message_is_handled_and_no_timer_runs_but_when_active(lockstep: Lockstep) -> None:
+def test_messages_and_timers_are_handled_only_while_active(lockstep: Lockstep) -> None:
     class Ticking(Part):
         @every(hz=1)
         def tick(self) -> None:

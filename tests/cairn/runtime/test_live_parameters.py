@@ -1,4 +1,4 @@
-"""Parameters change while a component runs, or it says why not."""
+"""Parameters change while a component runs, or are rejected with a reason."""
 
 import pytest
 
@@ -7,13 +7,13 @@ from tests.cairn.runtime.base import Base, BaseConfig, Limits
 from tests.cairn.runtime.running import Lockstep
 
 
-def test_parameters_change_while_it_runs_all_or_none(lockstep: Lockstep) -> None:
+def test_live_parameters_change_all_or_none(lockstep: Lockstep) -> None:
     part = lockstep.add(Base, parameters={"gain": 0.25})
     part.activate()
 
     part.ask("set_parameters", **{"gain": 0.75, "limits.high": 2})
     assert part.component.config == BaseConfig(gain=0.75, limits=Limits(high=2.0))
-    with pytest.raises(ParameterRejected, match=r"limits\.high = 9 refused"):
+    with pytest.raises(ParameterRejected, match=r"limits\.high = 9 rejected"):
         part.ask("set_parameters", **{"gain": 0.1, "limits.high": 9})
 
     assert part.component.config == BaseConfig(gain=0.75, limits=Limits(high=2.0))
@@ -22,7 +22,7 @@ def test_parameters_change_while_it_runs_all_or_none(lockstep: Lockstep) -> None
     }  # fmt: skip
 
 
-def test_a_component_may_refuse_parameters_or_fail_at_it_and_keeps_the_old(
+def test_component_that_rejects_parameters_keeps_the_old_ones(
     lockstep: Lockstep,
 ) -> None:
     class Picky(Base):
@@ -44,6 +44,6 @@ def test_a_component_may_refuse_parameters_or_fail_at_it_and_keeps_the_old(
     assert part.state == "active"
 
 
-def test_refused_parameters_are_named_before_it_exists(lockstep: Lockstep) -> None:
-    with pytest.raises(CairnError, match=r"base: parameters refused: (.|\n)*gain"):
+def test_invalid_parameters_are_reported_before_construction(lockstep: Lockstep) -> None:
+    with pytest.raises(CairnError, match=r"base: invalid parameters: (.|\n)*gain"):
         lockstep.add(Base, name="base", parameters={"gain": 7})

@@ -1,4 +1,4 @@
-"""The loop makes calls one at a time, in order, whoever brings them, and ends cleanly."""
+"""The loop makes calls one at a time, in order, from any thread, and ends cleanly."""
 
 import threading
 import weakref
@@ -42,7 +42,7 @@ def running() -> Iterator[Running]:
         running.join()
 
 
-def test_calls_are_made_in_the_order_in_which_they_came(running: Running) -> None:
+def test_calls_are_made_in_order_of_arrival(running: Running) -> None:
     made: list[int] = []
     for number in range(100):
         running.loop.post(lambda number=number: made.append(number))  # type: ignore[misc]
@@ -53,7 +53,7 @@ def test_calls_are_made_in_the_order_in_which_they_came(running: Running) -> Non
     assert made == list(range(100))
 
 
-def test_who_delivers_makes_the_call_itself_if_no_other_is_being_made(running: Running) -> None:
+def test_delivering_thread_makes_the_call_if_the_loop_is_idle(running: Running) -> None:
     made_by: list[int] = []
     running.loop.deliver(lambda: made_by.append(threading.get_ident()))
 
@@ -87,7 +87,7 @@ def test_calls_from_many_threads_never_overlap_and_none_is_lost(running: Running
     assert done.wait(LIMIT_S), f"{len(made)} of 4000 calls were made"
 
 
-def test_who_delivers_gets_back_to_its_topic_however_much_others_bring(running: Running) -> None:
+def test_delivering_thread_returns_under_load_of_other_threads(running: Running) -> None:
     stop = threading.Event()
     made = threading.Event()
 
@@ -107,7 +107,7 @@ def test_who_delivers_gets_back_to_its_topic_however_much_others_bring(running: 
     stop.set()
 
 
-def test_a_time_that_is_set_while_it_sleeps_wakes_it(running: Running) -> None:
+def test_timer_set_during_sleep_wakes_the_loop(running: Running) -> None:
     clock = SystemClock()
     woken = threading.Event()
     running.loop.bind(woken.set)
@@ -118,7 +118,7 @@ def test_a_time_that_is_set_while_it_sleeps_wakes_it(running: Running) -> None:
     assert woken.wait(LIMIT_S)
 
 
-def test_what_a_call_lets_through_ends_the_loop(running: Running) -> None:
+def test_exception_in_a_call_ends_the_loop(running: Running) -> None:
     def fail() -> None:
         raise RuntimeError("boom")
 
@@ -129,7 +129,7 @@ def test_what_a_call_lets_through_ends_the_loop(running: Running) -> None:
     assert [str(failure) for failure in running.failure] == ["boom"]
 
 
-def test_what_comes_behind_the_end_is_dropped_and_held_by_nobody(running: Running) -> None:
+def test_calls_after_the_end_are_discarded_and_released(running: Running) -> None:
     class Call:
         def __call__(self) -> None:
             raise AssertionError("made behind the end")

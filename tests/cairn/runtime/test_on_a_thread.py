@@ -1,4 +1,4 @@
-"""What a component on a thread of its own can rely on."""
+"""The guarantees of a component on a thread of its own."""
 
 import threading
 from collections.abc import Iterator
@@ -17,7 +17,7 @@ from tests.patience import LIMIT_S
 
 
 class Slow(Base):
-    """Stays in a handler until it is let go."""
+    """Stays in a handler until it is released."""
 
     def __init__(self, context: ComponentContext) -> None:
         super().__init__(context)
@@ -56,7 +56,7 @@ def slow() -> Iterator[Threaded]:
     threaded.close()
 
 
-def test_its_status_tells_the_handler_it_is_in_and_for_how_long(slow: Threaded) -> None:
+def test_status_names_the_current_handler_and_its_duration(slow: Threaded) -> None:
     component = slow.runtime.component
     assert isinstance(component, Slow)
     assert slow.runtime.status().handler == ""
@@ -84,7 +84,7 @@ def test_timers_messages_and_requests_are_handled_one_at_a_time(slow: Threaded) 
     assert component.most_at_once == 1
 
 
-def test_timers_that_overload_it_do_not_keep_it_from_requests(slow: Threaded) -> None:
+def test_overloading_timers_do_not_block_requests(slow: Threaded) -> None:
     component = slow.runtime.component
     assert isinstance(component, Slow)
     slow.activate()
@@ -94,7 +94,7 @@ def test_timers_that_overload_it_do_not_keep_it_from_requests(slow: Threaded) ->
     assert slow.ask("deactivate") == "inactive"
 
 
-def test_a_component_that_finishes_ends_its_thread() -> None:
+def test_finished_component_ends_its_thread() -> None:
     class Finishes(Base):
         def on_activate(self) -> None:
             self.finish("nothing to do")

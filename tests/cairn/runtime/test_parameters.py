@@ -20,7 +20,8 @@ class Localizer(Config):
     high: float | None = Field(None, gt=0, description="Upper limit [m], or none.")
     filter: Filter = Field(default_factory=Filter, description="Sensor model.")
     gain: Annotated[int, Field(ge=0, le=255)] | None = Field(None, description="Gain [1].")
-    map: ReadPath | None = Field(None, description="Where it is kept.")
+    map: ReadPath | None = Field(None, description="File of the map.")
+    beams: tuple[float, ...] = Field((), description="Bearings [rad].")
 
     @model_validator(mode="after")
     def _ordered(self) -> "Localizer":
@@ -29,7 +30,7 @@ class Localizer(Config):
         return self
 
 
-def test_every_parameter_is_described_with_type_value_and_bounds() -> None:
+def test_parameters_are_described_with_type_value_and_bounds() -> None:
     assert describe_parameters(Localizer(particles=20)) == [
         Parameter("particles", 20, "int", "Number of particles [1].", ">= 10, <= 200000"),
         Parameter("mode", "paper", "Literal['paper', 'improved']", "Which equations.", ""),
@@ -37,11 +38,12 @@ def test_every_parameter_is_described_with_type_value_and_bounds() -> None:
         Parameter("high", None, "float | None", "Upper limit [m], or none.", "> 0"),
         Parameter("filter.sigma", 0.1, "float", "Noise of a beam [m].", "> 0, <= 1"),
         Parameter("gain", None, "int | None", "Gain [1].", ">= 0, <= 255"),
-        Parameter("map", None, "pathlib.Path | None", "Where it is kept.", ""),
+        Parameter("map", None, "Path | None", "File of the map.", ""),
+        Parameter("beams", (), "tuple[float, ...]", "Bearings [rad].", ""),
     ]
 
 
-def test_changes_give_a_new_configuration() -> None:
+def test_changes_return_a_new_configuration() -> None:
     before = Localizer(particles=20)
 
     after = with_changes(before, {"filter.sigma": 0.5, "high": 3})
@@ -51,28 +53,28 @@ def test_changes_give_a_new_configuration() -> None:
 
 
 @pytest.mark.parametrize(
-    ("changes", "refusal"),
+    ("changes", "message"),
     [
         (
             {"high": 5.0, "particles": 5},
-            "parameter particles = 5 refused: should be greater than or equal to 10 "
+            "parameter particles = 5 rejected: should be greater than or equal to 10 "
             "(allowed: >= 10, <= 200000)",
         ),
         (
             {"filter.sigma": 2},
-            "parameter filter.sigma = 2 refused: should be less than or equal to 1 "
+            "parameter filter.sigma = 2 rejected: should be less than or equal to 1 "
             "(allowed: > 0, <= 1)",
         ),
-        ({"low": float("nan")}, "parameter low = nan refused: should be a finite number"),
+        ({"low": float("nan")}, "parameter low = nan rejected: should be a finite number"),
         (
             {"low": 4.0, "high": 3.0},
-            "low = 4.0, high = 3.0 refused: low 4.0 must be less than high 3.0",
+            "low = 4.0, high = 3.0 rejected: low 4.0 must be less than high 3.0",
         ),
         ({"partcles": 5}, "there is no parameter partcles; did you mean particles?"),
         (
             {"zzz": 5},
             "there is no parameter zzz; the parameters are particles, mode, low, high, "
-            "filter.sigma, gain, map",
+            "filter.sigma, gain, map, beams",
         ),
         (
             {"filter": {"sigma": 0.5}},
@@ -80,20 +82,20 @@ def test_changes_give_a_new_configuration() -> None:
         ),
         (
             {"particles": 5, "mode": "best"},
-            "parameter particles = 5 refused: should be greater than or equal to 10 "
+            "parameter particles = 5 rejected: should be greater than or equal to 10 "
             "(allowed: >= 10, <= 200000); "
-            "parameter mode = 'best' refused: should be 'paper' or 'improved'",
+            "parameter mode = 'best' rejected: should be 'paper' or 'improved'",
         ),
     ],
 )
-def test_a_refusal_names_parameter_value_and_bound(changes: dict[str, Any], refusal: str) -> None:
+def test_rejection_names_parameter_value_and_bound(changes: dict[str, Any], message: str) -> None:
     with pytest.raises(ParameterRejected) as caught:
         with_changes(Localizer(), changes)
 
-    assert str(caught.value) == refusal
+    assert str(caught.value) == message
 
 
-def test_a_configuration_is_frozen_and_knows_no_other_names() -> None:
+def test_configuration_is_immutable_and_rejects_unknown_names() -> None:
     config = Localizer()
 
     with pytest.raises(ValidationError):

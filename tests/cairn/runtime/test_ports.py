@@ -1,4 +1,4 @@
-"""Ports are declared by annotation, read from the class, and bound on the instance."""
+"""Ports are declared by annotation, collected from the class, and bound on the instance."""
 
 from typing import Annotated, Any, ClassVar
 
@@ -33,7 +33,7 @@ class Tolerant(Localizer):
     odom = In(optional=True)
 
 
-def test_ports_come_from_the_class_and_its_bases_in_order() -> None:
+def test_ports_are_collected_from_class_and_bases_in_order() -> None:
     assert list(ports_of(Localizer).values()) == [
         PortSpec("scan", "out", LaserScan, SENSOR),
         PortSpec("odom", "in", Odometry, RELIABLE),
@@ -42,11 +42,11 @@ def test_ports_come_from_the_class_and_its_bases_in_order() -> None:
     ]
 
 
-def test_a_subclass_may_give_an_inherited_port_another_default() -> None:
+def test_subclass_can_override_the_default_of_a_port() -> None:
     assert ports_of(Tolerant)["odom"] == PortSpec("odom", "in", Odometry, RELIABLE, optional=True)
 
 
-def test_a_class_without_ports_has_none() -> None:
+def test_class_without_ports_has_none() -> None:
     assert ports_of(type("Plain", (), {})) == {}
 
 
@@ -61,7 +61,7 @@ def declared(annotation: Any, **body: Any) -> type:
         (declared(int, port=Out()), "Odd.port: the port has no message type; annotate it, as in"),
         (type("Odd", (), {"port": Out()}), "Odd.port: the port has no message type; annotate it"),
         (declared("In[LaserScn]"), "annotations cannot be evaluated"),
-        (declared(In[int]), "Odd.port: builtins.int is not a message; a port carries a class"),
+        (declared(In[int]), "Odd.port: builtins.int is not a message; use a class"),
         (declared(In[Twist], port=Out()), "annotated In, but its default is Out; give In"),
         (declared(Out[Twist], port=5), "annotated Out, but its default is int; give Out"),
         (
@@ -70,14 +70,14 @@ def declared(annotation: Any, **body: Any) -> type:
         ),
     ],
 )
-def test_a_declaration_that_makes_no_sense_is_named(cls: type, error: str) -> None:
+def test_invalid_declaration_is_reported_by_name(cls: type, error: str) -> None:
     with pytest.raises(CairnError) as caught:
         ports_of(cls)
 
     assert error in str(caught.value)
 
 
-def test_a_bound_output_hands_over_messages_of_its_type_only() -> None:
+def test_bound_output_rejects_messages_of_another_type() -> None:
     sent: list[Time] = []
     spec = PortSpec("since", "out", Time, RELIABLE)
     out: Out[Time] = BoundOut("base", spec, "go", sent.append, lambda: True)
@@ -88,7 +88,7 @@ def test_a_bound_output_hands_over_messages_of_its_type_only() -> None:
     assert out.topic == "go"
     assert sent == [message]
     with pytest.raises(
-        CairnError, match="base: port since writes builtin_interfaces/msg/Time, not rosg"
+        CairnError, match="base: port since publishes builtin_interfaces/msg/Time, not rosg"
     ):
         out.publish(Clock(clock=message))  # type: ignore[arg-type]
     with pytest.raises(CairnError, match=r"not builtins\.str"):
@@ -96,19 +96,19 @@ def test_a_bound_output_hands_over_messages_of_its_type_only() -> None:
     assert sent == [message]
 
 
-def test_a_bound_input_knows_the_last_message_handled() -> None:
+def test_bound_input_keeps_the_latest_message() -> None:
     bound = BoundIn[Time](PortSpec("since", "in", Time, RELIABLE), "go")
     message = Time(sec=1, nanosec=2)
 
     before = bound.latest
-    bound.handled(message)
+    bound.set_latest(message)
 
     assert before is None
     assert bound.topic == "go"
     assert bound.latest is message
 
 
-def test_a_declaration_cannot_be_used_as_a_port() -> None:
+def test_declaration_cannot_be_used_as_a_port() -> None:
     with pytest.raises(CairnError, match="this Out port is a declaration"):
         Timer.since.publish(Time(sec=1, nanosec=2))
     with pytest.raises(CairnError, match="this In port is a declaration"):

@@ -1,4 +1,4 @@
-"""What a running component can rely on: handlers, randomness, complaints, log."""
+"""The guarantees of a running component: handlers, randomness, error reports, log."""
 
 import logging
 from typing import Any
@@ -36,7 +36,7 @@ def test_handlers_of_one_port_are_called_in_order_of_declaration_bases_first(
     assert part.component.word.latest == word("a")
 
 
-def test_an_override_without_a_decorator_is_no_handler(lockstep: Lockstep) -> None:
+def test_override_without_a_decorator_is_not_a_handler(lockstep: Lockstep) -> None:
     class Deaf(Base):
         def hear(self, word: String) -> None:
             self.calls.append("deaf")
@@ -49,7 +49,7 @@ def test_an_override_without_a_decorator_is_no_handler(lockstep: Lockstep) -> No
     assert part.component.calls == []
 
 
-def test_a_method_has_one_decorator() -> None:
+def test_second_decorator_on_a_method_is_rejected() -> None:
     with pytest.raises(CairnError, match=r"hear has two of the decorators @on and @every"):
 
         class _Twice:
@@ -58,7 +58,7 @@ def test_a_method_has_one_decorator() -> None:
             def hear(self, word: String) -> None: ...
 
 
-def test_a_handler_of_no_input_is_refused_with_the_inputs() -> None:
+def test_handler_of_a_missing_input_is_rejected_and_the_inputs_listed() -> None:
     class Odd(Base):
         @on("cmd_vel")
         def odd(self, twist: Twist) -> None: ...
@@ -67,7 +67,7 @@ def test_a_handler_of_no_input_is_refused_with_the_inputs() -> None:
         handlers_of(Odd)
 
 
-def test_a_component_whose_handlers_cannot_be_bound_leaves_no_node_behind() -> None:
+def test_component_with_invalid_handlers_leaves_no_node() -> None:
     class Odd(Base):
         @on("nothing")
         def odd(self, twist: Twist) -> None: ...
@@ -77,7 +77,7 @@ def test_a_component_whose_handlers_cannot_be_bound_leaves_no_node_behind() -> N
         lockstep.add(Odd)
 
 
-def test_deactivation_handles_what_waits_but_no_more_than_a_port_holds(
+def test_deactivation_handles_pending_messages_up_to_the_depth(
     lockstep: Lockstep,
 ) -> None:
     class Echo(Base):
@@ -98,7 +98,7 @@ def test_deactivation_handles_what_waits_but_no_more_than_a_port_holds(
     assert part.state == "inactive"
 
 
-def test_a_latched_input_is_there_again_after_reactivation(lockstep: Lockstep) -> None:
+def test_latched_input_is_received_again_after_reactivation(lockstep: Lockstep) -> None:
     part = lockstep.add(Base)
     lockstep.publish("map", word("first"), qos=LATCHED)
     for _ in range(2):
@@ -113,7 +113,7 @@ def test_a_latched_input_is_there_again_after_reactivation(lockstep: Lockstep) -
     assert part.component.map.latest is None
 
 
-def test_counts_of_a_port_outlive_a_reactivation(lockstep: Lockstep) -> None:
+def test_port_counters_survive_reactivation(lockstep: Lockstep) -> None:
     part = lockstep.add(Base)
     part.ask("configure")
     for _ in range(2):
@@ -125,7 +125,7 @@ def test_counts_of_a_port_outlive_a_reactivation(lockstep: Lockstep) -> None:
     assert (status.port, status.messages, status.dropped) == ("word", 10, 6)
 
 
-def test_an_unknown_request_is_refused_and_one_that_fails_leaves_it_active(
+def test_unknown_and_failed_requests_leave_the_component_active(
     lockstep: Lockstep,
 ) -> None:
     class Obeys(Base):
@@ -139,7 +139,7 @@ def test_an_unknown_request_is_refused_and_one_that_fails_leaves_it_active(
     part = lockstep.add(Obeys)
     part.activate()
     for verb, refusal in (
-        ("dance", "^part does not know the request dance$"),
+        ("dance", "^part: unknown request dance$"),
         ("fail", "^part: fail failed: KeyError: 'dear me'$"),
         ("exit", r"^it called sys\.exit\(1\)"),
     ):
@@ -149,7 +149,7 @@ def test_an_unknown_request_is_refused_and_one_that_fails_leaves_it_active(
     assert part.state == "active"
 
 
-def test_randomness_comes_from_seed_and_name_alone(lockstep: Lockstep) -> None:
+def test_randomness_depends_on_seed_and_name_alone(lockstep: Lockstep) -> None:
     def drawn(name: str, seed: int, **more: Any) -> list[float]:
         part = lockstep.add(Base, name=name, seed=seed, **more)
         return [float(number) for number in part.component.random.random(3)]
@@ -160,7 +160,7 @@ def test_randomness_comes_from_seed_and_name_alone(lockstep: Lockstep) -> None:
     assert drawn("left", 2) != first
 
 
-def test_a_nan_that_it_would_publish_fails_it_naming_field_and_port(
+def test_publishing_nan_fails_the_component_and_names_field_and_port(
     lockstep: Lockstep, caplog: pytest.LogCaptureFixture
 ) -> None:
     class Diverges(Base):
@@ -184,7 +184,7 @@ def test_a_nan_that_it_would_publish_fails_it_naming_field_and_port(
     assert taken(commands) == []
 
 
-def test_a_message_of_another_type_fails_it_naming_component_and_port(lockstep: Lockstep) -> None:
+def test_publishing_another_type_fails_the_component_and_names_the_port(lockstep: Lockstep) -> None:
     class Confused(Base):
         @on("word")
         def hear(self, word: String) -> None:
@@ -196,12 +196,12 @@ def test_a_message_of_another_type_fails_it_naming_component_and_port(lockstep: 
     lockstep.run()
 
     assert part.ends[0].reason == (
-        "hear (port word): base: port cmd_vel writes geometry_msgs/msg/Twist, "
+        "hear (port word): base: port cmd_vel publishes geometry_msgs/msg/Twist, "
         "not std_msgs/msg/String"
     )
 
 
-def test_a_log_record_never_fails_who_logs(
+def test_log_record_never_fails_the_component(
     lockstep: Lockstep, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     class Logs(Base):

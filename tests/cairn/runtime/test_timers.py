@@ -1,4 +1,4 @@
-"""Periodic and scheduled calls keep to the component's clock, whatever is done to that clock."""
+"""Periodic and scheduled calls follow the component's clock, also when it is set."""
 
 from collections.abc import Callable
 
@@ -16,7 +16,7 @@ from tests.cairn.runtime.running import Lockstep, Placed
 
 
 class Part(Component):
-    """Notes when it is called."""
+    """Records when it is called."""
 
     word: In[String]
 
@@ -38,7 +38,7 @@ def seconds(time: float) -> int:
 
 
 def tell(lockstep: Lockstep, *times: float) -> None:
-    """Put clock messages on the bus, one after another."""
+    """Publish clock messages one after another."""
     for time in times:
         lockstep.publish("clock", Clock(clock=from_ns(seconds(time))))
         lockstep.run()
@@ -50,7 +50,7 @@ def simulated(lockstep: Lockstep) -> Placed[Part]:
     return part
 
 
-def test_a_periodic_call_keeps_its_period(lockstep: Lockstep) -> None:
+def test_periodic_call_keeps_its_period(lockstep: Lockstep) -> None:
     part = lockstep.add(Part)
     lockstep.run_until(seconds(0.05))
     part.activate()
@@ -59,14 +59,14 @@ def test_a_periodic_call_keeps_its_period(lockstep: Lockstep) -> None:
     assert part.component.ticks == [0.15, 0.25, 0.35, 0.45]
 
 
-def test_periods_that_were_missed_are_skipped(lockstep: Lockstep) -> None:
+def test_missed_periods_are_skipped(lockstep: Lockstep) -> None:
     part = simulated(lockstep)
     tell(lockstep, 0.05, 0.1, 0.15, 1.05, 1.08, 1.1, 1.25)
 
     assert part.component.ticks == [0.1, 1.05, 1.1, 1.25]
 
 
-def test_simulated_time_alone_counts_where_time_is_simulated(lockstep: Lockstep) -> None:
+def test_timers_follow_simulated_time_alone(lockstep: Lockstep) -> None:
     part = simulated(lockstep)
     lockstep.run_until(100 * SECOND)
     assert (part.component.ticks, part.component.clock.now()) == ([], 0)
@@ -76,7 +76,7 @@ def test_simulated_time_alone_counts_where_time_is_simulated(lockstep: Lockstep)
     assert (part.component.ticks, part.component.clock.now()) == ([0.1], seconds(0.1))
 
 
-def test_who_keeps_system_time_does_so_in_simulated_time(lockstep: Lockstep) -> None:
+def test_component_with_system_clock_ignores_simulated_time(lockstep: Lockstep) -> None:
     class OnSystemTime(Part):
         clock_source = "system"
 
@@ -88,14 +88,14 @@ def test_who_keeps_system_time_does_so_in_simulated_time(lockstep: Lockstep) -> 
     assert part.component.ticks == [0.1, 0.2]
 
 
-def test_when_time_is_set_back_periodic_calls_start_anew(lockstep: Lockstep) -> None:
+def test_periodic_calls_restart_when_time_is_set_back(lockstep: Lockstep) -> None:
     part = simulated(lockstep)
     tell(lockstep, 10.0, 10.1, 5.0, 5.05, 5.1, 5.2)
 
     assert part.component.ticks == [10.0, 10.1, 5.1, 5.2]
 
 
-def test_when_time_is_set_back_a_scheduled_call_waits_for_its_time(lockstep: Lockstep) -> None:
+def test_scheduled_call_waits_for_its_time_when_time_is_set_back(lockstep: Lockstep) -> None:
     part = simulated(lockstep)
     tell(lockstep, 10.0)
     part.component.schedule(seconds(11.0), part.component.note)
@@ -104,7 +104,7 @@ def test_when_time_is_set_back_a_scheduled_call_waits_for_its_time(lockstep: Loc
     assert part.component.calls == [11.0]
 
 
-def test_a_clock_of_the_system_that_is_set_back_stops_nothing() -> None:
+def test_system_clock_that_is_set_back_does_not_stop_timers() -> None:
     settable = Settable()
     launch = LaunchRequest(name="part", spec=ChildSpec(plugin="test"))
     part = Runtime(Part, launch, LockstepBus(), settable, settable, lambda _: None)
@@ -119,7 +119,7 @@ def test_a_clock_of_the_system_that_is_set_back_stops_nothing() -> None:
     assert settable.wake == seconds(3.3)
 
 
-def test_a_scheduled_call_is_made_once_at_its_time(lockstep: Lockstep) -> None:
+def test_scheduled_call_is_made_once_at_its_time(lockstep: Lockstep) -> None:
     part = lockstep.add(Part)
     part.activate()
     part.component.schedule(seconds(0.33), part.component.note)
@@ -131,7 +131,7 @@ def test_a_scheduled_call_is_made_once_at_its_time(lockstep: Lockstep) -> None:
 
 
 @pytest.mark.parametrize("add", [lambda one: one.add(Part), simulated])
-def test_a_call_for_a_time_that_is_past_is_made_soon(
+def test_call_scheduled_for_the_past_is_made_soon(
     lockstep: Lockstep, add: Callable[[Lockstep], Placed[Part]]
 ) -> None:
     part = add(lockstep)
@@ -145,7 +145,7 @@ def test_a_call_for_a_time_that_is_past_is_made_soon(
 
 
 @pytest.mark.parametrize("told", [True, False])
-def test_a_call_that_sets_itself_anew_for_now_keeps_no_other_from_its_turn(
+def test_call_that_reschedules_itself_for_now_does_not_starve_others(
     lockstep: Lockstep, told: bool
 ) -> None:
     class Eager(Part):
@@ -170,7 +170,7 @@ def test_a_call_that_sets_itself_anew_for_now_keeps_no_other_from_its_turn(
     assert 1 <= len(part.component.calls) < 10
 
 
-def test_nothing_scheduled_outlives_a_deactivation(lockstep: Lockstep) -> None:
+def test_deactivation_discards_scheduled_calls(lockstep: Lockstep) -> None:
     part = lockstep.add(Part)
     part.activate()
     part.component.schedule(seconds(0.5), part.component.note)
@@ -181,7 +181,7 @@ def test_nothing_scheduled_outlives_a_deactivation(lockstep: Lockstep) -> None:
     assert part.component.calls == []
 
 
-def test_a_periodic_call_that_fails_does_not_run_twice_after_recovery(lockstep: Lockstep) -> None:
+def test_failed_periodic_call_runs_once_per_period_after_recovery(lockstep: Lockstep) -> None:
     class Recovers(Part):
         def on_error(self, error: Exception) -> bool:
             return True
@@ -199,7 +199,7 @@ def test_a_periodic_call_that_fails_does_not_run_twice_after_recovery(lockstep: 
     assert part.component.ticks == [0.1, 0.2, 0.3, 0.4]
 
 
-def test_an_invalid_rate_is_refused() -> None:
+def test_invalid_rate_is_rejected() -> None:
     for hz in (0.0, -1.0, 1001.0, float("nan"), float("inf")):
         with pytest.raises(CairnError, match="a rate must be above 0 and at most 1000 Hz"):
             every(hz=hz)
