@@ -18,7 +18,7 @@ from pydantic.fields import FieldInfo
 from cairn import Component
 from cairn.bus.codec import Codec
 from cairn.cli.main import build
-from cairn.cli.message_types import known_messages
+from cairn.cli.plugins import known_messages
 from cairn.deployment.plugins import installed_plugins, load_plugin
 from cairn.runtime.parameters import bounds_text
 from cairn.runtime.ports import ports_of

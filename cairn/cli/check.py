@@ -1,24 +1,13 @@
 """`cairn check FILE`: all that is wrong with a deployment, before anything starts."""
 
-from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import typer
 
-from cairn.cli.connection import Json
-from cairn.cli.tables import line, print_json
+from cairn.cli.options import File, Json, Overlay, Set
+from cairn.cli.output import line, print_json
 from cairn.deployment.load import load_deployment
 from cairn.deployment.problems import DeploymentError, Problem
-
-File = Annotated[Path, typer.Argument(help="The deployment.", metavar="FILE")]
-Overlay = Annotated[
-    list[Path] | None,
-    typer.Option("--overlay", help="A file whose values replace those before.", metavar="FILE"),
-]
-Set = Annotated[
-    list[str] | None,
-    typer.Option("--set", help="Replace one value.", metavar="KEY.PATH=VALUE"),
-]
 
 
 def check(file: File, overlay: Overlay = None, set_: Set = None, json: Json = False) -> None:

@@ -1,61 +1,120 @@
-"""`cairn load|unload|restart`: orders to the supervisor of a component."""
+"""`cairn load|unload|restart|param`: change a running deployment."""
 
-from typing import Annotated
+from __future__ import annotations
+
+import json as json_module
+from dataclasses import asdict
+from typing import Annotated, Any
 
 import typer
+import yaml
 
-from cairn.bus.control import request
-from cairn.cli.connection import DEFAULT_CONNECT, Connect, Connection, Domain, Robot, connected
-from cairn.cli.tables import line
+from cairn.cli.options import DEFAULT_CONNECT, Connect, Domain, Json, RobotName
+from cairn.cli.output import line, note, show
+from cairn.client import Parameter
+from cairn.client import connect as connect_to
 from cairn.errors import CairnError
 
-Name = Annotated[str, typer.Argument(help="The component's name.", metavar="NAME")]
-_LIMIT_S = 90.0  # beyond what a component takes to stop and to start, unless it is given more
+param = typer.Typer(help="Read and change the parameters of running components.")
+
+Child = Annotated[str, typer.Argument(help="Name of the component.", metavar="NAME")]
+Component = Annotated[str, typer.Argument(help="Name of the component.", metavar="COMPONENT")]
 
 
 def load(
-    name: Name, connect: Connect = DEFAULT_CONNECT, domain: Domain = 0, robot: Robot = ""
+    name: Child, connect: Connect = DEFAULT_CONNECT, domain: Domain = 0, robot: RobotName = ""
 ) -> None:
-    """Load a component of the deployment that is not loaded: on order, unloaded or ended."""
-    _order("load", name, connect, domain, robot)
+    """Start a component that is not loaded: one with `load: on_order`, or one that has ended."""
+    with connect_to(connect, domain, robot, notify=note) as client:
+        line(f"{name}: {client.load(name)}")
 
 
 def unload(
-    name: Name, connect: Connect = DEFAULT_CONNECT, domain: Domain = 0, robot: Robot = ""
+    name: Child, connect: Connect = DEFAULT_CONNECT, domain: Domain = 0, robot: RobotName = ""
 ) -> None:
-    """Stop a component and leave it unloaded; the others go on."""
-    _order("unload", name, connect, domain, robot)
+    """Stop a component and leave it stopped; the others go on."""
+    with connect_to(connect, domain, robot, notify=note) as client:
+        line(f"{name}: {client.unload(name)}")
 
 
 def restart(
-    name: Name, connect: Connect = DEFAULT_CONNECT, domain: Domain = 0, robot: Robot = ""
+    name: Child, connect: Connect = DEFAULT_CONNECT, domain: Domain = 0, robot: RobotName = ""
 ) -> None:
-    """Stop a component and start it anew; the others go on."""
-    _order("restart", name, connect, domain, robot)
+    """Stop a component and start it again; the others go on."""
+    with connect_to(connect, domain, robot, notify=note) as client:
+        line(f"{name}: {client.restart(name)}")
 
 
-def _order(verb: str, name: str, connect: str, domain: int, robot: str) -> None:
-    with connected(connect, domain) as connection:
-        supervisor = _supervisor(connection, name, robot)
-        state = request(
-            connection.session, domain, supervisor, verb, {"name": name}, timeout_s=_LIMIT_S
-        )
-    line(f"{name}: {state}")
+@param.command("list")
+def list_parameters(
+    component: Component,
+    connect: Connect = DEFAULT_CONNECT,
+    domain: Domain = 0,
+    robot: RobotName = "",
+    json: Json = False,
+) -> None:
+    """List a component's parameters with value, bounds and meaning."""
+    with connect_to(connect, domain, robot) as client:
+        parameters = client.parameters(component).values()
+    columns = ("name", "value", "type", "bounds", "description")
+    rows = [asdict(one) if json else _readable(one) for one in parameters]
+    show(rows, columns, as_json=json, nothing=f"{component} has no parameters")
 
 
-def _supervisor(connection: Connection, name: str, robot: str) -> str:
-    """The supervisor that has a child of that name: each of them knows its own."""
-    known: dict[str, str] = {}
-    for node, status in connection.statuses().items():
-        of_robot = node.split("/")[1]
-        if robot and of_robot != robot:
-            continue
-        for child in status.children:
-            known[f"/{of_robot}/{child}"] = node
-    owners = [node for full, node in known.items() if full.rpartition("/")[2] == name]
-    if len(owners) == 1:
-        return owners[0]
-    if owners:
-        raise CairnError(f"several robots have a component {name}; give --robot")
-    listed = ", ".join(sorted(known)) or "none"
-    raise CairnError(f"no supervisor has a component {name}; they have: {listed}")
+@param.command("get")
+def get_parameter(
+    component: Component,
+    parameter: Annotated[str, typer.Argument(help="Its (dotted) name.", metavar="PARAMETER")],
+    connect: Connect = DEFAULT_CONNECT,
+    domain: Domain = 0,
+    robot: RobotName = "",
+) -> None:
+    """Print the value of one parameter as JSON."""
+    with connect_to(connect, domain, robot) as client:
+        parameters = client.parameters(component)
+    inside = [name for name in parameters if name.startswith(f"{parameter}.")]
+    if inside:
+        raise CairnError(f"{component}: {parameter} is a group; it has {', '.join(inside)}")
+    if parameter not in parameters:
+        known = ", ".join(parameters)
+        raise CairnError(f"{component} has no parameter {parameter}; it has {known}")
+    line(json_module.dumps(parameters[parameter].value))
+
+
+@param.command("set")
+def set_parameters(
+    component: Component,
+    changes: Annotated[
+        list[str], typer.Argument(help="Changes, made all or none.", metavar="NAME=VALUE...")
+    ],
+    connect: Connect = DEFAULT_CONNECT,
+    domain: Domain = 0,
+    robot: RobotName = "",
+) -> None:
+    """Change parameters of a running component, all or none, until it is restarted.
+
+    Values are YAML: 5 is a number, true a boolean, '"5"' a text.
+    """
+    values: dict[str, Any] = {}
+    for change in changes:
+        name, equals, value = change.partition("=")
+        if not equals:
+            raise CairnError(f"{change!r} is not a change; write NAME=VALUE")
+        try:
+            values[name] = yaml.safe_load(value)
+        except (yaml.YAMLError, ValueError) as error:
+            reason = " ".join(str(error).split())
+            raise CairnError(f"{name}: {value!r} is not a YAML value: {reason}") from error
+    with connect_to(connect, domain, robot) as client:
+        client.set_parameters(component, values)
+    for name, value in values.items():
+        line(f"{component}.{name} = {json_module.dumps(value)}")
+
+
+def _readable(parameter: Parameter) -> dict[str, Any]:
+    """Return a row for people: all digits, and `Literal['a', 'b']` as a choice of a and b."""
+    shown = {**asdict(parameter), "value": json_module.dumps(parameter.value)}
+    if not parameter.type.startswith("Literal["):
+        return shown
+    choices = parameter.type.removeprefix("Literal[").removesuffix("]").replace("'", "")
+    return {**shown, "type": "choice", "bounds": choices}

@@ -29,19 +29,19 @@ COMMANDS = (
                 "Check a deployment; report each problem with file and line.", _RUN),
     LazyCommand("doctor", "cairn.cli.doctor.command:doctor",
                 "Check this computer, and what a deployment needs of it.", _RUN),
-    LazyCommand("ps", "cairn.cli.ps:ps",
+    LazyCommand("ps", "cairn.cli.inspect:ps",
                 "List the components: state, process, load, losses.", _INSPECT),
-    LazyCommand("graph", "cairn.cli.graph:graph",
+    LazyCommand("graph", "cairn.cli.inspect:graph",
                 "List the topics with their publishers and subscribers.", _INSPECT),
-    LazyCommand("topic", "cairn.cli.topic:app",
+    LazyCommand("topic", "cairn.cli.inspect:topic",
                 "List, print and time messages.", _INSPECT),
-    LazyCommand("logs", "cairn.cli.logs:logs",
+    LazyCommand("logs", "cairn.cli.inspect:logs",
                 "Print the log messages of the components.", _INSPECT),
     LazyCommand("go", "cairn.supervisors.mobile.cli:go",
                 "Send the robot to a goal, or cancel.", _CONTROL, negative_numbers=True),
     LazyCommand("locate", "cairn.supervisors.mobile.cli:locate",
                 "Set the robot's pose in the map.", _CONTROL, negative_numbers=True),
-    LazyCommand("param", "cairn.cli.param:app",
+    LazyCommand("param", "cairn.cli.control:param",
                 "List, read and set parameters.", _CONTROL),
     LazyCommand("load", "cairn.cli.control:load",
                 "Start a component that is not loaded.", _CONTROL),
@@ -67,11 +67,11 @@ COMMANDS = (
                 "Run the experiments of the paper.", _STUDY),
     LazyCommand("plugins", "cairn.cli.plugins:plugins",
                 "List the component classes that a deployment can name.", _DEVELOP),
-    LazyCommand("schema", "cairn.cli.schema:app",
+    LazyCommand("schema", "cairn.cli.plugins:schema",
                 "Show the ROS 2 definitions of the message types.", _DEVELOP),
-    LazyCommand("driver", "cairn.cli.driver:app",
+    LazyCommand("driver", "cairn.cli.devices:driver",
                 "Try a device without a deployment.", _DEVELOP),
-    LazyCommand("emulate", "cairn.cli.emulate:app",
+    LazyCommand("emulate", "cairn.cli.devices:emulate",
                 "Emulate a device on a serial or TCP port.", _DEVELOP),
 )  # fmt: skip
 """All commands of this distribution. Their modules are imported when they are invoked."""
@@ -128,7 +128,7 @@ def _print_version(requested: bool) -> None:
     if requested:
         from importlib.metadata import version
 
-        from cairn.cli.tables import line
+        from cairn.cli.output import line
 
         line(f"cairn {version('cairn-robotics')}, zenoh {version('eclipse-zenoh')}")
         raise typer.Exit

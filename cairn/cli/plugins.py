@@ -1,17 +1,28 @@
-"""`cairn plugins`: the component classes that deployments can name."""
+"""`cairn plugins` and `cairn schema`: the component classes and the message types that exist."""
 
+from __future__ import annotations
+
+import importlib
+import pkgutil
+from collections.abc import Iterator
 from inspect import getdoc
 from typing import Annotated, Any
 
 import typer
 from pydantic import BaseModel
 
-from cairn.cli.connection import Json
-from cairn.cli.tables import line, print_json, show
+from cairn import schemas
+from cairn.bus.codec import Codec
+from cairn.cli.options import Json
+from cairn.cli.output import line, print_json, show
 from cairn.deployment.plugins import installed_plugins, load_plugin
+from cairn.deployment.problems import suggestion
+from cairn.errors import CairnError
 from cairn.runtime.parameters import bounds_text
 from cairn.runtime.ports import PortSpec, ports_of
-from cairn.schemas.message import type_name
+from cairn.schemas.message import fields_of, type_name
+
+schema = typer.Typer(help="The message types: ROS 2 definition text and type hash.")
 
 
 def plugins(
@@ -99,3 +110,81 @@ def _port(port: PortSpec) -> dict[str, str]:
         "type": type_name(port.message),
         "qos": qos.replace("_", " "),
     }
+
+
+@schema.command("list")
+def list_types(json: Json = False) -> None:
+    """List the message types with their ROS 2 type hashes."""
+    codec = Codec()
+    rows = [
+        {
+            "type": name,
+            "hash": codec.type_hash(message),
+            "summary": (message.__doc__ or "").partition("\n")[0],
+        }
+        for name, message in sorted(known_messages().items())
+    ]
+    show(rows, ("type", "hash", "summary"), as_json=json)
+
+
+@schema.command("show")
+def show_type(
+    name: Annotated[str, typer.Argument(metavar="TYPE", help="As in nav_msgs/msg/Odometry.")],
+    json: Json = False,
+) -> None:
+    """Print a type's ROS 2 definition, with those of the types that it holds, and its hash."""
+    codec = Codec()
+    message = find_message(name)
+    definition = codec.definition(message)
+    if json:
+        print_json({"type": name, "hash": codec.type_hash(message), "definition": definition})
+        return
+    line(f"# {name}\n# {codec.type_hash(message)}\n{definition.rstrip()}")
+
+
+def known_messages() -> dict[str, type[Any]]:
+    """All message classes by type name."""
+    return _of_plugins() | _of_schemas()
+
+
+def find_message(name: str) -> type[Any]:
+    """The message class of a type name; `CairnError` with the nearest ones if there is none."""
+    ours = _of_schemas()  # first, because plugins take their time to import
+    if name in ours:
+        return ours[name]
+    known = _of_plugins() | ours
+    if name not in known:
+        raise CairnError(
+            f"unknown message type {name}; {suggestion(name, sorted(known))} (`cairn schema list` "
+            "lists all: Cairn's own and those of the ports of installed plugins)"
+        )
+    return known[name]
+
+
+def _of_schemas() -> dict[str, type[Any]]:
+    found: dict[str, type[Any]] = {}
+    for module_info in pkgutil.iter_modules(schemas.__path__, "cairn.schemas."):
+        module = importlib.import_module(module_info.name)
+        for value in vars(module).values():
+            if isinstance(value, type) and value.__module__ == module.__name__:
+                try:
+                    found[type_name(value)] = value
+                except TypeError:
+                    continue  # a class beside the messages
+    return found
+
+
+def _of_plugins() -> dict[str, type[Any]]:
+    return {
+        type_name(message): message
+        for plugin in installed_plugins()
+        for port in plugin.ports
+        for message in _with_parts(port.message)
+    }
+
+
+def _with_parts(message: type[Any]) -> Iterator[type[Any]]:
+    yield message
+    for field in fields_of(message):
+        if isinstance(field.element, type):
+            yield from _with_parts(field.element)

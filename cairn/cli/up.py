@@ -20,12 +20,10 @@ import typer
 from rich.console import Console
 
 from cairn.bus.zenoh_bus import ZenohBus
-from cairn.cli.check import File, Overlay, Set
-from cairn.cli.log_file import log_file
-from cairn.cli.report_folder import writing_report
-from cairn.cli.tables import line, note
-from cairn.cli.view import LiveView, PlainView
-from cairn.cli.watch import LogWatch, Watch
+from cairn.cli.options import File, Overlay, Set
+from cairn.cli.output import line, note
+from cairn.cli.runs import log_file, writing_report
+from cairn.cli.view import LiveView, LogWatch, PlainView, Watch
 from cairn.clock import from_ns
 from cairn.deployment.load import assembled, read_sources
 from cairn.deployment.model import Deployment

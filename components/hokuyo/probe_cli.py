@@ -18,8 +18,8 @@ from rich.text import Text
 from serial.tools import list_ports
 
 from cairn import CairnError
-from cairn.cli.connection import Json
-from cairn.cli.tables import line, print_json, show
+from cairn.cli.options import Json
+from cairn.cli.output import line, print_json, show
 from cairn.components.hokuyo import health
 from cairn.components.hokuyo.config import HokuyoConfig
 from cairn.components.hokuyo.measurement import Measured, Measurement

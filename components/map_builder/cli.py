@@ -12,8 +12,8 @@ import numpy as np
 import typer
 
 from cairn import CairnError
-from cairn.cli.tables import line, print_json
-from cairn.cli.tables import show as show_rows
+from cairn.cli.output import line, print_json
+from cairn.cli.output import show as show_rows
 from cairn.components.map_builder.explaining import (
     chain_of,
     object_called,

@@ -8,8 +8,9 @@ from typing import Annotated, Any
 import typer
 
 from cairn import CairnError
-from cairn.cli.connection import DEFAULT_CONNECT, Connect, Domain, Json, Robot, connected
-from cairn.cli.tables import line, print_json, show
+from cairn.cli.options import DEFAULT_CONNECT, Connect, Domain, Json, RobotName
+from cairn.cli.output import line, print_json, show
+from cairn.client import connect as connect_to
 from cairn.components.object_recognizer.given import (
     DEFAULT_MAP,
     MapFile,
@@ -65,7 +66,7 @@ def teach_object(
     map_file: MapFile = None,
     connect: Connect = DEFAULT_CONNECT,
     domain: Domain = 0,
-    robot: Robot = "",
+    robot: RobotName = "",
     json: Json = False,
 ) -> None:
     """Teach an object by photographs of it from the front, or one more view of a known object.
@@ -85,9 +86,9 @@ def teach_object(
     meters = parsed_size(size) if size else None
     sources: list[tuple[str, Gray]] = [(str(path), read_image(path)) for path in images or []]
     if camera:
-        with connected(connect, domain) as connection:
-            map_file = map_file or map_of_recognizer(connection, robot)
-            sources.append(newest_image(connection, topic, robot))
+        with connect_to(connect, domain, robot) as client:
+            map_file = map_file or map_of_recognizer(client)
+            sources.append(newest_image(client, topic))
     path = map_file or DEFAULT_MAP
     views = {source: _fit_view(source, gray, box) for source, gray in sources}
     report(path, name, views, meters, as_json=json)

@@ -12,8 +12,8 @@ import numpy as np
 import typer
 
 from cairn import CairnError
-from cairn.cli.connection import Json
-from cairn.cli.tables import line, note, print_json
+from cairn.cli.options import Json
+from cairn.cli.output import line, note, print_json
 from cairn.components.object_recognizer.agreement import contradiction
 from cairn.components.object_recognizer.bearings import place_of
 from cairn.components.object_recognizer.cameras import Cameras, cameras_of

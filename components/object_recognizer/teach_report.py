@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from cairn import CairnError
-from cairn.cli.tables import line, note, print_json
+from cairn.cli.output import line, note, print_json
 from cairn.components.object_recognizer.given import check_shape
 from cairn.vision.map_file import create, told
 from cairn.vision.taught import TaughtObject, View

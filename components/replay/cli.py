@@ -7,8 +7,8 @@ from typing import Annotated, Any
 
 import typer
 
-from cairn.cli.connection import Json
-from cairn.cli.tables import line, note, print_json, show
+from cairn.cli.options import Json
+from cairn.cli.output import line, note, print_json, show
 from cairn.components.replay.contents import contents_of
 from cairn.components.replay.formats import open_recording
 from cairn.components.replay.pictures import draw_recording

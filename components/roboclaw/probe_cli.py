@@ -8,8 +8,8 @@ from typing import Annotated, Literal
 import typer
 
 from cairn import CairnError
-from cairn.cli.connection import Json
-from cairn.cli.tables import line, note, print_json
+from cairn.cli.options import Json
+from cairn.cli.output import line, note, print_json
 from cairn.components.roboclaw.dialogue import Dialogue
 from cairn.components.roboclaw.kinematics import counted
 from cairn.components.roboclaw.packets import ADDRESSES

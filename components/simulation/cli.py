@@ -9,17 +9,9 @@ from typing import Annotated, Any
 import typer
 
 from cairn import CairnError
-from cairn.bus.control import request
-from cairn.cli.connection import (
-    DEFAULT_CONNECT,
-    Connect,
-    Domain,
-    Json,
-    Robot,
-    connected,
-    resolve,
-)
-from cairn.cli.tables import line, note, show
+from cairn.cli.options import DEFAULT_CONNECT, Connect, Domain, Json, RobotName
+from cairn.cli.output import line, note, show
+from cairn.client import connect as connect_to
 from cairn.components.simulation.checks import problems_of
 from cairn.components.simulation.columns import NEAR_M
 from cairn.components.simulation.photography import seen_from, write_picture
@@ -103,7 +95,10 @@ def see(
 
 @app.command("list")
 def list_things(
-    json: Json = False, connect: Connect = DEFAULT_CONNECT, domain: Domain = 0, robot: Robot = ""
+    json: Json = False,
+    connect: Connect = DEFAULT_CONNECT,
+    domain: Domain = 0,
+    robot: RobotName = "",
 ) -> None:
     """List what stands and who walks in the running world, and where the robot is."""
     rows = _ask("list", {}, connect, domain, robot)
@@ -119,7 +114,7 @@ def move(
     theta: Theta = "0",
     connect: Connect = DEFAULT_CONNECT,
     domain: Domain = 0,
-    robot: Robot = "",
+    robot: RobotName = "",
 ) -> None:
     """Move furniture, an object or a person."""
     _ask("move", {"name": name, **_place(x, y, theta)}, connect, domain, robot)
@@ -128,7 +123,7 @@ def move(
 
 @app.command()
 def remove(
-    name: Name, connect: Connect = DEFAULT_CONNECT, domain: Domain = 0, robot: Robot = ""
+    name: Name, connect: Connect = DEFAULT_CONNECT, domain: Domain = 0, robot: RobotName = ""
 ) -> None:
     """Take furniture, an object or a person away."""
     _ask("remove", {"name": name}, connect, domain, robot)
@@ -150,7 +145,7 @@ def add(
     ] = None,
     connect: Connect = DEFAULT_CONNECT,
     domain: Domain = 0,
-    robot: Robot = "",
+    robot: RobotName = "",
 ) -> None:
     """Add a piece of furniture, or an object that faces along its heading."""
     given: dict[str, Any] = {"name": name, **_place(x, y, theta)}
@@ -171,7 +166,7 @@ def person(
     speed: Annotated[float, typer.Option(help="Walking speed, 0 to 3 [m/s].")] = 0.8,
     connect: Connect = DEFAULT_CONNECT,
     domain: Domain = 0,
-    robot: Robot = "",
+    robot: RobotName = "",
 ) -> None:
     """Let somebody come who walks from place to place."""
     if not math.isfinite(speed):
@@ -189,7 +184,7 @@ def kidnap(
     theta: Theta = "0",
     connect: Connect = DEFAULT_CONNECT,
     domain: Domain = 0,
-    robot: Robot = "",
+    robot: RobotName = "",
 ) -> None:
     """Carry the robot somewhere else, without its wheels turning."""
     _ask("kidnap", _place(x, y, theta), connect, domain, robot)
@@ -197,16 +192,11 @@ def kidnap(
 
 
 def _ask(verb: str, arguments: dict[str, Any], connect: str, domain: int, robot: str) -> Any:
-    with connected(connect, domain) as connection:
-        worlds = [
-            name
-            for name, status in connection.statuses().items()
-            if status.plugin == _PLUGIN and (not robot or name.split("/")[1] == robot)
-        ]
-        if not worlds:
-            raise CairnError("no simulated world runs; start one with `cairn up deploy/sim.yaml`")
-        world = resolve(worlds, worlds[0].rpartition("/")[2], robot)
-        return request(connection.session, domain, world, verb, arguments, timeout_s=_LIMIT_S)
+    with connect_to(connect, domain, robot) as client:
+        world = client.component_of(_PLUGIN)
+        if world is None:
+            raise CairnError("no simulated world runs; start one with `cairn up sim`")
+        return client.request(world, verb, arguments, timeout_s=_LIMIT_S)
 
 
 def _place(x: str, y: str, theta: str) -> dict[str, float]:

@@ -10,8 +10,8 @@ import typer
 from pydantic import ValidationError
 
 from cairn import CairnError
-from cairn.cli.connection import Json
-from cairn.cli.tables import line, note, print_json
+from cairn.cli.options import Json
+from cairn.cli.output import line, note, print_json
 from cairn.components.v4l2_camera.config import V4l2StereoCameraConfig
 from cairn.components.v4l2_camera.listing import as_lines, listed
 from cairn.components.v4l2_camera.pairing import Picture

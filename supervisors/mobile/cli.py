@@ -1,16 +1,30 @@
-"""`cairn go`: orders to move, and how they get on; `cairn locate`: where the robot is."""
+"""`cairn go`: send the robot to goals and print the progress; `cairn locate`: set its pose."""
+
+from __future__ import annotations
 
 import math
+import signal
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from typing import Annotated
 
 import typer
 
 from cairn import CairnError
-from cairn.cli.connection import DEFAULT_CONNECT, Connect, Domain, Json, Robot, connected
-from cairn.cli.tables import line, print_json
-from cairn.supervisors.mobile.following import Operator, follow, refusals_told
-from cairn.supervisors.mobile.locating import point_out
-from cairn.supervisors.mobile.reaching import reach
+from cairn.cli.options import DEFAULT_CONNECT, Connect, Domain, Json, RobotName
+from cairn.cli.output import OutputLost, line, note, print_json
+from cairn.client import NavigationGoal, NoReplyError
+from cairn.client import connect as connect_to
+from cairn.client.navigation import Navigator
+from cairn.planar.messages import pose_message
+from cairn.schemas.cairn_nav_msgs import NAVIGATION_STATES, NavigationStatus
+from cairn.schemas.geometry_msgs import PoseWithCovariance, PoseWithCovarianceStamped
+from cairn.schemas.message import type_name
+from cairn.schemas.std_msgs import Header
+
+_REPEAT_S = 5.0  # AutoMove publishes twice a second; an unchanged status is printed this often
+_POSE_TOPIC = "initialpose"
 
 
 def go(
@@ -18,70 +32,103 @@ def go(
         list[str] | None,
         typer.Argument(
             metavar="X Y [HEADING] | X,Y[,HEADING]...",
-            help="Where to, in meters in the map; heading in radians, or as 90deg; 0 if not given. "
+            help="Goal in meters in the map; heading in radians, or as 90deg; 0 by default. "
             "Several goals, each with commas, are driven to one after the other.",
         ),
     ] = None,
     cancel: Annotated[
-        bool, typer.Option("--cancel", help="Take the order back; the robot stands still.")
+        bool, typer.Option("--cancel", help="Cancel the goal under way; the robot stops.")
     ] = False,
     wait: Annotated[
-        bool, typer.Option("--wait/--no-wait", help="Tell how it gets on until its result.")
+        bool, typer.Option("--wait/--no-wait", help="Print the progress until the result.")
     ] = True,
     json: Json = False,
     connect: Connect = DEFAULT_CONNECT,
     domain: Domain = 0,
-    robot: Robot = "",
+    robot: RobotName = "",
 ) -> None:
-    """Send a robot to a goal; a new order pre-empts the old one, Ctrl-C cancels it.
+    """Send a robot to a goal; a new goal preempts the old one, Ctrl-C cancels it.
 
-    Ends with status 0 if it arrives, 1 if not; 130 after Ctrl-C, 143 after SIGTERM, 129 if its
-    terminal is closed, which cancel too.
+    Exit status 0 if the robot arrives, 1 if not; 130 after Ctrl-C, 143 after SIGTERM, 129 if the
+    terminal is closed, each of which cancels the goal.
     """
-    with refusals_told(as_json=json):
+    with _errors_as_json(as_json=json):
         if cancel and goal:
             raise CairnError("give a goal or --cancel, not both")
         goals = [] if cancel else parse_goals(goal or [])
-    with connected(connect, domain) as connection:
-        with refusals_told(as_json=json):
-            operator = Operator(connection, reach(connection, robot))
+    with connect_to(connect, domain, robot, notify=note) as client:
+        with _errors_as_json(as_json=json):
+            navigator = client.navigator()
             if cancel:
-                _tell(operator.cancel(), "canceled", as_json=json)
+                _print_mission(navigator.cancel(), "canceled", as_json=json)
             elif not wait:
-                _tell(operator.go(goals), "given", as_json=json)
+                with navigator.goal(goals) as sent:
+                    _print_mission(sent.send(), "accepted", as_json=json)
         if wait and not cancel:
-            follow(operator, goals, as_json=json)
+            follow(navigator, goals, as_json=json)
 
 
 def locate(
-    place: Annotated[
+    pose: Annotated[
         list[str],
         typer.Argument(
             metavar="X Y [HEADING]",
-            help="Where the robot is, in meters in the map; heading in radians, or as 90deg; 0 if "
-            "not given.",
+            help="Pose of the robot, in meters in the map; heading in radians, or as 90deg; 0 by "
+            "default.",
         ),
     ],
     connect: Connect = DEFAULT_CONNECT,
     domain: Domain = 0,
-    robot: Robot = "",
+    robot: RobotName = "",
 ) -> None:
-    """Tell a robot where it is, to about half a meter and 15 degrees."""
-    x, y, heading = _pose(place, "place")
-    with connected(connect, domain) as connection:
-        topic = point_out(connection, robot, (x, y, heading))
-    line(f"told on {topic}; `cairn topic echo localization` shows how sure the robot is")
+    """Set the robot's pose in the map, to about half a meter and 15 degrees."""
+    x, y, heading = _pose(pose, "pose")
+    with connect_to(connect, domain, robot) as client:
+        subscribed = {
+            end.topic
+            for end in client.connection.endpoints()
+            if end.kind == "MS" and end.type_name == type_name(PoseWithCovarianceStamped)
+        }
+        if not any(topic.endswith(f"/{_POSE_TOPIC}") for topic in subscribed):
+            raise CairnError(
+                f"nothing subscribes to {_POSE_TOPIC}: the localizer is loaded with the first "
+                "goal; until then its parameter `start` sets the robot's pose"
+            )
+        message = PoseWithCovarianceStamped(
+            header=Header(frame_id="map"),
+            pose=PoseWithCovariance(pose=pose_message((x, y, heading))),
+        )
+        topic = client.publish(_POSE_TOPIC, message)
+    line(f"published on {topic}; `cairn topic echo localization` shows the uncertainty")
 
 
-def _tell(order: int, what: str, *, as_json: bool) -> None:
+def follow(navigator: Navigator, goals: Sequence[Sequence[float]], *, as_json: bool) -> None:
+    """Send a goal and print its progress; Ctrl-C, SIGTERM and a closed terminal cancel it.
+
+    Raises `CairnError` if the robot does not arrive, `SystemExit` after SIGTERM or SIGHUP.
+    """
+    with _exit_on(signal.SIGTERM, signal.SIGHUP), navigator.goal(goals) as goal:
+        try:
+            with _errors_as_json(as_json=as_json):
+                mission = goal.send()
+            if not as_json:
+                through = ", then ".join(map(_pose_text, goals))
+                line(f"mission {mission}: go to {through}; Ctrl-C cancels")
+            status = _print_progress(goal, as_json=as_json)
+        except (KeyboardInterrupt, SystemExit, BrokenPipeError, OutputLost):
+            _cancel(goal, as_json=as_json)
+            raise
     if as_json:
-        print_json({"mission_id": order})
-    else:
-        line(f"order {order} is {what}")
+        print_json(_fields(status))
+    if status.state != NavigationStatus.SUCCEEDED:
+        state = NAVIGATION_STATES[status.state]
+        raise CairnError(f"mission {mission} {state} after {status.elapsed:.1f} s: {status.reason}")
+    if not as_json:
+        line(f"{status.elapsed:6.1f} s  {status.reason}")
 
 
 def parse_goals(words: list[str]) -> list[list[float]]:
-    """Goals [x, y, heading] of the command line; `CairnError` says what is wrong."""
+    """Return the goals [x, y, heading] of the command line; `CairnError` if they are invalid."""
     if not words:
         raise CairnError("give a goal, such as `cairn go 7.5 5.0 90deg`, or --cancel")
     if any("," in word for word in words):
@@ -89,17 +136,108 @@ def parse_goals(words: list[str]) -> list[list[float]]:
     return [_pose(words, "goal")]
 
 
-def _pose(parts: list[str], what: str) -> list[float]:
-    given = f"{what} {' '.join(parts)}"
+def _print_progress(goal: NavigationGoal, *, as_json: bool) -> NavigationStatus:
+    """Print the progress of a goal and return its last status."""
+    status = NavigationStatus()
+    printed: tuple[int | str, ...] | None = None
+    printed_at = 0.0
+    for status in goal:
+        now = time.monotonic()
+        loading = status.reason if status.state == NavigationStatus.LOADING else ""
+        news = (status.state, status.goal, status.reason_code, status.recoveries, loading)
+        is_due = news != printed or now - printed_at >= _REPEAT_S
+        if is_due and not as_json and not goal.ended:
+            printed, printed_at = news, now
+            line(_sentence(status))
+    return status
+
+
+def _cancel(goal: NavigationGoal, *, as_json: bool) -> None:
+    with suppress(OSError, OutputLost):  # the terminal may have been closed
+        try:
+            mission = goal.cancel()
+        except CairnError as error:  # it has just ended, was preempted, or its robot has gone
+            note(f"nothing is canceled: {error}")
+            return
+        if as_json:
+            print_json({"mission_id": mission, "state": "canceled"})
+        else:
+            line("canceled: the robot stops")
+
+
+@contextmanager
+def _errors_as_json(*, as_json: bool) -> Iterator[None]:
+    """Print an error as JSON too, if that is asked for."""
+    try:
+        yield
+    except CairnError as error:
+        if as_json:
+            state = "unanswered" if isinstance(error, NoReplyError) else "refused"
+            print_json({"state": state, "reason": str(error)})
+        raise
+
+
+@contextmanager
+def _exit_on(*numbers: signal.Signals) -> Iterator[None]:
+    """Turn signals into `SystemExit` with the status that a shell gives them."""
+    handled = [one for one in numbers if signal.getsignal(one) is not signal.SIG_IGN]  # nohup
+
+    def leave(number: int, _frame: object) -> None:
+        for one in handled:  # a terminal that closes may hang up twice
+            signal.signal(one, signal.SIG_IGN)
+        raise SystemExit(128 + number)
+
+    before = {number: signal.signal(number, leave) for number in handled}
+    try:
+        yield
+    finally:
+        for number, former in before.items():
+            signal.signal(number, former)
+
+
+def _print_mission(mission: int, state: str, *, as_json: bool) -> None:
+    if as_json:
+        print_json({"mission_id": mission})
+    else:
+        line(f"mission {mission} is {state}")
+
+
+def _pose_text(pose: Sequence[float]) -> str:
+    return f"({pose[0]:.2f}, {pose[1]:.2f}, {math.degrees(pose[2]):.0f} deg)"
+
+
+def _sentence(status: NavigationStatus) -> str:
+    of = f"goal {status.goal + 1} of {status.goals}: " if status.goals > 1 else ""
+    left = ""
+    if status.state == NavigationStatus.DRIVING and status.distance_left > 0.0:
+        left = f": {status.distance_left:.1f} m left, about {status.time_left:.0f} s"
+    why = f"{', but' if left else ':'} {status.reason}" if status.reason else ""
+    return f"{status.elapsed:6.1f} s  {of}{NAVIGATION_STATES[status.state]}{left}{why}"
+
+
+def _fields(status: NavigationStatus) -> dict[str, object]:
+    return {
+        "mission_id": status.mission_id,
+        "state": NAVIGATION_STATES[status.state],
+        "goal": status.goal,
+        "goals": status.goals,
+        "elapsed_s": status.elapsed,
+        "recoveries": status.recoveries,
+        "reason": status.reason,
+    }
+
+
+def _pose(parts: list[str], kind: str) -> list[float]:
+    given = f"{kind} {' '.join(parts)}"
     if len(parts) not in (2, 3):
-        several = "; several goals each as X,Y[,HEADING]" if what == "goal" else ""
+        several = "; several goals each as X,Y[,HEADING]" if kind == "goal" else ""
         raise CairnError(f"{given}: write it as X Y [HEADING]{several}")
     x, y = (_number(part, given) for part in parts[:2])
     heading = 0.0
     if len(parts) == 3:
-        turned = parts[2].strip().removesuffix("deg")
-        heading = _number(turned, given)
-        if turned != parts[2].strip():
+        digits = parts[2].strip().removesuffix("deg")
+        heading = _number(digits, given)
+        if digits != parts[2].strip():
             heading = math.radians(heading)
     return [x, y, math.remainder(heading, 2 * math.pi)]
 

@@ -44,7 +44,7 @@ class TestFromStartToEnd:
 
         assert answer.code == 1
         assert answer.err.startswith(
-            "cairn: nobody reads initialpose here: the localizer is loaded with the first order"
+            "cairn: nothing subscribes to initialpose: the localizer is loaded with the first goal"
         )
 
     def test_it_tells_every_step_and_ends_with_0_when_the_robot_is_there(
@@ -55,7 +55,7 @@ class TestFromStartToEnd:
         assert going.await_end() == 0
 
         said = [re.sub(r"\d+(\.\d+)?", "N", line).strip() for line in going.lines]
-        assert said[0] == "order N: go to (N, N, N deg); Ctrl-C cancels"
+        assert said[0] == "mission N: go to (N, N, N deg); Ctrl-C cancels"
         assert said[1:5] == [
             "N s  loading: map_builder",
             "N s  loading: localizer",
@@ -68,13 +68,13 @@ class TestFromStartToEnd:
 
     def test_the_end_of_the_deployment_is_noticed(self, robot: Robot) -> None:
         going = robot.go(*far_place(robot))
-        going.await_word("order ")
+        going.await_word("mission ")
 
         robot.run.stop()
 
         assert going.await_end() == 1
         assert re.fullmatch(
-            r"cairn: order \d+: the deployment has ended, and with it the order\n",
+            r"cairn: mission \d+: the deployment has ended, and with it the goal\n",
             going.lines[-1],
         ), going
 
@@ -87,7 +87,7 @@ def test_the_robot_is_told_where_it_is(robot: Robot) -> None:
     answer = cairn("locate", str(x), str(y), str(theta), connect=robot.run.endpoint)
 
     assert (answer.code, answer.err) == (0, "")
-    assert answer.out.startswith("told on /robot/initialpose; ")
+    assert answer.out.startswith("published on /robot/initialpose; ")
     robot.run.await_line(re.escape(f"told to be at ({x:.2f} m, {y:.2f} m, "), after=lines)
 
 
@@ -97,7 +97,7 @@ def test_a_goal_outside_the_map_ends_with_1_and_a_sentence(robot: Robot) -> None
     assert going.await_end() == 1
 
     assert re.match(
-        r"cairn: order \d+ failed after \d+\.\d s: no path: the goal \(-3.50, -2.00\) is outside "
+        r"cairn: mission \d+ failed after \d+\.\d s: no path: the goal \(-3.50, -2.00\) is outside "
         r"the map; the nearest place that can be reached, \(",
         going.lines[-1],
     ), going
@@ -196,9 +196,9 @@ def test_an_order_is_taken_back_from_a_supervisor_that_hangs(robot: Robot) -> No
     answer = cairn("go", "--cancel", connect=robot.run.endpoint)
 
     assert answer.code == 0
-    assert re.fullmatch(r"order \d+ is canceled\n", answer.out)
+    assert re.fullmatch(r"mission \d+ is canceled\n", answer.out)
     assert answer.err == (
-        "mobile_supervisor does not answer; if it hangs it is killed and started anew: "
+        "mobile_supervisor does not answer; if it hangs it is killed and restarted: "
         "waiting up to 30 s\n"
     )
     robot.await_stand()
@@ -214,9 +214,9 @@ def test_whoever_is_pre_empted_is_told_and_takes_nothing_back(robot: Robot) -> N
 
     assert first.await_end() == 1
 
-    assert re.fullmatch(rf"cairn: order \d+ was pre-empted by order {order}\n", first.lines[-1])
+    assert re.fullmatch(rf"cairn: mission \d+ was preempted by mission {order}\n", first.lines[-1])
     canceled = cairn("go", "--cancel", connect=robot.run.endpoint)
-    assert (canceled.code, canceled.out) == (0, f"order {order} is canceled\n")
+    assert (canceled.code, canceled.out) == (0, f"mission {order} is canceled\n")
 
 
 def test_an_order_that_its_supervisor_lost_is_told_of(robot: Robot) -> None:

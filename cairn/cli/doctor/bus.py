@@ -9,8 +9,8 @@ from contextlib import suppress
 
 import psutil
 
-from cairn.cli.connection import connected
 from cairn.cli.doctor.finding import Finding
+from cairn.client import connect
 from cairn.errors import CairnError
 from cairn.supervision.remains import MARK
 
@@ -28,8 +28,8 @@ def _router(endpoint: str, domain: int) -> Finding:
     if not _answers(endpoint):
         return Finding(_TOPIC, endpoint, "ok", "free: no deployment runs")
     try:
-        with connected(endpoint, domain) as connection:
-            names = sorted(connection.statuses())
+        with connect(endpoint, domain) as client:
+            names = sorted(client.connection.statuses())
     except CairnError:
         owner = _listener(endpoint)
         remedy = (

@@ -13,8 +13,6 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from cairn.cli.check import Overlay, Set
-from cairn.cli.connection import DEFAULT_CONNECT, Connect, Domain, Json
 from cairn.cli.doctor.bus import bus
 from cairn.cli.doctor.cameras import cameras
 from cairn.cli.doctor.computer import computer
@@ -23,7 +21,8 @@ from cairn.cli.doctor.finding import Finding
 from cairn.cli.doctor.rules import rules
 from cairn.cli.doctor.serial_ports import serial_ports
 from cairn.cli.doctor.software import software
-from cairn.cli.tables import line, print_json
+from cairn.cli.options import DEFAULT_CONNECT, Connect, Domain, Json, Overlay, Set
+from cairn.cli.output import line, print_json
 from cairn.deployment.model import Deployment
 from cairn.placement.root import endpoints
 

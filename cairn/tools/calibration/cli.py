@@ -10,8 +10,8 @@ from typing import Annotated, Any
 import typer
 
 from cairn import CairnError
-from cairn.cli.connection import Json
-from cairn.cli.tables import line, note, print_json, show
+from cairn.cli.options import Json
+from cairn.cli.output import line, note, print_json, show
 from cairn.schemas.sensor_msgs import CameraInfo
 from cairn.tools.calibration.boards import look_for
 from cairn.tools.calibration.given import sorted_out

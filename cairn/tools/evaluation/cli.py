@@ -11,11 +11,9 @@ from typing import Annotated
 import typer
 
 from cairn import CairnError
-from cairn.cli.connection import Json
-from cairn.cli.report_folder import writing_report
-from cairn.cli.seeds import seeds_of
-from cairn.cli.tables import line, note, print_json
-from cairn.cli.workers import worker_pool
+from cairn.cli.options import Json
+from cairn.cli.output import line, note, print_json
+from cairn.cli.runs import seeds_of, worker_pool, writing_report
 from cairn.planar.map_file import read_map
 from cairn.tools.evaluation.pictures import draw_tracks, draw_ways
 from cairn.tools.evaluation.report import report_lines

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cairn import CairnError
-from cairn.cli.log_file import log_file
+from cairn.cli.runs import log_file
 from cairn.deployment.load import load_deployment
 from cairn.deployment.model import Deployment
 from cairn.placement.lockstep_run import LockstepRun

@@ -8,9 +8,9 @@ from typing import Annotated, Any
 import typer
 
 from cairn import CairnError
-from cairn.cli.connection import Json
-from cairn.cli.seeds import seeds_of
-from cairn.cli.tables import line, print_json
+from cairn.cli.options import Json
+from cairn.cli.output import line, print_json
+from cairn.cli.runs import seeds_of
 from cairn.tools.experiments.ablation import Ask, run_ablation
 from cairn.tools.experiments.map_update import run_map_update
 from cairn.tools.experiments.methods import ABLATION, OURS, PAPER, Method

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from cairn.cli.tables import note
+from cairn.cli.output import note
 from cairn.tools.experiments.judging import RunResult, judged_pair, judged_world
 from cairn.tools.experiments.pairs import WORLD, series_file
 from cairn.tools.experiments.report_folder import ReportFolder

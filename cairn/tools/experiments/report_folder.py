@@ -15,8 +15,8 @@ from typing import Any
 from pydantic import BaseModel
 
 from cairn import CairnError
-from cairn.cli.report_folder import writing_report
-from cairn.cli.tables import note
+from cairn.cli.output import note
+from cairn.cli.runs import writing_report
 from cairn.files import replace_file
 
 _FIGURES, _TEXT, _RUNS = "report.json", "report.txt", "runs"

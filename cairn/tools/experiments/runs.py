@@ -11,8 +11,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from cairn import CairnError
-from cairn.cli.log_file import log_file
-from cairn.cli.workers import worker_pool
+from cairn.cli.runs import log_file, worker_pool
 from cairn.placement.lockstep_run import LockstepRun
 from cairn.tools.experiments.pairs import Plan, planned
 

@@ -61,12 +61,12 @@ def test_graph_shows_who_writes_and_reads_each_topic(command: Command) -> None:
     assert rows["/rover/words"] == {
         "topic": "/rover/words",
         "type": "geometry_msgs/msg/Twist",
-        "writers": ["talker"],
-        "readers": ["listener"],
+        "publishers": ["talker"],
+        "subscribers": ["listener"],
     }
     assert "/rosout" not in rows
     every = {row["topic"]: row for row in command("graph", "--all", "--json").json}
-    assert "/rover/beacon" in every["/rosout"]["writers"]
+    assert "/rover/beacon" in every["/rosout"]["publishers"]
     table = command("graph").out
     lines = [" ".join(row.split()) for row in table.splitlines()]
     assert "/rover/words geometry_msgs/msg/Twist talker listener" in lines
@@ -75,7 +75,7 @@ def test_graph_shows_who_writes_and_reads_each_topic(command: Command) -> None:
 def test_topic_list_counts_writers_and_readers(command: Command) -> None:
     rows = {row["topic"]: row for row in command("topic", "list", "--json").json}
 
-    assert (rows["/rover/words"]["writers"], rows["/rover/words"]["readers"]) == (1, 1)
+    assert (rows["/rover/words"]["publishers"], rows["/rover/words"]["subscribers"]) == (1, 1)
     assert "/rover/beacon" in command("topic", "list").out
 
 
@@ -108,7 +108,7 @@ def test_topic_hz_measures_the_rate(command: Command) -> None:
     assert "longest ms" in command("topic", "hz", "words", "--seconds", "0.5").out
 
 
-def test_logs_prints_what_was_said(command: Command) -> None:
+def test_logs_prints_the_last_messages(command: Command) -> None:
     everything = command("logs").out
     one = command("logs", "listener", "--json").out.splitlines()
 
@@ -117,7 +117,7 @@ def test_logs_prints_what_was_said(command: Command) -> None:
     assert json.loads(one[0])["message"] == "heard 1, the last was 1"
 
 
-def test_logs_tells_that_somebody_has_not_answered(command: Command, rover: Run) -> None:
+def test_logs_reports_a_component_that_does_not_answer(command: Command, rover: Run) -> None:
     codec = Codec()
     kept = f"{keys.data_key(0, ROSOUT, type_name(Log), codec.type_hash(Log))}/@adv/pub/hangs"
     unanswered: list[zenoh.Query] = []
@@ -131,9 +131,8 @@ def test_logs_tells_that_somebody_has_not_answered(command: Command, rover: Run)
 
     assert unanswered
     assert "INFO    rover.root: talker active\n" in said.out
-    assert said.err == (
-        "a component does not answer; what it said stands in logs/ of the run's folder\n"
-    )
+    assert "a component does not answer" in said.err
+    assert "logs/" in said.err
 
 
 def test_logs_follow_goes_on_until_ctrl_c(rover: Run) -> None:

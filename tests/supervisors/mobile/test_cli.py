@@ -7,17 +7,16 @@ import pytest
 
 from cairn import CairnError
 from cairn.bus.session import open_router
-from cairn.cli.connection import connected
-from cairn.supervisors.mobile import reaching
+from cairn.client import Connection, navigation
+from cairn.client.navigation import Navigator
 from cairn.supervisors.mobile.cli import parse_goals
-from cairn.supervisors.mobile.reaching import await_active
 from cairn.testing.launching import free_port
 from tests.commands import cairn
 
 
 @pytest.fixture
 def bus() -> Iterator[str]:
-    """A bus with nobody on it."""
+    """Endpoint of a router without a deployment."""
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     router = open_router(endpoint)
     yield endpoint
@@ -52,23 +51,23 @@ def test_goals_are_read(words: list[str], goals: list[list[float]]) -> None:
         (["1", "2", "--cancle"], "'--cancle' is not a number"),
     ],
 )
-def test_what_is_no_goal_is_refused(words: list[str], why: str) -> None:
+def test_an_invalid_goal_is_rejected(words: list[str], why: str) -> None:
     with pytest.raises(CairnError, match=why):
         parse_goals(words)
 
 
-def test_a_goal_together_with_cancel_is_refused_before_anything_is_asked() -> None:
+def test_a_goal_together_with_cancel_is_rejected() -> None:
     answer = cairn("go", "1", "2", "--cancel")
     assert (answer.code, answer.err) == (1, "cairn: give a goal or --cancel, not both\n")
 
 
-def test_without_a_deployment_it_says_so() -> None:
+def test_without_a_deployment_the_endpoint_is_reported() -> None:
     answer = cairn("go", "1", "-2", "--connect", "tcp/127.0.0.1:1")
     assert answer.code == 1
     assert "tcp/127.0.0.1:1" in answer.err
 
 
-def test_where_no_supervisor_takes_orders_it_says_so_as_json_too(bus: str) -> None:
+def test_without_a_supervisor_that_accepts_goals_the_error_is_printed_as_json_too(bus: str) -> None:
     answer = cairn("go", "1", "2", "--json", connect=bus)
 
     assert answer.code == 1
@@ -77,12 +76,16 @@ def test_where_no_supervisor_takes_orders_it_says_so_as_json_too(bus: str) -> No
     assert answer.err == f"cairn: {answer.json['reason']}\n"
 
 
-def test_a_supervisor_that_stays_silent_is_told_with_what_stops_the_robot(
+def test_a_supervisor_that_does_not_answer_is_reported_with_how_to_stop_the_robot(
     bus: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(reaching, "PATIENCE_S", 0.0)
-    with connected(bus, 0) as connection, pytest.raises(CairnError) as refused:
-        await_active(connection, "/robot/mobile_supervisor")
+    monkeypatch.setattr(navigation, "PATIENCE_S", 0.0)
+    connection = Connection.open(bus)
+    remarks: list[str] = []
+    with pytest.raises(CairnError) as refused:
+        Navigator(connection, "/robot/mobile_supervisor", remarks.append).await_active()
+    connection.close()
+    assert "mobile_supervisor does not answer" in remarks[0]
     assert str(refused.value).startswith("mobile_supervisor has not answered for 0 s")
     assert "press Ctrl-C twice where `cairn up` runs" in str(refused.value)
 
@@ -90,11 +93,13 @@ def test_a_supervisor_that_stays_silent_is_told_with_what_stops_the_robot(
 @pytest.mark.parametrize(
     ("words", "why"),
     [
-        (["1"], "place 1: write it as X Y [HEADING]"),
-        (["1", "-two"], "place 1 -two: '-two' is not a number"),
-        (["1", "2", "inf"], "place 1 2 inf: inf must be finite"),
+        (["1"], "pose 1: write it as X Y [HEADING]"),
+        (["1", "-two"], "pose 1 -two: '-two' is not a number"),
+        (["1", "2", "inf"], "pose 1 2 inf: inf must be finite"),
     ],
 )
-def test_what_is_no_place_is_refused_before_anything_is_told(words: list[str], why: str) -> None:
+def test_an_invalid_pose_is_rejected_before_anything_is_published(
+    words: list[str], why: str
+) -> None:
     answer = cairn("locate", *words)
     assert (answer.code, answer.err) == (1, f"cairn: {why}\n")

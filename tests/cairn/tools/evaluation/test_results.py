@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cairn import CairnError
-from cairn.cli.seeds import seeds_of
+from cairn.cli.runs import seeds_of
 from cairn.tools.evaluation.localization_quality import LocalizationQuality
 from cairn.tools.evaluation.report import report_lines
 from cairn.tools.evaluation.results import GoalResult, RunResult, summed_up

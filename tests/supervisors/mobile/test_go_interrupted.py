@@ -1,52 +1,49 @@
-"""Ctrl-C while `cairn go` waits: it takes back its own order, and nobody else's."""
+"""Ctrl-C while `cairn go` waits cancels its own goal, and no other."""
 
 from __future__ import annotations
 
 import queue
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from cairn.client.navigation import Navigator
 from cairn.deployment.load import load_deployment
 from cairn.schemas.cairn_nav_msgs import NavigationStatus
-from cairn.supervisors.mobile.following import Operator, follow
+from cairn.supervisors.mobile.cli import follow
 from tests.navigation.deployed import Deployed
 from tests.supervisors.mobile.test_mobile_supervisor import TREE, tell
 
 GOALS = [[1.0, 2.0, 0.0]]
 
 
-class AtTheTerminal(Operator):
-    """An operator of a robot in lockstep who presses Ctrl-C at some moment."""
+class InterruptedNavigator(Navigator):
+    """The supervisor of a robot in lockstep, seen by a user who presses Ctrl-C at some moment."""
 
-    def __init__(self, robot: Deployed, pressed: str) -> None:
+    def __init__(self, robot: Deployed, moment: str) -> None:
         self._robot = robot
-        self._pressed = pressed
-        self._token = "mine"
+        self._moment = moment
 
-    def _ask(self, verb: str, arguments: dict[str, Any], limit_s: float) -> Any:
-        return self._robot.ask("mobile_supervisor", verb, **arguments)
-
-    def go(self, goals: Sequence[Sequence[float]]) -> int:
-        if self._pressed == "before it is asked":
+    def ask(self, verb: str, arguments: Mapping[str, Any], limit_s: float) -> Any:
+        if verb == "go" and self._moment == "before it is sent":
             raise KeyboardInterrupt
-        order = super().go(goals)
-        if self._pressed == "before it is answered":
+        answer = self._robot.ask("mobile_supervisor", verb, **arguments)
+        if verb == "go" and self._moment == "before it is accepted":
             raise KeyboardInterrupt
-        return order
+        return answer
 
     @contextmanager
-    def statuses(self) -> Iterator[queue.Queue[Any]]:
+    def listen(self) -> Iterator[queue.Queue[Any]]:
         yield queue.Queue()
 
-    def next_status(self, samples: queue.Queue[Any], wait_s: float) -> NavigationStatus | None:
-        order = self.order()
-        assert order is not None
-        if self._pressed == "as it ends":
-            tell(self._robot, mission_id=order["mission_id"], state=NavigationStatus.SUCCEEDED)
+    def next_status(self, samples: object, wait_s: float) -> NavigationStatus | None:
+        mission = self.last_mission()
+        assert mission is not None
+        if self._moment == "as it ends":
+            tell(self._robot, mission_id=mission["mission_id"], state=NavigationStatus.SUCCEEDED)
         raise KeyboardInterrupt
 
 
@@ -64,22 +61,24 @@ def last_order(robot: Deployed) -> dict[str, Any]:
     return order
 
 
-@pytest.mark.parametrize("moment", ["before it is answered", "while it is under way"])
-def test_the_order_given_is_taken_back(
+@pytest.mark.parametrize("moment", ["before it is accepted", "while it is under way"])
+def test_ctrl_c_cancels_the_goal_sent(
     robot: Deployed, capsys: pytest.CaptureFixture[str], moment: str
 ) -> None:
     with pytest.raises(KeyboardInterrupt):
-        follow(AtTheTerminal(robot, moment), GOALS, as_json=False)
+        follow(InterruptedNavigator(robot, moment), GOALS, as_json=False)
 
     assert last_order(robot)["result"] == "canceled: on request"
     assert capsys.readouterr().out.splitlines()[-1] == "canceled: the robot stops"
 
 
-def test_anothers_order_goes_on(robot: Deployed, capsys: pytest.CaptureFixture[str]) -> None:
+def test_ctrl_c_leaves_the_goal_of_another_client(
+    robot: Deployed, capsys: pytest.CaptureFixture[str]
+) -> None:
     robot.ask("mobile_supervisor", "go", goals=[[3.0, 4.0, 0.0]])
 
     with pytest.raises(KeyboardInterrupt):
-        follow(AtTheTerminal(robot, "before it is asked"), GOALS, as_json=False)
+        follow(InterruptedNavigator(robot, "before it is sent"), GOALS, as_json=False)
 
     assert last_order(robot)["result"] == ""
     said = capsys.readouterr()
@@ -90,11 +89,11 @@ def test_anothers_order_goes_on(robot: Deployed, capsys: pytest.CaptureFixture[s
 
 
 @pytest.mark.parametrize("as_json", [False, True])
-def test_an_order_that_ends_at_that_moment_keeps_its_result(
+def test_a_goal_that_ends_at_that_moment_keeps_its_result(
     robot: Deployed, capsys: pytest.CaptureFixture[str], as_json: bool
 ) -> None:
     with pytest.raises(KeyboardInterrupt):
-        follow(AtTheTerminal(robot, "as it ends"), GOALS, as_json=as_json)
+        follow(InterruptedNavigator(robot, "as it ends"), GOALS, as_json=as_json)
 
     assert last_order(robot)["result"] == "succeeded: "
     assert capsys.readouterr().err == (

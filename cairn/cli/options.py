@@ -1,0 +1,41 @@
+"""Options that several commands share."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cairn.client import DEFAULT_ENDPOINT as DEFAULT_CONNECT
+
+__all__ = ["DEFAULT_CONNECT", "Connect", "Domain", "File", "Json", "Overlay", "RobotName", "Set"]
+
+Connect = Annotated[
+    str,
+    typer.Option(
+        envvar="CAIRN_CONNECT", help="Endpoint of the deployment's router.", metavar="ENDPOINT"
+    ),
+]
+Domain = Annotated[
+    int, typer.Option(envvar="ROS_DOMAIN_ID", min=0, max=232, help="ROS domain of the deployment.")
+]
+RobotName = Annotated[
+    str,
+    typer.Option("--robot", help="Name of the robot, if several share the bus.", metavar="NAME"),
+]
+Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
+
+File = Annotated[
+    Path,
+    typer.Argument(
+        help="Deployment file, or the name of a deployment that Cairn ships (`cairn deployments`).",
+        metavar="FILE",
+    ),
+]
+Overlay = Annotated[
+    list[Path] | None,
+    typer.Option("--overlay", help="A file whose values replace earlier ones.", metavar="FILE"),
+]
+Set = Annotated[
+    list[str] | None,
+    typer.Option("--set", help="Replace one value.", metavar="KEY.PATH=VALUE"),
+]

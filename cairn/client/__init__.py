@@ -1,0 +1,29 @@
+"""Client API of a running deployment, for scripts, notebooks, tests and the `cairn` command.
+
+```python
+import cairn.client
+
+with cairn.client.connect() as robot:
+    print(list(robot.components()))
+    status = robot.go(2.0, 1.2).result(timeout_s=120.0)
+```
+"""
+
+from cairn.bus.control import ControlError, NoReplyError
+from cairn.client.connection import DEFAULT_ENDPOINT, Connection
+from cairn.client.navigation import NavigationGoal
+from cairn.client.robot import NoMessageError, Parameter, Robot, Subscription, Topic, connect
+
+__all__ = [
+    "DEFAULT_ENDPOINT",
+    "Connection",
+    "ControlError",
+    "NavigationGoal",
+    "NoMessageError",
+    "NoReplyError",
+    "Parameter",
+    "Robot",
+    "Subscription",
+    "Topic",
+    "connect",
+]

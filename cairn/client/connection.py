@@ -1,0 +1,196 @@
+"""A client's connection to the bus: what exists there, and raw samples."""
+
+from __future__ import annotations
+
+import queue
+import time
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from typing import Any
+
+import zenoh
+from zenoh.ext import HistoryConfig, declare_advanced_subscriber
+
+from cairn.bus import control, keys
+from cairn.bus.codec import Codec
+from cairn.bus.graph import read_graph
+from cairn.bus.session import is_connected, open_client
+from cairn.deployment.model import is_loopback
+from cairn.errors import CairnError
+from cairn.schemas.cairn_msgs import ComponentStatus
+from cairn.schemas.message import InvalidMessage, type_name
+
+DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
+"""Where the router of a deployment listens by default."""
+
+STATUS_TOPIC = "component_status"
+
+_ANSWER_LIMIT_S = 5.0  # a component that has not answered by then hangs
+
+
+@dataclass(frozen=True)
+class Connection:
+    """A Zenoh session of a client, in one ROS domain."""
+
+    session: zenoh.Session
+    domain: int
+
+    @classmethod
+    def open(cls, endpoint: str = DEFAULT_ENDPOINT, domain: int = 0) -> Connection:
+        """Connect to the router of a deployment; `CairnError` if no router answers."""
+        try:
+            is_loopback(endpoint)
+        except ValueError as error:
+            raise CairnError(f"the endpoint (--connect) is invalid: {error}") from error
+        return cls(open_client([endpoint]), domain)
+
+    def close(self) -> None:
+        """Close the session."""
+        self.session.close()
+
+    def is_alive(self) -> bool:
+        """Return whether the deployment's router still answers."""
+        return not self.session.is_closed() and is_connected(self.session)
+
+    def graph(self) -> list[keys.NodeEntity | keys.EndpointEntity]:
+        """Return all nodes and endpoints that exist."""
+        return read_graph(self.session, self.domain)
+
+    def nodes(self) -> list[str]:
+        """Return the full names of all nodes (`/robot/localizer`)."""
+        return [entity.name for entity in self.graph() if isinstance(entity, keys.NodeEntity)]
+
+    def endpoints(self) -> list[keys.EndpointEntity]:
+        """Return all publishers and subscriptions of topics."""
+        return [
+            entity
+            for entity in self.graph()
+            if isinstance(entity, keys.EndpointEntity) and entity.kind in ("MP", "MS")
+        ]
+
+    def statuses(self) -> dict[str, ComponentStatus]:
+        """Return the last status of every component that answers, by full name."""
+        codec = Codec()
+        status_type = type_name(ComponentStatus)
+        publishers = {
+            keys.gid(keys.token_key(endpoint)): endpoint
+            for endpoint in self.endpoints()
+            if endpoint.kind == "MP" and endpoint.type_name == status_type
+        }
+        found: dict[str, ComponentStatus] = {}
+        deadline = time.monotonic() + _ANSWER_LIMIT_S
+        for topic in sorted({endpoint.topic for endpoint in publishers.values()}):
+            key = keys.message_key(self.domain, topic, ComponentStatus, codec)
+            missing = {gid for gid, endpoint in publishers.items() if endpoint.topic == topic}
+            with self.listen(key, latched=True) as samples:
+                while missing:
+                    try:
+                        sample = samples.get(timeout=max(0.0, deadline - time.monotonic()))
+                    except queue.Empty:
+                        break
+                    sent = attachment_of(sample)
+                    if sent is None or sent.gid not in missing:
+                        continue  # a foreign publisher without rmw_zenoh's numbering
+                    missing.discard(sent.gid)
+                    with suppress(InvalidMessage):  # components count these at their ports
+                        status = codec.decode(ComponentStatus, sample.payload.to_bytes())
+                        found[publishers[sent.gid].node.name] = status
+        return found
+
+    def request(
+        self,
+        component: str,
+        verb: str,
+        arguments: Mapping[str, Any] | None = None,
+        *,
+        timeout_s: float,
+    ) -> Any:
+        """Send a control request to a component (full name) and return its reply.
+
+        Raises `ControlError` if the component rejects it, `NoReplyError` if it does not reply.
+        """
+        return control.request(
+            self.session, self.domain, component, verb, arguments, timeout_s=timeout_s
+        )
+
+    def cached(self, key: str) -> tuple[list[zenoh.Sample], bool]:
+        """Return the samples that the latched publishers of a key keep, and whether all replied.
+
+        This asks their caches as an advanced subscriber does, but it knows when all have replied.
+        The limit is 5 s.
+        """
+        replies = self.session.get(
+            keys.cached_samples_key(key),
+            target=zenoh.QueryTarget.ALL,
+            consolidation=zenoh.ConsolidationMode.NONE,
+            accept_replies=zenoh.ReplyKeyExpr.ANY,  # they carry the publisher's key
+            timeout=_ANSWER_LIMIT_S,
+        )
+        samples, complete = [], True
+        for reply in replies:
+            if reply.ok is None:
+                complete = False
+            else:
+                samples.append(reply.ok)
+        return samples, complete
+
+    @contextmanager
+    def listen(self, key: str, *, latched: bool = False) -> Iterator[queue.Queue[Any]]:
+        """Yield a queue of all samples on a key from now on; with the latched ones if asked."""
+        samples: queue.Queue[Any] = queue.Queue()
+        handler = zenoh.handlers.Callback(samples.put, indirect=False)
+        subscriber = self.subscriber(key, handler, latched=latched)
+        try:
+            yield samples
+        finally:
+            subscriber.undeclare()
+
+    def subscriber(self, key: str, handler: Any, *, latched: bool) -> Any:
+        """Declare a Zenoh subscriber."""
+        if not latched:
+            return self.session.declare_subscriber(key, handler)
+        history = HistoryConfig(detect_late_publishers=True)
+        return declare_advanced_subscriber(self.session, key, handler, history=history)
+
+
+def attachment_of(sample: Any) -> keys.Attachment | None:
+    """Return number, time and publisher of a sample; None if a foreign publisher omits them."""
+    if sample.attachment is None:
+        return None
+    try:
+        return keys.Attachment.decode(sample.attachment.to_bytes())
+    except keys.WireFormatError:
+        return None
+
+
+def check_robot(robot: str, known: Iterable[str]) -> None:
+    """Raise `CairnError` if `robot` is given and not among the known robots."""
+    robots = sorted(set(known))
+    if robot and robot not in robots:
+        listed = ", ".join(robots) or "none"
+        raise CairnError(f"there is no robot {robot} on the bus; there are: {listed}")
+
+
+def resolve(names: Iterable[str], name: str, robot: str) -> str:
+    """Return the one full name among `names` that `name` means.
+
+    Raises `CairnError` if there is none, or if several robots have it and `robot` is empty.
+    """
+    names = sorted(names)
+    if name.startswith("/"):
+        matches = [full for full in names if full == name]
+    else:
+        matches = [
+            full
+            for full in names
+            if full == f"/{robot}/{name}" or (not robot and full.split("/", 2)[2:] == [name])
+        ]
+    if len(matches) == 1:
+        return matches[0]
+    if matches:
+        several = ", ".join(matches)
+        raise CairnError(f"{name}: several robots have it: {several}; give --robot (robot=...)")
+    listed = ", ".join(names) or "none"
+    where = f" of robot {robot}" if robot else ""
+    raise CairnError(f"there is no {name}{where} on the bus; there are: {listed}")

@@ -1,0 +1,501 @@
+"""One robot of a running deployment, as a script or a notebook uses it."""
+
+from __future__ import annotations
+
+import logging
+import secrets
+import threading
+import time
+from collections import Counter, defaultdict, deque
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Any, Generic, Self, TypeVar
+
+import zenoh
+
+from cairn.bus import keys
+from cairn.bus.codec import Codec
+from cairn.client.connection import (
+    DEFAULT_ENDPOINT,
+    Connection,
+    attachment_of,
+    check_robot,
+    resolve,
+)
+from cairn.client.navigation import NavigationGoal, Navigator
+from cairn.errors import CairnError
+from cairn.runtime.rosout import ROSOUT
+from cairn.schemas.cairn_msgs import ComponentStatus
+from cairn.schemas.message import InvalidMessage, type_name
+from cairn.schemas.rcl_interfaces import Log
+
+M = TypeVar("M")
+
+_log = logging.getLogger("cairn.client")
+
+_REPLY_LIMIT_S = 5.0
+_START_LIMIT_S = 90.0  # longer than a component takes to stop and to start, by default
+
+
+class NoMessageError(CairnError):
+    """No message arrived within the time limit."""
+
+
+@dataclass(frozen=True)
+class Topic:
+    """A topic on the bus.
+
+    Attributes:
+        name: full name, `/robot/pose`.
+        type_name: ROS 2 name of the message type.
+        publishers: full names of the nodes that publish it.
+        subscribers: full names of the nodes that subscribe to it.
+    """
+
+    name: str
+    type_name: str
+    publishers: tuple[str, ...]
+    subscribers: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A parameter of a component.
+
+    Attributes:
+        name: dotted name.
+        value: as JSON has it.
+        type: its type, as Python writes it.
+        bounds: what values are allowed; empty if all of the type are.
+        description: what it means, with its unit.
+    """
+
+    name: str
+    value: Any
+    type: str
+    bounds: str
+    description: str
+
+
+def connect(
+    endpoint: str = DEFAULT_ENDPOINT,
+    domain: int = 0,
+    robot: str = "",
+    *,
+    notify: Callable[[str], None] = _log.warning,
+) -> Robot:
+    """Connect to a robot of a running deployment; use the result in a `with` statement.
+
+    Args:
+        endpoint: where the router of the deployment listens.
+        domain: its ROS domain.
+        robot: its name; not needed if one robot alone is on the bus.
+        notify: called with remarks, such as that a component does not answer yet.
+
+    Raises:
+        CairnError: if no router answers there.
+    """
+    return Robot(Connection.open(endpoint, domain), robot, notify)
+
+
+class Robot:
+    """A robot on the bus. Components and topics may be given by short or by full name."""
+
+    def __init__(
+        self,
+        connection: Connection,
+        robot: str = "",
+        notify: Callable[[str], None] = _log.warning,
+    ) -> None:
+        """Take over a connection; `close` closes it."""
+        self.connection = connection
+        self._robot = robot
+        self._notify = notify
+        self._codec = Codec()
+        self._gid = secrets.token_bytes(16)
+        self._published: Counter[str] = Counter()
+        self._subscriptions: list[Subscription[Any]] = []
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End all subscriptions and the connection."""
+        for subscription in self._subscriptions:
+            subscription.close()
+        self.connection.close()
+
+    @property
+    def name(self) -> str:
+        """Name of the robot; `CairnError` if there is none, or several and none was given."""
+        status_type = type_name(ComponentStatus)
+        robots = {
+            end.node.name.split("/")[1]
+            for end in self.connection.endpoints()
+            if end.kind == "MP" and end.type_name == status_type
+        }
+        check_robot(self._robot, robots)
+        if self._robot:
+            return self._robot
+        if len(robots) != 1:
+            listed = ", ".join(sorted(robots)) or "none"
+            raise CairnError(
+                f"which robot is meant? On the bus there are: {listed}; give --robot (robot=...)"
+            )
+        return robots.pop()
+
+    def components(self) -> dict[str, ComponentStatus]:
+        """Return the last status of each running component, by its name."""
+        prefix = f"/{self.name}/"
+        statuses = sorted(self.connection.statuses().items())
+        return {
+            full.removeprefix(prefix): status
+            for full, status in statuses
+            if full.startswith(prefix)
+        }
+
+    def component_of(self, plugin: str) -> str | None:
+        """Return the full name of the running component of a plugin; None if there is none."""
+        running = [
+            full
+            for full, status in self.connection.statuses().items()
+            if status.plugin == plugin and (not self._robot or full.startswith(f"/{self._robot}/"))
+        ]
+        if not running:
+            return None
+        return resolve(running, running[0].rpartition("/")[2], self._robot)
+
+    def topics(self) -> list[Topic]:
+        """Return all topics, sorted; those of the given robot alone if one was given."""
+        ends: dict[tuple[str, str], dict[str, set[str]]] = defaultdict(lambda: defaultdict(set))
+        for end in self.connection.endpoints():
+            prefix = f"/{self._robot}/" if self._robot else "/"
+            if end.topic.startswith(prefix) or end.node.name.startswith(prefix):
+                ends[end.topic, end.type_name][end.kind].add(end.node.name)
+        return [
+            Topic(topic, message, tuple(sorted(kinds["MP"])), tuple(sorted(kinds["MS"])))
+            for (topic, message), kinds in sorted(ends.items())
+        ]
+
+    def find_topic(self, topic: str) -> keys.EndpointEntity:
+        """Return a publisher of a topic, or a subscription if nothing publishes it.
+
+        Raises `CairnError` if there is no such topic, or if it is used with several types.
+        """
+        endpoints = self.connection.endpoints()
+        full = resolve({end.topic for end in endpoints}, topic, self._robot)
+        ends = [end for end in endpoints if end.topic == full]
+        types = sorted({end.type_name for end in ends})
+        if len(types) > 1:
+            raise CairnError(f"{full} is used with several message types: {', '.join(types)}")
+        return next((end for end in ends if end.kind == "MP"), ends[0])
+
+    def subscribe(
+        self,
+        topic: str,
+        message: type[M],
+        callback: Callable[[M], None] | None = None,
+        *,
+        depth: int = 1000,
+        timeout_s: float = 10.0,
+    ) -> Subscription[M]:
+        """Subscribe to a topic, which need not exist yet; latched messages arrive first.
+
+        Args:
+            topic: short name (`pose`) or full name (`/robot/pose`).
+            message: class of its messages.
+            callback: called with each message on a thread of its own; without it, iterate over
+                the subscription or call `next`.
+            depth: number of newest messages kept for the reader; older ones are dropped.
+            timeout_s: `next` and iteration raise `NoMessageError` after that time [s] without one.
+
+        Raises:
+            CairnError: if the topic is used with another message type.
+        """
+        full = self._full(topic)
+        self._check_type(full, message)
+        subscription = Subscription(self.connection, full, message, callback, depth, timeout_s)
+        self._subscriptions.append(subscription)
+        return subscription
+
+    def latest(self, topic: str, message: type[M], *, timeout_s: float = 5.0) -> M:
+        """Return the newest latched message of a topic, or else the next one that is published."""
+        with self.subscribe(topic, message, depth=1) as subscription:
+            samples, _ = self.connection.cached(subscription.key)
+            if samples:
+                newest = max(samples, key=_sent_ns)
+                return self._codec.decode(message, newest.payload.to_bytes())
+            return subscription.next(timeout_s)
+
+    def publish(self, topic: str, message: Any) -> str:
+        """Publish one message and return the topic's full name.
+
+        Raises `CairnError` if no component subscribes to the topic with this message type.
+        """
+        readers = [end for end in self.connection.endpoints() if end.kind == "MS"]
+        topics = {end.topic for end in readers if end.type_name == type_name(type(message))}
+        try:
+            full = resolve(topics, topic, self._robot)
+        except CairnError as error:
+            raise CairnError(
+                f"{topic} is not published: nothing subscribes to it with "
+                f"{type_name(type(message))} ({error})"
+            ) from error
+        self._published[full] += 1
+        sent = keys.Attachment(self._published[full], time.time_ns(), self._gid)
+        self.connection.session.put(
+            keys.message_key(self.connection.domain, full, type(message), self._codec),
+            self._codec.encode(message),
+            encoding=zenoh.Encoding.APPLICATION_CDR.with_schema(type_name(type(message))),
+            congestion_control=zenoh.CongestionControl.BLOCK,
+            attachment=sent.encode(),
+        )
+        return full
+
+    def request(
+        self,
+        component: str,
+        verb: str,
+        arguments: Mapping[str, Any] | None = None,
+        *,
+        timeout_s: float = _REPLY_LIMIT_S,
+    ) -> Any:
+        """Send a control request to a component and return its reply (JSON values).
+
+        Raises `ControlError` if the component rejects it, `NoReplyError` if it does not reply.
+        """
+        full = resolve(self.connection.nodes(), component, self._robot)
+        return self.connection.request(full, verb, arguments, timeout_s=timeout_s)
+
+    def parameters(self, component: str) -> dict[str, Parameter]:
+        """Return the parameters of a running component, by dotted name."""
+        entries = self.request(component, "parameters")
+        return {entry["name"]: Parameter(**entry) for entry in entries}
+
+    def set_parameters(self, component: str, values: Mapping[str, Any]) -> None:
+        """Change parameters of a running component, all or none, until it is restarted.
+
+        Raises `ControlError` with the allowed values if the component rejects one.
+        """
+        self.request(component, "set_parameters", values)
+
+    def load(self, component: str) -> str:
+        """Start a component of the deployment that is not loaded; return its state."""
+        return self._manage("load", component)
+
+    def unload(self, component: str) -> str:
+        """Stop a component and leave it stopped; return its state."""
+        return self._manage("unload", component)
+
+    def restart(self, component: str) -> str:
+        """Stop a component and start it again; return its state."""
+        return self._manage("restart", component)
+
+    def logs(self, component: str = "") -> list[Log]:
+        """Return the last log messages of the running components, oldest first.
+
+        If a component does not answer, the others' messages are returned and `notify` is called.
+        """
+        self._check_logger(component)
+        key = keys.message_key(self.connection.domain, ROSOUT, Log, self._codec)
+        samples, complete = self.connection.cached(key)
+        if not complete:
+            self._notify(
+                "a component does not answer; its log file is in logs/ of the run's folder"
+            )
+        entries = []
+        for payload in dict.fromkeys(sample.payload.to_bytes() for sample in samples):
+            try:
+                entries.append(self._codec.decode(Log, payload))
+            except InvalidMessage:
+                continue  # of a foreign node
+        found = [entry for entry in entries if self._is_of(entry, component)]
+        return sorted(found, key=lambda entry: (entry.stamp.sec, entry.stamp.nanosec))
+
+    def follow_logs(
+        self, component: str = "", *, timeout_s: float = float("inf")
+    ) -> Subscription[Log]:
+        """Subscribe to log messages; those that components keep arrive first."""
+        self._check_logger(component)
+        subscription = Subscription(
+            self.connection, ROSOUT, Log, None, 10_000, timeout_s,
+            accept=lambda entry: self._is_of(entry, component),
+        )  # fmt: skip
+        self._subscriptions.append(subscription)
+        return subscription
+
+    def go(self, x: float, y: float, theta: float = 0.0) -> NavigationGoal:
+        """Send the robot to a pose in frame map [m, m, rad]; this preempts an earlier goal."""
+        return self.go_through([(x, y, theta)])
+
+    def go_through(self, poses: list[tuple[float, float, float]]) -> NavigationGoal:
+        """Send the robot to several poses in frame map, one after the other."""
+        goal = self.navigator().goal(poses)
+        try:
+            goal.send()
+        except (KeyboardInterrupt, SystemExit):  # it may have been accepted
+            with suppress(CairnError):
+                goal.cancel()
+            raise
+        return goal
+
+    def cancel(self) -> int:
+        """Cancel the goal under way, whoever sent it; return its mission id."""
+        return self.navigator().cancel()
+
+    def navigator(self) -> Navigator:
+        """Return the robot's supervisor that accepts goals, once it answers."""
+        return Navigator.find(self.connection, self._robot, self._notify)
+
+    def _manage(self, verb: str, component: str) -> str:
+        supervisor = self._supervisor_of(component)
+        return str(
+            self.connection.request(supervisor, verb, {"name": component}, timeout_s=_START_LIMIT_S)
+        )
+
+    def _supervisor_of(self, name: str) -> str:
+        """Return the full name of the supervisor that has a child of that name."""
+        known: dict[str, str] = {}
+        for node, status in self.connection.statuses().items():
+            of_robot = node.split("/")[1]
+            if self._robot and of_robot != self._robot:
+                continue
+            for child in status.children:
+                known[f"/{of_robot}/{child}"] = node
+        owners = [node for full, node in known.items() if full.rpartition("/")[2] == name]
+        if len(owners) == 1:
+            return owners[0]
+        if owners:
+            raise CairnError(f"several robots have a component {name}; give --robot (robot=...)")
+        listed = ", ".join(sorted(known)) or "none"
+        raise CairnError(f"no supervisor has a component {name}; they have: {listed}")
+
+    def _check_logger(self, component: str) -> None:
+        writers = {
+            end.node.name
+            for end in self.connection.endpoints()
+            if end.kind == "MP" and end.topic == ROSOUT
+        }
+        check_robot(self._robot, (name.split("/")[1] for name in writers))
+        if component:
+            resolve(writers, component, self._robot)
+
+    def _is_of(self, entry: Log, component: str) -> bool:
+        of_robot, _, name = entry.name.partition(".")
+        return component in ("", name) and self._robot in ("", of_robot)
+
+    def _full(self, topic: str) -> str:
+        return topic if topic.startswith("/") else f"/{self.name}/{topic}"
+
+    def _check_type(self, topic: str, message: type[Any]) -> None:
+        ours = type_name(message)
+        for end in self.connection.endpoints():
+            if end.topic == topic and end.type_name != ours:
+                raise CairnError(
+                    f"{topic}: {end.node.name} uses it with {end.type_name}, not with {ours}; "
+                    "subscribe with that message type"
+                )
+
+
+class Subscription(Generic[M]):
+    """The messages of one topic; a context manager and an iterator."""
+
+    def __init__(
+        self,
+        connection: Connection,
+        topic: str,
+        message: type[M],
+        callback: Callable[[M], None] | None,
+        depth: int,
+        timeout_s: float,
+        accept: Callable[[M], bool] | None = None,
+    ) -> None:
+        self.topic = topic
+        self.timeout_s = timeout_s
+        self.dropped = 0
+        """Number of messages that were dropped because the reader was slow."""
+        codec = Codec()
+        self.key = keys.message_key(connection.domain, topic, message, codec)
+        self._codec = codec
+        self._message = message
+        self._callback = callback
+        self._accept = accept
+        self._payloads: deque[bytes] = deque(maxlen=depth)
+        self._changed = threading.Condition()
+        self._closed = False
+        # A callback runs on a thread of its own, so that it may be slow; else nothing slow happens.
+        handler = zenoh.handlers.Callback(self._receive, indirect=callback is not None)
+        self._subscriber = connection.subscriber(self.key, handler, latched=True)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def __iter__(self) -> Iterator[M]:
+        """Yield messages; `NoMessageError` if none arrives within `timeout_s`."""
+        while True:
+            yield self.next()
+
+    def next(self, timeout_s: float | None = None) -> M:
+        """Return the next message.
+
+        Raises `NoMessageError` if none arrives within `timeout_s` [s] (by default, that of the
+        subscription), `InvalidMessage` if one arrives that is not valid.
+        """
+        limit_s = self.timeout_s if timeout_s is None else timeout_s
+        deadline = time.monotonic() + limit_s
+        while True:
+            with self._changed:
+                while not self._payloads:
+                    left_s = deadline - time.monotonic()
+                    if left_s <= 0 or self._closed:
+                        raise NoMessageError(f"{self.topic}: no message within {limit_s:g} s")
+                    self._changed.wait(min(left_s, threading.TIMEOUT_MAX))
+                payload = self._payloads.popleft()
+            message = self._codec.decode(self._message, payload)
+            if self._accept is None or self._accept(message):
+                return message
+
+    def close(self) -> None:
+        """Stop receiving; a reader that waits gets `NoMessageError`."""
+        if self._closed:
+            return
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+        self._subscriber.undeclare()
+
+    def _receive(self, sample: Any) -> None:
+        payload = sample.payload.to_bytes()
+        if self._callback is not None:
+            try:
+                self._callback(self._codec.decode(self._message, payload))
+            except Exception:  # the user's callback may fail in any way; the next message follows
+                _log.exception("callback for %s failed", self.topic)
+            return
+        with self._changed:
+            self.dropped += len(self._payloads) == self._payloads.maxlen
+            self._payloads.append(payload)
+            self._changed.notify()
+
+
+def _sent_ns(sample: Any) -> int:
+    sent = attachment_of(sample)
+    return 0 if sent is None else sent.sent_ns
