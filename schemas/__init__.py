@@ -1,1 +1,1 @@
-"""Every message on the bus, one definition each; no logic."""
+"""All messages on the bus, one module per ROS 2 package, and the machinery that defines them."""

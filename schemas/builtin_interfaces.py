@@ -1,4 +1,4 @@
-"""ROS 2 package builtin_interfaces: points and spans of time."""
+"""ROS 2 package builtin_interfaces: points in time and durations."""
 
 from typing import Annotated
 
@@ -10,7 +10,7 @@ Nanoseconds = Annotated[int, Scalar("uint32", at_most=999_999_999)]
 
 @message("builtin_interfaces/msg/Time")
 class Time:
-    """A point in time: seconds since the clock's epoch and nanoseconds on top of them."""
+    """A point in time: seconds since the clock's epoch, plus nanoseconds."""
 
     sec: Int32 = 0
     nanosec: Nanoseconds = 0
@@ -18,7 +18,7 @@ class Time:
 
 @message("builtin_interfaces/msg/Duration")
 class Duration:
-    """A span of time: seconds, which may be negative, and nanoseconds on top of them."""
+    """A duration: seconds, which may be negative, plus nanoseconds."""
 
     sec: Int32 = 0
     nanosec: Nanoseconds = 0

@@ -1,4 +1,4 @@
-"""Cairn's own messages: object sightings, the visual map and the state of components."""
+"""Cairn's own messages: observations of objects, the visual map and the status of components."""
 
 from math import isinf, isnan
 from typing import Annotated, ClassVar
@@ -37,11 +37,12 @@ NAN = float("nan")
 
 @message("cairn_msgs/msg/RecognizedObject")
 class RecognizedObject:
-    """An object of the visual map, recognized by the camera: where it stands from the robot.
+    """One observation of an object by the camera: its position relative to the robot.
 
     `range` [m] and `bearing` [rad, left positive] with their covariance; `inliers` is the number
-    of matched features, 0 if that does not apply. `alternatives` are other objects that it may be
-    as well; `corners` are those of the object in the left image, u, v [px] of each, or none.
+    of matched features, 0 if that does not apply. `alternatives` are ids of other objects that it
+    may be as well; `corners` are the object's corners in the left image, u, v [px] of each, or
+    empty.
     """
 
     object_id: UInt32
@@ -60,10 +61,10 @@ class RecognizedObject:
 
 @message("cairn_msgs/msg/RecognizedObjectArray")
 class RecognizedObjectArray:
-    """The objects recognized in one image, or none; the frame is the robot's base.
+    """The objects recognized in one image, possibly none; the frame is the robot's base.
 
-    Between the bearings `view_right` and `view_left` [rad, left positive] and the ranges `nearest`
-    and `farthest` [m] an object could have been recognized; all zeros means that is not known.
+    An object could have been recognized between the bearings `view_right` and `view_left` [rad,
+    left positive] and the ranges `nearest` and `farthest` [m]; all zeros: not known.
     """
 
     header: Header = Header()
@@ -133,9 +134,9 @@ class ObjectEvidenceArray:
 
 @message("cairn_msgs/msg/VisualObject")
 class VisualObject:
-    """An object of the visual map: place [m] in frame map, and how far it is relied on.
+    """An object of the visual map: position [m] in frame map, and its reliability.
 
-    A candidate is the place where an object seems to stand now; NaN if there is none.
+    The candidate is the position where a moved object seems to be now; NaN if there is none.
     """
 
     LIVE: ClassVar[UInt8] = 0
@@ -155,7 +156,7 @@ class VisualObject:
 
     def __post_init__(self) -> None:
         """Check that a candidate has both coordinates or none."""
-        _place_or_none(self, "candidate", self.candidate_x, self.candidate_y)
+        _require_position_or_none(self, "candidate", self.candidate_x, self.candidate_y)
 
 
 @message("cairn_msgs/msg/VisualMap")
@@ -169,7 +170,7 @@ class VisualMap:
 
 @message("cairn_msgs/msg/VisualMapChange")
 class VisualMapChange:
-    """One change to the visual map, with the object's place [m] before and after; NaN if none."""
+    """One change of the visual map: the object's position [m] before and after; NaN if none."""
 
     IMPORTED: ClassVar[UInt8] = 0
     REMOVED: ClassVar[UInt8] = 1
@@ -189,14 +190,14 @@ class VisualMapChange:
     reason: String = ""
 
     def __post_init__(self) -> None:
-        """Check that each place has both coordinates or none."""
-        _place_or_none(self, "old", self.old_x, self.old_y)
-        _place_or_none(self, "new", self.new_x, self.new_y)
+        """Check that each position has both coordinates or none."""
+        _require_position_or_none(self, "old", self.old_x, self.old_y)
+        _require_position_or_none(self, "new", self.new_x, self.new_y)
 
 
 @message("cairn_msgs/msg/PortStatus")
 class PortStatus:
-    """What passed one port of a component since it was configured."""
+    """The messages of one port of a component since it was configured."""
 
     IN: ClassVar[UInt8] = 0
     OUT: ClassVar[UInt8] = 1
@@ -213,9 +214,9 @@ class PortStatus:
 class ComponentStatus:
     """The state of one component.
 
-    `parent` is "" for the root; `handler` is the handler at work for `handler_s` [s], "" when the
-    component waits; `reason` says in words why it is in this state, or why it was started anew;
-    `children` names what a supervisor may load.
+    `parent` is "" for the root; `handler` is the handler that has been running for `handler_s` [s],
+    "" when none is; `reason` says why the component is in this state, or why it was restarted;
+    `children` names the components that a supervisor may load.
     """
 
     header: Header
@@ -235,6 +236,6 @@ class ComponentStatus:
     ports: tuple[PortStatus, ...] = ()
 
 
-def _place_or_none(message: object, name: str, x: float, y: float) -> None:
+def _require_position_or_none(message: object, name: str, x: float, y: float) -> None:
     if isinf(x) or isinf(y) or isnan(x) != isnan(y):
         reject(message, f"{name}_x, {name}_y", (x, y), "must be two finite numbers, or NaN twice")

@@ -1,4 +1,4 @@
-"""Cairn's own messages of the simulation: what the drivers of a robot know of its world."""
+"""Cairn's own messages of the simulation: the world as the simulated drivers use it."""
 
 from typing import Annotated, ClassVar
 

@@ -17,7 +17,7 @@ class KeyValue:
 
 @message("diagnostic_msgs/msg/DiagnosticStatus")
 class DiagnosticStatus:
-    """How one part of the robot is."""
+    """The health of one part of the robot."""
 
     OK: ClassVar[Byte] = 0
     WARN: ClassVar[Byte] = 1
@@ -33,7 +33,7 @@ class DiagnosticStatus:
 
 @message("diagnostic_msgs/msg/DiagnosticArray")
 class DiagnosticArray:
-    """How several parts of the robot are."""
+    """The health of several parts of the robot."""
 
     header: Header = Header()
     status: tuple[DiagnosticStatus, ...] = ()

@@ -1,4 +1,7 @@
-"""Types of message fields: ROS 2 primitives, arrays and covariances, each with its validation."""
+"""Types of message fields: ROS 2 primitives, arrays and covariances, each with its validation.
+
+They are annotations (`x: Float64`); `Scalar`, `Text` and `Array` make new ones with limits.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -16,17 +19,18 @@ Check = Callable[[npt.NDArray[Any]], None]
 def array_validator(
     dtype: np.dtype[Any], length: int | None, check: Check | None
 ) -> Callable[[object], npt.NDArray[Any]]:
-    """A function that makes a one-dimensional read-only array of `dtype` of any sequence.
+    """Return a function that converts any sequence to a one-dimensional read-only array of `dtype`.
 
-    It raises `ValueError` if that loses something, if there are not `length` elements, or if
-    `check` does. A read-only array of the right type is taken as it is, without a copy.
+    The function raises `ValueError` if the conversion would change a value, if there are not
+    `length` elements, or if `check` does. It returns a read-only array of the right type without a
+    copy.
     """
 
     def validate(value: object) -> npt.NDArray[Any]:
         if type(value) is np.ndarray and value.dtype is dtype:
             flags = value.flags
-            taken = not flags.writeable and flags.c_contiguous and value.ndim == 1
-            array = value if taken else _converted(value, dtype)
+            unchanged = not flags.writeable and flags.c_contiguous and value.ndim == 1
+            array = value if unchanged else _converted(value, dtype)
         else:
             array = _converted(value, dtype)
         if length is not None and array.size != length:
@@ -64,7 +68,7 @@ def _of_sequence(values: "list[Any] | tuple[Any, ...] | range", dtype: np.dtype[
     except (ValueError, OverflowError) as error:
         raise ValueError(f"must be a sequence of {dtype} numbers") from error
     if source.dtype == np.float64 and dtype == np.float32:
-        # Python's floats have no width of their own: they are rounded, but not to infinity.
+        # Python's floats are not float64 on purpose: they are rounded, but not to infinity.
         with np.errstate(over="ignore"):
             single = source.astype(dtype)
         if np.isfinite(source).tobytes() != np.isfinite(single).tobytes():
@@ -101,9 +105,9 @@ _INTEGERS = {
 
 @dataclass(frozen=True)
 class Scalar:
-    """Marks a field as a ROS 2 number or bool, within the limits given; accepts numpy's too.
+    """Marks a field as a ROS 2 number or bool within limits; numpy scalars are accepted, too.
 
-    `ros_type` is its name in a .msg file. A limit, as `finite`, rules out NaN and infinities.
+    `ros_type` is its name in a .msg file. A limit rules out NaN and infinities, as `finite` does.
     """
 
     ros_type: str
@@ -113,9 +117,9 @@ class Scalar:
     finite: bool = False
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> CoreSchema:
-        """How pydantic checks such a field."""
+        """Return how pydantic validates such a field."""
         strict = self._strict()
-        # pydantic-core itself checks Python's own types; numpy's scalars take the second way.
+        # pydantic-core checks Python's own types; numpy's scalars are converted first.
         from_numpy = core_schema.chain_schema(
             [core_schema.no_info_plain_validator_function(_python_value), strict]
         )
@@ -123,7 +127,7 @@ class Scalar:
             [strict, from_numpy],
             mode="left_to_right",
             custom_error_type="scalar",
-            custom_error_message=f"must be {self._wanted()}",
+            custom_error_message=f"must be {self._requirement()}",
         )
 
     def _strict(self) -> CoreSchema:
@@ -134,7 +138,7 @@ class Scalar:
             return core_schema.int_schema(strict=True, ge=low, le=high)
         above, at_least, at_most = self.above, self.at_least, self.at_most
         if self.ros_type == "float32":
-            # A message rounds its float32 fields after this check: they must pass it again.
+            # Messages round float32 fields after this check, and the result must pass it, too.
             at_least, at_most = _rounded(at_least), _rounded(at_most)
             if above is not None:
                 above = None
@@ -154,7 +158,7 @@ class Scalar:
     def _is_finite(self) -> bool:
         return self.finite or (self.above, self.at_least, self.at_most) != (None, None, None)
 
-    def _wanted(self) -> str:
+    def _requirement(self) -> str:
         if self.ros_type == "bool":
             return "True or False"
         if self.ros_type in _INTEGERS:
@@ -172,28 +176,28 @@ class Scalar:
 
 @dataclass(frozen=True)
 class Text:
-    """Marks a field as a ROS 2 string: UTF-8 without NUL; if `one_of` is given, one of those."""
+    """Marks a field as a ROS 2 string: UTF-8 without NUL; with `one_of`, one of these texts."""
 
     one_of: tuple[str, ...] = ()
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> CoreSchema:
-        """How pydantic checks such a field."""
+        """Return how pydantic validates such a field."""
         if self.one_of:
             inner: CoreSchema = core_schema.literal_schema(list(self.one_of))
-            wanted = f"one of {', '.join(map(repr, self.one_of))}"
+            requirement = f"one of {', '.join(map(repr, self.one_of))}"
         else:
             inner = core_schema.str_schema(strict=True, pattern="^[^\x00]*$")
-            wanted = "a string without NUL that UTF-8 can encode"
+            requirement = "a string without NUL that UTF-8 can encode"
         return core_schema.custom_error_schema(
-            inner, custom_error_type="text", custom_error_message=f"must be {wanted}"
+            inner, custom_error_type="text", custom_error_message=f"must be {requirement}"
         )
 
 
 @dataclass(frozen=True)
 class Array:
-    """Marks a field as a ROS 2 sequence of numbers, or with a `length` as an array of that many.
+    """Marks a field as a ROS 2 sequence of numbers, or with `length` as an array of that length.
 
-    `check` sees the array and raises `ValueError` with what must hold.
+    `check` is called with the array and raises `ValueError` with the rule that it breaks.
     """
 
     ros_type: str
@@ -201,7 +205,7 @@ class Array:
     check: Callable[[npt.NDArray[Any]], None] | None = None
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> CoreSchema:
-        """How pydantic checks such a field."""
+        """Return how pydantic validates such a field."""
         dtype = np.dtype("uint8" if self.ros_type in ("byte", "char") else self.ros_type)
         check = _truth_values if self.ros_type == "bool" else self.check
         return core_schema.no_info_plain_validator_function(
@@ -220,7 +224,7 @@ def _python_value(value: object) -> object:
 
 
 def mark_of(annotation: object) -> "Scalar | Text | Array | None":
-    """How an annotation is marked, None if it is not."""
+    """Return the mark of an annotation, None if it has none."""
     if get_origin(annotation) is Annotated:
         for mark in annotation.__metadata__:  # type: ignore[attr-defined]
             if isinstance(mark, Scalar | Text | Array):
@@ -229,26 +233,26 @@ def mark_of(annotation: object) -> "Scalar | Text | Array | None":
 
 
 def finite(array: npt.NDArray[Any]) -> None:
-    """For `Array.check`: no NaN and no infinity."""
+    """Reject NaN and infinities; for `Array.check`."""
     if not np.isfinite(array).all():
         raise ValueError("must hold finite numbers only")
 
 
 def _truth_values(array: npt.NDArray[Any]) -> None:
-    # Seen from the wire any byte may stand where a bool should.
+    # Data from the wire may have any byte in the place of a bool.
     if array.view(np.uint8).max(initial=0) > 1:
         raise ValueError("must hold the bytes 0 and 1 only")
 
 
 def zeros(length: int) -> Any:
-    """Default of a float64 array field: so many zeros, one read-only array for all."""
+    """Return the default of a float64 array field: `length` zeros, one read-only array for all."""
     value = np.zeros(length)
     value.flags.writeable = False
     return field(default_factory=lambda: value)
 
 
 def empty(dtype: npt.DTypeLike) -> Any:
-    """Default of a sequence of numbers: none."""
+    """Return the default of a sequence of numbers: an empty one."""
     value = np.zeros(0, dtype)
     value.flags.writeable = False
     return field(default_factory=lambda: value)
@@ -321,7 +325,7 @@ def _check3(array: npt.NDArray[Any]) -> None:
 
 
 Covariance2 = Annotated[npt.NDArray[np.float64], Array("float64", length=4, check=_check2)]
-"""Row-major 2x2."""
+"""Covariance of 2 values, row-major 2x2: finite, symmetric, positive semidefinite."""
 
 Covariance3 = Annotated[npt.NDArray[np.float64], Array("float64", length=9, check=_check3)]
-"""Row-major 3x3."""
+"""Covariance of 3 values, row-major 3x3: finite, symmetric, positive semidefinite."""

@@ -11,12 +11,12 @@ from cairn.schemas.packed import Packed
 from cairn.schemas.std_msgs import Header
 
 Covariance6 = Annotated[npt.NDArray[np.float64], Array("float64", length=36, check=finite)]
-"""Row-major 6x6 over (x, y, z, rotation about X, Y, Z): finite; ROS asks for no more."""
+"""Covariance, row-major 6x6 over x, y, z and rotations about X, Y, Z; only checked to be finite."""
 
 
 @message("geometry_msgs/msg/Point")
 class Point:
-    """A place [m]."""
+    """A position [m]."""
 
     x: FiniteFloat64 = 0.0
     y: FiniteFloat64 = 0.0
@@ -34,7 +34,7 @@ class Vector3:
 
 @message("geometry_msgs/msg/Quaternion")
 class Quaternion:
-    """An orientation. Not checked for unit length: ROS nodes send all zeros for "not set"."""
+    """An orientation. The length is not checked, because ROS nodes send all zeros for "not set"."""
 
     x: FiniteFloat64 = 0.0
     y: FiniteFloat64 = 0.0
@@ -44,7 +44,7 @@ class Quaternion:
 
 @message("geometry_msgs/msg/Pose")
 class Pose:
-    """A place and an orientation."""
+    """A position and an orientation."""
 
     position: Point = Point()
     orientation: Quaternion = Quaternion()
@@ -108,7 +108,7 @@ class TwistWithCovariance:
 
 @message("geometry_msgs/msg/Transform")
 class Transform:
-    """Where one frame stands in another."""
+    """The pose of one coordinate frame in another."""
 
     translation: Vector3 = Vector3()
     rotation: Quaternion = Quaternion()

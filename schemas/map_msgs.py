@@ -9,7 +9,7 @@ from cairn.schemas.std_msgs import Header
 
 @message("map_msgs/msg/OccupancyGridUpdate")
 class OccupancyGridUpdate:
-    """New values of a window of a map: `width` x `height` cells from column `x`, row `y` on."""
+    """New values of a window of a map: `width` x `height` cells starting at column `x`, row `y`."""
 
     header: Header = Header()
     x: Int32 = 0
@@ -19,7 +19,7 @@ class OccupancyGridUpdate:
     data: Int8Array = empty(np.int8)
 
     def __post_init__(self) -> None:
-        """Check that there are width * height cells with values of a map."""
+        """Check that there are width * height cells with valid values."""
         cells = self.width * self.height
         if self.data.size != cells:
             reject(self, "data", self.data, f"must have width * height = {cells} cells")

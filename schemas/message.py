@@ -1,4 +1,8 @@
-"""Messages: the `@message` decorator, and validation of messages constructed or decoded."""
+"""Messages: the `@message` decorator, and the validation of messages constructed or decoded.
+
+A message is validated by its class's constructor or, when it comes from the bus, by the function
+that `decoding_constructor` returns: no handler receives an invalid message.
+"""
 
 import dataclasses
 import re
@@ -34,8 +38,8 @@ _CONFIG = ConfigDict(extra="forbid", validate_default=True)
 _LONGEST_VALUE = 60
 
 
-class InvalidMessage(ValueError):  # noqa: N818 - says what the message is
-    """A message breaks its definition: which type, where in it, what stands there, why not."""
+class InvalidMessage(ValueError):  # noqa: N818 - a message, not an operation, is at fault
+    """A message breaks its definition: names the type, the path in it, the value and the reason."""
 
     def __init__(self, type_name: str, path: str, value: object, reason: str) -> None:
         self.type_name = type_name
@@ -46,23 +50,23 @@ class InvalidMessage(ValueError):  # noqa: N818 - says what the message is
         super().__init__(f"{type_name}: {where}: {reason}")
 
     def within(self, type_name: str, field: str) -> "InvalidMessage":
-        """The same, told of the message of type `type_name` that holds this one in `field`."""
+        """Return this error for the message of type `type_name` that holds this one in `field`."""
         path = ".".join(part for part in (field, self.path) if part)
         return InvalidMessage(type_name, path, _Shortened(self.value), self.reason)
 
 
 @dataclass_transform(frozen_default=True, field_specifiers=(dataclasses.field,))
 def message(name: str) -> Callable[[type[T]], type[T]]:
-    """Make a class the definition of the ROS 2 message type `name` ("geometry_msgs/msg/Point").
+    """Decorate a class that defines the ROS 2 message type `name` ("geometry_msgs/msg/Point").
 
     The annotated fields, in this order, are the fields on the wire: primitives of
     `cairn.schemas.field_types`, other messages, `tuple[Message, ...]`, `tuple[String, ...]` or
     `cairn.schemas.packed.Packed`. `ClassVar` primitives with a value are the type's constants.
-    Instances are frozen, and equal if all fields are, NaN being equal to NaN. In place of a
-    message that another one holds, its constructor also takes a mapping of fields.
+    Instances are immutable, and equal if all fields are, NaN being equal to NaN. For a field that
+    is a message, the constructor also accepts a mapping of its fields.
 
-    A message cannot be made invalid: the constructor raises `InvalidMessage`. What must hold
-    between fields is checked by the class's `__post_init__`, which calls `reject`.
+    An invalid message cannot be constructed: the constructor raises `InvalidMessage`. Constraints
+    between fields are checked by the class's `__post_init__`, which calls `reject`.
     """
     if not _NAME.fullmatch(name):
         raise TypeError(f"{name!r} is not a ROS 2 message name such as geometry_msgs/msg/Point")
@@ -88,7 +92,7 @@ def message(name: str) -> Callable[[type[T]], type[T]]:
 
 
 def type_name(cls: type[Any]) -> str:
-    """The ROS 2 name of a message class: "geometry_msgs/msg/Twist".
+    """Return the ROS 2 name of a message class: "geometry_msgs/msg/Twist".
 
     Raises `TypeError` if the class is not a message.
     """
@@ -99,7 +103,7 @@ def type_name(cls: type[Any]) -> str:
 
 
 def cross_field_check(cls: type[Any]) -> Callable[[Any], None] | None:
-    """What a message class checks between its fields: its own `__post_init__`, if it has one."""
+    """Return the check between the fields of a message class: its own `__post_init__`, or None."""
     return cast("Callable[[Any], None] | None", cls.__dict__["__check__"])
 
 
@@ -112,7 +116,7 @@ def _constructor(
     name: str, fields: tuple[str, ...], plain: dict[str, type[Any]], defaults: dict[str, Any]
 ) -> Callable[..., None]:
     def __init__(self: Any, /, *args: Any, **kwargs: Any) -> None:  # noqa: N807
-        # Most messages are points, headers and what is made of these: valid at a glance.
+        # Fast path: most messages are points, headers and compositions of these.
         if defaults and not args:
             for field, value in kwargs.items():
                 kind = plain.get(field)
@@ -133,8 +137,8 @@ def _constructor(
             return
         except ValidationError as error:
             invalid = _translated(name, fields, error)
-        # Out here, and always a new error: a ValidationError that its own cause refers to is never
-        # freed, because Python cannot see the cycle through pydantic-core.
+        # Raised outside of `except`, and always a new error: a ValidationError that its own cause
+        # refers to is never freed, because Python cannot see the cycle through pydantic-core.
         raise invalid
 
     return __init__
@@ -143,9 +147,9 @@ def _constructor(
 def _plain_fields(
     cls: type[Any], check: Callable[[Any], None] | None
 ) -> tuple[dict[str, type[Any]], dict[str, Any]]:
-    """The fields of which any finite float, plain text or message of a type is valid; all defaults.
+    """Return the types of fields of which any finite float, text or message is valid; all defaults.
 
-    Nothing if the message has other fields, too, or something to check between them.
+    Both are empty if the message has other fields, too, or a check between fields.
     """
     plain: dict[str, type[Any]] = {}
     for field, hint in get_type_hints(cls, include_extras=True).items():
@@ -182,7 +186,7 @@ def _translated(name: str, fields: tuple[str, ...], error: ValidationError) -> I
 
 
 class _Shortened(str):
-    """The text of a value that is short enough."""
+    """The text of a value, shortened already."""
 
     __slots__ = ()
 
@@ -201,8 +205,8 @@ def _shortened(value: object) -> str:
 
 
 def _round_float32(cls: type[Any]) -> None:
-    # A float32 field holds what the wire can carry, so that a message is the same before and
-    # after a journey. All fields of a class at once, because it is on the path of each decoding.
+    # A float32 field holds what the wire can carry, so that a message is the same before and after
+    # it was sent. All fields of a class at once, because every decoding does this.
     names = [
         name
         for name, annotation in get_type_hints(cls, include_extras=True).items()
@@ -216,17 +220,17 @@ def _round_float32(cls: type[Any]) -> None:
     get = attrgetter(*names) if others else lambda self: (getattr(self, first),)
 
     def __post_init__(self: Any) -> None:  # noqa: N807
-        given = get(self)
+        values = get(self)
         try:
-            rounded = single.unpack(single.pack(*given))
+            rounded = single.unpack(single.pack(*values))
         except OverflowError:
-            for name, value in zip(names, given, strict=True):
+            for name, value in zip(names, values, strict=True):
                 try:
                     struct.pack("<f", value)
                 except OverflowError:
                     reject(self, name, value, "is too large for a float32")
             raise
-        if rounded != given:
+        if rounded != values:
             self.__dict__.update(zip(names, rounded, strict=True))
         if own is not None:
             own(self)
@@ -250,7 +254,7 @@ def _same(one: Any, other: Any) -> bool:
 
 
 def _hashing(name: str, fields: tuple[str, ...]) -> Callable[[Any], int]:
-    # Arrays count by their length alone and NaN as nothing, so that equals have equal hashes.
+    # Arrays contribute their length only and NaN nothing, so that equal messages have equal hashes.
     def part(value: Any) -> Any:
         if isinstance(value, np.ndarray):
             return value.size
@@ -264,10 +268,10 @@ def _hashing(name: str, fields: tuple[str, ...]) -> Callable[[Any], int]:
 
 @dataclass(frozen=True)
 class Field:
-    """A field: the type of an element, and how many of it.
+    """A field of a message: the type of its elements, and their number.
 
     `element` is the name of a ROS 2 primitive or a message class; `count` is None for a single
-    one, 0 for a sequence, else the length of the array. `packed`: the field is a `Packed`.
+    element, 0 for a sequence, else the length of the array. `packed`: the field is a `Packed`.
     """
 
     name: str
@@ -285,33 +289,33 @@ class Constant:
     value: bool | int | float | str
 
 
-_known: dict[type[Any], tuple[Field, ...]] = {}
+_fields_cache: dict[type[Any], tuple[Field, ...]] = {}
 
 
 def fields_of(message: type[Any]) -> tuple[Field, ...]:
-    """The fields of a message class in the order on the wire.
+    """Return the fields of a message class in the order on the wire.
 
-    Raises `TypeError` if the class is not a message, or a field is of no type that messages have.
+    Raises `TypeError` if the class is not a message, or a field has a type that messages lack.
     """
-    if message not in _known:
+    if message not in _fields_cache:
         type_name(message)
         hints = get_type_hints(message, include_extras=True)
-        _known[message] = tuple(
+        _fields_cache[message] = tuple(
             _field(message, field.name, hints[field.name]) for field in fields(message)
         )
-    return _known[message]
+    return _fields_cache[message]
 
 
 def constants_of(message: type[Any]) -> tuple[Constant, ...]:
-    """The constants of a message class: its `ClassVar` primitives."""
+    """Return the constants of a message class: its `ClassVar` primitives."""
     type_name(message)
-    found: list[Constant] = []
+    constants: list[Constant] = []
     for name, hint in get_type_hints(message, include_extras=True).items():
         if get_origin(hint) is ClassVar:
             mark = mark_of(get_args(hint)[0])
             if isinstance(mark, Scalar | Text):
-                found.append(Constant(name, _ros_type(mark), getattr(message, name)))
-    return tuple(found)
+                constants.append(Constant(name, _ros_type(mark), getattr(message, name)))
+    return tuple(constants)
 
 
 def _field(message: type[Any], name: str, hint: Any) -> Field:
@@ -330,7 +334,7 @@ def _field(message: type[Any], name: str, hint: Any) -> Field:
     if isinstance(hint, type) and "__ros_type__" in hint.__dict__:
         return Field(name, hint)
     raise TypeError(
-        f"{message.__qualname__}.{name}: {hint} is no type of a message's field; use a primitive "
+        f"{message.__qualname__}.{name}: {hint} is not a type of message fields; use a primitive "
         "of cairn.schemas.field_types, a message, a tuple of them (..., ...) or Packed"
     )
 
@@ -340,19 +344,21 @@ def _ros_type(mark: Scalar | Text) -> str:
 
 
 def decoding_constructor(message: type[T]) -> Callable[..., T]:
-    """A function of a message's fields in order, as a decoder of CDR has read them.
+    """Return a function that makes a message of its fields in order, as a CDR decoder reads them.
 
     Numbers and strings are Python's, numeric sequences are read-only arrays, other sequences
-    lists. It makes and refuses the same messages as the class's constructor, and halves the time
-    of decoding: it checks only what the definition demands beyond the types on the wire, and
-    leaves whatever is not plainly valid to the constructor. As that of a dataclass it is
-    generated, because a loop over the fields would be as slow as the constructor.
+    lists. The function accepts and rejects the same messages as the class's constructor in half
+    the time: it checks only what the definition demands beyond the types on the wire, and calls
+    the constructor for values that are not obviously valid. It is generated, as dataclasses do,
+    because a loop over the fields would be as slow as the constructor.
     """
     hints = get_type_hints(message, include_extras=True)
     names = [field.name for field in fields(message)]  # type: ignore[arg-type]
     # No field of a ROS 2 message begins with an underscore.
-    known: dict[str, Any] = {"_message": message, "_new": object.__new__, "_isfinite": isfinite}
-    conditions = [text for name in names if (text := _condition(name, hints[name], known))]
+    namespace: dict[str, Any] = {"_message": message, "_new": object.__new__, "_isfinite": isfinite}
+    conditions = [
+        text for name in names if (text := _validity_condition(name, hints[name], namespace))
+    ]
     parts = [
         f"{name}=tuple({name})" if get_origin(hints[name]) is tuple else f"{name}={name}"
         for name in names
@@ -365,27 +371,30 @@ def decoding_constructor(message: type[T]) -> Callable[..., T]:
     lines += ["    made = _new(_message)", f"    made.__dict__.update({', '.join(parts)})"]
     check = cross_field_check(message)
     if check is not None:
-        known["_check"] = check
+        namespace["_check"] = check
         lines += ["    _check(made)"]
     lines += ["    return made"]
-    exec(compile("\n".join(lines), f"<maker of {message.__qualname__}>", "exec"), known)
-    return cast("Callable[..., T]", known["make"])
+    exec(
+        compile("\n".join(lines), f"<decoding constructor of {message.__qualname__}>", "exec"),
+        namespace,
+    )
+    return cast("Callable[..., T]", namespace["make"])
 
 
-def _condition(name: str, hint: Any, known: dict[str, Any]) -> str:
-    """What must hold of a field of the right type to be plainly valid, as Python text."""
+def _validity_condition(name: str, hint: Any, namespace: dict[str, Any]) -> str:
+    """Return the condition for an obviously valid field of the right type, as Python source."""
     match mark_of(hint):
         case Scalar() as mark:
             return _number_condition(name, mark)
         case Text() as mark:
             return _text_condition(name, mark)
         case Array() as mark:
-            return _array_condition(name, mark, known)
+            return _array_condition(name, mark, namespace)
     if get_origin(hint) is tuple:
         element = mark_of(get_args(hint)[0])
         if isinstance(element, Text):
             return f"all([{_text_condition('text', element)} for text in {name}])"
-    return ""  # another message, or several, each made already
+    return ""  # a message, or several, which were validated when they were made
 
 
 def _number_condition(name: str, mark: Scalar) -> str:
@@ -403,12 +412,12 @@ def _text_condition(name: str, mark: Text) -> str:
     return f"{name} in {mark.one_of!r}" if mark.one_of else f"'\\0' not in {name}"
 
 
-def _array_condition(name: str, mark: Array, known: dict[str, Any]) -> str:
+def _array_condition(name: str, mark: Array, namespace: dict[str, Any]) -> str:
     if mark.ros_type == "bool":
         return "False"
     dtype = np.dtype("uint8" if mark.ros_type in ("byte", "char") else mark.ros_type)
     if mark.check is None:
-        known[f"_dtype_{name}"] = dtype
+        namespace[f"_dtype_{name}"] = dtype
         return f"{name}.dtype is _dtype_{name}"
     validate = array_validator(dtype, mark.length, mark.check)
 
@@ -418,5 +427,5 @@ def _array_condition(name: str, mark: Array, known: dict[str, Any]) -> str:
         except ValueError:
             return False
 
-    known[f"_valid_{name}"] = valid
+    namespace[f"_valid_{name}"] = valid
     return f"_valid_{name}({name})"

@@ -23,7 +23,7 @@ class Odometry:
 
 @message("nav_msgs/msg/MapMetaData")
 class MapMetaData:
-    """Size [cells], resolution [m/cell] and the pose of cell (0, 0)'s corner."""
+    """Size [cells], resolution [m/cell] and the pose of the corner of cell (0, 0)."""
 
     map_load_time: Time = Time()
     resolution: Annotated[float, Scalar("float32", at_least=0)] = 0.0
@@ -41,7 +41,7 @@ class OccupancyGrid:
     data: Int8Array = empty(np.int8)
 
     def __post_init__(self) -> None:
-        """Check that there are width * height cells with values of a map."""
+        """Check that there are width * height cells with valid values."""
         cells = self.info.width * self.info.height
         if self.data.size != cells:
             reject(self, "data", self.data, f"must have width * height = {cells} cells")

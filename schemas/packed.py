@@ -1,4 +1,4 @@
-"""Long sequences of messages that consist of numbers alone, held as one array."""
+"""Packed: long sequences of messages that consist of numbers, stored as one array."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import fields
@@ -16,11 +16,11 @@ _NUMBER = Scalar("float64", finite=True)
 
 
 class Packed(Sequence[M], Generic[M]):
-    """An immutable sequence of messages all of whose fields are finite float64 numbers.
+    """An immutable sequence of messages of which all fields are finite float64 numbers.
 
-    `array` holds them, one row each, the columns in the order of the fields (for `Pose`: x, y, z
-    of the position, x, y, z, w of the orientation): read-only, shape (length, columns). An element
-    becomes a message object only when it is looked at. On the wire it is a sequence as any other.
+    `array` is read-only, of shape (length, columns): one row per message, columns in the order of
+    the fields (for `Pose`: x, y, z of the position, x, y, z, w of the orientation). An element
+    becomes a message object only when it is accessed. On the wire it is an ordinary sequence.
     """
 
     __slots__ = ("array", "element")
@@ -28,7 +28,7 @@ class Packed(Sequence[M], Generic[M]):
     def __init__(
         self, element: type[M], items: "npt.NDArray[Any] | Sequence[M] | Packed[M]" = ()
     ) -> None:
-        """Take the rows of an array, without a copy if it is read-only, or message objects.
+        """Store the rows of an array, without a copy if it is read-only, or message objects.
 
         Raises `ValueError` if the shape is not (n, columns), a number is not finite or an item
         is not of class `element`; `TypeError` if that class holds anything but finite float64.
@@ -75,7 +75,7 @@ class Packed(Sequence[M], Generic[M]):
 
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: Any) -> CoreSchema:
-        """How pydantic checks a field annotated `Packed[Message]`."""
+        """Return how pydantic validates a field annotated `Packed[Message]`."""
         (element,) = get_args(source)
         _columns(element)
 
@@ -115,7 +115,7 @@ def _columns(element: type[Any]) -> int:
 def _rows(element: type[Any], items: Sequence[Any]) -> npt.NDArray[np.float64]:
     for item in items:
         if type(item) is not element:
-            raise ValueError(f"must hold {element.__name__} only, not {item!r}")
+            raise ValueError(f"must hold {element.__name__} objects only, not {item!r}")
     rows = [list(_numbers(element, item)) for item in items]
     return np.array(rows, np.float64).reshape(len(rows), _columns(element))
 

@@ -6,6 +6,6 @@ from cairn.schemas.message import message
 
 @message("rosgraph_msgs/msg/Clock")
 class Clock:
-    """The time now, where a simulator or a replay says what time it is."""
+    """The current time of a simulation or a replay."""
 
     clock: Time = Time()

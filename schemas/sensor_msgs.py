@@ -32,10 +32,10 @@ Matrix3x4 = Annotated[npt.NDArray[np.float64], Array("float64", length=12, check
 
 @message("sensor_msgs/msg/LaserScan")
 class LaserScan:
-    """One sweep of a planar laser: `ranges` [m] at angles from `angle_min` on, left positive [rad].
+    """One sweep of a planar laser: `ranges` [m] at angles from `angle_min` [rad], left positive.
 
     As in REP 117 a range is -inf if the object is too near, +inf if nothing was hit, and NaN if
-    the measurement failed. Where there are ranges, `range_max` [m] must be given.
+    the measurement failed. With any ranges, `range_max` [m] is required.
     """
 
     header: Header = Header()
@@ -50,7 +50,7 @@ class LaserScan:
     intensities: Float32Array = empty(np.float32)
 
     def __post_init__(self) -> None:
-        """Check that angles, ranges and intensities agree in number, and the limits of ranges."""
+        """Check the numbers of angles, ranges and intensities, and the limits of ranges."""
         beams = self.ranges.size
         if self.intensities.size not in (0, beams):
             reject(self, "intensities", self.intensities, f"must be none or {beams}, as the ranges")
@@ -59,14 +59,14 @@ class LaserScan:
                 self, "range_max", self.range_max, f"must be range_min = {self.range_min} or more"
             )
         if beams:
-            # A range from range_max on is no return: left at 0, all would be free.
+            # A range of range_max or more means no return: with 0, all space would be free.
             if not 0.0 < self.range_max < math.inf:
                 reject(self, "range_max", self.range_max, "must be above 0 and finite")
             if self.range_min < 0.0:
                 reject(self, "range_min", self.range_min, "must be at least 0")
             step = self.angle_increment
             last = self.angle_min + (beams - 1) * step
-            # Some drivers count the beams, some the gaps: one step of freedom. The increment is
+            # Some drivers count the beams, some the gaps: tolerate one step. The increment is
             # rounded to float32, and the error adds up over the beams.
             rounding = (
                 2 * _EPSILON * (abs(self.angle_min) + abs(self.angle_max) + beams * abs(step))
@@ -82,14 +82,14 @@ class LaserScan:
 
 @message("sensor_msgs/msg/LaserEcho")
 class LaserEcho:
-    """What came back of one ray of a laser: ranges [m], or intensities; the nearest first."""
+    """The echoes of one laser beam: ranges [m], or intensities; the nearest first."""
 
     echoes: Float32Array = empty(np.float32)
 
 
 @message("sensor_msgs/msg/MultiEchoLaserScan")
 class MultiEchoLaserScan:
-    """One sweep of a planar laser that tells several echoes of each ray; else as `LaserScan`."""
+    """One sweep of a planar laser with several echoes per beam; otherwise as `LaserScan`."""
 
     header: Header = Header()
     angle_min: FiniteFloat32 = 0.0
@@ -103,7 +103,7 @@ class MultiEchoLaserScan:
     intensities: tuple[LaserEcho, ...] = ()
 
     def __post_init__(self) -> None:
-        """Check that intensities are those of the ranges, echo by echo."""
+        """Check that there are as many intensities as ranges, echo by echo."""
         if self.intensities and [echo.echoes.size for echo in self.intensities] != [
             echo.echoes.size for echo in self.ranges
         ]:
@@ -123,7 +123,7 @@ class Image:
     data: UInt8Array = empty(np.uint8)
 
     def __post_init__(self) -> None:
-        """Check that there are as many bytes as rows of that length have."""
+        """Check that `data` has `height` rows of `step` bytes."""
         size = self.height * self.step
         if self.data.size != size:
             reject(self, "data", self.data, f"must have height * step = {size} bytes")
@@ -161,8 +161,8 @@ class CameraInfo:
 class BatteryState:
     """A battery: voltage [V], temperature [deg C], current [A], negative while it discharges.
 
-    `charge`, `capacity` and `design_capacity` are in Ah, `percentage` is 0 to 1. What is not
-    measured is NaN.
+    `charge`, `capacity` and `design_capacity` are in Ah, `percentage` is 0 to 1. Values that
+    are not measured are NaN.
     """
 
     POWER_SUPPLY_STATUS_UNKNOWN: ClassVar[UInt8] = 0

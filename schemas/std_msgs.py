@@ -7,7 +7,7 @@ from cairn.schemas.message import message
 
 @message("std_msgs/msg/Header")
 class Header:
-    """When and in which coordinate frame the data of a message hold."""
+    """Time and coordinate frame of the data in a message."""
 
     stamp: Time = Time()
     frame_id: field_types.String = ""

@@ -1,4 +1,4 @@
-"""Any valid message of any class, made from its definition, for property tests."""
+"""Generate valid messages of any class from its definition, for property tests."""
 
 import importlib
 import inspect
@@ -53,7 +53,7 @@ OF_ROS_2 = [name for name in EVERY_MESSAGE if not name.startswith(("cairn_", "ma
 
 @cache
 def samples(name: str, count: int) -> list[Any]:
-    """The same `count` messages of a type at each call."""
+    """Return the same `count` messages of a type at each call."""
     found: list[Any] = []
 
     @settings(
@@ -72,7 +72,7 @@ def samples(name: str, count: int) -> list[Any]:
 
 
 def arbitrary(cls: type[Any]) -> st.SearchStrategy[Any]:
-    """Valid messages of a class."""
+    """Return a strategy for valid messages of a class."""
     if cls in _WITH_RULES_BETWEEN_FIELDS:
         return _WITH_RULES_BETWEEN_FIELDS[cls]()
     return _built(cls)

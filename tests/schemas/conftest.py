@@ -8,7 +8,7 @@ DEFAULT_MUTATIONS = 500
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """`pytest tests/schemas --mutations 100000`: known when this folder is named."""
+    """`pytest tests/schemas --mutations 100000`: the option exists when this folder is given."""
     parser.addoption(
         "--mutations",
         type=int,

@@ -1,4 +1,4 @@
-"""Damages encoded messages in the ways that find what a decoder does not check."""
+"""Damage encoded messages in the ways that reveal what a decoder does not check."""
 
 import struct
 from collections.abc import Callable
@@ -12,7 +12,7 @@ _NUMBERS = (float("nan"), float("inf"), -float("inf"), -1.0, 1e308, -1e308, 5e-3
 
 
 def damaged(originals: Buffers, random: np.random.Generator) -> bytes:
-    """One of the buffers with one to four faults."""
+    """Return one of the buffers with one to four faults."""
     data = bytearray(originals[random.integers(len(originals))])
     for _ in range(random.integers(1, 5)):
         _FAULTS[random.integers(len(_FAULTS))](data, random)

@@ -1,4 +1,4 @@
-"""A class's definition text and type hash are those of ROS 2."""
+"""The definition text and type hash of a message class equal those of ROS 2."""
 
 import pytest
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -35,19 +35,17 @@ def test_standard_messages_are_defined_as_in_ros_2_jazzy(name: str, codec: Codec
         (PoseStamped, "10f3786d7d40fd2b54367835614bff85d4ad3b5dab62bf8bca0cc232d73b4cd8"),
     ],
 )
-def test_the_hash_is_the_one_that_ros_2_nodes_announce(
-    cls: type, digest: str, codec: Codec
-) -> None:
+def test_type_hash_equals_that_of_ros_2_nodes(cls: type, digest: str, codec: Codec) -> None:
     assert codec.type_hash(cls) == f"RIHS01_{digest}"
 
 
-def test_the_hash_of_twist_begins_and_ends_as_announced(codec: Codec) -> None:
+def test_type_hash_of_twist(codec: Codec) -> None:
     assert codec.type_hash(Twist).startswith("RIHS01_9c45bf16fe09")
     assert codec.type_hash(Twist).endswith("fb8d2a")
 
 
 @pytest.mark.parametrize("name", EVERY_MESSAGE)
-def test_another_tool_finds_the_same_type_in_the_definition_text(name: str, codec: Codec) -> None:
+def test_another_tool_parses_the_definition_text_to_the_same_type(name: str, codec: Codec) -> None:
     text, *parts = codec.definition(EVERY_MESSAGE[name]).split("=" * 80 + "\n")
     store = Typestore()
     types = get_types_from_msg(text, name)
@@ -58,13 +56,13 @@ def test_another_tool_finds_the_same_type_in_the_definition_text(name: str, code
     assert store.hash_rihs01(name) == codec.type_hash(EVERY_MESSAGE[name])
 
 
-def test_a_packed_sequence_is_defined_as_a_plain_one(codec: Codec) -> None:
+def test_packed_sequence_has_the_definition_of_a_plain_one(codec: Codec) -> None:
     assert codec.definition(PoseArray).startswith(
         "std_msgs/Header header\ngeometry_msgs/Pose[] poses\n"
     )
 
 
-def test_arrays_have_their_length_and_constants_their_value(codec: Codec) -> None:
+def test_definition_contains_array_lengths_and_constants(codec: Codec) -> None:
     text = codec.definition(PoseWithCovarianceStamped)
     assert "geometry_msgs/Pose pose\nfloat64[36] covariance\n" in text
     assert codec.definition(DiagnosticStatus).startswith("byte OK=0\nbyte WARN=1\n")

@@ -1,4 +1,4 @@
-"""What holds for each message: round trip, the bytes of other implementations, damaged bytes."""
+"""Properties of every message: round trip, the bytes of other implementations, damaged bytes."""
 
 import gc
 import resource
@@ -33,7 +33,7 @@ few = settings(max_examples=20)
 @every_message
 @few
 @given(st.data())
-def test_what_is_encoded_is_decoded(name: str, data: st.DataObject) -> None:
+def test_message_survives_encoding_and_decoding(name: str, data: st.DataObject) -> None:
     message = data.draw(arbitrary(EVERY_MESSAGE[name]))
     encoded = CODEC.encode(message)
     decoded = CODEC.decode(type(message), encoded)
@@ -45,9 +45,7 @@ def test_what_is_encoded_is_decoded(name: str, data: st.DataObject) -> None:
 @every_message
 @few
 @given(st.data())
-def test_the_bytes_are_those_of_an_independent_encoder_fed_with_our_definition(
-    name: str, data: st.DataObject
-) -> None:
+def test_bytes_equal_those_of_an_independent_encoder(name: str, data: st.DataObject) -> None:
     message = data.draw(arbitrary(EVERY_MESSAGE[name]))
     encode = serialize_dynamic(name, CODEC.definition(type(message)))[name]
     assert CODEC.encode(message) == encode(plain(message))
@@ -56,7 +54,7 @@ def test_the_bytes_are_those_of_an_independent_encoder_fed_with_our_definition(
 @standard_message
 @few
 @given(st.data())
-def test_stock_rosbags_reads_and_writes_the_same_bytes(name: str, data: st.DataObject) -> None:
+def test_plain_rosbags_reads_and_writes_the_same_bytes(name: str, data: st.DataObject) -> None:
     encoded = CODEC.encode(data.draw(arbitrary(EVERY_MESSAGE[name])))
     assert bytes(ROS.serialize_cdr(ROS.deserialize_cdr(encoded, name), name)) == encoded
 
@@ -64,7 +62,7 @@ def test_stock_rosbags_reads_and_writes_the_same_bytes(name: str, data: st.DataO
 @standard_message
 @few
 @given(st.data())
-def test_big_endian_is_read_as_well(name: str, data: st.DataObject) -> None:
+def test_big_endian_is_decoded(name: str, data: st.DataObject) -> None:
     message = data.draw(arbitrary(EVERY_MESSAGE[name]))
     theirs = ROS.deserialize_cdr(CODEC.encode(message), name)
     big = bytes(ROS.serialize_cdr(theirs, name, little_endian=False))
@@ -72,7 +70,7 @@ def test_big_endian_is_read_as_well(name: str, data: st.DataObject) -> None:
 
 
 @every_message
-def test_a_damaged_message_is_valid_or_refused(name: str, mutations: int) -> None:
+def test_damaged_message_is_valid_or_rejected(name: str, mutations: int) -> None:
     cls = EVERY_MESSAGE[name]
     originals = [CODEC.encode(message) for message in samples(name, 30)]
     random = np.random.default_rng(zlib.crc32(name.encode()))
@@ -88,7 +86,7 @@ def test_a_damaged_message_is_valid_or_refused(name: str, mutations: int) -> Non
     assert _peak_memory() - before < 32 * 2**20
 
 
-def test_no_refusal_stays_alive() -> None:
+def test_rejected_messages_are_freed() -> None:
     for cls in EVERY_MESSAGE.values():
         _decode_or_refuse(cls, b"")
     assert _live_errors() == 0
@@ -111,7 +109,7 @@ def test_memory_is_bounded_by_the_size_of_the_bytes(name: str) -> None:
 
 
 def plain(value: Any) -> Any:
-    """As dictionaries, lists and numbers."""
+    """Return a message as dictionaries, lists and numbers."""
     if isinstance(value, bool | int | float | str):
         return value
     if isinstance(value, np.ndarray):
@@ -122,7 +120,7 @@ def plain(value: Any) -> Any:
 
 
 def constructed(value: Any) -> Any:
-    """The same, made by the constructors of its classes, which check all."""
+    """Return a message remade by the constructors of its classes, which validate everything."""
     if hasattr(value, "__ros_type__"):
         return type(value)(*[constructed(getattr(value, field.name)) for field in fields(value)])
     if isinstance(value, Packed):

@@ -1,4 +1,4 @@
-"""How messages behave in Python: defaults, immutability, equality, what they are made of."""
+"""Messages in Python: defaults, immutability, equality, conversion of values."""
 
 import gc
 import math
@@ -26,17 +26,17 @@ from cairn.schemas.sensor_msgs import CameraInfo, Image, LaserScan
 from cairn.schemas.std_msgs import Header
 
 
-def test_fields_left_out_are_zero_and_a_pose_is_level() -> None:
+def test_omitted_fields_are_zero_and_orientation_is_identity() -> None:
     assert Header() == Header(stamp=Time(sec=0, nanosec=0), frame_id="")
     assert Pose().orientation == Quaternion(x=0.0, y=0.0, z=0.0, w=1.0)
     assert PoseWithCovariance().covariance.tolist() == [0.0] * 36
 
 
-def test_a_message_knows_its_ros_name() -> None:
+def test_message_class_has_its_ros_name() -> None:
     assert type_name(Twist) == "geometry_msgs/msg/Twist"
 
 
-def test_only_messages_have_a_ros_name() -> None:
+def test_other_classes_have_no_ros_name() -> None:
     class OwnTwist(Twist):
         pass
 
@@ -47,12 +47,12 @@ def test_only_messages_have_a_ros_name() -> None:
 
 
 @pytest.mark.parametrize("name", ["Twist", "geometry_msgs/Twist", "geometry_msgs/srv/Twist", "/"])
-def test_a_message_needs_a_full_ros_name(name: str) -> None:
+def test_incomplete_ros_name_is_rejected(name: str) -> None:
     with pytest.raises(TypeError, match="is not a ROS 2 message name"):
         message(name)
 
 
-def test_a_message_without_fields_is_no_message() -> None:
+def test_class_without_fields_is_rejected() -> None:
     with pytest.raises(TypeError, match="at least one field"):
 
         @message("test_msgs/msg/Nothing")
@@ -60,7 +60,7 @@ def test_a_message_without_fields_is_no_message() -> None:
             """Nothing."""
 
 
-def test_nothing_in_a_message_can_be_changed() -> None:
+def test_message_is_immutable() -> None:
     scan = LaserScan(range_max=8.0, ranges=np.ones(1, np.float32))
     with pytest.raises(FrozenInstanceError):
         scan.angle_min = 1.0  # type: ignore[misc]
@@ -68,14 +68,14 @@ def test_nothing_in_a_message_can_be_changed() -> None:
         scan.ranges[0] = 2.0
 
 
-def test_the_array_that_was_given_can_be_changed_without_changing_the_message() -> None:
+def test_changing_the_source_array_does_not_change_the_message() -> None:
     covariance = np.eye(6).ravel()
     uncertain = PoseWithCovariance(covariance=covariance)
     covariance[0] = 9.0
     assert uncertain.covariance[0] == 1.0
 
 
-def test_a_read_only_array_of_the_right_type_is_not_copied() -> None:
+def test_read_only_array_of_the_right_type_is_not_copied() -> None:
     pixels = np.zeros(12, np.uint8)
     pixels.flags.writeable = False
     assert Image(height=3, step=4, data=pixels).data is pixels
@@ -121,12 +121,12 @@ def test_sequences_become_arrays_of_the_type_on_the_wire(cells: object) -> None:
     ],
     ids=lambda values: "iterator" if hasattr(values, "__next__") else repr(values),
 )
-def test_what_an_array_cannot_hold_exactly_is_refused(values: object) -> None:
+def test_value_that_the_array_type_cannot_hold_exactly_is_rejected(values: object) -> None:
     with pytest.raises(InvalidMessage, match=r"nav_msgs/msg/OccupancyGrid: data = .*: must "):
         OccupancyGrid(info=MapMetaData(resolution=0.1, width=1, height=1), data=values)  # type: ignore[arg-type]
 
 
-def test_double_precision_arrays_are_not_rounded_silently_but_python_floats_are() -> None:
+def test_python_floats_are_rounded_to_float32_but_float64_arrays_are_not() -> None:
     with pytest.raises(InvalidMessage, match="float32 represents exactly"):
         LaserScan(ranges=np.array([0.1]))
     with pytest.raises(InvalidMessage, match="fit float32"):
@@ -137,7 +137,7 @@ def test_double_precision_arrays_are_not_rounded_silently_but_python_floats_are(
     assert LaserScan(range_max=8.0, ranges=[0.1]).ranges[0] == np.float32(0.1)  # type: ignore[arg-type]
 
 
-def test_a_single_precision_field_holds_what_the_wire_carries() -> None:
+def test_float32_field_is_rounded_to_float32() -> None:
     assert MapMetaData(resolution=0.05).resolution == float(np.float32(0.05))
 
 
@@ -158,13 +158,13 @@ def test_numpy_scalars_and_enumerations_become_python_numbers() -> None:
     assert type(evidence.verdict) is int
 
 
-def test_a_held_message_may_be_given_as_a_mapping() -> None:
+def test_message_field_accepts_a_mapping() -> None:
     assert Twist(linear={"x": 1.0}) == Twist(linear=Vector3(x=1.0))  # type: ignore[arg-type]
     with pytest.raises(InvalidMessage, match=r"Twist: linear\.x = 'fast': must be a finite number"):
         Twist(linear={"x": "fast"})  # type: ignore[arg-type]
 
 
-def test_messages_are_equal_if_all_that_they_hold_is() -> None:
+def test_messages_with_equal_fields_are_equal() -> None:
     one, same, other = (
         LaserScan(range_max=8.0, ranges=np.float32([1, np.nan, r]))  # type: ignore[arg-type]
         for r in (2, 2, 3)
@@ -176,13 +176,13 @@ def test_messages_are_equal_if_all_that_they_hold_is() -> None:
     assert all(one != stranger for stranger in strangers)
 
 
-def test_absent_numbers_are_equal() -> None:
+def test_nan_equals_nan_in_messages() -> None:
     nowhere = VisualMapChange(old_x=math.nan, old_y=-math.nan)
     assert nowhere == VisualMapChange()
     assert hash(nowhere) == hash(VisualMapChange())
 
 
-def test_replace_checks_the_new_message() -> None:
+def test_replace_validates_the_new_message() -> None:
     sighting = RecognizedObject(object_id=1, range=2.0, bearing=0.0)
     assert replace(sighting, range=3.0).range == 3.0
     with pytest.raises(InvalidMessage, match=r"range = -1\.0: must be a finite number above 0"):
@@ -202,7 +202,7 @@ def test_missing_and_unknown_fields_are_named() -> None:
         Header(frame="map")  # type: ignore[call-arg]
 
 
-def test_a_long_value_is_shortened_in_the_error() -> None:
+def test_long_value_is_shortened_in_the_error() -> None:
     with pytest.raises(InvalidMessage) as refused:
         Header(frame_id="a" * 10_000 + "\0")
     assert len(str(refused.value)) < 300
@@ -213,7 +213,7 @@ def test_a_long_value_is_shortened_in_the_error() -> None:
     assert refused.value.type_name == "sensor_msgs/msg/Image"
 
 
-def test_a_refusal_leaves_nothing_in_memory() -> None:
+def test_rejection_leaks_no_memory() -> None:
     before = set(map(id, _refusals()))
     for _ in range(10):
         with pytest.raises(InvalidMessage):
@@ -229,16 +229,16 @@ def _refusals() -> list[object]:
     return [thing for thing in gc.get_objects() if type(thing) in (InvalidMessage, ValidationError)]
 
 
-def test_a_float_above_all_limits_of_single_precision_is_refused() -> None:
+def test_float_beyond_float32_is_rejected() -> None:
     with pytest.raises(InvalidMessage, match=r"range_max = 1e\+39: is too large for a float32"):
         LaserScan(range_max=1e39)
 
 
-def test_defaults_are_converted_and_checked_too() -> None:
+def test_defaults_are_converted_and_validated() -> None:
     assert Battery(voltage=12.0).good.dtype == np.bool_
 
 
-def test_users_define_their_own_messages_in_the_same_way() -> None:
+def test_users_can_define_messages() -> None:
     battery = Battery(voltage=12.1, cells=[4000, 4100], good=[True, False])  # type: ignore[arg-type]
     assert battery.cells.dtype == np.int16
     with pytest.raises(
@@ -263,7 +263,7 @@ class Battery:
             reject(self, "voltage", self.voltage, "must be above 0")
 
 
-def test_truth_values_must_be_zero_or_one() -> None:
+def test_bool_array_rejects_bytes_other_than_0_and_1() -> None:
     raw = np.array([0, 1, 2], np.uint8).view(np.bool_)
     with pytest.raises(InvalidMessage, match="must hold the bytes 0 and 1 only"):
         Battery(voltage=1.0, good=raw)

@@ -1,4 +1,4 @@
-"""What each message refuses, and how the refusal reads."""
+"""What each message rejects, and the error message."""
 
 import math
 import re
@@ -148,7 +148,9 @@ def scan(beams: int, first: float, last: float, step: float, **more: Any) -> Las
         ),
     ],
 )
-def test_refused(make: Callable[[], object], error: str) -> None:
+def test_invalid_message_is_rejected_with_path_value_and_reason(
+    make: Callable[[], object], error: str
+) -> None:
     with pytest.raises(InvalidMessage, match=re.escape(error)):
         make()
 
@@ -175,5 +177,5 @@ def test_refused(make: Callable[[], object], error: str) -> None:
         lambda: VisualMapChange(old_x=1.0, old_y=2.0, kind=VisualMapChange.REMOVED),
     ],
 )
-def test_accepted(make: Callable[[], object]) -> None:
+def test_valid_message_is_accepted(make: Callable[[], object]) -> None:
     make()
