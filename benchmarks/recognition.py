@@ -27,9 +27,9 @@ from benchmarks.pictures import (
 )
 from benchmarks.result import Figure
 from cairn.vision.features import Features, extract
-from cairn.vision.recognition import Recognition, Recognizer
-from cairn.vision.taught import TaughtObject
-from cairn.vision.teaching import view_of
+from cairn.vision.object_model import ObjectModel
+from cairn.vision.recognition import Detection, Recognizer
+from cairn.vision.teaching import make_view
 
 _SHOWN = 10  # objects, known in each database, that scenes show one of
 _SCENES, _EMPTY, _SWEPT = 60, 150, 40
@@ -93,11 +93,11 @@ def measure() -> list[Figure]:
     return figures
 
 
-def _taught(number: int, picture: Gray) -> TaughtObject:
-    return TaughtObject(number, f"object {number}", None, (view_of(picture),))
+def _taught(number: int, picture: Gray) -> ObjectModel:
+    return ObjectModel(number, f"object {number}", None, (make_view(picture),))
 
 
-def _scene(taught: Sequence[TaughtObject], scenery: Scenery, random: np.random.Generator) -> _Scene:
+def _scene(taught: Sequence[ObjectModel], scenery: Scenery, random: np.random.Generator) -> _Scene:
     shown = int(random.integers(_SHOWN))
     picture = taught[shown].views[0].picture
     homography = seen(picture, scenery, random)
@@ -119,7 +119,7 @@ def _recall(recognizer: Recognizer, scenes: Sequence[_Scene]) -> tuple[float, fl
     return found / len(scenes), took / len(scenes)
 
 
-def _right(found: Recognition, scene: _Scene, recognizer: Recognizer) -> bool:
+def _right(found: Detection, scene: _Scene, recognizer: Recognizer) -> bool:
     if scene.shown not in (found.object_id, *found.alternatives):
         return False
     taught = next(each for each in recognizer.objects if each.object_id == found.object_id)
@@ -127,7 +127,7 @@ def _right(found: Recognition, scene: _Scene, recognizer: Recognizer) -> bool:
     return float(np.linalg.norm(found.corners - truth, axis=1).max()) < _OFF
 
 
-def _false(taught: Sequence[TaughtObject]) -> Figure:
+def _false(taught: Sequence[ObjectModel]) -> Figure:
     """How many objects are found in images that show none: photographs, and other pictures."""
     random = np.random.default_rng(3)
     recognizer = Recognizer(taught)

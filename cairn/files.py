@@ -1,14 +1,17 @@
-"""Replace files atomically.
+"""Replace files atomically, and explain why a file cannot be read or written.
 
-Own code because the library for it, `atomicwrites`, was archived in 2022, and this takes 20 lines.
+Replacing is own code because the library for it, `atomicwrites`, was archived in 2022, and this
+takes 20 lines.
 """
 
 from __future__ import annotations
 
+import errno
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Final
 
 
 def replace_file(path: Path, data: bytes, *, durable: bool = True) -> None:
@@ -41,3 +44,25 @@ def replacing(path: Path, *, durable: bool = True) -> Iterator[Path]:
     except BaseException:
         part.unlink(missing_ok=True)
         raise
+
+
+_FREE_SPACE: Final = "free some space on its disk"
+_PERMISSION: Final = "change its permissions, or give another path"
+_REMEDIES: Final = {
+    errno.ENOSPC: _FREE_SPACE,
+    errno.EDQUOT: _FREE_SPACE,
+    errno.EACCES: _PERMISSION,
+    errno.EPERM: _PERMISSION,
+    errno.EROFS: "its disk is read-only: give another path",
+    errno.EISDIR: "it is a folder: give a file",
+    errno.ENOTDIR: "a part of the path is a file, not a folder: correct it",
+    errno.EEXIST: "something else has this name: give another path",
+    errno.ENOENT: "correct the path",
+    errno.EIO: "its disk fails: read the system's log",
+}
+
+
+def explain_os_error(error: OSError) -> str:
+    """Return the system's message of a failed file operation, and a remedy."""
+    remedy = _REMEDIES.get(error.errno or 0, "correct the path, or the file there")
+    return f"{error.strerror or error}; {remedy}"

@@ -51,7 +51,7 @@ COMMANDS = (
                 "Stop a component and start it again.", _CONTROL),
     LazyCommand("map", "cairn.components.map_builder.cli:app",
                 "Import, show and export visual maps and grid maps.", _MAPS),
-    LazyCommand("object", "cairn.components.object_recognizer.cli:app",
+    LazyCommand("object", "cairn.components.object_recognizer.object_cli:app",
                 "Teach objects to the recognizer; show them.", _MAPS),
     LazyCommand("recognize", "cairn.components.object_recognizer.recognize_cli:recognize",
                 "Recognize taught objects in an image.", _MAPS),

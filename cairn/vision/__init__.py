@@ -1,1 +1,1 @@
-"""What cameras see: images, features, taught objects and where they are; knows no bus."""
+"""Computer vision without a bus: images, features, recognition, stereo, ranging, calibration."""

@@ -1,8 +1,8 @@
-"""A camera's calibration from pictures of a chessboard.
+"""Calibrates a camera, or a stereo pair, from images of a chessboard.
 
 Z. Zhang, A Flexible New Technique for Camera Calibration, PAMI 22(11), 2000. Distortion is ROS's
-plumb_bob with k3 = 0, as camera_calibration has it by default: what is seen of a board seldom
-reaches into an image's corners, and a third coefficient runs wild there.
+plumb_bob with k3 = 0, as in camera_calibration by default: boards seldom reach the corners of an
+image, where a third coefficient would extrapolate wildly.
 """
 
 from __future__ import annotations
@@ -18,43 +18,43 @@ from numpy.typing import NDArray
 from cairn.errors import CairnError
 from cairn.schemas.sensor_msgs import CameraInfo
 from cairn.schemas.std_msgs import Header
-from cairn.vision.chessboard import Board
+from cairn.vision.chessboard import Board, reorder_like
 
 Array = NDArray[np.float64]
-Matrix = NDArray[np.integer | np.floating]  # as OpenCV gives it
+Matrix = NDArray[np.integer | np.floating]  # as OpenCV returns it
 
 FEWEST = 3
-"""Images of the board that a calibration needs at least."""
+"""Fewest images of the board for a calibration."""
 
-# An image is left out if its error [px] is above this, and above this many times the median's:
-# then its corners are not where they seem.
+# An image or a pair is excluded if its error is above this [px], and above this multiple of the
+# median error: then its corners were not found where they are.
 _BAD_PX, _BAD_TIMES = 1.0, 3.0
-# Images of more than this error, and this many times the median's, are told of, but used.
+# Images with errors above this [px], and above this multiple of the median, are used but reported.
 _OUTLYING_PX, _OUTLYING_TIMES = 0.3, 2.0
-# Above this share of it, the focal length's deviation makes a calibration doubtful.
+# Relative standard deviation of the focal length above which a calibration is doubtful.
 _VAGUE = 0.01
-# Boards turned less than this against each other [deg] are seen from one viewpoint.
+# Boards rotated less than this against each other [deg] count as one viewpoint.
 _ONE_VIEW = 15.0
-# Boards turned less than this [deg] tell nothing of the focal length.
+# Boards rotated less than this [deg] do not determine the focal length.
 _UNTURNED = 5.0
-# Where no corner was seen, distortion is but continued: this share of width and height is wanted.
+# Least share of width and height that corners should cover: outside, distortion is extrapolated.
 _COVERED = 0.5
-# More than this [px] is not what corners of a flat board give.
+# Corners of a flat board have smaller errors [px].
 _LARGE_ERROR = 1.0
 
 USELESS_PX = 5.0
-"""Cameras and boards err by tenths of a pixel; by more than this [px] images are mixed up."""
+"""Usual errors are tenths of a pixel; above this [px] the images were mixed up."""
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """What was found of one camera.
+    """The calibration of one camera.
 
     `intrinsics` K (3, 3), `distortion` (5,) k1 k2 p1 p2 k3, `rms` [px] over all corners, and by the
-    name of each image: `corners` (n, 2), `residuals` (n, 2: seen less projected) [px], and the
-    rotation (3,) and translation (3,) [m] of the board, `poses`. `focal_deviation` [px] is the
-    standard deviation of the less certain focal length. `left_out` are images that did not fit,
-    with their errors [px].
+    name of each image: `corners` (n, 2), `residuals` (n, 2: measured less projected) [px], and
+    `poses`, the rotation vector (3,) and translation (3,) [m] of the board. `focal_deviation` [px]
+    is the standard deviation of the less certain focal length. `excluded` are the images that did
+    not fit, with their errors [px].
     """
 
     board: Board
@@ -66,11 +66,11 @@ class Calibration:
     corners: Mapping[str, Array]
     residuals: Mapping[str, Array]
     poses: Mapping[str, tuple[Array, Array]]
-    left_out: Mapping[str, float]
+    excluded: Mapping[str, float]
 
     @property
     def errors(self) -> dict[str, float]:
-        """The root mean square of the residuals of each image [px]."""
+        """Return the root mean square of the residuals of each image [px]."""
         return {
             name: math.sqrt(float(np.mean(np.sum(of**2, axis=1))))
             for name, of in self.residuals.items()
@@ -78,89 +78,92 @@ class Calibration:
 
     @property
     def outlying(self) -> dict[str, float]:
-        """Images that fit much worse than the others, with their errors [px]."""
+        """Return the images that fit much worse than the others, with their errors [px]."""
         errors = self.errors
         limit = max(_OUTLYING_PX, _OUTLYING_TIMES * float(np.median(list(errors.values()))))
         return {name: error for name, error in errors.items() if error > limit}
 
     @property
     def coverage(self) -> tuple[float, float]:
-        """The shares of the image's width and height over which corners were seen."""
-        seen = np.concatenate(list(self.corners.values()))
-        wide, high = np.ptp(seen, axis=0) / np.array(self.size)
+        """Return the shares of the image's width and height that corners cover."""
+        corners = np.concatenate(list(self.corners.values()))
+        wide, high = np.ptp(corners, axis=0) / np.array(self.size)
         return float(wide), float(high)
 
-    def doubts(self) -> list[str]:
-        """Why this calibration may be worse than its error says: sentences with a remedy."""
-        told = []
+    def warnings(self) -> list[str]:
+        """Return why this calibration may be worse than its error suggests, with remedies."""
+        warnings = []
         focal = float(min(self.intrinsics[0, 0], self.intrinsics[1, 1]))
-        turned = _largest_turn(self.poses)
-        if turned < _ONE_VIEW or self.focal_deviation > _VAGUE * focal:
-            told.append(
+        rotated = _largest_rotation(self.poses)
+        if rotated < _ONE_VIEW or self.focal_deviation > _VAGUE * focal:
+            warnings.append(
                 f"the focal length is {focal:.1f} +- {self.focal_deviation:.1f} px: the board was "
-                f"turned by {turned:.0f} deg at most between images; take more, with the board "
-                "turned by 30 to 45 deg to every side"
+                f"rotated by at most {rotated:.0f} deg between images; take more images with the "
+                "board rotated by 30 to 45 deg to every side"
             )
         wide, high = self.coverage
         if min(wide, high) < _COVERED:
-            told.append(
+            warnings.append(
                 f"corners cover {100 * wide:.0f} % of the image's width and {100 * high:.0f} % of "
-                "its height: distortion outside is a guess; hold the board into every corner"
+                "its height: distortion outside is extrapolated; hold the board into every corner"
             )
         if self.rms > _LARGE_ERROR:
-            told.append(
-                f"an error of {self.rms:.2f} px is large: is the board flat, are images sharp, is "
-                "the lens no fisheye?"
+            warnings.append(
+                f"the error of {self.rms:.2f} px is large; check that the board is flat, images "
+                "are sharp, and the lens is not a fisheye"
             )
-        return told
+        return warnings
 
 
 def calibrate(corners: Mapping[str, Array], size: tuple[int, int], board: Board) -> Calibration:
-    """The camera that saw the board's `corners` (n, 2) [px], by the name of each image.
+    """Calibrate a camera by the board's `corners` (n, 2) [px], by the name of each image.
 
-    `size` is the images' width and height [px]. Images that do not fit are left out. Raises
-    `CairnError` if there are too few, or no camera explains them.
+    `size` is the images' width and height [px]. Images that do not fit are excluded. Raises
+    `CairnError` if there are too few images, or no camera explains them.
     """
-    left_out: dict[str, float] = {}
+    excluded: dict[str, float] = {}
     while True:
         if len(corners) < FEWEST:
-            without = "".join(f", {name} left out ({e:.1f} px)" for name, e in left_out.items())
+            without = "".join(f", {name} excluded ({e:.1f} px)" for name, e in excluded.items())
             raise CairnError(
                 f"{len(corners)} usable image{'' if len(corners) == 1 else 's'} of the board"
-                f"{without}: a calibration needs {FEWEST} at least, and 10 to be good"
+                f"{without}; a calibration needs at least {FEWEST}, and 10 to be good"
             )
-        found = _calibrated(corners, size, board)
+        found = _solve(corners, size, board)
         errors = found.errors
         worst = max(errors, key=errors.__getitem__)
         if errors[worst] <= max(_BAD_PX, _BAD_TIMES * float(np.median(list(errors.values())))):
             break
-        left_out[worst] = errors[worst]
+        excluded[worst] = errors[worst]
         corners = {name: of for name, of in corners.items() if name != worst}
-    turned = _largest_turn(found.poses)
-    if turned < _UNTURNED:
+    rotated = _largest_rotation(found.poses)
+    if rotated < _UNTURNED:
         raise CairnError(
-            f"the board was turned by {turned:.0f} deg at most between images: such images do not "
-            "tell the focal length. Take some with the board turned by 30 to 45 deg to every side"
+            f"the board was rotated by at most {rotated:.0f} deg between images, which does not "
+            "determine the focal length; take images with the board rotated by 30 to 45 deg to "
+            "every side"
         )
     if found.rms > USELESS_PX:
         raise CairnError(
-            f"an error of {found.rms:.1f} px is no calibration: are all images of one camera, and "
-            "of this board?"
+            f"the error of {found.rms:.1f} px is too large for a calibration; check that all "
+            "images are of one camera, and of this board"
         )
-    return replace(found, left_out=left_out)
+    return replace(found, excluded=excluded)
 
 
-def camera_info(found: Calibration, name: str) -> CameraInfo:
-    """The calibration of a camera alone; its rectified image holds valid pixels only (alpha 0)."""
+def single_camera_info(found: Calibration, name: str) -> CameraInfo:
+    """Return the CameraInfo of a single camera; rectification keeps valid pixels only (alpha 0)."""
     projection = np.zeros((3, 4))
     projection[:, :3], _ = cv2.getOptimalNewCameraMatrix(
         found.intrinsics, found.distortion, found.size, 0.0
     )
-    return described(found, name, np.eye(3), projection)
+    return make_camera_info(found, name, np.eye(3), projection)
 
 
-def described(found: Calibration, name: str, rotation: Matrix, projection: Matrix) -> CameraInfo:
-    """CameraInfo of a calibration, rectified by `rotation` (3, 3) and `projection` (3, 4)."""
+def make_camera_info(
+    found: Calibration, name: str, rotation: Matrix, projection: Matrix
+) -> CameraInfo:
+    """Return a CameraInfo with rectification by `rotation` (3, 3) and `projection` (3, 4)."""
     return CameraInfo(
         header=Header(frame_id=name),
         width=found.size[0],
@@ -173,22 +176,26 @@ def described(found: Calibration, name: str, rotation: Matrix, projection: Matri
     )
 
 
-def _calibrated(corners: Mapping[str, Array], size: tuple[int, int], board: Board) -> Calibration:
+def _solve(corners: Mapping[str, Array], size: tuple[int, int], board: Board) -> Calibration:
     model = board.points.astype(np.float32)
     seen = [of.astype(np.float32) for of in corners.values()]
     try:
-        rms, intrinsics, distortion, turns, moves, deviations, *_ = cv2.calibrateCameraExtended(
-            [model] * len(seen), seen, size, np.eye(3), np.zeros(5), flags=cv2.CALIB_FIX_K3
+        rms, intrinsics, distortion, rotations, translations, deviations, *_ = (
+            cv2.calibrateCameraExtended(
+                [model] * len(seen), seen, size, np.eye(3), np.zeros(5), flags=cv2.CALIB_FIX_K3
+            )
         )
     except cv2.error as error:
         raise CairnError(f"no camera explains the corners of {', '.join(corners)}") from error
     if not np.isfinite(rms) or not np.isfinite(intrinsics).all():
         raise CairnError(f"no camera explains the corners of {', '.join(corners)}")
     residuals, poses = {}, {}
-    for (name, points), turn, move in zip(corners.items(), turns, moves, strict=True):
-        projected, _ = cv2.projectPoints(model, turn, move, intrinsics, distortion)
+    for (name, points), rotation, translation in zip(
+        corners.items(), rotations, translations, strict=True
+    ):
+        projected, _ = cv2.projectPoints(model, rotation, translation, intrinsics, distortion)
         residuals[name] = points - projected.reshape(-1, 2)
-        poses[name] = (turn.ravel().astype(np.float64), move.ravel().astype(np.float64))
+        poses[name] = (rotation.ravel().astype(np.float64), translation.ravel().astype(np.float64))
     return Calibration(
         board,
         size,
@@ -203,7 +210,149 @@ def _calibrated(corners: Mapping[str, Array], size: tuple[int, int], board: Boar
     )
 
 
-def _largest_turn(poses: Mapping[str, tuple[Array, Array]]) -> float:
-    """The largest angle [deg] between any two boards' planes."""
-    normals = np.array([cv2.Rodrigues(turn)[0][:, 2] for turn, _ in poses.values()])
+def _largest_rotation(poses: Mapping[str, tuple[Array, Array]]) -> float:
+    """Return the largest angle [deg] between any two boards' planes."""
+    normals = np.array([cv2.Rodrigues(rotation)[0][:, 2] for rotation, _ in poses.values()])
     return math.degrees(math.acos(float(np.clip((normals @ normals.T).min(), -1.0, 1.0))))
+
+
+@dataclass(frozen=True)
+class StereoCalibration:
+    """Two cameras, and `rotation` (3, 3) and `translation` (3,) [m] from the left to the right.
+
+    `rms` [px] is over all corners in both images of all pairs; `errors` [px] are those of each pair
+    by the name of its left image. `excluded` are the pairs that did not fit, with their errors.
+    """
+
+    left: Calibration
+    right: Calibration
+    rotation: Array
+    translation: Array
+    rms: float
+    errors: Mapping[str, float]
+    excluded: Mapping[str, float]
+
+    @property
+    def baseline(self) -> float:
+        """Return the distance of the cameras [m]."""
+        return float(np.linalg.norm(self.translation))
+
+    def warnings(self) -> list[str]:
+        """Return why this calibration may be worse than its error suggests, with remedies."""
+        warnings = [f"left: {warning}" for warning in self.left.warnings()]
+        warnings += [f"right: {warning}" for warning in self.right.warnings()]
+        if self.rms > _LARGE_ERROR:
+            warnings.append(
+                f"the pairs' error of {self.rms:.2f} px is large; check that both images of each "
+                "pair were taken at the same time, and that the cameras did not move"
+            )
+        return warnings
+
+
+def calibrate_pair(
+    left: Mapping[str, Array],
+    right: Mapping[str, Array],
+    pairs: Mapping[str, str],
+    size: tuple[int, int],
+    board: Board,
+) -> StereoCalibration:
+    """Calibrate two cameras by the corners (n, 2) [px] of each image, by its name.
+
+    `pairs` maps each left image to its right one. Each camera is calibrated with all of its images,
+    then their relative pose with the pairs of which both images are usable. Raises `CairnError` as
+    `calibrate`, and if the cameras are swapped or above each other.
+    """
+    cameras = calibrate(left, size, board), calibrate(right, size, board)
+    usable = {a: b for a, b in pairs.items() if a in cameras[0].corners and b in cameras[1].corners}
+    excluded: dict[str, float] = {}
+    while True:
+        if len(usable) < FEWEST:
+            raise CairnError(
+                f"{len(usable)} pair{'' if len(usable) == 1 else 's'} of which both images show "
+                f"the board; a calibration needs at least {FEWEST}, and 10 to be good"
+            )
+        found = _solve_pair(cameras[0], cameras[1], usable, excluded)
+        worst = max(found.errors, key=found.errors.__getitem__)
+        limit = _BAD_TIMES * float(np.median(list(found.errors.values())))
+        if found.errors[worst] <= max(_BAD_PX, limit):
+            break
+        excluded[worst] = found.errors[worst]
+        del usable[worst]
+    if found.rms > USELESS_PX:
+        raise CairnError(
+            f"the pairs' error of {found.rms:.1f} px is too large for a calibration; check that "
+            "both images of each pair were taken at the same time and have corresponding names"
+        )
+    x, y, _ = found.translation
+    if abs(x) < abs(y):
+        raise CairnError(
+            f"the right camera is {abs(y):.3f} m above or below the left one, but {abs(x):.3f} m "
+            "beside it; mount the cameras side by side, other arrangements are not supported"
+        )
+    if x > 0:
+        raise CairnError(
+            f"left and right are swapped: the right camera is {x:.3f} m to the left of the left "
+            "one; swap the images"
+        )
+    return found
+
+
+def stereo_camera_infos(
+    found: StereoCalibration, names: tuple[str, str]
+) -> tuple[CameraInfo, CameraInfo]:
+    """Return the CameraInfos of both cameras.
+
+    Rectified images keep their size and have valid pixels only (alpha 0); disparity is 0 at
+    infinite distance.
+    """
+    turn_left, turn_right, project_left, project_right, *_ = cv2.stereoRectify(
+        found.left.intrinsics,
+        found.left.distortion,
+        found.right.intrinsics,
+        found.right.distortion,
+        found.left.size,
+        found.rotation,
+        found.translation.reshape(3, 1),
+        flags=cv2.CALIB_ZERO_DISPARITY,
+        alpha=0.0,
+    )
+    return (
+        make_camera_info(found.left, names[0], np.asarray(turn_left), np.asarray(project_left)),
+        make_camera_info(found.right, names[1], np.asarray(turn_right), np.asarray(project_right)),
+    )
+
+
+def _solve_pair(
+    left: Calibration, right: Calibration, pairs: Mapping[str, str], excluded: Mapping[str, float]
+) -> StereoCalibration:
+    model = left.board.points.astype(np.float32)
+    seen = [left.corners[name].astype(np.float32) for name in pairs]
+    beside = [
+        reorder_like(right.corners[b], left.corners[a], left.board).astype(np.float32)
+        for a, b in pairs.items()
+    ]
+    rms, _, _, _, _, rotation, translation, _, _, _, _, each = cv2.stereoCalibrateExtended(
+        [model] * len(seen),
+        seen,
+        beside,
+        left.intrinsics,
+        left.distortion,
+        right.intrinsics,
+        right.distortion,
+        left.size,
+        np.eye(3),
+        np.zeros(3),
+        flags=cv2.CALIB_FIX_INTRINSIC,
+    )
+    errors = {
+        name: math.sqrt(float(np.mean(np.square(of)))) for name, of in zip(pairs, each, strict=True)
+    }
+    return StereoCalibration(
+        left,
+        right,
+        np.asarray(rotation, np.float64),
+        np.asarray(translation, np.float64).ravel(),
+        float(rms),
+        errors,
+        dict(excluded),
+    )

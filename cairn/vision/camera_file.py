@@ -1,4 +1,4 @@
-"""Calibrations as files that ROS reads and writes (camera_info_manager's YAML)."""
+"""Reads and writes calibration files in the format of ROS (camera_info_manager's YAML)."""
 
 from __future__ import annotations
 
@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from cairn.errors import CairnError
-from cairn.files import replace_file
+from cairn.files import explain_os_error, replace_file
 from cairn.schemas.sensor_msgs import CameraInfo
 from cairn.schemas.std_msgs import Header
-from cairn.vision.file_errors import why
-from cairn.vision.rectification import Lens
+from cairn.vision.rectification import CameraModel
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 
@@ -38,7 +37,7 @@ class _Matrix(BaseModel):
 
 
 class _CameraFile(BaseModel):
-    """The keys of the file (camera_calibration_parsers); others are ignored."""
+    """The keys of the file (camera_calibration_parsers); other keys are ignored."""
 
     model_config = ConfigDict(extra="ignore")
 
@@ -59,11 +58,11 @@ _SHAPES = {
 
 
 def read_camera(file: Path, frame_id: str = "") -> CameraInfo:
-    """The calibration in a YAML file, for the camera whose optical frame is `frame_id`.
+    """Read a calibration file, for the camera whose optical frame is `frame_id`.
 
-    Raises `CairnError` that names file, key and value if it is none that can be used.
+    Raises `CairnError`, which names file, key and value, if it is not a valid calibration.
     """
-    found = _found(file)
+    found = _load(file)
     for key, shape in _SHAPES.items():
         matrix = getattr(found, key)
         if (matrix.rows, matrix.cols) != shape:
@@ -82,15 +81,15 @@ def read_camera(file: Path, frame_id: str = "") -> CameraInfo:
         p=np.array(found.projection_matrix.data, np.float64),
     )
     try:
-        Lens.of(info)
+        CameraModel.of(info)
     except CairnError as error:
-        told = str(error)
-        raise CairnError(told if told.startswith(f"{file}: ") else f"{file}: {told}") from error
+        text = str(error)
+        raise CairnError(text if text.startswith(f"{file}: ") else f"{file}: {text}") from error
     return info
 
 
 def write_camera(file: Path, info: CameraInfo, name: str) -> None:
-    """Write the calibration of the camera `name`; raises `CairnError` if that cannot be."""
+    """Write the calibration of the camera `name`; raise `CairnError` if writing fails."""
     content = {
         "image_width": info.width,
         "image_height": info.height,
@@ -105,26 +104,30 @@ def write_camera(file: Path, info: CameraInfo, name: str) -> None:
     try:
         replace_file(file, text.encode())
     except OSError as error:
-        raise CairnError(f"the calibration cannot be written to {file}: {why(error)}") from error
+        raise CairnError(
+            f"{file}: the calibration cannot be written: {explain_os_error(error)}"
+        ) from error
 
 
-_REMEDY = "calibrate the camera anew with `cairn camera calibrate`, or take a fresh copy"
+_REMEDY = "calibrate the camera again with `cairn camera calibrate`, or use an intact copy"
 
 
-def _found(file: Path) -> _CameraFile:
+def _load(file: Path) -> _CameraFile:
     try:
         content = yaml.safe_load(file.read_text(encoding="utf-8"))
     except FileNotFoundError as error:
         raise CairnError(
-            f"{file}: no such calibration; `cairn camera calibrate` makes one"
+            f"{file}: no such calibration file; make one with `cairn camera calibrate`"
         ) from error
     except OSError as error:
-        raise CairnError(f"{file}: its calibration cannot be read: {why(error)}") from error
+        raise CairnError(
+            f"{file}: the calibration cannot be read: {explain_os_error(error)}"
+        ) from error
     except (UnicodeDecodeError, yaml.YAMLError) as error:
-        told = " ".join(str(error).split())
-        raise CairnError(f"{file}: no camera's calibration in YAML: {told}; {_REMEDY}") from error
+        text = " ".join(str(error).split())
+        raise CairnError(f"{file}: not a calibration in YAML: {text}; {_REMEDY}") from error
     if not isinstance(content, dict):
-        raise CairnError(f"{file}: no camera's calibration in YAML: it has no keys; {_REMEDY}")
+        raise CairnError(f"{file}: not a calibration in YAML: it has no keys; {_REMEDY}")
     try:
         return _CameraFile.model_validate(content)
     except ValidationError as error:

@@ -1,4 +1,4 @@
-"""Image files in folders: in what order, and which of the left and which of the right camera."""
+"""Lists image files in folders, and assigns them to left and right cameras and to pairs."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from pathlib import Path
 from typing import Literal
 
 from cairn.errors import CairnError
-from cairn.vision.file_errors import why
+from cairn.files import explain_os_error
 
 Side = Literal["left", "right"]
 
 SUFFIXES = (".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".ppm", ".tif", ".tiff", ".webp")
-"""How names of images end."""
+"""Suffixes of image files."""
 
-# `left` and `right` as a word of their own: left01, img_left, LeftImage; not bright, not leftover.
+# `left` and `right` as separate words: left01, img_left, LeftImage; not bright, not leftover.
 _SIDE = re.compile(
     r"(?<![A-Za-z])(left|right|Left|Right|LEFT|RIGHT)(?![a-z])|(?<=[a-z0-9])(Left|Right)(?![a-z])"
 )
@@ -25,54 +25,54 @@ _CAMERA = re.compile(r"(?<![a-z])cam(?:era)?[_-]?([0-9]+)", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
-class Pairs:
-    """Left and right files that belong together, in order, and `alone` those that have no other."""
+class FilePairs:
+    """Left and right files that belong together, in order; `unpaired` files have no counterpart."""
 
     pairs: tuple[tuple[Path, Path], ...]
-    alone: tuple[Path, ...]
+    unpaired: tuple[Path, ...]
 
 
 def images_in(folder: Path) -> list[Path]:
-    """The images of a folder in natural order, or of its folders of a camera each.
+    """Return the images of a folder and of its camera folders, in natural order.
 
-    Those are `left` and `right`, or cameras with numbers such as `cam0` and `cam1`. Raises
-    `CairnError` if it cannot be read or holds none.
+    Camera folders are `left` and `right`, or numbered cameras such as `cam0` and `cam1`. Raises
+    `CairnError` if the folder cannot be read or has no images.
     """
     try:
         children = list(folder.iterdir())
-        for child in [child for child in children if is_of_camera(child)]:
+        for child in [child for child in children if is_camera_folder(child)]:
             children += child.iterdir()
     except OSError as error:
-        raise CairnError(f"{folder} cannot be read: {why(error)}.") from error
+        raise CairnError(f"{folder} cannot be read: {explain_os_error(error)}.") from error
     found = [child for child in children if child.suffix.lower() in SUFFIXES and child.is_file()]
     if not found:
-        raise CairnError(f"{folder} holds no images (files that end in {', '.join(SUFFIXES)}).")
-    return sorted(found, key=lambda path: (path.parent.name, natural(path)))
+        raise CairnError(f"{folder} has no images (files that end in {', '.join(SUFFIXES)}).")
+    return sorted(found, key=lambda path: (path.parent.name, natural_order(path)))
 
 
-def is_of_camera(folder: Path) -> bool:
-    """Whether it is a folder that by its name holds what one of several cameras took."""
+def is_camera_folder(folder: Path) -> bool:
+    """Return whether a folder's name says that it has the images of one of several cameras."""
     named = folder.name in ("left", "right") or _CAMERA.fullmatch(folder.name)
     return bool(named) and folder.is_dir()
 
 
-def sides_of(paths: Iterable[Path]) -> dict[Path, Side | None]:
-    """The camera of each file: by the words `left` and `right`, else by two cameras' numbers.
+def assign_cameras(paths: Iterable[Path]) -> dict[Path, Side | None]:
+    """Return the camera of each file: by the words `left` and `right`, else by camera numbers.
 
-    Of two numbers, as in cam0 and cam1, the lower one is the left camera's. Numbers in names of
-    files that are none or more than two are of a series that one camera took. Raises `CairnError`
-    if files are in folders of more than two cameras.
+    Of two numbers, as in cam0 and cam1, the lower one is the left camera. If file names have one
+    number only, or more than two, all files are a series of one camera. Raises `CairnError` if the
+    files are in folders of more than two cameras.
     """
-    words = {path: side_of(path) for path in paths}
+    words = {path: camera_of(path) for path in paths}
     if any(words.values()):
         return words
     numbers = {path: _number(path.stem) for path in words}
     if set(numbers.values()) == {None}:
         numbers = {path: _number(path.parent.name) for path in words}
         if len(set(numbers.values())) > 2:
-            folders = sorted({path.parent for path in words}, key=natural)
+            folders = sorted({path.parent for path in words}, key=natural_order)
             raise CairnError(
-                f"{', '.join(map(str, folders))} are folders of more than two cameras: give those "
+                f"{', '.join(map(str, folders))} are folders of more than two cameras; give those "
                 "of one or two"
             )
     cameras = set(numbers.values())
@@ -82,8 +82,8 @@ def sides_of(paths: Iterable[Path]) -> dict[Path, Side | None]:
     return {path: "left" if number == first else "right" for path, number in numbers.items()}
 
 
-def side_of(path: Path) -> Side | None:
-    """The camera that a file's name tells by a word, else its folder's; None if neither does."""
+def camera_of(path: Path) -> Side | None:
+    """Return the camera by a word in the file's name, else in its folder's name, else None."""
     for name in (path.stem, path.parent.name):
         sides = {(match[1] or match[2]).lower() for match in _SIDE.finditer(name)}
         if len(sides) == 1:
@@ -91,13 +91,13 @@ def side_of(path: Path) -> Side | None:
     return None
 
 
-def paired(left: Iterable[Path], right: Iterable[Path]) -> Pairs:
-    """Pairs of files whose names are the same but for what tells the camera, in natural order.
+def pair_files(left: Iterable[Path], right: Iterable[Path]) -> FilePairs:
+    """Pair files whose names differ only in the camera, in natural order.
 
-    That is `left` and `right`, or without such words the number after `cam`. Where files of one
-    camera in several folders have the same name, those of a pair have the same folders, too.
-    Natural order counts: frame9 comes before frame10. Raises `CairnError` if a camera has two files
-    of one name all the same.
+    The camera is `left` or `right`, or without such words the number after `cam`. If files of one
+    camera in several folders have the same name, the folders of a pair must correspond as well.
+    In natural order frame9 comes before frame10. Raises `CairnError` if the files of a camera are
+    still ambiguous.
     """
     sides = list(left), list(right)
     try:
@@ -105,15 +105,16 @@ def paired(left: Iterable[Path], right: Iterable[Path]) -> Pairs:
     except CairnError:
         ours, theirs = (_by_key(side, _with_folders) for side in sides)
     pairs = [(path, theirs[key]) for key, path in ours.items() if key in theirs]
-    alone = [path for key, path in ours.items() if key not in theirs]
-    alone += [path for key, path in theirs.items() if key not in ours]
-    return Pairs(
-        tuple(sorted(pairs, key=lambda pair: natural(pair[0]))), tuple(sorted(alone, key=natural))
+    unpaired = [path for key, path in ours.items() if key not in theirs]
+    unpaired += [path for key, path in theirs.items() if key not in ours]
+    return FilePairs(
+        tuple(sorted(pairs, key=lambda pair: natural_order(pair[0]))),
+        tuple(sorted(unpaired, key=natural_order)),
     )
 
 
-def natural(path: Path) -> list[tuple[int, int, str]]:
-    """What to sort files by, so that numbers in their names count."""
+def natural_order(path: Path) -> list[tuple[int, int, str]]:
+    """Return a sort key for natural order: numbers in names are compared as numbers."""
     return [
         (0, int(part), "") if part.isdigit() else (1, 0, part)
         for part in re.split(r"([0-9]+)", path.name)
@@ -126,8 +127,8 @@ def _by_key(files: Iterable[Path], key_of: Callable[[Path], str]) -> dict[str, P
         other = found.setdefault(key_of(file), file)
         if other != file:
             raise CairnError(
-                f"{other} and {file} have the same name, so it is not clear which belongs to the "
-                "other camera's: give one of them, or name them differently"
+                f"{other} and {file} have the same name, so it is not clear which one belongs to "
+                "the other camera's file; give one of them, or rename them"
             )
     return found
 

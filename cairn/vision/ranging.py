@@ -1,74 +1,66 @@
-"""Where a flat object is: by the disparities of its features, by its known size, by both."""
+"""Measures where a flat object is: by the disparities of its features, by its size, by both."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cairn.vision.plane_fit import fit_plane
 from cairn.vision.stereo import StereoRig
 
 Array = NDArray[np.float64]
 
-# Rectification is never better than this, and its error is the same for all points [px].
+# Error of rectification, at best; it is common to all points [px].
 _DISPARITY_FLOOR = 0.15
-# How well a calibration tells baseline and focal length, as a share of them.
+# Relative error of the calibrated baseline and focal length.
 _CALIBRATED = 0.01
-# How well a homography tells where the object's middle is in the image [px].
-_MIDDLE = 0.5
-# A distance whose error is more than this share of it is none: it has no normal distribution.
+# Error of the object's center in the image, by a homography [px].
+_CENTER = 0.5
+# A distance with a larger relative error is rejected: its error is not normally distributed.
 _TOO_FAR = 0.25
-# How well SIFT places a feature in both view and image [px], and what all have in common: the view
-# is a photograph itself, taken at a slant and by a lens.
+# Error of a feature's position in both view and image [px], and the part that all features share:
+# the view is a photograph itself, taken at a slant and through a lens.
 _POINT_FLOOR, _VIEW_FLOOR = 0.5, 0.25
-# Residuals beyond this many deviations are of wrong matches.
+# Residuals beyond this many standard deviations come from wrong matches.
 _OUTLYING = 3.0
-# A pose from fewer points has next to nothing that could contradict it.
+# A pose from fewer points has almost no redundancy.
 _FEWEST_POINTS = 7
-# 99.9 % of consistent pairs have a smaller distance (chi-square of 3 degrees of freedom).
+# 99.9 % quantile of chi-square with 3 degrees of freedom: scipy.stats.chi2.ppf(0.999, 3).
 _CONSISTENT = 16.27
+# Fit of a plane to disparities, by RANSAC: number of triples that are tried, and the largest
+# residual [px of disparity] of values that agree.
+_PLANE_TRIALS, _PLANE_NEAR = 200, 1.0
+# Least squares then keep residuals within so many standard deviations. At least this share and
+# this number of the values must agree.
+_PLANE_DEVIATIONS, _PLANE_SHARE, _PLANE_POINTS = 3.0, 0.6, 6
+# Standard deviation of the disparity of a single patch, at best [px].
+_PATCH_FLOOR = 0.1
 
 
 @dataclass(frozen=True)
-class Located:
-    """`position` (3,) [m] of an object's middle in the left rectified optical frame.
+class CameraPosition:
+    """The position (3,) [m] of an object's center in the left rectified optical frame.
 
-    That is x right, y down, z ahead; `covariance` (3, 3) [m^2] is of it.
+    The axes are x right, y down, z forward. `covariance` (3, 3) is in [m^2].
     """
 
     position: Array
     covariance: Array
 
 
-@dataclass(frozen=True)
-class Fused:
-    """What two ways of ranging give together, and how far they are apart.
-
-    `distance` is the squared Mahalanobis distance of the two (normalized innovation squared, 3
-    degrees of freedom), None where there was one way only.
-    """
-
-    located: Located
-    distance: float | None
-
-    @property
-    def consistent(self) -> bool:
-        """Whether the two may be of one place; if not, `located` is of none and not to be used."""
-        return self.distance is None or self.distance <= _CONSISTENT
-
-
-def by_stereo(
+def range_by_stereo(
     points: NDArray[np.floating], disparities: Array, middle: Array, rig: StereoRig
-) -> Located | None:
-    """Where the object's `middle` (2,) [px] in the left rectified image is.
+) -> CameraPosition | None:
+    """Return the position of the object's `middle` (2,) [px] in the left rectified image.
 
     `points` (n, 2) [px] are the object's features there, `disparities` (n,) [px] theirs, NaN where
-    there is none. The disparity of a plane is affine in the image, so one plane is fitted to those
-    that agree, and taken at the middle. None where too few agree, or the object is too far.
+    unknown. The disparity of a plane is affine in the image, so a plane is fitted to the
+    disparities that agree and evaluated at the middle. Return None if too few agree, or if the
+    object is too far away.
     """
     known = np.isfinite(disparities)
     centered = np.asarray(points, np.float64)[known] - middle
@@ -82,18 +74,18 @@ def by_stereo(
     depth = rig.fx * rig.baseline / disparity
     ray = np.array([(middle[0] - rig.cx) / rig.fx, (middle[1] - rig.cy) / rig.fy, 1.0])
     jacobian = np.zeros((3, 3))
-    # With the middle, the place on the plane moves too.
+    # An error of the middle also moves the point on the plane.
     slope = plane.coefficients[1:]
     jacobian[:, :2] = -np.outer(ray, slope) * depth / disparity
     jacobian[0, 0] += depth / rig.fx
     jacobian[1, 1] += depth / rig.fy
     jacobian[:, 2] = -ray * depth / disparity
-    covariance = jacobian @ np.diag((_MIDDLE**2, _MIDDLE**2, variance)) @ jacobian.T
+    covariance = jacobian @ np.diag((_CENTER**2, _CENTER**2, variance)) @ jacobian.T
     covariance += _CALIBRATED**2 * depth**2 * np.outer(ray, ray)
-    return Located(depth * ray, covariance)
+    return CameraPosition(depth * ray, covariance)
 
 
-def by_size(
+def range_by_size(
     view_points: NDArray[np.floating],
     image_points: NDArray[np.floating],
     view: tuple[int, int],
@@ -101,30 +93,30 @@ def by_size(
     rig: StereoRig,
     *,
     tolerance: float = 0.02,
-) -> Located | None:
-    """Where the middle of a flat object of known `size` (width, height) [m] is.
+) -> CameraPosition | None:
+    """Return the position of the center of a flat object of known `size` (width, height) [m].
 
-    `view_points` (n, 2) [px] in the `view` (width, height) [px] that shows the object from edge to
-    edge correspond to `image_points` (n, 2) [px] in the left rectified image. `tolerance` is the
-    deviation of the size as stated, as a share of it. None where too few points agree on a pose.
+    `view_points` (n, 2) [px] in the `view` (width, height) [px], which shows the object from edge
+    to edge, correspond to `image_points` (n, 2) [px] in the left rectified image. `tolerance` is
+    the relative error of the stated size. Return None if too few points agree on a pose.
     """
     scale = np.array([size[0] / view[0], size[1] / view[1]])
     flat = (np.asarray(view_points, np.float64) - (np.array(view) - 1) / 2) * scale
     model = np.column_stack((flat, np.zeros(len(flat))))
-    seen = np.asarray(image_points, np.float64)
+    observed = np.asarray(image_points, np.float64)
     camera = np.array([[rig.fx, 0, rig.cx], [0, rig.fy, rig.cy], [0, 0, 1]])
-    used = _agreeing(flat, seen)
+    used = _agreeing(flat, observed)
     rotation = translation = np.zeros((3, 1))
-    # Twice: those who agree are known better by the pose than by the homography.
+    # Twice: the pose selects inliers better than the homography.
     for _ in range(2):
-        if np.count_nonzero(used) < max(_FEWEST_POINTS, len(seen) // 2):
+        if np.count_nonzero(used) < max(_FEWEST_POINTS, len(observed) // 2):
             return None
-        pose = _pose(model[used], seen[used], camera)
+        pose = _pose(model[used], observed[used], camera)
         if pose is None:
             return None
         rotation, translation = pose
         projected, jacobian = cv2.projectPoints(model, rotation, translation, camera, np.zeros(5))
-        off = np.linalg.norm(projected[:, 0] - seen, axis=1)
+        off = np.linalg.norm(projected[:, 0] - observed, axis=1)
         deviation = max(_POINT_FLOOR, 1.4826 * float(np.median(off[used])) / 1.1774)
         used = off <= _OUTLYING * deviation * math.sqrt(2)
     count = int(np.count_nonzero(used))
@@ -132,58 +124,122 @@ def by_size(
         return None
     rows = np.repeat(used, 2)
     jacobian = np.asarray(jacobian, np.float64)[rows, :6]
-    # Less 2: what is estimated from few residuals is itself uncertain (Student's t).
+    # Less 2: a variance estimated from few residuals is itself uncertain (Student's t).
     noise = max(_POINT_FLOOR**2, float(np.sum(off[used] ** 2)) / (2 * count - 8))
-    # An error that all points have in common does not become less by their number.
+    # An error that all points share does not average out.
     variance = noise + count * _VIEW_FLOOR**2
     covariance = variance * np.asarray(np.linalg.pinv(jacobian.T @ jacobian), np.float64)[3:, 3:]
     position = translation.ravel()
     covariance += tolerance**2 * np.outer(position, position)
-    return Located(position, covariance)
+    return CameraPosition(position, covariance)
 
 
-def fused(stereo: Located | None, size: Located | None) -> Fused | None:
-    """Both by their information, with their distance; None if there is neither.
+def fuse(one: CameraPosition, other: CameraPosition) -> CameraPosition:
+    """Combine two independent estimates of one position by their covariances.
 
-    Two that are not `consistent` must not be used: the object has another size than stated, the
-    cameras are not where their calibration says, or what was recognized is something else.
+    Estimates that are not `consistent` must not be fused: the object has another size than stated,
+    the cameras are not where their calibration says, or something else was recognized.
     """
-    if stereo is None or size is None:
-        one = size if stereo is None else stereo
-        return None if one is None else Fused(one, None)
-    apart = stereo.position - size.position
-    gain = np.linalg.solve((stereo.covariance + size.covariance).T, stereo.covariance.T).T
-    position = stereo.position - gain @ apart
-    covariance = stereo.covariance - gain @ stereo.covariance
-    distance = float(apart @ np.linalg.solve(stereo.covariance + size.covariance, apart))
-    return Fused(Located(position, (covariance + covariance.T) / 2), distance)
+    apart = one.position - other.position
+    gain = np.linalg.solve((one.covariance + other.covariance).T, one.covariance.T).T
+    position = one.position - gain @ apart
+    covariance = one.covariance - gain @ one.covariance
+    return CameraPosition(position, (covariance + covariance.T) / 2)
 
 
-def _agreeing(flat: Array, seen: Array) -> NDArray[np.bool_]:
-    """Which of the points (n, 2) of plane and image agree with one homography."""
-    if len(seen) < _FEWEST_POINTS:
-        return np.zeros(len(seen), np.bool_)
-    _, mask = cv2.findHomography(flat, seen, cv2.RANSAC, _OUTLYING)
+def consistent(one: CameraPosition, other: CameraPosition) -> bool:
+    """Return whether two estimates may be of one position, by their Mahalanobis distance."""
+    return squared_distance(one, other) <= _CONSISTENT
+
+
+def squared_distance(one: CameraPosition, other: CameraPosition) -> float:
+    """Return the squared Mahalanobis distance of two estimates (3 degrees of freedom)."""
+    apart = one.position - other.position
+    return float(apart @ np.linalg.solve(one.covariance + other.covariance, apart))
+
+
+def _agreeing(flat: Array, observed: Array) -> NDArray[np.bool_]:
+    """Return which points (n, 2) of plane and image agree with one homography."""
+    if len(observed) < _FEWEST_POINTS:
+        return np.zeros(len(observed), np.bool_)
+    _, mask = cv2.findHomography(flat, observed, cv2.RANSAC, _OUTLYING)
     if mask is None:
-        return np.zeros(len(seen), np.bool_)
+        return np.zeros(len(observed), np.bool_)
     agree: NDArray[np.bool_] = mask.ravel() > 0
     return agree
 
 
-def _pose(model: Array, seen: Array, camera: Array) -> tuple[Array, Array] | None:
-    """Rotation vector (3, 1) and translation (3, 1) [m] that project `model` to `seen`."""
+def _pose(model: Array, observed: Array, camera: Array) -> tuple[Array, Array] | None:
+    """Return rotation vector (3, 1) and translation (3, 1) [m] that project `model`."""
     try:
         _, rotations, translations, _ = cv2.solvePnPGeneric(
-            model, seen, camera, None, flags=cv2.SOLVEPNP_IPPE
+            model, observed, camera, None, flags=cv2.SOLVEPNP_IPPE
         )
     except cv2.error:
         # All points on a line.
         return None
-    # IPPE gives both poses that a small image cannot tell apart, the better one first.
+    # IPPE returns both poses that a small image cannot distinguish, the better one first.
     for rotation, translation in zip(rotations, translations, strict=True):
         rotation, translation = cv2.solvePnPRefineLM(
-            model, seen, camera, None, rotation, translation
+            model, observed, camera, None, rotation, translation
         )
         if translation[2, 0] > 0 and np.isfinite(translation).all():
             return np.asarray(rotation, np.float64), np.asarray(translation, np.float64)
     return None
+
+
+@dataclass(frozen=True)
+class PlaneFit:
+    """value = c[0] + c[1] * x + c[2] * y, with the `covariance` (3, 3) of `coefficients` (3,)."""
+
+    coefficients: Array
+    covariance: Array
+    agree: NDArray[np.bool_]
+
+
+def fit_plane(points: Array, values: Array) -> PlaneFit | None:
+    """Fit an affine function of `points` (n, 2) to most of `values` (n,).
+
+    RANSAC (Fischler and Bolles 1981) selects the values that agree, least squares fit them. Return
+    None if fewer than six, or fewer than 60 % of them agree, or all points are on a line.
+    """
+    count = len(values)
+    if count < _PLANE_POINTS:
+        return None
+    model = np.column_stack((np.ones(count), points))
+    triples = _triples(count)
+    corners = model[triples]
+    spread = np.abs(np.linalg.det(corners))
+    triples, corners = triples[spread > 1.0], corners[spread > 1.0]
+    if not len(triples):
+        return None
+    planes = np.linalg.solve(corners, values[triples][:, :, None])[:, :, 0]
+    off = np.abs(planes @ model.T - values)
+    # MSAC (Torr and Zisserman 2000): values that agree are weighted by their residuals.
+    best = int(np.minimum(off, _PLANE_NEAR).sum(axis=1).argmin())
+    agree = off[best] <= _PLANE_NEAR
+    for _ in range(5):
+        if np.count_nonzero(agree) < max(_PLANE_POINTS, _PLANE_SHARE * count):
+            return None
+        coefficients, *_ = np.linalg.lstsq(model[agree], values[agree], rcond=None)
+        residuals = model @ coefficients - values
+        deviation = max(_PATCH_FLOOR, 1.4826 * float(np.median(np.abs(residuals[agree]))))
+        agree = np.abs(residuals) <= _PLANE_DEVIATIONS * deviation
+    used = model[agree]
+    # Less 2: a variance estimated from few residuals is itself uncertain (Student's t).
+    freedom = len(used) - 5
+    variance = max(_PATCH_FLOOR**2, float(np.sum(residuals[agree] ** 2)) / freedom)
+    covariance = variance * np.linalg.pinv(used.T @ used)
+    return PlaneFit(coefficients, covariance, agree)
+
+
+@lru_cache(maxsize=256)
+def _triples(count: int) -> NDArray[np.int64]:
+    """Return triples of point indices (trials, 3), the same for the same number of points.
+
+    They are cached: drawing them takes longer than the rest of the fit, and counts recur.
+    """
+    random = np.random.default_rng(count)
+    triples = np.array([random.choice(count, 3, replace=False) for _ in range(_PLANE_TRIALS)])
+    triples.flags.writeable = False
+    return triples

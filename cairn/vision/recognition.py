@@ -1,4 +1,4 @@
-"""Finds taught objects in images: nearest descriptors, poses they agree on, and geometric proof."""
+"""Recognizes objects in images: nearest descriptors, votes for poses, geometric verification."""
 
 from __future__ import annotations
 
@@ -10,32 +10,32 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cairn.vision import similarities, verification
-from cairn.vision.features import Features, none
-from cairn.vision.index import DescriptorIndex
-from cairn.vision.taught import TaughtObject, View
-from cairn.vision.verification import Placed, Scene
+from cairn.vision import feature_matching, verification
+from cairn.vision.feature_matching import DescriptorIndex, FeatureMatches, MatchGroups
+from cairn.vision.features import Features, no_features
+from cairn.vision.object_model import ModelView, ObjectModel
+from cairn.vision.verification import SortedFeatures, VerifiedMatch
 
 _NEIGHBORS = 10
 _RATIO = 0.85
-_ALIKE = 90.0  # so near that it is the same, of however many objects, but not if one repeats it
-_UNLIKE = 290.0  # between descriptors of different things, where so few are known that all are far
-_SEEDS = 4
-_FAILURES = 3
-_SAME = 0.5  # of the area that two quadrangles cover together, or of features that two claim
-_AS_WELL = 0.7  # times as strong as the strongest explanation
-_NESTED = 0.4  # times the share of the features that are found of the thing around it
+_SAME_DISTANCE = 90.0  # a nearer descriptor matches without the ratio test, unless it repeats
+_UNRELATED_DISTANCE = 290.0  # between unrelated descriptors; caps the ratio test's denominator
+_SEEDS = 4  # fewest matches that vote for a pose
+_FAILURES = 3  # poses of one view that may fail verification before the view is given up
+_SAME_OBJECT = 0.5  # overlap of two detections (of area, or of features) that explain one thing
+_ALTERNATIVE = 0.7  # strength of an alternative, relative to the strongest explanation
+_NESTED = 0.4  # relative share of visible features below which an inner detection is dropped
 
 
 @dataclass(frozen=True)
-class Recognition:
+class Detection:
     """One instance of an object in one image.
 
-    `view` says which of the object's views was matched, `homography` (3, 3) takes that view's
-    pixels to the image's, `corners` (4, 2) [px] are the view's (top left, top right, bottom right,
-    bottom left) in the image, possibly outside of it. `view_points` and `image_points` (n, 2) [px]
-    are where the n matched features lie in both. `alternatives` are other taught objects that
-    explain what is seen there about as well.
+    `view` is the index of the matched view, `homography` (3, 3) maps pixels of that view to pixels
+    of the image, `corners` (4, 2) [px] are the view's (top left, top right, bottom right, bottom
+    left) in the image, possibly outside of it. `view_points` and `image_points` (n, 2) [px] are the
+    n matched features in both. `alternatives` are other objects that explain the same image region
+    about as well.
     """
 
     object_id: int
@@ -49,7 +49,7 @@ class Recognition:
 
     @property
     def inliers(self) -> int:
-        """How many features agree on where the object is."""
+        """Return the number of features that agree on the object's pose."""
         return len(self.view_points)
 
 
@@ -57,20 +57,20 @@ class Recognition:
 class _Entry:
     """One view of one object in the index."""
 
-    taught: TaughtObject
+    model: ObjectModel
     number: int
 
     @property
-    def view(self) -> View:
-        return self.taught.views[self.number]
+    def view(self) -> ModelView:
+        return self.model.views[self.number]
 
 
 @dataclass(frozen=True)
-class _Match:
-    """The matches of an image, sorted by entry and then by how good they are.
+class _ImageMatches:
+    """The matches of an image, sorted by entry and then by quality, best first.
 
-    `entries` (m,) says whose they are, `image` (m,) which of the scene's features; `table` (m, 8)
-    is that of `similarities.Groups`.
+    `entries` (m,) are indices of entries, `image` (m,) rows of the image's features; `table` (m, 8)
+    is that of `MatchGroups`.
     """
 
     entries: NDArray[np.intp]
@@ -79,14 +79,14 @@ class _Match:
 
 
 class Recognizer:
-    """What recognizes a set of taught objects; built once for them, and never changed."""
+    """Recognizes a fixed set of objects by their models."""
 
-    def __init__(self, objects: Sequence[TaughtObject]) -> None:
+    def __init__(self, objects: Sequence[ObjectModel]) -> None:
         self.objects = tuple(objects)
         self._entries = [
-            _Entry(taught, number) for taught in objects for number in range(len(taught.views))
+            _Entry(model, number) for model in objects for number in range(len(model.views))
         ]
-        features = [entry.view.features for entry in self._entries] or [none()]
+        features = [entry.view.features for entry in self._entries] or [no_features()]
         counts = np.array([len(each) for each in features])
         self._index = DescriptorIndex(np.vstack([each.descriptors for each in features]))
         self._entry_of = np.repeat(np.arange(len(counts)), counts)
@@ -100,36 +100,38 @@ class Recognizer:
             [math.hypot(entry.view.width, entry.view.height) for entry in self._entries]
         )
 
-    def recognize(self, features: Features, width: int, height: int) -> list[Recognition]:
-        """The objects in an image of `width` x `height` [px] with these features, surest first."""
+    def recognize(self, features: Features, width: int, height: int) -> list[Detection]:
+        """Return the objects in an image of `width` x `height` [px], strongest first."""
         if not len(self._index):
             return []
-        scene = verification.scene_of(features, width, height)
-        return self._settled(scene, list(self._placed(scene, self._matched(scene.features))))
+        image = verification.sort_features(features, width, height)
+        return self._resolve(image, list(self._verify(image, self._match(image.features))))
 
-    def _matched(self, features: Features) -> _Match:
-        """Neighbors that are clearly nearer than what else there is.
+    def _match(self, features: Features) -> _ImageMatches:
+        """Match each feature to neighbors that are clearly nearer than the background.
 
-        What else there is, is told by the last of the neighbors (McCann and Lowe, "Local naive
-        Bayes nearest neighbor", 2012), not by the second as usual: objects that look alike, several
-        views of one, and repeated parts of it do not take each other's matches away.
+        The background distance is that of the last neighbor (McCann and Lowe, "Local naive Bayes
+        nearest neighbor", 2012), not of the second as usual: so objects that look alike, several
+        views of one object, and its repeated parts do not suppress each other's matches.
         """
         found, distances = self._index.nearest(features.descriptors, _NEIGHBORS)
-        ratios = distances / np.clip(distances[:, -1:], 1.0, _UNLIKE)
+        ratios = distances / np.clip(distances[:, -1:], 1.0, _UNRELATED_DISTANCE)
         owners = np.where(found >= 0, self._entry_of[found], -1)
         once = (owners[:, :, None] == owners[:, None, :]).sum(axis=2) == 1
-        clear = (ratios < _RATIO) | (once & (distances < _ALIKE))
+        clear = (ratios < _RATIO) | (once & (distances < _SAME_DISTANCE))
         image, column = np.nonzero((found >= 0) & clear)
         rows = found[image, column].astype(np.intp)
         order = np.lexsort((ratios[image, column], self._entry_of[rows]))
         image, rows = image[order], rows[order]
-        table = similarities.table_of(
-            features, self._features, similarities.Matches(image.astype(np.intp), rows)
+        table = feature_matching.match_table(
+            features, self._features, FeatureMatches(image.astype(np.intp), rows)
         )
-        return _Match(self._entry_of[rows], image.astype(np.intp), table)
+        return _ImageMatches(self._entry_of[rows], image.astype(np.intp), table)
 
-    def _placed(self, scene: Scene, matches: _Match) -> Iterator[tuple[int, Placed]]:
-        """All instances of each entry, as if there were no other."""
+    def _verify(
+        self, image: SortedFeatures, matches: _ImageMatches
+    ) -> Iterator[tuple[int, VerifiedMatch]]:
+        """Yield all instances of each entry, independently of the other entries."""
         alive = np.ones(len(matches.entries), np.bool_)
         failures = np.zeros(len(self._entries), np.int64)
         while True:
@@ -140,30 +142,39 @@ class Recognizer:
             rows = np.flatnonzero(alive)
             rows = rows[np.isin(matches.entries[rows], tried)]
             starts = np.concatenate(([0], np.cumsum(counts[tried])))
-            groups = similarities.Groups(starts, matches.table[rows])
-            best, support = similarities.best_poses(groups, self._diagonals[tried])
+            groups = MatchGroups(starts, matches.table[rows])
+            best, support = feature_matching.best_poses(groups, self._diagonals[tried])
             for group, entry in enumerate(tried):
                 own = rows[starts[group] : starts[group + 1]]
                 table = matches.table[own]
                 diagonal = float(self._diagonals[entry])
-                if not self._worth(scene, table[best[group]], diagonal, support[group], len(own)):
+                if not self._is_significant(
+                    image, table[best[group]], diagonal, support[group], len(own)
+                ):
                     failures[entry] = _FAILURES
                     continue
-                members = similarities.agreeing(table, int(best[group]), diagonal)
-                placed = verification.place(scene, self._entries[entry].view, table[members])
+                members = feature_matching.agreeing(table, int(best[group]), diagonal)
+                verified = verification.verify(image, self._entries[entry].view, table[members])
                 alive[own[members]] = False
-                if placed is None:
+                if verified is None:
                     failures[entry] += 1
                 else:
-                    alive[own] &= ~np.isin(matches.image[own], placed.image_rows)
-                    yield int(entry), placed
+                    alive[own] &= ~np.isin(matches.image[own], verified.image_rows)
+                    yield int(entry), verified
 
-    def _worth(
-        self, scene: Scene, pose: NDArray[np.float64], diagonal: float, support: int, count: int
+    def _is_significant(
+        self,
+        image: SortedFeatures,
+        pose: NDArray[np.float64],
+        diagonal: float,
+        support: int,
+        count: int,
     ) -> bool:
-        """Whether less than one pose with such support is to be expected by chance (Chernoff)."""
+        """Return whether chance explains less than one pose with such support (Chernoff bound)."""
         share = support / count
-        chance = similarities.chance(2.0 ** pose[6], diagonal, scene.width * scene.height)
+        chance = feature_matching.chance_of_agreement(
+            2.0 ** pose[6], diagonal, image.width * image.height
+        )
         if support < _SEEDS or share <= chance:
             return False
         divergence = share * math.log(share / chance)
@@ -171,11 +182,13 @@ class Recognizer:
             divergence += (1.0 - share) * math.log((1.0 - share) / (1.0 - chance))
         return count * divergence > math.log(count * len(self._entries))
 
-    def _settled(self, scene: Scene, placed: list[tuple[int, Placed]]) -> list[Recognition]:
-        """One recognition for each thing that is seen, by the object that explains it best."""
-        kept: list[tuple[Placed, Recognition]] = []
-        for entry, candidate in sorted(placed, key=lambda each: -_strength(each[1])):
-            found = self._recognition(scene, entry, candidate)
+    def _resolve(
+        self, image: SortedFeatures, verified: list[tuple[int, VerifiedMatch]]
+    ) -> list[Detection]:
+        """Keep one detection for each thing in the image: the object that explains it best."""
+        kept: list[tuple[VerifiedMatch, Detection]] = []
+        for entry, candidate in sorted(verified, key=lambda each: -_strength(each[1])):
+            found = self._detection(image, entry, candidate)
             rival = next(
                 (k for k, (other, _) in enumerate(kept) if _explains(other, candidate)), None
             )
@@ -183,43 +196,43 @@ class Recognizer:
                 kept.append((candidate, found))
                 continue
             other, best = kept[rival]
-            known = (best.object_id, *best.alternatives)
-            as_well = _strength(candidate) >= _AS_WELL * _strength(other)
-            if as_well and found.object_id not in known:
+            listed = (best.object_id, *best.alternatives)
+            comparable = _strength(candidate) >= _ALTERNATIVE * _strength(other)
+            if comparable and found.object_id not in listed:
                 alternatives = (*best.alternatives, found.object_id)
                 kept[rival] = (other, replace(best, alternatives=alternatives))
-        return [recognition for _, recognition in kept]
+        return [detection for _, detection in kept]
 
-    def _recognition(self, scene: Scene, entry: int, placed: Placed) -> Recognition:
-        taught, number = self._entries[entry].taught, self._entries[entry].number
-        return Recognition(
-            taught.object_id,
-            taught.name,
+    def _detection(self, image: SortedFeatures, entry: int, verified: VerifiedMatch) -> Detection:
+        model, number = self._entries[entry].model, self._entries[entry].number
+        return Detection(
+            model.object_id,
+            model.name,
             number,
-            placed.homography,
-            placed.corners,
-            taught.views[number].features.points[placed.view_rows].astype(np.float64),
-            scene.features.points[placed.image_rows].astype(np.float64),
+            verified.homography,
+            verified.corners,
+            model.views[number].features.points[verified.view_rows].astype(np.float64),
+            image.features.points[verified.image_rows].astype(np.float64),
             (),
         )
 
 
-def _strength(placed: Placed) -> float:
-    """How well something explains what is seen: by many features, few others being missed."""
-    return len(placed.view_rows) * math.sqrt(placed.share)
+def _strength(verified: VerifiedMatch) -> float:
+    """Rate an explanation: many matched features, few visible features unmatched."""
+    return len(verified.view_rows) * math.sqrt(verified.share)
 
 
-def _explains(stronger: Placed, weaker: Placed) -> bool:
-    """Whether there is nothing at the weaker one's place but what the stronger one is there.
+def _explains(stronger: VerifiedMatch, weaker: VerifiedMatch) -> bool:
+    """Return whether the stronger match explains all that supports the weaker one.
 
-    A thing may well be seen inside of another that it is a part of, or sticks to.
+    An object may be visible inside of another that it is a part of, or that it is attached to.
     """
     common = _common_area(stronger.corners, weaker.corners)
     areas = cv2.contourArea(_quad(stronger.corners)), cv2.contourArea(_quad(weaker.corners))
-    if common > _SAME * (sum(areas) - common):
+    if common > _SAME_OBJECT * (sum(areas) - common):
         return True
     both = len(np.intersect1d(stronger.image_rows, weaker.image_rows))
-    if both < _SAME * len(weaker.image_rows):
+    if both < _SAME_OBJECT * len(weaker.image_rows):
         return False
     return areas[1] > areas[0] or weaker.share < _NESTED * stronger.share
 

@@ -1,4 +1,4 @@
-"""A rectified stereo pair: its geometry, and the disparities of points seen in both images."""
+"""A rectified stereo pair: its geometry, and disparities of points to a fraction of a pixel."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from cairn.errors import CairnError
 from cairn.schemas.sensor_msgs import CameraInfo
-from cairn.vision.alignment import aligned
-from cairn.vision.rectification import Lens
+from cairn.vision.rectification import CameraModel
 
 Array = NDArray[np.float64]
 Gray = NDArray[np.uint8]
@@ -20,31 +19,40 @@ Gray = NDArray[np.uint8]
 HALF = 7
 """Patches have 2 * HALF + 1 pixels a side."""
 
-# A match this weak (normalized correlation) is none.
-_ALIKE = 0.75
-# Another place that looks as alike, less this, makes a match ambiguous...
+# Least normalized correlation of a match.
+_SIMILAR = 0.75
+# A match is ambiguous if a second peak is within this margin of correlation...
 _MARGIN = 0.04
-# ...if it is further away than this [px]: a peak of correlation is that wide.
+# ...and farther than the width of a correlation peak [px].
 _PEAK = 3
-# A patch of less contrast (standard deviation) is of a blank wall, matched by noise [gray levels].
+# Least contrast of a patch (standard deviation) [gray levels]: less is a blank wall with noise.
 _CONTRAST = 2.0
-# How far the way back from right to left may miss the point [px].
+# Largest error of matching back from right to left [px].
 _RETURN = 1.0
-# A disparity of more is that of something near by, however the rectification is off [px].
+# A larger disparity comes from something near, not from an error of rectification [px].
 _MOVED = 1.0
-# Rows that the right image may be off are looked for so far up and down [px].
+# Vertical offsets of the right image are searched within this range [px].
 _ROWS = 5
-# Fewer points tell nothing of an image, nor do those of which no larger share agrees.
+# Fewest points, and least share of them that agree, for a statement about a whole image.
 _FEWEST, _AGREE = 8, 0.7
-# Rows and focal lengths of a rectified pair agree, but for what is lost in writing them down.
+# Rows and focal lengths of a rectified pair agree, apart from rounding in their file.
 _SAME_PX = 0.01
+# Alignment of patches: iterations, and largest change of the disparity that it starts from [px].
+_ALIGN_ROUNDS, _ALIGN_REACH = 8, 1.5
+# Aligned patches with a smaller normalized correlation show different things.
+_ALIGN_SIMILAR = 0.8
+# Change of disparity within a patch [px per px]: a surface at 45 degrees at a distance of ten
+# baselines has 0.1. Without this prior, patches with little texture would tilt freely.
+_ALIGN_SLANT = 0.2
+# Image noise as a share of the patch's contrast: the weight of the images against that prior.
+_ALIGN_NOISE = 0.1
 
 
 @dataclass(frozen=True)
 class StereoRig:
     """A rectified pair: `fx`, `fy`, `cx`, `cy` [px] of the left camera, `baseline` [m].
 
-    `offset` [px] is the disparity of what is infinitely far: 0 unless cx differs left and right.
+    `offset` [px] is the disparity at infinite distance: 0 unless cx differs left and right.
     """
 
     fx: float
@@ -58,12 +66,12 @@ class StereoRig:
 
     @classmethod
     def of(cls, left: CameraInfo, right: CameraInfo) -> StereoRig:
-        """The rig of two cameras calibrated together; raises `CairnError` if they are none."""
-        a, b = Lens.of(left), Lens.of(right)
+        """Return the rig of two calibrations; raise `CairnError` if they are not a pair."""
+        a, b = CameraModel.of(left), CameraModel.of(right)
         if (a.width, a.height) != (b.width, b.height):
             raise CairnError(
                 f"the left camera is calibrated for {a.width} x {a.height} pixels, the right one "
-                f"for {b.width} x {b.height}: a stereo pair needs images of one size"
+                f"for {b.width} x {b.height}; a stereo pair needs images of one size"
             )
         p, q = a.projection, b.projection
         rows = max(abs(p[1, 1] - q[1, 1]), abs(p[1, 2] - q[1, 2]), abs(p[1, 3] - q[1, 3]))
@@ -99,7 +107,7 @@ class StereoRig:
         )
 
     def nearest_disparity(self, nearest: float) -> float:
-        """The disparity [px] of what is `nearest` [m] ahead, at most half the image's width."""
+        """Return the disparity [px] at `nearest` [m] depth, at most half the image's width."""
         return min(self.fx * self.baseline / nearest, self.width / 2)
 
 
@@ -112,12 +120,12 @@ def disparities(
     least: float = -1.0,
     most: float | None = None,
 ) -> Array:
-    """How far right of where the right camera saw them lie `points` (n, 2) of the left image [px].
+    """Return the disparities (n,) [px] of `points` (n, 2) [px] of the left image.
 
-    The images (h, w) are rectified. The result (n,) is NaN where a point has no match, several, or
-    one that does not lead back to it. Disparities from `least` to `most` are looked for; `most` is
-    by default that of 0.3 m. Depth is fx * baseline / disparity. Raises `CairnError` if the images
-    are not of the rig's size.
+    The images (h, w) are rectified. A disparity is x in the left image less x in the right one;
+    depth is fx * baseline / disparity. It is NaN where a point has no match, several matches, or
+    one that does not match back to it. Disparities from `least` to `most` are searched; `most` is
+    by default that of 0.3 m. Raises `CairnError` if the images are not of the rig's size.
     """
     for side, image in (("left", left), ("right", right)):
         if image.shape != (rig.height, rig.width):
@@ -125,24 +133,24 @@ def disparities(
                 f"the {side} image is {image.shape[1]} x {image.shape[0]} pixels, but the cameras "
                 f"are calibrated for {rig.width} x {rig.height}"
             )
-    places = np.asarray(points, np.float64).reshape(-1, 2)
+    centers = np.asarray(points, np.float64).reshape(-1, 2)
     most = rig.nearest_disparity(0.3) if most is None else most
     low, high = int(np.floor(least + rig.offset)), int(np.ceil(most + rig.offset))
-    whole = np.rint(places).astype(np.int64)
-    coarse = _matched(left, right, whole, low, high)
+    whole = np.rint(centers).astype(np.int64)
+    coarse = _match(left, right, whole, low, high)
     found = np.flatnonzero(~np.isnan(coarse))
     there = whole[found] - np.column_stack((coarse[found], np.zeros(len(found)))).astype(np.int64)
-    back = _matched(right, left, there, -high, -low)
+    back = _match(right, left, there, -high, -low)
     found = found[np.abs(coarse[found] + back) <= _RETURN]
-    result = np.full(len(places), np.nan)
-    result[found] = aligned(left, right, places[found], coarse[found], HALF) - rig.offset
+    result = np.full(len(centers), np.nan)
+    result[found] = align(left, right, centers[found], coarse[found], HALF) - rig.offset
     return result
 
 
 def rows_off(left: Gray, right: Gray, points: NDArray[np.floating], rig: StereoRig) -> float:
-    """By how many rows [px] lower the right image shows `points` (n, 2) of the left one.
+    """Return by how many rows [px] the right image shows `points` (n, 2) lower than the left one.
 
-    In a rectified pair none; 0 also where too few points tell (fewer than 8), or do not agree.
+    It is 0 in a rectified pair, and also if fewer than 8 points can be matched or they disagree.
     """
     offs = []
     reach = HALF + _ROWS
@@ -158,7 +166,7 @@ def rows_off(left: Gray, right: Gray, points: NDArray[np.floating], rig: StereoR
             continue
         scores = cv2.matchTemplate(strip, patch, cv2.TM_CCOEFF_NORMED)
         row, _ = np.unravel_index(int(scores.argmax()), scores.shape)
-        if scores.max() >= _ALIKE:
+        if scores.max() >= _SIMILAR:
             offs.append(int(row) - _ROWS)
     if len(offs) < _FEWEST:
         return 0.0
@@ -166,11 +174,10 @@ def rows_off(left: Gray, right: Gray, points: NDArray[np.floating], rig: StereoR
     return off if np.mean(np.abs(np.array(offs) - off) <= 1.0) > _AGREE else 0.0
 
 
-def look_swapped(left: Gray, right: Gray, points: NDArray[np.floating], rig: StereoRig) -> bool:
-    """Whether `left` was taken by the right camera: points have moved in the wrong direction.
+def are_swapped(left: Gray, right: Gray, points: NDArray[np.floating], rig: StereoRig) -> bool:
+    """Return whether `left` was taken by the right camera: disparities have the wrong sign.
 
-    Those that have moved at all tell, what is far away has not. False also where too few (fewer
-    than 8) can be matched to say.
+    Only points with a clear disparity count. The result is False if fewer than 8 can be matched.
     """
     most = rig.nearest_disparity(0.3)
     found = disparities(left, right, points, rig, least=-most, most=most)
@@ -178,8 +185,8 @@ def look_swapped(left: Gray, right: Gray, points: NDArray[np.floating], rig: Ste
     return against >= _FEWEST and against > 3 * int(np.count_nonzero(found > _MOVED))
 
 
-def _matched(source: Gray, target: Gray, points: NDArray[np.int64], low: int, high: int) -> Array:
-    """Whole disparities (n,) by which pixels (n, 2) of `source` lie right of those of `target`."""
+def _match(source: Gray, target: Gray, points: NDArray[np.int64], low: int, high: int) -> Array:
+    """Return whole disparities (n,) by which pixels (n, 2) of `source` are right of `target`'s."""
     result = np.full(len(points), np.nan)
     height, width = source.shape
     for index, (u, v) in enumerate(points.tolist()):
@@ -196,6 +203,67 @@ def _matched(source: Gray, target: Gray, points: NDArray[np.int64], low: int, hi
         best = int(scores.argmax())
         others = np.concatenate((scores[: max(best - _PEAK, 0)], scores[best + _PEAK + 1 :]))
         ambiguous = others.size > 0 and others.max() > scores[best] - _MARGIN
-        if scores[best] >= _ALIKE and not ambiguous:
+        if scores[best] >= _SIMILAR and not ambiguous:
             result[index] = u - (begin + best)
     return result
+
+
+def align(left: Gray, right: Gray, points: Array, start: Array, half: int) -> Array:
+    """Refine disparities (n,) [px] at `points` (n, 2) of the left image by least squares.
+
+    Patches of 2 * half + 1 pixels per side are aligned (Lucas and Kanade, An Iterative Image
+    Registration Technique with an Application to Stereo Vision, IJCAI 1981), with a disparity that
+    is affine in the patch, as that of a slanted plane is. `start` (n,) [px] are the disparities
+    within a pixel. The result is NaN where patches differ.
+    """
+    if not len(points):
+        return np.zeros(0)
+    ahead = np.arange(-half, half + 1, dtype=np.float64)
+    across, down = (axis.ravel() for axis in np.meshgrid(ahead, ahead))
+    model = np.column_stack((np.ones(across.size), across, down))
+    columns = points[:, :1] + across
+    rows = points[:, 1:] + down
+    reference, _ = _normalize(_sample(left.astype(np.float32), columns, rows))
+    target = right.astype(np.float32)
+    slope = np.asarray(
+        cv2.filter2D(target, cv2.CV_32F, np.array([[-0.5, 0.0, 0.5]], np.float32)), np.float32
+    )
+    prior = (_ALIGN_NOISE**2) * np.diag((0.0, _ALIGN_SLANT**-2, _ALIGN_SLANT**-2))
+    found = np.column_stack((start, np.zeros_like(start), np.zeros_like(start)))
+    for _ in range(_ALIGN_ROUNDS):
+        at = columns - found @ model.T
+        sampled, contrast = _normalize(_sample(target, at, rows))
+        gradient = _sample(slope, at, rows) / contrast[:, None]
+        gradient -= gradient.mean(axis=1, keepdims=True)
+        # Patches move left as the disparity grows: d(sampled) = -gradient * d(disparity).
+        jacobian = -gradient[:, :, None] * model
+        normal = np.einsum("npi,npj->nij", jacobian, jacobian) + prior
+        normal += 1e-9 * np.eye(3)
+        right_side = np.einsum("npi,np->ni", jacobian, reference - sampled) - found @ prior
+        found += np.linalg.solve(normal, right_side[:, :, None])[:, :, 0]
+    sampled, _ = _normalize(_sample(target, columns - found @ model.T, rows))
+    alike = np.mean(reference * sampled, axis=1)
+    good = (np.abs(found[:, 0] - start) <= _ALIGN_REACH) & (alike >= _ALIGN_SIMILAR)
+    return np.where(good, found[:, 0], np.nan)
+
+
+def _sample(image: NDArray[np.float32], columns: Array, rows: Array) -> Array:
+    """Interpolate an image between its pixels; beyond the border, use the border's values."""
+    height, width = image.shape
+    x = np.clip(columns, 0.0, width - 1.001)
+    y = np.clip(rows, 0.0, height - 1.001)
+    left, top = x.astype(np.int64), y.astype(np.int64)
+    x -= left
+    y -= top
+    flat = image.ravel()
+    corner = top * width + left
+    above = flat[corner] * (1.0 - x) + flat[corner + 1] * x
+    below = flat[corner + width] * (1.0 - x) + flat[corner + width + 1] * x
+    values: Array = above * (1.0 - y) + below * y
+    return values
+
+
+def _normalize(patches: Array) -> tuple[Array, Array]:
+    """Return patches (n, m) with mean 0 and standard deviation 1, and their deviations before."""
+    contrast = np.maximum(patches.std(axis=1), 1e-6)
+    return (patches - patches.mean(axis=1, keepdims=True)) / contrast[:, None], contrast

@@ -1,4 +1,4 @@
-"""From a photograph to a view that can be taught: cut out, checked, compared with what is known."""
+"""Teaches objects: makes a model view of a photograph and tests whether it can be recognized."""
 
 from __future__ import annotations
 
@@ -11,55 +11,55 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cairn.errors import CairnError
-from cairn.vision import similarities, verification
-from cairn.vision.features import extract, varied
+from cairn.vision import feature_matching, verification
+from cairn.vision.feature_matching import DescriptorIndex, FeatureMatches, MatchGroups
+from cairn.vision.features import extract, select_across_scales
 from cairn.vision.images import LEAST_SIDE
-from cairn.vision.index import DescriptorIndex
+from cairn.vision.object_model import ModelView, ObjectModel
 from cairn.vision.recognition import Recognizer
-from cairn.vision.taught import TaughtObject, View
 
 Gray = NDArray[np.uint8]
 Box = tuple[int, int, int, int]
 
 LONGEST: Final = 800
-"""Sides of views [px]: what is finer in a photograph no camera sees from where robots look."""
+"""Longest side of a view [px]: a robot's camera resolves no finer detail at usual distances."""
 
 MOST: Final = 300
-"""Features of a view: more tell hardly more, and each is compared with every image's."""
+"""Most features of a view: more hardly help, and each is compared with those of every image."""
 
-# A picture is found in itself: features so much alike (distance of descriptors), so far apart (in
-# diagonals), make a second place of it if so large a share of what is to be seen there is. Tiles
-# have 0.6 and more, photographs 0.35 and less, those of chessboards included.
-_ALIKE, _APART, _SHARE = 150.0, 0.1, 0.5
+# A picture repeats itself if it matches itself at an offset: descriptors nearer than _SIMILAR,
+# points further apart than _APART (diagonals), and a verified share of visible features of _SHARE.
+# Tiles have a share of 0.6 and more, photographs 0.35 and less, those of chessboards included.
+_SIMILAR, _APART, _SHARE = 150.0, 0.1, 0.5
 _NEIGHBORS = 10
-# What it is tried on: smaller, darker, and turned in front of a gray wall.
-_SMALLER, _DARKER, _TURNED_DEG = 0.6, 0.8, 12.0
-# The image of a usual camera [px], its noise [gray levels], and how large it may show an object.
+# The test image of a view: smaller, darker, and rotated in front of a gray wall.
+_SCALE, _BRIGHTNESS, _ROTATION_DEG = 0.6, 0.8, 12.0
+# The simulated camera: image size [px], noise [gray levels], and sizes of the object tested [px].
 _CAMERA, _NOISE = (640, 480), 2.0
-_TRIED = (400, 300, 220, 160, 120, 90, 65, 45)
+_TESTED_SIZES = (400, 300, 220, 160, 120, 90, 65, 45)
 
 
-def cut(gray: Gray, box: Box) -> Gray:
-    """The part x, y, width, height [px] of an image; raises `CairnError` if it is not in there."""
+def crop(gray: Gray, box: Box) -> Gray:
+    """Crop an image to `box`: x, y, width, height [px]; raise `CairnError` if it does not fit."""
     x, y, width, height = box
     rows, columns = gray.shape
     if x < 0 or y < 0 or x + width > columns or y + height > rows:
         raise CairnError(
-            f"the box {x},{y},{width},{height} reaches beyond the image of {columns} x {rows} "
-            "pixels: give X,Y,W,H within it"
+            f"the box {x},{y},{width},{height} exceeds the image of {columns} x {rows} pixels; "
+            "give X,Y,W,H within it"
         )
     if min(width, height) < LEAST_SIDE:
         raise CairnError(
-            f"the box {x},{y},{width},{height} is too small: give at least {LEAST_SIDE} pixels "
-            "each way"
+            f"the box {x},{y},{width},{height} is too small; give at least {LEAST_SIDE} x "
+            f"{LEAST_SIDE} pixels"
         )
     return gray[y : y + height, x : x + width]
 
 
-def view_of(gray: Gray) -> View:
-    """The view that a photograph (h, w) of the object alone is.
+def make_view(gray: Gray) -> ModelView:
+    """Make a model view of a photograph (h, w) that shows only the object.
 
-    At most `LONGEST` pixels a side, with at most `MOST` features.
+    The view has at most `LONGEST` pixels per side and at most `MOST` features.
     """
     height, width = gray.shape
     factor = LONGEST / max(width, height)
@@ -67,68 +67,68 @@ def view_of(gray: Gray) -> View:
         smaller = (max(1, round(width * factor)), max(1, round(height * factor)))
         gray = cv2.resize(gray, smaller, interpolation=cv2.INTER_AREA).astype(np.uint8, copy=False)
     picture = np.ascontiguousarray(gray)
-    features = varied(extract(picture), MOST)
-    return View(picture.shape[1], picture.shape[0], features, picture)
+    features = select_across_scales(extract(picture), MOST)
+    return ModelView(picture.shape[1], picture.shape[0], features, picture)
 
 
-def unfit(view: View) -> str:
-    """Why an object would not be recognized by this view; empty if it would.
+def why_unrecognizable(view: ModelView) -> str:
+    """Return why an object cannot be recognized by this view, "" if it can.
 
-    It is tried: the picture, smaller, darker and turned, must be recognized by it.
+    The view must be recognized in its own picture, made smaller, darker and rotated.
     """
     if not len(view.features):
-        return "it shows nothing that stands out, such as a blank wall"
-    scene = _scene(view)
-    one = Recognizer([TaughtObject(0, "", None, (view,))])
+        return "it has no features, like a blank wall; give a photograph of something with detail"
+    scene = _transformed(view)
+    one = Recognizer([ObjectModel(0, "", None, (view,))])
     if one.recognize(extract(scene), scene.shape[1], scene.shape[0]):
         return ""
     return (
-        f"its {len(view.features)} features are too few, or too much alike, to recognize it by: "
-        "give a sharp photograph of something with more detail"
+        f"its {len(view.features)} features are too few or too similar for recognition; give a "
+        "sharp photograph of something with more detail"
     )
 
 
-def recognized_from(view: View) -> int | None:
-    """From how large on [px], its longer side in a camera's image, this view is recognized.
+def smallest_recognized_size(view: ModelView) -> int | None:
+    """Return the smallest size [px] (longer side) at which a camera's image of it is recognized.
 
-    It is tried upright and turned a little in an image that is well lit, with the noise of a
-    camera. None if it is not even as large as the image allows.
+    The test images show the view slightly rotated, in good light, with a camera's noise. Return
+    None if it is not recognized even at the largest size.
     """
-    recognizer = Recognizer([TaughtObject(0, "", None, (view,))])
+    recognizer = Recognizer([ObjectModel(0, "", None, (view,))])
     smallest = None
-    for longest in _TRIED:
-        if not recognizer.recognize(extract(_before_a_camera(view, longest)), *_CAMERA):
+    for longest in _TESTED_SIZES:
+        if not recognizer.recognize(extract(_camera_image(view, longest)), *_CAMERA):
             break
         smallest = longest
     return smallest
 
 
-def repeats(view: View) -> bool:
-    """Whether the picture is in itself at another place too, as one made of tiles is.
+def repeats(view: ModelView) -> bool:
+    """Return whether the picture contains itself at an offset, as a pattern of tiles does.
 
-    Where a part of it is seen, nobody can tell which part it is.
+    If a camera sees a part of such a picture, it is ambiguous which part that is.
     """
-    scene, features = extract(view.picture), view.features
+    image, features = extract(view.picture), view.features
     diagonal = math.hypot(view.width, view.height)
-    found, distances = DescriptorIndex(features.descriptors).nearest(scene.descriptors, _NEIGHBORS)
-    off = np.linalg.norm(features.points[found] - scene.points[:, None], axis=2)
-    image, column = np.nonzero((found >= 0) & (off > _APART * diagonal) & (distances < _ALIKE))
-    if len(image) < verification.LEAST:
+    found, distances = DescriptorIndex(features.descriptors).nearest(image.descriptors, _NEIGHBORS)
+    off = np.linalg.norm(features.points[found] - image.points[:, None], axis=2)
+    row, column = np.nonzero((found >= 0) & (off > _APART * diagonal) & (distances < _SIMILAR))
+    if len(row) < verification.LEAST:
         return False
-    matches = similarities.Matches(image, found[image, column].astype(np.intp))
-    table = similarities.table_of(scene, features, matches)
-    groups = similarities.Groups(np.array([0, len(table)]), table)
-    (best,), (support,) = similarities.best_poses(groups, np.array([diagonal]))
+    matches = FeatureMatches(row, found[row, column].astype(np.intp))
+    table = feature_matching.match_table(image, features, matches)
+    groups = MatchGroups(np.array([0, len(table)]), table)
+    (best,), (support,) = feature_matching.best_poses(groups, np.array([diagonal]))
     if support < verification.LEAST:
         return False
-    members = similarities.agreeing(table, int(best), diagonal)
-    there = verification.scene_of(scene, view.width, view.height)
-    placed = verification.place(there, view, table[members])
-    return placed is not None and placed.share >= _SHARE
+    members = feature_matching.agreeing(table, int(best), diagonal)
+    sorted_image = verification.sort_features(image, view.width, view.height)
+    verified = verification.verify(sorted_image, view, table[members])
+    return verified is not None and verified.share >= _SHARE
 
 
-def look_alikes(view: View, known: Sequence[TaughtObject]) -> list[TaughtObject]:
-    """Those of the known objects that are recognized in this view."""
+def look_alikes(view: ModelView, known: Sequence[ObjectModel]) -> list[ObjectModel]:
+    """Return the known objects that are recognized in this view."""
     if not known:
         return []
     features = extract(view.picture)
@@ -138,33 +138,32 @@ def look_alikes(view: View, known: Sequence[TaughtObject]) -> list[TaughtObject]
     return [taught for taught in known if taught.object_id in numbers]
 
 
-def _before_a_camera(view: View, longest: int) -> Gray:
-    """What a usual camera shows of a view so large [px], turned a little, and of what is around it.
+def _camera_image(view: ModelView, longest: int) -> Gray:
+    """Simulate a camera image of a view that is `longest` [px] large, slightly rotated.
 
-    Further off than its longer side there is nothing to be found: it is left out, being most of
-    the image.
+    The image is cropped to the surroundings of the view: the rest of a camera's image is empty.
     """
     width, height = (min(side, 2 * longest) for side in _CAMERA)
     scale = longest / max(view.width, view.height)
     middle = ((view.width - 1) / 2, (view.height - 1) / 2)
-    turn = np.asarray(cv2.getRotationMatrix2D(middle, _TURNED_DEG, scale), np.float64)
+    turn = np.asarray(cv2.getRotationMatrix2D(middle, _ROTATION_DEG, scale), np.float64)
     turn[:, 2] += ((width - view.width) / 2, (height - view.height) / 2)
     picture = view.picture
     if scale < 1.0:
         picture = np.asarray(cv2.GaussianBlur(picture, (0, 0), 0.5 / scale), np.uint8)
-    # Dark and bright at its sides: a camera exposes for the room, not for the object.
+    # A gradient from dark to bright: a camera exposes for the room, not for the object.
     scene = np.tile(np.linspace(15.0, 240.0, width), (height, 1)).astype(np.uint8)
     cv2.warpAffine(picture, turn, (width, height), dst=scene, borderMode=cv2.BORDER_TRANSPARENT)
     noise = np.random.default_rng(0).normal(0.0, _NOISE, scene.shape)
     return np.clip(np.rint(scene + noise), 0, 255).astype(np.uint8)
 
 
-def _scene(view: View) -> Gray:
+def _transformed(view: ModelView) -> Gray:
     side = round(1.2 * max(view.width, view.height))
     middle = ((view.width - 1) / 2, (view.height - 1) / 2)
-    turn = np.asarray(cv2.getRotationMatrix2D(middle, _TURNED_DEG, _SMALLER), np.float64)
+    turn = np.asarray(cv2.getRotationMatrix2D(middle, _ROTATION_DEG, _SCALE), np.float64)
     turn[:, 2] += ((side - view.width) / 2, (side - view.height) / 2)
-    # Without this the picture would be full of what is finer than its pixels.
-    smooth = cv2.GaussianBlur(view.picture, (0, 0), 0.5 / _SMALLER)
+    # Blur first, to avoid aliasing.
+    smooth = cv2.GaussianBlur(view.picture, (0, 0), 0.5 / _SCALE)
     moved = cv2.warpAffine(smooth, turn, (side, side), borderValue=128)
-    return np.asarray(cv2.convertScaleAbs(moved, alpha=_DARKER), np.uint8)
+    return np.asarray(cv2.convertScaleAbs(moved, alpha=_BRIGHTNESS), np.uint8)

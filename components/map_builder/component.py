@@ -41,7 +41,7 @@ from cairn.schemas.map_msgs import OccupancyGridUpdate
 from cairn.schemas.nav_msgs import OccupancyGrid, Odometry
 from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.std_msgs import Header
-from cairn.vision.map_file import MapFileError
+from cairn.visual_map.file import MapFileError
 
 # A full map follows its updates after this [s], for readers that come later.
 _FULL_MAP_S = 5.0

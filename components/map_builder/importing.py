@@ -18,8 +18,8 @@ from cairn.planar.grid import OccupancyCells
 from cairn.planar.poses import Pose
 from cairn.schemas.cairn_msgs import VisualMap
 from cairn.schemas.sensor_msgs import LaserScan
-from cairn.vision.taught import TaughtObject
-from cairn.vision.taught_store import teach
+from cairn.vision.object_model import ObjectModel
+from cairn.visual_map.object_models import add_views
 
 IMPORTERS_GROUP = "cairn.visual_map_importers"
 """Entry points of this group are functions from a path to the `VisualMap` found there."""
@@ -30,7 +30,7 @@ GRID_IMPORTERS_GROUP = "cairn.grid_map_importers"
 POSED_SCANS_GROUP = "cairn.posed_scan_importers"
 """Entry points of this group are functions from a path to scans and where they were taken."""
 
-TAUGHT_GROUP = "cairn.taught_object_importers"
+TAUGHT_GROUP = "cairn.object_model_importers"
 """Entry points of this group are functions from a path to the `TaughtObject`s found there."""
 
 _GRIDS = (GRID_IMPORTERS_GROUP, POSED_SCANS_GROUP)
@@ -45,11 +45,11 @@ def importer(name: str) -> Importer:
     return loaded
 
 
-def taught_by(name: str, path: Path) -> Sequence[TaughtObject]:
+def taught_by(name: str, path: Path) -> Sequence[ObjectModel]:
     """What the objects look like that the importer of that name finds; none if it cannot tell."""
     if name not in entry_points(group=TAUGHT_GROUP).names:
         return ()
-    read: Callable[[Path], Sequence[TaughtObject]] = _loaded(name, TAUGHT_GROUP, "taught objects")
+    read: Callable[[Path], Sequence[ObjectModel]] = _loaded(name, TAUGHT_GROUP, "taught objects")
     return read(path)
 
 
@@ -131,7 +131,7 @@ def write_map(
     source: str,
     objects: Sequence[MapObject],
     stamp_ns: int = 0,
-    taught: Sequence[TaughtObject] = (),
+    taught: Sequence[ObjectModel] = (),
 ) -> None:
     """Write a new map file with the given objects, each with its change IMPORTED.
 
@@ -151,4 +151,4 @@ def write_map(
         known = {o.object_id for o in objects}
         for one in taught:
             if one.object_id in known:
-                teach(part, one.name, one.views, one.size)
+                add_views(part, one.name, one.views, one.size)

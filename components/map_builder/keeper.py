@@ -11,8 +11,8 @@ from cairn.components.map_builder.rule import Rule, judge
 from cairn.components.map_builder.store import Judged, MapStore, open_map
 from cairn.components.map_builder.visual_map import UNDO_S, VisualMap
 from cairn.components.map_builder.working_copy import gone_on_with
-from cairn.vision.map_file import MapFileError, copy_map, digest_of
-from cairn.vision.taught_store import taught_name
+from cairn.visual_map.file import MapFileError, copy_map, digest_of
+from cairn.visual_map.object_models import read_model_name
 
 NumberedChange = tuple[int, Change]
 
@@ -71,7 +71,7 @@ class MapKeeper:
     def _taught_name(self, object_id: int) -> str | None:
         """The name of an object, which may have been taught since the working copy was made."""
         try:
-            return taught_name(self._taught, object_id)
+            return read_model_name(self._taught, object_id)
         except MapFileError:
             return None  # the recognizer tells of the file, and a map without the name is a map
 

@@ -16,7 +16,7 @@ from cairn.components.map_builder.objects import (
 )
 from cairn.components.map_builder.place import Place
 from cairn.components.map_builder.viewpoints import NOWHERE, Cell, Viewpoints
-from cairn.vision.checksum import check, checksum
+from cairn.visual_map.file import check_row, row_checksum
 
 Row = tuple[Any, ...]
 
@@ -42,7 +42,7 @@ def object_row(known: MapObject) -> Row:
         found.sightings if found else None,
         json.dumps(asdict(known.viewpoints)),
     )
-    return (*row, checksum(row))
+    return (*row, row_checksum(row))
 
 
 def object_from_row(row: Row) -> MapObject:
@@ -68,7 +68,7 @@ def object_from_row(row: Row) -> MapObject:
             candidate=candidate,
             viewpoints=_viewpoints(str(row[17])),
         )
-        check(row[:18], row[18])
+        check_row(row[:18], row[18])
         return found
     except (ValueError, TypeError, KeyError) as error:
         raise ValueError(f"object {row[0]}: {error}") from error

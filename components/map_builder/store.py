@@ -17,8 +17,7 @@ from cairn.components.map_builder.rows import (
     object_row,
 )
 from cairn.planar.poses import Pose
-from cairn.vision import map_file
-from cairn.vision.map_file import told, writing
+from cairn.visual_map.file import connect, create, explained_errors, transaction
 
 
 @dataclass(frozen=True)
@@ -62,8 +61,8 @@ class KeptChange:
 class MapStore:
     """An open map file.
 
-    What `commit` was told of is on the disk when it returns: it survives SIGKILL and loss of
-    power. Evidence may be gathered and committed together; changes are to be committed at once.
+    Committed data are on the disk when `commit` returns: they survive SIGKILL and loss of power.
+    Evidence may be gathered and committed together; changes must be committed at once.
     """
 
     def __init__(self, path: Path, connection: sqlite3.Connection) -> None:
@@ -88,31 +87,31 @@ class MapStore:
 
     def objects(self) -> list[MapObject]:
         """All objects as last committed."""
-        with told(self.path):
+        with explained_errors(self.path):
             rows = self._connection.execute("SELECT * FROM objects ORDER BY object_id").fetchall()
             return list(map(object_from_row, rows))
 
     def version(self) -> int:
         """The number of changes made so far."""
-        with told(self.path):
+        with explained_errors(self.path):
             row = self._connection.execute("SELECT max(version) FROM changes").fetchone()
         return int(row[0] or 0)
 
     def last_stamp_ns(self) -> int:
         """The time of the newest evidence [ns]; 0 before the first."""
-        with told(self.path):
+        with explained_errors(self.path):
             row = self._connection.execute("SELECT max(stamp_ns) FROM evidence").fetchone()
         return int(row[0] or 0)
 
     def digest(self) -> str:
         """What identifies the map that this one was copied from; "" for an original."""
-        with told(self.path):
+        with explained_errors(self.path):
             row = self._connection.execute("SELECT digest FROM origin").fetchone()
         return str(row[0]) if row else ""
 
     def history(self) -> list[tuple[int, int, int, str, float, str]]:
         """All changes: version, stamp [ns], object, kind, reliability, reason."""
-        with told(self.path):
+        with explained_errors(self.path):
             return self._connection.execute(
                 "SELECT version, stamp_ns, object_id, kind, reliability, reason "
                 "FROM changes ORDER BY version"
@@ -120,7 +119,7 @@ class MapStore:
 
     def evidence_of(self, object_id: int) -> list[KeptEvidence]:
         """All evidence for and against an object, the oldest first."""
-        with told(self.path):
+        with explained_errors(self.path):
             rows = self._connection.execute(
                 "SELECT stamp_ns, similarity, verdict, distance, x, y, robot_x, robot_y, "
                 "robot_theta, healthy, counted, reliability, candidate_reliability, state "
@@ -131,7 +130,7 @@ class MapStore:
 
     def changes_of(self, object_id: int) -> list[KeptChange]:
         """All changes of the map that were made to an object, the oldest first."""
-        with told(self.path):
+        with explained_errors(self.path):
             rows = self._connection.execute(
                 "SELECT stamp_ns, kind, new_x, new_y, reliability, reason FROM changes "
                 "WHERE object_id = ? ORDER BY version",
@@ -149,15 +148,15 @@ class MapStore:
         changes: Sequence[tuple[int, int, Change]] = (),
     ) -> None:
         """Write objects, evidence and changes (version, stamp [ns], change), all or nothing."""
-        with writing(self.path, self._connection) as transaction:
-            transaction.executemany(
+        with transaction(self.path, self._connection) as connection:
+            connection.executemany(
                 f"INSERT OR REPLACE INTO objects VALUES ({_marks(19)})", map(object_row, objects)
             )
-            transaction.executemany(
+            connection.executemany(
                 f"INSERT INTO evidence VALUES ({_marks(18)})",
                 (evidence_row(j.stamp_ns, j.evidence, j.after, j.counted) for j in judged),
             )
-            transaction.executemany(
+            connection.executemany(
                 f"INSERT INTO changes VALUES ({_marks(10)})",
                 (change_row(version, stamp_ns, change) for version, stamp_ns, change in changes),
             )
@@ -165,12 +164,12 @@ class MapStore:
 
 def create_map(path: Path, source: str) -> MapStore:
     """Make a new, empty map file; `source` says in words where the map comes from."""
-    return MapStore(path, map_file.create(path, source))
+    return MapStore(path, create(path, source))
 
 
 def open_map(path: Path, *, read_only: bool = False) -> MapStore:
     """Open a map file; `MapFileError` names the file, what is wrong with it and the remedy."""
-    return MapStore(path, map_file.connect(path, read_only=read_only))
+    return MapStore(path, connect(path, read_only=read_only))
 
 
 def _kept(row: tuple[Any, ...]) -> KeptEvidence:

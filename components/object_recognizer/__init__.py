@@ -1,1 +1,1 @@
-"""The object recognizer: which taught objects the camera sees, and where they are."""
+"""The object recognizer: recognizes objects in camera images and measures where they are."""

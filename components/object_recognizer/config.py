@@ -1,4 +1,4 @@
-"""Parameters of the object recognizer."""
+"""The parameters of the object recognizer."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from cairn.vision.verification import LEAST
 
 
 class ObjectRecognizerConfig(Config):
-    """What is recognized, and by which camera."""
+    """Parameters of the object recognizer."""
 
     map_file: ReadPath = Field(
-        description="The visual map whose taught objects are recognized (`cairn object teach`). "
-        "Objects are taught to this file, never to the map builder's working copy of it, which is "
-        "the robot's own; what is taught while the robot runs is recognized a second later."
+        description="The visual map with the models of the objects to recognize (`cairn object "
+        "teach`). Teach objects to this file, never to the map builder's working copy of it, which "
+        "belongs to the robot. Objects taught while the robot runs are recognized a second later."
     )
     stereo: bool = Field(True, description="Whether there is a right camera.")
-    mount: Mount = Field(Mount(), description="Where the left camera sits on the robot.")
+    mount: Mount = Field(Mount(), description="Pose of the left camera on the robot.")
     least_inliers: int = Field(
-        LEAST, ge=LEAST, le=1000, description="Matched features of an object that is told of."
+        LEAST, ge=LEAST, le=1000, description="Least matched features of a published object."
     )
     nearest: float = Field(0.3, gt=0, le=100, description="Nearest object [m].")
     farthest: float = Field(5.0, gt=0, le=100, description="Farthest object [m].")
@@ -27,20 +27,19 @@ class ObjectRecognizerConfig(Config):
         0.005,
         ge=0,
         le=0.2,
-        description="How well the camera's aim is known while the robot turns: mount and stamps "
-        "[rad].",
+        description="Standard deviation of the camera's direction while the robot turns, from its "
+        "mount and stamps [rad].",
     )
     most_features: int = Field(
         2000,
         ge=0,
         le=100_000,
-        description="Features that are looked at in an image, at most, those that stand out most; "
-        "0: all of them.",
+        description="Most features of an image, strongest first; 0: all of them.",
     )
     threads: int = Field(1, ge=1, le=64, description="Threads that OpenCV uses.")
 
     @model_validator(mode="after")
-    def _somewhere(self) -> ObjectRecognizerConfig:
+    def _check_range(self) -> ObjectRecognizerConfig:
         if not self.nearest < self.farthest:
             raise ValueError(f"farthest = {self.farthest} must be above nearest = {self.nearest}")
         return self

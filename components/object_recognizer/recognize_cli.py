@@ -1,4 +1,4 @@
-"""`cairn recognize`: which taught objects an image shows, and where they are."""
+"""`cairn recognize`: recognizes objects in an image and measures where they are."""
 
 from __future__ import annotations
 
@@ -14,41 +14,49 @@ import typer
 from cairn import CairnError
 from cairn.cli.options import Json
 from cairn.cli.output import line, note, print_json
-from cairn.components.object_recognizer.agreement import contradiction
-from cairn.components.object_recognizer.bearings import place_of
-from cairn.components.object_recognizer.cameras import Cameras, cameras_of
-from cairn.components.object_recognizer.condition import blindness
-from cairn.components.object_recognizer.given import DEFAULT_MAP, MapFile
-from cairn.components.object_recognizer.pictures import draw_recognized
-from cairn.components.object_recognizer.sighting import Sighting, sighted, without_wrong_twins
-from cairn.components.object_recognizer.stereo_check import swapped, unlike
+from cairn.components.object_recognizer.cameras import (
+    Cameras,
+    cameras_are_swapped,
+    make_cameras,
+    why_blind,
+    why_no_pair,
+)
+from cairn.components.object_recognizer.drawing import draw_detections
+from cairn.components.object_recognizer.object_cli import DEFAULT_MAP, MapFile
+from cairn.components.object_recognizer.observation import (
+    RangedDetection,
+    explain_disagreement,
+    make_observation,
+    measure_range,
+    reject_mixed_up_twins,
+)
 from cairn.schemas.sensor_msgs import CameraInfo
 from cairn.vision.camera_file import read_camera
 from cairn.vision.features import extract
 from cairn.vision.images import Gray, read_image
+from cairn.vision.object_model import ObjectModel
 from cairn.vision.recognition import Recognizer
 from cairn.vision.stereo import StereoRig
-from cairn.vision.taught import TaughtObject
-from cairn.vision.taught_store import read_taught
+from cairn.visual_map.object_models import read_models
 
 _AT_CAMERA = (0.0, 0.0, 0.0)
-# How well a calibration tells where the camera looks [rad]: its principal point is one or two
-# pixels off.
-_AIM_SD = 0.003
-# Across the image [deg]: hardly a robot's camera sees less, or without distortion more.
+# Error of the camera's direction by its calibration [rad]: the principal point is one or two pixels
+# off.
+_DIRECTION_SD = 0.003
+# Usual limits of the horizontal field of view of a robot's camera without distortion [deg].
 _NARROW, _WIDE = 15.0, 140.0
 
 
 @dataclass(frozen=True)
-class Seen:
-    """What was recognized in an image, rectified if the camera is calibrated, and what is odd.
+class RecognitionResult:
+    """The detections in an image, which is rectified if the camera is calibrated, and remarks.
 
-    `no_stereo` says why stereo told nothing; it is empty if it might have.
+    `no_stereo` says why stereo measured nothing; it is empty if stereo was possible.
     """
 
     gray: Gray
     features: int
-    sightings: list[Sighting]
+    ranged: list[RangedDetection]
     no_stereo: str
     remarks: list[str]
 
@@ -57,7 +65,7 @@ def recognize(
     image: Annotated[Path, typer.Argument(metavar="IMAGE", help="The image, or the left one.")],
     right_image: Annotated[
         Path | None,
-        typer.Argument(metavar="RIGHT_IMAGE", help="The right camera's, of the same moment."),
+        typer.Argument(metavar="RIGHT_IMAGE", help="The right camera's image of the same moment."),
     ] = None,
     map_file: MapFile = None,
     camera_info: Annotated[
@@ -71,28 +79,30 @@ def recognize(
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option(metavar="PICTURE", help="Draw what was recognized: outlines and features."),
+        typer.Option(metavar="PICTURE", help="Draw the detections: outlines and features."),
     ] = None,
     json: Json = False,
 ) -> None:
-    """Recognize taught objects in an image, and with a calibration tell where they are.
+    """Recognize objects in an image; with a calibration, measure where they are.
 
     Range [m] and bearing [rad, left positive] are from the camera, in the plane; corners are in the
-    image, in the rectified one if there is a calibration. Nothing recognized is no error.
+    image, in the rectified one if there is a calibration. To recognize nothing is not an error.
 
     --json prints image, right_image, map, width, height, features, remarks and objects, each with
     object_id, name, view, inliers, corners (four x, y [px]: top left, top right, bottom right,
     bottom left of the view), alternatives (object_id and name each), and range, bearing, covariance
     (2 x 2 of both, row by row), position (x right, y down, z ahead [m]) and ranged_by (stereo, size
-    or both), which are null where they are not known; doubt says why, or why they may be wrong.
-    no_stereo says why nothing was ranged by stereo, and is null if it could be.
+    or both), which are null if unknown; warning says why, or why they may be wrong. no_stereo says
+    why nothing was ranged by stereo, and is null if stereo was possible.
     """
     if out is not None and any(_same(out, given) for given in (image, right_image)):
-        raise CairnError(f"--out {out} is the image that is to be looked at: give another name")
+        raise CairnError(f"--out {out} is the input image; give another name")
     infos = camera_info or []
     if len(infos) > 2:
-        raise CairnError("give --camera-info for the left camera, and once more for the right one")
-    taught = read_taught(map_file or DEFAULT_MAP)
+        raise CairnError(
+            "give --camera-info at most twice: for the left camera, then for the right one"
+        )
+    models = {one.object_id: one for one in read_models(map_file or DEFAULT_MAP).models}
     left = read_image(image)
     right = read_image(right_image) if right_image is not None else None
     cameras = None
@@ -101,34 +111,32 @@ def recognize(
         given = zip((image, right_image), (left, right), calibrations, strict=False)
         for file, gray, calibration in given:
             _check_size(file, gray, calibration)
-        cameras = cameras_of(calibrations[0], calibrations[1] if len(infos) == 2 else None)
-    known = {one.object_id: one for one in taught.objects}
-    seen = _seen(image, right_image, left, right, cameras, known)
-    names = {known.object_id: known.name for known in taught.objects}
-    objects = [_object(one, names) for one in seen.sightings]
+        cameras = make_cameras(calibrations[0], calibrations[1] if len(infos) == 2 else None)
+    result = _recognize(image, right_image, left, right, cameras, models)
+    objects = [_object(one, models) for one in result.ranged]
     if out is not None:
         labels = [_label(one) for one in objects]
-        draw_recognized(seen.gray, [one.recognition for one in seen.sightings], labels, out)
+        draw_detections(result.gray, [one.detection for one in result.ranged], labels, out)
     if json:
         print_json(
             {
                 "image": str(image),
                 "right_image": str(right_image) if right_image is not None else None,
                 "map": str(map_file or DEFAULT_MAP),
-                "width": seen.gray.shape[1],
-                "height": seen.gray.shape[0],
-                "features": seen.features,
+                "width": result.gray.shape[1],
+                "height": result.gray.shape[0],
+                "features": result.features,
                 "objects": objects,
-                "no_stereo": seen.no_stereo or None,
-                "remarks": seen.remarks,
+                "no_stereo": result.no_stereo or None,
+                "remarks": result.remarks,
             }
         )
         return
     for one in objects:
-        line(_told(one))
+        line(_sentence(one))
     if not objects:
         line("nothing recognized")
-    for remark in seen.remarks:
+    for remark in result.remarks:
         note(remark)
 
 
@@ -136,87 +144,91 @@ def _same(one: Path, other: Path | None) -> bool:
     return other is not None and one.exists() and other.exists() and one.samefile(other)
 
 
-def _seen(
+def _recognize(
     image: Path,
     right_image: Path | None,
     left: Gray,
     right: Gray | None,
     cameras: Cameras | None,
-    known: dict[int, TaughtObject],
-) -> Seen:
+    models: dict[int, ObjectModel],
+) -> RecognitionResult:
     remarks = []
-    if not known:
-        remarks.append("no object was taught to this map: teach some with `cairn object teach`")
+    if not models:
+        remarks.append("this map has no object models; teach objects with `cairn object teach`")
     rectified = left if cameras is None else cameras.left.apply(left)
     features = extract(rectified)
-    blind = blindness(rectified)
+    blind = why_blind(rectified)
     if blind:
         remarks.append(f"the image shows little: {blind}")
     height, width = rectified.shape
-    found = Recognizer(tuple(known.values())).recognize(features, width, height)
+    detections = Recognizer(tuple(models.values())).recognize(features, width, height)
     if cameras is None:
         remarks.append("no range: give the camera's calibration by --camera-info")
-        sightings = [Sighting(one, None, "none", doubt="no calibration") for one in found]
+        ranged = [
+            RangedDetection(one, None, "none", warning="no calibration") for one in detections
+        ]
         no_stereo = "no calibration"
     else:
-        remarks += _odd_view(cameras.rig)
-        no_stereo = _no_pair(left, right, cameras)
+        remarks += _view_remarks(cameras.rig)
+        no_stereo = _why_no_stereo(left, right, cameras)
         other = None
         if not no_stereo and right is not None and cameras.right is not None:
             other = cameras.right.apply(right)
-            if swapped(rectified, other, features, cameras.rig):
+            if cameras_are_swapped(rectified, other, features, cameras.rig):
                 raise CairnError(
-                    f"left and right are swapped, for {image} shows what the right camera sees: "
-                    f"give the left camera's image first, {right_image}"
+                    f"left and right are swapped: {image} is the right camera's image; give the "
+                    f"left camera's image first, {right_image}"
                 )
-        sightings = _doubted(
-            without_wrong_twins([sighted(one, known, cameras, rectified, other) for one in found])
+        ranged = _with_warnings(
+            reject_mixed_up_twins(
+                [measure_range(one, models, cameras, rectified, other) for one in detections]
+            )
         )
-        if other is not None and not any(one.by_stereo for one in sightings):
-            no_stereo = unlike(rectified, other, features, cameras.rig)
-            if any(one.rows_off for one in sightings):
+        if other is not None and not any(one.by_stereo for one in ranged):
+            no_stereo = why_no_pair(rectified, other, features, cameras.rig)
+            if any(one.rows_off for one in ranged):
                 no_stereo = "the rows of the images are not aligned"
-            elif sightings and not no_stereo:
-                no_stereo = "what was recognized is not found in the right image, or is too far"
+            elif ranged and not no_stereo:
+                no_stereo = "the objects are not found in the right image, or are too far away"
         if no_stereo and (right is not None or cameras.right is not None):
             remarks.append(f"no stereo: {no_stereo}")
-        remarks += dict.fromkeys(one.doubt for one in sightings if one.doubt)
-    return Seen(rectified, len(features), sightings, no_stereo, remarks)
+        remarks += dict.fromkeys(one.warning for one in ranged if one.warning)
+    return RecognitionResult(rectified, len(features), ranged, no_stereo, remarks)
 
 
-def _no_pair(left: Gray, right: Gray | None, cameras: Cameras) -> str:
-    """Why stereo cannot be tried, in words; empty if it can."""
-    if cameras.complaint:
-        raise CairnError(cameras.complaint)
+def _why_no_stereo(left: Gray, right: Gray | None, cameras: Cameras) -> str:
+    """Return why stereo is not possible, "" if it is."""
+    if cameras.pair_error:
+        raise CairnError(cameras.pair_error)
     if right is None:
         return "the right camera's image is not given"
     if cameras.right is None:
         return "the right camera's calibration is not given"
     if np.array_equal(left, right):
-        return "the right image is the same as the left one: give the right camera's"
+        return "the right image is the same as the left one; give the right camera's image"
     return ""
 
 
-def _odd_view(rig: StereoRig) -> list[str]:
-    """What is odd about a calibration that stereo and sizes cannot contradict: all is in scale."""
+def _view_remarks(rig: StereoRig) -> list[str]:
+    """Return remarks on a focal length that stereo and sizes cannot check: both scale with it."""
     across = math.degrees(2.0 * math.atan(rig.width / 2.0 / rig.fx))
     if _NARROW <= across <= _WIDE:
         return []
     return [
-        f"by its calibration the camera sees {across:.0f} deg across: if it does not, ranges and "
-        "bearings are wrong, so calibrate it anew with `cairn camera calibrate`"
+        f"the calibration has a field of view of {across:.0f} deg: if the camera's is different, "
+        "ranges and bearings are wrong; calibrate it again with `cairn camera calibrate`"
     ]
 
 
-def _doubted(sightings: Sequence[Sighting]) -> list[Sighting]:
-    """The same, with doubt of those whose ranges by stereo and by size contradict each other."""
-    ratios = {one.recognition.name: one.ratio for one in sightings if one.ratio is not None}
-    doubts = [
-        "" if one.consistent else contradiction(one.recognition.name, ratios) for one in sightings
+def _with_warnings(ranged: Sequence[RangedDetection]) -> list[RangedDetection]:
+    """Add warnings to detections whose ranges by stereo and by size contradict each other."""
+    ratios = {one.detection.name: one.ratio for one in ranged if one.ratio is not None}
+    warnings = [
+        "" if one.consistent else explain_disagreement(one.detection.name, ratios) for one in ranged
     ]
     return [
-        replace(one, doubt="; ".join(filter(None, (one.doubt, doubt))))
-        for one, doubt in zip(sightings, doubts, strict=True)
+        replace(one, warning="; ".join(filter(None, (one.warning, warning))))
+        for one, warning in zip(ranged, warnings, strict=True)
     ]
 
 
@@ -227,28 +239,30 @@ def _check_size(file: Path | None, gray: Gray | None, calibration: CameraInfo) -
     if (width, height) != (calibration.width, calibration.height):
         raise CairnError(
             f"{file} is {width} x {height} pixels, but {calibration.header.frame_id} is of images "
-            f"of {calibration.width} x {calibration.height}: give the calibration of such images"
+            f"of {calibration.width} x {calibration.height}; give the calibration of this size"
         )
 
 
-def _object(one: Sighting, names: dict[int, str]) -> dict[str, Any]:
-    recognition, located = one.recognition, one.located
-    place = place_of(located, _AT_CAMERA, _AIM_SD) if located is not None else None
+def _object(one: RangedDetection, models: dict[int, ObjectModel]) -> dict[str, Any]:
+    detection, position = one.detection, one.position
+    observed = None
+    if position is not None:
+        observed = make_observation(detection, position, _AT_CAMERA, _DIRECTION_SD)
     return {
-        "object_id": recognition.object_id,
-        "name": recognition.name,
-        "view": recognition.view,
-        "inliers": recognition.inliers,
-        "corners": recognition.corners.tolist(),
+        "object_id": detection.object_id,
+        "name": detection.name,
+        "view": detection.view,
+        "inliers": detection.inliers,
+        "corners": detection.corners.tolist(),
         "alternatives": [
-            {"object_id": other, "name": names[other]} for other in recognition.alternatives
+            {"object_id": other, "name": models[other].name} for other in detection.alternatives
         ],
-        "range": place.range if place else None,
-        "bearing": place.bearing if place else None,
-        "covariance": place.covariance.ravel().tolist() if place else None,
-        "position": located.position.tolist() if located is not None else None,
-        "ranged_by": one.way if located is not None else None,
-        "doubt": one.doubt or None,
+        "range": observed.range if observed else None,
+        "bearing": observed.bearing if observed else None,
+        "covariance": observed.covariance.tolist() if observed else None,
+        "position": position.position.tolist() if position is not None else None,
+        "ranged_by": one.method if position is not None else None,
+        "warning": one.warning or None,
     }
 
 
@@ -258,19 +272,19 @@ def _label(one: dict[str, Any]) -> str:
         label += f", {one['range']:.2f} +- {math.sqrt(one['covariance'][0]):.2f} m"
     if one["alternatives"]:
         label += f"; or {', '.join(other['name'] for other in one['alternatives'])}"
-    return label + ("; in doubt" if one["range"] is not None and one["doubt"] else "")
+    return label + ("; doubtful" if one["range"] is not None and one["warning"] else "")
 
 
-def _told(one: dict[str, Any]) -> str:
+def _sentence(one: dict[str, Any]) -> str:
     corners = " ".join(f"{x:.0f},{y:.0f}" for x, y in one["corners"])
-    told = f"{one['name']} (object {one['object_id']}): {one['inliers']} inliers, at {corners}"
+    text = f"{one['name']} (object {one['object_id']}): {one['inliers']} inliers, at {corners}"
     if one["range"] is not None:
         range_sd, bearing_sd = math.sqrt(one["covariance"][0]), math.sqrt(one["covariance"][3])
-        told += (
+        text += (
             f"; {one['range']:.3f} +- {range_sd:.3f} m away, bearing "
             f"{math.degrees(one['bearing']):+.2f} +- {math.degrees(bearing_sd):.2f} deg, by "
             f"{'stereo and size' if one['ranged_by'] == 'both' else one['ranged_by']}"
         )
     if one["alternatives"]:
-        told += f"; or {', '.join(other['name'] for other in one['alternatives'])}"
-    return told
+        text += f"; or {', '.join(other['name'] for other in one['alternatives'])}"
+    return text

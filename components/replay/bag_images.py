@@ -17,8 +17,8 @@ from cairn.components.replay.bag_times import own_stamps
 from cairn.components.replay.recording import Gray, Images, RecordingError
 from cairn.schemas.message import InvalidMessage
 from cairn.schemas.sensor_msgs import Image
-from cairn.vision.image_files import side_of
-from cairn.vision.images import decoded, gray_of
+from cairn.vision.image_files import camera_of
+from cairn.vision.images import decode, gray_of
 
 IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 """The types of topics that hold images."""
@@ -154,7 +154,7 @@ def _paired(left: Mapping[int, int], right: Mapping[int, int]) -> list[list[int]
 def _gray(name: str, number: int, message: Any) -> Gray:
     try:
         if hasattr(message, "format"):
-            return decoded(f"it ({message.format})", np.asarray(message.data, np.uint8).tobytes())
+            return decode(f"it ({message.format})", np.asarray(message.data, np.uint8).tobytes())
         return gray_of(
             Image(
                 height=message.height,
@@ -171,5 +171,5 @@ def _gray(name: str, number: int, message: Any) -> Gray:
 
 def _side(topic: str) -> str | None:
     """The camera that any part of a topic's name tells."""
-    sides = {side_of(Path(part)) for part in topic.strip("/").split("/")} - {None}
+    sides = {camera_of(Path(part)) for part in topic.strip("/").split("/")} - {None}
     return sides.pop() if len(sides) == 1 else None

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from cairn.components.replay.image_times import check_order, times_of
 from cairn.components.replay.recording import Gray, Images, RecordingError
-from cairn.vision.image_files import images_in, paired, sides_of
+from cairn.vision.image_files import assign_cameras, images_in, pair_files
 from cairn.vision.images import read_image, upright_size
 
 
@@ -19,11 +19,11 @@ def open_folder(folder: Path, rate_hz: float | None) -> tuple[Images, list[str]]
     Raises `CairnError` if there is none, one cannot be read, sizes or times are not as they must.
     """
     files = images_in(folder)
-    sides = list(sides_of(files).values())
+    sides = list(assign_cameras(files).values())
     notes = []
     columns: list[Sequence[Path]] = [files]
     if {"left", "right"} <= set(sides):
-        of = paired(
+        of = pair_files(
             (file for file, side in zip(files, sides, strict=True) if side == "left"),
             (file for file, side in zip(files, sides, strict=True) if side == "right"),
         )
@@ -33,7 +33,7 @@ def open_folder(folder: Path, rate_hz: float | None) -> tuple[Images, list[str]]
                 "same but for left and right, or the number in cam0 and cam1"
             )
         columns = [[a for a, _ in of.pairs], [b for _, b in of.pairs]]
-        alone = [*of.alone, *(f for f, side in zip(files, sides, strict=True) if side is None)]
+        alone = [*of.unpaired, *(f for f, side in zip(files, sides, strict=True) if side is None)]
         if alone:
             some = ", ".join(str(file.relative_to(folder)) for file in alone[:5])
             notes.append(f"{len(alone)} images have no other of a pair, left out: {some}")

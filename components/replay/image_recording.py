@@ -18,7 +18,7 @@ from cairn.components.replay.recording import (
 )
 from cairn.components.replay.video import is_video, open_videos
 from cairn.schemas.cairn_msgs import VisualMap
-from cairn.vision.image_files import SUFFIXES, is_of_camera, paired, side_of
+from cairn.vision.image_files import SUFFIXES, camera_of, is_camera_folder, pair_files
 
 
 class ImageRecording:
@@ -82,7 +82,7 @@ def holds_images(folder: Path) -> bool:
     for child in folder.iterdir():
         if child.suffix.lower() in SUFFIXES or (child.is_file() and is_video(child)):
             return True
-        if is_of_camera(child) or (child.is_dir() and side_of(child / "x") is not None):
+        if is_camera_folder(child) or (child.is_dir() and camera_of(child / "x") is not None):
             return True
     return False
 
@@ -93,9 +93,9 @@ def _opened(path: Path, rate_hz: float | None) -> tuple[Images, list[str]]:
     videos = [child for child in sorted(path.iterdir()) if child.is_file() and is_video(child)]
     if not videos:
         return open_folder(path, rate_hz)
-    pairs = paired(
-        (video for video in videos if side_of(video) == "left"),
-        (video for video in videos if side_of(video) == "right"),
+    pairs = pair_files(
+        (video for video in videos if camera_of(video) == "left"),
+        (video for video in videos if camera_of(video) == "right"),
     ).pairs
     if len(videos) != 2 or not pairs:
         raise RecordingError(

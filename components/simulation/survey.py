@@ -16,8 +16,8 @@ from cairn.components.simulation.walls import gaps_around
 from cairn.components.simulation.world_file import WorldFile, read_world
 from cairn.planar.grid import FREE, OCCUPIED, UNKNOWN, Frame, Grid, OccupancyCells
 from cairn.schemas.cairn_msgs import VisualMap, VisualObject
-from cairn.vision.taught import TaughtObject
-from cairn.vision.teaching import view_of
+from cairn.vision.object_model import ObjectModel
+from cairn.vision.teaching import make_view
 
 RESOLUTION = 0.05
 # Unknown cells around the world [m].
@@ -96,14 +96,14 @@ def surveyed_objects(file: Path) -> VisualMap:
     )
 
 
-def surveyed_pictures(file: Path) -> tuple[TaughtObject, ...]:
-    """The objects of a world file as they would be taught: each by the picture on it, with size."""
+def surveyed_models(file: Path) -> tuple[ObjectModel, ...]:
+    """Return the object models of a world file: each by the picture on it, with its size."""
     return tuple(
-        TaughtObject(
+        ObjectModel(
             thing.id,
             thing.called,
             thing.size,
-            (view_of(picture_of(thing.texture or "", thing.id, thing.size)),),
+            (make_view(picture_of(thing.texture or "", thing.id, thing.size)),),
         )
         for thing in _checked(file).objects
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from cairn.components.map_builder.importing import altered, write_map
-from cairn.components.simulation.survey import surveyed_grid, surveyed_objects, surveyed_pictures
+from cairn.components.simulation.survey import surveyed_grid, surveyed_models, surveyed_objects
 from cairn.components.simulation.world_file import Event, read_world
 from cairn.deployment.model import Deployment
 from cairn.planar.map_file import write_map as write_grid
@@ -17,7 +17,7 @@ def survey(world: Path, map_file: Path, visual_map: Path) -> None:
     write_grid(map_file, surveyed_grid(world))
     objects = altered(surveyed_objects(world), {}, ())
     source = f"surveyed of {world.name}"
-    write_map(visual_map, source, objects, taught=surveyed_pictures(world))
+    write_map(visual_map, source, objects, taught=surveyed_models(world))
 
 
 def robot_start(world: Path) -> Pose:

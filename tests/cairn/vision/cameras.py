@@ -1,4 +1,4 @@
-"""Calibrated cameras and scenes made for tests."""
+"""Synthetic calibrated cameras and stereo images for tests."""
 
 import math
 from typing import Any
@@ -17,9 +17,9 @@ CX, CY = 159.5, 119.5
 
 
 def info(side: str = "left", **changes: Any) -> CameraInfo:
-    """A camera without distortion, whose image is rectified as it is."""
+    """Return a camera without distortion, whose images are already rectified."""
     tx = -FOCAL * BASELINE if side == "right" else 0.0
-    told: dict[str, Any] = {
+    fields: dict[str, Any] = {
         "header": Header(frame_id=f"{side}_camera_optical_frame"),
         "width": WIDTH,
         "height": HEIGHT,
@@ -29,7 +29,7 @@ def info(side: str = "left", **changes: Any) -> CameraInfo:
         "r": np.eye(3).ravel(),
         "p": np.array([FOCAL, 0, CX, tx, 0, FOCAL, CY, 0, 0, 0, 1.0, 0]),
     }
-    return CameraInfo(**told | changes)
+    return CameraInfo(**fields | changes)
 
 
 def projection(fx: float = FOCAL, cx: float = CX, cy: float = CY, tx: float = 0.0) -> Array:
@@ -37,7 +37,7 @@ def projection(fx: float = FOCAL, cx: float = CX, cy: float = CY, tx: float = 0.
 
 
 def pattern(seed: int, columns: Array, rows: Array, finest: float = 5.0) -> Array:
-    """A texture that is known at every place [px], not at pixels alone; 0 to 255."""
+    """Return a texture (0 to 255) at any coordinates [px], also between pixels."""
     random = np.random.default_rng(seed)
     # Single precision suffices for gray levels, and takes a quarter of the time.
     columns, rows = columns.astype(np.float32), rows.astype(np.float32)
@@ -50,13 +50,13 @@ def pattern(seed: int, columns: Array, rows: Array, finest: float = 5.0) -> Arra
 
 
 def plane_pair(seed: int, plane: tuple[float, float, float], noise: float = 0.0) -> list[Gray]:
-    """Left and right images of a plane with disparity c + a * u + b * v [px]."""
+    """Return left and right images of a plane with disparity c + a * u + b * v [px]."""
     c, a, b = plane
     columns, rows = np.meshgrid(np.arange(WIDTH, dtype=float), np.arange(HEIGHT, dtype=float))
-    # What the right camera has at x, the left one has at u = x + disparity(u, v).
-    seen_left_at = (columns + c + b * rows) / (1 - a)
+    # A point at x in the right image is at u = x + disparity(u, v) in the left one.
+    left_columns = (columns + c + b * rows) / (1 - a)
     random = np.random.default_rng(seed)
     return [
         np.clip(np.rint(image + random.normal(0, noise, image.shape)), 0, 255).astype(np.uint8)
-        for image in (pattern(seed, columns, rows), pattern(seed, seen_left_at, rows))
+        for image in (pattern(seed, columns, rows), pattern(seed, left_columns, rows))
     ]

@@ -1,4 +1,4 @@
-"""Calibrations are written as ROS reads them, and read as ROS writes them."""
+"""Tests of calibration files in the format of ROS."""
 
 from pathlib import Path
 
@@ -35,7 +35,7 @@ projection_matrix:
 """
 
 
-def test_what_is_written_is_read_the_same(tmp_path: Path) -> None:
+def test_written_calibration_is_read_back(tmp_path: Path) -> None:
     file = tmp_path / "right.yaml"
     known = info("right", d=np.array([-0.1, 1e-7, 0.1 + 0.2, 0.0, 0.0]))
 
@@ -46,7 +46,7 @@ def test_what_is_written_is_read_the_same(tmp_path: Path) -> None:
     assert keys == list(yaml.safe_load(OF_ROS))
 
 
-def test_a_file_of_ros_is_read(tmp_path: Path) -> None:
+def test_file_written_by_ros_is_read(tmp_path: Path) -> None:
     file = tmp_path / "left.yaml"
     file.write_text(OF_ROS)
 
@@ -60,7 +60,7 @@ def test_a_file_of_ros_is_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "told"),
+    ("old", "new", "message"),
     [
         ("image_width: 640\n", "", "image_width: field required"),
         ("image_width: 640", "image_width: -3", "image_width = -3"),
@@ -72,33 +72,33 @@ def test_a_file_of_ros_is_read(tmp_path: Path) -> None:
         ),
         ("243.73861, 0.0, 0.0, 1.0", "243.73861, .nan, 0.0, 1.0", "camera_matrix.data.6 = nan"),
         ("438.78356", "0.0", "k = .* focal lengths must be above 0"),
-        ("plumb_bob", "bobbed", "distortion_model = 'bobbed' is not known"),
-        ("[1, 0, 0, 0, 1, 0, 0, 0, 1]", "[2, 0, 0, 0, 1, 0, 0, 0, 1]", "r = .* is no rotation"),
+        ("plumb_bob", "bobbed", "distortion_model = 'bobbed' is not supported"),
+        ("[1, 0, 0, 0, 1, 0, 0, 0, 1]", "[2, 0, 0, 0, 1, 0, 0, 0, 1]", "r = .* is not a rotation"),
         (
             "rows: 3\n  cols: 4",
             "rows: 4\n  cols: 3",
             "projection_matrix is 4 x 3, but must be 3 x 4",
         ),
-        ("camera_matrix:", "camera_matrix: [", "no camera's calibration in YAML"),
+        ("camera_matrix:", "camera_matrix: [", "not a calibration in YAML"),
     ],
 )
-def test_a_damaged_file_is_refused_by_name(tmp_path: Path, old: str, new: str, told: str) -> None:
+def test_damaged_file_is_rejected_by_name(tmp_path: Path, old: str, new: str, message: str) -> None:
     file = tmp_path / "left.yaml"
     assert old in OF_ROS
     file.write_text(OF_ROS.replace(old, new))
 
-    with pytest.raises(CairnError, match=f"left.yaml: .*{told}".replace("\n", "")):
+    with pytest.raises(CairnError, match=f"left.yaml: .*{message}".replace("\n", "")):
         read_camera(file)
 
 
-def test_a_missing_or_an_empty_file_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(CairnError, match="no such calibration; `cairn camera calibrate` makes one"):
+def test_missing_or_empty_file_is_rejected(tmp_path: Path) -> None:
+    with pytest.raises(CairnError, match=r"no such calibration file; .*`cairn camera calibrate`"):
         read_camera(tmp_path / "none.yaml")
     (tmp_path / "empty.yaml").write_text("")
     with pytest.raises(CairnError, match="it has no keys"):
         read_camera(tmp_path / "empty.yaml")
 
 
-def test_a_folder_that_cannot_be_written_is_told(tmp_path: Path) -> None:
-    with pytest.raises(CairnError, match=r"the calibration cannot be written to .*nowhere"):
+def test_unwritable_folder_is_reported(tmp_path: Path) -> None:
+    with pytest.raises(CairnError, match=r"nowhere.*: the calibration cannot be written"):
         write_camera(tmp_path / "nowhere" / "left.yaml", info(), "left")

@@ -1,11 +1,11 @@
-"""Left and right images are told apart and belong together by their names."""
+"""Tests of listing image files and assigning them to cameras and pairs."""
 
 from pathlib import Path
 
 import pytest
 
 from cairn import CairnError
-from cairn.vision.image_files import images_in, natural, paired, side_of, sides_of
+from cairn.vision.image_files import assign_cameras, camera_of, images_in, natural_order, pair_files
 
 pytestmark = pytest.mark.images
 
@@ -25,39 +25,39 @@ pytestmark = pytest.mark.images
         ("0001.png", None),
     ],
 )
-def test_a_name_tells_the_camera(name: str, side: str | None) -> None:
-    assert side_of(Path("data") / name) == side
+def test_name_determines_the_camera(name: str, side: str | None) -> None:
+    assert camera_of(Path("data") / name) == side
 
 
-def test_pairs_have_one_name_but_for_the_side_and_come_in_natural_order() -> None:
+def test_pairs_differ_in_the_side_and_are_in_natural_order() -> None:
     left = [Path(f"left{n}.png") for n in (10, 9, 1, 4)]
     right = [Path(f"right{n}.png") for n in (1, 10, 9, 5)]
 
-    found = paired(left, right)
+    found = pair_files(left, right)
 
     assert [a.name for a, _ in found.pairs] == ["left1.png", "left9.png", "left10.png"]
     assert [b.name for _, b in found.pairs] == ["right1.png", "right9.png", "right10.png"]
-    assert [path.name for path in found.alone] == ["left4.png", "right5.png"]
+    assert [path.name for path in found.unpaired] == ["left4.png", "right5.png"]
 
 
-def test_of_several_folders_the_pairs_are_of_one_folder_each() -> None:
+def test_pairs_of_several_folders_have_corresponding_folders() -> None:
     days = [Path(f"day{n}") for n in (1, 2)]
     left, right = ([day / f"{side}01.png" for day in days] for side in ("left", "right"))
     folders = [[day / side / "01.png" for day in days] for side in ("left", "right")]
 
-    assert sorted(paired(left, right[:1]).pairs) == [(left[0], right[0])]
-    assert paired(left, right[:1]).alone == (left[1],)
-    assert sorted(paired(*folders).pairs) == list(zip(*folders, strict=True))
+    assert sorted(pair_files(left, right[:1]).pairs) == [(left[0], right[0])]
+    assert pair_files(left, right[:1]).unpaired == (left[1],)
+    assert sorted(pair_files(*folders).pairs) == list(zip(*folders, strict=True))
 
 
-def test_two_files_of_one_camera_and_name_are_refused() -> None:
+def test_ambiguous_files_of_one_camera_are_rejected() -> None:
     left = [Path("a/left01.png"), Path("a/left01.jpg")]
 
     with pytest.raises(CairnError, match=r"a/left01\.png and a/left01\.jpg have the same name"):
-        paired(left, [Path("a/right01.png")])
+        pair_files(left, [Path("a/right01.png")])
 
 
-def test_folders_of_a_camera_each_are_looked_into(tmp_path: Path) -> None:
+def test_camera_folders_are_searched(tmp_path: Path) -> None:
     for side in ("left", "right"):
         (tmp_path / side).mkdir()
         for number in (2, 10):
@@ -72,8 +72,8 @@ def test_folders_of_a_camera_each_are_looked_into(tmp_path: Path) -> None:
         "right/2.png",
         "right/10.png",
     ]
-    assert [side_of(path) for path in found] == ["left", "left", "right", "right"]
-    assert sorted(found, key=natural)[0].name == "2.png"
+    assert [camera_of(path) for path in found] == ["left", "left", "right", "right"]
+    assert sorted(found, key=natural_order)[0].name == "2.png"
 
 
 @pytest.mark.parametrize(
@@ -85,14 +85,14 @@ def test_folders_of_a_camera_each_are_looked_into(tmp_path: Path) -> None:
         ("rig/cam2_{}.png", "rig/cam3_{}.png"),
     ],
 )
-def test_numbers_of_two_cameras_tell_left_and_right(left: str, right: str) -> None:
+def test_numbers_of_two_cameras_determine_left_and_right(left: str, right: str) -> None:
     ours, theirs = ([Path(name.format(n)) for n in (9, 10, 11)] for name in (left, right))
 
-    sides = sides_of([*theirs, *ours])
+    sides = assign_cameras([*theirs, *ours])
 
     assert [path for path, side in sides.items() if side == "left"] == ours
     assert [path for path, side in sides.items() if side == "right"] == theirs
-    assert paired(ours, theirs).pairs == tuple(zip(ours, theirs, strict=True))
+    assert pair_files(ours, theirs).pairs == tuple(zip(ours, theirs, strict=True))
 
 
 @pytest.mark.parametrize(
@@ -105,27 +105,27 @@ def test_numbers_of_two_cameras_tell_left_and_right(left: str, right: str) -> No
         ["cam1/1.png", "cam1/2.png"],
     ],
 )
-def test_other_numbers_are_of_one_camera(names: list[str]) -> None:
-    assert set(sides_of(map(Path, names)).values()) == {None}
+def test_other_numbers_belong_to_one_camera(names: list[str]) -> None:
+    assert set(assign_cameras(map(Path, names)).values()) == {None}
 
 
-def test_words_count_more_than_numbers() -> None:
+def test_words_take_precedence_over_numbers() -> None:
     names = ["cam0/right_1.png", "cam1/left_1.png", "cam1/other.png"]
 
-    assert list(sides_of(map(Path, names)).values()) == ["right", "left", None]
+    assert list(assign_cameras(map(Path, names)).values()) == ["right", "left", None]
 
 
-def test_folders_of_three_cameras_are_not_taken_for_one(tmp_path: Path) -> None:
+def test_folders_of_three_cameras_are_rejected(tmp_path: Path) -> None:
     for number in range(3):
         (tmp_path / f"cam{number}").mkdir()
         (tmp_path / f"cam{number}" / "1.png").touch()
 
     with pytest.raises(CairnError, match=r"cam2 are folders of more than two cameras"):
-        sides_of(images_in(tmp_path))
+        assign_cameras(images_in(tmp_path))
 
 
-def test_a_folder_without_images_is_told(tmp_path: Path) -> None:
-    with pytest.raises(CairnError, match="holds no images"):
+def test_folder_without_images_is_reported(tmp_path: Path) -> None:
+    with pytest.raises(CairnError, match="has no images"):
         images_in(tmp_path)
     with pytest.raises(CairnError, match="cannot be read"):
         images_in(tmp_path / "none")

@@ -1,4 +1,4 @@
-"""Images of every kind become gray ones; what is no image is refused in words."""
+"""Tests of decoding images to gray, and of the checks for damaged files."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -16,18 +16,18 @@ from cairn import CairnError
 from cairn.schemas.sensor_msgs import Image
 from cairn.schemas.std_msgs import Header
 from cairn.vision.images import eight_bits, gray_of, read_image, upright_size
-from tests.cairn.vision.taught_objects import texture
+from tests.cairn.visual_map.views import texture
 
 pytestmark = pytest.mark.images
 
 
-GREY = texture(3, 48, 32)
+GRAY = texture(3, 48, 32)
 
 
 def message(
     encoding: str, rows: NDArray[Any], width: int = 48, padding: int = 0, big: bool = False
 ) -> Image:
-    """An image message of rows of numbers."""
+    """Return an image message with these rows of numbers."""
     if rows.dtype.itemsize == 2:
         rows = rows.astype(">u2" if big else "<u2")
     data = np.ascontiguousarray(rows).view(np.uint8).reshape(rows.shape[0], -1)
@@ -44,29 +44,31 @@ def message(
 
 
 def colored() -> NDArray[np.uint8]:
-    """Blue, green and red that are far apart, (h, w, 3)."""
+    """Return an image (h, w, 3) with different blue, green and red channels."""
     return np.dstack([texture(k, 48, 32) for k in range(3)])
 
 
 @given(padding=st.integers(0, 9))
-def test_the_rows_of_a_gray_message_may_be_padded(padding: int) -> None:
-    np.testing.assert_array_equal(gray_of(message("mono8", GREY, padding=padding)), GREY)
+def test_padding_of_rows_is_ignored(padding: int) -> None:
+    np.testing.assert_array_equal(gray_of(message("mono8", GRAY, padding=padding)), GRAY)
 
 
 @given(padding=st.integers(0, 9), big=st.booleans(), bits=st.sampled_from([8, 10, 12, 16]))
-def test_16_bits_of_either_byte_order_show_the_same(padding: int, big: bool, bits: int) -> None:
-    wide = GREY.astype(np.uint16) << (bits - 8)
+def test_16_bit_messages_of_both_byte_orders_are_decoded(
+    padding: int, big: bool, bits: int
+) -> None:
+    wide = GRAY.astype(np.uint16) << (bits - 8)
 
     gray = gray_of(message("mono16", wide, padding=padding, big=big))
 
     np.testing.assert_array_equal(gray, eight_bits(wide))
-    assert np.abs(gray.astype(int) - GREY).max() <= 1
+    assert np.abs(gray.astype(int) - GRAY).max() <= 1
 
 
 @pytest.mark.parametrize("alpha", [False, True])
 @pytest.mark.parametrize("bits", [8, 16])
 @pytest.mark.parametrize("order", ["bgr", "rgb"])
-def test_colors_become_gray_by_their_names(order: str, bits: int, alpha: bool) -> None:
+def test_color_encodings_are_converted_to_gray(order: str, bits: int, alpha: bool) -> None:
     color = colored()
     expected = cv2.cvtColor(color, cv2.COLOR_BGR2GRAY)
     given = color if order == "bgr" else color[..., ::-1]
@@ -83,16 +85,16 @@ def test_colors_become_gray_by_their_names(order: str, bits: int, alpha: bool) -
 @pytest.mark.parametrize(
     ("encoding", "first"), [("yuv422", False), ("uyvy", False), ("yuv422_yuy2", True)]
 )
-def test_the_brightness_of_yuv_is_taken(encoding: str, first: bool) -> None:
-    color = np.full_like(GREY, 128)
-    pixels = np.dstack([GREY, color] if first else [color, GREY]).reshape(32, -1)
+def test_luminance_of_yuv_is_used(encoding: str, first: bool) -> None:
+    color = np.full_like(GRAY, 128)
+    pixels = np.dstack([GRAY, color] if first else [color, GRAY]).reshape(32, -1)
 
-    np.testing.assert_array_equal(gray_of(message(encoding, pixels, padding=4)), GREY)
+    np.testing.assert_array_equal(gray_of(message(encoding, pixels, padding=4)), GRAY)
 
 
 @pytest.mark.parametrize("pattern", ["rggb", "bggr", "gbrg", "grbg"])
 @pytest.mark.parametrize("bits", [8, 16])
-def test_a_bayer_mosaic_of_one_color_is_that_color(pattern: str, bits: int) -> None:
+def test_bayer_mosaic_of_one_color_has_its_gray_level(pattern: str, bits: int) -> None:
     level = {"r": 200, "g": 120, "b": 40}
     cell = np.array([level[letter] for letter in pattern], np.uint16).reshape(2, 2)
     mosaic = np.tile(cell, (16, 24)).astype(np.uint8)
@@ -104,37 +106,37 @@ def test_a_bayer_mosaic_of_one_color_is_that_color(pattern: str, bits: int) -> N
     assert np.abs(gray[4:-4, 4:-4].astype(int) - int(expected)).max() <= 2
 
 
-def test_a_dark_16_bit_image_stays_dark_and_a_hot_pixel_does_not_blacken_it() -> None:
+def test_dark_16_bit_image_stays_dark_and_hot_pixels_are_ignored() -> None:
     dark = np.random.default_rng(1).integers(0, 4, (100, 100)).astype(np.uint16)
     assert eight_bits(dark).max() < 4
 
-    hot = GREY.astype(np.uint16) << 4
+    hot = GRAY.astype(np.uint16) << 4
     hot[3, 3] = 65535
-    assert np.abs(eight_bits(hot).astype(int) - GREY)[4:].max() <= 1
+    assert np.abs(eight_bits(hot).astype(int) - GRAY)[4:].max() <= 1
 
 
 @pytest.mark.parametrize(
-    ("image", "complaint"),
+    ("image", "message_text"),
     [
-        (message("jpeg", GREY), "encoding = 'jpeg' is not known"),
-        (message("rgb8", GREY), "step = 48 is too small for 48 pixels of rgb8"),
-        (message("mono8", GREY[:, :2], width=2), "2 x 32 pixels: too few"),
-        (Image(encoding="mono8"), "0 x 0 pixels: too few"),
+        (message("jpeg", GRAY), "encoding = 'jpeg' is not supported"),
+        (message("rgb8", GRAY), "step = 48 is too small for 48 pixels of rgb8"),
+        (message("mono8", GRAY[:, :2], width=2), "2 x 32 pixels, too few"),
+        (Image(encoding="mono8"), "0 x 0 pixels, too few"),
         (Image(encoding="mono8", width=2**31, height=0), "too few"),
     ],
 )
-def test_a_message_that_holds_no_such_image_is_refused(image: Image, complaint: str) -> None:
-    with pytest.raises(CairnError, match=complaint):
+def test_invalid_message_is_rejected(image: Image, message_text: str) -> None:
+    with pytest.raises(CairnError, match=message_text):
         gray_of(image)
 
 
 @pytest.mark.parametrize("suffix", [".png", ".bmp", ".tiff", ".pgm", ".webp"])
-def test_gray_files_are_read_as_they_are(tmp_path: Path, suffix: str) -> None:
+def test_gray_files_are_read_unchanged(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"a{suffix}"
     parameters = [cv2.IMWRITE_WEBP_QUALITY, 101] if suffix == ".webp" else []
-    cv2.imwrite(str(path), GREY, parameters)
+    cv2.imwrite(str(path), GRAY, parameters)
 
-    assert np.abs(read_image(path).astype(int) - GREY).max() <= 1
+    assert np.abs(read_image(path).astype(int) - GRAY).max() <= 1
 
 
 def test_color_palette_and_16_bit_files_are_read(tmp_path: Path) -> None:
@@ -142,16 +144,16 @@ def test_color_palette_and_16_bit_files_are_read(tmp_path: Path) -> None:
     gray = cv2.cvtColor(color, cv2.COLOR_BGR2GRAY).astype(int)
     cv2.imwrite(str(tmp_path / "color.png"), color)
     cv2.imwrite(str(tmp_path / "color16.tiff"), color.astype(np.uint16) << 4)
-    cv2.imwrite(str(tmp_path / "gray16.png"), GREY.astype(np.uint16) << 4)
-    Picture.fromarray(GREY).convert("P").save(tmp_path / "palette.png")
+    cv2.imwrite(str(tmp_path / "gray16.png"), GRAY.astype(np.uint16) << 4)
+    Picture.fromarray(GRAY).convert("P").save(tmp_path / "palette.png")
 
     assert np.abs(read_image(tmp_path / "color.png") - gray).max() <= 1
     assert np.abs(read_image(tmp_path / "color16.tiff") - gray).max() <= 1
-    assert np.abs(read_image(tmp_path / "gray16.png").astype(int) - GREY).max() <= 1
-    assert np.abs(read_image(tmp_path / "palette.png").astype(int) - GREY).max() <= 1
+    assert np.abs(read_image(tmp_path / "gray16.png").astype(int) - GRAY).max() <= 1
+    assert np.abs(read_image(tmp_path / "palette.png").astype(int) - GRAY).max() <= 1
 
 
-def test_what_is_transparent_is_white(tmp_path: Path) -> None:
+def test_transparent_pixels_become_white(tmp_path: Path) -> None:
     half = np.full((32, 48), 255, np.uint8)
     half[:, :24] = 0
     cv2.imwrite(str(tmp_path / "a.png"), np.dstack([colored(), half]))
@@ -164,8 +166,8 @@ def test_what_is_transparent_is_white(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("orientation", range(1, 9))
-def test_photographs_are_turned_upright(tmp_path: Path, orientation: int) -> None:
-    undo: Callable[[Any], Any] = {  # what a camera that is held so makes of it
+def test_photographs_are_rotated_upright(tmp_path: Path, orientation: int) -> None:
+    undo: Callable[[Any], Any] = {  # the image of a camera in this orientation
         1: lambda a: a,
         2: lambda a: a[:, ::-1],
         3: lambda a: a[::-1, ::-1],
@@ -177,13 +179,13 @@ def test_photographs_are_turned_upright(tmp_path: Path, orientation: int) -> Non
     }[orientation]
     exif = Picture.Exif()
     exif[0x0112] = orientation
-    Picture.fromarray(np.ascontiguousarray(undo(GREY))).save(tmp_path / "a.png", exif=exif)
+    Picture.fromarray(np.ascontiguousarray(undo(GRAY))).save(tmp_path / "a.png", exif=exif)
 
-    np.testing.assert_array_equal(read_image(tmp_path / "a.png"), GREY)
+    np.testing.assert_array_equal(read_image(tmp_path / "a.png"), GRAY)
 
 
 @pytest.mark.parametrize("suffix", [".png", ".jpg", ".tiff", ".bmp", ".pgm"])
-def test_a_truncated_file_is_refused(tmp_path: Path, suffix: str) -> None:
+def test_truncated_file_is_rejected(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"a{suffix}"
     cv2.imwrite(str(path), texture(1, 320, 240))
     data = path.read_bytes()
@@ -195,9 +197,7 @@ def test_a_truncated_file_is_refused(tmp_path: Path, suffix: str) -> None:
 
 @pytest.mark.parametrize("suffix", [".png", ".jpg"])
 @pytest.mark.parametrize("how", ["zeros", "noise", "missing", "ended"])
-def test_a_file_that_is_damaged_in_its_middle_is_refused(
-    tmp_path: Path, suffix: str, how: str
-) -> None:
+def test_file_damaged_in_the_middle_is_rejected(tmp_path: Path, suffix: str, how: str) -> None:
     path = tmp_path / f"a{suffix}"
     cv2.imwrite(str(path), texture(2, 320, 240))
     data = path.read_bytes()
@@ -210,13 +210,15 @@ def test_a_file_that_is_damaged_in_its_middle_is_refused(
     }[how]
     path.write_bytes(data[:middle] + part + data[middle + 200 :])
 
-    with pytest.raises(CairnError, match=rf"a\{suffix} is truncated or damaged .* give a whole"):
+    with pytest.raises(
+        CairnError, match=rf"a\{suffix} is truncated or damaged .* give an intact copy"
+    ):
         read_image(path)
 
 
-def sampled(path: Path, factors: int) -> Path:
-    """A JPEG file that tells these sampling factors of its first component (ITU T.81, B.2.2)."""
-    Picture.fromarray(GREY).convert("RGB").save(path)
+def jpeg_with_sampling(path: Path, factors: int) -> Path:
+    """Write a JPEG file with these sampling factors of its first component (ITU T.81, B.2.2)."""
+    Picture.fromarray(GRAY).convert("RGB").save(path)
     data = bytearray(path.read_bytes())
     data[data.index(b"\xff\xc0") + 11] = factors
     path.write_bytes(data)
@@ -224,25 +226,25 @@ def sampled(path: Path, factors: int) -> Path:
 
 
 @pytest.mark.parametrize("factors", [0x13, 0x31, 0x42])
-def test_a_jpeg_file_of_unusual_sampling_is_read(tmp_path: Path, factors: int) -> None:
-    assert read_image(sampled(tmp_path / "a.jpg", factors)).shape == GREY.shape
+def test_jpeg_with_unusual_sampling_is_read(tmp_path: Path, factors: int) -> None:
+    assert read_image(jpeg_with_sampling(tmp_path / "a.jpg", factors)).shape == GRAY.shape
 
 
 @pytest.mark.parametrize("factors", [0x00, 0x11, 0x44, 0xFF])
-def test_a_jpeg_file_of_impossible_sampling_is_refused(tmp_path: Path, factors: int) -> None:
+def test_jpeg_with_invalid_sampling_is_rejected(tmp_path: Path, factors: int) -> None:
     with pytest.raises(CairnError, match=r"a\.jpg is truncated or damaged"):
-        read_image(sampled(tmp_path / "a.jpg", factors))
+        read_image(jpeg_with_sampling(tmp_path / "a.jpg", factors))
 
 
 @pytest.mark.parametrize("suffix", [".jpg", ".png", ".tif"])
 @pytest.mark.parametrize("orientation", [1, 3, 6])
-def test_the_size_is_that_of_the_upright_image(
+def test_upright_size_matches_the_decoded_image(
     tmp_path: Path, suffix: str, orientation: int
 ) -> None:
     path = tmp_path / f"a{suffix}"
     exif = Picture.Exif()
     exif[0x0112] = orientation
-    Picture.fromarray(GREY[:40]).save(path, exif=exif)
+    Picture.fromarray(GRAY[:40]).save(path, exif=exif)
 
     width, height = upright_size(path)
 
@@ -252,33 +254,33 @@ def test_the_size_is_that_of_the_upright_image(
 @pytest.mark.parametrize("mode", ["L", "RGB", "CMYK"])
 @pytest.mark.parametrize("progressive", [False, True])
 @pytest.mark.parametrize("subsampling", [0, 2])
-def test_whole_jpeg_files_of_any_kind_are_read(
+def test_intact_jpeg_files_of_all_kinds_are_read(
     tmp_path: Path, mode: str, progressive: bool, subsampling: int
 ) -> None:
-    Picture.fromarray(GREY).convert(mode).save(
+    Picture.fromarray(GRAY).convert(mode).save(
         tmp_path / "a.jpg", quality=98, progressive=progressive, subsampling=subsampling
     )
 
     # Subsampled, CMYK loses detail.
-    assert np.median(np.abs(read_image(tmp_path / "a.jpg").astype(int) - GREY)) <= 6
+    assert np.median(np.abs(read_image(tmp_path / "a.jpg").astype(int) - GRAY)) <= 6
 
 
-def test_what_is_no_image_is_refused_by_name(tmp_path: Path) -> None:
+def test_files_that_are_not_images_are_rejected_by_name(tmp_path: Path) -> None:
     (tmp_path / "empty.png").touch()
     (tmp_path / "text.png").write_text("no image " * 50)
-    cv2.imwrite(str(tmp_path / "tiny.png"), GREY[:3, :3])
-    cv2.imwrite(str(tmp_path / "bright.tif"), np.maximum(GREY, 255).astype(np.float32))
+    cv2.imwrite(str(tmp_path / "tiny.png"), GRAY[:3, :3])
+    cv2.imwrite(str(tmp_path / "bright.tif"), np.maximum(GRAY, 255).astype(np.float32))
     Picture.new("1", (20000, 10000)).save(tmp_path / "huge.png")
 
-    for name, complaint in {
+    for name, message_text in {
         "missing.png": "No such file",
         "empty.png": "is empty",
-        "text.png": "is no image",
-        "tiny.png": "has 3 x 3 pixels: too few",
+        "text.png": "is not an image",
+        "tiny.png": "has 3 x 3 pixels, too few",
         "huge.png": "is too large",
-        "bright.tif": "holds float32 numbers up to 255, where 1 is white",
+        "bright.tif": "has float32 pixels up to 255, but 1 is white",
         ".": "Is a directory",
     }.items():
-        with pytest.raises(CairnError, match=complaint) as told:
+        with pytest.raises(CairnError, match=message_text) as raised:
             read_image(tmp_path / name)
-        assert str(tmp_path) in str(told.value)
+        assert str(tmp_path) in str(raised.value)

@@ -1,4 +1,4 @@
-"""Real photographs: what is in them is found, and what is not is not."""
+"""Tests of recognition in real photographs."""
 
 from functools import cache
 from pathlib import Path
@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cairn.vision.features import Features, extract, varied
-from cairn.vision.recognition import Recognition, Recognizer
-from cairn.vision.taught import TaughtObject, View
+from cairn.vision.features import Features, extract, select_across_scales
+from cairn.vision.object_model import ModelView, ObjectModel
+from cairn.vision.recognition import Detection, Recognizer
 
 pytestmark = pytest.mark.images
 
@@ -45,37 +45,39 @@ def image_of(name: str) -> NDArray[np.uint8]:
 
 @cache
 def features_of(name: str) -> Features:
-    """All of them, which takes long: what stands out most comes first."""
+    """Return all features, strongest first; extraction is slow, so they are cached."""
     return extract(image_of(name))
 
 
-def taught(number: int, name: str) -> TaughtObject:
+def model(number: int, name: str) -> ObjectModel:
     picture = image_of(name)
-    view = View(picture.shape[1], picture.shape[0], varied(features_of(name), 400), picture)
-    return TaughtObject(number, f"object {number}", None, (view,))
+    view = ModelView(
+        picture.shape[1], picture.shape[0], select_across_scales(features_of(name), 400), picture
+    )
+    return ObjectModel(number, f"object {number}", None, (view,))
 
 
-def found_in(name: str, known: Recognizer, most: int = 3000) -> list[Recognition]:
+def detect_in(name: str, known: Recognizer, most: int = 3000) -> list[Detection]:
     height, width = image_of(name).shape
     every = features_of(name)
     return known.recognize(every.at(np.arange(min(most, len(every)))), width, height)
 
 
-def test_the_box_is_found_in_its_scene() -> None:
-    (found,) = found_in("box_in_scene", Recognizer([taught(1, "box")]))
+def test_box_is_detected_in_its_scene() -> None:
+    (found,) = detect_in("box_in_scene", Recognizer([model(1, "box")]))
 
-    # As read off the picture by eye, and good to some pixels.
-    by_eye = [(118, 161), (285, 175), (268, 298), (89, 272)]
+    # Read by eye, accurate to some pixels.
+    expected = [(118, 161), (285, 175), (268, 298), (89, 272)]
     assert found.inliers > 40
-    assert np.linalg.norm(found.corners - by_eye, axis=1).max() < 5
+    assert np.linalg.norm(found.corners - expected, axis=1).max() < 5
 
 
-def test_the_graffiti_are_found_from_the_side_with_their_corners() -> None:
-    wall = taught(1, "graf1")
+def test_graffiti_are_detected_from_the_side_with_their_corners() -> None:
+    wall = model(1, "graf1")
     file = cv2.FileStorage(str(DATA / "images" / "H1to3p.xml"), cv2.FILE_STORAGE_READ)
     truth = file.getNode("H13").mat()
 
-    (found,) = found_in("graf3", Recognizer([wall]))
+    (found,) = detect_in("graf3", Recognizer([wall]))
 
     expected = cv2.perspectiveTransform(wall.views[0].corners[None], truth)[0]
     assert np.linalg.norm(found.corners - expected, axis=1).max() < 8
@@ -83,15 +85,13 @@ def test_the_graffiti_are_found_from_the_side_with_their_corners() -> None:
 
 @pytest.fixture(scope="module")
 def everything() -> Recognizer:
-    return Recognizer([taught(n, name) for n, name in enumerate(FILES)])
+    return Recognizer([model(n, name) for n, name in enumerate(FILES)])
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_pictures_of_different_things_are_never_taken_for_each_other(
-    name: str, everything: Recognizer
-) -> None:
+def test_different_pictures_are_never_confused(name: str, everything: Recognizer) -> None:
     names = list(FILES)
-    found = found_in(name, everything)
+    found = detect_in(name, everything)
 
     claimed = {names[i] for each in found for i in (each.object_id, *each.alternatives)}
     assert name in claimed
@@ -99,10 +99,10 @@ def test_pictures_of_different_things_are_never_taken_for_each_other(
         assert frozenset((name, other)) in SAME
 
 
-def test_nor_alone_one_by_one(everything: Recognizer) -> None:
-    """With few known, little tells what stands out: false matches would be likeliest then."""
+def test_different_pictures_are_never_confused_with_a_single_model(everything: Recognizer) -> None:
+    """With one model only, false matches are most likely: the background distance is unknown."""
     alone = {each.name: Recognizer([each]) for each in everything.objects}
     for n, name in enumerate(FILES):
         for m, other in enumerate(FILES):
-            found = found_in(name, alone[f"object {m}"], 1500)
+            found = detect_in(name, alone[f"object {m}"], 1500)
             assert not found or n == m or frozenset((name, other)) in SAME, (name, other)

@@ -1,4 +1,4 @@
-"""Images are rectified as ROS's camera models say; what cannot be is refused."""
+"""Tests of rectification by ROS's camera models."""
 
 from typing import Any
 
@@ -8,13 +8,13 @@ import pytest
 
 from cairn import CairnError
 from cairn.schemas.sensor_msgs import CameraInfo, RegionOfInterest
-from cairn.vision.rectification import Lens, Rectifier, is_calibrated
+from cairn.vision.rectification import CameraModel, Rectifier, is_calibrated
 from tests.cairn.vision.cameras import CX, CY, FOCAL, HEIGHT, WIDTH, info, pattern, projection
 
 pytestmark = pytest.mark.images
 
 
-TURN = cv2.Rodrigues(np.array([0.02, -0.03, 0.01]))[0]
+ROTATION = cv2.Rodrigues(np.array([0.02, -0.03, 0.01]))[0]
 RATIONAL = [0.2, -0.1, 0.001, -0.001, 0.02, 0.25, -0.05, 0.01]
 
 
@@ -26,27 +26,27 @@ RATIONAL = [0.2, -0.1, 0.001, -0.001, 0.02, 0.25, -0.05, 0.01]
         ("equidistant", [0.02, -0.01, 0.003, 0.0]),
     ],
 )
-def test_an_image_is_rectified_to_what_an_ideal_camera_sees(model: str, d: list[float]) -> None:
+def test_rectified_image_equals_that_of_an_ideal_camera(model: str, d: list[float]) -> None:
     camera = info(
-        distortion_model=model, d=np.array(d), r=TURN.ravel(), p=projection(300.0, 150.0, 125.0)
+        distortion_model=model, d=np.array(d), r=ROTATION.ravel(), p=projection(300.0, 150.0, 125.0)
     )
     columns, rows = np.meshgrid(np.arange(WIDTH, dtype=float), np.arange(HEIGHT, dtype=float))
-    taken_at = np.stack((columns, rows), axis=2).reshape(-1, 1, 2)
+    raw_points = np.stack((columns, rows), axis=2).reshape(-1, 1, 2)
     undistort = cv2.fisheye.undistortPoints if model == "equidistant" else cv2.undistortPoints
     given = camera.k.reshape(3, 3), camera.d, camera.r.reshape(3, 3), camera.p.reshape(3, 4)[:, :3]
-    ideal_at = np.asarray(undistort(taken_at, *given[:2], R=given[2], P=given[3]))
-    ideal_at = ideal_at.astype(np.float64).reshape(HEIGHT, WIDTH, 2)
-    taken = pattern(1, ideal_at[..., 0], ideal_at[..., 1], 15.0).astype(np.uint8)
+    ideal_points = np.asarray(undistort(raw_points, *given[:2], R=given[2], P=given[3]))
+    ideal_points = ideal_points.astype(np.float64).reshape(HEIGHT, WIDTH, 2)
+    raw = pattern(1, ideal_points[..., 0], ideal_points[..., 1], 15.0).astype(np.uint8)
 
-    rectified = Rectifier(camera).apply(taken)
+    rectified = Rectifier(camera).apply(raw)
 
     ideal = pattern(1, columns, rows, 15.0)
     middle = np.s_[50:-50, 50:-50]
     assert np.abs(rectified[middle] - ideal[middle]).mean() < 2.0
-    assert np.abs(taken[middle] - ideal[middle]).mean() > 20.0
+    assert np.abs(raw[middle] - ideal[middle]).mean() > 20.0
 
 
-def test_a_pixel_goes_where_the_model_says() -> None:
+def test_maps_follow_the_distortion_model() -> None:
     """By the equations of sensor_msgs/distortion_models.hpp, not by OpenCV."""
     k1, k2, p1, p2 = -0.3, 0.1, 0.001, -0.002
     x, y = 0.3, -0.2
@@ -56,44 +56,44 @@ def test_a_pixel_goes_where_the_model_says() -> None:
     v = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
     camera = info(d=np.array([k1, k2, p1, p2, 0.0]), p=projection(300.0, 150.0, 125.0))
 
-    taken_x, taken_y = Lens.of(camera).maps()
+    taken_x, taken_y = CameraModel.of(camera).maps()
 
     column, row = round(300 * x + 150), round(300 * y + 125)
-    taken = taken_x[row, column], taken_y[row, column]
-    assert taken == pytest.approx((FOCAL * u + CX, FOCAL * v + CY), abs=1e-3)
+    raw = taken_x[row, column], taken_y[row, column]
+    assert raw == pytest.approx((FOCAL * u + CX, FOCAL * v + CY), abs=1e-3)
 
 
-def test_where_there_is_nothing_to_do_the_image_is_left_alone() -> None:
+def test_rectified_image_is_returned_unchanged() -> None:
     image = np.zeros((HEIGHT, WIDTH), np.uint8)
 
     assert Rectifier(info()).apply(image) is image
     assert Rectifier(info(distortion_model="", d=np.zeros(0))).apply(image) is image
 
 
-def test_an_image_of_another_size_is_refused_with_both_sizes() -> None:
+def test_image_of_another_size_is_rejected_with_both_sizes() -> None:
     with pytest.raises(CairnError, match=r"the image is 640 x 480 pixels.* is of 320 x 240"):
         Rectifier(info()).apply(np.zeros((480, 640), np.uint8))
 
 
 @pytest.mark.parametrize(
-    ("changes", "told"),
+    ("changes", "message"),
     [
-        ({"k": np.zeros(9)}, "holds no calibration"),
-        ({"p": np.zeros(12)}, "holds no calibration"),
-        ({"k": np.array([-1, 0, 1, 0, 1, 1, 0, 0, 1.0])}, "k = .* is no camera's matrix"),
-        ({"r": np.zeros(9)}, "r = .* is no rotation"),
+        ({"k": np.zeros(9)}, "has no calibration"),
+        ({"p": np.zeros(12)}, "has no calibration"),
+        ({"k": np.array([-1, 0, 1, 0, 1, 1, 0, 0, 1.0])}, "k = .* is not a camera matrix"),
+        ({"r": np.zeros(9)}, "r = .* is not a rotation"),
         ({"d": np.zeros(3)}, "d has 3 coefficients, but plumb_bob has 4 or 5"),
         ({"distortion_model": "equidistant"}, "d has 5 coefficients, but equidistant has 4"),
-        ({"distortion_model": "thin_prism"}, "distortion_model = 'thin_prism' is not known"),
+        ({"distortion_model": "thin_prism"}, "distortion_model = 'thin_prism' is not supported"),
         ({"binning_x": 2, "binning_y": 2}, "binning of 2 x 2 is not supported"),
         ({"roi": RegionOfInterest(width=100, height=80, x_offset=3)}, "region of interest of 100"),
     ],
 )
-def test_what_is_no_calibration_is_refused(changes: dict[str, Any], told: str) -> None:
-    with pytest.raises(CairnError, match=told):
+def test_invalid_calibration_is_rejected(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(CairnError, match=message):
         Rectifier(info(**changes))
 
 
-def test_a_driver_without_a_calibration_is_told_apart() -> None:
+def test_uncalibrated_camera_is_detected() -> None:
     assert is_calibrated(info())
     assert not is_calibrated(CameraInfo(width=WIDTH, height=HEIGHT))

@@ -1,12 +1,12 @@
-"""What is odd about a picture that is to be taught is noticed."""
+"""Tests of the checks of pictures before they are taught."""
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cairn.vision.teaching import repeats, unfit, view_of
-from tests.cairn.vision.taught_objects import texture
+from cairn.vision.teaching import make_view, repeats, why_unrecognizable
 from tests.cairn.vision.test_real_images import FILES, image_of
+from tests.cairn.visual_map.views import texture
 
 pytestmark = pytest.mark.images
 
@@ -15,7 +15,7 @@ REAL = [name for name in FILES if name != "chessboard"]
 
 
 def tiled(tile: NDArray[np.uint8], rows: int, columns: int) -> NDArray[np.uint8]:
-    """The tile again and again, and the camera's noise."""
+    """Return a picture of repeated tiles with a camera's noise."""
     picture = np.tile(tile, (rows, columns))
     noise = np.random.default_rng(1).normal(0, 2, picture.shape)
     return np.clip(picture + noise, 0, 255).astype(np.uint8)
@@ -23,20 +23,20 @@ def tiled(tile: NDArray[np.uint8], rows: int, columns: int) -> NDArray[np.uint8]
 
 @pytest.mark.parametrize(("rows", "columns"), [(1, 2), (2, 2), (3, 4), (6, 6)])
 @pytest.mark.parametrize("seed", [1, 2])
-def test_a_picture_of_tiles_is_in_itself_again(seed: int, rows: int, columns: int) -> None:
+def test_picture_of_tiles_repeats_itself(seed: int, rows: int, columns: int) -> None:
     tile = texture(seed, 120, 90)
 
-    assert repeats(view_of(tiled(tile, rows, columns)))
-    assert not repeats(view_of(tiled(tile, 1, 1)))
+    assert repeats(make_view(tiled(tile, rows, columns)))
+    assert not repeats(make_view(tiled(tile, 1, 1)))
 
 
 @pytest.mark.parametrize("name", REAL)
-def test_a_photograph_is_not(name: str) -> None:
-    view = view_of(image_of(name))
+def test_photograph_is_recognizable_and_does_not_repeat(name: str) -> None:
+    view = make_view(image_of(name))
 
-    assert unfit(view) == ""
+    assert why_unrecognizable(view) == ""
     assert not repeats(view)
 
 
-def test_nor_is_one_without_anything_in_it() -> None:
-    assert not repeats(view_of(np.full((100, 100), 90, np.uint8)))
+def test_blank_picture_does_not_repeat() -> None:
+    assert not repeats(make_view(np.full((100, 100), 90, np.uint8)))

@@ -24,9 +24,8 @@ from cairn.components.map_builder.keeper import MapKeeper
 from cairn.components.map_builder.objects import Kind, State
 from cairn.components.map_builder.place import Place
 from cairn.components.map_builder.store import open_map
-from cairn.vision.checksum import check, checksum
-from cairn.vision.map_file import MapFileError, copy_map
-from cairn.vision.taught_store import teach
+from cairn.visual_map.file import MapFileError, check, copy_map, row_checksum
+from cairn.visual_map.object_models import teach
 from tests.cairn.vision.taught_objects import view
 from tests.components.map_builder.evidence import THERE, sighting, surveyed
 
@@ -230,7 +229,7 @@ def test_a_file_that_is_no_map_is_refused_by_name(
 def test_a_map_under_another_writer_says_so(
     map_file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("cairn.vision.map_file.LOCK_WAIT_S", 0.05)
+    monkeypatch.setattr("cairn.visual_map.file.LOCK_WAIT_S", 0.05)
     other = sqlite3.connect(map_file, isolation_level=None)
     other.execute("BEGIN EXCLUSIVE")
 
@@ -296,7 +295,7 @@ def test_a_row_is_known_again_as_the_file_gives_it(values: list[Any]) -> None:
         columns = [f"c{k} {kinds.get(type(value), 'TEXT')}" for k, value in enumerate(values)]
         connection.execute(f"CREATE TABLE t ({', '.join(['c INTEGER', *columns])})")
         marks = ", ".join("?" * (len(values) + 1))
-        connection.execute(f"INSERT INTO t VALUES ({marks})", (checksum(values), *values))
+        connection.execute(f"INSERT INTO t VALUES ({marks})", (row_checksum(values), *values))
         stored, *row = connection.execute("SELECT * FROM t").fetchone()
 
     check(row, stored)

@@ -20,9 +20,9 @@ from cairn.schemas.cairn_msgs import RecognizedObjectArray
 from cairn.schemas.sensor_msgs import CameraInfo
 from cairn.vision import teaching
 from cairn.vision.features import Features, extract
-from cairn.vision.map_file import create
-from cairn.vision.taught_store import teach
-from cairn.vision.teaching import view_of
+from cairn.vision.teaching import make_view
+from cairn.visual_map.file import create
+from cairn.visual_map.object_models import teach
 from tests.components.conftest import Stage
 from tests.components.object_recognizer.scenes import (
     SIZE,
@@ -122,7 +122,7 @@ def taught_map(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("taught") / "a.cairn"
     create(path, "a test").close()
     for seed in (1, 2, 3):
-        teach(path, f"poster {seed}", [view_of(picture_of(seed))], SIZE if seed < 3 else None)
+        teach(path, f"poster {seed}", [make_view(picture_of(seed))], SIZE if seed < 3 else None)
     return path
 
 

@@ -10,9 +10,9 @@ import cv2
 import numpy as np
 import pytest
 
-from cairn.components.object_recognizer.agreement import Agreement
-from cairn.vision.taught_store import teach
-from cairn.vision.teaching import view_of
+from cairn.components.object_recognizer.observation import Agreement
+from cairn.vision.teaching import make_view
+from cairn.visual_map.object_models import teach
 from tests.components.object_recognizer.conftest import Robot
 from tests.components.object_recognizer.scenes import SIZE, Thing, info, message, pair, picture_of
 
@@ -285,7 +285,7 @@ def test_a_right_camera_without_calibration_is_told_and_objects_are_ranged_by_si
 
 
 def test_objects_that_look_alike_are_told_as_alternatives(robot: Begin, map_file: Path) -> None:
-    teach(map_file, "its twin", [view_of(picture_of(1))], SIZE)
+    teach(map_file, "its twin", [make_view(picture_of(1))], SIZE)
 
     (one,) = robot().know().see([HERE]).objects
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from cairn.testing.launching import launching
-from cairn.vision.map_file import connect, create
-from cairn.vision.taught_store import read_taught
+from cairn.visual_map.file import connect, create
+from cairn.visual_map.object_models import read_models
 from tests.commands import Answer, cairn
 from tests.components.object_recognizer.scenes import picture_of
 
@@ -108,7 +108,7 @@ def test_a_part_of_a_photograph_is_taught_by_a_box(folder: Path) -> None:
 
     cairn("object", "teach", "cup", "scene.png", "--box", "300,100,400,300")
 
-    (cup,) = read_taught(Path("visual_map.cairn")).objects
+    (cup,) = read_models(Path("visual_map.cairn")).objects
     np.testing.assert_array_equal(cup.views[0].picture, picture_of(1))
     assert "reaches beyond the image of 800 x 600" in refused(
         "object", "teach", "mug", "scene.png", "--box", "500,100,400,300"
@@ -141,7 +141,7 @@ def test_a_size_can_be_told_later(folder: Path) -> None:
     later = cairn("object", "teach", "cup", "--size", "0.4,0.3")
 
     assert (later.code, later.err) == (0, "")
-    assert read_taught(Path("visual_map.cairn")).objects[0].size == (0.4, 0.3)
+    assert read_models(Path("visual_map.cairn")).objects[0].size == (0.4, 0.3)
 
 
 @pytest.mark.usefixtures("cup")
@@ -151,7 +151,7 @@ def test_another_size_is_taken_and_told(folder: Path) -> None:
     other = cairn("object", "teach", "cup", "--size", "0.8,0.6", "--json").json
 
     assert other["remarks"] == ["its size was 0.4 m x 0.3 m until now"]
-    assert read_taught(Path("visual_map.cairn")).objects[0].size == (0.8, 0.6)
+    assert read_models(Path("visual_map.cairn")).objects[0].size == (0.8, 0.6)
 
 
 @pytest.mark.usefixtures("cup")

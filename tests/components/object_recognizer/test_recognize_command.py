@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from cairn.vision.camera_file import write_camera
-from cairn.vision.map_file import create
-from cairn.vision.taught_store import teach
-from cairn.vision.teaching import view_of
+from cairn.vision.teaching import make_view
+from cairn.visual_map.file import create
+from cairn.visual_map.object_models import teach
 from tests.commands import cairn
 from tests.components.object_recognizer.scenes import (
     BASELINE,
@@ -38,8 +38,8 @@ def prepared(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """
     folder = tmp_path_factory.mktemp("prepared")
     create(folder / "a.cairn", "a test").close()
-    teach(folder / "a.cairn", "poster", [view_of(picture_of(1))], SIZE)
-    teach(folder / "a.cairn", "clock", [view_of(picture_of(3))])
+    teach(folder / "a.cairn", "poster", [make_view(picture_of(1))], SIZE)
+    teach(folder / "a.cairn", "clock", [make_view(picture_of(3))])
     for name, image in zip(("left", "right"), pair(THINGS), strict=True):
         cv2.imwrite(str(folder / f"{name}.png"), image)
     write_camera(folder / "left.yaml", info(), "left")

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from cairn import CairnError
-from cairn.vision.taught_store import remove_taught, teach
-from cairn.vision.teaching import view_of
+from cairn.vision.teaching import make_view
+from cairn.visual_map.object_models import remove_model, teach
 from tests.components.object_recognizer.conftest import Robot
 from tests.components.object_recognizer.scenes import SIZE, Thing, info, picture_of
 
@@ -127,11 +127,11 @@ def test_what_is_taught_while_it_runs_is_recognized(
     it = robot().know()
     assert it.see([Thing(7, 0.0, 1.5)]).objects == ()
 
-    teach(map_file, "poster 7", [view_of(picture_of(7))], SIZE)
+    teach(map_file, "poster 7", [make_view(picture_of(7))], SIZE)
     await_log(it, caplog, "4 taught objects")
     assert [one.object_id for one in it.see([Thing(7, 0.0, 1.5)]).objects] == [4]
 
-    remove_taught(map_file, "poster 7")
+    remove_model(map_file, "poster 7")
     await_log(it, caplog, "3 taught objects")
     assert it.see([Thing(7, 0.0, 1.5)]).objects == ()
 
@@ -174,7 +174,7 @@ def test_a_map_without_taught_objects_is_told_and_nothing_is_missed(
     robot: Begin, map_file: Path, complaints: Callable[[], str]
 ) -> None:
     for seed in (1, 2, 3):
-        remove_taught(map_file, f"poster {seed}")
+        remove_model(map_file, f"poster {seed}")
 
     told = robot().know().see([Thing(1, 0.0, 1.5)])
 

@@ -10,7 +10,7 @@ import yaml
 from cairn import CairnError
 from cairn.components.simulation.checks import problems_of
 from cairn.components.simulation.photography import seen_from
-from cairn.components.simulation.survey import surveyed_pictures
+from cairn.components.simulation.survey import surveyed_models
 from cairn.components.simulation.textures import (
     LONGEST_PX,
     drawn_picture,
@@ -19,9 +19,9 @@ from cairn.components.simulation.textures import (
 )
 from cairn.components.simulation.world_file import read_world
 from cairn.vision.features import extract
+from cairn.vision.object_model import ObjectModel
 from cairn.vision.recognition import Recognizer
-from cairn.vision.taught import TaughtObject
-from cairn.vision.teaching import view_of
+from cairn.vision.teaching import make_view
 from tests.commands import cairn
 from tests.components.simulation.worlds import RADIUS, box
 
@@ -33,7 +33,9 @@ ROOM = Path(__file__).parents[3] / "deploy" / "worlds" / "room.yaml"
 
 def test_drawn_pictures_are_rich_and_each_is_like_itself_alone() -> None:
     pictures = [drawn_picture(number, (0.5, 0.4)) for number in range(1, 9)]
-    known = [TaughtObject(number, "", None, (view_of(one),)) for number, one in enumerate(pictures)]
+    known = [
+        ObjectModel(number, "", None, (make_view(one),)) for number, one in enumerate(pictures)
+    ]
     recognizer = Recognizer(known)
 
     assert np.array_equal(pictures[0], drawn_picture(1, (0.5, 0.4)))
@@ -109,7 +111,7 @@ def test_textures_lie_beside_their_world(tmp_path: Path, monkeypatch: pytest.Mon
     file.write_text(yaml.safe_dump(box(objects=[{**poster, "width": 0.5, "height": 0.4}])))
     monkeypatch.chdir("/")
 
-    (taught,) = surveyed_pictures(file)
+    (taught,) = surveyed_models(file)
 
     assert (taught.object_id, taught.name, taught.size) == (1, "object_1", (0.5, 0.4))
     assert np.array_equal(taught.views[0].picture, picture)
@@ -117,7 +119,7 @@ def test_textures_lie_beside_their_world(tmp_path: Path, monkeypatch: pytest.Mon
 
 def test_the_rooms_objects_are_recognized_where_they_hang() -> None:
     world = read_world(ROOM)
-    recognizer = Recognizer(surveyed_pictures(ROOM))
+    recognizer = Recognizer(surveyed_models(ROOM))
     for pose, there in (
         ((1.8, 2.4, 3.1), {1}),
         ((4.7, 5.2, 1.57), {3, 4}),

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cairn import SECOND
-from cairn.components.object_recognizer.pairing import PATIENCE_NS, Pair, Pairing
+from cairn.components.object_recognizer.cameras import PATIENCE_NS, Pair, StereoSynchronizer
 from cairn.schemas.sensor_msgs import Image
 
 pytestmark = pytest.mark.images
@@ -18,7 +18,7 @@ def image(frame: int) -> Image:
     return Image(width=frame)
 
 
-def taken(pairing: Pairing, side: str, frame: int, now_ns: int) -> Pair | None:
+def taken(pairing: StereoSynchronizer, side: str, frame: int, now_ns: int) -> Pair | None:
     if side == "left":
         return pairing.take_left(frame * PERIOD, image(frame), now_ns)
     return pairing.take_right(frame * PERIOD, image(frame))
@@ -31,7 +31,7 @@ def taken(pairing: Pairing, side: str, frame: int, now_ns: int) -> Pair | None:
 def test_only_images_of_one_time_are_paired_and_never_an_older_one(
     lost: set[tuple[int, str]], late: set[int]
 ) -> None:
-    pairing = Pairing(stereo=True)
+    pairing = StereoSynchronizer(stereo=True)
     before = 0
     for frame in range(1, 41):
         sides = ("right", "left") if frame in late else ("left", "right")
@@ -50,7 +50,7 @@ def test_only_images_of_one_time_are_paired_and_never_an_older_one(
 
 
 def test_without_right_images_left_ones_are_taken_alone_until_they_come_again() -> None:
-    pairing = Pairing(stereo=True)
+    pairing = StereoSynchronizer(stereo=True)
     alone = [taken(pairing, "left", k, k * PERIOD) for k in range(1, 20)]
 
     waited = PATIENCE_NS // PERIOD
@@ -65,7 +65,7 @@ def test_without_right_images_left_ones_are_taken_alone_until_they_come_again() 
 
 
 def test_a_pause_of_both_cameras_is_no_loss_of_the_right_one() -> None:
-    pairing = Pairing(stereo=True)
+    pairing = StereoSynchronizer(stereo=True)
     taken(pairing, "left", 1, PERIOD)
     assert taken(pairing, "right", 1, PERIOD) is not None
 
@@ -74,6 +74,6 @@ def test_a_pause_of_both_cameras_is_no_loss_of_the_right_one() -> None:
 
 
 def test_one_camera_alone_waits_for_none() -> None:
-    pair = taken(Pairing(stereo=False), "left", 1, PERIOD)
+    pair = taken(StereoSynchronizer(stereo=False), "left", 1, PERIOD)
     assert pair is not None
     assert pair.right is None

@@ -1,4 +1,4 @@
-"""Objects that were taught: flat things, each by one photograph or more."""
+"""Object models: what a flat object looks like, by one photograph or more."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from cairn.vision.features import Features
 
 
 @dataclass(frozen=True)
-class View:
+class ModelView:
     """One photograph of an object, cut to the object.
 
-    `width` and `height` [px] are those of `picture` (h, w), which is gray; `features` are what is
-    recognized of it, in its pixels.
+    `width` and `height` [px] are the size of `picture` (h, w), a gray image. `features` are the
+    features that the recognizer matches, in pixels of the picture.
     """
 
     width: int
@@ -25,22 +25,22 @@ class View:
 
     @property
     def corners(self) -> NDArray[np.float64]:
-        """(4, 2) [px]: top left, top right, bottom right, bottom left.
+        """Return the corners (4, 2) [px]: top left, top right, bottom right, bottom left.
 
-        The outer corners of the outermost pixels, whose middles are half a pixel further in.
+        They are the outer corners of the outermost pixels, half a pixel outside of their centers.
         """
         right, bottom = self.width - 0.5, self.height - 0.5
         return np.array([(-0.5, -0.5), (right, -0.5), (right, bottom), (-0.5, bottom)])
 
 
 @dataclass(frozen=True)
-class TaughtObject:
-    """What is known of an object: its name, its size and what it looks like.
+class ObjectModel:
+    """What is known of an object: its name, its size and its views.
 
-    `size` is width and height [m] of what the views show, None if it was not told.
+    `size` is the width and height [m] of what the views show, None if it is not known.
     """
 
     object_id: int
     name: str
     size: tuple[float, float] | None
-    views: tuple[View, ...]
+    views: tuple[ModelView, ...]

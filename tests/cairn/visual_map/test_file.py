@@ -1,4 +1,4 @@
-"""The map's file over formats: what an older Cairn wrote is read, and upgraded when written."""
+"""Tests of the visual map's file: formats, upgrades, copies, digests."""
 
 import hashlib
 import shutil
@@ -8,18 +8,25 @@ from pathlib import Path
 
 import pytest
 
-from cairn.vision.map_file import APPLICATION, MapFileError, connect, copy_map, create, digest_of
-from cairn.vision.map_file import _upgrade as upgrade
-from cairn.vision.map_schema import FORMATS
-from cairn.vision.taught_store import read_taught, taught_number, teach
-from tests.cairn.vision.taught_objects import view
+from cairn.visual_map.file import (
+    APPLICATION,
+    FORMATS,
+    MapFileError,
+    connect,
+    copy_map,
+    create,
+    digest_of,
+)
+from cairn.visual_map.file import _upgrade as upgrade
+from cairn.visual_map.object_models import add_views, read_models, read_revision
+from tests.cairn.visual_map.views import view
 
 ROOM = Path(__file__).parents[3] / "deploy" / "maps" / "room.cairn"
 
 
 @pytest.fixture
 def first_format(tmp_path: Path) -> Path:
-    """A file as the first Cairn wrote it."""
+    """Return a file of format 1."""
     path = tmp_path / "old.cairn"
     with closing(sqlite3.connect(path)) as connection, connection:
         for statement in FORMATS[0]:
@@ -34,29 +41,29 @@ def first_format(tmp_path: Path) -> Path:
     return path
 
 
-def test_a_file_of_the_first_format_is_read_and_stays_as_it_is(first_format: Path) -> None:
+def test_reading_format_1_leaves_the_file_unchanged(first_format: Path) -> None:
     before = first_format.read_bytes()
 
     with closing(connect(first_format, read_only=True)) as connection:
         assert connection.execute("SELECT name FROM objects").fetchall() == [("poster",)]
 
-    assert read_taught(first_format).objects == ()
-    assert taught_number(first_format) == 0
+    assert read_models(first_format).models == ()
+    assert read_revision(first_format) == 0
     assert first_format.read_bytes() == before
 
 
-def test_a_file_of_the_first_format_is_upgraded_when_it_is_written(first_format: Path) -> None:
+def test_writing_upgrades_format_1(first_format: Path) -> None:
     same = digest_of(first_format)
     connect(first_format).close()
 
     with closing(sqlite3.connect(first_format)) as connection:
         assert connection.execute("PRAGMA user_version").fetchone()[0] == len(FORMATS)
         assert connection.execute("SELECT name FROM objects").fetchall() == [("poster",)]
-    assert teach(first_format, "poster", [view(1)]) == 4
+    assert add_views(first_format, "poster", [view(1)]) == 4
     assert digest_of(first_format) == same
 
 
-def test_a_map_of_the_second_format_is_known_again_by_its_copies(tmp_path: Path) -> None:
+def test_digest_of_format_2_matches_upgraded_copies(tmp_path: Path) -> None:
     old = tmp_path / "old.cairn"
     digest = hashlib.sha256()
     shutil.copy(ROOM, old)
@@ -64,50 +71,50 @@ def test_a_map_of_the_second_format_is_known_again_by_its_copies(tmp_path: Path)
         connection.execute("ALTER TABLE objects DROP COLUMN checksum")
         connection.execute("ALTER TABLE taught_views DROP COLUMN checksum")
         connection.execute("PRAGMA user_version = 2")
-        for table in ("origin", "objects", "changes"):  # as Cairn had it then
+        for table in ("origin", "objects", "changes"):  # the digest of format 2
             for row in connection.execute(f"SELECT * FROM {table} ORDER BY rowid"):
                 digest.update(repr(row).encode())
 
     assert digest_of(old) == digest.hexdigest() == digest_of(ROOM)
 
 
-def test_two_programs_may_upgrade_a_file_at_the_same_time(
+def test_two_programs_can_upgrade_a_file_concurrently(
     first_format: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def after_another(connection: sqlite3.Connection) -> None:
         with monkeypatch.context() as only_once:
-            only_once.setattr("cairn.vision.map_file._upgrade", upgrade)
-            teach(first_format, "cup", [view(1)])
+            only_once.setattr("cairn.visual_map.file._upgrade", upgrade)
+            add_views(first_format, "cup", [view(1)])
         upgrade(connection)
 
-    monkeypatch.setattr("cairn.vision.map_file._upgrade", after_another)
+    monkeypatch.setattr("cairn.visual_map.file._upgrade", after_another)
     connect(first_format).close()
 
-    assert [known.name for known in read_taught(first_format).objects] == ["cup"]
+    assert [known.name for known in read_models(first_format).models] == ["cup"]
 
 
-def test_maps_that_come_with_cairn_can_be_read() -> None:
+def test_maps_in_deploy_can_be_read() -> None:
     with closing(connect(ROOM, read_only=True)) as connection:
         assert connection.execute("SELECT count(*) FROM objects").fetchone()[0] > 0
 
 
-def test_a_copy_holds_what_was_taught(tmp_path: Path) -> None:
+def test_copy_contains_object_models(tmp_path: Path) -> None:
     original, copy = tmp_path / "a.cairn", tmp_path / "b.cairn"
     create(original, "a test").close()
-    teach(original, "cup", [view(1)], (0.1, 0.2))
+    add_views(original, "cup", [view(1)], (0.1, 0.2))
 
     copy_map(original, copy)
 
-    (cup,) = read_taught(copy).objects
+    (cup,) = read_models(copy).models
     assert (cup.name, cup.size, len(cup.views)) == ("cup", (0.1, 0.2), 1)
 
 
-def test_what_is_taught_makes_no_other_map_of_it(tmp_path: Path) -> None:
+def test_object_models_do_not_change_the_digest(tmp_path: Path) -> None:
     path = tmp_path / "a.cairn"
     create(path, "a test").close()
     before = digest_of(path)
 
-    teach(path, "cup", [view(1)])
+    add_views(path, "cup", [view(1)])
     assert digest_of(path) == before
 
     with closing(connect(path)) as connection:
@@ -115,18 +122,16 @@ def test_what_is_taught_makes_no_other_map_of_it(tmp_path: Path) -> None:
     assert digest_of(path) != before
 
 
-def test_what_could_not_be_made_leaves_nothing_behind(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_failed_creation_leaves_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with monkeypatch.context() as broken:
-        broken.setattr("cairn.vision.map_file.FORMATS", (("CREATE NONSENSE",),))
+        broken.setattr("cairn.visual_map.file.FORMATS", (("CREATE NONSENSE",),))
         with pytest.raises(MapFileError):
             create(tmp_path / "a.cairn", "a test")
 
     create(tmp_path / "a.cairn", "a test").close()
 
 
-def test_a_file_with_other_tables_is_refused(tmp_path: Path) -> None:
+def test_file_with_other_tables_is_rejected(tmp_path: Path) -> None:
     path = tmp_path / "a.cairn"
     with closing(create(path, "a test")) as connection:
         connection.execute("DROP TABLE taught_views")

@@ -1,4 +1,4 @@
-"""Draws taught objects and what was recognized in an image."""
+"""Draws the views of an object model, and the objects detected in an image."""
 
 from __future__ import annotations
 
@@ -11,21 +11,20 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from cairn import CairnError
-from cairn.files import replacing
-from cairn.vision.file_errors import why
-from cairn.vision.recognition import Recognition
-from cairn.vision.taught import TaughtObject
+from cairn.files import explain_os_error, replacing
+from cairn.vision.object_model import ObjectModel
+from cairn.vision.recognition import Detection
 
 _COLORS = ("tab:red", "tab:green", "tab:blue", "tab:orange", "tab:purple", "tab:cyan", "tab:pink")
 _DPI = 100
 
 
-def draw_views(known: TaughtObject, file: Path) -> None:
-    """The views of an object with their features; raises `CairnError` if it cannot be written."""
-    count = len(known.views)
+def draw_views(model: ObjectModel, file: Path) -> None:
+    """Draw the views of a model with their features; raise `CairnError` if writing fails."""
+    count = len(model.views)
     figure = Figure(figsize=(5.0 * count, 5.0), layout="constrained")
     for number, (axes, view) in enumerate(
-        zip(np.atleast_1d(figure.subplots(1, count)), known.views, strict=True)
+        zip(np.atleast_1d(figure.subplots(1, count)), model.views, strict=True)
     ):
         axes.imshow(view.picture, cmap="gray", vmin=0, vmax=255)
         points, radii = view.features.points, view.features.scales / 2
@@ -35,16 +34,16 @@ def draw_views(known: TaughtObject, file: Path) -> None:
         )  # fmt: skip
         axes.set_title(f"view {number}: {len(view.features)} features")
         axes.axis("off")
-    figure.suptitle(known.name)
+    figure.suptitle(model.name)
     _save(figure, file)
 
 
-def draw_recognized(
-    gray: NDArray[np.uint8], found: Sequence[Recognition], labels: Sequence[str], file: Path
+def draw_detections(
+    gray: NDArray[np.uint8], detections: Sequence[Detection], labels: Sequence[str], file: Path
 ) -> None:
-    """An image with outline, matched features and label of each object recognized in it.
+    """Draw an image with outline, matched features and label of each detection.
 
-    Raises `CairnError` if it cannot be written.
+    Raises `CairnError` if the file cannot be written.
     """
     height, width = gray.shape
     scale = max(1.0, 600 / width)
@@ -54,12 +53,12 @@ def draw_recognized(
     axes.set_xlim(-0.5, width - 0.5)
     axes.set_ylim(height - 0.5, -0.5)
     axes.axis("off")
-    for number, (one, label) in enumerate(zip(found, labels, strict=True)):
-        _draw_one(axes, one, label, _COLORS[number % len(_COLORS)])
+    for number, (one, label) in enumerate(zip(detections, labels, strict=True)):
+        _draw_detection(axes, one, label, _COLORS[number % len(_COLORS)])
     _save(figure, file)
 
 
-def _draw_one(axes: Axes, one: Recognition, label: str, color: str) -> None:
+def _draw_detection(axes: Axes, one: Detection, label: str, color: str) -> None:
     outline = np.vstack((one.corners, one.corners[:1]))
     axes.plot(outline[:, 0], outline[:, 1], color=color, linewidth=2)
     axes.scatter(one.image_points[:, 0], one.image_points[:, 1], s=6, color=color)
@@ -77,13 +76,13 @@ def _save(figure: Figure, file: Path) -> None:
     kind = file.suffix[1:].lower()
     if kind not in figure.canvas.get_supported_filetypes():
         raise CairnError(
-            f"{file}: its name does not tell what kind of picture it is to be: give one that ends "
-            "in .png"
+            f"{file}: the suffix is not that of a supported image format; give a name that ends in "
+            ".png"
         )
     try:
-        # Without the software's name the same picture gives the same bytes; others take no names.
+        # Without the software's name, equal pictures give equal bytes; only PNG has this field.
         metadata = {"Software": None} if kind == "png" else None
         with replacing(file) as part:
             figure.savefig(part, dpi=_DPI, metadata=metadata, format=kind)
     except OSError as error:
-        raise CairnError(f"{file} cannot be written: {why(error)}") from error
+        raise CairnError(f"{file} cannot be written: {explain_os_error(error)}") from error

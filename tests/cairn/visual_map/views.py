@@ -1,4 +1,4 @@
-"""Objects to teach: textured pictures from a seed."""
+"""Textured pictures from a seed, and their model views."""
 
 from functools import cache
 
@@ -7,12 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cairn.vision.features import extract
-from cairn.vision.taught import View
+from cairn.vision.object_model import ModelView
 
 
 @cache
 def texture(seed: int, width: int = 160, height: int = 120) -> NDArray[np.uint8]:
-    """A picture with features of all sizes, another one for each seed."""
+    """Return a picture with features of all sizes, different for each seed."""
     random = np.random.default_rng(seed)
     picture = np.zeros((height, width))
     for cell in (4, 8, 16, 32):
@@ -24,6 +24,6 @@ def texture(seed: int, width: int = 160, height: int = 120) -> NDArray[np.uint8]
 
 
 @cache
-def view(seed: int, width: int = 160, height: int = 120) -> View:
+def view(seed: int, width: int = 160, height: int = 120) -> ModelView:
     picture = texture(seed, width, height)
-    return View(width, height, extract(picture), picture)
+    return ModelView(width, height, extract(picture), picture)

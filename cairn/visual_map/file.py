@@ -1,0 +1,383 @@
+"""The visual map's file (SQLite): its tables, formats and checksums; opens, upgrades, copies it.
+
+Two programs use it: the object recognizer reads object models (`object_models.py`), the map builder
+reads and writes landmarks, evidence and changes (`landmark_store.py`).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import shutil
+import sqlite3
+import time
+import zlib
+from collections.abc import Iterable, Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+from typing import Any, Final
+
+from cairn.errors import CairnError
+from cairn.files import explain_os_error, replacing
+
+APPLICATION: Final = 0x4361_726E
+"""SQLite's application id of a visual map, in the file's header: "Carn"."""
+
+LOCK_WAIT_S: Final = 5.0
+"""How long a writer waits for another one [s]."""
+
+MOST_ID: Final = 2**32 - 1
+"""Largest identifier or count that a message can carry (uint32)."""
+
+# Columns are listed in the order in which they are read. The last format adds columns at the end of
+# a table, so the same statements create new files and upgrade existing ones.
+
+_LANDMARKS: Final = (
+    "CREATE TABLE origin (source TEXT NOT NULL, digest TEXT NOT NULL, created_s REAL NOT NULL)",
+    """CREATE TABLE objects (
+        object_id INTEGER PRIMARY KEY, name TEXT NOT NULL,
+        x REAL, y REAL, xx REAL, xy REAL, yy REAL,
+        reliability REAL NOT NULL, state INTEGER NOT NULL, evidence_count INTEGER NOT NULL,
+        candidate_x REAL, candidate_y REAL,
+        candidate_xx REAL, candidate_xy REAL, candidate_yy REAL,
+        candidate_reliability REAL, candidate_sightings INTEGER
+    )""",
+    """CREATE TABLE changes (
+        version INTEGER PRIMARY KEY, stamp_ns INTEGER NOT NULL, object_id INTEGER NOT NULL,
+        kind TEXT NOT NULL, old_x REAL, old_y REAL, new_x REAL, new_y REAL,
+        reliability REAL NOT NULL, reason TEXT NOT NULL
+    )""",
+    """CREATE TABLE evidence (
+        stamp_ns INTEGER NOT NULL, object_id INTEGER NOT NULL,
+        similarity REAL NOT NULL, verdict TEXT NOT NULL, distance REAL NOT NULL,
+        x REAL NOT NULL, y REAL NOT NULL, xx REAL NOT NULL, xy REAL NOT NULL, yy REAL NOT NULL,
+        robot_x REAL NOT NULL, robot_y REAL NOT NULL, robot_theta REAL NOT NULL,
+        healthy INTEGER NOT NULL, counted INTEGER NOT NULL,
+        reliability REAL NOT NULL, candidate_reliability REAL, state INTEGER NOT NULL
+    )""",
+    "CREATE INDEX evidence_of_object ON evidence (object_id, stamp_ns)",
+)
+
+# AUTOINCREMENT: identifiers are never reused, otherwise a new object would be mistaken for a
+# removed one. `taught_changes` has one row; readers compare it to see whether to read again.
+_OBJECT_MODELS: Final = (
+    """CREATE TABLE taught_objects (
+        object_id INTEGER PRIMARY KEY AUTOINCREMENT, name TEXT NOT NULL UNIQUE,
+        width_m REAL, height_m REAL
+    )""",
+    """CREATE TABLE taught_views (
+        view_id INTEGER PRIMARY KEY AUTOINCREMENT, object_id INTEGER NOT NULL,
+        width INTEGER NOT NULL, height INTEGER NOT NULL,
+        points BLOB NOT NULL, scales BLOB NOT NULL, angles BLOB NOT NULL,
+        descriptors BLOB NOT NULL, picture BLOB NOT NULL
+    )""",
+    "CREATE INDEX views_of_object ON taught_views (object_id, view_id)",
+    "CREATE TABLE taught_changes (number INTEGER NOT NULL)",
+    "INSERT INTO taught_changes VALUES (0)",
+)
+
+# The viewpoints from which an object is usually recognized: JSON, "" if none is known.
+_VIEWPOINTS: Final = ("ALTER TABLE objects ADD COLUMN viewpoints TEXT NOT NULL DEFAULT ''",)
+
+# Checksums of rows (`row_checksum`); NULL in rows of older programs. The checksum of a view does
+# not cover its picture: that is a PNG with checksums of its own, and is not always read.
+_CHECKSUMS: Final = (
+    "ALTER TABLE objects ADD COLUMN checksum INTEGER",
+    "ALTER TABLE taught_views ADD COLUMN checksum INTEGER",
+)
+
+FORMATS: Final[tuple[tuple[str, ...], ...]] = (
+    _LANDMARKS,
+    _OBJECT_MODELS + _VIEWPOINTS,
+    _CHECKSUMS,
+)
+"""The statements that each format adds to the one before, the first one to an empty file."""
+
+_FORMAT: Final = len(FORMATS)
+_LITTLE_SPACE: Final = 256 * 1024  # bytes that SQLite's lock file and log need
+_DAMAGED: Final = "It is damaged or not a map: restore a copy of it, or import it again"
+
+
+class MapFileError(CairnError):
+    """A map file is missing, foreign, damaged or cannot be written."""
+
+
+def create(path: Path, source: str, digest: str = "") -> sqlite3.Connection:
+    """Make a new, empty map file; `source` says in words where the map comes from.
+
+    Raises `MapFileError` if the file exists or cannot be made.
+    """
+    if path.exists():
+        raise MapFileError(f"{path} exists already. Remove it or give another name.")
+    with explained_errors(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.touch(exist_ok=False)  # SQLite does not say why a file cannot be made
+        with _removed_on_error(path):
+            connection = _connection(path)
+            with _closed_on_error(connection):
+                connection.execute("BEGIN IMMEDIATE")
+                _add_formats(connection, since=0)
+                connection.execute(f"PRAGMA application_id = {APPLICATION}")
+                origin = (source, digest, time.time())
+                connection.execute("INSERT INTO origin VALUES (?, ?, ?)", origin)
+                connection.execute("COMMIT")
+    return connection
+
+
+def connect(path: Path, *, read_only: bool = False) -> sqlite3.Connection:
+    """Open and check a map file, in autocommit mode.
+
+    A file of an older format is upgraded; if `read_only`, a copy of it in memory is. Raises
+    `MapFileError`, which names the file, the defect and the remedy.
+    """
+    _check_exists(path)
+    with explained_errors(path):
+        connection = _connection(path, read_only)
+        with _closed_on_error(connection):
+            if _checked_format(path, connection) < _FORMAT:
+                if read_only:
+                    connection = _in_memory(connection)
+                _upgrade(connection)
+            _check_tables(path, connection)
+            if not read_only:
+                # WAL: readers never block the robot, and a commit is one append and one fsync.
+                connection.execute("PRAGMA journal_mode = WAL")
+                connection.execute("PRAGMA synchronous = FULL")
+                connection.execute("BEGIN IMMEDIATE")
+                connection.execute("ROLLBACK")
+    return connection
+
+
+def copy_map(original: Path, copy: Path) -> None:
+    """Copy a map, also from a read-only place, to `copy`, completely or not at all."""
+    with closing(connect(original, read_only=True)) as source, explained_errors(copy):
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        for stale in (copy, *side_files(copy)):
+            stale.unlink(missing_ok=True)
+        with (
+            replacing(copy) as part,
+            closing(sqlite3.connect(part, isolation_level=None)) as target,
+        ):
+            source.backup(target)
+            target.execute("UPDATE origin SET digest = ?", (_digest(source),))
+
+
+def digest_of(path: Path) -> str:
+    """Return a digest that identifies the map in a file; it does not depend on object models.
+
+    Raises `MapFileError` if the file cannot be read.
+    """
+    with closing(connect(path, read_only=True)) as connection, explained_errors(path):
+        return _digest(connection)
+
+
+@contextmanager
+def connect_unchecked(path: Path) -> Iterator[sqlite3.Connection]:
+    """Open a file of any format for a short read, without checks; raise errors as `connect`."""
+    _check_exists(path)
+    with explained_errors(path), closing(_connection(path, read_only=True)) as connection:
+        yield connection
+
+
+def at_rest(path: Path) -> bool:
+    """Return whether no program has the file open for writing."""
+    return not any(file.exists() for file in side_files(path))
+
+
+def side_files(path: Path) -> list[Path]:
+    """Return the paths of the files that SQLite keeps beside an open one."""
+    return [path.with_name(path.name + suffix) for suffix in ("-wal", "-shm", "-journal")]
+
+
+@contextmanager
+def explained_errors(path: Path) -> Iterator[None]:
+    """Turn errors of SQLite and the file system into `MapFileError` with file and remedy."""
+    try:
+        yield
+    except sqlite3.Error as error:
+        raise MapFileError(f"{path}: {error}. {_remedy(path, error)}.") from error
+    except ValueError as error:  # an invalid row, or bytes that are not text
+        raise MapFileError(f"{path}: {error}. {_DAMAGED}.") from error
+    except OSError as error:
+        raise MapFileError(f"{error.filename or path}: {explain_os_error(error)}.") from error
+
+
+@contextmanager
+def transaction(path: Path, connection: sqlite3.Connection) -> Iterator[sqlite3.Connection]:
+    """Write everything that is executed, or nothing; wait for other writers.
+
+    Raises `MapFileError` if it cannot be written, or if another program has written for 5 s.
+    """
+    with explained_errors(path), connection:
+        connection.execute("BEGIN IMMEDIATE")
+        yield connection
+
+
+def row_checksum(values: Iterable[Any]) -> int:
+    """Return the CRC-32 of a row of numbers, texts and bytes.
+
+    SQLite detects damage of its own structure, but not of the values.
+    """
+    total = 0
+    for value in values:
+        total = zlib.crc32(_bytes(value), zlib.crc32(b"|", total))
+    return total
+
+
+def check_row(values: Iterable[Any], stored: Any) -> None:
+    """Raise `ValueError` if a row does not match its `stored` checksum.
+
+    The checksum is None in rows that older programs wrote.
+    """
+    if stored is not None and stored != row_checksum(values):
+        raise ValueError("it is not as it was written: its checksum differs")
+
+
+def _bytes(value: Any) -> bytes:
+    if isinstance(value, bytes):
+        return value
+    if isinstance(value, int | float):
+        # SQLite returns whole numbers in the type of the column, and no minus before 0.
+        value = float(value) + 0.0
+    return repr(value).encode()
+
+
+def _check_exists(path: Path) -> None:
+    with explained_errors(path):
+        if path.is_file():
+            return
+        if path.is_dir():
+            raise MapFileError(f"{path} is a folder. Give a map file, such as one in it.")
+        if path.exists():
+            raise MapFileError(f"{path} is not a regular file. Give a map file.")
+    raise MapFileError(
+        f"{path}: no such map file. Make one with `cairn map import` or `cairn object teach`, "
+        "or correct the path."
+    )
+
+
+def _connection(path: Path, read_only: bool = False) -> sqlite3.Connection:
+    # A map at rest may be in a folder where SQLite cannot make its lock files.
+    mode = "mode=rwc" if not read_only else "immutable=1" if at_rest(path) else "mode=ro"
+    # A component's handlers run one at a time, but not always on the same thread.
+    return sqlite3.connect(
+        f"{path.resolve().as_uri()}?{mode}",
+        uri=True,
+        isolation_level=None,
+        timeout=LOCK_WAIT_S,
+        check_same_thread=False,
+    )
+
+
+@contextmanager
+def _removed_on_error(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except BaseException:
+        path.unlink(missing_ok=True)
+        raise
+
+
+@contextmanager
+def _closed_on_error(connection: sqlite3.Connection) -> Iterator[None]:
+    try:
+        yield
+    except BaseException:
+        connection.close()
+        raise
+
+
+def _checked_format(path: Path, connection: sqlite3.Connection) -> int:
+    application = connection.execute("PRAGMA application_id").fetchone()[0]
+    if application != APPLICATION:
+        raise MapFileError(
+            f"{path} is not a visual map of Cairn. Give a file that `cairn map import` or `cairn "
+            "object teach` wrote."
+        )
+    version = _format(connection)
+    if not 1 <= version <= _FORMAT:
+        raise MapFileError(
+            f"{path} has format {version}, this Cairn reads formats up to {_FORMAT}. Import the "
+            "map again, or run the Cairn that wrote it."
+        )
+    damage = connection.execute("PRAGMA quick_check(1)").fetchone()[0]
+    if damage != "ok":
+        raise MapFileError(f"{path}: {' '.join(damage.split())}. {_DAMAGED}.")
+    return version
+
+
+def _check_tables(path: Path, connection: sqlite3.Connection) -> None:
+    with closing(sqlite3.connect(":memory:", isolation_level=None)) as model:
+        _add_formats(model, since=0)
+        if _columns(connection) != _columns(model):
+            raise MapFileError(f"{path}: its tables are not those of a visual map. {_DAMAGED}.")
+
+
+def _format(connection: sqlite3.Connection) -> int:
+    return int(connection.execute("PRAGMA user_version").fetchone()[0])
+
+
+def _upgrade(connection: sqlite3.Connection) -> None:
+    with connection:
+        connection.execute("BEGIN IMMEDIATE")
+        # Read the format again: another program may have upgraded the file meanwhile.
+        _add_formats(connection, since=_format(connection))
+
+
+def _add_formats(connection: sqlite3.Connection, since: int) -> None:
+    for statements in FORMATS[since:]:
+        for statement in statements:
+            connection.execute(statement)
+    connection.execute(f"PRAGMA user_version = {_FORMAT}")
+
+
+def _in_memory(file: sqlite3.Connection) -> sqlite3.Connection:
+    memory = sqlite3.connect(":memory:", isolation_level=None, check_same_thread=False)
+    with closing(file):
+        file.backup(memory)
+    return memory
+
+
+def _columns(connection: sqlite3.Connection) -> list[tuple[str, str, str]]:
+    """Return table, name and type of every column."""
+    return connection.execute(
+        "SELECT tables.name, columns.name, columns.type FROM sqlite_schema AS tables, "
+        "pragma_table_info(tables.name) AS columns WHERE tables.type = 'table' "
+        "ORDER BY tables.name, columns.cid"
+    ).fetchall()
+
+
+def _digest(connection: sqlite3.Connection) -> str:
+    digest = hashlib.sha256()
+    columns = _columns(connection)
+    for table in ("origin", "objects", "changes"):
+        # Without checksums, so that copies that an older Cairn made still match.
+        names = ", ".join(name for of, name, _ in columns if of == table and name != "checksum")
+        for row in connection.execute(f"SELECT {names} FROM {table} ORDER BY rowid"):
+            digest.update(repr(row).encode())
+    return digest.hexdigest()
+
+
+def _remedy(path: Path, error: sqlite3.Error) -> str:
+    text = str(error)
+    # On a full disk SQLite may also fail at its lock files, with an I/O error.
+    failed = "disk I/O error" in text or "unable to open" in text
+    if "full" in text or (failed and _is_full(path.parent)):
+        return "The disk is full: free some space on it"
+    if "disk I/O error" in text:
+        return "The disk fails: copy the file to another one first, then read the system's log"
+    if "readonly" in text or "unable to open" in text:
+        return (
+            "The file or its folder is read-only: change its permissions, or use a copy (the map "
+            "builder's parameter working_copy makes one)"
+        )
+    if "locked" in text:
+        return "Another program is writing to it: stop that program"
+    return _DAMAGED
+
+
+def _is_full(folder: Path) -> bool:
+    try:
+        disk = shutil.disk_usage(folder)
+        return disk.total > 0 and disk.free < _LITTLE_SPACE  # pseudo file systems have no size
+    except OSError:
+        return False
