@@ -1,4 +1,4 @@
-"""A map with taught objects, a recognizer before a camera, and each image's features once."""
+"""Fixtures: a map with object models, a recognizer with cameras, cached features of images."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from cairn.vision import teaching
 from cairn.vision.features import Features, extract
 from cairn.vision.teaching import make_view
 from cairn.visual_map.file import create
-from cairn.visual_map.object_models import teach
+from cairn.visual_map.object_models import add_views
 from tests.components.conftest import Stage
 from tests.components.object_recognizer.scenes import (
     SIZE,
@@ -37,7 +37,7 @@ BEGIN_S = 1000.0
 
 
 class Robot:
-    """A recognizer that gets an image every 0.2 s."""
+    """A recognizer that receives an image every 0.2 s."""
 
     def __init__(self, stage: Stage) -> None:
         self.stage = stage
@@ -47,8 +47,8 @@ class Robot:
     def now_s(self) -> float:
         return self.stage.executor.now() / SECOND
 
-    def know(self, left: CameraInfo | None = None, right: CameraInfo | None = None) -> Robot:
-        """Tell it of the cameras; by default of those of `scenes`."""
+    def calibrate(self, left: CameraInfo | None = None, right: CameraInfo | None = None) -> Robot:
+        """Send it the cameras' calibrations, by default those of `scenes`."""
         self.stage.give("left_info", left or info())
         self.stage.give("right_info", right or info(right=True))
         return self
@@ -59,33 +59,33 @@ class Robot:
         right: NDArray[np.generic] | None = None,
         encoding: str = "mono8",
     ) -> RecognizedObjectArray | None:
-        """Let it see a pair of images; what it makes of them, None if it tells nothing."""
+        """Send it a pair of images; return what it publishes, None if it publishes nothing."""
         self.stage.wait(0.2)
         self.stage.taken("objects")
         if left is not None:
             self.stage.give("left_image", message(left, self.now_s, encoding))
         if right is not None:
             self.stage.give("right_image", message(right, self.now_s, encoding))
-        told = self.stage.taken("objects")
-        assert len(told) <= 1
-        return told[0] if told else None
+        published = self.stage.taken("objects")
+        assert len(published) <= 1
+        return published[0] if published else None
 
     def see(self, things: Sequence[Thing]) -> RecognizedObjectArray:
-        """Let it see these things with both cameras."""
+        """Send it images of these things from both cameras; return what it publishes."""
         self._noise += 1
-        told = self.show(*pair(things, self._noise))
-        assert told is not None
-        return told
+        published = self.show(*pair(things, self._noise))
+        assert published is not None
+        return published
 
 
-class Extracted:
-    """The features of images that were looked at before: most tests show the same few."""
+class CachedExtract:
+    """Caches the features of images: most tests show the same few images."""
 
     def __init__(self) -> None:
         self._known: dict[tuple[bytes, tuple[int, ...], int], Features] = {}
 
     def __call__(self, gray: NDArray[np.uint8], most: int = 0) -> Features:
-        """What `vision.features.extract` gives, anew only for an image that is new."""
+        """Return the same as `vision.features.extract`, from the cache if the image is known."""
         key = (hashlib.sha256(gray.tobytes()).digest(), gray.shape, most)
         if key not in self._known:
             self._known[key] = extract(gray, most)
@@ -93,42 +93,42 @@ class Extracted:
         return features.at(np.arange(len(features)))  # a copy
 
 
-@pytest.fixture(scope="module")
-def extracted() -> Extracted:
-    return Extracted()
+@pytest.fixture(scope="session")
+def extracted() -> CachedExtract:
+    return CachedExtract()
 
 
 @pytest.fixture
-def anew() -> None:
-    """For tests of repetition: every image's features are extracted, however often it is seen."""
+def uncached() -> None:
+    """Switch the cache off, for tests of repeatability."""
 
 
 @pytest.fixture(autouse=True)
 def extracted_once(
-    request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch, extracted: Extracted
+    request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch, extracted: CachedExtract
 ) -> None:
-    """Most of the tests' time would be spent on features that another test had extracted already.
+    """Extract the features of each image once: otherwise extraction would dominate the tests.
 
-    How they are extracted, and that they are the same each time, `tests/vision` looks after.
+    Extraction itself, and its repeatability, is tested in tests/cairn/vision.
     """
-    if "anew" not in request.fixturenames:
+    if "uncached" not in request.fixturenames:
         for user in (component, recognize_cli, teaching):
             monkeypatch.setattr(user, "extract", extracted)
 
 
 @pytest.fixture(scope="session")
 def taught_map(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The map of `map_file`, to be copied only: to teach takes most of a second."""
+    """Return the map of `map_file`, to be copied only: teaching takes most of a second."""
     path = tmp_path_factory.mktemp("taught") / "a.cairn"
     create(path, "a test").close()
     for seed in (1, 2, 3):
-        teach(path, f"poster {seed}", [make_view(picture_of(seed))], SIZE if seed < 3 else None)
+        add_views(path, f"poster {seed}", [make_view(picture_of(seed))], SIZE if seed < 3 else None)
     return path
 
 
 @pytest.fixture
 def map_file(taught_map: Path, tmp_path: Path) -> Path:
-    """A map to which objects 1, 2 and 3 are taught, the last without its size."""
+    """Return a map with models of objects 1, 2 and 3, the last one without its size."""
     return Path(shutil.copy(taught_map, tmp_path))
 
 
@@ -143,14 +143,14 @@ def robot(stage: Callable[..., Stage], map_file: Path) -> Callable[..., Robot]:
 
 @pytest.fixture
 def logged(caplog: pytest.LogCaptureFixture) -> Callable[[], str]:
-    """What was logged so far, of whatever level."""
+    """Return all messages logged so far."""
     caplog.set_level(logging.INFO)
     return lambda: caplog.text
 
 
 @pytest.fixture
-def complaints(caplog: pytest.LogCaptureFixture) -> Callable[[], str]:
-    """What was logged as a warning so far."""
+def warnings(caplog: pytest.LogCaptureFixture) -> Callable[[], str]:
+    """Return the warnings logged so far."""
     return lambda: "\n".join(
         record.getMessage() for record in caplog.records if record.levelno >= logging.WARNING
     )

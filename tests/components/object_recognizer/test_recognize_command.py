@@ -1,4 +1,4 @@
-"""`cairn recognize`: what it finds in images, where, and what it refuses."""
+"""Tests of `cairn recognize`."""
 
 import math
 import shutil
@@ -11,7 +11,7 @@ import pytest
 from cairn.vision.camera_file import write_camera
 from cairn.vision.teaching import make_view
 from cairn.visual_map.file import create
-from cairn.visual_map.object_models import teach
+from cairn.visual_map.object_models import add_views
 from tests.commands import cairn
 from tests.components.object_recognizer.scenes import (
     BASELINE,
@@ -32,14 +32,14 @@ THINGS = [Thing(1, -0.3, 1.5), Thing(3, 0.35, 1.8)]
 
 @pytest.fixture(scope="module")
 def prepared(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A map to which 1 is taught with its size and 3 without; a pair of images; calibrations.
+    """Return a folder with a map, a pair of images and calibrations; tests must copy it.
 
-    To be copied only.
+    The map has models of object 1 with its size and of object 3 without.
     """
     folder = tmp_path_factory.mktemp("prepared")
     create(folder / "a.cairn", "a test").close()
-    teach(folder / "a.cairn", "poster", [make_view(picture_of(1))], SIZE)
-    teach(folder / "a.cairn", "clock", [make_view(picture_of(3))])
+    add_views(folder / "a.cairn", "poster", [make_view(picture_of(1))], SIZE)
+    add_views(folder / "a.cairn", "clock", [make_view(picture_of(3))])
     for name, image in zip(("left", "right"), pair(THINGS), strict=True):
         cv2.imwrite(str(folder / f"{name}.png"), image)
     write_camera(folder / "left.yaml", info(), "left")
@@ -49,14 +49,14 @@ def prepared(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(autouse=True)
 def folder(prepared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Where the commands are given: what was `prepared`."""
+    """Run the commands in a copy of `prepared`."""
     shutil.copytree(prepared, tmp_path, dirs_exist_ok=True)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("CAIRN_VISUAL_MAP", "a.cairn")
     return tmp_path
 
 
-def test_what_is_found_is_told_with_its_outline(folder: Path) -> None:
+def test_detections_are_printed_and_drawn(folder: Path) -> None:
     found = cairn("recognize", "left.png", "--json", "--out", "found.png").json
 
     assert {one["name"]: one["object_id"] for one in found["objects"]} == {"poster": 1, "clock": 2}
@@ -73,7 +73,7 @@ def test_what_is_found_is_told_with_its_outline(folder: Path) -> None:
     assert (drawn[..., 0] != drawn[..., 2]).any()  # colors: outlines
 
 
-def test_a_calibration_gives_ranges_by_size_and_a_pair_by_both(folder: Path) -> None:
+def test_single_camera_ranges_by_size_and_a_pair_by_both(folder: Path) -> None:
     alone = cairn("recognize", "left.png", "--camera-info", "left.yaml", "--json").json
     both = cairn(
         "recognize", "left.png", "right.png", "--camera-info", "left.yaml",
@@ -83,7 +83,7 @@ def test_a_calibration_gives_ranges_by_size_and_a_pair_by_both(folder: Path) -> 
     by_size, by_both = ({one["name"]: one for one in f["objects"]} for f in (alone, both))
     assert by_size["poster"]["ranged_by"] == "size"
     assert by_size["clock"]["range"] is None
-    assert "its size is not known and there is no stereo" in by_size["clock"]["doubt"]
+    assert "its size is not known and there is no stereo" in by_size["clock"]["warning"]
     assert by_both["poster"]["ranged_by"] == "both"
     assert by_both["clock"]["ranged_by"] == "stereo"
     for one, thing in ((by_both["poster"], THINGS[0]), (by_both["clock"], THINGS[1])):
@@ -92,8 +92,8 @@ def test_a_calibration_gives_ranges_by_size_and_a_pair_by_both(folder: Path) -> 
         assert np.linalg.eigvalsh(np.reshape(one["covariance"], (2, 2))).min() > 0
     assert by_both["poster"]["covariance"][0] < by_size["poster"]["covariance"][0]
 
-    told = cairn("recognize", "left.png", "--camera-info", "left.yaml").out
-    assert "m away, bearing +11.3" in told
+    printed = cairn("recognize", "left.png", "--camera-info", "left.yaml").out
+    assert "m away, bearing +11.3" in printed
 
 
 BOTH = ("--camera-info", "left.yaml", "--camera-info", "right.yaml")
@@ -104,11 +104,11 @@ BOTH = ("--camera-info", "left.yaml", "--camera-info", "right.yaml")
     [
         ("black.png", "the right image shows next to nothing (it is too dark)"),
         ("left.png", "the right image is the same as the left one"),
-        ("elsewhere.png", "hardly anything of the left image is found again in the right one"),
-        ("without.png", "what was recognized is not found in the right image"),
+        ("elsewhere.png", "hardly anything of the left image is found in the right one"),
+        ("without.png", "the objects are not found in the right image"),
     ],
 )
-def test_a_right_image_that_tells_nothing_is_told(folder: Path, right: str, why: str) -> None:
+def test_useless_right_image_is_reported(folder: Path, right: str, why: str) -> None:
     cv2.imwrite("black.png", np.zeros((480, 640), np.uint8))
     cv2.imwrite("elsewhere.png", cv2.flip(photograph([Thing(7, 0.0, 0.9)]), 0))
     cv2.imwrite("without.png", photograph([]))
@@ -123,7 +123,7 @@ def test_a_right_image_that_tells_nothing_is_told(folder: Path, right: str, why:
     assert f"no stereo: {why}" in cairn("recognize", left, right, *BOTH).err
 
 
-def test_rows_that_are_not_aligned_are_told_and_stereo_is_not_used(folder: Path) -> None:
+def test_misaligned_rows_are_reported_and_stereo_is_not_used(folder: Path) -> None:
     right = cv2.imread("right.png", cv2.IMREAD_GRAYSCALE)
     cv2.imwrite("lower.png", np.roll(np.asarray(right), 3, axis=0))
 
@@ -133,10 +133,10 @@ def test_rows_that_are_not_aligned_are_told_and_stereo_is_not_used(folder: Path)
     poster = next(one for one in answer["objects"] if one["name"] == "poster")
     assert poster["ranged_by"] == "size"
     assert poster["range"] == pytest.approx(math.hypot(0.3, 1.5), abs=0.1)
-    assert "the right image shows it 3 rows lower" in poster["doubt"]
+    assert "the right image shows it 3 rows lower" in poster["warning"]
 
 
-def test_a_calibration_that_is_a_tenth_off_is_told_and_widens_the_range(folder: Path) -> None:
+def test_calibration_ten_percent_off_is_reported_and_widens_the_covariance(folder: Path) -> None:
     write_camera(Path("right.yaml"), info(right=True, baseline=1.1 * BASELINE), "right")
 
     answer = cairn("recognize", "left.png", "right.png", *BOTH, "--json").json
@@ -144,23 +144,23 @@ def test_a_calibration_that_is_a_tenth_off_is_told_and_widens_the_range(folder: 
     poster = next(one for one in answer["objects"] if one["name"] == "poster")
     off = abs(poster["range"] - math.hypot(0.3, 1.5))
     assert off < 3 * math.sqrt(poster["covariance"][0])
-    assert "ranges by stereo differ from those by size (+10 % for poster" in poster["doubt"]
+    assert "ranges by stereo differ from ranges by size (+10 % for poster" in poster["warning"]
 
 
 @pytest.mark.parametrize("suffix", ["jpg", "tif", "webp", "svg"])
-def test_a_picture_of_another_kind_is_drawn(folder: Path, suffix: str) -> None:
+def test_pictures_of_other_formats_are_drawn(folder: Path, suffix: str) -> None:
     answer = cairn("recognize", "left.png", "--out", f"found.{suffix}")
 
     assert answer.code == 0
     assert Path(f"found.{suffix}").stat().st_size > 1000
 
 
-def test_a_pair_that_is_one_is_not_doubted(folder: Path) -> None:
+def test_correct_pair_gives_no_remarks(folder: Path) -> None:
     answer = cairn("recognize", "left.png", "right.png", *BOTH, "--json")
     assert (answer.json["no_stereo"], answer.json["remarks"]) == (None, [])
 
 
-def test_images_that_are_swapped_are_refused_from_afar_too(folder: Path) -> None:
+def test_swapped_images_of_distant_objects_are_rejected(folder: Path) -> None:
     for name, image in zip(("left", "right"), pair([Thing(1, 0.0, 4.0)]), strict=True):
         cv2.imwrite(f"{name}.png", image)
 
@@ -170,28 +170,28 @@ def test_images_that_are_swapped_are_refused_from_afar_too(folder: Path) -> None
 @pytest.mark.parametrize(
     ("focal", "baseline", "why", "ranged"),
     [
-        (10.0, 0.1, "-90 % for poster): tell the object's size by", False),
-        (1.0, 2.0, "+100 % for poster): tell the object's size by", False),
-        (1.0, 1.13, "+13 % for poster): tell the object's size by", True),
-        (10.0, 1.0, "by its calibration the camera sees 7 deg across", True),
+        (10.0, 0.1, "-90 % for poster); correct the object's size with", False),
+        (1.0, 2.0, "+100 % for poster); correct the object's size with", False),
+        (1.0, 1.13, "+13 % for poster); correct the object's size with", True),
+        (10.0, 1.0, "the calibration has a field of view of 7 deg", True),
     ],
 )
-def test_a_calibration_that_cannot_be_right_is_told(
+def test_implausible_calibration_is_reported(
     folder: Path, focal: float, baseline: float, why: str, ranged: bool
 ) -> None:
     for side in ("left", "right"):
         wrong = info(side == "right", baseline=baseline * BASELINE, focal=focal * FOCAL)
         write_camera(Path(f"{side}.yaml"), wrong, side)
 
-    told = cairn("recognize", "left.png", "right.png", *BOTH, "--json").json
+    printed = cairn("recognize", "left.png", "right.png", *BOTH, "--json").json
 
-    poster = next(one for one in told["objects"] if one["name"] == "poster")
+    poster = next(one for one in printed["objects"] if one["name"] == "poster")
     assert (poster["range"] is not None) is ranged
-    assert any(why in remark for remark in told["remarks"])
-    assert (poster["doubt"] is not None) is (why.endswith("by"))
+    assert any(why in remark for remark in printed["remarks"])
+    assert (poster["warning"] is not None) is (why.endswith("with"))
 
 
-def test_nothing_recognized_is_no_error(folder: Path) -> None:
+def test_no_detection_is_not_an_error(folder: Path) -> None:
     cv2.imwrite("other.png", picture_of(9))
     for image in ("other.png", cv2.imwrite("black.png", np.zeros((480, 640))) and "black.png"):
         answer = cairn("recognize", str(image))
@@ -209,9 +209,9 @@ def test_nothing_recognized_is_no_error(folder: Path) -> None:
         (("left.png", "--camera-info", "left.yaml", "--out", "no/found.png"), "cannot be written"),
         (
             ("right.png", "left.png", "--camera-info", "left.yaml", "--camera-info", "right.yaml"),
-            "left and right are swapped, for right.png shows what the right camera sees",
+            "left and right are swapped: right.png is the right camera's image",
         ),
-        (("left.png", "--out", "left.png"), "--out left.png is the image that is to be looked at"),
+        (("left.png", "--out", "left.png"), "--out left.png is the input image"),
         (
             ("left.png", "right.png", "--camera-info", "right.yaml", "--camera-info", "left.yaml"),
             "left and right are swapped",
@@ -226,7 +226,7 @@ def test_nothing_recognized_is_no_error(folder: Path) -> None:
         ),
     ],
 )
-def test_what_cannot_be_is_refused_in_words(
+def test_invalid_arguments_are_rejected_with_reason(
     folder: Path, arguments: tuple[str, ...], why: str
 ) -> None:
     cv2.imwrite("small.png", picture_of(1))
@@ -235,7 +235,7 @@ def test_what_cannot_be_is_refused_in_words(
     assert why in answer.err
 
 
-def test_a_damaged_map_is_refused_by_name(folder: Path) -> None:
+def test_damaged_map_is_rejected_by_name(folder: Path) -> None:
     data = Path("a.cairn").read_bytes()
     Path("a.cairn").write_bytes(data[: len(data) // 2])
     answer = cairn("recognize", "left.png")

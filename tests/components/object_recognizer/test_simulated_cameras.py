@@ -1,4 +1,4 @@
-"""In lockstep in the simulated world: what its cameras see is recognized where it stands."""
+"""Tests of the recognizer with simulated cameras, in lockstep."""
 
 import math
 from pathlib import Path
@@ -29,10 +29,12 @@ def surveyed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def seen(folder: Path, map_file: Path, fault: str, seconds: int = 2) -> list[RecognizedObjectArray]:
-    """What is recognized by a robot that stands before objects 3 and 4.
+def run_recognizer(
+    folder: Path, map_file: Path, fault: str, seconds: int = 2
+) -> list[RecognizedObjectArray]:
+    """Return what a robot in front of objects 3 and 4 publishes.
 
-    For longer than the right camera is waited for, and than an image may be the same: a second.
+    The run is longer than the time limits for missing right images and for frozen images (1 s).
     """
     world = yaml.safe_load(WORLD.read_text(encoding="utf-8"))
     world["robot"] = START
@@ -57,7 +59,7 @@ def seen(folder: Path, map_file: Path, fault: str, seconds: int = 2) -> list[Rec
                 "parameters": {"mount": MOUNT, "map_file": str(map_file)},
             },
             "ending": {
-                "plugin": "tests.components.object_recognizer.playing:Ending",
+                "plugin": "tests.components.object_recognizer.poster_camera:Ending",
                 "parameters": {"after_s": seconds},
                 "significant": True,
                 "restart": "transient",
@@ -76,8 +78,8 @@ def seen(folder: Path, map_file: Path, fault: str, seconds: int = 2) -> list[Rec
     return frames
 
 
-def check(one: RecognizedObject) -> None:
-    """It is where the world has it."""
+def assert_position(one: RecognizedObject) -> None:
+    """Assert that the object is where the world file says."""
     x, y = {3: (3.8, 7.0), 4: (5.6, 7.0)}[one.object_id]
     ahead, left = y - START["y"], START["x"] - x
     assert one.range == pytest.approx(math.hypot(ahead, left), abs=4 * math.sqrt(one.covariance[0]))
@@ -85,38 +87,38 @@ def check(one: RecognizedObject) -> None:
     assert one.bearing == pytest.approx(math.atan2(left, ahead), abs=0.01)
 
 
-def test_objects_in_view_are_recognized_where_they_stand(tmp_path: Path, surveyed: Path) -> None:
-    frames = seen(tmp_path, surveyed, "none", seconds=3)
+def test_objects_in_view_are_published_at_their_positions(tmp_path: Path, surveyed: Path) -> None:
+    frames = run_recognizer(tmp_path, surveyed, "none")
 
-    assert len(frames) >= 12
-    told = [one for frame in frames for one in frame.objects]
-    assert {one.object_id for one in told} == {3, 4}
-    assert len(told) > 0.9 * 2 * len(frames)
-    for one in told:
-        check(one)
+    assert len(frames) >= 8
+    published = [one for frame in frames for one in frame.objects]
+    assert {one.object_id for one in published} == {3, 4}
+    assert len(published) > 0.9 * 2 * len(frames)
+    for one in published:
+        assert_position(one)
 
 
 @pytest.mark.parametrize("fault", ["right_missing", "right_frozen"])
-def test_one_camera_is_enough_where_sizes_are_known(
-    tmp_path: Path, surveyed: Path, fault: str
-) -> None:
-    told = [one for frame in seen(tmp_path, surveyed, fault)[-5:] for one in frame.objects]
+def test_one_camera_is_enough_for_known_sizes(tmp_path: Path, surveyed: Path, fault: str) -> None:
+    published = [
+        one for frame in run_recognizer(tmp_path, surveyed, fault)[-5:] for one in frame.objects
+    ]
 
-    assert {one.object_id for one in told} == {3, 4}
-    for one in told:
-        check(one)
-
-
-def test_without_the_left_camera_nothing_is_told(tmp_path: Path, surveyed: Path) -> None:
-    assert seen(tmp_path, surveyed, "left_missing") == []
+    assert {one.object_id for one in published} == {3, 4}
+    for one in published:
+        assert_position(one)
 
 
-def test_of_cameras_that_hang_no_more_is_told(tmp_path: Path, surveyed: Path) -> None:
-    assert len(seen(tmp_path, surveyed, "frozen")) == 1
+def test_missing_left_camera_publishes_nothing(tmp_path: Path, surveyed: Path) -> None:
+    assert run_recognizer(tmp_path, surveyed, "left_missing") == []
 
 
-def test_cameras_that_are_swapped_place_nothing(tmp_path: Path, surveyed: Path) -> None:
-    frames = seen(tmp_path, surveyed, "swapped")
+def test_frozen_cameras_publish_only_once(tmp_path: Path, surveyed: Path) -> None:
+    assert len(run_recognizer(tmp_path, surveyed, "frozen")) == 1
+
+
+def test_swapped_cameras_publish_no_object(tmp_path: Path, surveyed: Path) -> None:
+    frames = run_recognizer(tmp_path, surveyed, "swapped")
 
     assert len(frames) > 1
     assert [one for frame in frames[1:] for one in frame.objects] == []

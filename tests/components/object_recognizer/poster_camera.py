@@ -1,4 +1,4 @@
-"""A stereo camera that looks at a poster, for deployments in real processes."""
+"""A stereo camera in front of a poster, for deployments in real processes."""
 
 from dataclasses import replace
 
@@ -11,7 +11,7 @@ from tests.components.object_recognizer.scenes import Thing, info, message, pair
 
 
 class PosterCamera(Component):
-    """Sends the same picture with other noise, five times a second."""
+    """Publishes the same picture with different noise, five times a second."""
 
     left_image: Out[Image] = Out(qos=SENSOR.with_depth(2))
     right_image: Out[Image] = Out(qos=SENSOR.with_depth(2))
@@ -19,12 +19,12 @@ class PosterCamera(Component):
     right_info: Out[CameraInfo] = Out(qos=SENSOR.with_depth(2))
 
     def on_configure(self) -> None:
-        """Look once."""
+        """Render the picture once."""
         self._pair = pair([Thing(1, 0.0, 1.5)])
 
     @every(hz=5)
-    def tell(self) -> None:
-        """Send a pair."""
+    def publish_pair(self) -> None:
+        """Publish a pair of images."""
         now = self.clock.now()
         for port, one in ((self.left_info, info()), (self.right_info, info(right=True))):
             port.publish(replace(one, header=replace(one.header, stamp=from_ns(now))))
@@ -34,9 +34,9 @@ class PosterCamera(Component):
 
 
 class EndingConfig(Config):
-    """How long a run is."""
+    """Duration of a run."""
 
-    after_s: int = Field(3, ge=1, description="When the run ends [s].")
+    after_s: int = Field(3, ge=1, description="Duration [s].")
 
 
 class Ending(Component):
@@ -45,6 +45,6 @@ class Ending(Component):
     config: EndingConfig
 
     def on_activate(self) -> None:
-        """Wait."""
+        """Schedule the end."""
         end = self.clock.now() + self.config.after_s * SECOND
-        self.schedule(end, lambda: self.finish("it was long enough"))
+        self.schedule(end, lambda: self.finish("the time is up"))
