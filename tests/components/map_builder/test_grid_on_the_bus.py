@@ -208,7 +208,7 @@ def test_a_full_disk_leaves_the_last_copy_that_was_written(
     [
         ("copy.origin.json", b"", r"copy\.origin\.json tells of no map"),
         ("copy.origin.json", b'{"source": "\xff', r"copy\.origin\.json tells of no map"),
-        ("copy.pgm", b"P5\n180 140\n255\nshort", r"copy\.pgm: not an image"),
+        ("copy.pgm", b"P5\n180 140\n255\nshort", r"copy\.pgm: not a readable image"),
         ("copy.pgm", None, r"copy\.pgm: no such image"),
         ("copy.yaml", b"", r"copy\.yaml: not a map_server YAML file"),
         ("map.pgm", b"", "it is a copy of another map"),
@@ -244,7 +244,7 @@ def test_a_copy_that_cannot_be_gone_on_with_is_told_of_and_made_anew(
 
 
 def test_a_missing_map_is_told_of_before_anything_moves(stage: StageOf, tmp_path: Path) -> None:
-    with pytest.raises(CairnError, match=r"none\.yaml: no such map"):
+    with pytest.raises(CairnError, match=r"none\.yaml: no such file"):
         stage(MapBuilder, BEGIN, grid_file=str(tmp_path / "none.yaml")).begin()
     with pytest.raises(CairnError, match="there is no map to keep"):
         stage(MapBuilder, BEGIN)

@@ -156,7 +156,7 @@ def test_a_file_that_is_no_map_is_told_before_anything_moves(
     wrong.write_text("nothing of the kind")
     it = stage(MapBuilder, 1000.0, map_file=str(wrong))
 
-    with pytest.raises(CairnError, match=r"wrong\.map.*damaged or no map"):
+    with pytest.raises(CairnError, match=r"wrong\.map.*damaged or not a map"):
         it.begin()
 
 

@@ -24,9 +24,9 @@ from cairn.components.map_builder.keeper import MapKeeper
 from cairn.components.map_builder.objects import Kind, State
 from cairn.components.map_builder.place import Place
 from cairn.components.map_builder.store import open_map
-from cairn.visual_map.file import MapFileError, check, copy_map, row_checksum
-from cairn.visual_map.object_models import teach
-from tests.cairn.vision.taught_objects import view
+from cairn.visual_map.file import MapFileError, check_row, copy_map, row_checksum
+from cairn.visual_map.object_models import add_views
+from tests.cairn.visual_map.views import view
 from tests.components.map_builder.evidence import THERE, sighting, surveyed
 
 
@@ -94,7 +94,7 @@ def test_an_object_that_is_taught_while_the_robot_works_is_learned_by_its_name(
     map_file: Path,
 ) -> None:
     keeper = keep(map_file, map_file.with_name("copy.map"))
-    object_id = teach(map_file, "cup", [view(1)])
+    object_id = add_views(map_file, "cup", [view(1)])
 
     for step in range(3):
         keeper.apply(step, [sighting(0.5, step, THERE, object_id=object_id)])
@@ -206,7 +206,7 @@ def broken(path: Path, how: str) -> None:
     ("how", "complaint"),
     [
         ("truncated", "damaged"),
-        ("text", "damaged or no map"),
+        ("text", "damaged or not a map"),
         ("empty", "not a visual map of Cairn"),
         ("foreign", "not a visual map of Cairn"),
         ("newer", "has format 99, this Cairn reads formats up to 3"),
@@ -233,7 +233,7 @@ def test_a_map_under_another_writer_says_so(
     other = sqlite3.connect(map_file, isolation_level=None)
     other.execute("BEGIN EXCLUSIVE")
 
-    with pytest.raises(MapFileError, match="Another program writes to it"):
+    with pytest.raises(MapFileError, match="Another program is writing to it"):
         open_map(map_file)
     other.close()
 
@@ -276,7 +276,7 @@ def test_a_place_that_is_not_as_it_was_written_is_told(tmp_path: Path) -> None:
         open_map(path, read_only=True).objects()
 
     assert "b.map" in str(told.value)
-    assert "put back a copy" in str(told.value)
+    assert "restore a copy" in str(told.value)
 
 
 VALUES = st.one_of(
@@ -298,4 +298,4 @@ def test_a_row_is_known_again_as_the_file_gives_it(values: list[Any]) -> None:
         connection.execute(f"INSERT INTO t VALUES ({marks})", (row_checksum(values), *values))
         stored, *row = connection.execute("SELECT * FROM t").fetchone()
 
-    check(row, stored)
+    check_row(row, stored)

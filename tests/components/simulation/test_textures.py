@@ -73,7 +73,7 @@ def test_large_pictures_are_read_smaller_and_color_as_gray(tmp_path: Path) -> No
     ("thing", "told"),
     [
         ({"texture": "none.png"}, r"object_1: .*none.png cannot be read"),
-        ({"texture": "text.png"}, r"object_1: .*text.png is no image"),
+        ({"texture": "text.png"}, r"object_1: .*text.png is not an image"),
         (
             {"z": 2.4},
             "object_1 goes from 2.25 m to 2.55 m, but the floor is at 0 m and the highest",
