@@ -7,7 +7,7 @@ Components are written with the names of this package:
 `__all__` lists all of them. Each name is loaded when it is first used, so `import cairn` is fast.
 Message classes are public, too, in a module for each ROS 2 package (`cairn.schemas.sensor_msgs`),
 with `cairn.schemas.message` and `cairn.schemas.field_types` to define new ones. So are
-`cairn.testing` for tests and `cairn.driver` for drivers of devices. All other modules are private
+`cairn.client` for scripts, `cairn.testing` for tests and `cairn.driver` for drivers of devices. All other modules are private
 and may change without notice.
 """
 
@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
     from cairn.bus.qos import LATCHED, RELIABLE, SENSOR, Qos
+    from cairn.client.robot import connect
     from cairn.clock import SECOND, Clock, from_ns, to_ns
     from cairn.errors import CairnError
     from cairn.runtime.component import Component
@@ -43,6 +44,7 @@ __all__ = [
     "Qos",
     "RateLimitedLog",
     "ReadPath",
+    "connect",
     "every",
     "from_ns",
     "on",
@@ -51,6 +53,7 @@ __all__ = [
 
 _MODULES: Final = {
     "cairn.bus.qos": ("LATCHED", "RELIABLE", "SENSOR", "Qos"),
+    "cairn.client.robot": ("connect",),
     "cairn.clock": ("SECOND", "Clock", "from_ns", "to_ns"),
     "cairn.errors": ("CairnError",),
     "cairn.runtime.component": ("Component",),

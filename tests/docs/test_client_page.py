@@ -1,0 +1,35 @@
+"""The examples of docs/client.md run, in their order, against a simulated robot."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cairn.testing.launching import Launching
+
+pytestmark = pytest.mark.xdist_group("robots in real time")
+
+
+def test_the_examples_of_the_page_run_against_the_simulated_robot(
+    launch: Launching,
+    root: Path,
+    page_blocks: Callable[[str], Any],
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    run = launch(root / "deploy" / "sim.yaml")
+    run.await_line("mobile_supervisor active")
+    code = [block.text for block in page_blocks("docs/client.md") if block.language == "python"]
+    names: dict[str, Any] = {}
+
+    for block in code:
+        text = block.replace("client.connect()", f"client.connect({run.endpoint!r})")
+        exec(compile(text, "docs/client.md", "exec"), names)
+
+    printed = capsys.readouterr().out
+    assert "mobile_supervisor    active" in printed
+    assert "/robot/odom nav_msgs/msg/Odometry" in printed
+    assert "succeeded after" in printed
+    assert printed.count("canceled") >= 1
+    assert len(names["distances"]) > 10
+    assert run.stop() == 0
