@@ -7,8 +7,8 @@ Components are written with the names of this package:
 `__all__` lists all of them. Each name is loaded when it is first used, so `import cairn` is fast.
 Message classes are public, too, in a module for each ROS 2 package (`cairn.schemas.sensor_msgs`),
 with `cairn.schemas.message` and `cairn.schemas.field_types` to define new ones. So are
-`cairn.client` for scripts, `cairn.testing` for tests and `cairn.driver` for drivers of devices. All other modules are private
-and may change without notice.
+`cairn.client` for scripts, `cairn.testing` for tests and `cairn.driver` for drivers of devices. All
+other modules are private and may change without notice.
 """
 
 from __future__ import annotations
