@@ -9,15 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.result import Figure
-from cairn.components.simulation.camera_config import LightConfig, SensorConfig
-from cairn.components.simulation.exposure import Film
-from cairn.components.simulation.lens import Distortion, Lens
-from cairn.components.simulation.messages import scene_message
+from cairn.components.simulation.camera import LightConfig, SensorConfig, photograph
+from cairn.components.simulation.camera_optics import ImageSensor, LensDistortion, PinholeCamera
+from cairn.components.simulation.layout import WorldLayout, geometry_message
 from cairn.components.simulation.people import Walker, circles_of
-from cairn.components.simulation.photography import photograph
-from cairn.components.simulation.scene import Scene
-from cairn.components.simulation.surfaces import surfaces_of
-from cairn.components.simulation.view import Station
+from cairn.components.simulation.rendering import CameraPose, surfaces_of
 from cairn.components.simulation.world_file import read_world
 from cairn.schemas.std_msgs import Header
 
@@ -29,22 +25,22 @@ _POSES = 24
 def pair_ms(world: str, distortion: tuple[float, ...] = ()) -> float:
     """Median processor time [ms] of a pair of 640 x 480 images, from places all over a world."""
     found = read_world(_WORLDS / f"{world}.yaml")
-    scene = Scene.of(found)
-    surfaces, atlas = surfaces_of(scene_message(Header(), scene))
+    layout = WorldLayout.of(found)
+    surfaces, atlas = surfaces_of(geometry_message(Header(), layout))
     surfaces = surfaces.with_people(circles_of([Walker.of(one) for one in found.people]))
-    lens = Distortion(Lens.of(640, 480, math.radians(60)), distortion)
+    lens = LensDistortion(PinholeCamera.of(640, 480, math.radians(60)), distortion)
     random = np.random.default_rng(0)
-    film = Film(640, 480, random)
-    ends = scene.standing.segments.reshape(-1, 2)
+    film = ImageSensor(640, 480, random)
+    ends = layout.solid_segments.segments.reshape(-1, 2)
     times: list[float] = []
     while len(times) < _POSES:
         x, y = random.uniform(ends.min(axis=0), ends.max(axis=0)).tolist()
-        if scene.outside(x, y, 0.3):
+        if layout.outside(x, y, 0.3):
             continue
-        left = Station((x, y, float(random.uniform(-math.pi, math.pi))), _HEIGHT_M)
+        left = CameraPose((x, y, float(random.uniform(-math.pi, math.pi))), _HEIGHT_M)
         began = time.thread_time()
-        for station in (left, left.beside(_BASELINE_M)):
-            photograph(surfaces, atlas, station, lens, film, LightConfig(), SensorConfig())
+        for camera_pose in (left, left.beside(_BASELINE_M)):
+            photograph(surfaces, atlas, camera_pose, lens, film, LightConfig(), SensorConfig())
         times.append(time.thread_time() - began)
     return 1e3 * float(np.median(times))
 

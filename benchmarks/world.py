@@ -12,10 +12,10 @@ from cairn.bus.lockstep_bus import LockstepBus
 from cairn.bus.qos import SENSOR
 from cairn.clock import SECOND
 from cairn.components.simulation.base import SimulatedBase
-from cairn.components.simulation.rays import cast
+from cairn.components.simulation.layout import WorldLayout
+from cairn.components.simulation.ray_casting import cast
 from cairn.components.simulation.recognizer import SimulatedRecognizer
 from cairn.components.simulation.scanner import SimulatedScanner
-from cairn.components.simulation.scene import Scene
 from cairn.components.simulation.world_component import SimulatedWorld
 from cairn.components.simulation.world_file import read_world
 from cairn.deployment.model import ChildSpec
@@ -64,7 +64,7 @@ def in_numpy(starts: Array, angles: Array, segments: Array) -> Array:
 
 def rays() -> list[Figure]:
     """Sweeps of 1081 rays from places all over the hall."""
-    segments = Scene.of(read_world(WORLDS / "hall.yaml")).standing.segments
+    segments = WorldLayout.of(read_world(WORLDS / "hall.yaml")).solid_segments.segments
     nobody = np.zeros((0, 3))
     random = np.random.default_rng(0)
     sweeps = 40

@@ -1,4 +1,4 @@
-"""Cairn's own messages of the simulation: the world as the simulated drivers use it."""
+"""Messages of the simulation: what the drivers of a simulated robot know of its world."""
 
 from typing import Annotated, ClassVar
 
@@ -22,7 +22,7 @@ from cairn.schemas.std_msgs import Header
 
 @message("cairn_sim_msgs/msg/WheelMotion")
 class WheelMotion:
-    """How the wheels of the base really turned for `seconds` [s] until the stamp.
+    """The true motion of the base's wheels for `seconds` [s] until the stamp.
 
     `forward` [m/s] and `turn` [rad/s] are their mean speeds.
     """
@@ -35,7 +35,7 @@ class WheelMotion:
 
 @message("cairn_sim_msgs/msg/WorldState")
 class WorldState:
-    """What moves: the robot's true pose and speeds [m/s, rad/s]; people as x, y, radius [m] (z)."""
+    """What moves: the robot's true pose and speeds [m/s, rad/s]; people as x, y, radius [m]."""
 
     header: Header = Header()
     robot: Pose = Pose()
@@ -44,15 +44,15 @@ class WorldState:
     people: Packed[Point] = Packed(Point)
 
 
-@message("cairn_sim_msgs/msg/Scene")
-class Scene:
-    """What stands: `segments` x1, y1, x2, y2 [m], four each, with their `surfaces`; the objects.
+@message("cairn_sim_msgs/msg/WorldGeometry")
+class WorldGeometry:
+    """What does not move: `segments` x1, y1, x2, y2 [m], four each, `surfaces`, and the objects.
 
-    For cameras each has one of `heights` [m], 0 if it is seen as an object; `solids` number what is
-    closed and has a top, from 1 on, 0 is a wall. `object_poses` face away from what they hang on;
-    all other `object_...` go with them: `object_sizes` are width, height [m], two each,
-    `object_zs` [m] the middles' heights, and `object_textures` files of pictures, "" for one that
-    is drawn for the id.
+    For cameras each segment has one of `heights` [m], 0 if it is part of an object; `solids`
+    numbers closed shapes with a top from 1 on, 0 is a wall. `object_poses` face away from their
+    wall; all other `object_...` arrays belong to them: `object_sizes` are width, height [m], two
+    each, `object_zs` [m] the heights of the centers, and `object_textures` the files of pictures,
+    "" for a picture that is drawn for the id.
     """
 
     PLAIN: ClassVar[UInt8] = 0

@@ -1,7 +1,13 @@
-"""The driver of the simulated base."""
+"""The driver of the simulated base: wheel dynamics, encoder errors, the component."""
 
 from __future__ import annotations
 
+import math
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from cairn import (
@@ -17,49 +23,186 @@ from cairn import (
     from_ns,
     on,
 )
-from cairn.components.simulation.encoders import EncoderErrors, Encoders
-from cairn.components.simulation.wheels import BaseLimits, Wheels
 from cairn.planar.messages import transform_message, with_covariance
+from cairn.planar.poses import Pose, compose
 from cairn.schemas.cairn_sim_msgs import WheelMotion
 from cairn.schemas.geometry_msgs import Twist, TwistWithCovariance, Vector3
 from cairn.schemas.nav_msgs import Odometry
 from cairn.schemas.std_msgs import Header
 from cairn.schemas.tf2_msgs import TFMessage
 
-# A step longer than this [s] was held up: meanwhile the wheels stood.
-_LONGEST_S = 0.1
+
+@dataclass(frozen=True)
+class BaseLimits:
+    """Limits [m/s, rad/s, m/s^2, rad/s^2], delay of a command [s], and its timeout [s]."""
+
+    speed: float = 0.6
+    turn: float = 1.5
+    acceleration: float = 0.8
+    turn_acceleration: float = 3.0
+    lag_s: float = 0.05
+    command_timeout_s: float = 0.3
+
+
+class WheelDrive:
+    """The current speeds of the wheels, `forward` [m/s] and `turn` [rad/s]."""
+
+    def __init__(self, limits: BaseLimits) -> None:
+        self.limits = limits
+        self.forward = self.turn = 0.0
+        self._pending: deque[tuple[float, float, float]] = deque()
+        self._target = (0.0, 0.0)
+        self._commanded_s = -math.inf
+
+    def command(self, now_s: float, forward: float, turn: float) -> None:
+        """Take a command [m/s, rad/s]; it takes effect after the lag, within the limits."""
+        self._commanded_s = now_s
+        limits = self.limits
+        forward = min(limits.speed, max(-limits.speed, forward))
+        turn = min(limits.turn, max(-limits.turn, turn))
+        self._pending.append((now_s + limits.lag_s, forward, turn))
+
+    def step(self, now_s: float, seconds: float) -> tuple[float, float]:
+        """Let `seconds` pass until `now_s`; return the mean speeds [m/s, rad/s] in that time."""
+        limits = self.limits
+        while self._pending and self._pending[0][0] <= now_s:
+            _, forward, turn = self._pending.popleft()
+            self._target = (forward, turn)
+        if now_s - self._commanded_s > limits.command_timeout_s:
+            self._pending.clear()
+            self._target = (0.0, 0.0)
+        before = self.forward, self.turn
+        self.forward = _approach(before[0], self._target[0], limits.acceleration * seconds)
+        self.turn = _approach(before[1], self._target[1], limits.turn_acceleration * seconds)
+        return 0.5 * (before[0] + self.forward), 0.5 * (before[1] + self.turn)
+
+
+def _approach(value: float, target: float, most: float) -> float:
+    return value + min(most, max(-most, target - value))
+
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class EncoderErrors:
+    """Standard deviations of what the encoders measure.
+
+    `distance_scale` and `turn_scale` [1] of the scale factors, which are drawn once; random walks
+    of the distance [m/sqrt(m)], of the turn [rad/sqrt(rad)] and of the heading per distance
+    [rad/sqrt(m)].
+    """
+
+    distance_scale: float
+    turn_scale: float
+    distance: float
+    turn: float
+    turn_per_meter: float
+
+
+class Encoders:
+    """The pose that the encoders measure, integrated step by step, and its covariance."""
+
+    def __init__(self, errors: EncoderErrors, random: np.random.Generator) -> None:
+        self._errors = errors
+        self._random = random
+        drawn = random.standard_normal(2)
+        self._scales = (
+            1.0 + errors.distance_scale * float(drawn[0]),
+            1.0 + errors.turn_scale * float(drawn[1]),
+        )
+        self.pose: Pose = (0.0, 0.0, 0.0)
+        # Over x, y, heading and the two scale errors, which are constant.
+        self._full = np.diag([0.0, 0.0, 0.0, errors.distance_scale**2, errors.turn_scale**2])
+
+    @property
+    def covariance(self) -> Array:
+        """Return the pose's covariance (3, 3) over x, y [m], heading [rad]."""
+        return self._full[:3, :3]
+
+    def speeds(self, forward: float, turn: float) -> tuple[float, float]:
+        """Return the measured speeds [m/s, rad/s] for these true speeds."""
+        return self._scales[0] * forward, self._scales[1] * turn
+
+    def measure(self, distance: float, angle: float) -> None:
+        """Integrate a step of the wheels: `distance` [m] on an arc that turns by `angle` [rad]."""
+        if not (distance or angle):
+            return
+        errors = self._errors
+        noise = self._random.standard_normal(2)
+        distance_variance = errors.distance**2 * abs(distance)
+        turn_variance = errors.turn**2 * abs(angle) + errors.turn_per_meter**2 * abs(distance)
+        measured_distance = self._scales[0] * distance + math.sqrt(distance_variance) * float(
+            noise[0]
+        )
+        measured_turn = self._scales[1] * angle + math.sqrt(turn_variance) * float(noise[1])
+        self._propagate_covariance(
+            measured_distance, measured_turn, distance_variance, turn_variance
+        )
+        half = (0.0, 0.0, 0.5 * measured_turn)
+        self.pose = compose(compose(compose(self.pose, half), (measured_distance, 0.0, 0.0)), half)
+
+    def _propagate_covariance(
+        self, distance: float, angle: float, distance_variance: float, turn_variance: float
+    ) -> None:
+        """Propagate the covariance to first order."""
+        middle = self.pose[2] + 0.5 * angle
+        cosine, sine = math.cos(middle), math.sin(middle)
+        # Jacobian of the pose with respect to this step's distance and angle.
+        jacobian = np.array(
+            [[cosine, -0.5 * distance * sine], [sine, 0.5 * distance * cosine], [0.0, 1.0]]
+        )
+        step = np.eye(5)
+        step[0, 2], step[1, 2] = -distance * sine, distance * cosine
+        step[:3, 3:] = jacobian * (distance, angle)
+        self._full = step @ self._full @ step.T
+        self._full[:3, :3] += (jacobian * (distance_variance, turn_variance)) @ jacobian.T
+
+
+# A longer step [s] means that the process was delayed; the wheels stood in the rest of it.
+_LONGEST_STEP_S = 0.1
 _ODOM, _BASE = "odom", "base_link"  # frames
 
 
 class SimulatedBaseConfig(Config):
-    """A differential base."""
+    """Dynamics and encoder errors of a differential-drive base."""
 
-    speed: float = Field(0.6, gt=0, le=5, description="Fastest [m/s].")
-    turn: float = Field(1.5, gt=0, le=10, description="Fastest turn [rad/s].")
+    speed: float = Field(0.6, gt=0, le=5, description="Maximum speed [m/s].")
+    turn: float = Field(1.5, gt=0, le=10, description="Maximum turn rate [rad/s].")
     acceleration: float = Field(0.8, gt=0, le=20, description="Acceleration [m/s^2].")
-    turn_acceleration: float = Field(3.0, gt=0, le=50, description="Of turns [rad/s^2].")
+    turn_acceleration: float = Field(
+        3.0, gt=0, le=50, description="Angular acceleration [rad/s^2]."
+    )
     lag_s: float = Field(0.05, ge=0, le=1, description="Delay of a command [s].")
     command_timeout_s: float = Field(
         0.3, gt=0, le=5, description="Age of a command after which the wheels stop [s]."
     )
-    way_scale_sd: float = Field(
-        0.01, ge=0, le=0.5, description="Deviation of the scale of ways, drawn once a run [1]."
+    distance_scale_sd: float = Field(
+        0.01,
+        ge=0,
+        le=0.5,
+        description="Standard deviation of the distance scale, drawn once per run [1].",
     )
     turn_scale_sd: float = Field(
-        0.02, ge=0, le=0.5, description="Deviation of the scale of turns, drawn once a run [1]."
+        0.02,
+        ge=0,
+        le=0.5,
+        description="Standard deviation of the turn scale, drawn once per run [1].",
     )
-    way: float = Field(0.01, ge=0, le=1, description="Error of ways [m/sqrt(m)].")
-    turn_error: float = Field(0.02, ge=0, le=1, description="Error of turns [rad/sqrt(rad)].")
+    distance_error: float = Field(
+        0.01, ge=0, le=1, description="Random walk of the distance [m/sqrt(m)]."
+    )
+    turn_error: float = Field(0.02, ge=0, le=1, description="Random walk of turns [rad/sqrt(rad)].")
     turn_per_meter: float = Field(
-        0.01, ge=0, le=1, description="Error of the heading on the way [rad/sqrt(m)]."
+        0.01, ge=0, le=1, description="Random walk of the heading per distance [rad/sqrt(m)]."
     )
 
 
 class SimulatedBase(Component):
-    """Carries out velocity commands in the simulated world; tells what its wheels measured.
+    """Carry out velocity commands in the simulated world; publish what the encoders measure.
 
-    It tells that as odometry and as transform `odom` to `base_link`. The wheels stop when commands
-    go stale.
+    Publishes odometry and the transform from `odom` to `base_link`. The wheels stop when commands
+    become stale.
     """
 
     config: SimulatedBaseConfig
@@ -70,9 +213,9 @@ class SimulatedBase(Component):
     wheel_motion: Out[WheelMotion] = Out(qos=RELIABLE.with_depth(200))
 
     def on_configure(self) -> None:
-        """Draw this base's errors of scale."""
+        """Draw this base's scale errors."""
         config = self.config
-        self._wheels = Wheels(
+        self._wheels = WheelDrive(
             BaseLimits(
                 config.speed,
                 config.turn,
@@ -83,39 +226,41 @@ class SimulatedBase(Component):
             )
         )
         errors = EncoderErrors(
-            config.way_scale_sd,
+            config.distance_scale_sd,
             config.turn_scale_sd,
-            config.way,
+            config.distance_error,
             config.turn_error,
             config.turn_per_meter,
         )
         self._encoders = Encoders(errors, self.random)
-        self._stepped: int | None = None
+        self._stepped_at: int | None = None
 
     def on_parameters(self, new: Config) -> None:  # noqa: ARG002 - none can be changed
-        """A base stays the one that it is."""
-        raise ParameterRejected("the simulated base takes its parameters when it is configured")
+        """Reject all changes: the errors are drawn when the base is configured."""
+        raise ParameterRejected(
+            f"{self.name}: parameters of the simulated base cannot change while it runs; restart it"
+        )
 
     @on("cmd_vel")
-    def obey(self, command: Twist) -> None:
-        """Take a command, to be carried out from now on."""
+    def on_cmd_vel(self, command: Twist) -> None:
+        """Take a velocity command."""
         self._wheels.command(self.clock.now() / SECOND, command.linear.x, command.angular.z)
 
     @every(hz=50)
     def step(self) -> None:
-        """Turn the wheels; tell what they did and what they measured."""
+        """Turn the wheels; publish their true motion and the odometry."""
         now = self.clock.now()
-        last, self._stepped = self._stepped, now
+        last, self._stepped_at = self._stepped_at, now
         if last is None or now <= last:
             return
-        seconds = min((now - last) / SECOND, _LONGEST_S)
+        seconds = min((now - last) / SECOND, _LONGEST_STEP_S)
         forward, turn = self._wheels.step(now / SECOND, seconds)
         self._encoders.measure(forward * seconds, turn * seconds)
         stamp = from_ns(now)
         self.wheel_motion.publish(
             WheelMotion(header=Header(stamp=stamp), seconds=seconds, forward=forward, turn=turn)
         )
-        seen_forward, seen_turn = self._encoders.speeds(forward, turn)
+        measured_forward, measured_turn = self._encoders.speeds(forward, turn)
         header = Header(stamp=stamp, frame_id=_ODOM)
         self.odom.publish(
             Odometry(
@@ -123,9 +268,11 @@ class SimulatedBase(Component):
                 child_frame_id=_BASE,
                 pose=with_covariance(self._encoders.pose, self._encoders.covariance),
                 twist=TwistWithCovariance(
-                    twist=Twist(linear=Vector3(x=seen_forward), angular=Vector3(z=seen_turn))
+                    twist=Twist(
+                        linear=Vector3(x=measured_forward), angular=Vector3(z=measured_turn)
+                    )
                 ),
             )
         )
-        there = transform_message(header, _BASE, self._encoders.pose)
-        self.tf.publish(TFMessage(transforms=(there,)))
+        transform = transform_message(header, _BASE, self._encoders.pose)
+        self.tf.publish(TFMessage(transforms=(transform,)))

@@ -1,4 +1,4 @@
-"""`cairn world`: look at world files, and change the world of a running simulation."""
+"""`cairn world`: check and draw world files, and change the world of a running simulation."""
 
 from __future__ import annotations
 
@@ -12,26 +12,25 @@ from cairn import CairnError
 from cairn.cli.options import DEFAULT_CONNECT, Connect, Domain, Json, RobotName
 from cairn.cli.output import line, note, show
 from cairn.client import connect as connect_to
-from cairn.components.simulation.checks import problems_of
-from cairn.components.simulation.columns import NEAR_M
-from cairn.components.simulation.photography import seen_from, write_picture
-from cairn.components.simulation.pictures import draw_world
-from cairn.components.simulation.scene import Scene
-from cairn.components.simulation.walls import cut_off
+from cairn.components.simulation.camera import seen_from, write_picture
+from cairn.components.simulation.layout import WorldLayout
+from cairn.components.simulation.render_kernels import NEAR_M
+from cairn.components.simulation.world_checks import unreachable_areas, world_problems
+from cairn.components.simulation.world_drawing import draw_world
 from cairn.components.simulation.world_file import read_world
 
 app = typer.Typer(
-    help="Simulated worlds: check and draw their files, change the one that runs.",
+    help="Check and draw world files; change the world of a running simulation.",
     no_args_is_help=True,
 )
 
-# Coordinates may begin with a minus.
+# Lets coordinates start with a minus sign.
 _NUMBERS = {"ignore_unknown_options": True}
-_LIMIT_S = 10.0
+_TIMEOUT_S = 10.0
 _PLUGIN = "simulated_world"
 
 File = Annotated[Path, typer.Argument(help="World file.", metavar="FILE")]
-Name = Annotated[str, typer.Argument(help="Its name.", metavar="NAME")]
+Name = Annotated[str, typer.Argument(help="Name.", metavar="NAME")]
 X = Annotated[str, typer.Argument(help="x [m].", metavar="X")]
 Y = Annotated[str, typer.Argument(help="y [m].", metavar="Y")]
 Theta = Annotated[str, typer.Argument(help="Heading in radians, or as 90deg.", metavar="[HEADING]")]
@@ -40,16 +39,16 @@ Radius = Annotated[float, typer.Option(min=0.01, help="Radius of the robot [m]."
 
 @app.command()
 def check(file: File, radius: Radius = 0.22) -> None:
-    """Say what is in a world file, or what is wrong with it."""
+    """Check a world file; report its contents or its problems."""
     world = read_world(file)
-    problems = problems_of(world, radius)
+    problems = world_problems(world, radius)
     if problems:
         raise CairnError(f"{file}: " + "; ".join(problems))
     line(
         f"{file}: {len(world.walls)} walls, {len(world.furniture)} pieces of furniture, "
         f"{len(world.objects)} objects, {len(world.people)} people, {len(world.events)} events"
     )
-    for part in cut_off(Scene.of(world), world.robot.pose, radius):
+    for part in unreachable_areas(WorldLayout.of(world), world.robot.pose, radius):
         note(
             f"{file}: warning: {part.area:.1f} m2 around ({part.x:.2f}, {part.y:.2f}) cannot be "
             f"reached from the start by a robot of {radius:g} m radius"
@@ -62,12 +61,12 @@ def draw(
     out: Annotated[Path, typer.Argument(help="Picture to write: PNG, PDF or SVG.")],
     radius: Radius = 0.22,
 ) -> None:
-    """Draw a world file."""
+    """Draw a world file as a plan."""
     try:
         draw_world(read_world(file), radius, out)
     except (OSError, ValueError) as error:
-        raise CairnError(f"{out} cannot be written: {error}") from error
-    line(f"{out} written")
+        raise CairnError(f"{out}: cannot be written: {error}; choose another file") from error
+    line(f"{out} was written")
 
 
 @app.command(context_settings=_NUMBERS)
@@ -78,19 +77,19 @@ def see(
     theta: Annotated[str, typer.Argument(help="Heading in radians, or as 90deg.")],
     out: Annotated[Path, typer.Argument(help="Picture to write: PNG or JPEG.", metavar="PICTURE")],
     right: Annotated[
-        bool, typer.Option("--right", help="What the right camera sees, not the left.")
+        bool, typer.Option("--right", help="Use the right camera instead of the left one.")
     ] = False,
     height: Annotated[
-        float, typer.Option("--height", min=0.05, help="Of the camera above the floor [m].")
+        float, typer.Option("--height", min=0.05, help="Height of the camera above the floor [m].")
     ] = 1.0,
 ) -> None:
-    """Write what the simulated camera would see at a place of a world file, at its beginning."""
-    place = _place(x, y, theta)
+    """Write the picture that the simulated camera takes at a pose of a world file, at its start."""
+    pose = _pose_arguments(x, y, theta)
     world = read_world(file)
-    Scene.of(world).refuse_place("the camera", place["x"], place["y"], NEAR_M)
-    picture = seen_from(world, (place["x"], place["y"], place["theta"]), height, right)
+    WorldLayout.of(world).require_room("the camera", pose["x"], pose["y"], NEAR_M)
+    picture = seen_from(world, (pose["x"], pose["y"], pose["theta"]), height, right)
     write_picture(picture, out)
-    line(f"{out} written")
+    line(f"{out} was written")
 
 
 @app.command("list")
@@ -100,8 +99,8 @@ def list_things(
     domain: Domain = 0,
     robot: RobotName = "",
 ) -> None:
-    """List what stands and who walks in the running world, and where the robot is."""
-    rows = _ask("list", {}, connect, domain, robot)
+    """List furniture, objects and people of the running world, and the robot's pose."""
+    rows = _request("list", {}, connect, domain, robot)
     columns = {"kind": "kind", "name": "name", "x": "x [m]", "y": "y [m]", "theta": "heading [rad]"}
     show(rows, columns, as_json=json, nothing="the world is empty")
 
@@ -117,17 +116,17 @@ def move(
     robot: RobotName = "",
 ) -> None:
     """Move furniture, an object or a person."""
-    _ask("move", {"name": name, **_place(x, y, theta)}, connect, domain, robot)
-    line(f"{name} moved")
+    _request("move", {"name": name, **_pose_arguments(x, y, theta)}, connect, domain, robot)
+    line(f"{name} was moved")
 
 
 @app.command()
 def remove(
     name: Name, connect: Connect = DEFAULT_CONNECT, domain: Domain = 0, robot: RobotName = ""
 ) -> None:
-    """Take furniture, an object or a person away."""
-    _ask("remove", {"name": name}, connect, domain, robot)
-    line(f"{name} taken away")
+    """Remove furniture, an object or a person."""
+    _request("remove", {"name": name}, connect, domain, robot)
+    line(f"{name} was removed")
 
 
 @app.command(context_settings=_NUMBERS)
@@ -138,43 +137,45 @@ def add(
     theta: Theta = "0",
     size: Annotated[
         str | None,
-        typer.Option(metavar="WIDTH,DEPTH", help="Of a piece of furniture [m]; else 0.5,0.5."),
+        typer.Option(metavar="WIDTH,DEPTH", help="Size of the furniture [m]; default 0.5,0.5."),
     ] = None,
     as_object: Annotated[
-        int | None, typer.Option("--object", metavar="ID", help="Add an object of this number.")
+        int | None, typer.Option("--object", metavar="ID", help="Add an object with this id.")
     ] = None,
     connect: Connect = DEFAULT_CONNECT,
     domain: Domain = 0,
     robot: RobotName = "",
 ) -> None:
     """Add a piece of furniture, or an object that faces along its heading."""
-    given: dict[str, Any] = {"name": name, **_place(x, y, theta)}
+    arguments: dict[str, Any] = {"name": name, **_pose_arguments(x, y, theta)}
     if as_object is not None:
         if size is not None:
-            raise CairnError("--object has no --size: give one of them; objects are 0.3 m wide")
-        _ask("object", {**given, "id": as_object}, connect, domain, robot)
+            raise CairnError(
+                "--size is for furniture, not for --object (0.3 m wide); give one of them"
+            )
+        _request("object", {**arguments, "id": as_object}, connect, domain, robot)
     else:
         both = _pair(size or "0.5,0.5", "--size {}: write it as WIDTH,DEPTH, such as 0.5,0.4")
-        _ask("furniture", {**given, "size": both}, connect, domain, robot)
-    line(f"{name} added")
+        _request("furniture", {**arguments, "size": both}, connect, domain, robot)
+    line(f"{name} was added")
 
 
 @app.command(context_settings=_NUMBERS)
 def person(
     name: Name,
-    places: Annotated[list[str], typer.Argument(help="Where they walk.", metavar="X,Y...")],
+    waypoints: Annotated[list[str], typer.Argument(help="Waypoints [m].", metavar="X,Y...")],
     speed: Annotated[float, typer.Option(help="Walking speed, 0 to 3 [m/s].")] = 0.8,
     connect: Connect = DEFAULT_CONNECT,
     domain: Domain = 0,
     robot: RobotName = "",
 ) -> None:
-    """Let somebody come who walks from place to place."""
+    """Add a person who walks from waypoint to waypoint."""
     if not math.isfinite(speed):
-        raise CairnError(f"--speed {speed} is not a finite number")
-    waypoints = [_pair(place, "{}: write a place as X,Y, such as 2.5,3") for place in places]
-    given = {"name": name, "waypoints": waypoints, "speed": speed}
-    _ask("person", given, connect, domain, robot)
-    line(f"{name} comes")
+        raise CairnError(f"--speed {speed} is not a finite number; give one from 0 to 3")
+    points = [_pair(point, "{}: write a waypoint as X,Y, such as 2.5,3") for point in waypoints]
+    arguments = {"name": name, "waypoints": points, "speed": speed}
+    _request("person", arguments, connect, domain, robot)
+    line(f"{name} was added")
 
 
 @app.command(context_settings=_NUMBERS)
@@ -186,20 +187,20 @@ def kidnap(
     domain: Domain = 0,
     robot: RobotName = "",
 ) -> None:
-    """Carry the robot somewhere else, without its wheels turning."""
-    _ask("kidnap", _place(x, y, theta), connect, domain, robot)
-    line("carried off")
+    """Move the robot without turning its wheels."""
+    _request("kidnap", _pose_arguments(x, y, theta), connect, domain, robot)
+    line("the robot was moved")
 
 
-def _ask(verb: str, arguments: dict[str, Any], connect: str, domain: int, robot: str) -> Any:
+def _request(verb: str, arguments: dict[str, Any], connect: str, domain: int, robot: str) -> Any:
     with connect_to(connect, domain, robot) as client:
         world = client.component_of(_PLUGIN)
         if world is None:
-            raise CairnError("no simulated world runs; start one with `cairn up sim`")
-        return client.request(world, verb, arguments, timeout_s=_LIMIT_S)
+            raise CairnError("no simulated world is running; start one with `cairn up sim`")
+        return client.request(world, verb, arguments, timeout_s=_TIMEOUT_S)
 
 
-def _place(x: str, y: str, theta: str) -> dict[str, float]:
+def _pose_arguments(x: str, y: str, theta: str) -> dict[str, float]:
     turned = theta.removesuffix("deg")
     heading = _number(turned)
     if turned != theta:
@@ -207,15 +208,15 @@ def _place(x: str, y: str, theta: str) -> dict[str, float]:
     return {"x": _number(x), "y": _number(y), "theta": math.remainder(heading, 2 * math.pi)}
 
 
-def _pair(text: str, told: str) -> list[float]:
-    """Two numbers with a comma between; `told` is what to say of anything else."""
+def _pair(text: str, message: str) -> list[float]:
+    """Parse two numbers separated by a comma; `message` is the error for anything else."""
     parts = text.split(",")
     if len(parts) != 2:
-        raise CairnError(told.format(text))
+        raise CairnError(message.format(text))
     try:
         pair = [_number(part) for part in parts]
     except CairnError as error:
-        raise CairnError(f"{told.format(text)} ({error})") from None
+        raise CairnError(f"{message.format(text)} ({error})") from None
     return pair
 
 

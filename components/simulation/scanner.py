@@ -1,11 +1,13 @@
-"""The driver of the simulated range scanner."""
+"""The driver of the simulated range scanner: scanner models, beam simulation, the component."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Literal
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from cairn import (
@@ -23,14 +25,164 @@ from cairn import (
     from_ns,
     on,
 )
-from cairn.components.simulation.scanner_models import MODELS
-from cairn.components.simulation.scanning import Beams, Faults, sweep
-from cairn.components.simulation.watching import WorldWatch, composed
+from cairn.components.simulation.layout import SURFACES
+from cairn.components.simulation.ray_casting import cast
+from cairn.components.simulation.world_tracker import RayTargets, WorldTracker, sensor_poses
 from cairn.planar.messages import transform_message
-from cairn.schemas.cairn_sim_msgs import Scene, WorldState
+from cairn.schemas.cairn_sim_msgs import WorldGeometry, WorldState
 from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.std_msgs import Header
 from cairn.schemas.tf2_msgs import TFMessage
+
+
+@dataclass(frozen=True)
+class ScannerModel:
+    """The data sheet values of a scanner.
+
+    Field of view `first` to `last` [rad] in `steps` beams; `turn_s` [s] is one turn of the mirror;
+    `least` and `most` [m] limit the range. The standard deviation is `noise_m` [m], or the share
+    `noise_share` [1] of the range if that is more.
+    """
+
+    first: float
+    last: float
+    steps: int
+    turn_s: float
+    least: float
+    most: float
+    noise_m: float
+    noise_share: float
+
+    @property
+    def increment(self) -> float:
+        """Return the angle between two beams [rad]."""
+        return (self.last - self.first) / (self.steps - 1)
+
+    @property
+    def time_increment(self) -> float:
+        """Return the time between two beams [s]."""
+        return self.turn_s * self.increment / (2.0 * math.pi)
+
+
+def _model(
+    turn_steps: int,
+    steps: int,
+    rate: float,
+    least: float,
+    most: float,
+    noise: tuple[float, float],
+) -> ScannerModel:
+    """Return a model whose full turn has `turn_steps`, of which the middle `steps` are measured."""
+    half = math.pi * (steps - 1) / turn_steps
+    return ScannerModel(-half, half, steps, 1.0 / rate, least, most, *noise)
+
+
+MODELS: dict[str, ScannerModel] = {
+    # Steps as the devices report them (ARES, AMIN, AMAX). Standard deviations are half of the
+    # accuracy in the data sheets, except for the UST: its +-40 mm hold for any surface, so it gets
+    # the deviation of the UTM.
+    "URG-04LX": _model(1024, 682, 10.0, 0.06, 4.095, (0.005, 0.005)),
+    "URG-04LX-UG01": _model(1024, 682, 10.0, 0.06, 5.6, (0.015, 0.015)),
+    "UTM-30LX": _model(1440, 1081, 40.0, 0.1, 30.0, (0.015, 0.0)),
+    "UST-10LX": _model(1440, 1081, 40.0, 0.06, 10.0, (0.015, 0.0)),
+    "UST-20LX": _model(1440, 1081, 40.0, 0.06, 20.0, (0.015, 0.0)),
+    # An LED scanner for obstacles: coarse, short-ranged, and far less accurate.
+    "PBS-03JN": _model(200, 121, 10.0, 0.2, 3.0, (0.05, 0.05)),
+}
+
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class BeamPattern:
+    """The beams of a model that are measured: every `skip`-th between two angles [rad]."""
+
+    numbers: NDArray[np.int64]
+    angles: Array
+    times: Array
+
+    @staticmethod
+    def of(model: ScannerModel, first: float, last: float, skip: int) -> BeamPattern:
+        """Return the beams between `first` and `last` [rad]; times [s] start at the first one."""
+        angles: Array = model.first + model.increment * np.arange(model.steps, dtype=np.float64)
+        inside = np.nonzero((angles >= first - 1e-9) & (angles <= last + 1e-9))[0][::skip]
+        times = (inside - inside[0]) * model.time_increment if len(inside) else np.zeros(0)
+        return BeamPattern(inside, angles[inside], times)
+
+
+@dataclass(frozen=True)
+class BeamFaults:
+    """Faults of beams.
+
+    Share of all beams that fail [1], and of beams at dark surfaces [1]; share of the range in which
+    dark surfaces are measured [1]; share of beams that glass reflects [1].
+    """
+
+    dropouts: float
+    dark_dropouts: float
+    dark_reach: float
+    glass_returns: float
+
+
+def simulate_sweep(
+    model: ScannerModel,
+    beams: BeamPattern,
+    faults: BeamFaults,
+    poses: Array,
+    targets: RayTargets,
+    random: np.random.Generator,
+) -> NDArray[np.float32]:
+    """Return ranges (n,) [m] of beams sent from `poses` (n, 3) [m, rad] of the scanner.
+
+    Infinite where nothing was hit, NaN where the beam failed.
+    """
+    count = beams.angles.size
+    starts = np.ascontiguousarray(poses[:, :2])
+    angles = poses[:, 2] + beams.angles
+    ranges, hit = cast(starts, angles, targets.segments, targets.people, model.most)
+    surfaces = _surfaces(hit, targets.surfaces)
+    _pass_through_glass(ranges, surfaces, starts, angles, model.most, faults, targets, random)
+    dark = surfaces == SURFACES["dark"]
+    ranges[dark & (ranges > faults.dark_reach * model.most)] = math.inf
+    was_hit = np.isfinite(ranges)
+    deviation = np.maximum(model.noise_m, model.noise_share * np.where(was_hit, ranges, 0.0))
+    ranges += deviation * random.standard_normal(count)
+    ranges[was_hit & (ranges < model.least)] = math.nan
+    ranges[ranges >= model.most] = math.inf
+    chance = random.random(count)
+    ranges[chance < np.where(dark, faults.dark_dropouts, faults.dropouts)] = math.nan
+    return ranges.astype(np.float32)
+
+
+def _surfaces(hit: NDArray[np.int64], solid: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return the surface that each ray hit; people and nothing count as plain."""
+    surfaces = np.full(hit.size, SURFACES["plain"], np.uint8)
+    was_hit = (hit >= 0) & (hit < solid.size)
+    surfaces[was_hit] = solid[hit[was_hit]]
+    return surfaces
+
+
+def _pass_through_glass(
+    ranges: Array,
+    surfaces: NDArray[np.uint8],
+    starts: Array,
+    angles: Array,
+    reach: float,
+    faults: BeamFaults,
+    targets: RayTargets,
+    random: np.random.Generator,
+) -> None:
+    """Let most rays that hit glass continue to what is behind it."""
+    through = np.nonzero(surfaces == SURFACES["glass"])[0]
+    through = through[random.random(through.size) >= faults.glass_returns]
+    if through.size:
+        solid = targets.without_glass
+        ranges[through], behind = cast(
+            starts[through], angles[through], solid.segments, solid.people, reach
+        )
+        surfaces[through] = _surfaces(behind, solid.surfaces)
+
 
 _FRAME = "laser"
 
@@ -38,76 +190,82 @@ ModelName = Literal["URG-04LX", "URG-04LX-UG01", "UTM-30LX", "UST-10LX", "UST-20
 
 
 class SimulatedScannerConfig(Config):
-    """Which scanner, and how it is used."""
+    """The scanner's model and settings."""
 
-    model: ModelName = Field("UST-10LX", description="Its model.")
+    model: ModelName = Field("UST-10LX", description="Scanner model.")
     rate: float | None = Field(
-        None, gt=0, le=100, description="Scans a second [1/s]; none: as the model turns."
+        None, gt=0, le=100, description="Scans per second [1/s]; none: as fast as the model turns."
     )
     first: float = Field(
-        -math.pi, ge=-math.pi, le=math.pi, description="Angle of the first beam, at least [rad]."
+        -math.pi, ge=-math.pi, le=math.pi, description="Least angle of the first beam [rad]."
     )
     last: float = Field(
-        math.pi, ge=-math.pi, le=math.pi, description="Angle of the last beam, at most [rad]."
+        math.pi, ge=-math.pi, le=math.pi, description="Largest angle of the last beam [rad]."
     )
-    skip: int = Field(1, ge=1, le=100, description="Every how many beams one is measured [1].")
-    mount: Mount = Field(Mount(), description="Where the scanner sits on the robot.")
+    skip: int = Field(1, ge=1, le=100, description="Measure every `skip`-th beam [1].")
+    mount: Mount = Field(Mount(), description="Pose of the scanner on the robot.")
     farthest: float | None = Field(
-        None, gt=0, le=100, description="Range, where it is less than the model's [m]."
+        None, gt=0, le=100, description="Largest range, if less than the model's [m]."
     )
-    dropouts: float = Field(0.002, ge=0, le=1, description="Beams that fail [1].")
-    dark_dropouts: float = Field(0.3, ge=0, le=1, description="Of those at dark surfaces [1].")
+    dropouts: float = Field(0.002, ge=0, le=1, description="Share of beams that fail [1].")
+    dark_dropouts: float = Field(
+        0.3, ge=0, le=1, description="Share of beams that fail at dark surfaces [1]."
+    )
     dark_reach: float = Field(
-        0.4, gt=0, le=1, description="Share of the range in which dark surfaces are seen [1]."
+        0.4, gt=0, le=1, description="Share of the range in which dark surfaces are measured [1]."
     )
     glass_returns: float = Field(
-        0.1, ge=0, le=1, description="Beams that glass returns; others go through [1]."
+        0.1,
+        ge=0,
+        le=1,
+        description="Share of beams that glass reflects; the others pass through [1].",
     )
 
 
 class SimulatedScanner(Component):
-    """Sweeps the simulated world as a scanner of a real model would."""
+    """Measure the simulated world as a scanner of a real model does."""
 
     config: SimulatedScannerConfig
 
     world_state: In[WorldState] = In(qos=RELIABLE.with_depth(200))
-    scene: In[Scene] = In(qos=LATCHED)
+    world_geometry: In[WorldGeometry] = In(qos=LATCHED)
     scan: Out[LaserScan] = Out(qos=SENSOR)
     tf_static: Out[TFMessage] = Out(qos=LATCHED)
 
     def on_configure(self) -> None:
-        """Lay out the beams."""
+        """Select the beams; check range and rate."""
         config = self.config
         model = MODELS[config.model]
         if config.farthest is not None:
             model = replace(model, most=min(model.most, config.farthest))
         if model.most <= model.least:
             raise CairnError(
-                f"{self.name}: a {config.model} sees nothing nearer than {model.least:g} m; give "
-                "farthest more than that"
+                f"{self.name}: farthest = {model.most:g} is not above the least range "
+                f"{model.least:g} m of "
+                f"a {config.model}; increase farthest"
             )
         self._model = model
-        self._beams = Beams.of(self._model, config.first, config.last, config.skip)
+        self._beams = BeamPattern.of(self._model, config.first, config.last, config.skip)
         if self._beams.angles.size < 2:
             raise CairnError(
                 f"{self.name}: first = {config.first:g} rad and last = {config.last:g} rad leave "
-                f"no two beams of a {config.model}"
+                f"fewer than two beams of a {config.model}; widen the range"
             )
-        self._faults = Faults(
+        self._faults = BeamFaults(
             config.dropouts, config.dark_dropouts, config.dark_reach, config.glass_returns
         )
-        self._watch = WorldWatch()
+        self._world = WorldTracker()
         self._period = (
             round(SECOND / config.rate) if config.rate else round(self._model.turn_s * SECOND)
         )
         if self._period < round(self._model.turn_s * SECOND):
             raise CairnError(
                 f"{self.name}: rate = {config.rate:g} Hz, but a {config.model} turns "
-                f"{1 / self._model.turn_s:g} times a second"
+                f"{1 / self._model.turn_s:g} times per second; lower the rate"
             )
 
     def on_activate(self) -> None:
-        """Tell where it sits on the robot; begin to turn."""
+        """Publish the mounting pose; start to measure."""
         header = Header(stamp=from_ns(self.clock.now()), frame_id="base_link")
         mounted = transform_message(header, _FRAME, self.config.mount.pose)
         self.tf_static.publish(TFMessage(transforms=(mounted,)))
@@ -115,33 +273,36 @@ class SimulatedScanner(Component):
         self.schedule(self._due, self._sweep)
 
     def on_parameters(self, new: Config) -> None:  # noqa: ARG002 - none can be changed
-        """A scanner stays the one that it is."""
-        raise ParameterRejected("the simulated scanner takes its parameters when it is configured")
+        """Reject all changes: the beams are selected when the scanner is configured."""
+        raise ParameterRejected(
+            f"{self.name}: parameters of the simulated scanner cannot change while it runs; "
+            "restart it"
+        )
 
-    @on("scene")
-    def know(self, scene: Scene) -> None:
-        """Take what stands."""
-        self._watch.take_scene(scene)
+    @on("world_geometry")
+    def on_world_geometry(self, geometry: WorldGeometry) -> None:
+        """Take walls, furniture and objects."""
+        self._world.update_geometry(geometry)
 
     @on("world_state")
-    def watch(self, state: WorldState) -> None:
-        """Take what moves."""
-        self._watch.take_state(state)
+    def on_world_state(self, state: WorldState) -> None:
+        """Take the poses of robot and people."""
+        self._world.update_state(state)
 
     def _sweep(self) -> None:
         now = self.clock.now()
         self._due += self._period
-        if self._due <= now:  # it was held up: sweeps that were missed are not made up for
+        if self._due <= now:  # skip the scans that were missed
             self._due = now + self._period
         self.schedule(self._due, self._sweep)
         beams, model = self._beams, self._model
         began = now - round(float(beams.times[-1]) * SECOND)
-        robot = self._watch.robot_at(began, beams.times)
+        robot = self._world.robot_at(began, beams.times)
         if robot is None:
             return
-        scanner = composed(robot, self.config.mount.pose)
-        around = self._watch.around
-        ranges = sweep(model, beams, self._faults, scanner, around, self.random)
+        scanner = sensor_poses(robot, self.config.mount.pose)
+        targets = self._world.ray_targets
+        ranges = simulate_sweep(model, beams, self._faults, scanner, targets, self.random)
         skip = self.config.skip
         self.scan.publish(
             LaserScan(

@@ -1,4 +1,4 @@
-"""The state of the world on disk, so that one whose process was killed goes on where it was."""
+"""The state of the world on disk, so that a restarted world continues where it was killed."""
 
 from __future__ import annotations
 
@@ -7,24 +7,24 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict
 
+from cairn.components.simulation.layout import WorldLayout
 from cairn.components.simulation.people import Walker
-from cairn.components.simulation.scene import Scene
 from cairn.components.simulation.world import World
 from cairn.components.simulation.world_file import Furniture, Person, VisibleObject
 from cairn.files import replace_file
 
-# The file begins anew when it is so long [bytes].
-_LONG = 200_000
+# The file is rewritten when it is longer than this [bytes].
+_MAX_BYTES = 200_000
 
 
-class _Things(BaseModel):
+class _SavedLayout(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
     furniture: list[Furniture]
     objects: list[VisibleObject]
 
 
-class _Walker(BaseModel):
+class _SavedWalker(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
     person: Person
@@ -37,44 +37,45 @@ class _Walker(BaseModel):
     detour: list[tuple[float, float, float]] = []
 
 
-class _Moving(BaseModel):
+class _SavedMotion(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
     elapsed_s: float
     robot: tuple[float, float, float]
-    walkers: list[_Walker]
+    walkers: list[_SavedWalker]
 
 
 @dataclass(frozen=True)
-class KeptWorld:
-    """What stands where, who walks where, and where the robot is, `elapsed_s` after the start."""
+class SavedWorld:
+    """The saved layout, people and robot pose at `elapsed_s` after the start."""
 
-    _things: _Things
-    _moving: _Moving
+    _layout: _SavedLayout
+    _motion: _SavedMotion
 
     @property
     def elapsed_s(self) -> float:
-        """When it was so, since the start [s]."""
-        return self._moving.elapsed_s
+        """Time of the state since the start [s]."""
+        return self._motion.elapsed_s
 
-    def put_into(self, world: World) -> None:
-        """Make the world as it was; what happened until then does not happen again."""
-        world.robot = self._moving.robot
-        world.scene = Scene(
-            world.scene.walls,
-            {one.name: one for one in self._things.furniture},
-            {one.called: one for one in self._things.objects},
-            world.scene.version + 1,
+    def restore(self, world: World) -> None:
+        """Set a world to this state; events up to then do not happen again."""
+        world.robot = self._motion.robot
+        world.layout = WorldLayout(
+            world.layout.walls,
+            {item.name: item for item in self._layout.furniture},
+            {item.display_name: item for item in self._layout.objects},
+            world.layout.version + 1,
         )
-        world.walkers = [Walker(**dict(one)) for one in self._moving.walkers]
+        world.walkers = [Walker(**dict(item)) for item in self._motion.walkers]
         world.skip_events(self.elapsed_s)
 
 
 class StateFile:
-    """A file of JSON lines: what stands in the world, and below, again and again, what moves.
+    """A file of JSON lines: the layout, and below it one line per saved state of what moves.
 
-    What counts is the newest whole line. A line more costs a twentieth of what replacing the file
-    does, and asks nothing of the disk; it is replaced when something else stands or it is long.
+    The newest complete line counts. Appending a line costs a twentieth of the time of replacing the
+    file and does not sync the disk; the file is replaced when the layout changes or when it is
+    long.
     """
 
     def __init__(self, file: Path) -> None:
@@ -82,35 +83,36 @@ class StateFile:
         self._version = -1
         self._size = 0
 
-    def keep(self, world: World, elapsed_s: float) -> None:
-        """Write the state down; raises OSError."""
-        scene = world.scene
-        walkers = [_Walker(**vars(walker)) for walker in world.walkers]
-        moving = _Moving(elapsed_s=elapsed_s, robot=world.robot, walkers=walkers)
-        line = moving.model_dump_json().encode() + b"\n"
+    def save(self, world: World, elapsed_s: float) -> None:
+        """Save the state; raises OSError."""
+        layout = world.layout
+        walkers = [_SavedWalker(**vars(walker)) for walker in world.walkers]
+        motion = _SavedMotion(elapsed_s=elapsed_s, robot=world.robot, walkers=walkers)
+        line = motion.model_dump_json().encode() + b"\n"
         try:
-            if scene.version == self._version and self._size < _LONG:
+            if layout.version == self._version and self._size < _MAX_BYTES:
                 with self.file.open("ab") as file:
                     file.write(line)
             else:
-                things = _Things(
-                    furniture=list(scene.furniture.values()), objects=list(scene.objects.values())
+                layout_state = _SavedLayout(
+                    furniture=list(layout.furniture.values()), objects=list(layout.objects.values())
                 )
-                line = things.model_dump_json().encode() + b"\n" + line
-                # A world does not outlive its computer: nobody waits for a disk.
+                line = layout_state.model_dump_json().encode() + b"\n" + line
+                # The state need not survive a power failure, so it is not synced to the disk.
                 replace_file(self.file, line, durable=False)
-                self._version, self._size = scene.version, 0
+                self._version, self._size = layout.version, 0
         except OSError:
-            self._version = -1  # half a line may stand there now
+            self._version = -1  # the file may end with half a line now
             raise
         self._size += len(line)
 
-    def kept(self) -> KeptWorld | None:
-        """The state in the file; None if there is none that can be read."""
+    def load(self) -> SavedWorld | None:
+        """Return the saved state; None if there is no readable one."""
         try:
-            things, *moving = self.file.read_bytes().split(b"\n")[:-1]
-            return KeptWorld(
-                _Things.model_validate_json(things), _Moving.model_validate_json(moving[-1])
+            layout_state, *motion = self.file.read_bytes().split(b"\n")[:-1]
+            return SavedWorld(
+                _SavedLayout.model_validate_json(layout_state),
+                _SavedMotion.model_validate_json(motion[-1]),
             )
         except (OSError, ValueError, LookupError):
             return None

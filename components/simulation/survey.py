@@ -1,4 +1,4 @@
-"""A simulated world as a surveyor would map it: its grid map, its visual map, its pictures."""
+"""The true maps of a simulated world: its grid map, visual map and object pictures."""
 
 from __future__ import annotations
 
@@ -9,10 +9,9 @@ import cv2
 import numpy as np
 
 from cairn import CairnError
-from cairn.components.simulation.checks import problems_of
-from cairn.components.simulation.scene import Scene
-from cairn.components.simulation.textures import picture_of
-from cairn.components.simulation.walls import gaps_around
+from cairn.components.simulation.layout import WorldLayout
+from cairn.components.simulation.textures import object_picture
+from cairn.components.simulation.world_checks import wall_gaps, world_problems
 from cairn.components.simulation.world_file import WorldFile, read_world
 from cairn.planar.grid import FREE, OCCUPIED, UNKNOWN, Frame, Grid, OccupancyCells
 from cairn.schemas.cairn_msgs import VisualMap, VisualObject
@@ -20,17 +19,17 @@ from cairn.vision.object_model import ObjectModel
 from cairn.vision.teaching import make_view
 
 RESOLUTION = 0.05
-# Unknown cells around the world [m].
+# Width of unknown cells around the world [m].
 _BORDER_M = 0.5
-# A survey asks for this much room around the robot's start, whatever the robot's radius [m].
+# Room that the checks require around the robot's start [m], as the robot's radius is not known.
 _ROOM_M = 0.05
 
 
 def surveyed_grid(file: Path, resolution: float = RESOLUTION) -> OccupancyCells:
-    """The grid map of a world file: what stands, and the space around the robot's start.
+    """Return the grid map of a world file: walls, furniture, and the reachable space.
 
-    Cells have a size of `resolution` [m]. What the robot cannot see from within is unknown. People
-    are not surveyed.
+    Cells have a size of `resolution` [m]. What the robot cannot reach from inside is unknown.
+    People are left out.
     """
     world = _checked(file)
     try:
@@ -40,11 +39,12 @@ def surveyed_grid(file: Path, resolution: float = RESOLUTION) -> OccupancyCells:
 
 
 def grid_of_world(world: WorldFile, resolution: float = RESOLUTION) -> OccupancyCells:
-    """The grid map of a world; `CairnError` if its walls leave a gap, or cells are too large."""
-    scene = Scene.of(world)
-    segments = scene.standing.segments
+    """Return the grid map of a world; `CairnError` if walls have gaps or cells are too large."""
+    layout = WorldLayout.of(world)
+    segments = layout.solid_segments.segments
     ends = segments.reshape(-1, 2)
-    # Half a cell off round numbers, on which walls stand: they pass through the middle of cells.
+    # Shifted by half a cell: walls are at round coordinates and then pass through the middle of
+    # cells.
     margin = math.ceil(_BORDER_M / resolution) * resolution
     least = ends.min(axis=0) - margin - resolution / 2
     most = ends.max(axis=0) + margin
@@ -52,7 +52,7 @@ def grid_of_world(world: WorldFile, resolution: float = RESOLUTION) -> Occupancy
     frame = Frame(resolution, (float(least[0]), float(least[1]), 0.0))
     solid = np.zeros((rows, columns), np.uint8)
     for x1, y1, x2, y2 in segments.tolist():
-        # A cell is occupied where a wall passes through it.
+        # A cell is occupied if a wall passes through it.
         length = float(np.hypot(x2 - x1, y2 - y1))
         share = np.linspace(0.0, 1.0, max(2, int(length / (0.2 * resolution)) + 1))
         column = np.floor((x1 + share * (x2 - x1) - least[0]) / resolution).astype(int)
@@ -62,15 +62,15 @@ def grid_of_world(world: WorldFile, resolution: float = RESOLUTION) -> Occupancy
     start = frame.cell(world.robot.x, world.robot.y)
     if solid[start]:
         raise CairnError(
-            f"with cells of {resolution:g} m the robot begins in an occupied one; choose a finer "
+            f"with cells of {resolution:g} m the robot starts in an occupied cell; choose a finer "
             "--resolution"
         )
     reached = 1 - solid
-    # Over sides, not corners: so outlines keep it out of furniture, too.
+    # Fill across sides, not corners, so that outlines keep the fill out of furniture.
     cv2.floodFill(reached, None, start[::-1], 2, flags=4)
     border = np.concatenate((reached[[0, -1]].ravel(), reached[:, [0, -1]].ravel()))
     if np.any(border == 2):
-        gaps = gaps_around(scene, world.robot.pose, 0.0)
+        gaps = wall_gaps(layout, world.robot.pose, 0.0)
         where = " and one ".join(map(str, gaps)) or "to the outside"
         raise CairnError(f"the walls leave a gap {where}; close it")
     cells[reached == 2] = FREE
@@ -79,13 +79,13 @@ def grid_of_world(world: WorldFile, resolution: float = RESOLUTION) -> Occupancy
 
 
 def surveyed_objects(file: Path) -> VisualMap:
-    """The objects of a world file, where they stand at the beginning."""
+    """Return the objects of a world file at their poses at the start."""
     world = _checked(file)
     return VisualMap(
         objects=tuple(
             VisualObject(
                 object_id=thing.id,
-                name=thing.called,
+                name=thing.display_name,
                 x=thing.x,
                 y=thing.y,
                 covariance=np.array([1e-4, 0.0, 0.0, 1e-4]),
@@ -101,9 +101,9 @@ def surveyed_models(file: Path) -> tuple[ObjectModel, ...]:
     return tuple(
         ObjectModel(
             thing.id,
-            thing.called,
+            thing.display_name,
             thing.size,
-            (make_view(picture_of(thing.texture or "", thing.id, thing.size)),),
+            (make_view(object_picture(thing.texture or "", thing.id, thing.size)),),
         )
         for thing in _checked(file).objects
     )
@@ -111,7 +111,7 @@ def surveyed_models(file: Path) -> tuple[ObjectModel, ...]:
 
 def _checked(file: Path) -> WorldFile:
     world = read_world(file)
-    problems = problems_of(world, _ROOM_M)
+    problems = world_problems(world, _ROOM_M)
     if problems:
         raise CairnError(f"{file}: " + "; ".join(problems))
     return world

@@ -1,7 +1,9 @@
-"""Pictures of what a camera sees: those on objects, and the weak pattern of all other surfaces."""
+"""Textures: pictures on objects, the pattern of all other surfaces, and their lookup tables."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -12,17 +14,17 @@ from cairn.vision.images import read_image
 
 Gray = NDArray[np.uint8]
 
-# The longer side of a picture on an object [px]: half a meter at half a meter shows no more.
+# Longer side of a picture on an object [px]: a camera 0.5 m from a 0.5 m picture shows no more.
 LONGEST_PX = 640
 _DRAWN_PX = 400
-# The pattern of surfaces: a square that repeats [texels], and how much its brightness varies [1].
+# The repeating square pattern of surfaces: its size [texels] and its brightness variation [1].
 PATTERN_TEXELS = 256
 _PATTERN_SD = 0.04
 _PATTERN_SEED = 1
 
 
-def picture_of(texture: str | Path, object_id: int, size: tuple[float, float]) -> Gray:
-    """The picture (h, w) on an object of that size [m]: the file `texture`, or drawn if it is "".
+def object_picture(texture: str | Path, object_id: int, size: tuple[float, float]) -> Gray:
+    """Return the picture (h, w) on an object of that size [m]: from a file, or drawn if it is "".
 
     Raises `CairnError` if the file cannot be read as a picture.
     """
@@ -30,7 +32,7 @@ def picture_of(texture: str | Path, object_id: int, size: tuple[float, float]) -
 
 
 def read_picture(file: Path) -> Gray:
-    """A picture in gray, at most `LONGEST_PX` long; `CairnError` if the file is none."""
+    """Read a gray picture, reduced to at most `LONGEST_PX`; `CairnError` if that fails."""
     found = read_image(file)
     shrink = min(1.0, LONGEST_PX / max(found.shape))
     if shrink == 1.0:
@@ -40,7 +42,7 @@ def read_picture(file: Path) -> Gray:
 
 
 def drawn_picture(object_id: int, size: tuple[float, float]) -> Gray:
-    """A picture full of corners and blobs of all sizes: another for each id, always the same."""
+    """Draw a picture with corners and blobs of all sizes, reproducible, different per id."""
     scale = _DRAWN_PX / max(size)
     width, height = (max(16, round(side * scale)) for side in size)
     random = np.random.default_rng(object_id)
@@ -51,7 +53,7 @@ def drawn_picture(object_id: int, size: tuple[float, float]) -> Gray:
 
 
 def _draw_shape(picture: Gray, extent: float, random: np.random.Generator) -> None:
-    """Somewhere a polygon, an ellipse or some lines of about that extent [px]."""
+    """Draw a polygon, an ellipse or some lines of about that extent [px] at a random position."""
     height, width = picture.shape
     middle = random.uniform((0, 0), (width, height))
     gray = int(random.integers(5, 251))
@@ -76,10 +78,64 @@ def _draw_shape(picture: Gray, extent: float, random: np.random.Generator) -> No
 
 
 def surface_pattern() -> NDArray[np.float32]:
-    """A square that repeats without seams: about 1, with weak blotches of all sizes."""
+    """Return a seamless square pattern of mean 1 with weak blotches of all sizes."""
     white = np.random.default_rng(_PATTERN_SEED).standard_normal((PATTERN_TEXELS, PATTERN_TEXELS))
     frequency = np.fft.fftfreq(PATTERN_TEXELS)
     steps = np.maximum(np.hypot(frequency[:, None], frequency), 8 / PATTERN_TEXELS)
     blotches = np.fft.ifft2(np.fft.fft2(white) / steps).real
     blotches -= blotches.mean()
     return np.asarray(1.0 + _PATTERN_SD * blotches / blotches.std(), np.float32)
+
+
+Float32 = NDArray[np.float32]
+
+# Texture 0 is the repeating pattern of surfaces.
+PATTERN = 0
+# Size of one of its texels [m].
+TEXEL_M = 0.02
+
+
+@dataclass(frozen=True)
+class TextureAtlas:
+    """Textures side by side, as sums from which the mean of any strip follows.
+
+    Texture k has `shapes[k]` = width, height [texels]. Its sums along x from the left, column by
+    column (width + 1, height), start at `begins[k]` of `sums`; the mean over any part of a row is a
+    difference of two of them. The pattern is stored twice as wide, so that a part may cross its
+    seam. `levels` has the pattern again, halved repeatedly, for planes seen at a flat angle: level
+    k is square and starts at `level_begins[k]`.
+    """
+
+    sums: Float32
+    begins: NDArray[np.int64]
+    shapes: NDArray[np.int64]
+    levels: Float32
+    level_begins: NDArray[np.int64]
+
+    @staticmethod
+    def of(pictures: Sequence[NDArray[np.uint8]]) -> TextureAtlas:
+        """Return the atlas of the pattern, and of pictures (h, w) as textures 1, 2, ..."""
+        pattern = surface_pattern()
+        parts = [_sums(np.hstack((pattern, pattern))), *(_sums(one) for one in pictures)]
+        begins = np.cumsum([0, *(part.size for part in parts[:-1])])
+        shapes = [pattern.shape[::-1], *(one.shape[::-1] for one in pictures)]
+        levels = [pattern]
+        while len(levels[-1]) > 1:
+            half = len(levels[-1]) // 2
+            halved = cv2.resize(levels[-1], (half, half), interpolation=cv2.INTER_AREA)
+            levels.append(np.asarray(halved, np.float32))
+        sizes = [level.size for level in levels[:-1]]
+        return TextureAtlas(
+            np.concatenate([part.ravel() for part in parts]),
+            begins.astype(np.int64),
+            np.array(shapes, np.int64),
+            np.concatenate([level.ravel() for level in levels]),
+            np.cumsum([0, *sizes]).astype(np.int64),
+        )
+
+
+def _sums(picture: NDArray[np.uint8] | Float32) -> Float32:
+    """Return the sums (w + 1, h) of all columns to the left of each."""
+    sums = np.zeros((picture.shape[1] + 1, picture.shape[0]))
+    np.cumsum(picture.T.astype(np.float64), axis=0, out=sums[1:])
+    return sums.astype(np.float32)

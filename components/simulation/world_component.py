@@ -1,4 +1,4 @@
-"""The component that holds the simulated world: the truth, which only drivers and tests read."""
+"""The component of the simulated world: ground truth, which only drivers and tests may read."""
 
 from __future__ import annotations
 
@@ -25,86 +25,92 @@ from cairn import (
     on,
     to_ns,
 )
-from cairn.components.simulation.checks import problems_of, unseen_problems
-from cairn.components.simulation.messages import scene_message, true_map
-from cairn.components.simulation.refusals import what_is_wrong
+from cairn.components.simulation.layout import geometry_message, true_map
 from cairn.components.simulation.state_file import StateFile
-from cairn.components.simulation.world import Contact, Slip, World
+from cairn.components.simulation.world import Contact, WheelSlip, World
+from cairn.components.simulation.world_checks import visibility_problems, world_problems
 from cairn.components.simulation.world_file import (
     Event,
     Furniture,
     Name,
     Person,
-    Placed,
     VisibleObject,
+    WorldPose,
+    describe_errors,
     read_world,
 )
 from cairn.planar.messages import planar_pose, pose_message
 from cairn.planar.poses import Pose
 from cairn.schemas.cairn_msgs import VisualMap
 from cairn.schemas.cairn_nav_msgs import Collision
-from cairn.schemas.cairn_sim_msgs import Scene, WheelMotion, WorldState
+from cairn.schemas.cairn_sim_msgs import WheelMotion, WorldGeometry, WorldState
 from cairn.schemas.geometry_msgs import Point, PoseStamped
 from cairn.schemas.packed import Packed
 from cairn.schemas.std_msgs import Header
 
-# Without word from the wheels for this long [s] they stand still.
+# Wheels without a message for so long [s] count as standing.
 _STALE_S = 0.3
-_TRUTH_EVERY = SECOND // 10
+_TRUTH_PERIOD_NS = SECOND // 10
 
 
 class SlipConfig(Config):
-    """How the wheels slip on the floor."""
+    """Slip of the wheels on the floor."""
 
-    way: float = Field(0.005, ge=0, le=1, description="Random walk of the way [m/sqrt(m)].")
-    turn: float = Field(0.01, ge=0, le=1, description="Random walk of turns [rad/sqrt(rad)].")
+    distance: float = Field(
+        0.005, ge=0, le=1, description="Random walk of the distance [m/sqrt(m)]."
+    )
+    turn: float = Field(
+        0.01, ge=0, le=1, description="Random walk of the heading per turn [rad/sqrt(rad)]."
+    )
     turn_per_meter: float = Field(
-        0.005, ge=0, le=1, description="Random walk of the heading on the way [rad/sqrt(m)]."
+        0.005, ge=0, le=1, description="Random walk of the heading per distance [rad/sqrt(m)]."
     )
 
 
 class WorldConfig(Config):
-    """Which world."""
+    """The world and the robot's size in it."""
 
     world: ReadPath = Field(description="World file (YAML).")
     radius: float = Field(0.22, gt=0, le=5, description="Radius of the robot [m].")
-    slip: SlipConfig = Field(SlipConfig(), description="How the wheels slip.")
+    slip: SlipConfig = Field(SlipConfig(), description="Slip of the wheels.")
     events: tuple[Event, ...] = Field(
-        (), description="What happens, beside the events of the world file."
+        (), description="Events in addition to those of the world file."
     )
     state_file: Path | None = Field(
         None,
-        description="Where to keep the state of the world, so that one whose process died goes on; "
-        "none: it begins anew.",
+        description="File for the state of the world, with which a restarted world continues; "
+        "none: it "
+        "starts again from the world file.",
     )
 
 
 class _Named(Config):
-    """What a request is about."""
+    """A request about a thing with this name."""
 
     name: Name
 
 
-class _NamedPlace(Placed):
-    """The same, and where it is put."""
+class _NamedPose(WorldPose):
+    """A request to put a thing with this name to a pose."""
 
     name: Name
 
 
 _CHANGES: dict[str, type[Config]] = {
-    "move": _NamedPlace,
+    "move": _NamedPose,
     "remove": _Named,
     "furniture": Furniture,
     "object": VisibleObject,
     "person": Person,
-    "kidnap": Placed,
+    "kidnap": WorldPose,
 }
 
 
 class SimulatedWorld(Component):
-    """Holds the true state of the simulated world and lets time pass in it.
+    """Hold the true state of the simulated world and let time pass in it.
 
-    Tells the drivers what stands (`scene`) and what moves (`world_state`); reports collisions.
+    Publishes the layout (`world_geometry`) and what moves (`world_state`) for the drivers; reports
+    collisions.
     """
 
     config: WorldConfig
@@ -112,139 +118,142 @@ class SimulatedWorld(Component):
     wheel_motion: In[WheelMotion] = In(qos=RELIABLE.with_depth(200))
     kidnap: In[PoseStamped] = In(optional=True)
     world_state: Out[WorldState] = Out(qos=RELIABLE.with_depth(200))
-    scene: Out[Scene] = Out(qos=LATCHED)
+    world_geometry: Out[WorldGeometry] = Out(qos=LATCHED)
     truth: Out[PoseStamped]
     true_map: Out[VisualMap] = Out(qos=LATCHED)
     collisions: Out[Collision] = Out(qos=RELIABLE.with_depth(100))
 
     def on_configure(self) -> None:
-        """Read the world and see that it can be."""
+        """Read the world file and check it."""
         config = self.config
         world = read_world(config.world)
-        more = [event.within(config.world.parent) for event in config.events]
+        more = [event.with_textures_in(config.world.parent) for event in config.events]
         world = world.model_copy(update={"events": [*world.events, *more]})
-        problems = problems_of(world, config.radius)
+        problems = world_problems(world, config.radius)
         if problems:
             raise CairnError(f"{config.world}: " + "; ".join(problems))
-        slip = Slip(config.slip.way, config.slip.turn, config.slip.turn_per_meter)
+        slip = WheelSlip(config.slip.distance, config.slip.turn, config.slip.turn_per_meter)
         self._world = World(world, config.radius, slip, self.random)
         self._state_file = StateFile(config.state_file) if config.state_file else None
-        self._unkept = False
-        self._told_version = -1
-        self._began = self._heard = self._stepped = self._truth_at = 0
+        self._save_failed = False
+        self._published_version = -1
+        self._started_at = self._wheels_heard_at = self._advanced_to = self._truth_published_at = 0
         self._speeds = (0.0, 0.0)
 
     def on_activate(self) -> None:
-        """Begin, or go on where a forerunner was killed."""
-        self._began = self._stepped = self.clock.now()
+        """Start, or continue from the saved state after a restart."""
+        self._started_at = self._advanced_to = self.clock.now()
         if self.restarts > 0:
             self._resume()
-        self._tell_scene()
+        self._publish_layout()
 
     def on_parameters(self, new: Config) -> None:  # noqa: ARG002 - none can be changed
-        """A world is changed by requests, not by parameters."""
-        raise ParameterRejected("a world takes its parameters when it is configured")
+        """Reject all changes: a world is changed by requests, not by parameters."""
+        raise ParameterRejected(
+            f"{self.name}: parameters of the world cannot change while it runs; restart it, or "
+            "change the world with `cairn world`"
+        )
 
     @on("wheel_motion")
-    def drive(self, motion: WheelMotion) -> None:
-        """Let the robot go as the wheels turned, and time pass."""
-        self._heard = self.clock.now()
-        follows, contacts = self._world.drive(motion.seconds, motion.forward, motion.turn)
-        self._speeds = (motion.forward if follows else 0.0, motion.turn)
-        self._pass(to_ns(motion.header.stamp))
+    def on_wheel_motion(self, motion: WheelMotion) -> None:
+        """Move the robot as the wheels turned, and let time pass."""
+        self._wheels_heard_at = self.clock.now()
+        moved, contacts = self._world.drive(motion.seconds, motion.forward, motion.turn)
+        self._speeds = (motion.forward if moved else 0.0, motion.turn)
+        self._advance_to(to_ns(motion.header.stamp))
         for contact in contacts:
             self._report(contact)
 
     @on("kidnap")
-    def carry(self, pose: PoseStamped) -> None:
-        """Carry the robot somewhere else, without its wheels turning."""
+    def on_kidnap(self, pose: PoseStamped) -> None:
+        """Move the robot without turning its wheels."""
         try:
-            self._world.carry(planar_pose(pose.pose))
+            self._world.kidnap(planar_pose(pose.pose))
         except CairnError as error:
             self.log.error("%s", error)
 
     @every(hz=20)
-    def go_on(self) -> None:
-        """Let happen what is due; let time pass while no wheels turn."""
+    def step(self) -> None:
+        """Carry out due events; let time pass while no wheels turn."""
         now = self.clock.now()
-        for happening in self._world.happen((now - self._began) / SECOND):
-            self.log.log(INFO if happening.done else WARNING, "%s", happening.told)
-        if self._world.scene.version != self._told_version:
-            self._tell_scene()
-        if now - self._heard > _STALE_S * SECOND:
+        for result in self._world.run_due_events((now - self._started_at) / SECOND):
+            self.log.log(INFO if result.succeeded else WARNING, "%s", result.description)
+        if self._world.layout.version != self._published_version:
+            self._publish_layout()
+        if now - self._wheels_heard_at > _STALE_S * SECOND:
             self._speeds = (0.0, 0.0)
-            self._pass(now)
+            self._advance_to(now)
 
     @every(hz=10)
-    def keep(self) -> None:
-        """Keep the state, for one that comes after."""
+    def save_state(self) -> None:
+        """Save the state for a restarted world."""
         if self._state_file is None:
             return
         try:
-            self._state_file.keep(self._world, (self.clock.now() - self._began) / SECOND)
-            self._unkept = False
+            self._state_file.save(self._world, (self.clock.now() - self._started_at) / SECOND)
+            self._save_failed = False
         except OSError as error:
-            if not self._unkept:
+            if not self._save_failed:
                 self.log.warning(
-                    "the state of the world cannot be kept in %s: %s; after a crash it would "
-                    "begin anew",
+                    "cannot save the state of the world in %s: %s; after a crash the world would "
+                    "start again from its file",
                     self._state_file.file,
                     error.strerror,
                 )
-            self._unkept = True
+            self._save_failed = True
 
     def on_request(self, verb: str, arguments: Mapping[str, Any]) -> Any:
-        """Look at the world or change it: list, move, remove, add, person, kidnap."""
+        """Answer the requests list, move, remove, furniture, object, person and kidnap."""
         if verb == "list" and not arguments:
-            return self._listed()
+            return self._list()
         model = _CHANGES.get(verb)
         if model is None:
             return super().on_request(verb, arguments)
         try:
             self._change(model.model_validate(arguments))
         except ValidationError as error:
-            raise CairnError(f"{verb}: {what_is_wrong(error, model)}") from error
-        if self._world.scene.version != self._told_version:
-            self._tell_scene()
+            raise CairnError(f"{verb}: {describe_errors(error, model)}") from error
+        if self._world.layout.version != self._published_version:
+            self._publish_layout()
         return None
 
-    def _change(self, given: Config) -> None:
-        match given:
-            case _NamedPlace():
-                self._world.move(given.name, given.pose)
+    def _change(self, change: Config) -> None:
+        match change:
+            case _NamedPose():
+                self._world.move(change.name, change.pose)
             case _Named():
-                self._world.remove(given.name)
+                self._world.remove(change.name)
             case Furniture():
-                self._world.add(given)
+                self._world.add(change)
             case VisibleObject():
-                thing = given.within(self.config.world.parent)
-                problems = unseen_problems(self._world.scene, thing)
+                thing = change.with_textures_in(self.config.world.parent)
+                problems = visibility_problems(self._world.layout, thing)
                 if problems:
                     raise CairnError("; ".join(problems))
                 self._world.add(thing)
             case Person():
-                self._world.add_person(given)
-            case Placed():
-                self._world.carry(given.pose)
+                self._world.add_person(change)
+            case WorldPose():
+                self._world.kidnap(change.pose)
 
-    def _listed(self) -> list[dict[str, Any]]:
+    def _list(self) -> list[dict[str, Any]]:
         world = self._world
         x, y, theta = world.robot
         rows = [{"kind": "robot", "name": "robot", "x": x, "y": y, "theta": theta}]
-        for name, piece in world.scene.furniture.items():
-            rows.append({"kind": "furniture", "name": name, **_place(piece.pose)})
-        for name, thing in world.scene.objects.items():
-            rows.append({"kind": "object", "name": name, **_place(thing.pose)})
+        for name, piece in world.layout.furniture.items():
+            rows.append({"kind": "furniture", "name": name, **_pose_row(piece.pose)})
+        for name, thing in world.layout.objects.items():
+            rows.append({"kind": "object", "name": name, **_pose_row(thing.pose)})
         for walker in world.walkers:
             place = {"x": walker.x, "y": walker.y, "theta": 0.0}
             rows.append({"kind": "person", "name": walker.person.name, **place})
         return rows
 
-    def _pass(self, stamp: int) -> None:
-        """Let time pass until a stamp [ns], and tell what moves."""
-        stamp = max(stamp, self._stepped)
-        self._world.walk(min((stamp - self._stepped) / SECOND, 1.0))
-        self._stepped = stamp
+    def _advance_to(self, stamp: int) -> None:
+        """Let time pass until a stamp [ns], and publish what moves."""
+        stamp = max(stamp, self._advanced_to)
+        self._world.move_people(min((stamp - self._advanced_to) / SECOND, 1.0))
+        self._advanced_to = stamp
         header = Header(stamp=from_ns(stamp), frame_id="map")
         robot = pose_message(self._world.robot)
         self.world_state.publish(
@@ -256,8 +265,8 @@ class SimulatedWorld(Component):
                 people=Packed(Point, self._world.people),
             )
         )
-        if stamp - self._truth_at >= _TRUTH_EVERY:
-            self._truth_at = stamp
+        if stamp - self._truth_published_at >= _TRUTH_PERIOD_NS:
+            self._truth_published_at = stamp
             self.truth.publish(PoseStamped(header=header, pose=robot))
 
     def _report(self, contact: Contact) -> None:
@@ -270,7 +279,7 @@ class SimulatedWorld(Component):
         )
         self.collisions.publish(
             Collision(
-                header=Header(stamp=from_ns(self._stepped), frame_id="map"),
+                header=Header(stamp=from_ns(self._advanced_to), frame_id="map"),
                 obstacle=contact.what,
                 x=contact.x,
                 y=contact.y,
@@ -278,22 +287,24 @@ class SimulatedWorld(Component):
             )
         )
 
-    def _tell_scene(self) -> None:
-        scene = self._world.scene
-        self._told_version = scene.version
+    def _publish_layout(self) -> None:
+        layout = self._world.layout
+        self._published_version = layout.version
         header = Header(stamp=from_ns(self.clock.now()), frame_id="map")
-        self.scene.publish(scene_message(header, scene))
-        self.true_map.publish(true_map(header, scene))
+        self.world_geometry.publish(geometry_message(header, layout))
+        self.true_map.publish(true_map(header, layout))
 
     def _resume(self) -> None:
-        state = self._state_file.kept() if self._state_file is not None else None
+        state = self._state_file.load() if self._state_file is not None else None
         if state is None:
-            self.log.warning("the world begins anew: the robot stands where it began")
+            self.log.warning("no saved state of the world: it starts again from its file")
             return
-        state.put_into(self._world)
-        self._began = self.clock.now() - round(state.elapsed_s * SECOND)
-        self.log.info("the world goes on at %.1f s", state.elapsed_s)
+        state.restore(self._world)
+        self._started_at = self.clock.now() - round(state.elapsed_s * SECOND)
+        self.log.info(
+            "restored the saved state of the world: it continues at %.1f s", state.elapsed_s
+        )
 
 
-def _place(pose: Pose) -> dict[str, float]:
+def _pose_row(pose: Pose) -> dict[str, float]:
     return {"x": pose[0], "y": pose[1], "theta": pose[2]}

@@ -1,17 +1,19 @@
-"""World files: walls, furniture, objects, people and events, as YAML."""
+"""The format of world files in YAML, and the error messages for invalid ones."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Hashable
+import re
+from collections.abc import Hashable, Iterator
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args, get_origin
 
 import yaml
 from pydantic import Field, ValidationError, model_validator
+from pydantic_core import ErrorDetails
 
 from cairn import CairnError, Config
-from cairn.components.simulation.refusals import what_is_wrong
+from cairn.deployment.problems import suggestion
 
 Meters = Annotated[float, Field(ge=-10_000, le=10_000)]
 Length = Annotated[float, Field(gt=0, le=1000)]
@@ -21,7 +23,7 @@ Surface = Literal["plain", "dark", "glass"]
 Name = Annotated[str, Field(min_length=1, max_length=60, pattern=r"^[A-Za-z0-9_.-]+$")]
 
 
-class Placed(Config):
+class WorldPose(Config):
     """A pose in the world."""
 
     x: float = Field(ge=-10_000, le=10_000, description="x [m].")
@@ -30,47 +32,47 @@ class Placed(Config):
 
     @property
     def pose(self) -> tuple[float, float, float]:
-        """x, y [m], heading [rad]."""
+        """Return x, y [m] and heading [rad]."""
         return self.x, self.y, self.theta
 
 
 class Wall(Config):
-    """A line of wall, without thickness."""
+    """A wall without thickness, as a polyline."""
 
     points: list[Place] = Field(min_length=2, description="Corners x, y [m], in order.")
-    surface: Surface = Field("plain", description="What a beam meets.")
-    height: Height = Field(2.5, description="Its height [m], for cameras; beams always meet it.")
+    surface: Surface = Field("plain", description="What a beam hits.")
+    height: Height = Field(2.5, description="Height [m] as cameras see it; beams always hit it.")
 
 
-class Furniture(Placed):
+class Furniture(WorldPose):
     """A piece of furniture: a simple polygon that can be moved."""
 
-    name: Name = Field(description="Its name, that of nothing else.")
+    name: Name = Field(description="Unique name.")
     outline: list[Place] = Field(
         default_factory=list, description="Corners x, y in its own frame [m]; or give size."
     )
     size: tuple[Length, Length] | None = Field(
         None, description="Width and depth [m] of a rectangle around its pose, instead of outline."
     )
-    surface: Surface = Field("plain", description="What a beam meets.")
-    height: Height = Field(0.8, description="Its height [m], for cameras; beams always meet it.")
+    surface: Surface = Field("plain", description="What a beam hits.")
+    height: Height = Field(0.8, description="Height [m] as cameras see it; beams always hit it.")
 
     @property
-    def called(self) -> str:
-        """Its name."""
+    def display_name(self) -> str:
+        """Return its name."""
         return self.name
 
     @model_validator(mode="after")
     def _one_shape(self) -> Furniture:
         if bool(self.outline) == (self.size is not None):
-            raise ValueError("give outline or size, one of them")
+            raise ValueError("give either outline or size")
         if self.outline and len(self.outline) < 3:
-            raise ValueError("an outline has at least 3 corners")
+            raise ValueError("outline must have at least 3 corners")
         return self
 
     @property
     def corners(self) -> list[Place]:
-        """Corners in its own frame [m]."""
+        """Return the corners in its own frame [m]."""
         if self.size is None:
             return self.outline
         half_width, half_depth = self.size[0] / 2, self.size[1] / 2
@@ -82,145 +84,228 @@ class Furniture(Placed):
         ]
 
 
-class VisibleObject(Placed):
-    """A textured object that the camera knows; theta is the direction in which it faces."""
+class VisibleObject(WorldPose):
+    """A textured object that the robot can recognize; theta is the direction that it faces."""
 
-    id: int = Field(ge=1, le=1_000_000, description="Its number in the visual map [1].")
+    id: int = Field(ge=1, le=1_000_000, description="Object id in the visual map [1].")
     name: Annotated[str, Field(max_length=60, pattern=r"^[A-Za-z0-9_.-]*$")] = Field(
-        "", description="Its name; object_ID if none is given."
+        "", description="Unique name; empty: object_ID."
     )
-    width: float = Field(0.3, ge=0.01, le=10, description="Its width [m].")
+    width: float = Field(0.3, ge=0.01, le=10, description="Width [m].")
     height: float | None = Field(
-        None, ge=0.01, le=10, description="Its height [m]; none: as its width."
+        None, ge=0.01, le=10, description="Height [m]; none: equal to the width."
     )
-    z: float = Field(1.0, gt=0, le=20, description="Height of its middle above the floor [m].")
+    z: float = Field(1.0, gt=0, le=20, description="Height of its center above the floor [m].")
     texture: Path | None = Field(
         None,
-        description="Picture on it, relative to the world file; none: one drawn for its id.",
+        description="Picture on it, relative to the world file; none: a picture is drawn for "
+        "its id.",
     )
-    solid: bool = Field(False, description="Whether it stops beams and the robot: a panel.")
+    solid: bool = Field(False, description="Whether it is a panel that stops beams and the robot.")
 
     @property
-    def called(self) -> str:
-        """Its name."""
+    def display_name(self) -> str:
+        """Return its name, or object_ID if it has none."""
         return self.name or f"object_{self.id}"
 
     @property
     def size(self) -> tuple[float, float]:
-        """Width and height [m]."""
+        """Return width and height [m]."""
         return self.width, self.width if self.height is None else self.height
 
-    def within(self, folder: Path) -> VisibleObject:
-        """The same, its texture's path from there on."""
+    def with_textures_in(self, folder: Path) -> VisibleObject:
+        """Return a copy whose texture path is relative to `folder`."""
         if self.texture is None:
             return self
         return self.model_copy(update={"texture": (folder / self.texture).absolute()})
 
 
 class Person(Config):
-    """Somebody who walks from waypoint to waypoint, and back to the first."""
+    """A person who walks from waypoint to waypoint and back to the first."""
 
-    name: Name = Field(description="Their name, that of nothing else.")
-    waypoints: list[Place] = Field(min_length=1, description="Places x, y [m]; the first begins.")
+    name: Name = Field(description="Unique name.")
+    waypoints: list[Place] = Field(
+        min_length=1, description="Waypoints x, y [m]; the person starts at the first."
+    )
     speed: float = Field(0.8, ge=0, le=3, description="Walking speed [m/s].")
-    pause: float = Field(0.0, ge=0, le=3600, description="How long they stand at each place [s].")
+    pause: float = Field(0.0, ge=0, le=3600, description="Pause at each waypoint [s].")
     radius: float = Field(0.22, gt=0, le=1, description="Radius [m].")
 
 
 class Event(Config):
-    """Something that happens at a time; one of the changes."""
+    """A change of the world at a given time; exactly one kind of change."""
 
-    at: float = Field(ge=0, le=1e6, description="When, from the beginning [s].")
-    move: Name | None = Field(None, description="Furniture, object or person to move; give to.")
-    to: Placed | None = Field(None, description="Where to.")
-    remove: Name | None = Field(None, description="Furniture, object or person to take away.")
-    swap: tuple[Name, Name] | None = Field(None, description="Two things that change places.")
-    add_furniture: Furniture | None = Field(None, description="Furniture to put there.")
-    add_object: VisibleObject | None = Field(None, description="Object to put there.")
-    add_person: Person | None = Field(None, description="Somebody who comes.")
-    kidnap: Placed | None = Field(None, description="Where the robot is carried.")
+    at: float = Field(ge=0, le=1e6, description="Time since the start [s].")
+    move: Name | None = Field(
+        None, description="Furniture, object or person to move; give `to` as well."
+    )
+    to: WorldPose | None = Field(None, description="New pose.")
+    remove: Name | None = Field(None, description="Furniture, object or person to remove.")
+    swap: tuple[Name, Name] | None = Field(
+        None, description="Two things that exchange their poses."
+    )
+    add_furniture: Furniture | None = Field(None, description="Furniture to add.")
+    add_object: VisibleObject | None = Field(None, description="Object to add.")
+    add_person: Person | None = Field(None, description="Person to add.")
+    kidnap: WorldPose | None = Field(
+        None, description="Pose to which the robot is moved without its wheels turning."
+    )
 
     @model_validator(mode="after")
     def _one_change(self) -> Event:
         kinds = ("move", "remove", "swap", "add_furniture", "add_object", "add_person", "kidnap")
-        given = [kind for kind in kinds if getattr(self, kind) is not None]
-        if len(given) != 1:
+        kinds_given = [kind for kind in kinds if getattr(self, kind) is not None]
+        if len(kinds_given) != 1:
             raise ValueError(f"give exactly one of {', '.join(kinds)}")
         if (self.move is None) != (self.to is None):
-            raise ValueError("move and to go together")
+            raise ValueError("move needs the key to, and to needs move")
         return self
 
-    def within(self, folder: Path) -> Event:
-        """The same, its object's texture from that folder on."""
+    def with_textures_in(self, folder: Path) -> Event:
+        """Return a copy whose object's texture path is relative to `folder`."""
         if self.add_object is None:
             return self
-        return self.model_copy(update={"add_object": self.add_object.within(folder)})
+        return self.model_copy(update={"add_object": self.add_object.with_textures_in(folder)})
 
 
 class WorldFile(Config):
-    """A world: what stands in it, who walks, what happens."""
+    """A world: walls, furniture, objects, people, events and the robot's start."""
 
-    walls: list[Wall] = Field(min_length=1, description="Walls; the outer ones close the world.")
-    furniture: list[Furniture] = Field(default_factory=list, description="What can be moved.")
-    objects: list[VisibleObject] = Field(default_factory=list, description="What is recognized.")
-    people: list[Person] = Field(default_factory=list, description="Who walks.")
-    events: list[Event] = Field(default_factory=list, description="What happens when.")
-    robot: Placed = Field(description="Where the robot stands at the beginning.")
+    walls: list[Wall] = Field(
+        min_length=1, description="Walls; the outer ones must close the world."
+    )
+    furniture: list[Furniture] = Field(
+        default_factory=list, description="Furniture, which can be moved."
+    )
+    objects: list[VisibleObject] = Field(
+        default_factory=list, description="Objects that the robot can recognize."
+    )
+    people: list[Person] = Field(default_factory=list, description="People who walk.")
+    events: list[Event] = Field(default_factory=list, description="Changes at given times.")
+    robot: WorldPose = Field(description="Pose of the robot at the start.")
 
     @model_validator(mode="after")
     def _own_names(self) -> WorldFile:
         names = [piece.name for piece in self.furniture]
         names += [person.name for person in self.people]
-        names += [one.called for one in self.objects]
-        twins = sorted({name for name in names if names.count(name) > 1})
-        if twins:
-            raise ValueError(f"several things are called {', '.join(twins)}")
+        names += [one.display_name for one in self.objects]
+        duplicates = sorted({name for name in names if names.count(name) > 1})
+        if duplicates:
+            raise ValueError(f"the name is not unique: {', '.join(duplicates)}; change one")
         ids = [one.id for one in self.objects]
-        twins = sorted({str(one) for one in ids if ids.count(one) > 1})
-        if twins:
-            raise ValueError(f"several objects have the id {', '.join(twins)}")
+        duplicates = sorted({str(one) for one in ids if ids.count(one) > 1})
+        if duplicates:
+            raise ValueError(f"the object id is not unique: {', '.join(duplicates)}; change one")
         return self
 
 
 def read_world(file: Path) -> WorldFile:
-    """The world of a file, the paths in it from its folder on.
+    """Read a world file; relative paths in it start at its folder.
 
-    `CairnError` names file, place, value and remedy.
+    Raises `CairnError` with file, position, value and remedy.
     """
     try:
-        found = yaml.load(file.read_text(encoding="utf-8"), _OneKeyLoader)
+        content = yaml.load(file.read_text(encoding="utf-8"), _OneKeyLoader)
     except FileNotFoundError as error:
-        raise CairnError(f"{file}: no such world file") from error
+        raise CairnError(f"{file}: no such world file; correct the path") from error
     except yaml.MarkedYAMLError as error:
         where = error.problem_mark
         place = f":{where.line + 1}:{where.column + 1}" if where else ""
         raise CairnError(f"{file}{place}: not YAML: {error.problem}") from error
     except (OSError, UnicodeDecodeError, yaml.YAMLError, RecursionError) as error:
         raise CairnError(f"{file}: cannot be read: {error}") from error
-    if not isinstance(found, dict):
-        raise CairnError(f"{file}: not a world file: it needs the keys walls and robot")
+    if not isinstance(content, dict):
+        raise CairnError(
+            f"{file}: not a world file; it must be a mapping with the keys walls and robot"
+        )
     try:
-        world = WorldFile.model_validate(found)
+        world = WorldFile.model_validate(content)
     except ValidationError as error:
-        raise CairnError(f"{file}: {what_is_wrong(error, WorldFile)}") from error
+        raise CairnError(f"{file}: {describe_errors(error, WorldFile)}") from error
     return world.model_copy(
         update={
-            "objects": [thing.within(file.parent) for thing in world.objects],
-            "events": [event.within(file.parent) for event in world.events],
+            "objects": [thing.with_textures_in(file.parent) for thing in world.objects],
+            "events": [event.with_textures_in(file.parent) for event in world.events],
         }
     )
 
 
 class _OneKeyLoader(yaml.SafeLoader):
-    """Plain YAML in which a key given twice is an error, not a loss."""
+    """A YAML loader that rejects a mapping with the same key twice."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
-        """A mapping; its keys must differ."""
-        seen = set()
+        """Return a mapping; raise an error if two of its keys are equal."""
+        keys = set()
         for key, _ in node.value:
-            if str(key.value) in seen:
+            if str(key.value) in keys:
                 raise yaml.constructor.ConstructorError(
                     None, None, f"the key {key.value} is given twice; remove one", key.start_mark
                 )
-            seen.add(str(key.value))
+            keys.add(str(key.value))
         return super().construct_mapping(node, deep)
+
+
+_PLAIN = {
+    "missing": "must be given",
+    "finite_number": "must be a finite number",
+    "float_parsing": "must be a number",
+    "float_type": "must be a number",
+    "int_parsing": "must be a whole number",
+    "int_type": "must be a whole number",
+    "int_from_float": "must be a whole number",
+    "bool_parsing": "must be true or false",
+    "bool_type": "must be true or false",
+    "string_type": "must be a string",
+    "string_pattern_mismatch": "may contain only letters, digits, _, . and -",
+    "list_type": "must be a list",
+    "tuple_type": "must be a list",
+}
+
+
+def describe_errors(error: ValidationError, model: type[Config]) -> str:
+    """Describe in one line what `model` rejected: key, value, and what the value must be."""
+    return "; ".join(_describe(one, model) for one in error.errors())
+
+
+def _describe(error: ErrorDetails, model: type[Config]) -> str:
+    path = ""
+    for part in error["loc"]:
+        path += f"[{part}]" if isinstance(part, int) else f".{part}" if path else part
+    kind = error["type"]
+    shown = "" if kind in ("missing", "value_error") else f" = {str(error['input'])[:60]!r}"
+    reason = _reason(error, model)
+    return f"{path}{shown}: {reason}" if path else reason
+
+
+def _reason(error: ErrorDetails, model: type[Config]) -> str:
+    kind, limits = error["type"], error.get("ctx", {})
+    if kind in _PLAIN:
+        return _PLAIN[kind]
+    if kind == "extra_forbidden":
+        *place, key = error["loc"]
+        return f"unknown key; {suggestion(str(key), _keys_at(model, place))}"
+    if kind in ("model_type", "dict_type"):
+        return f"must be a mapping with the keys {', '.join(_keys_at(model, error['loc']))}"
+    if kind == "too_short":
+        return f"must have at least {limits['min_length']} items, not {limits['actual_length']}"
+    if kind == "too_long":
+        return f"must have at most {limits['max_length']} items, not {limits['actual_length']}"
+    reason = error["msg"].removeprefix("Value error, ")
+    return re.sub(r"^\w+ should ", "must ", reason[0].lower() + reason[1:])
+
+
+def _keys_at(model: type[Config], place: Any) -> list[str]:
+    """Return the keys of the mapping at a path within a model."""
+    for part in place:
+        if isinstance(part, str):
+            model = next(_models_in(model.model_fields[part].annotation))
+    return list(model.model_fields)
+
+
+def _models_in(annotation: Any) -> Iterator[type[Config]]:
+    if get_origin(annotation) is None:
+        if isinstance(annotation, type) and issubclass(annotation, Config):
+            yield annotation
+        return
+    for part in get_args(annotation):
+        yield from _models_in(part)

@@ -22,7 +22,7 @@ from cairn.schemas.cairn_msgs import (
     VisualObject,
 )
 from cairn.schemas.cairn_nav_msgs import Plan
-from cairn.schemas.cairn_sim_msgs import Scene
+from cairn.schemas.cairn_sim_msgs import WorldGeometry
 from cairn.schemas.field_types import Array, Covariance2, Covariance3, Scalar, Text, finite, mark_of
 from cairn.schemas.geometry_msgs import Pose
 from cairn.schemas.map_msgs import OccupancyGridUpdate
@@ -228,7 +228,7 @@ def _scenes(draw: st.DrawFn) -> Any:
     segments, objects = draw(st.integers(0, 3)), draw(st.integers(0, 3))
     return draw(
         _built(
-            Scene,
+            WorldGeometry,
             segments=_arrays("float64", 4 * segments),
             surfaces=_arrays("uint8", segments),
             heights=_arrays("float64", segments),
@@ -289,7 +289,7 @@ _WITH_RULES_BETWEEN_FIELDS = {
     Plan: _plans,
     RecognizedObject: _recognized,
     RecognizedObjectArray: _recognized_arrays,
-    Scene: _scenes,
+    WorldGeometry: _scenes,
     VisualObject: _visual_objects,
     VisualMapChange: _changes,
 }

@@ -34,7 +34,7 @@ from cairn.schemas.cairn_nav_msgs import (
     NavigateGoal,
     NavigationStatus,
 )
-from cairn.schemas.cairn_sim_msgs import Scene, WorldState
+from cairn.schemas.cairn_sim_msgs import WorldGeometry, WorldState
 from cairn.schemas.geometry_msgs import PoseStamped
 from cairn.schemas.std_msgs import Header
 from cairn.tools.evaluation.attempt import Attempt, Tolerance
@@ -99,13 +99,13 @@ class ExaminerConfig(Config):
 class NavigationExaminer(Component):
     """Orders the robot to random goals, one after the other, and judges it by the truth.
 
-    The world tells what stands in it (`scene`), where the robot truly is and what it touches; the
+    The world publishes its geometry (`world_geometry`), the robot's true pose and its contacts; the
     robot itself is only asked what it believes.
     """
 
     config: ExaminerConfig
 
-    scene: In[Scene] = In(qos=LATCHED)
+    world_geometry: In[WorldGeometry] = In(qos=LATCHED)
     world_state: In[WorldState] = In(qos=RELIABLE.with_depth(200), optional=True)
     truth: In[PoseStamped]
     localization: In[LocalizationEstimate]
@@ -141,8 +141,8 @@ class NavigationExaminer(Component):
         """An examination keeps its rules."""
         raise ParameterRejected("the examiner takes its parameters when it is configured")
 
-    @on("scene")
-    def learn(self, scene: Scene) -> None:
+    @on("world_geometry")
+    def learn(self, scene: WorldGeometry) -> None:
         """Take what stands from now on: ways of later goals are measured in that."""
         self._segments, self._ways = scene.segments.reshape(-1, 4), None
 

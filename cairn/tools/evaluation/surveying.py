@@ -42,7 +42,7 @@ def _called(event: Event) -> str:
         "move": event.move,
         "remove": event.remove,
         "swap": event.swap and " and ".join(event.swap),
-        "add": person.name if person else added and added.called,
+        "add": person.name if person else added and added.display_name,
     }
     what = next((f"{verb} {name}" for verb, name in whats.items() if name), "kidnap")
     return f"{what} at {event.at:g} s"

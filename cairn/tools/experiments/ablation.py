@@ -53,7 +53,8 @@ class Ask:
     def sets(self) -> Iterator[str]:
         """What `--set` would be given for it."""
         if self.false_matches is not None:
-            yield f"components.object_recognizer.parameters.mistaken={self.false_matches}"
+            parameter = "components.object_recognizer.parameters.confusion_probability"
+            yield f"{parameter}={self.false_matches}"
         if self.scanner_range is not None:
             model, skip = _scanner(self.scanner_range)
             yield f"settings.scanner={model}"

@@ -13,7 +13,7 @@ import numpy as np
 import shapely
 
 from cairn import CairnError
-from cairn.components.simulation.scene import Scene
+from cairn.components.simulation.layout import WorldLayout
 from cairn.components.simulation.world_file import VisibleObject, read_world
 from cairn.planar.poses import Pose, compose
 
@@ -37,7 +37,7 @@ class Room:
         """`CairnError` if there is no such world, or it is wrong."""
         self._file = world_file
         world = read_world(world_file)
-        self._scene = Scene.of(world)
+        self._scene = WorldLayout.of(world)
         self._start = world.robot.pose
         furniture = [self._scene.shapes[name] for name in self._scene.furniture]
         self._furniture = shapely.union_all(furniture)
@@ -66,7 +66,8 @@ class Room:
         if len(events) < count:
             how = "" if distance is None else f" by {distance:g} m"
             raise CairnError(
-                f"{self._file}: of {len(objects)} objects only {len(events)} can be moved{how} "
+                f"{self._file}: of {len(objects)} objects only {len(events)} can be "
+                f"moved{how} "
                 f"along the walls, not {count}; ask for fewer with --moved, or for another "
                 "--move-distance"
             )
@@ -129,5 +130,7 @@ def _fits(
     way = math.dist(place[:2], (thing.x, thing.y))
     far_enough = way >= LEAST_MOVE_M if distance is None else abs(way - distance) <= _NEAR_ENOUGH_M
     return far_enough and all(
-        math.dist(place[:2], other[:2]) >= APART_M for name, other in taken if name != thing.called
+        math.dist(place[:2], other[:2]) >= APART_M
+        for name, other in taken
+        if name != thing.display_name
     )

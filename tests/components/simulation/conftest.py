@@ -1,4 +1,4 @@
-"""What the tests of the simulation share."""
+"""Fixtures of the simulation's tests."""
 
 from collections.abc import Callable
 from pathlib import Path

@@ -22,8 +22,14 @@ from cairn.schemas.tf2_msgs import TFMessage
 from tests.cairn.runtime.running import Lockstep, Placed, taken
 from tests.components.simulation.worlds import box
 
-EXACT = {"way_scale_sd": 0, "turn_scale_sd": 0, "way": 0, "turn_error": 0, "turn_per_meter": 0}
-NO_SLIP = {"way": 0, "turn": 0, "turn_per_meter": 0}
+EXACT = {
+    "distance_scale_sd": 0,
+    "turn_scale_sd": 0,
+    "distance_error": 0,
+    "turn_error": 0,
+    "turn_per_meter": 0,
+}
+NO_SLIP = {"distance": 0, "turn": 0, "turn_per_meter": 0}
 MOUNT = {"x": 0.1, "y": 0.0, "theta": 0.2}
 TABLE = {"name": "table", "x": 1.5, "y": 3.0, "theta": 0.3, "size": [0.8, 0.8]}
 OBJECTS = [{"id": 1, "x": 6, "y": 2.0, "theta": 3.1416}, {"id": 2, "x": 0, "y": 2.0}]
@@ -52,7 +58,9 @@ class Simulation:
         self.world = self._add(SimulatedWorld, world=str(self.file), **slip)
         self.base = self._add(SimulatedBase, **(EXACT if exact else {}))
         self.scanner = self._add(SimulatedScanner, mount=MOUNT, rate=10, dropouts=0)
-        self.recognizer = self._add(SimulatedRecognizer, detected=1.0, mistaken=0.0)
+        self.recognizer = self._add(
+            SimulatedRecognizer, detection_probability=1.0, confusion_probability=0.0
+        )
         self.now = SECOND
 
     def drive(self, seconds: float, forward: float, turn: float) -> None:
@@ -64,7 +72,7 @@ class Simulation:
             self.lockstep.run_until(self.now)
 
     def taken(self, topic: str) -> list[Any]:
-        """What was published since the last call."""
+        """The messages published since the last call."""
         return taken(self._readers[topic])
 
     def rerun(self, kind: type[Component], **parameters: Any) -> Placed[Any]:

@@ -1,4 +1,4 @@
-"""The simulated stereo camera on the bus: what it sends, when, and what goes wrong when asked."""
+"""The simulated stereo camera on the bus: its messages, their times, and its faults."""
 
 import hashlib
 import math
@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from cairn import LATCHED, SECOND, CairnError, ParameterRejected, to_ns
 from cairn.bus.codec import Codec
 from cairn.components.simulation.camera import SimulatedStereoCamera
-from cairn.components.simulation.lens import Lens
+from cairn.components.simulation.camera_optics import PinholeCamera
+from cairn.components.simulation.rendering import CameraPose, panel_corners
 from cairn.components.simulation.textures import drawn_picture
-from cairn.components.simulation.view import Station, panel_corners
 from cairn.planar.messages import planar_pose
 from cairn.planar.poses import Pose, compose
 from cairn.schemas.geometry_msgs import TransformStamped
@@ -48,7 +48,7 @@ PORTS = {
 
 
 class Watched:
-    """A simulation with a stereo camera, and what that sends."""
+    """A simulation with a stereo camera, and the messages of that camera."""
 
     def __init__(self, begin: Begin, parameters: dict[str, Any], **world: Any) -> None:
         self.simulation = begin(**{"objects": [POSTER], **world})
@@ -82,7 +82,7 @@ def watched(begin: Begin) -> Callable[..., Watched]:
 Make = Callable[..., Watched]
 
 
-def test_both_images_and_what_is_told_of_their_cameras_have_one_stamp(watched: Make) -> None:
+def test_images_and_camera_infos_of_a_pair_have_the_same_stamp(watched: Make) -> None:
     it = watched(rate=10.0)
     it.stand(1.05)
     sent = {port: it.taken(port) for port in PORTS}
@@ -106,7 +106,7 @@ def test_both_images_and_what_is_told_of_their_cameras_have_one_stamp(watched: M
     assert (rig.cx, rig.cy) == (319.5, 239.5)
 
 
-def test_an_image_shows_the_world_from_where_the_camera_was_at_its_stamp(watched: Make) -> None:
+def test_image_shows_the_world_from_the_camera_pose_at_its_stamp(watched: Make) -> None:
     mount = {"x": 0.1, "y": 0.05, "theta": 0.1}
     it = watched(mount=mount, z=1.2, **SHARP)
     it.simulation.drive(2.0, 0.5, 0.2)
@@ -114,14 +114,14 @@ def test_an_image_shows_the_world_from_where_the_camera_was_at_its_stamp(watched
     states = it.simulation.taken("world_state")
     stamps = [to_ns(state.header.stamp) for state in states]
     track = np.array([planar_pose(state.robot) for state in states])
-    lens = Lens.of(640, 480, math.radians(60))
+    lens = PinholeCamera.of(640, 480, math.radians(60))
     picture = drawn_picture(7, (0.5, 0.4))
 
     def shown(image: Image, late_s: float) -> float:
         at = to_ns(image.header.stamp) + late_s * SECOND
         x, y, theta = (float(np.interp(at, stamps, column)) for column in track.T)
         pose: Pose = compose((x, y, theta), (mount["x"], mount["y"], mount["theta"]))
-        corners = panel_corners((6.0, 2.0, math.pi), (0.5, 0.4), 1.0, Station(pose, 1.2), lens)
+        corners = panel_corners((6.0, 2.0, math.pi), (0.5, 0.4), 1.0, CameraPose(pose, 1.2), lens)
         if np.any(corners < 0) or np.any(corners > (639, 479)):
             return math.nan
         flat = cut_out(image.data.reshape(480, 640), corners, 100, 80)
@@ -136,14 +136,14 @@ def test_an_image_shows_the_world_from_where_the_camera_was_at_its_stamp(watched
     assert np.nanmean(right) > np.nanmean(late) + 0.01
 
 
-def test_the_frames_of_the_cameras_are_optical_ones_on_the_robot(watched: Make) -> None:
+def test_camera_frames_are_optical_frames_on_the_robot(watched: Make) -> None:
     it = watched(mount={"x": 0.2, "y": 0.05, "theta": math.pi / 2}, z=1.3)
     places = {one.child_frame_id: one for one in it.places()}
     left = places["left_camera_optical_frame"].transform
     right = places["right_camera_optical_frame"].transform
 
     assert (left.translation.x, left.translation.y, left.translation.z) == (0.2, 0.05, 1.3)
-    # It looks to the left of the robot: right of it is ahead.
+    # It faces the left side of the robot: its right is the robot's front.
     assert right.translation.x == pytest.approx(0.29)
     assert right.translation.y == pytest.approx(0.05)
     q = left.rotation
@@ -154,7 +154,7 @@ def test_the_frames_of_the_cameras_are_optical_ones_on_the_robot(watched: Make) 
         assert turned == pytest.approx(np.array(base), abs=1e-9)
 
 
-def test_light_and_sensor_change_while_it_runs(watched: Make) -> None:
+def test_light_and_sensor_parameters_change_at_run_time(watched: Make) -> None:
     it = watched()
     it.stand()
     usual = it.images()[-1]
@@ -171,7 +171,7 @@ def test_light_and_sensor_change_while_it_runs(watched: Make) -> None:
     assert (bright == 255).mean() > 0.9
 
 
-def test_the_light_drifts_as_time_passes(watched: Make) -> None:
+def test_light_drifts_over_time(watched: Make) -> None:
     still = watched(light={"drift": 0})
     still.stand(8.0)
     it = watched(light={"drift": 0.3, "drift_s": 1.0})
@@ -182,13 +182,11 @@ def test_the_light_drifts_as_time_passes(watched: Make) -> None:
 
 
 @pytest.mark.parametrize("name", ["width", "baseline", "rate", "z", "mount.x", "distortion"])
-def test_the_camera_itself_stays_the_one_that_it_is(watched: Make, name: str) -> None:
+def test_other_parameters_of_the_camera_cannot_change_at_run_time(watched: Make, name: str) -> None:
     it = watched()
     value = [0.1] if name == "distortion" else 64 if name == "width" else 0.5
 
-    with pytest.raises(
-        ParameterRejected, match=f"takes {name.split('.')[0]} when it is configured"
-    ):
+    with pytest.raises(ParameterRejected, match=f"{name.split('.')[0]} cannot change while"):
         it.camera.ask("set_parameters", **{name: value})
 
 
@@ -200,7 +198,7 @@ def test_the_camera_itself_stays_the_one_that_it_is(watched: Make, name: str) ->
         ("right_missing", {"left_image", "left_info"}),
     ],
 )
-def test_a_camera_that_is_missing_sends_nothing(watched: Make, fault: str, ports: set[str]) -> None:
+def test_missing_camera_publishes_nothing(watched: Make, fault: str, ports: set[str]) -> None:
     it = watched()
     it.camera.ask("set_parameters", fault=fault)
     it.stand()
@@ -208,7 +206,7 @@ def test_a_camera_that_is_missing_sends_nothing(watched: Make, fault: str, ports
     assert {port for port in PORTS if it.taken(port)} == ports
 
 
-def test_a_frozen_camera_repeats_its_image_with_new_stamps(watched: Make) -> None:
+def test_frozen_camera_repeats_its_image_with_new_stamps(watched: Make) -> None:
     it = watched(rate=10.0)
     it.stand()
     last = {port: it.images(port)[-1] for port in ("left_image", "right_image")}
@@ -226,7 +224,7 @@ def test_a_frozen_camera_repeats_its_image_with_new_stamps(watched: Make) -> Non
     assert len(set(stamps)) == len(stamps) >= 19
 
 
-def test_swapped_cameras_send_each_others_images(watched: Make) -> None:
+def test_swapped_cameras_publish_each_others_images(watched: Make) -> None:
     it = watched(**SHARP)
     it.stand()
     left, right = it.images("left_image")[-1], it.images("right_image")[-1]
@@ -239,7 +237,7 @@ def test_swapped_cameras_send_each_others_images(watched: Make) -> None:
 
 
 @pytest.mark.parametrize("distortion", [[-0.28, 0.08], [0.1, -0.05, 0.002, -0.001, 0.01]])
-def test_a_distorted_image_is_rectified_to_what_an_ideal_lens_shows(
+def test_rectified_distorted_image_equals_the_image_of_an_ideal_lens(
     watched: Make, distortion: list[float]
 ) -> None:
     bent = watched(distortion=distortion, **SHARP)
@@ -262,28 +260,32 @@ def test_a_distorted_image_is_rectified_to_what_an_ideal_lens_shows(
 @pytest.mark.parametrize(
     ("parameters", "told"),
     [
-        ({"distortion": [-5.0]}, r"simulatedstereocamera: distortion = \[-5.0\] folds the image"),
+        (
+            {"distortion": [-5.0]},
+            r"simulatedstereocamera: distortion = \[-5.0\] folds or tears "
+            "the image",
+        ),
         ({"distortion": [0.1] * 6}, "distortion"),
         ({"fault": "broken"}, "fault"),
         ({"light": {"color": 1}}, "color"),
     ],
 )
-def test_a_camera_that_cannot_be_is_told_of(
+def test_impossible_camera_is_rejected(
     watched: Make, parameters: dict[str, Any], told: str
 ) -> None:
     with pytest.raises(CairnError, match=told):
         watched(**parameters)
 
 
-def test_a_camera_above_the_ceiling_ends_with_the_reason(watched: Make) -> None:
+def test_camera_above_the_ceiling_exits_with_the_reason(watched: Make) -> None:
     it = watched(z=2.5)
     it.stand()
 
     (end,) = it.camera.ends
-    assert "the camera is 2.5 m high, which is not below the ceiling" in str(end)
+    assert "the camera height 2.5 m is not below the ceiling" in str(end)
 
 
-def test_the_same_seed_gives_the_same_bytes(tmp_path: Path) -> None:
+def test_same_seed_gives_the_same_bytes(tmp_path: Path) -> None:
     def digest() -> str:
         people = [{"name": "ada", "waypoints": [[4.5, 0.5], [4.5, 3.5]]}]
         it = Watched(partial(Simulation, tmp_path), {"rate": 10.0}, people=people)
@@ -299,7 +301,7 @@ def test_the_same_seed_gives_the_same_bytes(tmp_path: Path) -> None:
     assert digest() == digest()
 
 
-def test_noise_is_another_in_each_image(watched: Make) -> None:
+def test_each_image_has_different_noise(watched: Make) -> None:
     it = watched()
     it.stand()
     (one, other), right = it.images("left_image")[-2:], it.images("right_image")[-1]

@@ -1,4 +1,4 @@
-"""What is changed in the world, and parts begun anew: all drivers follow."""
+"""Changes of the world and restarted components: all drivers follow."""
 
 from collections.abc import Callable
 from typing import Any
@@ -19,7 +19,7 @@ from tests.components.simulation.stage import EXACT, MOUNT, OBJECTS, TABLE, Simu
 Begin = Callable[..., Simulation]
 
 
-def test_what_is_moved_is_moved_for_the_sensors_too(begin: Begin) -> None:
+def test_sensors_see_moved_furniture_at_its_new_pose(begin: Begin) -> None:
     simulation = begin(furniture=[TABLE], objects=OBJECTS)
     simulation.drive(0.5, 0, 0)
     simulation.taken("scan"), simulation.taken("objects")
@@ -40,10 +40,10 @@ def test_what_is_moved_is_moved_for_the_sensors_too(begin: Begin) -> None:
     ("verb", "arguments", "told"),
     [
         ("move", {"name": "table", "x": 3, "y": 2}, "table would stand on the robot"),
-        ("move", {"name": "sofa", "x": 3, "y": 2}, "there is no sofa; there are object_1, "),
+        ("move", {"name": "sofa", "x": 3, "y": 2}, "sofa does not exist; there are object_1, "),
         ("move", {"name": "table", "x": float("nan"), "y": 2}, "move: x = 'nan': "),
         ("move", {"name": "table"}, "move: x: must be given; y: must be given"),
-        ("furniture", {"name": "b", "x": 1, "y": 1}, "furniture: give outline or size"),
+        ("furniture", {"name": "b", "x": 1, "y": 1}, "furniture: give either outline or size"),
         (
             "object",
             {"id": 5, "x": 6, "y": 1, "texture": "no.png"},
@@ -55,7 +55,7 @@ def test_what_is_moved_is_moved_for_the_sensors_too(begin: Begin) -> None:
         ("dance", {}, "dance"),
     ],
 )
-def test_wrong_requests_are_refused_with_the_reason(
+def test_invalid_requests_are_rejected_with_the_reason(
     begin: Begin, verb: str, arguments: dict[str, Any], told: str
 ) -> None:
     simulation = begin(furniture=[TABLE], objects=OBJECTS)
@@ -65,7 +65,7 @@ def test_wrong_requests_are_refused_with_the_reason(
     assert simulation.world.state == "active"
 
 
-def test_a_kidnapped_robot_is_elsewhere_though_no_wheel_has_turned(begin: Begin) -> None:
+def test_kidnapping_moves_the_robot_but_not_its_odometry(begin: Begin) -> None:
     simulation = begin()
     simulation.drive(0.5, 0, 0)
     simulation.world.ask("kidnap", x=1.0, y=1.0, theta=1.0)
@@ -77,7 +77,7 @@ def test_a_kidnapped_robot_is_elsewhere_though_no_wheel_has_turned(begin: Begin)
     assert planar_pose(simulation.taken("odom")[-1].pose.pose) == (0.0, 0.0, 0.0)
 
 
-def test_events_happen_on_time_and_the_true_map_follows(begin: Begin) -> None:
+def test_events_happen_on_time_and_update_the_true_map(begin: Begin) -> None:
     event = {"at": 2.0, "move": "object_2", "to": {"x": 0.0, "y": 1.0}}
     simulation = begin(objects=OBJECTS, events=[event])
     maps = simulation.lockstep.read("true_map", VisualMap, LATCHED)
@@ -89,7 +89,7 @@ def test_events_happen_on_time_and_the_true_map_follows(begin: Begin) -> None:
     assert [thing.y for thing in second.objects] == [2.0, 1.0]
 
 
-def test_a_base_begun_anew_counts_from_its_origin_while_the_robot_stays(begin: Begin) -> None:
+def test_restarted_base_counts_from_its_origin_while_the_robot_stays(begin: Begin) -> None:
     simulation = begin()
     simulation.drive(2.0, 0.4, 0.0)
     simulation.base.ask("shutdown")
@@ -103,14 +103,14 @@ def test_a_base_begun_anew_counts_from_its_origin_while_the_robot_stays(begin: B
     assert distance(planar_pose(now.pose), planar_pose(before.pose)) < 0.05
 
 
-def test_sensors_begun_anew_know_what_stands(begin: Begin) -> None:
+def test_restarted_sensors_receive_the_world_geometry(begin: Begin) -> None:
     simulation = begin(objects=OBJECTS)
     simulation.drive(0.5, 0, 0)
     simulation.scanner.ask("shutdown")
     simulation.recognizer.ask("shutdown")
     simulation.taken("scan"), simulation.taken("objects")
     simulation.rerun(SimulatedScanner, mount=MOUNT)
-    simulation.rerun(SimulatedRecognizer, detected=1.0)
+    simulation.rerun(SimulatedRecognizer, detection_probability=1.0)
     simulation.drive(0.5, 0, 0)
 
     assert np.isfinite(simulation.taken("scan")[-1].ranges).mean() > 0.9

@@ -1,4 +1,4 @@
-"""`cairn world` on a running simulation, in real processes; parts that are killed come back."""
+"""`cairn world` on a running simulation in real processes; killed components are restarted."""
 
 import os
 import signal
@@ -38,7 +38,7 @@ World = Callable[..., Answer]
 
 @pytest.fixture(scope="module")
 def simulation(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Run]:
-    """A world with base, scanner and recognizer, running."""
+    """A running world with base, scanner and recognizer."""
     folder = tmp_path_factory.mktemp("simulation")
     file = folder / "world.yaml"
     file.write_text(yaml.safe_dump(box(furniture=[TABLE], objects=OBJECTS, people=[ADA])))
@@ -67,7 +67,7 @@ def place(row: dict[str, Any]) -> tuple[float, float, float]:
     return row["x"], row["y"], row["theta"]
 
 
-def test_list_tells_what_stands_who_walks_and_where_the_robot_is(world: World) -> None:
+def test_list_shows_furniture_objects_people_and_the_robot(world: World) -> None:
     rows = listed(world)
 
     assert {name: row["kind"] for name, row in rows.items()} == {
@@ -80,24 +80,25 @@ def test_list_tells_what_stands_who_walks_and_where_the_robot_is(world: World) -
     assert "heading [rad]" in world("list").out
 
 
-def test_things_are_added_moved_and_removed(world: World) -> None:
-    assert world("add", "crate", "4.5", "1.4", "30deg", "--size", "0.5,0.4").out == "crate added\n"
+def test_add_move_and_remove_change_the_world(world: World) -> None:
+    added = world("add", "crate", "4.5", "1.4", "30deg", "--size", "0.5,0.4")
+    assert added.out == "crate was added\n"
     assert world("add", "poster", "2", "0", "90deg", "--object", "7").code == 0
-    assert world("person", "eve", "1,0.5", "5,0.5", "--speed", "0.5").out == "eve comes\n"
+    assert world("person", "eve", "1,0.5", "5,0.5", "--speed", "0.5").out == "eve was added\n"
     rows = listed(world)
     assert place(rows["crate"]) == pytest.approx((4.5, 1.4, 0.5236), abs=1e-4)
     assert rows["poster"]["kind"] == "object"
     assert rows["eve"]["kind"] == "person"
 
-    assert world("move", "crate", "4.4", "1.3", "-90deg").out == "crate moved\n"
+    assert world("move", "crate", "4.4", "1.3", "-90deg").out == "crate was moved\n"
     assert place(listed(world)["crate"]) == pytest.approx((4.4, 1.3, -1.5708), abs=1e-4)
     for name in ("crate", "poster", "eve"):
-        assert world("remove", name).out == f"{name} taken away\n"
+        assert world("remove", name).out == f"{name} was removed\n"
     assert set(listed(world)) == {"robot", "table", "object_1", "ada"}
 
 
-def test_the_robot_is_carried_off(world: World) -> None:
-    assert world("kidnap", "5", "1", "90deg").out == "carried off\n"
+def test_kidnap_moves_the_robot(world: World) -> None:
+    assert world("kidnap", "5", "1", "90deg").out == "the robot was moved\n"
     assert place(listed(world)["robot"]) == pytest.approx((5.0, 1.0, 0.5 * 3.14159), abs=1e-4)
 
 
@@ -105,31 +106,37 @@ def test_the_robot_is_carried_off(world: World) -> None:
     ("command", "told"),
     [
         (["kidnap", "0.1", "2"], "cannot be at (0.10, 2.00): wall 1 is 0.10 m from there"),
-        (["kidnap", "-3", "2"], "outside of the walls"),
-        (["move", "sofa", "1", "1"], "there is no sofa; there are ada, object_1, table"),
+        (["kidnap", "-3", "2"], "outside the walls"),
+        (["move", "sofa", "1", "1"], "sofa does not exist; there are ada, object_1, table"),
         (["move", "table", "north", "1"], "'north' is not a number"),
         (["move", "table", "nan", "1"], "nan is not a finite number"),
         (["move", "table", "0.1", "1"], "table overlaps wall 1 at (0.00, 1.00)"),
-        (["add", "table", "1", "1"], "there is a table already; give another name"),
+        (["add", "table", "1", "1"], "table exists already; choose another name"),
         (["add", "it", "1", "1", "--size", "big"], "--size big: write it as WIDTH,DEPTH"),
         (["add", "it", "3", "1", "--size", "0,1"], "size[0] = '0.0': must be greater than 0"),
         (["add", "it", "3", "1", "--size", "nan,1"], "(nan is not a finite number)"),
         (["add", "it", "3", "1", "--size", "1"], "--size 1: write it as WIDTH,DEPTH"),
-        (["add", "it", "50", "50", "--size", "1,1"], "it cannot be at (50.00, 50.00): that is out"),
-        (["move", "table", "50", "50"], "table cannot be at (50.00, 50.00): that is outside"),
-        (["add", "it", "3", "0", "--object", "31", "--size", "1,1"], "--object has no --size"),
+        (
+            ["add", "it", "50", "50", "--size", "1,1"],
+            "it cannot be at (50.00, 50.00): the position is out",
+        ),
+        (
+            ["move", "table", "50", "50"],
+            "table cannot be at (50.00, 50.00): the position is outside",
+        ),
+        (["add", "it", "3", "0", "--object", "31", "--size", "1,1"], "--size is for furniture"),
         (["person", "eve", "1,nan"], "(nan is not a finite number)"),
         (["person", "eve", "1,1", "--speed", "nan"], "--speed nan is not a finite number"),
         (
             ["person", "eve", "1,1", "--speed", "4"],
             "speed = '4.0': must be less than or equal to 3",
         ),
-        (["person", "eve", "1;2"], "1;2: write a place as X,Y"),
+        (["person", "eve", "1;2"], "1;2: write a waypoint as X,Y"),
         (["person", "eve", "0.5,3", "3,3"], "eve cannot walk from (0.5, 3) to (3, 3): table is in"),
         (["remove", "my desk"], "name = 'my desk': "),
     ],
 )
-def test_what_cannot_be_is_refused_with_the_reason(
+def test_impossible_changes_are_rejected_with_the_reason(
     world: World, command: list[str], told: str
 ) -> None:
     before = listed(world)["table"]
@@ -142,20 +149,20 @@ def test_what_cannot_be_is_refused_with_the_reason(
     assert listed(world)["table"] == before
 
 
-def test_without_a_world_it_is_told_how_to_start_one(simulation: Run) -> None:
+def test_without_a_running_world_the_error_tells_how_to_start_one(simulation: Run) -> None:
     answer = cairn("world", "list", "--robot", "nobody", connect=simulation.endpoint)
 
     assert answer.code == 1
-    assert "no simulated world runs" in answer.err
+    assert "no simulated world is running" in answer.err
 
 
-def test_a_killed_world_goes_on_as_it_was(simulation: Run, world: World) -> None:
+def test_killed_world_continues_from_its_saved_state(simulation: Run, world: World) -> None:
     world("kidnap", "4", "1")
     world("move", "table", "1.2", "2.5")
     until(lambda: '"x":1.2,"y":2.5,' in (simulation.report.parent / "state.json").read_text())
     os.kill(simulation.pid_of("world"), signal.SIGKILL)
 
-    simulation.await_line("the world goes on at")
+    simulation.await_line("restored the saved state of the world")
     await_status("/robot/world", lambda row: row["state"] == "active", simulation.endpoint)
     rows = listed(world)
     assert place(rows["table"]) == (1.2, 2.5, 0.0)
@@ -163,7 +170,7 @@ def test_a_killed_world_goes_on_as_it_was(simulation: Run, world: World) -> None
 
 
 @pytest.mark.parametrize("part", ["base", "range_scanner", "object_recognizer"])
-def test_a_killed_driver_comes_back_and_works(simulation: Run, part: str) -> None:
+def test_killed_driver_is_restarted_and_works(simulation: Run, part: str) -> None:
     topic = {"base": "odom", "range_scanner": "scan", "object_recognizer": "objects"}[part]
     cairn("world", "kidnap", "3", "2", connect=simulation.endpoint)
     old = simulation.pid_of(part)
@@ -180,7 +187,7 @@ def test_a_killed_driver_comes_back_and_works(simulation: Run, part: str) -> Non
 
 
 def until(holds: Callable[[], bool]) -> None:
-    """Wait until a file is as wanted: nobody tells of that."""
+    """Wait until a file has the expected content; nothing announces that."""
     deadline = time.monotonic() + LIMIT_S
     while not holds():
         assert time.monotonic() < deadline

@@ -11,9 +11,9 @@ import pytest
 
 from cairn import SECOND, CairnError, to_ns
 from cairn.bus.codec import Codec
-from cairn.components.simulation.rays import cast
+from cairn.components.simulation.layout import WorldLayout
+from cairn.components.simulation.ray_casting import cast
 from cairn.components.simulation.scanner import SimulatedScanner
-from cairn.components.simulation.scene import Scene
 from cairn.components.simulation.world_file import read_world
 from cairn.planar.messages import planar_pose
 from cairn.planar.poses import compose, distance, wrap
@@ -29,7 +29,7 @@ from tests.components.simulation.stage import (
 Begin = Callable[..., Simulation]
 
 
-def test_truth_and_odometry_tell_the_same_way_at_the_same_times(begin: Begin) -> None:
+def test_exact_odometry_equals_the_truth_at_the_same_times(begin: Begin) -> None:
     simulation = begin(furniture=[TABLE], objects=OBJECTS)
     script(simulation)
     odom, truth = poses_of(simulation.taken("odom")), poses_of(simulation.taken("truth"))
@@ -44,7 +44,7 @@ def test_truth_and_odometry_tell_the_same_way_at_the_same_times(begin: Begin) ->
     assert sum(way) > 1.0
 
 
-def test_each_odometry_is_a_transform_too(begin: Begin) -> None:
+def test_each_odometry_message_has_a_transform(begin: Begin) -> None:
     simulation = begin()
     script(simulation)
     odometry, told = simulation.taken("odom"), simulation.taken("tf")
@@ -59,7 +59,7 @@ def test_each_odometry_is_a_transform_too(begin: Begin) -> None:
         assert transform.transform.rotation == turned
 
 
-def test_the_scanners_place_on_the_robot_is_a_static_transform(begin: Begin) -> None:
+def test_mounting_pose_of_the_scanner_is_a_static_transform(begin: Begin) -> None:
     simulation = begin()
     simulation.drive(1.0, 0.0, 0.0)
     (message,) = simulation.taken("tf_static")
@@ -72,14 +72,14 @@ def test_the_scanners_place_on_the_robot_is_a_static_transform(begin: Begin) -> 
     assert 2 * math.asin(transform.transform.rotation.z) == pytest.approx(0.2)
 
 
-def test_scans_show_the_world_from_where_the_robot_was_at_each_beam(begin: Begin) -> None:
+def test_each_beam_starts_at_the_pose_of_the_robot_at_its_time(begin: Begin) -> None:
     simulation = begin(furniture=[TABLE], objects=OBJECTS)
     script(simulation)
     states = simulation.taken("world_state")
     stamps = np.array([to_ns(state.header.stamp) for state in states], float)
     poses = np.array([planar_pose(state.robot) for state in states])
     poses[:, 2] = np.unwrap(poses[:, 2])
-    segments = Scene.of(read_world(simulation.file)).standing.segments
+    segments = WorldLayout.of(read_world(simulation.file)).solid_segments.segments
 
     off = []
     for scan in simulation.taken("scan"):
@@ -95,13 +95,13 @@ def test_scans_show_the_world_from_where_the_robot_was_at_each_beam(begin: Begin
 
     errors = np.concatenate(off)
     assert len(off) >= 65
-    # At corners a ray may meet either side.
+    # At corners a ray may hit either side.
     assert np.mean(np.abs(errors) < 4 * 0.015) > 0.995
     assert np.median(errors) == pytest.approx(0.0, abs=5e-4)
     assert 1.4826 * np.median(np.abs(errors)) == pytest.approx(0.015, rel=0.03)
 
 
-def test_scans_come_at_their_rate_stamped_at_their_first_beam(begin: Begin) -> None:
+def test_scans_have_their_rate_and_the_stamp_of_their_first_beam(begin: Begin) -> None:
     simulation = begin()
     simulation.drive(1.05, 0.0, 0.0)
     scans = simulation.taken("scan")
@@ -113,7 +113,7 @@ def test_scans_come_at_their_rate_stamped_at_their_first_beam(begin: Begin) -> N
     assert scans[0].scan_time == pytest.approx(0.1)
 
 
-def test_objects_are_seen_at_range_and_bearing_from_the_true_pose(begin: Begin) -> None:
+def test_objects_are_observed_at_true_range_and_bearing(begin: Begin) -> None:
     simulation = begin(objects=OBJECTS)
     simulation.drive(3.0, 0.0, 0.4)
     truth = {
@@ -135,7 +135,7 @@ def test_objects_are_seen_at_range_and_bearing_from_the_true_pose(begin: Begin) 
         assert wrap(one.bearing - bearing) == pytest.approx(0, abs=5 * one.covariance[3] ** 0.5)
 
 
-def test_odometry_strays_by_what_it_says_and_its_speed_is_measured(begin: Begin) -> None:
+def test_odometry_errors_match_their_covariance_and_speed_is_measured(begin: Begin) -> None:
     simulation = begin(exact=False)
     simulation.drive(2.0, 0.4, 0.3)
     last = simulation.taken("odom")[-1]
@@ -148,7 +148,7 @@ def test_odometry_strays_by_what_it_says_and_its_speed_is_measured(begin: Begin)
     assert last.twist.twist.linear.x != 0.4
 
 
-def test_without_commands_the_robot_stops_and_without_a_base_time_goes_on(begin: Begin) -> None:
+def test_robot_stops_without_commands_and_time_passes_without_a_base(begin: Begin) -> None:
     simulation = begin(people=[{"name": "ada", "waypoints": [[0.5, 3.5], [5, 3.5]], "speed": 1.0}])
     simulation.drive(1.0, 0.5, 0.0)
     simulation.now += 2 * SECOND
@@ -165,7 +165,7 @@ def test_without_commands_the_robot_stops_and_without_a_base_time_goes_on(begin:
     assert states[-1].people.array[0, 0] > states[-30].people.array[0, 0]
 
 
-def test_a_collision_is_told_once_with_place_and_speed(begin: Begin) -> None:
+def test_collision_is_reported_once_with_position_and_speed(begin: Begin) -> None:
     simulation = begin()
     simulation.drive(9.0, 0.6, 0.0)
 
@@ -177,7 +177,7 @@ def test_a_collision_is_told_once_with_place_and_speed(begin: Begin) -> None:
     assert (state.forward, state.turn) == (0.0, 0.0)
 
 
-def test_the_same_seed_gives_the_same_bytes(tmp_path: Path) -> None:
+def test_same_seed_gives_the_same_bytes(tmp_path: Path) -> None:
     sums = []
     for _ in range(2):
         simulation = Simulation(
@@ -199,11 +199,40 @@ def test_the_same_seed_gives_the_same_bytes(tmp_path: Path) -> None:
     assert sums[0] == sums[1]
 
 
-def test_a_wrong_scanner_is_told_when_it_is_configured(tmp_path: Path) -> None:
+def test_impossible_scanner_is_rejected_when_it_is_configured(tmp_path: Path) -> None:
     simulation = Simulation(tmp_path)
     for parameters, told in (
-        ({"rate": 50}, "rate = 50 Hz, but a UST-10LX turns 40 times a second"),
-        ({"first": 1.0, "last": 0.9}, "leave no two beams of a UST-10LX"),
+        ({"rate": 50}, "rate = 50 Hz, but a UST-10LX turns 40 times per second"),
+        ({"first": 1.0, "last": 0.9}, "leave fewer than two beams of a UST-10LX"),
     ):
         with pytest.raises(CairnError, match=told):
             simulation.rerun(SimulatedScanner, **parameters)
+
+
+def test_things_beyond_the_range_give_no_return(begin: Callable[..., Simulation]) -> None:
+    simulation = begin()
+    simulation.drive(0.5, 0.0, 0.0)
+    before = simulation.taken("scan")[-1]
+    simulation.rerun(SimulatedScanner, rate=10, dropouts=0, farthest=2.5)
+    simulation.taken("scan")
+    simulation.drive(0.5, 0.0, 0.0)
+
+    scans = [scan for scan in simulation.taken("scan") if scan.range_max == 2.5]
+
+    assert scans
+    assert np.isfinite(before.ranges).sum() > np.isfinite(scans[-1].ranges).sum() > 0
+    for scan in scans:
+        assert (scan.ranges[np.isfinite(scan.ranges)] <= 2.5).all()
+
+
+def test_range_is_never_above_that_of_the_model(begin: Callable[..., Simulation]) -> None:
+    simulation = begin()
+    simulation.rerun(SimulatedScanner, model="PBS-03JN", dropouts=0, farthest=9.0)
+    simulation.drive(0.5, 0.0, 0.0)
+
+    assert {scan.range_max for scan in simulation.taken("scan")} == {3.0, 10.0}
+
+
+def test_scanner_without_any_range_is_rejected(begin: Callable[..., Simulation]) -> None:
+    with pytest.raises(CairnError, match=r"least range 0\.2 m"):
+        begin().rerun(SimulatedScanner, model="PBS-03JN", farthest=0.2)

@@ -1,4 +1,4 @@
-"""People walk their way, and never step on a robot nor into what stands."""
+"""People walk along their waypoints and never step on the robot or into walls and furniture."""
 
 import math
 
@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cairn.components.simulation.people import Walker
-from cairn.components.simulation.rays import clearance
+from cairn.components.simulation.ray_casting import clearance
 from cairn.components.simulation.world_file import Person
 
 OPEN, NOBODY = np.zeros((0, 4)), np.zeros((0, 3))
@@ -30,7 +30,7 @@ def walked(
     return np.array(places)
 
 
-def test_they_walk_from_place_to_place_at_their_speed_and_pause() -> None:
+def test_people_walk_along_waypoints_at_their_speed_and_pause() -> None:
     places = walked(walker((0, 0), (2, 0), (2, 1), speed=1.0, pause=0.5), 9.0, (9, 9))
 
     steps = np.hypot(*np.diff(places, axis=0).T)
@@ -48,7 +48,7 @@ def corridor(half: float, end: float = 9.0) -> np.ndarray:
     return np.array([[-9.0, -half, end, -half], [-9.0, half, end, half], [end, -half, end, half]])
 
 
-def test_they_stop_for_a_robot_ahead_then_walk_around_it_where_there_is_room() -> None:
+def test_people_stop_for_the_robot_and_then_walk_around_it_if_there_is_room() -> None:
     one = walker((0, 0), (6, 0), speed=1.0)
 
     stops = walked(one, 5.0, (3.0, 0.0))
@@ -59,7 +59,7 @@ def test_they_stop_for_a_robot_ahead_then_walk_around_it_where_there_is_room() -
     assert least_gap(one, way, (3.0, 0.0)) > 0.1
 
 
-def test_where_there_is_no_room_they_turn_round_after_a_while() -> None:
+def test_people_turn_back_after_a_while_if_there_is_no_room() -> None:
     one = walker((0, 0), (6, 0), speed=1.0)
 
     places = walked(one, 14.0, (3.0, 0.0), corridor(0.7))
@@ -68,11 +68,11 @@ def test_where_there_is_no_room_they_turn_round_after_a_while() -> None:
     assert places[-1, 0] < 1.9  # on the way back or forth again
 
 
-def test_who_has_only_one_way_to_go_steps_aside_so_that_the_robot_can_come_in() -> None:
+def test_person_with_one_route_steps_aside_for_the_robot() -> None:
     door = [[3.5, -2.0, 3.5, -0.45], [3.5, 0.45, 3.5, 2.0]]
     room = np.array([*door, [3.5, -2.0, 7.0, -2.0], [3.5, 2.0, 7.0, 2.0], [7.0, -2.0, 7.0, 2.0]])
     one = walker((0, 0), (5, 0), speed=1.0)
-    one.x, one.y = 5.0, 0.0  # at the end, and the robot in the door
+    one.x, one.y = 5.0, 0.0  # at the end, with the robot in the door
 
     way = walked(one, 9.0, (4.0, 0.0), room)
 
@@ -80,7 +80,7 @@ def test_who_has_only_one_way_to_go_steps_aside_so_that_the_robot_can_come_in() 
     assert math.hypot(one.x - 4.0, one.y) > 1.0
 
 
-def test_a_place_that_the_robot_stands_on_is_left_out() -> None:
+def test_waypoint_that_the_robot_blocks_is_skipped() -> None:
     one = walker((0, 0), (3, 0), (3, 3), speed=1.0)
 
     way = walked(one, 11.0, (3.0, 0.0))
@@ -89,7 +89,7 @@ def test_a_place_that_the_robot_stands_on_is_left_out() -> None:
     assert least_gap(one, way, (3.0, 0.0)) > 0.1
 
 
-def test_who_has_but_one_place_stands_there_whoever_comes() -> None:
+def test_person_with_one_waypoint_stays_there() -> None:
     one = walker((4.0, 1.4))
 
     way = walked(one, 20.0, (4.5, 1.4))
@@ -98,7 +98,7 @@ def test_who_has_but_one_place_stands_there_whoever_comes() -> None:
 
 
 @pytest.mark.parametrize("robot", [(1.2, 0.0), (1.8, 0.4), (3.0, 0.0), (3.0, 0.8)])
-def test_no_standing_robot_holds_up_a_walker_in_a_room_for_ever(
+def test_standing_robot_never_blocks_a_person_in_a_room_permanently(
     robot: tuple[float, float],
 ) -> None:
     walls = np.array([[-1, -1, 4, -1], [4, -1, 4, 3], [4, 3, -1, 3], [-1, 3, -1, -1]], float)
@@ -121,7 +121,7 @@ def test_no_standing_robot_holds_up_a_walker_in_a_room_for_ever(
     st.floats(0.1, 3.0),
 )
 @settings(max_examples=40, deadline=None)
-def test_they_never_step_on_a_robot(places: list[tuple[float, float]], speed: float) -> None:
+def test_people_never_step_on_the_robot(places: list[tuple[float, float]], speed: float) -> None:
     one = walker(*places, speed=speed)
 
     way = walked(one, 6.0, (0.0, 0.0))
@@ -131,7 +131,7 @@ def test_they_never_step_on_a_robot(places: list[tuple[float, float]], speed: fl
     assert nearest >= min(began, RADIUS + one.person.radius)
 
 
-def test_what_was_put_into_their_way_turns_them_round() -> None:
+def test_people_turn_back_before_new_furniture() -> None:
     wall = np.array([[2.0, -1.0, 2.0, 1.0]])
     one = walker((0, 0), (4, 0), speed=1.0)
 

@@ -1,4 +1,4 @@
-"""A survey gives the maps that a careful surveyor would draw."""
+"""Surveyed maps agree with the world file."""
 
 from pathlib import Path
 
@@ -23,7 +23,7 @@ WORLDS = Path(__file__).parents[3] / "deploy" / "worlds"
 
 
 @pytest.mark.parametrize("name", ["room", "office", "hall"])
-def test_walls_are_closed_and_beyond_them_nothing_is_known(name: str) -> None:
+def test_walls_are_closed_and_cells_beyond_them_are_unknown(name: str) -> None:
     grid = surveyed_grid(WORLDS / f"{name}.yaml")
 
     edge = np.concatenate((grid.values[[0, -1]].ravel(), grid.values[:, [0, -1]].ravel()))
@@ -37,7 +37,7 @@ def test_walls_are_closed_and_beyond_them_nothing_is_known(name: str) -> None:
 
 @given(st.floats(-3.1, 3.1), st.floats(0.3, 2.5), st.floats(0.05, 1.5))
 @settings(max_examples=30, deadline=None)
-def test_each_place_on_an_outline_is_occupied_and_its_inside_is_not_free(
+def test_outlines_are_occupied_and_their_inside_is_not_free(
     theta: float, width: float, depth: float
 ) -> None:
     piece = {"name": "it", "x": 1.6, "y": 2.0, "theta": theta, "size": [width, depth]}
@@ -48,7 +48,7 @@ def test_each_place_on_an_outline_is_occupied_and_its_inside_is_not_free(
         for x, y in ((share * width, 0.5 * depth), (0.5 * width, share * depth)):
             there = compose((1.6, 2.0, theta), (x, y, 0.0))
             row, column = grid.frame.cell(there[0], there[1])
-            # Where it only cuts a corner of the cell, the next one is.
+            # Where the wall only cuts a corner of the cell, the next cell is occupied.
             near = grid.values[row - 1 : row + 2, column - 1 : column + 2]
             assert OCCUPIED in near
             assert grid.values[row, column] != FREE or np.sum(near == OCCUPIED) >= 2
@@ -66,7 +66,7 @@ def test_walls_pass_through_the_middle_of_cells() -> None:
 
 
 @pytest.mark.parametrize("resolution", [0.02, 0.1, 0.2])
-def test_cells_have_the_size_asked_for(resolution: float) -> None:
+def test_cells_have_the_requested_size(resolution: float) -> None:
     grid = grid_of_world(world_file(), resolution)
 
     assert grid.frame.resolution == resolution
@@ -76,12 +76,12 @@ def test_cells_have_the_size_asked_for(resolution: float) -> None:
     assert np.count_nonzero(grid.values == FREE) * resolution**2 == pytest.approx(24.0, rel=0.1)
 
 
-def test_cells_too_large_for_the_robots_start_are_refused() -> None:
-    with pytest.raises(CairnError, match=r"cells of 1 m the robot begins in an occupied one"):
+def test_cells_too_large_for_the_robots_start_are_rejected() -> None:
+    with pytest.raises(CairnError, match=r"cells of 1 m the robot starts in an occupied cell"):
         grid_of_world(world_file(robot={"x": 0.4, "y": 2.0}), 1.0)
 
 
-def test_a_gap_in_the_walls_is_told_instead_of_mapped(tmp_path: Path) -> None:
+def test_gap_in_the_walls_is_an_error(tmp_path: Path) -> None:
     file = tmp_path / "open.yaml"
     walls = [{"points": [[0, 0], [6, 0], [6, 4], [0, 4], [0, 3 * RESOLUTION]]}]
     file.write_text(yaml.safe_dump(box(walls=walls)))
@@ -90,7 +90,7 @@ def test_a_gap_in_the_walls_is_told_instead_of_mapped(tmp_path: Path) -> None:
         surveyed_grid(file)
 
 
-def test_objects_are_mapped_where_they_are_at_the_beginning(tmp_path: Path) -> None:
+def test_objects_are_mapped_at_their_initial_poses(tmp_path: Path) -> None:
     file = tmp_path / "world.yaml"
     things = [{"id": 4, "x": 0, "y": 1.0}, {"id": 7, "name": "door", "x": 6, "y": 2, "theta": 3.1}]
     file.write_text(yaml.safe_dump(box(objects=things)))

@@ -1,4 +1,4 @@
-"""Pictures on objects: drawn ones differ, files are read or refused, and surveys teach them."""
+"""Pictures on objects: drawn ones differ, files are read or rejected, surveys teach them."""
 
 from pathlib import Path
 
@@ -8,8 +8,7 @@ import pytest
 import yaml
 
 from cairn import CairnError
-from cairn.components.simulation.checks import problems_of
-from cairn.components.simulation.photography import seen_from
+from cairn.components.simulation.camera import seen_from
 from cairn.components.simulation.survey import surveyed_models
 from cairn.components.simulation.textures import (
     LONGEST_PX,
@@ -17,6 +16,7 @@ from cairn.components.simulation.textures import (
     read_picture,
     surface_pattern,
 )
+from cairn.components.simulation.world_checks import world_problems
 from cairn.components.simulation.world_file import read_world
 from cairn.vision.features import extract
 from cairn.vision.object_model import ObjectModel
@@ -31,7 +31,7 @@ pytestmark = pytest.mark.images
 ROOM = Path(__file__).parents[3] / "deploy" / "worlds" / "room.yaml"
 
 
-def test_drawn_pictures_are_rich_and_each_is_like_itself_alone() -> None:
+def test_drawn_pictures_are_rich_in_features_and_distinct() -> None:
     pictures = [drawn_picture(number, (0.5, 0.4)) for number in range(1, 9)]
     known = [
         ObjectModel(number, "", None, (make_view(one),)) for number, one in enumerate(pictures)
@@ -48,7 +48,7 @@ def test_drawn_pictures_are_rich_and_each_is_like_itself_alone() -> None:
         assert not found[0].alternatives
 
 
-def test_surfaces_are_plain_beside_pictures_and_repeat_without_seams() -> None:
+def test_surface_pattern_is_weak_and_seamless() -> None:
     pattern = surface_pattern()
     gray = np.asarray(170 * np.tile(pattern, (2, 2)), np.uint8)
     picture = drawn_picture(1, (0.5, 0.5))
@@ -59,7 +59,7 @@ def test_surfaces_are_plain_beside_pictures_and_repeat_without_seams() -> None:
     assert gray.std() < 0.2 * picture.std()
 
 
-def test_large_pictures_are_read_smaller_and_color_as_gray(tmp_path: Path) -> None:
+def test_large_pictures_are_reduced_and_color_becomes_gray(tmp_path: Path) -> None:
     file = tmp_path / "large.png"
     cv2.imwrite(str(file), np.full((1000, 2000, 3), (0, 0, 255), np.uint8))
 
@@ -82,7 +82,7 @@ def test_large_pictures_are_read_smaller_and_color_as_gray(tmp_path: Path) -> No
         ({"height": 3.0}, "object_1 goes from -0.5 m to 2.5 m"),
     ],
 )
-def test_what_a_camera_cannot_see_as_it_is_told_is_refused(
+def test_objects_that_no_camera_can_show_are_rejected(
     thing: dict[str, object], told: str, tmp_path: Path
 ) -> None:
     (tmp_path / "text.png").write_text("no picture")
@@ -96,13 +96,15 @@ def test_what_a_camera_cannot_see_as_it_is_told_is_refused(
         answer = cairn("world", "check", str(file))
 
         assert answer.code == 1
-        (problem,) = problems_of(read_world(file), RADIUS)
+        (problem,) = world_problems(read_world(file), RADIUS)
         with pytest.raises(CairnError, match=told):
             raise CairnError(problem)
         assert problem in answer.err
 
 
-def test_textures_lie_beside_their_world(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_texture_paths_are_relative_to_the_world_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (tmp_path / "pictures").mkdir()
     picture = drawn_picture(77, (0.5, 0.4))
     cv2.imwrite(str(tmp_path / "pictures" / "one.png"), picture)
@@ -117,7 +119,7 @@ def test_textures_lie_beside_their_world(tmp_path: Path, monkeypatch: pytest.Mon
     assert np.array_equal(taught.views[0].picture, picture)
 
 
-def test_the_rooms_objects_are_recognized_where_they_hang() -> None:
+def test_objects_of_the_room_are_recognized_at_their_poses() -> None:
     world = read_world(ROOM)
     recognizer = Recognizer(surveyed_models(ROOM))
     for pose, there in (
@@ -130,12 +132,12 @@ def test_the_rooms_objects_are_recognized_where_they_hang() -> None:
         assert {one.object_id for one in found} == there
 
 
-def test_see_writes_what_either_camera_would_see(tmp_path: Path) -> None:
+def test_see_writes_the_image_of_either_camera(tmp_path: Path) -> None:
     images = []
     for more in ([], ["--right"]):
         out = tmp_path / "seen.png"
         answer = cairn("world", "see", str(ROOM), "1.8", "2.4", "180deg", str(out), *more)
-        assert answer.out == f"{out} written\n"
+        assert answer.out == f"{out} was written\n"
         images.append(np.asarray(cv2.imread(str(out), cv2.IMREAD_UNCHANGED)))
 
     assert images[0].shape == (480, 640)
@@ -146,14 +148,14 @@ def test_see_writes_what_either_camera_would_see(tmp_path: Path) -> None:
     ("arguments", "told"),
     [
         (["0", "2", "0", "seen.png"], "the camera cannot be at (0.00, 2.00): wall 1 is 0.00 m"),
-        (["-2", "2", "0", "seen.png"], "outside of the walls"),
+        (["-2", "2", "0", "seen.png"], "outside the walls"),
         (["4", "1", "0", "seen.png", "--height", "3"], "not below the ceiling"),
-        (["4", "1", "0", "seen.txt"], "written as .png or .jpg"),
+        (["4", "1", "0", "seen.txt"], "use .png or .jpg"),
         (["4", "1", "0", "no/such/seen.png"], "cannot be written"),
         (["4", "1", "north", "seen.png"], "'north' is not a number"),
     ],
 )
-def test_see_tells_what_it_cannot(arguments: list[str], told: str, tmp_path: Path) -> None:
+def test_see_rejects_impossible_requests(arguments: list[str], told: str, tmp_path: Path) -> None:
     *place, name = arguments[:4]
     answer = cairn("world", "see", str(ROOM), *place, str(tmp_path / name), *arguments[4:])
 

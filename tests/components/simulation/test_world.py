@@ -1,4 +1,4 @@
-"""The robot is held back by what stands, and what cannot be is refused."""
+"""Contacts stop the robot, and impossible changes are rejected."""
 
 import math
 
@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cairn import CairnError
-from cairn.components.simulation.rays import clearance
-from cairn.components.simulation.world import Contact, Slip, World
+from cairn.components.simulation.ray_casting import clearance
+from cairn.components.simulation.world import Contact, WheelSlip, World
 from cairn.components.simulation.world_file import Furniture, Person, VisibleObject
 from tests.components.simulation.worlds import RADIUS, world_of
 
@@ -25,7 +25,7 @@ def driven(world: World, seconds: float, forward: float, turn: float = 0.0) -> l
     return contacts
 
 
-def test_a_wall_holds_the_robot_back_and_is_told_once() -> None:
+def test_wall_stops_the_robot_and_is_reported_once() -> None:
     world = world_of()
 
     contacts = driven(world, 10.0, 0.5)
@@ -35,7 +35,7 @@ def test_a_wall_holds_the_robot_back_and_is_told_once() -> None:
     assert contacts[0].x == pytest.approx(world.robot[0])
 
 
-def test_it_is_told_again_after_the_robot_was_clear() -> None:
+def test_contact_is_reported_again_after_the_robot_was_clear() -> None:
     world = world_of()
     driven(world, 10.0, 0.5)
     away = driven(world, 1.0, -0.3)
@@ -44,14 +44,14 @@ def test_it_is_told_again_after_the_robot_was_clear() -> None:
     assert len(driven(world, 3.0, 0.5)) == 1
 
 
-def test_two_walls_of_a_corner_are_told_once_each() -> None:
+def test_both_walls_of_a_corner_are_reported_once_each() -> None:
     world = world_of(robot={"x": 5.7, "y": 3.7, "theta": math.pi / 4})
     told = [one.what for _ in range(5) for one in driven(world, 2.0, 0.3, 0.2)]
 
     assert sorted(told) == sorted(set(told))
 
 
-def test_a_robot_that_is_held_back_says_that_it_does_not_follow_its_wheels() -> None:
+def test_blocked_robot_does_not_follow_its_wheels() -> None:
     world = world_of(robot={"x": 5.75, "y": 2.0})
     driven(world, 1.0, 0.5)
     x, y, theta = world.robot
@@ -61,14 +61,14 @@ def test_a_robot_that_is_held_back_says_that_it_does_not_follow_its_wheels() -> 
     assert world.robot[2] == pytest.approx(theta + 0.02)
 
 
-def test_beside_a_wall_nothing_is_touched() -> None:
+def test_driving_along_a_wall_is_no_contact() -> None:
     world = world_of(robot={"x": 1.0, "y": RADIUS + 1e-6, "theta": 0.0})
 
     assert driven(world, 4.0, 0.5) == []
     assert world.robot[0] == pytest.approx(3.0)
 
 
-def test_nobody_gets_through_a_wall_however_fast() -> None:
+def test_robot_cannot_pass_a_wall_at_any_speed() -> None:
     world = world_of()
     world.drive(1.0, 5.0, 0.0)
 
@@ -77,20 +77,20 @@ def test_nobody_gets_through_a_wall_however_fast() -> None:
 
 @given(st.integers(0, 10_000))
 @settings(max_examples=15, deadline=None)
-def test_the_robot_overlaps_nothing_whatever_it_does(seed: int) -> None:
+def test_robot_never_overlaps_anything(seed: int) -> None:
     random = np.random.default_rng(seed)
-    world = world_of(Slip(0.01, 0.02, 0.01), furniture=[TABLE, CRATE], people=[ADA])
+    world = world_of(WheelSlip(0.01, 0.02, 0.01), furniture=[TABLE, CRATE], people=[ADA])
     for _ in range(60):
         forward, turn = random.uniform(-1, 1), random.uniform(-3, 3)
         for _ in range(10):
             world.drive(0.02, float(forward), float(turn))
-            world.walk(0.02)
+            world.move_people(0.02)
             x, y, _ = world.robot
-            room, _ = clearance(x, y, world.scene.standing.segments, world.people)
+            room, _ = clearance(x, y, world.layout.solid_segments.segments, world.people)
             assert room >= RADIUS - 1e-9
 
 
-def test_a_person_in_the_way_is_a_collision_with_their_name() -> None:
+def test_collision_with_a_person_has_the_persons_name() -> None:
     world = world_of(people=[{"name": "bob", "waypoints": [[4.5, 2.0]]}])
 
     assert [one.what for one in driven(world, 4.0, 0.5)] == ["bob"]
@@ -101,20 +101,20 @@ def test_a_person_in_the_way_is_a_collision_with_their_name() -> None:
     [
         ((1.5, 2.0), "table"),  # inside a piece larger than the robot
         ((5.9, 2.0), "wall 1 is 0.10 m from there"),
-        ((9.0, 2.0), "outside of the walls"),
+        ((9.0, 2.0), "outside the walls"),
         ((3.0, 3.4), "ada stands"),
     ],
 )
-def test_the_robot_is_not_carried_into_anything(place: tuple[float, float], why: str) -> None:
+def test_kidnapping_into_an_obstacle_is_rejected(place: tuple[float, float], why: str) -> None:
     world = world_of(furniture=[{**TABLE, "size": [2.0, 2.0]}], people=[ADA])
     before = world.robot
 
     with pytest.raises(CairnError, match=why):
-        world.carry((*place, 0.0))
+        world.kidnap((*place, 0.0))
     assert world.robot == before
 
 
-def test_things_are_not_put_onto_the_robot_people_or_each_other() -> None:
+def test_things_cannot_be_put_onto_the_robot_people_or_each_other() -> None:
     world = world_of(furniture=[TABLE, CRATE], people=[ADA])
     refused = {
         (3.1, 2.0): "table would stand on the robot",
@@ -134,26 +134,26 @@ def test_things_are_not_put_onto_the_robot_people_or_each_other() -> None:
     with pytest.raises(CairnError, match=r"eve cannot walk .* table is in the way"):
         world.add_person(Person(name="eve", waypoints=[(0.5, 2.0), (2.5, 2.0)]))
 
-    assert world.scene.pose_of("table") == (1.5, 2.0, 0.0)
-    assert world.scene.version == 0
+    assert world.layout.pose_of("table") == (1.5, 2.0, 0.0)
+    assert world.layout.version == 0
 
 
-def test_what_is_there_and_what_is_not_is_told() -> None:
+def test_unknown_name_is_rejected_with_the_known_names() -> None:
     world = world_of(furniture=[TABLE], people=[ADA])
-    with pytest.raises(CairnError, match="there is no sofa; there are ada, table"):
+    with pytest.raises(CairnError, match="sofa does not exist; there are ada, table"):
         world.move("sofa", (1.0, 1.0, 0.0))
-    with pytest.raises(CairnError, match="there is no sofa; there are ada, table"):
+    with pytest.raises(CairnError, match="sofa does not exist; there are ada, table"):
         world.remove("sofa")
-    with pytest.raises(CairnError, match="there is a table already"):
+    with pytest.raises(CairnError, match="table exists already"):
         world.add_person(Person(name="table", waypoints=[(1.0, 1.0)]))
-    with pytest.raises(CairnError, match="there is a ada already"):
+    with pytest.raises(CairnError, match="ada exists already"):
         world.add(Furniture(name="ada", x=5, y=1, size=(0.3, 0.3)))
     world.add(VisibleObject(id=3, x=1.0, y=0.0, theta=1.6))
-    with pytest.raises(CairnError, match="object_3 has the id 3 already"):
+    with pytest.raises(CairnError, match="object_3 already has the id 3"):
         world.add(VisibleObject(id=3, name="poster", x=2.0, y=0.0, theta=1.6))
 
 
-def test_events_happen_when_they_are_due_in_the_order_of_time() -> None:
+def test_events_happen_when_due_in_the_order_of_time() -> None:
     world = world_of(
         furniture=[TABLE, CRATE],
         events=[
@@ -165,22 +165,24 @@ def test_events_happen_when_they_are_due_in_the_order_of_time() -> None:
         ],
     )
 
-    assert world.happen(0.9) == []
-    assert [one.told for one in world.happen(1.0)] == ["table is moved to (1.4, 1)"]
-    assert [one.told for one in world.happen(2.5)] == ["table and crate change places"]
-    assert world.scene.pose_of("crate")[:2] == (1.4, 1.0)
-    assert [one.done for one in world.happen(9.0)] == [True, True, True]
-    assert (world.robot[:2], world.scene.names) == ((5.0, 3.0), ["table"])
+    assert world.run_due_events(0.9) == []
+    assert [one.description for one in world.run_due_events(1.0)] == ["table was moved to (1.4, 1)"]
+    assert [one.description for one in world.run_due_events(2.5)] == [
+        "table and crate were swapped"
+    ]
+    assert world.layout.pose_of("crate")[:2] == (1.4, 1.0)
+    assert [one.succeeded for one in world.run_due_events(9.0)] == [True, True, True]
+    assert (world.robot[:2], world.layout.names) == ((5.0, 3.0), ["table"])
     assert [one.person.name for one in world.walkers] == ["eve"]
-    assert world.happen(99.0) == []
+    assert world.run_due_events(99.0) == []
 
 
-def test_an_event_that_cannot_happen_is_told_with_its_reason() -> None:
+def test_impossible_event_is_reported_with_its_reason() -> None:
     world = world_of(furniture=[TABLE], events=[{"at": 1, "move": "table", "to": {"x": 3, "y": 2}}])
 
-    (told,) = world.happen(1.0)
+    (told,) = world.run_due_events(1.0)
 
-    assert not told.done
-    assert told.told == (
-        "the event at 1 s cannot happen: table would stand on the robot; choose another place"
+    assert not told.succeeded
+    assert told.description == (
+        "the event at 1 s cannot happen: table would stand on the robot; choose another position"
     )

@@ -1,4 +1,4 @@
-"""Wrong world files are refused with file, place, value and remedy."""
+"""Invalid world files are rejected with file, position, value and remedy."""
 
 import math
 import re
@@ -9,8 +9,8 @@ import pytest
 import yaml
 
 from cairn import CairnError
-from cairn.components.simulation.checks import problems_of
-from cairn.components.simulation.pictures import label_places
+from cairn.components.simulation.world_checks import world_problems
+from cairn.components.simulation.world_drawing import label_positions
 from cairn.components.simulation.world_file import WorldFile, read_world
 from tests.commands import cairn
 from tests.components.simulation.worlds import RADIUS, box
@@ -23,15 +23,15 @@ KNOT = [[0, 0], [1, 1], [1, 0], [0, 1]]
 
 UNREADABLE: dict[str, tuple[str, str]] = {
     "syntax": ("walls: [", r":1:9: not YAML: expected"),
-    "empty": ("", "needs the keys walls and robot"),
-    "a list": ("- 1", "needs the keys walls and robot"),
+    "empty": ("", "with the keys walls and robot"),
+    "a list": ("- 1", "with the keys walls and robot"),
     "a key twice": ("robot: {x: 1, y: 1}\nrobot: {x: 2, y: 2}", ":2:1: not YAML: the key robot is"),
     "no walls": ("robot: {x: 1, y: 1}", "walls: must be given"),
 }
 
 
 @pytest.mark.parametrize("case", UNREADABLE)
-def test_a_file_that_is_no_world_is_told_with_its_place(case: str, tmp_path: Path) -> None:
+def test_file_that_is_not_a_world_is_rejected_with_its_position(case: str, tmp_path: Path) -> None:
     text, told = UNREADABLE[case]
     file = tmp_path / "world.yaml"
     file.write_text(text)
@@ -43,8 +43,8 @@ def test_a_file_that_is_no_world_is_told_with_its_place(case: str, tmp_path: Pat
 
 
 WRONG: dict[str, tuple[dict[str, Any], str]] = {
-    "an unknown key": ({"color": "red"}, "color = 'red': there is no such key; expected one of"),
-    "a key misspelled": ({"furnitures": []}, "there is no such key; did you mean furniture?"),
+    "an unknown key": ({"color": "red"}, "color = 'red': unknown key; expected one of"),
+    "a key misspelled": ({"furnitures": []}, "unknown key; did you mean furniture?"),
     "a key misspelled within": (
         {"events": [{"at": 1, "add_furniture": {**DESK, "sise": [1, 1]}}]},
         r"events\[0\].add_furniture.sise = .*; did you mean size",
@@ -65,26 +65,26 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
     "a number that is none": ({"robot": {"x": float("nan"), "y": 1}}, "robot.x = 'nan': "),
     "furniture without shape": (
         {"furniture": [{"name": "desk", "x": 1, "y": 1}]},
-        r"furniture\[0\]: give outline or size, one of them",
+        r"furniture\[0\]: give either outline or size",
     ),
     "a size below nothing": (
         {"furniture": [{**DESK, "size": [0.8, -1]}]},
         r"furniture\[0\].size\[1\] = '-1': must be greater than 0",
     ),
     "a name with spaces": ({"furniture": [{**DESK, "name": "my desk"}]}, r"furniture\[0\].name = "),
-    "twin names": ({"furniture": [DESK, DESK]}, "several things are called desk"),
+    "twin names": ({"furniture": [DESK, DESK]}, "name is not unique: desk"),
     "twin ids": (
         {"objects": [{"id": 1, "x": 0, "y": 1}, {"id": 1, "name": "b", "x": 0, "y": 2}]},
-        "several objects have the id 1",
+        "object id is not unique: 1",
     ),
     "an event of no kind": ({"events": [{"at": 1}]}, r"events\[0\]: give exactly one of move, "),
     "an event in the past": ({"events": [{"at": -1, "remove": "a"}]}, r"events\[0\].at = '-1'"),
-    "move without to": ({"events": [{"at": 1, "move": "a"}]}, "move and to go together"),
+    "move without to": ({"events": [{"at": 1, "move": "a"}]}, "move needs the key to"),
 }
 
 
 @pytest.mark.parametrize("case", WRONG)
-def test_a_wrong_value_is_told_with_its_place(case: str, tmp_path: Path) -> None:
+def test_invalid_value_is_rejected_with_its_key(case: str, tmp_path: Path) -> None:
     changed, told = WRONG[case]
     file = tmp_path / "world.yaml"
     file.write_text(yaml.safe_dump(box(**changed)))
@@ -94,7 +94,7 @@ def test_a_wrong_value_is_told_with_its_place(case: str, tmp_path: Path) -> None
     assert str(found.value).startswith(f"{file}: ")
 
 
-def test_a_file_that_is_not_there_is_told(tmp_path: Path) -> None:
+def test_missing_file_is_rejected(tmp_path: Path) -> None:
     with pytest.raises(CairnError, match=r"none.yaml: no such world file"):
         read_world(tmp_path / "none.yaml")
 
@@ -114,7 +114,7 @@ IMPOSSIBLE: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "walls on one another": (
         {"walls": [*box()["walls"], {"points": [[1, 0], [2, 0]]}]},
-        r"wall 1 and wall 2 lie on one another at \(1.50, 0.00\); leave one out",
+        r"wall 1 and wall 2 overlap at \(1.50, 0.00\); leave one out",
     ),
     "a point twice": (
         {"walls": [*box()["walls"], {"points": [[1, 1], [1, 1]]}]},
@@ -124,7 +124,7 @@ IMPOSSIBLE: dict[str, tuple[dict[str, Any], str]] = {
         {"furniture": [{**DESK, "x": 3, "y": 2, "size": [2, 2]}]},
         r"robot: it cannot be at \(3.00, 2.00\): desk is 0.00 m from there",
     ),
-    "the robot outside": ({"robot": {"x": 9, "y": 9}}, "outside of the walls"),
+    "the robot outside": ({"robot": {"x": 9, "y": 9}}, "outside the walls"),
     "an open world": (
         {"walls": [{"points": [[0, 0], [6, 0], [6, 4], [0, 4], [0, 1]]}]},
         r"the walls leave a gap of 1.00 m from \(0.00, 0.00\) to \(0.00, 1.00\); close it",
@@ -145,7 +145,7 @@ IMPOSSIBLE: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "a wall that crosses itself": (
         {"walls": [{"points": [[0, 0], [6, 4], [6, 0], [0, 4], [0, 0]]}], **LEFT},
-        r"wall 1 crosses itself at \(3.00, 2.00\); mend the order of its points",
+        r"wall 1 crosses itself at \(3.00, 2.00\); correct the order of its points",
     ),
     "a wall beside another": (
         {"walls": [*box()["walls"], {"points": [[1, 0.01], [4, 0.01]]}]},
@@ -153,11 +153,11 @@ IMPOSSIBLE: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "furniture outside": (
         {"furniture": [{**DESK, "x": 9}]},
-        r"desk cannot be at \(9.00, 1.00\): that is outside of the walls",
+        r"desk cannot be at \(9.00, 1.00\): the position is outside the walls",
     ),
     "furniture that leans on the outside": (
         {"furniture": [{**DESK, "x": 6.4}]},
-        r"desk cannot be at \(6.40, 1.00\): that is outside of the walls",
+        r"desk cannot be at \(6.40, 1.00\): the position is outside the walls",
     ),
     "an event that puts furniture outside": (
         {"furniture": [DESK], "events": [{"at": 5, "move": "desk", "to": {"x": 9, "y": 2}}]},
@@ -167,9 +167,9 @@ IMPOSSIBLE: dict[str, tuple[dict[str, Any], str]] = {
         {"furniture": [DESK], "objects": [{"id": 4, "x": 1.0, "y": 1.0}]},
         "object_4 at .* is hidden inside desk",
     ),
-    "an object that faces outwards": (
+    "an object that faces outward": (
         {"objects": [{"id": 4, "x": 0, "y": 1.0, "theta": 3.1416}]},
-        r"object_4 at \(0, 1\) is outside of the walls or faces outwards",
+        r"object_4 at \(0, 1\) is outside the walls or faces outward",
     ),
     "somebody through furniture": (
         {"furniture": [DESK], "people": [{"name": "ada", "waypoints": [[1, 3], [1, 0.4]]}]},
@@ -185,12 +185,12 @@ IMPOSSIBLE: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "an event about nothing": (
         {"events": [{"at": 5, "remove": "sofa"}]},
-        "the event at 5 s cannot happen: there is no sofa; there are none",
+        "the event at 5 s cannot happen: sofa does not exist; there are none",
     ),
     "an event after which it is gone": (
         {"furniture": [DESK], "events": [
             {"at": 5, "move": "desk", "to": {"x": 2, "y": 3}}, {"at": 4, "remove": "desk"}]},
-        "the event at 5 s cannot happen: there is no desk",
+        "the event at 5 s cannot happen: desk does not exist",
     ),
     "an event without room": (
         {"furniture": [DESK], "events": [{"at": 5, "move": "desk", "to": {"x": 6, "y": 2}}]},
@@ -204,24 +204,24 @@ IMPOSSIBLE: dict[str, tuple[dict[str, Any], str]] = {
 
 
 @pytest.mark.parametrize("case", IMPOSSIBLE)
-def test_a_world_that_cannot_be_is_told_and_not_run(case: str, tmp_path: Path) -> None:
+def test_impossible_world_is_rejected(case: str, tmp_path: Path) -> None:
     changed, told = IMPOSSIBLE[case]
     file = tmp_path / "world.yaml"
     file.write_text(yaml.safe_dump(box(**changed)))
 
-    assert re.search(told, "; ".join(problems_of(read_world(file), RADIUS)))
+    assert re.search(told, "; ".join(world_problems(read_world(file), RADIUS)))
     answer = cairn("world", "check", str(file))
     assert answer.code == 1
     assert answer.err.startswith(f"cairn: {file}: ")
 
 
 @pytest.mark.parametrize("name", ["room", "office", "hall"])
-def test_our_worlds_are_possible(name: str) -> None:
-    assert problems_of(read_world(WORLDS / f"{name}.yaml"), RADIUS) == []
+def test_worlds_of_this_repository_are_valid(name: str) -> None:
+    assert world_problems(read_world(WORLDS / f"{name}.yaml"), RADIUS) == []
 
 
 def test_walls_may_meet_at_any_angle_and_furniture_may_close_them() -> None:
-    """A wall bent inwards, a part of a circle, a narrow wedge, a door in the outer wall."""
+    """A wall bent inward, a part of a circle, a narrow wedge, a door in the outer wall."""
     corners = [[0, 0], [6, 0], [6, 4], [3, 4], [3, 2]]
     arc = [[1.0 + 0.5 * math.cos(a / 9), 3.0 + 0.5 * math.sin(a / 9)] for a in range(40)]
     walls = [
@@ -233,13 +233,11 @@ def test_walls_may_meet_at_any_angle_and_furniture_may_close_them() -> None:
         {"walls": walls, "furniture": [door], "robot": {"x": 2.0, "y": 1.0}}
     )
 
-    assert problems_of(world, RADIUS) == []
+    assert world_problems(world, RADIUS) == []
 
 
 @pytest.mark.parametrize(("until", "warned"), [(4.0, True), (3.6, True), (3.5, False)])
-def test_check_warns_of_what_the_robot_cannot_reach(
-    until: float, warned: bool, tmp_path: Path
-) -> None:
+def test_check_warns_of_unreachable_areas(until: float, warned: bool, tmp_path: Path) -> None:
     file = tmp_path / "world.yaml"
     walls = [*box()["walls"], {"points": [[3, 0], [3, until]]}]
     file.write_text(yaml.safe_dump({"walls": walls, **LEFT}))
@@ -255,7 +253,7 @@ def test_check_warns_of_what_the_robot_cannot_reach(
 def test_touching_is_not_overlapping() -> None:
     pair = [DESK, {**DESK, "name": "shelf", "x": 1.8}, {**DESK, "name": "box", "x": 0.4, "y": 2.0}]
 
-    assert problems_of(WorldFile.model_validate(box(furniture=pair)), RADIUS) == []
+    assert world_problems(WorldFile.model_validate(box(furniture=pair)), RADIUS) == []
 
 
 def test_check_counts_and_draw_writes_a_picture(tmp_path: Path) -> None:
@@ -273,7 +271,7 @@ def test_check_counts_and_draw_writes_a_picture(tmp_path: Path) -> None:
     assert "cannot be written" in wrong.err
 
 
-def test_names_stand_beside_small_furniture_and_cover_nothing() -> None:
+def test_labels_are_beside_small_furniture_and_cover_nothing() -> None:
     legs: list[dict[str, Any]] = [
         {"name": f"table_leg{k}", "x": 2.0 + 0.4 * (k % 2), "y": 1.0 + 0.6 * (k // 2),
          "size": [0.05, 0.05]}
@@ -282,10 +280,10 @@ def test_names_stand_beside_small_furniture_and_cover_nothing() -> None:
     sofa = {"name": "sofa", "x": 4.0, "y": 3.0, "size": [1.5, 0.8]}
     world = WorldFile.model_validate(box(furniture=[*legs, sofa]))
 
-    places = label_places(world, 0.8)
+    places = label_positions(world, 0.8)
 
     assert places["sofa"] == (4.0, 3.0)
-    wide, high = 0.4, 0.08  # about what a name takes [m] at that scale
+    wide, high = 0.4, 0.08  # about the size of a label [m] at that scale
     for name, (x, y) in places.items():
         for leg in legs:
             assert abs(x - leg["x"]) > wide / 2 or abs(y - leg["y"]) > high / 2
@@ -300,14 +298,16 @@ def test_events_within_closed_walls_can_happen() -> None:
         {"at": 2, "move": "ada", "to": {"x": 2.0, "y": 1.0}},
     ]
 
-    assert problems_of(WorldFile.model_validate(box(people=[person], events=events)), RADIUS) == []
+    assert (
+        world_problems(WorldFile.model_validate(box(people=[person], events=events)), RADIUS) == []
+    )
 
 
-def test_more_than_a_touch_is_an_overlap_however_thin() -> None:
+def test_overlap_beyond_the_tolerance_is_rejected_for_thin_furniture_too() -> None:
     table = {"name": "table", "x": 1.0, "y": 1.0, "size": [1.0, 1.0]}
     chair = {"name": "chair", "x": 1.97, "y": 1.0, "size": [1.0, 1.0]}
     panel = {"name": "panel", "x": 1.45, "y": 1.0, "size": [0.03, 0.6]}
 
     for other in (chair, panel):
         world = WorldFile.model_validate(box(furniture=[table, other]))
-        assert any("overlaps" in problem for problem in problems_of(world, RADIUS))
+        assert any("overlaps" in problem for problem in world_problems(world, RADIUS))

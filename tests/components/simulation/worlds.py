@@ -4,11 +4,11 @@ from typing import Any
 
 import numpy as np
 
-from cairn.components.simulation.world import Slip, World
+from cairn.components.simulation.world import WheelSlip, World
 from cairn.components.simulation.world_file import WorldFile
 
 RADIUS = 0.22
-NO_SLIP = Slip(0.0, 0.0, 0.0)
+NO_SLIP = WheelSlip(0.0, 0.0, 0.0)
 
 
 def box(width: float = 6.0, depth: float = 4.0, **more: Any) -> dict[str, Any]:
@@ -18,11 +18,11 @@ def box(width: float = 6.0, depth: float = 4.0, **more: Any) -> dict[str, Any]:
     return {"walls": [{"points": corners}], "robot": middle, **more}
 
 
-def world_of(slip: Slip = NO_SLIP, **more: Any) -> World:
+def world_of(slip: WheelSlip = NO_SLIP, **more: Any) -> World:
     """A world in such a room."""
     return World(world_file(**more), RADIUS, slip, np.random.default_rng(0))
 
 
 def world_file(**more: Any) -> WorldFile:
-    """The same as it is read."""
+    """The same as a parsed world file."""
     return WorldFile.model_validate(box(**more))

@@ -17,7 +17,7 @@ from cairn.schemas.cairn_nav_msgs import (
     NavigateGoal,
     NavigationStatus,
 )
-from cairn.schemas.cairn_sim_msgs import Scene, WorldState
+from cairn.schemas.cairn_sim_msgs import WorldGeometry, WorldState
 from cairn.schemas.geometry_msgs import Point, PoseStamped
 from cairn.schemas.packed import Packed
 from cairn.schemas.std_msgs import Header
@@ -65,13 +65,13 @@ class Examination:
         """Let this stand in the hall from now on."""
         segments = segments_of(HALL, *boxes)
         count = len(segments)
-        scene = Scene(
+        scene = WorldGeometry(
             segments=np.array(segments).ravel(),
             surfaces=np.zeros(count, np.uint8),
             heights=np.full(count, 2.5),
             solids=np.zeros(count, np.uint32),
         )
-        self.stage.give("scene", scene)
+        self.stage.give("world_geometry", scene)
 
     def people(self, *places: tuple[float, float]) -> None:
         """Let people stand there."""

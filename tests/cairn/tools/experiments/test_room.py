@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cairn import CairnError
-from cairn.components.simulation.checks import problems_of
+from cairn.components.simulation.world_checks import world_problems
 from cairn.components.simulation.world_file import Event, read_world
 from cairn.tools.experiments.room import Room
 
@@ -30,9 +30,9 @@ def test_objects_are_moved_as_asked_and_stay_apart(
     events = room.moves(4, distance, 5.0, np.random.default_rng(seed))
     changed = world.model_copy(update={"events": [Event.model_validate(one) for one in events]})
 
-    assert problems_of(changed, 0.22) == []
+    assert world_problems(changed, 0.22) == []
     assert len({event["move"] for event in events}) == 4
-    names = {thing.called: (thing.x, thing.y) for thing in world.objects}
+    names = {thing.display_name: (thing.x, thing.y) for thing in world.objects}
     places = dict(names)
     for event in events:
         to = (event["to"]["x"], event["to"]["y"])
@@ -52,7 +52,11 @@ def test_the_same_seed_moves_the_same(room: Room) -> None:
 
 
 def test_moves_that_have_no_room_are_refused(room: Room) -> None:
-    with pytest.raises(CairnError, match=r"of 10 objects only 0 can be moved by 30 m .* not 1;"):
+    with pytest.raises(
+        CairnError,
+        match=r"of 10 objects only 0 can be moved by 30 m .* "
+        "not 1;",
+    ):
         room.moves(1, 30.0, 1.0, np.random.default_rng(0))
 
 
@@ -61,6 +65,6 @@ def test_the_robot_is_carried_to_where_it_can_drive(room: Room) -> None:
         x, y, _ = room.somewhere(0.3, np.random.default_rng(seed))
         changed = read_world(ROOM)
         event = Event.model_validate({"at": 1, "kidnap": {"x": x, "y": y}})
-        assert problems_of(changed.model_copy(update={"events": [event]}), 0.22) == []
+        assert world_problems(changed.model_copy(update={"events": [event]}), 0.22) == []
         assert 0.3 <= x <= 8.7
         assert 0.3 <= y <= 6.7

@@ -1,17 +1,17 @@
-"""What a simulated sensor makes of light: noise, falloff, saturation and blur as asked."""
+"""The simulated image sensor: noise, vignetting, saturation and blur as configured."""
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cairn.components.simulation.exposure import Film, Noise, blurred
+from cairn.components.simulation.camera_optics import ImageSensor, SensorNoise, blurred
 
-NONE = Noise(0.0, 0.0)
+NONE = SensorNoise(0.0, 0.0)
 
 
-def film(seed: int = 0) -> Film:
-    return Film(320, 240, np.random.default_rng(seed))
+def film(seed: int = 0) -> ImageSensor:
+    return ImageSensor(320, 240, np.random.default_rng(seed))
 
 
 def even(gray: float) -> np.ndarray:
@@ -19,9 +19,9 @@ def even(gray: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize("gray", [20.0, 100.0, 200.0])
-def test_noise_has_the_stated_deviation(gray: float) -> None:
-    noise = Noise(2.0, 0.05)
-    image = film().exposed(even(gray), 1.0, 0.0, noise).astype(float)
+def test_noise_has_the_configured_deviation(gray: float) -> None:
+    noise = SensorNoise(2.0, 0.05)
+    image = film().expose(even(gray), 1.0, 0.0, noise).astype(float)
 
     wanted = np.sqrt(noise.read**2 + noise.shot * gray + 1 / 12)
     assert image.mean() == pytest.approx(gray, abs=0.1)
@@ -30,28 +30,28 @@ def test_noise_has_the_stated_deviation(gray: float) -> None:
     assert abs(beside) < 0.02
 
 
-def test_each_image_and_each_row_has_noise_of_its_own() -> None:
+def test_noise_differs_between_images_and_between_rows() -> None:
     one = film()
-    first, second = (one.exposed(even(100), 1.0, 0.0, Noise(3.0, 0.0)) for _ in range(2))
+    first, second = (one.expose(even(100), 1.0, 0.0, SensorNoise(3.0, 0.0)) for _ in range(2))
 
     assert abs(np.corrcoef(first.ravel(), second.ravel())[0, 1]) < 0.02
     assert abs(np.corrcoef(first[0], first[1])[0, 1]) < 0.3
-    again = film().exposed(even(100), 1.0, 0.0, Noise(3.0, 0.0))
+    again = film().expose(even(100), 1.0, 0.0, SensorNoise(3.0, 0.0))
     assert np.array_equal(first, again)
 
 
-def test_corners_are_darker_by_the_vignetting_and_white_saturates() -> None:
-    image = film().exposed(even(100), 1.0, 0.3, NONE)
+def test_vignetting_darkens_corners_and_white_saturates() -> None:
+    image = film().expose(even(100), 1.0, 0.3, NONE)
 
     assert image[120, 160] == 100
     assert image[0, 0] == image[-1, -1] == 70
-    assert np.all(film().exposed(even(100), 3.0, 0.0, NONE) == 255)
-    assert np.all(film().exposed(even(100), 0.0, 0.0, NONE) == 0)
+    assert np.all(film().expose(even(100), 3.0, 0.0, NONE) == 255)
+    assert np.all(film().expose(even(100), 0.0, 0.0, NONE) == 0)
 
 
 @given(st.just(0.0) | st.floats(0.5, 3), st.floats(0, 12))
 @settings(max_examples=40, deadline=None)
-def test_blur_spreads_a_point_as_far_as_asked_and_keeps_its_light(
+def test_blur_spreads_a_point_by_the_configured_width_and_keeps_its_light(
     defocus: float, motion: float
 ) -> None:
     light = np.zeros((61, 61), np.float32)

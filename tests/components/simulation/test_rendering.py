@@ -1,4 +1,4 @@
-"""The simulated camera's images are what a pinhole would show, to a fraction of a pixel."""
+"""The simulated camera's images agree with a pinhole projection to a fraction of a pixel."""
 
 import math
 from typing import Any
@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from cairn.components.simulation.rendering import CameraPose, ideal_image
 from cairn.components.simulation.textures import drawn_picture
-from cairn.components.simulation.view import Station, ideal_image
 from cairn.planar.poses import Pose
 from tests.components.simulation.seeing import LENS, POSTER, corners, cut_out, seen, stands
 
@@ -39,7 +39,7 @@ def expected(around: NDArray[np.float64]) -> NDArray[np.float32]:
 
 
 def within(around: NDArray[np.float64], border: int = 2) -> NDArray[np.bool_]:
-    """Pixels that far inside of four corners."""
+    """The pixels inside four corners by at least that margin."""
     mask = np.zeros((LENS.height, LENS.width), np.uint8)
     cv2.fillConvexPoly(mask, np.round(around).astype(np.int32), 1)
     size = 2 * border + 1
@@ -50,9 +50,7 @@ def within(around: NDArray[np.float64], border: int = 2) -> NDArray[np.bool_]:
     ("away", "aslant"),
     [(0.4, 0), (0.7, 0), (0.8, 40), (1.0, 70), (1.5, -75), (2.0, 30), (4.5, 0), (4.5, 20)],
 )
-def test_a_picture_is_where_the_projection_says_to_a_tenth_of_a_pixel(
-    away: float, aslant: int
-) -> None:
+def test_picture_is_at_its_projection_to_a_tenth_of_a_pixel(away: float, aslant: int) -> None:
     angle = math.radians(aslant)
     pose = (6.0 - away * math.cos(angle), 2.0 - away * math.sin(angle), angle)
     around = corners(POSTER, pose, 1.1)
@@ -89,7 +87,7 @@ def test_disparity_is_focal_length_times_baseline_over_depth(
         np.arange(x0, x1, dtype=np.float32), np.arange(y0, y1, dtype=np.float32)
     )
     one, found = left[y0:y1, x0:x1], float(round(true))
-    for _ in range(8):  # Gauss and Newton
+    for _ in range(8):  # Gauss-Newton
         other = cv2.remap(right, columns - np.float32(found), rows, cv2.INTER_CUBIC)
         slope = np.gradient(other, axis=1)
         found += float(np.sum(slope * (other - one)) / np.sum(slope**2))
@@ -98,7 +96,7 @@ def test_disparity_is_focal_length_times_baseline_over_depth(
 
 
 def shown(image: NDArray[np.float32], pose: Pose) -> float:
-    """How much what is seen at the poster's place is like it."""
+    """The similarity of the poster's picture with what the image shows at its place."""
     around = corners(POSTER, pose)
     inside = within(around)
     return float(np.corrcoef(image[inside], expected(around)[inside])[0, 1])
@@ -116,27 +114,27 @@ def shown(image: NDArray[np.float32], pose: Pose) -> float:
     ],
     ids=["nothing", "low", "high", "wall", "glass", "low wall"],
 )
-def test_what_is_high_and_in_between_hides(between: dict[str, Any], there: bool) -> None:
+def test_high_furniture_in_between_hides_a_picture(between: dict[str, Any], there: bool) -> None:
     pose = (2.0, 2.0, 0.0)
     image = seen(pose, objects=[POSTER], **between)
 
     assert (shown(image, pose) > 0.98) == there
 
 
-def test_a_person_hides_what_is_behind() -> None:
+def test_person_hides_what_is_behind() -> None:
     surfaces, atlas = stands(objects=[POSTER])
     pose = (2.0, 2.0, 0.0)
 
     def around(*people: tuple[float, float, float]) -> float:
         everybody = surfaces.with_people(np.array(people).reshape(-1, 3))
-        return shown(ideal_image(everybody, atlas, Station(pose, 1.0), LENS), pose)
+        return shown(ideal_image(everybody, atlas, CameraPose(pose, 1.0), LENS), pose)
 
     assert around() > 0.98
     assert around((4.0, 3.0, 0.25)) > 0.98
     assert around((4.0, 2.0, 0.4)) < 0.2
 
 
-def test_a_picture_has_a_blank_back_and_does_not_show_through_its_wall() -> None:
+def test_picture_has_a_blank_back_and_does_not_show_through_its_wall() -> None:
     partition = [{"points": ROOM}, {"points": [[4.0, 0.0], [4.0, 3.9]]}]
     on_it = {**POSTER, "x": 4.0}
     robot = {"x": 1.0, "y": 1.0}
@@ -152,7 +150,7 @@ def test_a_picture_has_a_blank_back_and_does_not_show_through_its_wall() -> None
     assert abs(float(free[inside].mean()) - float(without[inside].mean())) > 20
 
 
-def test_low_furniture_is_seen_over_to_its_far_edge() -> None:
+def test_camera_sees_over_low_furniture_from_its_far_edge_on() -> None:
     pose = (2.0, 2.0, 0.0)
     without, there = seen(pose), seen(pose, furniture=[{**LOW, "surface": "dark"}])
     changed = np.abs(there - without)[:, 320] > 1.0
@@ -165,8 +163,8 @@ def test_low_furniture_is_seen_over_to_its_far_edge() -> None:
     assert changed[rows[0] : rows[-1] + 1].mean() > 0.95
 
 
-def test_from_above_a_table_its_top_is_seen_and_what_is_beyond() -> None:
-    pose = (4.0, 2.0, 0.0)  # above its middle
+def test_camera_above_a_table_sees_its_top_and_what_is_beyond() -> None:
+    pose = (4.0, 2.0, 0.0)  # above its center
     without, there = seen(pose), seen(pose, furniture=[{**LOW, "surface": "dark"}])
     edge = LENS.cy + LENS.focal * (1.0 - 0.5) / 0.3
 
@@ -186,7 +184,7 @@ def test_from_above_a_table_its_top_is_seen_and_what_is_beyond() -> None:
 
 @given(st.floats(0.3, 5.7), st.floats(0.3, 3.7), st.floats(-3.1, 3.1), st.floats(0.1, 2.4))
 @settings(max_examples=20, deadline=None)
-def test_there_is_something_at_each_pixel_wherever_one_looks(
+def test_every_pixel_is_painted_from_every_pose(
     x: float, y: float, theta: float, height: float
 ) -> None:
     corner = {"name": "it", "x": 3.0, "y": 2.0, "theta": 0.4, "height": 0.7}
@@ -202,9 +200,7 @@ def test_there_is_something_at_each_pixel_wherever_one_looks(
 
 @given(st.floats(0.0, 0.02), st.floats(1.0, 2.5))
 @settings(max_examples=25, deadline=None)
-def test_a_pixel_at_an_edge_shows_as_much_of_either_side_as_it_covers(
-    step: float, away: float
-) -> None:
+def test_pixel_at_an_edge_is_the_mean_over_its_area(step: float, away: float) -> None:
     pose = (3.0 - away, 2.0, 0.0)
     thing = {**POSTER, "x": 3.0, "y": 2.0 + step, "theta": 0.0}  # its back is blank
     row = LENS.height // 2
@@ -219,7 +215,7 @@ def test_a_pixel_at_an_edge_shows_as_much_of_either_side_as_it_covers(
     assert there[whole - 1] == pytest.approx(plain[whole - 1], abs=0.1)
 
 
-def test_straightened_it_is_the_picture() -> None:
+def test_rectified_cutout_equals_the_picture() -> None:
     pose = (5.2, 2.2, -0.4)
     image = seen(pose, objects=[POSTER])
     height, width = PICTURE.shape

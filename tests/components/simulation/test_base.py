@@ -1,24 +1,25 @@
-"""The base: limits, lag, stale commands, and odometry whose errors are those that it states."""
+"""The base: limits, lag, stale commands, and odometry errors that match its covariance."""
 
 import math
 
 import numpy as np
 import pytest
 
-from cairn.components.simulation.encoders import EncoderErrors, Encoders
-from cairn.components.simulation.wheels import BaseLimits, Wheels
+from cairn.components.simulation.base import BaseLimits, EncoderErrors, Encoders, WheelDrive
 from cairn.planar.poses import Pose, compose, relative, wrap
 
 STEP = 0.02
 LIMITS = BaseLimits()
-ERRORS = EncoderErrors(way_scale=0.01, turn_scale=0.02, way=0.01, turn=0.02, turn_per_meter=0.01)
+ERRORS = EncoderErrors(
+    distance_scale=0.01, turn_scale=0.02, distance=0.01, turn=0.02, turn_per_meter=0.01
+)
 
 
 def driven(
     forward: float, turn: float, seconds: float, again: bool = True
 ) -> list[tuple[float, float]]:
-    """The speeds after each step, the command given once or again and again."""
-    wheels, speeds = Wheels(LIMITS), []
+    """The speeds after each step, for a command given once or repeatedly."""
+    wheels, speeds = WheelDrive(LIMITS), []
     for number in range(round(seconds / STEP)):
         if again or number == 0:
             wheels.command(number * STEP, forward, turn)
@@ -28,7 +29,7 @@ def driven(
 
 
 @pytest.mark.parametrize("sign", [1, -1])
-def test_speeds_and_accelerations_keep_their_limits(sign: int) -> None:
+def test_speeds_and_accelerations_stay_within_limits(sign: int) -> None:
     speeds = np.array(driven(sign * 9.0, sign * 9.0, 3.0))
     changes = np.diff(np.vstack(([0.0, 0.0], speeds)), axis=0) / STEP
 
@@ -39,14 +40,14 @@ def test_speeds_and_accelerations_keep_their_limits(sign: int) -> None:
     )
 
 
-def test_a_command_acts_after_the_lag() -> None:
+def test_command_takes_effect_after_the_lag() -> None:
     speeds = [forward for forward, _ in driven(0.5, 0.0, 0.2)]
 
     still = sum(speed == 0.0 for speed in speeds)
     assert still == math.ceil(LIMITS.lag_s / STEP) - 1
 
 
-def test_the_wheels_stop_when_commands_go_stale() -> None:
+def test_wheels_stop_when_commands_are_stale() -> None:
     speeds = [forward for forward, _ in driven(0.5, 0.5, 2.0, again=False)]
 
     assert max(speeds) > 0.15
@@ -58,7 +59,7 @@ def test_the_wheels_stop_when_commands_go_stale() -> None:
 
 
 def odometry(seed: int, errors: EncoderErrors) -> tuple[Encoders, Pose]:
-    """Twelve meters in two bends: what the wheels measured, and where they really went."""
+    """Twelve meters in two bends: the measured pose and the true one."""
     encoders, true = Encoders(errors, np.random.default_rng(seed)), (0.0, 0.0, 0.0)
     for number in range(200):
         turned = 0.03 if number < 100 else -0.015
@@ -76,12 +77,12 @@ def odometry(seed: int, errors: EncoderErrors) -> tuple[Encoders, Pose]:
         EncoderErrors(0.0, 0.0, 0.02, 0.03, 0.02),
     ],
 )
-def test_odometry_strays_as_far_as_its_covariance_says(errors: EncoderErrors) -> None:
+def test_odometry_errors_match_their_covariance(errors: EncoderErrors) -> None:
     runs = [odometry(seed, errors) for seed in range(60)]
     off = np.array([(e.pose[0] - t[0], e.pose[1] - t[1], wrap(e.pose[2] - t[2])) for e, t in runs])
     stated = np.mean([encoders.covariance for encoders, _ in runs], axis=0)
 
-    # 60 runs tell a standard deviation to 9 %; three times that.
+    # 60 runs estimate a standard deviation to 9 %; three times that.
     deviations, said = np.sqrt(np.mean(off**2, axis=0)), np.sqrt(np.diag(stated))
     for found, expected in zip(deviations, said, strict=True):
         if expected > 1e-3:
@@ -91,7 +92,7 @@ def test_odometry_strays_as_far_as_its_covariance_says(errors: EncoderErrors) ->
     assert relative(runs[0][1], runs[0][0].pose) != (0.0, 0.0, 0.0)
 
 
-def test_wheels_that_stand_measure_nothing() -> None:
+def test_standing_wheels_measure_nothing() -> None:
     encoders = Encoders(ERRORS, np.random.default_rng(0))
     encoders.measure(0.0, 0.0)
 

@@ -1,4 +1,4 @@
-"""Objects are recognized where a camera would see them, and as often as asked."""
+"""Objects are recognized where a camera would see them, as often as configured."""
 
 import math
 from collections.abc import Sequence
@@ -7,13 +7,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cairn.components.simulation.recognition import Eye, Recognized, Thing, recognized
-from cairn.components.simulation.scanning import Surroundings
-from cairn.components.simulation.scene import SURFACES
+from cairn.components.simulation.layout import SURFACES
+from cairn.components.simulation.recognizer import (
+    RecognizerModel,
+    SimulatedRecognition,
+    recognize,
+)
 from cairn.components.simulation.world_file import Surface
+from cairn.components.simulation.world_tracker import RayTargets, RecognizableObject
 from cairn.planar.poses import Pose
 
-EYE = Eye(
+EYE = RecognizerModel(
     field_of_view=math.radians(60),
     nearest=0.4,
     farthest=5.0,
@@ -21,34 +25,32 @@ EYE = Eye(
     range_sd=0.01,
     range_sd_m2=0.01,
     bearing_sd=0.02,
-    detected=1.0,
-    mistaken=0.0,
+    detection_probability=1.0,
+    confusion_probability=0.0,
 )
 ROBOT: Pose = (0.0, 0.0, 0.0)
-NOWHERE = Surroundings(np.zeros((0, 4)), np.zeros(0, np.uint8), np.zeros((0, 3)))
+NOWHERE = RayTargets(np.zeros((0, 4)), np.zeros(0, np.uint8), np.zeros((0, 3)))
 
 
-def facing(x: float, y: float, object_id: int = 1, aside: float = 0.0) -> Thing:
-    """An object that looks at the origin, or aside of it [rad]."""
-    return Thing(object_id, (x, y, math.atan2(-y, -x) + aside))
+def facing(x: float, y: float, object_id: int = 1, aside: float = 0.0) -> RecognizableObject:
+    """An object that faces the origin, or faces aside by an angle [rad]."""
+    return RecognizableObject(object_id, (x, y, math.atan2(-y, -x) + aside))
 
 
 def seen(
-    things: Sequence[Thing],
-    around: Surroundings = NOWHERE,
-    eye: Eye = EYE,
+    things: Sequence[RecognizableObject],
+    around: RayTargets = NOWHERE,
+    eye: RecognizerModel = EYE,
     mount: Pose = (0.0, 0.0, 0.0),
     seed: int = 0,
-) -> list[Recognized]:
-    return recognized(eye, ROBOT, mount, things, around, np.random.default_rng(seed))
+) -> list[SimulatedRecognition]:
+    return recognize(eye, ROBOT, mount, things, around, np.random.default_rng(seed))
 
 
-def across(x: float, surface: Surface = "plain") -> Surroundings:
-    """Something that stands across the view."""
+def across(x: float, surface: Surface = "plain") -> RayTargets:
+    """A segment across the view."""
     number = SURFACES[surface]
-    return Surroundings(
-        np.array([[x, -1.0, x, 1.0]]), np.array([number], np.uint8), np.zeros((0, 3))
-    )
+    return RayTargets(np.array([[x, -1.0, x, 1.0]]), np.array([number], np.uint8), np.zeros((0, 3)))
 
 
 @pytest.mark.parametrize(
@@ -65,27 +67,29 @@ def across(x: float, surface: Surface = "plain") -> Surroundings:
         (facing(2, 0, aside=math.pi), False),
     ],
 )
-def test_an_object_is_seen_in_view_in_reach_and_from_its_front(thing: Thing, there: bool) -> None:
+def test_object_is_recognized_in_view_in_range_and_from_its_front(
+    thing: RecognizableObject, there: bool
+) -> None:
     assert bool(seen([thing])) == there
 
 
-def test_what_stands_before_it_hides_it_but_not_what_it_hangs_on() -> None:
+def test_object_is_hidden_by_obstacles_but_not_by_its_own_wall() -> None:
     assert not seen([facing(2, 0)], across(1.0))
     assert seen([facing(2, 0)], across(2.0))
     assert seen([facing(2, 0)], across(3.0))
     assert seen([facing(2, 0)], across(1.0, "glass"))
-    person = Surroundings(np.zeros((0, 4)), np.zeros(0, np.uint8), np.array([[1.0, 0.0, 0.25]]))
+    person = RayTargets(np.zeros((0, 4)), np.zeros(0, np.uint8), np.array([[1.0, 0.0, 0.25]]))
     assert not seen([facing(2, 0)], person)
 
 
-def test_range_and_bearing_are_from_the_base_wherever_the_camera_sits() -> None:
+def test_range_and_bearing_are_relative_to_the_base_for_each_camera_mount() -> None:
     (one,) = seen([facing(3, 0.5)], mount=(0.5, 0.2, 0.4))
 
     assert one.range_m == pytest.approx(math.hypot(3, 0.5), abs=4 * one.range_sd)
     assert one.bearing == pytest.approx(math.atan2(0.5, 3), abs=4 * one.bearing_sd)
 
 
-def test_errors_have_the_stated_deviation() -> None:
+def test_errors_have_the_configured_deviation() -> None:
     found = [seen([facing(2, 0)], seed=seed)[0] for seed in range(800)]
 
     assert found[0].range_sd == pytest.approx(0.05)
@@ -93,11 +97,11 @@ def test_errors_have_the_stated_deviation() -> None:
     assert np.std([one.bearing / one.bearing_sd for one in found]) == pytest.approx(1, abs=0.1)
 
 
-def test_objects_are_missed_and_mistaken_as_often_as_asked() -> None:
-    eye = replace(EYE, detected=0.7, mistaken=0.2)
+def test_objects_are_missed_and_confused_as_often_as_configured() -> None:
+    eye = replace(EYE, detection_probability=0.7, confusion_probability=0.2)
     things = [facing(2, 0, 1), facing(-2, 0, 2), facing(-2, 1, 3)]
     random = np.random.default_rng(0)
-    found = [recognized(eye, ROBOT, (0, 0, 0), things, NOWHERE, random) for _ in range(2000)]
+    found = [recognize(eye, ROBOT, (0, 0, 0), things, NOWHERE, random) for _ in range(2000)]
     ids = [one.object_id for sighting in found for one in sighting]
 
     assert len(ids) / 2000 == pytest.approx(0.7, abs=0.04)
@@ -105,8 +109,8 @@ def test_objects_are_missed_and_mistaken_as_often_as_asked() -> None:
     assert ids.count(2) == pytest.approx(ids.count(3), rel=0.35)
 
 
-def test_what_one_object_does_changes_nothing_for_the_others() -> None:
-    eye = replace(EYE, mistaken=0.5)
+def test_random_numbers_of_objects_are_independent() -> None:
+    eye = replace(EYE, confusion_probability=0.5)
     other = facing(3, 0.2, 2)
     for seed in range(20):
         with_it = seen([facing(2, -0.5, 1), other], eye=eye, seed=seed)[-1]

@@ -1,4 +1,4 @@
-"""Rays and clearances agree with what one would compute by hand."""
+"""Rays and clearances agree with a direct computation."""
 
 import math
 
@@ -8,7 +8,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from cairn.components.simulation.rays import NOTHING, cast, clearance
+from cairn.components.simulation.ray_casting import NOTHING, cast, clearance
 
 COORDINATE = st.floats(-8, 8).map(lambda value: round(value, 2))
 SEGMENTS = arrays.arrays(np.float64, st.tuples(st.integers(0, 6), st.just(4)), elements=COORDINATE)
@@ -42,13 +42,13 @@ def reference(x: float, y: float, angle: float, segments: np.ndarray, circles: n
 
 @given(COORDINATE, COORDINATE, st.floats(-3.14, 3.14), SEGMENTS, CIRCLES)
 @settings(max_examples=150, deadline=None)
-def test_a_ray_ends_at_the_first_thing_that_it_meets(
+def test_ray_ends_at_the_first_thing_that_it_hits(
     x: float, y: float, angle: float, segments: np.ndarray, circles: np.ndarray
 ) -> None:
     expected, less, more = (
         reference(x, y, angle + turn, segments, circles) for turn in (0.0, -1e-3, 1e-3)
     )
-    # Not where a hair's breadth decides what is met.
+    # Skip cases in which rounding decides what is hit.
     assume(math.isinf(less) == math.isinf(more) == math.isinf(expected))
     assume(
         expected > 0.0
@@ -57,7 +57,7 @@ def test_a_ray_ends_at_the_first_thing_that_it_meets(
 
     found, what = one_ray(x, y, angle, segments, circles)
 
-    # A ray that just grazes an end may hit it or what is behind: as one that is turned by a hair.
+    # A ray that grazes an end may hit it or what is behind, as a ray at a slightly other angle.
     nearest, farthest = min(less, expected, more), max(less, expected, more)
     assert nearest - 2e-3 <= found <= farthest + 2e-3
     assert (what == NOTHING) == math.isinf(expected)
@@ -65,7 +65,7 @@ def test_a_ray_ends_at_the_first_thing_that_it_meets(
 
 @given(COORDINATE, COORDINATE, SEGMENTS)
 @settings(max_examples=100, deadline=None)
-def test_the_clearance_is_the_distance_to_the_nearest_segment(
+def test_clearance_is_the_distance_to_the_nearest_segment(
     x: float, y: float, segments: np.ndarray
 ) -> None:
     found, what = clearance(x, y, segments, np.zeros((0, 3)))
@@ -80,7 +80,7 @@ def test_the_clearance_is_the_distance_to_the_nearest_segment(
         assert (found, what) == (math.inf, NOTHING)
 
 
-def test_a_person_is_nearer_than_the_wall_behind() -> None:
+def test_person_is_hit_before_the_wall_behind() -> None:
     wall, person = np.array([[5.0, -1.0, 5.0, 1.0]]), np.array([[3.0, 0.0, 0.25]])
 
     assert one_ray(0, 0, 0, wall, person) == (2.75, 1)

@@ -1,4 +1,4 @@
-"""Draws a world file."""
+"""Draw a world file as a plan."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon
 
-from cairn.components.simulation.scene import corners_of
+from cairn.components.simulation.layout import corners_of
 from cairn.components.simulation.world_file import WorldFile
 
 _COLORS = {"plain": "tab:gray", "dark": "black", "glass": "tab:cyan"}
@@ -20,7 +20,7 @@ _WIDTH_IN, _LABEL_PT, _ARROW_M = 9.0, 7.0, 0.35
 
 
 def draw_world(world: WorldFile, radius: float, file: Path) -> None:
-    """Walls, furniture, objects with the way they face, people's ways, and the robot's start."""
+    """Draw walls, furniture, objects with directions, people's routes, and the robot's start."""
     points = np.array([point for wall in world.walls for point in wall.points])
     (left, bottom), (right, top) = points.min(axis=0), points.max(axis=0)
     width, height = right - left, top - bottom
@@ -32,7 +32,7 @@ def draw_world(world: WorldFile, radius: float, file: Path) -> None:
     for piece in world.furniture:
         color = _COLORS[piece.surface]
         axes.add_patch(Polygon(corners_of(piece), facecolor=color, alpha=0.4, edgecolor=color))
-    for name, (x, y) in label_places(world, (width + 1.0) / _WIDTH_IN).items():
+    for name, (x, y) in label_positions(world, (width + 1.0) / _WIDTH_IN).items():
         axes.text(x, y, name, ha="center", va="center", fontsize=_LABEL_PT)
     for thing in world.objects:
         _arrow(axes, thing.pose, _ARROW_M, "tab:red")
@@ -51,17 +51,17 @@ def draw_world(world: WorldFile, radius: float, file: Path) -> None:
     figure.savefig(file, dpi=100)
 
 
-def label_places(world: WorldFile, meters_per_inch: float) -> dict[str, tuple[float, float]]:
-    """The middle of each piece of furniture's name [m]: on it if it is large enough, else beside.
+def label_positions(world: WorldFile, meters_per_inch: float) -> dict[str, tuple[float, float]]:
+    """Return the center [m] of each furniture label: on the furniture if it is large enough.
 
-    Beside it is where the name covers no other piece, name or object, if there is such a place.
+    Otherwise beside it, where the label covers no other furniture, label or object if possible.
     """
     outlines = {piece.name: shapely.Polygon(corners_of(piece)) for piece in world.furniture}
     point = meters_per_inch / 72.0
     high, gap = 1.2 * _LABEL_PT * point, 0.3 * _LABEL_PT * point
     objects = [shapely.Point(thing.x, thing.y).buffer(_ARROW_M) for thing in world.objects]
-    taken = [*outlines.values(), *objects]
-    places = {}
+    occupied = [*outlines.values(), *objects]
+    positions = {}
     for name, outline in outlines.items():
         left, bottom, right, top = outline.bounds
         wide = 0.6 * _LABEL_PT * len(name) * point
@@ -72,11 +72,11 @@ def label_places(world: WorldFile, meters_per_inch: float) -> dict[str, tuple[fl
                 (x + right_of * off_x, y + above * off_y)
                 for right_of, above in ((1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, -1))
             ]
-            covered = [_covered(_box(place, wide, high), taken) for place in around]
+            covered = [_covered_area(_box(position, wide, high), occupied) for position in around]
             x, y = around[covered.index(min(covered))]
-            taken.append(_box((x, y), wide, high))
-        places[name] = (x, y)
-    return places
+            occupied.append(_box((x, y), wide, high))
+        positions[name] = (x, y)
+    return positions
 
 
 def _box(middle: tuple[float, float], wide: float, high: float) -> shapely.Polygon:
@@ -84,8 +84,8 @@ def _box(middle: tuple[float, float], wide: float, high: float) -> shapely.Polyg
     return shapely.box(x - wide / 2, y - high / 2, x + wide / 2, y + high / 2)
 
 
-def _covered(box: shapely.Polygon, taken: Sequence[shapely.Polygon]) -> float:
-    return float(sum(box.intersection(one).area for one in taken))
+def _covered_area(box: shapely.Polygon, occupied: Sequence[shapely.Polygon]) -> float:
+    return float(sum(box.intersection(one).area for one in occupied))
 
 
 def _arrow(axes: Axes, pose: tuple[float, float, float], length: float, color: str) -> None:

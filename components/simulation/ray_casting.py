@@ -1,4 +1,4 @@
-"""Rays against what stands and who walks: how far, and what was hit."""
+"""Ray casting: ranges of beams to walls, furniture and people, and clearances."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ NOTHING = -1
 def cast(
     starts: Array, angles: Array, segments: Array, circles: Array, reach: float
 ) -> tuple[Array, NDArray[np.int64]]:
-    """Ranges (n,) [m] of rays from `starts` (n, 2) [m] in directions `angles` (n,) [rad].
+    """Return ranges (n,) [m] of rays from `starts` (n, 2) [m] in directions `angles` (n,) [rad].
 
-    Against `segments` (m, 4) x1, y1, x2, y2 and `circles` (k, 3) x, y, radius [m]. The second
-    result says what was hit: the number of a segment, m + that of a circle, or -1 for nothing
-    within `reach` [m], where the range is infinite.
+    The rays meet `segments` (m, 4) x1, y1, x2, y2 and `circles` (k, 3) x, y, radius [m]. The second
+    result is the index of what was hit: of a segment, m + index of a circle, or -1 if nothing is
+    within `reach` [m]; the range is infinite then.
     """
     ranges = np.empty(angles.size)
     hit = np.empty(angles.size, np.int64)
@@ -29,7 +29,7 @@ def cast(
 
 
 def clearance(x: float, y: float, segments: Array, circles: Array) -> tuple[float, int]:
-    """Distance [m] from a point to the nearest thing (negative inside a circle), and which."""
+    """Return distance [m] and index of the nearest thing to a point; negative inside a circle."""
     return _clearance(x, y, segments, circles)
 
 
@@ -51,7 +51,8 @@ def _cast(
         cosine, sine = math.cos(angles[i]), math.sin(angles[i])
         best, what = reach, NOTHING
         for j in range(segments.shape[0]):
-            # In the ray's own axes: the segment crosses it where the offset changes its sign.
+            # In the ray's own axes the segment crosses the ray where the lateral offset changes
+            # sign.
             ax, ay = segments[j, 0] - x, segments[j, 1] - y
             bx, by = segments[j, 2] - x, segments[j, 3] - y
             off_a = cosine * ay - sine * ax
@@ -73,7 +74,7 @@ def _cast(
             half = math.sqrt(left)
             along = middle - half
             if along < 0.0 and middle + half > 0.0:
-                along = 0.0  # the ray begins inside
+                along = 0.0  # the ray starts inside
             if 0.0 <= along < best:
                 best, what = along, segments.shape[0] + k
         ranges[i] = best if what != NOTHING else math.inf

@@ -1,4 +1,4 @@
-"""What stands in the world: walls, furniture and objects, and where there is room."""
+"""The layout of a world: walls, furniture and objects, and the free space between them."""
 
 from __future__ import annotations
 
@@ -20,21 +20,27 @@ from cairn.components.simulation.world_file import (
     Wall,
     WorldFile,
 )
+from cairn.planar.messages import packed_poses
 from cairn.planar.poses import Pose, compose
+from cairn.schemas import cairn_sim_msgs
+from cairn.schemas.cairn_msgs import VisualMap, VisualObject
+from cairn.schemas.std_msgs import Header
 
 SURFACES: dict[Surface, int] = {"plain": 0, "dark": 1, "glass": 2}
-# Things that overlap by less than this [m] touch each other.
+# Things that overlap by less than this [m] only touch: coordinates in world files are rounded.
 TOUCH_M = 0.02
-# Less room than this [m^2] between furniture and walls is no place within the walls.
+# What is this near in front of an object's center does not hide it: it hangs there [m].
+BEHIND_M = 0.1
+# A gap between furniture and walls with less area [m^2] than this does not count as inside.
 _ROOM_M2 = 0.01
 
 
 @dataclass(frozen=True)
-class Standing:
-    """What stops beams: segments (m, 4) x1, y1, x2, y2 [m], their surfaces and names (m,).
+class SolidSegments:
+    """All that stops beams: segments (m, 4) x1, y1, x2, y2 [m], their surfaces and names (m,).
 
-    `heights` (m,) [m] are 0 where a camera sees no side but an object's picture. Those of one piece
-    of furniture have its number from 1 on in `solids` (m,), all others 0.
+    `heights` (m,) [m] are 0 for objects, of which a camera sees the picture and no sides. `solids`
+    (m,) numbers the pieces of furniture from 1 on; it is 0 for all other segments.
     """
 
     segments: NDArray[np.float64]
@@ -45,8 +51,11 @@ class Standing:
 
 
 @dataclass(frozen=True)
-class Scene:
-    """What stands, by name. `version` goes up with every change; a change gives a new scene."""
+class WorldLayout:
+    """Walls, furniture and objects by name; `version` increases with each change.
+
+    The layout is immutable: a change returns a new one.
+    """
 
     walls: tuple[Wall, ...]
     furniture: Mapping[str, Furniture]
@@ -54,39 +63,39 @@ class Scene:
     version: int = 0
 
     @staticmethod
-    def of(world: WorldFile) -> Scene:
-        """The scene at the beginning."""
-        return Scene(
+    def of(world: WorldFile) -> WorldLayout:
+        """Return the layout at the start of a world."""
+        return WorldLayout(
             tuple(world.walls),
             {one.name: one for one in world.furniture},
-            {one.called: one for one in world.objects},
+            {one.display_name: one for one in world.objects},
         )
 
     @property
     def names(self) -> list[str]:
-        """Of all that can be moved."""
+        """Return the names of all that can be moved."""
         return [*self.furniture, *self.objects]
 
     def pose_of(self, name: str) -> Pose:
-        """Where a thing stands; `CairnError` if there is no such thing."""
+        """Return the pose of a thing; raise `CairnError` if it does not exist."""
         return self._thing(name).pose
 
-    def moved(self, poses: Mapping[str, Pose]) -> Scene:
-        """With furniture and objects put elsewhere, all at once.
+    def with_moved(self, poses: Mapping[str, Pose]) -> WorldLayout:
+        """Return a layout with furniture and objects moved, all at once.
 
-        `CairnError` if there is no such thing, or it would overlap another or be outside.
+        Raises `CairnError` if a thing does not exist, would overlap another or would be outside.
         """
         new = self
         for name, (x, y, theta) in poses.items():
             thing = self._thing(name)
             new = new._with(thing.model_copy(update={"x": x, "y": y, "theta": theta}))
         for name in poses:
-            new.refuse_overlaps(name)
-            new.refuse_outside(name)
+            new.require_no_overlap(name)
+            new.require_inside(name)
         return new
 
-    def without(self, name: str) -> Scene:
-        """With a piece of furniture or an object taken away; `CairnError` if it is not there."""
+    def without(self, name: str) -> WorldLayout:
+        """Return a layout without a thing; raise `CairnError` if it does not exist."""
         self._thing(name)
         return replace(
             self,
@@ -95,32 +104,38 @@ class Scene:
             version=self.version + 1,
         )
 
-    def joined(self, thing: Furniture | VisibleObject) -> Scene:
-        """With something new; `CairnError` if its name or id is taken, or it cannot be there."""
+    def with_added(self, thing: Furniture | VisibleObject) -> WorldLayout:
+        """Return a layout with a new thing.
+
+        Raises `CairnError` if its name or id is taken or its pose is not possible.
+        """
         if isinstance(thing, VisibleObject):
-            twins = [name for name, one in self.objects.items() if one.id == thing.id]
-            if twins:
-                raise CairnError(f"{twins[0]} has the id {thing.id} already; give another id")
-        if thing.called in self.names:
-            raise CairnError(f"there is a {thing.called} already; give another name")
+            same_id = [name for name, one in self.objects.items() if one.id == thing.id]
+            if same_id:
+                raise CairnError(f"{same_id[0]} already has the id {thing.id}; choose another id")
+        if thing.display_name in self.names:
+            raise CairnError(f"{thing.display_name} exists already; choose another name")
         new = self._with(thing)
-        new.refuse_overlaps(thing.called)
-        new.refuse_outside(thing.called)
+        new.require_no_overlap(thing.display_name)
+        new.require_inside(thing.display_name)
         return new
 
-    def refuse_overlaps(self, name: str, but: Collection[str] = ()) -> None:
-        """`CairnError` if a piece of furniture overlaps a wall or another one that is not in `but`.
+    def require_no_overlap(self, name: str, except_for: Collection[str] = ()) -> None:
+        """Raise `CairnError` if furniture overlaps a wall or other furniture.
 
-        Also if its outline is none.
+        Furniture in `except_for` does not count. Also if its outline is not a simple polygon.
         """
         shape = self.shapes.get(name)
         if name not in self.furniture or shape is None:
             return
         if not shape.is_valid or shape.area <= 0:
-            raise CairnError(f"the outline of {name} crosses itself or is empty; mend it")
+            raise CairnError(
+                f"the outline of {name} crosses itself or is empty; correct the order of its "
+                "corners"
+            )
         core = shape.buffer(-_shrink(shape))
         for other, its_shape in self.shapes.items():
-            if other == name or other in but or other in self.objects:
+            if other == name or other in except_for or other in self.objects:
                 continue
             rest = its_shape
             if other in self.furniture:
@@ -132,8 +147,8 @@ class Scene:
                     f"{name} overlaps {other} at ({where.x:.2f}, {where.y:.2f}); move one of them"
                 )
 
-    def refuse_outside(self, name: str) -> None:
-        """`CairnError` if a piece of furniture stands wholly outside of the walls."""
+    def require_inside(self, name: str) -> None:
+        """Raise `CairnError` if a piece of furniture is completely outside the walls."""
         piece, shape = self.furniture.get(name), self.shapes.get(name)
         if piece is None or shape is None:
             return
@@ -142,17 +157,17 @@ class Scene:
         without = _beyond(others, around, 0.0)
         if not without.covers(shape.representative_point()):
             return
-        # What closes a gap in the walls, as a door does, stands neither outside nor inside.
+        # Furniture that closes a gap in the walls, like a door, is neither outside nor inside.
         behind = without.difference(_beyond(list(self.shapes.values()), around, 0.0))
         if behind.difference(shape.buffer(2 * TOUCH_M)).area < _ROOM_M2:
             raise CairnError(
-                f"{name} cannot be at ({piece.x:.2f}, {piece.y:.2f}): that is outside of the "
-                "walls, or they leave a gap; choose a place within, or close them"
+                f"{name} cannot be at ({piece.x:.2f}, {piece.y:.2f}): the position is outside the "
+                "walls, or they leave a gap; choose a position inside, or close the gap"
             )
 
     @cached_property
-    def standing(self) -> Standing:
-        """All that stops beams."""
+    def solid_segments(self) -> SolidSegments:
+        """Return all that stops beams."""
         rows: list[tuple[float, float, float, float]] = []
         surfaces: list[int] = []
         names: list[str] = []
@@ -180,9 +195,9 @@ class Scene:
             line([*corners, corners[0]], one.surface, one.name, one.height, number)
         for thing in self.objects.values():
             if thing.solid:
-                line(_ends_of(thing), "plain", thing.called)
+                line(_ends_of(thing), "plain", thing.display_name)
         segments = np.array(rows, np.float64).reshape(-1, 4)
-        return Standing(
+        return SolidSegments(
             segments,
             np.array(surfaces, np.uint8),
             tuple(names),
@@ -192,7 +207,7 @@ class Scene:
 
     @cached_property
     def shapes(self) -> dict[str, BaseGeometry]:
-        """What takes room, by name: walls and panels as lines, furniture as polygons."""
+        """Return the occupied shapes by name: walls and panels as lines, furniture as polygons."""
         shapes: dict[str, BaseGeometry] = {}
         for number, wall in enumerate(self.walls, start=1):
             shapes[f"wall {number}"] = shapely.LineString(wall.points)
@@ -203,8 +218,8 @@ class Scene:
                 shapes[name] = shapely.LineString(_ends_of(thing))
         return shapes
 
-    def refuse_place(self, what: str, x: float, y: float, radius: float) -> None:
-        """`CairnError` if something stands within `radius` [m] of a place, or it is outside."""
+    def require_room(self, what: str, x: float, y: float, radius: float) -> None:
+        """Raise `CairnError` if a position is outside or something is within `radius` [m]."""
         spot = shapely.Point(x, y)
         name, room = min(
             ((name, shape.distance(spot)) for name, shape in self.shapes.items()),
@@ -213,20 +228,21 @@ class Scene:
         if room < radius:
             raise CairnError(
                 f"{what} cannot be at ({x:.2f}, {y:.2f}): {name} is {room:.2f} m from there, and "
-                f"it takes {radius:g} m; choose another place"
+                f"it needs {radius:g} m; choose another position"
             )
         if self.outside(x, y, radius):
             raise CairnError(
-                f"{what} cannot be at ({x:.2f}, {y:.2f}): that is outside of the walls, or they "
-                "leave a gap; choose a place within, or close them"
+                f"{what} cannot be at ({x:.2f}, {y:.2f}): the position is outside the walls, or "
+                "they "
+                "leave a gap; choose a position inside, or close the gap"
             )
 
     def outside(self, x: float, y: float, radius: float) -> bool:
-        """Whether something of that radius [m] could go from there to beyond the walls."""
+        """Return whether a disc of that radius [m] could move from there to beyond the walls."""
         return self.outside_of(radius)(x, y)
 
     def outside_of(self, radius: float) -> Callable[[float, float], bool]:
-        """The same for many places, because to find out what is beyond takes long."""
+        """Return the same test for many positions; the area beyond the walls is computed once."""
         around = self._around(radius)
         beyond = _beyond(list(self.shapes.values()), around, radius)
         shapely.prepare(beyond)
@@ -238,28 +254,28 @@ class Scene:
         return outside
 
     def _around(self, radius: float) -> shapely.Polygon:
-        """A rectangle around all, with room outside for something of that radius [m]."""
+        """Return a rectangle around everything, with space for a disc of that radius [m]."""
         return shapely.box(
             *shapely.union_all(list(self.shapes.values())).buffer(2 * radius + 1).bounds
         )
 
-    def _with(self, thing: Furniture | VisibleObject) -> Scene:
+    def _with(self, thing: Furniture | VisibleObject) -> WorldLayout:
         version = self.version + 1
         if isinstance(thing, Furniture):
-            furniture = {**self.furniture, thing.called: thing}
+            furniture = {**self.furniture, thing.display_name: thing}
             return replace(self, furniture=furniture, version=version)
-        return replace(self, objects={**self.objects, thing.called: thing}, version=version)
+        return replace(self, objects={**self.objects, thing.display_name: thing}, version=version)
 
     def _thing(self, name: str) -> Furniture | VisibleObject:
         thing = self.furniture.get(name) or self.objects.get(name)
         if thing is None:
-            raise unknown(name, self.names)
+            raise unknown_name(name, self.names)
         return thing
 
 
 def _beyond(shapes: list[BaseGeometry], around: shapely.Polygon, radius: float) -> BaseGeometry:
-    """Where something of that radius [m] could be, coming from beyond all shapes."""
-    # Lines part the plane only with some width.
+    """Return the area that a disc of that radius [m] can reach from beyond all shapes."""
+    # A line separates the plane only if it has some width.
     solid = shapely.union_all(shapes).buffer(max(radius, 0.01))
     corner = shapely.Point(around.bounds[:2])
     parts: list[BaseGeometry] = list(shapely.get_parts(around.difference(solid)))
@@ -267,22 +283,56 @@ def _beyond(shapes: list[BaseGeometry], around: shapely.Polygon, radius: float) 
 
 
 def _shrink(shape: BaseGeometry) -> float:
-    """By how much [m] to shrink a piece of furniture, so that what only touches it does not overlap
-    it: half of what counts as a touch, and less of what is thin.
+    """Return by how much [m] to shrink furniture so that touching does not count as overlapping.
+
+    It is half the tolerance, and less for thin furniture.
     """
     return float(min(TOUCH_M / 2, 0.4 * shapely.minimum_clearance(shape)))
 
 
-def unknown(name: str, known: list[str]) -> CairnError:
-    """The error for a thing that is not there."""
-    return CairnError(f"there is no {name}; there are {', '.join(sorted(known)) or 'none'}")
+def unknown_name(name: str, known: list[str]) -> CairnError:
+    """Return the error for a name that does not exist."""
+    return CairnError(f"{name} does not exist; there are {', '.join(sorted(known)) or 'none'}")
 
 
 def corners_of(one: Furniture) -> list[tuple[float, float]]:
-    """The corners [m] of a piece of furniture in the world."""
+    """Return the corners [m] of a piece of furniture in the world frame."""
     return [compose(one.pose, (x, y, 0.0))[:2] for x, y in one.corners]
 
 
 def _ends_of(panel: VisibleObject) -> list[tuple[float, float]]:
     half = panel.width / 2
     return [compose(panel.pose, (0.0, side, 0.0))[:2] for side in (half, -half)]
+
+
+def geometry_message(header: Header, layout: WorldLayout) -> cairn_sim_msgs.WorldGeometry:
+    """Return the layout as the message for the sensor drivers."""
+    things = list(layout.objects.values())
+    poses = np.array([thing.pose for thing in things], np.float64).reshape(-1, 3)
+    sizes = np.array([thing.size for thing in things], np.float64).reshape(-1, 2)
+    solid = layout.solid_segments
+    return cairn_sim_msgs.WorldGeometry(
+        header=header,
+        segments=solid.segments.ravel(),
+        surfaces=solid.surfaces,
+        heights=solid.heights,
+        solids=solid.solids,
+        object_ids=np.array([thing.id for thing in things], np.uint32),
+        object_names=tuple(thing.display_name for thing in things),
+        object_poses=packed_poses(poses),
+        object_sizes=sizes.ravel(),
+        object_zs=np.array([thing.z for thing in things], np.float64),
+        object_textures=tuple(str(thing.texture or "") for thing in things),
+    )
+
+
+def true_map(header: Header, layout: WorldLayout) -> VisualMap:
+    """Return the layout as the true visual map."""
+    return VisualMap(
+        header=header,
+        version=layout.version,
+        objects=tuple(
+            VisualObject(object_id=thing.id, name=thing.display_name, x=thing.x, y=thing.y)
+            for thing in layout.objects.values()
+        ),
+    )
