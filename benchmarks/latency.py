@@ -7,13 +7,13 @@ import numpy as np
 
 from benchmarks.result import Figure
 from benchmarks.running import results, run_deployment
+from cairn import Supervisor
 from cairn.bus.qos import RELIABLE, SENSOR
 from cairn.runtime.component import Component
 from cairn.runtime.ports import In, Out, every, on
 from cairn.schemas.geometry_msgs import Twist, Vector3
 from cairn.schemas.sensor_msgs import Image
 from cairn.schemas.std_msgs import Header
-from cairn.supervision.component import SupervisorComponent
 
 _HERE = "benchmarks.latency"
 _SECONDS = 10
@@ -51,7 +51,7 @@ class Camera(Component):
         self.image.publish(self._image)
 
 
-class Household(SupervisorComponent):
+class BenchmarkSupervisor(Supervisor):
     """Hosts the reader and its slow neighbor in one process."""
 
 
@@ -98,7 +98,7 @@ def measure() -> list[Figure]:
     output = run_deployment(
         {
             "household": {
-                "plugin": f"{_HERE}:Household",
+                "plugin": f"{_HERE}:BenchmarkSupervisor",
                 "children": {
                     "slow": {"plugin": f"{_HERE}:SlowReader", "placement": "in_process"},
                     "reader": {

@@ -37,6 +37,10 @@ class ExitReport:
             return 1
         return 0 if self.success else WORK_NOT_DONE
 
+    def for_supervisor(self) -> "ExitReport":
+        """Return the report with a reason that says "failed" if it did."""
+        return self if self.normal else ExitReport(False, f"failed: {self.reason}")
+
 
 class ExitLog:
     """Finds the last words of a process in its component's log. Create it before the process.

@@ -14,8 +14,8 @@ from pathlib import Path
 
 from cairn.clock import SECOND
 from cairn.errors import CairnError
-from cairn.placement.process import LOG_FORMAT
-from cairn.supervision.linux import set_parent_death_signal
+from cairn.placement.component_process import LOG_FORMAT
+from cairn.supervision.orphan_cleanup import set_parent_death_signal
 
 
 @contextmanager

@@ -29,9 +29,9 @@ from cairn.deployment.load import assembled, read_sources
 from cairn.deployment.model import Deployment
 from cairn.deployment.plugins import plugin_modules
 from cairn.errors import CairnError
-from cairn.placement.lockstep_run import LockstepRun
-from cairn.placement.root import run_processes, started_zygote
-from cairn.placement.service import ServiceManager, service_manager
+from cairn.placement.lockstep import LockstepRun
+from cairn.placement.process_run import run_processes, started_zygote
+from cairn.placement.systemd_notify import ServiceManager, service_manager
 from cairn.process_exit import ExitReport
 from cairn.schemas.rcl_interfaces import Log
 from cairn.supervision.zygote_process import ZygoteProcess

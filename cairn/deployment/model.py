@@ -16,7 +16,7 @@ Strategy = Literal["one_for_one", "rest_for_one", "one_for_all"]
 
 ROOT = "root"
 VIEW = "cairn_up"
-_ROOT_PLUGIN = "cairn.supervision.component:SupervisorComponent"
+_ROOT_PLUGIN = "cairn.supervision.supervisor:Supervisor"
 RESERVED = {
     ROOT: "the root of the tree of components",
     VIEW: "the node with which `cairn up` listens",

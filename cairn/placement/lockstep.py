@@ -1,13 +1,119 @@
-"""The lockstep executor: virtual time, one thread, events in time order; same seed, same run."""
+"""Lockstep: a whole deployment on one thread and virtual time; the same seed, the same run."""
 
 import heapq
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from functools import partial
 
+from cairn.bus.lockstep_bus import LockstepBus
+from cairn.clock import SECOND
+from cairn.deployment.model import ROOT, ChildSpec, Deployment
+from cairn.deployment.plugins import load_plugin
 from cairn.errors import CairnError
+from cairn.process_exit import ExitReport
+from cairn.runtime.launch_request import LaunchRequest, RunContext
+from cairn.runtime.lifecycle import Transition
+from cairn.runtime.runtime import Runtime
+from cairn.supervision.child import ChildHandle, Verb
+from cairn.supervision.supervisor import Supervisor
 
-_EVENTS_AT_ONE_TIME = 1_000_000
+_HEARTBEAT_NS = SECOND
+_CALLS_AT_ONE_TIME = 1_000_000
+
+
+class LockstepRun:
+    """A deployment on virtual time; `bus` may be watched, `executor` is its clock.
+
+    `run` runs it from beginning to end. To run it piece by piece: `start`, then `executor.run_to`
+    or `run_until` as often as wanted, then `shutdown`.
+    """
+
+    def __init__(self, deployment: Deployment, seed: int) -> None:
+        """Raises `CairnError` if the root cannot be constructed."""
+        self.executor = LockstepExecutor()
+        self.bus = LockstepBus()
+        self.robot = deployment.robot
+        self.simulated = deployment.clock == "simulated"
+        self.seed = seed
+        self.end: ExitReport | None = None
+        self._root = _LockstepHost(self, ROOT, deployment.root(), self._note_exit)
+        self._stopping = False
+
+    def run(self, refresh: Callable[[], None]) -> ExitReport:
+        """Run until a significant component ends, all fails, or `stop`; return how it ended.
+
+        `refresh` is called before every event.
+        """
+
+        def refreshed() -> bool:
+            refresh()
+            return False
+
+        self._configure()
+        try:
+            with suppress(CairnError):  # the root has ended then, with that as its reason
+                self._root.runtime.transition(Transition.ACTIVATE)
+            self.run_until(refreshed)
+        finally:
+            self.shutdown()
+        return self.end or ExitReport(False, "the root ended without a report")
+
+    def start(self) -> None:
+        """Configure and activate all components.
+
+        Raises `CairnError` if one of them cannot be; the run has ended then, with that as its
+        reason.
+        """
+        self._configure()
+        self._root.runtime.transition(Transition.ACTIVATE)
+
+    def run_until(self, condition: Callable[[], bool]) -> None:
+        """Run until `condition()` holds, which is checked before every event, or until the end.
+
+        The end is the deployment's own, or that of `stop`.
+        """
+        self.executor.run(lambda: condition() or self.end is not None or self._stopping)
+
+    def shutdown(self) -> None:
+        """Shut down all components, unless the run has ended."""
+        if self.end is None:
+            self._root.runtime.transition(Transition.SHUTDOWN)
+
+    def stop(self) -> None:
+        """End the run at the next event; from a signal handler."""
+        self._stopping = True
+
+    def runtime(self, component: str) -> Runtime:
+        """Return what runs a component, which takes requests and has its state.
+
+        Raises `CairnError` if no component of that name runs.
+        """
+        return self._host(component).runtime
+
+    def suspend(self, component: str) -> None:
+        """Have a component make no further calls, as if its process were stopped (SIGSTOP).
+
+        Raises `CairnError` if no component of that name runs.
+        """
+        self._host(component).suspend()
+
+    def _configure(self) -> None:
+        self.executor.at(0, self._publish_heartbeats)
+        self._root.runtime.transition(Transition.CONFIGURE)
+
+    def _host(self, component: str) -> "_LockstepHost":
+        for host in self._root.tree():
+            if host.runtime.name == component:
+                return host
+        raise CairnError(f"{component}: no component of this name runs in lockstep")
+
+    def _note_exit(self, report: ExitReport) -> None:
+        self.end = report
+
+    def _publish_heartbeats(self) -> None:
+        self._root.publish_heartbeats()
+        self.executor.at(self.executor.now() + _HEARTBEAT_NS, self._publish_heartbeats)
 
 
 class LockstepExecutor:
@@ -20,26 +126,26 @@ class LockstepExecutor:
         self._calls_at_now = 0
 
     def now(self) -> int:
-        """Virtual time in nanoseconds."""
+        """Return the virtual time [ns]."""
         return self._now
 
     def at(self, time: int, call: Callable[[], None]) -> None:
-        """Have `call` made at virtual time `time`, at once if that is past."""
+        """Make `call` at virtual time `time` [ns], now if that is past."""
         heapq.heappush(self._events, (max(time, self._now), next(self._order), call))
 
     def soon(self, call: Callable[[], None]) -> None:
-        """Have `call` made now, after what was to be made now before."""
+        """Make `call` now, after the calls that are due now already."""
         heapq.heappush(self._events, (self._now, next(self._order), call))
 
     def scheduler(self) -> "LockstepScheduler":
-        """The place of one component in the executor."""
+        """Return a scheduler for one component."""
         return LockstepScheduler(self)
 
     def run(self, until: Callable[[], bool]) -> None:
         """Make calls until `until()` holds.
 
-        Raises `CairnError` when nothing is left to happen before that, or when time stands still
-        under a flood of calls: two components that answer each other without end.
+        Raises `CairnError` when no calls are left before that, or when time stands still under a
+        flood of calls: two components that answer each other without end.
         """
         while not until():
             if not self._events:
@@ -63,9 +169,9 @@ class LockstepExecutor:
         """Make the next call."""
         time, _, call = heapq.heappop(self._events)
         self._calls_at_now = self._calls_at_now + 1 if time == self._now else 0
-        if self._calls_at_now > _EVENTS_AT_ONE_TIME:
+        if self._calls_at_now > _CALLS_AT_ONE_TIME:
             raise CairnError(
-                f"lockstep: {_EVENTS_AT_ONE_TIME} calls at one instant ({time} ns); do two "
+                f"lockstep: {_CALLS_AT_ONE_TIME} calls at one instant ({time} ns); do two "
                 "components answer each other without end?"
             )
         self._now = time
@@ -82,22 +188,22 @@ class LockstepScheduler:
         self._running = True
 
     def post(self, call: Callable[[], None]) -> None:
-        """Have `call` made now, after what was posted before."""
+        """Make `call` now, after what was posted before."""
         self._executor.soon(partial(self._make, call))
 
     def deliver(self, call: Callable[[], None]) -> None:
-        """The same."""
+        """Make `call` as `post` does."""
         self.post(call)
 
     def wake_at(self, time: int) -> None:
-        """Have the due timers run at virtual time `time`."""
+        """Run the timers that are due at virtual time `time` [ns]."""
         if self._wake_at is not None and self._wake_at <= time:
             return
         self._wake_at = time
         self._executor.at(time, partial(self._wake, time))
 
     def bind(self, on_time: Callable[[], None]) -> None:
-        """Name the function that runs due timers."""
+        """Set the function that runs due timers."""
         self._on_time = on_time
 
     def stop(self) -> None:
@@ -114,3 +220,123 @@ class LockstepScheduler:
         self._wake_at = None
         if self._running and self._on_time is not None:
             self._on_time()
+
+
+class _LockstepHost:
+    """One component in lockstep; also the launcher of its children, and its own `ChildHandle`."""
+
+    def __init__(
+        self,
+        run: LockstepRun,
+        name: str,
+        spec: ChildSpec,
+        on_exit: Callable[[ExitReport], None],
+        *,
+        parent: str = "",
+        incarnation: int = 1,
+        previous_exit: str = "",
+    ) -> None:
+        self.run = run
+        self.end: ExitReport | None = None
+        self._on_exit = on_exit
+        self._scheduler = run.executor.scheduler()
+        self._children: list[_LockstepHost] = []
+        launch = LaunchRequest(
+            name=name,
+            spec=spec,
+            parent=parent,
+            incarnation=incarnation,
+            previous_exit=previous_exit,
+            context=RunContext(
+                robot=run.robot, simulated_time=run.simulated, seed=run.seed, lockstep=True
+            ),
+        )
+        self.runtime = Runtime(
+            load_plugin(spec.plugin),
+            launch,
+            run.bus,
+            self._scheduler,
+            run.executor,
+            self._note_exit,
+        )
+        if isinstance(self.runtime.component, Supervisor):
+            self.runtime.component.adopt(spec, self, self)
+
+    def tree(self) -> Iterator["_LockstepHost"]:
+        """Yield this host and all that run below it."""
+        yield self
+        for child in self._children:
+            if child.end is None:
+                yield from child.tree()
+
+    def suspend(self) -> None:
+        """Make no further calls."""
+        self._scheduler.stop()
+
+    def publish_heartbeats(self) -> None:
+        """Publish the status of the component and of all below it."""
+        self.runtime.heartbeat.publish()
+        for child in tuple(self._children):
+            child.publish_heartbeats()
+
+    def now(self) -> float:
+        """Return the virtual time [s]."""
+        return self.run.executor.now() / SECOND
+
+    def awake(self) -> float:
+        """Return the virtual time [s], which has no pauses."""
+        return self.now()
+
+    def post(self, call: Callable[[], None]) -> None:
+        """Have `call` made as a handler of the supervisor."""
+        self._scheduler.post(lambda: self.runtime.run("supervision", call))
+
+    def report_progress(self, step: str) -> None:
+        """Do nothing: virtual time stands still during a call, so that it cannot hang."""
+
+    def launch(
+        self,
+        name: str,
+        spec: ChildSpec,
+        incarnation: int,
+        previous_exit: str,
+        on_exit: Callable[[], None],
+    ) -> ChildHandle:
+        """Construct a child."""
+        child = _LockstepHost(
+            self.run,
+            name,
+            spec,
+            lambda _: on_exit(),
+            parent=self.runtime.name,
+            incarnation=incarnation,
+            previous_exit=previous_exit,
+        )
+        self._children = [other for other in self._children if other.end is None]
+        self._children.append(child)
+        return child
+
+    def request_stop(self) -> None:
+        """Do nothing: a start takes no virtual time."""
+
+    def request(self, verb: Verb, timeout_s: float) -> None:  # noqa: ARG002 - time stands still
+        """Make a transition at once."""
+        self.runtime.request(verb, {})
+
+    def terminate(self) -> None:
+        """Shut it down."""
+        if self.end is None:
+            self.runtime.request("shutdown", {})
+
+    def kill(self) -> None:
+        """Raise `CairnError` unless it has ended."""
+        if self.end is None:
+            raise CairnError(f"{self.runtime.name}: a component cannot be killed in lockstep")
+
+    def wait(self, timeout_s: float) -> ExitReport | None:  # noqa: ARG002 - time stands still
+        """Return the report on its end, None if it runs."""
+        return None if self.end is None else self.end.for_supervisor()
+
+    def _note_exit(self, report: ExitReport) -> None:
+        self.end = report
+        self._on_exit(report)

@@ -1,48 +1,65 @@
-"""The zygote: imports what components need, then forks them and ends them with their owners."""
+"""The zygote: a process that imports what components need, then forks and ends them.
+
+Each connection of a client owns the processes that were spawned over it. When a connection closes,
+however its process ended, the zygote kills these processes.
+"""
 
 import contextlib
 import gc
+import importlib
 import json
 import os
 import select
 import selectors
 import signal
 import socket
+import struct
 import sys
 import time
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
-import psutil
 from setproctitle import setproctitle
 
-from cairn.supervision.groups import ended_child, group_exists, group_of, kill, kill_group
-from cairn.supervision.job import Job, become_fresh, begin, sever
-from cairn.supervision.linux import become_subreaper, peer_of, set_parent_death_signal
-from cairn.supervision.owner import Owner
-from cairn.supervision.preload import Preloaded, preload
+from cairn.supervision.child_bootstrap import detach, run_entry, run_in_fresh_interpreter
+from cairn.supervision.orphan_cleanup import (
+    become_subreaper,
+    ended_child,
+    group_exists,
+    kill_descendants,
+    kill_group,
+    kill_orphans,
+    set_parent_death_signal,
+)
 from cairn.supervision.zygote_protocol import (
+    Answer,
     Done,
-    Ended,
+    Exited,
     Hello,
+    LineSplitter,
     ProtocolError,
-    Refused,
     Request,
+    RequestRefused,
     Signal,
     Spawn,
     Spawned,
-    read_request,
+    decode_request,
+    encode_answer,
 )
 
-_LEFTOVERS_LIMIT_S = 1.0  # killed helpers of an ended process may take this long to vanish
+_GROUP_LIMIT_S = 1.0  # killed helpers of an ended process may take this long to vanish
 _END_LIMIT_S = 5.0
+_TRACEBACK_LINES = 12
+_UCRED = struct.Struct("3i")  # pid, uid, gid: unix(7), SO_PEERCRED
 
-Handler = Callable[[], Job | None]
+Handler = Callable[[], Spawn | None]
 
 
 def main() -> None:
-    """Serve until the process that started the zygote ends; in a forked child, do its job.
+    """Serve until the process that started the zygote ends; in a forked child, run its entry.
 
     Arguments: the process id of the starter, the listening socket's file descriptor, and the
     modules to import as JSON. Standard input is a pipe whose other end only the starter holds.
@@ -51,7 +68,7 @@ def main() -> None:
     setproctitle("cairn: zygote")
     gc.disable()
     os.set_inheritable(listener, False)
-    set_parent_death_signal(signal.SIGKILL)  # while imports keep the pipe from being watched
+    set_parent_death_signal(signal.SIGKILL)  # during the imports the pipe is not watched
     if os.getppid() != starter:
         return
     preloaded = preload(modules)
@@ -63,218 +80,329 @@ def main() -> None:
     gc.freeze()
     listening = socket.socket(fileno=listener)
     socket_path = Path(listening.getsockname())
-    job = Zygote(listening, preloaded).serve()
-    if job is None:
-        _tidy(socket_path)
+    spawn = Zygote(listening, preloaded).serve()
+    if spawn is None:
+        _remove_socket(socket_path)
     else:
-        begin(job)
-        job.run()
+        run_entry(spawn.name, spawn.entry, spawn.argument)
+
+
+@dataclass
+class Preloaded:
+    """The result of importing modules."""
+
+    failures: dict[str, str] = field(default_factory=dict)  # module: error and traceback's tail
+    threads: dict[str, list[str]] = field(default_factory=dict)  # module: names of threads it left
+
+    def refusal(self, needs: Iterable[str]) -> str:
+        """Return why a process that needs these modules cannot start, "" if it can."""
+        return "; ".join(
+            f"the module {module} cannot be imported: {self.failures[module]}"
+            for module in needs
+            if module in self.failures
+        )
+
+
+def preload(modules: Iterable[str]) -> Preloaded:
+    """Import modules; a module that fails does not keep the others from being imported."""
+    preloaded = Preloaded()
+    before = _threads()
+    for module in modules:
+        try:
+            importlib.import_module(module)
+        except (Exception, SystemExit) as error:  # a plugin's module may fail in any way
+            trace = "".join(traceback.format_exception(error)).rstrip().splitlines()
+            tail = "\n".join(trace[-_TRACEBACK_LINES:])
+            preloaded.failures[module] = f"{type(error).__name__}: {error}\n{tail}"
+        after = _threads()
+        started = [after[thread] for thread in sorted(after.keys() - before.keys())]
+        if started:
+            preloaded.threads[module] = started
+        before = after
+    return preloaded
+
+
+def _threads() -> dict[int, str]:
+    """Return thread id and name of all other threads of this process, native ones included."""
+    names: dict[int, str] = {}
+    for entry in Path("/proc/self/task").iterdir():
+        try:
+            names[int(entry.name)] = (entry / "comm").read_text().strip()
+        except (FileNotFoundError, ProcessLookupError):  # it has just ended
+            continue
+    names.pop(os.getpid(), None)
+    return names
 
 
 class Zygote:
-    """Processes and their owners; every connection owns what it has spawned."""
+    """Accepts clients, spawns and signals processes for them, and reports their exits."""
 
     def __init__(self, listener: socket.socket, preloaded: Preloaded) -> None:
         self._pid = os.getpid()
         self._preloaded = preloaded
-        self._names: dict[int, str] = {}
-        self._owners: dict[int, Owner] = {}  # by process
-        self._leftovers: dict[int, tuple[Ended, float]] = {}  # process groups without a leader
-        self._connections: set[Owner] = set()
+        self._names: dict[int, str] = {}  # of running processes
+        self._owners: dict[int, ClientConnection] = {}  # by process
+        self._emptying: dict[int, tuple[Exited, float]] = {}  # groups whose leader has ended
+        self._connections: set[ClientConnection] = set()
         self._selector = selectors.DefaultSelector()
-        self._woken, self._wakeup = socket.socketpair()
+        self._signals, self._wakeup = socket.socketpair()
         self._listener = listener
-        for watched in (self._woken, self._wakeup, self._listener):
+        for watched in (self._signals, self._wakeup, self._listener):
             watched.setblocking(False)
         self._selector.register(0, selectors.EVENT_READ, self._end_everything)
-        self._selector.register(self._woken, selectors.EVENT_READ, self._signaled)
+        self._selector.register(self._signals, selectors.EVENT_READ, self._on_signal)
         self._selector.register(self._listener, selectors.EVENT_READ, self._accept)
         self._serving = True
 
-    def serve(self) -> Job | None:
-        """Serve until told to end (None), or, in a forked child, until it has become one."""
+    def serve(self) -> Spawn | None:
+        """Serve until asked to end (returns None); in a forked child, return what to run."""
         become_subreaper()
         for number in (signal.SIGCHLD, signal.SIGTERM):
-            signal.signal(number, lambda *_: None)  # the wake-up socket tells of them
+            signal.signal(number, lambda *_: None)  # the wake-up socket reports them
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         signal.set_wakeup_fd(self._wakeup.fileno(), warn_on_full_buffer=False)
         set_parent_death_signal(signal.SIGTERM)
         self._reap()  # what ended before signals were watched
         while self._serving:
-            wait_s = 0.1 if self._leftovers else None
+            wait_s = 0.1 if self._emptying else None
             for key, _ in self._selector.select(wait_s):
                 handler: Handler = key.data
-                job = handler()
-                if job is not None or not self._serving:
-                    return job
-            if self._leftovers:
-                self._report_ended()
+                spawn = handler()
+                if spawn is not None or not self._serving:
+                    return spawn
+            if self._emptying:
+                self._report_exits()
         return None
 
     def _accept(self) -> None:
         try:
-            connection, _ = self._listener.accept()
+            client, _ = self._listener.accept()
         except BlockingIOError:  # the client has given up
             return
-        pid, uid = peer_of(connection)
+        credentials = client.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _UCRED.size)
+        pid, uid, _ = _UCRED.unpack(credentials)
         if uid != os.geteuid():
             _log(f"refused a connection of process {pid} of user {uid}")
-            connection.close()
+            client.close()
             return
-        owner = Owner(connection, pid, self._selector)
-        owner.watch(lambda: self._serve(owner))
-        self._connections.add(owner)
-        owner.send(Hello(self._pid, self._preloaded.failures, self._preloaded.threads))
+        connection = ClientConnection(client, pid, self._selector)
+        connection.watch(lambda: self._receive(connection))
+        self._connections.add(connection)
+        connection.send(Hello(self._pid, self._preloaded.failures, self._preloaded.threads))
 
-    def _serve(self, owner: Owner) -> Job | None:
+    def _receive(self, connection: "ClientConnection") -> Spawn | None:
         try:
-            requests = [read_request(line) for line in owner.receive()]
+            requests = [decode_request(line) for line in connection.receive()]
         except ProtocolError as error:
             _log(str(error))
-            owner.gone = True
+            connection.gone = True
             requests = []
         for request in requests:
-            job = self._answer(owner, request)
-            if job is not None:
-                return job
-        if owner.gone:
-            self._abandon(owner)
+            spawn = self._handle(connection, request)
+            if spawn is not None:
+                return spawn
+        if connection.gone:
+            self._abandon(connection)
         return None
 
-    def _answer(self, owner: Owner, request: Request) -> Job | None:
+    def _handle(self, connection: "ClientConnection", request: Request) -> Spawn | None:
         try:
             match request:
                 case Spawn():
-                    return self._spawn(owner, request)
+                    return self._spawn(connection, request)
                 case Signal():
-                    self._send_signal(owner, request)
+                    self._send_signal(connection, request)
         except OSError as error:
-            owner.send(Refused(request.request, f"the zygote could not do it: {error}"))
+            connection.send(RequestRefused(request.request, f"the zygote failed: {error}"))
         return None
 
-    def _spawn(self, owner: Owner, request: Spawn) -> Job | None:
+    def _spawn(self, connection: "ClientConnection", request: Spawn) -> Spawn | None:
         refusal = "" if request.fresh else self._preloaded.refusal(request.needs)
         if refusal:
-            owner.send(Refused(request.request, refusal))
+            connection.send(RequestRefused(request.request, refusal))
             return None
         log = os.open(request.log_file, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o640)
         every = signal.valid_signals()
-        unblocked = signal.pthread_sigmask(signal.SIG_BLOCK, every)  # until the child can take them
+        unblocked = signal.pthread_sigmask(signal.SIG_BLOCK, every)  # until the child is ready
         try:
             pid = os.fork()
             if pid == 0:
-                return self._become(request, log)
-            with contextlib.suppress(PermissionError, ProcessLookupError):  # already done, or over
-                os.setpgid(pid, pid)  # the child does it too: whoever comes first
+                self._become_child(request, log)
+                return request
+            with contextlib.suppress(PermissionError, ProcessLookupError):  # done already, or over
+                os.setpgid(pid, pid)  # the child does the same: the first of the two counts
         finally:
             if os.getpid() == self._pid:
                 os.close(log)
                 signal.pthread_sigmask(signal.SIG_SETMASK, unblocked)
         self._names[pid] = request.name
-        self._owners[pid] = owner
-        owner.processes.add(pid)
-        owner.send(Spawned(request.request, pid))
+        self._owners[pid] = connection
+        connection.processes.add(pid)
+        connection.send(Spawned(request.request, pid))
         return None
 
-    def _become(self, request: Spawn, log: int) -> Job:
+    def _become_child(self, request: Spawn, log: int) -> None:
         try:
-            sever(self._pid, log)
-            for owner in self._connections:
-                owner.connection.close()
-            for inherited in (self._selector, self._listener, self._woken, self._wakeup):
+            detach(self._pid, log)
+            for connection in self._connections:
+                connection.socket.close()
+            for inherited in (self._selector, self._listener, self._signals, self._wakeup):
                 inherited.close()
-            job = Job(request.name, request.entry, request.argument)
             if request.fresh:
-                become_fresh(job)
+                run_in_fresh_interpreter(request.name, request.entry, request.argument)
         except BaseException:  # must not return into the zygote's loop
             traceback.print_exc()
             sys.stderr.flush()
             os._exit(1)
-        return job
 
-    def _send_signal(self, owner: Owner, request: Signal) -> None:
-        if request.pid in owner.processes and request.pid in self._names:
+    def _send_signal(self, connection: "ClientConnection", request: Signal) -> None:
+        if request.pid in connection.processes and request.pid in self._names:
             if request.group:
                 kill_group(request.pid)
             else:
                 os.kill(request.pid, request.signal)
-        owner.send(Done(request.request))
+        connection.send(Done(request.request))
 
-    def _abandon(self, owner: Owner) -> None:
-        """The owner is gone: so are its processes, whose own processes follow in turn."""
-        owner.gone = True
-        for pid in owner.processes & self._names.keys():
+    def _abandon(self, connection: "ClientConnection") -> None:
+        """Kill the processes of a client that is gone; their own processes follow in turn."""
+        connection.gone = True
+        for pid in connection.processes & self._names.keys():
             kill_group(pid)
-        if owner.settle():
-            self._connections.discard(owner)
+        if connection.close_if_done():
+            self._connections.discard(connection)
 
-    def _signaled(self) -> None:
-        if signal.SIGTERM in self._woken.recv(4096):
+    def _on_signal(self) -> None:
+        if signal.SIGTERM in self._signals.recv(4096):
             self._end_everything()
         else:
             self._reap()
 
     def _reap(self) -> None:
-        """Take note of ended processes, and kill what they leave behind."""
+        """Reap ended processes, and kill what they leave behind."""
         reaped = False
         while (pid := ended_child()) is not None:
             if pid in self._names:
-                kill_group(pid)  # its id is its group's as long as it is not reaped
+                kill_group(pid)  # the id is its group's as long as it is not reaped
             _, status = os.waitpid(pid, 0)
             reaped = True
             if pid in self._names:
                 code = os.waitstatus_to_exitcode(status)
-                ended = Ended(
-                    pid,
-                    self._names.pop(pid),
-                    code if code >= 0 else None,
-                    -code if code < 0 else None,
+                name = self._names.pop(pid)
+                exited = (
+                    Exited(pid, name, code, None) if code >= 0 else Exited(pid, name, None, -code)
                 )
-                self._leftovers[pid] = (ended, time.monotonic() + _LEFTOVERS_LIMIT_S)
-            for owner in [owner for owner in self._connections if owner.pid == pid]:
-                self._abandon(owner)  # even if a fork of it holds the connection open
+                self._emptying[pid] = (exited, time.monotonic() + _GROUP_LIMIT_S)
+            for connection in [one for one in self._connections if one.pid == pid]:
+                self._abandon(connection)  # even if a fork of the client holds it open
         if reaped:
-            self._kill_strays()
-            self._report_ended()
+            kill_orphans(set(self._names))
+            self._report_exits()
 
-    def _kill_strays(self) -> None:
-        """Kill adopted orphans unless they are in the group of a process that runs."""
-        for child in psutil.Process(self._pid).children():
-            group = group_of(child.pid)
-            if child.pid not in self._names and group not in self._names:
-                kill(child.pid, group)
-
-    def _report_ended(self) -> None:
-        """Tell of ended processes whose group is empty: their devices and ports are free."""
-        for pid, (ended, deadline) in list(self._leftovers.items()):
+    def _report_exits(self) -> None:
+        """Report ended processes whose group is empty: their devices and ports are free."""
+        for pid, (exited, deadline) in list(self._emptying.items()):
             if group_exists(pid) and time.monotonic() < deadline:
                 continue
-            del self._leftovers[pid]
-            owner = self._owners.pop(pid)
-            owner.processes.discard(pid)
-            owner.send(ended)
-            if owner.gone and owner.settle():
-                self._connections.discard(owner)
+            del self._emptying[pid]
+            connection = self._owners.pop(pid)
+            connection.processes.discard(pid)
+            connection.send(exited)
+            if connection.gone and connection.close_if_done():
+                self._connections.discard(connection)
 
     def _end_everything(self) -> None:
         """Kill all descendants, wait for their end, and stop serving."""
         self._serving = False
-        deadline = time.monotonic() + _END_LIMIT_S
-        while children := psutil.Process(self._pid).children():
-            for child in children:
-                kill(child.pid, group_of(child.pid))
-            if time.monotonic() > deadline:
-                _log(f"these processes do not end even by SIGKILL: {children}")
-                break
-            if ended_child() is None and select.select([self._woken], [], [], 0.1)[0]:
-                self._woken.recv(4096)
-            while (pid := ended_child()) is not None:
-                os.waitpid(pid, 0)
+
+        def await_child(timeout_s: float) -> None:
+            if select.select([self._signals], [], [], timeout_s)[0]:
+                self._signals.recv(4096)
+
+        left = kill_descendants(await_child, _END_LIMIT_S)
+        if left:
+            _log(f"these processes do not end even by SIGKILL: {left}")
 
 
-def _tidy(socket_path: Path) -> None:
-    """Remove the socket and its folder, unless the log in there has something to tell."""
-    with contextlib.suppress(OSError):  # whoever started the zygote may be tidying as well
+class ClientConnection:
+    """A client's connection; what the client does not take at once is sent later."""
+
+    def __init__(self, client: socket.socket, pid: int, selector: selectors.BaseSelector) -> None:
+        self.socket = client
+        self.pid = pid
+        self.processes: set[int] = set()
+        self.gone = False  # sends no more requests; its processes are being killed
+        self._selector = selector
+        self._lines = LineSplitter()
+        self._unsent = bytearray()
+        self._on_readable: Callable[[], Any] = lambda: None
+        self._watched = 0
+        client.setblocking(False)
+
+    def watch(self, on_readable: Callable[[], Any]) -> None:
+        """Register what calls `receive` as the selector's data for this connection."""
+        self._on_readable = on_readable
+        self._update_selector()
+
+    def receive(self) -> list[bytes]:
+        """Return the lines that have arrived; set `gone` at the end. Raises `ProtocolError`."""
+        if self._unsent:
+            self._flush()
+        if self.gone:
+            return []
+        try:
+            data = self.socket.recv(1 << 16)
+        except BlockingIOError:
+            return []
+        except OSError:
+            data = b""
+        if not data:
+            self.gone = True
+        return self._lines.feed(data)
+
+    def send(self, answer: Answer) -> None:
+        """Send an answer as soon as the client takes it; drop it if the client has ended."""
+        if self.socket.fileno() >= 0:
+            self._unsent += encode_answer(answer)
+            self._flush()
+
+    def close_if_done(self) -> bool:
+        """Close the connection if nothing is left to report; return whether it is closed."""
+        if self.socket.fileno() >= 0:
+            self._update_selector()
+            if not self.processes and not self._unsent:
+                if self._watched:
+                    self._selector.unregister(self.socket)
+                    self._watched = 0
+                self.socket.close()
+        return self.socket.fileno() < 0
+
+    def _flush(self) -> None:
+        try:
+            sent = self.socket.send(self._unsent)
+        except BlockingIOError:
+            sent = 0
+        except OSError:  # the client is gone, which `receive` finds
+            sent = len(self._unsent)
+        del self._unsent[:sent]
+        self._update_selector()
+
+    def _update_selector(self) -> None:
+        needed = 0 if self.gone else selectors.EVENT_READ
+        needed |= selectors.EVENT_WRITE if self._unsent else 0
+        if needed == self._watched:
+            return
+        if not self._watched:
+            self._selector.register(self.socket, needed, self._on_readable)
+        elif not needed:
+            self._selector.unregister(self.socket)
+        else:
+            self._selector.modify(self.socket, needed, self._on_readable)
+        self._watched = needed
+
+
+def _remove_socket(socket_path: Path) -> None:
+    """Remove the socket and its folder; keep the folder if the log in it is not empty."""
+    with contextlib.suppress(OSError):  # the process that started the zygote removes it as well
         socket_path.unlink(missing_ok=True)
         for log in socket_path.parent.glob("*.log"):
             if log.stat().st_size == 0:

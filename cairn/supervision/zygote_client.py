@@ -1,4 +1,4 @@
-"""Starts processes through a zygote, signals them and tells of their end."""
+"""A client of the zygote: spawns processes through it, signals them, and learns how they ended."""
 
 import contextlib
 import logging
@@ -15,21 +15,20 @@ from typing import Any
 
 from cairn.errors import CairnError
 from cairn.supervision.child import LauncherLost
-from cairn.supervision.child_process import ChildExit, ChildProcess
 from cairn.supervision.zygote_protocol import (
     Answer,
     Done,
-    Ended,
+    Exited,
     Hello,
-    Lines,
+    LineSplitter,
     ProtocolError,
-    Refused,
     Request,
+    RequestRefused,
     Signal,
     Spawn,
     Spawned,
-    read_answer,
-    request_line,
+    decode_answer,
+    encode_request,
 )
 
 _ANSWER_LIMIT_S = 5.0
@@ -42,12 +41,62 @@ class ZygoteLost(LauncherLost):
 
 
 class SpawnFailed(CairnError):  # noqa: N818 - reads as what happened
-    """A process could not be started; the message says why."""
+    """A process could not be started; the message gives the reason."""
+
+
+class ChildProcess:
+    """A process spawned through the zygote; it leads a process group of its own."""
+
+    def __init__(self, name: str, pid: int, send_signal: Callable[[int, int, bool], None]) -> None:
+        """`send_signal` takes process id, signal number and whether the group is meant."""
+        self.name = name
+        self.pid = pid
+        self._send_signal = send_signal
+        self._exited: Future[Exited] = Future()
+
+    @property
+    def exited(self) -> Exited | None:
+        """How it ended, None while it runs."""
+        return self._exited.result(0) if self._exited.done() else None
+
+    def wait(self, timeout_s: float) -> Exited | None:
+        """Wait for its end and that of its process group; None if it still runs then."""
+        with contextlib.suppress(TimeoutError):
+            return self._exited.result(timeout_s)
+        return None
+
+    def on_exit(self, call: Callable[[Exited], object]) -> None:
+        """Have `call` made when it has ended, on the client's thread; at once if it has.
+
+        `call` must not make requests to the zygote.
+        """
+        self._exited.add_done_callback(lambda exited: call(exited.result()))
+
+    def signal(self, number: int) -> None:
+        """Send a signal to the process alone; no effect if it has ended.
+
+        Raises `CairnError` if the zygote does not answer.
+        """
+        if not self._exited.done():
+            self._send_signal(self.pid, number, False)
+
+    def terminate(self) -> None:
+        """Ask it to end, by SIGTERM."""
+        self.signal(signal.SIGTERM)
+
+    def kill(self) -> None:
+        """Kill its whole process group; no effect if it has ended; see `signal`."""
+        if not self._exited.done():
+            self._send_signal(self.pid, signal.SIGKILL, True)
+
+    def set_exited(self, exited: Exited) -> None:
+        """Record how it ended; for the zygote's client."""
+        self._exited.set_result(exited)
 
 
 @dataclass(frozen=True)
-class _Asked:
-    name: str  # of the process to be started
+class _Pending:
+    name: str  # of the process to be started, "" for other requests
     answer: "Future[Any]"
 
 
@@ -55,15 +104,14 @@ class ZygoteClient:
     """A connection to a zygote, which owns the processes spawned over it.
 
     When it closes, or the process that holds it ends, they are killed with their process groups.
-    For use by one thread. A thread of its own calls `on_exit` for each process that ended, and
-    `on_lost` if the zygote ends, before `on_exit` for all processes that end with it; neither may
-    ask anything of the client.
+    For use by one thread. A thread of its own calls `ChildProcess.on_exit` callbacks, and `on_lost`
+    if the zygote ends, before the exits of all processes that end with it; none of them may make
+    requests to the client.
     """
 
     def __init__(
         self,
         socket_path: Path,
-        on_exit: Callable[[ChildExit], None] | None = None,
         on_lost: Callable[[ZygoteLost], None] | None = None,
         timeout_s: float = 60.0,
     ) -> None:
@@ -72,13 +120,12 @@ class ZygoteClient:
         Raises `ZygoteLost` if no zygote listens there or it ends, `CairnError` at the time limit.
         """
         self._path = socket_path
-        self._on_exit = on_exit
         self._on_lost = on_lost
         self._lock = threading.Lock()
-        self._over: CairnError | None = None  # why nothing can be asked any more
+        self._closed: CairnError | None = None  # why no more requests can be made
         self._requests = 0
         hello: Future[Hello] = Future()
-        self._asked: dict[int, _Asked] = {0: _Asked("", hello)}
+        self._pending: dict[int, _Pending] = {0: _Pending("", hello)}
         self._children: dict[int, ChildProcess] = {}
         self._socket = _connect(socket_path, timeout_s)
         self._reader = threading.Thread(target=self._read, name="zygote client", daemon=True)
@@ -89,7 +136,7 @@ class ZygoteClient:
             self.close(0.0)
             raise
         self.zygote_pid: int = greeting.pid
-        self.preload_failures: Mapping[str, str] = greeting.failures  # module: why
+        self.preload_failures: Mapping[str, str] = greeting.failures  # module: reason
         self.preload_threads: Mapping[str, list[str]] = greeting.threads  # module: threads it left
 
     def spawn(
@@ -107,34 +154,23 @@ class ZygoteClient:
 
         Its output is appended to the log file. It ends with exit code 0 when the entry returns, 1
         with a traceback in the log when it raises. With `fresh` it gets a new interpreter instead
-        of a fork of the zygote; else the modules in `needs` must have been imported there.
+        of a fork of the zygote; otherwise the zygote must have imported the modules in `needs`.
 
-        Raises `SpawnFailed` with the reason, `ZygoteLost`, or `CairnError` at the time limit,
-        after which the process, should it be started late, is killed; `TypeError` or `ValueError`
-        for arguments that are not as said.
+        Raises `SpawnFailed` with the reason, `ZygoteLost`, or `CairnError` at the time limit; if
+        the process is started after that, it is killed. Raises `TypeError` or `ValueError` for
+        arguments of wrong form.
         """
-        number, started = self._next(name)
+        number, started = self._next_request(name)
         self._send(
             Spawn(number, name, entry, dict(argument), os.fspath(log_file), fresh, tuple(needs))
         )
         child: ChildProcess = self._result(started, timeout_s, f"start {name}", number)
         return child
 
-    def signal(self, pid: int, number: int) -> None:
-        """Send a signal to a process spawned here; nothing if it has ended.
-
-        Raises `CairnError` if the zygote does not answer.
-        """
-        self._signal(pid, number, False)
-
-    def kill(self, pid: int) -> None:
-        """Kill a process spawned here and all of its group; nothing if it has ended."""
-        self._signal(pid, signal.SIGKILL, True)
-
     def close(self, timeout_s: float = 5.0) -> None:
         """Kill all processes spawned here, and wait at most `timeout_s` seconds for their end."""
         with self._lock:
-            self._over = self._over or CairnError(f"the connection to {self._path} is closed")
+            self._closed = self._closed or CairnError(f"the connection to {self._path} is closed")
             with contextlib.suppress(OSError):  # the zygote was the first to close it
                 self._socket.shutdown(socket.SHUT_WR)
         if self._reader is not threading.current_thread():
@@ -142,55 +178,55 @@ class ZygoteClient:
         with contextlib.suppress(OSError):
             self._socket.shutdown(socket.SHUT_RDWR)
 
-    def _signal(self, pid: int, number: int, group: bool) -> None:
-        if self._over is None:
-            with contextlib.suppress(ZygoteLost):  # then it is killed
-                request, done = self._next("")
+    def _send_signal(self, pid: int, number: int, group: bool) -> None:
+        if self._closed is None:
+            with contextlib.suppress(ZygoteLost):  # then the process is killed
+                request, done = self._next_request("")
                 self._send(Signal(request, pid, number, group))
                 self._result(done, _ANSWER_LIMIT_S, f"send a signal to process {pid}", request)
 
-    def _next(self, name: str) -> "tuple[int, Future[Any]]":
+    def _next_request(self, name: str) -> "tuple[int, Future[Any]]":
         if threading.current_thread() is self._reader:
-            raise RuntimeError("on_exit and on_lost must not ask anything of the zygote")
+            raise RuntimeError("on_exit and on_lost must not make requests to the zygote")
         with self._lock:
-            if self._over is not None:
-                raise self._over
+            if self._closed is not None:
+                raise self._closed
             self._requests += 1
-            asked = _Asked(name, Future())
-            self._asked[self._requests] = asked
-            return self._requests, asked.answer
+            pending = _Pending(name, Future())
+            self._pending[self._requests] = pending
+            return self._requests, pending.answer
 
     def _result(self, answer: "Future[Any]", timeout_s: float, what: str, request: int = 0) -> Any:
         try:
             return answer.result(timeout_s)
         except TimeoutError:
             with self._lock:
-                self._asked.pop(request, None)
+                self._pending.pop(request, None)
             raise CairnError(
                 f"the zygote on {self._path} did not {what} within {timeout_s:g} s"
             ) from None
 
     def _send(self, request: Request) -> None:
-        line = request_line(request)
+        line = encode_request(request)
         try:
             with self._lock:
                 self._socket.sendall(line)
-        except OSError:  # ended, or stuck with half a line sent: the reader tells
+        except OSError:  # ended, or stuck with half a line sent: the reader reports it
             with contextlib.suppress(OSError):
                 self._socket.shutdown(socket.SHUT_RDWR)
 
     def _read(self) -> None:
-        lines = Lines()
+        lines = LineSplitter()
         reason = "it has closed the connection"
         try:
             while data := self._socket.recv(1 << 16):
                 for line in lines.feed(data):
-                    self._take(read_answer(line))
+                    self._handle(decode_answer(line))
         except (OSError, ProtocolError) as error:
             reason = str(error)
         self._end(ZygoteLost(f"the zygote on {self._path} is lost: {reason}"))
 
-    def _take(self, answer: Answer) -> None:
+    def _handle(self, answer: Answer) -> None:
         match answer:
             case Hello():
                 self._resolve(0, answer)
@@ -198,65 +234,60 @@ class ZygoteClient:
                 self._spawned(request, pid)
             case Done(request):
                 self._resolve(request, None)
-            case Refused(request, error):
+            case RequestRefused(request, error):
                 self._refused(request, error)
-            case Ended(pid, name, code, number):
-                self._ended(ChildExit(pid, name, code, number))
+            case Exited():
+                self._exited(answer)
 
     def _spawned(self, request: int, pid: int) -> None:
         with self._lock:
-            asked = self._asked.pop(request, None)
-            if asked is not None:
-                child = self._children[pid] = ChildProcess(asked.name, pid, self._signal)
-        if asked is None:  # nobody waits for it any more
+            pending = self._pending.pop(request, None)
+            if pending is not None:
+                child = self._children[pid] = ChildProcess(pending.name, pid, self._send_signal)
+        if pending is None:  # the request has timed out
             self._send(Signal(-1, pid, signal.SIGKILL, True))
         else:
-            asked.answer.set_result(child)
+            pending.answer.set_result(child)
 
     def _resolve(self, request: int, result: Any) -> None:
         with self._lock:
-            asked = self._asked.pop(request, None)
-        if asked is not None:
-            asked.answer.set_result(result)
+            pending = self._pending.pop(request, None)
+        if pending is not None:
+            pending.answer.set_result(result)
 
     def _refused(self, request: int, error: str) -> None:
         with self._lock:
-            asked = self._asked.pop(request, None)
-        if asked is not None:
-            asked.answer.set_exception(
-                SpawnFailed(f"{asked.name} could not be started: {error}")
-                if asked.name
+            pending = self._pending.pop(request, None)
+        if pending is not None:
+            pending.answer.set_exception(
+                SpawnFailed(f"{pending.name} could not be started: {error}")
+                if pending.name
                 else CairnError(f"a signal could not be sent: {error}")
             )
 
-    def _ended(self, how: ChildExit) -> None:
+    def _exited(self, exited: Exited) -> None:
         with self._lock:
-            child = self._children.pop(how.pid, None)
+            child = self._children.pop(exited.pid, None)
         if child is not None:
-            child.ended(how)
-            self._tell(self._on_exit, how)
+            child.set_exited(exited)
 
     def _end(self, lost: ZygoteLost) -> None:
         with self._lock:
-            closed, self._over = self._over is not None, self._over or lost
-            asked, self._asked = list(self._asked.values()), {}
+            closed, self._closed = self._closed is not None, self._closed or lost
+            pending, self._pending = list(self._pending.values()), {}
             self._socket.close()
-        for one in asked:
-            one.answer.set_exception(self._over)
+        for one in pending:
+            one.answer.set_exception(self._closed)
         for pid in self._children:
             with contextlib.suppress(ProcessLookupError, PermissionError):
                 os.killpg(pid, signal.SIGKILL)  # their death signal spares grandchildren
-        if not closed:
-            self._tell(self._on_lost, lost)
-        for child in list(self._children.values()):
-            self._ended(ChildExit(child.pid, child.name, None, signal.SIGKILL))
-
-    def _tell(self, callback: Callable[[Any], None] | None, what: object) -> None:
         try:
-            if callback is not None:
-                callback(what)
+            if not closed and self._on_lost is not None:
+                self._on_lost(lost)
         except Exception:
-            _log.exception("the callback for %s failed", what)
+            _log.exception("on_lost failed")
+        for child in list(self._children.values()):
+            self._exited(Exited(child.pid, child.name, None, signal.SIGKILL))
 
 
 def _connect(path: Path, timeout_s: float) -> socket.socket:

@@ -1,4 +1,4 @@
-"""Starts a zygote as a process of its own, and ends it with all processes that it started."""
+"""Starts the zygote as a process of its own, and ends it with all processes it has started."""
 
 import json
 import os
@@ -14,22 +14,22 @@ from uuid import uuid4
 import psutil
 
 from cairn.errors import CairnError
-from cairn.supervision.job import BOOTSTRAP
-from cairn.supervision.remains import MARK, kill_remaining
+from cairn.supervision.child_bootstrap import BOOTSTRAP
+from cairn.supervision.orphan_cleanup import MARK, kill_marked
 
 _LONGEST_SOCKET_PATH = 107  # bytes, unix(7)
-# Halve the latency of images (glibc would map and unmap memory for each).
+# These halve the latency of images: glibc would map and unmap memory for each of them.
 _MALLOC = {
     "MALLOC_MMAP_THRESHOLD_": "134217728",
     "MALLOC_TRIM_THRESHOLD_": "268435456",
     "MALLOC_TOP_PAD_": "33554432",
 }
-# A process with threads forks badly, and numpy's OpenBLAS would start some when imported.
+# A process with threads must not fork, and numpy's OpenBLAS would start some when imported.
 _SINGLE_THREADED = {"OPENBLAS_NUM_THREADS": "1"}
 
 
 class ZygoteProcess:
-    """A running zygote, seen by the process that started it, the root of the tree.
+    """A running zygote, as the process sees it that started it: the root of the tree.
 
     When the root ends, in whatever way, the zygote kills all processes and ends.
     """
@@ -54,7 +54,7 @@ class ZygoteProcess:
 
     @property
     def stopped(self) -> bool:
-        """Whether it has been stopped by a signal (SIGSTOP), and so serves nobody."""
+        """Whether it has been stopped by a signal (SIGSTOP), so that it does not serve."""
         try:
             return psutil.Process(self.pid).status() == psutil.STATUS_STOPPED
         except psutil.NoSuchProcess:
@@ -64,8 +64,8 @@ class ZygoteProcess:
         """Kill it, and with it all processes that it has started."""
         self._process.kill()
 
-    def ends_within(self, timeout_s: float) -> bool:
-        """Whether the zygote has ended, or does so within the limit [s]."""
+    def wait(self, timeout_s: float) -> bool:
+        """Return whether the zygote has ended, or ends within the limit [s]."""
         try:
             self._process.wait(timeout_s)
         except subprocess.TimeoutExpired:
@@ -84,30 +84,30 @@ class ZygoteProcess:
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait(timeout_s)
-        left = kill_remaining(self._mark, timeout_s)
+        left = kill_marked(self._mark, timeout_s)
         self.socket_path.unlink(missing_ok=True)
         if left:
             raise CairnError(f"these processes do not end even by SIGKILL: {left}")
 
 
 def start_zygote(preload: Sequence[str], runtime_dir: Path) -> ZygoteProcess:
-    """Start a zygote that imports the modules named and then serves `ZygoteClient`s.
+    """Start a zygote that imports these modules and then serves `ZygoteClient`s.
 
-    Returns at once; a client waits for the imports. The runtime directory is made if it does not
-    exist; the socket and the log of the zygote lie in it. Call it from the main thread, before or
-    after opening Zenoh sessions. Raises `CairnError` if the directory is open to other users or
-    its path too long.
+    Returns at once; a client waits for the imports. The runtime directory is created if it does
+    not exist; it contains the socket and the log of the zygote. Call it from the main thread,
+    before or after opening Zenoh sessions. Raises `CairnError` if the directory is open to other
+    users or its path too long.
     """
     if threading.current_thread() is not threading.main_thread():
-        raise RuntimeError("a zygote lives as long as the thread that starts it: use the main one")
+        raise RuntimeError("the zygote ends with the thread that starts it: use the main thread")
     _make_private(runtime_dir)
     mark = uuid4().hex
     socket_path = runtime_dir / f"zygote-{mark[:8]}.sock"
     log_file = runtime_dir / "zygote.log"
     if len(os.fsencode(socket_path)) > _LONGEST_SOCKET_PATH:
         raise CairnError(
-            f"the socket {socket_path} would have a path of more than {_LONGEST_SOCKET_PATH} "
-            "bytes; set XDG_RUNTIME_DIR to a folder with a shorter one"
+            f"the path of the socket {socket_path} exceeds {_LONGEST_SOCKET_PATH} bytes; set "
+            "XDG_RUNTIME_DIR to a folder with a shorter path"
         )
     with (
         socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as listener,
@@ -119,11 +119,11 @@ def start_zygote(preload: Sequence[str], runtime_dir: Path) -> ZygoteProcess:
         bootstrap = ["-P", "-c", BOOTSTRAP, json.dumps(sys.path)]
         process = subprocess.Popen(
             [sys.executable, *bootstrap, "cairn.supervision.zygote", *arguments],
-            stdin=subprocess.PIPE,  # the lifeline: nothing is written, its end tells of ours
+            stdin=subprocess.PIPE,  # the lifeline: it closes when this process ends
             stdout=log,
             stderr=log,
             pass_fds=[listener.fileno()],
-            start_new_session=True,  # the terminal's Ctrl-C is for the root alone
+            start_new_session=True,  # the terminal's Ctrl-C reaches the root only
             env=_environment(mark),
         )
     return ZygoteProcess(process, socket_path, log_file, mark)
@@ -146,5 +146,5 @@ def _make_private(directory: Path) -> None:
     if status.st_uid != os.geteuid() or status.st_mode & (stat.S_IRWXG | stat.S_IRWXO):
         raise CairnError(
             f"{directory} can be used by other users, who could then start processes as you; "
-            f"make it yours alone (chmod 700 {directory}) or choose another runtime directory"
+            f"restrict it to yourself (chmod 700 {directory}) or choose another folder"
         )

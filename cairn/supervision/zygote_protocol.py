@@ -1,6 +1,7 @@
-"""What a zygote and its clients say to each other: one JSON object a line, over a Unix socket."""
+"""The messages between the zygote and its clients: one JSON object per line on a Unix socket."""
 
 import json
+import signal
 from dataclasses import asdict
 from typing import Annotated, Any, Literal
 
@@ -13,14 +14,14 @@ _LONGEST_LINE = 16 << 20  # bytes; a deployment's largest argument is some kilob
 
 
 class ProtocolError(CairnError):
-    """The other side sent what is not of the zygote's protocol."""
+    """The other side sent something that is not of the zygote's protocol."""
 
 
 @dataclass(frozen=True)
 class Spawn:
     """Client: start a process of this name that calls `entry` with `argument`.
 
-    It is refused if one of the modules in `needs` could not be preloaded.
+    The zygote refuses if one of the modules in `needs` could not be preloaded.
     """
 
     request: int
@@ -35,7 +36,7 @@ class Spawn:
 
 @dataclass(frozen=True)
 class Signal:
-    """Client: send a signal to one of its processes, or to that process's whole group."""
+    """Client: send a signal to one of its processes, or kill that process's whole group."""
 
     request: int
     pid: int
@@ -46,7 +47,7 @@ class Signal:
 
 @dataclass(frozen=True)
 class Hello:
-    """Zygote, first of all: its pid, and per module why it failed or which threads it started."""
+    """Zygote, first message: its pid, and per module why it failed or which threads it started."""
 
     pid: int
     failures: dict[str, str]
@@ -56,7 +57,7 @@ class Hello:
 
 @dataclass(frozen=True)
 class Spawned:
-    """Zygote: the process asked for runs."""
+    """Zygote: the requested process runs."""
 
     request: int
     pid: int
@@ -65,14 +66,14 @@ class Spawned:
 
 @dataclass(frozen=True)
 class Done:
-    """Zygote: the signal was sent, or the process has ended before."""
+    """Zygote: the signal was sent, or the process had ended before."""
 
     request: int
     kind: Literal["done"] = "done"
 
 
 @dataclass(frozen=True)
-class Refused:
+class RequestRefused:
     """Zygote: the request was not carried out."""
 
     request: int
@@ -81,57 +82,73 @@ class Refused:
 
 
 @dataclass(frozen=True)
-class Ended:
-    """Zygote: a process of the client ended, with an exit code or by a signal."""
+class Exited:
+    """Zygote: a process of the client ended, with an exit code or by a signal; the other is None.
+
+    Its whole process group has ended: its devices and ports are free.
+    """
 
     pid: int
     name: str
     code: int | None
     signal: int | None
-    kind: Literal["ended"] = "ended"
+    kind: Literal["exited"] = "exited"
+
+    @property
+    def manner(self) -> str:
+        """How the process ended, as part of a sentence such as "was killed by SIGSEGV"."""
+        if self.signal is None:
+            return f"ended with exit code {self.code}"
+        try:
+            return f"was killed by {signal.Signals(self.signal).name}"
+        except ValueError:  # a real-time signal
+            return f"was killed by signal {self.signal}"
+
+    def __str__(self) -> str:
+        return f"{self.name} (process {self.pid}) {self.manner}"
 
 
 Request = Spawn | Signal
-Answer = Hello | Spawned | Done | Refused | Ended
+Answer = Hello | Spawned | Done | RequestRefused | Exited
 
 _REQUEST: TypeAdapter[Request] = TypeAdapter(Annotated[Request, Field(discriminator="kind")])
 _ANSWER: TypeAdapter[Answer] = TypeAdapter(Annotated[Answer, Field(discriminator="kind")])
 
 
-def request_line(request: Request) -> bytes:
-    """A request as it goes over the socket. Raises `TypeError` if its argument is not JSON."""
+def encode_request(request: Request) -> bytes:
+    """Encode a request as a line. Raises `TypeError` if its argument cannot be JSON."""
     return json.dumps(asdict(request)).encode() + b"\n"  # keeps NaN, unlike pydantic
 
 
-def answer_line(answer: Answer) -> bytes:
-    """An answer as it goes over the socket."""
+def encode_answer(answer: Answer) -> bytes:
+    """Encode an answer as a line."""
     return _ANSWER.dump_json(answer) + b"\n"
 
 
-def read_request(line: bytes) -> Request:
-    """The request in a line. Raises `ProtocolError`."""
+def decode_request(line: bytes) -> Request:
+    """Decode the request in a line. Raises `ProtocolError`."""
     try:
         return _REQUEST.validate_json(line)
     except ValidationError as error:
-        raise ProtocolError(f"a client of the zygote sent no valid request: {error}") from error
+        raise ProtocolError(f"a client of the zygote sent an invalid request: {error}") from error
 
 
-def read_answer(line: bytes) -> Answer:
-    """The answer in a line. Raises `ProtocolError`."""
+def decode_answer(line: bytes) -> Answer:
+    """Decode the answer in a line. Raises `ProtocolError`."""
     try:
         return _ANSWER.validate_json(line)
     except ValidationError as error:
-        raise ProtocolError(f"the zygote sent no valid answer: {error}") from error
+        raise ProtocolError(f"the zygote sent an invalid answer: {error}") from error
 
 
-class Lines:
-    """Cuts a stream of bytes into lines."""
+class LineSplitter:
+    """Splits a stream of bytes into lines."""
 
     def __init__(self) -> None:
         self._rest = bytearray()
 
     def feed(self, data: bytes) -> list[bytes]:
-        """The lines complete with these bytes. Raises `ProtocolError` if one is too long."""
+        """Return the lines completed by these bytes; `ProtocolError` if one is too long."""
         self._rest += data
         *lines, rest = self._rest.split(b"\n")
         if len(rest) > _LONGEST_LINE:

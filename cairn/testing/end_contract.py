@@ -95,7 +95,7 @@ class StopContract(Contract):
         """Within its deployment's `stop_timeout_s`; else its supervisor has to kill it."""
         said = len(robot.run.lines)
         robot.unload(self.component)
-        stopped = rf"{self.component} (is being stopped|stopped): "
+        stopped = rf"{self.component} (did not stop cleanly|stopped): "
         robot.run.await_line(stopped, after=said)
         lines = [line for line in robot.run.lines[said:] if re.search(stopped, line)]
         robot.load(self.component)

@@ -36,8 +36,7 @@ from cairn.bus.qos import RELIABLE, Qos
 from cairn.clock import SECOND
 from cairn.deployment.load import load_deployment
 from cairn.deployment.model import ChildSpec, Deployment
-from cairn.placement.lockstep import LockstepExecutor
-from cairn.placement.lockstep_run import LockstepRun
+from cairn.placement.lockstep import LockstepExecutor, LockstepRun
 from cairn.process_exit import ExitReport
 from cairn.runtime.component import Component
 from cairn.runtime.launch_request import LaunchRequest, RunContext

@@ -1,7 +1,7 @@
 """The control component of the vision framework."""
 
-from cairn.supervision.component import SupervisorComponent
+from cairn import Supervisor
 
 
-class VisionSupervisor(SupervisorComponent):
+class VisionSupervisor(Supervisor):
     """Loads the vision framework: the camera and the object recognizer, or their stand-ins."""

@@ -1,14 +1,14 @@
-"""How a process ends while its threads are at work."""
+"""How a process ends: its exit code while threads run, and the report read from its log."""
 
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
+from cairn.process_exit import WORK_NOT_DONE, ExitLog, ExitReport
+from cairn.supervision.zygote_protocol import Exited
 from tests.patience import LIMIT_S
-
-pytestmark = pytest.mark.processes
-
 
 # A thread is within Zenoh, and messages come to it: Python's own end aborts the process here.
 _BUSY = """
@@ -41,6 +41,7 @@ end_process(3)
 """
 
 
+@pytest.mark.processes
 def test_threads_within_zenoh_do_not_turn_the_exit_code_into_an_abort() -> None:
     ended = subprocess.run(
         [sys.executable, "-c", _BUSY], capture_output=True, text=True, timeout=LIMIT_S, check=False
@@ -48,3 +49,82 @@ def test_threads_within_zenoh_do_not_turn_the_exit_code_into_an_abort() -> None:
 
     assert (ended.returncode, ended.stderr) == (3, "")
     assert ended.stdout == "said before what was to be done at the end\n"
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    return tmp_path / "base.log"
+
+
+def report(log: ExitLog, code: int | None, signal: int | None = None) -> ExitReport:
+    """The report on process 7, which ended like this."""
+    return log.report(7, code, Exited(7, "base", code, signal).manner)
+
+
+def test_a_killed_process_is_reported_with_its_signal_and_log(file: Path) -> None:
+    log = ExitLog(file)
+    file.write_text("INFO all is well\n")
+
+    end = report(log, None, 11)
+
+    assert (end.normal, end.reason) == (False, f"was killed by SIGSEGV (process 7, log {file})")
+
+
+def test_the_reason_that_a_process_has_logged_is_reported(file: Path) -> None:
+    log = ExitLog(file)
+    file.write_text(
+        "process 6 ended: earlier\nTraceback\n"
+        "process 7 ended: tick: ValueError:; no device\nafterwards\n"
+    )
+
+    failed, normal = report(log, 1), report(log, 0)
+
+    reason = "tick: ValueError:; no device"
+    assert failed == ExitReport(False, f"failed (process 7, log {file}): {reason}")
+    assert normal == ExitReport(True, reason)
+
+
+@pytest.mark.processes
+def test_a_process_logs_its_reason_in_one_line(file: Path) -> None:
+    log = ExitLog(file)
+    program = (
+        "from cairn.process_exit import log_reason; log_reason('tick: ValueError:\\nno device')"
+    )
+    with (
+        file.open("w") as stderr,
+        subprocess.Popen([sys.executable, "-c", program], stderr=stderr) as process,
+    ):
+        process.wait(LIMIT_S)
+
+    assert log.report(process.pid, 0, "").reason == "tick: ValueError:; no device"
+
+
+def test_without_a_logged_reason_the_last_line_is_reported(file: Path) -> None:
+    log = ExitLog(file)
+    file.write_text("Traceback\nRuntimeError: oh\n")
+
+    expected = f"ended with exit code 1 (process 7, log {file}): RuntimeError: oh"
+    assert report(log, 1).reason == expected
+
+
+def test_lines_of_an_earlier_process_are_not_reported(file: Path) -> None:
+    file.write_text("RuntimeError: oh\n")
+    log = ExitLog(file)
+
+    assert report(log, 1).reason == f"ended with exit code 1 (process 7, log {file})"
+
+
+def test_a_process_without_a_log_is_reported(file: Path) -> None:
+    log = ExitLog(file)
+    assert report(log, 3).reason == f"ended with exit code 3 (process 7, log {file})"
+    assert report(log, 0).normal
+
+
+def test_work_that_was_not_done_is_a_normal_end_without_success(file: Path) -> None:
+    log = ExitLog(file)
+    file.write_text("process 7 ended: 2 of 3 goals were reached")
+
+    end = report(log, WORK_NOT_DONE)
+
+    assert end == ExitReport(True, "2 of 3 goals were reached", success=False)
+    assert end.exit_code == WORK_NOT_DONE

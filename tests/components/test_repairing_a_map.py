@@ -13,7 +13,7 @@ from cairn.components.map_builder.importing import altered, write_map
 from cairn.components.replay.landmarks import read_landmarks
 from cairn.components.replay.mrclam_files import Dataset
 from cairn.deployment.load import load_deployment
-from cairn.placement.lockstep_run import LockstepRun
+from cairn.placement.lockstep import LockstepRun
 from cairn.schemas.cairn_msgs import VisualMap, VisualMapChange, VisualObject
 from cairn.schemas.geometry_msgs import PoseWithCovarianceStamped
 

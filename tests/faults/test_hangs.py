@@ -68,7 +68,7 @@ def test_a_machine_that_pauses_has_nobody_taken_for_hung(launch: Launching) -> N
         """
     components:
       mobile:
-        plugin: mobile_supervisor
+        plugin: supervisor
         children:
           talker: {plugin: test_talker, hang_timeout_s: 0.5}
           base: {plugin: test_faulty, placement: in_process, hang_timeout_s: 0.5}
@@ -97,7 +97,7 @@ def test_in_its_parents_process_takes_the_parent_along(launch: Launching) -> Non
         """
     components:
       mobile:
-        plugin: mobile_supervisor
+        plugin: supervisor
         children:
           base: {plugin: test_faulty, placement: in_process, hang_timeout_s: 0.5}
       listener: {plugin: test_listener}
@@ -122,7 +122,7 @@ def test_while_it_is_stopped_ends_within_its_limits(launch: Launching) -> None:
         """
     components:
       mobile:
-        plugin: mobile_supervisor
+        plugin: supervisor
         children:
           beacon: {plugin: test_beacon}
           base:
@@ -137,7 +137,7 @@ def test_while_it_is_stopped_ends_within_its_limits(launch: Launching) -> None:
     assert run.stop() == 1
 
     run.await_line(
-        "WARNING robot.mobile: base is being stopped: shutdown: no answer within 0.[45] s"
+        "WARNING robot.mobile: base did not stop cleanly: shutdown: no answer within 0.[45] s"
     )
     run.await_line(r"WARNING robot.mobile: base stopped: was killed by SIGKILL \(")
     run.await_line("robot.mobile: beacon stopped: shut down")
@@ -153,7 +153,7 @@ def test_ctrl_c_does_not_wait_for_one_that_hangs_while_it_starts(
             parameters: {fault: sleep, where: on_configure}
             stop_timeout_s: 0.5"""
     tree = (
-        f"mobile:\n        plugin: mobile_supervisor\n        children:\n          {base}"
+        f"mobile:\n        plugin: supervisor\n        children:\n          {base}"
         if placed == "mobile"
         else base
     )

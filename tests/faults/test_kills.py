@@ -17,7 +17,7 @@ TREE = """
     components:
       beacon: {plugin: test_beacon}
       mobile:
-        plugin: mobile_supervisor
+        plugin: supervisor
         children:
           reader: {plugin: test_reader}
           base: {plugin: test_faulty, parameters: {helpers: 2}}

@@ -122,7 +122,7 @@ def test_one_in_its_parents_process_that_raises_is_restarted_there(launch: Launc
         """
     components:
       mobile:
-        plugin: mobile_supervisor
+        plugin: supervisor
         children:
           base: {plugin: test_faulty, placement: in_process}
           beacon: {plugin: test_beacon, placement: in_process}

@@ -15,7 +15,7 @@ pytestmark = pytest.mark.processes
 GROUP = """
     components:
       mobile:
-        plugin: mobile_supervisor
+        plugin: supervisor
         supervision: {{strategy: {strategy}}}
         children:
           first: {{plugin: test_beacon}}
@@ -59,7 +59,7 @@ def test_too_many_restarts_escalate_to_the_end_of_the_deployment(launch: Launchi
     components:
       talker: {plugin: test_talker}
       mobile:
-        plugin: mobile_supervisor
+        plugin: supervisor
         supervision: {max_restarts: 1, within_s: 60}
         children:
           base: {plugin: test_faulty}
@@ -104,7 +104,7 @@ def test_the_end_of_a_significant_component_ends_the_deployment_normally(
     components:
       beacon: {plugin: test_beacon}
       mobile:
-        plugin: mobile_supervisor
+        plugin: supervisor
         children:
           talker:
             plugin: test_talker
@@ -196,7 +196,7 @@ def test_a_restart_on_request_that_fails_for_good_fails_the_supervisor(launch: L
     supervision: {max_restarts: 0}
     components:
       mobile:
-        plugin: mobile_supervisor
+        plugin: supervisor
         supervision: {max_restarts: 0}
         children:
           base: {plugin: test_faulty, parameters: {once: "${here}/once"}}

@@ -8,8 +8,7 @@ from typing import Any
 from cairn import RELIABLE, SECOND, Qos
 from cairn.bus.bus import full_name
 from cairn.deployment.model import Deployment
-from cairn.placement.lockstep_run import LockstepRun
-from cairn.runtime.lifecycle import Transition
+from cairn.placement.lockstep import LockstepRun
 
 _MANY = Qos("reliable", "transient_local", 1_000_000)
 
@@ -59,7 +58,7 @@ class Deployed:
     def ask(self, component: str, verb: str, **arguments: Any) -> Any:
         """What a component answers to a request; what follows at once has happened then."""
         self.begin()
-        answer = self._place(component).runtime.request(verb, arguments)
+        answer = self.run.runtime(component).request(verb, arguments)
         self.wait(0.0)
         return answer
 
@@ -82,19 +81,16 @@ class Deployed:
         if self._began:
             return
         self._began = True
-        run = self.run
-        run.executor.at(0, run._heartbeat)
-        run._root.runtime.transition(Transition.CONFIGURE)
-        run._root.runtime.transition(Transition.ACTIVATE)
+        self.run.start()
 
     def end(self) -> None:
         """Stop all in good order, unless it has ended."""
-        if self.run.end is None and self._began:
-            self.run._root.runtime.transition(Transition.SHUTDOWN)
+        if self._began:
+            self.run.shutdown()
 
     def silence(self, component: str) -> None:
         """Have a component do nothing any more, like a process that was stopped."""
-        self._place(component)._scheduler.stop()
+        self.run.suspend(component)
 
     def _note(self) -> None:
         self._told = True
@@ -105,15 +101,6 @@ class Deployed:
             self._told = False
             self.hear()
         return False
-
-    def _place(self, component: str) -> Any:
-        places = [self.run._root]
-        while places:
-            place = places.pop()
-            if place.runtime.name == component:
-                return place
-            places += [child.place for child in place._children if child.end is None]
-        raise AssertionError(f"there is no {component}")
 
 
 def taken(reader: Any) -> list[Any]:

@@ -12,7 +12,7 @@ import psutil
 from cairn.cli.doctor.finding import Finding
 from cairn.client import connect
 from cairn.errors import CairnError
-from cairn.supervision.remains import MARK
+from cairn.supervision.orphan_cleanup import MARK
 
 _TOPIC = "deployments"
 _LIMIT_S = 1.0

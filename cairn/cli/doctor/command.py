@@ -24,7 +24,7 @@ from cairn.cli.doctor.software import software
 from cairn.cli.options import DEFAULT_CONNECT, Connect, Domain, Json, Overlay, Set
 from cairn.cli.output import line, print_json
 from cairn.deployment.model import Deployment
-from cairn.placement.root import endpoints
+from cairn.placement.process_run import endpoints
 
 _COLORS = {"ok": "green", "warn": "yellow", "fail": "bold red"}
 _UNFOLDED = 10_000  # columns, where the output is not a terminal but perhaps `grep`

@@ -11,7 +11,7 @@ from cairn import CairnError
 from cairn.cli.runs import log_file
 from cairn.deployment.load import load_deployment
 from cairn.deployment.model import Deployment
-from cairn.placement.lockstep_run import LockstepRun
+from cairn.placement.lockstep import LockstepRun
 from cairn.planar.poses import Pose
 from cairn.tools.evaluation.results import RunResult
 

@@ -12,7 +12,7 @@ from tempfile import TemporaryDirectory
 
 from cairn import CairnError
 from cairn.cli.runs import log_file, worker_pool
-from cairn.placement.lockstep_run import LockstepRun
+from cairn.placement.lockstep import LockstepRun
 from cairn.tools.experiments.pairs import Plan, planned
 
 

@@ -1,7 +1,6 @@
 """The supervisor of the turtle: lets it wander while the battery lasts."""
 
-from cairn import Config, In, on
-from cairn.supervision.component import SupervisorComponent
+from cairn import Config, In, Supervisor, on
 from pydantic import Field
 
 from turtle_robot.messages import BaseState
@@ -16,7 +15,7 @@ class TurtleSupervisorConfig(Config):
     wander_above: float = Field(0.5, ge=0, le=1, description="Charge above which it goes on [1].")
 
 
-class TurtleSupervisor(SupervisorComponent):
+class TurtleSupervisor(Supervisor):
     """Keeps the base running; loads the wanderer when there is charge, unloads it when not."""
 
     config: TurtleSupervisorConfig

@@ -13,7 +13,7 @@ ROVER = """
     external_topics: [goal_pose]
     components:
       mobile:
-        plugin: mobile_supervisor
+        plugin: supervisor
         children:
           listener: {plugin: test_listener}
           reader: {plugin: test_reader, load: on_request}

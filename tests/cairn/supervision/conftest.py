@@ -1,4 +1,4 @@
-"""A zygote for the tests, and the certainty that nothing of it remains after each."""
+"""A zygote for the tests, and the check that nothing of it remains after each."""
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -8,8 +8,8 @@ import pytest
 from cairn.supervision.zygote_process import ZygoteProcess, start_zygote
 
 from . import zygote_children
-from .owner import Owner
 from .reports import Reports, Tree
+from .zygote_owner import Owner
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""How processes of a test tell of themselves, and how the test sees that they have ended."""
+"""How processes report to a test, and how the test sees that they have ended."""
 
 import json
 import os
@@ -18,7 +18,7 @@ TREE = "CAIRN_TEST_TREE"
 
 
 class Report:
-    """A process's account of itself; its connection lasts as long as the process."""
+    """What a process reports about itself; its connection lasts as long as the process."""
 
     def __init__(self, connection: socket.socket) -> None:
         connection.settimeout(LIMIT_S)
@@ -45,8 +45,8 @@ class Reports:
         self._listener.bind(self.path)
         self._listener.listen(64)
         self._listener.settimeout(LIMIT_S)
-        self._come: list[Report] = []
-        self._seen: list[Report] = []
+        self._arrived: list[Report] = []
+        self._all: list[Report] = []
 
     def __enter__(self) -> "Reports":
         return self
@@ -58,32 +58,32 @@ class Reports:
         trace: TracebackType | None,
     ) -> None:
         self._listener.close()
-        for report in self._seen:
+        for report in self._all:
             report.lines.close()
             report.connection.close()
 
     def of(self, name: str) -> Report:
-        """The report of a process of this name, waited for; each is given once."""
+        """Wait for the report of a process of this name; each report is returned once."""
         while True:
-            for report in self._come:
+            for report in self._arrived:
                 if report.name == name:
-                    self._come.remove(report)
+                    self._arrived.remove(report)
                     return report
             connection, _ = self._listener.accept()
             report = Report(connection)
-            self._come.append(report)
-            self._seen.append(report)
+            self._arrived.append(report)
+            self._all.append(report)
 
 
 class Tree:
-    """All processes started from now on, however they hide: they carry a mark."""
+    """All processes started from now on: they carry a mark, however they detach."""
 
     def __init__(self) -> None:
         self.mark = uuid4().hex
         os.environ[TREE] = self.mark
 
     def processes(self) -> list[psutil.Process]:
-        """Those that run, zombies excluded; never the test's own."""
+        """Return those that run, without zombies and without the test's own process."""
         found = []
         for process in psutil.process_iter():
             try:
@@ -105,14 +105,14 @@ class Tree:
             assert not left or time.monotonic() < deadline, f"these still run: {left}"
 
     def end(self) -> None:
-        """Kill what runs, so that a failed test leaves nothing."""
+        """Kill all of them, so that a failed test leaves nothing."""
         for process in self.processes():
             process.kill()
         del os.environ[TREE]
 
 
 def await_end_of(pid: int, limit_s: float) -> None:
-    """Wait until a process has ended, whoever's child it is, or the limit has passed."""
+    """Wait until a process has ended, even if it is not a child, or the limit has passed."""
     try:
         process = os.pidfd_open(pid)
     except ProcessLookupError:

@@ -1,13 +1,13 @@
-"""Children that behave as a test says, on a clock that moves only when they say so."""
+"""Children that behave as a test's script says, on a clock that moves only when they say so."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from cairn import CairnError
-from cairn.supervision.child import Accident, ChildEnd, ChildRules, Verb
-from cairn.supervision.events import SupervisionEvent
-from cairn.supervision.policy import Intensity, Strategy
-from cairn.supervision.supervisor import Supervisor
+from cairn.deployment.model import ChildSpec, Supervision
+from cairn.process_exit import ExitReport
+from cairn.supervision.child import ChildEvent, ChildUnavailable, Verb
+from cairn.supervision.supervisor import ChildGroup
 
 Step = Callable[["ScriptedChild", float], None]  # called with the step's time limit [s]
 
@@ -21,7 +21,7 @@ def fails(reason: str) -> Step:
 
 def does_not_answer(child: "ScriptedChild", timeout_s: float) -> None:
     child.world.now_s += timeout_s
-    raise Accident(f"{child.name} did not answer within {timeout_s:g} s")
+    raise ChildUnavailable(f"{child.name} did not answer within {timeout_s:g} s")
 
 
 def takes(seconds: float) -> Step:
@@ -33,8 +33,8 @@ def takes(seconds: float) -> Step:
 
 def dies(reason: str) -> Step:
     def step(child: "ScriptedChild", timeout_s: float) -> None:
-        child.end = ChildEnd(False, reason)
-        raise Accident(f"{child.name} {reason}")
+        child.end = ExitReport(False, reason)
+        raise ChildUnavailable(f"{child.name} {reason}")
 
     return step
 
@@ -44,24 +44,25 @@ def is_ignored(child: "ScriptedChild", timeout_s: float) -> None:
 
 
 def ends(child: "ScriptedChild", timeout_s: float) -> None:
-    child.end = ChildEnd(True, "ended with exit code 0")
+    child.end = ExitReport(True, "ended with exit code 0")
 
 
 def is_killed(child: "ScriptedChild", timeout_s: float) -> None:
-    child.end = ChildEnd(False, "was killed by SIGKILL")
+    child.end = ExitReport(False, "was killed by SIGKILL")
 
 
 @dataclass
 class ScriptedChild:
-    """Does at each step what its script says, else what a good component does."""
+    """Does at each step what its script says, otherwise what a good component does."""
 
     world: "World"
     name: str
     incarnation: int
     script: dict[str, Step]
-    end: ChildEnd | None = None
+    end: ExitReport | None = None
 
     def request(self, verb: Verb, timeout_s: float) -> None:
+        self.world.limits.append((f"{verb} {self.name}", timeout_s))
         self._step(verb, timeout_s, ends if verb == "shutdown" else is_ignored)
 
     def terminate(self) -> None:
@@ -70,7 +71,7 @@ class ScriptedChild:
     def kill(self) -> None:
         self._step("kill", 0.0, is_killed)
 
-    def wait(self, timeout_s: float) -> ChildEnd | None:
+    def wait(self, timeout_s: float) -> ExitReport | None:
         if self.end is None:
             self.world.now_s += timeout_s
         return self.end
@@ -82,58 +83,71 @@ class ScriptedChild:
 
 @dataclass
 class World:
-    """The launcher, the clock, and all that happened."""
+    """The launcher, the clock, and everything that happened."""
 
     now_s: float = 100.0
     scripts: dict[str, list[dict[str, Step]]] = field(default_factory=dict)
     children: dict[str, ScriptedChild] = field(default_factory=dict)
     steps: list[str] = field(default_factory=list)
-    events: list[SupervisionEvent] = field(default_factory=list)
-    progress: list[tuple[str, float]] = field(default_factory=list)
+    limits: list[tuple[str, float]] = field(default_factory=list)  # of each request [s]
+    events: list[ChildEvent] = field(default_factory=list)
+    progress: list[str] = field(default_factory=list)
+    stop_requests: int = 0
     on_step: Callable[[str], None] = lambda text: None
 
     def script(self, name: str, *incarnations: dict[str, Step]) -> None:
-        """What a child does at each step, by incarnation; further ones do well."""
+        """Set what a child does at each step, by incarnation; later ones behave well."""
         self.scripts[name] = list(incarnations)
 
-    def launch(self, spec: ChildRules, incarnation: int, previous_exit: str) -> ScriptedChild:
-        self.steps.append(f"launch {spec.name}")
-        scripts = self.scripts.get(spec.name, [])
+    def launch(
+        self,
+        name: str,
+        spec: ChildSpec,
+        incarnation: int,
+        previous_exit: str,
+        on_exit: Callable[[], None],
+    ) -> ScriptedChild:
+        self.steps.append(f"launch {name}")
+        scripts = self.scripts.get(name, [])
         script = scripts[incarnation - 1] if incarnation <= len(scripts) else {}
-        child = ScriptedChild(self, spec.name, incarnation, script)
+        child = ScriptedChild(self, name, incarnation, script)
         if "launch" in script:
-            script["launch"](child, spec.start_timeout_s)
-        self.children[spec.name] = child
+            script["launch"](child, spec.start_limit_s)
+        self.children[name] = child
         return child
 
+    def request_stop(self) -> None:
+        self.stop_requests += 1
+
     def take_steps(self) -> list[str]:
-        """The steps since the last call."""
+        """Return the steps since the last call."""
         steps, self.steps = self.steps, []
         return steps
 
-    def told(self, child: str) -> list[tuple[str, str]]:
-        return [(event.what, event.reason) for event in self.events if event.child == child]
+    def events_of(self, child: str) -> list[tuple[str, str]]:
+        return [(event.kind, event.reason) for event in self.events if event.child == child]
 
     def running(self) -> list[str]:
         return [name for name, child in self.children.items() if child.end is None]
 
-    def supervisor(
-        self,
-        *children: ChildRules | str,
-        strategy: Strategy = "one_for_one",
-        intensity: Intensity | None = None,
-    ) -> Supervisor:
-        def progress(text: str, limit_s: float) -> None:
-            self.progress.append((text, limit_s))
-            self.on_step(text)
+    def supervisor(self, *names: str, **children: ChildSpec) -> ChildGroup:
+        """Return the children of a supervisor: those named, then those specified."""
+        return self.supervisor_with(Supervision(), *names, **children)
 
-        return Supervisor(
+    def supervisor_with(
+        self, supervision: Supervision, *names: str, **children: ChildSpec
+    ) -> ChildGroup:
+        def report_progress(step: str) -> None:
+            self.progress.append(step)
+            self.on_step(step)
+
+        return ChildGroup(
             "mobile_supervisor",
-            [ChildRules(child) if isinstance(child, str) else child for child in children],
+            {name: ChildSpec(plugin="test") for name in names} | children,
+            supervision,
             self,
             observe=self.events.append,
-            progress=progress,
-            strategy=strategy,
-            intensity=intensity,
+            report_progress=report_progress,
+            on_exit=lambda: None,
             now=lambda: self.now_s,
         )

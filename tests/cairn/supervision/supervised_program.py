@@ -1,23 +1,24 @@
 """A small deployment of real processes: what the root, a supervisor and a component do.
 
 The root supervises `base`, which has a helper, and `mobile`, which supervises `localizer` and
-`planner`. Each tells the test of itself, and takes requests from its supervisor over a socket.
+`planner`. Each reports to the test, and takes requests from its supervisor over a socket. In a
+`ChildSpec`, `plugin` is the name of the function below.
 """
 
 import queue
 import signal
 import sys
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TextIO
 
 from cairn import CairnError
-from cairn.supervision.child import ChildEnd, ChildRules, Verb
-from cairn.supervision.child_process import ChildExit, ChildProcess
-from cairn.supervision.events import SupervisionEvent
-from cairn.supervision.policy import Intensity
-from cairn.supervision.supervisor import Escalate, Supervisor
-from cairn.supervision.zygote_client import ZygoteClient, ZygoteLost
+from cairn.deployment.model import ChildSpec, Supervision
+from cairn.process_exit import ExitReport
+from cairn.supervision.child import ChildEvent, Verb
+from cairn.supervision.supervisor import ChildGroup, Escalate
+from cairn.supervision.zygote_client import ChildProcess, ZygoteClient, ZygoteLost
 from cairn.supervision.zygote_process import start_zygote
 from tests.patience import LIMIT_S
 
@@ -25,10 +26,9 @@ from .reports import Report, Reports
 from .zygote_children import announce, keep_helper_of
 
 MODULE = f"{__package__}.supervised_program"
-ENTRIES = {"base": "base", "mobile": "supervise", "localizer": "component", "planner": "component"}
 
 
-class ProcessChild:
+class SocketHandle:
     """A component in a process, which answers "ok" to requests."""
 
     def __init__(self, process: ChildProcess, control: Report) -> None:
@@ -48,50 +48,62 @@ class ProcessChild:
         if answer != "ok\n":
             raise CairnError(f"{self.process.name} did not {verb}: it has ended")
 
-    def wait(self, timeout_s: float) -> ChildEnd | None:
-        how = self.process.wait(timeout_s)
-        return None if how is None else ChildEnd(how.normal, str(how))
+    def wait(self, timeout_s: float) -> ExitReport | None:
+        exited = self.process.wait(timeout_s)
+        return None if exited is None else ExitReport(exited.code == 0, str(exited))
 
 
-class Household:
+class SupervisorProcess:
     """A supervisor with its connection to the zygote, and the loop that drives it."""
 
-    def __init__(self, name: str, children: list[ChildRules], argument: dict[str, Any]) -> None:
+    def __init__(self, name: str, children: dict[str, ChildSpec], argument: dict[str, Any]) -> None:
         self.name = name
         self.argument = argument
-        self.happened: queue.SimpleQueue[ChildExit | ZygoteLost | None] = queue.SimpleQueue()
+        self.inbox: queue.SimpleQueue[str | ZygoteLost] = queue.SimpleQueue()
         self.controls = Reports(Path(tempfile.mkdtemp(dir=argument["directory"])))
-        self.supervisor = Supervisor(
+        self.children = ChildGroup(
             name,
             children,
+            Supervision(max_restarts=2, within_s=60.0),
             self,
             observe=self.observe,
-            progress=lambda text, limit_s: None,
-            intensity=Intensity(2, 60.0),
+            report_progress=lambda step: None,
+            on_exit=lambda: self.inbox.put("exit"),
         )
 
-    def launch(self, spec: ChildRules, incarnation: int, previous_exit: str) -> ProcessChild:
-        argument = {**self.argument, "name": spec.name, "controls": self.controls.path}
+    def launch(
+        self,
+        name: str,
+        spec: ChildSpec,
+        incarnation: int,
+        previous_exit: str,
+        on_exit: Callable[[], None],
+    ) -> SocketHandle:
+        argument = {**self.argument, "name": name, "controls": self.controls.path}
         argument["incarnation"] = incarnation
-        entry = f"{MODULE}:{ENTRIES[spec.name]}"
-        process = self.client.spawn(spec.name, entry, argument, Path(argument["log"]))
-        return ProcessChild(process, self.controls.of(spec.name))
+        entry = f"{MODULE}:{spec.plugin}"
+        process = self.client.spawn(name, entry, argument, Path(argument["log"]))
+        process.on_exit(lambda _: on_exit())
+        return SocketHandle(process, self.controls.of(name))
 
-    def observe(self, event: SupervisionEvent) -> None:
-        sys.stderr.write(f"{self.name}: {event.child} {event.what} {event.reason}\n")
+    def request_stop(self) -> None:
+        """Do nothing: a start is not cut short."""
+
+    def observe(self, event: ChildEvent) -> None:
+        sys.stderr.write(f"{self.name}: {event.child} {event.kind} {event.reason}\n")
 
     def connect(self, zygote: Path) -> None:
         self.argument["zygote"] = str(zygote)
-        self.client = ZygoteClient(zygote, self.happened.put, self.happened.put)
+        self.client = ZygoteClient(zygote, self.inbox.put)
 
     def react(self) -> bool:
-        """Wait for something to happen and see to it; False for a request to stop."""
-        what = self.happened.get(timeout=LIMIT_S * 2)
-        if what is None or self.supervisor.stop_requested:
+        """Wait for an event and handle it; return False for a request to stop."""
+        event = self.inbox.get(timeout=LIMIT_S * 2)
+        if event == "stop" or self.children.stop_requested:
             return False
-        if isinstance(what, ZygoteLost):
-            raise what
-        self.supervisor.reconcile()
+        if isinstance(event, ZygoteLost):
+            raise event
+        self.children.reconcile()
         return True
 
 
@@ -112,18 +124,18 @@ def base(argument: dict[str, Any]) -> None:
 
 def supervise(argument: dict[str, Any]) -> None:
     """Supervise two components, whether or not anything is requested, until shut down."""
-    children = [ChildRules("localizer"), ChildRules("planner")]
-    household = Household("mobile", children, dict(argument))
-    signal.signal(signal.SIGTERM, lambda *_: household.happened.put(None))
-    household.connect(Path(argument["zygote"]))
-    household.supervisor.start_all()
+    children = {name: ChildSpec(plugin="component") for name in ("localizer", "planner")}
+    process = SupervisorProcess("mobile", children, dict(argument))
+    signal.signal(signal.SIGTERM, lambda *_: process.inbox.put("stop"))
+    process.connect(Path(argument["zygote"]))
+    process.children.start_all()
     control = announce({**argument, "reports": argument["controls"]})
     with control.makefile("rw") as requests:
         answer(requests, "configure", "activate")
         with announce(argument, incarnation=argument["incarnation"]):
-            while household.react():
+            while process.react():
                 pass
-            household.supervisor.stop_all()
+            process.children.stop_all()
 
 
 def answer(requests: TextIO, *verbs: Verb) -> None:
@@ -138,12 +150,15 @@ def main() -> int:
     """The root: arguments are a directory and the path of the test's socket."""
     directory, reports = Path(sys.argv[1]), sys.argv[2]
     argument = {"directory": str(directory), "reports": reports, "log": str(directory / "log")}
-    children = [ChildRules("base"), ChildRules("mobile", stop_timeout_s=0.2)]
-    household = Household("root", children, argument)
+    children = {
+        "base": ChildSpec(plugin="base"),
+        "mobile": ChildSpec(plugin="supervise", stop_timeout_s=0.2),
+    }
+    process = SupervisorProcess("root", children, argument)
 
     def stop(*_: object) -> None:
-        household.supervisor.request_stop()
-        household.happened.put(None)
+        process.children.request_stop()
+        process.inbox.put("stop")
 
     signal.signal(signal.SIGTERM, stop)
     signal.signal(signal.SIGINT, stop)
@@ -151,20 +166,20 @@ def main() -> int:
     again = True
     while again:
         zygote = start_zygote([MODULE], directory / "run")
-        household.connect(zygote.socket_path)
+        process.connect(zygote.socket_path)
         again = False
         try:
-            household.supervisor.start_all()
+            process.children.start_all()
             with announce({**argument, "name": "root"}, zygote=zygote.pid):
-                while household.react():
+                while process.react():
                     pass
         except ZygoteLost:
             again = True
         except Escalate as error:
             announce({**argument, "name": "escalation"}, reason=str(error)).close()
             code = 1
-        household.supervisor.stop_all()
-        household.client.close()
+        process.children.stop_all()
+        process.client.close()
         zygote.close()
     return code
 

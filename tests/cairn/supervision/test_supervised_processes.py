@@ -40,7 +40,7 @@ class Deployment:
         self.parts = {name: reports.of(name) for name in COMPONENTS}
         self.root = reports.of("root")
 
-    def again(self, name: str) -> Report:
+    def next_report(self, name: str) -> Report:
         """The report of a component's next incarnation."""
         self.parts[name] = self.reports.of(name)
         return self.parts[name]
@@ -55,7 +55,7 @@ def deployment(tree: Tree, reports: Reports, tmp_path: Path) -> Iterator[Deploym
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_stopping_the_root_in_good_order_leaves_nothing(
+def test_stopping_the_root_leaves_nothing(
     deployment: Deployment, number: signal.Signals, tree: Tree
 ) -> None:
     deployment.process.send_signal(number)
@@ -69,7 +69,7 @@ def test_killing_the_root_leaves_nothing(deployment: Deployment, tree: Tree) -> 
     tree.await_end()
 
 
-def test_killing_the_root_while_it_is_stopped_leaves_nothing(
+def test_killing_the_root_leaves_nothing_even_of_stopped_processes(
     deployment: Deployment, tree: Tree
 ) -> None:
     for part in deployment.parts.values():
@@ -85,8 +85,8 @@ def test_a_killed_component_is_restarted_without_its_former_helper(
     former_helper = deployment.parts["base's helper"]
     os.kill(deployment.parts["base"].pid, signal.SIGKILL)
     former_helper.await_end()
-    assert deployment.again("base").facts["incarnation"] == 2
-    assert deployment.again("base's helper").pid != former_helper.pid
+    assert deployment.next_report("base").facts["incarnation"] == 2
+    assert deployment.next_report("base's helper").pid != former_helper.pid
     os.kill(deployment.parts["localizer"].pid, 0)
 
 
@@ -94,29 +94,29 @@ def test_a_killed_component_below_a_supervisor_is_restarted_by_that_one(
     deployment: Deployment,
 ) -> None:
     os.kill(deployment.parts["planner"].pid, signal.SIGKILL)
-    assert deployment.again("planner").facts["incarnation"] == 2
+    assert deployment.next_report("planner").facts["incarnation"] == 2
     os.kill(deployment.parts["mobile"].pid, 0)
     os.kill(deployment.parts["localizer"].pid, 0)
 
 
-def test_a_killed_supervisor_is_restarted_with_all_below_it(deployment: Deployment) -> None:
+def test_a_killed_supervisor_is_restarted_with_its_children(deployment: Deployment) -> None:
     below = [deployment.parts[name] for name in ("localizer", "planner")]
     os.kill(deployment.parts["mobile"].pid, signal.SIGKILL)
     for part in below:
         part.await_end()
     for name in ("mobile", "localizer", "planner"):
-        assert deployment.again(name).pid not in [part.pid for part in below]
+        assert deployment.next_report(name).pid not in [part.pid for part in below]
     os.kill(deployment.parts["base"].pid, 0)
 
 
-def test_failures_that_go_on_escalate_to_the_root_which_leaves_nothing(
+def test_repeated_failures_escalate_to_the_root_which_leaves_nothing(
     deployment: Deployment, tree: Tree
 ) -> None:
     for incarnation in (1, 2, 3):
         assert deployment.parts["base"].facts["incarnation"] == incarnation
         os.kill(deployment.parts["base"].pid, signal.SIGKILL)
         if incarnation < 3:
-            deployment.again("base")
+            deployment.next_report("base")
     reason = deployment.reports.of("escalation").facts["reason"]
     assert reason.startswith("given up after more than 2 restarts within 60 s; last, base: ")
     assert reason.endswith("was killed by SIGKILL")
@@ -124,25 +124,27 @@ def test_failures_that_go_on_escalate_to_the_root_which_leaves_nothing(
     assert tree.processes() == []
 
 
-def test_a_supervisor_that_gives_up_is_restarted_by_its_own(deployment: Deployment) -> None:
+def test_a_supervisor_that_gives_up_is_restarted_by_the_root(
+    deployment: Deployment,
+) -> None:
     for incarnation in (1, 2, 3):
         assert deployment.parts["planner"].facts["incarnation"] == incarnation
         os.kill(deployment.parts["planner"].pid, signal.SIGKILL)
         if incarnation < 3:
-            deployment.again("planner")
-    assert deployment.again("mobile").facts["incarnation"] == 2
-    assert deployment.again("planner").facts["incarnation"] == 1
+            deployment.next_report("planner")
+    assert deployment.next_report("mobile").facts["incarnation"] == 2
+    assert deployment.next_report("planner").facts["incarnation"] == 1
     assert "given up after more than 2 restarts" in deployment.log.read_text()
 
 
-def test_a_killed_zygote_takes_all_along_and_the_root_starts_anew(
+def test_all_processes_end_with_a_killed_zygote_and_the_root_starts_again(
     deployment: Deployment, tree: Tree
 ) -> None:
     former = deployment.parts.copy()
     os.kill(deployment.root.facts["zygote"], signal.SIGKILL)
     for part in former.values():
         part.await_end()
-    renewed = [deployment.again(name) for name in COMPONENTS]
+    renewed = [deployment.next_report(name) for name in COMPONENTS]
     root = deployment.reports.of("root")
     assert root.facts["zygote"] != deployment.root.facts["zygote"]
     expected = {root.pid, root.facts["zygote"], *(part.pid for part in renewed)}

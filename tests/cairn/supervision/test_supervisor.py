@@ -1,9 +1,11 @@
-"""The supervising engine with scripted children on a clock of their own."""
+"""The children of a supervisor: scripted ones on a virtual clock, and requests for them."""
 
 import pytest
 
-from cairn.supervision.child import ChildEnd, ChildRules, LauncherLost
-from cairn.supervision.policy import Intensity
+from cairn.deployment.model import ChildSpec, Supervision
+from cairn.process_exit import ExitReport
+from cairn.supervision.child import LauncherLost
+from cairn.supervision.restart_policy import UnknownChild
 from cairn.supervision.supervisor import Escalate, StartFailed
 
 from .scripted_children import (
@@ -17,8 +19,8 @@ from .scripted_children import (
     takes,
 )
 
-CRASH = ChildEnd(False, "was killed by SIGSEGV")
-DONE = ChildEnd(True, "ended with exit code 0")
+CRASH = ExitReport(False, "was killed by SIGSEGV")
+DONE = ExitReport(True, "ended with exit code 0")
 START_BASE = ["launch base", "configure base", "activate base"]
 START_SCANNER = ["launch scanner", "configure scanner", "activate scanner"]
 STOP_BASE = ["deactivate base", "shutdown base"]
@@ -30,7 +32,7 @@ def world() -> World:
     return World()
 
 
-def test_children_start_in_order_each_when_the_former_is_active(world: World) -> None:
+def test_children_start_in_order_each_when_the_one_before_is_active(world: World) -> None:
     supervisor = world.supervisor("base", "scanner")
     supervisor.start_all()
     assert world.steps == START_BASE + START_SCANNER
@@ -67,20 +69,20 @@ def test_a_child_that_ended_is_restarted_and_the_reason_kept(world: World) -> No
     assert status.reason == "was killed by SIGSEGV"
 
 
-def test_late_news_of_a_former_incarnation_change_nothing(world: World) -> None:
+def test_a_hang_of_an_earlier_incarnation_has_no_effect(world: World) -> None:
     supervisor = world.supervisor("base")
     supervisor.start_all()
     world.children["base"].end = CRASH
     supervisor.reconcile()
     world.take_steps()
-    supervisor.child_hung("base", 1, "drive", 5.0)
+    supervisor.kill_hung("base", 1, "drive", 5.0)
     supervisor.reconcile()
     assert world.steps == []
     assert supervisor.status()[0].incarnation == 2
 
 
-def test_one_for_all_stops_the_living_and_starts_everybody(world: World) -> None:
-    supervisor = world.supervisor("base", "scanner", strategy="one_for_all")
+def test_one_for_all_stops_running_children_and_starts_all(world: World) -> None:
+    supervisor = world.supervisor_with(Supervision(strategy="one_for_all"), "base", "scanner")
     supervisor.start_all()
     world.take_steps()
     world.children["base"].end = CRASH
@@ -89,8 +91,8 @@ def test_one_for_all_stops_the_living_and_starts_everybody(world: World) -> None
 
 
 def test_children_that_ended_together_count_as_one_restart(world: World) -> None:
-    supervisor = world.supervisor(
-        "base", "scanner", strategy="one_for_all", intensity=Intensity(1, 10.0)
+    supervisor = world.supervisor_with(
+        Supervision(strategy="one_for_all", max_restarts=1), "base", "scanner"
     )
     supervisor.start_all()
     world.take_steps()
@@ -104,10 +106,10 @@ def test_a_hung_child_is_killed_and_its_handler_named(world: World) -> None:
     supervisor = world.supervisor("base", "scanner")
     supervisor.start_all()
     world.take_steps()
-    supervisor.child_hung("scanner", 1, "read_scan", 5.25)
+    supervisor.kill_hung("scanner", 1, "read_scan", 5.25)
     supervisor.reconcile()
     assert world.steps == ["kill scanner", *START_SCANNER]
-    assert ("hung", "hung in read_scan for 5.2 s and was killed") in world.told("scanner")
+    assert ("hung", "hung in read_scan for 5.2 s and was killed") in world.events_of("scanner")
     assert supervisor.status()[1].reason == "hung in read_scan for 5.2 s and was killed"
 
 
@@ -119,11 +121,11 @@ def test_a_restarted_child_that_fails_to_configure_is_ended_and_tried_again(worl
     world.children["base"].end = CRASH
     supervisor.reconcile()
     assert world.steps == [*("launch base", "configure base", "terminate base"), *START_BASE]
-    assert ("start_failed", "no device /dev/ttyUSB0") in world.told("base")
+    assert ("start_failed", "no device /dev/ttyUSB0") in world.events_of("base")
     assert supervisor.status()[0].restarts == 2
 
 
-def test_a_child_that_cannot_start_at_first_escalates_at_once_with_its_own_error(
+def test_a_child_that_refuses_its_first_start_escalates_at_once_with_its_own_error(
     world: World,
 ) -> None:
     world.script("scanner", {"launch": fails("scanner: no module rplidar")})
@@ -148,9 +150,9 @@ def test_a_child_that_keeps_dying_while_it_starts_escalates(world: World) -> Non
 
 def test_a_start_that_does_not_end_in_time_is_a_failed_start(world: World) -> None:
     world.script("base", {"launch": takes(8.0), "configure": does_not_answer})
-    supervisor = world.supervisor(ChildRules("base", start_timeout_s=20.0))
+    supervisor = world.supervisor(base=ChildSpec(plugin="test", start_timeout_s=20.0))
     supervisor.start_all()
-    assert ("start_failed", "base did not answer within 12 s") in world.told("base")
+    assert ("start_failed", "base did not answer within 12 s") in world.events_of("base")
     assert supervisor.status()[0].state == "active"
 
 
@@ -158,7 +160,7 @@ def test_a_child_that_dies_while_starting_is_restarted(world: World) -> None:
     world.script("base", {"activate": dies("was killed by SIGABRT")})
     supervisor = world.supervisor("base")
     supervisor.start_all()
-    assert ("start_failed", "base was killed by SIGABRT") in world.told("base")
+    assert ("start_failed", "base was killed by SIGABRT") in world.events_of("base")
     assert supervisor.status()[0].incarnation == 2
 
 
@@ -180,7 +182,7 @@ def test_a_child_that_dies_while_its_sibling_starts_is_restarted_in_order(world:
 
 
 def test_too_many_restarts_stop_all_and_escalate(world: World) -> None:
-    supervisor = world.supervisor("base", "scanner", intensity=Intensity(2, 10.0))
+    supervisor = world.supervisor_with(Supervision(max_restarts=2), "base", "scanner")
     supervisor.start_all()
     for _ in range(2):
         world.children["scanner"].end = CRASH
@@ -189,23 +191,23 @@ def test_too_many_restarts_stop_all_and_escalate(world: World) -> None:
     with pytest.raises(Escalate, match="more than 2 restarts within 10 s; last, scanner: was"):
         supervisor.reconcile()
     assert world.running() == []
-    assert world.events[-1].what == "given_up"
+    assert world.events[-1].kind == "given_up"
     assert world.events[-1].child == "mobile_supervisor"
 
 
-def test_stopping_goes_on_past_a_child_that_fails_to(world: World) -> None:
+def test_all_children_are_stopped_even_if_one_fails_to_stop(world: World) -> None:
     world.script("scanner", {"deactivate": fails("motor does not stop")})
     supervisor = world.supervisor("base", "scanner")
     supervisor.start_all()
     world.take_steps()
     supervisor.stop_all()
     assert world.steps == STOP_SCANNER + STOP_BASE
-    assert ("stop_failed", "motor does not stop") in world.told("scanner")
+    assert ("stop_failed", "motor does not stop") in world.events_of("scanner")
 
 
 def test_a_child_that_does_not_stop_is_terminated_and_then_killed(world: World) -> None:
     world.script("base", {"deactivate": does_not_answer, "terminate": is_ignored})
-    supervisor = world.supervisor(ChildRules("base", stop_timeout_s=3.0))
+    supervisor = world.supervisor(base=ChildSpec(plugin="test", stop_timeout_s=3.0))
     supervisor.start_all()
     world.take_steps()
     before = world.now_s
@@ -215,20 +217,22 @@ def test_a_child_that_does_not_stop_is_terminated_and_then_killed(world: World) 
     assert world.now_s - before == pytest.approx(3.0 + 2.0)
 
 
-def test_even_a_child_that_cannot_be_killed_does_not_hold_up_the_others(world: World) -> None:
+def test_a_child_that_cannot_be_killed_does_not_keep_the_others_from_stopping(world: World) -> None:
     world.script("scanner", dict.fromkeys(("shutdown", "terminate", "kill"), is_ignored))
     supervisor = world.supervisor("base", "scanner")
     supervisor.start_all()
     supervisor.stop_all()
     assert world.running() == ["scanner"]
-    assert ("stop_failed", "did not end even when killed") in world.told("scanner")
+    assert ("stop_failed", "did not end even when killed") in world.events_of("scanner")
 
 
-def test_a_child_that_cannot_be_killed_is_never_doubled_but_escalates(world: World) -> None:
+def test_a_child_that_cannot_be_killed_escalates_instead_of_running_twice(
+    world: World,
+) -> None:
     world.script("scanner", {"kill": fails("it is placed in its supervisor's process")})
     supervisor = world.supervisor("base", "scanner")
     supervisor.start_all()
-    supervisor.child_hung("scanner", 1, "read_scan", 6.0)
+    supervisor.kill_hung("scanner", 1, "read_scan", 6.0)
     with pytest.raises(Escalate, match="scanner does not end even when killed"):
         supervisor.reconcile()
     assert world.running() == ["scanner"]
@@ -239,12 +243,12 @@ def test_a_child_that_cannot_be_killed_is_never_doubled_but_escalates(world: Wor
     assert world.children["scanner"].incarnation == 2
 
 
-def test_the_loss_of_the_launcher_is_passed_on_and_counts_for_no_child(world: World) -> None:
+def test_a_lost_launcher_is_reported_and_counts_for_no_child(world: World) -> None:
     def is_lost(child: ScriptedChild, timeout_s: float) -> None:
         raise LauncherLost("the zygote is lost")
 
     world.script("scanner", {"launch": is_lost})
-    supervisor = world.supervisor("base", "scanner", intensity=Intensity(0, 1.0))
+    supervisor = world.supervisor_with(Supervision(max_restarts=0, within_s=1.0), "base", "scanner")
     with pytest.raises(LauncherLost, match="the zygote is lost"):
         supervisor.start_all()
     supervisor.stop_all()
@@ -253,39 +257,155 @@ def test_the_loss_of_the_launcher_is_passed_on_and_counts_for_no_child(world: Wo
     assert world.running() == ["base", "scanner"]
 
 
-@pytest.mark.parametrize("end", [DONE, ChildEnd(True, "not all offsets found", success=False)])
-def test_the_normal_end_of_a_significant_child_stops_all(world: World, end: ChildEnd) -> None:
-    supervisor = world.supervisor("base", ChildRules("replay", significant=True))
+@pytest.mark.parametrize("end", [DONE, ExitReport(True, "not all offsets found", success=False)])
+def test_the_normal_end_of_a_significant_child_stops_all(world: World, end: ExitReport) -> None:
+    supervisor = world.supervisor("base", replay=ChildSpec(plugin="test", significant=True))
     supervisor.start_all()
     world.take_steps()
     world.children["replay"].end = end
     supervisor.reconcile()
     assert world.steps == STOP_BASE
-    assert supervisor.finished == ChildEnd(
+    assert supervisor.finished == ExitReport(
         True, f"replay has finished: {end.reason}", success=end.success
     )
     supervisor.reconcile()
     assert world.running() == []
 
 
-def test_before_each_step_it_says_what_it_does_and_for_how_long_at_most(world: World) -> None:
+def test_each_request_may_take_what_is_left_of_the_limit_and_is_reported_before(
+    world: World,
+) -> None:
     world.script("base", {"launch": takes(2.0)})
-    supervisor = world.supervisor(ChildRules("base", start_timeout_s=10.0, stop_timeout_s=4.0))
+    spec = ChildSpec(plugin="test", start_timeout_s=10.0, stop_timeout_s=4.0)
+    supervisor = world.supervisor(base=spec)
     supervisor.start_all()
     supervisor.stop_all()
+    assert world.limits == [
+        ("configure base", 8.0),
+        ("activate base", 8.0),
+        ("deactivate base", 4.0),
+        ("shutdown base", 4.0),
+    ]
     assert world.progress == [
-        ("launching base", 10.0),
-        ("starting base: configure", 8.0),
-        ("starting base: activate", 8.0),
-        ("stopping base: deactivate", 4.0),
-        ("stopping base: shutdown", 4.0),
+        "launching base",
+        "starting base: configure",
+        "starting base: activate",
+        "stopping base: deactivate",
+        "stopping base: shutdown",
     ]
 
 
-def test_a_dead_child_is_not_asked_to_stop(world: World) -> None:
+def test_a_child_that_has_ended_gets_no_request_to_stop(world: World) -> None:
     supervisor = world.supervisor("base")
     supervisor.start_all()
     ends(world.children["base"], 0.0)
     world.take_steps()
     supervisor.stop_all()
     assert world.steps == []
+
+
+def test_a_child_loaded_on_request_starts_when_requested(world: World) -> None:
+    supervisor = world.supervisor("base", automove=ChildSpec(plugin="test", load="on_request"))
+    supervisor.start_all()
+    assert world.take_steps() == START_BASE
+    supervisor.load("automove")
+    supervisor.load("automove")
+    assert world.take_steps() == ["launch automove", "configure automove", "activate automove"]
+    world.children["automove"].end = CRASH
+    supervisor.reconcile()
+    assert world.running() == ["base", "automove"]
+
+
+def test_a_failed_load_raises_and_does_not_count_as_restart(world: World) -> None:
+    world.script("automove", *[{"configure": fails("unknown planner 'a-star'")}] * 10)
+    supervisor = world.supervisor("base", automove=ChildSpec(plugin="test", load="on_request"))
+    supervisor.start_all()
+    for _ in range(10):
+        with pytest.raises(StartFailed, match=r"^automove: unknown planner"):
+            supervisor.load("automove")
+    supervisor.reconcile()
+    assert world.running() == ["base"]
+
+
+def test_a_child_that_dies_while_it_is_loaded_is_started_again(world: World) -> None:
+    world.script("automove", *[{"configure": dies("was killed by SIGKILL")}] * 3)
+    supervisor = world.supervisor("base", automove=ChildSpec(plugin="test", load="on_request"))
+    supervisor.start_all()
+    supervisor.load("automove")
+    assert world.running() == ["base", "automove"]
+
+
+def test_a_child_that_always_dies_while_it_is_loaded_is_not_loaded(world: World) -> None:
+    world.script("automove", *[{"configure": dies("was killed by SIGKILL")}] * 10)
+    supervisor = world.supervisor("base", automove=ChildSpec(plugin="test", load="on_request"))
+    supervisor.start_all()
+    world.take_steps()
+    with pytest.raises(StartFailed, match="was killed by SIGKILL"):
+        supervisor.load("automove")
+    assert world.steps.count("launch automove") == 4
+    assert world.running() == ["base"]
+
+
+def test_an_unloaded_child_stays_unloaded(world: World) -> None:
+    supervisor = world.supervisor_with(Supervision(strategy="one_for_all"), "base", "scanner")
+    supervisor.start_all()
+    world.take_steps()
+    supervisor.unload("scanner")
+    assert world.take_steps() == STOP_SCANNER
+    world.children["base"].end = CRASH
+    supervisor.reconcile()
+    assert world.take_steps() == START_BASE
+    assert supervisor.status()[1].state == "unloaded"
+
+
+def test_a_restart_on_request_stops_and_starts_one_child(world: World) -> None:
+    supervisor = world.supervisor_with(Supervision(max_restarts=0, within_s=1.0), "base", "scanner")
+    supervisor.start_all()
+    world.take_steps()
+    supervisor.restart("base")
+    assert world.steps == STOP_BASE + START_BASE
+    assert supervisor.status()[0].restarts == 0
+
+
+def test_a_request_for_an_unknown_child_names_the_known_ones(world: World) -> None:
+    with pytest.raises(UnknownChild, match=r"mobile_supervisor: no child .* lidar; .*: base"):
+        world.supervisor("base").load("lidar")
+
+
+def test_a_stop_requested_during_a_start_ends_it_at_the_next_step(world: World) -> None:
+    supervisor = world.supervisor("base", "scanner")
+
+    def stop(text: str) -> None:
+        if text == "starting base: configure":
+            supervisor.request_stop()
+
+    world.on_step = stop
+    supervisor.start_all()
+    assert world.take_steps() == ["launch base", "configure base"]
+    assert world.stop_requests == 1
+    supervisor.stop_all()
+    assert world.steps == ["shutdown base"]
+    assert world.running() == []
+
+
+def test_a_stop_requested_while_a_start_keeps_failing_ends_the_retries(world: World) -> None:
+    world.script("base", *[{"configure": dies("was killed by SIGSEGV")}] * 1000)
+    supervisor = world.supervisor_with(Supervision(max_restarts=1000), "base")
+
+    def stop(text: str) -> None:
+        if len(world.steps) > 10:
+            supervisor.request_stop()
+
+    world.on_step = stop
+    supervisor.start_all()
+    supervisor.stop_all()
+    assert len(world.steps) < 20
+    assert world.running() == []
+
+
+def test_a_stop_requested_during_a_load_stops_that_child(world: World) -> None:
+    supervisor = world.supervisor(automove=ChildSpec(plugin="test", load="on_request"))
+    world.on_step = lambda text: supervisor.request_stop()
+    with pytest.raises(StartFailed, match="a stop was requested"):
+        supervisor.load("automove")
+    assert world.running() == []

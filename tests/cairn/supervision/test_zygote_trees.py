@@ -1,4 +1,4 @@
-"""The zygote with real processes: what ends with what, so that nothing remains."""
+"""The zygote with real processes: which processes end together, so that nothing remains."""
 
 import os
 import signal
@@ -15,8 +15,8 @@ from cairn.supervision.zygote_process import ZygoteProcess, start_zygote
 from tests.patience import LIMIT_S
 
 from . import zygote_children
-from .owner import Owner
 from .reports import Tree
+from .zygote_owner import Owner
 
 pytestmark = pytest.mark.processes
 
@@ -27,16 +27,16 @@ HIDDEN = pytest.mark.parametrize("how", ["same group", "own session", "daemon"])
 
 
 @HIDDEN
-def test_what_a_process_leaves_behind_is_killed_when_it_returns(owner: Owner, how: str) -> None:
+def test_helpers_left_by_a_process_that_returns_are_killed(owner: Owner, how: str) -> None:
     owner.spawn("leave_helper", how=how)
-    assert owner.exits.get(timeout=LIMIT_S).normal
+    assert owner.exits.get(timeout=LIMIT_S).code == 0
     # It may have been killed before it could report: the fixture `tree` sees that it is gone.
 
 
 @HIDDEN
 @FRESH
 def test_the_helpers_of_a_killed_process_are_killed(owner: Owner, how: str, fresh: bool) -> None:
-    driver = owner.running("keep_helper", how=how, fresh=fresh)
+    driver = owner.spawn_reporting("keep_helper", how=how, fresh=fresh)
     helper = owner.reports.of("driver's helper")
     os.kill(driver.pid, signal.SIGKILL)
     helper.await_end()
@@ -46,9 +46,9 @@ def test_closing_a_connection_ends_its_processes_and_no_others(
     make_owner: Callable[[], Owner],
 ) -> None:
     first, second = make_owner(), make_owner()
-    driver = first.running("keep_helper", how="own session")
+    driver = first.spawn_reporting("keep_helper", how="own session")
     helper = first.reports.of("driver's helper")
-    other = second.running("stay", "other")
+    other = second.spawn_reporting("stay", "other")
     first.client.close()
     driver.await_end()
     helper.await_end()
@@ -60,10 +60,10 @@ def test_closing_a_connection_ends_its_processes_and_no_others(
     assert second.exits.empty()
 
 
-def test_the_processes_of_an_owner_that_is_killed_vanish_with_it(owner: Owner) -> None:
-    middle = owner.running("own", "middle")
+def test_the_processes_of_a_killed_owner_end_with_it(owner: Owner) -> None:
+    middle = owner.spawn_reporting("own", "middle")
     leaf, helper = owner.reports.of("leaf"), owner.reports.of("leaf's helper")
-    bystander = owner.running("stay", "bystander")
+    bystander = owner.spawn_reporting("stay", "bystander")
     os.kill(middle.pid, signal.SIGKILL)
     leaf.await_end()
     helper.await_end()
@@ -71,7 +71,7 @@ def test_the_processes_of_an_owner_that_is_killed_vanish_with_it(owner: Owner) -
 
 
 def test_a_fork_of_a_dead_owner_does_not_keep_its_processes_alive(owner: Owner) -> None:
-    middle = owner.running("own_and_fork", "middle")
+    middle = owner.spawn_reporting("own_and_fork", "middle")
     leaf, fork = owner.reports.of("leaf"), owner.reports.of("fork")
     os.kill(middle.pid, signal.SIGKILL)
     leaf.await_end()
@@ -99,11 +99,11 @@ def test_a_root_killed_during_the_imports_leaves_nothing(tree: Tree, tmp_path: P
 
 
 @FRESH
-def test_a_zygote_that_is_killed_takes_all_processes_along(
+def test_all_processes_end_with_a_killed_zygote(
     owner: Owner, zygote: ZygoteProcess, tree: Tree, tmp_path: Path, fresh: bool
 ) -> None:
-    owner.running("keep_helper", how="same group")
-    owner.running("own", "middle", leaf_fresh=fresh)
+    owner.spawn_reporting("keep_helper", how="same group")
+    owner.spawn_reporting("own", "middle", leaf_fresh=fresh)
     leaf = owner.reports.of("leaf")
     owner.reports.of("leaf's helper")
     os.kill(zygote.pid, signal.SIGKILL)
@@ -117,7 +117,7 @@ def test_a_zygote_that_is_killed_takes_all_processes_along(
     tree.await_end()
     another = start_zygote([CHILDREN], tmp_path / "run")
     renewed = Owner(another, owner.reports, owner.log)
-    renewed.running("stay", "renewed")
+    renewed.spawn_reporting("stay", "renewed")
     renewed.client.close()
     another.close()
 
@@ -125,21 +125,21 @@ def test_a_zygote_that_is_killed_takes_all_processes_along(
 def test_a_zygote_asked_to_end_by_sigterm_leaves_nothing(
     owner: Owner, zygote: ZygoteProcess, tree: Tree
 ) -> None:
-    owner.running("keep_helper", how="daemon")
+    owner.spawn_reporting("keep_helper", how="daemon")
     owner.reports.of("driver's helper")
     os.kill(zygote.pid, signal.SIGTERM)
     tree.await_end()
 
 
 def test_ending_the_zygote_leaves_nothing(owner: Owner, zygote: ZygoteProcess, tree: Tree) -> None:
-    owner.running("keep_helper", how="daemon")
+    owner.spawn_reporting("keep_helper", how="daemon")
     owner.reports.of("driver's helper")
     zygote.close()
     tree.await_end()
     assert not zygote.socket_path.exists()
 
 
-def test_a_zygote_that_does_not_answer_is_reported_and_its_late_process_killed(
+def test_a_zygote_that_does_not_answer_is_reported_and_a_late_process_killed(
     owner: Owner, zygote: ZygoteProcess
 ) -> None:
     os.kill(zygote.pid, signal.SIGSTOP)

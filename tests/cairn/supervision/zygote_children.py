@@ -1,4 +1,4 @@
-"""What processes do in the tests of the zygote; each tells the test of itself over a socket."""
+"""What processes do in the tests of the zygote; each reports to the test over a socket."""
 
 import json
 import os
@@ -16,11 +16,11 @@ GRANDCHILD = "import sys; sys.path[:] = {path!r}; from {module} import stay; sta
 
 
 def announce(argument: Argument, **facts: Any) -> socket.socket:
-    """Tell the test that this process runs; the connection ends with the process."""
+    """Report to the test that this process runs; the connection ends with the process."""
     connection = socket.socket(socket.AF_UNIX)
     connection.connect(argument["reports"])
-    told = {"name": argument["name"], "pid": os.getpid(), **facts}
-    connection.sendall(json.dumps(told).encode() + b"\n")
+    report = {"name": argument["name"], "pid": os.getpid(), **facts}
+    connection.sendall(json.dumps(report).encode() + b"\n")
     return connection
 
 
@@ -30,7 +30,7 @@ def stay(argument: Argument) -> None:
 
 
 def describe(argument: Argument) -> None:
-    """Tell what this process is like."""
+    """Report the state of this process."""
     descriptors = {
         number: os.readlink(f"/proc/self/fd/{number}")
         for number in map(int, os.listdir("/proc/self/fd"))
@@ -38,7 +38,7 @@ def describe(argument: Argument) -> None:
     }
     announce(
         argument,
-        given=argument,
+        passed=argument,
         group=os.getpgrp(),
         title=Path("/proc/self/cmdline").read_text().split("\0")[0].strip(),
         descriptors=descriptors,

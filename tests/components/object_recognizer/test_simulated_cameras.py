@@ -9,7 +9,7 @@ import yaml
 
 from cairn import Qos
 from cairn.deployment.load import load_deployment
-from cairn.placement.lockstep_run import LockstepRun
+from cairn.placement.lockstep import LockstepRun
 from cairn.schemas.cairn_msgs import RecognizedObject, RecognizedObjectArray
 from tests.commands import cairn
 

@@ -11,7 +11,7 @@ from cairn import SECOND, Qos, to_ns
 from cairn.components.replay.clock import ReplayClock
 from cairn.components.replay.formats import open_recording
 from cairn.deployment.load import load_deployment
-from cairn.placement.lockstep_run import LockstepRun
+from cairn.placement.lockstep import LockstepRun
 from cairn.schemas.sensor_msgs import CameraInfo, Image
 from tests.cairn.vision.cameras import HEIGHT, WIDTH, info
 from tests.commands import cairn

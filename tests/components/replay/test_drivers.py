@@ -18,7 +18,7 @@ from cairn.components.replay.scanner import ReplayScanner
 from cairn.components.replay.sightings import ReplaySightings
 from cairn.components.replay.truth import ReplayTruth
 from cairn.deployment.load import load_deployment
-from cairn.placement.lockstep_run import LockstepRun
+from cairn.placement.lockstep import LockstepRun
 from cairn.process_exit import ExitReport
 from cairn.schemas.nav_msgs import Odometry
 from tests.components.replay.conftest import FR079, FR101, LEGS, Write, odom

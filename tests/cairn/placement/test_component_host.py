@@ -1,4 +1,4 @@
-"""A component hosted on a thread of this process, asked and ended as its supervisor does."""
+"""A component on a thread of this process, which answers requests and ends as a child does."""
 
 from collections.abc import Iterator
 
@@ -8,15 +8,15 @@ from cairn import CairnError, Component, every
 from cairn.bus.session import open_router
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.deployment.model import ChildSpec
-from cairn.placement.hosted import Hosted
+from cairn.placement.component_host import ComponentHost
 from cairn.runtime.launch_request import LaunchRequest, RunContext
 from cairn.testing.launching import LIMIT_S, free_port
 
 pytestmark = pytest.mark.processes
 
 
-class Mute(Component):
-    """Stands still."""
+class Idle(Component):
+    """Does nothing."""
 
 
 class Brief(Component):
@@ -46,8 +46,8 @@ def bus(endpoint: str) -> Iterator[ZenohBus]:
     bus.close()
 
 
-def hosted(bus: ZenohBus, endpoint: str, component: type[Component]) -> Hosted:
-    host = Hosted(
+def hosted(bus: ZenohBus, endpoint: str, component: type[Component]) -> ComponentHost:
+    host = ComponentHost(
         LaunchRequest(
             name="thing",
             spec=ChildSpec(plugin=f"{__name__}:{component.__name__}"),
@@ -60,55 +60,58 @@ def hosted(bus: ZenohBus, endpoint: str, component: type[Component]) -> Hosted:
     return host
 
 
-def test_it_walks_its_life_cycle_on_request(bus: ZenohBus, endpoint: str) -> None:
-    host = hosted(bus, endpoint, Mute)
+def test_requests_make_the_transitions_of_the_life_cycle(bus: ZenohBus, endpoint: str) -> None:
+    host = hosted(bus, endpoint, Idle)
 
     answers = [host.request(verb, LIMIT_S) for verb in ("configure", "activate", "shutdown")]
 
     assert answers == ["inactive", "active", "finalized"]
     assert host.ended.wait(LIMIT_S)
-    assert host.end is not None
-    assert (host.end.normal, host.end.reason) == (True, "shut down")
+    assert host.exit_report is not None
+    assert (host.exit_report.normal, host.exit_report.reason) == (True, "shut down")
     host.close()
 
 
-def test_it_tells_its_own_normal_end(bus: ZenohBus, endpoint: str) -> None:
+def test_a_component_that_finishes_has_a_normal_exit_report(bus: ZenohBus, endpoint: str) -> None:
     host = hosted(bus, endpoint, Brief)
     host.request("configure", LIMIT_S)
     host.request("activate", LIMIT_S)
 
     assert host.ended.wait(LIMIT_S)
 
-    assert host.end is not None
-    assert (host.end.normal, host.end.reason) == (True, "that was all")
+    assert host.exit_report is not None
+    assert (host.exit_report.normal, host.exit_report.reason) == (True, "that was all")
     host.close()
 
 
-def test_a_transition_that_fails_is_an_error_and_its_end(bus: ZenohBus, endpoint: str) -> None:
+def test_a_failing_transition_raises_and_ends_the_component(bus: ZenohBus, endpoint: str) -> None:
     host = hosted(bus, endpoint, Broken)
 
     with pytest.raises(CairnError, match="configure failed: ValueError: no device"):
         host.request("configure", LIMIT_S)
 
     assert host.ended.wait(LIMIT_S)
-    assert host.end is not None
-    assert (host.end.normal, host.end.reason) == (False, "on_configure: ValueError: no device")
+    assert host.exit_report is not None
+    assert (host.exit_report.normal, host.exit_report.reason) == (
+        False,
+        "on_configure: ValueError: no device",
+    )
     host.close()
 
 
-def test_a_loop_that_dies_is_an_abnormal_end_and_no_silence(
+def test_a_loop_that_fails_has_an_abnormal_exit_report(
     bus: ZenohBus, endpoint: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    host = hosted(bus, endpoint, Mute)
+    host = hosted(bus, endpoint, Idle)
 
     def defect(*_: object) -> None:
         raise KeyError("a defect of ours")
 
     monkeypatch.setattr(host.runtime, "request", defect)
-    host.ask("configure")
+    host.send_request("configure")
 
     assert host.ended.wait(LIMIT_S)
-    assert host.end is not None
-    assert not host.end.normal
-    assert host.end.reason == "its loop failed: KeyError: 'a defect of ours'"
+    assert host.exit_report is not None
+    assert not host.exit_report.normal
+    assert host.exit_report.reason == "its loop failed: KeyError: 'a defect of ours'"
     host.close()

@@ -1,4 +1,4 @@
-"""The supervision policy: Erlang/OTP's semantics, by example and by property."""
+"""The restart policy: Erlang/OTP's semantics, by example and by property."""
 
 from typing import get_args
 
@@ -6,40 +6,46 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cairn.supervision.policy import (
-    ChildPolicy,
-    Decision,
-    Intensity,
-    Policy,
-    Restart,
-    Strategy,
-    UnknownChild,
-)
+from cairn.deployment.model import ChildSpec, Restart, Strategy, Supervision
+from cairn.supervision.restart_policy import Decision, RestartPolicy, UnknownChild
 
 NAMES = ("base", "scanner", "localizer", "planner")
 
 
-def policy(strategy: Strategy = "one_for_one", **restarts: Restart) -> Policy:
-    """All of `NAMES`, loaded, permanent unless said otherwise."""
-    made = Policy([ChildPolicy(name, restarts.get(name, "permanent")) for name in NAMES], strategy)
+def child(restart: Restart = "permanent", *, significant: bool = False) -> ChildSpec:
+    return ChildSpec(plugin="test", restart=restart, significant=significant)
+
+
+def policy(strategy: Strategy = "one_for_one", **restarts: Restart) -> RestartPolicy:
+    """All of `NAMES`, loaded, permanent unless given otherwise."""
+    children = {name: child(restarts.get(name, "permanent")) for name in NAMES}
+    made = RestartPolicy(children, Supervision(strategy=strategy))
     for name in NAMES:
         made.load(name)
     return made
 
 
-def test_one_for_one_restarts_the_ended_child_alone() -> None:
+def loaded(**children: ChildSpec) -> RestartPolicy:
+    """These children, loaded."""
+    made = RestartPolicy(children, Supervision())
+    for name in children:
+        made.load(name)
+    return made
+
+
+def test_one_for_one_restarts_only_the_child_that_ended() -> None:
     decision = policy().ended("scanner", normal=False, at_s=0.0, reason="crash")
     assert decision == Decision(start=("scanner",))
 
 
-def test_rest_for_one_restarts_those_started_after_it_too() -> None:
+def test_rest_for_one_also_restarts_children_started_after_it() -> None:
     decision = policy("rest_for_one").ended("scanner", normal=False, at_s=0.0, reason="crash")
     assert decision == Decision(
         stop=("planner", "localizer"), start=("scanner", "localizer", "planner")
     )
 
 
-def test_one_for_all_restarts_everybody_stopping_in_reverse_order() -> None:
+def test_one_for_all_restarts_all_children_and_stops_them_in_reverse_order() -> None:
     decision = policy("one_for_all").ended("scanner", normal=False, at_s=0.0, reason="crash")
     assert decision == Decision(stop=("planner", "localizer", "base"), start=NAMES)
 
@@ -49,10 +55,10 @@ def test_a_transient_child_is_restarted_after_a_crash_but_not_after_a_normal_end
     assert supervised.ended("base", normal=True, at_s=0.0, reason="done") == Decision()
     crashed = supervised.ended("scanner", normal=False, at_s=0.0, reason="crash")
     assert crashed.start == ("scanner",)
-    assert supervised.wanted == ("scanner", "localizer", "planner")
+    assert supervised.required == ("scanner", "localizer", "planner")
 
 
-def test_a_transient_child_that_is_done_starts_again_with_its_siblings() -> None:
+def test_a_transient_child_that_has_finished_starts_again_with_its_siblings() -> None:
     supervised = policy("one_for_all", base="transient")
     supervised.ended("base", normal=True, at_s=0.0, reason="done")
     assert supervised.ended("planner", normal=False, at_s=1.0, reason="crash").start == NAMES
@@ -65,15 +71,15 @@ def test_a_temporary_child_is_never_restarted_not_even_with_its_siblings() -> No
     assert decision.start == ("base", "scanner", "planner")
 
 
-def test_a_child_that_was_unloaded_stays_so_when_its_siblings_are_restarted() -> None:
+def test_an_unloaded_child_stays_unloaded_when_its_siblings_are_restarted() -> None:
     supervised = policy("one_for_all")
     assert supervised.unload("localizer") == Decision(stop=("localizer",))
     decision = supervised.ended("base", normal=False, at_s=0.0, reason="crash")
     assert decision.start == ("base", "scanner", "planner")
 
 
-def test_an_ordered_restart_touches_one_child_and_is_not_counted() -> None:
-    supervised = Policy([ChildPolicy("base")], intensity=Intensity(0, 1.0))
+def test_a_restart_on_request_concerns_one_child_and_does_not_count() -> None:
+    supervised = RestartPolicy({"base": child()}, Supervision(max_restarts=0, within_s=1.0))
     supervised.load("base")
     for _ in range(5):
         assert supervised.restart("base") == Decision(stop=("base",), start=("base",))
@@ -88,7 +94,7 @@ def test_one_restart_too_many_within_the_window_gives_up_with_the_last_reason() 
     assert decision.give_up == (
         "given up after more than 3 restarts within 10 s; last, base: was killed by SIGSEGV"
     )
-    assert supervised.wanted == ()
+    assert supervised.required == ()
 
 
 def test_restarts_older_than_the_window_are_forgotten() -> None:
@@ -98,44 +104,42 @@ def test_restarts_older_than_the_window_are_forgotten() -> None:
         assert decision.start == ("base",)
 
 
-def test_a_child_that_fails_to_start_slowly_does_not_retry_for_ever() -> None:
+def test_slow_failing_starts_are_not_repeated_forever() -> None:
     supervised = policy()
     decisions = [
-        supervised.start_failed("base", at_s=count * 20.0, reason="no answer", accident=True)
+        supervised.start_failed("base", at_s=count * 20.0, reason="no answer", refused=False)
         for count in range(4)
     ]
     assert [bool(decision.give_up) for decision in decisions] == [False, False, False, True]
-    assert decisions[-1].give_up == "given up after 4 failed starts on end; last, base: no answer"
+    assert decisions[-1].give_up == "given up after 4 failed starts in a row; last, base: no answer"
 
 
-def test_a_child_that_says_at_first_that_it_cannot_start_makes_all_fail_at_once() -> None:
+def test_a_child_that_refuses_its_first_start_makes_the_supervisor_fail_at_once() -> None:
     supervised = policy()
-    decision = supervised.start_failed("base", at_s=0.0, reason="no device", accident=False)
+    decision = supervised.start_failed("base", at_s=0.0, reason="no device", refused=True)
     assert decision.give_up == "base: no device"
-    assert supervised.wanted == ()
+    assert supervised.required == ()
 
 
-def test_a_child_that_ran_before_is_tried_again_whatever_it_says() -> None:
+def test_a_child_that_ran_before_is_restarted_even_if_it_refuses_to_start() -> None:
     supervised = policy()
     supervised.started("base")
-    decision = supervised.start_failed("base", at_s=0.0, reason="no device", accident=False)
+    decision = supervised.start_failed("base", at_s=0.0, reason="no device", refused=True)
     assert (decision.start, decision.give_up) == (("base",), "")
 
 
-def test_a_temporary_child_that_cannot_start_is_left_alone() -> None:
-    supervised = Policy([ChildPolicy("base"), ChildPolicy("notes", "temporary")])
-    supervised.load("base")
-    supervised.load("notes")
-    decision = supervised.start_failed("notes", at_s=0.0, reason="no file", accident=False)
+def test_a_temporary_child_that_refuses_to_start_is_left_alone() -> None:
+    supervised = loaded(base=child(), notes=child("temporary"))
+    decision = supervised.start_failed("notes", at_s=0.0, reason="no file", refused=True)
     assert decision == Decision()
-    assert supervised.wanted == ("base",)
+    assert supervised.required == ("base",)
 
 
-def test_a_successful_start_ends_the_row_of_failed_ones() -> None:
+def test_a_successful_start_resets_the_count_of_failed_starts() -> None:
     supervised = policy()
     for count in range(20):
         decision = supervised.start_failed(
-            "base", at_s=count * 20.0, reason="no answer", accident=True
+            "base", at_s=count * 20.0, reason="no answer", refused=False
         )
         assert not decision.give_up
         if count % 3 == 2:
@@ -143,43 +147,37 @@ def test_a_successful_start_ends_the_row_of_failed_ones() -> None:
 
 
 def test_the_normal_end_of_a_significant_child_finishes_the_supervisor() -> None:
-    supervised = Policy([ChildPolicy("base"), ChildPolicy("replay", "permanent", True)])
-    supervised.load("base")
-    supervised.load("replay")
+    supervised = loaded(base=child(), replay=child(significant=True))
     decision = supervised.ended("replay", normal=True, at_s=0.0, reason="end of recording")
     assert decision.finished == "replay has finished: end of recording"
     assert not decision.start
     assert "base" in decision.stop
-    assert supervised.wanted == ()
+    assert supervised.required == ()
 
 
 def test_a_significant_temporary_child_that_crashes_makes_the_supervisor_fail() -> None:
-    supervised = Policy([ChildPolicy("replay", "temporary", significant=True)])
-    supervised.load("replay")
+    supervised = loaded(replay=child("temporary", significant=True))
     decision = supervised.ended("replay", normal=False, at_s=0.0, reason="crash")
     assert decision.give_up == "replay failed and is not restarted: crash"
 
 
-def test_an_unknown_child_is_refused_with_the_known_ones() -> None:
-    with pytest.raises(UnknownChild, match="no child lidar here, but: base, scanner"):
+def test_an_unknown_child_is_rejected_with_the_known_names() -> None:
+    with pytest.raises(UnknownChild, match="no child is named lidar; choose one of: base, scanner"):
         policy().load("lidar")
 
 
-def test_two_children_of_one_name_are_refused() -> None:
-    with pytest.raises(ValueError, match="same name"):
-        Policy([ChildPolicy("base"), ChildPolicy("base")])
+def test_a_supervisor_passes_the_normal_end_of_a_significant_child_on() -> None:
+    mobile = ChildSpec(plugin="test", children={"replay": child(significant=True)})
+    supervised = loaded(base=child(), mobile=mobile)
+    decision = supervised.ended("mobile", normal=True, at_s=0.0, reason="replay has finished")
+    assert decision.finished == "mobile has finished: replay has finished"
+    assert loaded(mobile=mobile).ended("mobile", normal=False, at_s=0.0, reason="").start
 
 
 supervisors = st.builds(
     lambda restarts, strategy, allowed, within_s: (
-        Policy(
-            [ChildPolicy(n, r) for n, r in zip(NAMES, restarts, strict=True)],
-            strategy,
-            Intensity(allowed, within_s),
-        ),
         dict(zip(NAMES, restarts, strict=True)),
-        strategy,
-        Intensity(allowed, within_s),
+        Supervision(strategy=strategy, max_restarts=allowed, within_s=within_s),
     ),
     st.tuples(*[st.sampled_from(get_args(Restart))] * len(NAMES)),
     st.sampled_from(get_args(Strategy)),
@@ -197,35 +195,36 @@ events = st.lists(
 
 
 @given(supervisors, events)
-def test_whatever_happens_order_reach_and_intensity_hold(
-    made: tuple[Policy, dict[str, Restart], Strategy, Intensity],
-    happened: list[tuple[str, str, float]],
+def test_order_group_and_intensity_hold_in_every_history(
+    supervisor: tuple[dict[str, Restart], Supervision], history: list[tuple[str, str, float]]
 ) -> None:
-    supervised, restarts, strategy, intensity = made
+    restarts, supervision = supervisor
+    children = {name: child(restart) for name, restart in restarts.items()}
+    supervised = RestartPolicy(children, supervision)
     now = 0.0
     counted: list[float] = []
-    ordered_off = set(NAMES)
-    for name, what, passed_s in happened:
+    unloaded = set(NAMES)
+    for name, what, passed_s in history:
         now += passed_s
-        before = set(supervised.wanted)
+        before = set(supervised.required)
         decision = Decision()
         match what:
             case "load":
                 decision = supervised.load(name)
-                ordered_off.discard(name)
+                unloaded.discard(name)
             case "unload":
                 decision = supervised.unload(name)
-                ordered_off.add(name)
+                unloaded.add(name)
             case "restart":
                 decision = supervised.restart(name)
-                ordered_off.discard(name)
+                unloaded.discard(name)
             case "started":
                 supervised.started(name)
             case "failed":
-                decision = supervised.start_failed(name, at_s=now, reason="", accident=True)
+                decision = supervised.start_failed(name, at_s=now, reason="", refused=False)
             case _:
                 decision = supervised.ended(name, normal=what == "normal", at_s=now, reason="")
-        after = set(supervised.wanted)
+        after = set(supervised.required)
         is_end = what in ("normal", "crash", "failed")
         touched = set(decision.stop) | set(decision.start)
 
@@ -233,14 +232,14 @@ def test_whatever_happens_order_reach_and_intensity_hold(
         assert list(decision.stop) == [n for n in reversed(NAMES) if n in decision.stop]
         assert set(decision.stop) <= before
         assert set(decision.start) <= after
-        assert not ordered_off & after
+        assert not unloaded & after
         assert not decision.finished
         if is_end and not decision.give_up:
             assert name not in decision.stop
             assert not any(restarts[n] == "temporary" for n in decision.start)
-            if strategy == "one_for_one":
+            if supervision.strategy == "one_for_one":
                 assert touched <= {name}
-            if strategy == "rest_for_one":
+            if supervision.strategy == "rest_for_one":
                 assert all(NAMES.index(n) >= NAMES.index(name) for n in touched)
         if is_end and name in before:
             restarted = restarts[name] == "permanent" or (
@@ -248,8 +247,8 @@ def test_whatever_happens_order_reach_and_intensity_hold(
             )
             if restarted:
                 counted.append(now)
-            recent = [at for at in counted if now - at <= intensity.within_s]
-            if restarted and len(recent) > intensity.max_restarts:
+            recent = [at for at in counted if now - at <= supervision.within_s]
+            if restarted and len(recent) > supervision.max_restarts:
                 assert decision.give_up
             elif what != "failed":
                 assert not decision.give_up
@@ -259,4 +258,4 @@ def test_whatever_happens_order_reach_and_intensity_hold(
         if decision.give_up:
             assert not after
             assert not decision.start
-            ordered_off = set(NAMES)
+            unloaded = set(NAMES)

@@ -1,0 +1,215 @@
+"""Runs a deployment in real processes: the router, the zygote, and the root of the tree."""
+
+import os
+import shutil
+import signal
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Protocol
+
+from cairn.bus.bus import full_name
+from cairn.bus.graph import read_graph
+from cairn.bus.keys import NodeEntity
+from cairn.bus.session import open_client, open_peer, open_router
+from cairn.bus.zenoh_bus import ZenohBus
+from cairn.deployment.model import ROOT, Deployment
+from cairn.errors import CairnError
+from cairn.placement.launcher import start_component
+from cairn.placement.main_loop import MainLoop
+from cairn.placement.systemd_notify import ServiceManager
+from cairn.process_exit import ExitReport
+from cairn.runtime.launch_request import LaunchRequest, RunContext
+from cairn.runtime.lifecycle import LifecycleState
+from cairn.supervision.zygote_process import ZygoteProcess, start_zygote
+
+PROCESS_MODULE = "cairn.placement.component_process"
+"""The module that every component's process runs; the zygote imports it for all of them."""
+
+_ZYGOTE_END_S = 0.2
+_ZYGOTE_STOPPED_LIMIT_S = 2.0
+
+
+class RunView(Protocol):
+    """What shows the progress of a run: the view of `cairn up`."""
+
+    def refresh(self) -> None:
+        """Update what is shown; called every quarter of a second, or sooner."""
+        ...
+
+    def finish(self) -> None:
+        """Show the last events."""
+        ...
+
+
+@contextmanager
+def started_zygote(modules: Sequence[str]) -> Iterator[ZygoteProcess]:
+    """Start the zygote, which imports these modules while the deployment is checked.
+
+    All processes that it has started end with the context. Raises `CairnError` if the folder for
+    its socket cannot be created.
+    """
+    with _runtime_folder() as folder:
+        zygote = start_zygote([PROCESS_MODULE, *modules], folder)
+        try:
+            yield zygote
+        finally:
+            zygote.close()
+
+
+def run_processes(
+    deployment: Deployment,
+    zygote: ZygoteProcess,
+    log_folder: Path,
+    seed: int,
+    make_view: Callable[[ZenohBus, Callable[[], None]], RunView],
+    service: ServiceManager | None = None,
+) -> ExitReport:
+    """Run a deployment until a significant component ends, it fails, or SIGINT or SIGTERM comes.
+
+    `make_view(bus, wake_up)` returns the view; `wake_up` has it refreshed soon. `service` is
+    notified when all is active, and as long as the root runs. Nothing is left running, whatever
+    happens. Raises `CairnError` if the port is taken, if the robot runs already on this bus or on a
+    second signal; raises errors of the view after everything has been stopped.
+    """
+    if deployment.bus.connect:
+        _check_robot_name_is_free(deployment)
+    launch = LaunchRequest(
+        name=ROOT,
+        spec=deployment.root(),
+        context=RunContext(
+            robot=deployment.robot,
+            domain=deployment.domain,
+            endpoints=endpoints(deployment),
+            simulated_time=deployment.clock == "simulated",
+            seed=seed,
+            zygote=str(zygote.socket_path),
+            log_folder=str(log_folder),
+        ),
+    )
+    with _bus(deployment) as bus:
+        root = start_component(launch, bus)
+        loop = MainLoop(root)
+        monitor = _Monitor(make_view(bus, loop.wake_up), zygote, loop)
+        service = service or ServiceManager()
+
+        def on_turn() -> None:
+            monitor.check()
+            status = root.runtime.status()
+            service.notify(
+                active=status.state == LifecycleState.ACTIVE,
+                healthy=status.handler_s <= launch.spec.handler_limit_s,
+            )
+
+        try:
+            with loop.stop_signals(signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+                root.send_request("configure")
+                root.send_request("activate")
+                if not loop.run(on_turn, force=True):
+                    zygote.close()
+                    raise CairnError(
+                        "stopped by force, on a second signal; nothing is left running"
+                    )
+            monitor.finish()
+        finally:
+            root.close()
+    if monitor.failure is not None:
+        raise monitor.failure
+    report = root.exit_report or ExitReport(False, "the root ended without a report")
+    # The root loses the connection to the zygote a moment before the zygote has ended.
+    if not report.normal and zygote.wait(_ZYGOTE_END_S):
+        reason = "the zygote was killed, and with it every component; nothing is left running"
+        return ExitReport(False, reason)
+    return report
+
+
+def endpoints(deployment: Deployment) -> tuple[str, ...]:
+    """Return the endpoints at which the components of a deployment find their router."""
+    return deployment.bus.connect or (deployment.bus.listen,)
+
+
+def _check_robot_name_is_free(deployment: Deployment) -> None:
+    """Two robots of one name would execute each other's commands, and share their topics."""
+    name = full_name(deployment.robot, ROOT)
+    session = open_client(deployment.bus.connect)
+    try:
+        nodes = read_graph(session, deployment.domain)
+    finally:
+        session.close()
+    if any(isinstance(node, NodeEntity) and node.name == name for node in nodes):
+        raise CairnError(
+            f"a robot {deployment.robot} runs already on the bus of "
+            f"{', '.join(deployment.bus.connect)}; give this one another name "
+            "(`--set robot=NAME`), or stop the other"
+        )
+
+
+class _Monitor:
+    """What the root's main thread does at every turn: refresh the view, and check the zygote."""
+
+    def __init__(self, view: RunView, zygote: ZygoteProcess, loop: MainLoop) -> None:
+        self.failure: Exception | None = (
+            None  # the view's; the robot is stopped before it is raised
+        )
+        self._view = view
+        self._zygote = zygote
+        self._loop = loop
+        self._stopping = False
+        self._zygote_stopped_at: float | None = None
+
+    def check(self) -> None:
+        self._show(self._view.refresh)
+        self._kill_stopped_zygote()
+        if not self._stopping and (self.failure is not None or not self._zygote.alive):
+            self._stopping = True
+            self._loop.stop()
+
+    def finish(self) -> None:
+        self._show(self._view.finish)
+
+    def _kill_stopped_zygote(self) -> None:
+        # It could neither start nor stop a process, nor report an exit. Components die with it.
+        now = time.monotonic()
+        if not self._zygote.stopped:
+            self._zygote_stopped_at = None
+        elif self._zygote_stopped_at is None:
+            self._zygote_stopped_at = now
+        elif now - self._zygote_stopped_at > _ZYGOTE_STOPPED_LIMIT_S:
+            self._zygote.kill()
+
+    def _show(self, show: Callable[[], None]) -> None:
+        if self.failure is None:
+            try:
+                show()
+            except Exception as error:  # the terminal is gone, or the disk is full
+                self.failure = error
+
+
+@contextmanager
+def _bus(deployment: Deployment) -> Iterator[ZenohBus]:
+    connect = deployment.bus.connect
+    session = open_peer(connect) if connect else open_router(deployment.bus.listen)
+    bus = ZenohBus(session, deployment.domain)
+    try:
+        yield bus
+    finally:
+        bus.close()
+
+
+@contextmanager
+def _runtime_folder() -> Iterator[Path]:
+    base = os.environ.get("XDG_RUNTIME_DIR")
+    try:
+        folder = Path(tempfile.mkdtemp(prefix="cairn-", dir=base))
+    except OSError as error:
+        where = base or "the folder for temporary files"
+        raise CairnError(
+            f"the folder for sockets cannot be created in {where}: {error}; set XDG_RUNTIME_DIR to "
+            "a folder that you can write"
+        ) from error
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
