@@ -6,8 +6,6 @@ The supervisor kills them. Both times exclude pauses of the machine (`PauseAware
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-import psutil
-
 from cairn.deployment.model import ChildSpec
 from cairn.schemas.cairn_msgs import ComponentStatus
 from cairn.supervision.child import ChildStatus
@@ -62,6 +60,8 @@ class HangDetector:
 
 def _where_silent(status: ComponentStatus) -> str:
     """Return where a component hangs whose process does not even send heartbeats."""
+    import psutil  # not at the top: whoever writes a supervisor imports this module
+
     try:
         if psutil.Process(status.pid).status() == psutil.STATUS_STOPPED:
             return "a process that was stopped by a signal, as by SIGSTOP,"
