@@ -25,7 +25,7 @@ from cairn.cli.output import line, note
 from cairn.cli.runs import log_file, writing_report
 from cairn.cli.view import LiveView, LogWatch, PlainView, Watch
 from cairn.clock import from_ns
-from cairn.deployment.load import assembled, read_sources
+from cairn.deployment.load import assemble, read_sources
 from cairn.deployment.model import Deployment
 from cairn.deployment.plugins import plugin_modules
 from cairn.errors import CairnError
@@ -71,7 +71,7 @@ def up(
             zygote = stack.enter_context(started_zygote(modules))
         where = _report_setting(documents, folder)
         with _long_import_told():
-            deployment = assembled(sources, [*where, *(set_ or ())])
+            deployment = assemble(sources, [*where, *(set_ or ())])
         _prepare(folder)
         title = f"{file.name}: robot {deployment.robot}" + (", lockstep" if lockstep else "")
         live = sys.stdout.isatty() and not plain

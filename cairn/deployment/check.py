@@ -1,15 +1,19 @@
-"""Check a whole deployment in one pass: every problem, each with its line and its remedy."""
+"""Check a whole deployment in one pass: every problem, each with its line and its remedy.
+
+The sections and the parameters of each plugin are validated by `cairn.deployment.validation`; here
+are the rules between them: unique names, ports and topics, message types, clocks.
+"""
 
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from cairn.deployment.document import DocumentNode, Steps, components, dotted
+from cairn.deployment.document import DocumentNode, KeyPath, component_nodes, dotted
 from cairn.deployment.model import RESERVED, Deployment
 from cairn.deployment.plugins import PluginError, load_plugin
 from cairn.deployment.problems import Location, Problem, suggestion
-from cairn.deployment.validation import invalid
+from cairn.deployment.validation import validation_problems
 from cairn.errors import CairnError
 from cairn.runtime.ports import PortSpec, handlers_of, ports_of
 from cairn.schemas.message import type_name
@@ -20,31 +24,31 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class CheckedComponent:
-    """A component of the document with its plugin's class and ports, as far as they are known."""
+    """A component of the document with its plugin's class and ports, None if they are unknown."""
 
     name: str
-    path: Steps
+    path: KeyPath
     node: DocumentNode
     cls: "type[Component] | None" = None
     ports: "dict[str, PortSpec] | None" = None
 
     def topic(self, port: str) -> str:
-        """The topic that the port is given in the document."""
+        """Return the topic that the document gives to the port."""
         node = self.node.find("topics", port)
         return node.value if node is not None and isinstance(node.value, str) else port
 
     def line(self, port: str) -> Location:
-        """Where the port's topic is written, else where the plugin is."""
+        """Return the location of the port's topic, else that of the plugin."""
         node = self.node.find("topics", port) or self.node.find("plugin") or self.node
         return node.where
 
 
-def problems_of(root: DocumentNode, unresolved: frozenset[Steps]) -> list[Problem]:
-    """All problems of a document whose references are replaced, but for those in `unresolved`."""
-    problems = invalid(Deployment, root, (), unresolved)
+def check_document(root: DocumentNode, unresolved: frozenset[KeyPath]) -> list[Problem]:
+    """Return all problems of a document with replaced references, except at `unresolved` paths."""
+    problems = validation_problems(Deployment, root, (), unresolved)
     placed = []
     first: dict[str, DocumentNode] = {}
-    for name, path, node in components(root):
+    for name, path, node in component_nodes(root):
         if name in first:
             found = f"the name {name} is used twice, first at {first[name].key_at}"
             at = node.key_at or node.at
@@ -59,11 +63,11 @@ def problems_of(root: DocumentNode, unresolved: frozenset[Steps]) -> list[Proble
         problems += found_problems
         problems += _ports_known(component)
         problems += _agreement(component)
-    return problems + list(wiring_problems(root, placed))
+    return problems + list(_wiring_problems(root, placed))
 
 
 def _resolved(
-    placed: CheckedComponent, unresolved: frozenset[Steps]
+    placed: CheckedComponent, unresolved: frozenset[KeyPath]
 ) -> tuple[CheckedComponent, list[Problem]]:
     plugin = placed.node.find("plugin")
     path = (*placed.path, "plugin")
@@ -83,7 +87,7 @@ def _resolved(
     parameters = placed.node.find("parameters") or DocumentNode({}, placed.node.where)
     if not isinstance(parameters.value, Mapping):
         return known, []
-    return known, invalid(config, parameters, (*placed.path, "parameters"), unresolved)
+    return known, validation_problems(config, parameters, (*placed.path, "parameters"), unresolved)
 
 
 def _ports_known(placed: CheckedComponent) -> Iterator[Problem]:
@@ -98,7 +102,7 @@ def _ports_known(placed: CheckedComponent) -> Iterator[Problem]:
 
 
 def _agreement(placed: CheckedComponent) -> Iterator[Problem]:
-    """Keys that are right alone, but cannot work together."""
+    """Yield problems of keys that are valid alone but not together."""
     name, node = dotted(placed.path), placed.node
     if placed.cls is not None and not placed.cls.is_supervisor:
         for key in ("children", "supervision"):
@@ -119,7 +123,7 @@ def _agreement(placed: CheckedComponent) -> Iterator[Problem]:
         and _is(interpreter, "fresh")
         and _is(node.find("placement"), "in_process")
     ):
-        found = "a component in its parent's process has its parent's interpreter"
+        found = "a component in its parent's process uses its parent's interpreter"
         yield Problem(interpreter.where, f"{name}.interpreter", found, "use placement: process")
 
 
@@ -143,8 +147,8 @@ class _End:
         return Problem(self.placed.line(self.port.name), path, found, remedy)
 
 
-def wiring_problems(root: DocumentNode, placed: list[CheckedComponent]) -> Iterator[Problem]:
-    """Topics with two types, inputs that nobody writes, and a simulated clock without a writer."""
+def _wiring_problems(root: DocumentNode, placed: list[CheckedComponent]) -> Iterator[Problem]:
+    """Yield topics with two types, inputs without a publisher, and conflicts of the clock."""
     robot = root.find("robot")
     own = f"/{robot.value if robot is not None else 'robot'}/"
     topics: defaultdict[str, list[_End]] = defaultdict(list)
@@ -168,7 +172,7 @@ def _types(topic: str, ends: list[_End]) -> Iterator[Problem]:
     ends = sorted(ends, key=lambda end: end.port.direction == "in")
     first = ends[0]
     expected = type_name(first.port.message)
-    verbs = {"in": "reads", "out": "writes"}
+    verbs = {"in": "reads", "out": "publishes"}
     for end in ends[1:]:
         if type_name(end.port.message) != expected:
             yield end.problem(
@@ -182,13 +186,13 @@ def _types(topic: str, ends: list[_End]) -> Iterator[Problem]:
 def _unwritten(
     topic: str, ends: list[_End], written: set[str], complete: bool
 ) -> Iterator[Problem]:
-    unknown = "" if complete else " (a plugin that could not be loaded may write it)"
-    remedy = "add its writer, correct the topic, or list it under external_topics"
+    unknown = "" if complete else " (a plugin that could not be loaded may publish it)"
+    remedy = "add its publisher, correct the topic, or list it under external_topics"
     close = suggestion(topic, written)
     for end in ends:
         if not end.port.optional:
             yield end.problem(
-                f"nobody writes topic {topic}, which input {end.port.name} needs{unknown}",
+                f"no component publishes topic {topic}, which input {end.port.name} needs{unknown}",
                 f"{remedy}; {close}" if close.startswith("did you mean") else remedy,
             )
 
@@ -206,13 +210,13 @@ def _clock(root: DocumentNode, ends: list[_End], external: bool) -> Iterator[Pro
         yield Problem(
             clock.where,
             "clock",
-            f"the clock is simulated, but no component writes {_CLOCK_TYPE} on topic {_CLOCK}",
+            f"the clock is simulated, but no component publishes {_CLOCK_TYPE} on topic {_CLOCK}",
             f"add one that does, list {_CLOCK} under external_topics, or use clock: system",
         )
     for writer in writers:
         if writer.placed.cls is not None and writer.placed.cls.clock_source != "system":
             yield writer.problem(
-                f"{writer.placed.cls.__name__} makes the simulated clock, but waits for it itself",
+                f"{writer.placed.cls.__name__} publishes the simulated clock, but uses it itself",
                 'give the class `clock_source = "system"`',
             )
 

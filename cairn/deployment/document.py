@@ -1,4 +1,10 @@
-"""Read YAML into a tree in which every key and value knows the line it was written on."""
+"""Document: read YAML into a tree in which every key and value knows where it is written.
+
+PyYAML parses; this module keeps the positions, collects all problems in one pass, and reads scalars
+by the core schema of YAML 1.2. ruamel.yaml, which keeps positions, would not make it simpler: it
+stops at the first duplicate key, reads `1_000` as a number, and its positions do not follow values
+through overlays and `${settings}`.
+"""
 
 import re
 from collections.abc import Iterator, Mapping
@@ -10,17 +16,17 @@ import yaml
 
 from cairn.deployment.problems import Location, Problem
 
-Steps: TypeAlias = tuple[str, ...]
+KeyPath: TypeAlias = tuple[str, ...]
 
-MOST_VALUES = 100_000
+MAX_VALUES = 100_000
 """A deployment with more keys and values is a mistake: aliases of aliases grow without bound."""
 
-_DEEPEST = 100
+_MAX_DEPTH = 100
 
 
 @dataclass(frozen=True)
 class DocumentNode:
-    """A value as written; `key_at` is the place of its key, None at the root and in a list."""
+    """A value at location `at`; `key_at` locates its key, None at the root and in a list."""
 
     value: "Mapping[str, DocumentNode] | tuple[DocumentNode, ...] | str | int | float | bool | None"
     at: Location
@@ -28,17 +34,17 @@ class DocumentNode:
 
     @property
     def entries(self) -> "Mapping[str, DocumentNode]":
-        """The keys and values of a mapping; nothing for any other node."""
+        """The keys and values of a mapping; empty for any other node."""
         return self.value if isinstance(self.value, Mapping) else {}
 
     @property
     def where(self) -> Location:
-        """The line to show for a problem with this value: its key's if it spans several lines."""
+        """The location to report for this value: that of its key if it spans several lines."""
         spans = isinstance(self.value, Mapping | tuple)
         return self.key_at if spans and self.key_at is not None else self.at
 
     def plain(self) -> Any:
-        """The value as dicts, lists and scalars."""
+        """Return the value as dicts, lists and scalars."""
         if isinstance(self.value, Mapping):
             return {key: node.plain() for key, node in self.value.items()}
         if isinstance(self.value, tuple):
@@ -46,7 +52,7 @@ class DocumentNode:
         return self.value
 
     def find(self, *steps: str | int) -> "DocumentNode | None":
-        """The node at a path of keys and list indices, or None."""
+        """Return the node at a path of keys and list indices, or None."""
         node = self
         for step in steps:
             if isinstance(node.value, Mapping) and str(step) in node.value:
@@ -58,8 +64,8 @@ class DocumentNode:
         return node
 
 
-def read(file: Path) -> tuple[DocumentNode | None, list[Problem]]:
-    """The tree of a YAML file with one mapping, and what is wrong with it; None if unreadable."""
+def read_document(file: Path) -> tuple[DocumentNode | None, list[Problem]]:
+    """Return the tree of a YAML file, which is a mapping, and its problems; None if unreadable."""
     start = Location(str(file), 1, 1, file.absolute().parent)
     try:
         text = file.read_bytes().decode("utf-8")
@@ -68,17 +74,20 @@ def read(file: Path) -> tuple[DocumentNode | None, list[Problem]]:
         return None, [_unreadable(start, error.strerror or str(error), "give a readable file")]
     except UnicodeDecodeError as error:
         return None, [_unreadable(start, str(error), "save the file as UTF-8")]
-    node, problems = parse(text, start)
+    node, problems = parse_document(text, start)
     if node is not None and not isinstance(node.value, Mapping):
         found = f"found {_kind(node)}" if text.strip() else "the file is empty"
         return None, [*problems, Problem(start, "", found, "expected a mapping of keys to values")]
     return node, problems
 
 
-def parse(text: str, start: Location) -> tuple[DocumentNode | None, list[Problem]]:
-    """The tree of a YAML text that starts at a location; None if its syntax is wrong."""
+def parse_document(text: str, start: Location) -> tuple[DocumentNode | None, list[Problem]]:
+    """Return the tree of a YAML text that starts at a location, and its problems.
+
+    The tree is None if the syntax is wrong.
+    """
     try:
-        root = yaml.compose(text, Loader=CoreLoader)
+        root = yaml.compose(text, Loader=_CoreLoader)
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         what = ", ".join(part for part in (error.context, error.problem) if part)
@@ -97,11 +106,11 @@ def parse(text: str, start: Location) -> tuple[DocumentNode | None, list[Problem
 
 
 class _TooMuchError(Exception):
-    """A file is not read to its end."""
+    """A file exceeds a limit and is not read further."""
 
 
 class _Builder:
-    """Turns PyYAML's nodes into ours, collecting what the format does not allow."""
+    """Converts PyYAML's nodes to `DocumentNode`, collecting what the format does not allow."""
 
     def __init__(self, start: Location) -> None:
         self.start = start
@@ -109,13 +118,13 @@ class _Builder:
         self.open: set[int] = set()
         self.built = 0
 
-    def node(self, raw: yaml.Node, key_at: Location | None, path: Steps) -> DocumentNode:
+    def node(self, raw: yaml.Node, key_at: Location | None, path: KeyPath) -> DocumentNode:
         at = _place(raw.start_mark, self.start)
         self.built += 1
-        if self.built > MOST_VALUES:
-            raise _TooMuchError(f"holds more than {MOST_VALUES:,} values, its aliases written out")
-        if len(path) > _DEEPEST:
-            raise _TooMuchError(f"is nested deeper than {_DEEPEST} levels at {at}")
+        if self.built > MAX_VALUES:
+            raise _TooMuchError(f"holds more than {MAX_VALUES:,} values, with its aliases expanded")
+        if len(path) > _MAX_DEPTH:
+            raise _TooMuchError(f"is nested deeper than {_MAX_DEPTH} levels at {at}")
         if id(raw) in self.open:
             self.report(at, path, "the alias contains itself", "write the values out")
             return DocumentNode(None, at, key_at)
@@ -126,9 +135,9 @@ class _Builder:
             self.open.remove(id(raw))
 
     def value(
-        self, raw: yaml.Node, at: Location, path: Steps
+        self, raw: yaml.Node, at: Location, path: KeyPath
     ) -> Mapping[str, DocumentNode] | tuple[DocumentNode, ...] | str | int | float | bool | None:
-        if isinstance(raw, yaml.CollectionNode) and raw.tag not in PLAIN_TAGS:
+        if isinstance(raw, yaml.CollectionNode) and raw.tag not in _PLAIN_TAGS:
             self.report(at, path, f"the tag {raw.tag} is not allowed", "write the plain value")
         if isinstance(raw, yaml.MappingNode):
             return self.mapping(raw, path)
@@ -138,12 +147,12 @@ class _Builder:
             )
         assert isinstance(raw, yaml.ScalarNode)
         try:
-            return scalar(raw)
-        except UnknownTagError as error:
+            return _scalar(raw)
+        except _UnknownTagError as error:
             self.report(at, path, str(error), "write the plain value")
             return None
 
-    def mapping(self, raw: yaml.MappingNode, path: Steps) -> dict[str, DocumentNode]:
+    def mapping(self, raw: yaml.MappingNode, path: KeyPath) -> dict[str, DocumentNode]:
         entries: dict[str, DocumentNode] = {}
         for raw_key, raw_value in raw.value:
             at = _place(raw_key.start_mark, self.start)
@@ -160,12 +169,12 @@ class _Builder:
             entries[key] = self.node(raw_value, at, (*path, key))
         return entries
 
-    def report(self, at: Location, path: Steps, found: str, remedy: str) -> None:
+    def report(self, at: Location, path: KeyPath, found: str, remedy: str) -> None:
         self.problems.append(Problem(at, dotted(path), found, remedy))
 
 
 def dotted(steps: tuple[str | int, ...]) -> str:
-    """A path as shown and as given to `--set`: a component goes by its name, not its parents'."""
+    """Return a path as shown and as given to `--set`: components by name, without parents."""
     names = [str(step) for step in steps]
     shown = names[:2]
     rest = names[2:]
@@ -185,7 +194,7 @@ def _kind(node: DocumentNode) -> str:
 
 
 def _syntax(at: Location, what: str) -> Problem:
-    return Problem(at, "", f"this is not YAML: {what}", "correct the syntax")
+    return Problem(at, "", f"invalid YAML: {what}", "correct the syntax")
 
 
 def _unreadable(at: Location, what: str, remedy: str) -> Problem:
@@ -205,25 +214,29 @@ _RULES = [
 ]
 
 
-class CoreLoader(yaml.SafeLoader):
-    """PyYAML's parser with the implicit types of YAML 1.2's core schema."""
+class _CoreLoader(yaml.SafeLoader):
+    """PyYAML's parser with the implicit types of YAML 1.2's core schema.
+
+    So `on`, `no` and `12:30` stay text. PyYAML implements YAML 1.1, where those are booleans and a
+    base-60 number, and `1e-3` is text. Source: https://yaml.org/spec/1.2.2/#103-core-schema.
+    """
 
     yaml_implicit_resolvers: dict[str, list[tuple[str, re.Pattern[str]]]] = {}
 
 
 for _name, _pattern, _first in _RULES:
-    CoreLoader.add_implicit_resolver(_TAG + _name, re.compile(rf"(?:{_pattern})\Z"), _first)
+    _CoreLoader.add_implicit_resolver(_TAG + _name, re.compile(rf"(?:{_pattern})\Z"), _first)
 
 
-PLAIN_TAGS = frozenset(_TAG + name for name in ("map", "seq"))
+_PLAIN_TAGS = frozenset(_TAG + name for name in ("map", "seq"))
 
 
-class UnknownTagError(ValueError):
-    """A scalar with a tag, or a value for its tag, that the core schema does not know."""
+class _UnknownTagError(ValueError):
+    """A scalar with a tag, or a value for its tag, that the core schema does not define."""
 
 
-def scalar(node: yaml.ScalarNode) -> str | int | float | bool | None:
-    """The Python value of a scalar; `UnknownTagError` for tags such as `!!binary`."""
+def _scalar(node: yaml.ScalarNode) -> str | int | float | bool | None:
+    """Return the Python value of a scalar; `_UnknownTagError` for tags such as `!!binary`."""
     text = str(node.value)
     kind = str(node.tag).removeprefix(_TAG)
     try:
@@ -239,18 +252,18 @@ def scalar(node: yaml.ScalarNode) -> str | int | float | bool | None:
             case "float":
                 return float(text.lower().replace(".inf", "inf").replace(".nan", "nan"))
     except (KeyError, ValueError) as error:
-        raise UnknownTagError(f"{text!r} is not a value of type {kind}") from error
-    raise UnknownTagError(f"the tag {node.tag} is not allowed")
+        raise _UnknownTagError(f"{text!r} is not a value of type {kind}") from error
+    raise _UnknownTagError(f"the tag {node.tag} is not allowed")
 
 
-def components(root: DocumentNode) -> Iterator[tuple[str, Steps, DocumentNode]]:
-    """Name, path and node of each component at any depth, in start order."""
+def component_nodes(root: DocumentNode) -> Iterator[tuple[str, KeyPath, DocumentNode]]:
+    """Yield name, path and node of each component at any depth, in start order."""
     yield from _below(root, "components", ())
 
 
 def _below(
-    parent: DocumentNode, key: str, path: Steps
-) -> Iterator[tuple[str, Steps, DocumentNode]]:
+    parent: DocumentNode, key: str, path: KeyPath
+) -> Iterator[tuple[str, KeyPath, DocumentNode]]:
     mapping = parent.find(key)
     if mapping is None:
         return

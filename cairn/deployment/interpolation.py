@@ -1,22 +1,22 @@
-"""Puts settings in place of `${name}`, and the folder of the file in place of `${here}`."""
+"""Interpolation: replace `${name}` by settings, and `${here}` by the folder of the file."""
 
 import re
 from collections.abc import Mapping
 
-from cairn.deployment.document import DocumentNode, Steps, dotted
+from cairn.deployment.document import DocumentNode, KeyPath, dotted
 from cairn.deployment.problems import Location, Problem, suggestion
 
-# "$${" stands for a literal "${"; the last alternative finds a reference that is not closed.
+# "$${" is a literal "${"; the last alternative matches a reference that is not closed.
 _REFERENCE = re.compile(r"\$\$\{|\$\{([^{}]*)\}|\$\{")
 
 _LONGEST_TEXT = 100_000
 
 
-def interpolated(root: DocumentNode) -> tuple[DocumentNode, list[Problem], frozenset[Steps]]:
-    """The tree with all references replaced, the problems, and the paths left unresolved.
+def interpolate(root: DocumentNode) -> tuple[DocumentNode, list[Problem], frozenset[KeyPath]]:
+    """Return the tree with all references replaced, the problems, and the unresolved paths.
 
-    A reference that is a whole value keeps the setting's type, and its place is where the setting
-    is written; inside a longer text it becomes text.
+    A reference that is a whole value takes the setting's type and location; inside a longer text it
+    becomes text.
     """
     references = _References(root)
     resolved = references.resolve(root, ())
@@ -24,23 +24,23 @@ def interpolated(root: DocumentNode) -> tuple[DocumentNode, list[Problem], froze
 
 
 class _UnresolvedError(Exception):
-    """A reference without a value; the problem is on the list already."""
+    """A reference without a value; the problem is recorded already."""
 
 
 class _References:
     def __init__(self, root: DocumentNode) -> None:
         self.settings = root.find("settings") or DocumentNode({}, root.at)
         self.problems: list[Problem] = []
-        self.unresolved: set[Steps] = set()
-        self.resolved: dict[Steps, DocumentNode | None] = {}
-        self.open: list[Steps] = []
+        self.unresolved: set[KeyPath] = set()
+        self.resolved: dict[KeyPath, DocumentNode | None] = {}
+        self.open: list[KeyPath] = []
 
-    def resolve(self, node: DocumentNode, path: Steps) -> DocumentNode:
+    def resolve(self, node: DocumentNode, path: KeyPath) -> DocumentNode:
         if path[:1] == ("settings",) and len(path) > 1:
             return self.setting(path[1:]) or node
         return self.inside(node, path)
 
-    def inside(self, node: DocumentNode, path: Steps) -> DocumentNode:
+    def inside(self, node: DocumentNode, path: KeyPath) -> DocumentNode:
         if isinstance(node.value, Mapping):
             entries = {key: self.resolve(child, (*path, key)) for key, child in node.value.items()}
             return DocumentNode(entries, node.at, node.key_at)
@@ -57,8 +57,8 @@ class _References:
             self.unresolved.add(path)
             return node
 
-    def setting(self, name: Steps) -> DocumentNode | None:
-        """A setting with its own references replaced; None if that is not possible."""
+    def setting(self, name: KeyPath) -> DocumentNode | None:
+        """Return a setting with its own references replaced; None if that is not possible."""
         if name not in self.resolved:
             node = self.settings.find(*name)
             if node is None:
@@ -71,18 +71,18 @@ class _References:
             self.resolved[name] = None if broken else result
         return self.resolved[name]
 
-    def text(self, node: DocumentNode, text: str, path: Steps) -> DocumentNode:
+    def text(self, node: DocumentNode, text: str, path: KeyPath) -> DocumentNode:
         whole = _REFERENCE.fullmatch(text)
         if whole is not None and whole[1] is not None and whole[1].strip() != "here":
             value = self.value(whole[1].strip(), node.at, path)
             return DocumentNode(value.value, value.at, node.key_at)
         replaced = _REFERENCE.sub(lambda match: self.replacement(match, node.at, path), text)
         if len(replaced) > _LONGEST_TEXT:
-            found = f"with its settings it is longer than {_LONGEST_TEXT:,} characters"
-            raise self.problem(node.at, path, found, "write less")
+            found = f"with its settings the text is longer than {_LONGEST_TEXT:,} characters"
+            raise self.problem(node.at, path, found, "shorten it")
         return DocumentNode(replaced, node.at, node.key_at)
 
-    def replacement(self, match: re.Match[str], at: Location, path: Steps) -> str:
+    def replacement(self, match: re.Match[str], at: Location, path: KeyPath) -> str:
         if match[0] == "$${":
             return "${"
         if match[1] is None:
@@ -92,32 +92,32 @@ class _References:
             return str(at.folder)
         value = self.value(name, at, path).value
         if value is None or isinstance(value, Mapping | tuple):
-            found = f"the setting {name} cannot become part of a text"
+            found = f"the setting {name} is not a text, number or boolean, so it has no text"
             raise self.problem(at, path, found, "refer to a text, number or boolean")
         return str(value).lower() if isinstance(value, bool) else str(value)
 
-    def value(self, name: str, at: Location, path: Steps) -> DocumentNode:
+    def value(self, name: str, at: Location, path: KeyPath) -> DocumentNode:
         steps = tuple(name.split("."))
         if self.settings.find(*steps) is None:
             known = [".".join(known) for known in _names(self.settings, ())]
             raise self.problem(at, path, f"there is no setting {name}", suggestion(name, known))
         within = [one[: len(steps)] == steps for one in self.open]
-        ring = within.index(True) if True in within else None
-        if ring is not None:
-            chain = " -> ".join(".".join(one) for one in [*self.open[ring:], steps])
-            found = f"the settings refer to themselves in a circle: {chain}"
+        cycle = within.index(True) if True in within else None
+        if cycle is not None:
+            chain = " -> ".join(".".join(one) for one in [*self.open[cycle:], steps])
+            found = f"circular settings: {chain}"
             raise self.problem(at, path, found, "give one of them a value")
         node = self.setting(steps)
         if node is None:
             raise _UnresolvedError
         return node
 
-    def problem(self, at: Location, path: Steps, found: str, remedy: str) -> _UnresolvedError:
+    def problem(self, at: Location, path: KeyPath, found: str, remedy: str) -> _UnresolvedError:
         self.problems.append(Problem(at, dotted(path), found, remedy))
         return _UnresolvedError()
 
 
-def _names(node: DocumentNode, path: Steps) -> list[Steps]:
+def _names(node: DocumentNode, path: KeyPath) -> list[KeyPath]:
     names = []
     for key, child in node.entries.items():
         names += [(*path, key), *_names(child, (*path, key))]

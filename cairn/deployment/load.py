@@ -1,20 +1,25 @@
-"""Load a deployment: a file with overlays, `--set`s and settings, checked as a whole."""
+"""Load a deployment: a file with overlays and `--set`s, its settings replaced, then checked.
+
+Overlays and `--set path=value` change the document. Mappings are merged key by key, everything else
+is replaced, null removes a key (RFC 7386). Among the settings null is a value, because a setting
+that does not exist could not be referred to.
+"""
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from cairn.deployment.check import problems_of
+from cairn.deployment.check import check_document
 from cairn.deployment.document import (
-    MOST_VALUES,
+    MAX_VALUES,
     DocumentNode,
-    Steps,
-    components,
+    KeyPath,
+    component_nodes,
     dotted,
-    parse,
-    read,
+    parse_document,
+    read_document,
 )
-from cairn.deployment.interpolation import interpolated
+from cairn.deployment.interpolation import interpolate
 from cairn.deployment.model import Deployment
 from cairn.deployment.problems import DeploymentError, Location, Problem, suggestion
 
@@ -22,7 +27,7 @@ _SECTIONS = frozenset(Deployment.model_fields)
 
 
 class SourceDocument(NamedTuple):
-    """A file that was read: its tree, None if that is not possible, and what is wrong with it."""
+    """A file that was read: its tree, None if it is unreadable, and its problems."""
 
     file: Path
     node: DocumentNode | None
@@ -30,42 +35,42 @@ class SourceDocument(NamedTuple):
 
 
 def read_sources(file: Path, overlays: Sequence[Path] = ()) -> list[SourceDocument]:
-    """Read a deployment's file and its overlays, once: one may be a pipe."""
-    return [SourceDocument(one, *read(one)) for one in (file, *overlays)]
+    """Read a deployment's file and its overlays, each once, because one may be a pipe."""
+    return [SourceDocument(one, *read_document(one)) for one in (file, *overlays)]
 
 
 def load_deployment(
     file: Path, overlays: Sequence[Path] = (), sets: Sequence[str] = ()
 ) -> Deployment:
-    """The deployment in a file with overlays and `path=value` assignments laid over it in order.
+    """Return the deployment in a file, changed by overlays and `path=value` assignments in order.
 
-    Raises `DeploymentError` with all its problems; with those of the syntax alone if a file cannot
-    be read.
+    Raises `DeploymentError` with all problems; only with those of the syntax if a file cannot be
+    read.
     """
-    return assembled(read_sources(file, overlays), sets)
+    return assemble(read_sources(file, overlays), sets)
 
 
-def assembled(sources: Sequence[SourceDocument], sets: Sequence[str] = ()) -> Deployment:
-    """As `load_deployment`, of files that were read before."""
+def assemble(sources: Sequence[SourceDocument], sets: Sequence[str] = ()) -> Deployment:
+    """Return the deployment in files that were read before, as `load_deployment` does."""
     problems = [problem for source in sources for problem in source.problems]
     nodes = [source.node for source in sources if source.node is not None]
     if len(nodes) < len(sources):
         raise DeploymentError(problems)
     root = nodes[0]
     for over in nodes[1:]:
-        root, found = overlaid(root, over)
+        root, found = apply_overlay(root, over)
         problems += found
     for assignment in sets:
-        root, found = assigned(root, assignment, _SECTIONS)
+        root, found = apply_set(root, assignment, _SECTIONS)
         problems += found
-    root, found, unresolved = interpolated(root)
+    root, found, unresolved = interpolate(root)
     problems += found
-    if _exceeds(root, MOST_VALUES):
-        found_too_much = f"with its settings it holds more than {MOST_VALUES:,} values"
+    if _exceeds(root, MAX_VALUES):
+        found_too_much = f"with its settings the deployment holds more than {MAX_VALUES:,} values"
         raise DeploymentError([*problems, Problem(root.at, "", found_too_much, "write fewer")])
     reported = {(problem.path, problem.at.line) for problem in problems}
     problems += [
-        one for one in problems_of(root, unresolved) if (one.path, one.at.line) not in reported
+        one for one in check_document(root, unresolved) if (one.path, one.at.line) not in reported
     ]
     if problems:
         origins = [str(source.file) for source in sources]
@@ -74,7 +79,7 @@ def assembled(sources: Sequence[SourceDocument], sets: Sequence[str] = ()) -> De
 
 
 def _exceeds(root: DocumentNode, limit: int) -> bool:
-    """Whether a tree has more values than that; references share theirs, but not when used."""
+    """Return whether a tree has more values than `limit`, each use of a shared value counted."""
     waiting, seen = [root], 0
     while waiting:
         node = waiting.pop()
@@ -92,14 +97,14 @@ def _order(problem: Problem, origins: list[str]) -> tuple[int, int, int]:
     return file, at.line, at.column
 
 
-def overlaid(base: DocumentNode, over: DocumentNode) -> tuple[DocumentNode, list[Problem]]:
-    """The base with an overlay on it; places follow the file that each value comes from."""
+def apply_overlay(base: DocumentNode, over: DocumentNode) -> tuple[DocumentNode, list[Problem]]:
+    """Return the base changed by an overlay, and problems; locations are those of the values."""
     problems: list[Problem] = []
     return _merged(base, over, (), problems), problems
 
 
 def _merged(
-    base: DocumentNode, over: DocumentNode, path: Steps, problems: list[Problem]
+    base: DocumentNode, over: DocumentNode, path: KeyPath, problems: list[Problem]
 ) -> DocumentNode:
     if not isinstance(over.value, Mapping):
         return over
@@ -124,10 +129,10 @@ def _merged(
     )
 
 
-def assigned(
+def apply_set(
     base: DocumentNode, assignment: str, sections: frozenset[str]
 ) -> tuple[DocumentNode, list[Problem]]:
-    """The base with one `--set` laid over it: `path=value`, the value in YAML.
+    """Return the base changed by one `--set`, `path=value` with the value in YAML, and problems.
 
     A path whose first key is not one of the format's `sections` names a setting, which must exist;
     `components.NAME` finds the component at any depth of the tree.
@@ -141,20 +146,20 @@ def assigned(
     if not text.strip():
         remedy = "give one, or null to remove the key"
         return base, [Problem(at, "", "there is no value after the =", remedy)]
-    value, problems = parse(text, at)
+    value, problems = parse_document(text, at)
     if value is None or problems:
         return base, problems
     steps, problem = _target(base, keys, at, sections)
     if problem is not None:
         return base, [problem]
-    return overlaid(base, _nested(steps, value, at))
+    return apply_overlay(base, _nested(steps, value, at))
 
 
 def _target(
     base: DocumentNode, keys: list[str], at: Location, sections: frozenset[str]
-) -> tuple[Steps, Problem | None]:
+) -> tuple[KeyPath, Problem | None]:
     if keys[0] == "components" and len(keys) > 1:
-        places = {name: path for name, path, _ in components(base)}
+        places = {name: path for name, path, _ in component_nodes(base)}
         if keys[1] not in places:
             found = f"there is no component {keys[1]}"
             return (), Problem(at, ".".join(keys[:2]), found, suggestion(keys[1], places))
@@ -169,7 +174,7 @@ def _target(
     return ("settings", *names), None
 
 
-def _settings(node: DocumentNode | None, path: Steps) -> Iterator[Steps]:
+def _settings(node: DocumentNode | None, path: KeyPath) -> Iterator[KeyPath]:
     if node is None:
         return
     for key, child in node.entries.items():
@@ -177,7 +182,7 @@ def _settings(node: DocumentNode | None, path: Steps) -> Iterator[Steps]:
         yield from _settings(child, (*path, key))
 
 
-def _nested(steps: Steps, value: DocumentNode, at: Location) -> DocumentNode:
+def _nested(steps: KeyPath, value: DocumentNode, at: Location) -> DocumentNode:
     node = DocumentNode(value.value, at, at)
     for step in reversed(steps):
         node = DocumentNode({step: node}, at, at)

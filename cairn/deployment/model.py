@@ -21,7 +21,7 @@ RESERVED = {
     ROOT: "the root of the tree of components",
     VIEW: "the node with which `cairn up` listens",
 }
-"""Names of nodes that every deployment has, so that no component can have them."""
+"""Names of nodes that every deployment has, which no component may use."""
 
 _LISTEN = "tcp/127.0.0.1:7447"
 _KILL_S = 3.0
@@ -30,7 +30,7 @@ _ENDPOINT = re.compile(r"(?:tcp|tls|quic|udp|ws)/(\[[^\]]+\]|[^:/\[\]]+):(\d+)(?
 
 
 def is_loopback(endpoint: str) -> bool:
-    """Whether a Zenoh endpoint such as `tcp/127.0.0.1:7447` is reachable from this machine only.
+    """Return whether a Zenoh endpoint (`tcp/127.0.0.1:7447`) is reachable from this machine only.
 
     Raises `ValueError` if it is not an endpoint with a host and a port from 1 to 65535.
     """
@@ -60,7 +60,7 @@ class _Section(BaseModel):
 
 
 class BusSettings(_Section):
-    """How the components of the deployment reach each other over Zenoh."""
+    """How the components of the deployment connect to each other over Zenoh."""
 
     allow_remote: bool = Field(
         False, description="Allows `listen` to be reachable from other machines."
@@ -68,7 +68,7 @@ class BusSettings(_Section):
     connect: tuple[Endpoint, ...] = Field(
         (),
         strict=False,
-        description="Endpoints of routers that run already; then none is opened here.",
+        description="Endpoints of running routers to join; then `cairn up` opens none.",
     )
     listen: Endpoint = Field(
         _LISTEN, description="Endpoint on which `cairn up` opens the deployment's router."
@@ -85,7 +85,7 @@ class BusSettings(_Section):
         if not info.data.get("allow_remote", True) and not is_loopback(listen):
             raise ValueError(
                 f"{listen} can be reached from other machines; listen on 127.0.0.1, or add "
-                "`allow_remote: true` if everybody on that network may drive the robot"
+                "`allow_remote: true` if anyone on that network may drive the robot"
             )
         return listen
 
@@ -95,7 +95,7 @@ class Supervision(_Section):
 
     strategy: Strategy = Field(
         "one_for_one",
-        description="Whom to restart: the child, it and those started after it, or all.",
+        description="What to restart: the child, also those started after it, or all children.",
     )
     max_restarts: int = Field(
         3, ge=0, le=1000, description="Restarts allowed within `within_s`; one more escalates."
@@ -187,9 +187,9 @@ class ChildSpec(_Section):
 
 @dataclass(frozen=True)
 class Member:
-    """A component in its place in the tree; `parent` is None for those directly below the root.
+    """A component with its position in the tree; `parent` is None directly below the root.
 
-    `key` is where the deployment has it, as `--set` takes it: `components.mobile.children.base`.
+    `key` is its path in the deployment, as `--set` takes it: `components.mobile.children.base`.
     """
 
     name: str
@@ -203,19 +203,24 @@ class Deployment(_Section):
 
     cairn: Literal[1] = Field(description="Version of this format.")
     robot: Name = Field("robot", description="Namespace of every name on the bus.")
-    domain: int = Field(0, ge=0, le=232, description="As ROS_DOMAIN_ID; robots meet within one.")
+    domain: int = Field(
+        0,
+        ge=0,
+        le=232,
+        description="Domain, as ROS_DOMAIN_ID; robots communicate only within one domain.",
+    )
     bus: BusSettings = Field(
-        default_factory=BusSettings, description="How the components reach each other."
+        default_factory=BusSettings, description="How the components connect to each other."
     )
     clock: Literal["system", "simulated"] = Field(
         "system", description="System time, or the time on topic `clock`."
     )
     settings: dict[str, Any] = Field(
         default_factory=dict,
-        description="Values referred to as ${name}; what `--set name=value` changes.",
+        description="Values that `${name}` refers to and `--set name=value` changes.",
     )
     external_topics: tuple[Topic, ...] = Field(
-        (), strict=False, description="Topics written by programs outside of the deployment."
+        (), strict=False, description="Topics published by programs outside the deployment."
     )
     supervision: Supervision = Field(
         default_factory=Supervision, description="For the components directly below the root."
@@ -234,11 +239,11 @@ class Deployment(_Section):
         )
 
     def members(self) -> Iterator[Member]:
-        """All components in start order: each before its children, those before its next one."""
+        """Yield all components in start order, each one followed by its children."""
         yield from _members(self.components, None, "components")
 
     def member(self, name: str) -> Member:
-        """The component of that name at any depth; `KeyError` if there is none."""
+        """Return the component of that name at any depth; `KeyError` if there is none."""
         for member in self.members():
             if member.name == name:
                 return member

@@ -1,4 +1,4 @@
-"""Finds component classes, by entry point of any installed package or as package.module:Class."""
+"""Plugins: find component classes by entry point of an installed package or as module:Class."""
 
 import importlib
 import sys
@@ -20,7 +20,7 @@ GROUP = "cairn.components"
 
 
 class PluginError(CairnError):
-    """A plugin does not exist, cannot be imported, or is not a component."""
+    """A plugin does not exist, cannot be imported, or is not a component; with the remedy."""
 
     def __init__(self, found: str, remedy: str) -> None:
         super().__init__(f"{found}; {remedy}")
@@ -30,7 +30,7 @@ class PluginError(CairnError):
 
 @dataclass(frozen=True)
 class Plugin:
-    """An installed plugin as listed; `error` says why its class cannot be used, "" if it can."""
+    """An installed plugin; `error` says why its class cannot be used, "" if it can."""
 
     name: str
     target: str
@@ -41,12 +41,12 @@ class Plugin:
 
 
 def installed_plugins() -> list[Plugin]:
-    """All plugins of all installed packages by name, those that cannot be imported included."""
+    """Return all installed plugins sorted by name, also those that cannot be imported."""
     return [_listed(point) for point in sorted(_entry_points(), key=lambda point: point.name)]
 
 
 def load_plugin(reference: str) -> "type[Component]":
-    """The component class for an entry point's name or `package.module:Class`.
+    """Return the component class for an entry point's name or `package.module:Class`.
 
     Raises `PluginError` if there is none, if two packages offer it, if its module cannot be
     imported, or if it is not a subclass of `Component`.
@@ -71,9 +71,9 @@ def load_plugin(reference: str) -> "type[Component]":
 
 
 def plugin_modules(document: object) -> list[str]:
-    """The modules of all plugins named anywhere in a deployment's plain data, not imported.
+    """Return the modules of all plugins named in a deployment's plain data, without importing them.
 
-    It may be any data: what is not a deployment is for the check to tell.
+    Any data is accepted; the check of the deployment reports what is wrong with it.
     """
     targets = {point.name: point.value for point in _entry_points()}
     found: dict[str, None] = {}
@@ -103,7 +103,7 @@ def _component(target: str) -> "type[Component]":
     if not _is_component(found, Component):
         raise PluginError(
             f"{target} is not a component",
-            "derive the class from cairn.runtime.component.Component",
+            "derive the class from cairn.Component",
         )
     component: type[Component] = found
     return component
@@ -120,7 +120,7 @@ def _imported(name: str) -> object:
                 "single file on PYTHONPATH",
             ) from error
         raise _not_importable(name, error) from error
-    except (Exception, SystemExit) as error:  # a plugin's module may fail in any way
+    except (Exception, SystemExit) as error:  # importing a plugin's module may raise anything
         raise _not_importable(name, error) from error
 
 
@@ -153,7 +153,7 @@ def _entry_points() -> tuple[EntryPoint, ...]:
 
 @lru_cache(maxsize=1)
 def _entry_points_on(_path: tuple[str, ...]) -> tuple[EntryPoint, ...]:
-    """Those of packages on a path: all their files are read, once and not for each component."""
+    """Return the entry points of packages on a path; cached, because this reads many files."""
     return tuple(entry_points(group=GROUP))
 
 

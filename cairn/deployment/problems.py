@@ -1,4 +1,4 @@
-"""Problems of a deployment: where, what was found, what to do."""
+"""Problems of a deployment: where, what was found, and what to do."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from cairn.errors import CairnError
 class Location:
     """Where a key or value is written: a file with line and column from 1, or a `--set` (line 0).
 
-    `folder` is the absolute folder that `${here}` means there.
+    `folder` is the absolute folder that `${here}` refers to there.
     """
 
     origin: str
@@ -26,7 +26,7 @@ class Location:
 
 @dataclass(frozen=True)
 class Problem:
-    """One thing wrong with a deployment; `path` is dotted, with components by name alone."""
+    """One problem of a deployment; `path` is dotted, with components by name, without parents."""
 
     at: Location
     path: str
@@ -48,12 +48,12 @@ class DeploymentError(CairnError):
         super().__init__("\n  ".join([*lines, *map(str, self.problems)]))
 
     def __reduce__(self) -> tuple[type["DeploymentError"], tuple[tuple[Problem, ...]]]:
-        """How it gets from one process to another: by its problems, not by its text."""
+        """Pickle the error by its problems instead of its text."""
         return DeploymentError, (self.problems,)
 
 
 def suggestion(name: str, known: Iterable[str]) -> str:
-    """The remedy for an unknown name: the close matches, or else all known names."""
+    """Return the remedy for an unknown name: similar names, or else all known names."""
     names = list(known)
     close = get_close_matches(name, names, cutoff=0.8) or get_close_matches(name, names, n=1)
     if close:

@@ -14,7 +14,7 @@ _REFERENCE = {"$ref": "#/$defs/Reference"}
 
 
 def json_schema() -> dict[str, Any]:
-    """The schema, in which a `${setting}` may stand for every value that is not a section."""
+    """Return the schema, in which a `${setting}` may replace every value that is not a section."""
     schema = Deployment.model_json_schema()
     for section in (schema, *schema["$defs"].values()):
         properties = section.get("properties", {})
@@ -34,7 +34,7 @@ def json_schema() -> dict[str, Any]:
 
 
 def schema_text() -> str:
-    """The schema as the file holds it."""
+    """Return the schema as the text of its file."""
     return json.dumps(json_schema(), indent=2, sort_keys=True) + "\n"
 
 

@@ -1,4 +1,8 @@
-"""Checks a part of a document against a pydantic model: one problem per error, on its own line."""
+"""Validation: check a part of a document against a pydantic model, one problem per error.
+
+The model is a section of the format (`cairn.deployment.model`) or the `Config` of a plugin, whose
+fields are a component's parameters.
+"""
 
 from collections.abc import Iterator, Mapping
 from typing import Any, get_args
@@ -7,19 +11,19 @@ from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
-from cairn.deployment.document import DocumentNode, Steps, dotted
+from cairn.deployment.document import DocumentNode, KeyPath, dotted
 from cairn.deployment.problems import Location, Problem, suggestion
 from cairn.runtime.parameters import bounds_text, error_reason
 
-_SHOWN = 60  # characters of a wrong value
+_MAX_SHOWN = 60  # characters of an invalid value
 
 
-def invalid(
-    model: type[BaseModel], node: DocumentNode, path: Steps, unresolved: frozenset[Steps]
+def validation_problems(
+    model: type[BaseModel], node: DocumentNode, path: KeyPath, unresolved: frozenset[KeyPath]
 ) -> list[Problem]:
-    """What the model refuses in a node at `path`; values with unresolved references are left out.
+    """Return what the model rejects in a node at `path`; unresolved references are left out.
 
-    An unknown key is shown with the keys that are close to it or allowed there.
+    The remedy for an unknown key are the keys that are similar or allowed there.
     """
     try:
         model.model_validate(node.plain())
@@ -37,9 +41,9 @@ def invalid(
     return []
 
 
-def _steps(node: DocumentNode, detail: ErrorDetails) -> Steps:
-    """The error's path as far as it exists in the document, and a last step that is missing."""
-    steps: Steps = ()
+def _steps(node: DocumentNode, detail: ErrorDetails) -> KeyPath:
+    """Return the error's path as far as it exists in the document, and a last, missing step."""
+    steps: KeyPath = ()
     for step in detail["loc"]:
         if node.find(*steps, step) is None:
             return (*steps, str(step)) if detail["type"] == "missing" else steps
@@ -48,7 +52,7 @@ def _steps(node: DocumentNode, detail: ErrorDetails) -> Steps:
 
 
 def _problem(
-    model: type[BaseModel], node: DocumentNode, path: Steps, steps: Steps, detail: ErrorDetails
+    model: type[BaseModel], node: DocumentNode, path: KeyPath, steps: KeyPath, detail: ErrorDetails
 ) -> Problem:
     value = node.find(*steps)
     shown = dotted((*path, *steps))
@@ -65,14 +69,14 @@ def _problem(
         )
     if detail["loc"][-1:] == ("[key]",):
         remedy = "names are lower-case letters, digits and _, and begin with a letter"
-        return Problem(key_at, shown, f"{steps[-1]!r} is not a name", remedy)
+        return Problem(key_at, shown, f"{steps[-1]!r} is not a valid name", remedy)
     found = error_reason(detail)
     if detail["type"] not in ("value_error", "assertion_error"):
         found = f"{_written(value)} {found}"
     return Problem(value.where, shown, found, f"expected {_meaning(field)}")
 
 
-def _enclosing(node: DocumentNode, steps: Steps) -> Location:
+def _enclosing(node: DocumentNode, steps: KeyPath) -> Location:
     parent = node.find(*steps[:-1])
     return parent.where if parent is not None else node.where
 
@@ -92,11 +96,11 @@ def _written(node: DocumentNode) -> str:
     if node.value is None or isinstance(node.value, bool):
         return {None: "null", True: "true", False: "false"}[node.value]
     text = repr(node.value)
-    return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
+    return text if len(text) <= _MAX_SHOWN else f"{text[:_MAX_SHOWN]}..."
 
 
-def _field(model: type[BaseModel], steps: Steps) -> FieldInfo | None:
-    """The field at a path inside of the model, or that of the list or mapping around it."""
+def _field(model: type[BaseModel], steps: KeyPath) -> FieldInfo | None:
+    """Return the field at a path in the model, or that of the list or mapping around it."""
     for end in range(len(steps), 0, -1):
         field = _fields(model, steps[: end - 1]).get(steps[end - 1])
         if field is not None:
@@ -104,8 +108,8 @@ def _field(model: type[BaseModel], steps: Steps) -> FieldInfo | None:
     return None
 
 
-def _fields(model: type[BaseModel], steps: Steps) -> dict[str, FieldInfo]:
-    """The fields that the model has at a path inside of it."""
+def _fields(model: type[BaseModel], steps: KeyPath) -> dict[str, FieldInfo]:
+    """Return the fields that the model has at a path in it."""
     annotations: list[Any] = [model]
     for step in steps:
         inner = []
@@ -121,7 +125,7 @@ def _fields(model: type[BaseModel], steps: Steps) -> dict[str, FieldInfo]:
 
 
 def _parts(annotation: Any) -> Iterator[Any]:
-    """An annotation and, for a union, its members."""
+    """Yield an annotation and, for a union, its members."""
     yield annotation
     yield from (part for part in get_args(annotation) if _is_model(part))
 

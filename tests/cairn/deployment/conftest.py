@@ -1,4 +1,4 @@
-"""Makes the plugins of outside/ importable, and writes deployment files."""
+"""Make the plugins of outside/ importable, and write deployment files."""
 
 import sys
 from collections.abc import Callable, Iterator
@@ -21,7 +21,7 @@ def acme_robot() -> Iterator[None]:
 
 @pytest.fixture
 def write(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Write:
-    """Writes a YAML file below the current folder and returns its relative path."""
+    """Write a YAML file below the current folder and return its relative path."""
     monkeypatch.chdir(tmp_path)
 
     def write_file(text: str, name: str = "robot.yaml") -> Path:

@@ -1,4 +1,4 @@
-"""Deployments with one mistake each: the line, the path and what is told of it."""
+"""Deployments with one mistake each: the line, the path and the reported problem."""
 
 HEAD = "cairn: 1\ncomponents:\n"
 PARTS = """\
@@ -72,7 +72,7 @@ CASES = {
             5,
             "components.other.plugin",
             "acme_robot.parts:ScannerConfig is not a component; "
-            "derive the class from cairn.runtime.component.Component",
+            "derive the class from cairn.Component",
         ),
     ),
     "port without a message type": (
@@ -167,7 +167,8 @@ CASES = {
         (
             8,
             "components.other.topics.odom",
-            "topic scan has two types: odom writes nav_msgs/msg/Odometry, but scanner.scan writes "
+            "topic scan has two types: odom publishes nav_msgs/msg/Odometry, but "
+            "scanner.scan publishes "
             "sensor_msgs/msg/LaserScan; give one of them another topic",
         ),
     ),
@@ -176,7 +177,8 @@ CASES = {
         (
             8,
             "components.localizer.topics.scan",
-            "nobody writes topic scans, which input scan needs; add its writer, correct the topic, "
+            "no component publishes topic scans, which input scan needs; "
+            "add its publisher, correct the topic, "
             "or list it under external_topics; did you mean scan?",
         ),
     ),
@@ -229,7 +231,7 @@ CASES = {
         (
             8,
             "components.other.interpreter",
-            "a component in its parent's process has its parent's interpreter; "
+            "a component in its parent's process uses its parent's interpreter; "
             "use placement: process",
         ),
     ),
@@ -248,7 +250,8 @@ CASES = {
             7,
             "components.other.stop_timeout_s",
             "'5' should be a valid number; "
-            "expected Limit for stopping, then killed [s] (> 0, <= 3600)",
+            "expected Limit for stopping [s]; then its process is terminated and killed "
+            "(> 0, <= 3600)",
         ),
     ),
     "component name": (
@@ -256,7 +259,7 @@ CASES = {
         (
             5,
             "components.Other",
-            "'Other' is not a name; "
+            "'Other' is not a valid name; "
             "names are lower-case letters, digits and _, and begin with a letter",
         ),
     ),
@@ -265,7 +268,7 @@ CASES = {
         (
             2,
             "clock",
-            "the clock is simulated, but no component writes rosgraph_msgs/msg/Clock on topic "
+            "the clock is simulated, but no component publishes rosgraph_msgs/msg/Clock on topic "
             "clock; add one that does, list clock under external_topics, or use clock: system",
         ),
     ),
@@ -275,7 +278,7 @@ CASES = {
         (
             4,
             "components.other.topics.time",
-            "WaitingSimulator makes the simulated clock, but waits for it itself; "
+            "WaitingSimulator publishes the simulated clock, but uses it itself; "
             'give the class `clock_source = "system"`',
         ),
     ),
@@ -295,7 +298,7 @@ CASES = {
             3,
             "bus.listen",
             "tcp/0.0.0.0:7447 can be reached from other machines; listen on 127.0.0.1, or add "
-            "`allow_remote: true` if everybody on that network may drive the robot; "
+            "`allow_remote: true` if anyone on that network may drive the robot; "
             "expected Endpoint on which `cairn up` opens the deployment's router",
         ),
     ),
@@ -306,7 +309,7 @@ CASES = {
             "bus.connect.0",
             "'tcp/127.0.0.1' is not an endpoint; write protocol/host:port as in "
             "tcp/127.0.0.1:7447, with protocol tcp, tls, quic, udp or ws and a port from 1 to "
-            "65535; expected Endpoints of routers that run already; then none is opened here",
+            "65535; expected Endpoints of running routers to join; then `cairn up` opens none",
         ),
     ),
     "listening and connecting": (

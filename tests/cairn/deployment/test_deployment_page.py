@@ -1,4 +1,4 @@
-"""The examples of docs/deployment.md are true."""
+"""The examples in docs/deployment.md match the product."""
 
 import re
 import shlex
@@ -21,7 +21,7 @@ def files(write: Write) -> None:
         write(text, name)
 
 
-def test_the_first_example_is_what_the_page_says() -> None:
+def test_first_example_matches_the_page() -> None:
     deployment = load_deployment(Path("deploy/robot.yaml"))
 
     assert [(one.name, one.parent) for one in deployment.members()] == [
@@ -39,7 +39,7 @@ def commands() -> list[list[str]]:
 
 
 @pytest.mark.parametrize("words", commands(), ids=" ".join)
-def test_the_commands_give_deployments_without_problems(words: list[str]) -> None:
+def test_commands_on_the_page_give_valid_deployments(words: list[str]) -> None:
     given = list(zip(words[3::2], words[4::2], strict=True))
 
     deployment = load_deployment(
@@ -51,7 +51,7 @@ def test_the_commands_give_deployments_without_problems(words: list[str]) -> Non
     assert Deployment.model_validate_json(deployment.model_dump_json()) == deployment
 
 
-def test_the_problems_are_those_on_the_page() -> None:
+def test_problems_match_those_on_the_page() -> None:
     (expected,) = re.findall(r"```text\n(.*?)```", PAGE, re.DOTALL)
 
     with pytest.raises(DeploymentError) as caught:

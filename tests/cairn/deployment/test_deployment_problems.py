@@ -1,4 +1,4 @@
-"""Every mistake in a deployment is found in one pass, on its line, with what to do about it."""
+"""Every mistake in a deployment is found in one pass, on its line, with its remedy."""
 
 import json
 from collections.abc import Callable
@@ -29,13 +29,13 @@ def only(file: Path) -> tuple[int, str, str]:
 
 
 @pytest.mark.parametrize(("text", "expected"), CASES.values(), ids=CASES.keys())
-def test_a_mistake_is_reported_once_with_line_path_and_remedy(
+def test_mistake_is_reported_once_with_line_path_and_remedy(
     write: Write, text: str, expected: tuple[int, str, str]
 ) -> None:
     assert only(write(text)) == expected
 
 
-def test_a_plugin_that_cannot_be_imported_is_reported_with_the_place_of_the_failure(
+def test_failed_import_of_a_plugin_is_reported_with_file_and_line(
     write: Write,
 ) -> None:
     line, path, text = only(write(HEAD + PARTS + "  eye: {plugin: acme_camera}\n"))
@@ -45,14 +45,14 @@ def test_a_plugin_that_cannot_be_imported_is_reported_with_the_place_of_the_fail
     assert "camera.py:3" in text
 
 
-def test_a_handler_of_a_port_that_the_class_does_not_have_is_reported(write: Write) -> None:
+def test_handler_of_a_missing_port_is_reported(write: Write) -> None:
     line, path, text = only(write(HEAD + "  ear: {plugin: 'acme_robot.parts:Listener'}\n"))
 
     assert (line, path) == (3, "components.ear.plugin")
     assert "odm" in text
 
 
-def test_an_input_without_writer_mentions_plugins_that_could_not_be_loaded(write: Write) -> None:
+def test_input_without_publisher_mentions_plugins_that_failed_to_load(write: Write) -> None:
     file = write(
         "cairn: 1\ncomponents:\n  a: {plugin: acme_simulator}\n  b: {plugin: acme_camera}\n"
         "  c: {plugin: acme_localizer}\n"
@@ -60,12 +60,12 @@ def test_an_input_without_writer_mentions_plugins_that_could_not_be_loaded(write
 
     _, unwritten = problems(file)
 
-    assert "nobody writes topic odom" in unwritten.found
-    assert "(a plugin that could not be loaded may write it)" in unwritten.found
+    assert "no component publishes topic odom" in unwritten.found
+    assert "(a plugin that could not be loaded may publish it)" in unwritten.found
 
 
 @pytest.mark.parametrize("topic", ["odom", "/robot/odom"])
-def test_an_external_topic_needs_no_writer_here(write: Write, topic: str) -> None:
+def test_external_topic_needs_no_publisher(write: Write, topic: str) -> None:
     text = HEAD + "  sim: {plugin: acme_simulator}\n  localizer: {plugin: acme_localizer}\n"
 
     deployment = load_deployment(write(f"{text}external_topics: [{topic}]\n"))
@@ -73,7 +73,7 @@ def test_an_external_topic_needs_no_writer_here(write: Write, topic: str) -> Non
     assert deployment.external_topics == (topic,)
 
 
-def test_a_topic_with_a_slash_is_outside_of_the_robot_s_names(write: Write) -> None:
+def test_topic_with_a_slash_is_outside_the_robots_namespace(write: Write) -> None:
     file = write(
         HEAD
         + "  sim: {plugin: acme_simulator}\n  base: {plugin: acme_base, topics: {odom: /odom}}\n"
@@ -82,10 +82,10 @@ def test_a_topic_with_a_slash_is_outside_of_the_robot_s_names(write: Write) -> N
 
     line, path, text = only(file)
     assert (line, path) == (6, "components.localizer.topics.odom")
-    assert text.startswith("nobody writes topic odom")
+    assert text.startswith("no component publishes topic odom")
 
 
-def test_a_simulated_clock_may_come_from_outside_or_from_a_component(write: Write) -> None:
+def test_simulated_clock_may_be_external_or_from_a_component(write: Write) -> None:
     load_deployment(
         write("cairn: 1\nclock: simulated\nexternal_topics: [clock]\ncomponents:\n" + PARTS)
     )
@@ -97,13 +97,13 @@ def test_a_simulated_clock_may_come_from_outside_or_from_a_component(write: Writ
     )
 
 
-def test_remote_listening_can_be_asked_for(write: Write) -> None:
+def test_remote_listening_can_be_allowed(write: Write) -> None:
     bus = "bus: {listen: 'tcp/[::]:7447', allow_remote: true}\n"
 
     assert load_deployment(write(bus + HEAD + PARTS)).bus.listen == "tcp/[::]:7447"
 
 
-def test_twelve_mistakes_are_all_reported_at_once(write: Write) -> None:
+def test_twelve_mistakes_are_reported_in_one_pass(write: Write) -> None:
     file = write("""
         cairn: 1
         robot: Robbie
@@ -151,7 +151,7 @@ def test_twelve_mistakes_are_all_reported_at_once(write: Write) -> None:
     ]
 
 
-def test_the_error_reads_as_a_list_with_a_count(write: Write) -> None:
+def test_error_text_lists_and_counts_the_problems(write: Write) -> None:
     file = write(HEAD + "  a: {plugin: acme_base, restart: no}\n  b: {plugin: nothing_like_it}\n")
 
     with pytest.raises(DeploymentError) as caught:
@@ -184,7 +184,7 @@ ODD = st.sampled_from(
 
 
 def replaced(value: Any, choice: st.DataObject) -> Any:
-    """The value with one part of it, at any depth, replaced by something odd."""
+    """Return the value with one part, at any depth, replaced by something odd."""
     if isinstance(value, dict) and value and choice.draw(st.integers(0, 5)):
         key = choice.draw(st.sampled_from(sorted(value)))
         return value | {key: replaced(value[key], choice)}
@@ -197,7 +197,7 @@ def replaced(value: Any, choice: st.DataObject) -> Any:
     max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @given(choice=st.data())
-def test_whatever_is_written_the_answer_is_a_deployment_or_a_list_of_problems(
+def test_any_document_gives_a_deployment_or_a_list_of_problems(
     write: Write, choice: st.DataObject
 ) -> None:
     file = write(json.dumps(replaced(GOOD, choice)))
@@ -214,7 +214,7 @@ def test_whatever_is_written_the_answer_is_a_deployment_or_a_list_of_problems(
 
 
 def _grown(first: str, join: Callable[[int], str]) -> str:
-    """Settings of which each holds the one before nine times."""
+    """Return settings of which each contains the one before nine times."""
     lines = [f"  a{number}: {join(number)}" for number in range(1, 11)]
     return "\n".join(["settings:", f"  a0: {first}", *lines]) + "\n"
 
@@ -224,28 +224,30 @@ def _grown(first: str, join: Callable[[int], str]) -> str:
     [
         (
             _grown("&a0 [x]", lambda n: f"&a{n} [{', '.join([f'*a{n - 1}'] * 9)}]"),
-            "the file holds more than 100,000 values, its aliases written out",
+            "the file holds more than 100,000 values, with its aliases expanded",
         ),
         (
             _grown("[x]", lambda n: f"[{', '.join([repr(f'${{a{n - 1}}}')] * 9)}]"),
-            "with its settings it holds more than 100,000 values",
+            "with its settings the deployment holds more than 100,000 values",
         ),
         (
             _grown("text", lambda n: repr(f"${{a{n - 1}}}" * 9)),
-            "settings.a5: with its settings it is longer than 100,000 characters",
+            "settings.a5: with its settings the text is longer than 100,000 characters",
         ),
         ("settings: " + "{a: " * 400 + "1" + "}" * 400, "is nested deeper than 100 levels at"),
     ],
     ids=["aliases", "lists", "texts", "levels"],
 )
-def test_what_grows_without_bound_is_refused_at_once(write: Write, text: str, problem: str) -> None:
+def test_document_that_grows_without_bound_is_rejected_at_once(
+    write: Write, text: str, problem: str
+) -> None:
     with pytest.raises(DeploymentError) as refusal:
         load_deployment(write(text + "\n" + HEAD + PARTS))
 
     assert problem in str(refusal.value)
 
 
-def test_an_unknown_key_is_told_even_where_something_else_has_the_same_path(
+def test_unknown_key_is_reported_even_if_another_problem_has_the_same_path(
     write: Write,
 ) -> None:
     found = problems(write(HEAD + PARTS + "[a, b]: 1\n'': 2\n"))

@@ -1,4 +1,4 @@
-"""Overlays and `--set` change a deployment; settings are put in place of their references."""
+"""Overlays and `--set` change a deployment; settings replace their references."""
 
 import json
 from collections.abc import Callable
@@ -10,8 +10,8 @@ import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from cairn.deployment.document import DocumentNode, read
-from cairn.deployment.load import assigned, load_deployment, overlaid
+from cairn.deployment.document import DocumentNode, read_document
+from cairn.deployment.load import apply_overlay, apply_set, load_deployment
 from cairn.deployment.problems import DeploymentError
 
 Write = Callable[..., Path]
@@ -45,7 +45,7 @@ def test_settings_replace_references_and_keep_their_type(write: Write) -> None:
     assert deployment.settings["file"] == parameters["map_file"]
 
 
-def test_a_set_changes_a_setting_by_its_name(write: Write) -> None:
+def test_set_changes_a_setting_by_name(write: Write) -> None:
     file = write(ROBOT)
 
     deployment = load_deployment(file, sets=["recording.path=/data", "particles=800"])
@@ -57,7 +57,7 @@ def test_a_set_changes_a_setting_by_its_name(write: Write) -> None:
     }
 
 
-def test_a_set_reaches_a_component_at_any_depth_by_its_name(write: Write) -> None:
+def test_set_finds_a_component_at_any_depth_by_name(write: Write) -> None:
     file = write(ROBOT)
 
     deployment = load_deployment(
@@ -92,7 +92,7 @@ def test_a_set_reaches_a_component_at_any_depth_by_its_name(write: Write) -> Non
         ("particles", "'particles' is not an assignment; write key.path=value, as in "),
         ("=5", "'=5' is not an assignment; write key.path=value, as in recording.rate=10"),
         ("particles=", "there is no value after the =; give one, or null to remove the key"),
-        ("particles=[1", "this is not YAML: while parsing a flow sequence, expected ',' or ']'"),
+        ("particles=[1", "invalid YAML: while parsing a flow sequence, expected ',' or ']'"),
         (
             "components.base.topics.command=null",
             "components.base.topics.command: null removes a key, and there is none; "
@@ -104,7 +104,9 @@ def test_a_set_reaches_a_component_at_any_depth_by_its_name(write: Write) -> Non
         ),
     ],
 )
-def test_a_wrong_set_is_quoted_with_its_remedy(write: Write, assignment: str, problem: str) -> None:
+def test_invalid_set_is_reported_with_its_remedy(
+    write: Write, assignment: str, problem: str
+) -> None:
     with pytest.raises(DeploymentError) as caught:
         load_deployment(write(ROBOT), sets=[assignment])
 
@@ -112,7 +114,7 @@ def test_a_wrong_set_is_quoted_with_its_remedy(write: Write, assignment: str, pr
     assert line.startswith(f"--set {assignment}: {problem}")
 
 
-def test_overlays_are_merged_in_order_and_null_removes(write: Write) -> None:
+def test_overlays_are_merged_in_order_and_null_removes_keys(write: Write) -> None:
     base = write(ROBOT, "deploy/robot.yaml")
     lab = write(
         """
@@ -152,7 +154,7 @@ def test_null_is_a_value_among_the_settings(write: Write) -> None:
     assert given_again.settings["recording"]["start"] == {"x": 2.0}
 
 
-def test_a_problem_is_shown_in_the_file_its_value_comes_from(write: Write) -> None:
+def test_problem_is_located_in_the_file_of_its_value(write: Write) -> None:
     base = write(ROBOT, "robot.yaml")
     lab = write(
         """
@@ -183,23 +185,22 @@ def test_a_problem_is_shown_in_the_file_its_value_comes_from(write: Write) -> No
     [
         (
             "{a: '${b}', b: '${c}', c: '${a}'}",
-            "settings.c: the settings refer to themselves in a circle: a -> b -> c -> a; "
-            "give one of them a value",
+            "settings.c: circular settings: a -> b -> c -> a; give one of them a value",
         ),
         (
             "{a: {b: 'x${a}'}}",
-            "settings.a.b: the settings refer to themselves in a circle: a -> a.b -> a; ",
+            "settings.a.b: circular settings: a -> a.b -> a; ",
         ),
         ("{a: 'x${a'}", "settings.a: `${` without `}`; close it, or write `$${` for `${`"),
         ("{a: '${b}/x'}", "settings.a: there is no setting b; did you"),
         (
             "{a: {b: 1}, c: 'x${a}'}",
-            "settings.c: the setting a cannot become part of a text; "
+            "settings.c: the setting a is not a text, number or boolean, so it has no text; "
             "refer to a text, number or boolean",
         ),
     ],
 )
-def test_a_reference_without_value_is_reported_once(
+def test_reference_without_value_is_reported_once(
     write: Write, settings_text: str, problem: str
 ) -> None:
     file = write(
@@ -218,7 +219,7 @@ def test_a_reference_without_value_is_reported_once(
     assert line.startswith(f"robot.yaml:2: {problem.removesuffix(' did you')}")
 
 
-def test_references_inside_sections_lists_and_of_whole_mappings(write: Write) -> None:
+def test_references_work_in_sections_lists_and_for_whole_mappings(write: Write) -> None:
     file = write(
         """
         cairn: 1
@@ -241,7 +242,7 @@ def test_references_inside_sections_lists_and_of_whole_mappings(write: Write) ->
     }
 
 
-def test_words_that_older_yaml_takes_for_booleans_stay_text(write: Write) -> None:
+def test_words_that_yaml_1_1_reads_as_booleans_stay_text(write: Write) -> None:
     file = write(
         """
         cairn: 1
@@ -263,20 +264,20 @@ def test_words_that_older_yaml_takes_for_booleans_stay_text(write: Write) -> Non
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
-        ("cairn: 1\n  robot: x\n", "robot.yaml:2: this is not YAML: mapping values are not "),
-        ("cairn: [1\n\n", "robot.yaml:3: this is not YAML: while parsing a flow sequence"),
+        ("cairn: 1\n  robot: x\n", "robot.yaml:2: invalid YAML: mapping values are not "),
+        ("cairn: [1\n\n", "robot.yaml:3: invalid YAML: while parsing a flow sequence"),
         ("", "robot.yaml:1: the file is empty; expected a mapping of keys to values"),
         ("- 1\n", "robot.yaml:1: found a list; expected a mapping of keys to values"),
-        ("cairn: 1\n---\ncairn: 1\n", "robot.yaml:2: this is not YAML: expected a single doc"),
+        ("cairn: 1\n---\ncairn: 1\n", "robot.yaml:2: invalid YAML: expected a single doc"),
         ("cairn: !!binary eA==\n", "robot.yaml:1: cairn: the tag tag:yaml.org,2002:binary is"),
         ("cairn: !!int x\n", "robot.yaml:1: cairn: 'x' is not a value of type int;"),
         ("cairn: &a [*a]\n", "robot.yaml:1: cairn.0: the alias contains itself; write the"),
         ("[a]: 1\n", "robot.yaml:1: a list or mapping used as a key; use text as the key"),
-        ("a: " + "[" * 5000, "robot.yaml:1: this is not YAML: it is nested too deeply;"),
-        ("a: \x01\n", "robot.yaml:1: this is not YAML: unacceptable character #x0001:"),
+        ("a: " + "[" * 5000, "robot.yaml:1: invalid YAML: it is nested too deeply;"),
+        ("a: \x01\n", "robot.yaml:1: invalid YAML: unacceptable character #x0001:"),
     ],
 )
-def test_a_file_that_is_not_a_yaml_mapping_is_reported_with_its_line(
+def test_file_without_a_yaml_mapping_is_reported_with_its_line(
     write: Write, text: str, problem: str
 ) -> None:
     with pytest.raises(DeploymentError) as caught:
@@ -293,7 +294,7 @@ def test_all_unreadable_files_are_reported_together(write: Write) -> None:
         load_deployment(base, [Path("latin.yaml"), Path("absent.yaml")])
 
     assert [str(problem).split(";")[0][:60] for problem in caught.value.problems] == [
-        "robot.yaml:3: this is not YAML: while parsing a flow node, e",
+        "robot.yaml:3: invalid YAML: while parsing a flow node, expec",
         "latin.yaml:1: the file cannot be read: 'utf-8' codec can't d",
         "absent.yaml: the file cannot be read: No such file or direct",
     ]
@@ -317,7 +318,7 @@ QUICK = settings(
 def tree(values: dict[str, Any], folder: Path) -> DocumentNode:
     file = folder / "some.yaml"
     file.write_text(json.dumps(values), encoding="utf-8")
-    node, problems = read(file)
+    node, problems = read_document(file)
     assert node is not None
     assert problems == []
     return node
@@ -333,11 +334,11 @@ def merge_patch(target: Any, patch: Any) -> Any:
 
 @QUICK
 @given(base=MAPPINGS, over=MAPPINGS)
-def test_an_overlay_is_a_merge_patch_and_doing_it_twice_changes_nothing(
+def test_overlay_is_an_idempotent_merge_patch(
     base: dict[str, Any], over: dict[str, Any], tmp_path: Path
 ) -> None:
-    first, problems = overlaid(tree(base, tmp_path), tree(over, tmp_path))
-    again, more = overlaid(first, tree(over, tmp_path))
+    first, problems = apply_overlay(tree(base, tmp_path), tree(over, tmp_path))
+    again, more = apply_overlay(first, tree(over, tmp_path))
 
     assert (problems, more) == ([], [])
     assert first.plain() == again.plain() == merge_patch(base, over)
@@ -345,7 +346,7 @@ def test_an_overlay_is_a_merge_patch_and_doing_it_twice_changes_nothing(
 
 @QUICK
 @given(base=MAPPINGS, path=st.lists(KEYS, min_size=1, max_size=3), value=VALUES)
-def test_a_set_is_an_overlay_of_one_key(
+def test_set_equals_an_overlay_of_one_key(
     base: dict[str, Any], path: list[str], value: Any, tmp_path: Path
 ) -> None:
     root = tree({"section": base}, tmp_path)
@@ -354,7 +355,7 @@ def test_a_set_is_an_overlay_of_one_key(
         over = {key: over}
     text = yaml.safe_dump(value, default_flow_style=True).removesuffix("...\n")
 
-    by_set, problems = assigned(root, f"section.{'.'.join(path)}={text}", frozenset(["section"]))
+    by_set, problems = apply_set(root, f"section.{'.'.join(path)}={text}", frozenset(["section"]))
 
     assert problems == []
-    assert by_set.plain() == overlaid(root, tree(over, tmp_path))[0].plain()
+    assert by_set.plain() == apply_overlay(root, tree(over, tmp_path))[0].plain()

@@ -7,7 +7,7 @@ import pytest
 from cairn.deployment.plugins import PluginError, installed_plugins, load_plugin
 
 
-def test_all_installed_plugins_are_listed_with_package_summary_and_ports() -> None:
+def test_installed_plugins_are_listed_with_package_summary_and_ports() -> None:
     listed = {plugin.name: plugin for plugin in installed_plugins()}
 
     base = listed["acme_base"]
@@ -20,7 +20,7 @@ def test_all_installed_plugins_are_listed_with_package_summary_and_ports() -> No
     assert base.error == ""
 
 
-def test_a_plugin_that_cannot_be_used_is_listed_with_its_error() -> None:
+def test_unusable_plugin_is_listed_with_its_error() -> None:
     listed = {plugin.name: plugin for plugin in installed_plugins()}
 
     assert "No module named 'acme_camera_library'" in listed["acme_camera"].error
@@ -32,7 +32,7 @@ def test_entry_point_and_class_name_give_the_same_class() -> None:
     assert load_plugin("acme_base") is load_plugin("acme_robot.parts:Base")
 
 
-def test_a_name_that_two_packages_offer_must_be_made_definite(
+def test_plugin_name_of_two_packages_is_ambiguous(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     info = tmp_path / "other-3.dist-info"
@@ -58,7 +58,7 @@ def test_a_name_that_two_packages_offer_must_be_made_definite(
         ("1 / 0\n", "ZeroDivisionError: division by zero at {file}:1"),
     ],
 )
-def test_a_module_that_fails_in_any_way_is_an_error_of_the_plugin(
+def test_any_failure_on_import_is_a_plugin_error(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, body: str, error: str
 ) -> None:
     file = tmp_path / "acme_failing.py"

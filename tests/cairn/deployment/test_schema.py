@@ -7,13 +7,13 @@ from cairn.deployment.schema import json_schema, schema_text
 PUBLISHED = Path(__file__).parents[3] / "deploy" / "deployment.schema.json"
 
 
-def test_the_published_schema_is_current() -> None:
+def test_published_schema_is_current() -> None:
     assert PUBLISHED.read_text(encoding="utf-8") == schema_text(), (
         "write it anew: python -m cairn.deployment.schema deploy/deployment.schema.json"
     )
 
 
-def test_every_key_is_described_and_no_other_is_allowed() -> None:
+def test_every_key_is_described_and_unknown_keys_are_rejected() -> None:
     schema = json_schema()
 
     for section in (schema, *schema["$defs"].values()):
@@ -23,7 +23,7 @@ def test_every_key_is_described_and_no_other_is_allowed() -> None:
                 assert value.get("description"), name
 
 
-def test_a_setting_may_stand_for_any_value_that_is_not_a_section() -> None:
+def test_setting_may_replace_any_value_that_is_not_a_section() -> None:
     component = json_schema()["$defs"]["ChildSpec"]["properties"]
 
     reference = {"$ref": "#/$defs/Reference"}
