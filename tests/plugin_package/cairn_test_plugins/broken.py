@@ -6,4 +6,4 @@ raise RuntimeError("this module is broken on purpose")
 
 
 class Broken(Component):
-    """Never comes to be."""
+    """Is never defined."""

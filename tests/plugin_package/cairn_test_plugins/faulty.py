@@ -24,33 +24,33 @@ Fault = Literal[
     "publish_nan",
     "orphan",
 ]
-Place = Literal["constructor", "on_configure", "on_activate", "on_shutdown", "tick"]
+Where = Literal["constructor", "on_configure", "on_activate", "on_shutdown", "tick"]
 
 
 class FaultyConfig(Config):
-    """What goes wrong, and where."""
+    """The fault, and the call in which it occurs."""
 
-    fault: Fault = Field("none", description="What goes wrong; set it while running, or at start.")
-    where: Place = Field("tick", description="In which call it goes wrong.")
-    once: str = Field("", description="A file: made by the first start, it fails all others.")
-    helpers: int = Field(0, ge=0, description="Processes of its own that it starts [1].")
+    fault: Fault = Field("none", description="The fault; may be set while running.")
+    where: Where = Field("tick", description="The call in which it occurs.")
+    once: str = Field("", description="A file that the first start creates; all later starts fail.")
+    helpers: int = Field(0, ge=0, description="Number of helper processes to start [1].")
 
 
 class Faulty(Component):
-    """Ticks fifty times per second until it is told to fail."""
+    """Ticks fifty times per second until it fails on demand."""
 
     config: FaultyConfig
     velocity: Out[Twist] = Out()
 
     def __init__(self, context: ComponentContext) -> None:
-        """Fail if told so."""
+        """Fail if the configuration says so."""
         super().__init__(context)
         assert isinstance(context.config, FaultyConfig)
         if context.config.where == "constructor":
             self._fail(context.config.fault)
 
     def on_configure(self) -> None:
-        """Start the helpers: every second one in a session of its own."""
+        """Start the helpers, every second one in a session of its own."""
         for index in range(self.config.helpers):
             subprocess.Popen(["sleep", "1000"], start_new_session=index % 2 == 1)
         if self.config.once:
@@ -59,20 +59,20 @@ class Faulty(Component):
         self._fail_at("on_configure")
 
     def on_activate(self) -> None:
-        """Fail if told so."""
+        """Fail if the configuration says so."""
         self._fail_at("on_activate")
 
     def on_shutdown(self) -> None:
-        """Fail if told so."""
+        """Fail if the configuration says so."""
         self._fail_at("on_shutdown")
 
     @every(hz=50)
     def tick(self) -> None:
-        """Fail if told so."""
+        """Fail if the configuration says so."""
         self._fail_at("tick")
 
-    def _fail_at(self, place: Place) -> None:
-        if self.config.where == place:
+    def _fail_at(self, where: Where) -> None:
+        if self.config.where == where:
             self._fail(self.config.fault)
 
     def _fail(self, fault: Fault) -> None:

@@ -9,4 +9,4 @@ if "CAIRN_TREE" in os.environ:
 
 
 class Moody(Component):
-    """Passes every check and yet cannot start."""
+    """Passes every check but cannot start."""

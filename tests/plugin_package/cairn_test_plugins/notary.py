@@ -1,4 +1,4 @@
-"""A component that writes a file when its work is over."""
+"""A component that writes a file when it is deactivated."""
 
 from pathlib import Path
 
@@ -6,16 +6,16 @@ from cairn import Component, Config
 
 
 class NotaryConfig(Config):
-    """Where the deed goes."""
+    """The file to write."""
 
     file: str = ""
 
 
 class Notary(Component):
-    """Writes its deed when it is deactivated, as a report is written."""
+    """Writes its file when it is deactivated, as the report component does."""
 
     config: NotaryConfig
 
     def on_deactivate(self) -> None:
-        """Write it."""
+        """Write the file."""
         Path(self.config.file).write_text("done\n", encoding="utf-8")

@@ -1,4 +1,4 @@
-"""A component that counts aloud, and one that listens."""
+"""A component that publishes numbers, and two that receive them."""
 
 from pydantic import Field
 
@@ -7,43 +7,43 @@ from cairn.schemas.geometry_msgs import Twist, Vector3
 
 
 class TalkerConfig(Config):
-    """How much is said."""
+    """How many words are published."""
 
-    words: int = Field(0, ge=0, description="Ends normally after so many [1]; 0: never.")
+    words: int = Field(0, ge=0, description="Ends normally after this many words [1]; 0: never.")
     volume: int = Field(3, ge=0, le=11, description="Loudness [1]; above 10 the neighbors object.")
 
 
 class Talker(Component):
-    """Says the next number twenty times per second."""
+    """Publishes the next number twenty times per second."""
 
     config: TalkerConfig
     words: Out[Twist] = Out()
 
     def on_activate(self) -> None:
-        """Begin at 1."""
+        """Start at 1."""
         self._said = 0
 
     @every(hz=20)
     def talk(self) -> None:
-        """Say the next number."""
+        """Publish the next number."""
         self._said += 1
         self.words.publish(Twist(linear=Vector3(x=float(self._said))))
         if self._said == self.config.words:
             self.finish("all said")
 
     def on_parameters(self, new: Config) -> None:
-        """Refuse to be too loud."""
+        """Reject a volume above 10."""
         if isinstance(new, TalkerConfig) and new.volume > 10:
             raise ParameterRejected("volume: the neighbors object to more than 10")
 
 
 class Listener(Component):
-    """Logs that it hears, once, and every tenth number."""
+    """Logs the first and every tenth number."""
 
     words: In[Twist] = In(optional=True)
 
     def on_activate(self) -> None:
-        """Begin anew."""
+        """Reset the count."""
         self._heard = 0
 
     @on("words")
@@ -55,24 +55,24 @@ class Listener(Component):
 
 
 class SentryConfig(Config):
-    """What it cannot bear."""
+    """When it fails."""
 
-    hears: int = Field(3, ge=1, description="Fails when it has heard so many words [1].")
+    hears: int = Field(3, ge=1, description="Fails after receiving this many words [1].")
 
 
 class Sentry(Component):
-    """Fails when it has heard too much."""
+    """Fails after receiving a number of words."""
 
     config: SentryConfig
     words: In[Twist] = In()
 
     def on_activate(self) -> None:
-        """Begin anew."""
+        """Reset the count."""
         self._heard = 0
 
     @on("words")
     def hear(self, word: Twist) -> None:
-        """Count the words, and fail."""
+        """Count the words; fail at the limit."""
         self._heard += 1
         if self._heard == self.config.hears:
             raise ValueError(f"heard {self._heard}")
