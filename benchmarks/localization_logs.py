@@ -35,7 +35,11 @@ from cairn.tools.evaluation.localization_quality import SIGMAS
 
 Array = NDArray[np.float64]
 
-FOLDER = Path(__file__).parent.parent / "tests" / "data" / "carmen"
+ROOT = Path(__file__).parent.parent
+LOGS = {
+    "fr079": ROOT / "deploy" / "recordings" / "fr079_corrected.log.gz",
+    "fr101": ROOT / "tests" / "data" / "carmen" / "fr101_corrected.log.gz",
+}
 STRETCH_S = 20.0
 RESOLUTION, REACH_M = 0.05, 30.0
 MOUNT: Pose = (-0.04, 0.0, 0.0)
@@ -201,7 +205,7 @@ def starts(
 
 def measure_log(name: str, seed: int = 0) -> list[Figure]:
     """The figures of one log."""
-    log = load(FOLDER / f"{name}_corrected.log.gz")
+    log = load(LOGS[name])
     every = np.ones(len(log.scans), bool)
     mapped = mapped_by_stretches(log)
     grid = draw_map(log, mapped)

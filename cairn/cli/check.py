@@ -1,17 +1,18 @@
-"""`cairn check FILE`: all that is wrong with a deployment, before anything starts."""
+"""`cairn check FILE`: all problems of a deployment; `cairn deployments`: those that are shipped."""
 
 from typing import Any
 
 import typer
 
 from cairn.cli.options import File, Json, Overlay, Set
-from cairn.cli.output import line, print_json
+from cairn.cli.output import line, print_json, show
 from cairn.deployment.load import load_deployment
 from cairn.deployment.problems import DeploymentError, Problem
+from cairn.deployment.shipped import FOLDER, shipped
 
 
 def check(file: File, overlay: Overlay = None, set_: Set = None, json: Json = False) -> None:
-    """Check a deployment as a whole; every problem with file, line and what was expected."""
+    """Check a deployment as a whole; report each problem with file, line and what is expected."""
     try:
         deployment = load_deployment(file, overlay or (), set_ or ())
     except DeploymentError as error:
@@ -24,6 +25,26 @@ def check(file: File, overlay: Overlay = None, set_: Set = None, json: Json = Fa
         print_json({"valid": True, "components": names})
         return
     line(f"{file}: {len(names)} components, no problem: {', '.join(names)}")
+
+
+def deployments(json: Json = False) -> None:
+    """List the deployments that Cairn ships: `cairn up NAME` runs one.
+
+    An overlay is laid over a deployment: `cairn up sim --overlay demo_tour`. To change one for
+    your robot, copy its file.
+    """
+    rows = [
+        {
+            "name": one.name,
+            "kind": "overlay" if one.is_overlay else "deployment",
+            "summary": one.summary,
+            "file": str(one.file),
+        }
+        for one in shipped()
+    ]
+    show(rows, ("name", "kind", "summary"), as_json=json)
+    if not json:
+        line(f"\nfiles: {FOLDER}")
 
 
 def _plain(problem: Problem) -> dict[str, Any]:

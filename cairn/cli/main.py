@@ -27,6 +27,8 @@ COMMANDS = (
                 "Run a deployment until it ends or Ctrl-C.", _RUN),
     LazyCommand("check", "cairn.cli.check:check",
                 "Check a deployment; report each problem with file and line.", _RUN),
+    LazyCommand("deployments", "cairn.cli.check:deployments",
+                "List the deployments that Cairn ships.", _RUN),
     LazyCommand("doctor", "cairn.cli.doctor.command:doctor",
                 "Check this computer, and what a deployment needs of it.", _RUN),
     LazyCommand("ps", "cairn.cli.inspect:ps",

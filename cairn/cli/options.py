@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from cairn.client import DEFAULT_ENDPOINT as DEFAULT_CONNECT
+from cairn.deployment.shipped import deployment_file
 
 __all__ = ["DEFAULT_CONNECT", "Connect", "Domain", "File", "Json", "Overlay", "RobotName", "Set"]
 
@@ -29,11 +30,17 @@ File = Annotated[
     typer.Argument(
         help="Deployment file, or the name of a deployment that Cairn ships (`cairn deployments`).",
         metavar="FILE",
+        parser=deployment_file,
     ),
 ]
 Overlay = Annotated[
     list[Path] | None,
-    typer.Option("--overlay", help="A file whose values replace earlier ones.", metavar="FILE"),
+    typer.Option(
+        "--overlay",
+        help="A file, or a shipped overlay, whose values replace earlier ones.",
+        metavar="FILE",
+        parser=deployment_file,
+    ),
 ]
 Set = Annotated[
     list[str] | None,

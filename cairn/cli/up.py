@@ -27,12 +27,14 @@ from cairn.cli.view import LiveView, LogWatch, PlainView, Watch
 from cairn.clock import from_ns
 from cairn.deployment.load import assemble, read_sources
 from cairn.deployment.model import Deployment
-from cairn.deployment.plugins import plugin_modules
+from cairn.deployment.plugins import load_plugin, plugin_modules
+from cairn.deployment.shipped import FOLDER
 from cairn.errors import CairnError
 from cairn.placement.lockstep import LockstepRun
 from cairn.placement.process_run import run_processes, started_zygote
 from cairn.placement.systemd_notify import ServiceManager, service_manager
 from cairn.process_exit import ExitReport
+from cairn.runtime.parameters import ReadPathMark, marked_parameters
 from cairn.schemas.rcl_interfaces import Log
 from cairn.supervision.zygote_process import ZygoteProcess
 
@@ -70,8 +72,9 @@ def up(
             modules = [name for document in documents for name in plugin_modules(document)]
             zygote = stack.enter_context(started_zygote(modules))
         where = _report_setting(documents, folder)
-        with _long_import_told():
+        with _announced_long_import():
             deployment = assemble(sources, [*where, *(set_ or ())])
+        _check_shipped(file, deployment)
         _prepare(folder)
         title = f"{file.name}: robot {deployment.robot}" + (", lockstep" if lockstep else "")
         live = sys.stdout.isatty() and not plain
@@ -140,9 +143,25 @@ def _run_lockstep(
         root_logger.removeHandler(handler)
 
 
+def _check_shipped(file: Path, deployment: Deployment) -> None:
+    """Raise `CairnError` if a shipped deployment reads a recording that is not shipped with it."""
+    if file.parent != FOLDER:
+        return
+    for member in deployment.members():
+        config = load_plugin(member.spec.plugin).config_class()
+        values = config.model_validate(member.spec.parameters)
+        for read in marked_parameters(values, ReadPathMark):
+            path = Path(read.value)
+            if not path.exists() and path.resolve().is_relative_to(FOLDER.parent):
+                raise CairnError(
+                    f"{file.name}: {member.name}.{read.name}: {path} is not part of the installed "
+                    f"package; name your own with --set, as the comment in {file} explains"
+                )
+
+
 @contextmanager
-def _long_import_told() -> Iterator[None]:
-    """Say what is waited for while a deployment's check imports its plugins, if that is long."""
+def _announced_long_import() -> Iterator[None]:
+    """Print a note if importing the plugins of a deployment takes long."""
     text = (
         "importing the plugins; the first start after an installation compiles kernels, about a "
         "minute"

@@ -18,6 +18,7 @@ from cairn.components.simulation.render_kernels import NEAR_M
 from cairn.components.simulation.world_checks import unreachable_areas, world_problems
 from cairn.components.simulation.world_drawing import draw_world
 from cairn.components.simulation.world_file import read_world
+from cairn.deployment.shipped import world_file
 
 app = typer.Typer(
     help="Check and draw world files; change the world of a running simulation.",
@@ -29,7 +30,14 @@ _NUMBERS = {"ignore_unknown_options": True}
 _TIMEOUT_S = 10.0
 _PLUGIN = "simulated_world"
 
-File = Annotated[Path, typer.Argument(help="World file.", metavar="FILE")]
+File = Annotated[
+    Path,
+    typer.Argument(
+        help="World file, or the name of a world that Cairn ships.",
+        metavar="FILE",
+        parser=world_file,
+    ),
+]
 Name = Annotated[str, typer.Argument(help="Name.", metavar="NAME")]
 X = Annotated[str, typer.Argument(help="x [m].", metavar="X")]
 Y = Annotated[str, typer.Argument(help="y [m].", metavar="Y")]

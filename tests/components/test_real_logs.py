@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.localization_logs import (
-    FOLDER,
+    LOGS,
     Log,
     draw_map,
     drive,
@@ -23,7 +23,7 @@ THREE_SIGMA = SIGMAS[2]
 
 
 def place(name: str) -> Place:
-    log = load(FOLDER / f"{name}_corrected.log.gz")
+    log = load(LOGS[name])
     return log, draw_map(log, mapped_by_stretches(log))
 
 

@@ -24,6 +24,7 @@ from cairn.cli.doctor.software import software
 from cairn.cli.options import DEFAULT_CONNECT, Connect, Domain, Json, Overlay, Set
 from cairn.cli.output import line, print_json
 from cairn.deployment.model import Deployment
+from cairn.deployment.shipped import deployment_file
 from cairn.placement.process_run import endpoints
 
 _COLORS = {"ok": "green", "warn": "yellow", "fail": "bold red"}
@@ -31,7 +32,11 @@ _UNFOLDED = 10_000  # columns, where the output is not a terminal but perhaps `g
 
 File = Annotated[
     Path | None,
-    typer.Argument(help="A deployment whose files and devices are looked for.", metavar="FILE"),
+    typer.Argument(
+        help="A deployment, by file or by shipped name, whose files and devices are checked.",
+        metavar="FILE",
+        parser=deployment_file,
+    ),
 ]
 
 

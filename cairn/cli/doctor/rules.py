@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from cairn.cli.doctor.finding import Finding
+from cairn.deployment.shipped import FOLDER
 
 _TOPIC = "computer"
 _NAME = "70-cairn.rules"
@@ -25,7 +26,7 @@ def rules(root: Path = Path("/")) -> Iterator[Finding]:
         yield Finding(_TOPIC, "udev rules", "ok", found)
         return
     remedy = (
-        f"sudo cp deploy/robot/{_NAME} /etc/udev/rules.d/ && sudo udevadm control --reload && "
+        f"sudo cp {FOLDER}/robot/{_NAME} /etc/udev/rules.d/ && sudo udevadm control --reload && "
         "sudo udevadm trigger"
     )
     what = "not installed: a robot's devices have no stable names and rights without them"

@@ -14,6 +14,7 @@ from cairn import CairnError
 from cairn.cli.options import Json
 from cairn.cli.output import line, note, print_json
 from cairn.cli.runs import seeds_of, worker_pool, writing_report
+from cairn.deployment.shipped import FOLDER, deployment_file, world_file
 from cairn.planar.map_file import read_map
 from cairn.tools.evaluation.pictures import draw_tracks, draw_ways
 from cairn.tools.evaluation.report import report_lines
@@ -31,7 +32,12 @@ def _evaluate() -> None:
 
 @app.command()
 def navigation(
-    world: Annotated[Path, typer.Option(help="World file: deploy/worlds/*.yaml or your own.")],
+    world: Annotated[
+        Path,
+        typer.Option(
+            help="World file, or the name of a world that Cairn ships.", parser=world_file
+        ),
+    ],
     goals: Annotated[int, typer.Option(min=1, help="Random goals of each run.")] = 10,
     seeds: Annotated[str, typer.Option(help="Seeds A..B, one run each.")] = "0..19",
     kidnap: Annotated[
@@ -41,10 +47,9 @@ def navigation(
     deployment: Annotated[
         Path,
         typer.Option(
-            help="The deployment that is run. The default is relative to the current folder: it is "
-            "found in Cairn's checkout only."
+            help="The deployment to run, by file or by shipped name.", parser=deployment_file
         ),
-    ] = Path("deploy/sim.yaml"),
+    ] = FOLDER / "sim.yaml",
     set_: Annotated[
         list[str] | None,
         typer.Option("--set", help="Change a value of the deployment: path=value.", metavar="SET"),

@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 
 from cairn import CairnError
+from cairn.deployment.shipped import FOLDER, deployment_file
 
 Seeds = Annotated[str, typer.Option(help="Seeds A..B, a run or two each.")]
 Out = Annotated[
@@ -29,8 +30,7 @@ Set = Annotated[
 DeploymentFile = Annotated[
     Path,
     typer.Option(
-        help="The robot. The default is relative to the current folder: it is found in Cairn's "
-        "checkout only."
+        help="The robot's deployment, by file or by shipped name.", parser=deployment_file
     ),
 ]
 Overlay = Annotated[
@@ -40,7 +40,7 @@ Overlay = Annotated[
         "pixels.yaml beside it is laid over it, too."
     ),
 ]
-DEPLOYMENT, OVERLAY = Path("deploy/sim.yaml"), Path("deploy/experiment.yaml")
+DEPLOYMENT, OVERLAY = FOLDER / "sim.yaml", FOLDER / "experiment.yaml"
 
 
 class Driver(StrEnum):

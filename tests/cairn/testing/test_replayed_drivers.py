@@ -16,7 +16,7 @@ from cairn.testing.end_contract import StopContract
 from cairn.testing.odometry_contract import OdometryContract
 from cairn.testing.scanner_contract import ScanContract
 
-LOG = Path(__file__).parents[2] / "data" / "carmen" / "fr079_corrected.log.gz"
+LOG = Path(__file__).parents[3] / "deploy" / "recordings" / "fr079_corrected.log.gz"
 LINES = 4000  # of the log: six minutes
 PAIRS = 1500
 PICTURES = 7

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 DATA = Path(__file__).parents[2] / "data"
-FR079 = DATA / "carmen" / "fr079_corrected.log.gz"
+FR079 = DATA.parents[1] / "deploy" / "recordings" / "fr079_corrected.log.gz"
 FR101 = DATA / "carmen" / "fr101_corrected.log.gz"
 LEGS = DATA / "rosbags" / "leg_tracker_12s.bag"
 OLD_BAG = DATA / "rosbags" / "laser_scan_splitter_v12.bag"

@@ -1,0 +1,65 @@
+"""Shipped deployments, overlays and worlds are found by name."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from cairn import CairnError
+from cairn.deployment.load import load_deployment
+from cairn.deployment.shipped import FOLDER, deployment_file, shipped, world_file
+from tests.commands import cairn
+
+DEPLOYMENTS = [one for one in shipped() if not one.is_overlay]
+OVERLAYS = [one for one in shipped() if one.is_overlay]
+
+
+def test_a_file_in_the_current_folder_comes_before_a_shipped_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert deployment_file("sim") == FOLDER / "sim.yaml"
+    Path("sim").write_text("cairn: 1\n")
+    assert deployment_file("sim") == Path("sim")
+
+
+@pytest.mark.parametrize("name", ["sim.yaml", "there/sim", "./sim"])
+def test_a_path_is_not_looked_up_by_name(name: str) -> None:
+    assert deployment_file(name) == Path(name)
+
+
+def test_an_unknown_name_is_reported_with_the_known_ones() -> None:
+    with pytest.raises(CairnError, match=r"neither a file smi nor .*: .*sim, .*pixels"):
+        deployment_file("smi")
+    with pytest.raises(CairnError, match=r"neither a file hell nor .*: hall, museum"):
+        world_file("hell")
+
+
+@pytest.mark.parametrize("deployment", DEPLOYMENTS, ids=lambda one: one.name)
+def test_shipped_deployments_have_no_problem(deployment: tuple[str, bool, str, Path]) -> None:
+    load_deployment(deployment[3])
+
+
+@pytest.mark.parametrize("overlay", OVERLAYS, ids=lambda one: one.name)
+def test_shipped_overlays_name_a_deployment_that_they_fit(
+    overlay: tuple[str, bool, str, Path],
+) -> None:
+    name, _, _, file = overlay
+    quoted = re.search(rf"cairn up (\w+) --overlay {name}\b", file.read_text(encoding="utf-8"))
+
+    assert quoted is not None
+    load_deployment(deployment_file(quoted[1]), [file])
+
+
+def test_deployments_are_listed_with_what_they_are_for() -> None:
+    rows = {row["name"]: row for row in cairn("deployments", "--json").json}
+
+    assert (rows["sim"]["kind"], rows["pixels"]["kind"]) == ("deployment", "overlay")
+    assert rows["sim"]["summary"] == "A simulated robot in a simulated world, ready for goals"
+    assert all(row["summary"] for row in rows.values())
+    assert "sim " in cairn("deployments").out
+
+
+def test_commands_take_shipped_names() -> None:
+    assert cairn("check", "sim", "--overlay", "pixels", "--json").json["valid"]
+    assert "12 objects" in cairn("world", "check", "hall").out
