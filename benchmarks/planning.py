@@ -12,14 +12,20 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
 from benchmarks.result import Figure
-from cairn.components.path_planner.cost_map import CostMap, Costs
+from cairn.components.path_planner.cost_map import CostMap, CostParameters
 from cairn.components.path_planner.planning import Planner
 from cairn.planar.grid import Frame, OccupancyCells
 from cairn.planar.shortest_path import CLOSED, MARGIN
 
 RESOLUTION = 0.05
-COSTS = Costs(radius=0.22, reach=0.45, weight=1.0, margin=0.05, allow_unknown=False)
-LENGTH_ALONE = replace(COSTS, weight=0.0)
+COSTS = CostParameters(
+    radius=0.22,
+    inflation_distance=0.45,
+    inflation_weight=1.0,
+    margin=0.05,
+    allow_unknown=False,
+)
+LENGTH_ALONE = replace(COSTS, inflation_weight=0.0)
 LIMITS_MS = {200: 0.5, 1000: 20.0, 4000: 350.0}
 SIDES = ((0, 1), (1, 0), (1, 1), (1, -1))
 
@@ -68,7 +74,7 @@ def planned(costs: CostMap) -> tuple[float, float]:
 
 def dijkstra_ms(costs: CostMap) -> tuple[float, float]:
     """Time [ms] and length [m] of SciPy's Dijkstra over eight neighbors, its graph at hand."""
-    free = costs.prices[MARGIN:-MARGIN, MARGIN:-MARGIN] < CLOSED
+    free = costs.cell_costs[MARGIN:-MARGIN, MARGIN:-MARGIN] < CLOSED
     rows, columns = free.shape
     numbers = np.arange(rows * columns).reshape(rows, columns)
     starts, ends, lengths = [], [], []
@@ -102,7 +108,7 @@ def measure() -> list[Figure]:
         maps = [CostMap(boxes(size, seed), COSTS) for seed in range(3 if size < 4000 else 1)]
         plans = [planned(costs) for costs in maps]
         taken = float(np.median([ms for ms, _ in plans]))
-        free = (maps[0].prices < CLOSED).view(np.uint8)
+        free = (maps[0].cell_costs < CLOSED).view(np.uint8)
         transform = milliseconds(partial(_transform, free), 3)
         figures += [
             Figure(f"{size} x {size}, boxes: plan", taken, "ms", at_most=limit,
@@ -142,5 +148,6 @@ def kept_up() -> list[Figure]:
         Figure("600 x 600: a window of 40 x 40 changed",
                milliseconds(lambda: costs.update(280, 280, flat), 20), "ms", at_most=1),
         Figure("600 x 600: 16 cells seen, moved",
-               milliseconds(lambda: costs.overlay(person + next(turn) % 2), 20), "ms", at_most=0.3),
+               milliseconds(lambda: costs.set_scanner_obstacles(person + next(turn) % 2), 20),
+               "ms", at_most=0.3),
     ]  # fmt: skip

@@ -1,6 +1,8 @@
-"""The component PathPlanner: paths past what map and scanner show, or why there are none."""
+"""The component PathPlanner: plans paths around obstacles, or reports why there are none."""
 
 from __future__ import annotations
+
+import numpy as np
 
 from cairn import (
     LATCHED,
@@ -18,42 +20,48 @@ from cairn import (
 )
 from cairn.components.path_planner.config import PathPlannerConfig
 from cairn.components.path_planner.cost_map import CostMap
-from cairn.components.path_planner.hindrances import Hindrances
-from cairn.components.path_planner.messages import path_message, plan_message
-from cairn.components.path_planner.planning import (
-    Answer,
-    Outcome,
-    Planner,
-    cost_left,
-    obstructed,
-    remaining,
+from cairn.components.path_planner.obstacle_memory import (
+    KeepoutZones,
+    RecentObstacles,
+    StuckDetector,
 )
-from cairn.components.path_planner.sightings import RecentObstacles
-from cairn.components.path_planner.whereabouts import Moved, Whereabouts
+from cairn.components.path_planner.planning import (
+    Planner,
+    PlanOutcome,
+    PlanResult,
+    first_blocked,
+    nearest_pose,
+    remaining_cost,
+)
 from cairn.planar.grid import OccupancyCells, grid_of
-from cairn.planar.messages import planar_pose
+from cairn.planar.messages import packed_poses, planar_pose, pose_message
+from cairn.planar.pose_tracker import OdometryChange, PoseTracker
 from cairn.planar.poses import Pose
 from cairn.planar.scans import beams_of
 from cairn.schemas.cairn_nav_msgs import LocalizationEstimate, MotionStatus, NavCommand, Plan
+from cairn.schemas.geometry_msgs import PoseStamped
 from cairn.schemas.map_msgs import OccupancyGridUpdate
 from cairn.schemas.nav_msgs import OccupancyGrid, Odometry, Path
 from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.std_msgs import Header
 
-# Nearer to the goal than this [m] a path is not exchanged for a better one.
-NEAR_M = 0.5
-# A path so much longer than what was left [m] is another way; what the scanner saw this near [m] to
-# where the last one was blocked is remembered longer, or it would be taken again once out of view.
-OTHER_M, AROUND_M = 1.0, 1.0
-# The robot stands so far [m] before where it does not get on.
-BEFORE_M = 0.4
+# This near to the goal [m] a path is not replaced by a better one.
+NEAR_GOAL_M = 0.5
+# A new path that is longer by this [m] than the blocked one is a detour: what blocked the old path
+# is remembered longer within this radius [m]; otherwise the planner would return to the old path as
+# soon as the obstacle is out of view.
+DETOUR_M, BLOCKAGE_RADIUS_M = 1.0, 1.0
+# A keepout zone is so far [m] ahead of a robot that is stuck.
+KEEPOUT_AHEAD_M = 0.4
+# Odometry is kept for so long [s]; a step faster than this [m/s, rad/s] is a jump.
+_HORIZON_S, _FASTEST, _FASTEST_TURN = 3.0, 2.0, 4.0
 
 
 class PathPlanner(Component):
-    """Plans the path to the goal of the nav_command wanted, and plans anew when that is due.
+    """Plan the path to the goal of the current navigation command, and replan when necessary.
 
-    Due: what is in the way is seen or mapped, the robot has left the path, or another path has
-    become clearly better.
+    It replans when an obstacle on the path is seen or mapped, when the robot has left the path, and
+    when another path has become clearly better.
     """
 
     config: PathPlannerConfig
@@ -68,264 +76,322 @@ class PathPlanner(Component):
     path: Out[Path] = Out(qos=LATCHED)
 
     def on_configure(self) -> None:
-        """Begin without a map, a pose and anything to do."""
+        """Start without a map, a pose and a goal."""
         self._planner = Planner(self.config.step)
         self._costs: CostMap | None = None
-        self._recent: RecentObstacles | None = None
-        self._hindrances = Hindrances()
-        self._whereabouts = Whereabouts()
-        self._wanted: NavCommand | None = None
-        self._answer: Answer | None = None
+        self._scan_obstacles: RecentObstacles | None = None
+        self._keepout = KeepoutZones()
+        self._stuck = StuckDetector()
+        self._tracker = PoseTracker(_HORIZON_S, _FASTEST, _FASTEST_TURN)
+        self._command: NavCommand | None = None
+        self._result: PlanResult | None = None
         self._planned_at = 0
-        self._looked_at = 0
+        self._scan_used_at = 0
         self._checked_at = 0
-        self._told: tuple[int, int, str] | None = None
+        self._published: tuple[int, int, str] | None = None
 
     def on_parameters(self, new: Config) -> None:
-        """Price the map anew where that is due; the next check of the path goes by it."""
+        """Compute the costs again; the next check of the path uses the new parameters."""
         assert isinstance(new, PathPlannerConfig)
         self._planner = Planner(new.step)
         if self._costs is not None:
-            self._price(self._costs.grid, new)
+            self._update_costs(self._costs.grid, new)
 
     @on("map")
-    def use_map(self, message: OccupancyGrid) -> None:
+    def on_map(self, message: OccupancyGrid) -> None:
         """Take a map."""
         grid = grid_of(message)
         if grid.values.size == 0:
             return
-        if self._costs is None or not self._costs.take(grid):
-            self._price(grid, self.config)
-        self._check()
+        if self._costs is None or not self._costs.replace_map(grid):
+            self._update_costs(grid, self.config)
+        self._check_path()
 
     @on("map_updates")
-    def update_map(self, update: OccupancyGridUpdate) -> None:
-        """Take what has changed in a window of the map."""
+    def on_map_update(self, update: OccupancyGridUpdate) -> None:
+        """Take changes in a window of the map."""
         if self._costs is None:
             return
         window = update.data.reshape(update.height, update.width)
         if not self._costs.update(update.y, update.x, window):
             self.log.warning(
-                "a map update of %d x %d cells at column %d, row %d leaves the map: ignored",
+                "ignored a map update outside the map: %d x %d cells at column %d, row %d",
                 update.width, update.height, update.x, update.y,
             )  # fmt: skip
             return
-        self._check()
+        self._check_path()
 
     @on("odom")
-    def follow(self, odom: Odometry) -> None:
-        """Remember how the robot moves."""
+    def on_odom(self, odom: Odometry) -> None:
+        """Track the robot's motion."""
         stamp = to_ns(odom.header.stamp)
-        moved = self._whereabouts.move(stamp, planar_pose(odom.pose.pose))
-        if moved is Moved.JUMPED:
+        change = self._tracker.add_odometry(stamp, planar_pose(odom.pose.pose))
+        if change is OdometryChange.JUMPED:
             self.log.warning(
-                "odometry on %s jumped: waiting for a pose since then", self.odom.topic
+                "odometry on %s %s: waiting for a new localization estimate",
+                self.odom.topic,
+                self._tracker.change,
             )
-        elif moved is Moved.SET_BACK:
+        elif change is OdometryChange.RESET:
             self.log.warning(
-                "odometry on %s went back in time: what was seen is forgotten", self.odom.topic
+                "odometry on %s %s: forgetting the scanner's obstacles",
+                self.odom.topic,
+                self._tracker.change,
             )
-            self._planned_at = self._looked_at = self._checked_at = 0
-            self._hindrances = Hindrances()
+            self._planned_at = self._scan_used_at = self._checked_at = 0
+            self._keepout = KeepoutZones()
+            self._stuck = StuckDetector()
             if self._costs is not None:
-                self._recent = RecentObstacles(self._costs.frame, self._costs.shape)
-                self._costs.overlay(self._recent.cells())
-                self._costs.hinder(())
+                self._scan_obstacles = RecentObstacles(self._costs.frame, self._costs.shape)
+                self._costs.set_scanner_obstacles(self._scan_obstacles.cells())
+                self._costs.set_keepout_zones(())
 
     @on("localization")
     def on_localization(self, estimate: LocalizationEstimate) -> None:
-        """Note where the robot is; plan if that was all that was missing."""
+        """Set the robot's pose; plan if only that was missing."""
         if not estimate.located:
             return
-        self._whereabouts.locate(to_ns(estimate.header.stamp), planar_pose(estimate.pose.pose))
-        if self._due():
-            self._check()
+        self._tracker.set_pose(to_ns(estimate.header.stamp), planar_pose(estimate.pose.pose))
+        if self._is_check_due():
+            self._check_path()
 
     @on("scan")
-    def look(self, scan: LaserScan) -> None:
-        """Take what the scanner sees as obstacles, and see whether the path is still free."""
+    def on_scan(self, scan: LaserScan) -> None:
+        """Take the obstacles that the scanner sees, and check whether the path is still free."""
         now, config = self.clock.now(), self.config
-        if self._costs is None or self._recent is None or config.obstacle_memory_s == 0:
+        if self._costs is None or self._scan_obstacles is None or config.obstacle_memory_s == 0:
             return
-        if self._wanted is None or now - self._looked_at < SECOND / config.check_hz - 1:
+        if self._command is None or now - self._scan_used_at < SECOND / config.check_hz - 1:
             return
-        self._looked_at = now
+        self._scan_used_at = now
         stamp = to_ns(scan.header.stamp)
-        pose = self._whereabouts.at(stamp)
+        pose = self._pose_at(stamp)
         estimate = self.localization.latest
         if pose is None or estimate is None or estimate.health < config.least_health:
             return
         mount = config.mount
-        self._recent.see(
+        self._scan_obstacles.add_scan(
             stamp,
             pose,
             beams_of(scan, mount.pose),
             (config.radius, config.obstacle_range),
             round(config.obstacle_memory_s * SECOND),
         )
-        self._costs.overlay(self._recent.cells())
-        self._check()
+        self._costs.set_scanner_obstacles(self._scan_obstacles.cells())
+        self._check_path()
 
     @on("motion_status")
-    def heed(self, status: MotionStatus) -> None:
-        """Look for another way when motion control does not get on along the path."""
-        pose, answer, wanted = self._now_at(), self._answer, self._wanted
-        if wanted is None or status.goal_id != wanted.goal_id or pose is None:
+    def on_motion_status(self, status: MotionStatus) -> None:
+        """Look for another path when the robot is stuck."""
+        pose, result, command = self._current_pose(), self._result, self._command
+        if command is None or status.goal_id != command.goal_id or pose is None:
             return
-        if answer is None or answer.route is None or self._costs is None:
+        if result is None or result.route is None or self._costs is None:
             return
         now = self.clock.now()
-        if not self._hindrances.is_stuck(now, status, pose):
+        if not self._stuck.is_stuck(now, status, pose):
             return
-        since, _ = remaining(answer.route, pose)
-        x, y, _ = answer.route.poses[answer.route.further(since, BEFORE_M)].tolist()
-        self.log.info("the robot does not get on at (%.2f, %.2f): avoiding it", x, y)
-        self._hindrances.add((x, y), now + round(self.config.avoided_s * SECOND))
-        self._costs.hinder(self._hindrances.places())
+        from_index, _ = nearest_pose(result.route, pose)
+        x, y, _ = result.route.poses[
+            result.route.index_beyond(from_index, KEEPOUT_AHEAD_M)
+        ].tolist()
+        self.log.info("the robot is stuck: avoiding (%.2f, %.2f)", x, y)
+        self._keepout.add((x, y), now + round(self.config.avoided_s * SECOND))
+        self._costs.set_keepout_zones(self._keepout.positions())
         self._improve(longer=True)
 
     @on("nav_command")
-    def want(self, nav_command: NavCommand) -> None:
-        """Plan at once for a new goal_id; a repeated want changes nothing."""
+    def on_nav_command(self, nav_command: NavCommand) -> None:
+        """Plan at once for a new goal; a repeated command changes nothing."""
         if nav_command.behavior != NavCommand.FOLLOW:
-            self._wanted, self._answer = None, None
+            self._command, self._result = None, None
             return
-        wanted = self._wanted
-        if wanted is None or (wanted.goal_id, wanted.goal) != (
+        command = self._command
+        if command is None or (command.goal_id, command.goal) != (
             nav_command.goal_id,
             nav_command.goal,
         ):
-            self._wanted, self._answer = nav_command, None
+            self._command, self._result = nav_command, None
             self._replan()
 
     @every(hz=2)
-    def reconsider(self) -> None:
-        """Look for a better path, or for one where there is none."""
+    def look_for_better_path(self) -> None:
+        """Look for a better path, or for a path if there is none."""
         now = self.clock.now()
-        if self._wanted is None or now - self._planned_at < self.config.replan_s * SECOND - 1:
+        if self._command is None or now - self._planned_at < self.config.replan_s * SECOND - 1:
             return
-        if self._answer is None or self._answer.route is None:
+        if self._result is None or self._result.route is None:
             self._replan()
         else:
             self._improve()
 
-    def _due(self) -> bool:
+    def _is_check_due(self) -> bool:
         period = SECOND / self.config.check_hz - 1
-        return self._waiting or self.clock.now() - self._checked_at >= period
+        return self._waits_for_plan or self.clock.now() - self._checked_at >= period
 
     @property
-    def _waiting(self) -> bool:
-        return self._wanted is not None and self._answer is None
+    def _waits_for_plan(self) -> bool:
+        return self._command is not None and self._result is None
 
-    def _price(self, grid: OccupancyCells, config: PathPlannerConfig) -> None:
+    def _update_costs(self, grid: OccupancyCells, config: PathPlannerConfig) -> None:
         self._costs = CostMap(grid, config.costs())
         self._planner.prepare(self._costs)
-        if self._recent is None or not self._recent.fits(grid.frame, self._costs.shape):
-            self._recent = RecentObstacles(grid.frame, self._costs.shape)
-        self._costs.overlay(self._recent.cells())
-        self._costs.hinder(self._hindrances.places())
+        if self._scan_obstacles is None or not self._scan_obstacles.fits(
+            grid.frame, self._costs.shape
+        ):
+            self._scan_obstacles = RecentObstacles(grid.frame, self._costs.shape)
+        self._costs.set_scanner_obstacles(self._scan_obstacles.cells())
+        self._costs.set_keepout_zones(self._keepout.positions())
 
-    def _forget(self) -> None:
-        """Forget what the scanner has not seen for too long, and what was avoided."""
+    def _forget_old_obstacles(self) -> None:
+        """Forget expired obstacles of the scanner and expired keepout zones."""
         now = self.clock.now()
-        self._hindrances.forget(now)
+        self._keepout.forget(now)
         if self._costs is not None:
-            self._costs.hinder(self._hindrances.places())
-        if self._recent is not None and self._costs is not None:
-            self._recent.forget(now - round(self.config.obstacle_memory_s * SECOND))
-            self._costs.overlay(self._recent.cells())
+            self._costs.set_keepout_zones(self._keepout.positions())
+        if self._scan_obstacles is not None and self._costs is not None:
+            self._scan_obstacles.forget(now - round(self.config.obstacle_memory_s * SECOND))
+            self._costs.set_scanner_obstacles(self._scan_obstacles.cells())
 
-    def _missing(self) -> str:
-        """What is still missing for a plan; nothing if all is there."""
+    def _missing_input(self) -> str:
+        """Return which input is missing for a plan; empty if none is."""
         topic, estimate = self.localization.topic, self.localization.latest
         if self._costs is None:
-            return f"no map has come on {self.map.topic} yet"
+            return f"no map yet on {self.map.topic}"
         if estimate is None:
-            return f"no pose has come on {topic} yet"
+            return f"no localization estimate yet on {topic}"
         if not estimate.located:
             return f"the robot is not located: {estimate.reason or 'no reason given'}"
-        if self._whereabouts.lost:
-            return f"no pose on {topic} since odometry on {self.odom.topic} began anew"
-        if self._now_at() is None:
-            return f"no pose has come on {topic} yet"
+        if self._tracker.waits_for_pose:
+            return (
+                f"no localization estimate on {topic} since odometry on {self.odom.topic} restarted"
+            )
+        if self._current_pose() is None:
+            return f"no localization estimate yet on {topic}"
         return ""
 
-    def _now_at(self) -> Pose | None:
-        return self._whereabouts.at(self.clock.now())
+    def _current_pose(self) -> Pose | None:
+        return self._pose_at(self.clock.now())
 
-    def _fresh(self) -> Answer:
-        """Plan from where the robot is now."""
+    def _pose_at(self, stamp: int) -> Pose | None:
+        """Return the pose in the map; the last one as it arrived if odometry begins later."""
+        return self._tracker.pose_at(stamp) or self._tracker.last_pose
+
+    def _plan_now(self) -> PlanResult:
+        """Plan from the robot's current pose."""
         self._planned_at = self.clock.now()
-        self._forget()
-        pose, wanted = self._now_at(), self._wanted
-        assert wanted is not None
-        missing = self._missing()
+        self._forget_old_obstacles()
+        pose, command = self._current_pose(), self._command
+        assert command is not None
+        missing = self._missing_input()
         if missing or pose is None or self._costs is None:
-            return Answer(Outcome.NOT_READY, reason=missing)
-        return self._planner.plan(self._costs, pose, planar_pose(wanted.goal))
+            return PlanResult(PlanOutcome.NOT_READY, reason=missing)
+        return self._planner.plan(self._costs, pose, planar_pose(command.goal))
 
     def _replan(self) -> None:
-        answer = self._fresh()
-        self._answer = None if answer.outcome is Outcome.NOT_READY else answer
-        self._tell(answer)
+        result = self._plan_now()
+        self._result = None if result.outcome is PlanOutcome.NOT_READY else result
+        self._publish(result)
 
     def _improve(self, longer: bool = False) -> None:
-        """Exchange the path for another that is clearly shorter, or may be `longer` but cheaper."""
-        pose, costs, answer = self._now_at(), self._costs, self._answer
-        if pose is None or costs is None or answer is None or answer.route is None:
+        """Replace the path by one that is clearly cheaper and, unless `longer`, shorter."""
+        pose, costs, result = self._current_pose(), self._costs, self._result
+        if pose is None or costs is None or result is None or result.route is None:
             return
-        since, _ = remaining(answer.route, pose)
-        left = answer.route.length(since)
-        if left < NEAR_M:
+        from_index, _ = nearest_pose(result.route, pose)
+        left = result.route.length(from_index)
+        if left < NEAR_GOAL_M:
             return
-        fresh = self._fresh()
-        if fresh.route is None:
+        new = self._plan_now()
+        if new.route is None:
             return
-        share, length = 1 - self.config.gain, fresh.route.length()
-        cheaper = cost_left(costs, fresh.route) < share * cost_left(costs, answer.route, since)
+        share, length = 1 - self.config.gain, new.route.length()
+        cheaper = remaining_cost(costs, new.route) < share * remaining_cost(
+            costs, result.route, from_index
+        )
         if cheaper and (longer or length < share * left):
-            self.log.info("a path of %.1f m instead of %.1f m is taken", length, left)
-            self._answer = fresh
-            self._tell(fresh)
+            self.log.info("took a better path: %.1f m instead of %.1f m", length, left)
+            self._result = new
+            self._publish(new)
 
-    def _check(self) -> None:
-        """Plan anew if the path is blocked or the robot has left it."""
+    def _check_path(self) -> None:
+        """Replan if the path is blocked or the robot has left it."""
         self._checked_at = self.clock.now()
-        if self._waiting:
+        if self._waits_for_plan:
             self._replan()
             return
-        pose, costs, answer = self._now_at(), self._costs, self._answer
-        if pose is None or costs is None or answer is None or answer.route is None:
+        pose, costs, result = self._current_pose(), self._costs, self._result
+        if pose is None or costs is None or result is None or result.route is None:
             return
-        since, off = remaining(answer.route, pose)
-        if off > self.config.off_path:
-            self.log.info("%.2f m off the path: planning anew", off)
+        from_index, deviation = nearest_pose(result.route, pose)
+        if deviation > self.config.off_path:
+            self.log.info("replanning: the robot is %.2f m off the path", deviation)
             self._replan()
-        elif (at := obstructed(costs, answer.route, since)) is not None:
-            x, y, _ = answer.route.poses[at].tolist()
-            self.log.info("the path is blocked at (%.2f, %.2f): planning anew", x, y)
-            left = answer.route.length(since)
+        elif (at := first_blocked(costs, result.route, from_index)) is not None:
+            x, y, _ = result.route.poses[at].tolist()
+            self.log.info("replanning: the path is blocked at (%.2f, %.2f)", x, y)
+            left = result.route.length(from_index)
             self._replan()
-            self._remember(x, y, left)
+            self._remember_blockage(x, y, left)
 
-    def _remember(self, x: float, y: float, left: float) -> None:
-        """Remember longer what blocked a path, `left` [m] long, if it has made another way due."""
-        answer, recent = self._answer, self._recent
-        if answer is None or answer.route is None or recent is None:
+    def _remember_blockage(self, x: float, y: float, left: float) -> None:
+        """Remember longer what blocked a path of `left` [m], if it makes a detour necessary."""
+        result, recent = self._result, self._scan_obstacles
+        if result is None or result.route is None or recent is None:
             return
-        if answer.route.length() > left + OTHER_M:
+        if result.route.length() > left + DETOUR_M:
             until = self.clock.now() + round(self.config.avoided_s * SECOND)
-            recent.keep(x, y, AROUND_M, until)
+            recent.remember_near(x, y, BLOCKAGE_RADIUS_M, until)
 
-    def _tell(self, answer: Answer) -> None:
-        """Publish an answer, unless it is the last one's refusal again."""
-        assert self._wanted is not None
-        told = (self._wanted.goal_id, int(answer.outcome), answer.reason)
-        if answer.route is None and told == self._told:
+    def _publish(self, result: PlanResult) -> None:
+        """Publish a result, except for the same failure as last time."""
+        assert self._command is not None
+        summary = (self._command.goal_id, int(result.outcome), result.reason)
+        if result.route is None and summary == self._published:
             return
-        if answer.route is None:
-            self.log.info("no path: %s", answer.reason)
-        self._told = told
+        if result.route is None:
+            self.log.info("no path: %s", result.reason)
+        self._published = summary
         header = Header(stamp=from_ns(self.clock.now()), frame_id="map")
-        self.plan.publish(plan_message(header, self._wanted.goal_id, answer))
-        self.path.publish(path_message(header, answer))
+        self.plan.publish(plan_message(header, self._command.goal_id, result))
+        self.path.publish(path_message(header, result))
+
+
+MAX_SHOWN_POSES = 500  # poses of a path for display
+
+
+def plan_message(header: Header, goal_id: int, result: PlanResult) -> Plan:
+    """Return the result for a goal as a message."""
+    nearest = result.nearest or (float("nan"), float("nan"))
+    summary = Plan(
+        header=header,
+        goal_id=goal_id,
+        outcome=int(result.outcome),
+        reason=result.reason,
+        nearest_x=nearest[0],
+        nearest_y=nearest[1],
+    )
+    if result.route is None:
+        return summary
+    return Plan(
+        header=header,
+        goal_id=goal_id,
+        outcome=int(result.outcome),
+        length=result.route.length(),
+        poses=packed_poses(result.route.poses),
+    )
+
+
+def path_message(header: Header, result: PlanResult) -> Path:
+    """Return the poses of a result for display, at most MAX_SHOWN_POSES; empty without a path."""
+    if result.route is None:
+        return Path(header=header)
+    poses = result.route.poses
+    indices = np.linspace(0, len(poses) - 1, min(len(poses), MAX_SHOWN_POSES)).astype(np.int64)
+    return Path(
+        header=header,
+        poses=tuple(
+            PoseStamped(header=header, pose=pose_message((x, y, theta)))
+            for x, y, theta in poses[indices].tolist()
+        ),
+    )

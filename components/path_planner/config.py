@@ -5,85 +5,89 @@ from __future__ import annotations
 from pydantic import Field
 
 from cairn import Config, Mount
-from cairn.components.path_planner.cost_map import Costs
+from cairn.components.path_planner.cost_map import CostParameters
 
 
 class PathPlannerConfig(Config):
-    """Parameters of the path planner; all may be changed while it runs."""
+    """Parameters of the path planner; all may change at run time."""
 
     radius: float = Field(0.22, gt=0, le=5, description="Radius of the robot [m].")
     margin: float = Field(
         0.05,
         ge=0,
         le=1,
-        description="Space around the robot that a way must have: motion control's `margin` [m].",
+        description="Free space that paths keep around the robot: motion control's `margin` [m].",
     )
-    reach: float = Field(
+    inflation_distance: float = Field(
         0.45,
         ge=0,
         le=5,
-        description="How far beyond the margin obstacles make the way dearer [m].",
+        description="Distance beyond the margin over which obstacles make cells more expensive "
+        "[m].",
     )
-    weight: float = Field(
+    inflation_weight: float = Field(
         1.0,
         ge=0,
         le=10,
-        description="How much dearer the way is right beside an obstacle, per length [1]; 0: the "
-        "shortest path.",
+        description="Additional cost per length right beside an obstacle [1]; 0: the shortest "
+        "path.",
     )
-    allow_unknown: bool = Field(
-        False, description="Whether paths may lead through cells that nobody has seen."
-    )
-    step: float = Field(0.1, ge=0.02, le=1, description="Distance of a path's poses [m].")
+    allow_unknown: bool = Field(False, description="Whether paths may lead through unknown cells.")
+    step: float = Field(0.1, ge=0.02, le=1, description="Distance between the poses of a path [m].")
     mount: Mount = Mount()
     obstacle_memory_s: float = Field(
         3.0,
         ge=0,
         le=60,
-        description="How long what the scanner saw is an obstacle, unless seen empty [s]; 0: plan "
-        "by the map alone.",
+        description="How long obstacles of the scanner count unless they are seen to be gone "
+        "[s]; 0: plan"
+        " by the map alone.",
     )
     avoided_s: float = Field(
         60.0,
         ge=0,
         le=600,
-        description="How long a way on which the robot did not get on is avoided, if there is "
-        "another: where motion control stood blocked, and what the scanner saw there [s].",
+        description="How long the planner avoids positions where the robot got stuck, and "
+        "remembers "
+        "obstacles that forced a detour [s].",
     )
     obstacle_range: float = Field(
-        3.0, gt=0, le=100, description="How far off the scanner's obstacles count [m]."
+        3.0,
+        gt=0,
+        le=100,
+        description="Largest distance at which obstacles of the scanner count [m].",
     )
     least_health: float = Field(
         0.2,
         ge=0,
         le=1,
-        description="Localization health below which the scanner's obstacles are not placed [1].",
+        description="Least localization health with which obstacles of the scanner are used [1].",
     )
     off_path: float = Field(
-        0.5, gt=0, le=10, description="Distance from the path that makes a new one due [m]."
+        0.5, gt=0, le=10, description="Distance from the path at which the planner replans [m]."
     )
     replan_s: float = Field(
         1.0,
         ge=0.5,
         le=60,
-        description="Time between looks for a better path, or for one where there is none [s].",
+        description="Period of looking for a better path, or for a path if there is none [s].",
     )
     check_hz: float = Field(
-        5.0, gt=0, le=50, description="How often scans are looked at, at most [Hz]."
+        5.0, gt=0, le=50, description="Maximum rate of checking scans against the path [Hz]."
     )
     gain: float = Field(
         0.1,
         ge=0,
         le=1,
-        description="Share of the way left that another path must save to be taken [1].",
+        description="Share of the remaining cost and length that another path must save [1].",
     )
 
-    def costs(self) -> Costs:
-        """The parameters that make a map's cells dear."""
-        return Costs(
+    def costs(self) -> CostParameters:
+        """Return the parameters of the cost map."""
+        return CostParameters(
             radius=self.radius,
-            reach=self.reach,
-            weight=self.weight,
+            inflation_distance=self.inflation_distance,
+            inflation_weight=self.inflation_weight,
             margin=self.margin,
             allow_unknown=self.allow_unknown,
         )

@@ -1,4 +1,4 @@
-"""What it costs to pass each cell of the map: dear near obstacles, closed where the robot hits."""
+"""The cost map: obstacles of map and scanner are inflated by the robot's size and safety margin."""
 
 from __future__ import annotations
 
@@ -29,54 +29,57 @@ from cairn.planar.shortest_path import (
 )
 
 BLOCKED = 255
-"""Price of a cell where the robot itself does not fit, let alone its margin."""
+"""Cost of a cell in which the robot itself does not fit, even without its margin."""
 
 
 @dataclass(frozen=True)
-class Costs:
-    """How obstacles make cells dear.
+class CostParameters:
+    """How obstacles are inflated.
 
-    Cells whose cell_centers are within the robot's `radius`, its `margin` and half a cell [m] of an
-    obstacle's are closed: no path leads through what motion control will not pass. Those closed by
-    the margin alone do not break a path that exists, and the goal may be there. Beyond, a cell
-    costs up to `weight` times its length more, falling to none over `reach` [m]. Unknown cells are
-    closed unless `allow_unknown`.
+    Cells whose centers are within `radius`, `margin` and half a cell [m] of an obstacle's center
+    are closed: no path leads where motion control would not drive. Cells that only the margin
+    closes do not break an existing path, and the goal may be in one. Beyond, a cell costs up to
+    `inflation_weight` times its length more, decreasing to none over `inflation_distance` [m].
+    Unknown cells are closed unless `allow_unknown`.
     """
 
     radius: float
-    reach: float
-    weight: float
+    inflation_distance: float
+    inflation_weight: float
     margin: float
     allow_unknown: bool
 
 
 class CostMap:
-    """CellCosts of a map's cells, kept up with its changes, and with what the scanner sees on top.
+    """Costs of a map's cells, updated with the map, the scanner's obstacles and keepout zones.
 
-    `map_prices` are those of the map alone, `prices` those with the scanner's obstacles, and with
-    where motion control did not get on; both have the margin of `planar.shortest_path`.
+    `map_costs` are those of the map alone; `cell_costs` include the scanner's obstacles and the
+    keepout zones. Both have the margin of `planar.shortest_path`.
     """
 
-    def __init__(self, grid: OccupancyCells, costs: Costs) -> None:
+    def __init__(self, grid: OccupancyCells, costs: CostParameters) -> None:
         rows, columns = grid.values.shape
         self.frame: Frame = grid.frame
         self.costs = costs
         self._values = np.array(grid.values, np.int8)
-        self._table = _table(costs, grid.frame.resolution)
-        self._near = max(HELD_M, 1.5 * grid.frame.resolution)
-        self._far = max(
-            math.isqrt(self._table.size - 2) + 1, math.ceil(self._near / grid.frame.resolution)
+        self._inflation_table = _inflation_table(costs, grid.frame.resolution)
+        self._same_distance = max(SAME_OBSTACLE_M, 1.5 * grid.frame.resolution)
+        self._inflation_cells = max(
+            math.isqrt(self._inflation_table.size - 2) + 1,
+            math.ceil(self._same_distance / grid.frame.resolution),
         )
-        self._held = np.zeros((rows, columns), np.bool_)
-        self.map_prices: CellCosts = open_costs(rows, columns)
-        self._price(0, rows, 0, columns)
-        self.prices: CellCosts = self.map_prices.copy()
-        self._overlaid = self._seen = self._hindered = np.empty((0, 2), np.int64)
-        self._stained = (0, 0, 0, 0)
+        self._mapped = np.zeros((rows, columns), np.bool_)
+        self.map_costs: CellCosts = open_costs(rows, columns)
+        self._update_costs(0, rows, 0, columns)
+        self.cell_costs: CellCosts = self.map_costs.copy()
+        self._scanner_cells = self._unmapped_cells = self._keepout_cells = np.empty(
+            (0, 2), np.int64
+        )
+        self._overlay_window = (0, 0, 0, 0)
 
     @property
     def grid(self) -> OccupancyCells:
-        """The map of the moment."""
+        """The current map."""
         return Grid(self._values, self.frame)
 
     @property
@@ -85,8 +88,8 @@ class CostMap:
         rows, columns = self._values.shape
         return rows, columns
 
-    def take(self, grid: OccupancyCells) -> bool:
-        """Take a new map in place of the last; False if it lies elsewhere or has another size."""
+    def replace_map(self, grid: OccupancyCells) -> bool:
+        """Replace the map; return False if the new one has another frame or size."""
         if grid.frame != self.frame or grid.values.shape != self.shape:
             return False
         window = changed_window(self._values, grid.values)
@@ -95,7 +98,7 @@ class CostMap:
         return True
 
     def update(self, row: int, column: int, values: NDArray[np.int8]) -> bool:
-        """Take new values of a window that begins at row, column; False if it leaves the map."""
+        """Replace a window that starts at row, column; return False if it leaves the map."""
         rows, columns = self.shape
         bottom, right = row + values.shape[0], column + values.shape[1]
         if row < 0 or column < 0 or bottom > rows or right > columns:
@@ -103,94 +106,104 @@ class CostMap:
         if values.size == 0:
             return True
         self._values[row:bottom, column:right] = values
-        top, bottom = max(0, row - self._far), min(rows, bottom + self._far)
-        left, right = max(0, column - self._far), min(columns, right + self._far)
-        self._price(top, bottom, left, right)
+        top, bottom = max(0, row - self._inflation_cells), min(rows, bottom + self._inflation_cells)
+        left, right = (
+            max(0, column - self._inflation_cells),
+            min(columns, right + self._inflation_cells),
+        )
+        self._update_costs(top, bottom, left, right)
         window = np.s_[top + MARGIN : bottom + MARGIN, left + MARGIN : right + MARGIN]
-        self.prices[window] = self.map_prices[window]
-        self._lay()
+        self.cell_costs[window] = self.map_costs[window]
+        self._apply_overlay()
         return True
 
-    def overlay(self, cells: NDArray[np.int64]) -> None:
-        """Lay the obstacles that the scanner sees, rows and columns (n, 2) of the map, on top.
+    def set_scanner_obstacles(self, cells: NDArray[np.int64]) -> None:
+        """Set the obstacles that the scanner sees: rows and columns (n, 2) of the map.
 
-        Those count which the map of the moment does not hold, nor an obstacle right beside.
+        Only those count that are not at, or right beside, an obstacle of the current map.
         """
-        if not np.array_equal(cells, self._overlaid):
-            self._overlaid = cells
-            self._lay()
+        if not np.array_equal(cells, self._scanner_cells):
+            self._scanner_cells = cells
+            self._apply_overlay()
 
-    def hinder(self, places: Sequence[tuple[float, float]]) -> None:
-        """Make all that is near these places x, y [m] as dear as can be, but close nothing."""
+    def set_keepout_zones(self, places: Sequence[tuple[float, float]]) -> None:
+        """Raise costs near these positions x, y [m] as far as possible without closing cells."""
         cells = [cell for x, y in places if (cell := self.cell(x, y)) is not None]
-        hindered = np.array(cells, np.int64).reshape(-1, 2)
-        if not np.array_equal(hindered, self._hindered):
-            self._hindered = hindered
-            self._lay()
+        keepout_cells = np.array(cells, np.int64).reshape(-1, 2)
+        if not np.array_equal(keepout_cells, self._keepout_cells):
+            self._keepout_cells = keepout_cells
+            self._apply_overlay()
 
-    def unknown(self, cell: Cell) -> bool:
-        """Whether a cell of the map is closed because nobody knows what is there."""
+    def is_unknown_space(self, cell: Cell) -> bool:
+        """Return whether a cell of the map is closed because it is unknown."""
         return bool(self._values[cell] < 0) and not self.costs.allow_unknown
 
-    def obstacle(self, cell: Cell) -> bool:
-        """Whether a cell of the map is an obstacle."""
+    def is_obstacle(self, cell: Cell) -> bool:
+        """Return whether a cell of the map is an obstacle."""
         return bool(self._values[cell] >= OCCUPIED_FROM)
 
     def cell(self, x: float, y: float) -> Cell | None:
-        """The cell that holds the place x, y [m]; None if it is outside the map."""
+        """Return the cell at the position x, y [m]; None if it is outside the map."""
         column, row = self.frame.cells(x, y)
         rows, columns = self.shape
         return (int(row), int(column)) if 0 <= row < rows and 0 <= column < columns else None
 
     @property
-    def overlaid(self) -> bool:
-        """Whether the scanner sees obstacles that the map does not hold."""
-        return len(self._seen) > 0
+    def has_scanner_obstacles(self) -> bool:
+        """Whether the scanner sees obstacles that are not in the map."""
+        return len(self._unmapped_cells) > 0
 
-    def nearest_seen(self, x: float, y: float) -> tuple[float, float]:
-        """x, y [m] of that obstacle seen by the scanner alone which is nearest to a place."""
+    def nearest_scanner_obstacle(self, x: float, y: float) -> tuple[float, float]:
+        """Return x, y [m] of the nearest obstacle that only the scanner sees."""
         column, row = self.frame.cells(x, y)
-        apart = np.hypot(self._seen[:, 0] + 0.5 - row, self._seen[:, 1] + 0.5 - column)
-        nearest = self._seen[int(np.argmin(apart))]
+        apart = np.hypot(
+            self._unmapped_cells[:, 0] + 0.5 - row, self._unmapped_cells[:, 1] + 0.5 - column
+        )
+        nearest = self._unmapped_cells[int(np.argmin(apart))]
         return self.frame.point(float(nearest[0]), float(nearest[1]))
 
-    def _price(self, top: int, bottom: int, left: int, right: int) -> None:
-        """Price a window anew by the obstacles in it and around."""
+    def _update_costs(self, top: int, bottom: int, left: int, right: int) -> None:
+        """Compute the map's costs in a window from the obstacles in and around it."""
         rows, columns = self.shape
-        up, low = max(0, top - self._far), min(rows, bottom + self._far)
-        west, east = max(0, left - self._far), min(columns, right + self._far)
+        up, low = max(0, top - self._inflation_cells), min(rows, bottom + self._inflation_cells)
+        west, east = (
+            max(0, left - self._inflation_cells),
+            min(columns, right + self._inflation_cells),
+        )
         obstacles = self._values[up:low, west:east] >= OCCUPIED_FROM
         resolution = self.frame.resolution
         distance = distance_field(obstacles, resolution)[
             top - up : bottom - up, left - west : right - west
         ]
-        _fill(
+        _fill_costs(
             np.ascontiguousarray(distance),
             resolution,
-            self._table,
+            self._inflation_table,
             self._values[top:bottom, left:right],
             self.costs.allow_unknown,
-            self.map_prices[top + MARGIN : bottom + MARGIN, left + MARGIN : right + MARGIN],
+            self.map_costs[top + MARGIN : bottom + MARGIN, left + MARGIN : right + MARGIN],
         )
-        np.less_equal(distance, self._near, out=self._held[top:bottom, left:right])
+        np.less_equal(distance, self._same_distance, out=self._mapped[top:bottom, left:right])
 
-    def _lay(self) -> None:
-        """Take off what lay on top of the map, and lay on what it does not hold now."""
-        top, bottom, left, right = self._stained
-        self.prices[top:bottom, left:right] = self.map_prices[top:bottom, left:right]
-        held = self._held[self._overlaid[:, 0], self._overlaid[:, 1]]
-        self._seen = np.ascontiguousarray(self._overlaid[~held])
-        laid = np.vstack((self._seen, self._hindered))
-        if not len(laid):
-            self._stained = (0, 0, 0, 0)
+    def _apply_overlay(self) -> None:
+        """Remove the previous overlay, and apply obstacles of the scanner and keepout zones."""
+        top, bottom, left, right = self._overlay_window
+        self.cell_costs[top:bottom, left:right] = self.map_costs[top:bottom, left:right]
+        held = self._mapped[self._scanner_cells[:, 0], self._scanner_cells[:, 1]]
+        self._unmapped_cells = np.ascontiguousarray(self._scanner_cells[~held])
+        overlay_cells = np.vstack((self._unmapped_cells, self._keepout_cells))
+        if not len(overlay_cells):
+            self._overlay_window = (0, 0, 0, 0)
             return
-        _stamp(self._seen, self._far, self._table, self.prices)
-        around = math.ceil(HINDERED_M / self.frame.resolution)
-        _make_dear(self._hindered, around, self.prices)
-        far = max(self._far, around)
-        low, high = laid.min(axis=0), laid.max(axis=0)
-        rows, columns = self.prices.shape
-        self._stained = (
+        _inflate(
+            self._unmapped_cells, self._inflation_cells, self._inflation_table, self.cell_costs
+        )
+        around = math.ceil(KEEPOUT_M / self.frame.resolution)
+        _mark_keepout_zones(self._keepout_cells, around, self.cell_costs)
+        far = max(self._inflation_cells, around)
+        low, high = overlay_cells.min(axis=0), overlay_cells.max(axis=0)
+        rows, columns = self.cell_costs.shape
+        self._overlay_window = (
             max(0, int(low[0]) + MARGIN - far),
             min(rows, int(high[0]) + MARGIN + far + 1),
             max(0, int(low[1]) + MARGIN - far),
@@ -198,33 +211,35 @@ class CostMap:
         )
 
 
-HINDERED_M = 0.45
-"""Where motion control did not get on, the way is dear within this distance [m]: as if some 13 m
-longer, straight through."""
-HELD_M = 0.15
-"""What the scanner sees this near [m] to an obstacle of the map is that obstacle."""
+KEEPOUT_M = 0.45
+"""Radius of a keepout zone [m]: driving straight through costs as much as some 13 m of free space.
+"""
+SAME_OBSTACLE_M = 0.15
+"""An obstacle of the scanner this near [m] to an obstacle of the map is the same obstacle."""
 
 
-def nearest_open(prices: CellCosts, row: float, column: float) -> tuple[Cell, float] | None:
-    """The cell that is not closed nearest to a place, given in cells, and how many cells off.
+def nearest_open(cell_costs: CellCosts, row: float, column: float) -> tuple[Cell, float] | None:
+    """Return the nearest open cell to a position in cells, and the distance in cells.
 
-    None if all are closed.
+    None if all cells are closed.
     """
-    found = _nearest_open(prices, row, column)
+    found = _nearest_open(cell_costs, row, column)
     if found[0] < 0:
         return None
     cell = (int(found[0]), int(found[1]))
     return cell, math.hypot(cell[0] + 0.5 - row, cell[1] + 0.5 - column)
 
 
-def _table(costs: Costs, resolution: float) -> NDArray[np.uint8]:
-    """Price by squared distance [cells^2] to the nearest obstacle; the last one holds beyond."""
+def _inflation_table(costs: CostParameters, resolution: float) -> NDArray[np.uint8]:
+    """Return the cost by squared distance [cells^2] to the nearest obstacle; the last one for
+    beyond.
+    """
     blocked = costs.radius + 0.5 * resolution
     closed = blocked + costs.margin
-    last = math.ceil((closed + costs.reach) / resolution)
+    last = math.ceil((closed + costs.inflation_distance) / resolution)
     distance = np.sqrt(np.arange(last * last + 2, dtype=np.float64)) * resolution
-    share = np.clip(1.0 - (distance - closed) / max(costs.reach, 1e-9), 0.0, 1.0)
-    price = np.minimum(np.rint(MIN_COST * (1.0 + costs.weight * share**2)), MAX_COST)
+    share = np.clip(1.0 - (distance - closed) / max(costs.inflation_distance, 1e-9), 0.0, 1.0)
+    price = np.minimum(np.rint(MIN_COST * (1.0 + costs.inflation_weight * share**2)), MAX_COST)
     price[distance <= closed + 1e-9] = CLOSED
     price[distance <= blocked + 1e-9] = BLOCKED
     price[-1] = MIN_COST
@@ -233,59 +248,61 @@ def _table(costs: Costs, resolution: float) -> NDArray[np.uint8]:
 
 
 @compiled("void(float32[:,::1], float64, uint8[::1], int8[:,:], boolean, uint8[:,:])")
-def _fill(
+def _fill_costs(
     distance: NDArray[np.float32],
     resolution: float,
     table: NDArray[np.uint8],
     values: NDArray[np.int8],
     allow_unknown: bool,
-    prices: CellCosts,
+    cell_costs: CellCosts,
 ) -> None:
-    """Price cells by their distance to obstacles."""
+    """Set the costs of cells by their distance to obstacles."""
     last = table.size - 1
     cut = math.sqrt(last) * resolution
     scale = 1.0 / (resolution * resolution)
     for row in range(distance.shape[0]):
         for column in range(distance.shape[1]):
             if values[row, column] < 0 and not allow_unknown:
-                prices[row, column] = BLOCKED
+                cell_costs[row, column] = BLOCKED
                 continue
             d = float(distance[row, column])
             if d >= cut:
-                prices[row, column] = table[last]
+                cell_costs[row, column] = table[last]
             else:
-                prices[row, column] = table[int(d * d * scale + 0.5)]
+                cell_costs[row, column] = table[int(d * d * scale + 0.5)]
 
 
 @compiled("void(int64[:,::1], int64, uint8[::1], uint8[:,::1])")
-def _stamp(cells: NDArray[np.int64], far: int, table: NDArray[np.uint8], prices: CellCosts) -> None:
-    """Raise the prices around each obstacle to what its distance makes them."""
+def _inflate(
+    cells: NDArray[np.int64], far: int, table: NDArray[np.uint8], cell_costs: CellCosts
+) -> None:
+    """Raise the costs around each obstacle by the inflation table."""
     last = table.size - 1
     for i in range(len(cells)):
         row, column = cells[i, 0] + MARGIN, cells[i, 1] + MARGIN
-        for r in range(max(0, row - far), min(prices.shape[0], row + far + 1)):
-            for c in range(max(0, column - far), min(prices.shape[1], column + far + 1)):
+        for r in range(max(0, row - far), min(cell_costs.shape[0], row + far + 1)):
+            for c in range(max(0, column - far), min(cell_costs.shape[1], column + far + 1)):
                 apart = (r - row) * (r - row) + (c - column) * (c - column)
-                if apart < last and table[apart] > prices[r, c]:
-                    prices[r, c] = table[apart]
+                if apart < last and table[apart] > cell_costs[r, c]:
+                    cell_costs[r, c] = table[apart]
 
 
 @compiled("void(int64[:,::1], int64, uint8[:,::1])")
-def _make_dear(cells: NDArray[np.int64], far: int, prices: CellCosts) -> None:
-    """Raise the prices around each cell to the highest of those that are not closed."""
+def _mark_keepout_zones(cells: NDArray[np.int64], far: int, cell_costs: CellCosts) -> None:
+    """Raise the costs around each cell to the highest of open cells."""
     for i in range(len(cells)):
         row, column = cells[i, 0] + MARGIN, cells[i, 1] + MARGIN
-        for r in range(max(0, row - far), min(prices.shape[0], row + far + 1)):
-            for c in range(max(0, column - far), min(prices.shape[1], column + far + 1)):
+        for r in range(max(0, row - far), min(cell_costs.shape[0], row + far + 1)):
+            for c in range(max(0, column - far), min(cell_costs.shape[1], column + far + 1)):
                 within = (r - row) * (r - row) + (c - column) * (c - column) <= far * far
-                if within and prices[r, c] < CLOSED:
-                    prices[r, c] = MAX_COST
+                if within and cell_costs[r, c] < CLOSED:
+                    cell_costs[r, c] = MAX_COST
 
 
 @compiled("UniTuple(int64, 2)(uint8[:,::1], float64, float64)")
-def _nearest_open(prices: CellCosts, row: float, column: float) -> tuple[int, int]:
-    """Search in growing squares around the place; (-1, -1) if all is closed."""
-    rows, columns = prices.shape[0] - 2 * MARGIN, prices.shape[1] - 2 * MARGIN
+def _nearest_open(cell_costs: CellCosts, row: float, column: float) -> tuple[int, int]:
+    """Search in growing squares around the position; return (-1, -1) if all is closed."""
+    rows, columns = cell_costs.shape[0] - 2 * MARGIN, cell_costs.shape[1] - 2 * MARGIN
     middle_row = int(min(max(math.floor(row), 0), rows - 1))
     middle_column = int(min(max(math.floor(column), 0), columns - 1))
     found_row, found_column, least = -1, -1, math.inf
@@ -297,7 +314,7 @@ def _nearest_open(prices: CellCosts, row: float, column: float) -> tuple[int, in
             whole = abs(r - middle_row) == ring
             step = 1 if whole else max(1, 2 * ring)
             for c in range(middle_column - ring, middle_column + ring + 1, step):
-                if c < 0 or c >= columns or prices[r + MARGIN, c + MARGIN] >= CLOSED:
+                if c < 0 or c >= columns or cell_costs[r + MARGIN, c + MARGIN] >= CLOSED:
                     continue
                 apart = (r + 0.5 - row) ** 2 + (c + 0.5 - column) ** 2
                 if apart < least:

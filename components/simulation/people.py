@@ -1,4 +1,4 @@
-"""Simulated people: they walk along waypoints, stop for the robot, and walk context it."""
+"""Simulated people: they walk along waypoints, stop for the robot, and walk around it."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _PATIENCE_S = 4.0
 # Around a robot: lateral offset of the point beside it, least gap on the way there, and gap to a
 # robot ahead at which people stop because it has started to drive [m].
 _BESIDE_M, _PASSING_M, _STOPPING_M = 0.35, 0.15, 0.25
-# Where there is no way context, people step aside so far [m] in these directions off their path
+# Where there is no way around, people step aside so far [m] in these directions off their path
 # [rad].
 _ASIDE_M = (1.0, 0.5)
 _ASIDE_RAD = tuple(math.radians(angle) for angle in (-90, 90, -135, 135, 180))

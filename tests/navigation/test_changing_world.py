@@ -81,7 +81,7 @@ def test_a_person_who_stays_on_the_goal_has_the_robot_give_up(drive: DriveOf) ->
 
     assert end.state == NavigationStatus.FAILED
     assert end.reason.startswith("no path: the goal (4.00, 1.40)")
-    assert "nearest place that can be reached" in end.reason
+    assert "nearest reachable position" in end.reason
     assert robot.collisions == []
     assert robot.stands()
 
@@ -108,7 +108,7 @@ def test_a_robot_that_is_walled_in_gives_up_with_the_nearest_place(drive: DriveO
 
     assert end.state == NavigationStatus.FAILED
     assert end.reason.startswith("no path: ")
-    assert "nearest place that can be reached" in end.reason
+    assert "nearest reachable position" in end.reason
     assert "recoveries" in end.reason
     assert robot.collisions == []
     assert robot.stands()

@@ -98,7 +98,7 @@ def test_a_goal_outside_the_map_ends_with_1_and_a_sentence(robot: Robot) -> None
 
     assert re.match(
         r"cairn: mission \d+ failed after \d+\.\d s: no path: the goal \(-3.50, -2.00\) is outside "
-        r"the map; the nearest place that can be reached, \(",
+        r"the map; the nearest reachable position, \(",
         going.lines[-1],
     ), going
 

@@ -86,7 +86,7 @@ def test_several_goals_are_driven_to_one_after_the_other(drive: DriveOf) -> None
 @pytest.mark.parametrize(
     ("goal", "reason"),
     [
-        ((4.4, 3.4), r"no path: the goal \(4.40, 3.40\) .*nearest place that can be reached, \("),
+        ((4.4, 3.4), r"no path: the goal \(4.40, 3.40\) .*nearest reachable position, \("),
         ((-3.0, 2.0), r"no path: the goal \(-3.00, 2.00\) is outside the map; the nearest place"),
         ((200.0, 2.0), r"no path: the goal \(200.00, 2.00\) is outside the map; the nearest place"),
     ],

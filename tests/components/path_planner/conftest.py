@@ -1,4 +1,4 @@
-"""What the tests of the path planner share: one on the bus, with a map and a pose."""
+"""Fixture of the path planner's tests: a planner on the bus with a map and a pose."""
 
 from collections.abc import Callable
 from typing import Any
@@ -8,7 +8,7 @@ import pytest
 from cairn.components.path_planner.component import PathPlanner
 from cairn.planar.grid import OccupancyCells
 from cairn.planar.poses import Pose
-from tests.components.path_planner.happening import BEGIN, HERE
+from tests.components.path_planner.planner_on_the_bus import BEGIN, HERE
 from tests.components.path_planner.rooms import as_map, pose_at
 
 

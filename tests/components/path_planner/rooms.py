@@ -1,4 +1,4 @@
-"""Rooms to plan in, as maps and as messages, and what a scanner sees in them."""
+"""Rooms to plan in, as maps and messages, and scans of them."""
 
 import math
 from collections.abc import Sequence
@@ -19,19 +19,19 @@ from cairn.schemas.std_msgs import Header
 
 RESOLUTION = 0.05
 Box = tuple[float, float, float, float]
-"""x and y [m] from, x and y to."""
+"""x and y [m] of two opposite corners."""
 
 
 def room(
     boxes: Sequence[Box] = (),
     size: tuple[float, float] = (9.0, 7.0),
-    unknown: Sequence[Box] = (),
+    is_unknown_space: Sequence[Box] = (),
     origin: Pose = (0.0, 0.0, 0.0),
 ) -> OccupancyCells:
-    """A walled room with boxes in it, by places [m] from the corner of its map."""
+    """A walled room with boxes, by positions [m] relative to the corner of its map."""
     values = np.zeros((round(size[1] / RESOLUTION), round(size[0] / RESOLUTION)), np.int8)
     values[:2], values[-2:], values[:, :2], values[:, -2:] = 100, 100, 100, 100
-    for kind, places in ((-1, unknown), (100, boxes)):
+    for kind, places in ((-1, is_unknown_space), (100, boxes)):
         for x0, y0, x1, y1 in places:
             columns = slice(round(x0 / RESOLUTION), round(x1 / RESOLUTION))
             values[round(y0 / RESOLUTION) : round(y1 / RESOLUTION), columns] = kind
@@ -39,7 +39,7 @@ def room(
 
 
 def wall_with_door(width: float, at: float = 4.5, low: float = 2.0) -> list[Box]:
-    """A wall across the room at x = `at`, open from y = `low` over the width [m] of a door."""
+    """A wall across the room at x = `at` with a door from y = `low` over its width [m]."""
     return [(at, 0.0, at + 0.1, low), (at, low + width, at + 0.1, 7.0)]
 
 
@@ -78,16 +78,16 @@ def stand(goal_id: int) -> NavCommand:
 
 
 def scan_of(grid: OccupancyCells, pose: Pose, time: float, beams: int = 360) -> LaserScan:
-    """What a scanner at a pose sees of a map: by small steps along each beam."""
+    """The scan of a map from a pose, by small steps along each beam."""
     angles = -math.pi + 2 * math.pi / beams * np.arange(beams)
-    reach = np.arange(0.05, 8.0, 0.02)
-    x = pose[0] + np.cos(pose[2] + angles)[:, None] * reach
-    y = pose[1] + np.sin(pose[2] + angles)[:, None] * reach
+    inflation_distance = np.arange(0.05, 8.0, 0.02)
+    x = pose[0] + np.cos(pose[2] + angles)[:, None] * inflation_distance
+    y = pose[1] + np.sin(pose[2] + angles)[:, None] * inflation_distance
     rows, columns = grid.values.shape
     row = np.clip((y / RESOLUTION).astype(int), 0, rows - 1)
     column = np.clip((x / RESOLUTION).astype(int), 0, columns - 1)
     hit = grid.values[row, column] > 50
-    ranges = np.where(hit.any(axis=1), reach[hit.argmax(axis=1)], np.inf)
+    ranges = np.where(hit.any(axis=1), inflation_distance[hit.argmax(axis=1)], np.inf)
     return LaserScan(
         header=Header(stamp=seconds(time), frame_id="laser"),
         angle_min=-math.pi,
@@ -100,7 +100,7 @@ def scan_of(grid: OccupancyCells, pose: Pose, time: float, beams: int = 360) -> 
 
 
 def clearance(grid: OccupancyCells, points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Distance [m] of points x, y (n, 2) to the nearest edge of an obstacle, walking the cells."""
+    """The distance [m] of points x, y (n, 2) to the nearest edge of an obstacle cell."""
     rows, columns = np.nonzero(grid.values > 50)
     low = np.stack((columns, rows), axis=1) * grid.frame.resolution
     low = low + np.array(grid.frame.origin[:2])

@@ -1,4 +1,4 @@
-"""Cost maps: kept up by windows they are what they would be anew; the scanner's view on top."""
+"""Cost maps: updated windows equal a new map; obstacles of the scanner are inflated on top."""
 
 import math
 from dataclasses import replace
@@ -9,14 +9,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from cairn.components.path_planner.cost_map import BLOCKED, CostMap, Costs, nearest_open
-from cairn.components.path_planner.sightings import RecentObstacles
+from cairn.components.path_planner.cost_map import BLOCKED, CostMap, CostParameters, nearest_open
+from cairn.components.path_planner.obstacle_memory import RecentObstacles
 from cairn.planar.grid import Frame, OccupancyCells
 from cairn.planar.scans import ScanBeams
 from cairn.planar.shortest_path import CLOSED, MARGIN, MAX_COST, MIN_COST, open_costs
 from tests.components.path_planner.rooms import room
 
-COSTS = Costs(radius=0.22, reach=0.45, weight=1.0, margin=0.05, allow_unknown=False)
+COSTS = CostParameters(
+    radius=0.22,
+    inflation_distance=0.45,
+    inflation_weight=1.0,
+    margin=0.05,
+    allow_unknown=False,
+)
 INNER = np.s_[MARGIN:-MARGIN, MARGIN:-MARGIN]
 FRAME = Frame(0.05)
 
@@ -28,13 +34,13 @@ def random_cells(seed: int, rows: int, columns: int) -> NDArray[np.int8]:
     return cells
 
 
-def test_prices_fall_with_the_distance_from_an_obstacle() -> None:
+def test_costs_decrease_with_the_distance_from_an_obstacle() -> None:
     values = np.zeros((41, 41), np.int8)
     values[20, 20] = 100
 
-    prices = CostMap(OccupancyCells(values, FRAME), COSTS).prices[INNER]
+    cell_costs = CostMap(OccupancyCells(values, FRAME), COSTS).cell_costs[INNER]
 
-    row = prices[20, 20:]
+    row = cell_costs[20, 20:]
     assert (row[:5] == BLOCKED).all()  # to 0.2 m: nearer than 0.22 + 0.025
     assert row[5] == CLOSED  # nearer than 0.05 more
     assert CLOSED > row[6] > row[8] > row[11] > MIN_COST
@@ -45,11 +51,11 @@ def test_prices_fall_with_the_distance_from_an_obstacle() -> None:
 @settings(max_examples=25, deadline=None)
 @given(
     seed=st.integers(0, 10_000),
-    costs=st.sampled_from([COSTS, replace(COSTS, radius=0.01, reach=0.0)]),
+    costs=st.sampled_from([COSTS, replace(COSTS, radius=0.01, inflation_distance=0.0)]),
     data=st.data(),
 )
-def test_windows_make_the_map_that_would_be_made_anew(
-    seed: int, costs: Costs, data: st.DataObject
+def test_updated_windows_give_the_same_costs_as_a_new_map(
+    seed: int, costs: CostParameters, data: st.DataObject
 ) -> None:
     before, after = random_cells(seed, 50, 70), random_cells(seed + 1, 50, 70)
     top = data.draw(st.integers(0, 49))
@@ -60,73 +66,75 @@ def test_windows_make_the_map_that_would_be_made_anew(
     both[window] = after[window]
     seen = np.random.default_rng(seed).integers(0, (50, 70), (20, 2))
     updated = CostMap(OccupancyCells(before, FRAME), costs)
-    updated.overlay(seen)
+    updated.set_scanner_obstacles(seen)
     taken = CostMap(OccupancyCells(before, FRAME), costs)
 
     assert updated.update(top, left, after[window])
-    assert taken.take(OccupancyCells(both, FRAME))
+    assert taken.replace_map(OccupancyCells(both, FRAME))
 
     anew = CostMap(OccupancyCells(both, FRAME), costs)
-    np.testing.assert_array_equal(updated.map_prices, anew.map_prices)
-    np.testing.assert_array_equal(taken.prices, anew.prices)
-    anew.overlay(seen)
-    np.testing.assert_array_equal(updated.prices, anew.prices)
+    np.testing.assert_array_equal(updated.map_costs, anew.map_costs)
+    np.testing.assert_array_equal(taken.cell_costs, anew.cell_costs)
+    anew.set_scanner_obstacles(seen)
+    np.testing.assert_array_equal(updated.cell_costs, anew.cell_costs)
 
 
-def test_what_the_scanner_sees_closes_cells_when_the_map_holds_it_no_longer() -> None:
+def test_obstacle_of_the_scanner_closes_cells_once_the_map_no_longer_has_it() -> None:
     post = room([(4.0, 3.0, 4.1, 3.1)])
     costs = CostMap(post, COSTS)
-    costs.overlay(np.array([[60, 83]]))  # 0.1 m beside the post
+    costs.set_scanner_obstacles(np.array([[60, 83]]))  # 0.1 m beside the post
     beside = (60 + MARGIN, 87 + MARGIN)
-    assert costs.prices[beside] < CLOSED
+    assert costs.cell_costs[beside] < CLOSED
 
     costs.update(60, 80, np.zeros((2, 2), np.int8))
 
-    assert costs.prices[beside] == BLOCKED
+    assert costs.cell_costs[beside] == BLOCKED
 
 
-def test_a_window_that_leaves_the_map_is_refused() -> None:
+def test_window_outside_the_map_is_rejected() -> None:
     costs = CostMap(room(), COSTS)
 
     assert not costs.update(138, 0, np.zeros((3, 1), np.int8))
     assert not costs.update(0, -1, np.zeros((3, 3), np.int8))
-    assert not costs.take(room(size=(8.0, 7.0)))
+    assert not costs.replace_map(room(size=(8.0, 7.0)))
 
 
-def test_what_the_scanner_sees_closes_cells_like_an_obstacle_of_the_map_until_it_is_gone() -> None:
+def test_obstacle_of_the_scanner_is_inflated_like_one_of_the_map_until_it_is_gone() -> None:
     box = room([(4.0, 3.0, 4.3, 3.3)])
     cells = np.argwhere(box.values != room().values)
     costs = CostMap(room(), COSTS)
-    before = costs.prices.copy()
+    before = costs.cell_costs.copy()
 
-    costs.overlay(cells)
-    np.testing.assert_array_equal(costs.prices, CostMap(box, COSTS).prices)
-    costs.overlay(cells[:0])
+    costs.set_scanner_obstacles(cells)
+    np.testing.assert_array_equal(costs.cell_costs, CostMap(box, COSTS).cell_costs)
+    costs.set_scanner_obstacles(cells[:0])
 
-    np.testing.assert_array_equal(costs.prices, before)
+    np.testing.assert_array_equal(costs.cell_costs, before)
 
 
-def test_near_where_the_robot_did_not_get_on_the_way_is_dear_and_no_more_closed() -> None:
+def test_keepout_zone_raises_costs_without_closing_cells() -> None:
     costs = CostMap(room(), COSTS)
-    before = costs.prices.copy()
+    before = costs.cell_costs.copy()
 
-    costs.hinder([(4.0, 0.5), (99.0, 99.0)])  # beside a wall; outside the map
-    near = costs.prices[10 + MARGIN, 80 + MARGIN : 89 + MARGIN].copy()
-    closed = costs.prices >= CLOSED
-    costs.hinder([])
+    costs.set_keepout_zones([(4.0, 0.5), (99.0, 99.0)])  # beside a wall; outside the map
+    near = costs.cell_costs[10 + MARGIN, 80 + MARGIN : 89 + MARGIN].copy()
+    closed = costs.cell_costs >= CLOSED
+    costs.set_keepout_zones([])
 
     assert set(near.tolist()) == {MAX_COST}
     np.testing.assert_array_equal(closed, before >= CLOSED)
-    np.testing.assert_array_equal(costs.prices, before)
+    np.testing.assert_array_equal(costs.cell_costs, before)
 
 
-def test_what_the_map_holds_anyway_is_not_laid_on_top() -> None:
+def test_obstacles_of_the_map_seen_by_the_scanner_change_nothing() -> None:
     costs = CostMap(room(), COSTS)
-    before = costs.prices.copy()
+    before = costs.cell_costs.copy()
 
-    costs.overlay(np.array([[70, 1], [70, 3], [70, 4]]))  # the wall is columns 0 and 1
+    costs.set_scanner_obstacles(
+        np.array([[70, 1], [70, 3], [70, 4]])
+    )  # the wall is columns 0 and 1
 
-    np.testing.assert_array_equal(costs.prices, before)
+    np.testing.assert_array_equal(costs.cell_costs, before)
 
 
 @settings(max_examples=40, deadline=None)
@@ -136,12 +144,12 @@ def test_what_the_map_holds_anyway_is_not_laid_on_top() -> None:
     row=st.floats(-20, 30),
     column=st.floats(-20, 30),
 )
-def test_the_nearest_open_cell_is_found(seed: int, share: float, row: float, column: float) -> None:
-    prices = open_costs(11, 13)
-    prices[INNER][np.random.default_rng(seed).random((11, 13)) < share] = 255
-    opened = np.argwhere(prices[INNER] < CLOSED)
+def test_nearest_open_cell_is_found(seed: int, share: float, row: float, column: float) -> None:
+    cell_costs = open_costs(11, 13)
+    cell_costs[INNER][np.random.default_rng(seed).random((11, 13)) < share] = 255
+    opened = np.argwhere(cell_costs[INNER] < CLOSED)
 
-    found = nearest_open(prices, row, column)
+    found = nearest_open(cell_costs, row, column)
 
     if len(opened) == 0:
         assert found is None
@@ -149,11 +157,11 @@ def test_the_nearest_open_cell_is_found(seed: int, share: float, row: float, col
         assert found is not None
         apart = np.hypot(opened[:, 0] + 0.5 - row, opened[:, 1] + 0.5 - column).min()
         assert found[1] == pytest.approx(apart)
-        assert prices[INNER][found[0]] < CLOSED
+        assert cell_costs[INNER][found[0]] < CLOSED
 
 
 def beams(**ranges: float) -> ScanBeams:
-    """Four beams: ahead, left, back, right; those not given see nothing in their way."""
+    """Four beams: ahead, left, back, right; beams without a value hit nothing."""
     given_ = [ranges.get(name, math.inf) for name in ("ahead", "left", "back", "right")]
     angles = np.array([0.0, 0.5, 1.0, 1.5]) * math.pi
     return ScanBeams((0.0, 0.0, 0.0), angles, np.array(given_), 8.0)
@@ -163,53 +171,55 @@ def seen(obstacles: RecentObstacles) -> set[tuple[int, ...]]:
     return {tuple(cell) for cell in obstacles.cells().tolist()}
 
 
-def test_what_was_seen_is_remembered_for_some_time_or_until_seen_through() -> None:
+def test_obstacles_are_remembered_for_some_time_or_until_seen_through() -> None:
     obstacles = RecentObstacles(FRAME, (100, 100))
     here = (2.5, 2.5, 0.0)
-    obstacles.see(0, here, beams(ahead=1.0, left=1.0, back=0.1, right=4.0), (0.22, 3.0), 3_000)
+    obstacles.add_scan(0, here, beams(ahead=1.0, left=1.0, back=0.1, right=4.0), (0.22, 3.0), 3_000)
     assert seen(obstacles) == {(50, 70), (70, 50)}  # the others too near, and too far
 
-    obstacles.see(1_000, here, beams(ahead=math.nan, left=2.0), (0.22, 3.0), 3_000)
+    obstacles.add_scan(1_000, here, beams(ahead=math.nan, left=2.0), (0.22, 3.0), 3_000)
     assert seen(obstacles) == {(50, 70), (90, 50)}
 
-    obstacles.see(3_500, here, beams(ahead=math.nan, left=math.nan), (0.22, 3.0), 3_000)
+    obstacles.add_scan(3_500, here, beams(ahead=math.nan, left=math.nan), (0.22, 3.0), 3_000)
     assert seen(obstacles) == {(90, 50)}
 
     obstacles.forget(2_000)
     assert seen(obstacles) == set()
 
 
-def test_a_scanner_mounted_askew_and_clockwise_sees_the_same() -> None:
+def test_rotated_and_clockwise_scanner_sees_the_same() -> None:
     here = (2.5, 2.5, 1.0)
     count = 36
     for sense in (1, -1):
         obstacles = RecentObstacles(FRAME, (100, 100))
         angles = 0.7 + sense * 2 * math.pi / count * np.arange(count, dtype=np.float64)
         ranges = np.full(count, 1.0)
-        obstacles.see(0, here, ScanBeams((0.1, 0.0, 0.7), angles, ranges, 8.0), (0.22, 3.0), 10)
+        obstacles.add_scan(
+            0, here, ScanBeams((0.1, 0.0, 0.7), angles, ranges, 8.0), (0.22, 3.0), 10
+        )
         assert len(seen(obstacles)) > 30
-        obstacles.see(
+        obstacles.add_scan(
             1, here, ScanBeams((0.1, 0.0, 0.7), angles, ranges + 0.3, 8.0), (0.22, 1.2), 10
         )
         assert seen(obstacles) == set()
 
 
-def test_beams_that_all_point_the_same_way_are_taken_and_take_nothing_away() -> None:
+def test_beams_in_one_direction_add_obstacles_and_remove_none() -> None:
     obstacles = RecentObstacles(FRAME, (100, 100))
     for stamp, range_m in ((0, 1.0), (1, 2.0)):
         same = ScanBeams((0.0, 0.0, 0.0), np.zeros(3), np.full(3, range_m), 8.0)
-        obstacles.see(stamp, (2.5, 2.5, 0.0), same, (0.22, 3.0), 10)
+        obstacles.add_scan(stamp, (2.5, 2.5, 0.0), same, (0.22, 3.0), 10)
 
     assert seen(obstacles) == {(50, 70), (50, 90)}
 
 
-def test_weight_is_the_price_beside_an_obstacle() -> None:
+def test_inflation_weight_is_the_additional_cost_beside_an_obstacle() -> None:
     values = np.zeros((41, 41), np.int8)
     values[20, 20] = 100
     grid = OccupancyCells(values, FRAME)
 
-    shortest = CostMap(grid, replace(COSTS, weight=0.0)).prices[INNER]
-    dear = CostMap(grid, replace(COSTS, weight=3.0)).prices[INNER]
+    shortest = CostMap(grid, replace(COSTS, inflation_weight=0.0)).cell_costs[INNER]
+    dear = CostMap(grid, replace(COSTS, inflation_weight=3.0)).cell_costs[INNER]
 
     assert set(np.unique(shortest)) == {MIN_COST, CLOSED, BLOCKED}
     assert 3.5 * MIN_COST < dear[20, 26] <= 4 * MIN_COST

@@ -1,4 +1,4 @@
-"""The path planner on the bus: plans at once, says what is missing, follows its parameters."""
+"""The path planner on the bus: plans at once, reports missing inputs, follows its parameters."""
 
 import math
 from typing import Any
@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cairn.components.path_planner.planning import Outcome
+from cairn.components.path_planner.planning import PlanOutcome
 from cairn.planar.messages import planar_poses
 from cairn.planar.poses import Pose, compose
 from cairn.runtime.lifecycle import Transition
 from cairn.schemas.cairn_nav_msgs import Plan
-from tests.components.path_planner.happening import (
+from tests.components.path_planner.planner_on_the_bus import (
     BEGIN,
     DOOR,
     HERE,
@@ -31,11 +31,11 @@ from tests.components.path_planner.rooms import (
 )
 
 
-def test_outcomes_are_those_of_the_message() -> None:
-    assert all(outcome == getattr(Plan, outcome.name) for outcome in Outcome)
+def test_outcomes_have_the_numbers_of_the_message() -> None:
+    assert all(outcome == getattr(Plan, outcome.name) for outcome in PlanOutcome)
 
 
-def test_a_leg_is_planned_at_once(begun: Any) -> None:
+def test_goal_is_planned_at_once(begun: Any) -> None:
     it = begun(room(DOOR))
 
     it.give("nav_command", follow(THERE, goal_id=7))
@@ -51,7 +51,7 @@ def test_a_leg_is_planned_at_once(begun: Any) -> None:
     assert [p.pose.position.x for p in path.poses] == poses[:, 0].tolist()
 
 
-def test_what_is_missing_is_told_and_planned_as_soon_as_it_comes(begun: Any) -> None:
+def test_missing_inputs_are_reported_and_planning_starts_when_they_arrive(begun: Any) -> None:
     it = begun(None, None)
 
     it.give("nav_command", follow(THERE))
@@ -61,11 +61,11 @@ def test_what_is_missing_is_told_and_planned_as_soon_as_it_comes(begun: Any) -> 
 
     plans = it.taken("plan")
     assert [plan.outcome for plan in plans] == [Plan.NOT_READY, Plan.NOT_READY, Plan.FOUND]
-    assert plans[0].reason == "no map has come on /robot/map yet"
+    assert plans[0].reason == "no map yet on /robot/map"
     assert plans[1].reason == "the robot is not located: no objects seen"
 
 
-def test_a_want_that_is_repeated_changes_nothing_and_another_leg_is_planned(begun: Any) -> None:
+def test_repeated_command_changes_nothing_and_a_new_goal_is_planned(begun: Any) -> None:
     it = begun(room())
     for _ in range(3):
         it.give("nav_command", follow(THERE, goal_id=1))
@@ -80,7 +80,7 @@ def test_a_want_that_is_repeated_changes_nothing_and_another_leg_is_planned(begu
     assert [plan.goal_id for plan in it.taken("plan")] == [3]
 
 
-def test_odometry_carries_the_robot_on_since_its_last_pose(begun: Any) -> None:
+def test_odometry_carries_the_last_pose_forward(begun: Any) -> None:
     it = begun(room(), pose=None)
     it.give("odom", odom_at((5.0, 5.0, 1.0), BEGIN))
     it.give("localization", pose_at((1.0, 1.0, 1.0), BEGIN))
@@ -94,7 +94,7 @@ def test_odometry_carries_the_robot_on_since_its_last_pose(begun: Any) -> None:
 
 
 def driven_away(begun: Any) -> Any:
-    """A robot on its way to THERE, 3.8 m from where its odometry began."""
+    """A robot driving to THERE, 3.8 m from the start of its odometry."""
     it = begun(room(), pose=None)
     it.give("odom", odom_at((3.0, 2.3, 0.0), BEGIN))
     it.give("localization", pose_at((4.0, 4.0, 0.0), BEGIN))
@@ -103,7 +103,7 @@ def driven_away(begun: Any) -> Any:
     return it
 
 
-def test_no_pose_is_carried_on_when_odometry_begins_anew(
+def test_pose_is_not_carried_forward_across_an_odometry_jump(
     begun: Any, caplog: pytest.LogCaptureFixture
 ) -> None:
     it = driven_away(begun)
@@ -116,12 +116,12 @@ def test_no_pose_is_carried_on_when_odometry_begins_anew(
     it.give("localization", pose_at((4.5, 4.5, 0.0), now(it)))
 
     assert kept == []
-    assert "jumped: waiting for a pose since then" in caplog.text
+    assert "waiting for a new localization estimate" in caplog.text
     assert "off the path" not in caplog.text
-    assert it.taken("plan") == []  # the path known is good
+    assert it.taken("plan") == []  # the known path is good
 
 
-def test_a_leg_wanted_after_odometry_began_anew_waits_for_a_pose(begun: Any) -> None:
+def test_goal_after_an_odometry_jump_waits_for_a_pose(begun: Any) -> None:
     it = driven_away(begun)
 
     it.wait(2.0)
@@ -134,13 +134,14 @@ def test_a_leg_wanted_after_odometry_began_anew_waits_for_a_pose(begun: Any) -> 
 
     assert refused.outcome == Plan.NOT_READY
     assert (
-        refused.reason == "no pose on /robot/localization since odometry on /robot/odom began anew"
+        refused.reason
+        == "no localization estimate on /robot/localization since odometry on /robot/odom restarted"
     )
     (found,) = it.taken("plan")
     assert tuple(planar_poses(found.poses)[0, :2]) == (4.5, 4.5)
 
 
-def test_a_pose_from_after_the_jump_that_came_before_odometry_counts(begun: Any) -> None:
+def test_pose_after_the_jump_that_arrives_before_odometry_counts(begun: Any) -> None:
     it = driven_away(begun)
     it.wait(2.0)
     it.give("localization", pose_at((5.0, 5.0, 0.0), BEGIN + 2.0))
@@ -152,7 +153,7 @@ def test_a_pose_from_after_the_jump_that_came_before_odometry_counts(begun: Any)
     assert tuple(planar_poses(plan.poses)[0, :2]) == (5.0, 5.0)
 
 
-def test_a_pose_from_before_time_was_set_back_is_not_planned_from(begun: Any) -> None:
+def test_pose_from_before_a_time_reset_is_not_used(begun: Any) -> None:
     it = driven_away(begun)
 
     it.give("odom", odom_at((3.0, 2.3, 0.0), BEGIN - 50.0))
@@ -167,9 +168,7 @@ def test_a_pose_from_before_time_was_set_back_is_not_planned_from(begun: Any) ->
 @pytest.mark.parametrize(
     ("seconds", "step"), [(0.05, (0.15, 0.0, 0.3)), (1.0, (1.0, 0.0, 2.0))], ids=["fast", "seldom"]
 )
-def test_fast_robots_and_odometry_told_seldom_are_carried_on(
-    begun: Any, seconds: float, step: Pose
-) -> None:
+def test_fast_robots_and_rare_odometry_are_no_jump(begun: Any, seconds: float, step: Pose) -> None:
     it = driven_away(begun)
 
     it.wait(seconds)
@@ -180,7 +179,7 @@ def test_fast_robots_and_odometry_told_seldom_are_carried_on(
     assert planar_poses(plan.poses)[0, :2] == pytest.approx((4.0 + step[0], 4.0))
 
 
-def test_a_restarted_planner_goes_on_with_the_leg_that_is_latched(begun: Any) -> None:
+def test_restarted_planner_continues_with_the_latched_goal(begun: Any) -> None:
     it = begun(room())
     it.give("nav_command", follow(THERE, goal_id=4))
     it.taken("plan")
@@ -196,17 +195,17 @@ def test_a_restarted_planner_goes_on_with_the_leg_that_is_latched(begun: Any) ->
     assert tuple(planar_poses(found.poses)[0, :2]) == (2.0, 2.0)
 
 
-def test_a_window_that_leaves_the_map_is_told_and_ignored(
+def test_map_update_outside_the_map_is_logged_and_ignored(
     begun: Any, caplog: pytest.LogCaptureFixture
 ) -> None:
     it = begun(room())
 
     it.give("map_updates", window((8.0, 0.0, 10.0, 1.0), 100))
 
-    assert "a map update of 40 x 20 cells at column 160, row 0 leaves the map" in caplog.text
+    assert "a map update outside the map: 40 x 20 cells at column 160, row 0" in caplog.text
 
 
-def test_costs_can_be_changed_on_the_way(begun: Any) -> None:
+def test_cost_parameters_change_at_run_time(begun: Any) -> None:
     it = begun(room(wall_with_door(0.6)))
     it.give("nav_command", follow(THERE))
     assert it.taken("plan")[0].outcome == Plan.FOUND

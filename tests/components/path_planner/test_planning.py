@@ -1,4 +1,4 @@
-"""Plans in rooms: short, clear of walls, drivable; and why there is none, and where one can get."""
+"""Plans in rooms are short, clear of walls and drivable; failures have reason and alternative."""
 
 import math
 from dataclasses import replace
@@ -9,33 +9,39 @@ from numpy.typing import NDArray
 
 from cairn.components.motion_control.config import MotionControlConfig
 from cairn.components.path_planner.config import PathPlannerConfig
-from cairn.components.path_planner.cost_map import CostMap, Costs
-from cairn.components.path_planner.planning import Answer, Outcome, Planner, Route
+from cairn.components.path_planner.cost_map import CostMap, CostParameters
+from cairn.components.path_planner.planning import PlannedPath, Planner, PlanOutcome, PlanResult
 from cairn.planar.grid import OccupancyCells
 from cairn.planar.poses import Pose
 from tests.components.path_planner.rooms import clearance, room, wall_with_door
 
-COSTS = Costs(radius=0.22, reach=0.45, weight=1.0, margin=0.05, allow_unknown=False)
-SHORTEST = replace(COSTS, weight=0.0)
+COSTS = CostParameters(
+    radius=0.22,
+    inflation_distance=0.45,
+    inflation_weight=1.0,
+    margin=0.05,
+    allow_unknown=False,
+)
+SHORTEST = replace(COSTS, inflation_weight=0.0)
 START, GOAL = (1.0, 1.0, 0.0), (8.0, 6.0, 1.0)
 
 
 def plan(
-    grid: OccupancyCells, start: Pose = START, goal: Pose = GOAL, costs: Costs = COSTS
-) -> Answer:
+    grid: OccupancyCells, start: Pose = START, goal: Pose = GOAL, costs: CostParameters = COSTS
+) -> PlanResult:
     return Planner(0.1).plan(CostMap(grid, costs), start, goal)
 
 
 def route(
-    grid: OccupancyCells, start: Pose = START, goal: Pose = GOAL, costs: Costs = COSTS
-) -> Route:
+    grid: OccupancyCells, start: Pose = START, goal: Pose = GOAL, costs: CostParameters = COSTS
+) -> PlannedPath:
     answer = plan(grid, start, goal, costs)
     assert answer.route is not None, answer.reason
     return answer.route
 
 
 def between(poses: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Places (n, 2) all along a path, not only at its poses."""
+    """Points (n, 2) all along a path, not only at its poses."""
     shares = np.linspace(0, 1, 6)[:, None, None]
     places: NDArray[np.float64] = poses[:-1, :2] + shares * np.diff(poses[:, :2], axis=0)
     return places.reshape(-1, 2)
@@ -54,7 +60,7 @@ def furnished(seed: int) -> OccupancyCells:
     return room([(x, y, x + w, y + h) for (x, y), (w, h) in zip(corners, sizes, strict=True)])
 
 
-def test_a_path_leads_from_the_robot_to_the_goal_and_its_heading() -> None:
+def test_path_leads_from_the_robot_to_the_goal_and_its_heading() -> None:
     found = route(room())
 
     assert tuple(found.poses[0, :2]) == START[:2]
@@ -65,7 +71,7 @@ def test_a_path_leads_from_the_robot_to_the_goal_and_its_heading() -> None:
     np.testing.assert_allclose(found.poses[:-1, 2], math.atan2(5, 7), atol=0.05)
 
 
-def test_a_map_that_lies_askew_is_planned_on_in_its_own_place() -> None:
+def test_rotated_map_is_planned_on_in_its_frame() -> None:
     origin = (-20.0, 5.0, 2.0)
     there = [
         (
@@ -84,7 +90,7 @@ def test_a_map_that_lies_askew_is_planned_on_in_its_own_place() -> None:
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_paths_keep_clear_turn_gently_and_are_little_longer_than_the_shortest(seed: int) -> None:
+def test_paths_keep_clear_turn_gently_and_are_nearly_the_shortest(seed: int) -> None:
     grid = furnished(seed)
     found, shortest = route(grid), route(grid, costs=SHORTEST)
 
@@ -100,14 +106,14 @@ def test_paths_keep_clear_turn_gently_and_are_little_longer_than_the_shortest(se
     assert turns(found.poses).sum() < 5.0
 
 
-def test_where_there_is_room_the_path_keeps_off_a_corner() -> None:
+def test_path_keeps_away_from_a_corner_where_there_is_room() -> None:
     grid = room([(4.0, 0.0, 5.0, 3.5)])
 
     assert clearance(grid, route(grid).poses[:, :2]).min() > 0.35
     assert clearance(grid, route(grid, costs=SHORTEST).poses[:, :2]).min() < 0.31
 
 
-def test_a_door_of_90_cm_is_passed_in_its_middle() -> None:
+def test_path_passes_a_90_cm_door_in_its_middle() -> None:
     found = route(room(wall_with_door(0.9, low=2.0)))
 
     crossing = found.poses[np.argmin(np.abs(found.poses[:, 0] - 4.55))]
@@ -117,33 +123,31 @@ def test_a_door_of_90_cm_is_passed_in_its_middle() -> None:
 @pytest.mark.parametrize(
     ("width", "passed"), [(0.4, False), (0.5, False), (0.6, True), (0.7, True)]
 )
-def test_a_door_is_passed_if_the_robot_and_its_margin_fit_through(
-    width: float, passed: bool
-) -> None:
+def test_door_is_passed_if_the_robot_and_its_margin_fit(width: float, passed: bool) -> None:
     answer = plan(room(wall_with_door(width)))
 
-    assert (answer.outcome is Outcome.FOUND) == passed
+    assert (answer.outcome is PlanOutcome.FOUND) == passed
 
 
-def test_a_goal_behind_walls_is_unreachable_and_the_nearest_place_is_told() -> None:
+def test_goal_behind_walls_is_unreachable_and_the_nearest_position_is_reported() -> None:
     answer = plan(room([(4.5, 0.0, 4.6, 7.0)]), goal=(6.0, 3.0, 0.0))
 
-    assert answer.outcome is Outcome.UNREACHABLE
-    assert "there is no way from (1.00, 1.00) to (6.00, 3.00)" in answer.reason
+    assert answer.outcome is PlanOutcome.UNREACHABLE
+    assert "there is no path from (1.00, 1.00) to (6.00, 3.00)" in answer.reason
     assert answer.nearest == pytest.approx((4.225, 3.0), abs=0.06)
     assert answer.route is None
 
 
-def test_a_goal_in_an_obstacle_is_told_with_the_nearest_free_place() -> None:
+def test_goal_in_an_obstacle_is_rejected_with_the_nearest_free_position() -> None:
     answer = plan(room([(5.0, 2.0, 7.0, 4.0)]), goal=(5.5, 3.0, 0.0))
 
-    assert answer.outcome is Outcome.GOAL_BLOCKED
+    assert answer.outcome is PlanOutcome.GOAL_BLOCKED
     assert "the goal (5.50, 3.00) is in an obstacle" in answer.reason
     assert "is 0.78 m from it" in answer.reason
     assert answer.nearest == pytest.approx((4.775, 3.0), abs=0.06)
 
 
-def test_a_goal_within_the_margin_of_a_wall_is_gone_up_to_and_left_again() -> None:
+def test_goal_in_the_margin_of_a_wall_can_be_reached_and_left() -> None:
     beside = (0.35, 3.0, 0.0)  # 0.25 m from the wall
     grid = room()
 
@@ -152,47 +156,47 @@ def test_a_goal_within_the_margin_of_a_wall_is_gone_up_to_and_left_again() -> No
         assert np.sort(clearance(grid, found.poses[:, :2]))[1] > 0.25 + 0.01
 
 
-def test_a_goal_too_near_to_an_obstacle_is_told_as_such() -> None:
+def test_goal_too_near_to_an_obstacle_is_rejected_as_such() -> None:
     answer = plan(room(), goal=(8.8, 3.0, 0.0))
 
-    assert answer.outcome is Outcome.GOAL_BLOCKED
+    assert answer.outcome is PlanOutcome.GOAL_BLOCKED
     assert "is nearer than 0.22 m to an obstacle" in answer.reason
 
 
-def test_for_a_goal_in_an_obstacle_a_place_that_cannot_be_reached_is_not_offered() -> None:
+def test_nearest_position_for_an_impossible_goal_is_reachable() -> None:
     grid = room([(4.5, 0.0, 4.6, 7.0), (5.2, 3.0, 6.0, 4.0)])
 
     answer = plan(grid, goal=(5.3, 3.5, 0.0))
 
-    assert answer.outcome is Outcome.GOAL_BLOCKED
+    assert answer.outcome is PlanOutcome.GOAL_BLOCKED
     assert answer.nearest is not None
     assert answer.nearest[0] < 4.5
 
 
-def test_a_goal_outside_the_map_is_told() -> None:
+def test_goal_outside_the_map_is_rejected() -> None:
     answer = plan(room(), goal=(12.0, 3.0, 0.0))
 
-    assert answer.outcome is Outcome.OUTSIDE_MAP
+    assert answer.outcome is PlanOutcome.OUTSIDE_MAP
     assert "the goal (12.00, 3.00) is outside the map" in answer.reason
     assert answer.nearest == pytest.approx((8.625, 3.0), abs=0.06)
 
 
 @pytest.mark.parametrize("x", [math.nan, math.inf, -1e200])
-def test_a_goal_that_is_no_number_is_told(x: float) -> None:
+def test_goal_that_is_not_finite_is_rejected(x: float) -> None:
     answer = plan(room(), goal=(x, 3.0, 0.0))
 
-    assert answer.outcome is Outcome.OUTSIDE_MAP
-    assert "is not a place" in answer.reason
+    assert answer.outcome is PlanOutcome.OUTSIDE_MAP
+    assert "is not a valid position" in answer.reason
 
 
-def test_a_robot_outside_the_map_is_told() -> None:
+def test_robot_outside_the_map_is_reported() -> None:
     answer = plan(room(), start=(-2.0, 3.0, 0.0))
 
-    assert answer.outcome is Outcome.START_BLOCKED
+    assert answer.outcome is PlanOutcome.START_BLOCKED
     assert answer.reason == "the robot at (-2.00, 3.00) is outside the map"
 
 
-def test_a_robot_a_little_inside_an_obstacle_finds_its_way_out() -> None:
+def test_robot_slightly_inside_an_obstacle_finds_its_way_out() -> None:
     grid = room([(0.8, 0.8, 1.3, 1.2)])
 
     found = route(grid, start=(1.2, 1.0, 0.0))
@@ -201,28 +205,28 @@ def test_a_robot_a_little_inside_an_obstacle_finds_its_way_out() -> None:
     assert clearance(grid, between(found.poses[1:])).min() >= 0.2 - 1e-9
 
 
-def test_a_robot_deep_inside_an_obstacle_is_told() -> None:
+def test_robot_deep_inside_an_obstacle_is_reported() -> None:
     answer = plan(room([(0.2, 0.2, 2.0, 2.0)]))
 
-    assert answer.outcome is Outcome.START_BLOCKED
+    assert answer.outcome is PlanOutcome.START_BLOCKED
     assert "the robot at (1.00, 1.00) is in an obstacle" in answer.reason
     assert "m away" in answer.reason
 
 
-def test_unknown_space_is_passed_only_if_that_is_allowed() -> None:
-    grid = room(unknown=[(4.0, 0.0, 5.0, 7.0)])
+def test_unknown_space_is_passed_only_if_allowed() -> None:
+    grid = room(is_unknown_space=[(4.0, 0.0, 5.0, 7.0)])
 
     closed = plan(grid)
     opened = plan(grid, costs=replace(COSTS, allow_unknown=True))
     into = plan(grid, goal=(4.5, 3.0, 0.0))
 
-    assert closed.outcome is Outcome.UNREACHABLE
-    assert opened.outcome is Outcome.FOUND
-    assert into.outcome is Outcome.GOAL_BLOCKED
+    assert closed.outcome is PlanOutcome.UNREACHABLE
+    assert opened.outcome is PlanOutcome.FOUND
+    assert into.outcome is PlanOutcome.GOAL_BLOCKED
     assert "is in unknown space" in into.reason
 
 
-def test_a_goal_where_the_robot_stands_is_a_path_too() -> None:
+def test_goal_at_the_robots_position_gives_a_path() -> None:
     found = route(room(), goal=(1.0, 1.0, 2.0))
 
     assert found.length() == 0.0
@@ -237,20 +241,20 @@ def test_one_planner_serves_maps_of_different_sizes() -> None:
         planner.plan(CostMap(grid, COSTS), START, GOAL).outcome for grid in (small, large, small)
     ]
 
-    assert outcomes == [Outcome.FOUND] * 3
+    assert outcomes == [PlanOutcome.FOUND] * 3
 
 
-def test_a_goal_in_what_only_the_scanner_sees_is_told_as_such() -> None:
+def test_goal_in_an_obstacle_of_the_scanner_is_rejected_as_such() -> None:
     costs = CostMap(room(), COSTS)
-    costs.overlay(np.argwhere(room([(5.0, 3.0, 5.3, 3.3)]).values != room().values))
+    costs.set_scanner_obstacles(np.argwhere(room([(5.0, 3.0, 5.3, 3.3)]).values != room().values))
 
     answer = Planner(0.1).plan(costs, START, (5.4, 3.1, 0.0))
 
-    assert answer.outcome is Outcome.GOAL_BLOCKED
-    assert "the goal (5.40, 3.10) is too near to what the scanner sees" in answer.reason
+    assert answer.outcome is PlanOutcome.GOAL_BLOCKED
+    assert "the goal (5.40, 3.10) is too near to an obstacle that the scanner sees" in answer.reason
 
 
-def test_planner_and_motion_control_take_the_same_robot_and_margin() -> None:
+def test_planner_and_motion_control_have_the_same_radius_and_margin() -> None:
     planner, control = PathPlannerConfig(), MotionControlConfig()
 
     assert (planner.radius, planner.margin) == (control.radius, control.margin)

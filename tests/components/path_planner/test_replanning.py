@@ -1,4 +1,4 @@
-"""When the path planner plans anew: something in the way, off the path, a shorter way."""
+"""When the path planner replans: obstacles on the path, a robot off the path, a shorter path."""
 
 from functools import partial
 from typing import Any
@@ -11,7 +11,7 @@ from cairn.planar.messages import planar_poses
 from cairn.schemas.cairn_nav_msgs import MotionStatus, Plan
 from cairn.schemas.rosgraph_msgs import Clock
 from tests.cairn.runtime.running import Lockstep, taken
-from tests.components.path_planner.happening import (
+from tests.components.path_planner.planner_on_the_bus import (
     DOOR,
     THERE,
     clear_of,
@@ -31,7 +31,7 @@ from tests.components.path_planner.rooms import (
 )
 
 
-def test_while_the_path_is_free_it_is_kept(begun: Any) -> None:
+def test_free_path_is_kept(begun: Any) -> None:
     grid = room(DOOR)
     it = begun(grid)
     it.give("nav_command", follow(THERE))
@@ -41,7 +41,7 @@ def test_while_the_path_is_free_it_is_kept(begun: Any) -> None:
     assert len(it.taken("plan")) == 1
 
 
-def test_a_box_that_only_the_scanner_sees_is_planned_around_and_forgotten(begun: Any) -> None:
+def test_path_avoids_a_box_that_only_the_scanner_sees_until_it_is_forgotten(begun: Any) -> None:
     box = (2.5, 1.7, 2.9, 2.4)
     it = begun(room(DOOR, size=(9.0, 7.0)), pose=(1.0, 1.8, 0.0))
     here = (1.0, 1.8, 0.0)
@@ -62,7 +62,7 @@ def test_a_box_that_only_the_scanner_sees_is_planned_around_and_forgotten(begun:
     assert all(plan.length < around.length for plan in back)
 
 
-def test_what_was_seen_on_an_earlier_leg_is_not_planned_around(begun: Any) -> None:
+def test_obstacles_seen_for_an_earlier_goal_are_not_avoided(begun: Any) -> None:
     box = (2.5, 1.7, 2.9, 2.4)
     here, there = (1.0, 1.8, 0.0), (4.0, 2.3, 0.0)
     it = begun(room(), pose=here)
@@ -77,7 +77,7 @@ def test_what_was_seen_on_an_earlier_leg_is_not_planned_around(begun: Any) -> No
     assert clear_of(it.taken("plan")[0], [box]) < 0.1
 
 
-def test_when_time_is_set_back_what_was_seen_is_forgotten_and_what_is_seen_counts(
+def test_time_reset_forgets_old_obstacles_and_accepts_new_ones(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     before, after = (2.5, 1.7, 2.9, 2.4), (2.5, 1.0, 2.9, 1.7)
@@ -87,8 +87,8 @@ def test_when_time_is_set_back_what_was_seen_is_forgotten_and_what_is_seen_count
     plans = lockstep.read("plan", Plan)
     lockstep.publish("map", as_map(room()), qos=LATCHED)
 
-    def see(box: Box, begin: float) -> Plan:
-        """The last plan of half a second's look at a room with a box."""
+    def add_scan(box: Box, begin: float) -> Plan:
+        """The last plan after half a second of scans of a room with a box."""
         for k in range(5):
             time = begin + 0.1 * k
             lockstep.publish("clock", Clock(clock=from_ns(round(time * SECOND))))
@@ -101,7 +101,7 @@ def test_when_time_is_set_back_what_was_seen_is_forgotten_and_what_is_seen_count
         plan: Plan = taken(plans)[-1]
         return plan
 
-    first, second = see(before, 1000.0), see(after, 400.0)
+    first, second = add_scan(before, 1000.0), add_scan(after, 400.0)
 
     assert clear_of(first, [before]) > 0.19
     assert clear_of(second, [after]) > 0.19
@@ -109,7 +109,7 @@ def test_when_time_is_set_back_what_was_seen_is_forgotten_and_what_is_seen_count
     assert caplog.text.count("odometry on /robot/odom went back in time") == 1
 
 
-def test_a_door_that_somebody_stands_in_is_told_until_they_leave(begun: Any) -> None:
+def test_door_blocked_by_a_person_is_reported_until_the_person_leaves(begun: Any) -> None:
     somebody = (4.4, 2.3, 4.7, 2.6)
     it = begun(room(DOOR), pose=(2.0, 2.4, 0.0))
     here = (2.0, 2.4, 0.0)
@@ -122,13 +122,13 @@ def test_a_door_that_somebody_stands_in_is_told_until_they_leave(begun: Any) -> 
     again = it.taken("plan")
 
     assert {plan.outcome for plan in refused} == {Plan.UNREACHABLE}
-    assert refused[-1].reason.startswith("blocked by what the scanner sees at (4.")
+    assert refused[-1].reason.startswith("blocked by an obstacle that the scanner sees at (4.")
     assert refused[-1].nearest_x == pytest.approx(4.1, abs=0.2)
     assert len(refused[-1].poses) == 0
     assert [plan.outcome for plan in again] == [Plan.FOUND]
 
 
-def test_a_path_that_the_map_closes_is_planned_anew(begun: Any) -> None:
+def test_path_closed_by_a_map_update_is_replanned(begun: Any) -> None:
     it = begun(room())
     it.give("nav_command", follow(THERE))
     it.taken("plan")
@@ -142,7 +142,7 @@ def test_a_path_that_the_map_closes_is_planned_anew(begun: Any) -> None:
     assert clear_of(around, [box]) > 0.19
 
 
-def test_what_comes_a_little_too_near_to_a_path_does_not_break_it(begun: Any) -> None:
+def test_obstacle_in_the_margin_does_not_break_the_path(begun: Any) -> None:
     it = begun(room(), pose=(1.0, 1.025, 0.0))
     it.give("nav_command", follow((8.0, 1.025, 0.0)))
     it.taken("plan")
@@ -155,7 +155,7 @@ def test_what_comes_a_little_too_near_to_a_path_does_not_break_it(begun: Any) ->
     assert len(it.taken("plan")) == 1
 
 
-def test_a_way_that_the_map_opens_is_taken_if_it_is_clearly_shorter(begun: Any) -> None:
+def test_path_opened_by_a_map_update_is_taken_if_clearly_shorter(begun: Any) -> None:
     it = begun(room([(3.0, 0.0, 3.1, 6.0)]), pose=(1.5, 3.0, 0.0))
     it.give("nav_command", follow((7.0, 3.0, 0.0)))
     (long,) = it.taken("plan")
@@ -175,7 +175,7 @@ BEYOND = (8.0, 2.4, 0.0)
 
 
 def stand_blocked(it: Any, duration: float, state: int = MotionStatus.BLOCKED) -> None:
-    """Let motion control tell for some time, five times a second, that it does not get on."""
+    """Let motion control report for some time, five times per second, that the robot is blocked."""
     for _ in range(round(duration * 5)):
         it.wait(0.2)
         it.give("motion_status", MotionStatus(goal_id=1, state=state))
@@ -184,9 +184,7 @@ def stand_blocked(it: Any, duration: float, state: int = MotionStatus.BLOCKED) -
 @pytest.mark.parametrize(
     ("state", "seconds"), [(MotionStatus.BLOCKED, 2.6), (MotionStatus.MOVING, 6.6)]
 )
-def test_where_motion_control_does_not_get_on_the_other_way_is_taken_and_kept(
-    begun: Any, state: int, seconds: float
-) -> None:
+def test_stuck_robot_gets_another_path_and_keeps_it(begun: Any, state: int, seconds: float) -> None:
     it = begun(room(TWO_DOORS), pose=(4.0, 2.4, 0.0))
     it.give("nav_command", follow(BEYOND))
     (straight,) = it.taken("plan")
@@ -200,7 +198,7 @@ def test_where_motion_control_does_not_get_on_the_other_way_is_taken_and_kept(
     assert it.taken("plan") == []
 
 
-def test_where_there_is_no_other_way_motion_control_tries_on(begun: Any) -> None:
+def test_stuck_robot_without_an_alternative_keeps_its_path(begun: Any) -> None:
     it = begun(room(DOOR), pose=(4.0, 2.4, 0.0))
     it.give("nav_command", follow(BEYOND))
     it.taken("plan")
@@ -214,7 +212,7 @@ def test_where_there_is_no_other_way_motion_control_tries_on(begun: Any) -> None
     assert [plan.outcome for plan in it.taken("plan")] == [Plan.FOUND]
 
 
-def test_a_robot_that_stands_for_an_input_that_is_missing_is_not_sent_another_way(
+def test_robot_stopped_by_a_missing_input_is_not_stuck(
     begun: Any,
 ) -> None:
     it = begun(room(TWO_DOORS), pose=(4.0, 2.4, 0.0))
@@ -226,7 +224,7 @@ def test_a_robot_that_stands_for_an_input_that_is_missing_is_not_sent_another_wa
     assert it.taken("plan") == []
 
 
-def test_a_way_that_was_seen_blocked_is_not_taken_again_as_soon_as_it_is_out_of_view(
+def test_blocked_path_is_not_taken_again_when_it_is_out_of_view(
     begun: Any,
 ) -> None:
     here, blocking = (3.0, 2.4, 0.0), (4.3, 2.0, 4.5, 2.8)
@@ -235,7 +233,7 @@ def test_a_way_that_was_seen_blocked_is_not_taken_again_as_soon_as_it_is_out_of_
     stay(it, room([*TWO_DOORS, blocking]), 0.5, here)
     around = it.taken("plan")[-1]
 
-    it.wait(20.0)  # seen no more, neither there nor gone
+    it.wait(20.0)  # not seen any more, neither present nor gone
     kept = it.taken("plan")
     stay(it, room(TWO_DOORS), 2.0, here)
 
@@ -244,7 +242,7 @@ def test_a_way_that_was_seen_blocked_is_not_taken_again_as_soon_as_it_is_out_of_
     assert it.taken("plan")[-1].length < 5.1
 
 
-def test_a_map_that_has_grown_is_planned_on(begun: Any) -> None:
+def test_grown_map_is_planned_on(begun: Any) -> None:
     it = begun(room(size=(5.0, 7.0)))
     it.give("nav_command", follow(THERE))
     (outside,) = it.taken("plan")
@@ -256,7 +254,7 @@ def test_a_map_that_has_grown_is_planned_on(begun: Any) -> None:
     assert [plan.outcome for plan in it.taken("plan")] == [Plan.FOUND]
 
 
-def test_a_wall_across_the_path_is_noticed_in_a_map_that_begins_elsewhere(begun: Any) -> None:
+def test_wall_across_the_path_is_noticed_in_a_map_with_another_origin(begun: Any) -> None:
     it = begun(room())
     it.give("nav_command", follow(THERE))
     (straight,) = it.taken("plan")
@@ -271,7 +269,7 @@ def test_a_wall_across_the_path_is_noticed_in_a_map_that_begins_elsewhere(begun:
     assert around.length > straight.length + 0.5
 
 
-def test_a_path_that_leaves_a_map_that_has_shrunk_is_planned_anew_at_once(begun: Any) -> None:
+def test_path_outside_a_shrunk_map_is_replanned_at_once(begun: Any) -> None:
     it = begun(room(), pose=(1.0, 1.5, 0.0))
     it.give("nav_command", follow((8.0, 1.5, 0.0)))
     it.taken("plan")
@@ -283,7 +281,7 @@ def test_a_path_that_leaves_a_map_that_has_shrunk_is_planned_anew_at_once(begun:
     assert "the goal (8.00, 1.50) is outside the map" in plan.reason
 
 
-def test_a_robot_off_the_map_is_planned_for_as_soon_as_it_is_back(begun: Any) -> None:
+def test_robot_outside_the_map_gets_a_path_when_it_is_back(begun: Any) -> None:
     it = begun(room(), pose=(-0.1, 3.0, 0.0))
     it.give("nav_command", follow(THERE))
     (off,) = it.taken("plan")
@@ -296,7 +294,7 @@ def test_a_robot_off_the_map_is_planned_for_as_soon_as_it_is_back(begun: Any) ->
     assert [plan.outcome for plan in it.taken("plan")] == [Plan.FOUND]
 
 
-def test_a_robot_that_has_left_the_path_gets_another(begun: Any) -> None:
+def test_robot_that_left_its_path_gets_a_new_one(begun: Any) -> None:
     it = begun(room())
     it.give("nav_command", follow((8.0, 1.0, 0.0)))
     it.taken("plan")
@@ -311,7 +309,7 @@ def test_a_robot_that_has_left_the_path_gets_another(begun: Any) -> None:
     assert tuple(planar_poses(plan.poses)[0, :2]) == (3.0, 1.7)
 
 
-def test_a_way_out_of_an_obstacle_is_kept(begun: Any) -> None:
+def test_path_out_of_an_obstacle_is_kept(begun: Any) -> None:
     here = (1.2, 1.0, 0.0)
     it = begun(room([(0.8, 0.8, 1.3, 1.2)]), pose=here)
     it.give("nav_command", follow(THERE))
@@ -323,7 +321,7 @@ def test_a_way_out_of_an_obstacle_is_kept(begun: Any) -> None:
     assert [plan.outcome for plan in it.taken("plan")] == [Plan.FOUND]
 
 
-def test_a_lost_robots_scans_are_placed_nowhere(begun: Any) -> None:
+def test_scans_of_a_lost_robot_are_not_used(begun: Any) -> None:
     it = begun(room(DOOR))
     it.give("nav_command", follow(THERE))
     it.give("localization", pose_at((1.0, 1.0, 0.0), now(it), health=0.1))

@@ -1,4 +1,4 @@
-"""The planner on the bus in a test's hands: what happens around the robot, and what it planned."""
+"""The path planner on the bus: a test scripts the robot's surroundings and reads the plans."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -33,7 +33,7 @@ def now(it: Any) -> float:
 def stay(
     it: Any, grid: OccupancyCells, duration: float, pose: Pose = HERE, health: float = 1.0
 ) -> None:
-    """Let the robot stand for some time and see, ten times a second, what is in a room."""
+    """Let the robot stand for some time and scan a room ten times per second."""
     for _ in range(round(duration * 10)):
         it.wait(0.1)
         it.give("odom", odom_at((0.0, 0.0, 0.0), now(it)))
@@ -48,5 +48,5 @@ def window(box: Box, kind: int) -> OccupancyGridUpdate:
 
 
 def clear_of(plan: Plan, boxes: Sequence[Box]) -> float:
-    """How near [m] a plan comes to boxes."""
+    """The least distance [m] of a plan to boxes."""
     return float(clearance(room(boxes), planar_poses(plan.poses)[:, :2]).min())
