@@ -1,4 +1,4 @@
-"""A component that hangs is found, named with its handler and its time, killed and restarted."""
+"""A component that hangs is detected, logged with handler and duration, killed and restarted."""
 
 import os
 import signal
@@ -9,61 +9,47 @@ import pytest
 from cairn.bus.session import LEASE_MS
 from cairn.testing.launching import Launching
 from tests.commands import cairn
-from tests.faults.orders import set_fault
+from tests.faults.requests import set_fault
 
 pytestmark = pytest.mark.processes
 
 
-ONE = """
+def test_hung_components_are_killed_with_their_stacks_logged_and_restarted(
+    launch: Launching,
+) -> None:
+    run = launch(
+        """
     components:
       talker: {plugin: test_talker}
-      base: {plugin: test_faulty, hang_timeout_s: 0.5}
+      sleeping: {plugin: test_faulty, hang_timeout_s: 0.5, topics: {velocity: v1}}
+      holding: {plugin: test_faulty, hang_timeout_s: 0.5, topics: {velocity: v2}}
+      stopped: {plugin: test_faulty, hang_timeout_s: 0.5, topics: {velocity: v3}}
       listener: {plugin: test_listener, hang_timeout_s: 0.5}
     """
-
-
-def test_in_a_handler_that_sleeps(launch: Launching) -> None:
-    run = launch(ONE)
+    )
     active = run.await_line("listener active")
     others = [run.pid_of("talker"), run.pid_of("listener")]
 
-    set_fault(run, "sleep")
+    os.kill(run.pid_of("stopped"), signal.SIGSTOP)
+    set_fault(run, "hold_gil", "holding")
+    set_fault(run, "sleep", "sleeping")
 
-    hung = run.await_line(
-        r"ERROR   robot.root: base hung in tick for \d\.\d s and was kil", after=active
-    )
-    run.await_line("base active", after=hung)
+    for component, where in (
+        ("sleeping", "in tick"),
+        ("holding", "in .* that lets no other thread of its process run,"),
+        ("stopped", "in a process that was stopped by a signal, as by SIGSTOP,"),
+    ):
+        hung = run.await_line(
+            rf"ERROR   robot.root: {component} hung {where} for \d\.\d s and was killed",
+            after=active,
+        )
+        run.await_line(f"{component} active", after=hung)
     assert [run.pid_of("talker"), run.pid_of("listener")] == others
-    assert "in tick" in run.log_of("base"), "the log shows where it hung"
+    assert "in tick" in run.log_of("sleeping"), "the log has no stack"
+    assert "in tick" in run.log_of("holding"), "the log has no stack"
 
 
-def test_in_a_handler_that_lets_no_other_thread_run(launch: Launching) -> None:
-    run = launch(ONE)
-    active = run.await_line("listener active")
-
-    set_fault(run, "hold_gil")
-
-    hung = run.await_line(
-        r"base hung in .* that lets no other thread of its process run, for \d\.\d s", after=active
-    )
-    run.await_line("base active", after=hung)
-    assert "in tick" in run.log_of("base"), "the log shows where it hung"
-
-
-def test_stopped_by_a_signal(launch: Launching) -> None:
-    run = launch(ONE)
-    active = run.await_line("listener active")
-
-    os.kill(run.pid_of("base"), signal.SIGSTOP)
-
-    hung = run.await_line(
-        r"base hung in a process that was stopped by a signal, as by SIGSTOP, for \d\.\d s",
-        after=active,
-    )
-    run.await_line("base active", after=hung)
-
-
-def test_a_machine_that_pauses_has_nobody_taken_for_hung(launch: Launching) -> None:
+def test_machine_pause_does_not_trigger_hang_detection(launch: Launching) -> None:
     run = launch(
         """
     components:
@@ -75,24 +61,24 @@ def test_a_machine_that_pauses_has_nobody_taken_for_hung(launch: Launching) -> N
       listener: {plugin: test_listener, hang_timeout_s: 0.5}
     """
     )
-    heard = run.await_line("heard 10,")
+    received = run.await_line("heard 10,")
     processes = sorted(run.pids())
 
     for pid in processes:
         os.kill(pid, signal.SIGSTOP)
-    time.sleep(LEASE_MS / 1000 + 1.0)  # longer than any limit, and than links last
+    time.sleep(LEASE_MS / 1000 + 1.0)  # longer than all limits, and than the lease of links
     for pid in reversed(processes):
         os.kill(pid, signal.SIGCONT)
 
-    woken = len(run.lines)
-    run.await_line("heard", after=woken)
-    run.await_line("heard", after=woken + 1)
+    resumed = len(run.lines)
+    run.await_line("heard", after=resumed)
+    run.await_line("heard", after=resumed + 1)
     assert sorted(run.pids()) == processes
-    assert not [line for line in run.lines[heard:] if "heard" not in line], run
+    assert not [line for line in run.lines[received:] if "heard" not in line], run
     assert run.stop() == 0
 
 
-def test_in_its_parents_process_takes_the_parent_along(launch: Launching) -> None:
+def test_a_hang_in_the_supervisors_process_restarts_that_process(launch: Launching) -> None:
     run = launch(
         """
     components:
@@ -117,7 +103,9 @@ def test_in_its_parents_process_takes_the_parent_along(launch: Launching) -> Non
     assert run.pid_of("listener") == listener
 
 
-def test_while_it_is_stopped_ends_within_its_limits(launch: Launching) -> None:
+def test_a_component_that_hangs_while_stopping_is_killed_in_time(
+    launch: Launching,
+) -> None:
     run = launch(
         """
     components:
@@ -144,9 +132,9 @@ def test_while_it_is_stopped_ends_within_its_limits(launch: Launching) -> None:
     run.await_line("failed: .*base: shutdown: no answer within 0.[45] s")
 
 
-@pytest.mark.parametrize("placed", ["  ", "mobile"])
-def test_ctrl_c_does_not_wait_for_one_that_hangs_while_it_starts(
-    launch: Launching, placed: str
+@pytest.mark.parametrize("supervisor", ["  ", "mobile"])
+def test_ctrl_c_does_not_wait_for_a_component_that_hangs_while_starting(
+    launch: Launching, supervisor: str
 ) -> None:
     base = """base:
             plugin: test_faulty
@@ -154,7 +142,7 @@ def test_ctrl_c_does_not_wait_for_one_that_hangs_while_it_starts(
             stop_timeout_s: 0.5"""
     tree = (
         f"mobile:\n        plugin: supervisor\n        children:\n          {base}"
-        if placed == "mobile"
+        if supervisor == "mobile"
         else base
     )
     run = launch(
@@ -171,7 +159,7 @@ def test_ctrl_c_does_not_wait_for_one_that_hangs_while_it_starts(
     run.await_line("beacon stopped: shut down")
 
 
-def test_a_supervisor_busy_with_one_child_takes_no_other_for_hung(launch: Launching) -> None:
+def test_a_supervisor_busy_with_one_child_does_not_kill_another_as_hung(launch: Launching) -> None:
     run = launch(
         """
     components:

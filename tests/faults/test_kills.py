@@ -1,4 +1,4 @@
-"""Whatever process of the tree is killed, the rest goes on or ends, and nothing is left behind."""
+"""When a process of the tree is killed, the others keep running or end, and nothing is left."""
 
 import os
 import signal
@@ -29,7 +29,7 @@ def kill(run: Run, component: str) -> None:
     os.kill(run.pid_of(component), signal.SIGKILL)
 
 
-def test_a_component_comes_back_with_latched_inputs_and_the_others_go_on(
+def test_killed_components_and_supervisors_are_restarted_and_the_others_keep_running(
     launch: Launching,
 ) -> None:
     run = launch(TREE)
@@ -49,49 +49,33 @@ def test_a_component_comes_back_with_latched_inputs_and_the_others_go_on(
     assert run.pid_of("reader") != reader
     row = await_status("/robot/reader", lambda row: row["restarts"] == 1, run.endpoint)
     assert row["reason"].startswith(f"restarted: was killed by SIGKILL (process {reader}, log ")
+
+    below = {run.pid_of(name) for name in ("mobile", "reader", "base")}
+    kill(run, "mobile")
+
+    killed = run.await_line("root: mobile was killed by SIGKILL", after=killed)
+    run.await_line("root: mobile active", after=killed)
+    run.await_line("reader: the beacon stands at 4, 2", after=killed)
+    assert below.isdisjoint(run.pids())
+    assert [run.pid_of(name) for name in ("beacon", "talker")] == [before[1], before[4]]
     assert run.stop() == 0
 
 
-def test_a_supervisor_comes_back_with_its_children_whose_former_ones_die(
-    launch: Launching,
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+def test_a_killed_or_stopped_zygote_fails_the_deployment_and_leaves_nothing(
+    launch: Launching, number: signal.Signals
 ) -> None:
     run = launch(TREE)
-    active = run.await_line("talker active")
-    below = {run.pid_of(name) for name in ("mobile", "reader", "base")}
-    talker = run.pid_of("talker")
-
-    kill(run, "mobile")
-
-    killed = run.await_line("root: mobile was killed by SIGKILL", after=active)
-    run.await_line("root: mobile active", after=killed)
-    assert below.isdisjoint(run.pids())
-    assert run.pid_of("talker") == talker
-    run.await_line("reader: the beacon stands at 4, 2", after=killed)
-
-
-def test_the_zygote_takes_all_along_and_the_deployment_fails(launch: Launching) -> None:
-    run = launch(TREE)
     run.await_line("talker active")
 
-    kill(run, "zygote")
+    os.kill(run.pid_of("zygote"), number)
 
     assert run.await_end() == 1
     run.await_nothing_left()
     run.await_line("cairn: deployment0.yaml failed: the zygote was killed, and with it every compo")
 
 
-def test_a_stopped_zygote_is_killed_and_the_deployment_fails(launch: Launching) -> None:
-    run = launch(TREE)
-    run.await_line("talker active")
-
-    os.kill(run.pid_of("zygote"), signal.SIGSTOP)
-
-    assert run.await_end() == 1
-    run.await_nothing_left()
-    run.await_line("cairn: deployment0.yaml failed: the zygote was killed, and with it every compo")
-
-
-def test_cairn_up_by_sigkill_leaves_nothing(launch: Launching) -> None:
+def test_killing_cairn_up_leaves_nothing(launch: Launching) -> None:
     with TemporaryDirectory() as sockets:  # pytest's own paths are too long for a socket
         run = launch(TREE, environment={"XDG_RUNTIME_DIR": sockets})
         run.await_line("talker active")
@@ -105,7 +89,7 @@ def test_cairn_up_by_sigkill_leaves_nothing(launch: Launching) -> None:
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_cairn_up_told_to_stop_stops_all_in_reverse_order(
+def test_a_stop_signal_stops_all_components_in_reverse_order(
     launch: Launching, number: signal.Signals
 ) -> None:
     run = launch(TREE)
@@ -124,7 +108,7 @@ def test_cairn_up_told_to_stop_stops_all_in_reverse_order(
     run.await_line("^ended.*: shut down")
 
 
-def test_a_second_ctrl_c_ends_everything_by_force(launch: Launching) -> None:
+def test_a_second_ctrl_c_kills_everything(launch: Launching) -> None:
     run = launch(
         """
     components:
@@ -144,7 +128,7 @@ def test_a_second_ctrl_c_ends_everything_by_force(launch: Launching) -> None:
     run.await_line("cairn: stopped by force, on a second signal")
 
 
-def test_an_orphan_of_a_component_ends_with_it(launch: Launching) -> None:
+def test_an_orphan_of_a_component_is_killed_with_it(launch: Launching) -> None:
     run = launch(
         """
     components:
@@ -157,7 +141,7 @@ def test_an_orphan_of_a_component_ends_with_it(launch: Launching) -> None:
     assert run.stop() == 0
 
 
-def test_the_reader_of_its_output_going_away_stops_it(launch: Launching) -> None:
+def test_cairn_up_stops_when_the_reader_of_its_output_ends(launch: Launching) -> None:
     run = launch(TREE, head=3)
 
     run.await_end()

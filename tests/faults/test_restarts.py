@@ -1,4 +1,4 @@
-"""Restarts, escalation and orders as the deployment's supervision says, in real processes."""
+"""Restarts, escalation, and loading on request, in real processes."""
 
 import os
 import signal
@@ -7,48 +7,42 @@ import pytest
 
 from cairn.testing.launching import Launching, Run
 from tests.commands import cairn
-from tests.faults.orders import order_to_move, set_fault
+from tests.faults.requests import send_goal, set_fault
 
 pytestmark = pytest.mark.processes
 
 
+RESTARTED = {
+    "one_for_one": ["base"],
+    "rest_for_one": ["base", "last"],
+    "one_for_all": ["first", "base", "last"],
+}
 GROUP = """
-    components:
-      mobile:
+      {strategy}:
         plugin: supervisor
         supervision: {{strategy: {strategy}}}
         children:
-          first: {{plugin: test_beacon}}
-          base: {{plugin: test_faulty}}
-          last: {{plugin: test_reader, topics: {{beacon: beacon}}}}
-    """
-NAMES = ("first", "base", "last")
+          {strategy}_first: {{plugin: test_beacon, topics: {{beacon: {strategy}_beacon}}}}
+          {strategy}_base: {{plugin: test_faulty, topics: {{velocity: {strategy}_velocity}}}}
+          {strategy}_last: {{plugin: test_reader, topics: {{beacon: {strategy}_beacon}}}}"""
 
 
-def pids(run: Run) -> list[int]:
-    return [run.pid_of(name) for name in NAMES]
+def pids(run: Run, strategy: str) -> dict[str, int]:
+    return {name: run.pid_of(f"{strategy}_{name}") for name in ("first", "base", "last")}
 
 
-@pytest.mark.parametrize(
-    ("strategy", "anew"),
-    [
-        ("one_for_one", [False, True, False]),
-        ("rest_for_one", [False, True, True]),
-        ("one_for_all", [True, True, True]),
-    ],
-)
-def test_the_strategy_says_who_is_restarted(
-    launch: Launching, strategy: str, anew: list[bool]
-) -> None:
-    run = launch(GROUP.format(strategy=strategy))
-    active = run.await_line("mobile active")
-    before = pids(run)
+def test_the_strategy_decides_which_children_are_restarted(launch: Launching) -> None:
+    groups = "".join(GROUP.format(strategy=strategy) for strategy in RESTARTED)
+    run = launch(f"\n    components:{groups}\n")
+    active = run.await_line("root: one_for_all active")
 
-    os.kill(run.pid_of("base"), signal.SIGKILL)
-
-    last = [name for name, new in zip(NAMES, anew, strict=True) if new][-1]
-    run.await_line(f"{last} active", after=run.await_line("base was killed", after=active))
-    assert [new != old for new, old in zip(pids(run), before, strict=True)] == anew
+    for strategy, restarted in RESTARTED.items():
+        before = pids(run, strategy)
+        os.kill(before["base"], signal.SIGKILL)
+        killed = run.await_line(f"{strategy}_base was killed", after=active)
+        run.await_line(f"{strategy}_{restarted[-1]} active", after=killed)
+        after = pids(run, strategy)
+        assert [name for name in before if after[name] != before[name]] == restarted
     assert run.stop() == 0
 
 
@@ -66,10 +60,10 @@ def test_too_many_restarts_escalate_to_the_end_of_the_deployment(launch: Launchi
     """
     )
     seen = 0
-    for told in ("base was", "mobile failed", "base was", "mobile failed"):
+    for event in ("base was", "mobile failed", "base was", "mobile failed"):
         seen = run.await_line("base active", after=seen)
         set_fault(run, "abort")
-        seen = run.await_line(told, after=seen)
+        seen = run.await_line(event, after=seen)
 
     assert run.await_end() == 1
     run.await_line("talker stopped: shut down")
@@ -80,7 +74,7 @@ def test_too_many_restarts_escalate_to_the_end_of_the_deployment(launch: Launchi
     )
 
 
-def test_a_transient_component_that_is_done_is_not_restarted_and_no_warning(
+def test_a_transient_component_that_has_finished_is_not_restarted(
     launch: Launching,
 ) -> None:
     run = launch(
@@ -96,7 +90,7 @@ def test_a_transient_component_that_is_done_is_not_restarted_and_no_warning(
     assert sum("talker active" in line for line in run.lines) == 1
 
 
-def test_the_end_of_a_significant_component_ends_the_deployment_normally(
+def test_the_normal_end_of_a_significant_component_ends_the_deployment_normally(
     launch: Launching,
 ) -> None:
     run = launch(
@@ -121,7 +115,7 @@ def test_the_end_of_a_significant_component_ends_the_deployment_normally(
     assert not any("WARNING" in line for line in run.lines)
 
 
-def test_an_order_to_move_loads_the_plugins_which_load_and_unload_alone(
+def test_a_goal_loads_the_plugins_which_can_be_loaded_and_unloaded_singly(
     launch: Launching,
 ) -> None:
     run = launch(
@@ -141,7 +135,7 @@ def test_an_order_to_move_loads_the_plugins_which_load_and_unload_alone(
     )
     active = run.await_line("mobile_supervisor active")
 
-    order_to_move(run, 1.0, 2.0)
+    send_goal(run, 1.0, 2.0)
 
     ordered = run.await_line(r"mobile_supervisor: order \d+: go to \(1.00, 2.00\)", after=active)
     run.await_line("automove: reader active", after=ordered)
@@ -158,7 +152,7 @@ def test_an_order_to_move_loads_the_plugins_which_load_and_unload_alone(
     assert run.stop() == 0
 
 
-def test_an_order_to_move_that_cannot_be_carried_out_is_told_and_can_be_repeated(
+def test_a_goal_that_fails_is_reported_and_can_be_sent_again(
     launch: Launching,
 ) -> None:
     run = launch(
@@ -180,7 +174,7 @@ def test_an_order_to_move_that_cannot_be_carried_out_is_told_and_can_be_repeated
     )
     seen = run.await_line("mobile_supervisor active")
     for _ in range(2):
-        order_to_move(run, 1.0, 2.0)
+        send_goal(run, 1.0, 2.0)
         seen = run.await_line(
             r"robot.mobile_supervisor: order \d+ failed: not all plugins can be loaded: base: "
             "activate failed: ValueError: broken on purpose",

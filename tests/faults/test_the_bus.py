@@ -1,4 +1,4 @@
-"""What goes wrong on the bus is told with topic, component, value and remedy; the rest goes on."""
+"""Errors on the bus are logged with topic, component, value and remedy; the rest keeps running."""
 
 import math
 import struct

@@ -1,4 +1,4 @@
-"""A full disk or a folder that cannot be written is told, and takes nothing along."""
+"""A full disk or a read-only folder is reported, and does not end the components."""
 
 import resource
 from pathlib import Path
@@ -21,15 +21,15 @@ def no_room() -> None:
     resource.setrlimit(resource.RLIMIT_FSIZE, (200, 200))  # bytes for each file
 
 
-def test_no_room_for_the_logs_lets_the_robot_go_on_and_is_told_once(launch: Launching) -> None:
+def test_no_room_for_the_logs_lets_the_robot_go_on_and_is_reported_once(launch: Launching) -> None:
     run = launch(TALK, preexec_fn=no_room)
 
     assert run.await_end() == 0
 
     run.await_line("listener: heard 50")
     run.await_line("^ended.*: talker has finished")
-    told = [line for line in run.lines if "root.log cannot be written: File too large" in line]
-    assert len(told) == 1
+    warnings = [line for line in run.lines if "root.log cannot be written: File too large" in line]
+    assert len(warnings) == 1
     assert not any("Traceback" in line or "WARNING" in line for line in run.lines), run
 
 

@@ -1,4 +1,4 @@
-"""What the tests of faults ask of a running deployment."""
+"""Requests of the fault tests to a running deployment."""
 
 from cairn import RELIABLE
 from cairn.bus.session import open_peer
@@ -15,8 +15,8 @@ def set_fault(run: Run, fault: str, component: str = "base") -> None:
     assert answer.code == 0 or "no reply to set_parameters" in answer.err, f"{answer}; {run}"
 
 
-def order_to_move(run: Run, x: float, y: float) -> None:
-    """Give the robot a goal, as a node of another program."""
+def send_goal(run: Run, x: float, y: float) -> None:
+    """Publish a goal for the robot, as a node of another program does."""
     bus = ZenohBus(open_peer([run.endpoint]))
     try:
         node = bus.node("/operator", _heed)
