@@ -106,11 +106,11 @@ def _agreement(placed: CheckedComponent) -> Iterator[Problem]:
     name, node = dotted(placed.path), placed.node
     if placed.cls is not None and not placed.cls.is_supervisor:
         for key in ("children", "supervision"):
-            given = node.find(key)
-            if given is not None and given.entries:
+            section = node.find(key)
+            if section is not None and section.entries:
                 found = f"{placed.cls.__name__} is not a supervisor"
                 remedy = "move it to a supervisor, or remove it"
-                yield Problem(given.where, f"{name}.{key}", found, remedy)
+                yield Problem(section.where, f"{name}.{key}", found, remedy)
     significant = node.find("significant")
     restart = node.find("restart")
     if significant is not None and significant.value is True and _is(restart, "permanent", True):

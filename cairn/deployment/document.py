@@ -163,7 +163,7 @@ class _Builder:
             if key in entries:
                 first = entries[key].key_at
                 self.report(
-                    at, (*path, key), f"the key is given twice, first at {first}", "remove one"
+                    at, (*path, key), f"the key occurs twice, first at {first}", "remove one"
                 )
                 continue
             entries[key] = self.node(raw_value, at, (*path, key))

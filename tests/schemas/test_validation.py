@@ -48,8 +48,8 @@ def grid(cells: Any, width: int, height: int, resolution: float = 0.05) -> Occup
 
 
 def scan(beams: int, first: float, last: float, step: float, **more: Any) -> LaserScan:
-    told: dict[str, Any] = {"range_max": 8.0, "ranges": np.ones(beams, "f4")}
-    return LaserScan(angle_min=first, angle_max=last, angle_increment=step, **(told | more))
+    fields: dict[str, Any] = {"range_max": 8.0, "ranges": np.ones(beams, "f4")}
+    return LaserScan(angle_min=first, angle_max=last, angle_increment=step, **(fields | more))
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,8 @@
-"""A process on the bus for the tests: `peer.py ENDPOINT NAME`; obeys lines on its input.
+"""A process on the bus for the tests: `peer.py ENDPOINT NAME`.
 
-It says one word on /robot/word as soon as it has settled, then "settled" on its output; then for
-each line one more word, and for each word on /robot/answer a line "heard WORD".
+It waits for its peers, publishes one word on /robot/word, and prints "ready" with the peers that it
+did not reach. Then it publishes one word per line of its standard input, and prints "received WORD"
+for each word on /robot/answer.
 """
 
 import sys
@@ -15,26 +16,26 @@ from cairn.schemas.std_msgs import String
 
 def main(endpoint: str, name: str) -> None:
     bus = ZenohBus(open_peer([endpoint]))
-    node = bus.node(f"/robot/{name}", tell)
+    node = bus.node(f"/robot/{name}", print_line)
     arrived = threading.Semaphore(0)
     answers = node.subscribe("/robot/answer", String, RELIABLE, arrived.release)
     words = node.advertise("/robot/word", String, RELIABLE)
 
-    def listen() -> None:
+    def receive() -> None:
         while arrived.acquire():
             answer = answers.take()
-            tell(f"heard {answer.data if answer is not None else answer}")
+            print_line(f"received {answer.data if answer is not None else answer}")
 
-    threading.Thread(target=listen, daemon=True).start()
+    threading.Thread(target=receive, daemon=True).start()
     unreached = bus.wait_for_peers(10.0)
     words.publish(String(data=f"first of {name}"))
-    tell(f"settled {unreached}")
+    print_line(f"ready {unreached}")
     for line in sys.stdin:
         words.publish(String(data=line.strip()))
     bus.close()
 
 
-def tell(line: str) -> None:
+def print_line(line: str) -> None:
     sys.stdout.write(f"{line}\n")
     sys.stdout.flush()
 

@@ -210,7 +210,7 @@ def test_field_of_an_unknown_type_is_rejected_by_name(codec: Codec) -> None:
 
         speed: float = 0.0
 
-    with pytest.raises(TypeError, match=r"Odd\.speed: .*float.* is no type of a message's field"):
+    with pytest.raises(TypeError, match=r"Odd\.speed: .*float.* is not a type of message fields"):
         codec.encode(Odd())
 
 

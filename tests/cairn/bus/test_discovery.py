@@ -32,7 +32,7 @@ class Participant:
         self.reader = Reader(own, "/robot/word", String, RELIABLE.with_depth(1000))
         self.writer = own.advertise("/robot/word", String, RELIABLE)
 
-    def say(self, word: str) -> None:
+    def publish(self, word: str) -> None:
         self.writer.publish(String(data=word))
 
 
@@ -47,8 +47,8 @@ def test_first_message_of_a_joining_process_reaches_all_and_vice_versa(
         bus = network.bus()
         joiner = Participant(bus, f"joiner{turn}")
         assert bus.wait_for_peers(LIMIT_S) == []
-        joiner.say(f"hello {turn}")
-        present[turn % 3].say(f"welcome {turn}")
+        joiner.publish(f"hello {turn}")
+        present[turn % 3].publish(f"welcome {turn}")
 
         for one in present:
             assert {one.reader.next().data for _ in range(2)} == {
@@ -73,7 +73,7 @@ def test_processes_that_join_at_the_same_time_receive_each_others_messages(
             together.wait()  # noqa: B023
             assert bus.wait_for_peers(LIMIT_S) == []
             together.wait()  # noqa: B023
-            one.say(f"from {number}")
+            one.publish(f"from {number}")
             heard[number] = {one.reader.next().data for _ in range(count)}  # noqa: B023
             together.wait()  # noqa: B023
             bus.close()
@@ -111,9 +111,9 @@ def test_repeatedly_started_processes_lose_no_message(network: Network) -> None:
 
     for turn in range(5):
         with process(network, f"turn{turn}") as (peer, _, output):
-            assert output.readline() == "settled []\n"
+            assert output.readline() == "ready []\n"
             answers.publish(String(data=str(turn)))
-            assert output.readline() == f"heard {turn}\n"
+            assert output.readline() == f"received {turn}\n"
             assert ear.next() == String(data=f"first of turn{turn}")
             peer.kill()
 
@@ -125,7 +125,7 @@ def test_successor_of_a_killed_publisher_is_received_without_false_drops(network
     ear = Reader(node(bus, "/robot/ear"), "/robot/word", String, RELIABLE.with_depth(50))
     for _ in range(2):
         with process(network, "mouth") as (peer, order, output):
-            assert output.readline() == "settled []\n"
+            assert output.readline() == "ready []\n"
             for number in range(20):
                 order.write(f"{number}\n")
             order.flush()
@@ -139,7 +139,7 @@ def test_successor_of_a_killed_publisher_is_received_without_false_drops(network
 def test_hanging_process_is_reported_and_does_not_delay_the_others(network: Network) -> None:
     other = Participant(network.bus(), "other")
     with process(network, "hanging") as (peer, _, output):
-        assert output.readline() == "settled []\n"
+        assert output.readline() == "ready []\n"
         assert other.reader.next().data == "first of hanging"
         peer.send_signal(signal.SIGSTOP)
         joiner = Participant(network.bus(), "joiner")
@@ -148,8 +148,8 @@ def test_hanging_process_is_reported_and_does_not_delay_the_others(network: Netw
 
         assert [key.startswith("@cairn/session/") for key in unreached] == [True]
         assert str(other.bus.session.info.zid()) not in unreached[0]
-        joiner.say("heard nevertheless")
-        assert other.reader.next().data == "heard nevertheless"
+        joiner.publish("received nevertheless")
+        assert other.reader.next().data == "received nevertheless"
 
 
 def test_process_that_leaves_before_answering_is_not_waited_for(network: Network) -> None:
@@ -166,7 +166,7 @@ def test_process_that_leaves_before_answering_is_not_waited_for(network: Network
 def test_killed_process_is_not_waited_for(network: Network) -> None:
     bus = network.bus()
     with process(network, "killed") as (peer, _, output):
-        assert output.readline() == "settled []\n"
+        assert output.readline() == "ready []\n"
         peer.kill()
         peer.wait(LIMIT_S)
 

@@ -90,7 +90,7 @@ def test_message_without_sequence_numbers_is_received(
         ([7, 8, 1, 2], 0),
         ([2**63 - 1, -(2**63), 5], 0),
     ],
-    ids=["from any number", "with gaps", "starting anew", "beyond all bounds"],
+    ids=["from any number", "with gaps", "restarted", "beyond all bounds"],
 )
 def test_only_gaps_in_a_publishers_numbers_count_as_dropped(
     reader: Reader, foreign: ZenohBus, numbers: list[int], dropped: int

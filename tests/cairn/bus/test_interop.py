@@ -217,7 +217,7 @@ def test_nodes_of_a_ros2_client_are_in_our_graph(known: Network) -> None:
 
 
 def test_our_node_is_in_the_graph_of_a_ros2_client(known: Network, ros2: Ros2) -> None:
-    # Being a peer, it is now and then told nothing by zenoh 1.10, and has to ask again.
+    # zenoh 1.10 now and then answers a peer with nothing, so it has to ask again.
     types = {f"/robot/{name}": [type_name(type(one))] for name, one in MESSAGES.items()}
     assert eventually(lambda: types.items() <= dict(ros2.ask("topics")).items())
     scan = {

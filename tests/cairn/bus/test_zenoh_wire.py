@@ -137,19 +137,19 @@ def test_domains_are_isolated(network: Network) -> None:
 @pytest.mark.parametrize("watched_first", [True, False])
 def test_each_endpoint_is_reported_once_in_any_race(network: Network, watched_first: bool) -> None:
     bus, other = network.bus(), network.bus()
-    told: list[EndpointEntity] = []
+    reported: list[EndpointEntity] = []
     ends: list[Callable[[], None]] = []
     if watched_first:
-        ends.append(bus.graph.watch(told.append))
+        ends.append(bus.graph.watch(reported.append))
     part = node(other, "/robot/part")
     topics = [f"/robot/topic{number}" for number in range(50)]
     for number, topic in enumerate(topics):
         part.advertise(topic, String, SENSOR)
         if number == 25 and not watched_first:
-            ends.append(bus.graph.watch(told.append))
+            ends.append(bus.graph.watch(reported.append))
 
-    assert eventually(lambda: len(told) >= len(topics))
-    assert sorted(one.topic for one in told) == sorted(topics)
+    assert eventually(lambda: len(reported) >= len(topics))
+    assert sorted(one.topic for one in reported) == sorted(topics)
 
     for end in ends:
         end()
@@ -159,4 +159,4 @@ def test_each_endpoint_is_reported_once_in_any_race(network: Network, watched_fi
     other.wait_for_peers(LIMIT_S)
     more.publish(String(data="more"))
     last.next()
-    assert len(told) == len(topics)
+    assert len(reported) == len(topics)

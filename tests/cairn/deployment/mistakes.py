@@ -172,7 +172,7 @@ CASES = {
             "sensor_msgs/msg/LaserScan; give one of them another topic",
         ),
     ),
-    "input that nobody writes": (
+    "input without a publisher": (
         HEAD + PARTS + "  localizer:\n    plugin: acme_localizer\n    topics:\n      scan: scans\n",
         (
             8,
@@ -196,7 +196,7 @@ CASES = {
         (
             5,
             "components.base",
-            "the key is given twice, first at robot.yaml:4; remove one",
+            "the key occurs twice, first at robot.yaml:4; remove one",
         ),
     ),
     "children of a plain component": (

@@ -9,7 +9,7 @@ PUBLISHED = Path(__file__).parents[3] / "deploy" / "deployment.schema.json"
 
 def test_published_schema_is_current() -> None:
     assert PUBLISHED.read_text(encoding="utf-8") == schema_text(), (
-        "write it anew: python -m cairn.deployment.schema deploy/deployment.schema.json"
+        "regenerate it: python -m cairn.deployment.schema deploy/deployment.schema.json"
     )
 
 

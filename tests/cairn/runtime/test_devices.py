@@ -78,7 +78,7 @@ def test_output_reports_whether_it_has_subscribers() -> None:
     assert not driver.heard.has_subscribers
     part.activate()
     assert not driver.heard.has_subscribers
-    assert driver.latched.has_subscribers  # somebody may come later
+    assert driver.latched.has_subscribers  # a late subscriber may appear
     reader = bus.node("/robot/reader", lambda complaint: None)
     reader.subscribe("/robot/heard", String, driver.heard.qos, lambda: None)
     assert driver.heard.has_subscribers

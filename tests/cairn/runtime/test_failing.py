@@ -173,14 +173,14 @@ def test_finish_in_a_transition_ends_the_component_after_it(lockstep: Lockstep, 
 def test_finish_in_a_request_ends_the_component(lockstep: Lockstep) -> None:
     class Obeys(Part):
         def on_request(self, verb: str, arguments: Any) -> str:
-            self.finish(f"told to {verb}")
+            self.finish(f"asked to {verb}")
             return "yes"
 
     part = lockstep.add(Obeys)
     part.activate()
 
     assert part.ask("leave") == "yes"
-    assert part.ends == [ExitReport(True, "told to leave")]
+    assert part.ends == [ExitReport(True, "asked to leave")]
 
 
 def test_failure_after_finish_is_a_failure(lockstep: Lockstep) -> None:

@@ -81,11 +81,11 @@ def test_status_is_published_at_each_transition_and_at_the_end(lockstep: Lockste
     lockstep.publish("word", word("b"), word("a"))
     lockstep.run()
 
-    told = taken(statuses)
-    assert [(one.state, one.reason) for one in told] == [
+    published = taken(statuses)
+    assert [(one.state, one.reason) for one in published] == [
         ("inactive", ""), ("active", ""), ("finalized", f"hear (port word): {BOOM}")
     ]  # fmt: skip
-    last = told[-1]
+    last = published[-1]
     assert (last.component, last.plugin, last.parent, last.restarts) == ("ear", "ears", "head", 2)
     ports = {port.port: (port.topic, port.messages) for port in last.ports}
     assert ports == {"word": ("/robot/word", 2), "echo": ("/robot/echo", 1)}

@@ -37,7 +37,7 @@ def seconds(time: float) -> int:
     return round(time * SECOND)
 
 
-def tell(lockstep: Lockstep, *times: float) -> None:
+def set_clock(lockstep: Lockstep, *times: float) -> None:
     """Publish clock messages one after another."""
     for time in times:
         lockstep.publish("clock", Clock(clock=from_ns(seconds(time))))
@@ -61,7 +61,7 @@ def test_periodic_call_keeps_its_period(lockstep: Lockstep) -> None:
 
 def test_missed_periods_are_skipped(lockstep: Lockstep) -> None:
     part = simulated(lockstep)
-    tell(lockstep, 0.05, 0.1, 0.15, 1.05, 1.08, 1.1, 1.25)
+    set_clock(lockstep, 0.05, 0.1, 0.15, 1.05, 1.08, 1.1, 1.25)
 
     assert part.component.ticks == [0.1, 1.05, 1.1, 1.25]
 
@@ -71,7 +71,7 @@ def test_timers_follow_simulated_time_alone(lockstep: Lockstep) -> None:
     lockstep.run_until(100 * SECOND)
     assert (part.component.ticks, part.component.clock.now()) == ([], 0)
 
-    tell(lockstep, 0.1)
+    set_clock(lockstep, 0.1)
 
     assert (part.component.ticks, part.component.clock.now()) == ([0.1], seconds(0.1))
 
@@ -83,23 +83,23 @@ def test_component_with_system_clock_ignores_simulated_time(lockstep: Lockstep) 
     part = lockstep.add(OnSystemTime, simulated_time=True)
     part.activate()
     lockstep.run_until(seconds(0.2))
-    tell(lockstep, 50.0)
+    set_clock(lockstep, 50.0)
 
     assert part.component.ticks == [0.1, 0.2]
 
 
 def test_periodic_calls_restart_when_time_is_set_back(lockstep: Lockstep) -> None:
     part = simulated(lockstep)
-    tell(lockstep, 10.0, 10.1, 5.0, 5.05, 5.1, 5.2)
+    set_clock(lockstep, 10.0, 10.1, 5.0, 5.05, 5.1, 5.2)
 
     assert part.component.ticks == [10.0, 10.1, 5.1, 5.2]
 
 
 def test_scheduled_call_waits_for_its_time_when_time_is_set_back(lockstep: Lockstep) -> None:
     part = simulated(lockstep)
-    tell(lockstep, 10.0)
+    set_clock(lockstep, 10.0)
     part.component.schedule(seconds(11.0), part.component.note)
-    tell(lockstep, 5.0, 10.5, 11.0, 12.0)
+    set_clock(lockstep, 5.0, 10.5, 11.0, 12.0)
 
     assert part.component.calls == [11.0]
 
@@ -144,9 +144,9 @@ def test_call_scheduled_for_the_past_is_made_soon(
     assert part.component.calls == [0.0]
 
 
-@pytest.mark.parametrize("told", [True, False])
+@pytest.mark.parametrize("simulated_time", [True, False])
 def test_call_that_reschedules_itself_for_now_does_not_starve_others(
-    lockstep: Lockstep, told: bool
+    lockstep: Lockstep, simulated_time: bool
 ) -> None:
     class Eager(Part):
         heard = False
@@ -160,7 +160,7 @@ def test_call_that_reschedules_itself_for_now_does_not_starve_others(
         def hear(self, word: String) -> None:
             self.heard = True
 
-    part = lockstep.add(Eager, simulated_time=told)
+    part = lockstep.add(Eager, simulated_time=simulated_time)
     part.activate()
     part.component.schedule(0, part.component.again)
     lockstep.executor.at(0, lambda: lockstep.publish("word", String(data="stop")))

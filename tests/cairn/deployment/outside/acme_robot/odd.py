@@ -1,9 +1,9 @@
-"""A component whose port does not say what it carries."""
+"""A component whose port has no message type."""
 
 from cairn import Component, Out
 
 
 class OddPort(Component):
-    """Writes something."""
+    """Publishes something."""
 
     something: Out  # type: ignore[type-arg]

@@ -1,4 +1,4 @@
-"""Components of a small robot: enough ports and parameters to make every mistake with."""
+"""Components of a small robot, with enough ports and parameters for every mistake."""
 
 from typing import ClassVar, Literal
 
@@ -12,7 +12,7 @@ from cairn.schemas.sensor_msgs import LaserScan
 
 
 class Supervisor(Component):
-    """Watches over the parts."""
+    """Supervises the parts."""
 
     is_supervisor: ClassVar[bool] = True
 
@@ -66,7 +66,7 @@ class Localizer(Component):
 
 
 class Simulator(Component):
-    """Makes time, scans and odometry."""
+    """Publishes time, scans and odometry."""
 
     clock_source: ClassVar[Literal["deployment", "system"]] = "system"
     time: Out[Clock]
@@ -74,7 +74,7 @@ class Simulator(Component):
 
 
 class WaitingSimulator(Component):
-    """Would make time, if it did not wait for it."""
+    """Publishes the simulated time that it uses itself."""
 
     time: Out[Clock]
 
@@ -87,7 +87,7 @@ class ScannerDriver(Component):
 
 
 class Listener(Component):
-    """Listens to a port that it does not have."""
+    """Has a handler of a port that does not exist."""
 
     @on("odm")
     def listen(self, odom: Odometry) -> None:
