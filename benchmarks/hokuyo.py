@@ -15,8 +15,8 @@ import zenoh
 from benchmarks.result import Figure
 from cairn.bus.session import open_peer
 from cairn.components.hokuyo.config import HokuyoConfig
-from cairn.components.hokuyo.emulated_scip import EmulatedScip
-from cairn.components.hokuyo.measurement import Measured, Measurement
+from cairn.components.hokuyo.emulator import EmulatedScip
+from cairn.components.hokuyo.sensor import Measurement, StampedScan
 from cairn.driver.emulator import Emulator
 from cairn.driver.emulator_lines import PtyEnd
 from cairn.schemas.sensor_msgs import LaserScan
@@ -71,7 +71,7 @@ def _protocol(port: Path) -> float:
     count = 0
     begun = 0.0
 
-    def on_scan(_: Measured) -> None:
+    def on_scan(_: StampedScan) -> None:
         nonlocal count, begun
         count += 1
         if count == 1:
@@ -84,7 +84,7 @@ def _protocol(port: Path) -> float:
 
     with Emulator(EmulatedScip("UTM-30LX"), PtyEnd(port)):
         measurement = Measurement(HokuyoConfig(port=str(port)), on_scan)
-        measurement.converse(stopping, lambda _: None)
+        measurement.run(stopping, lambda _: None)
         measurement.disconnect()
     return 100.0 * (used[1] - used[0]) / used[2]
 

@@ -1,1 +1,1 @@
-"""Range scanners that speak Hokuyo's SCIP: the driver, and the device emulated."""
+"""Range scanners that speak Hokuyo's SCIP: driver, emulator, probe. Files: see `components`."""

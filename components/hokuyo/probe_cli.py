@@ -1,7 +1,8 @@
-"""`cairn driver probe hokuyo`: finds a scanner out, and draws what it measures."""
+"""`cairn driver probe hokuyo`: identifies a scanner, and draws what it measures."""
 
 from __future__ import annotations
 
+import math
 import queue
 import sys
 import threading
@@ -10,6 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
 from typing import Annotated, Any
 
+import numpy as np
 import typer
 from pydantic import ValidationError
 from rich.console import Console, Group
@@ -20,23 +22,30 @@ from serial.tools import list_ports
 from cairn import CairnError
 from cairn.cli.options import Json
 from cairn.cli.output import line, print_json, show
-from cairn.components.hokuyo import health
 from cairn.components.hokuyo.config import HokuyoConfig
-from cairn.components.hokuyo.measurement import Measured, Measurement
-from cairn.components.hokuyo.scan_message import ScanShape
-from cairn.components.hokuyo.scan_picture import drawn
+from cairn.components.hokuyo.health import health_values, nominal_hz
+from cairn.components.hokuyo.messages import ScanMessages
+from cairn.components.hokuyo.sensor import Measurement, StampedScan
 from cairn.driver.device_names import TCP
 from cairn.driver.diagnostics import RateWindow
 from cairn.driver.errors import DeviceError
 from cairn.runtime.parameters import error_reason
+from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.std_msgs import Header
 
-_Came = queue.SimpleQueue[Measured | Exception]
-"""Scans as they come, or what ended them."""
+_Scans = queue.SimpleQueue[StampedScan | Exception]
+"""Scans as they arrive, or the error that ended them."""
 
 _PICTURES_PER_S = 8
 _FIRST_SCAN_S = 5.0
-_LINES = 6  # of a terminal, that are not for the picture
+_OTHER_LINES = 6  # of the terminal, which the picture leaves free
+# The picture consists of Braille characters: cells of 2 by 4 dots.
+_ACROSS, _DOWN = 2, 4
+# Bits of Unicode's Braille patterns, row by row.
+_BITS = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]])
+_EMPTY = 0x2800
+_ROBOT = "+"
+_SHOWN_SHARE = 0.98  # of the ranges that the picture shows, unless --reach is given
 
 
 def probe(
@@ -48,19 +57,17 @@ def probe(
             "Ethernet; none: list the serial ports.",
         ),
     ] = None,
-    baud: Annotated[
-        int, typer.Option(help="Speed that an RS-232 line is to have [bit/s].")
-    ] = 115200,
+    baud: Annotated[int, typer.Option(help="Speed to set an RS-232 line to [bit/s].")] = 115200,
     seconds: Annotated[
         float, typer.Option(min=0.0, max=86400, help="How long to watch [s]; 0: until Ctrl-C.")
     ] = 0.0,
-    intensity: Annotated[bool, typer.Option("--intensity", help="Ask for intensities.")] = False,
+    intensity: Annotated[bool, typer.Option("--intensity", help="Request intensities.")] = False,
     reach: Annotated[
-        float | None, typer.Option(min=0.1, max=262, help="What the picture reaches [m].")
+        float | None, typer.Option(min=0.1, max=262, help="How far the picture reaches [m].")
     ] = None,
     json: Json = False,
 ) -> None:
-    """List serial ports; or find out the SCIP scanner on one, and draw its scans as they come.
+    """List serial ports; or identify the SCIP scanner on one, and draw its scans.
 
     For example: cairn driver probe hokuyo /dev/ttyACM0
     """
@@ -68,24 +75,24 @@ def probe(
         _list(as_json=json)
         return
     config = _config(device, baud, intensity)
-    came: _Came = queue.SimpleQueue()
-    with _measuring(config, came) as measurement:
-        first = _first(came, measurement)
+    scans: _Scans = queue.SimpleQueue()
+    with _measuring(config, scans) as measurement:
+        first = _first(scans, measurement)
         live = sys.stdout.isatty() and not json
-        scans, rate = _watched(came, measurement, first, seconds or None, reach, live=live)
-        told = health.values(measurement, rate)
-        nominal = health.nominal_hz(measurement)
+        count, rate = _watch(scans, measurement, first, seconds or None, reach, live=live)
+        values = health_values(measurement, rate)
+        nominal = nominal_hz(measurement)
     if json:
         print_json(
             {
                 name: value if isinstance(value, float | int) else str(value)
-                for name, value in told.items()
+                for name, value in values.items()
             }
         )
         return
-    for name, value in told.items():
+    for name, value in values.items():
         line(f"{name:28} {value:.4g}" if isinstance(value, float) else f"{name:28} {value}")
-    line(f"{scans} scans watched, {rate:.2f} a second; {nominal:.2f} should come")
+    line(f"{count} scans received, {rate:.2f} per second (nominal: {nominal:.2f})")
 
 
 def _list(*, as_json: bool) -> None:
@@ -99,19 +106,19 @@ def _list(*, as_json: bool) -> None:
         for port in sorted(list_ports.comports())
     ]
     columns = ("port", "usb", "serial", "description")
-    nothing = "no serial port is there; a scanner on Ethernet: cairn driver probe hokuyo tcp:HOST"
+    nothing = "no serial port found; for Ethernet: cairn driver probe hokuyo tcp:HOST"
     show(rows, columns, as_json=as_json, nothing=nothing)
 
 
 def _config(device: str, baud: int, intensity: bool) -> HokuyoConfig:
-    asked: dict[str, Any] = {"intensity": intensity}
+    settings: dict[str, Any] = {"intensity": intensity}
     if device.startswith(TCP):
         host, _, port = device.removeprefix(TCP).partition(":")
-        asked |= {"host": host} | ({"tcp_port": port} if port else {})
+        settings |= {"host": host} | ({"tcp_port": port} if port else {})
     else:
-        asked |= {"port": device, "baud": baud}
+        settings |= {"port": device, "baud": baud}
     try:
-        return HokuyoConfig.model_validate(asked)
+        return HokuyoConfig.model_validate(settings)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         named = ".".join(map(str, first["loc"])) or device
@@ -119,20 +126,20 @@ def _config(device: str, baud: int, intensity: bool) -> HokuyoConfig:
 
 
 @contextmanager
-def _measuring(config: HokuyoConfig, came: _Came) -> Iterator[Measurement]:
-    """A sensor that measures; when this is left its laser is off."""
-    measurement = Measurement(config, came.put)
-    with Console(stderr=True).status("looking for a SCIP sensor there ..."):
+def _measuring(config: HokuyoConfig, scans: _Scans) -> Iterator[Measurement]:
+    """Have a sensor measure within the context; its laser is off afterwards."""
+    measurement = Measurement(config, scans.put)
+    with Console(stderr=True).status("looking for a SCIP sensor ..."):
         measurement.connect()
     stopping = threading.Event()
 
-    def converse() -> None:
+    def run() -> None:
         try:
-            measurement.converse(stopping, lambda _: None)
-        except Exception as error:  # raised by whoever waits for the next scan
-            came.put(error)
+            measurement.run(stopping, lambda _: None)
+        except Exception as error:  # raised by `_next` in the main thread
+            scans.put(error)
 
-    thread = threading.Thread(target=converse, name="probe", daemon=True)
+    thread = threading.Thread(target=run, name="probe", daemon=True)
     thread.start()
     try:
         yield measurement
@@ -142,10 +149,10 @@ def _measuring(config: HokuyoConfig, came: _Came) -> Iterator[Measurement]:
         measurement.disconnect()
 
 
-def _next(came: _Came, limit_s: float) -> Measured | None:
-    """The next scan, None if none comes in time; raises what has ended them."""
+def _next(scans: _Scans, timeout_s: float) -> StampedScan | None:
+    """Return the next scan, None if none arrives in time; raises the error that ended them."""
     try:
-        found = came.get(timeout=limit_s)
+        found = scans.get(timeout=timeout_s)
     except queue.Empty:
         return None
     if isinstance(found, Exception):
@@ -153,64 +160,93 @@ def _next(came: _Came, limit_s: float) -> Measured | None:
     return found
 
 
-def _first(came: _Came, measurement: Measurement) -> Measured:
-    first = _next(came, _FIRST_SCAN_S)
+def _first(scans: _Scans, measurement: Measurement) -> StampedScan:
+    first = _next(scans, _FIRST_SCAN_S)
     if first is None:
-        damage = measurement.stream.last_damage
+        damage = measurement.parser.last_damage
         raise DeviceError(
-            f"no scan within {_FIRST_SCAN_S:g} s"
-            + (f"; the last damage: {damage}" if damage else "")
+            f"no scan within {_FIRST_SCAN_S:g} s; "
+            + (f"the last damage: {damage}" if damage else "check cable and power supply")
         )
     return first
 
 
-def _watched(
-    came: _Came,
+def _watch(
+    scans: _Scans,
     measurement: Measurement,
-    newest: Measured,
+    newest: StampedScan,
     seconds: float | None,
     reach: float | None,
     *,
     live: bool,
 ) -> tuple[int, float]:
-    """How many scans came, and how many a second, until the time is over or Ctrl-C."""
+    """Receive scans until the time is over or Ctrl-C; return their number and rate [Hz]."""
     console = Console(highlight=False)
-    window, begun, scans = RateWindow(), time.monotonic(), 1
-    window.note(begun)
+    window, started, count = RateWindow(), time.monotonic(), 1
+    window.note(started)
     if seconds is None and not live:
-        seconds = 3.0  # nobody looks
+        seconds = 3.0  # without a terminal there is nothing to watch
     rate = 0.0
     picture = Live(console=console, auto_refresh=False, screen=False) if live else nullcontext()
     try:
         with picture as shown:
-            while seconds is None or time.monotonic() - begun < seconds:
+            while seconds is None or time.monotonic() - started < seconds:
                 due = time.monotonic() + 1.0 / _PICTURES_PER_S
                 while (left := due - time.monotonic()) > 0:
-                    found = _next(came, left)
+                    found = _next(scans, left)
                     if found is None:
                         break
                     newest = found
-                    scans += 1
+                    count += 1
                     window.note(time.monotonic())
                 rate = window.hz(time.monotonic())
                 if shown is not None:
                     shown.update(_view(newest, measurement, rate, reach, console), refresh=True)
     except KeyboardInterrupt:
-        pass  # that is how watching ends
-    return scans, rate
+        pass  # the usual end
+    return count, rate
 
 
 def _view(
-    measured: Measured, measurement: Measurement, rate: float, reach: float | None, console: Console
+    scan: StampedScan, measurement: Measurement, rate: float, reach: float | None, console: Console
 ) -> Group:
-    measuring = measured.sensor.measuring
-    scan = ScanShape(measuring, measured.request).scan(measured.data, Header(), "first")
-    size = (console.width, max(5, console.height - _LINES))
-    picture, shown_reach = drawn(scan, size, reach)
+    spec = scan.sensor.spec
+    message = ScanMessages(spec, scan.request).scan(scan.data, Header(), "first")
+    size = (console.width, max(5, console.height - _OTHER_LINES))
+    picture, shown_reach = draw_scan(message, size, reach)
     head = (
-        f"{measuring.model}  {scan.ranges.size} rays  {rate:.1f} of "
-        f"{health.nominal_hz(measurement):.1f} scans a second  "
-        f"{measurement.stream.damaged} damaged"
+        f"{spec.model}  {message.ranges.size} rays  {rate:.1f} of "
+        f"{nominal_hz(measurement):.1f} scans per second  "
+        f"{measurement.parser.damaged} damaged"
     )
-    foot = f"ahead is up; the edge is {shown_reach:.3g} m away; Ctrl-C ends it"
+    foot = f"ahead is up; the edge is {shown_reach:.3g} m away; Ctrl-C stops"
     return Group(Text(head, style="bold"), Text(picture), Text(foot, style="dim"))
+
+
+def draw_scan(
+    scan: LaserScan, size: tuple[int, int], reach: float | None = None
+) -> tuple[str, float]:
+    """Draw a scan from above, ahead up, the scanner in the middle; return picture and reach [m].
+
+    `size`: columns and lines of the picture. Without `reach` [m] it shows nearly all ranges.
+    """
+    columns, lines = size
+    angles = scan.angle_min + scan.angle_increment * np.arange(scan.ranges.size)
+    hit = np.isfinite(scan.ranges)
+    ranges, angles = scan.ranges[hit], angles[hit]
+    if reach is None:
+        reach = 1.05 * float(np.quantile(ranges, _SHOWN_SHARE)) if ranges.size else scan.range_max
+    # A dot is as wide as high in most terminals: a cell is twice as high as wide.
+    dots = np.array([columns * _ACROSS, lines * _DOWN])
+    meter = 0.5 * (dots.min() - 1) / reach
+    across = np.rint(0.5 * (dots[0] - 1) - meter * ranges * np.sin(angles)).astype(int)
+    down = np.rint(0.5 * (dots[1] - 1) - meter * ranges * np.cos(angles)).astype(int)
+    inside = (across >= 0) & (across < dots[0]) & (down >= 0) & (down < dots[1])
+    across, down = across[inside], down[inside]
+    cells = np.zeros((lines, columns), int)
+    np.bitwise_or.at(
+        cells, (down // _DOWN, across // _ACROSS), _BITS[down % _DOWN, across % _ACROSS]
+    )
+    text = [[chr(_EMPTY + cell) for cell in row] for row in cells.tolist()]
+    text[lines // 2][columns // 2] = _ROBOT
+    return "\n".join("".join(row) for row in text), math.ceil(reach * 100) / 100

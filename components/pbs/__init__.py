@@ -1,1 +1,1 @@
-"""Hokuyo's PBS-03JN, an obstacle scanner: the driver, and the device emulated."""
+"""Hokuyo's PBS-03JN, an obstacle scanner: driver, emulator. Files: see `components`."""

@@ -6,8 +6,8 @@ import time
 
 from cairn import LATCHED, SECOND, SENSOR, Component, Config, Out, ParameterRejected, every, from_ns
 from cairn.components.pbs.config import PbsConfig
-from cairn.components.pbs.conversation import Conversation, Measured
-from cairn.components.pbs.scan_message import ScanShape
+from cairn.components.pbs.messages import PbsMessages
+from cairn.components.pbs.sensor import PbsMeasurement, TimedDistances
 from cairn.driver.device_thread import DeviceFeed
 from cairn.driver.diagnostics import ERROR, OK, WARN, diagnostics
 from cairn.driver.errors import DeviceError
@@ -19,10 +19,10 @@ from cairn.schemas.tf2_msgs import TFMessage
 
 
 class PbsScanner(Component):
-    """Drives a PBS-03JN: 121 rays, 0.2 to 3 m, ten scans a second.
+    """Drives a PBS-03JN: 121 rays, 0.2 to 3 m, ten scans per second.
 
-    Configured, it has been found to answer; active, it is asked for distances. One that is
-    unplugged or falls silent is told of, and begun anew with.
+    Configured, the sensor has replied once; active, it measures. If it is unplugged or falls
+    silent, the driver reports that and opens it again.
     """
 
     clock_source = "device"
@@ -33,78 +33,81 @@ class PbsScanner(Component):
     diagnostics: Out[DiagnosticArray]
 
     def on_configure(self) -> None:
-        """See that the sensor answers.
+        """Check that the sensor replies.
 
-        One that was there before may come back: then it is waited for, once active.
+        After a restart a missing sensor is no failure, as it may come back: the active driver waits
+        for it.
         """
         self._feed = DeviceFeed(
             self,
-            lambda stopping: self._conversation.converse(stopping, self._feed.report_working),
+            lambda stopping: self._measurement.run(stopping, self._feed.report_working),
             self._publish,
         )
         self._damaged_before = 0
-        self._shape = ScanShape(self.config.resolution, self.config.range_max)
-        self._conversation = Conversation(self.config, self._feed.put)
+        self._messages = PbsMessages(self.config.resolution, self.config.range_max)
+        self._measurement = PbsMeasurement(self.config, self._feed.put)
         try:
-            self._conversation.probe()
+            self._measurement.probe()
         except DeviceError as error:
             if not self.restarts:
                 raise
             self._feed.device_error = str(error)
 
     def on_activate(self) -> None:
-        """Tell where it sits on the robot; begin to measure."""
+        """Publish its pose on the robot; start measuring."""
         header = Header(stamp=from_ns(self.clock.now()), frame_id="base_link")
         mounted = transform_message(header, self.config.frame_id, self.config.mount.pose)
         self.tf_static.publish(TFMessage(transforms=(mounted,)))
         self._feed.start()
 
     def on_deactivate(self) -> None:
-        """End the link."""
+        """Stop measuring and end the link."""
         self._feed.stop()
 
     def on_error(self, error: Exception) -> bool:  # noqa: ARG002 - whatever it was
-        """Let go of the sensor; the supervisor decides."""
-        if "_feed" in vars(self):  # else it was not even configured
+        """Close the line; the supervisor decides what follows."""
+        if "_feed" in vars(self):  # otherwise it was not even configured
             self._feed.stop()
         return False
 
     def on_parameters(self, new: Config) -> None:  # noqa: ARG002 - none can be changed
-        """The sensor measures as it does."""
-        raise ParameterRejected(f"{self.name} takes its parameters when it is configured")
+        """Refuse all changes."""
+        raise ParameterRejected(
+            f"{self.name}: parameters are fixed while the driver runs; restart it to change them"
+        )
 
     @every(hz=1)
     def report(self) -> None:
-        """Tell how the sensor is."""
+        """Publish the sensor's health."""
         hz = self._feed.hz()
-        level, text = self._judgment(hz)
-        conversation = self._conversation
+        level, text = self._judge(hz)
+        measurement = self._measurement
         values = {
             "port": self.config.port,
             "rate [Hz]": hz,
             "nominal rate [Hz]": self.config.rate,
-            "scans": conversation.scans,
-            "damaged frames": conversation.damaged,
-            "left out": self._feed.dropped,
-            "requests without answer": conversation.missed,
-            "connections": conversation.connections,
+            "scans": measurement.scans,
+            "damaged frames": measurement.damaged,
+            "dropped scans": self._feed.dropped,
+            "requests without reply": measurement.missed,
+            "connections": measurement.connections,
         }
-        told = diagnostics(self.clock.now(), self.name, self.config.port, level, text, values)
-        self.diagnostics.publish(told)
+        message = diagnostics(self.clock.now(), self.name, self.config.port, level, text, values)
+        self.diagnostics.publish(message)
 
-    def _judgment(self, hz: float) -> tuple[int, str]:
-        damaged = self._conversation.damaged - self._damaged_before
+    def _judge(self, hz: float) -> tuple[int, str]:
+        damaged = self._measurement.damaged - self._damaged_before
         self._damaged_before += damaged
         if self._feed.device_error:
             return ERROR, self._feed.device_error
         if damaged:
-            return WARN, f"{damaged} damaged frames: check cable and shielding"
+            return WARN, f"{damaged} damaged frames; check cable and shielding"
         if abs(hz - self.config.rate) > self.config.rate_tolerance * self.config.rate:
-            return WARN, f"{hz:.1f} scans a second, but {self.config.rate:g} are asked for"
-        return OK, f"{hz:.1f} scans a second"
+            return WARN, f"{hz:.1f} scans per second instead of {self.config.rate:g}"
+        return OK, f"{hz:.1f} scans per second"
 
-    def _publish(self, measured: Measured) -> None:
-        age_s = time.monotonic() - measured.began - self.config.time_offset_s
+    def _publish(self, scan: TimedDistances) -> None:
+        age_s = time.monotonic() - scan.began - self.config.time_offset_s
         stamp = self.clock.now() - round(age_s * SECOND)
         header = Header(stamp=from_ns(stamp), frame_id=self.config.frame_id)
-        self.scan.publish(self._shape.scan(measured.distances, header))
+        self.scan.publish(self._messages.scan(scan.distances, header))

@@ -1,44 +1,51 @@
-"""What host and PBS-03JN say to each other: the payloads of frames."""
+"""Scans of a PBS-03JN as messages: ranges [m] of REP 117."""
 
 from __future__ import annotations
+
+import math
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cairn.components.pbs.frames import crc16
+from cairn.components.pbs.protocol import RAYS
+from cairn.schemas.sensor_msgs import LaserScan
+from cairn.schemas.std_msgs import Header
 
-RAYS = 121
-BAUD = 57600
-"""Speed of its line [bit/s]: seven data bits, no parity."""
+RANGE_MIN = 0.2
+"""The least distance that it measures [m]."""
 
-LINK_S = 3.0
-"""The sensor holds the link for so long after it was asked for [s]."""
-
-LINK_CODE = b"\xa0\x69"
-LINK = b"\xa0\x5a"
-DISTANCES = b"\xa2\x69"
-
-_CODE_LENGTH = 8
+TURN_S = 0.1
+"""Time of a turn of its mirror [s]."""
 
 
-def link_request(code: bytes, *, on: bool = True) -> bytes:
-    """Asks for the link, or its end, by the checksum of the link code."""
-    return LINK + bytes([on]) + crc16(code).to_bytes(2, "little")
+@dataclass(frozen=True)
+class PbsMessages:
+    """Makes messages of scans; has the angle between rays [rad] and the farthest range [m]."""
 
+    increment: float
+    range_max: float
 
-def link_code(payload: bytes) -> bytes | None:
-    """The link code, if a payload is one."""
-    is_code = payload[:2] == LINK_CODE and len(payload) == 2 + _CODE_LENGTH
-    return payload[2:] if is_code else None
+    @property
+    def sweep_s(self) -> float:
+        """Time from the first ray to the last [s]."""
+        return TURN_S * (RAYS - 1) * self.increment / (2.0 * math.pi)
 
-
-def linked(payload: bytes) -> bool | None:
-    """Whether the link holds, if a payload says so."""
-    return payload[2] == 1 if payload[:2] == LINK and len(payload) == 3 else None
-
-
-def distances(payload: bytes) -> NDArray[np.int32] | None:
-    """The distances [mm] of all rays, from right to left, if a payload holds them."""
-    if payload[:2] != DISTANCES or len(payload) != 2 + 2 * RAYS:
-        return None
-    return np.frombuffer(payload, "<u2", offset=2).astype(np.int32)
+    def scan(self, distances: NDArray[np.int32], header: Header) -> LaserScan:
+        """Return a scan of distances [mm], where 0 means a failure; the middle ray is ahead."""
+        ranges = (distances / 1000.0).astype(np.float32)
+        ranges[distances < 1000.0 * RANGE_MIN] = -np.inf
+        ranges[distances > 1000.0 * self.range_max] = np.inf
+        ranges[distances == 0] = np.nan
+        half = (RAYS - 1) // 2 * self.increment
+        return LaserScan(
+            header=header,
+            angle_min=-half,
+            angle_max=half,
+            angle_increment=self.increment,
+            time_increment=self.sweep_s / (RAYS - 1),
+            scan_time=TURN_S,
+            range_min=RANGE_MIN,
+            range_max=self.range_max,
+            ranges=ranges,
+        )

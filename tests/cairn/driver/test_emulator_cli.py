@@ -83,7 +83,7 @@ def test_fault_commands_take_effect_while_it_runs(tmp_path: Path) -> None:
         assert emulator.execute("drop 1") == "drop: next frame"
         link.write(b"PP\nVV\n")
         assert read_until(link, b"SERI").startswith(b"VV")
-        assert emulator.execute("trouble 0m 2") == "status 0M in place of 2 of the next scans"
+        assert emulator.execute("scan_status 0m 2") == "status 0M instead of the next 2 scans"
         link.write(b"MD0000108001003\n")
         assert read_until(link, b"MD0000108001000\n99b\n").count(b"\n0Mm\n") == 2
         assert emulator.execute("bad_sum few") == "error: 'few' is not a number of frames"
@@ -131,8 +131,8 @@ def test_port_0_takes_a_free_tcp_port_and_prints_it() -> None:
     [
         ("hokuyo", "one of --pty PATH, --tcp PORT, --serial PORT"),
         ("hokuyo --pty a --tcp 0", "one of --pty PATH, --tcp PORT, --serial PORT"),
-        ("hokuyo --tcp 0 --model URG", "--model URG: it is one of URG-04LX, "),
-        ("hokuyo --tcp 0 --scip1", "--scip1: a UTM-30LX speaks SCIP 2 alone"),
+        ("hokuyo --tcp 0 --model URG", "--model URG: unknown model; give one of URG-04LX, "),
+        ("hokuyo --tcp 0 --scip1", "--scip1: a UTM-30LX has SCIP 2 only"),
         ("hokuyo --tcp 0 --rs232 19200", "--rs232 19200: a UTM-30LX has no RS-232 line"),
         (
             "hokuyo --tcp 0 --record /nowhere/a",

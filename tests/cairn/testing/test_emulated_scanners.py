@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from cairn.components.hokuyo.emulated_scip import EmulatedScip
-from cairn.components.pbs.emulated_pbs import EmulatedPbs
+from cairn.components.hokuyo.emulator import EmulatedScip
+from cairn.components.pbs.emulator import EmulatedPbs
 from cairn.driver.emulator import EmulatedDevice, Emulator
 from cairn.driver.emulator_lines import PtyEnd
 from cairn.testing.bench import Bench, settings

@@ -1,19 +1,22 @@
-"""The driver on a thread of its own, at one end of a line; an emulated sensor at the other."""
+"""The driver and an emulated sensor at the ends of a line; compares published with sent scans."""
 
 from __future__ import annotations
 
+import math
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from cairn import RELIABLE
+import numpy as np
+
+from cairn import RELIABLE, every
 from cairn.bus.lockstep_bus import LockstepBus
 from cairn.components.hokuyo.component import HokuyoScanner
-from cairn.components.hokuyo.emulated_record import SentScan
-from cairn.components.hokuyo.emulated_scip import EmulatedScip
+from cairn.components.hokuyo.emulator import EmulatedScip
+from cairn.components.hokuyo.emulator_sensor import SentScan
 from cairn.driver.emulator import Emulator
 from cairn.driver.emulator_lines import LineEnd, PtyEnd, TcpEnd
 from cairn.schemas.diagnostic_msgs import DiagnosticArray
@@ -22,10 +25,13 @@ from tests.cairn.runtime.running import Threaded
 from tests.patience import LIMIT_S
 
 _ALL = RELIABLE.with_depth(1_000_000)
+_LIMITS = {"URG": (20, 5600), "UTM": (23, 60000), "UST": (20, 30000)}
+_SHORT_MOST = 4094
+_CODES = {1: math.inf, 2: -math.inf}  # of UTM and UST: nothing hit, too near
 
 
-class Heard:
-    """All messages of one topic, as they come."""
+class Received:
+    """Collects all messages of one topic."""
 
     def __init__(self, bus: LockstepBus, topic: str, message: type[Any]) -> None:
         self._messages: list[Any] = []
@@ -42,25 +48,33 @@ class Heard:
         return len(self._messages)
 
     def all(self) -> list[Any]:
-        """Those so far."""
+        """Return the messages so far."""
         with self._changed:
             return list(self._messages)
 
     def wait(self, number: int, after: int = 0) -> list[Any]:
-        """The next so many after the first `after` ones, once they are there."""
+        """Wait for `number` messages after the first `after`; return these."""
         return self.wait_for(lambda messages: len(messages) >= after + number)[
             after : after + number
         ]
 
     def wait_for(self, enough: Callable[[list[Any]], bool], limit_s: float = LIMIT_S) -> list[Any]:
-        """All so far, once that holds."""
+        """Wait until `enough` holds of all messages so far; return them."""
         deadline = time.monotonic() + limit_s
         with self._changed:
             while not enough(self._messages):
                 left_s = deadline - time.monotonic()
-                assert left_s > 0, f"after {limit_s:g} s only {len(self._messages)} have come"
+                assert left_s > 0, f"after {limit_s:g} s only {len(self._messages)} received"
                 self._changed.wait(left_s)
             return list(self._messages)
+
+
+class FrequentReporter(HokuyoScanner):
+    """Reports 20 times per second, so that tests wait less for diagnostics."""
+
+    @every(hz=20)
+    def report(self) -> None:
+        super().report()
 
 
 class Driven:
@@ -78,18 +92,18 @@ class Driven:
         self.device = device
         self.sent = sent
         bus = LockstepBus()
-        self.scans = Heard(bus, "scan", LaserScan)
-        self.multi = Heard(bus, "multi_echo_scan", MultiEchoLaserScan)
-        self.diagnostics = Heard(bus, "diagnostics", DiagnosticArray)
-        self.component = Threaded(HokuyoScanner, bus, parameters=parameters, restarts=restarts)
+        self.scans = Received(bus, "scan", LaserScan)
+        self.multi = Received(bus, "multi_echo_scan", MultiEchoLaserScan)
+        self.diagnostics = Received(bus, "diagnostics", DiagnosticArray)
+        self.component = Threaded(FrequentReporter, bus, parameters=parameters, restarts=restarts)
 
-    def health(self, accept: Callable[[Any], bool]) -> Any:
-        """The first health told from now on that is as wanted."""
-        before = len(self.diagnostics)
-        told = self.diagnostics.wait_for(
-            lambda all_: any(accept(one.status[0]) for one in all_[before:])
+    def health(self, accept: Callable[[Any], bool], after: int | None = None) -> Any:
+        """Wait for diagnostics, by default new ones, that `accept` holds of; return the status."""
+        start = len(self.diagnostics) if after is None else after
+        messages = self.diagnostics.wait_for(
+            lambda all_: any(accept(one.status[0]) for one in all_[start:])
         )
-        return next(one.status[0] for one in told[before:] if accept(one.status[0]))
+        return next(one.status[0] for one in messages[start:] if accept(one.status[0]))
 
 
 @contextmanager
@@ -104,7 +118,7 @@ def driven(
     activate: bool = True,
     **parameters: Any,
 ) -> Iterator[Driven]:
-    """A sensor of the model, driven: on a pseudo-terminal in the folder, by TCP, or on a cable.
+    """Run the driver with a sensor of the model: on a pseudo-terminal, over TCP, or on a cable.
 
     A cable is the device's end of it, and the port that the driver opens.
     """
@@ -124,3 +138,58 @@ def driven(
             yield both
         finally:
             both.component.close()
+
+
+def assert_were_sent(
+    scans: Sequence[Any],
+    sent: Sequence[SentScan],
+    model: str,
+    *,
+    echo: str = "first",
+    short: bool = False,
+) -> list[SentScan]:
+    """Check that every scan equals, value by value, one that was sent, in this order; return these.
+
+    A busy computer may drop some.
+    """
+    left = iter(sent)
+    found = []
+    for number, scan in enumerate(scans):
+        for one in left:
+            if _equal(scan, one, model, echo, short=short):
+                found.append(one)
+                break
+        else:
+            raise AssertionError(f"scan {number} was not sent, or not in this order")
+    return found
+
+
+def _equal(scan: Any, sent: SentScan, model: str, echo: str, *, short: bool) -> bool:
+    rows = np.arange(len(sent.distances))
+    column = np.zeros(len(rows), np.intp)
+    if echo == "strongest" and sent.intensities is not None:
+        column = np.argmax(sent.intensities, axis=1)
+    expected = ranges(sent.distances[rows, column], model, short=short)
+    if len(expected) != scan.ranges.size or not np.allclose(
+        scan.ranges, expected, rtol=0, atol=1e-5, equal_nan=True
+    ):
+        return False
+    if sent.intensities is None:
+        return bool(scan.intensities.size == 0)
+    return np.array_equal(scan.intensities, sent.intensities[rows, column])
+
+
+def ranges(values: Any, model: str, *, short: bool = False) -> list[float]:
+    """Return ranges [m] of REP 117 for values as they were sent [mm or code]."""
+    least, most = _LIMITS[model[:3]]
+    most = min(most, _SHORT_MOST) if short else most
+    codes = {} if model.startswith("URG") else _CODES
+    found = []
+    for value in values.tolist():
+        if value > most:
+            found.append(math.inf)
+        elif value < least:
+            found.append(codes.get(value, math.nan))
+        else:
+            found.append(value / 1000)
+    return found

@@ -1,4 +1,4 @@
-"""The driver publishes just what the sensor sent, in every mode, over serial lines and TCP."""
+"""The driver publishes exactly what the sensor sent, in every mode, over serial lines and TCP."""
 
 from __future__ import annotations
 
@@ -17,8 +17,7 @@ from cairn.driver.emulator_lines import PtyEnd
 from cairn.driver.errors import DeviceError
 from cairn.driver.link import SerialLink
 from tests.cairn.driver.parrot import Parrot
-from tests.components.hokuyo.comparing import assert_were_sent, ranges
-from tests.components.hokuyo.driving import Driven, Heard, driven
+from tests.components.hokuyo.driving import Driven, Received, assert_were_sent, driven, ranges
 from tests.patience import LIMIT_S
 
 SCANS = 8
@@ -64,7 +63,7 @@ def test_every_scan_is_equal_to_what_was_sent(
             assert echoes.echoes.tolist() == pytest.approx(wanted, abs=1e-5, nan_ok=True)
         assert len(scan.intensities) == (len(told) if parameters.get("intensity") else 0)
     if not emulated.get("knows_scip2", True):
-        return  # it has no clock, and tells its last scan whenever it is asked
+        return  # it has no clock, and sends its last scan whenever it is asked
     stamps = [_seconds(scan) for scan in scans]
     turns = np.diff([one.turn for one in sent])
     off = np.abs(np.diff(stamps) - turns * _turn_s(model))
@@ -79,7 +78,7 @@ def _seconds(scan: Any) -> float:
     return float(scan.header.stamp.sec + scan.header.stamp.nanosec * 1e-9)
 
 
-def test_rates_angles_and_who_it_is_are_told(tmp_path: Path) -> None:
+def test_angles_and_diagnostics_describe_the_sensor(tmp_path: Path) -> None:
     with driven(tmp_path, UTM, mount={"x": 0.2}, frame_id="front_laser") as it:
         scan = it.scans.wait(3)[0]
         told = it.health(lambda status: True)
@@ -95,7 +94,7 @@ def test_rates_angles_and_who_it_is_are_told(tmp_path: Path) -> None:
     assert values["STAT at start"] == "Sensor works well."
 
 
-def test_it_is_silent_and_dark_unless_it_is_active(tmp_path: Path) -> None:
+def test_the_laser_is_on_only_while_the_driver_is_active(tmp_path: Path) -> None:
     with driven(tmp_path, activate=False) as it:
         it.component.ask("configure")
         assert not it.sent
@@ -128,7 +127,7 @@ def test_parameters_change_while_it_runs_or_are_refused(tmp_path: Path) -> None:
         it.scans.wait_for(lambda scans: scans[-1].ranges.size == 109)
         changed = it.scans.all()[-1]
         for change, reason in (
-            ({"port": "/dev/elsewhere"}, "port when it is configured"),
+            ({"port": "/dev/elsewhere"}, "port is fixed while"),
             ({"angle_min": 2.4, "angle_max": 2.5}, "no two rays of a UTM-30LX"),
             ({"cluster": 0}, "cluster = 0 refused"),
             ({"angle_min": 3.0, "angle_max": 2.0}, "angle_min must be less"),
@@ -142,7 +141,7 @@ def test_parameters_change_while_it_runs_or_are_refused(tmp_path: Path) -> None:
     assert size == 109
 
 
-def test_what_a_sensor_does_not_have_is_left_out_and_told(tmp_path: Path) -> None:
+def test_options_that_a_sensor_lacks_are_dropped_and_reported(tmp_path: Path) -> None:
     with driven(tmp_path, "URG-04LX-UG01", intensity=True, multi_echo=True) as it:
         scan = it.scans.wait(1)[0]
         told = it.health(lambda status: True)
@@ -154,13 +153,13 @@ def test_what_a_sensor_does_not_have_is_left_out_and_told(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("baud", [19200, 500000])
-def test_the_speed_of_its_line_is_found_and_changed(tmp_path: Path, baud: int) -> None:
+def test_the_line_speed_is_found_and_changed(tmp_path: Path, baud: int) -> None:
     with driven(tmp_path, URG, emulated={"rs232_baud": baud}, baud=115200, cluster=9) as it:
         it.scans.wait(2)
         assert it.device.baud() == 115200
 
 
-def test_a_sensor_that_a_crashed_program_left_streaming_is_taken_over(tmp_path: Path) -> None:
+def test_a_sensor_left_streaming_by_a_crashed_program_is_taken_over(tmp_path: Path) -> None:
     with driven(tmp_path, UTM, activate=False) as it:
         crashed = SerialLink(str(tmp_path / "scanner"), 115200)
         crashed.write(b"ME0000108001000\n")
@@ -173,7 +172,7 @@ def test_a_sensor_that_a_crashed_program_left_streaming_is_taken_over(tmp_path: 
     assert it.scans.all()[0].intensities.size == 0
 
 
-def test_nothing_there_is_an_error_that_names_it(tmp_path: Path) -> None:
+def test_a_missing_sensor_is_an_error_with_its_address(tmp_path: Path) -> None:
     with driven(tmp_path, activate=False) as it:
         it.emulator.unplug()
         with pytest.raises(CairnError, match=r"scanner cannot be opened: No such file"):
@@ -184,42 +183,42 @@ def test_nothing_there_is_an_error_that_names_it(tmp_path: Path) -> None:
             it.component.ask("configure")
 
 
-def test_another_device_is_an_error_that_says_so(tmp_path: Path) -> None:
+def test_a_silent_device_is_an_error(tmp_path: Path) -> None:
     with driven(tmp_path, activate=False, tcp=True) as it:
         it.emulator.hang()
-        with pytest.raises(CairnError, match="nothing answers as a SCIP sensor"):
+        with pytest.raises(CairnError, match="nothing replies as a SCIP sensor"):
             it.component.ask("configure")
 
 
-def test_what_another_device_says_is_told(tmp_path: Path) -> None:
+def test_bytes_of_another_device_are_in_the_error(tmp_path: Path) -> None:
     config = HokuyoConfig(port=str(tmp_path / "parrot"))
     with (
         Emulator(Parrot(), PtyEnd(tmp_path / "parrot")),
-        pytest.raises(DeviceError, match=r"parrot: nothing .* what comes is no SCIP: b'.*QT"),
+        pytest.raises(DeviceError, match=r"parrot: nothing .* .* is not SCIP: b'.*QT"),
     ):
-        connect(config, speeds=(115200,))
+        connect(config, bauds=(115200,))
 
 
-def test_a_line_so_slow_that_a_scan_takes_longer_than_silence_is_borne(tmp_path: Path) -> None:
+def test_a_slow_line_is_not_mistaken_for_silence(tmp_path: Path) -> None:
     slow: dict[str, Any] = {"emulated": {"rs232_baud": 19200}, "line": {"paced": True}}
-    with driven(tmp_path, URG, baud=19200, **slow) as it:
-        it.scans.wait(1)  # 1.1 s
+    with driven(tmp_path, URG, baud=19200, cluster=4, silence_s=0.05, **slow) as it:
+        it.scans.wait(2)  # each takes 0.28 s on the line
         health = it.health(lambda status: True)
 
-    told = {value.key: value.value for value in health.values}
-    assert told["begun anew after silence"] == "0"
+    values = {value.key: value.value for value in health.values}
+    assert values["restarts after silence"] == "0"
 
 
-def test_angles_that_leave_nothing_are_an_error_when_it_is_configured(tmp_path: Path) -> None:
+def test_angles_without_rays_are_an_error_at_configuration(tmp_path: Path) -> None:
     with (
         driven(tmp_path, activate=False, angle_min=2.4, angle_max=2.5) as it,
-        pytest.raises(CairnError, match=r"sees from -2.356 to 2.356 rad"),
+        pytest.raises(CairnError, match=r"measures from -2.356 to 2.356 rad"),
     ):
         it.component.ask("configure")
 
 
-def test_heard_tells_what_is_missing(tmp_path: Path) -> None:
+def test_waiting_for_messages_has_a_limit(tmp_path: Path) -> None:
     with driven(tmp_path, activate=False) as it:
-        assert isinstance(it.scans, Heard)
-        with pytest.raises(AssertionError, match="only 0 have come"):
+        assert isinstance(it.scans, Received)
+        with pytest.raises(AssertionError, match="only 0 received"):
             it.scans.wait_for(lambda scans: bool(scans), limit_s=0.01)

@@ -1,4 +1,4 @@
-"""Sensors that know no more of SCIP than they must are driven as well."""
+"""Sensors with only the necessary commands of SCIP are driven as well."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cairn.components.hokuyo.scip_text import encode_number, with_sum
+from cairn.components.hokuyo.protocol import encode_number, with_sum
 from cairn.driver.emulator import Emulator
 from cairn.driver.emulator_lines import PtyEnd
 from tests.components.hokuyo.driving import Driven
@@ -19,7 +19,7 @@ _PP = ("MODL:PLAIN-1", *_LIMITS, *_STEPS, "EXTRA:new")
 
 
 class PlainSensor:
-    """Answers QT, PP and MD; all else not at all. Its clock stands still."""
+    """Answers QT, PP and MD, and no other command. Its clock stands still."""
 
     def __init__(self, *, wants_laser: bool) -> None:
         self._wants_laser = wants_laser
@@ -63,17 +63,17 @@ class PlainSensor:
         return [b"\n".join([self._echo, b"99b", with_sum(b"0000"), *lines, b"", b""])]
 
     def disconnected(self, now: float) -> None:
-        """It does not notice."""
+        """Ignore it."""
 
     def powered_on(self, now: float) -> None:
-        """It is as it was."""
+        """Keep its state."""
 
     def baud(self) -> int | None:
         return None
 
 
 @pytest.mark.parametrize("wants_laser", [False, True])
-def test_a_sensor_that_knows_little(tmp_path: Path, wants_laser: bool) -> None:
+def test_a_sensor_with_the_necessary_commands_only(tmp_path: Path, wants_laser: bool) -> None:
     port = tmp_path / "scanner"
     with Emulator(PlainSensor(wants_laser=wants_laser), PtyEnd(port)) as emulator:
         it = Driven(emulator, None, [], port=str(port))

@@ -1,4 +1,4 @@
-"""`cairn driver probe hokuyo` finds a scanner out, and draws what it measures."""
+"""`cairn driver probe hokuyo` identifies a scanner, and draws what it measures."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from serial.tools import list_ports
 
-from cairn.components.hokuyo.emulated_scip import EmulatedScip
-from cairn.components.hokuyo.scan_picture import drawn
+from cairn.components.hokuyo.emulator import EmulatedScip
+from cairn.components.hokuyo.probe_cli import draw_scan
 from cairn.driver.emulator import Emulator
 from cairn.driver.emulator_lines import PtyEnd, TcpEnd
 from cairn.schemas.sensor_msgs import LaserScan
@@ -25,15 +25,15 @@ def port(tmp_path: Path) -> Iterator[str]:
         yield str(tmp_path / "scanner")
 
 
-def test_who_it_is_and_how_often_it_measures(port: str) -> None:
+def test_model_and_rate_are_printed(port: str) -> None:
     answer = cairn("driver", "probe", "hokuyo", port, "--seconds", "0.5")
 
     assert answer.code == 0, answer.err
     assert "UST-20LX" in answer.out
-    assert "40.00 should come" in answer.out
+    assert "nominal: 40.00" in answer.out
 
 
-def test_the_same_for_programs_and_over_tcp() -> None:
+def test_json_output_over_tcp() -> None:
     end = TcpEnd(0)
     with Emulator(EmulatedScip("UTM-30LX-EW"), end):
         where = f"tcp:127.0.0.1:{end.port}"
@@ -53,17 +53,17 @@ def test_the_same_for_programs_and_over_tcp() -> None:
         (["usb:15d1:0042"], "usb:15d1:0042: no such device is plugged in"),
     ],
 )
-def test_what_cannot_be_is_said_in_a_sentence(words: list[str], message: str) -> None:
+def test_errors_name_the_device_or_value(words: list[str], message: str) -> None:
     answer = cairn("driver", "probe", "hokuyo", *words)
 
     assert answer.code == 1
     assert message in answer.err
 
 
-def test_without_a_port_it_lists_them(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_port_it_lists_the_serial_ports(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(list_ports, "comports", list)
 
-    assert "no serial port is there" in cairn("driver", "probe", "hokuyo").out
+    assert "no serial port found" in cairn("driver", "probe", "hokuyo").out
 
 
 def scan_of(ranges: Any, first: float, step: float) -> LaserScan:
@@ -74,11 +74,11 @@ def scan_of(ranges: Any, first: float, step: float) -> LaserScan:
     )
 
 
-def test_the_picture_has_ahead_up_and_left_on_the_left() -> None:
+def test_the_picture_shows_ahead_up_and_left_on_the_left() -> None:
     # Ahead 2 m, left 4 m, behind nothing, right 1 m.
     scan = scan_of([1.0, 2.0, 4.0, math.inf], -0.5 * math.pi, 0.5 * math.pi)
 
-    picture, reach = drawn(scan, (21, 11), 4.0)
+    picture, reach = draw_scan(scan, (21, 11), 4.0)
 
     lines = picture.split("\n")
     assert reach == 4.0
@@ -95,9 +95,9 @@ def test_the_picture_has_ahead_up_and_left_on_the_left() -> None:
     assert any(row in (5, 6) and 12 <= column <= 13 for row, column in dots)  # right
 
 
-def test_the_reach_is_that_of_nearly_all_that_was_hit() -> None:
+def test_the_picture_reaches_nearly_all_ranges() -> None:
     scan = scan_of([2.0] * 99 + [9.0], 0.0, 0.01)
     nothing = scan_of([math.inf] * 10, 0.0, 0.01)
 
-    assert drawn(scan, (40, 20))[1] == pytest.approx(2.1, abs=0.02)
-    assert drawn(nothing, (40, 20))[1] == 10.0
+    assert draw_scan(scan, (40, 20))[1] == pytest.approx(2.1, abs=0.02)
+    assert draw_scan(nothing, (40, 20))[1] == 10.0

@@ -10,8 +10,7 @@ import pytest
 
 from cairn.driver.diagnostics import ERROR, OK
 from cairn.driver.emulator_lines import SerialEnd
-from tests.components.hokuyo.comparing import assert_were_sent
-from tests.components.hokuyo.driving import Driven, driven
+from tests.components.hokuyo.driving import Driven, assert_were_sent, driven
 from tests.hardware.guest.cables import Cable
 
 _SPEED = 115200
@@ -20,7 +19,7 @@ _SCANS = 8
 
 @contextmanager
 def scanner(cable: Cable, model: str, **parameters: Any) -> Iterator[Driven]:
-    """A sensor of the model at the far end of the cable, driven under its stable name."""
+    """Run the driver on the stable name of a cable, with a sensor at its far end."""
     end = SerialEnd(str(cable.far_end), _SPEED)
     name = str(cable.stable)
     parameters = {"silence_s": 2.0} | parameters
@@ -31,7 +30,7 @@ def scanner(cable: Cable, model: str, **parameters: Any) -> Iterator[Driven]:
 @pytest.mark.parametrize(
     ("line", "model", "parameters"),
     [
-        # Emulated processors are slow: of 40 scans a second they follow a few.
+        # Emulated processors are slow: they follow only a few of 40 scans per second.
         ("acm", "UTM-30LX", {"skip": 9}),
         ("acm", "UTM-30LX", {"skip": 9, "intensity": True, "cluster": 2}),
         ("acm", "URG-04LX", {"skip": 1, "short_distances": True}),
@@ -50,14 +49,14 @@ def test_every_scan_is_equal_to_what_was_sent(
 
 
 @pytest.mark.parametrize("line", ["acm", "ftdi"])
-def test_unplugged_and_plugged_in_again(
+def test_scans_resume_after_unplugging(
     request: pytest.FixtureRequest, line: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     cable: Cable = request.getfixturevalue(line)
     with scanner(cable, "URG-04LX", cluster=3, skip=1) as it:
         it.scans.wait(3)
         cable.unplug()
-        trouble = it.health(lambda status: status.level == ERROR)
+        report = it.health(lambda status: status.level == ERROR)
         it.emulator.unplug()
         before = len(it.scans)
         cable.plug_in()
@@ -69,10 +68,10 @@ def test_unplugged_and_plugged_in_again(
 
     with capsys.disabled():
         print(f" publishing {took_s:.2f} s after {cable.port} was back ", end="")
-    assert str(cable.stable) in trouble.message
+    assert str(cable.stable) in report.message
 
 
-def test_a_scanner_that_comes_back_under_another_name_is_found(acm: Cable) -> None:
+def test_a_scanner_that_returns_under_another_name_is_found(acm: Cable) -> None:
     end = SerialEnd(str(acm.far_end), _SPEED)
     name = "usb:15d1:0000:H0000001"
     with driven(Path("/nowhere"), "URG-04LX", cable=(end, name), skip=1, silence_s=2.0) as it:

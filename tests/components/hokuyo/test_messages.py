@@ -1,4 +1,4 @@
-"""What a sensor measured becomes ranges in meters at angles to the left, as REP 117 has them."""
+"""Scans become messages: ranges [m] of REP 117 at angles [rad] to the left."""
 
 from __future__ import annotations
 
@@ -8,13 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cairn.components.hokuyo.device_facts import URG_04LX, Measuring
-from cairn.components.hokuyo.requests import ScanRequest
-from cairn.components.hokuyo.scan_data import ScanData
-from cairn.components.hokuyo.scan_message import ScanShape
+from cairn.components.hokuyo.messages import ScanMessages
+from cairn.components.hokuyo.protocol import URG_04LX, ScanData, ScanRequest, SensorSpec
 from cairn.schemas.std_msgs import Header
 
-UTM = Measuring("UTM-30LX(Hokuyo)", 23, 60000, 1440, 0, 1080, 540, 2400)
+UTM = SensorSpec("UTM-30LX(Hokuyo)", 23, 60000, 1440, 0, 1080, 540, 2400)
 HEADER = Header(frame_id="laser")
 
 
@@ -24,9 +22,9 @@ def data_of(*values: int) -> ScanData:
 
 def test_angles_and_times_of_a_whole_scan() -> None:
     request = ScanRequest(44, 725)
-    shape = ScanShape(URG_04LX, request)
+    messages = ScanMessages(URG_04LX, request)
 
-    scan = shape.scan(data_of(*[1000] * 682), HEADER, "first")
+    scan = messages.scan(data_of(*[1000] * 682), HEADER, "first")
 
     assert scan.angle_min == pytest.approx(-2 * math.pi * 340 / 1024)
     assert scan.angle_max == pytest.approx(2 * math.pi * 341 / 1024)
@@ -37,23 +35,23 @@ def test_angles_and_times_of_a_whole_scan() -> None:
     assert set(scan.ranges.tolist()) == {1.0}
 
 
-def test_clusters_and_scans_left_out() -> None:
+def test_clusters_and_skipped_scans() -> None:
     request = ScanRequest(0, 1080, cluster=3, skip=3)
-    shape = ScanShape(UTM, request)
+    messages = ScanMessages(UTM, request)
 
-    scan = shape.scan(data_of(*[1000] * 361), HEADER, "first")
+    scan = messages.scan(data_of(*[1000] * 361), HEADER, "first")
 
     assert scan.angle_increment == pytest.approx(3 * math.radians(0.25))
     assert scan.time_increment == pytest.approx(3 * 0.025 / 1440)
     assert scan.scan_time == pytest.approx(0.1)
 
 
-def test_codes_are_no_ranges() -> None:
-    shape = ScanShape(UTM, ScanRequest(0, 7))
-    urg = replace(shape, measuring=URG_04LX)
+def test_codes_become_inf_or_nan() -> None:
+    messages = ScanMessages(UTM, ScanRequest(0, 7))
+    urg = replace(messages, spec=URG_04LX)
     values = data_of(1, 2, 3, 22, 23, 60000, 60001, 65533)
 
-    ours = shape.scan(values, HEADER, "first").ranges
+    ours = messages.scan(values, HEADER, "first").ranges
     others = urg.scan(values, HEADER, "first").ranges
 
     nan = math.nan
@@ -64,23 +62,23 @@ def test_codes_are_no_ranges() -> None:
     )
 
 
-def test_a_nearer_limit() -> None:
-    shape = ScanShape(UTM, ScanRequest(0, 1), range_max=30.0)
+def test_range_max_shortens_the_range() -> None:
+    messages = ScanMessages(UTM, ScanRequest(0, 1), range_max=30.0)
 
-    scan = shape.scan(data_of(30000, 30001), HEADER, "first")
+    scan = messages.scan(data_of(30000, 30001), HEADER, "first")
 
     assert scan.ranges.tolist() == [30.0, math.inf]
     assert scan.range_max == 30.0
 
 
-def test_one_of_several_echoes() -> None:
+def test_the_chosen_echo_is_the_range() -> None:
     distances = np.array([[1000, 2000, 3000], [500, -1, -1], [700, 800, -1]], np.int32)
     strengths = np.array([[5, 9, 2], [1, -1, -1], [8, 3, -1]], np.int32)
     data = ScanData(0, distances, strengths)
-    shape = ScanShape(UTM, ScanRequest(0, 2, multi_echo=True, intensity=True))
+    messages = ScanMessages(UTM, ScanRequest(0, 2, multi_echo=True, intensity=True))
 
     first, last, strongest = (
-        shape.scan(data, HEADER, echo) for echo in ("first", "last", "strongest")
+        messages.scan(data, HEADER, echo) for echo in ("first", "last", "strongest")
     )
 
     assert first.ranges.tolist() == pytest.approx([1.0, 0.5, 0.7])
@@ -89,12 +87,12 @@ def test_one_of_several_echoes() -> None:
     assert strongest.intensities.tolist() == [9, 1, 8]
 
 
-def test_all_echoes() -> None:
+def test_all_echoes_are_in_multi_echo_scans() -> None:
     distances = np.array([[1000, 2000, 1], [500, -1, -1]], np.int32)
     data = ScanData(0, distances, distances // 100)
-    shape = ScanShape(UTM, ScanRequest(0, 1, multi_echo=True, intensity=True))
+    messages = ScanMessages(UTM, ScanRequest(0, 1, multi_echo=True, intensity=True))
 
-    scan = shape.multi_echo_scan(data, HEADER)
+    scan = messages.multi_echo_scan(data, HEADER)
 
     assert [echo.echoes.tolist() for echo in scan.ranges] == [[1.0, 2.0, math.inf], [0.5]]
     assert [echo.echoes.tolist() for echo in scan.intensities] == [[10.0, 20.0, 0.0], [5.0]]

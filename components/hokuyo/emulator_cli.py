@@ -1,4 +1,4 @@
-"""`cairn emulate hokuyo`: a scanner in software that speaks SCIP."""
+"""`cairn emulate hokuyo`: an emulated scanner that speaks SCIP."""
 
 from __future__ import annotations
 
@@ -8,9 +8,8 @@ from typing import Annotated
 import typer
 
 from cairn import CairnError
-from cairn.components.hokuyo.emulated_commands import BAUDS
-from cairn.components.hokuyo.emulated_models import MODELS
-from cairn.components.hokuyo.emulated_scip import EmulatedScip
+from cairn.components.hokuyo.emulator import RS232_BAUDS, EmulatedScip
+from cairn.components.hokuyo.emulator_models import MODELS
 from cairn.driver.emulator_cli import (
     FaultCommand,
     Faults,
@@ -34,14 +33,14 @@ def hokuyo(
     serial: Serial = None,
     record: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Write each scan that is sent, a line of JSON each."),
+        typer.Option(metavar="FILE", help="Write each scan as it is sent, one line of JSON each."),
     ] = None,
     rs232: Annotated[
         int | None,
-        typer.Option(metavar="BAUD", help="Its RS-232 line, of this speed after power-on [bit/s]."),
+        typer.Option(metavar="BAUD", help="Use RS-232, at this speed after power-on [bit/s]."),
     ] = None,
     scip1: Annotated[
-        bool, typer.Option("--scip1", help="Speak SCIP 1.1 after power-on: URG-04LX alone.")
+        bool, typer.Option("--scip1", help="Use SCIP 1.1 after power-on; URG-04LX only.")
     ] = False,
     clock_start: Annotated[
         int,
@@ -54,25 +53,25 @@ def hokuyo(
         bool,
         typer.Option("--odd-sums", help="Leave `<-...` out of II's sums, as some UTM-30LX do."),
     ] = False,
-    serial_number: Annotated[str, typer.Option(help="What it tells as its own.")] = "H0614967",
+    serial_number: Annotated[str, typer.Option(help="Its serial number.")] = "H0614967",
     faults: Faults = "",
     seed: Seed = 0,
     paced: Paced = False,
 ) -> None:
-    """Emulate a range scanner that speaks SCIP (URG, UHG, UTM, UST), in a room with a walker.
+    """Emulate a range scanner that speaks SCIP (URG, UHG, UTM, UST), in a room.
 
     For example: cairn emulate hokuyo --model UTM-30LX --pty /tmp/scanner
     """
     if model not in MODELS:
-        raise CairnError(f"--model {model}: it is one of {', '.join(MODELS)}")
+        raise CairnError(f"--model {model}: unknown model; give one of {', '.join(MODELS)}")
     known = MODELS[model]
     if scip1 and not known.speaks_scip1:
-        raise CairnError(f"--scip1: a {model} speaks SCIP 2 alone")
-    if rs232 is not None and (rs232 not in BAUDS or not known.has_rs232):
+        raise CairnError(f"--scip1: a {model} has SCIP 2 only; leave this out")
+    if rs232 is not None and (rs232 not in RS232_BAUDS or not known.has_rs232):
         raise CairnError(
-            f"--rs232 {rs232}: a {model} has no RS-232 line"
+            f"--rs232 {rs232}: a {model} has no RS-232 line; leave --rs232 out"
             if not known.has_rs232
-            else f"--rs232 {rs232}: it is one of {', '.join(map(str, BAUDS))}"
+            else f"--rs232 {rs232}: unknown speed; give one of {', '.join(map(str, RS232_BAUDS))}"
         )
     with recording(record) as write:
         device = EmulatedScip(
@@ -87,11 +86,11 @@ def hokuyo(
             on_scan=None if record is None else lambda scan: write(scan.line()),
         )
         commands = {
-            "trouble": FaultCommand(
+            "scan_status": FaultCommand(
                 "STATUS [SCANS]",
-                "the next scans come as this status: 0M unstable, 21 to 49 stopped, 98 resumed, "
-                "50 to 97 broken",
-                lambda words: _trouble(device, words),
+                "send this status instead of the next scans: 0M unstable, 21 to 49 stopped, 98 "
+                "resumed, 50 to 97 defect",
+                lambda words: _send_status(device, words),
             )
         }
         emulate(
@@ -105,10 +104,10 @@ def hokuyo(
         )
 
 
-def _trouble(device: EmulatedScip, words: list[str]) -> str:
+def _send_status(device: EmulatedScip, words: list[str]) -> str:
     status, *rest = words or [""]
     count = rest[0] if rest else "1"
     if len(status) != 2 or not (status.isascii() and status.isalnum() and count.isdigit()):
-        raise CairnError("write trouble STATUS [SCANS] with a status of two characters")
-    device.trouble(status.upper(), int(count))
-    return f"status {status.upper()} in place of {count} of the next scans"
+        raise CairnError("write scan_status STATUS [SCANS] with a status of two characters")
+    device.send_status(status.upper(), int(count))
+    return f"status {status.upper()} instead of the next {count} scans"

@@ -1,4 +1,4 @@
-"""`cairn emulate pbs-03jn`: an obstacle scanner in software."""
+"""`cairn emulate pbs-03jn`: an emulated obstacle scanner."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from cairn.components.pbs.emulated_pbs import EmulatedPbs
+from cairn.components.pbs.emulator import EmulatedPbs
 from cairn.driver.emulator_cli import (
     Faults,
     LineOptions,
@@ -27,16 +27,16 @@ def pbs_03jn(
     serial: Serial = None,
     record: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Write each scan that is sent, a line of JSON each."),
+        typer.Option(metavar="FILE", help="Write each scan as it is sent, one line of JSON each."),
     ] = None,
     low_speed: Annotated[
-        bool, typer.Option("--low-speed", help="Turn in 110 ms rather than 100 ms.")
+        bool, typer.Option("--low-speed", help="Turn in 110 ms instead of 100 ms.")
     ] = False,
     faults: Faults = "",
     seed: Seed = 0,
     paced: Paced = False,
 ) -> None:
-    """Emulate a PBS-03JN, which tells 121 distances to whoever holds a link with it.
+    """Emulate a PBS-03JN, which sends 121 distances over a link.
 
     For example: cairn emulate pbs-03jn --pty /tmp/scanner
     """

@@ -1,4 +1,4 @@
-"""Messages made of what a SCIP sensor has measured."""
+"""Scans of a SCIP sensor as messages: ranges [m] of REP 117, angles [rad], echoes."""
 
 from __future__ import annotations
 
@@ -9,16 +9,14 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from cairn.components.hokuyo.device_facts import Measuring
-from cairn.components.hokuyo.requests import ScanRequest
-from cairn.components.hokuyo.scan_data import NO_ECHO, ScanData
+from cairn.components.hokuyo.protocol import NO_ECHO, ScanData, ScanRequest, SensorSpec
 from cairn.schemas.sensor_msgs import LaserEcho, LaserScan, MultiEchoLaserScan
 from cairn.schemas.std_msgs import Header
 
 Echo = Literal["first", "last", "strongest"]
 
-# Values below the least distance are codes. What these mean is published for few models; of the
-# others all are NaN: not known. UTM-30LX, UST: communication protocol specifications.
+# Values below the least distance are codes. Their meaning is published for few models; those of
+# other models become NaN: not known. UTM-30LX, UST: communication protocol specifications.
 _NOTHING_HIT, _TOO_NEAR = {1: math.inf}, {2: -math.inf}
 _CODES: dict[str, dict[int, float]] = {
     "UTM": _NOTHING_HIT | _TOO_NEAR,
@@ -26,25 +24,25 @@ _CODES: dict[str, dict[int, float]] = {
 }
 
 
-# Two characters go up to 4095, which stands for all that is farther as well.
+# Two characters go up to 4095, which also stands for everything farther.
 _SHORT, _SHORT_MOST_MM = 2, 4094
 
 
 @dataclass(frozen=True)
-class ScanShape:
-    """What all scans of a request have in common."""
+class ScanMessages:
+    """Makes the messages of all scans of one request."""
 
-    measuring: Measuring
+    spec: SensorSpec
     request: ScanRequest
     range_max: float | None = None
-    """Ranges beyond it count as nothing hit [m]; none: what the sensor says that it measures."""
+    """Ranges beyond it count as nothing hit [m]; None: the limit that the sensor reports."""
 
     def angle(self, step: int) -> float:
-        """The direction of a step [rad], to the left of ahead."""
-        return 2.0 * math.pi * (step - self.measuring.front) / self.measuring.turn_steps
+        """Return the direction of a step [rad], to the left of ahead."""
+        return 2.0 * math.pi * (step - self.spec.front) / self.spec.turn_steps
 
     def scan(self, data: ScanData, header: Header, echo: Echo) -> LaserScan:
-        """One range for each direction: of several echoes the one that is asked for."""
+        """Return one range per direction; of several echoes the chosen one."""
         distances, intensities = _one_echo(data, echo)
         return LaserScan(
             header=header,
@@ -54,51 +52,51 @@ class ScanShape:
         )
 
     def multi_echo_scan(self, data: ScanData, header: Header) -> MultiEchoLaserScan:
-        """All echoes of each direction, the nearest first."""
-        there = data.distances != NO_ECHO
+        """Return all echoes of each direction, the nearest first."""
+        is_echo = data.distances != NO_ECHO
         ranges = self._ranges(data.distances)
-        intensities = () if data.intensities is None else _echoes(data.intensities, there)
+        intensities = () if data.intensities is None else _echoes(data.intensities, is_echo)
         return MultiEchoLaserScan(
             header=header,
-            ranges=_echoes(ranges, there),
+            ranges=_echoes(ranges, is_echo),
             intensities=intensities,
             **self._limits(),
         )
 
     def _limits(self) -> dict[str, float]:
-        measuring, request = self.measuring, self.request
-        step = 2.0 * math.pi / measuring.turn_steps
+        spec, request = self.spec, self.request
+        step = 2.0 * math.pi / spec.turn_steps
         first = self.angle(request.first)
         increment = request.cluster * step
         return {
             "angle_min": first,
             "angle_max": first + (request.values - 1) * increment,
             "angle_increment": increment,
-            "time_increment": request.cluster * measuring.turn_s / measuring.turn_steps,
-            "scan_time": measuring.turn_s * (request.skip + 1),
-            "range_min": measuring.least_mm / 1000.0,
+            "time_increment": request.cluster * spec.turn_s / spec.turn_steps,
+            "scan_time": spec.turn_s * (request.skip + 1),
+            "range_min": spec.least_mm / 1000.0,
             "range_max": self._most_mm / 1000.0,
         }
 
     @property
     def _most_mm(self) -> float:
-        most = self.measuring.most_mm
+        most = self.spec.most_mm
         if self.request.encoding == _SHORT:
             most = min(most, _SHORT_MOST_MM)
         return most if self.range_max is None else min(most, self.range_max * 1000.0)
 
     def _ranges(self, distances: NDArray[np.int32]) -> NDArray[np.float32]:
-        """Distances [mm] and codes as ranges [m] of REP 117."""
+        """Convert distances [mm] and codes to ranges [m] of REP 117."""
         ranges = (distances / 1000.0).astype(np.float32)
         ranges[distances > self._most_mm] = np.inf
-        failed = distances < self.measuring.least_mm
+        failed = distances < self.spec.least_mm
         if failed.any():
-            known = _CODES.get(self.measuring.model[:3], {})
+            known = _CODES.get(self.spec.model[:3], {})
             codes = distances[failed]
-            told = np.full(codes.shape, np.nan, np.float32)
+            meaning = np.full(codes.shape, np.nan, np.float32)
             for code, value in known.items():
-                told[codes == code] = value
-            ranges[failed] = told
+                meaning[codes == code] = value
+            ranges[failed] = meaning
         return ranges
 
 
@@ -119,11 +117,11 @@ def _plain(intensities: NDArray[np.int32] | None) -> NDArray[np.float32]:
     return np.empty(0, np.float32) if intensities is None else intensities.astype(np.float32)
 
 
-def _echoes(values: NDArray[np.generic], there: NDArray[np.bool_]) -> tuple[LaserEcho, ...]:
+def _echoes(values: NDArray[np.generic], is_echo: NDArray[np.bool_]) -> tuple[LaserEcho, ...]:
     # Parts of one read-only array need no copies of their own: there are a thousand of them.
-    flat = values[there].astype(np.float32)
+    flat = values[is_echo].astype(np.float32)
     flat.flags.writeable = False
-    ends = np.cumsum(np.count_nonzero(there, axis=1)).tolist()
+    ends = np.cumsum(np.count_nonzero(is_echo, axis=1)).tolist()
     return tuple(
         LaserEcho(echoes=flat[begin:end]) for begin, end in zip([0, *ends[:-1]], ends, strict=True)
     )
