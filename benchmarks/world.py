@@ -148,4 +148,4 @@ def measure() -> list[Figure]:
 
 
 def _ignore(complaint: str) -> None:
-    """Complaints to whoever drives."""
+    """Ignore error reports."""

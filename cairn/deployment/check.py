@@ -46,7 +46,7 @@ class CheckedComponent:
 def check_document(root: DocumentNode, unresolved: frozenset[KeyPath]) -> list[Problem]:
     """Return all problems of a document with replaced references, except at `unresolved` paths."""
     problems = validation_problems(Deployment, root, (), unresolved)
-    placed = []
+    components: list[CheckedComponent] = []
     first: dict[str, DocumentNode] = {}
     for name, path, node in component_nodes(root):
         if name in first:
@@ -58,57 +58,59 @@ def check_document(root: DocumentNode, unresolved: frozenset[KeyPath]) -> list[P
             found = f"{name} is the name of {RESERVED[name]}"
             at = node.key_at or node.at
             problems.append(Problem(at, dotted(path), found, "give it another name"))
-        component, found_problems = _resolved(CheckedComponent(name, path, node), unresolved)
-        placed.append(component)
-        problems += found_problems
-        problems += _ports_known(component)
-        problems += _agreement(component)
-    return problems + list(_wiring_problems(root, placed))
+        component, plugin_problems = _resolve_plugin(CheckedComponent(name, path, node), unresolved)
+        components.append(component)
+        problems += plugin_problems
+        problems += _unknown_ports(component)
+        problems += _conflicting_keys(component)
+    return problems + list(_wiring_problems(root, components))
 
 
-def _resolved(
-    placed: CheckedComponent, unresolved: frozenset[KeyPath]
+def _resolve_plugin(
+    component: CheckedComponent, unresolved: frozenset[KeyPath]
 ) -> tuple[CheckedComponent, list[Problem]]:
-    plugin = placed.node.find("plugin")
-    path = (*placed.path, "plugin")
+    plugin = component.node.find("plugin")
+    path = (*component.path, "plugin")
     if plugin is None or not isinstance(plugin.value, str) or path in unresolved:
-        return placed, []
+        return component, []
     try:
         cls = load_plugin(plugin.value)
     except PluginError as error:
-        return placed, [Problem(plugin.where, dotted(path), error.found, error.remedy)]
+        return component, [Problem(plugin.where, dotted(path), error.found, error.remedy)]
     try:
         ports, config = ports_of(cls), cls.config_class()
         handlers_of(cls)
     except CairnError as error:
         remedy = "correct the class, or use another plugin"
-        return placed, [Problem(plugin.where, dotted(path), str(error), remedy)]
-    known = CheckedComponent(placed.name, placed.path, placed.node, cls, ports)
-    parameters = placed.node.find("parameters") or DocumentNode({}, placed.node.where)
+        return component, [Problem(plugin.where, dotted(path), str(error), remedy)]
+    known = CheckedComponent(component.name, component.path, component.node, cls, ports)
+    parameters = component.node.find("parameters") or DocumentNode({}, component.node.where)
     if not isinstance(parameters.value, Mapping):
         return known, []
-    return known, validation_problems(config, parameters, (*placed.path, "parameters"), unresolved)
+    return known, validation_problems(
+        config, parameters, (*component.path, "parameters"), unresolved
+    )
 
 
-def _ports_known(placed: CheckedComponent) -> Iterator[Problem]:
-    topics = placed.node.find("topics")
-    if topics is None or placed.ports is None:
+def _unknown_ports(component: CheckedComponent) -> Iterator[Problem]:
+    topics = component.node.find("topics")
+    if topics is None or component.ports is None:
         return
     for port, node in topics.entries.items():
-        if port not in placed.ports:
+        if port not in component.ports:
             at = node.key_at or node.at
-            path = dotted((*placed.path, "topics", port))
-            yield Problem(at, path, f"there is no port {port}", suggestion(port, placed.ports))
+            path = dotted((*component.path, "topics", port))
+            yield Problem(at, path, f"there is no port {port}", suggestion(port, component.ports))
 
 
-def _agreement(placed: CheckedComponent) -> Iterator[Problem]:
+def _conflicting_keys(component: CheckedComponent) -> Iterator[Problem]:
     """Yield problems of keys that are valid alone but not together."""
-    name, node = dotted(placed.path), placed.node
-    if placed.cls is not None and not placed.cls.is_supervisor:
+    name, node = dotted(component.path), component.node
+    if component.cls is not None and not component.cls.is_supervisor:
         for key in ("children", "supervision"):
             section = node.find(key)
             if section is not None and section.entries:
-                found = f"{placed.cls.__name__} is not a supervisor"
+                found = f"{component.cls.__name__} is not a supervisor"
                 remedy = "move it to a supervisor, or remove it"
                 yield Problem(section.where, f"{name}.{key}", found, remedy)
     significant = node.find("significant")
@@ -136,75 +138,75 @@ _CLOCK_TYPE = "rosgraph_msgs/msg/Clock"
 
 
 @dataclass(frozen=True)
-class _End:
+class _PortUse:
     """One port of one component on a topic."""
 
-    placed: CheckedComponent
+    component: CheckedComponent
     port: PortSpec
 
     def problem(self, found: str, remedy: str) -> Problem:
-        path = dotted((*self.placed.path, "topics", self.port.name))
-        return Problem(self.placed.line(self.port.name), path, found, remedy)
+        path = dotted((*self.component.path, "topics", self.port.name))
+        return Problem(self.component.line(self.port.name), path, found, remedy)
 
 
-def _wiring_problems(root: DocumentNode, placed: list[CheckedComponent]) -> Iterator[Problem]:
+def _wiring_problems(root: DocumentNode, components: list[CheckedComponent]) -> Iterator[Problem]:
     """Yield topics with two types, inputs without a publisher, and conflicts of the clock."""
     robot = root.find("robot")
     own = f"/{robot.value if robot is not None else 'robot'}/"
-    topics: defaultdict[str, list[_End]] = defaultdict(list)
-    for component in placed:
+    topics: defaultdict[str, list[_PortUse]] = defaultdict(list)
+    for component in components:
         for port in (component.ports or {}).values():
-            topics[component.topic(port.name).removeprefix(own)].append(_End(component, port))
+            topics[component.topic(port.name).removeprefix(own)].append(_PortUse(component, port))
     external = {topic.removeprefix(own) for topic in _texts(root.find("external_topics"))}
     written = external | {
-        topic for topic, ends in topics.items() if any(end.port.direction == "out" for end in ends)
+        topic for topic, uses in topics.items() if any(use.port.direction == "out" for use in uses)
     }
-    complete = all(component.ports is not None for component in placed)
-    for topic, ends in topics.items():
-        yield from _types(topic, ends)
+    complete = all(component.ports is not None for component in components)
+    for topic, uses in topics.items():
+        yield from _type_conflicts(topic, uses)
         if topic not in written:
-            yield from _unwritten(topic, ends, written, complete)
-    yield from _devices(root, placed)
-    yield from _clock(root, topics[_CLOCK], _CLOCK in external)
+            yield from _missing_publishers(topic, uses, written, complete)
+    yield from _device_problems(root, components)
+    yield from _clock_problems(root, topics[_CLOCK], _CLOCK in external)
 
 
-def _types(topic: str, ends: list[_End]) -> Iterator[Problem]:
-    ends = sorted(ends, key=lambda end: end.port.direction == "in")
-    first = ends[0]
+def _type_conflicts(topic: str, uses: list[_PortUse]) -> Iterator[Problem]:
+    uses = sorted(uses, key=lambda use: use.port.direction == "in")
+    first = uses[0]
     expected = type_name(first.port.message)
     verbs = {"in": "reads", "out": "publishes"}
-    for end in ends[1:]:
-        if type_name(end.port.message) != expected:
-            yield end.problem(
-                f"topic {topic} has two types: {end.port.name} {verbs[end.port.direction]} "
-                f"{type_name(end.port.message)}, but {first.placed.name}.{first.port.name} "
+    for use in uses[1:]:
+        if type_name(use.port.message) != expected:
+            yield use.problem(
+                f"topic {topic} has two types: {use.port.name} {verbs[use.port.direction]} "
+                f"{type_name(use.port.message)}, but {first.component.name}.{first.port.name} "
                 f"{verbs[first.port.direction]} {expected}",
                 "give one of them another topic",
             )
 
 
-def _unwritten(
-    topic: str, ends: list[_End], written: set[str], complete: bool
+def _missing_publishers(
+    topic: str, uses: list[_PortUse], written: set[str], complete: bool
 ) -> Iterator[Problem]:
     unknown = "" if complete else " (a plugin that could not be loaded may publish it)"
     remedy = "add its publisher, correct the topic, or list it under external_topics"
     close = suggestion(topic, written)
-    for end in ends:
-        if not end.port.optional:
-            yield end.problem(
-                f"no component publishes topic {topic}, which input {end.port.name} needs{unknown}",
+    for use in uses:
+        if not use.port.optional:
+            yield use.problem(
+                f"no component publishes topic {topic}, which input {use.port.name} needs{unknown}",
                 f"{remedy}; {close}" if close.startswith("did you mean") else remedy,
             )
 
 
-def _clock(root: DocumentNode, ends: list[_End], external: bool) -> Iterator[Problem]:
+def _clock_problems(root: DocumentNode, uses: list[_PortUse], external: bool) -> Iterator[Problem]:
     clock = root.find("clock")
     if clock is None or clock.value != "simulated" or external:
         return
     writers = [
-        end
-        for end in ends
-        if end.port.direction == "out" and type_name(end.port.message) == _CLOCK_TYPE
+        use
+        for use in uses
+        if use.port.direction == "out" and type_name(use.port.message) == _CLOCK_TYPE
     ]
     if not writers:
         yield Problem(
@@ -214,24 +216,28 @@ def _clock(root: DocumentNode, ends: list[_End], external: bool) -> Iterator[Pro
             f"add one that does, list {_CLOCK} under external_topics, or use clock: system",
         )
     for writer in writers:
-        if writer.placed.cls is not None and writer.placed.cls.clock_source != "system":
+        if writer.component.cls is not None and writer.component.cls.clock_source != "system":
             yield writer.problem(
-                f"{writer.placed.cls.__name__} publishes the simulated clock, but uses it itself",
+                f"{writer.component.cls.__name__} publishes the simulated clock but uses it itself",
                 'give the class `clock_source = "system"`',
             )
 
 
-def _devices(root: DocumentNode, placed: list[CheckedComponent]) -> Iterator[Problem]:
+def _device_problems(root: DocumentNode, components: list[CheckedComponent]) -> Iterator[Problem]:
     clock = root.find("clock")
     if clock is None or clock.value != "simulated":
         return
-    for one in placed:
-        plugin = one.node.find("plugin")
-        if plugin is not None and one.cls is not None and one.cls.clock_source == "device":
+    for component in components:
+        plugin = component.node.find("plugin")
+        if (
+            plugin is not None
+            and component.cls is not None
+            and component.cls.clock_source == "device"
+        ):
             yield Problem(
                 plugin.where,
-                dotted((*one.path, "plugin")),
-                f"{one.cls.__name__} drives a device, which cannot follow simulated time",
+                dotted((*component.path, "plugin")),
+                f"{component.cls.__name__} drives a device, which cannot follow simulated time",
                 "use clock: system, or put a simulated or replayed driver in its place",
             )
 

@@ -278,7 +278,7 @@ CASES = {
         (
             4,
             "components.other.topics.time",
-            "WaitingSimulator publishes the simulated clock, but uses it itself; "
+            "WaitingSimulator publishes the simulated clock but uses it itself; "
             'give the class `clock_source = "system"`',
         ),
     ),
