@@ -31,7 +31,7 @@ from cairn.planar.grid import OccupancyCells
 from cairn.planar.poses import Pose, wrap
 from cairn.planar.scans import beams_of
 from cairn.schemas.sensor_msgs import LaserScan
-from cairn.tools.evaluation.localization_quality import SIGMAS
+from cairn.tools.evaluation.results import SIGMA_LIMITS
 
 Array = NDArray[np.float64]
 
@@ -227,7 +227,7 @@ def measure_log(name: str, seed: int = 0) -> list[Figure]:
 def _driven(what: str, outcome: Outcome, judged: NDArray[np.bool_]) -> list[Figure]:
     error = outcome.error[judged]
     lost = lost_stretches(outcome)
-    one, two, three = (float(np.mean(outcome.squares[judged] <= limit)) for limit in SIGMAS)
+    one, two, three = (float(np.mean(outcome.squares[judged] <= limit)) for limit in SIGMA_LIMITS)
     return [
         Figure(f"{what}: position error, median", float(np.median(error)), "m", at_most=0.15,
                note=f"rms {math.sqrt(np.mean(error**2)):.3f}, 95 % {np.percentile(error, 95):.3f},"

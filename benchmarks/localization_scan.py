@@ -24,7 +24,7 @@ from cairn.components.localizer.odometry import MeasuredTrack
 from cairn.components.localizer.settings import Settings
 from cairn.planar.grid import FREE, OCCUPIED, Frame, Grid, OccupancyCells, distance_field
 from cairn.planar.poses import Pose, compose, wrap
-from cairn.tools.evaluation.localization_quality import SIGMAS
+from cairn.tools.evaluation.results import SIGMA_LIMITS
 
 Array = NDArray[np.float64]
 
@@ -259,7 +259,7 @@ def measure() -> list[Figure]:
         Figure("tracking at cells of 5 cm: position error", float(np.sqrt(np.mean(errors**2))),
                "m rms", at_most=0.02, note=f"95 % {np.percentile(errors, 95):.3f} m")
     )  # fmt: skip
-    one, two, three = (float(np.mean(squares <= limit)) for limit in SIGMAS)
+    one, two, three = (float(np.mean(squares <= limit)) for limit in SIGMA_LIMITS)
     figures.append(
         Figure("truth within 1 sigma as stated", one, "of poses", at_least=0.55,
                note=f"within 2: {two:.3f}, 3: {three:.3f}")

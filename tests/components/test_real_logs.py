@@ -16,10 +16,10 @@ from benchmarks.localization_logs import (
     mapped_by_stretches,
 )
 from cairn.planar.grid import OccupancyCells
-from cairn.tools.evaluation.localization_quality import SIGMAS
+from cairn.tools.evaluation.results import SIGMA_LIMITS
 
 Place = tuple[Log, OccupancyCells]
-THREE_SIGMA = SIGMAS[2]
+THREE_SIGMA = SIGMA_LIMITS[2]
 
 
 def place(name: str) -> Place:

@@ -1,9 +1,10 @@
-"""The component that sends the robot to random goals and writes down what came of it."""
+"""The component that sends the robot to random goals and judges it by the ground truth."""
 
 from __future__ import annotations
 
 import math
 from collections import deque
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -37,70 +38,67 @@ from cairn.schemas.cairn_nav_msgs import (
 from cairn.schemas.cairn_sim_msgs import WorldGeometry, WorldState
 from cairn.schemas.geometry_msgs import PoseStamped
 from cairn.schemas.std_msgs import Header
-from cairn.tools.evaluation.attempt import Attempt, Tolerance
-from cairn.tools.evaluation.free_goals import free_goal
-from cairn.tools.evaluation.localization_quality import LocalizationQuality
-from cairn.tools.evaluation.results import GoalResult, RunResult
-from cairn.tools.evaluation.shortest_ways import ShortestWays
+from cairn.tools.evaluation.results import GoalResult, LocalizationQuality, RunResult
+from cairn.tools.evaluation.shortest_paths import ShortestPaths
 
-# Who is carried off with turning wheels needs room to stop [m].
-_STOPS_M = 0.35
-# Nobody walks within this [m] of where it is set down: its last scan is of another place.
-_APART_M = 1.5
-_TRIES = 30
-# Steps of the truth longer than this [m] are not driven: the robot was carried.
-_CARRIED_M = 0.5
-# A robot that does not move so long [ns] after it was to be carried off is not: somebody stands
-# there, and the world refuses.
-_CARRYING_NS = SECOND
-# Goals of orders differ from those given by less than this [m], [rad].
-_SAME = 1e-6
+# A kidnapped robot with turning wheels needs this much room to stop [m].
+_STOPPING_ROOM_M = 0.35
+# No person is within this distance [m] of the place where the robot is put down: its last scan
+# shows another place.
+_PEOPLE_DISTANCE_M = 1.5
+_KIDNAP_TRIES = 30
+_GOAL_TRIES = 1000
+# Steps of the ground truth longer than this [m] were not driven: the robot was kidnapped.
+_KIDNAPPED_M = 0.5
+# A kidnapping that does not happen within this time [ns] was rejected by the world: the place was
+# occupied.
+_KIDNAP_TIMEOUT_NS = SECOND
+# A robot whose estimate is within this distance [m], angle [rad] of the truth is relocalized.
+_RELOCALIZED_M, _RELOCALIZED_RAD = 0.5, 0.5
+# A goal that the robot accepted differs from the published one by less than this [m], [rad].
+_SAME_GOAL = 1e-6
 
 
 class ExaminerConfig(Config):
-    """What the robot is examined in."""
+    """Parameters of the examiner."""
 
-    goals: int = Field(10, ge=1, le=10_000, description="Goals of the run [1].")
+    goals: int = Field(10, ge=1, le=10_000, description="Number of goals in the run [1].")
     kidnap_at: int = Field(
         0,
         ge=0,
-        description="Number of the goal on the way to which the robot is carried off, or of the "
-        "next if that cannot be; 0: none [1].",
+        description="Number of the goal on the way to which the robot is kidnapped, or of the next "
+        "one if that is not possible; 0: no kidnapping [1].",
     )
     kidnap_after: float = Field(
-        3.0, ge=0, le=600, description="How long after that order it is carried off [s]."
+        3.0, ge=0, le=600, description="Time from that goal to the kidnapping [s]."
     )
     radius: float = Field(0.22, gt=0, le=5, description="Radius of the robot [m].")
     clearance: float = Field(
-        0.15, ge=0, le=5, description="How much further goals keep from obstacles [m]."
+        0.15, ge=0, le=5, description="Additional distance of goals from obstacles [m]."
     )
-    least_distance: float = Field(1.5, ge=0, le=100, description="How far a goal is at least [m].")
-    limit: float = Field(
-        300.0, gt=0, le=3600, description="How long the robot has for each goal [s]."
-    )
+    least_distance: float = Field(1.5, ge=0, le=100, description="Least distance of a goal [m].")
+    limit: float = Field(300.0, gt=0, le=3600, description="Time limit for each goal [s].")
     position_tolerance: float = Field(
-        0.10, gt=0, le=2, description="How near to its goal the robot claims to be at its end [m]."
+        0.10, gt=0, le=2, description="Goal tolerance that the robot promises [m]."
     )
     heading_tolerance: float = Field(
-        0.10, gt=0, le=3.2, description="How well turned it claims to be there [rad]."
+        0.10, gt=0, le=3.2, description="Heading tolerance that the robot promises [rad]."
     )
     position_allowance: float = Field(
-        0.05, ge=0, le=2, description="How much further from its goal it may truly be [m]."
+        0.05, ge=0, le=2, description="Additional tolerance for the true position [m]."
     )
     heading_allowance: float = Field(
-        0.05, ge=0, le=3.2, description="How much further it may truly be turned [rad]."
+        0.05, ge=0, le=3.2, description="Additional tolerance for the true heading [rad]."
     )
-    settle: float = Field(
-        3.0, ge=0, le=60, description="How long to wait before the first goal [s]."
-    )
-    file: Path = Field(description="Where to write the result: a JSON file.")
+    settle: float = Field(3.0, ge=0, le=60, description="Time before the first goal [s].")
+    file: Path = Field(description="Result file (JSON).")
 
 
 class NavigationExaminer(Component):
-    """Orders the robot to random goals, one after the other, and judges it by the truth.
+    """Sends the robot to random goals, one after the other, and judges it by the ground truth.
 
-    The world publishes its geometry (`world_geometry`), the robot's true pose and its contacts; the
-    robot itself is only asked what it believes.
+    The simulated world publishes the obstacles, the robot's true pose and its collisions.
+    The robot contributes only its own estimate and the status of its goals.
     """
 
     config: ExaminerConfig
@@ -116,89 +114,89 @@ class NavigationExaminer(Component):
     kidnap: Out[PoseStamped]
 
     def on_configure(self) -> None:
-        """Nothing has begun."""
+        """Reset the examination."""
         config = self.config
         if not config.file.parent.is_dir():
-            raise CairnError(f"{config.file}: there is no folder {config.file.parent}")
+            raise CairnError(f"{config.file}: there is no folder {config.file.parent}; create it")
         self._tolerance = Tolerance(
             config.position_tolerance + config.position_allowance,
             config.heading_tolerance + config.heading_allowance,
         )
         self._segments: NDArray[np.float64] | None = None
-        self._ways: ShortestWays | None = None
+        self._paths: ShortestPaths | None = None
         self._history = OdometryHistory(5 * SECOND)
-        self._here: Pose | None = None
-        self._told: deque[LocalizationEstimate] = deque()
+        self._true_pose: Pose | None = None
+        self._pending: deque[LocalizationEstimate] = deque()
         self._quality = LocalizationQuality()
         self._results: list[GoalResult] = []
         self._collisions: list[str] = []
         self._track: list[tuple[float, float]] = []
         self._attempt: Attempt | None = None
-        self._began_ns: int | None = None
-        self._carrying_ns: int | None = None
+        self._started_ns: int | None = None
+        self._kidnap_requested_ns: int | None = None
 
-    def on_parameters(self, new: Config) -> None:  # noqa: ARG002 - none can be changed
-        """An examination keeps its rules."""
-        raise ParameterRejected("the examiner takes its parameters when it is configured")
+    def on_parameters(self, new: Config) -> None:  # noqa: ARG002 - no parameter can be changed
+        """Reject changes: the rules hold for the whole run."""
+        raise ParameterRejected("the examiner's parameters cannot be changed while it runs")
 
     @on("world_geometry")
-    def learn(self, scene: WorldGeometry) -> None:
-        """Take what stands from now on: ways of later goals are measured in that."""
-        self._segments, self._ways = scene.segments.reshape(-1, 4), None
+    def on_world_geometry(self, geometry: WorldGeometry) -> None:
+        """Take the obstacles from now on: later goals are measured among them."""
+        self._segments, self._paths = geometry.segments.reshape(-1, 4), None
 
     @on("truth")
-    def follow(self, truth: PoseStamped) -> None:
-        """Measure the way the robot really takes, and judge what waited for the truth."""
-        here, stamp = planar_pose(truth.pose), to_ns(truth.header.stamp)
-        if self._began_ns is None:
-            self._began_ns = stamp
-        before, self._here = self._here or here, here
-        if distance(before, here) > _CARRIED_M:
-            self._judge_ended(stamp, before)
-            self._note_carried(stamp)
+    def on_truth(self, truth: PoseStamped) -> None:
+        """Measure the true path, and judge what waited for the truth of its time."""
+        pose, stamp = planar_pose(truth.pose), to_ns(truth.header.stamp)
+        if self._started_ns is None:
+            self._started_ns = stamp
+        before, self._true_pose = self._true_pose or pose, pose
+        if distance(before, pose) > _KIDNAPPED_M:
+            self._close_if_ended(stamp, before)
+            self._note_kidnapping(stamp)
         elif self._attempt is not None:
-            self._attempt.driven += distance(before, here)
-        self._history.add(stamp, here)
-        if not self._track or math.dist(self._track[-1], here[:2]) > 0.1:
-            self._track.append((round(here[0], 3), round(here[1], 3)))
-        while self._told and to_ns(self._told[0].header.stamp) <= stamp:
-            self._compare(self._told.popleft())
-        self._judge_ended(stamp, here)
+            self._attempt.driven += distance(before, pose)
+        self._history.add(stamp, pose)
+        if not self._track or math.dist(self._track[-1], pose[:2]) > 0.1:
+            self._track.append((round(pose[0], 3), round(pose[1], 3)))
+        while self._pending and to_ns(self._pending[0].header.stamp) <= stamp:
+            self._compare(self._pending.popleft())
+        self._close_if_ended(stamp, pose)
 
     @on("localization")
     def on_localization(self, estimate: LocalizationEstimate) -> None:
-        """Compare the estimated pose with the truth of that time, once that is known."""
+        """Compare the estimated pose with the truth of its time, once that is known."""
         if not estimate.located:
             return
         newest = self._history.newest
         if newest is not None and to_ns(estimate.header.stamp) <= newest:
             self._compare(estimate)
         else:
-            self._told.append(estimate)
+            self._pending.append(estimate)
 
     @on("collisions")
-    def note_collision(self, collision: Collision) -> None:
-        """Write a collision down."""
+    def on_collision(self, collision: Collision) -> None:
+        """Record a collision."""
         self._collisions.append(
             f"{collision.obstacle} at ({collision.x:.2f}, {collision.y:.2f}), "
             f"{collision.speed:.2f} m/s"
         )
 
     @on("navigate_goal")
-    def note_order(self, order: NavigateGoal) -> None:
-        """Learn which number the goal under way has: a result of another one is not its result."""
+    def on_navigate_goal(self, request: NavigateGoal) -> None:
+        """Learn the mission id of the current goal: results of other missions do not count."""
         attempt = self._attempt
-        goals = planar_poses(order.goals).tolist()
+        goals = planar_poses(request.goals).tolist()
         if attempt is None or len(goals) != 1:
             return
         (x, y, theta), goal = goals[0], attempt.goal
-        off = max(abs(x - goal[0]), abs(y - goal[1]), abs(wrap(theta - goal[2])))
-        if off < _SAME:
-            attempt.mission_id = order.mission_id
+        difference = max(abs(x - goal[0]), abs(y - goal[1]), abs(wrap(theta - goal[2])))
+        if difference < _SAME_GOAL:
+            attempt.mission_id = request.mission_id
 
     @on("navigation_status")
-    def judge(self, status: NavigationStatus) -> None:
-        """Take the result of the order; it is judged by the next truth."""
+    def on_navigation_status(self, status: NavigationStatus) -> None:
+        """Take the result of the mission; the next ground truth judges it."""
         attempt = self._attempt
         if attempt is None or status.mission_id != attempt.mission_id or attempt.end is not None:
             return
@@ -207,108 +205,115 @@ class NavigationExaminer(Component):
             attempt.end = status
 
     @every(hz=5)
-    def examine(self) -> None:
-        """Give the next goal; carry the robot off; end what takes too long."""
-        now, here, began_ns = self.clock.now(), self._here, self._began_ns
-        if self._segments is None or here is None or began_ns is None:
+    def advance(self) -> None:
+        """Publish the next goal, kidnap the robot, or end a goal that takes too long."""
+        now, here, started_ns = self.clock.now(), self._true_pose, self._started_ns
+        if self._segments is None or here is None or started_ns is None:
             return
-        if now - began_ns < self.config.settle * SECOND:
+        if now - started_ns < self.config.settle * SECOND:
             return
         attempt = self._attempt
         if attempt is not None:
-            self._attend(attempt, here, now)
+            self._advance_attempt(attempt, here, now)
         if self._attempt is None and len(self._results) < self.config.goals:
-            self._give_goal(here, now)
+            self._publish_goal(here, now)
         elif self._attempt is None:
-            self._write(now)
+            self._write_result(now)
 
-    def _judge_ended(self, stamp: int, here: Pose) -> None:
+    def _close_if_ended(self, stamp: int, here: Pose) -> None:
         attempt = self._attempt
         if attempt is None or attempt.end is None:
             return
         if to_ns(attempt.end.header.stamp) <= stamp:
             self._close(attempt, here)
 
-    def _attend(self, attempt: Attempt, here: Pose, now: int) -> None:
-        waited = (now - attempt.began_ns) / SECOND
+    def _advance_attempt(self, attempt: Attempt, here: Pose, now: int) -> None:
+        elapsed = (now - attempt.started_ns) / SECOND
         at = self.config.kidnap_at
-        carried = attempt.carried_ns is not None or self._kidnapped()
-        due = 0 < at <= len(self._results) + 1 and not carried and attempt.end is None
-        if due and waited >= self.config.kidnap_after:
-            self._carry_off(here, now)
-        if waited > self.config.limit:  # the next goal pre-empts the order
-            self._close(attempt, here, f"not there after {self.config.limit:.0f} s")
+        kidnapped = attempt.kidnapped_ns is not None or self._kidnapped_before()
+        due = 0 < at <= len(self._results) + 1 and not kidnapped and attempt.end is None
+        if due and elapsed >= self.config.kidnap_after:
+            self._request_kidnapping(here, now)
+        if elapsed > self.config.limit:  # the next goal preempts this one
+            self._close(attempt, here, f"not reached within {self.config.limit:.0f} s")
 
-    def _give_goal(self, here: Pose, now: int) -> None:
-        config, ways = self.config, self._ways_now()
-        room = config.radius + config.clearance
-        goal = free_goal(ways, here, config.least_distance, room, self.random)
+    def _publish_goal(self, here: Pose, now: int) -> None:
+        config, paths = self.config, self._shortest_paths()
+        clearance = config.radius + config.clearance
+        goal = random_goal(paths, here, config.least_distance, clearance, self.random)
         if goal is None:
-            raise CairnError(f"no goal can be reached from ({here[0]:.2f}, {here[1]:.2f})")
-        self._attempt = Attempt(goal, now, ways.length(here[:2], goal[:2]))
+            raise CairnError(
+                f"no goal can be reached from ({here[0]:.2f}, {here[1]:.2f}); choose a smaller "
+                "radius, clearance or least_distance, or another world"
+            )
+        self._attempt = Attempt(goal, now, paths.length(here[:2], goal[:2]))
         self.goal_pose.publish(PoseStamped(header=Header(frame_id="map"), pose=pose_message(goal)))
 
-    def _carry_off(self, here: Pose, now: int) -> None:
-        """Ask for it; again, to another place, as long as the truth does not show it."""
-        if self._carrying_ns is not None and now - self._carrying_ns < _CARRYING_NS:
+    def _request_kidnapping(self, here: Pose, now: int) -> None:
+        """Ask the world to move the robot; ask again until the ground truth shows it."""
+        requested = self._kidnap_requested_ns
+        if requested is not None and now - requested < _KIDNAP_TIMEOUT_NS:
             return
-        place = self._place_to_carry_to(here)
-        self._carrying_ns = now
-        if place is None:
-            self.log.warning("there is no place with room enough to carry the robot to")
+        target = self._kidnap_target(here)
+        self._kidnap_requested_ns = now
+        if target is None:
+            self.log.warning("cannot kidnap the robot: no place has enough room")
             return
-        self.log.info("the robot is to be carried to (%.2f, %.2f)", place[0], place[1])
-        self.kidnap.publish(PoseStamped(header=Header(frame_id="map"), pose=pose_message(place)))
+        self.log.info("kidnapping the robot to (%.2f, %.2f)", target[0], target[1])
+        self.kidnap.publish(PoseStamped(header=Header(frame_id="map"), pose=pose_message(target)))
 
-    def _place_to_carry_to(self, here: Pose) -> Pose | None:
+    def _kidnap_target(self, here: Pose) -> Pose | None:
         config, state = self.config, self.world_state.latest
-        room = config.radius + config.clearance + _STOPS_M
-        least = max(config.least_distance, 2.0 * _CARRIED_M)
+        clearance = config.radius + config.clearance + _STOPPING_ROOM_M
+        least = max(config.least_distance, 2.0 * _KIDNAPPED_M)
         people = np.empty((0, 3)) if state is None else state.people.array
-        for _ in range(_TRIES):
-            place = free_goal(self._ways_now(), here, least, room, self.random)
-            if place is None:
+        for _ in range(_KIDNAP_TRIES):
+            pose = random_goal(self._shortest_paths(), here, least, clearance, self.random)
+            if pose is None:
                 return None
-            if (np.hypot(people[:, 0] - place[0], people[:, 1] - place[1]) >= _APART_M).all():
-                return place
+            distances = np.hypot(people[:, 0] - pose[0], people[:, 1] - pose[1])
+            if (distances >= _PEOPLE_DISTANCE_M).all():
+                return pose
         return None
 
-    def _note_carried(self, stamp: int) -> None:
-        """By us or by the world's events: nobody knows where the robot was on the way."""
+    def _note_kidnapping(self, stamp: int) -> None:
+        """Note a kidnapping, by us or by an event of the world: there is no path in between."""
         self._history.clear()
         if self._attempt is not None:
-            self._attempt.carried_ns, self._attempt.found_ns = stamp, None
+            self._attempt.kidnapped_ns, self._attempt.relocalized_ns = stamp, None
 
-    def _kidnapped(self) -> bool:
+    def _kidnapped_before(self) -> bool:
         return any(result.kidnapped for result in self._results)
 
-    def _compare(self, estimate: LocalizationEstimate) -> None:
-        stamp, told = to_ns(estimate.header.stamp), planar_pose(estimate.pose.pose)
+    def _compare(self, message: LocalizationEstimate) -> None:
+        stamp, estimate = to_ns(message.header.stamp), planar_pose(message.pose.pose)
         true = self._history.at(stamp)
-        if true is None:  # older than what is known, or from before the robot was carried off
+        if true is None:  # older than the history, or from before a kidnapping
             return
-        if self._attempt is not None and self._attempt.lost(stamp, told, true):
+        if self._attempt is not None and self._attempt.is_lost(stamp, estimate, true):
             return
-        self._quality.add(told, planar_covariance(estimate.pose), true)
+        self._quality.add(estimate, planar_covariance(message.pose), true)
 
-    def _ways_now(self) -> ShortestWays:
-        if self._ways is None:
-            assert self._segments is not None  # or nothing is examined yet
-            self._ways = ShortestWays(self._segments, self.config.radius)
-        return self._ways
+    def _shortest_paths(self) -> ShortestPaths:
+        if self._paths is None:
+            assert self._segments is not None  # without it the examination does not start
+            self._paths = ShortestPaths(self._segments, self.config.radius)
+        return self._paths
 
     def _close(self, attempt: Attempt, here: Pose, given_up: str = "") -> None:
         self._attempt = None
-        result = attempt.judged(here, self.clock.now(), self._tolerance, given_up)
+        result = attempt.result(here, self.clock.now(), self._tolerance, given_up)
         self._results.append(result)
         self.log.info("goal %d: %s", len(self._results), result)
 
-    def _write(self, now: int) -> None:
+    def _write_result(self, now: int) -> None:
         quality = self._quality
-        missed = self.config.kidnap_at > 0 and not self._kidnapped()
+        missed = self.config.kidnap_at > 0 and not self._kidnapped_before()
         result = RunResult(
             seed=0,
-            failure="the robot was to be carried off and never was" if missed else "",
+            failure="the robot was never kidnapped, although the run asked for it"
+            if missed
+            else "",
             goals=self._results,
             collisions=self._collisions,
             error_median=quality.percentile(50),
@@ -316,13 +321,106 @@ class NavigationExaminer(Component):
             error_max=quality.percentile(100),
             error_counts=quality.counts(),
             within=quality.within(),
-            simulated_s=(now - (self._began_ns or 0)) / SECOND,
+            simulated_s=(now - (self._started_ns or 0)) / SECOND,
             track=self._track,
         )
         try:
             self.config.file.write_text(result.model_dump_json(), encoding="utf-8")
         except OSError as error:
             raise CairnError(
-                f"the result cannot be written to {self.config.file}: {error.strerror}"
+                f"{self.config.file}: the result cannot be written: {error.strerror}; free the "
+                "disk or choose another file"
             ) from error
         self.finish(f"{len(self._results)} goals were tried")
+
+
+@dataclass(frozen=True)
+class Tolerance:
+    """How near to its goal the robot must truly be: position [m], heading [rad]."""
+
+    position: float
+    heading: float
+
+
+@dataclass
+class Attempt:
+    """The current goal, and what has been measured on the way to it.
+
+    `started_ns` is the time of the request, `shortest` [m] the length of the shortest path.
+    `mission_id` is None until the robot has accepted the goal; `end` is the last status of that
+    mission. `kidnapped_ns` and `relocalized_ns` are None as long as that has not happened.
+    """
+
+    goal: Pose
+    started_ns: int
+    shortest: float
+    mission_id: int | None = None
+    driven: float = 0.0
+    recoveries: int = 0
+    end: NavigationStatus | None = None
+    kidnapped_ns: int | None = None
+    relocalized_ns: int | None = None
+
+    def is_lost(self, stamp: int, estimate: Pose, true: Pose) -> bool:
+        """Return whether the robot was kidnapped and is not relocalized by this estimate either."""
+        if self.kidnapped_ns is None:
+            return False
+        near = (
+            distance(estimate, true) <= _RELOCALIZED_M
+            and abs(wrap(estimate[2] - true[2])) <= _RELOCALIZED_RAD
+        )
+        if self.relocalized_ns is None and near:
+            self.relocalized_ns = stamp
+        return self.relocalized_ns is None
+
+    def result(self, true: Pose, now: int, tolerance: Tolerance, given_up: str) -> GoalResult:
+        """Return the result with the robot's true pose; `given_up` says why it ended early."""
+        error, turn = distance(true, self.goal), abs(wrap(true[2] - self.goal[2]))
+        arrived = error <= tolerance.position and turn <= tolerance.heading
+        claimed = self.end is not None and self.end.state == NavigationStatus.SUCCEEDED
+        reason = given_up or (self.end.reason if self.end is not None else "")
+        if claimed and not arrived:
+            reason = f"reported success, but was {error:.2f} m and {turn:.2f} rad from the goal"
+        relocalized_ns, kidnapped_ns = self.relocalized_ns, self.kidnapped_ns
+        return GoalResult(
+            x=self.goal[0],
+            y=self.goal[1],
+            theta=self.goal[2],
+            reached=claimed and arrived,
+            claimed=claimed,
+            reason=reason,
+            shortest=self.shortest,
+            driven=self.driven,
+            seconds=(now - self.started_ns) / SECOND,
+            recoveries=self.recoveries,
+            end_error=error,
+            end_turn=turn,
+            kidnapped=kidnapped_ns is not None,
+            relocalized_s=None
+            if relocalized_ns is None or kidnapped_ns is None
+            else (relocalized_ns - kidnapped_ns) / SECOND,
+        )
+
+
+def random_goal(
+    paths: ShortestPaths,
+    start: Pose,
+    least_m: float,
+    clearance_m: float,
+    random: np.random.Generator,
+) -> Pose | None:
+    """Return a random reachable pose at least `least_m` [m] from `start`; None if there is none.
+
+    Obstacles are at least `clearance_m` [m] from it.
+    """
+    left, bottom, right, top = paths.bounds
+    for _ in range(_GOAL_TRIES):
+        x, y = float(random.uniform(left, right)), float(random.uniform(bottom, top))
+        far = math.hypot(x - start[0], y - start[1]) >= least_m
+        if (
+            far
+            and paths.clearance((x, y)) >= clearance_m
+            and math.isfinite(paths.length(start[:2], (x, y)))
+        ):
+            return x, y, float(random.uniform(-math.pi, math.pi))
+    return None

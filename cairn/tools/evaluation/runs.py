@@ -1,4 +1,4 @@
-"""One run of an evaluation: a deployment in lockstep with an examiner in it."""
+"""Surveys a world, and runs a deployment with an examiner in it in lockstep."""
 
 from __future__ import annotations
 
@@ -9,9 +9,13 @@ from pathlib import Path
 
 from cairn import CairnError
 from cairn.cli.runs import log_file
+from cairn.components.map_builder.importing import altered, write_map
+from cairn.components.simulation.survey import surveyed_grid, surveyed_models, surveyed_objects
+from cairn.components.simulation.world_file import Event, read_world
 from cairn.deployment.load import load_deployment
 from cairn.deployment.model import Deployment
 from cairn.placement.lockstep import LockstepRun
+from cairn.planar.map_file import write_map as write_grid
 from cairn.planar.poses import Pose
 from cairn.tools.evaluation.results import RunResult
 
@@ -20,7 +24,7 @@ _POSE = ("x", "y", "theta")
 
 @dataclass(frozen=True)
 class Trial:
-    """What is run: deployment, world, its maps, where the robot starts, and the examination."""
+    """One run: deployment, world, its maps, the robot's start pose, and the goals."""
 
     deployment: Path
     world: Path
@@ -33,11 +37,37 @@ class Trial:
     sets: tuple[str, ...]
 
 
+def survey(world: Path, map_file: Path, visual_map: Path) -> None:
+    """Write the grid map and the visual map of a world as it is at the beginning."""
+    write_grid(map_file, surveyed_grid(world))
+    objects = altered(surveyed_objects(world), {}, ())
+    source = f"surveyed of {world.name}"
+    write_map(visual_map, source, objects, taught=surveyed_models(world))
+
+
+def robot_start(world: Path) -> Pose:
+    """Return the robot's pose at the beginning, from the world file."""
+    return read_world(world).robot.pose
+
+
+def scripted_events(world: Path, deployment: Deployment) -> dict[str, float]:
+    """Return the time [s] of each event of the world file and the deployment, by its name."""
+    events = list(read_world(world).events)
+    for member in deployment.members():
+        if member.spec.plugin == "simulated_world":
+            more = member.spec.parameters.get("events", ())
+            events += [Event.model_validate(event) for event in more]
+    return {_event_name(event): event.at for event in sorted(events, key=lambda event: event.at)}
+
+
 def run_trial(trial: Trial, scratch: str, logs: Path) -> RunResult:
-    """Run it, with its log in the folder `logs`; raises `CairnError` if the deployment fails."""
+    """Run a trial, with its log in the folder `logs`.
+
+    Raises `CairnError` if the deployment fails.
+    """
     folder = Path(scratch) / f"seed-{trial.seed}"
     folder.mkdir()
-    logging.getLogger("cairn").propagate = False  # a run's failures are in its log and its result
+    logging.getLogger("cairn").propagate = False  # failures are in the run's log and its result
     result = folder / "result.json"
     run = LockstepRun(examination(trial, folder, result), trial.seed)
     with log_file(logs / f"seed-{trial.seed}.log", run.executor.now):
@@ -49,7 +79,7 @@ def run_trial(trial: Trial, scratch: str, logs: Path) -> RunResult:
 
 
 def examination(trial: Trial, folder: Path, result: Path) -> Deployment:
-    """The deployment with an examiner in it, which writes the result; `folder` is for files."""
+    """Return the deployment with an examiner that writes `result`; `folder` is for files."""
     overlay = folder / "examination.yaml"
     overlay.write_text(_overlay(trial, result), encoding="utf-8")
     return load_deployment(
@@ -67,7 +97,7 @@ def examination(trial: Trial, folder: Path, result: Path) -> Deployment:
 
 
 def _overlay(trial: Trial, result: Path) -> str:
-    """The examiner, and AutoMove's plugins loaded before the first order: YAML, as JSON is."""
+    """Return YAML that adds the examiner and loads AutoMove's plugins before the first goal."""
     examiner = {
         "plugin": "navigation_examiner",
         "restart": "transient",
@@ -84,3 +114,15 @@ def _overlay(trial: Trial, result: Path) -> str:
     return json.dumps(
         {"components": {"mobile_supervisor": supervisor, "examiner": examiner}}, indent=1
     )
+
+
+def _event_name(event: Event) -> str:
+    person, added = event.add_person, event.add_furniture or event.add_object
+    targets = {
+        "move": event.move,
+        "remove": event.remove,
+        "swap": event.swap and " and ".join(event.swap),
+        "add": person.name if person else added and added.display_name,
+    }
+    action = next((f"{verb} {name}" for verb, name in targets.items() if name), "kidnap")
+    return f"{action} at {event.at:g} s"

@@ -8,7 +8,7 @@ import pytest
 from benchmarks.localization_scan import START, floor, new_robot, wander
 from cairn.components.localizer.particles import Estimate
 from cairn.components.localizer.stated import StatedCovariance
-from cairn.tools.evaluation.localization_quality import SIGMAS
+from cairn.tools.evaluation.results import SIGMA_LIMITS
 
 CELL_M = 0.05
 EXACT_M = 0.027  # what exact beams deviate from a map of such cells
@@ -111,7 +111,7 @@ def test_the_truth_lies_within_the_stated_sigmas_as_often_as_it_should() -> None
         pairs = zip(errors[20:, :2], covariances[20:, :2, :2], strict=True)
         squares += [error @ np.linalg.solve(covariance, error) for error, covariance in pairs]
 
-    one, two, three = (float(np.mean(np.array(squares) <= limit)) for limit in SIGMAS)
+    one, two, three = (float(np.mean(np.array(squares) <= limit)) for limit in SIGMA_LIMITS)
     assert 0.5 < one < 0.92
     assert two > 0.9
     assert three > 0.98

@@ -1,4 +1,4 @@
-"""`cairn evaluate navigation`, as a user runs it: goals reached in the room, and a report."""
+"""`cairn evaluate navigation`, as a user runs it."""
 
 import json
 from collections.abc import Callable
@@ -19,7 +19,7 @@ pytestmark = pytest.mark.processes
 ROOT = Path(__file__).parents[4]
 
 
-def test_a_robot_reaches_its_goals_though_it_is_carried_off(tmp_path: Path) -> None:
+def test_kidnapped_robot_reaches_its_goals(tmp_path: Path) -> None:
     answer = cairn(
         "evaluate",
         "navigation",
@@ -49,11 +49,11 @@ def test_a_robot_reaches_its_goals_though_it_is_carried_off(tmp_path: Path) -> N
     for goal in runs[0]["goals"]:
         assert goal["shortest"] >= 1.5
         assert goal["driven"] >= 0.95 * goal["shortest"]
-    for picture in ("tracks.png", "ways.png"):
+    for picture in ("tracks.png", "paths.png"):
         assert (tmp_path / "out" / picture).read_bytes().startswith(b"\x89PNG")
 
 
-def test_a_world_that_cannot_be_is_told_of(tmp_path: Path) -> None:
+def test_impossible_world_is_rejected(tmp_path: Path) -> None:
     world = tmp_path / "world.yaml"
     world.write_text(
         "walls: [{points: [[0, 0], [4, 0], [4, 4], [0, 4], [0, 0]]}]\n"
@@ -100,15 +100,15 @@ def trial(*sets: str) -> Trial:
 
 
 @pytest.fixture
-def runs_as_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Runs that are not driven, for what is made of them; on a thread, which begins at once."""
-    monkeypatch.setattr(cli, "run_trial", as_told)
+def scripted_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Replace runs by prepared results, computed on a thread."""
+    monkeypatch.setattr(cli, "run_trial", scripted_run)
     monkeypatch.setattr(cli, "worker_pool", ThreadPoolExecutor)
 
 
 @pytest.fixture
 def empty_room(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A world without objects, so that none of their pictures are surveyed."""
+    """A world without objects: none of their pictures are surveyed."""
     world = tmp_path_factory.mktemp("world") / "room.yaml"
     world.write_text(
         "walls: [{points: [[0, 0], [4, 0], [4, 4], [0, 4], [0, 0]]}]\nrobot: {x: 1, y: 1}\n"
@@ -116,40 +116,40 @@ def empty_room(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return world
 
 
-def as_told(trial: Trial, scratch: str, logs: Path) -> RunResult:
-    """A run by the number of its seed."""
+def scripted_run(trial: Trial, scratch: str, logs: Path) -> RunResult:
+    """Return the prepared result of a seed."""
     if trial.seed == 9:
         raise ValueError("this seed went wrong")
     return {
         0: RunResult(seed=0, goals=[GOOD], track=[(1.0, 1.0), (3.0, 2.0)], simulated_s=60.0),
         1: RunResult(seed=1, goals=[GOOD, MISSED], simulated_s=40.0),
         2: RunResult(seed=2, goals=[GOOD], collisions=["table at (1.00, 1.00), 0.20 m/s"]),
-        3: RunResult(seed=3, goals=[GOOD], failure="never carried off"),
+        3: RunResult(seed=3, goals=[GOOD], failure="never kidnapped"),
     }[trial.seed]
 
 
-@pytest.mark.usefixtures("runs_as_told")
+@pytest.mark.usefixtures("scripted_runs")
 @pytest.mark.parametrize(
-    ("seeds", "code", "told"),
+    ("seeds", "code", "expected"),
     [
         ("0", 0, "reached           1 of 1"),
         ("0..1", 1, "seed 1, goal 2 at (3.00, 2.00) not reached"),
         ("2", 1, "seed 2, collision: table"),
-        ("3", 1, "seed 3 failed: never carried off"),
+        ("3", 1, "seed 3 failed: never kidnapped"),
         ("9", 1, "seed 9 failed: ValueError('this seed went wrong')"),
     ],
 )
-def test_its_exit_status_tells_whether_all_went_well(
-    tmp_path: Path, empty_room: Path, seeds: str, code: int, told: str
+def test_exit_status_reports_failures(
+    tmp_path: Path, empty_room: Path, seeds: str, code: int, expected: str
 ) -> None:
     answer = evaluated(tmp_path / "out", *SIM, "--seeds", seeds, world=empty_room)
 
     assert answer.code == code, answer
-    assert told in answer.out
+    assert expected in answer.out
 
 
 def evaluated(out: Path, *arguments: str, world: Path = ROOT / "deploy/worlds/room.yaml") -> Answer:
-    """The answer to an evaluation of one run at a time."""
+    """Run the command with one worker."""
     return cairn(
         "evaluate", "navigation", "--world", str(world), "--out", str(out), "--workers", "1",
         *arguments,
@@ -169,7 +169,7 @@ def a_folder_with_a_file_called_logs(folder: Path) -> Path:
     return folder
 
 
-@pytest.mark.usefixtures("runs_as_told")
+@pytest.mark.usefixtures("scripted_runs")
 @pytest.mark.parametrize(
     ("make", "cause"),
     [
@@ -178,7 +178,7 @@ def a_folder_with_a_file_called_logs(folder: Path) -> Path:
         (lambda _: Path("/proc/evaluation"), "No such file or directory"),
     ],
 )
-def test_a_folder_that_cannot_be_written_is_told_of_before_any_run(
+def test_unwritable_folder_is_reported_before_any_run(
     tmp_path: Path, make: Callable[[Path], Path], cause: str
 ) -> None:
     out = make(tmp_path)
@@ -191,10 +191,8 @@ def test_a_folder_that_cannot_be_written_is_told_of_before_any_run(
     assert len(answer.err.splitlines()) == 1
 
 
-@pytest.mark.usefixtures("runs_as_told")
-def test_a_report_that_cannot_be_written_in_the_end_is_told_of(
-    tmp_path: Path, empty_room: Path
-) -> None:
+@pytest.mark.usefixtures("scripted_runs")
+def test_unwritable_report_is_an_error(tmp_path: Path, empty_room: Path) -> None:
     (tmp_path / "runs.json").mkdir()
 
     answer = evaluated(tmp_path, *SIM, "--seeds", "0", "--json", world=empty_room)
@@ -204,32 +202,32 @@ def test_a_report_that_cannot_be_written_in_the_end_is_told_of(
 
 
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "expected"),
     [
         (("--deployment", "nope.yaml"), "name yours with --deployment FILE"),
         ((*SIM, "--set", "components.bas.parameters.x=3"), "there is no component bas; did you"),
     ],
 )
-def test_a_deployment_that_cannot_start_is_told_of_once_before_any_run(
-    tmp_path: Path, arguments: tuple[str, ...], told: str
+def test_invalid_deployment_is_reported_once_before_any_run(
+    tmp_path: Path, arguments: tuple[str, ...], expected: str
 ) -> None:
     answer = evaluated(tmp_path / "out", *arguments)
 
     assert (answer.code, answer.out) == (1, "")
-    assert answer.err.count(told) == 1
+    assert answer.err.count(expected) == 1
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.usefixtures("runs_as_told")
-def test_its_json_tells_why_runs_failed(tmp_path: Path, empty_room: Path) -> None:
+@pytest.mark.usefixtures("scripted_runs")
+def test_json_output_contains_failures(tmp_path: Path, empty_room: Path) -> None:
     answer = evaluated(tmp_path, *SIM, "--seeds", "2..3", "--json", world=empty_room)
 
     assert answer.code == 1
-    assert answer.json["summary"]["failures"] == {"3": "never carried off"}
+    assert answer.json["summary"]["failures"] == {"3": "never kidnapped"}
 
 
-@pytest.mark.usefixtures("runs_as_told")
-def test_events_that_came_due_after_the_end_of_a_run_are_told(
+@pytest.mark.usefixtures("scripted_runs")
+def test_events_after_the_end_of_a_run_are_reported(
     tmp_path: Path,
 ) -> None:
     world = tmp_path / "world.yaml"
@@ -258,11 +256,11 @@ def test_events_that_came_due_after_the_end_of_a_run_are_told(
     }
 
 
-def test_a_run_that_fails_does_not_lose_the_others(
+def test_failed_run_keeps_the_results_of_the_others(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     trials = [replace(trial(), seed=seed) for seed in (0, 9, 1)]
-    monkeypatch.setattr(cli, "run_trial", as_told)
+    monkeypatch.setattr(cli, "run_trial", scripted_run)
 
     runs = cli._run(trials, tmp_path, 1, quiet=True)
 
@@ -270,14 +268,14 @@ def test_a_run_that_fails_does_not_lose_the_others(
     assert [bool(run.failure) for run in runs] == [False, True, False]
 
 
-def test_the_examiner_measures_for_the_robot_that_drives(tmp_path: Path) -> None:
+def test_examiner_uses_the_radius_of_the_deployment(tmp_path: Path) -> None:
     found = examination(trial("settings.radius=0.3"), tmp_path, tmp_path / "result.json")
 
     assert found.components["examiner"].parameters["radius"] == 0.3
     assert found.components["world"].parameters["radius"] == 0.3
 
 
-def test_the_robot_starts_where_the_world_has_it(tmp_path: Path) -> None:
+def test_robot_starts_at_the_pose_of_the_world_file(tmp_path: Path) -> None:
     found = examination(trial(), tmp_path, tmp_path / "result.json")
 
     automove = found.components["mobile_supervisor"].children["automove"]
