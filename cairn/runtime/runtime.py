@@ -44,7 +44,7 @@ class Runtime:
         scheduler: Scheduler,
         system_clock: Clock,
         on_end: Callable[[ExitReport], None],
-        awake: Callable[[], float] = time.monotonic,
+        handler_clock: Callable[[], float] = time.monotonic,
     ) -> None:
         """Construct the component.
 
@@ -55,7 +55,8 @@ class Runtime:
             scheduler: makes its calls.
             system_clock: the system's clock, or lockstep time.
             on_end: called once, when the component has ended.
-            awake: time [s] in which the duration of handlers is measured.
+            handler_clock: time [s] in which the duration of handlers is measured, without pauses
+                of the machine (`cairn.placement`).
 
         Raises `CairnError`, with component, plugin and cause, if it cannot be constructed.
         """
@@ -69,7 +70,7 @@ class Runtime:
         self._scheduler = scheduler
         self._system_clock = system_clock
         self._on_end = on_end
-        self._awake = awake
+        self._handler_clock = handler_clock
         self._state = LifecycleState.UNCONFIGURED
         self._in_transition: Transition | None = None
         self._current_call: tuple[str, float] | None = None
@@ -186,7 +187,7 @@ class Runtime:
     def progress(self, what: str) -> None:
         """Report progress of a long call, so that it does not count as hung."""
         if self._current_call is not None:
-            self._current_call = (what, self._awake())
+            self._current_call = (what, self._handler_clock())
 
     def status(self) -> ComponentStatus:
         """Return the component's current status; from any thread."""
@@ -200,7 +201,7 @@ class Runtime:
             state=self._state.value,
             pid=os.getpid(),
             handler=call[0] if call else "",
-            handler_s=self._awake() - call[1] if call else 0.0,
+            handler_s=self._handler_clock() - call[1] if call else 0.0,
             restarts=self.restarts,
             reason=wire_safe_text(self._reason),
             children=tuple(self.launch.spec.children),
@@ -273,7 +274,7 @@ class Runtime:
 
     def _call(self, where: str, call: Callable[..., Any], *arguments: Any) -> Any:
         """Make one call, shown in the status; an exception in it becomes a `_Failure`."""
-        outer, self._current_call = self._current_call, (where, self._awake())
+        outer, self._current_call = self._current_call, (where, self._handler_clock())
         try:
             return call(*arguments)
         except _Failure:  # of a handler called within

@@ -30,7 +30,8 @@ def test_router_that_comes_back_in_time_counts_as_connected() -> None:
                 one.close()
 
 
-def test_router_that_stays_away_counts_as_disconnected() -> None:
+def test_router_that_stays_away_counts_as_disconnected(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("cairn.bus.session.CONNECT_TIMEOUT_S", 0.3)
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     router = open_router(endpoint)
     with open_client([endpoint]) as session:
