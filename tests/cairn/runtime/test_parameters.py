@@ -1,12 +1,14 @@
-"""Parameters are described for the operator, and changed all or nothing."""
+"""Parameters are described for the operator, and change all or none, also at run time."""
 
 from typing import Annotated, Any, Literal
 
 import pytest
 from pydantic import Field, ValidationError, model_validator
 
-from cairn import Config, ParameterRejected, ReadPath
+from cairn import CairnError, Config, ParameterRejected, ReadPath
 from cairn.runtime.parameters import Parameter, describe_parameters, with_changes
+from tests.cairn.runtime.base import Base, BaseConfig, Limits
+from tests.cairn.runtime.running import Lockstep
 
 
 class Filter(Config):
@@ -102,3 +104,45 @@ def test_configuration_is_immutable_and_rejects_unknown_names() -> None:
         config.particles = 30  # type: ignore[misc]
     with pytest.raises(ValidationError):
         Localizer(partcles=30)  # type: ignore[call-arg]
+
+
+def test_live_parameters_change_all_or_none(lockstep: Lockstep) -> None:
+    part = lockstep.add(Base, parameters={"gain": 0.25})
+    part.activate()
+
+    part.ask("set_parameters", **{"gain": 0.75, "limits.high": 2})
+    assert part.component.config == BaseConfig(gain=0.75, limits=Limits(high=2.0))
+    with pytest.raises(ParameterRejected, match=r"limits\.high = 9 rejected"):
+        part.ask("set_parameters", **{"gain": 0.1, "limits.high": 9})
+
+    assert part.component.config == BaseConfig(gain=0.75, limits=Limits(high=2.0))
+    assert {one["name"]: one["value"] for one in part.ask("parameters")} == {
+        "gain": 0.75, "limits.high": 2.0
+    }  # fmt: skip
+
+
+def test_component_that_rejects_parameters_keeps_the_old_ones(
+    lockstep: Lockstep,
+) -> None:
+    class Picky(Base):
+        def on_parameters(self, new: Config) -> None:
+            assert isinstance(new, BaseConfig)
+            if new.gain < self.config.gain:
+                raise ParameterRejected("gain may only grow while it drives")
+            if new.gain > 0.9:
+                raise ZeroDivisionError("dear me")
+
+    part = lockstep.add(Picky)
+    part.activate()
+    with pytest.raises(ParameterRejected, match=r"^gain may only grow while it drives$"):
+        part.ask("set_parameters", gain=0.1)
+    with pytest.raises(CairnError, match="part: set_parameters failed: ZeroDivisionError: dear me"):
+        part.ask("set_parameters", gain=1.0)
+
+    assert part.component.config.gain == 0.5
+    assert part.state == "active"
+
+
+def test_invalid_parameters_are_reported_before_construction(lockstep: Lockstep) -> None:
+    with pytest.raises(CairnError, match=r"base: invalid parameters: (.|\n)*gain"):
+        lockstep.add(Base, name="base", parameters={"gain": 7})
