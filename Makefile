@@ -1,32 +1,44 @@
 # Everything runs in a virtual environment of its own, .venv, made on first use.
-PYTHON ?= python3.11
-BIN := .venv/bin
+
+# The first Python from 3.11 on that this machine has. To use another one: make PYTHON=python3.13
+ifeq ($(origin PYTHON), undefined)
+PYTHON := $(shell for python in python3 python3.13 python3.12 python3.11 python3.14; do \
+    $$python -c "import sys; sys.exit(sys.version_info < (3, 11))" 2>/dev/null \
+    && command -v $$python && break; done)
+endif
+VENV ?= .venv
+BIN := $(VENV)/bin
 REPORT ?= demo-report
 
-.PHONY: demo test test-hardware test-service check docs bench clean
+.PHONY: demo quick test test-hardware test-service check docs bench clean
 
-## A simulated robot's tour of a room that is rearranged meanwhile; then a real robot's recording.
-demo: .venv/ready
-	$(BIN)/cairn up deploy/sim.yaml --overlay deploy/demo_tour.yaml --report $(REPORT)/tour
-	$(BIN)/cairn up deploy/replay_mrclam.yaml --report $(REPORT)/recording
+## A simulated robot's tour of a room that is rearranged meanwhile; then a recording of a real robot.
+demo: $(VENV)/ready
+	$(BIN)/cairn up sim --overlay demo_tour --report $(REPORT)/tour
+	$(BIN)/cairn up replay_mrclam --report $(REPORT)/recording
 	@echo "pictures: map.png and reliability.png in $(REPORT)/tour and $(REPORT)/recording"
 
+## The tests without real processes and without images: a minute and a half on two cores.
+quick: $(VENV)/tests
+	$(BIN)/pytest -n 2 --dist loadgroup --no-loadscope-reorder \
+	    -m "not processes and not images and not realtime"
+
 ## All tests.
-test: .venv/tests
+test: $(VENV)/tests
 	$(BIN)/pytest -n 2 --dist loadgroup --no-loadscope-reorder -m "not realtime"
 	$(BIN)/pytest -m realtime
 
 ## The drivers on the kernel's own devices, in a virtual machine: cameras, USB and RS-232 lines whose
-## plugs are pulled. Says what it lacks, and installs nothing unless CI=true.
-test-hardware: .venv/tests
+## plugs are pulled. Reports what is missing, and installs nothing unless CI=true.
+test-hardware: $(VENV)/tests
 	$(BIN)/python -m tests.hardware
 
 ## The systemd unit, in a virtual machine that systemd has booted: takes minutes.
-test-service: .venv/tests
+test-service: $(VENV)/tests
 	$(BIN)/python -m tests.hardware --booted
 
 ## Style, types, import contracts, and all tests.
-check: .venv/tests
+check: $(VENV)/tests
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
@@ -34,28 +46,31 @@ check: .venv/tests
 	$(MAKE) test
 
 ## The documentation site, in build/site: a broken link fails the build.
-docs: .venv/docs
+docs: $(VENV)/docs
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 
-## What is measured, against what.
-bench: .venv/ready
+## All benchmarks.
+bench: $(VENV)/ready
 	$(BIN)/python -m benchmarks
 
-.venv/ready: pyproject.toml
-	$(PYTHON) -m venv .venv
+$(VENV)/ready: pyproject.toml
+	@test -n "$(PYTHON)" || { echo "Cairn needs Python 3.11 or later, and none was found. Install one \
+	(Ubuntu, Debian: apt-get install python3 python3-venv), or name it: make PYTHON=/path/to/python3" \
+	>&2; exit 1; }
+	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --upgrade "pip>=25.1"
 	$(BIN)/python -m pip install --quiet --editable . --group dev --group interop
 	$(BIN)/cairn plugins >/dev/null  # compiles the kernels, so that no robot waits for it
 	@touch $@
 
 # The plugins that the tests run, some of them broken on purpose.
-.venv/tests: .venv/ready tests/plugin_package/pyproject.toml
+$(VENV)/tests: $(VENV)/ready tests/plugin_package/pyproject.toml
 	$(BIN)/python -m pip install --quiet --editable tests/plugin_package
 	@touch $@
 
-.venv/docs: .venv/ready
+$(VENV)/docs: $(VENV)/ready
 	$(BIN)/python -m pip install --quiet --group docs
 	@touch $@
 
 clean:
-	rm -rf .venv build *.egg-info $(REPORT)
+	rm -rf .venv .venv-* build *.egg-info $(REPORT)
