@@ -67,6 +67,8 @@ COMMANDS = (
                 "Measure localization and navigation over many runs.", _STUDY),
     LazyCommand("experiment", "cairn.tools.experiments.cli:app",
                 "Run the experiments of the paper.", _STUDY),
+    LazyCommand("init", "cairn.cli.init:init",
+                "Create a package for your own robot.", _DEVELOP),
     LazyCommand("plugins", "cairn.cli.plugins:plugins",
                 "List the component classes that a deployment can name.", _DEVELOP),
     LazyCommand("schema", "cairn.cli.plugins:schema",

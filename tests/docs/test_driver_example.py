@@ -1,65 +1,31 @@
 """The driver of docs/testing-drivers.md is tested as its author would: from wheels, elsewhere."""
 
-import os
 import re
 import shutil
-import subprocess
-import sys
-import sysconfig
-import venv
 from collections.abc import Callable
-from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import pytest
 
+from tests.installed import ROOT, Environment, build_wheels, fresh_environment
+
 pytestmark = pytest.mark.processes
 
 
-ROOT = Path(__file__).parents[2]
 EXAMPLE = ROOT / "docs" / "driver-example"
 PAGE = "docs/testing-drivers.md"
 
 
-@dataclass(frozen=True)
-class Environment:
-    """A virtual environment that has Cairn and the driver, and a copy of the driver's own tests."""
-
-    folder: Path
-
-    def run(self, *words: str) -> str:
-        """What a command of the environment prints, which has to succeed."""
-        program, *arguments = words
-        clean = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
-        done = subprocess.run(
-            [str(self.folder / "bin" / program), *arguments],
-            cwd=self.folder / "project",
-            env=clean,
-            capture_output=True,
-            text=True,
-            timeout=500,
-            check=False,
-        )
-        assert done.returncode == 0, done.stdout + done.stderr
-        return done.stdout
-
-
 @pytest.fixture(scope="module")
 def installed(tmp_path_factory: pytest.TempPathFactory) -> Environment:
-    """A fresh environment: wheels of Cairn and of the driver; what they depend on is linked."""
-    folder = tmp_path_factory.mktemp("fresh") / "venv"
-    venv.create(folder, symlinks=True)
-    _link_dependencies(folder)
-    project = folder / "project"
-    shutil.copytree(EXAMPLE, project, ignore=shutil.ignore_patterns("__pycache__"))
-    wheels = folder / "wheels"
-    local = ["--quiet", "--no-deps", "--no-index"]
-    _pip("wheel", *local, "--no-build-isolation", "-w", str(wheels), str(ROOT), str(project))
-    python = str(folder / "bin" / "python")
-    _pip("--python", python, "install", *local, *map(str, wheels.iterdir()))
+    """A fresh environment with wheels of Cairn and of the driver, and the driver's own tests."""
+    environment = fresh_environment(tmp_path_factory.mktemp("fresh") / "venv")
+    project = environment.working_folder
+    ignored = shutil.ignore_patterns("__pycache__")
+    shutil.copytree(EXAMPLE, project, ignore=ignored, dirs_exist_ok=True)
+    environment.install(*build_wheels(environment.folder / "wheels", ROOT, project))
     shutil.rmtree(project / "lantern_driver")  # only what was installed counts
-    return Environment(folder)
+    return environment
 
 
 @pytest.mark.realtime
@@ -94,24 +60,3 @@ def test_the_page_names_every_test_of_the_contracts() -> None:
     sources = [file.read_text(encoding="utf-8") for file in kit.glob("*_contract.py")]
     tests = {name for source in sources for name in re.findall(r"def (test_\w+)", source)}
     assert named == tests
-
-
-def _link_dependencies(folder: Path) -> None:
-    """Have the environment find all that is installed here, but for Cairn and plugins of it."""
-    here = Path(sysconfig.get_path("purelib"))
-    there = next(folder.glob("lib/python*/site-packages"))
-    for installed in here.iterdir():
-        ours = "cairn" in installed.name.lower()
-        if not ours and installed.suffix != ".pth" and not (there / installed.name).exists():
-            (there / installed.name).symlink_to(installed)
-
-
-def _pip(*words: str) -> None:
-    done = subprocess.run(
-        [sys.executable, "-m", "pip", *words],
-        capture_output=True,
-        text=True,
-        timeout=500,
-        check=False,
-    )
-    assert done.returncode == 0, done.stdout + done.stderr

@@ -1,0 +1,69 @@
+"""`cairn init`: a package for your own robot, with a driver, a component, and their tests."""
+
+from __future__ import annotations
+
+import keyword
+import re
+from pathlib import Path
+from string import Template
+from typing import Annotated
+
+import typer
+
+from cairn.cli.output import line
+from cairn.errors import CairnError
+
+_SKELETON = Path(__file__).parent / "skeleton"
+_RENAMED = {"package": "{package}", "deployment.yaml": "{package}.yaml", "gitignore": ".gitignore"}
+# Modules of these names would hide Python's, Cairn's, or the skeleton's own.
+_RESERVED = frozenset({"cairn", "test", "tests", "deploy", "site", "code", "typing", "random"})
+
+
+def init(
+    folder: Annotated[
+        Path,
+        typer.Argument(
+            help="Folder to create; its name is that of the Python package.", metavar="NAME"
+        ),
+    ],
+) -> None:
+    """Create a package for your own robot: component, driver, emulator, deployment, tests.
+
+    Its tests pass as written. The README in the folder explains the next steps.
+    """
+    package = _package_name(folder)
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise CairnError(f"{folder} exists and is not an empty folder; give another name")
+    names = {"package": package, "project": package.replace("_", "-")}
+    try:
+        count = _write(folder, names)
+    except OSError as error:
+        raise CairnError(f"{folder} cannot be written: {error.strerror or error}") from error
+    line(f"{folder}: {count} files; next:")
+    line(f"  cd {folder}")
+    line("  python3 -m pip install --editable '.[test]'")
+    line("  pytest")
+
+
+def _package_name(folder: Path) -> str:
+    name = folder.name
+    if not re.fullmatch("[a-z][a-z0-9_]*", name) or keyword.iskeyword(name):
+        raise CairnError(
+            f"{name!r} is not the name of a Python package; write lowercase letters, digits and "
+            "underscores, as in my_robot"
+        )
+    if name in _RESERVED:
+        raise CairnError(f"a package {name} would hide another one; give another name")
+    return name
+
+
+def _write(folder: Path, names: dict[str, str]) -> int:
+    """Write the skeleton with these names; return the number of files."""
+    templates = sorted(_SKELETON.rglob("*.in"))
+    for template in templates:
+        parts = template.relative_to(_SKELETON).with_suffix("").parts
+        file = folder.joinpath(*(_RENAMED.get(part, part).format(**names) for part in parts))
+        file.parent.mkdir(parents=True, exist_ok=True)
+        text = Template(template.read_text(encoding="utf-8")).substitute(names)
+        file.write_text(text, encoding="utf-8")
+    return len(templates)

@@ -1,0 +1,94 @@
+"""Fresh virtual environments with built wheels, beside the dependencies that are installed here."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import venv
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+
+_LOCAL = ("--quiet", "--no-deps", "--no-index")  # nothing is downloaded
+
+
+@dataclass(frozen=True)
+class Environment:
+    """A virtual environment that does not see this source tree, and a folder to work in."""
+
+    folder: Path
+    working_folder: Path
+
+    def run(self, *words: str, folder: Path | None = None) -> str:
+        """Run a program of the environment, which has to succeed; return what it prints."""
+        program, *arguments = words
+        done = subprocess.run(
+            [str(self.folder / "bin" / program), *arguments],
+            cwd=folder or self.working_folder,
+            env=self.variables(),
+            capture_output=True,
+            text=True,
+            timeout=500,
+            check=False,
+        )
+        assert done.returncode == 0, done.stdout + done.stderr
+        return done.stdout
+
+    def variables(self) -> dict[str, str]:
+        """Return the environment variables of its programs."""
+        return {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
+
+    @property
+    def site(self) -> Path:
+        """Where packages are installed."""
+        return next(self.folder.glob("lib/python*/site-packages"))
+
+    def install(self, *projects: Path) -> None:
+        """Install wheels, or projects of which wheels are built first."""
+        python = str(self.folder / "bin" / "python")
+        _pip("--python", python, "install", *_LOCAL, "--no-build-isolation", *map(str, projects))
+
+    def copy_kernels(self) -> None:
+        """Copy the compiled kernels of this source tree, which are valid by their content."""
+        for folder, _, files in os.walk(ROOT / "cairn", followlinks=True):
+            for file in files:
+                if file.endswith((".nbi", ".nbc")):
+                    source = Path(folder, file)
+                    target = self.site / source.relative_to(ROOT)
+                    target.parent.mkdir(parents=True, exist_ok=True)
+                    shutil.copy2(source, target)
+
+
+def build_wheels(folder: Path, *projects: Path) -> list[Path]:
+    """Build the wheels of projects into a folder."""
+    _pip("wheel", *_LOCAL, "--no-build-isolation", "-w", str(folder), *map(str, projects))
+    return sorted(folder.glob("*.whl"))
+
+
+def fresh_environment(folder: Path) -> Environment:
+    """Create an environment that finds all that is installed here, but Cairn and its plugins."""
+    venv.create(folder, symlinks=True)
+    working_folder = folder / "work"
+    working_folder.mkdir()
+    environment = Environment(folder, working_folder)
+    for here in (Path(entry) for entry in sys.path if entry.endswith("site-packages")):
+        for installed in here.iterdir():
+            link = environment.site / installed.name
+            ours = "cairn" in installed.name.lower()
+            if not ours and installed.suffix != ".pth" and not link.exists():
+                link.symlink_to(installed)
+    return environment
+
+
+def _pip(*words: str) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "pip", *words],
+        capture_output=True,
+        text=True,
+        timeout=500,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr

@@ -1,0 +1,155 @@
+"""The built wheel, installed where this source tree is not seen, beside a user's own packages."""
+
+import zipfile
+from pathlib import Path
+from textwrap import dedent
+
+import pytest
+
+from cairn.testing.launching import free_port
+from tests.installed import ROOT, Environment, build_wheels, fresh_environment
+
+pytestmark = [pytest.mark.processes, pytest.mark.timeout(600)]
+
+# A user's project may have packages of these names, which Cairn's rooms have, too.
+USER_PROJECT = {
+    "pyproject.toml": """
+        [build-system]
+        requires = ["hatchling"]
+        build-backend = "hatchling.build"
+        [project]
+        name = "user-project"
+        version = "1.0"
+        [tool.hatch.build.targets.wheel]
+        packages = ["components", "schemas", "supervisors", "vision"]
+        """,
+    "components/__init__.py": "",
+    "components/greeter.py": """
+        import cairn.components.localizer
+        import cairn.supervisors
+        import cairn.vision
+        from cairn import Component, Out, every
+        from schemas.words import Word
+        from supervisors import NAME
+        from vision import COLOR
+
+        class Greeter(Component):
+            words: Out[Word] = Out()
+
+            @every(hz=10)
+            def greet(self):
+                self.words.publish(Word(text=NAME))
+                self.finish(f"greeted in {COLOR} by {NAME}")
+        """,
+    "schemas/__init__.py": "",
+    "schemas/words.py": """
+        from cairn.schemas.field_types import String
+        from cairn.schemas.message import message
+
+        @message("user_msgs/msg/Word")
+        class Word:
+            text: String = ""
+        """,
+    "supervisors/__init__.py": "NAME = 'the user'",
+    "vision/__init__.py": "COLOR = 'green'",
+}
+DEPLOYMENT = """
+    cairn: 1
+    components:
+      greeter: {plugin: "components.greeter:Greeter", restart: transient, significant: true}
+    """
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    (wheel,) = build_wheels(tmp_path_factory.mktemp("wheels"), ROOT)
+    return wheel
+
+
+@pytest.fixture(scope="module")
+def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Environment:
+    """An environment with the wheel and with the user's project."""
+    folder = tmp_path_factory.mktemp("fresh")
+    for name, text in USER_PROJECT.items():
+        file = folder / "project" / name
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(dedent(text), encoding="utf-8")
+    environment = fresh_environment(folder / "venv")
+    environment.install(wheel, folder / "project")
+    environment.copy_kernels()
+    return environment
+
+
+def test_the_wheel_holds_one_package_with_its_data(wheel: Path) -> None:
+    names = zipfile.ZipFile(wheel).namelist()
+
+    top = {name.partition("/")[0] for name in names}
+    assert {name for name in top if not name.endswith(".dist-info")} == {"cairn"}
+    for file in (
+        "cairn/py.typed",
+        "cairn/schemas/py.typed",
+        "cairn/deploy/sim.yaml",
+        "cairn/deploy/maps/room.cairn",
+        "cairn/deploy/worlds/hall.yaml",
+        "cairn/deploy/worlds/textures/aloe.jpg",
+        "cairn/deploy/recordings/fr079_corrected.log.gz",
+        "cairn/deploy/deployment.schema.json",
+        "cairn/deploy/robot/70-cairn.rules",
+        "cairn/cli/skeleton/package/gauge.py.in",
+    ):
+        assert file in names
+    assert not [name for name in names if "__pycache__" in name]
+
+
+def test_a_users_packages_of_the_same_names_run_beside_it(
+    installed: Environment, tmp_path: Path
+) -> None:
+    (tmp_path / "user.yaml").write_text(dedent(DEPLOYMENT), encoding="utf-8")
+    router = ("--set", f"bus.listen=tcp/127.0.0.1:{free_port()}")
+    report = ("--report", str(tmp_path / "report"))
+
+    ran = installed.run("cairn", "up", "user.yaml", *router, *report, folder=tmp_path)
+
+    assert "greeted in green by the user" in ran
+    where = "import cairn.components, components; print(components.__file__)"
+    assert str(installed.site / "components") in installed.run("python", "-c", where)
+
+
+def test_the_shipped_robot_reaches_a_goal_in_an_empty_folder(
+    installed: Environment, tmp_path: Path
+) -> None:
+    before = _files(installed.site / "cairn")
+    sets = ["mission=[[1.8, 1.0, 0.0]]", "finish=true", f"bus.listen=tcp/127.0.0.1:{free_port()}"]
+    words = [word for value in sets for word in ("--set", value)]
+
+    ran = installed.run("cairn", "up", "sim", *words, "--report", "report", folder=tmp_path)
+
+    assert "the mission succeeded" in ran
+    assert (tmp_path / "report" / "logs" / "localizer.log").exists()
+    assert _files(installed.site / "cairn") == before
+    assert [file.name for file in tmp_path.iterdir()] == ["report"]
+
+
+def test_a_shipped_deployment_without_its_recording_says_what_to_give(
+    installed: Environment, tmp_path: Path
+) -> None:
+    with pytest.raises(AssertionError, match="is not part of the installed package; name your own"):
+        installed.run("cairn", "up", "replay_mrclam", "--report", "report", folder=tmp_path)
+
+
+def test_a_new_package_passes_its_own_tests(installed: Environment, tmp_path: Path) -> None:
+    installed.run("cairn", "init", "my_robot", folder=tmp_path)
+    project = tmp_path / "my_robot"
+    installed.install(project)
+
+    tested = installed.run("python", "-m", "pytest", "-q", "-p", "no:cacheprovider", folder=project)
+
+    assert " passed in " in tested
+    assert "failed" not in tested
+    assert "my_robot_gauge" in installed.run("cairn", "plugins", folder=tmp_path)
+    assert "no problem" in installed.run("cairn", "check", "deploy/my_robot.yaml", folder=project)
+
+
+def _files(folder: Path) -> set[Path]:
+    """Return all files but those that Python and Numba cache."""
+    return {file for file in folder.rglob("*") if "__pycache__" not in file.parts}
