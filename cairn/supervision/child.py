@@ -105,7 +105,6 @@ class ChildStatus:
     name: str
     state: State
     incarnation: int
-    restarts: int  # starts after an end, not those on request
     reason: str
 
 
@@ -135,7 +134,6 @@ class Child:
         self.spec = spec
         self.handle: ChildHandle | None = None
         self.incarnation = 0
-        self.restarts = 0
         self.reason = ""
         self.state: State = "unloaded"
         self._unkillable: ChildHandle | None = None
@@ -152,7 +150,7 @@ class Child:
 
     def status(self) -> ChildStatus:
         """Return the state of the child."""
-        return ChildStatus(self.name, self.state, self.incarnation, self.restarts, self.reason)
+        return ChildStatus(self.name, self.state, self.incarnation, self.reason)
 
     def start(self, stop_requested: Callable[[], bool]) -> StartFailure | None:
         """Launch, configure and activate the child; return why that failed, None if it did not.

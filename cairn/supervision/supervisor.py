@@ -345,8 +345,6 @@ class ChildGroup:
     def _apply(self, decision: Decision) -> None:
         for name in decision.stop:
             self._children[name].stop()
-        for name in decision.start:
-            self._children[name].restarts += self._children[name].incarnation > 0
         if decision.give_up:
             self._give_up(decision.give_up)
 

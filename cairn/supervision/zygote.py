@@ -20,7 +20,6 @@ import traceback
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 from setproctitle import setproctitle
 
@@ -185,10 +184,10 @@ class Zygote:
             _log(f"refused a connection of process {pid} of user {uid}")
             client.close()
             return
-        connection = ClientConnection(client, pid, self._selector)
-        connection.watch(lambda: self._receive(connection))
+        connection = ClientConnection(client, pid)
+        self._selector.register(client, selectors.EVENT_READ, lambda: self._receive(connection))
         self._connections.add(connection)
-        connection.send(Hello(self._pid, self._preloaded.failures, self._preloaded.threads))
+        connection.send(Hello())
 
     def _receive(self, connection: "ClientConnection") -> Spawn | None:
         try:
@@ -265,10 +264,18 @@ class Zygote:
 
     def _abandon(self, connection: "ClientConnection") -> None:
         """Kill the processes of a client that is gone; their own processes follow in turn."""
+        if connection not in self._connections:  # closed by an event of the same turn
+            return
         connection.gone = True
+        if connection.socket in self._selector.get_map():
+            self._selector.unregister(connection.socket)
         for pid in connection.processes & self._names.keys():
             kill_group(pid)
-        if connection.close_if_done():
+        self._close_if_done(connection)
+
+    def _close_if_done(self, connection: "ClientConnection") -> None:
+        if connection.gone and not connection.processes:
+            connection.socket.close()
             self._connections.discard(connection)
 
     def _on_signal(self) -> None:
@@ -307,8 +314,7 @@ class Zygote:
             connection = self._owners.pop(pid)
             connection.processes.discard(pid)
             connection.send(exited)
-            if connection.gone and connection.close_if_done():
-                self._connections.discard(connection)
+            self._close_if_done(connection)
 
     def _end_everything(self) -> None:
         """Kill all descendants, wait for their end, and stop serving."""
@@ -324,31 +330,18 @@ class Zygote:
 
 
 class ClientConnection:
-    """A client's connection; what the client does not take at once is sent later."""
+    """A client's connection; the zygote never waits for it."""
 
-    def __init__(self, client: socket.socket, pid: int, selector: selectors.BaseSelector) -> None:
+    def __init__(self, client: socket.socket, pid: int) -> None:
         self.socket = client
         self.pid = pid
         self.processes: set[int] = set()
         self.gone = False  # sends no more requests; its processes are being killed
-        self._selector = selector
         self._lines = LineSplitter()
-        self._unsent = bytearray()
-        self._on_readable: Callable[[], Any] = lambda: None
-        self._watched = 0
         client.setblocking(False)
-
-    def watch(self, on_readable: Callable[[], Any]) -> None:
-        """Register what calls `receive` as the selector's data for this connection."""
-        self._on_readable = on_readable
-        self._update_selector()
 
     def receive(self) -> list[bytes]:
         """Return the lines that have arrived; set `gone` at the end. Raises `ProtocolError`."""
-        if self._unsent:
-            self._flush()
-        if self.gone:
-            return []
         try:
             data = self.socket.recv(1 << 16)
         except BlockingIOError:
@@ -360,44 +353,17 @@ class ClientConnection:
         return self._lines.feed(data)
 
     def send(self, answer: Answer) -> None:
-        """Send an answer as soon as the client takes it; drop it if the client has ended."""
-        if self.socket.fileno() >= 0:
-            self._unsent += encode_answer(answer)
-            self._flush()
-
-    def close_if_done(self) -> bool:
-        """Close the connection if nothing is left to report; return whether it is closed."""
-        if self.socket.fileno() >= 0:
-            self._update_selector()
-            if not self.processes and not self._unsent:
-                if self._watched:
-                    self._selector.unregister(self.socket)
-                    self._watched = 0
-                self.socket.close()
-        return self.socket.fileno() < 0
-
-    def _flush(self) -> None:
+        """Send an answer; disconnect a client that has not read hundreds of them: it hangs."""
+        line = encode_answer(answer)
         try:
-            sent = self.socket.send(self._unsent)
+            complete = self.socket.send(line) == len(line)
         except BlockingIOError:
-            sent = 0
-        except OSError:  # the client is gone, which `receive` finds
-            sent = len(self._unsent)
-        del self._unsent[:sent]
-        self._update_selector()
-
-    def _update_selector(self) -> None:
-        needed = 0 if self.gone else selectors.EVENT_READ
-        needed |= selectors.EVENT_WRITE if self._unsent else 0
-        if needed == self._watched:
+            complete = False
+        except OSError:  # the client has ended, which `receive` finds
             return
-        if not self._watched:
-            self._selector.register(self.socket, needed, self._on_readable)
-        elif not needed:
-            self._selector.unregister(self.socket)
-        else:
-            self._selector.modify(self.socket, needed, self._on_readable)
-        self._watched = needed
+        if not complete:
+            _log(f"process {self.pid} does not read its answers: its processes are killed")
+            self.socket.shutdown(socket.SHUT_RDWR)
 
 
 def _remove_socket(socket_path: Path) -> None:

@@ -124,20 +124,17 @@ class ZygoteClient:
         self._lock = threading.Lock()
         self._closed: CairnError | None = None  # why no more requests can be made
         self._requests = 0
-        hello: Future[Hello] = Future()
+        hello: Future[None] = Future()
         self._pending: dict[int, _Pending] = {0: _Pending("", hello)}
         self._children: dict[int, ChildProcess] = {}
         self._socket = _connect(socket_path, timeout_s)
         self._reader = threading.Thread(target=self._read, name="zygote client", daemon=True)
         self._reader.start()
         try:
-            greeting = self._result(hello, timeout_s, "finish its imports")
+            self._result(hello, timeout_s, "finish its imports")
         except CairnError:
             self.close(0.0)
             raise
-        self.zygote_pid: int = greeting.pid
-        self.preload_failures: Mapping[str, str] = greeting.failures  # module: reason
-        self.preload_threads: Mapping[str, list[str]] = greeting.threads  # module: threads it left
 
     def spawn(
         self,
@@ -229,11 +226,11 @@ class ZygoteClient:
     def _handle(self, answer: Answer) -> None:
         match answer:
             case Hello():
-                self._resolve(0, answer)
+                self._resolve(0)
             case Spawned(request, pid):
                 self._spawned(request, pid)
             case Done(request):
-                self._resolve(request, None)
+                self._resolve(request)
             case RequestRefused(request, error):
                 self._refused(request, error)
             case Exited():
@@ -249,11 +246,11 @@ class ZygoteClient:
         else:
             pending.answer.set_result(child)
 
-    def _resolve(self, request: int, result: Any) -> None:
+    def _resolve(self, request: int) -> None:
         with self._lock:
             pending = self._pending.pop(request, None)
         if pending is not None:
-            pending.answer.set_result(result)
+            pending.answer.set_result(None)
 
     def _refused(self, request: int, error: str) -> None:
         with self._lock:

@@ -47,11 +47,8 @@ class Signal:
 
 @dataclass(frozen=True)
 class Hello:
-    """Zygote, first message: its pid, and per module why it failed or which threads it started."""
+    """Zygote, first message: it has finished its imports."""
 
-    pid: int
-    failures: dict[str, str]
-    threads: dict[str, list[str]]
     kind: Literal["hello"] = "hello"
 
 

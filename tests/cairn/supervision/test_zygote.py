@@ -14,7 +14,7 @@ import zenoh
 from cairn import CairnError
 from cairn.supervision.zygote_client import SpawnFailed, ZygoteClient, ZygoteLost
 from cairn.supervision.zygote_process import ZygoteProcess, start_zygote
-from cairn.supervision.zygote_protocol import Exited
+from cairn.supervision.zygote_protocol import Exited, Signal, encode_request
 from tests.patience import LIMIT_S
 
 from . import zygote_children
@@ -106,7 +106,7 @@ def test_a_module_that_cannot_be_imported_fails_only_processes_that_need_it(
 ) -> None:
     zygote = start_zygote(["no_such_module", "json"], tmp_path / "run")
     client = ZygoteClient(zygote.socket_path)
-    assert list(client.preload_failures) == ["no_such_module"]
+    assert zygote.log_file.read_text().count("cannot import") == 1
     log = tmp_path / "driver.log"
     with pytest.raises(
         SpawnFailed,
@@ -131,9 +131,7 @@ def test_a_module_that_starts_threads_when_imported_is_named(
     monkeypatch.syspath_prepend(tmp_path)
     zygote = start_zygote(["json", "starts_thread", "numpy"], tmp_path / "run")
     client = ZygoteClient(zygote.socket_path)
-    assert {module: len(names) for module, names in client.preload_threads.items()} == {
-        "starts_thread": 1
-    }
+    assert zygote.log_file.read_text().count("starts threads when imported") == 1
     assert "starts_thread starts threads when imported" in zygote.log_file.read_text()
     client.close()
     zygote.close()
@@ -165,6 +163,20 @@ def test_a_client_that_sends_garbage_loses_its_connection(
             pass
     assert "sent an invalid request" in zygote.log_file.read_text()
     owner.spawn("speak", said="").wait(LIMIT_S)
+
+
+def test_a_client_that_does_not_read_its_answers_loses_its_connection(
+    zygote: ZygoteProcess, owner: Owner
+) -> None:
+    request = encode_request(Signal(request=1, pid=0, signal=0, group=False))
+    with socket.socket(socket.AF_UNIX) as client:
+        client.settimeout(LIMIT_S)
+        client.connect(str(zygote.socket_path))
+        with pytest.raises((BrokenPipeError, ConnectionResetError)):
+            client.sendall(request * 100_000)
+    ended = owner.spawn("speak", said="").wait(LIMIT_S)
+    assert ended is not None
+    assert f"process {os.getpid()} does not read its answers" in zygote.log_file.read_text()
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can act as another user")
