@@ -21,10 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.result import Figure
-from cairn.components.localizer.config import MeasuredBase
+from cairn.components.localizer.config import LocalizationSettings, MeasuredBase
 from cairn.components.localizer.localization import Localization
 from cairn.components.localizer.odometry import MeasuredTrack
-from cairn.components.localizer.settings import Settings
 from cairn.components.map_builder.counting import build_map
 from cairn.components.replay.carmen import CarmenRecording
 from cairn.planar.grid import OccupancyCells
@@ -113,7 +112,7 @@ def draw_map(log: Log, mapped: NDArray[np.bool_]) -> OccupancyCells:
 
 def localization(grid: OccupancyCells, seed: int) -> Localization:
     """The localizer with its default parameters."""
-    settings = Settings(particles=500, motion=MeasuredBase().model())
+    settings = LocalizationSettings(particles=500, motion=MeasuredBase().model())
     one = Localization(settings, MeasuredTrack(), np.random.default_rng(seed))
     one.use_grid(grid)
     return one

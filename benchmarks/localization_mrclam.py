@@ -24,7 +24,7 @@ from typing import Literal
 import numpy as np
 
 from benchmarks.localization_replay import Recording, errors, load, run, stressed, true_pose
-from cairn.components.localizer.settings import Settings
+from cairn.components.localizer.config import LocalizationSettings
 from cairn.components.map_builder.objects import Kind, MapObject, State
 from cairn.components.map_builder.place import Place
 from cairn.components.replay.mrclam_files import Dataset
@@ -115,7 +115,9 @@ def solve(case: Case) -> Result:
         begin = float(random.uniform(0.0, 0.6)) * float(rec.odometry[-1, 0])
         start = None
     before = time.process_time()
-    outcome = run(rec, objects, Settings(mode=case.mode), case.seed, start, case.update, begin)
+    outcome = run(
+        rec, objects, LocalizationSettings(mode=case.mode), case.seed, start, case.update, begin
+    )
     cpu = time.process_time() - before
     error = errors(outcome, rec)
     first_seen = next(t for t, _ in rec.frames if t >= begin)

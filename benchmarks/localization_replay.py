@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from cairn.components.localizer.localization import Frame, Localization
-from cairn.components.localizer.object_likelihood import Landmark, Sighting
+from cairn.components.localizer.config import LocalizationSettings
+from cairn.components.localizer.localization import EvidenceFrame, Localization
+from cairn.components.localizer.observations import Landmark, Observation
 from cairn.components.localizer.odometry import CommandedTrack
-from cairn.components.localizer.settings import Settings
 from cairn.components.map_builder.objects import Change, Evidence, MapObject, State, Verdict
 from cairn.components.map_builder.place import Place
 from cairn.components.map_builder.visual_map import VisualMap
@@ -28,7 +28,7 @@ class Recording:
     """One robot's records; times [s] from the first odometry record."""
 
     odometry: NDArray[np.float64]
-    frames: list[tuple[float, list[Sighting]]]
+    frames: list[tuple[float, list[Observation]]]
     truth: NDArray[np.float64]
     places: dict[int, tuple[float, float]]
 
@@ -49,14 +49,16 @@ def load(dataset: Dataset, robot: int) -> Recording:
     odometry = dataset.odometry(robot)
     origin = odometry[0, 0]
     seen = dataset.sightings(robot)
-    frames: list[tuple[float, list[Sighting]]] = []
+    frames: list[tuple[float, list[Observation]]] = []
     for t, code, reach, bearing in zip(
         seen.time - origin, seen.barcode, seen.range_m, seen.bearing, strict=True
     ):
         subject = subjects.get(int(code), 0)
         if subject < 6:
             continue
-        sighting = Sighting(subject, float(reach), float(bearing), *range_bearing_variance(reach))
+        sighting = Observation(
+            subject, float(reach), float(bearing), *range_bearing_variance(reach)
+        )
         if frames and frames[-1][0] == t:
             frames[-1][1].append(sighting)
         else:
@@ -97,7 +99,7 @@ def true_pose(recording: Recording, t: float) -> tuple[float, float, float]:
 def run(
     recording: Recording,
     objects: list[MapObject],
-    settings: Settings,
+    settings: LocalizationSettings,
     seed: int,
     start: tuple[float, float, float] | None,
     update_map: bool = True,
@@ -114,7 +116,7 @@ def run(
     poses: list[tuple[float, float, float, float]] = []
     frames = [f for f in recording.frames if f[0] >= begin]
     ticks = np.arange(begin + 0.5, recording.odometry[-1, 0], 0.5)
-    events: list[tuple[float, list[Sighting] | None]] = [
+    events: list[tuple[float, list[Observation] | None]] = [
         *frames,
         *((float(t), None) for t in ticks),
     ]
@@ -144,13 +146,13 @@ def _update(
     t: float,
     localization: Localization,
     visual_map: VisualMap,
-    frame: Frame,
+    frame: EvidenceFrame,
     outcome: Outcome,
 ) -> None:
     robot = frame.before.mean
     evidence = [
         Evidence(
-            j.sighting.object_id,
+            j.observation.object_id,
             j.similarity,
             Verdict(int(j.verdict)),
             j.distance,
@@ -164,7 +166,7 @@ def _update(
             robot,
             frame.healthy,
         )
-        for j in frame.judgments
+        for j in frame.evidence
     ]
     changes = list(visual_map.apply(evidence, t).changes)
     if frame.relocalized:
@@ -221,6 +223,6 @@ def stressed(recording: Recording, random: np.random.Generator) -> Recording:
                 object_id = misread[2]
             if random.random() < gross / 2:
                 reach, bearing = random.uniform(0.5, 6.0), random.uniform(-0.5, 0.5)
-            seen.append(Sighting(object_id, reach, bearing, *range_bearing_variance(reach)))
+            seen.append(Observation(object_id, reach, bearing, *range_bearing_variance(reach)))
         frames.append((t, seen))
     return Recording(odometry, frames, truth, places)

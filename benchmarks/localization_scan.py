@@ -15,13 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.result import Figure
-from cairn.components.localizer.cloud import Cloud
-from cairn.components.localizer.config import MeasuredBase
+from cairn.components.localizer.config import LocalizationSettings, MeasuredBase
 from cairn.components.localizer.likelihood_field import LikelihoodField
 from cairn.components.localizer.localization import Localization
-from cairn.components.localizer.motion import Increment, move_pose
-from cairn.components.localizer.odometry import MeasuredTrack
-from cairn.components.localizer.settings import Settings
+from cairn.components.localizer.odometry import MeasuredTrack, OdometryStep, move_pose
+from cairn.components.localizer.particle_set import ParticleSet
 from cairn.planar.grid import FREE, OCCUPIED, Frame, Grid, OccupancyCells, distance_field
 from cairn.planar.poses import Pose, compose, wrap
 from cairn.tools.evaluation.results import SIGMA_LIMITS
@@ -30,7 +28,7 @@ Array = NDArray[np.float64]
 
 RESOLUTION = 0.05
 MODEL = MeasuredBase().model()
-STEP = Increment(0.12, 0.0, 0.08, 0.2)
+STEP = OdometryStep(0.12, 0.0, 0.08, 0.2)
 _ROUNDS = 80
 START: Pose = (2.0, 2.0, 0.4)
 
@@ -107,8 +105,8 @@ def updates(particles: int, beams: int, seed: int = 0) -> Times:
     random = np.random.default_rng(seed)
     grid = floor(9.0, 4, seed)
     field = LikelihoodField(grid, 0.1, 0.05)
-    cloud = Cloud(particles, particles, MODEL, random)
-    cloud.scatter(START, np.diag([0.05**2, 0.05**2, 0.03**2]))
+    cloud = ParticleSet(particles, particles, MODEL, random)
+    cloud.set_gaussian(START, np.diag([0.05**2, 0.05**2, 0.03**2]))
     share = 0.35 * 60.0 / beams
     poses = list(accumulate(range(_ROUNDS), lambda pose, _: move_pose(pose, STEP), initial=START))
     scans = [scan(grid, pose, beams, random) for pose in poses[1:]]
@@ -192,7 +190,7 @@ def wander(
 
 def new_robot(grid: OccupancyCells, seed: int) -> Localization:
     """A localizer with the default parameters."""
-    settings = Settings(particles=500, motion=MODEL)
+    settings = LocalizationSettings(particles=500, motion=MODEL)
     robot = Localization(settings, MeasuredTrack(), np.random.default_rng(seed))
     robot.use_grid(grid)
     return robot

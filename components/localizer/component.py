@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from bisect import insort
+from typing import Generic, TypeVar
 
 import numpy as np
 
@@ -23,24 +25,21 @@ from cairn import (
     on,
     to_ns,
 )
-from cairn.components.localizer.beginning import first_pose, pointed_out
 from cairn.components.localizer.config import LocalizerConfig
-from cairn.components.localizer.health import Health
-from cairn.components.localizer.late import seen_from, view_from
+from cairn.components.localizer.health import PoseHealth, ScannerMonitor
 from cairn.components.localizer.localization import Localization
 from cairn.components.localizer.messages import (
     estimate_message,
     evidence_message,
-    found_message,
     landmarks_of,
-    sightings_of,
+    observations_of,
+    relocalization_message,
     transform_message,
     view_of,
 )
+from cairn.components.localizer.observations import as_observed_from, view_as_from
 from cairn.components.localizer.odometry import MeasuredTrack
-from cairn.components.localizer.order import Held
-from cairn.components.localizer.resume import save
-from cairn.components.localizer.scanner_watch import ScannerWatch
+from cairn.components.localizer.start_pose import find_start_pose, operator_pose, save
 from cairn.planar.grid import grid_of
 from cairn.planar.messages import packed_poses, planar_pose, with_covariance
 from cairn.planar.odometry import OdometryHistory
@@ -57,7 +56,7 @@ from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.std_msgs import Header
 from cairn.schemas.tf2_msgs import TFMessage
 
-# The cloud is moved at least this often [s], behind odometry by as much as sightings may be late.
+# The cloud is moved at least this often [s], behind odometry by as much as observations may be late.
 STEP_S, BEHIND_S = 0.5, 0.5
 # Sightings later than this behind the cloud are of no use [s].
 LATE_S = 1.0
@@ -70,7 +69,37 @@ SCANS_S = 0.5
 OLDER_IN_A_ROW = 5
 # How far [m], [rad] the robot may have come while odometry jumped.
 JUMP_M, JUMP_RAD = 0.15, 0.15
+T = TypeVar("T")
 SHOWN = 200  # poses of the cloud on topic `particles`
+
+
+class PendingMessages(Generic[T]):
+    """Items by stamp [s], held until odometry has reached them, but not for ever."""
+
+    def __init__(self, longest_s: float) -> None:
+        self.longest_s = longest_s
+        self._items: list[tuple[float, int, T]] = []
+        self._count = 0
+
+    def add(self, stamp: float, item: T) -> None:
+        """Hold an item; of equal stamps the earlier comes first."""
+        self._count += 1
+        insort(self._items, (stamp, self._count, item), key=lambda entry: entry[:2])
+
+    def release(self, odometry: float, now: float) -> list[tuple[float, T]]:
+        """The items that odometry has reached, and those held longer than the limit."""
+        ready = []
+        while self._items:
+            stamp = self._items[0][0]
+            if stamp > odometry and now - stamp <= self.longest_s:
+                break
+            ready.append((stamp, self._items.pop(0)[2]))
+        return ready
+
+    @property
+    def oldest(self) -> float | None:
+        """The stamp of the item next to be released."""
+        return self._items[0][0] if self._items else None
 
 
 class Localizer(Component):
@@ -107,9 +136,11 @@ class Localizer(Component):
     def _lay_out(self) -> None:
         self._track = self.config.base.track()
         self._localization = Localization(self.config.settings(), self._track, self.random)
-        self._held: Held[LaserScan | RecognizedObjectArray] = Held(self.config.hold_s)
+        self._held: PendingMessages[LaserScan | RecognizedObjectArray] = PendingMessages(
+            self.config.hold_s
+        )
         self._history = OdometryHistory(5 * SECOND)
-        self._scanner = ScannerWatch()
+        self._scanner = ScannerMonitor()
         self._published = self._scanned = -math.inf
         self._jumps = self._older = 0
 
@@ -145,19 +176,19 @@ class Localizer(Component):
     @on("initialpose")
     def begin_at(self, given: PoseWithCovarianceStamped) -> None:
         """Take an operator's word for where the robot is."""
-        where = pointed_out(given.pose)
+        where = operator_pose(given.pose)
         self._localization.locate(where.mean, where.covariance)
         self.log.info("told to be at (%.2f m, %.2f m, %.2f rad)", *where.mean)
 
     @on("odom")
     def follow(self, odom: Odometry) -> None:
-        """Take odometry; work off the scans and sightings that waited for it."""
+        """Take odometry; work off the scans and observations that waited for it."""
         stamp = _seconds(odom.header.stamp)
         pose = planar_pose(odom.pose.pose)
         latest = self._track.latest
         if latest == -math.inf:
             self._localization.advance(stamp)
-            known = first_pose(self.config, odom, stamp, self.log)
+            known = find_start_pose(self.config, odom, stamp, self.log)
             if known is not None:
                 self._localization.locate(known.mean, known.covariance)
         elif stamp - latest > GAP_S:
@@ -206,7 +237,7 @@ class Localizer(Component):
         self._work_off()
         if self._localization.located:
             # A generator of its own: to be looked at must not change what follows.
-            cloud = self._localization.bank.cloud.sample(SHOWN, np.random.default_rng(0))
+            cloud = self._localization.filters.cloud.sample(SHOWN, np.random.default_rng(0))
             header = self._header(self._track.integrated_to)
             self.particles.publish(PoseArray(header=header, poses=packed_poses(cloud.T)))
 
@@ -302,8 +333,8 @@ class Localizer(Component):
         view = view_of(seen)
         frame = self._localization.sight(
             stamp,
-            [seen_from(sighting, step) for sighting in sightings_of(seen)],
-            view_from(view, step) if view is not None else None,
+            [as_observed_from(observation, step) for observation in observations_of(seen)],
+            view_as_from(view, step) if view is not None else None,
         )
         if frame is None:
             if self._localization.located and not was_located:
@@ -311,7 +342,7 @@ class Localizer(Component):
             return
         self._tell_ranges()
         header = self._header(stamp)
-        if frame.judgments:
+        if frame.evidence:
             self.object_evidence.publish(evidence_message(header, frame))
         if frame.relocalized:
             self._tell_found(stamp)
@@ -332,7 +363,7 @@ class Localizer(Component):
         """How the robot has moved from `stamp` [s] to the time that the cloud has come to; None if
         odometry does not tell, as across a jump.
 
-        Scans come sooner than what a recognizer has to compute: its sightings are older than the
+        Scans come sooner than what a recognizer has to compute: its observations are older than the
         cloud.
         """
         measured = isinstance(self._track, MeasuredTrack)
@@ -352,7 +383,9 @@ class Localizer(Component):
             "the robot was lost and found itself at (%.2f m, %.2f m, %.2f rad)", *found.mean
         )
         confirmed_until = self._localization.confirmed_until
-        self.relocalized.publish(found_message(self._header(stamp), found, confirmed_until))
+        self.relocalized.publish(
+            relocalization_message(self._header(stamp), found, confirmed_until)
+        )
 
     def _localization_at(self, stamp: float, odom: Pose) -> None:
         if not self._localization.located:
@@ -372,10 +405,10 @@ class Localizer(Component):
         self.tf.publish(transform_message(header, pose, odom))
 
     def _publish_estimate(self, header: Header, pose: PoseWithCovariance | None) -> None:
-        health: Health = self._localization.health()
+        health: PoseHealth = self._localization.health()
         if self._localization.map is not None:
             health = self._scanner.limited(health, self._track.latest, self.scan.topic)
-        particles = self._localization.bank.cloud.count
+        particles = self._localization.filters.cloud.count
         self.localization.publish(estimate_message(header, pose, health, particles))
 
     def _header(self, stamp: float) -> Header:

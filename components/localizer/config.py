@@ -3,16 +3,44 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
 from pydantic import Field
 
 from cairn import Config, Mount
-from cairn.components.localizer.judge import Mode
-from cairn.components.localizer.motion import MotionModel
-from cairn.components.localizer.odometry import CommandedTrack, MeasuredTrack, OdometryTrack
-from cairn.components.localizer.settings import Fusion, Settings
+from cairn.components.localizer.landmark_evidence import SimilarityMode
+from cairn.components.localizer.odometry import (
+    CommandedTrack,
+    MeasuredTrack,
+    MotionModel,
+    OdometryTrack,
+)
+
+# How objects are fused: by their reliability, or each as if it certainly stood in its place.
+ObjectFusion = Literal["reliability", "at_its_word"]
+
+
+@dataclass(frozen=True)
+class LocalizationSettings:
+    """What can be tuned; units in the names or in `LocalizerConfig`."""
+
+    particles: int = 400
+    most_particles: int = 20_000
+    judges: int = 16
+    judge_particles: int = 400
+    search_particles: int = 20_000
+    independence: float = 0.15
+    scan_share: float = 0.35
+    beams: int = 60
+    beam_sd_m: float = 0.1
+    stray: float = 0.05
+    mode: SimilarityMode = "lr"
+    fusion: ObjectFusion = "reliability"
+    ring_samples: int = 300
+    healthy_spread_m: float = 0.35
+    motion: MotionModel = field(default_factory=MotionModel)
 
 
 class StartPose(Config):
@@ -104,8 +132,8 @@ class LocalizerConfig(Config):
         0.15,
         gt=0,
         le=1,
-        description="Share of a sighting's log-likelihood that counts, as the errors of "
-        "successive sightings repeat [1].",
+        description="Share of a observation's log-likelihood that counts, as the errors of "
+        "successive observations repeat [1].",
     )
     beams: int = Field(60, ge=10, le=5000, description="Beams of a scan that are used [1].")
     beam_sd: float = Field(
@@ -121,12 +149,12 @@ class LocalizerConfig(Config):
         description="Share of the log-likelihood of 60 beams that counts, as their errors repeat "
         "[1].",
     )
-    mode: Mode = Field(
+    mode: SimilarityMode = Field(
         "lr",
         description="Similarity by likelihood ratio, or by new samples as in the paper; to compare "
         "with: the paper's rule to the letter, or a chi-square gate.",
     )
-    fusion: Fusion = Field(
+    fusion: ObjectFusion = Field(
         "reliability",
         description="An object has a say in the pose by its reliability; to compare with: at its "
         "word, as if all stood where the map says.",
@@ -138,15 +166,15 @@ class LocalizerConfig(Config):
         0.35, gt=0, le=5, description="Position deviation up to which objects are judged [m]."
     )
     hold_s: float = Field(
-        1.5, ge=0, le=5, description="How long a sighting waits for odometry to reach it [s]."
+        1.5, ge=0, le=5, description="How long a observation waits for odometry to reach it [s]."
     )
     base: MeasuredBase | CommandedBase = Field(
         MeasuredBase(), discriminator="kind", description="How odometry is to be read."
     )
 
-    def settings(self) -> Settings:
+    def settings(self) -> LocalizationSettings:
         """The parameters as the algorithm takes them."""
-        return Settings(
+        return LocalizationSettings(
             particles=self.particles,
             most_particles=max(self.particles, self.most_particles),
             judges=self.judges,

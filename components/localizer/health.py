@@ -1,11 +1,15 @@
-"""How far the pose can be relied on: from 0 (lost) to 1, and why."""
+"""The health of the pose: what decides how far it can be relied on, from 0 (lost) to 1."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
-from cairn.components.localizer.particles import Estimate
-from cairn.components.localizer.recent import Support
+import numpy as np
+
+from cairn.components.localizer.particle_set import PoseEstimate
+from cairn.components.localizer.recent_observations import PoseSupport
+from cairn.planar.scans import Rays
 from cairn.schemas.cairn_nav_msgs import ReasonCode
 
 # Between these two a measure goes from full trust to none.
@@ -17,7 +21,7 @@ _UNSURE = 0.45
 
 
 @dataclass(frozen=True)
-class Health:
+class PoseHealth:
     """`value` from 0 to 1; `reason` says in words what keeps it below 1, "" if nothing does.
 
     `code` is the reason's code; `fit` is the share of the scans' beams that the map explains, None
@@ -27,16 +31,16 @@ class Health:
     value: float
     code: ReasonCode
     reason: str
-    support: Support
+    support: PoseSupport
     fit: float | None
 
 
-LOST = Health(
-    0.0, ReasonCode.NOT_LOCATED, "the robot does not know where it is", Support(0, 0), None
+LOST = PoseHealth(
+    0.0, ReasonCode.NOT_LOCATED, "the robot does not know where it is", PoseSupport(0, 0), None
 )
 
 
-def health_of(pose: Estimate, support: Support, fit: float | None) -> Health:
+def assess_health(pose: PoseEstimate, support: PoseSupport, fit: float | None) -> PoseHealth:
     """The health of a pose: that of its worst side (spread, heading, scan, objects)."""
     heading_sd = float(pose.covariance[2, 2]) ** 0.5
     sides = [
@@ -73,10 +77,10 @@ def health_of(pose: Estimate, support: Support, fit: float | None) -> Health:
     value, code, reason = min(sides, key=lambda side: side[0])
     if value >= 1.0:
         code, reason = ReasonCode.NONE, ""
-    return Health(value, code, reason, support, fit)
+    return PoseHealth(value, code, reason, support, fit)
 
 
-def not_yet_sure(health: Health, code: ReasonCode, reason: str) -> Health:
+def limit_unconfirmed(health: PoseHealth, code: ReasonCode, reason: str) -> PoseHealth:
     """Return the health of a robot that may be elsewhere, for a `reason` in words."""
     value = min(health.value, _UNSURE)
     if health.reason:
@@ -86,3 +90,45 @@ def not_yet_sure(health: Health, code: ReasonCode, reason: str) -> Health:
 
 def _between(measure: float, full: float, none: float) -> float:
     return min(1.0, max(0.0, (none - measure) / (none - full)))
+
+
+SILENT_S = 1.0
+"""For so long [s] scans may hit nothing, or not come at all."""
+_UNTOLD_S = 0.6  # for so long [s] they may tell nothing
+# The most that a pose is worth without scans that hit anything, and without such as tell anything.
+_NO_HITS, _BLIND = 0.5, 0.2
+
+
+class ScannerMonitor:
+    """When scans last told anything, and when they last hit anything [s]."""
+
+    def __init__(self) -> None:
+        self._told = self._hit = -math.inf
+        self._blind = False
+
+    def note(self, stamp: float, rays: Rays, contradicted: bool) -> bool:
+        """Take a scan of that time [s]; False if it tells nothing.
+
+        `contradicted`: it hit nothing, although the map has obstacles within its reach.
+        """
+        self._blind = contradicted or not rays.informative
+        if self._blind:
+            return False
+        self._told = stamp
+        if np.isfinite(rays.ranges).any():
+            self._hit = stamp
+        return True
+
+    def limited(self, health: PoseHealth, now: float, topic: str) -> PoseHealth:
+        """What is left of a health at the time `now` [s] with the scans on `topic`."""
+        if self._blind and now - self._told > _UNTOLD_S:
+            most, since, what = _BLIND, now - self._told, "tells"
+            code = ReasonCode.SCAN_INVALID
+        elif now - self._hit > SILENT_S:
+            most, since, what = _NO_HITS, now - self._hit, "hits"
+            code = ReasonCode.SCAN_HITS_NOTHING
+        else:
+            return health
+        how_long = f"for {since:.1f} s" if math.isfinite(since) else "so far"
+        why = f"no scan on {topic} that {what} anything {how_long}"
+        return replace(health, value=min(health.value, most), code=code, reason=why)

@@ -9,27 +9,25 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cairn.components.localizer.absence import AbsenceWatch, View
-from cairn.components.localizer.agreements import Agreements
-from cairn.components.localizer.association import associated
-from cairn.components.localizer.bank import Bank
-from cairn.components.localizer.beams import BeamChoice
-from cairn.components.localizer.cloud import Cloud
-from cairn.components.localizer.evidence import Evidence
-from cairn.components.localizer.health import LOST, Health, health_of, not_yet_sure
-from cairn.components.localizer.judge import Judge, Judgment, Verdict
-from cairn.components.localizer.motion import move_pose
-from cairn.components.localizer.object_likelihood import Landmark, Sighting, believed
-from cairn.components.localizer.odometry import OdometryTrack
-from cairn.components.localizer.particles import Estimate
-from cairn.components.localizer.recent import RecentSightings, Support
-from cairn.components.localizer.recent_scans import RecentScans
-from cairn.components.localizer.recovery import Recovery
-from cairn.components.localizer.scan_fit import ScanFit
-from cairn.components.localizer.scan_map import ScanMap
-from cairn.components.localizer.settings import Settings
-from cairn.components.localizer.slip import SlipWatch
-from cairn.components.localizer.stated import StatedCovariance
+from cairn.components.localizer.absence_detector import AbsenceDetector, CameraView
+from cairn.components.localizer.config import LocalizationSettings
+from cairn.components.localizer.covariance_calibration import CovarianceCalibrator
+from cairn.components.localizer.global_search import RecentMeasurements
+from cairn.components.localizer.health import LOST, PoseHealth, assess_health, limit_unconfirmed
+from cairn.components.localizer.landmark_evidence import (
+    LandmarkEvaluator,
+    LandmarkEvidence,
+    Verdict,
+)
+from cairn.components.localizer.leave_one_out import LeaveOneOutFilters
+from cairn.components.localizer.likelihood_field import ScanMap
+from cairn.components.localizer.observations import Landmark, Observation, as_certain, associate
+from cairn.components.localizer.odometry import OdometryTrack, move_pose
+from cairn.components.localizer.particle_set import ParticleSet, PoseEstimate
+from cairn.components.localizer.recent_observations import PoseSupport, RecentObservations
+from cairn.components.localizer.relocalization import ConfirmationHistory, Relocalizer
+from cairn.components.localizer.scans import BeamSelector, RecentScans, ScanFit
+from cairn.components.localizer.wheel_slip import WheelSlipDetector
 from cairn.planar.grid import OccupancyCells
 from cairn.planar.poses import Pose
 from cairn.schemas.cairn_nav_msgs import ReasonCode
@@ -44,50 +42,50 @@ NO_RAYS = (np.empty((0, 2)), np.empty((0, 2)))
 
 
 @dataclass(frozen=True)
-class Frame:
-    """What one set of sightings gave: the pose before it was fused, health, judgments."""
+class EvidenceFrame:
+    """What one set of observations gave: the pose before it was fused, health, evidence."""
 
-    before: Estimate
+    before: PoseEstimate
     healthy: bool
     code: ReasonCode
     reason: str
-    judgments: tuple[Judgment, ...]
+    evidence: tuple[LandmarkEvidence, ...]
     relocalized: bool
 
 
 class Localization:
-    """The robot's pose from odometry, scans of a grid map and sightings of mapped objects.
+    """The robot's pose from odometry, scans of a grid map and observations of mapped objects.
 
     Times are seconds of one clock. Call `command` for each odometry record, and `scan` and `sight`
     in the order of their stamps; `located` tells whether there is a pose.
     """
 
     def __init__(
-        self, settings: Settings, track: OdometryTrack, random: np.random.Generator
+        self, settings: LocalizationSettings, track: OdometryTrack, random: np.random.Generator
     ) -> None:
         self.settings = settings
         self.track = track
-        cloud = Cloud(settings.particles, settings.most_particles, settings.motion, random)
-        self.bank = Bank(cloud, settings.judge_particles, settings.judges)
-        self.judge = Judge(settings.mode, settings.ring_samples, random)
-        self.recovery = Recovery(settings.search_particles, random)
-        self.slip = SlipWatch(random)
+        cloud = ParticleSet(settings.particles, settings.most_particles, settings.motion, random)
+        self.filters = LeaveOneOutFilters(cloud, settings.judge_particles, settings.judges)
+        self.judge = LandmarkEvaluator(settings.mode, settings.ring_samples, random)
+        self.recovery = Relocalizer(settings.search_particles, random)
+        self.slip = WheelSlipDetector(random)
         self.landmarks: dict[int, Landmark] = {}
         self.map: ScanMap | None = None
         self.located = False
-        self._sightings = RecentSightings()
+        self._observations = RecentObservations()
         self._scans = RecentScans()
         self._fit = ScanFit()
-        self._stated = StatedCovariance()
+        self._stated = CovarianceCalibrator()
         self._reckoned: Pose = (0.0, 0.0, 0.0)
         self._moved_s = 0.0
-        self._beams = BeamChoice(settings.beams)
-        self._absence = AbsenceWatch()
-        self._agreements = Agreements()
+        self._beams = BeamSelector(settings.beams)
+        self._absence = AbsenceDetector()
+        self._agreements = ConfirmationHistory()
 
     def locate(self, pose: Sequence[float], covariance: Array) -> None:
         """Begin (again) from a known pose: x [m], y [m], theta [rad] and covariance (3, 3)."""
-        self.bank.scatter(pose, covariance)
+        self.filters.set_gaussian(pose, covariance)
         self._placed_anew()
         self._forget()
         self.slip.forget()
@@ -110,7 +108,7 @@ class Localization:
             new = self.landmarks.get(object_id)
             if old.live and (new is None or not new.live):
                 # All that it said was said of a place it had left.
-                self.bank.believe_without(object_id)
+                self.filters.replace_by_filter_without(object_id)
             elif old.live and new is not None and math.hypot(new.x - old.x, new.y - old.y) > 0.3:
                 self.judge.forget(object_id)
 
@@ -130,19 +128,19 @@ class Localization:
         self._moved_s += step.moving_s
         self._beams.moved(step)
         if self.located:
-            self.bank.move(step)
+            self.filters.move(step)
 
     def doubt(self, deviation_m: float, deviation_rad: float) -> None:
         """Widen the cloud: odometry has lost the thread."""
         if self.located:
-            self.bank.widen(deviation_m, deviation_rad)
+            self.filters.widen(deviation_m, deviation_rad)
 
-    def pose(self) -> Estimate:
+    def pose(self) -> PoseEstimate:
         """The pose at the time last advanced to, with an honest covariance."""
-        known = self.bank.estimate()
+        known = self.filters.estimate()
         if self.map is None:
             return known
-        return Estimate(known.mean, self._stated.of(known, self.map.field.frame.resolution))
+        return PoseEstimate(known.mean, self._stated.of(known, self.map.field.frame.resolution))
 
     @property
     def contradicted(self) -> bool:
@@ -165,14 +163,14 @@ class Localization:
         """Where a robot that is at `pose` now is expected at the later time `stamp` [s]."""
         return move_pose(pose, self.track.preview(stamp))
 
-    def health(self) -> Health:
+    def health(self) -> PoseHealth:
         """How far the pose can be relied on."""
         if not self.located:
             return LOST
-        pose = self.bank.estimate()
-        health = health_of(pose, self._support(pose, None), self._fit.value)
+        pose = self.filters.estimate()
+        health = assess_health(pose, self._support(pose, None), self._fit.value)
         doubt = self.recovery.doubts(self.track.integrated_to)
-        return not_yet_sure(health, *doubt) if doubt is not None else health
+        return limit_unconfirmed(health, *doubt) if doubt is not None else health
 
     def scan(self, stamp: float, points: Array, misses: tuple[Array, Array] = NO_RAYS) -> bool:
         """Fuse a scan of `stamp` [s], end points (m, 2) [m] in the base's frame; True if the robot
@@ -186,19 +184,19 @@ class Localization:
             return False
         if not len(points):
             if self.located:
-                here = self.bank.estimate().mean
+                here = self.filters.estimate().mean
                 self._fit.note(stamp, self.map.field, here, points, 0, *misses)
             return False
         chosen = self._beams.chosen(points)
         self._scans.add(chosen, self._reckoned)
         if not self.located:
             return self._find(stamp)
-        new = self._beams.take_new()
+        new = self._beams.take_share_of_new()
         share = self._share(len(chosen)) * new
         scan_map = self.map
-        before = self.bank.estimate()
-        self.bank.fuse_scan(lambda poses: share * scan_map.field.log_likelihood(poses, chosen))
-        pose = self.bank.estimate()
+        before = self.filters.estimate()
+        self.filters.fuse_scan(lambda poses: share * scan_map.field.log_likelihood(poses, chosen))
+        pose = self.filters.estimate()
         self._stated.corrected(before, pose, new)
         slipped = None
         # A robot that may be somewhere else altogether is looked for in all the map.
@@ -212,7 +210,7 @@ class Localization:
             self._settle(slipped)
             self.recovery.doubt(stamp, self._reckoned)
             self._scans.add(chosen, self._reckoned)
-            pose = self.bank.estimate()
+            pose = self.filters.estimate()
         self._stated.fitted(
             scan_map.field.deviation(pose.mean, chosen), scan_map.field.frame.resolution
         )
@@ -220,61 +218,61 @@ class Localization:
         if self._fit.value is not None and self.recovery.suspects(self._fit.value):
             # What was seen before speaks of another place, should the robot have been carried.
             self._scans.clear()
-            self._sightings.clear()
+            self._observations.clear()
             self._scans.add(chosen, self._reckoned)
         if self.recovery.due(stamp, contradicted=False):
             return self._recover(stamp)
         return False
 
     def sight(
-        self, stamp: float, seen: Sequence[Sighting], view: View | None = None
-    ) -> Frame | None:
-        """Judge and fuse the objects seen at `stamp` [s]; None while the robot is not located.
+        self, stamp: float, seen: Sequence[Observation], view: CameraView | None = None
+    ) -> EvidenceFrame | None:
+        """LandmarkEvaluator and fuse the objects seen at `stamp` [s]; None while the robot is not located.
 
         `view` is where they could have been seen, if that is known: what should be in it and was
         not seen is judged as well.
         """
         self.advance(stamp)
-        here = self.bank.estimate() if self.located else None
-        sightings = associated(seen, here, self.landmarks)
-        live = [s for s in sightings if self._is_live(s.object_id)]
-        self._sightings.add(sightings, self._reckoned, self._moved_s)
+        here = self.filters.estimate() if self.located else None
+        observations = associate(seen, here, self.landmarks)
+        live = [s for s in observations if self._is_live(s.object_id)]
+        self._observations.add(observations, self._reckoned, self._moved_s)
         if not self.located:
             if live:
                 self._find(stamp)
             return None
-        for sighting in live:
-            self.bank.watch(sighting.object_id)
-        before = self.bank.estimate()
+        for observation in live:
+            self.filters.ensure_filter(observation.object_id)
+        before = self.filters.estimate()
         healthy, code, reason = self._healthy(before, self._support(before, None))
-        judgments = tuple(self._judge(sighting, before, healthy) for sighting in sightings)
-        contradicted = any(one.contradicts for one in judgments)
-        agreed = [one.sighting.object_id for one in judgments if one.verdict is Verdict.AGREES]
+        evidence = tuple(self._judge(observation, before, healthy) for observation in observations)
+        contradicted = any(one.contradicts for one in evidence)
+        agreed = [one.observation.object_id for one in evidence if one.verdict is Verdict.AGREES]
         self._absence.agreed(stamp, agreed)
         self._agreements.note(stamp, (one for one in agreed if self._is_live(one)))
         if healthy and view is not None and self.range_factor is None:
             missed = self._absence.missed(stamp, view, seen, self.landmarks, before, self._reckoned)
-            judgments += tuple(self.judge.unseen(before, *one) for one in missed)
+            evidence += tuple(self.judge.unseen(before, *one) for one in missed)
         if live:
-            self.bank.fuse_objects(live, self._fused(), self.settings.independence)
+            self.filters.fuse_objects(live, self._fused(), self.settings.independence)
         relocalized = False
         if self.recovery.due(stamp, contradicted=contradicted):
             relocalized = self._recover(stamp)
-        return Frame(before, healthy, code, reason, judgments, relocalized)
+        return EvidenceFrame(before, healthy, code, reason, evidence, relocalized)
 
     def _fused(self) -> Mapping[int, Landmark]:
         """The objects as they are fused."""
         if self.settings.fusion == "reliability":
             return self.landmarks
-        return {key: believed(landmark) for key, landmark in self.landmarks.items()}
+        return {key: as_certain(landmark) for key, landmark in self.landmarks.items()}
 
     def _is_live(self, object_id: int) -> bool:
         landmark = self.landmarks.get(object_id)
         return landmark is not None and landmark.live
 
-    def _evidence(self) -> Evidence:
-        return Evidence(
-            sightings=self._sightings,
+    def _evidence(self) -> RecentMeasurements:
+        return RecentMeasurements(
+            observations=self._observations,
             scans=self._scans,
             landmarks=self.landmarks,
             map=self.map,
@@ -283,15 +281,15 @@ class Localization:
             moved_s=self._moved_s,
         )
 
-    def _support(self, pose: Estimate, left_out: int | None) -> Support:
-        return self._sightings.support(
+    def _support(self, pose: PoseEstimate, left_out: int | None) -> PoseSupport:
+        return self._observations.support(
             pose, self._reckoned, self._moved_s, self.landmarks, left_out
         )
 
     def _scans_vouch(self) -> bool:
         return self._fit.vouches(self.track.integrated_to)
 
-    def _vouched(self, support: Support) -> bool:
+    def _vouched(self, support: PoseSupport) -> bool:
         """Whether scans or other objects speak for a pose."""
         if support.firm:
             return True
@@ -302,7 +300,7 @@ class Localization:
         few = support.contradicting <= max(1, support.agreeing)
         return few or self.recovery.found_here(self.track.integrated_to)
 
-    def _healthy(self, pose: Estimate, support: Support) -> tuple[bool, ReasonCode, str]:
+    def _healthy(self, pose: PoseEstimate, support: PoseSupport) -> tuple[bool, ReasonCode, str]:
         limit = self.settings.healthy_spread_m
         if pose.spread > limit:
             return (
@@ -319,16 +317,18 @@ class Localization:
             )
         return True, ReasonCode.NONE, ""
 
-    def _judge(self, sighting: Sighting, before: Estimate, healthy: bool) -> Judgment:
-        object_id = sighting.object_id
+    def _judge(
+        self, observation: Observation, before: PoseEstimate, healthy: bool
+    ) -> LandmarkEvidence:
+        object_id = observation.object_id
         if not self._is_live(object_id):
-            return self.judge.place(sighting, before, healthy)
+            return self.judge.place(observation, before, healthy)
         letter = self.settings.mode == "letter"
-        pose = before if letter else self.bank.estimate_without(object_id)
+        pose = before if letter else self.filters.estimate_without(object_id)
         evidence = self._evidence()
         support = self._support(pose, object_id)
         return self.judge.compare(
-            sighting,
+            observation,
             pose,
             before,
             self.landmarks,
@@ -350,17 +350,17 @@ class Localization:
         return True
 
     def _recover(self, stamp: float) -> bool:
-        found = self.recovery.recover(stamp, self._evidence(), self.bank.estimate())
+        found = self.recovery.recover(stamp, self._evidence(), self.filters.estimate())
         if found is None:
             return False
         self._settle(found)
         return True
 
     def _settle(self, poses: Array) -> None:
-        self.bank.settle(poses)
+        self.filters.set_particles(poses)
         self._placed_anew()
         self._fit.forget()
-        self._stated = StatedCovariance()
+        self._stated = CovarianceCalibrator()
         self.located = True
 
     def _placed_anew(self) -> None:
@@ -369,7 +369,7 @@ class Localization:
         self._agreements.placed_anew(self.landmarks)
 
     def _forget(self) -> None:
-        self._sightings.clear()
+        self._observations.clear()
         self._scans.clear()
         self._fit.forget()
-        self._stated = StatedCovariance()
+        self._stated = CovarianceCalibrator()

@@ -7,12 +7,11 @@ import math
 import numpy as np
 
 from cairn import SECOND, from_ns
-from cairn.components.localizer.absence import View
-from cairn.components.localizer.health import Health
-from cairn.components.localizer.judge import Judgment
-from cairn.components.localizer.localization import Frame
-from cairn.components.localizer.object_likelihood import Landmark, Sighting
-from cairn.components.localizer.particles import Estimate
+from cairn.components.localizer.health import PoseHealth
+from cairn.components.localizer.landmark_evidence import LandmarkEvidence
+from cairn.components.localizer.localization import EvidenceFrame
+from cairn.components.localizer.observations import CameraView, Landmark, Observation
+from cairn.components.localizer.particle_set import PoseEstimate
 from cairn.planar.messages import planar_covariance, with_covariance
 from cairn.planar.poses import Pose, compose, inverse
 from cairn.schemas.cairn_msgs import (
@@ -33,7 +32,7 @@ from cairn.schemas.geometry_msgs import (
 from cairn.schemas.std_msgs import Header
 from cairn.schemas.tf2_msgs import TFMessage
 
-# A sighting whose sender states no covariance is taken to be this good [m, rad].
+# A observation whose sender states no covariance is taken to be this good [m, rad].
 _RANGE_SD, _BEARING_SD = 0.2, math.radians(3.0)
 
 
@@ -54,10 +53,10 @@ def landmarks_of(visual_map: VisualMap) -> list[Landmark]:
     ]
 
 
-def sightings_of(message: RecognizedObjectArray) -> list[Sighting]:
-    """The recognized objects as sightings."""
+def observations_of(message: RecognizedObjectArray) -> list[Observation]:
+    """The recognized objects as observations."""
     return [
-        Sighting(
+        Observation(
             object_id=o.object_id,
             range_m=o.range,
             bearing=o.bearing,
@@ -69,11 +68,11 @@ def sightings_of(message: RecognizedObjectArray) -> list[Sighting]:
     ]
 
 
-def view_of(message: RecognizedObjectArray) -> View | None:
+def view_of(message: RecognizedObjectArray) -> CameraView | None:
     """Where an object could have been recognized; None if that is not known."""
     if message.view_left <= message.view_right:
         return None
-    return View(message.view_right, message.view_left, message.nearest, message.farthest)
+    return CameraView(message.view_right, message.view_left, message.nearest, message.farthest)
 
 
 def transform_message(header: Header, pose: Pose, in_odometry: Pose) -> TFMessage:
@@ -89,7 +88,7 @@ def transform_message(header: Header, pose: Pose, in_odometry: Pose) -> TFMessag
 
 
 def estimate_message(
-    header: Header, pose: PoseWithCovariance | None, health: Health, particles: int
+    header: Header, pose: PoseWithCovariance | None, health: PoseHealth, particles: int
 ) -> LocalizationEstimate:
     """Return the message of a pose with its health; `pose` is None if the robot is not located."""
     covariance = planar_covariance(pose) if pose else np.zeros((3, 3))
@@ -109,7 +108,9 @@ def estimate_message(
     )
 
 
-def found_message(header: Header, found: Estimate, confirmed_until: float) -> Relocalization:
+def relocalization_message(
+    header: Header, found: PoseEstimate, confirmed_until: float
+) -> Relocalization:
     """Where a lost robot was found, and until when [s] it was not lost, -inf if nobody knows."""
     return Relocalization(
         header=header,
@@ -118,9 +119,9 @@ def found_message(header: Header, found: Estimate, confirmed_until: float) -> Re
     )
 
 
-def evidence_message(header: Header, frame: Frame) -> ObjectEvidenceArray:
-    """The judgments of one frame and the pose that they were made from."""
-    before: Estimate = frame.before
+def evidence_message(header: Header, frame: EvidenceFrame) -> ObjectEvidenceArray:
+    """The evidence of one frame and the pose that they were made from."""
+    before: PoseEstimate = frame.before
     x, y, theta = before.mean
     covariance = 0.5 * (before.covariance + before.covariance.T)
     return ObjectEvidenceArray(
@@ -132,21 +133,21 @@ def evidence_message(header: Header, frame: Frame) -> ObjectEvidenceArray:
         healthy=frame.healthy,
         reason=frame.reason,
         reason_code=int(frame.code),
-        evidence=tuple(map(_evidence, frame.judgments)),
+        evidence=tuple(map(_evidence, frame.evidence)),
     )
 
 
-def _evidence(judgment: Judgment) -> ObjectEvidence:
+def _evidence(judgment: LandmarkEvidence) -> ObjectEvidence:
     covariance = 0.5 * (judgment.covariance + judgment.covariance.T)
     return ObjectEvidence(
-        object_id=judgment.sighting.object_id,
+        object_id=judgment.observation.object_id,
         similarity=judgment.similarity,
         verdict=int(judgment.verdict),
         distance=judgment.distance,
         x=judgment.x,
         y=judgment.y,
         covariance=covariance.ravel(),
-        range=judgment.sighting.range_m,
-        bearing=judgment.sighting.bearing,
+        range=judgment.observation.range_m,
+        bearing=judgment.observation.bearing,
         corroborated=judgment.corroborated,
     )

@@ -1,16 +1,118 @@
-"""What odometry says of the robot's motion, between any two times."""
+"""Odometry as motion: what it says between any two times, and how it moves particles."""
 
 from __future__ import annotations
 
 import math
 from bisect import bisect_right
 from collections import deque
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Protocol
 
-from cairn.components.localizer.motion import Increment, step_of
+import numpy as np
+from numpy.typing import NDArray
+
+from cairn.planar.compiled import compiled
 from cairn.planar.odometry import jumped
-from cairn.planar.poses import Pose, between, relative
+from cairn.planar.poses import Pose, between, compose, relative
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class MotionModel:
+    """Random walk of the base about the motion that odometry tells.
+
+    `forward_noise` [m/sqrt(s)] and `turn_noise` [rad/sqrt(s)] while it moves; `forward_slip`
+    [m/sqrt(m)], `turn_slip` [rad/sqrt(rad)] and `turn_per_meter` [rad/sqrt(m)] per motion.
+    Sideways it slips as it does ahead.
+    """
+
+    forward_noise: float = 0.025
+    turn_noise: float = 0.04
+    forward_slip: float = 0.016
+    turn_slip: float = 0.03
+    turn_per_meter: float = 0.0
+
+    def deviations(self, step: OdometryStep) -> tuple[float, float, float]:
+        """Standard deviations of a step: ahead [m], to the left [m], of the turn [rad]."""
+        far = math.hypot(step.ahead, step.aside)
+        turned = abs(step.turned)
+        ahead = self.forward_noise**2 * step.moving_s + self.forward_slip**2 * far
+        turn = (
+            self.turn_noise**2 * step.moving_s
+            + self.turn_slip**2 * turned
+            + self.turn_per_meter**2 * far
+        )
+        aside = self.forward_slip**2 * far if step.measured else 0.0
+        return math.sqrt(ahead), math.sqrt(aside), math.sqrt(turn)
+
+
+@dataclass(frozen=True)
+class OdometryStep:
+    """Motion over a stretch of time, along the middle heading: meters ahead and to the left,
+    radians to the left, seconds in motion; `measured` by the wheels, or only commanded.
+    """
+
+    ahead: float
+    aside: float
+    turned: float
+    moving_s: float
+    measured: bool = True
+
+
+def move_pose(pose: Pose, step: OdometryStep) -> Pose:
+    """The expected pose after `step`: a chord in the direction of the middle heading."""
+    x, y, theta = pose
+    chord = theta + 0.5 * step.turned
+    cosine, sine = math.cos(chord), math.sin(chord)
+    return (
+        x + step.ahead * cosine - step.aside * sine,
+        y + step.ahead * sine + step.aside * cosine,
+        theta + step.turned,
+    )
+
+
+def odometry_step(relative: Pose) -> OdometryStep:
+    """The increment that leads to `relative`, a pose seen from where the step began."""
+    back = -0.5 * relative[2]
+    ahead, aside, _ = compose((0.0, 0.0, back), relative)
+    moved = relative != (0.0, 0.0, 0.0)
+    return OdometryStep(ahead, aside, relative[2], 1.0 if moved else 0.0)
+
+
+def move_particles(
+    poses: Array, step: OdometryStep, model: MotionModel, random: np.random.Generator
+) -> None:
+    """Move every pose of the contiguous `poses` (3, ...) in place by `step`, each with noise."""
+    if step.moving_s <= 0.0:
+        return
+    flat = poses.reshape(3, -1)
+    noise = random.standard_normal(flat.shape)
+    _move(flat, noise, step.ahead, step.aside, step.turned, *model.deviations(step))
+
+
+@compiled(
+    "void(float64[:, ::1], float64[:, ::1], float64, float64, float64, float64, float64, float64)"
+)
+def _move(
+    poses: Array,
+    noise: Array,
+    ahead: float,
+    aside: float,
+    turned: float,
+    ahead_sd: float,
+    aside_sd: float,
+    turn_sd: float,
+) -> None:
+    for i in range(poses.shape[1]):
+        far = ahead + ahead_sd * noise[0, i]
+        left = aside + aside_sd * noise[1, i]
+        turn = turned + turn_sd * noise[2, i]
+        chord = poses[2, i] + 0.5 * turn
+        cosine, sine = math.cos(chord), math.sin(chord)
+        poses[0, i] += far * cosine - left * sine
+        poses[1, i] += far * sine + left * cosine
+        poses[2, i] += turn
 
 
 class OdometryTrack(Protocol):
@@ -23,11 +125,11 @@ class OdometryTrack(Protocol):
         """Take a record: pose in the odometry frame, velocities [m/s, rad/s]; False if too old."""
         ...
 
-    def advance(self, stamp: float) -> Increment:
+    def advance(self, stamp: float) -> OdometryStep:
         """The motion from where it was last advanced to until `stamp` [s]."""
         ...
 
-    def preview(self, stamp: float) -> Increment:
+    def preview(self, stamp: float) -> OdometryStep:
         """The motion that `advance(stamp)` would return, without taking it."""
         ...
 
@@ -65,7 +167,7 @@ class CommandedTrack:
         self._pending.append((stamp + self.lag_s, forward, turn))
         return True
 
-    def advance(self, stamp: float) -> Increment:
+    def advance(self, stamp: float) -> OdometryStep:
         """The motion performed from where it was last advanced to until `stamp` [s]."""
         increment, self._speed, taken = self._integrate(stamp)
         for _ in range(taken):
@@ -73,11 +175,11 @@ class CommandedTrack:
         self.integrated_to = max(self.integrated_to, stamp)
         return increment
 
-    def preview(self, stamp: float) -> Increment:
+    def preview(self, stamp: float) -> OdometryStep:
         """The motion `advance(stamp)` would return, without taking it."""
         return self._integrate(stamp)[0]
 
-    def _integrate(self, stamp: float) -> tuple[Increment, tuple[float, float], int]:
+    def _integrate(self, stamp: float) -> tuple[OdometryStep, tuple[float, float], int]:
         # Before the first command nothing is known to move.
         now = stamp if self.integrated_to == -math.inf else self.integrated_to
         forward, turn = self._speed
@@ -101,7 +203,7 @@ class CommandedTrack:
             turned += turn * step
             if forward or turn:
                 moving += step
-        performed = Increment(
+        performed = OdometryStep(
             self.forward_gain * ahead, 0.0, self.turn_gain * turned, moving, measured=False
         )
         return performed, (forward, turn), taken
@@ -145,7 +247,7 @@ class MeasuredTrack:
         self.latest = stamp
         return True
 
-    def advance(self, stamp: float) -> Increment:
+    def advance(self, stamp: float) -> OdometryStep:
         """The motion from where it was last advanced to until `stamp` [s]."""
         increment = self.preview(stamp)
         self.integrated_to = max(self.integrated_to, stamp)
@@ -154,12 +256,12 @@ class MeasuredTrack:
             self._poses.popleft()
         return increment
 
-    def preview(self, stamp: float) -> Increment:
+    def preview(self, stamp: float) -> OdometryStep:
         """The motion `advance(stamp)` would return, without taking it."""
         if self.integrated_to == -math.inf or not self._stamps or stamp <= self.integrated_to:
-            return Increment(0.0, 0.0, 0.0, 0.0)
+            return OdometryStep(0.0, 0.0, 0.0, 0.0)
         step = relative(self._at(self.integrated_to), self._at(stamp))
-        increment = step_of(step)
+        increment = odometry_step(step)
         moving = stamp - self.integrated_to if increment.moving_s else 0.0
         return replace(increment, moving_s=moving)
 

@@ -5,22 +5,21 @@ from pathlib import Path
 import numpy as np
 
 from cairn.components.automove.component import AutoMoveConfig
-from cairn.components.localizer.health import Health, not_yet_sure
-from cairn.components.localizer.recent import Support
-from cairn.components.localizer.scanner_watch import ScannerWatch
+from cairn.components.localizer.health import PoseHealth, ScannerMonitor, limit_unconfirmed
+from cairn.components.localizer.recent_observations import PoseSupport
 from cairn.components.map_builder.config import MapBuilderConfig
 from cairn.components.motion_control.config import MotionControlConfig
 from cairn.components.path_planner.config import PathPlannerConfig
 from cairn.planar.scans import Rays
 from cairn.schemas.cairn_nav_msgs import ReasonCode
 
-BEST = Health(1.0, ReasonCode.NONE, "", Support(0, 0), None)
-JUST_FOUND = not_yet_sure(BEST, ReasonCode.UNCONFIRMED, "why").value
+BEST = PoseHealth(1.0, ReasonCode.NONE, "", PoseSupport(0, 0), None)
+JUST_FOUND = limit_unconfirmed(BEST, ReasonCode.UNCONFIRMED, "why").value
 
 
 def out_of_reach() -> float:
     """The health of a robot whose scanner reaches nothing."""
-    watch, ranges = ScannerWatch(), np.full(60, np.inf)
+    watch, ranges = ScannerMonitor(), np.full(60, np.inf)
     watch.note(2.0, Rays(np.zeros((60, 2)), np.zeros(60), ranges, 10.0), contradicted=False)
     return watch.limited(BEST, 2.0, "scan").value
 

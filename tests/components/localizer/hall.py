@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cairn.components.localizer.object_likelihood import Landmark, Sighting
+from cairn.components.localizer.observations import Landmark, Observation
 from cairn.planar.poses import Pose
 
 PLACES = {
@@ -30,7 +30,7 @@ class Moment:
     forward: float
     turn: float
     pose: Pose
-    sightings: list[Sighting]
+    observations: list[Observation]
 
 
 def drive(seconds: float, seed: int = 0, blind: tuple[float, float] = (0, 0)) -> Iterator[Moment]:
@@ -46,7 +46,7 @@ def drive(seconds: float, seed: int = 0, blind: tuple[float, float] = (0, 0)) ->
                 bearing = (math.atan2(my - y, mx - x) - theta + math.pi) % (2 * math.pi) - math.pi
                 if abs(bearing) < 0.6:
                     seen.append(
-                        Sighting(
+                        Observation(
                             object_id,
                             math.hypot(mx - x, my - y) + random.normal(0, RANGE_SD),
                             bearing + random.normal(0, BEARING_SD),

@@ -5,74 +5,83 @@ import math
 import numpy as np
 import pytest
 
-from cairn.components.localizer.absence import AbsenceWatch, View, expected, free_sight
-from cairn.components.localizer.object_likelihood import Landmark, Sighting
-from cairn.components.localizer.particles import Estimate
+from cairn.components.localizer.absence_detector import (
+    AbsenceDetector,
+    expected,
+    free_sight,
+)
+from cairn.components.localizer.observations import CameraView, Landmark, Observation
+from cairn.components.localizer.particle_set import PoseEstimate
 
-AHEAD = View(-math.radians(30), math.radians(30), 0.4, 5.0)
-SURE = Estimate((0.0, 0.0, 0.0), np.diag([0.0004, 0.0004, 0.0001]))
+AHEAD = CameraView(-math.radians(30), math.radians(30), 0.4, 5.0)
+SURE = PoseEstimate((0.0, 0.0, 0.0), np.diag([0.0004, 0.0004, 0.0001]))
 POSTER = Landmark(1, 3.0, 0.0)
 ELSEWHERE = Landmark(2, 2.0, 0.8)
 WALL = np.column_stack((np.full(61, 3.0), np.linspace(-1.5, 1.5, 61)))
 NO_MISSES = np.empty((0, 2))
 
 
-def watch(points: np.ndarray = WALL, scanned: float = 10.0) -> AbsenceWatch:
-    it = AbsenceWatch()
+def ensure_filter(points: np.ndarray = WALL, scanned: float = 10.0) -> AbsenceDetector:
+    it = AbsenceDetector()
     it.scanned(scanned, points, NO_MISSES, (0.0, 0.0, 0.0))
     it.agreed(10.0, [2])
     return it
 
 
 def missed(
-    it: AbsenceWatch, *seen: Sighting, stamp: float = 10.0, poster: Landmark = POSTER
+    it: AbsenceDetector, *seen: Observation, stamp: float = 10.0, poster: Landmark = POSTER
 ) -> list[int]:
     landmarks = {1: poster, 2: ELSEWHERE}
     found = it.missed(
-        stamp, AHEAD, [Sighting(2, 2.2, 0.4, 0.01, 0.001), *seen], landmarks, SURE, (0.0, 0.0, 0.0)
+        stamp,
+        AHEAD,
+        [Observation(2, 2.2, 0.4, 0.01, 0.001), *seen],
+        landmarks,
+        SURE,
+        (0.0, 0.0, 0.0),
     )
     return [landmark.object_id for landmark, _, _ in found]
 
 
 def test_a_poster_on_the_wall_ahead_that_is_not_recognized_is_missed() -> None:
-    assert missed(watch()) == [1]
+    assert missed(ensure_filter()) == [1]
 
 
 def test_one_that_is_recognized_is_not() -> None:
-    assert missed(watch(), Sighting(1, 3.0, 0.0, 0.01, 0.001)) == []
+    assert missed(ensure_filter(), Observation(1, 3.0, 0.0, 0.01, 0.001)) == []
 
 
 def test_nor_is_one_that_may_have_been_recognized_as_another() -> None:
-    assert missed(watch(), Sighting(5, 3.0, 0.0, 0.01, 0.001, (1,))) == []
+    assert missed(ensure_filter(), Observation(5, 3.0, 0.0, 0.01, 0.001, (1,))) == []
 
 
 def test_nor_is_one_that_was_removed_from_the_map() -> None:
-    assert missed(watch(), poster=Landmark(1, 3.0, 0.0, live=False)) == []
+    assert missed(ensure_filter(), poster=Landmark(1, 3.0, 0.0, live=False)) == []
 
 
 def test_somebody_who_stands_before_it_hides_it() -> None:
     person = np.column_stack((np.full(11, 1.5), np.linspace(-0.2, 0.2, 11)))
 
-    assert missed(watch(np.concatenate((WALL, person)))) == []
+    assert missed(ensure_filter(np.concatenate((WALL, person)))) == []
 
 
 def test_without_a_beam_in_its_direction_nothing_is_missed() -> None:
-    assert missed(watch(WALL[:20])) == []
-    assert missed(AbsenceWatch()) == []
+    assert missed(ensure_filter(WALL[:20])) == []
+    assert missed(AbsenceDetector()) == []
 
 
 def test_a_camera_that_has_not_recognized_anything_of_late_misses_nothing() -> None:
-    assert missed(watch(scanned=40.0), stamp=40.0) == [1]
-    assert missed(watch(scanned=41.0), stamp=41.0) == []
+    assert missed(ensure_filter(scanned=40.0), stamp=40.0) == [1]
+    assert missed(ensure_filter(scanned=41.0), stamp=41.0) == []
 
 
 def test_a_scanner_that_is_silent_does_not_tell_what_stands_before_it() -> None:
-    assert missed(watch(scanned=9.1)) == [1]
-    assert missed(watch(scanned=8.9)) == []
+    assert missed(ensure_filter(scanned=9.1)) == [1]
+    assert missed(ensure_filter(scanned=8.9)) == []
 
 
 def test_where_one_object_after_another_is_missed_it_is_the_light_that_fails() -> None:
-    it = watch()
+    it = ensure_filter()
     dark = {1: POSTER, 3: Landmark(3, 2.9, 0.6)}
 
     it.scanned(14.0, WALL, NO_MISSES, (0.0, 0.0, 0.0))
@@ -89,8 +98,8 @@ def test_where_one_object_after_another_is_missed_it_is_the_light_that_fails() -
 
 def test_the_scan_is_seen_from_where_the_robot_has_come_since() -> None:
     """A person 1 m ahead; the robot has gone by."""
-    it = watch(np.array([[1.0, 0.0], [3.0, 0.0]]))
-    past = Estimate((1.5, 0.0, 0.0), SURE.covariance)
+    it = ensure_filter(np.array([[1.0, 0.0], [3.0, 0.0]]))
+    past = PoseEstimate((1.5, 0.0, 0.0), SURE.covariance)
 
     found = it.missed(10.0, AHEAD, [], {1: POSTER, 2: ELSEWHERE}, past, (1.5, 0.0, 0.0))
 
@@ -103,7 +112,7 @@ def test_what_is_at_the_edge_of_the_view_is_not_expected(x: float, y: float) -> 
 
 
 def test_a_robot_that_is_not_sure_of_its_heading_expects_less() -> None:
-    unsure = Estimate((0.0, 0.0, 0.0), np.diag([0.0004, 0.0004, 0.04]))
+    unsure = PoseEstimate((0.0, 0.0, 0.0), np.diag([0.0004, 0.0004, 0.04]))
 
     assert expected(SURE, Landmark(1, 3.0, 0.6), AHEAD) is not None
     assert expected(unsure, Landmark(1, 3.0, 0.6), AHEAD) is None

@@ -2,15 +2,15 @@
 
 import math
 
-from cairn.components.localizer.agreements import Agreements
-from cairn.components.localizer.object_likelihood import Landmark
+from cairn.components.localizer.observations import Landmark
+from cairn.components.localizer.relocalization import ConfirmationHistory
 
 HERE, BESIDE, FAR = Landmark(1, 0.0, 0.0), Landmark(2, 0.4, 0.0), Landmark(3, 4.0, 0.0)
 MAP = {mark.object_id: mark for mark in (HERE, BESIDE, FAR)}
 
 
 def until(*agreed: tuple[float, int]) -> float:
-    it = Agreements()
+    it = ConfirmationHistory()
     for stamp, object_id in agreed:
         it.note(stamp, [object_id])
     it.placed_anew(MAP)
@@ -31,7 +31,7 @@ def test_objects_that_stand_together_are_one_place() -> None:
 
 
 def test_what_agreed_with_another_pose_does_not_count_together() -> None:
-    it = Agreements()
+    it = ConfirmationHistory()
     for stamp, object_id in ((1.0, 1), (2.0, 3)):
         it.note(stamp, [object_id])
     it.placed_anew(MAP)

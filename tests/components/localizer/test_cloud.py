@@ -8,16 +8,21 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from cairn.components.localizer.cloud import Cloud, kld_count
-from cairn.components.localizer.motion import Increment, MotionModel
-from cairn.components.localizer.particles import estimate, redraw, systematic_choice
+from cairn.components.localizer.odometry import MotionModel, OdometryStep
+from cairn.components.localizer.particle_set import (
+    ParticleSet,
+    estimate,
+    kld_count,
+    resample,
+    systematic_choice,
+)
 
 MODEL = MotionModel(0.0, 0.0, 0.02, 0.04, 0.03)
 Array = NDArray[np.float64]
 
 
-def cloud(least: int = 400, most: int = 5000, seed: int = 0) -> Cloud:
-    return Cloud(least, most, MODEL, np.random.default_rng(seed))
+def cloud(least: int = 400, most: int = 5000, seed: int = 0) -> ParticleSet:
+    return ParticleSet(least, most, MODEL, np.random.default_rng(seed))
 
 
 def spread_over(size_m: float, count: int = 5000) -> Array:
@@ -50,7 +55,7 @@ def test_poses_without_weight_do_not_count() -> None:
 
 def test_a_cloud_shrinks_as_scans_tell_more() -> None:
     it = cloud()
-    it.scatter((0.0, 0.0, 0.0), np.diag([1.0, 1.0, 0.3]))
+    it.set_gaussian((0.0, 0.0, 0.0), np.diag([1.0, 1.0, 0.3]))
     assert it.count == 5000
 
     for _ in range(6):
@@ -62,7 +67,7 @@ def test_a_cloud_shrinks_as_scans_tell_more() -> None:
 
 def test_a_likelihood_that_few_poses_meet_is_taken_in_stages() -> None:
     it = cloud()
-    it.scatter((0.0, 0.0, 0.0), np.diag([0.09, 0.09, 0.01]))
+    it.set_gaussian((0.0, 0.0, 0.0), np.diag([0.09, 0.09, 0.01]))
 
     it.fuse(lambda poses: -0.5 * ((poses[0] - 0.7) ** 2 + poses[1] ** 2) / 0.01**2)
 
@@ -72,12 +77,12 @@ def test_a_likelihood_that_few_poses_meet_is_taken_in_stages() -> None:
 
 def test_moving_spreads_the_cloud_and_standing_does_not() -> None:
     it = cloud()
-    it.scatter((0.0, 0.0, 0.0), np.diag([1e-4, 1e-4, 1e-4]))
+    it.set_gaussian((0.0, 0.0, 0.0), np.diag([1e-4, 1e-4, 1e-4]))
     before = it.poses.copy()
 
-    it.move(Increment(0.0, 0.0, 0.0, 0.0))
+    it.move(OdometryStep(0.0, 0.0, 0.0, 0.0))
     assert np.array_equal(it.poses, before)
-    it.move(Increment(4.0, 0.0, 0.0, 8.0))
+    it.move(OdometryStep(4.0, 0.0, 0.0, 8.0))
 
     found = it.estimate()
     assert found.mean[0] == pytest.approx(4.0, abs=0.05)
@@ -109,7 +114,7 @@ def test_drawing_anew_keeps_mean_and_covariance(seed: int) -> None:
     poses = np.array([[0.3], [0.1], [0.05]]) * random.standard_normal((3, 4000))
     before = estimate(poses, np.zeros(4000))
 
-    drawn = redraw(poses, np.full(4000, 1 / 4000), 0.3, random)
+    drawn = resample(poses, np.full(4000, 1 / 4000), 0.3, random)
 
     after = estimate(drawn, np.zeros(4000))
     assert after.mean == pytest.approx(before.mean, abs=0.02)

@@ -7,16 +7,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cairn.components.localizer.evidence import Evidence
+from cairn.components.localizer.config import LocalizationSettings
+from cairn.components.localizer.global_search import RecentMeasurements, search
+from cairn.components.localizer.likelihood_field import ScanMap
 from cairn.components.localizer.localization import Localization
-from cairn.components.localizer.motion import MotionModel
-from cairn.components.localizer.odometry import MeasuredTrack
-from cairn.components.localizer.recent import RecentSightings
-from cairn.components.localizer.recent_scans import RecentScans
-from cairn.components.localizer.scan_map import ScanMap
-from cairn.components.localizer.search import search
-from cairn.components.localizer.settings import Settings
-from cairn.components.localizer.slip import SlipWatch
+from cairn.components.localizer.odometry import MeasuredTrack, MotionModel
+from cairn.components.localizer.recent_observations import RecentObservations
+from cairn.components.localizer.scans import RecentScans
+from cairn.components.localizer.wheel_slip import WheelSlipDetector
 from cairn.planar.grid import OccupancyCells
 from cairn.planar.poses import Pose, compose, relative
 from tests.components.localizer.room import Box, Moment, apart, drive, room, scanned
@@ -28,20 +26,24 @@ SCAN_SHARE = 0.14
 Array = NDArray[np.float64]
 
 
-def evidence(grid: OccupancyCells, *poses: Pose, seed: int = 0) -> Evidence:
+def evidence(grid: OccupancyCells, *poses: Pose, seed: int = 0) -> RecentMeasurements:
     """What a robot saw that came through these poses, with odometry that is right."""
     random = np.random.default_rng(seed)
     scans = RecentScans()
     for pose in poses:
         scans.add(scanned(grid, pose, random, beams=60), relative(poses[0], pose))
     now = relative(poses[0], poses[-1])
-    return Evidence(RecentSightings(), scans, {}, ScanMap(grid, 0.1, 0.05), SCAN_SHARE, now, 0.0)
+    return RecentMeasurements(
+        RecentObservations(), scans, {}, ScanMap(grid, 0.1, 0.05), SCAN_SHARE, now, 0.0
+    )
 
 
 def robot(grid: OccupancyCells, seed: int = 0) -> Localization:
     model = MotionModel(0.0, 0.0, 0.02, 0.04, 0.03)
     one = Localization(
-        Settings(particles=500, motion=model), MeasuredTrack(), np.random.default_rng(seed)
+        LocalizationSettings(particles=500, motion=model),
+        MeasuredTrack(),
+        np.random.default_rng(seed),
     )
     one.use_grid(grid)
     return one
@@ -104,7 +106,9 @@ def test_no_place_of_two_that_look_alike_has_the_most_of_the_share(seed: int) ->
 
 
 def test_nothing_seen_is_nowhere_found() -> None:
-    nothing = Evidence(RecentSightings(), RecentScans(), {}, None, 0.1, (0.0, 0.0, 0.0), 0.0)
+    nothing = RecentMeasurements(
+        RecentObservations(), RecentScans(), {}, None, 0.1, (0.0, 0.0, 0.0), 0.0
+    )
 
     assert search(nothing, 1000, np.random.default_rng(0)) is None
 
@@ -160,7 +164,7 @@ def test_wheels_that_slip_are_found_out_by_two_scans(slip: Pose) -> None:
 
 def test_people_all_around_are_no_slip() -> None:
     grid = room()
-    watch = SlipWatch(np.random.default_rng(0))
+    watch = WheelSlipDetector(np.random.default_rng(0))
     scan_map = ScanMap(grid, 0.1, 0.05)
     random = np.random.default_rng(2)
     one = robot(grid)

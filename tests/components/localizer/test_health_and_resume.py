@@ -6,25 +6,24 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cairn.components.localizer.health import health_of, not_yet_sure
-from cairn.components.localizer.particles import Estimate
-from cairn.components.localizer.recent import Support
-from cairn.components.localizer.resume import resumed, save
-from cairn.components.localizer.scanner_watch import ScannerWatch
+from cairn.components.localizer.health import ScannerMonitor, assess_health, limit_unconfirmed
+from cairn.components.localizer.particle_set import PoseEstimate
+from cairn.components.localizer.recent_observations import PoseSupport
+from cairn.components.localizer.start_pose import load_last_pose, save
 from cairn.planar.poses import Pose
 from cairn.planar.scans import Rays
 from cairn.schemas.cairn_nav_msgs import ReasonCode
 
 LOG = logging.getLogger(__name__)
-NOTHING = Support(0, 0)
+NOTHING = PoseSupport(0, 0)
 
 
-def pose(spread_m: float = 0.05, heading: float = 0.02) -> Estimate:
-    return Estimate((0.0, 0.0, 0.0), np.diag([spread_m**2 / 2, spread_m**2 / 2, heading**2]))
+def pose(spread_m: float = 0.05, heading: float = 0.02) -> PoseEstimate:
+    return PoseEstimate((0.0, 0.0, 0.0), np.diag([spread_m**2 / 2, spread_m**2 / 2, heading**2]))
 
 
 def test_a_good_pose_has_full_health_and_no_reason() -> None:
-    health = health_of(pose(), Support(3, 0), 0.9)
+    health = assess_health(pose(), PoseSupport(3, 0), 0.9)
 
     assert (health.value, health.reason) == (1.0, "")
 
@@ -35,30 +34,30 @@ def test_a_good_pose_has_full_health_and_no_reason() -> None:
         (pose(spread_m=0.5), NOTHING, 0.9, "position is uncertain by 0.50 m"),
         (pose(heading=0.4), NOTHING, 0.9, "heading is uncertain by 0.40 rad"),
         (pose(), NOTHING, 0.3, "map explains 30% of the scan"),
-        (pose(), Support(1, 3), None, "1 agree with the pose and 3 contradict"),
+        (pose(), PoseSupport(1, 3), None, "1 agree with the pose and 3 contradict"),
     ],
 )
 def test_the_worst_side_decides_and_is_named(
-    estimate: Estimate, support: Support, fit: float | None, word: str
+    estimate: PoseEstimate, support: PoseSupport, fit: float | None, word: str
 ) -> None:
-    health = health_of(estimate, support, fit)
+    health = assess_health(estimate, support, fit)
 
     assert health.value < 0.35
     assert word in health.reason
 
 
 def test_objects_that_contradict_weigh_less_where_the_scan_fits() -> None:
-    assert health_of(pose(), Support(0, 3), 0.9).value == 0.5
-    assert health_of(pose(), Support(0, 3), None).value == 0.0
+    assert assess_health(pose(), PoseSupport(0, 3), 0.9).value == 0.5
+    assert assess_health(pose(), PoseSupport(0, 3), None).value == 0.0
 
 
 def test_what_is_not_sure_is_worth_half_at_most() -> None:
-    well = health_of(pose(), NOTHING, 0.9)
-    ill = health_of(pose(spread_m=0.55), NOTHING, 0.9)
+    well = assess_health(pose(), NOTHING, 0.9)
+    ill = assess_health(pose(spread_m=0.55), NOTHING, 0.9)
 
-    assert not_yet_sure(well, ReasonCode.UNCONFIRMED, "why").value < 0.5
-    assert not_yet_sure(well, ReasonCode.UNCONFIRMED, "why").reason == "why"
-    assert not_yet_sure(ill, ReasonCode.UNCONFIRMED, "why") == ill
+    assert limit_unconfirmed(well, ReasonCode.UNCONFIRMED, "why").value < 0.5
+    assert limit_unconfirmed(well, ReasonCode.UNCONFIRMED, "why").reason == "why"
+    assert limit_unconfirmed(ill, ReasonCode.UNCONFIRMED, "why") == ill
 
 
 def rays(hits: int, misses: int, unknown: int) -> Rays:
@@ -80,7 +79,7 @@ def rays(hits: int, misses: int, unknown: int) -> Rays:
 def test_the_less_scans_tell_the_less_the_pose_is_worth(
     seen: Rays, contradicted: bool, least: float, most: float, why: str
 ) -> None:
-    well, watch = health_of(pose(), NOTHING, 0.9), ScannerWatch()
+    well, watch = assess_health(pose(), NOTHING, 0.9), ScannerMonitor()
     watch.note(8.0, rays(60, 0, 0), contradicted=False)
 
     for tenth in range(20):
@@ -95,7 +94,7 @@ def test_the_last_pose_is_carried_on_by_odometry(tmp_path: Path) -> None:
     file = tmp_path / "pose.json"
     save(file, 100.0, (1.0, 2.0, 0.5), np.diag([1e-4, 1e-4, 1e-4]), (5.0, 5.0, 0.5))
 
-    found = resumed(file, 102.0, (5.0 + np.cos(0.5), 5.0 + np.sin(0.5), 0.5), LOG)
+    found = load_last_pose(file, 102.0, (5.0 + np.cos(0.5), 5.0 + np.sin(0.5), 0.5), LOG)
 
     assert found is not None
     assert found.mean == pytest.approx((1.0 + np.cos(0.5), 2.0 + np.sin(0.5), 0.5))
@@ -106,7 +105,7 @@ def test_odometry_that_began_anew_leaves_the_robot_where_it_was(tmp_path: Path) 
     file = tmp_path / "pose.json"
     save(file, 100.0, (1.0, 2.0, 0.5), np.diag([1e-4, 1e-4, 1e-4]), (50.0, 5.0, 0.5))
 
-    found = resumed(file, 101.0, (0.0, 0.0, 0.0), LOG)
+    found = load_last_pose(file, 101.0, (0.0, 0.0, 0.0), LOG)
 
     assert found is not None
     assert found.mean == pytest.approx((1.0, 2.0, 0.5))
@@ -119,7 +118,7 @@ def test_a_pose_of_another_time_is_not_used(tmp_path: Path, now_s: float) -> Non
     where: Pose = (1.0, 2.0, 0.5)
     save(file, 100.0, where, np.eye(3), where)
 
-    assert resumed(file, now_s, where, LOG) is None
+    assert load_last_pose(file, now_s, where, LOG) is None
 
 
 @pytest.mark.parametrize("text", ["", "{", '{"stamp_s": NaN}', '{"stamp_s": 1.0, "pose": [1]}'])
@@ -129,6 +128,6 @@ def test_a_damaged_file_is_told_and_not_used(
     file = tmp_path / "pose.json"
     file.write_text(text, encoding="utf-8")
 
-    assert resumed(file, 100.0, (0.0, 0.0, 0.0), LOG) is None
+    assert load_last_pose(file, 100.0, (0.0, 0.0, 0.0), LOG) is None
     assert "does not hold a pose" in caplog.text
-    assert resumed(tmp_path / "none.json", 100.0, (0.0, 0.0, 0.0), LOG) is None
+    assert load_last_pose(tmp_path / "none.json", 100.0, (0.0, 0.0, 0.0), LOG) is None

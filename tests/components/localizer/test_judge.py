@@ -1,13 +1,18 @@
-"""The verdict on sightings: what stands alone waits, what is consistent counts."""
+"""The verdict on observations: what stands alone waits, what is consistent counts."""
 
 import math
 
 import numpy as np
 import pytest
 
-from cairn.components.localizer.judge import Judge, Judgment, Mode, Verdict
-from cairn.components.localizer.object_likelihood import Landmark, Sighting
-from cairn.components.localizer.particles import Estimate
+from cairn.components.localizer.landmark_evidence import (
+    LandmarkEvaluator,
+    LandmarkEvidence,
+    SimilarityMode,
+    Verdict,
+)
+from cairn.components.localizer.observations import Landmark, Observation
+from cairn.components.localizer.particle_set import PoseEstimate
 from cairn.planar.poses import wrap
 
 A, B = Landmark(1, 3.0, 1.0, reliability=0.9), Landmark(2, 3.0, -1.0, reliability=0.9)
@@ -15,21 +20,23 @@ MAP = {1: A, 2: B}
 
 
 def judged(
-    judge: Judge,
+    judge: LandmarkEvaluator,
     object_id: int,
     step: int,
     at: tuple[float, float],
     sd: float = 0.05,
-    by_all: Estimate | None = None,
-) -> Judgment:
+    by_all: PoseEstimate | None = None,
+) -> LandmarkEvidence:
     """`object_id` is seen at a place from the pose that is `step` times 0.2 m along the way, which
     is also that by all objects if no other is given.
     """
-    pose = Estimate((0.2 * step, 0.0, 0.0), np.diag([0.001, 0.001, 0.0002]))
+    pose = PoseEstimate((0.2 * step, 0.0, 0.0), np.diag([0.001, 0.001, 0.0002]))
     dx, dy = at[0] - pose.mean[0], at[1]
-    sighting = Sighting(object_id, math.hypot(dx, dy), wrap(math.atan2(dy, dx)), sd**2, 0.0004)
+    observation = Observation(
+        object_id, math.hypot(dx, dy), wrap(math.atan2(dy, dx)), sd**2, 0.0004
+    )
     return judge.compare(
-        sighting,
+        observation,
         pose,
         by_all or pose,
         MAP,
@@ -41,8 +48,8 @@ def judged(
     )
 
 
-def judge_of(mode: Mode = "lr") -> Judge:
-    return Judge(mode, 300, np.random.default_rng(0))
+def judge_of(mode: SimilarityMode = "lr") -> LandmarkEvaluator:
+    return LandmarkEvaluator(mode, 300, np.random.default_rng(0))
 
 
 def test_a_contradiction_that_stands_alone_hardly_counts() -> None:
@@ -81,7 +88,7 @@ def test_an_object_is_not_doubted_while_the_pose_that_relies_on_it_agrees() -> N
             1,
             step,
             (3.0, 2.0),
-            by_all=Estimate((0.2 * step, -1.0, 0.0), np.diag([0.001, 0.001, 0.0002])),
+            by_all=PoseEstimate((0.2 * step, -1.0, 0.0), np.diag([0.001, 0.001, 0.0002])),
         ).verdict
         for step in range(5)
     ]
@@ -113,7 +120,7 @@ def test_two_objects_that_are_seen_in_each_others_places_were_exchanged() -> Non
 
 @pytest.mark.parametrize("seed", range(5))
 def test_an_object_that_was_moved_a_little_is_found_out_by_many_sightings(seed: int) -> None:
-    """Each sighting by itself agrees: it is as noisy as the move is wide."""
+    """Each observation by itself agrees: it is as noisy as the move is wide."""
     random = np.random.default_rng(seed)
     judge = judge_of()
 

@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cairn.components.localizer.likelihood_field import LikelihoodField
-from cairn.components.localizer.scan_map import ScanMap
+from cairn.components.localizer.likelihood_field import LikelihoodField, ScanMap
 from cairn.planar.grid import FREE, OCCUPIED, UNKNOWN, Frame, Grid
 from cairn.planar.poses import Pose
 

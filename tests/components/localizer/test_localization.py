@@ -7,12 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cairn.components.localizer.judge import Verdict
-from cairn.components.localizer.localization import Frame, Localization
-from cairn.components.localizer.motion import MotionModel
-from cairn.components.localizer.object_likelihood import Landmark, Sighting
-from cairn.components.localizer.odometry import CommandedTrack
-from cairn.components.localizer.settings import Settings
+from cairn.components.localizer.config import LocalizationSettings
+from cairn.components.localizer.landmark_evidence import Verdict
+from cairn.components.localizer.localization import EvidenceFrame, Localization
+from cairn.components.localizer.observations import Landmark, Observation
+from cairn.components.localizer.odometry import CommandedTrack, MotionModel
 from tests.components.localizer.hall import Moment, drive, landmarks
 
 EXACT = MotionModel()
@@ -23,18 +22,18 @@ class Run:
     """A localization that is driven through the hall."""
 
     def __init__(self, objects: Iterable[Landmark], mode: str = "lr", seed: int = 0) -> None:
-        settings = Settings(motion=EXACT, search_particles=8000, mode=mode)  # type: ignore[arg-type]
+        settings = LocalizationSettings(motion=EXACT, search_particles=8000, mode=mode)  # type: ignore[arg-type]
         track = CommandedTrack(lag_s=0.0)
         self.localization = Localization(settings, track, np.random.default_rng(seed))
         self.localization.use_map(objects)
         self.errors: list[float] = []
-        self.frames: list[tuple[Moment, Frame]] = []
+        self.frames: list[tuple[Moment, EvidenceFrame]] = []
         self.confirmed_until: list[float] = []
 
     def through(self, moments: Iterable[Moment]) -> "Run":
         for moment in moments:
             self.localization.command(moment.time, (0.0, 0.0, 0.0), moment.forward, moment.turn)
-            frame = self.localization.sight(moment.time, moment.sightings)
+            frame = self.localization.sight(moment.time, moment.observations)
             if frame is not None:
                 self.frames.append((moment, frame))
                 if frame.relocalized:
@@ -48,8 +47,8 @@ class Run:
         return [
             j.verdict
             for _, frame in self.frames
-            for j in frame.judgments
-            if j.sighting.object_id == object_id
+            for j in frame.evidence
+            if j.observation.object_id == object_id
         ]
 
 
@@ -79,9 +78,9 @@ def test_a_moved_object_is_told_from_those_that_stand_still(mode: str) -> None:
     run.through(drive(125.0))
 
     lowered = [
-        (j.sighting.object_id, j.corroborated)
+        (j.observation.object_id, j.corroborated)
         for _, frame in run.frames
-        for j in frame.judgments
+        for j in frame.evidence
         if j.verdict is Verdict.DISAGREES
     ]
     assert sum(i == 3 for i, _ in lowered) >= 5
@@ -89,8 +88,8 @@ def test_a_moved_object_is_told_from_those_that_stand_still(mode: str) -> None:
     implied = [
         (j.x, j.y)
         for _, frame in run.frames
-        for j in frame.judgments
-        if j.sighting.object_id == 3 and frame.healthy
+        for j in frame.evidence
+        if j.observation.object_id == 3 and frame.healthy
     ]
     assert np.mean(implied, axis=0) == pytest.approx((-1.0, 3.5), abs=0.2)
 
@@ -99,13 +98,13 @@ def test_a_gross_error_lowers_no_object_by_much() -> None:
     run = Run(landmarks())
     run.localization.locate((0.0, 0.0, 0.0), CERTAIN)
     moments = list(drive(30.0))
-    wrong = Sighting(1, 1.0, 0.5, 0.01, 0.0004)
-    moments[100] = replace(moments[100], sightings=[wrong])
+    wrong = Observation(1, 1.0, 0.5, 0.01, 0.0004)
+    moments[100] = replace(moments[100], observations=[wrong])
 
     run.through(moments)
 
-    hit = next(f for m, f in run.frames if m.sightings == [wrong])
-    assert hit.judgments[0].similarity >= 0.45 or not hit.judgments[0].corroborated
+    hit = next(f for m, f in run.frames if m.observations == [wrong])
+    assert hit.evidence[0].similarity >= 0.45 or not hit.evidence[0].corroborated
 
 
 def test_a_sighting_taken_for_another_object_is_a_false_match() -> None:
@@ -114,16 +113,16 @@ def test_a_sighting_taken_for_another_object_is_a_false_match() -> None:
         run = Run(landmarks())
         run.localization.locate((0.0, 0.0, 0.0), CERTAIN)
         moments = list(drive(62.0))
-        seen = {s.object_id for s in moments[when].sightings}
+        seen = {s.object_id for s in moments[when].observations}
         if not seen:
             continue
-        true = moments[when].sightings[0]
+        true = moments[when].observations[0]
         other = next(i for i in range(1, 8) if i not in seen)
-        moments[when] = replace(moments[when], sightings=[replace(true, object_id=other)])
+        moments[when] = replace(moments[when], observations=[replace(true, object_id=other)])
 
         run.through(moments)
 
-        (judgment,) = next(f for m, f in run.frames if m is moments[when]).judgments
+        (judgment,) = next(f for m, f in run.frames if m is moments[when]).evidence
         assert judgment.similarity == 0.5
         verdicts.append(judgment.verdict)
 
@@ -143,7 +142,7 @@ def test_nothing_is_lowered_while_the_robot_is_badly_located() -> None:
     assert all(
         j.similarity >= 0.45 or not j.corroborated
         for _, frame in run.frames
-        for j in frame.judgments
+        for j in frame.evidence
     )
 
 

@@ -68,7 +68,7 @@ def recognized(moment: Moment) -> RecognizedObjectArray:
                 bearing=s.bearing,
                 covariance=np.array([s.range_variance, 0.0, 0.0, s.bearing_variance]),
             )
-            for s in moment.sightings
+            for s in moment.observations
         ),
     )
 
@@ -97,7 +97,7 @@ def begun(stage: StageOf, start: dict[str, float] | None, **parameters: Any) -> 
 
 
 def travel(it: Any, moments: Iterable[Moment], drift_m: float = 0.0, late_s: float = 0.0) -> None:
-    """Give odometry in time and sightings `late_s` later."""
+    """Give odometry in time and observations `late_s` later."""
     waiting: list[Moment] = []
     for moment in moments:
         it.wait(max(0.0, BEGIN + moment.time - it.executor.now() / 1e9))
@@ -105,7 +105,7 @@ def travel(it: Any, moments: Iterable[Moment], drift_m: float = 0.0, late_s: flo
         waiting.append(moment)
         while waiting and waiting[0].time <= moment.time - late_s:
             ready = waiting.pop(0)
-            if ready.sightings:
+            if ready.observations:
                 it.give("objects", recognized(ready))
 
 
@@ -167,7 +167,7 @@ def test_a_sighting_waits_for_odometry_but_not_for_ever(
     it = begun(stage, START, hold_s=1.0)
     travel(it, moments[:20])
     it.taken("object_evidence")
-    ahead = next(m for m in moments[21:] if m.sightings)
+    ahead = next(m for m in moments[21:] if m.observations)
     it.wait(ahead.time + BEGIN - it.executor.now() / 1e9)
 
     it.give("objects", recognized(ahead))
@@ -186,7 +186,7 @@ def test_time_that_runs_backwards_is_told_and_ignored(
     travel(it, moments[:60])
 
     it.give("odom", odometry(moments[3]))
-    it.give("objects", recognized(next(m for m in moments if m.sightings)))
+    it.give("objects", recognized(next(m for m in moments if m.observations)))
     travel(it, moments[60:])
 
     assert "time on /robot/odom runs backwards, from 1011.800 s to 1000.600 s" in caplog.text

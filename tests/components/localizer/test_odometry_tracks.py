@@ -7,8 +7,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cairn.components.localizer.motion import Increment, MotionModel, move_pose, step_of
-from cairn.components.localizer.odometry import CommandedTrack, MeasuredTrack
+from cairn.components.localizer.odometry import (
+    CommandedTrack,
+    MeasuredTrack,
+    MotionModel,
+    OdometryStep,
+    move_pose,
+    odometry_step,
+)
 from cairn.planar.poses import Pose, relative
 
 
@@ -33,7 +39,7 @@ def test_standing_still_is_no_motion() -> None:
     track = measured((1.0, 2.0, 3.0), (1.0, 2.0, 3.0))
     track.advance(0.0)
 
-    assert track.advance(0.1) == Increment(0.0, 0.0, 0.0, 0.0)
+    assert track.advance(0.1) == OdometryStep(0.0, 0.0, 0.0, 0.0)
 
 
 @pytest.mark.parametrize("jump", [(5.0, 0.0, 0.0), (0.1, 0.0, 2.5), (-3.0, 4.0, 0.0)])
@@ -68,7 +74,7 @@ def test_a_command_is_carried_out_late_and_short() -> None:
 @given(st.tuples(st.floats(-1, 1), st.floats(-1, 1), st.floats(-3, 3)))
 def test_an_increment_leads_where_it_was_taken_from(target: Pose) -> None:
     begin = (0.3, -2.0, 1.0)
-    there = relative(begin, move_pose(begin, step_of(target)))
+    there = relative(begin, move_pose(begin, odometry_step(target)))
 
     assert there[:2] == pytest.approx(target[:2], abs=1e-9)
     assert math.sin(there[2] - target[2]) == pytest.approx(0.0, abs=1e-9)
@@ -76,7 +82,7 @@ def test_an_increment_leads_where_it_was_taken_from(target: Pose) -> None:
 
 def test_noise_grows_with_the_root_of_the_way() -> None:
     model = MotionModel(0.0, 0.0, 0.02, 0.04, 0.03)
-    short = np.array(model.deviations(Increment(1.0, 0.0, 0.0, 1.0)))
-    long = np.array(model.deviations(Increment(4.0, 0.0, 0.0, 4.0)))
+    short = np.array(model.deviations(OdometryStep(1.0, 0.0, 0.0, 1.0)))
+    long = np.array(model.deviations(OdometryStep(4.0, 0.0, 0.0, 4.0)))
 
     np.testing.assert_allclose(long, 2.0 * short)

@@ -7,13 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cairn.components.localizer.particles import (
+from cairn.components.localizer.particle_set import (
     effective_count,
     estimate,
-    narrow,
     normalized,
-    redraw,
+    resample,
     systematic_choice,
+    tempered_update,
 )
 
 
@@ -50,7 +50,7 @@ def test_a_redraw_keeps_mean_and_spread() -> None:
     )
 
     before = estimate(poses, np.zeros(4000))
-    after = estimate(redraw(poses, np.full(4000, 1 / 4000), 0.25, random), np.zeros(4000))
+    after = estimate(resample(poses, np.full(4000, 1 / 4000), 0.25, random), np.zeros(4000))
 
     assert after.mean == pytest.approx(before.mean, abs=0.02)
     assert np.sqrt(np.diag(after.covariance)) == pytest.approx(
@@ -73,7 +73,7 @@ def test_narrowing_finds_the_posterior_that_few_samples_lie_in(
     poses = random.standard_normal((3, 1, 500)) * np.array([1.0, 0.1, 0.1])[:, None, None]
     log_weights = np.zeros((1, 500))
 
-    narrow(poses, log_weights, lambda p, _: -0.5 * ((p[0] - place) / sd) ** 2, random)
+    tempered_update(poses, log_weights, lambda p, _: -0.5 * ((p[0] - place) / sd) ** 2, random)
 
     found = estimate(poses[:, 0], log_weights[0])
     posterior_variance = 1 / (1 + 1 / sd**2)

@@ -5,9 +5,14 @@ import math
 import numpy as np
 import pytest
 
-from cairn.components.localizer.judge import Judge, Judgment, Mode, Verdict
-from cairn.components.localizer.object_likelihood import Landmark, Sighting
-from cairn.components.localizer.particles import Estimate
+from cairn.components.localizer.landmark_evidence import (
+    LandmarkEvaluator,
+    LandmarkEvidence,
+    SimilarityMode,
+    Verdict,
+)
+from cairn.components.localizer.observations import Landmark, Observation
+from cairn.components.localizer.particle_set import PoseEstimate
 from cairn.planar.poses import Pose, wrap
 
 MAP = {
@@ -20,19 +25,19 @@ WAY = [(0.2 * step, 0.1 * step, 0.0) for step in range(8)]
 class Robot:
     """Goes a way, and sees all objects from each pose of it."""
 
-    def __init__(self, mode: Mode = "lr") -> None:
-        self.judge = Judge(mode, 300, np.random.default_rng(0))
+    def __init__(self, mode: SimilarityMode = "lr") -> None:
+        self.judge = LandmarkEvaluator(mode, 300, np.random.default_rng(0))
         self.random = np.random.default_rng(1)
 
-    def sees(self, object_id: int, at: Pose, factor: float) -> Judgment:
+    def sees(self, object_id: int, at: Pose, factor: float) -> LandmarkEvidence:
         """An object at `factor` times its distance on the map."""
         landmark = MAP[object_id]
         dx, dy = landmark.x - at[0], landmark.y - at[1]
         range_m = factor * math.hypot(dx, dy) + self.random.normal(0.0, 0.03)
         bearing = wrap(math.atan2(dy, dx) - at[2] + self.random.normal(0.0, 0.01))
-        pose = Estimate(at, np.diag([0.0004, 0.0004, 0.0001]))
+        pose = PoseEstimate(at, np.diag([0.0004, 0.0004, 0.0001]))
         return self.judge.compare(
-            Sighting(object_id, range_m, bearing, 0.03**2, 0.01**2),
+            Observation(object_id, range_m, bearing, 0.03**2, 0.01**2),
             pose,
             pose,
             MAP,
@@ -43,18 +48,18 @@ class Robot:
             lambda poses: np.zeros(poses.shape[1]),
         )
 
-    def looks_around(self, factors: dict[int, float]) -> list[Judgment]:
+    def looks_around(self, factors: dict[int, float]) -> list[LandmarkEvidence]:
         return [self.sees(key, at, factors.get(key, 1.0)) for at in WAY for key in MAP]
 
 
 @pytest.mark.parametrize("factor", [0.5, 0.75, 0.9, 1.12, 1.4])
 @pytest.mark.parametrize("mode", ["lr", "paper"])
-def test_no_object_is_doubted_if_all_ranges_are_wrong(factor: float, mode: Mode) -> None:
+def test_no_object_is_doubted_if_all_ranges_are_wrong(factor: float, mode: SimilarityMode) -> None:
     robot = Robot(mode)
 
-    judgments = robot.looks_around(dict.fromkeys(MAP, factor))
+    evidence = robot.looks_around(dict.fromkeys(MAP, factor))
 
-    assert not [one for one in judgments if one.verdict is Verdict.DISAGREES]
+    assert not [one for one in evidence if one.verdict is Verdict.DISAGREES]
     assert robot.judge.ranges.wrong == pytest.approx(factor, abs=0.02)
 
 
@@ -64,21 +69,21 @@ def test_an_object_that_moved_towards_the_robot_is_doubted_as_the_others_are_rig
 ) -> None:
     robot = Robot()
 
-    judgments = robot.looks_around({0: factor})
+    evidence = robot.looks_around({0: factor})
 
     assert robot.judge.ranges.wrong is None
-    doubted = [one for one in judgments if one.verdict is Verdict.DISAGREES]
-    assert {one.sighting.object_id for one in doubted} == {0}
+    doubted = [one for one in evidence if one.verdict is Verdict.DISAGREES]
+    assert {one.observation.object_id for one in doubted} == {0}
     assert min(one.similarity for one in doubted) == pytest.approx(0.1)
 
 
 def test_nothing_is_wrong_with_ranges_that_err_by_chance() -> None:
     robot = Robot()
 
-    judgments = robot.looks_around({})
+    evidence = robot.looks_around({})
 
     assert robot.judge.ranges.wrong is None
-    assert {one.verdict for one in judgments} == {Verdict.AGREES}
+    assert {one.verdict for one in evidence} == {Verdict.AGREES}
 
 
 def test_the_first_object_that_is_seen_cannot_tell_whether_it_or_the_camera_is_wrong() -> None:
@@ -97,8 +102,8 @@ def test_the_first_object_that_is_seen_cannot_tell_whether_it_or_the_camera_is_w
 def test_nothing_is_learnt_while_ranges_are_wrong() -> None:
     robot = Robot()
     robot.looks_around(dict.fromkeys(MAP, 0.8))
-    here = Estimate((0.0, 0.0, 0.0), 0.0004 * np.eye(3))
+    here = PoseEstimate((0.0, 0.0, 0.0), 0.0004 * np.eye(3))
 
-    found = robot.judge.place(Sighting(9, 2.0, 0.1, 0.001, 0.0001), here, healthy=True)
+    found = robot.judge.place(Observation(9, 2.0, 0.1, 0.001, 0.0001), here, healthy=True)
 
     assert found.verdict is Verdict.NOT_CONVERGED

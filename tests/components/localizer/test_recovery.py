@@ -6,13 +6,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cairn.components.localizer import recovery
-from cairn.components.localizer.particles import Estimate
-from cairn.components.localizer.recent import Support
-from cairn.components.localizer.recovery import BETTER, REFUTED, Recovery
-from cairn.components.localizer.search import Found
+from cairn.components.localizer import relocalization
+from cairn.components.localizer.global_search import GlobalSearchResult
+from cairn.components.localizer.particle_set import PoseEstimate
+from cairn.components.localizer.recent_observations import PoseSupport
+from cairn.components.localizer.relocalization import BETTER, REFUTED, Relocalizer
 
-HERE = Estimate((0.0, 0.0, 0.0), np.eye(3) * 1e-4)
+HERE = PoseEstimate((0.0, 0.0, 0.0), np.eye(3) * 1e-4)
 POSES = np.array([[5.0, 5.0], [1.0, 1.0], [0.0, 0.0]])
 
 
@@ -30,10 +30,10 @@ def looks(
     monkeypatch: pytest.MonkeyPatch, share: float, score: float, fit: float
 ) -> list[np.ndarray | None]:
     """Two looks, which find the robot at (5, 1) with that share of the posterior."""
-    there = Estimate((5.0, 1.0, 0.0), np.eye(3) * 1e-4)
-    found = Found(POSES, there, share, Support(0, 0), score, fit, POSES)
-    monkeypatch.setattr(recovery, "search", lambda *_: found)
-    one = Recovery(1000, np.random.default_rng(0))
+    there = PoseEstimate((5.0, 1.0, 0.0), np.eye(3) * 1e-4)
+    found = GlobalSearchResult(POSES, there, share, PoseSupport(0, 0), score, fit, POSES)
+    monkeypatch.setattr(relocalization, "search", lambda *_: found)
+    one = Relocalizer(1000, np.random.default_rng(0))
     return [one.recover(stamp, evidence(), HERE) for stamp in (10.0, 11.0)]
 
 

@@ -7,35 +7,35 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cairn.components.localizer.object_likelihood import (
-    Landmark,
-    Sighting,
-    believed,
-    object_log_likelihood,
-)
-from cairn.components.localizer.particles import Estimate
-from cairn.components.localizer.ring import draw_ring
-from cairn.components.localizer.similarity import (
+from cairn.components.localizer.landmark_evidence import (
     LEAST,
     convergence_radius,
     gate_similarity,
-    implied_place,
-    innovation,
     likelihood_ratio_similarity,
+    paper_rule_radius,
+    paper_rule_similarity,
     paper_similarity,
-    radius_to_the_letter,
-    similarity_to_the_letter,
+    sample_ring,
 )
+from cairn.components.localizer.observations import (
+    Landmark,
+    Observation,
+    as_certain,
+    implied_position,
+    innovation,
+    object_log_likelihood,
+)
+from cairn.components.localizer.particle_set import PoseEstimate
 
 number = st.floats(-20.0, 20.0)
 
 
-def pose(x: float = 0.0, y: float = 0.0, theta: float = 0.0, sd: float = 0.05) -> Estimate:
-    return Estimate((x, y, theta), np.diag([sd**2, sd**2, (0.5 * sd) ** 2]))
+def pose(x: float = 0.0, y: float = 0.0, theta: float = 0.0, sd: float = 0.05) -> PoseEstimate:
+    return PoseEstimate((x, y, theta), np.diag([sd**2, sd**2, (0.5 * sd) ** 2]))
 
 
-def seen(range_m: float, bearing: float = 0.0) -> Sighting:
-    return Sighting(1, range_m, bearing, 0.1**2, 0.02**2)
+def seen(range_m: float, bearing: float = 0.0) -> Observation:
+    return Observation(1, range_m, bearing, 0.1**2, 0.02**2)
 
 
 @given(number, number, st.floats(-4, 4), st.floats(0.05, 15.0), st.floats(-4, 4), number, number)
@@ -72,11 +72,11 @@ def test_the_papers_similarity_is_radius_over_distance_clamped(
 
 
 def test_to_the_letter_similarity_is_bounded_by_nothing() -> None:
-    assert similarity_to_the_letter(0.2, 0.1) == 1.0
-    assert similarity_to_the_letter(0.2, 0.0) == 1.0
-    assert similarity_to_the_letter(0.2, 4.0) == pytest.approx(0.05)
-    assert similarity_to_the_letter(0.0, 1.0) == 0.0
-    assert radius_to_the_letter(pose(sd=0.001)) == pytest.approx(0.002)
+    assert paper_rule_similarity(0.2, 0.1) == 1.0
+    assert paper_rule_similarity(0.2, 0.0) == 1.0
+    assert paper_rule_similarity(0.2, 4.0) == pytest.approx(0.05)
+    assert paper_rule_similarity(0.0, 1.0) == 0.0
+    assert paper_rule_radius(pose(sd=0.001)) == pytest.approx(0.002)
 
 
 def test_a_gate_decides_by_one_sighting() -> None:
@@ -92,7 +92,7 @@ def test_the_convergence_radius_has_a_floor() -> None:
 
 
 def test_the_implied_place_is_where_the_sighting_points() -> None:
-    x, y, covariance = implied_place(pose(1.0, 2.0, math.pi / 2), seen(3.0, math.pi / 2))
+    x, y, covariance = implied_position(pose(1.0, 2.0, math.pi / 2), seen(3.0, math.pi / 2))
 
     assert (x, y) == pytest.approx((-2.0, 2.0))
     assert covariance[0, 0] > 0.1**2
@@ -104,11 +104,11 @@ def test_new_samples_see_the_object_as_it_was_seen(
     mx: float, my: float, reach: float, bearing: float, seed: int
 ) -> None:
     landmark = Landmark(1, mx, my, reliability=0.98)
-    sighting = seen(reach, bearing)
+    observation = seen(reach, bearing)
 
-    ring = draw_ring(sighting, landmark, 300, np.random.default_rng(seed))
+    ring = sample_ring(observation, landmark, 300, np.random.default_rng(seed))
 
-    fit = object_log_likelihood(ring, sighting, landmark)
+    fit = object_log_likelihood(ring, observation, landmark)
     assert np.mean(fit > -4.6) > 0.95
     around = np.arctan2(ring[1] - my, ring[0] - mx)
     assert np.hypot(np.cos(around).mean(), np.sin(around).mean()) < 0.25
@@ -125,8 +125,8 @@ def test_no_sighting_rules_a_pose_out(x: float, y: float, theta: float, trust: f
 
 
 def test_an_object_far_from_where_a_sure_pose_expects_it_is_contradicted_not_passed_over() -> None:
-    sure = Estimate((0.0, 0.0, 0.0), np.diag([1e-4, 1e-4, 1e-6]))
-    seen = Sighting(1, 2.0, 0.0, 1e-4, 1e-5)
+    sure = PoseEstimate((0.0, 0.0, 0.0), np.diag([1e-4, 1e-4, 1e-6]))
+    seen = Observation(1, 2.0, 0.0, 1e-4, 1e-5)
 
     found = innovation(sure, seen, Landmark(1, -7.0, 5.0))
 
@@ -139,7 +139,7 @@ def test_an_object_at_its_word_rules_poses_out_and_one_of_some_reliability_does_
     landmark = Landmark(1, 2.0, 0.0, reliability=0.9)
 
     doubted = object_log_likelihood(far, seen(2.0), landmark)
-    at_its_word = object_log_likelihood(far, seen(2.0), believed(landmark))
+    at_its_word = object_log_likelihood(far, seen(2.0), as_certain(landmark))
 
     assert doubted[0] > -8.0
     assert at_its_word[0] < -100.0

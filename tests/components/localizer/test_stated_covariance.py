@@ -6,27 +6,27 @@ import numpy as np
 import pytest
 
 from benchmarks.localization_scan import START, floor, new_robot, wander
-from cairn.components.localizer.particles import Estimate
-from cairn.components.localizer.stated import StatedCovariance
+from cairn.components.localizer.covariance_calibration import CovarianceCalibrator
+from cairn.components.localizer.particle_set import PoseEstimate
 from cairn.tools.evaluation.results import SIGMA_LIMITS
 
 CELL_M = 0.05
 EXACT_M = 0.027  # what exact beams deviate from a map of such cells
 
 
-def cloud(deviation: float, x: float = 0.0) -> Estimate:
-    return Estimate((x, 0.0, 0.0), np.diag([deviation**2, deviation**2, deviation**2]))
+def cloud(deviation: float, x: float = 0.0) -> PoseEstimate:
+    return PoseEstimate((x, 0.0, 0.0), np.diag([deviation**2, deviation**2, deviation**2]))
 
 
-def after_corrections(of: float) -> StatedCovariance:
+def after_corrections(of: float) -> CovarianceCalibrator:
     """Of a cloud that shrinks from 0.05 to 0.03 m with each scan, and is moved by so much [m]."""
-    stated = StatedCovariance()
+    stated = CovarianceCalibrator()
     for k in range(200):
         stated.corrected(cloud(0.05), cloud(0.03, of * (-1) ** k), 1.0)
     return stated
 
 
-def deviation(stated: StatedCovariance) -> float:
+def deviation(stated: CovarianceCalibrator) -> float:
     return math.sqrt(stated.of(cloud(0.03), CELL_M)[0, 0])
 
 
@@ -56,13 +56,13 @@ def test_scans_taken_on_the_spot_say_little() -> None:
 
 
 def test_what_is_corrected_across_a_corridor_says_nothing_along_it() -> None:
-    stated = StatedCovariance()
+    stated = CovarianceCalibrator()
     before, after = np.diag([0.3**2, 0.05**2, 0.01]), np.diag([0.3**2, 0.01**2, 0.01])
     for k in range(200):
         y = 0.005 * (-1) ** k
-        stated.corrected(Estimate((0, 0, 0), before), Estimate((0, y, 0), after), 1.0)
+        stated.corrected(PoseEstimate((0, 0, 0), before), PoseEstimate((0, y, 0), after), 1.0)
 
-    told = stated.of(Estimate((0.0, 0.0, 0.0), after), CELL_M)
+    told = stated.of(PoseEstimate((0.0, 0.0, 0.0), after), CELL_M)
 
     assert math.sqrt(told[0, 0]) == pytest.approx(0.3, rel=0.02)
     assert math.sqrt(told[1, 1]) < 0.01
@@ -70,13 +70,13 @@ def test_what_is_corrected_across_a_corridor_says_nothing_along_it() -> None:
 
 @pytest.mark.parametrize("turn", [0.0, 0.7])
 def test_what_is_always_corrected_the_same_way_lags_behind_by_much_more(turn: float) -> None:
-    stated = StatedCovariance()
+    stated = CovarianceCalibrator()
     before, after = np.diag([0.02**2] * 3), np.diag([0.018**2] * 3)
     for _ in range(200):  # a fifth of what is missing is made up for each time
         x, y = 0.004 * math.cos(turn), 0.004 * math.sin(turn)
-        stated.corrected(Estimate((0, 0, 0), before), Estimate((x, y, 0), after), 1.0)
+        stated.corrected(PoseEstimate((0, 0, 0), before), PoseEstimate((x, y, 0), after), 1.0)
 
-    told = stated.of(Estimate((0.0, 0.0, 0.0), after), CELL_M)
+    told = stated.of(PoseEstimate((0.0, 0.0, 0.0), after), CELL_M)
 
     ahead, left = np.array([math.cos(turn), math.sin(turn)]), [-math.sin(turn), math.cos(turn)]
     assert math.sqrt(ahead @ told[:2, :2] @ ahead) == pytest.approx(0.02, rel=0.2)
@@ -84,7 +84,7 @@ def test_what_is_always_corrected_the_same_way_lags_behind_by_much_more(turn: fl
 
 
 def test_what_beams_deviate_beyond_the_cells_of_the_map_is_the_maps_error() -> None:
-    exact, crooked = StatedCovariance(), StatedCovariance()
+    exact, crooked = CovarianceCalibrator(), CovarianceCalibrator()
     exact.fitted(EXACT_M, CELL_M)
     crooked.fitted(math.hypot(EXACT_M, 0.04), CELL_M)
 
@@ -93,7 +93,7 @@ def test_what_beams_deviate_beyond_the_cells_of_the_map_is_the_maps_error() -> N
 
 
 def test_a_scan_that_explains_nothing_changes_nothing() -> None:
-    stated = StatedCovariance()
+    stated = CovarianceCalibrator()
     before = deviation(stated)
 
     stated.fitted(math.nan, CELL_M)

@@ -1,19 +1,90 @@
-"""Finding the robot anywhere in the map: the pose that explains most of what was seen of late."""
+"""The global search: finds the robot anywhere in the map by what it observed recently."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cairn.components.localizer.evidence import Evidence
-from cairn.components.localizer.particles import Estimate, estimate, normalized, systematic_choice
-from cairn.components.localizer.recent import Support, carry
-from cairn.components.localizer.ring import draw_ring
-from cairn.planar.poses import relative, wrap_all
+from cairn.components.localizer.landmark_evidence import sample_ring
+from cairn.components.localizer.likelihood_field import ScanMap
+from cairn.components.localizer.observations import Landmark
+from cairn.components.localizer.particle_set import (
+    PoseEstimate,
+    carry,
+    estimate,
+    normalized,
+    systematic_choice,
+)
+from cairn.components.localizer.recent_observations import PoseSupport, RecentObservations
+from cairn.components.localizer.scans import RecentScans
+from cairn.planar.poses import Pose, relative, wrap_all
 
 Array = NDArray[np.float64]
+
+_LOOSE = 4  # of more scans a pose that is a little off explains nothing
+
+
+@dataclass(frozen=True)
+class RecentMeasurements:
+    """Recent observations and scans, seen from the dead-reckoned pose `now`.
+
+    `map` is None without a grid map; a scan counts `scan_share` of its log-likelihood.
+    """
+
+    observations: RecentObservations
+    scans: RecentScans
+    landmarks: Mapping[int, Landmark]
+    map: ScanMap | None
+    scan_share: float
+    now: Pose
+    moved_s: float
+
+    @property
+    def scanned(self) -> bool:
+        """Whether there are scans to go by."""
+        return self.map is not None and len(self.scans) > 0
+
+    def log_likelihood(self, poses: Array, left_out: int | None = None) -> Array:
+        """Log-likelihood (n,) of everything but object `left_out`, were the robot at `poses`."""
+        total = self.observations.log_likelihood(
+            poses, self.now, self.moved_s, self.landmarks, left_out
+        )
+        if self.map is not None:
+            total += self.scan_share * self.scans.log_likelihood(
+                poses, self.now, self.map.field.log_likelihood, None
+            )
+        return total
+
+    def loose(self, poses: Array) -> Array:
+        """The same of the newest scans, taken loosely, so that poses nearby explain them: (n,)."""
+        return self._loosely(poses, _LOOSE)
+
+    def first_look(self, poses: Array) -> Array:
+        """The same of the observations and the newest scan alone: (n,)."""
+        return self._loosely(poses, 1)
+
+    def fit(self, pose: PoseEstimate) -> float:
+        """Share of the scans' beams that the map explains from a pose; NaN without scans."""
+        if self.map is None:
+            return math.nan
+        return self.scans.fit(pose.mean, self.now, self.map.field)
+
+    def support(self, pose: PoseEstimate, left_out: int | None = None) -> PoseSupport:
+        """How many places of objects agree with a pose, and how many contradict it."""
+        return self.observations.support(pose, self.now, self.moved_s, self.landmarks, left_out)
+
+    def _loosely(self, poses: Array, newest: int) -> Array:
+        total = self.observations.log_likelihood(poses, self.now, self.moved_s, self.landmarks)
+        if self.map is not None:
+            total += self.scan_share * self.scans.log_likelihood(
+                poses, self.now, self.map.wide.log_likelihood, newest
+            )
+        return total
+
 
 # Poses drawn per square meter of free space, and at most.
 _PER_M2, _MOST = 300.0, 200_000
@@ -25,7 +96,7 @@ _MODES, _PER_MODE, _AROUND = 36, 120, np.array([[0.2], [0.2], [0.15]])
 
 
 @dataclass(frozen=True)
-class Found:
+class GlobalSearchResult:
     """Samples (3, n) of the best mode, their statistics, its share of the posterior, its support.
 
     `score` is the log-likelihood of what was seen of late at the mode's mean, `fit` the share of
@@ -34,9 +105,9 @@ class Found:
     """
 
     poses: Array
-    pose: Estimate
+    pose: PoseEstimate
     share: float
-    support: Support
+    support: PoseSupport
     score: float
     fit: float
     everywhere: Array
@@ -44,8 +115,11 @@ class Found:
 
 
 def search(
-    evidence: Evidence, count: int, random: np.random.Generator, known: Array | None = None
-) -> Found | None:
+    evidence: RecentMeasurements,
+    count: int,
+    random: np.random.Generator,
+    known: Array | None = None,
+) -> GlobalSearchResult | None:
     """Draw poses wherever the robot may be and keep what explains most.
 
     `count` on rings around every object seen of late in turn, carried to now by odometry, so that
@@ -74,7 +148,9 @@ def search(
     return _best_mode(poses, evidence)
 
 
-def _modes(heads: list[Array], evidence: Evidence, random: np.random.Generator) -> list[Array]:
+def _modes(
+    heads: list[Array], evidence: RecentMeasurements, random: np.random.Generator
+) -> list[Array]:
     """Samples (3, n) around each of some places, every one annealed by itself.
 
     Annealed together, places that look alike would be lost one after the other by chance, and the
@@ -100,17 +176,17 @@ def _apart(poses: Array, count: int) -> list[Array]:
     return heads
 
 
-def _on_rings(evidence: Evidence, count: int, random: np.random.Generator) -> list[Array]:
+def _on_rings(evidence: RecentMeasurements, count: int, random: np.random.Generator) -> list[Array]:
     newest = {
-        entry.sighting.object_id: entry
-        for entry in evidence.sightings.entries
-        if entry.sighting.object_id in evidence.landmarks
-        and evidence.landmarks[entry.sighting.object_id].live
+        entry.observation.object_id: entry
+        for entry in evidence.observations.entries
+        if entry.observation.object_id in evidence.landmarks
+        and evidence.landmarks[entry.observation.object_id].live
     }
     rings = []
     for object_id, entry in newest.items():
         landmark = evidence.landmarks[object_id]
-        ring = draw_ring(entry.sighting, landmark, count // len(newest), random)
+        ring = sample_ring(entry.observation, landmark, count // len(newest), random)
         rings.append(carry(ring, relative(entry.at, evidence.now)))
     return rings
 
@@ -124,7 +200,7 @@ def _thinned(
     return poses + noise
 
 
-def _best_mode(poses: Array, evidence: Evidence) -> Found:
+def _best_mode(poses: Array, evidence: RecentMeasurements) -> GlobalSearchResult:
     """The densest place, not the single best sample: weight within 0.5 m and 0.5 rad."""
     log_weights = evidence.log_likelihood(poses)
     weights = normalized(log_weights)
@@ -135,7 +211,7 @@ def _best_mode(poses: Array, evidence: Evidence) -> Found:
     return _found(poses, log_weights, near[best], float(share[best]), evidence)
 
 
-def _best_of(modes: list[Array], evidence: Evidence) -> Found:
+def _best_of(modes: list[Array], evidence: RecentMeasurements) -> GlobalSearchResult:
     """The mode that explains most; its share by what each of the others explains at best."""
     poses = np.hstack(modes)
     log_weights = evidence.log_likelihood(poses)
@@ -150,11 +226,15 @@ def _best_of(modes: list[Array], evidence: Evidence) -> Found:
 
 
 def _found(
-    poses: Array, log_weights: Array, members: NDArray[np.bool_], share: float, evidence: Evidence
-) -> Found:
+    poses: Array,
+    log_weights: Array,
+    members: NDArray[np.bool_],
+    share: float,
+    evidence: RecentMeasurements,
+) -> GlobalSearchResult:
     pose = estimate(poses[:, members], log_weights[members])
     mean = np.asarray(pose.mean)[:, None]
-    return Found(
+    return GlobalSearchResult(
         poses=poses[:, members],
         pose=pose,
         share=share,

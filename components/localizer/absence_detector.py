@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cairn.components.localizer.object_likelihood import Landmark, Sighting
-from cairn.components.localizer.particles import Estimate
-from cairn.components.localizer.scanner_watch import SILENT_S
+from cairn.components.localizer.health import SILENT_S
+from cairn.components.localizer.observations import CameraView, Landmark, Observation
+from cairn.components.localizer.particle_set import PoseEstimate
 from cairn.planar.poses import Pose, relative, wrap
 
 Array = NDArray[np.float64]
@@ -33,17 +32,7 @@ _PROVEN_S = 3.0
 _PROVEN_BUT_FOR_ONE_S = 30.0
 
 
-@dataclass(frozen=True)
-class View:
-    """Where an object could have been recognized: bearings [rad, left positive], ranges [m]."""
-
-    right: float
-    left: float
-    nearest: float
-    farthest: float
-
-
-class AbsenceWatch:
+class AbsenceDetector:
     """Knows what the newest scan saw and which objects were seen in their places of late."""
 
     def __init__(self) -> None:
@@ -70,10 +59,10 @@ class AbsenceWatch:
     def missed(
         self,
         stamp: float,
-        view: View,
-        seen: Iterable[Sighting],
+        view: CameraView,
+        seen: Iterable[Observation],
         landmarks: Mapping[int, Landmark],
-        pose: Estimate,
+        pose: PoseEstimate,
         now: Pose,
     ) -> list[tuple[Landmark, float, float]]:
         """What should be in view of `pose` and was not `seen`; its range [m] and bearing [rad].
@@ -103,7 +92,9 @@ class AbsenceWatch:
         return any(age <= within_s for age in ages)
 
 
-def expected(pose: Estimate, landmark: Landmark, view: View) -> tuple[float, float] | None:
+def expected(
+    pose: PoseEstimate, landmark: Landmark, view: CameraView
+) -> tuple[float, float] | None:
     """Range [m] and bearing [rad] at which `landmark` is well in view from `pose`; None if not."""
     x, y, theta = pose.mean
     dx, dy = landmark.x - x, landmark.y - y

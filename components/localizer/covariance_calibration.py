@@ -1,4 +1,4 @@
-"""The covariance that is stated with a pose: the cloud's, and what no cloud shows."""
+"""Calibrates the published covariance: that of the particles, and what no particles show."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from cairn.components.localizer.particles import Estimate
+from cairn.components.localizer.particle_set import PoseEstimate
 from cairn.planar.compiled import compiled
 from cairn.planar.poses import wrap
 
@@ -30,7 +30,7 @@ _TURN_PER_M = 0.1
 _LEAST_TURN = 0.002
 
 
-class StatedCovariance:
+class CovarianceCalibrator:
     """Keeps the stated covariance honest: the truth is to lie within one sigma as often as of a
     normal distribution.
 
@@ -51,7 +51,7 @@ class StatedCovariance:
         self._turn_made = self._turn_due = 0.0
         self._beyond: float | None = None
 
-    def corrected(self, before: Estimate, after: Estimate, share: float) -> None:
+    def corrected(self, before: PoseEstimate, after: PoseEstimate, share: float) -> None:
         """Note what a scan, of which `share` (0 to 1) is new, made of the cloud."""
         x, y, theta = (b - a for a, b in zip(before.mean, after.mean, strict=True))
         shrunk = before.covariance - after.covariance
@@ -70,7 +70,7 @@ class StatedCovariance:
         last = beyond if self._beyond is None else self._beyond
         self._beyond = last + _NEWEST_FIT * (beyond - last)
 
-    def of(self, cloud: Estimate, resolution: float) -> Array:
+    def of(self, cloud: PoseEstimate, resolution: float) -> Array:
         """The covariance (3, 3) to state, on a map of cells of that size [m]."""
         each, behind = np.zeros((3, 3)), np.zeros((3, 3))
         _axes(cloud.covariance, self._mean, self._made, self._due, each, behind)

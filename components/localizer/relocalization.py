@@ -1,21 +1,57 @@
-"""When to look for the robot anywhere in the map, and when to believe what was found there."""
+"""Relocalization: when the map is searched for a lost robot, and when a result is believed."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cairn.components.localizer.evidence import Evidence
+from cairn.components.localizer.global_search import GlobalSearchResult, RecentMeasurements, search
 from cairn.components.localizer.health import FITS
-from cairn.components.localizer.particles import Estimate, estimate
-from cairn.components.localizer.recent import carry
-from cairn.components.localizer.search import Found, search
+from cairn.components.localizer.observations import Landmark
+from cairn.components.localizer.particle_set import PoseEstimate, carry, estimate
+from cairn.components.localizer.recent_observations import TOGETHER
 from cairn.planar.poses import Pose, compose, distance, relative, wrap
 from cairn.schemas.cairn_nav_msgs import ReasonCode
 
 Array = NDArray[np.float64]
+
+
+class ConfirmationHistory:
+    """When each mapped object was last seen where a pose that did not rely on it expected it.
+
+    Somewhere else one object may stand as expected by chance, two at different places hardly do.
+    """
+
+    def __init__(self) -> None:
+        self._at: dict[int, float] = {}
+        self.confirmed_until = -math.inf
+        """Until when [s] the robot was certainly not lost before it was placed anew."""
+
+    def note(self, stamp: float, objects: Iterable[int]) -> None:
+        """Take which objects agreed at `stamp` [s]."""
+        self._at |= dict.fromkeys(objects, stamp)
+
+    def placed_anew(self, landmarks: Mapping[int, Landmark]) -> None:
+        """Take that the robot may be somewhere else than what has agreed so far made believe."""
+        self.confirmed_until = max(self.confirmed_until, self._both_since(landmarks))
+        self._at.clear()
+
+    def _both_since(self, landmarks: Mapping[int, Landmark]) -> float:
+        """The latest time [s] since when objects at two places agreed; -inf if none did."""
+        newest: Landmark | None = None
+        for object_id, stamp in sorted(self._at.items(), key=lambda one: -one[1]):
+            mark = landmarks.get(object_id)
+            if mark is None:
+                continue
+            if newest is None:
+                newest = mark
+            elif math.hypot(mark.x - newest.x, mark.y - newest.y) > TOGETHER:
+                return stamp
+        return -math.inf
+
 
 # A robot that was found is looked for anew this long [s]: it may have been found in a wrong place
 # that explains what little was seen.
@@ -24,8 +60,8 @@ PROBATION_S = 30.0
 # what a robot sees that stands does not get truer by being seen again. Or nothing may speak against
 # it on so long a way [m].
 _CONFIRMATIONS, _CONFIRMED_AFTER_M, _UNDISPUTED_M = 3, 0.2, 1.0
-# By so much [nats] another pose must explain the recent sightings better: errors that successive
-# sightings have in common are worth 2 to 4.
+# By so much [nats] another pose must explain the recent observations better: errors that successive
+# observations have in common are worth 2 to 4.
 BETTER = 6.0
 # By so much [nats], and the other pose is refuted.
 REFUTED = 25.0
@@ -45,7 +81,7 @@ _UNCONFIRMED = (
 )
 
 
-class Recovery:
+class Relocalizer:
     """Looks for the robot: at an unknown start, when it is suspected to be lost, and for a while
     after it was found.
     """
@@ -125,7 +161,7 @@ class Recovery:
             return since >= 2.0 * _EVERY_S
         return self._fit < _WARY and since >= _WARY_EVERY_S
 
-    def find(self, stamp: float, evidence: Evidence) -> Array | None:
+    def find(self, stamp: float, evidence: RecentMeasurements) -> Array | None:
         """Poses (3, n) of a robot whose place is not known; None as long as it is in doubt."""
         self._first_seen = min(self._first_seen, stamp)
         if stamp - self._searched_at < 0.5:
@@ -153,7 +189,9 @@ class Recovery:
             return found.everywhere
         return None
 
-    def recover(self, stamp: float, evidence: Evidence, here: Estimate) -> Array | None:
+    def recover(
+        self, stamp: float, evidence: RecentMeasurements, here: PoseEstimate
+    ) -> Array | None:
         """Poses (3, n) of a robot believed to be `here`, if it is clearly somewhere else."""
         self._searched_at = stamp
         self._away_m = max(self._away_m, distance(evidence.now, self._found_at))
@@ -201,7 +239,7 @@ class Recovery:
         guess, self._guess = self._guess, (pose, now)
         return guess is not None and _close(compose(guess[0], relative(guess[1], now)), pose)
 
-    def _search(self, evidence: Evidence) -> Found | None:
+    def _search(self, evidence: RecentMeasurements) -> GlobalSearchResult | None:
         known = None
         if self._places is not None:
             places, then = self._places

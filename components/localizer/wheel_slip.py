@@ -1,4 +1,4 @@
-"""Finds a robot that is not where its wheels have led it, but near: they slipped, or were held."""
+"""Detects wheels that slipped or were held: the robot is near, but not where odometry says."""
 
 from __future__ import annotations
 
@@ -6,7 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cairn.components.localizer.likelihood_field import LikelihoodField
-from cairn.components.localizer.particles import Estimate, estimate, normalized, systematic_choice
+from cairn.components.localizer.particle_set import (
+    PoseEstimate,
+    estimate,
+    normalized,
+    systematic_choice,
+)
 from cairn.planar.poses import Pose, compose, distance, relative, wrap
 
 Array = NDArray[np.float64]
@@ -26,7 +31,7 @@ _AS_BEFORE = 0.9
 _NEWEST, _NEWEST_OF_BAD = 0.02, 0.001
 
 
-class SlipWatch:
+class WheelSlipDetector:
     """Looks around the pose whenever a scan fits badly, and believes two scans that agree.
 
     The motion model holds errors that add up by and by. Wheels that spin, or a robot that is
@@ -44,7 +49,7 @@ class SlipWatch:
 
     def look(
         self,
-        here: Estimate,
+        here: PoseEstimate,
         points: Array,
         field: LikelihoodField,
         share: float,

@@ -1,4 +1,4 @@
-"""The sightings of the last half minute, tied together by odometry: what a pose must explain."""
+"""The observations of the last half minute, tied together by odometry."""
 
 from __future__ import annotations
 
@@ -9,31 +9,31 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cairn.components.localizer.object_likelihood import STRAY, Landmark, Sighting
-from cairn.components.localizer.particles import Estimate
+from cairn.components.localizer.observations import STRAY, Landmark, Observation
+from cairn.components.localizer.particle_set import PoseEstimate
 from cairn.planar.poses import Pose, apart, wrap_all
 
 Array = NDArray[np.float64]
 
 AGREES, CONTRADICTS = 9.2, 13.8  # NIS (2 dof): 99 % and 99.9 %
-# An object counts as two sightings at most: more of them share their error.
+# An object counts as two observations at most: more of them share their error.
 OBJECT_WORTH = 2.0
 TOGETHER = 0.6  # [m]
-# From poses that differ by more than this [m], [rad] sightings are independent.
+# From poses that differ by more than this [m], [rad] observations are independent.
 ANOTHER_M, ANOTHER_RAD = 0.15, 0.2
 
 
 @dataclass(frozen=True)
-class Entry:
-    """A sighting, the dead-reckoned pose it was made from and the seconds moved until then."""
+class TimedObservation:
+    """A observation, the dead-reckoned pose it was made from and the seconds moved until then."""
 
-    sighting: Sighting
+    observation: Observation
     at: Pose
     moved_s: float
 
 
 @dataclass(frozen=True)
-class Support:
+class PoseSupport:
     """How many distinct places agree with a pose, and how many contradict it.
 
     Objects that stand together (0.6 m) are one place: they bear witness to the same direction
@@ -49,7 +49,7 @@ class Support:
         return self.agreeing >= 2 and self.agreeing >= 2 * self.contradicting
 
 
-class RecentSightings:
+class RecentObservations:
     """Sightings younger than `horizon_s` seconds of motion, at most `per_object` of each object.
 
     Poses are dead-reckoned, in a frame of odometry's own. An entry's variance grows with the
@@ -67,23 +67,23 @@ class RecentSightings:
         self.per_object = per_object
         self.drift = drift
         self.turn_drift = turn_drift
-        self.entries: list[Entry] = []
+        self.entries: list[TimedObservation] = []
 
     def clear(self) -> None:
         """Forget everything."""
         self.entries.clear()
 
-    def add(self, sightings: Sequence[Sighting], at: Pose, moved_s: float) -> None:
-        """Keep sightings made from `at`; of one object only those from different poses."""
+    def add(self, observations: Sequence[Observation], at: Pose, moved_s: float) -> None:
+        """Keep observations made from `at`; of one object only those from different poses."""
         kept = [e for e in self.entries if moved_s - e.moved_s <= self.horizon_s]
-        for sighting in sightings:
-            same = [e for e in kept if e.sighting.object_id == sighting.object_id]
+        for observation in observations:
+            same = [e for e in kept if e.observation.object_id == observation.object_id]
             if same and not apart(same[-1].at, at, ANOTHER_M, ANOTHER_RAD):
                 # The newest pose is the better one: its odometry has drifted least.
                 kept.remove(same[-1])
             elif len(same) >= self.per_object:
                 kept.remove(same[0])
-            kept.append(Entry(sighting, at, moved_s))
+            kept.append(TimedObservation(observation, at, moved_s))
         self.entries = kept
 
     def log_likelihood(
@@ -102,10 +102,10 @@ class RecentSightings:
         nis = self._nis(poses, entries, now, moved_s, landmarks, None)
         count: dict[int, int] = {}
         for entry in entries:
-            key = entry.sighting.object_id
+            key = entry.observation.object_id
             count[key] = count.get(key, 0) + 1
         for row, entry in zip(nis, entries, strict=True):
-            key = entry.sighting.object_id
+            key = entry.observation.object_id
             trust = landmarks[key].reliability
             stray = (1.0 - trust) * math.exp(STRAY)
             weight = min(1.0, OBJECT_WORTH / count[key])
@@ -114,40 +114,42 @@ class RecentSightings:
 
     def support(
         self,
-        pose: Estimate,
+        pose: PoseEstimate,
         now: Pose,
         moved_s: float,
         landmarks: Mapping[int, Landmark],
         left_out: int | None = None,
-    ) -> Support:
+    ) -> PoseSupport:
         """The places of objects (but `left_out`) that agree with and that contradict `pose`."""
         entries = self._usable(landmarks, left_out)
         if not entries:
-            return Support(0, 0)
+            return PoseSupport(0, 0)
         mean = np.asarray(pose.mean)[:, None]
         nis = self._nis(mean, entries, now, moved_s, landmarks, pose.covariance)[:, 0]
         best: dict[int, list[float]] = {}
         for value, entry in zip(nis, entries, strict=True):
-            best.setdefault(entry.sighting.object_id, []).append(float(value))
+            best.setdefault(entry.observation.object_id, []).append(float(value))
         medians = {key: sorted(values)[len(values) // 2] for key, values in best.items()}
-        return Support(
+        return PoseSupport(
             _places([landmarks[key] for key, value in medians.items() if value <= AGREES]),
             _places([landmarks[key] for key, value in medians.items() if value > CONTRADICTS]),
         )
 
-    def _usable(self, landmarks: Mapping[int, Landmark], left_out: int | None) -> list[Entry]:
+    def _usable(
+        self, landmarks: Mapping[int, Landmark], left_out: int | None
+    ) -> list[TimedObservation]:
         return [
             entry
             for entry in self.entries
-            if entry.sighting.object_id != left_out
-            and entry.sighting.object_id in landmarks
-            and landmarks[entry.sighting.object_id].live
+            if entry.observation.object_id != left_out
+            and entry.observation.object_id in landmarks
+            and landmarks[entry.observation.object_id].live
         ]
 
     def _nis(
         self,
         poses: Array,
-        entries: Sequence[Entry],
+        entries: Sequence[TimedObservation],
         now: Pose,
         moved_s: float,
         landmarks: Mapping[int, Landmark],
@@ -156,7 +158,7 @@ class RecentSightings:
         """NIS (entries, n) of each entry from each pose, the drift since it was made included."""
         rows = []
         for entry in entries:
-            made = entry.sighting
+            made = entry.observation
             mark = landmarks[made.object_id]
             errors = made.range_variance, made.bearing_variance
             rows.append(
@@ -197,15 +199,3 @@ def _places(objects: Sequence[Landmark]) -> int:
         if all(math.hypot(one.x - head.x, one.y - head.y) > TOGETHER for head in heads):
             heads.append(one)
     return len(heads)
-
-
-def carry(poses: Array, step: Pose) -> Array:
-    """Poses (3, n) after the relative motion `step`."""
-    cosine, sine = np.cos(poses[2]), np.sin(poses[2])
-    return np.stack(
-        [
-            poses[0] + step[0] * cosine - step[1] * sine,
-            poses[1] + step[0] * sine + step[1] * cosine,
-            poses[2] + step[2],
-        ]
-    )

@@ -1,0 +1,209 @@
+"""Observations of mapped objects: their likelihood, innovation, and association with landmarks."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cairn.components.localizer.particle_set import PoseEstimate
+from cairn.planar.poses import Pose, wrap, wrap_all
+
+Array = NDArray[np.float64]
+
+# Log-density of a observation that has nothing to do with the object's place in the map, relative
+# to the peak of the observation's own Gaussian (NIS 9.2).
+STRAY = -4.6
+
+
+@dataclass(frozen=True)
+class Observation:
+    """One recognized object: range [m], bearing [rad, left positive] and their variances.
+
+    `alternatives` are other objects that it may be as well.
+    """
+
+    object_id: int
+    range_m: float
+    bearing: float
+    range_variance: float
+    bearing_variance: float
+    alternatives: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True)
+class Landmark:
+    """An object of the visual map: place [m], its covariance [m^2], reliability, liveness."""
+
+    object_id: int
+    x: float
+    y: float
+    xx: float = 0.0
+    xy: float = 0.0
+    yy: float = 0.0
+    reliability: float = 0.5
+    live: bool = True
+
+
+@dataclass(frozen=True)
+class CameraView:
+    """Where an object could have been recognized: bearings [rad, left positive], ranges [m]."""
+
+    right: float
+    left: float
+    nearest: float
+    farthest: float
+
+
+def as_certain(landmark: Landmark) -> Landmark:
+    """The same as if it certainly stood where the map says."""
+    return replace(landmark, reliability=1.0)
+
+
+def object_log_likelihood(
+    poses: NDArray[np.float64], observation: Observation, landmark: Landmark
+) -> NDArray[np.float64]:
+    """Log-weights (...) that `observation` adds to `poses` (3, ...).
+
+    A mixture: with probability `reliability` the object stands where the map says and the
+    observation is Gaussian in range and bearing; else the observation is a stray of constant density.
+    So no single observation can rule a pose out, but one of an object whose reliability is 1.
+    """
+    dx = landmark.x - poses[0]
+    dy = landmark.y - poses[1]
+    distance = np.sqrt(dx * dx + dy * dy)
+    # The map's own uncertainty seen from here: isotropic is enough (centimeters).
+    spread = 0.5 * (landmark.xx + landmark.yy)
+    range_variance = observation.range_variance + spread
+    bearing_variance = observation.bearing_variance + spread / max(observation.range_m, 0.3) ** 2
+    bearing_error = wrap_all(np.arctan2(dy, dx) - poses[2] - observation.bearing)
+    nis = (
+        distance - observation.range_m
+    ) ** 2 / range_variance + bearing_error**2 / bearing_variance
+    gaussian: NDArray[np.float64] = -0.5 * nis
+    if landmark.reliability >= 1.0:
+        return gaussian
+    stray = (1.0 - landmark.reliability) * math.exp(STRAY)
+    mixed: NDArray[np.float64] = np.log(landmark.reliability * np.exp(gaussian) + stray)
+    return mixed
+
+
+# The map's and the pose's errors that no covariance speaks of [m].
+MAP_SIGMA = 0.03
+POSE_FLOOR = 0.12
+# Outside this normalized innovation squared (2 dof, 99.9 %) a observation contradicts a pose.
+GATE = 13.8
+
+
+@dataclass(frozen=True)
+class Innovation:
+    """A observation against a prediction: normalized innovation squared, and the Gaussian's density
+    [1/(m rad)] where they meet exactly.
+    """
+
+    nis: float
+    peak: float
+
+    @property
+    def density(self) -> float:
+        """The density at the observation; 0 far enough from the prediction."""
+        return self.peak * math.exp(-0.5 * self.nis)
+
+
+def innovation(pose: PoseEstimate, observation: Observation, landmark: Landmark) -> Innovation:
+    """How far `observation` is from what `pose` predicts for `landmark` (range [m], bearing [rad])."""
+    x, y, theta = pose.mean
+    dx, dy = landmark.x - x, landmark.y - y
+    distance = max(math.hypot(dx, dy), 0.05)
+    error = np.array(
+        [
+            observation.range_m - distance,
+            wrap(observation.bearing - math.atan2(dy, dx) + theta),
+        ]
+    )
+    by_place = np.array([[dx / distance, dy / distance], [-dy / distance**2, dx / distance**2]])
+    jacobian = np.hstack([-by_place, [[0.0], [-1.0]]])
+    place = np.array([[landmark.xx, landmark.xy], [landmark.xy, landmark.yy]])
+    place += (MAP_SIGMA**2) * np.eye(2)
+    covariance = pose.covariance + np.diag([POSE_FLOOR**2 / 2, POSE_FLOOR**2 / 2, 0.0])
+    total = (
+        jacobian @ covariance @ jacobian.T
+        + by_place @ place @ by_place.T
+        + np.diag([observation.range_variance, observation.bearing_variance])
+    )
+    nis = float(error @ np.linalg.solve(total, error))
+    return Innovation(nis, 1.0 / (2.0 * math.pi * math.sqrt(float(np.linalg.det(total)))))
+
+
+def implied_position(pose: PoseEstimate, observation: Observation) -> tuple[float, float, Array]:
+    """Where the sighted object stands (x, y [m]) if the robot is at `pose`; covariance (2, 2)."""
+    x, y, theta = pose.mean
+    direction = theta + observation.bearing
+    cosine, sine = math.cos(direction), math.sin(direction)
+    reach = observation.range_m
+    by_pose = np.array([[1.0, 0.0, -reach * sine], [0.0, 1.0, reach * cosine]])
+    by_sighting = np.array([[cosine, -reach * sine], [sine, reach * cosine]])
+    noise = np.diag([observation.range_variance, observation.bearing_variance])
+    covariance = by_pose @ pose.covariance @ by_pose.T + by_sighting @ noise @ by_sighting.T
+    return x + reach * cosine, y + reach * sine, covariance
+
+
+# By so much [NIS] one object must explain a observation better than another that looks like it.
+_CLEARLY = 6.0
+
+
+def associate(
+    observations: Sequence[Observation],
+    pose: PoseEstimate | None,
+    landmarks: Mapping[int, Landmark],
+) -> list[Observation]:
+    """The observations that are of one object for certain, each under that object's identifier.
+
+    A observation with alternatives is of the one that stands where it was seen from `pose`; of
+    several observations of one object in one image the one counts that is where the object stands.
+    What stays in doubt is left out, all of it if there is no pose.
+    """
+    certain: list[Observation] = []
+    for one in observations:
+        names = (one.object_id, *one.alternatives)
+        options = [replace(one, object_id=name, alternatives=()) for name in names]
+        certain += options if len(options) == 1 else _clearest(options, pose, landmarks)
+    kept: list[Observation] = []
+    for object_id in dict.fromkeys(one.object_id for one in certain):
+        instances = [one for one in certain if one.object_id == object_id]
+        kept += instances if len(instances) == 1 else _clearest(instances, pose, landmarks)
+    return kept
+
+
+def _clearest(
+    options: Iterable[Observation], pose: PoseEstimate | None, landmarks: Mapping[int, Landmark]
+) -> list[Observation]:
+    """The one of the options that agrees with the map, if it does so clearly best; or none."""
+    if pose is None:
+        return []
+    live = [one for one in options if one.object_id in landmarks and landmarks[one.object_id].live]
+    ranked = sorted(
+        ((innovation(pose, one, landmarks[one.object_id]).nis, k) for k, one in enumerate(live))
+    )
+    if not ranked or ranked[0][0] > GATE:
+        return []
+    if len(ranked) > 1 and ranked[1][0] < ranked[0][0] + _CLEARLY:
+        return []
+    return [live[ranked[0][1]]]
+
+
+def as_observed_from(observation: Observation, step: Pose) -> Observation:
+    """A observation as from the pose that lies at `step` [m, rad] from where it was made."""
+    x, y, turn = step
+    dx = observation.range_m * math.cos(observation.bearing) - x
+    dy = observation.range_m * math.sin(observation.bearing) - y
+    range_m = max(math.hypot(dx, dy), 0.05)
+    return replace(observation, range_m=range_m, bearing=wrap(math.atan2(dy, dx) - turn))
+
+
+def view_as_from(view: CameraView, step: Pose) -> CameraView:
+    """A camera's view likewise; in the moment that a observation is late a robot comes hardly on."""
+    return replace(view, right=view.right - step[2], left=view.left - step[2])
