@@ -1,4 +1,4 @@
-"""Objects that should be in view and are not: where one is expected, and what may hide it."""
+"""Detects objects that should be in view and are not: where they are expected, what hides them."""
 
 from __future__ import annotations
 
@@ -15,87 +15,95 @@ from cairn.planar.poses import Pose, relative, wrap
 
 Array = NDArray[np.float64]
 
-# An object whose middle lies nearer to the edge of the view than this [m] may be cut off by it.
+# An object whose middle is nearer to the edge of the view than this [m] may be cut off by it: half
+# the width of a large poster.
 _EDGE_M = 0.3
-# Share of the ranges in view that is not counted on at either end.
+# Share of the range in view that is not relied on at either end.
 _RANGE_MARGIN = 0.1
-# Beams within this [rad] of an object's direction tell whether anything stands before it.
-_ASIDE_RAD = 0.06
+# Beams within this [rad] of an object's direction show whether anything stands in front of it.
+_BESIDE_RAD = 0.06
 # A beam that ends no farther than this [m] before the object ends at it, or at what it hangs on.
 _BEFORE_M = 0.3
-
-
-# An object is missed only if another one was recognized no longer ago than this [s]: else it may be
-# the light or the camera that fails. Should it fail, only a look or two fall into this time.
-_PROVEN_S = 3.0
-# It may be so long ago [s] if none but this one was missed since.
-_PROVEN_BUT_FOR_ONE_S = 30.0
+# An object is missed only if another one was recognized no longer ago than this [s]: otherwise the
+# light or the camera may fail. If they do, only one or two images fall into this time.
+_WORKING_S = 3.0
+# It may be so long ago [s] if no other object was missed since.
+_WORKING_BUT_FOR_ONE_S = 30.0
 
 
 class AbsenceDetector:
-    """Knows what the newest scan saw and which objects were seen in their places of late."""
+    """Keeps the newest scan, and which objects were recently observed in their positions."""
 
     def __init__(self) -> None:
         self._points = self._misses = np.empty((0, 2))
         self._scanned_at = -math.inf
-        self._at: Pose = (0.0, 0.0, 0.0)
+        self._scanned_from: Pose = (0.0, 0.0, 0.0)
         self._agreed_at: dict[int, float] = {}
         self._missed: set[int] = set()
 
-    def scanned(self, stamp: float, points: Array, misses: Array, at: Pose) -> None:
-        """Take a scan of `stamp` [s] from the dead-reckoned pose `at`: what its beams hit (n, 2)
-        [m], and where those end that hit nothing (m, 2) [m], in the base's frame.
+    def add_scan(self, stamp: float, points: Array, misses: Array, at: Pose) -> None:
+        """Add a scan of `stamp` [s] from the dead-reckoned pose `at`.
+
+        `points` (n, 2) [m] are the ends of beams that hit something, `misses` (m, 2) [m] those of
+        beams that did not, in the frame of the base.
         """
         self._scanned_at = stamp
-        self._points, self._misses, self._at = points, misses, at
+        self._points, self._misses, self._scanned_from = points, misses, at
 
-    def agreed(self, stamp: float, objects: Iterable[int]) -> None:
-        """Take which objects were seen in their places at `stamp` [s]."""
-        seen = dict.fromkeys(objects, stamp)
-        self._agreed_at |= seen
-        if seen:
+    def add_agreeing(self, stamp: float, objects: Iterable[int]) -> None:
+        """Add the objects that were observed in their positions at `stamp` [s]."""
+        agreed = dict.fromkeys(objects, stamp)
+        self._agreed_at |= agreed
+        if agreed:
             self._missed.clear()
 
-    def missed(
+    def missing(
         self,
         stamp: float,
         view: CameraView,
-        seen: Iterable[Observation],
+        observed: Iterable[Observation],
         landmarks: Mapping[int, Landmark],
         pose: PoseEstimate,
         now: Pose,
     ) -> list[tuple[Landmark, float, float]]:
-        """What should be in view of `pose` and was not `seen`; its range [m] and bearing [rad].
+        """Return what should be in view and was not observed, with range [m] and bearing [rad].
 
-        `now` is the dead-reckoned pose.
+        Args:
+            stamp: The time of the image [s].
+            view: Where objects could have been recognized.
+            observed: What was recognized.
+            landmarks: The objects of the map.
+            pose: The pose of the robot.
+            now: Its dead-reckoned pose.
+
         """
         if stamp - self._scanned_at > SILENT_S:
-            return []  # who stands before it now, no scan tells
-        step = relative(now, self._at)
+            return []  # no scan shows what stands in front of an object now
+        step = relative(now, self._scanned_from)
         points, misses = _carried(self._points, step), _carried(self._misses, step)
-        named = {name for one in seen for name in (one.object_id, *one.alternatives)}
+        named = {name for one in observed for name in (one.object_id, *one.alternatives)}
         found = []
         for landmark in landmarks.values():
             if not landmark.live or landmark.object_id in named:
                 continue
-            place = expected(pose, landmark, view)
-            if place is not None and free_sight(points, misses, *place):
-                found.append((landmark, *place))
+            position = expected(pose, landmark, view)
+            if position is not None and is_visible(points, misses, *position):
+                found.append((landmark, *position))
         self._missed |= {landmark.object_id for landmark, _, _ in found}
-        return [one for one in found if self._proven(stamp, one[0].object_id)]
+        return [one for one in found if self._camera_works(stamp, one[0].object_id)]
 
-    def _proven(self, stamp: float, object_id: int) -> bool:
-        """Whether the camera recognizes others: it is this object that is missing."""
+    def _camera_works(self, stamp: float, object_id: int) -> bool:
+        """Whether other objects are recognized, so that this one is missing."""
         ages = [stamp - then for other, then in self._agreed_at.items() if other != object_id]
         alone = self._missed <= {object_id}
-        within_s = _PROVEN_BUT_FOR_ONE_S if alone else _PROVEN_S
+        within_s = _WORKING_BUT_FOR_ONE_S if alone else _WORKING_S
         return any(age <= within_s for age in ages)
 
 
 def expected(
     pose: PoseEstimate, landmark: Landmark, view: CameraView
 ) -> tuple[float, float] | None:
-    """Range [m] and bearing [rad] at which `landmark` is well in view from `pose`; None if not."""
+    """Return range [m] and bearing [rad] at which `landmark` is well in view; None if it is not."""
     x, y, theta = pose.mean
     dx, dy = landmark.x - x, landmark.y - y
     range_m = math.hypot(dx, dy)
@@ -103,32 +111,32 @@ def expected(
     if not view.nearest + margin <= range_m <= view.farthest - margin:
         return None
     bearing = wrap(math.atan2(dy, dx) - theta)
-    place = 0.5 * (landmark.xx + landmark.yy) + 0.5 * pose.spread**2
-    deviation = math.sqrt(float(pose.covariance[2, 2]) + place / range_m**2)
+    position_variance = 0.5 * (landmark.xx + landmark.yy) + 0.5 * pose.spread**2
+    deviation = math.sqrt(float(pose.covariance[2, 2]) + position_variance / range_m**2)
     edge = _EDGE_M / range_m + 2.0 * deviation
     if not view.right + edge <= bearing <= view.left - edge:
         return None
     return range_m, bearing
 
 
-def free_sight(points: Array, misses: Array, range_m: float, bearing: float) -> bool:
-    """Whether the newest scan saw as far as an object at `range_m` [m], `bearing` [rad].
+def is_visible(points: Array, misses: Array, range_m: float, bearing: float) -> bool:
+    """Whether the newest scan reached as far as an object at `range_m` [m], `bearing` [rad].
 
-    `points` (n, 2) is what its beams hit and `misses` (m, 2) where those end that hit nothing,
-    both in the base's frame [m]. A direction without any beam is not free.
+    `points` (n, 2) and `misses` (m, 2) [m] are the ends of the beams in the frame of the base. In a
+    direction without any beam nothing is visible.
     """
     ends = np.concatenate((points, misses))
     if not len(ends):
         return False
-    aside = np.angle(np.exp(1j * (np.arctan2(ends[:, 1], ends[:, 0]) - bearing)))
-    along = np.hypot(ends[:, 0], ends[:, 1])[np.abs(aside) <= _ASIDE_RAD]
+    beside = np.angle(np.exp(1j * (np.arctan2(ends[:, 1], ends[:, 0]) - bearing)))
+    along = np.hypot(ends[:, 0], ends[:, 1])[np.abs(beside) <= _BESIDE_RAD]
     return bool(along.size) and bool(along.min() >= range_m - _BEFORE_M)
 
 
 def _carried(ends: Array, step: Pose) -> Array:
-    """Points (n, 2) [m] in a frame, as seen from where that frame lies at `step`."""
+    """Return points (n, 2) [m] of a frame in the frame from which that one lies at `step`."""
     x, y, turn = step
     cosine, sine = math.cos(turn), math.sin(turn)
     turned = ends @ np.array([[cosine, sine], [-sine, cosine]])
-    there: Array = turned + np.array([x, y])
-    return there
+    carried: Array = turned + np.array([x, y])
+    return carried

@@ -18,7 +18,7 @@ from cairn import (
     Config,
     In,
     Out,
-    ParameterRejected,
+    ParameterRefused,
     RateLimitedLog,
     every,
     from_ns,
@@ -26,7 +26,6 @@ from cairn import (
     to_ns,
 )
 from cairn.components.localizer.config import LocalizerConfig
-from cairn.components.localizer.health import PoseHealth, ScannerMonitor
 from cairn.components.localizer.localization import Localization
 from cairn.components.localizer.messages import (
     estimate_message,
@@ -37,9 +36,10 @@ from cairn.components.localizer.messages import (
     transform_message,
     view_of,
 )
+from cairn.components.localizer.health import ScannerMonitor
 from cairn.components.localizer.observations import as_observed_from, view_as_from
 from cairn.components.localizer.odometry import MeasuredTrack
-from cairn.components.localizer.start_pose import find_start_pose, operator_pose, save
+from cairn.components.localizer.start_pose import find_start_pose, operator_pose, save_last_pose
 from cairn.planar.grid import grid_of
 from cairn.planar.messages import packed_poses, planar_pose, with_covariance
 from cairn.planar.odometry import OdometryHistory
@@ -56,57 +56,64 @@ from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.std_msgs import Header
 from cairn.schemas.tf2_msgs import TFMessage
 
-# The cloud is moved at least this often [s], behind odometry by as much as observations may be late.
+# The particles are moved at least this often [s], and stay behind odometry by as much as
+# observations may be late [s].
 STEP_S, BEHIND_S = 0.5, 0.5
-# Sightings later than this behind the cloud are of no use [s].
+# Observations later than this behind the particles are dropped [s].
 LATE_S = 1.0
-# A gap in odometry that is worth telling of [s].
+# A gap in odometry that is logged [s].
 GAP_S = 1.5
+# Poses by odometry alone are published at 10 Hz [s]; the margin is for the jitter of its stamps.
 POSE_EVERY_S = 0.0999
-# While scans come at least this often [s], each gives a pose; else odometry does.
+# While scans arrive at least this often [s], each gives a pose; otherwise odometry does.
 SCANS_S = 0.5
-# So many records of odometry in a row that are older than the newest: time was set back.
-OLDER_IN_A_ROW = 5
-# How far [m], [rad] the robot may have come while odometry jumped.
+# After so many records of odometry in a row that are older than the newest, time was set back.
+OUTDATED_IN_A_ROW = 5
+# How far [m], [rad] the robot may have moved while odometry jumped.
 JUMP_M, JUMP_RAD = 0.15, 0.15
+# A pose is saved only from this health on: of a lost robot it would mislead the next localizer.
+SAVED_HEALTH = 0.5
+# So many particles are published on topic `particles`.
+PUBLISHED_PARTICLES = 200
+
 T = TypeVar("T")
-SHOWN = 200  # poses of the cloud on topic `particles`
 
 
 class PendingMessages(Generic[T]):
-    """Items by stamp [s], held until odometry has reached them, but not for ever."""
+    """Messages by stamp [s] that wait until odometry has reached them, but not forever."""
 
     def __init__(self, longest_s: float) -> None:
         self.longest_s = longest_s
-        self._items: list[tuple[float, int, T]] = []
+        self._messages: list[tuple[float, int, T]] = []
         self._count = 0
 
-    def add(self, stamp: float, item: T) -> None:
-        """Hold an item; of equal stamps the earlier comes first."""
+    def add(self, stamp: float, message: T) -> None:
+        """Add a message; of equal stamps the one added first comes first."""
         self._count += 1
-        insort(self._items, (stamp, self._count, item), key=lambda entry: entry[:2])
+        insort(self._messages, (stamp, self._count, message), key=lambda entry: entry[:2])
 
     def release(self, odometry: float, now: float) -> list[tuple[float, T]]:
-        """The items that odometry has reached, and those held longer than the limit."""
+        """Return the messages that odometry has reached, and those that waited too long."""
         ready = []
-        while self._items:
-            stamp = self._items[0][0]
+        while self._messages:
+            stamp = self._messages[0][0]
             if stamp > odometry and now - stamp <= self.longest_s:
                 break
-            ready.append((stamp, self._items.pop(0)[2]))
+            ready.append((stamp, self._messages.pop(0)[2]))
         return ready
 
     @property
     def oldest(self) -> float | None:
-        """The stamp of the item next to be released."""
-        return self._items[0][0] if self._items else None
+        """The stamp of the message to be released next."""
+        return self._messages[0][0] if self._messages else None
 
 
 class Localizer(Component):
     """Estimates the robot's pose in the map by Monte Carlo localization.
 
     Fuses odometry, a range scanner against the grid map, and recognized objects of the visual map;
-    either sensor may be missing. Judges every sighted object against the pose that all else gives.
+    either sensor may be missing. Compares every recognized object with the pose by everything else,
+    and publishes the evidence.
     """
 
     config: LocalizerConfig
@@ -125,64 +132,66 @@ class Localizer(Component):
     tf: Out[TFMessage]
 
     def on_configure(self) -> None:
-        """Take memory; the robot is not located before the first odometry."""
+        """Allocate the particles; the robot is not located before the first odometry."""
         folder = self.config.resume_file.parent if self.config.resume_file else None
         if folder is not None and not folder.is_dir():
             raise CairnError(f"{folder}: no such folder to keep the last pose in (resume_file)")
         self._was_located = False
         self._warnings = RateLimitedLog(self.log)
-        self._lay_out()
+        self._reset()
 
-    def _lay_out(self) -> None:
+    def _reset(self) -> None:
         self._track = self.config.base.track()
         self._localization = Localization(self.config.settings(), self._track, self.random)
-        self._held: PendingMessages[LaserScan | RecognizedObjectArray] = PendingMessages(
+        self._pending: PendingMessages[LaserScan | RecognizedObjectArray] = PendingMessages(
             self.config.hold_s
         )
         self._history = OdometryHistory(5 * SECOND)
         self._scanner = ScannerMonitor()
         self._published = self._scanned = -math.inf
-        self._jumps = self._older = 0
+        self._jumps = self._outdated = 0
 
     def on_parameters(self, new: Config) -> None:  # noqa: ARG002 - none can be changed
-        """The clouds are laid out once."""
-        raise ParameterRejected("the localizer takes its parameters when it is configured")
+        """Refuse: the particles are allocated once."""
+        raise ParameterRefused("the localizer takes its parameters when it is configured")
 
     @on("map")
-    def use_grid(self, message: OccupancyGrid) -> None:
-        """Take a grid map."""
+    def on_map(self, message: OccupancyGrid) -> None:
+        """Replace the grid map."""
         if message.data.size == 0:
-            self._warnings.warn("map", f"the map on {self.map.topic} is empty: ignored")
+            self._warnings.warn("map", f"empty map on {self.map.topic} ignored")
             return
-        self._localization.use_grid(grid_of(message))
+        self._localization.set_grid(grid_of(message))
 
     @on("map_updates")
-    def renew_grid(self, update: OccupancyGridUpdate) -> None:
-        """Take what has changed in the grid map."""
-        here = self._localization.map
-        if here is None:
+    def on_map_update(self, update: OccupancyGridUpdate) -> None:
+        """Replace a window of the grid map."""
+        scan_map = self._localization.map
+        if scan_map is None:
             return
         values = update.data.reshape(update.height, update.width)
-        if not here.fits(update.y, update.x, values):
-            self._warnings.warn("update", f"an update on {self.map_updates.topic} is off the map")
+        if not scan_map.fits(update.y, update.x, values):
+            self._warnings.warn(
+                "update", f"map update on {self.map_updates.topic} ignored: it leaves the map"
+            )
             return
-        here.renew(update.y, update.x, values)
+        scan_map.renew(update.y, update.x, values)
 
     @on("visual_map")
-    def use_map(self, visual_map: VisualMap) -> None:
-        """Take the visual map's new state."""
-        self._localization.use_map(landmarks_of(visual_map))
+    def on_visual_map(self, visual_map: VisualMap) -> None:
+        """Replace the visual map."""
+        self._localization.set_landmarks(landmarks_of(visual_map))
 
     @on("initialpose")
-    def begin_at(self, given: PoseWithCovarianceStamped) -> None:
-        """Take an operator's word for where the robot is."""
-        where = operator_pose(given.pose)
-        self._localization.locate(where.mean, where.covariance)
-        self.log.info("told to be at (%.2f m, %.2f m, %.2f rad)", *where.mean)
+    def on_initial_pose(self, message: PoseWithCovarianceStamped) -> None:
+        """Start from the pose that an operator states."""
+        pose = operator_pose(message.pose)
+        self._localization.set_pose(pose.mean, pose.covariance)
+        self.log.info("pose set by the operator: (%.2f m, %.2f m, %.2f rad)", *pose.mean)
 
     @on("odom")
-    def follow(self, odom: Odometry) -> None:
-        """Take odometry; work off the scans and observations that waited for it."""
+    def on_odometry(self, odom: Odometry) -> None:
+        """Add odometry; process the scans and observations that waited for it."""
         stamp = _seconds(odom.header.stamp)
         pose = planar_pose(odom.pose.pose)
         latest = self._track.latest
@@ -190,130 +199,134 @@ class Localizer(Component):
             self._localization.advance(stamp)
             known = find_start_pose(self.config, odom, stamp, self.log)
             if known is not None:
-                self._localization.locate(known.mean, known.covariance)
+                self._localization.set_pose(known.mean, known.covariance)
         elif stamp - latest > GAP_S:
             self._warnings.warn(
                 "gap", f"no odometry on {self.odom.topic} for {stamp - latest:.1f} s"
             )
         twist = odom.twist.twist
-        if not self._localization.command(stamp, pose, twist.linear.x, twist.angular.z):
-            self._older += 1
-            if self._older < OLDER_IN_A_ROW:
+        if not self._localization.add_odometry(stamp, pose, twist.linear.x, twist.angular.z):
+            self._outdated += 1
+            if self._outdated < OUTDATED_IN_A_ROW:
                 self._warnings.warn(
                     self.odom.topic,
-                    f"time on {self.odom.topic} runs backwards, from {latest:.3f} s to "
-                    f"{stamp:.3f} s: ignored",
+                    f"odometry on {self.odom.topic} ignored: time runs backwards, from "
+                    f"{latest:.3f} s to {stamp:.3f} s",
                 )
                 return
-            self._set_back(stamp)
-            self._localization.command(stamp, pose, twist.linear.x, twist.angular.z)
-        self._older = 0
-        self._note_jump()
+            self._restart_at(stamp)
+            self._localization.add_odometry(stamp, pose, twist.linear.x, twist.angular.z)
+        self._outdated = 0
+        self._handle_jump()
         self._history.add(to_ns(odom.header.stamp), pose)
-        self._work_off()
+        self._process_pending()
         without_scans = stamp - self._scanned > SCANS_S
         if without_scans and stamp - self._published >= POSE_EVERY_S:
-            self._localization_at(stamp, pose)
+            self._publish_by_odometry(stamp, pose)
 
     @on("scan")
-    def look(self, scan: LaserScan) -> None:
-        """Take a scan; it waits until odometry has reached its last beam."""
-        ends = _seconds(scan.header.stamp) + sweep_s(scan)
-        if self._in_time(ends, self.scan.topic):
-            self._held.add(ends, scan)
-            self._work_off()
+    def on_scan(self, scan: LaserScan) -> None:
+        """Keep a scan until odometry has reached its last beam."""
+        end = _seconds(scan.header.stamp) + sweep_s(scan)
+        if self._is_in_time(end, self.scan.topic):
+            self._pending.add(end, scan)
+            self._process_pending()
 
     @on("objects")
-    def see(self, message: RecognizedObjectArray) -> None:
-        """Take recognized objects; they wait until odometry has reached their time."""
+    def on_objects(self, message: RecognizedObjectArray) -> None:
+        """Keep recognized objects until odometry has reached their time."""
         stamp = _seconds(message.header.stamp)
-        if self._in_time(stamp, self.objects.topic):
-            self._held.add(stamp, message)
-            self._work_off()
+        if self._is_in_time(stamp, self.objects.topic):
+            self._pending.add(stamp, message)
+            self._process_pending()
 
     @every(hz=2)
     def publish_particles(self) -> None:
-        """Show the cloud; work off what waits for odometry that never came."""
-        self._work_off()
+        """Publish particles; process messages that waited for odometry in vain."""
+        self._process_pending()
         if self._localization.located:
-            # A generator of its own: to be looked at must not change what follows.
-            cloud = self._localization.filters.cloud.sample(SHOWN, np.random.default_rng(0))
+            # With its own generator, so that publishing does not change what follows.
+            random = np.random.default_rng(0)
+            poses = self._localization.filters.particles.sample(PUBLISHED_PARTICLES, random)
             header = self._header(self._track.integrated_to)
-            self.particles.publish(PoseArray(header=header, poses=packed_poses(cloud.T)))
+            self.particles.publish(PoseArray(header=header, poses=packed_poses(poses.T)))
 
     @every(hz=1)
-    def keep_pose(self) -> None:
-        """Write down where the robot is, for a localizer that comes after."""
+    def save_pose(self) -> None:
+        """Save where the robot is, for a localizer that is started later."""
         file, at = self.config.resume_file, self._track.integrated_to
         if file is None or not self._localization.located or at == -math.inf:
             return
         odom = self._history.at(round(at * SECOND))
-        if odom is None or self._localization.health().value < 0.5:
+        if odom is None or self._localization.health().value < SAVED_HEALTH:
             return
         estimate = self._localization.pose()
         try:
-            save(file, at, estimate.mean, estimate.covariance, odom)
+            save_last_pose(file, at, estimate.mean, estimate.covariance, odom)
         except OSError as error:
-            self._warnings.warn("resume", f"the pose cannot be kept in {file}: {error.strerror}")
+            self._warnings.warn("resume", f"pose not saved in {file}: {error.strerror}")
 
-    def _in_time(self, stamp: float, topic: str) -> bool:
+    def _is_in_time(self, stamp: float, topic: str) -> bool:
         late_s = self._track.integrated_to - stamp
         ahead_s = stamp - self.clock.now() / SECOND
         if late_s > LATE_S:
             why = f"{late_s:.1f} s late"
         elif ahead_s > self.config.hold_s:
-            why = f"{ahead_s:.1f} s ahead of the clock; set that of its driver"
+            why = f"{ahead_s:.1f} s ahead of the clock; set the clock of its driver"
         else:
             return True
-        self._warnings.warn(topic, f"what {topic} tells of {stamp:.3f} s is ignored: it is {why}")
+        self._warnings.warn(
+            topic, f"message on {topic} of {stamp:.3f} s ignored: it is {why}"
+        )
         return False
 
-    def _set_back(self, stamp: float) -> None:
-        """Go on from the last pose, on a time that was set back to `stamp` [s]."""
+    def _restart_at(self, stamp: float) -> None:
+        """Continue from the last pose, with a time that was set back to `stamp` [s]."""
         last, by_s = self._localization, self._track.latest - stamp
         self.log.warning("time on %s was set back by %.3f s", self.odom.topic, by_s)
-        self._lay_out()
-        self._localization.go_on_from(last, stamp)
-        self._localization.doubt(JUMP_M, JUMP_RAD)
+        self._reset()
+        self._localization.continue_from(last, stamp)
+        self._localization.widen(JUMP_M, JUMP_RAD)
 
-    def _note_jump(self) -> None:
+    def _handle_jump(self) -> None:
         track = self._track
         if isinstance(track, MeasuredTrack) and track.jumps > self._jumps:
             self._jumps = track.jumps
             self._history.clear()
-            self._localization.doubt(JUMP_M, JUMP_RAD)
+            self._localization.widen(JUMP_M, JUMP_RAD)
             self._warnings.warn(
-                "jump", f"odometry on {self.odom.topic} jumped: that step is left out"
+                "jump", f"odometry on {self.odom.topic} jumped: that step is ignored"
             )
 
-    def _work_off(self) -> None:
+    def _process_pending(self) -> None:
+        """Fuse the messages that odometry has reached, in the order of their stamps."""
         track = self._track
         now = self.clock.now() / SECOND
-        for stamp, item in self._held.release(track.latest, now):
+        for stamp, message in self._pending.release(track.latest, now):
             if stamp > track.latest:
                 self._warnings.warn(
-                    "wait", f"what was seen at {stamp:.3f} s found no odometry of that time"
+                    "wait", f"no odometry for the scan or the objects of {stamp:.3f} s"
                 )
-            if isinstance(item, LaserScan):
-                self._fuse_scan(stamp, item)
+            if isinstance(message, LaserScan):
+                self._fuse_scan(stamp, message)
             else:
-                self._fuse_objects(stamp, item)
-        waiting = self._held.oldest
+                self._fuse_objects(stamp, message)
+        oldest = self._pending.oldest
         while track.latest - track.integrated_to >= STEP_S + BEHIND_S:
-            if waiting is not None and waiting <= track.integrated_to + STEP_S:
+            if oldest is not None and oldest <= track.integrated_to + STEP_S:
                 break
             self._localization.advance(track.integrated_to + STEP_S)
 
-    def _fuse_scan(self, ends: float, scan: LaserScan) -> None:
+    def _fuse_scan(self, end: float, scan: LaserScan) -> None:
         sweep = sweep_of(scan, self._history.at)
         moved = sweep.motion if sweep is not None else (0.0, 0.0, 0.0)
         rays = rays_of(scan, self.config.mount.pose, moved)
-        self._scanned = ends
-        found = self._localization.scan(ends, rays.points(), rays.misses())
-        if not self._scanner.note(ends, rays, self._localization.contradicted):
-            self._warnings.warn("blind", f"a scan on {self.scan.topic} tells nothing")
+        self._scanned = end
+        found = self._localization.fuse_scan(end, rays.points(), rays.misses())
+        if not self._scanner.add(end, rays, self._localization.contradicted):
+            self._warnings.warn("scanner", f"invalid scan on {self.scan.topic}")
         if found:
-            self._tell_found(ends)
+            self._announce_found(end)
         header = Header(stamp=scan.header.stamp, frame_id="map")
         if not self._localization.located:
             self._publish_estimate(header, None)
@@ -322,49 +335,47 @@ class Localizer(Component):
             at_first_beam = compose(estimate.mean, inverse(moved))
             self._publish(header, at_first_beam, sweep.start, estimate.covariance)
 
-    def _fuse_objects(self, stamp: float, seen: RecognizedObjectArray) -> None:
+    def _fuse_objects(self, stamp: float, message: RecognizedObjectArray) -> None:
         was_located = self._localization.located
-        step = self._since(stamp)
+        step = self._motion_since(stamp)
         if step is None:
             self._warnings.warn(
-                "late", f"what was seen at {stamp:.3f} s is ignored: no odometry of that time"
+                "late", f"objects of {stamp:.3f} s ignored: no odometry of that time"
             )
             return
-        view = view_of(seen)
-        frame = self._localization.sight(
+        view = view_of(message)
+        frame = self._localization.fuse_objects(
             stamp,
-            [as_observed_from(observation, step) for observation in observations_of(seen)],
+            [as_observed_from(observation, step) for observation in observations_of(message)],
             view_as_from(view, step) if view is not None else None,
         )
         if frame is None:
             if self._localization.located and not was_located:
-                self._tell_found(stamp)
+                self._announce_found(stamp)
             return
-        self._tell_ranges()
-        header = self._header(stamp)
+        self._warn_of_wrong_ranges()
         if frame.evidence:
-            self.object_evidence.publish(evidence_message(header, frame))
+            self.object_evidence.publish(evidence_message(self._header(stamp), frame))
         if frame.relocalized:
-            self._tell_found(stamp)
+            self._announce_found(stamp)
 
-    def _tell_ranges(self) -> None:
+    def _warn_of_wrong_ranges(self) -> None:
         factor = self._localization.range_factor
         if factor is None:
-            self._warnings.resolved("ranges", "objects are as far away as the map has them again")
+            self._warnings.resolved("ranges", "ranges of objects agree with the map again")
             return
         self._warnings.warn(
             "ranges",
-            f"all objects on {self.objects.topic} are seen {100 * factor:.0f} % as far away as the "
-            "map has them, so none is judged: calibrate the camera anew with `cairn camera "
-            "calibrate`, and look whether the objects' sizes were told right",
+            f"ranges of all objects on {self.objects.topic} are {100 * factor:.0f} % of those in "
+            "the map, so none gives evidence: recalibrate the camera with `cairn camera "
+            "calibrate`, and check the sizes given for the objects",
         )
 
-    def _since(self, stamp: float) -> Pose | None:
-        """How the robot has moved from `stamp` [s] to the time that the cloud has come to; None if
-        odometry does not tell, as across a jump.
+    def _motion_since(self, stamp: float) -> Pose | None:
+        """Return the motion from `stamp` [s] to the time of the particles.
 
-        Scans come sooner than what a recognizer has to compute: its observations are older than the
-        cloud.
+        None if odometry does not tell, as across a jump. A recognizer takes longer than a scan: its
+        observations are older than the particles.
         """
         measured = isinstance(self._track, MeasuredTrack)
         if not measured or stamp >= self._track.integrated_to:
@@ -373,27 +384,28 @@ class Localizer(Component):
         now = self._history.at(round(self._track.integrated_to * SECOND))
         return None if then is None or now is None else relative(then, now)
 
-    def _tell_found(self, stamp: float) -> None:
+    def _announce_found(self, stamp: float) -> None:
+        """Log where the robot was found, and publish it if the robot had another pose before."""
         found = self._localization.pose()
         if not self._was_located:
             self.log.info("found the robot at (%.2f m, %.2f m, %.2f rad)", *found.mean)
             self._was_located = True
             return
         self.log.warning(
-            "the robot was lost and found itself at (%.2f m, %.2f m, %.2f rad)", *found.mean
+            "relocalized: the robot was lost and is at (%.2f m, %.2f m, %.2f rad)", *found.mean
         )
         confirmed_until = self._localization.confirmed_until
         self.relocalized.publish(
             relocalization_message(self._header(stamp), found, confirmed_until)
         )
 
-    def _localization_at(self, stamp: float, odom: Pose) -> None:
+    def _publish_by_odometry(self, stamp: float, odom: Pose) -> None:
         if not self._localization.located:
             self._published = stamp
             self._publish_estimate(self._header(stamp), None)
             return
         estimate = self._localization.pose()
-        now = self._localization.ahead(estimate.mean, stamp)
+        now = self._localization.predict(estimate.mean, stamp)
         self._publish(self._header(stamp), now, odom, estimate.covariance)
 
     def _publish(self, header: Header, pose: Pose, odom: Pose, covariance: np.ndarray) -> None:
@@ -405,10 +417,10 @@ class Localizer(Component):
         self.tf.publish(transform_message(header, pose, odom))
 
     def _publish_estimate(self, header: Header, pose: PoseWithCovariance | None) -> None:
-        health: PoseHealth = self._localization.health()
+        health = self._localization.health()
         if self._localization.map is not None:
-            health = self._scanner.limited(health, self._track.latest, self.scan.topic)
-        particles = self._localization.filters.cloud.count
+            health = self._scanner.limit(health, self._track.latest, self.scan.topic)
+        particles = self._localization.filters.particles.count
         self.localization.publish(estimate_message(header, pose, health, particles))
 
     def _header(self, stamp: float) -> Header:

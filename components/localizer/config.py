@@ -19,7 +19,7 @@ from cairn.components.localizer.odometry import (
 )
 
 # How objects are fused: by their reliability, or each as if it certainly stood in its place.
-ObjectFusion = Literal["reliability", "at_its_word"]
+ObjectFusion = Literal["reliability", "certain"]
 
 
 @dataclass(frozen=True)
@@ -28,8 +28,8 @@ class LocalizationSettings:
 
     particles: int = 400
     most_particles: int = 20_000
-    judges: int = 16
-    judge_particles: int = 400
+    leave_one_out_filters: int = 16
+    leave_one_out_particles: int = 400
     search_particles: int = 20_000
     independence: float = 0.15
     scan_share: float = 0.35
@@ -121,10 +121,10 @@ class LocalizerConfig(Config):
     most_particles: int = Field(
         20_000, ge=50, le=200_000, description="Most poses, where it is spread out [1]."
     )
-    judges: int = Field(
+    leave_one_out_filters: int = Field(
         16, ge=0, le=256, description="Objects that are judged by a cloud without them [1]."
     )
-    judge_particles: int = Field(400, ge=50, le=20_000, description="Poses of such a cloud [1].")
+    leave_one_out_particles: int = Field(400, ge=50, le=20_000, description="Poses of such a cloud [1].")
     search_particles: int = Field(
         20_000, ge=1000, le=500_000, description="Least poses drawn to find a robot anywhere [1]."
     )
@@ -177,8 +177,8 @@ class LocalizerConfig(Config):
         return LocalizationSettings(
             particles=self.particles,
             most_particles=max(self.particles, self.most_particles),
-            judges=self.judges,
-            judge_particles=self.judge_particles,
+            leave_one_out_filters=self.leave_one_out_filters,
+            leave_one_out_particles=self.leave_one_out_particles,
             search_particles=self.search_particles,
             independence=self.independence,
             scan_share=self.scan_share,

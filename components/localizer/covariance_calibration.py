@@ -1,4 +1,4 @@
-"""Calibrates the published covariance: that of the particles, and what no particles show."""
+"""Calibrates the published covariance: that of the particles, and errors that no particles show."""
 
 from __future__ import annotations
 
@@ -13,34 +13,34 @@ from cairn.planar.poses import wrap
 
 Array = NDArray[np.float64]
 
-# Shares of the newest scan in the running means.
+# Weights of the newest scan in the running means: means over 20 scans.
 _NEWEST_STEP, _NEWEST_FIT = 0.05, 0.05
-# Added to what corrections are and should be, so that tiny ones say nothing [m^2], [rad^2].
+# Added to actual and expected corrections, so that tiny ones have no effect [m^2], [rad^2].
 _LITTLE_M2, _LITTLE_RAD2 = 1e-6, 1e-7
-# A cloud is said to be at most so much narrower or wider than it is.
+# The published deviations are at least and at most these multiples of those of the particles.
 _NARROWEST, _WIDEST = 0.2, 3.0
-# And to lag behind at most by so many of its deviations.
+# The lag is at most so many deviations of the particles.
 _LONGEST_LAG = 6.0
-# Corrections at random leave this share of their mean square in their running mean, seldom more.
+# Random corrections leave this share of their mean square in their running mean, seldom more.
 _AT_RANDOM = 4.0 * _NEWEST_STEP
-# Beams that measure exactly deviate so much from a map of cells, and bring the pose so far off
-# [cells]; what is beyond is the map's error, which turns the robot so much [rad / m].
+# Exact beams deviate so much from a map of cells, and move the pose so far [cells]; what is beyond is
+# the error of the map, which turns the robot so much [rad / m].
 _DEVIATION_OF_CELLS, _ERROR_OF_CELLS = 0.54, 0.125
 _TURN_PER_M = 0.1
 _LEAST_TURN = 0.002
 
 
 class CovarianceCalibrator:
-    """Keeps the stated covariance honest: the truth is to lie within one sigma as often as of a
+    """Makes the published covariance honest: the truth lies within one sigma as often as for a
     normal distribution.
 
-    The cloud is as wide as its models of motion and beams make it. A filter whose models are right
-    is corrected by each scan as far as the cloud shrinks with it, on average; by that its width is
-    scaled (innovation-based estimation, Mehra 1970), along each of its axes by itself: what is seen
-    across a corridor says nothing of how far along it the robot is. Added is how far it lags behind
-    where corrections always point the same way, as odometry errs steadily; and the error of the
-    map, which all beams share, so that no cloud shows it: as large as the beams' deviation from the
-    map beyond what cells of its size explain.
+    The particles are as wide as the models of motion and beams make them. If these models are
+    right, each scan corrects the pose, on average, by as much as the particles shrink; their width
+    is scaled accordingly (innovation-based estimation, Mehra 1970), along each of their axes
+    separately: a scan across a corridor does not show how far along it the robot is. Added is the
+    lag of a pose whose corrections always point in the same direction, as odometry errs steadily;
+    and the error of the map, which all beams share, so that no particles show it: it is as large as
+    the deviation of the beams from the map beyond what cells of its size explain.
     """
 
     def __init__(self) -> None:
@@ -51,8 +51,8 @@ class CovarianceCalibrator:
         self._turn_made = self._turn_due = 0.0
         self._beyond: float | None = None
 
-    def corrected(self, before: PoseEstimate, after: PoseEstimate, share: float) -> None:
-        """Note what a scan, of which `share` (0 to 1) is new, made of the cloud."""
+    def add_correction(self, before: PoseEstimate, after: PoseEstimate, share: float) -> None:
+        """Add the change of the estimate by a scan, of which `share` (0 to 1) is new."""
         x, y, theta = (b - a for a, b in zip(before.mean, after.mean, strict=True))
         shrunk = before.covariance - after.covariance
         newest = _NEWEST_STEP * share
@@ -62,35 +62,37 @@ class CovarianceCalibrator:
         self._turn_made += newest * (wrap(theta) ** 2 - self._turn_made)
         self._turn_due += newest * (max(0.0, shrunk[2, 2]) - self._turn_due)
 
-    def fitted(self, deviation: float, resolution: float) -> None:
-        """Note by how much [m, rms; NaN: unknown] beams deviate from a map of such cells [m]."""
+    def add_deviation(self, deviation: float, resolution: float) -> None:
+        """Add by how much [m, rms; NaN: unknown] beams deviate from a map of such cells [m]."""
         if math.isnan(deviation):
             return
         beyond = max(0.0, deviation**2 - (_DEVIATION_OF_CELLS * resolution) ** 2)
         last = beyond if self._beyond is None else self._beyond
         self._beyond = last + _NEWEST_FIT * (beyond - last)
 
-    def of(self, cloud: PoseEstimate, resolution: float) -> Array:
-        """The covariance (3, 3) to state, on a map of cells of that size [m]."""
+    def calibrated(self, particles: PoseEstimate, resolution: float) -> Array:
+        """Return the covariance (3, 3) to publish, on a map of cells of that size [m]."""
         each, behind = np.zeros((3, 3)), np.zeros((3, 3))
-        _axes(cloud.covariance, self._mean, self._made, self._due, each, behind)
+        _axes(particles.covariance, self._mean, self._made, self._due, each, behind)
         each[2, 2] = _scale(self._turn_made, self._turn_due, _LITTLE_RAD2)
         off = (_ERROR_OF_CELLS * resolution) ** 2 + (self._beyond or 0.0)
         turn = _LEAST_TURN**2 + _TURN_PER_M**2 * (self._beyond or 0.0)
-        stated: Array = each @ cloud.covariance @ each + behind + np.diag([off, off, turn])
+        stated: Array = each @ particles.covariance @ each + behind + np.diag([off, off, turn])
         return stated
 
 
 @compiled("float64(float64, float64, float64)")
 def _scale(made: float, due: float, little: float) -> float:
-    """By how much corrections of the mean square `made` are wider than those that were `due`."""
+    """Return by how much corrections of the mean square `made` are wider than those that were
+    `due`.
+    """
     ratio = math.sqrt((made + little) / (max(0.0, due) + little))
     return min(max(ratio, _NARROWEST), _WIDEST)
 
 
 @compiled()
 def _along(x: float, y: float, matrix: Array) -> float:
-    """The variance of a direction."""
+    """Return the variance in a direction."""
     return float(x * x * matrix[0, 0] + 2.0 * x * y * matrix[0, 1] + y * y * matrix[1, 1])
 
 
@@ -105,11 +107,11 @@ def _add(x: float, y: float, value: float, matrix: Array) -> None:
 
 @compiled()
 def _lag(mean: float, made: float, due: float, variance: float) -> float:
-    """Square [m^2] of how far the pose lags behind, should odometry err steadily.
+    """Return the square [m^2] of how far the pose lags behind if odometry errs steadily.
 
-    Scans then correct it by the same again and again, `mean` [m]: of what is missing, that share by
-    which a cloud of that variance [m^2] shrank when `due` was taken off. What corrections at
-    random, of the mean square `made`, leave in a running mean is no lag.
+    Scans then correct it by the same `mean` [m] again and again: by the share of the error by which
+    particles of that variance [m^2] shrank when `due` was removed. What random corrections of the
+    mean square `made` leave in a running mean is no lag.
     """
     steady = mean * mean - _AT_RANDOM * made
     if steady <= 0.0:
@@ -123,8 +125,8 @@ def _lag(mean: float, made: float, due: float, variance: float) -> float:
     " float64[:, ::1])"
 )
 def _axes(spread: Array, mean: Array, made: Array, due: Array, each: Array, behind: Array) -> None:
-    """Put into `each` by what to scale the x and y of a cloud, along each of its axes; into
-    `behind` what its lag adds.
+    """Put the scales of x and y along the axes of the particles into `each`, what the lag adds
+    into `behind`.
     """
     angle = 0.5 * math.atan2(2.0 * spread[0, 1], spread[0, 0] - spread[1, 1])
     for turn in (0.0, 0.5 * math.pi):

@@ -1,4 +1,4 @@
-"""The global search: finds the robot anywhere in the map by what it observed recently."""
+"""The global search: finds the robot anywhere in the map by what it measured recently."""
 
 from __future__ import annotations
 
@@ -25,14 +25,15 @@ from cairn.planar.poses import Pose, relative, wrap_all
 
 Array = NDArray[np.float64]
 
-_LOOSE = 4  # of more scans a pose that is a little off explains nothing
+# So many scans are compared loosely: of more, a pose that is a little off explains nothing.
+_LOOSE = 4
 
 
 @dataclass(frozen=True)
 class RecentMeasurements:
-    """Recent observations and scans, seen from the dead-reckoned pose `now`.
+    """All recent observations and scans, relative to the dead-reckoned pose `now`.
 
-    `map` is None without a grid map; a scan counts `scan_share` of its log-likelihood.
+    `map` is None without a grid map; the share `scan_share` of a scan's log-likelihood counts.
     """
 
     observations: RecentObservations
@@ -45,11 +46,13 @@ class RecentMeasurements:
 
     @property
     def scanned(self) -> bool:
-        """Whether there are scans to go by."""
+        """Whether there are scans and a map to compare them with."""
         return self.map is not None and len(self.scans) > 0
 
     def log_likelihood(self, poses: Array, left_out: int | None = None) -> Array:
-        """Log-likelihood (n,) of everything but object `left_out`, were the robot at `poses`."""
+        """Return the log-likelihood (n,) of everything but object `left_out` if the robot were
+        at `poses`.
+        """
         total = self.observations.log_likelihood(
             poses, self.now, self.moved_s, self.landmarks, left_out
         )
@@ -60,21 +63,25 @@ class RecentMeasurements:
         return total
 
     def loose(self, poses: Array) -> Array:
-        """The same of the newest scans, taken loosely, so that poses nearby explain them: (n,)."""
+        """Return the same of the newest scans with wide beams, so that poses nearby explain
+        them: (n,).
+        """
         return self._loosely(poses, _LOOSE)
 
     def first_look(self, poses: Array) -> Array:
-        """The same of the observations and the newest scan alone: (n,)."""
+        """Return the same of the observations and the newest scan alone: (n,)."""
         return self._loosely(poses, 1)
 
     def fit(self, pose: PoseEstimate) -> float:
-        """Share of the scans' beams that the map explains from a pose; NaN without scans."""
+        """Return the share of the scans' beams that the map explains from a pose; NaN without
+        scans.
+        """
         if self.map is None:
             return math.nan
         return self.scans.fit(pose.mean, self.now, self.map.field)
 
     def support(self, pose: PoseEstimate, left_out: int | None = None) -> PoseSupport:
-        """How many places of objects agree with a pose, and how many contradict it."""
+        """Return how many positions of objects agree with a pose, and how many contradict it."""
         return self.observations.support(pose, self.now, self.moved_s, self.landmarks, left_out)
 
     def _loosely(self, poses: Array, newest: int) -> Array:
@@ -86,22 +93,25 @@ class RecentMeasurements:
         return total
 
 
-# Poses drawn per square meter of free space, and at most.
+# Poses drawn per square meter of free space, and at most: one per 6 cm x 6 cm; the wide beams of
+# the first look (0.35 m) bridge the gaps between headings.
 _PER_M2, _MOST = 300.0, 200_000
-# Share of the log-likelihood and jitter [m] (and 0.7 of it [rad]) of each round of annealing.
+# Share of the log-likelihood that counts and noise [m] (and 0.7 of it [rad]) in each round of
+# annealing.
 _ANNEALING = ((0.4, 0.10), (0.7, 0.05), (1.0, 0.03))
-_KEPT = 16  # places of a look that the next one looks at again
-# Places that are looked at closer, poses drawn at each, and how far around it [m, m, rad].
+# So many modes of a search are examined again by the next one.
+_KEPT = 16
+# Modes that are examined, poses drawn at each, and how far around it [m, m, rad].
 _MODES, _PER_MODE, _AROUND = 36, 120, np.array([[0.2], [0.2], [0.15]])
 
 
 @dataclass(frozen=True)
 class GlobalSearchResult:
-    """Samples (3, n) of the best mode, their statistics, its share of the posterior, its support.
+    """Particles (3, n) of the best mode, their statistics, its share of the posterior, its support.
 
-    `score` is the log-likelihood of what was seen of late at the mode's mean, `fit` the share of
-    the scans that fits there (NaN without scans); `everywhere` holds the samples of all modes,
-    `places` (3, m) the best pose of each, best first, where they were told apart.
+    `score` is the log-likelihood of the recent measurements at the mode's mean, `fit` the share of
+    the scans that fits there (NaN without scans); `everywhere` holds the particles of all modes,
+    `modes` (3, m) the best pose of each, best first, if they were separated.
     """
 
     poses: Array
@@ -111,54 +121,60 @@ class GlobalSearchResult:
     score: float
     fit: float
     everywhere: Array
-    places: Array | None = None
+    modes: Array | None = None
 
 
 def search(
-    evidence: RecentMeasurements,
+    recent: RecentMeasurements,
     count: int,
     random: np.random.Generator,
     known: Array | None = None,
 ) -> GlobalSearchResult | None:
-    """Draw poses wherever the robot may be and keep what explains most.
+    """Draw poses wherever the robot may be, and keep those that explain most.
 
-    `count` on rings around every object seen of late in turn, carried to now by odometry, so that
-    one object that was moved cannot hide the truth; with scans and a map, poses all over the free
-    space too, and at places `known` (3, m) [m, m, rad] from looks before. None if nothing was
-    seen.
+    Args:
+        recent: What the robot measured recently.
+        count: Poses drawn on rings around the recently observed objects, each object in turn and
+            carried to now by odometry, so that one moved object cannot hide the true pose.
+        random: The source of random numbers.
+        known: Modes (3, m) [m, m, rad] of earlier searches, where the search starts as well.
+
+    Returns:
+        The best mode; None if nothing was measured. With scans and a map, poses are also drawn all
+        over the free space.
     """
-    drawn = _on_rings(evidence, count, random)
-    if evidence.map is not None and evidence.scanned:
-        free = evidence.map.free
+    drawn = _on_rings(recent, count, random)
+    if recent.map is not None and recent.scanned:
+        free = recent.map.free
         drawn.append(free.draw(min(_MOST, max(count, round(_PER_M2 * free.area))), random))
     if not drawn:
         return None
     poses = np.concatenate(drawn, axis=1)
     if not poses.shape[1]:
         return None
-    if evidence.scanned:
-        poses = _thinned(poses, evidence.first_look(poses), 20_000, 0.10, random)
-        poses = _thinned(poses, 0.5 * evidence.loose(poses), 5000, 0.08, random)
+    if recent.scanned:
+        poses = _thinned(poses, recent.first_look(poses), 20_000, 0.10, random)
+        poses = _thinned(poses, 0.5 * recent.loose(poses), 5000, 0.08, random)
         before = [] if known is None else _apart(known, _KEPT)
-        new = _apart(poses[:, np.argsort(-evidence.loose(poses))], _MODES - len(before))
-        return _best_of(_modes(before + new, evidence, random), evidence)
+        new = _apart(poses[:, np.argsort(-recent.loose(poses))], _MODES - len(before))
+        return _best_of(_modes(before + new, recent, random), recent)
     size = max(200, count // 10)
     for temper, jitter in _ANNEALING:
-        poses = _thinned(poses, temper * evidence.log_likelihood(poses), size, jitter, random)
-    return _best_mode(poses, evidence)
+        poses = _thinned(poses, temper * recent.log_likelihood(poses), size, jitter, random)
+    return _best_mode(poses, recent)
 
 
 def _modes(
-    heads: list[Array], evidence: RecentMeasurements, random: np.random.Generator
+    heads: list[Array], recent: RecentMeasurements, random: np.random.Generator
 ) -> list[Array]:
-    """Samples (3, n) around each of some places, every one annealed by itself.
+    """Return particles (3, n) around each of some poses, annealed separately.
 
-    Annealed together, places that look alike would be lost one after the other by chance, and the
+    Annealed together, modes that look alike would be lost one after the other by chance, and the
     last one would seem to be the only one.
     """
     modes = [head + _AROUND * random.standard_normal((3, _PER_MODE)) for head in heads]
     for temper, jitter in _ANNEALING:
-        fits = np.split(temper * evidence.log_likelihood(np.hstack(modes)), len(modes))
+        fits = np.split(temper * recent.log_likelihood(np.hstack(modes)), len(modes))
         modes = [
             _thinned(mode, fit, _PER_MODE, jitter, random)
             for mode, fit in zip(modes, fits, strict=True)
@@ -167,7 +183,7 @@ def _modes(
 
 
 def _apart(poses: Array, count: int) -> list[Array]:
-    """The first poses (3, 1) of (3, n), each far from those before it, at most `count`."""
+    """Return the first poses (3, 1) of (3, n), each far from those before it, at most `count`."""
     left = poses
     heads: list[Array] = []
     while left.shape[1] and len(heads) < count:
@@ -176,18 +192,18 @@ def _apart(poses: Array, count: int) -> list[Array]:
     return heads
 
 
-def _on_rings(evidence: RecentMeasurements, count: int, random: np.random.Generator) -> list[Array]:
+def _on_rings(recent: RecentMeasurements, count: int, random: np.random.Generator) -> list[Array]:
     newest = {
         entry.observation.object_id: entry
-        for entry in evidence.observations.entries
-        if entry.observation.object_id in evidence.landmarks
-        and evidence.landmarks[entry.observation.object_id].live
+        for entry in recent.observations.entries
+        if entry.observation.object_id in recent.landmarks
+        and recent.landmarks[entry.observation.object_id].live
     }
     rings = []
     for object_id, entry in newest.items():
-        landmark = evidence.landmarks[object_id]
+        landmark = recent.landmarks[object_id]
         ring = sample_ring(entry.observation, landmark, count // len(newest), random)
-        rings.append(carry(ring, relative(entry.at, evidence.now)))
+        rings.append(carry(ring, relative(entry.at, recent.now)))
     return rings
 
 
@@ -200,29 +216,33 @@ def _thinned(
     return poses + noise
 
 
-def _best_mode(poses: Array, evidence: RecentMeasurements) -> GlobalSearchResult:
-    """The densest place, not the single best sample: weight within 0.5 m and 0.5 rad."""
-    log_weights = evidence.log_likelihood(poses)
+def _best_mode(poses: Array, recent: RecentMeasurements) -> GlobalSearchResult:
+    """Return the densest mode, not the single best particle: the weight within 0.5 m and 0.5
+    rad.
+    """
+    log_weights = recent.log_likelihood(poses)
     weights = normalized(log_weights)
     heads = np.argsort(-weights)[:50]
     near = _near(poses, poses[:, heads], 0.5)
     share = near @ weights
     best = int(np.argmax(share))
-    return _found(poses, log_weights, near[best], float(share[best]), evidence)
+    return _found(poses, log_weights, near[best], float(share[best]), recent)
 
 
-def _best_of(modes: list[Array], evidence: RecentMeasurements) -> GlobalSearchResult:
-    """The mode that explains most; its share by what each of the others explains at best."""
+def _best_of(modes: list[Array], recent: RecentMeasurements) -> GlobalSearchResult:
+    """Return the mode that explains most; its share compares it with the best pose of each other
+    mode.
+    """
     poses = np.hstack(modes)
-    log_weights = evidence.log_likelihood(poses)
+    log_weights = recent.log_likelihood(poses)
     best = int(np.argmax(log_weights))
     near = _near(poses, poses[:, best : best + 1], 0.5)[0]
     elsewhere = np.where(near, -np.inf, log_weights).reshape(len(modes), -1).max(axis=1)
     others = float(np.exp(elsewhere - log_weights[best]).sum())
     tops = log_weights.reshape(len(modes), -1).argmax(axis=1) + np.arange(len(modes)) * _PER_MODE
     tops = tops[np.argsort(-log_weights[tops])]
-    found = _found(poses, log_weights, near, 1.0 / (1.0 + others), evidence)
-    return replace(found, places=poses[:, tops])
+    found = _found(poses, log_weights, near, 1.0 / (1.0 + others), recent)
+    return replace(found, modes=poses[:, tops])
 
 
 def _found(
@@ -230,7 +250,7 @@ def _found(
     log_weights: Array,
     members: NDArray[np.bool_],
     share: float,
-    evidence: RecentMeasurements,
+    recent: RecentMeasurements,
 ) -> GlobalSearchResult:
     pose = estimate(poses[:, members], log_weights[members])
     mean = np.asarray(pose.mean)[:, None]
@@ -238,9 +258,9 @@ def _found(
         poses=poses[:, members],
         pose=pose,
         share=share,
-        support=evidence.support(pose),
-        score=float(evidence.log_likelihood(mean)[0]),
-        fit=evidence.fit(pose),
+        support=recent.support(pose),
+        score=float(recent.log_likelihood(mean)[0]),
+        fit=recent.fit(pose),
         everywhere=poses,
     )
 

@@ -10,125 +10,129 @@ import numpy as np
 from cairn.components.localizer.particle_set import PoseEstimate
 from cairn.components.localizer.recent_observations import PoseSupport
 from cairn.planar.scans import Rays
-from cairn.schemas.cairn_nav_msgs import ReasonCode
+from cairn.schemas.cairn_nav_msgs import NO_REASON, Reason, ReasonCode
 
-# Between these two a measure goes from full trust to none.
-_SPREAD_M, _HEADING, _FIT = (0.15, 0.60), (0.10, 0.50), (0.60, 0.25)
-# From this share of beams explained a scan vouches for a pose.
+# Between these two values a measure goes from full health to none: the spread of the position [m],
+# the deviation of the heading [rad], the share of the scan's beams that the map explains [1].
+_SPREAD_M, _HEADING_RAD, _SCAN_FIT = (0.15, 0.60), (0.10, 0.50), (0.60, 0.25)
 FITS = 0.5
-# The most that a pose is worth which was found but may yet turn out to be another.
-_UNSURE = 0.45
+"""From this share of explained beams on, a scan supports a pose."""
+# The health of a pose is at least this where objects contradict it but scans support it.
+_LEAST_SCANNED = 0.5
+# The most health of a pose that may be wrong altogether: the robot may move (AutoMove's
+# `least_health`), but a goal does not count as reached (`sure_health`).
+_MOST_UNCONFIRMED = 0.45
+
+SILENT_S = 1.0
+"""Scans may be missing, or hit nothing, for so long [s]."""
+# Scans may be invalid for so long [s]: at 10 Hz a few of them in a row.
+_INVALID_S = 0.6
+# The most health without scans that hit anything, and without valid scans: a robot that sees
+# nothing in reach may still drive, one whose scanner fails stands (AutoMove's `least_health`).
+_MOST_WITHOUT_HITS, _MOST_WITHOUT_SCANS = 0.5, 0.2
 
 
 @dataclass(frozen=True)
 class PoseHealth:
-    """`value` from 0 to 1; `reason` says in words what keeps it below 1, "" if nothing does.
+    """`value` from 0 to 1, and the reason that keeps it below 1.
 
-    `code` is the reason's code; `fit` is the share of the scans' beams that the map explains, None
-    without scans.
+    `fit` is the share of the scans' beams that the map explains, None without scans.
     """
 
     value: float
-    code: ReasonCode
-    reason: str
+    reason: Reason
     support: PoseSupport
     fit: float | None
 
 
 LOST = PoseHealth(
-    0.0, ReasonCode.NOT_LOCATED, "the robot does not know where it is", PoseSupport(0, 0), None
+    0.0,
+    Reason(ReasonCode.NOT_LOCATED, "the robot does not know where it is"),
+    PoseSupport(0, 0),
+    None,
 )
 
 
 def assess_health(pose: PoseEstimate, support: PoseSupport, fit: float | None) -> PoseHealth:
-    """The health of a pose: that of its worst side (spread, heading, scan, objects)."""
+    """Return the health of a pose: that of its worst aspect (spread, heading, scan, objects)."""
     heading_sd = float(pose.covariance[2, 2]) ** 0.5
-    sides = [
+    aspects = [
         (
-            _between(pose.spread, *_SPREAD_M),
+            _share(pose.spread, *_SPREAD_M),
             ReasonCode.POSITION_UNCERTAIN,
             f"the position is uncertain by {pose.spread:.2f} m",
         ),
         (
-            _between(heading_sd, *_HEADING),
+            _share(heading_sd, *_HEADING_RAD),
             ReasonCode.HEADING_UNCERTAIN,
             f"the heading is uncertain by {heading_sd:.2f} rad",
         ),
     ]
     if fit is not None:
-        sides.append(
+        aspects.append(
             (
-                _between(fit, *_FIT),
+                _share(fit, *_SCAN_FIT),
                 ReasonCode.SCAN_MISMATCH,
                 f"the map explains {fit:.0%} of the scan",
             )
         )
     if support.contradicting:
-        seen = support.agreeing + support.contradicting
-        least = 0.5 if fit is not None and fit >= FITS else 0.0
-        sides.append(
-            (
-                max(least, support.agreeing / seen),
-                ReasonCode.OBJECTS_CONTRADICT,
-                f"of the places seen of late {support.agreeing} agree with the pose and "
-                f"{support.contradicting} contradict it",
-            )
-        )
-    value, code, reason = min(sides, key=lambda side: side[0])
-    if value >= 1.0:
-        code, reason = ReasonCode.NONE, ""
-    return PoseHealth(value, code, reason, support, fit)
+        least = _LEAST_SCANNED if fit is not None and fit >= FITS else 0.0
+        share = support.agreeing / (support.agreeing + support.contradicting)
+        aspects.append((max(least, share), ReasonCode.OBJECTS_CONTRADICT, contradiction(support)))
+    value, code, text = min(aspects, key=lambda aspect: aspect[0])
+    return PoseHealth(value, Reason(code, text) if value < 1.0 else NO_REASON, support, fit)
 
 
-def limit_unconfirmed(health: PoseHealth, code: ReasonCode, reason: str) -> PoseHealth:
-    """Return the health of a robot that may be elsewhere, for a `reason` in words."""
-    value = min(health.value, _UNSURE)
-    if health.reason:
-        return replace(health, value=value)
-    return replace(health, value=value, code=code, reason=reason)
+def contradiction(support: PoseSupport) -> str:
+    """Return in words how many objects agree with the pose and contradict it."""
+    return (
+        f"of the recently observed objects {support.agreeing} agree with the pose and "
+        f"{support.contradicting} contradict it"
+    )
 
 
-def _between(measure: float, full: float, none: float) -> float:
-    return min(1.0, max(0.0, (none - measure) / (none - full)))
-
-
-SILENT_S = 1.0
-"""For so long [s] scans may hit nothing, or not come at all."""
-_UNTOLD_S = 0.6  # for so long [s] they may tell nothing
-# The most that a pose is worth without scans that hit anything, and without such as tell anything.
-_NO_HITS, _BLIND = 0.5, 0.2
+def limit_unconfirmed(health: PoseHealth, reason: Reason) -> PoseHealth:
+    """Return the health of a robot that may be elsewhere, for that reason."""
+    value = min(health.value, _MOST_UNCONFIRMED)
+    worst = health.reason if health.reason.text else reason
+    return replace(health, value=value, reason=worst)
 
 
 class ScannerMonitor:
-    """When scans last told anything, and when they last hit anything [s]."""
+    """Limits the health of the pose while scans are missing, invalid, or hit nothing."""
 
     def __init__(self) -> None:
-        self._told = self._hit = -math.inf
-        self._blind = False
+        self._valid_at = self._hit_at = -math.inf
+        self._invalid = False
 
-    def note(self, stamp: float, rays: Rays, contradicted: bool) -> bool:
-        """Take a scan of that time [s]; False if it tells nothing.
+    def add(self, stamp: float, rays: Rays, contradicted: bool) -> bool:
+        """Add a scan of that time [s]; return False if it is invalid.
 
         `contradicted`: it hit nothing, although the map has obstacles within its reach.
         """
-        self._blind = contradicted or not rays.informative
-        if self._blind:
+        self._invalid = contradicted or not rays.tell
+        if self._invalid:
             return False
-        self._told = stamp
+        self._valid_at = stamp
         if np.isfinite(rays.ranges).any():
-            self._hit = stamp
+            self._hit_at = stamp
         return True
 
-    def limited(self, health: PoseHealth, now: float, topic: str) -> PoseHealth:
-        """What is left of a health at the time `now` [s] with the scans on `topic`."""
-        if self._blind and now - self._told > _UNTOLD_S:
-            most, since, what = _BLIND, now - self._told, "tells"
+    def limit(self, health: PoseHealth, now: float, topic: str) -> PoseHealth:
+        """Return the health at the time `now` [s] with the scans on `topic`."""
+        if self._invalid and now - self._valid_at > _INVALID_S:
+            most, since, kind = _MOST_WITHOUT_SCANS, now - self._valid_at, "valid scan"
             code = ReasonCode.SCAN_INVALID
-        elif now - self._hit > SILENT_S:
-            most, since, what = _NO_HITS, now - self._hit, "hits"
+        elif now - self._hit_at > SILENT_S:
+            most, since, kind = _MOST_WITHOUT_HITS, now - self._hit_at, "scan that hits anything"
             code = ReasonCode.SCAN_HITS_NOTHING
         else:
             return health
         how_long = f"for {since:.1f} s" if math.isfinite(since) else "so far"
-        why = f"no scan on {topic} that {what} anything {how_long}"
-        return replace(health, value=min(health.value, most), code=code, reason=why)
+        reason = Reason(code, f"no {kind} on {topic} {how_long}")
+        return replace(health, value=min(health.value, most), reason=reason)
+
+
+def _share(measure: float, full: float, none: float) -> float:
+    return min(1.0, max(0.0, (none - measure) / (none - full)))

@@ -22,60 +22,63 @@ Array = NDArray[np.float64]
 
 
 class LeaveOneOutFilters:
-    """`cloud`, which fuses every object, and up to `rows` clouds of `count` poses that leave one
-    out.
+    """The particle set that fuses every object, and up to `rows` sets of `count` poses without one
+    object.
 
-    An object that was moved drags the cloud that fuses it to its lie, observation after observation,
-    until it seems to agree. So each object is judged by a cloud that never fused it. Rows are
-    made when an object is first seen and go to the object seen longest ago when all are taken.
+    An object that was moved drags a filter that fuses it toward its wrong position, observation
+    after observation, until it seems to agree. So each object is compared with a filter that never
+    fused it. A row is assigned when an object is first observed; when all are taken, the object
+    observed longest ago loses its row.
     """
 
-    def __init__(self, cloud: ParticleSet, count: int, rows: int) -> None:
-        self.cloud = cloud
+    def __init__(self, particles: ParticleSet, count: int, rows: int) -> None:
+        self.particles = particles
         self.count = count
         self.rows = rows
-        self.random = cloud.random
+        self.random = particles.random
         self.poses: Array = np.zeros((3, 0, count))
         self.log_weights: Array = np.zeros((0, count))
-        self._row_of: dict[int, int] = {}  # insertion order: seen longest ago first
+        self._row_of: dict[int, int] = {}  # in the order of the last observation
 
     def set_gaussian(self, mean: Sequence[float], covariance: Array) -> None:
-        """Draw the cloud from a Gaussian (x [m], y [m], theta [rad]) and drop the others."""
-        self.cloud.set_gaussian(mean, covariance)
+        """Draw the full particle set from a Gaussian (x [m], y [m], theta [rad]); drop the
+        others.
+        """
+        self.particles.set_gaussian(mean, covariance)
         self._drop()
 
     def set_particles(self, poses: Array) -> None:
-        """Make `poses` (3, n) the cloud and drop the others."""
-        self.cloud.set_particles(poses)
+        """Replace the full particle set by `poses` (3, n); drop the others."""
+        self.particles.set_particles(poses)
         self._drop()
 
     def move(self, step: OdometryStep) -> None:
-        """Move all clouds by what odometry told."""
-        self.cloud.move(step)
+        """Move all particle sets by a step of odometry."""
+        self.particles.move(step)
         if self._row_of:
-            move_particles(self.poses, step, self.cloud.model, self.random)
+            move_particles(self.poses, step, self.particles.model, self.random)
 
     def widen(self, deviation_m: float, deviation_rad: float) -> None:
-        """Scatter every pose about itself."""
-        for poses in (self.cloud.poses, self.poses):
+        """Add noise of these standard deviations [m], [rad] to every particle."""
+        for poses in (self.particles.poses, self.poses):
             noise = self.random.standard_normal(poses.shape)
             noise[:2] *= deviation_m
             noise[2] *= deviation_rad
             poses += noise
 
     def estimate(self) -> PoseEstimate:
-        """The robot's pose by every object."""
-        return self.cloud.estimate()
+        """Return the robot's pose by every object."""
+        return self.particles.estimate()
 
     def estimate_without(self, object_id: int) -> PoseEstimate:
-        """The robot's pose by every object but this one."""
+        """Return the robot's pose by every object but this one."""
         row = self._row_of.get(object_id)
         if row is None:
-            return self.cloud.estimate()
+            return self.particles.estimate()
         return estimate(self.poses[:, row], self.log_weights[row])
 
     def ensure_filter(self, object_id: int) -> None:
-        """See to it that `object_id` has a row that does not fuse it from now on."""
+        """Make sure that `object_id` has a row that does not fuse it from now on."""
         if self.rows == 0:
             return
         row = self._row_of.pop(object_id, None)
@@ -86,7 +89,7 @@ class LeaveOneOutFilters:
                 self.log_weights = np.concatenate([self.log_weights, np.zeros((1, self.count))])
             else:
                 row = self._row_of.pop(next(iter(self._row_of)))
-            self.poses[:, row] = self.cloud.sample(self.count, self.random)
+            self.poses[:, row] = self.particles.sample(self.count, self.random)
             self.log_weights[row] = 0.0
         self._row_of[object_id] = row
 
@@ -96,48 +99,48 @@ class LeaveOneOutFilters:
         landmarks: Mapping[int, Landmark],
         independence: float,
     ) -> None:
-        """Fuse observations of mapped objects; each counts `independence` (0..1] of its likelihood."""
+        """Fuse observations of mapped objects; the share `independence` (0, 1] of each counts."""
 
-        def part(poses: Array, observation: Observation) -> Array:
+        def of_one(poses: Array, observation: Observation) -> Array:
             landmark = landmarks[observation.object_id]
             return independence * object_log_likelihood(poses, observation, landmark)
 
-        def all_of_them(poses: Array) -> Array:
+        def of_all(poses: Array) -> Array:
             total = np.zeros(poses.shape[1:])
             for observation in observations:
-                total += part(poses, observation)
+                total += of_one(poses, observation)
             return total
 
-        def all_but_its_own(poses: Array, rows: NDArray[np.intp]) -> Array:
+        def of_others(poses: Array, rows: NDArray[np.intp]) -> Array:
             total = np.zeros(poses.shape[1:])
             for observation in observations:
-                added = part(poses, observation)
+                added = of_one(poses, observation)
                 added[rows == self._row_of.get(observation.object_id, -1)] = 0.0
                 total += added
             return total
 
-        self.cloud.fuse(all_of_them)
+        self.particles.fuse(of_all)
         if self._row_of:
-            tempered_update(self.poses, self.log_weights, all_but_its_own, self.random)
+            tempered_update(self.poses, self.log_weights, of_others, self.random)
 
     def fuse_scan(self, log_likelihood: Callable[[Array], Array]) -> None:
-        """Fuse a scan, of which `log_likelihood` says how well it fits poses (3, n): (n,)."""
+        """Fuse a scan; `log_likelihood` returns (n,) for poses (3, n)."""
 
         def of_rows(poses: Array, _: NDArray[np.intp]) -> Array:
             return log_likelihood(poses.reshape(3, -1)).reshape(poses.shape[1:])
 
-        self.cloud.fuse(log_likelihood)
+        self.particles.fuse(log_likelihood)
         if self._row_of:
             tempered_update(self.poses, self.log_weights, of_rows, self.random)
 
     def replace_by_filter_without(self, object_id: int) -> None:
-        """Forget all that was fused of `object_id`: its cloud becomes everyone's."""
+        """Remove all that was fused of `object_id`: the filter without it replaces all others."""
         row = self._row_of.pop(object_id, None)
         if row is None:
             return
         weights = normalized(self.log_weights[row])
-        chosen = systematic_choice(weights, self.cloud.count, self.random)
-        self.cloud.set_particles(self.poses[:, row][:, chosen])
+        chosen = systematic_choice(weights, self.particles.count, self.random)
+        self.particles.set_particles(self.poses[:, row][:, chosen])
         for other in range(len(self.log_weights)):
             if other != row:
                 self.poses[:, other] = self.poses[:, row]

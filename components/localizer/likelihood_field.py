@@ -21,20 +21,20 @@ from cairn.planar.poses import Pose
 
 Array = NDArray[np.float64]
 
-# A beam is explained by the map if it ends so near an obstacle [m].
+# The map explains a beam that ends this near to an obstacle [m]: a little more than `beam_sd`.
 _EXPLAINED_M = 0.12
-# Deviations up to which a beam counts as one of the obstacle, not of something else.
-_NEAR = 3.0
+# A beam within so many deviations of an obstacle measures it, and nothing else.
+_NEAR_SD = 3.0
 
 
 class LikelihoodField:
-    """The log-likelihood of a beam that ends in a cell, by the cell's distance to an obstacle.
+    """The log-likelihood of a beam that ends in a cell, by the distance of the cell to an obstacle.
 
     A beam is a measurement of the obstacle, Gaussian with deviation `sigma` [m], or with the share
     `stray` of anything else (people, furniture that was moved): log(exp(-d^2 / 2 sigma^2) (1 -
     stray) + stray) (Thrun, Burgard, Fox 2005, 6.4, with the logarithm taken once per cell instead
-    of once per beam). A ring of cells without an obstacle near lies around the map: what is off
-    the map is never taken for its border.
+    of once per beam). A ring of cells without an obstacle nearby surrounds the map, so that a point
+    off the map is never compared with its border.
     """
 
     def __init__(self, grid: OccupancyCells, sigma: float, stray: float) -> None:
@@ -48,7 +48,7 @@ class LikelihoodField:
         self._rebuild(0, rows, 0, columns)
 
     def renew(self, row: int, column: int, values: NDArray[np.int8]) -> None:
-        """Take new occupancy `values` (rows, columns) of the window that begins at a cell."""
+        """Replace the occupancy `values` (rows, columns) of the window that starts at a cell."""
         rows, columns = self._obstacles.shape
         bottom, right = row + values.shape[0], column + values.shape[1]
         self._obstacles[row:bottom, column:right] = values >= OCCUPIED_FROM
@@ -61,7 +61,7 @@ class LikelihoodField:
         )
 
     def log_likelihood(self, poses: Array, points: Array) -> Array:
-        """Sum over the beams' end points (m, 2) [m, base frame], for each pose (3, n): (n,)."""
+        """Return the sum over end points (m, 2) [m, base frame], for each pose (3, n): (n,)."""
         total = np.empty(poses.shape[1])
         _weigh(
             np.ascontiguousarray(poses),
@@ -74,26 +74,28 @@ class LikelihoodField:
         return total
 
     def fit(self, pose: Pose, points: Array) -> float:
-        """Share (0 to 1) of the end points (m, 2) that lie within 0.12 m of an obstacle."""
+        """Return the share (0 to 1) of the end points (m, 2) that lie within 0.12 m of an
+        obstacle.
+        """
         if not len(points):
             return math.nan
         explained = self._values(np.full(1, _EXPLAINED_M, np.float32))[0]
         return float(np.mean(self._each(pose, points) >= explained))
 
     def deviation(self, pose: Pose, points: Array) -> float:
-        """Root of the mean square of the end points' distances [m] to the nearest obstacle.
+        """Return the root mean square distance [m] of end points to the nearest obstacle.
 
-        Of those (m, 2) [m] that lie within three deviations of one; NaN if none does.
+        Of those (m, 2) [m] within three deviations of one; NaN if there are none.
         """
         peak = (np.exp(self._each(pose, points)) - self.stray) / (1.0 - self.stray)
-        near = peak[peak > math.exp(-0.5 * _NEAR**2)]
+        near = peak[peak > math.exp(-0.5 * _NEAR_SD**2)]
         if not near.size:
             return math.nan
         return self.sigma * math.sqrt(float(np.mean(np.maximum(0.0, -2.0 * np.log(near)))))
 
     def clear(self, pose: Pose, starts: Array, ends: Array) -> float:
-        """Share (0 to 1) of rays, from `starts` to `ends` (m, 2) [m, base frame], that meet no
-        obstacle; NaN without any.
+        """Return the share (0 to 1) of rays, from `starts` to `ends` (m, 2) [m, base frame],
+        that meet no obstacle; NaN without any.
         """
         if not len(starts):
             return math.nan
@@ -110,7 +112,7 @@ class LikelihoodField:
         return 1.0 - met / len(starts)
 
     def _each(self, pose: Pose, points: Array) -> NDArray[np.float32]:
-        """The log-likelihood (m,) of each end point (m, 2) [m]."""
+        """Return the log-likelihood (m,) of each end point (m, 2) [m]."""
         each = np.empty(len(points), np.float32)
         _gather(
             pose[0],
@@ -125,7 +127,7 @@ class LikelihoodField:
         return each
 
     def _rebuild(self, top: int, bottom: int, left: int, right: int) -> None:
-        """Renew the cells of a window; obstacles as far around it as they can matter."""
+        """Recompute the cells of a window, from obstacles as far around it as they matter."""
         reach = self._reach
         rows, columns = self._obstacles.shape
         first_row, first_column = max(0, top - reach), max(0, left - reach)
@@ -181,7 +183,7 @@ def _weigh(
         for b in range(beams):
             column = x + cosine * points[0, b] - sine * points[1, b]
             row = y + sine * points[0, b] + cosine * points[1, b]
-            # What is off the map falls onto the ring, which holds "far".
+            # Points off the map fall onto the ring, which has no obstacle nearby.
             column = min(max(column, zero), last_column)
             row = min(max(row, zero), last_row)
             sum_ += flat[np.int32(row) * columns + np.int32(column)]
@@ -234,7 +236,7 @@ def _met(
     origin_y: float,
     origin_theta: float,
 ) -> int:
-    """How many of the rays meet an obstacle: looked for once in each length of a cell."""
+    """Return how many rays meet an obstacle, checked once per length of a cell."""
     rows, columns = obstacles.shape
     dx, dy = x - origin_x, y - origin_y
     across, along = math.sin(origin_theta), math.cos(origin_theta)
@@ -265,11 +267,11 @@ class FreeSpace:
 
     @property
     def area(self) -> float:
-        """Free area [m^2]."""
+        """The free area [m^2]."""
         return len(self._cells) * self._frame.resolution**2
 
     def draw(self, count: int, random: np.random.Generator) -> Array:
-        """`count` poses (3, count), uniform over the free cells and all headings."""
+        """Return `count` poses (3, count), uniform over the free cells and all headings."""
         poses = np.empty((3, count))
         if not len(self._cells):
             return poses[:, :0]
@@ -289,8 +291,8 @@ _WIDE_M = 0.35
 
 
 class ScanMap:
-    """Likelihood fields of one grid map: `field` for a beam of deviation `beam_sd_m`, and, made
-    when they are first asked for, `wide` for a loose one and the map's `free` space.
+    """Likelihood fields of one grid map: `field` for a beam of deviation `beam_sd_m`, and,
+    computed on first use, `wide` for a loose beam, and the `free` space.
     """
 
     def __init__(self, grid: OccupancyCells, beam_sd_m: float, stray: float) -> None:
@@ -314,8 +316,8 @@ class ScanMap:
             self._free = FreeSpace(self._grid)
         return self._free
 
-    def take(self, grid: OccupancyCells) -> bool:
-        """Take a new map in place of the last; False if it lies elsewhere or has another size."""
+    def replace(self, grid: OccupancyCells) -> bool:
+        """Replace the map by a new one; return False if that has another frame or size."""
         if grid.frame != self._grid.frame or grid.values.shape != self._grid.values.shape:
             return False
         window = changed_window(self._grid.values, grid.values)
@@ -330,7 +332,7 @@ class ScanMap:
         return bool(0 <= row <= rows - height and 0 <= column <= columns - width)
 
     def renew(self, row: int, column: int, values: NDArray[np.int8]) -> None:
-        """Take new `values` (rows, columns) of the window that begins at a cell of the map."""
+        """Replace the `values` (rows, columns) of the window that starts at a cell of the map."""
         height, width = values.shape
         self._grid.values[row : row + height, column : column + width] = values
         self.field.renew(row, column, values)

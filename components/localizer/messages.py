@@ -103,8 +103,8 @@ def estimate_message(
         objects_agreeing=health.support.agreeing,
         objects_contradicting=health.support.contradicting,
         particles=particles if pose else 0,
-        reason=health.reason,
-        reason_code=int(health.code),
+        reason=health.reason.text,
+        reason_code=int(health.reason.code),
     )
 
 
@@ -131,8 +131,8 @@ def evidence_message(header: Header, frame: EvidenceFrame) -> ObjectEvidenceArra
         robot_theta=theta,
         robot_covariance=covariance.ravel(),
         healthy=frame.healthy,
-        reason=frame.reason,
-        reason_code=int(frame.code),
+        reason=frame.reason.text,
+        reason_code=int(frame.reason.code),
         evidence=tuple(map(_evidence, frame.evidence)),
     )
 

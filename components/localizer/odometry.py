@@ -20,11 +20,11 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class MotionModel:
-    """Random walk of the base about the motion that odometry tells.
+    """Random walk of the base around the motion that odometry states.
 
-    `forward_noise` [m/sqrt(s)] and `turn_noise` [rad/sqrt(s)] while it moves; `forward_slip`
-    [m/sqrt(m)], `turn_slip` [rad/sqrt(rad)] and `turn_per_meter` [rad/sqrt(m)] per motion.
-    Sideways it slips as it does ahead.
+    `forward_noise` [m/sqrt(s)] and `turn_noise` [rad/sqrt(s)] apply while it moves; `forward_slip`
+    [m/sqrt(m)], `turn_slip` [rad/sqrt(rad)] and `turn_per_meter` [rad/sqrt(m)] per motion. Sideways
+    slip equals forward slip.
     """
 
     forward_noise: float = 0.025
@@ -34,7 +34,7 @@ class MotionModel:
     turn_per_meter: float = 0.0
 
     def deviations(self, step: OdometryStep) -> tuple[float, float, float]:
-        """Standard deviations of a step: ahead [m], to the left [m], of the turn [rad]."""
+        """Return standard deviations of a step: forward [m], left [m], turn [rad]."""
         far = math.hypot(step.ahead, step.aside)
         turned = abs(step.turned)
         ahead = self.forward_noise**2 * step.moving_s + self.forward_slip**2 * far
@@ -49,8 +49,8 @@ class MotionModel:
 
 @dataclass(frozen=True)
 class OdometryStep:
-    """Motion over a stretch of time, along the middle heading: meters ahead and to the left,
-    radians to the left, seconds in motion; `measured` by the wheels, or only commanded.
+    """Motion over a period, along the middle heading: meters forward and to the left, radians to
+    the left, seconds in motion; `measured` by the wheels, or only commanded.
     """
 
     ahead: float
@@ -61,7 +61,7 @@ class OdometryStep:
 
 
 def move_pose(pose: Pose, step: OdometryStep) -> Pose:
-    """The expected pose after `step`: a chord in the direction of the middle heading."""
+    """Return the expected pose after `step`: a chord in the direction of the middle heading."""
     x, y, theta = pose
     chord = theta + 0.5 * step.turned
     cosine, sine = math.cos(chord), math.sin(chord)
@@ -73,7 +73,7 @@ def move_pose(pose: Pose, step: OdometryStep) -> Pose:
 
 
 def odometry_step(relative: Pose) -> OdometryStep:
-    """The increment that leads to `relative`, a pose seen from where the step began."""
+    """Return the step that leads to `relative`, a pose seen from where the step started."""
     back = -0.5 * relative[2]
     ahead, aside, _ = compose((0.0, 0.0, back), relative)
     moved = relative != (0.0, 0.0, 0.0)
@@ -116,29 +116,31 @@ def _move(
 
 
 class OdometryTrack(Protocol):
-    """The motion as a function of time [s], taken up piece by piece."""
+    """The motion as a function of time [s], consumed piece by piece."""
 
     latest: float
     integrated_to: float
 
     def append(self, stamp: float, pose: Pose, forward: float, turn: float) -> bool:
-        """Take a record: pose in the odometry frame, velocities [m/s, rad/s]; False if too old."""
+        """Append a record: pose in the odometry frame, velocities [m/s, rad/s]; False if
+        outdated.
+        """
         ...
 
     def advance(self, stamp: float) -> OdometryStep:
-        """The motion from where it was last advanced to until `stamp` [s]."""
+        """Return the motion from the time last advanced to until `stamp` [s]."""
         ...
 
     def preview(self, stamp: float) -> OdometryStep:
-        """The motion that `advance(stamp)` would return, without taking it."""
+        """Return the motion that `advance(stamp)` would return, without consuming it."""
         ...
 
 
 class CommandedTrack:
     """Odometry whose velocities are commands, each held until the next one.
 
-    The base carries a command given at t out from t + `lag_s` on, and performs the share
-    `forward_gain`, `turn_gain` [1] of it. Over a gap longer than `gap_s` the pose tells instead.
+    The base executes a command given at t from t + `lag_s` on, and performs the share
+    `forward_gain`, `turn_gain` [1] of it. Over a gap longer than `gap_s` the pose is used instead.
     """
 
     def __init__(
@@ -154,7 +156,7 @@ class CommandedTrack:
         self.latest = -math.inf
 
     def append(self, stamp: float, pose: Pose, forward: float, turn: float) -> bool:
-        """Take the command of time `stamp` [s]; False if it is older than the newest one."""
+        """Append the command of `stamp` [s]; False if it is older than the newest one."""
         if stamp < self.latest:
             return False
         if self.latest > -math.inf and stamp - self.latest > self.gap_s:
@@ -168,7 +170,7 @@ class CommandedTrack:
         return True
 
     def advance(self, stamp: float) -> OdometryStep:
-        """The motion performed from where it was last advanced to until `stamp` [s]."""
+        """Return the motion performed from the time last advanced to until `stamp` [s]."""
         increment, self._speed, taken = self._integrate(stamp)
         for _ in range(taken):
             self._pending.popleft()
@@ -176,25 +178,25 @@ class CommandedTrack:
         return increment
 
     def preview(self, stamp: float) -> OdometryStep:
-        """The motion `advance(stamp)` would return, without taking it."""
+        """Return the motion that `advance(stamp)` would return, without consuming it."""
         return self._integrate(stamp)[0]
 
     def _integrate(self, stamp: float) -> tuple[OdometryStep, tuple[float, float], int]:
-        # Before the first command nothing is known to move.
+        # Before the first command the base is assumed to stand.
         now = stamp if self.integrated_to == -math.inf else self.integrated_to
         forward, turn = self._speed
         ahead = turned = moving = 0.0
         taken = 0
-        for begins, next_forward, next_turn in self._pending:
-            if begins > stamp:
+        for starts, next_forward, next_turn in self._pending:
+            if starts > stamp:
                 break
-            if begins > now:
-                step = begins - now
+            if starts > now:
+                step = starts - now
                 ahead += forward * step
                 turned += turn * step
                 if forward or turn:
                     moving += step
-                now = begins
+                now = starts
             forward, turn = next_forward, next_turn
             taken += 1
         if stamp > now:
@@ -210,10 +212,10 @@ class CommandedTrack:
 
 
 class MeasuredTrack:
-    """Odometry whose poses the wheels measured; between two of them in proportion.
+    """Odometry whose poses the wheels measured; between two of them it is interpolated.
 
-    A step that no wheels can make (faster than `fastest` [m/s] or `turning` [rad/s]) is a jump:
-    odometry began anew or slipped. It is left out, and counted in `jumps`.
+    A step that wheels cannot make (faster than `fastest` [m/s] or `turning` [rad/s]) is a jump: the
+    driver was restarted. Jumps are left out, and counted in `jumps`.
     """
 
     def __init__(self, fastest: float = 3.0, turning: float = 7.0) -> None:
@@ -226,7 +228,7 @@ class MeasuredTrack:
         self.latest = -math.inf
 
     def append(self, stamp: float, pose: Pose, forward: float, turn: float) -> bool:  # noqa: ARG002
-        """Take the pose measured at `stamp` [s]; False if it is older than the newest one."""
+        """Append the pose measured at `stamp` [s]; False if it is older than the newest one."""
         if stamp < self.latest:
             return False
         if self._poses:
@@ -248,7 +250,7 @@ class MeasuredTrack:
         return True
 
     def advance(self, stamp: float) -> OdometryStep:
-        """The motion from where it was last advanced to until `stamp` [s]."""
+        """Return the motion from the time last advanced to until `stamp` [s]."""
         increment = self.preview(stamp)
         self.integrated_to = max(self.integrated_to, stamp)
         while len(self._stamps) > 1 and self._stamps[1] <= self.integrated_to:
@@ -257,7 +259,7 @@ class MeasuredTrack:
         return increment
 
     def preview(self, stamp: float) -> OdometryStep:
-        """The motion `advance(stamp)` would return, without taking it."""
+        """Return the motion that `advance(stamp)` would return, without consuming it."""
         if self.integrated_to == -math.inf or not self._stamps or stamp <= self.integrated_to:
             return OdometryStep(0.0, 0.0, 0.0, 0.0)
         step = relative(self._at(self.integrated_to), self._at(stamp))

@@ -16,44 +16,173 @@ from cairn.planar.poses import Pose
 
 Array = NDArray[np.float64]
 
-# Headings no farther apart [rad] have the same mean along the circle and along the line.
-_NARROW = 0.5
+# Below this difference [rad] the circular and the arithmetic mean of headings agree.
+_SMALL_ANGLE = 0.5
+# Bins of the KLD bound: 0.25 m, 0.25 m, 10 degrees; the error of the distribution is 2 % with a
+# probability of 99 %. Fox 2003 uses 0.5 m and 10 degrees; half of that keeps narrow modes.
+_BIN = np.array([0.25, 0.25, math.radians(10.0)])
+_KLD_ERROR, _KLD_QUANTILE = 0.02, NormalDist().inv_cdf(0.99)
+_MOST_COUNTED_BINS = 20_000
+# Below this share of effective particles a likelihood is fused in stages.
+_LEAST_EFFECTIVE = 0.05
 
 
 @dataclass(frozen=True)
 class PoseEstimate:
-    """Mean pose (x [m], y [m], theta [rad]) and covariance (3, 3) of a cloud."""
+    """Mean pose (x [m], y [m], theta [rad]) and covariance (3, 3) of a particle set."""
 
     mean: tuple[float, float, float]
     covariance: Array
 
     @property
     def spread(self) -> float:
-        """Standard deviation of the position [m]: sqrt of the trace of its covariance."""
+        """The standard deviation of the position [m]: the root of the trace of its covariance."""
         return math.sqrt(max(0.0, float(self.covariance[0, 0] + self.covariance[1, 1])))
 
 
+class ParticleSet:
+    """Poses (3, n) with log-weights (n,); n lies between `least` and `most`."""
+
+    def __init__(
+        self, least: int, most: int, model: MotionModel, random: np.random.Generator
+    ) -> None:
+        self.least, self.most = least, most
+        self.model = model
+        self.random = random
+        self.poses: Array = np.zeros((3, least))
+        self.log_weights: Array = np.zeros(least)
+
+    @property
+    def count(self) -> int:
+        """The number of particles."""
+        return self.log_weights.size
+
+    def set_gaussian(self, mean: Sequence[float], covariance: Array) -> None:
+        """Draw all particles from a Gaussian over x [m], y [m], theta [rad]."""
+        spread = np.linalg.cholesky(covariance + 1e-9 * np.eye(3))
+        spread_out = math.sqrt(covariance[0, 0] + covariance[1, 1]) > 0.5
+        count = self.most if spread_out else self.least
+        noise = spread @ self.random.standard_normal((3, count))
+        self.set_particles(np.asarray(mean, dtype=np.float64)[:, None] + noise)
+
+    def set_particles(self, poses: Array) -> None:
+        """Replace the particles by `poses` (3, n), with equal weights."""
+        self.poses = np.array(poses, dtype=np.float64, order="C")
+        self.log_weights = np.zeros(poses.shape[1])
+
+    def move(self, step: OdometryStep) -> None:
+        """Move all particles by a step of odometry, each with its own noise."""
+        move_particles(self.poses, step, self.model, self.random)
+
+    def fuse(self, log_likelihood: Callable[[Array], Array]) -> None:
+        """Multiply the weights by a likelihood; resample if it leaves few effective particles.
+
+        `log_likelihood` returns (n,) for poses (3, n).
+        """
+        weighed = self.log_weights + log_likelihood(self.poses)
+        weights = normalized(weighed)
+        share = 1.0 / (float(weights @ weights) * self.count)
+        if share >= 0.5:
+            self.log_weights = weighed - weighed.max()
+        elif share >= _LEAST_EFFECTIVE:
+            self._resample(weights)
+        else:
+            rows = self.poses[:, None, :]
+            weights = self.log_weights[None, :]
+            tempered_update(
+                rows, weights, lambda p, _: log_likelihood(p[:, 0])[None, :], self.random
+            )
+
+    def estimate(self) -> PoseEstimate:
+        """Return mean and covariance."""
+        return estimate(self.poses, self.log_weights)
+
+    def sample(self, count: int, random: np.random.Generator) -> Array:
+        """Return `count` equally weighted poses (3, count)."""
+        chosen = systematic_choice(normalized(self.log_weights), count, random)
+        drawn: Array = self.poses[:, chosen]
+        return drawn
+
+    def _resample(self, weights: Array) -> None:
+        count = min(self.most, max(self.least, kld_count(self.poses, weights)))
+        drawn = resample(self.poses, weights, 0.2, self.random, count)
+        self.poses = np.ascontiguousarray(drawn)
+        self.log_weights = np.zeros(count)
+
+
+def kld_count(poses: Array, weights: Array) -> int:
+    """Return how many particles bound the error of their distribution (KLD sampling, Fox 2003).
+
+    From the number k of bins that poses (3, n) of weights (n,) occupy: n = (k - 1) / 2e (1 - 2 /
+    9(k - 1) + z sqrt(2 / 9(k - 1)))^3 with error e and quantile z.
+    """
+    keys = np.empty(weights.size, np.int64)
+    kept, span = _bins(np.ascontiguousarray(poses), weights, _BIN, 0.1 / weights.size, keys)
+    # Up to this number of bins, counting in all of them is faster than sorting.
+    if span <= _MOST_COUNTED_BINS:
+        occupied = int(np.count_nonzero(np.bincount(keys[:kept])))
+    else:
+        occupied = np.unique(keys[:kept]).size
+    if occupied < 2:
+        return 0
+    term = 2.0 / (9.0 * (occupied - 1))
+    bound = (1.0 - term + math.sqrt(term) * _KLD_QUANTILE) ** 3
+    return math.ceil((occupied - 1) / (2.0 * _KLD_ERROR) * bound)
+
+
+@compiled(
+    "Tuple((int64, float64))(float64[:, ::1], float64[::1], float64[::1], float64, int64[::1])"
+)
+def _bins(
+    poses: Array, weights: Array, size: Array, least: float, keys: NDArray[np.int64]
+) -> tuple[int, float]:
+    """Put the keys of the bins of poses heavier than `least` into `keys`; return how many, and
+    how many bins span them.
+    """
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    for i in range(weights.size):
+        if weights[i] > least:
+            for axis in range(3):
+                low[axis] = min(low[axis], poses[axis, i])
+                high[axis] = max(high[axis], poses[axis, i])
+    first, spans = np.zeros(3), np.zeros(3)
+    for axis in range(3):
+        first[axis] = math.floor(low[axis] / size[axis])
+        spans[axis] = math.floor(high[axis] / size[axis]) - first[axis] + 1.0
+    count = 0
+    for i in range(weights.size):
+        if weights[i] > least:
+            key = np.int64(0)
+            for axis in range(3):
+                place = math.floor(poses[axis, i] / size[axis]) - first[axis]
+                key = key * np.int64(spans[axis]) + np.int64(place)
+            keys[count] = key
+            count += 1
+    return count, spans[0] * spans[1] * spans[2]
+
+
 def normalized(log_weights: Array) -> Array:
-    """Weights (..., n) that sum to one over the last axis."""
+    """Return weights (..., n) that sum to one over the last axis."""
     weights: Array = np.exp(log_weights - log_weights.max(axis=-1, keepdims=True))
     weights /= weights.sum(axis=-1, keepdims=True)
     return weights
 
 
 def estimate(poses: Array, log_weights: Array) -> PoseEstimate:
-    """Weighted mean and covariance of `poses` (3, n); the heading's mean is circular."""
+    """Return weighted mean and covariance of `poses` (3, n); the mean heading is circular."""
     return _moments_of(np.ascontiguousarray(poses), normalized(log_weights))
 
 
 def effective_count(log_weights: Array) -> Array:
-    """Kish's effective number of samples over the last axis of `log_weights` (..., n)."""
+    """Return Kish's effective number of samples over the last axis of `log_weights` (..., n)."""
     weights = np.exp(log_weights - log_weights.max(axis=-1, keepdims=True))
     result: Array = weights.sum(axis=-1) ** 2 / (weights * weights).sum(axis=-1)
     return result
 
 
 def systematic_choice(weights: Array, count: int, random: np.random.Generator) -> NDArray[np.intp]:
-    """Indices (count,) drawn by systematic resampling: each i count * weights[i] times on average.
+    """Return indices (count,) drawn by systematic resampling: i on average count * weights[i]
+    times.
 
     `weights` (n,) sum to one. One random number, O(n); Kitagawa 1996.
     """
@@ -69,21 +198,20 @@ def resample(
     random: np.random.Generator,
     count: int | None = None,
 ) -> Array:
-    """`count` new poses (3, count) drawn from weighted ones (3, n), as many if it is not given.
+    """Return `count` new poses (3, count) drawn from weighted ones (3, n); by default n.
 
-    They are spread by a kernel that keeps mean and covariance.
-
-    Each chosen sample is drawn in toward the mean by sqrt(1 - h^2) and moved by h times the
-    cloud's own covariance (Liu and West 2001), so copies differ and the spread is unchanged.
+    Each drawn pose is pulled toward the mean by sqrt(1 - h^2) and moved by h times the covariance
+    of the drawn poses, with h the `bandwidth` (Liu and West 2001): copies differ, while mean and
+    covariance do not change.
     """
     count = poses.shape[1] if count is None else count
     drawn = np.ascontiguousarray(poses[:, systematic_choice(weights, count, random)])
-    cloud = _moments_of(drawn, np.full(count, 1.0 / count))
+    drawn_moments = _moments_of(drawn, np.full(count, 1.0 / count))
     root = np.zeros((3, 3))
-    _root(cloud.covariance + np.diag([1e-6, 1e-6, 1e-8]), root)
-    # What counts of the kernel is its covariance; a uniform one is drawn in a third of the time.
+    _root(drawn_moments.covariance + np.diag([1e-6, 1e-6, 1e-8]), root)
+    # Only the covariance of the kernel matters; a uniform one takes a third of the time to draw.
     noise = math.sqrt(12.0) * (random.random((3, count)) - 0.5)
-    _kernel(drawn, noise, *cloud.mean, root, math.sqrt(1.0 - bandwidth**2), bandwidth)
+    _kernel(drawn, noise, *drawn_moments.mean, root, math.sqrt(1.0 - bandwidth**2), bandwidth)
     return drawn
 
 
@@ -95,12 +223,13 @@ def tempered_update(
     bandwidth: float = 0.25,
     rounds: int = 8,
 ) -> None:
-    """Fuse a log-likelihood into clouds `poses` (3, rows, n), `log_weights` (rows, n), in place.
+    """Fuse a log-likelihood into particle sets `poses` (3, rows, n), `log_weights` (rows, n), in
+    place.
 
-    `log_likelihood` is asked for (k, n) of the poses (3, k, n) of the rows with the numbers (k,).
-    Where the likelihood would leave fewer than half of a row's samples effective, it is taken
-    in stages, each followed by a redraw (progressive correction: Musso, Oudjane, Le Gland 2001),
-    so that a few hundred samples survive the first observation after a long blind stretch.
+    `log_likelihood` returns (k, n) for the poses (3, k, n) of the rows with the numbers (k,). Where
+    the likelihood would leave fewer than half of a row's particles effective, it is fused in
+    stages, each followed by resampling (progressive correction: Musso, Oudjane, Le Gland 2001), so
+    that a few hundred particles survive the first observation after a long time without any.
     """
     rows, count = log_weights.shape
     contribution = log_likelihood(poses, np.arange(rows))
@@ -121,7 +250,9 @@ def tempered_update(
 
 
 def _shares(log_weights: Array, contribution: Array, left: Array) -> Array:
-    """Largest share (by halving) of what is left that keeps 30 % of the samples effective."""
+    """Return the largest share (by halving) of what is left that keeps 30 % of the particles
+    effective.
+    """
     count = log_weights.shape[1]
     share = left.copy()
     for _ in range(6):
@@ -165,7 +296,7 @@ def _moments(poses: Array, weights: Array, mean: Array, covariance: Array) -> No
         turn = _wrapped(poses[2, i] - first)
         turned += weights[i] * turn
         widest = max(widest, abs(turn))
-    if widest > _NARROW:
+    if widest > _SMALL_ANGLE:
         ahead = aside = 0.0
         for i in range(poses.shape[1]):
             ahead += weights[i] * math.cos(poses[2, i] - first)
@@ -190,7 +321,7 @@ def _moments(poses: Array, weights: Array, mean: Array, covariance: Array) -> No
 
 @compiled("void(float64[:, ::1], float64[:, ::1])")
 def _root(covariance: Array, root: Array) -> None:
-    """Cholesky's lower triangle of a covariance (3, 3)."""
+    """Compute Cholesky's lower triangle of a covariance (3, 3)."""
     for i in range(3):
         for j in range(i + 1):
             rest = covariance[i, j]
@@ -213,7 +344,7 @@ def _kernel(
     shrink: float,
     bandwidth: float,
 ) -> None:
-    """Draw poses in toward the mean and move them by `root` @ `noise`, in place."""
+    """Pull poses toward the mean and move them by `root` @ `noise`, in place."""
     for i in range(poses.shape[1]):
         turn = _wrapped(poses[2, i] - theta)
         a, b, c = bandwidth * noise[0, i], bandwidth * noise[1, i], bandwidth * noise[2, i]
@@ -223,7 +354,7 @@ def _kernel(
 
 
 def carry(poses: Array, step: Pose) -> Array:
-    """Poses (3, n) after the relative motion `step`."""
+    """Return poses (3, n) after the relative motion `step`."""
     cosine, sine = np.cos(poses[2]), np.sin(poses[2])
     return np.stack(
         [
@@ -232,129 +363,3 @@ def carry(poses: Array, step: Pose) -> Array:
             poses[2] + step[2],
         ]
     )
-
-
-# Bins of the KLD bound: 0.25 m, 0.25 m, 10 degrees; error of the distribution 2 %, held with 99 %.
-_BIN = np.array([0.25, 0.25, math.radians(10.0)])
-_KLD_ERROR, _KLD_QUANTILE = 0.02, NormalDist().inv_cdf(0.99)
-_FEW_BINS = 20_000
-# Below this share of effective poses a likelihood is taken in stages.
-_TOO_POOR = 0.05
-
-
-class ParticleSet:
-    """Poses (3, n) with log-weights (n,); n lies between `least` and `most`."""
-
-    def __init__(
-        self, least: int, most: int, model: MotionModel, random: np.random.Generator
-    ) -> None:
-        self.least, self.most = least, most
-        self.model = model
-        self.random = random
-        self.poses: Array = np.zeros((3, least))
-        self.log_weights: Array = np.zeros(least)
-
-    @property
-    def count(self) -> int:
-        """Number of poses."""
-        return self.log_weights.size
-
-    def set_gaussian(self, mean: Sequence[float], covariance: Array) -> None:
-        """Draw all poses from a Gaussian over x [m], y [m], theta [rad]."""
-        spread = np.linalg.cholesky(covariance + 1e-9 * np.eye(3))
-        wide = math.sqrt(covariance[0, 0] + covariance[1, 1]) > 0.5
-        count = self.most if wide else self.least
-        noise = spread @ self.random.standard_normal((3, count))
-        self.set_particles(np.asarray(mean, dtype=np.float64)[:, None] + noise)
-
-    def set_particles(self, poses: Array) -> None:
-        """Make `poses` (3, n) the cloud, equally weighted."""
-        self.poses = np.array(poses, dtype=np.float64, order="C")
-        self.log_weights = np.zeros(poses.shape[1])
-
-    def move(self, step: OdometryStep) -> None:
-        """Move all poses by what odometry told."""
-        move_particles(self.poses, step, self.model, self.random)
-
-    def fuse(self, log_likelihood: Callable[[Array], Array]) -> None:
-        """Weigh all poses (3, n) by a log-likelihood (n,); resample if few of them are left."""
-        weighed = self.log_weights + log_likelihood(self.poses)
-        weights = normalized(weighed)
-        share = 1.0 / (float(weights @ weights) * self.count)
-        if share >= 0.5:
-            self.log_weights = weighed - weighed.max()
-        elif share >= _TOO_POOR:
-            self._resample(weights)
-        else:
-            rows = self.poses[:, None, :]
-            weights = self.log_weights[None, :]
-            tempered_update(
-                rows, weights, lambda p, _: log_likelihood(p[:, 0])[None, :], self.random
-            )
-
-    def estimate(self) -> PoseEstimate:
-        """Mean and covariance."""
-        return estimate(self.poses, self.log_weights)
-
-    def sample(self, count: int, random: np.random.Generator) -> Array:
-        """`count` equally weighted poses (3, count)."""
-        chosen = systematic_choice(normalized(self.log_weights), count, random)
-        drawn: Array = self.poses[:, chosen]
-        return drawn
-
-    def _resample(self, weights: Array) -> None:
-        count = min(self.most, max(self.least, kld_count(self.poses, weights)))
-        drawn = resample(self.poses, weights, 0.2, self.random, count)
-        self.poses = np.ascontiguousarray(drawn)
-        self.log_weights = np.zeros(count)
-
-
-def kld_count(poses: Array, weights: Array) -> int:
-    """How many poses the cloud needs so that it errs little: the bound of Fox 2003.
-
-    From the number k of bins that poses (3, n) of weights (n,) lie in: n = (k - 1) / 2e (1 - 2 /
-    9(k - 1) + z sqrt(2 / 9(k - 1)))^3 with error e and quantile z.
-    """
-    keys = np.empty(weights.size, np.int64)
-    kept, span = _bins(np.ascontiguousarray(poses), weights, _BIN, 0.1 / weights.size, keys)
-    # Up to so many bins it is quicker to count in all of them than to sort.
-    if span <= _FEW_BINS:
-        occupied = int(np.count_nonzero(np.bincount(keys[:kept])))
-    else:
-        occupied = np.unique(keys[:kept]).size
-    if occupied < 2:
-        return 0
-    term = 2.0 / (9.0 * (occupied - 1))
-    bound = (1.0 - term + math.sqrt(term) * _KLD_QUANTILE) ** 3
-    return math.ceil((occupied - 1) / (2.0 * _KLD_ERROR) * bound)
-
-
-@compiled(
-    "Tuple((int64, float64))(float64[:, ::1], float64[::1], float64[::1], float64, int64[::1])"
-)
-def _bins(
-    poses: Array, weights: Array, size: Array, least: float, keys: NDArray[np.int64]
-) -> tuple[int, float]:
-    """Keys of the bins of poses that weigh more than `least`; how many, and how many bins span
-    them.
-    """
-    low, high = np.full(3, np.inf), np.full(3, -np.inf)
-    for i in range(weights.size):
-        if weights[i] > least:
-            for axis in range(3):
-                low[axis] = min(low[axis], poses[axis, i])
-                high[axis] = max(high[axis], poses[axis, i])
-    first, spans = np.zeros(3), np.zeros(3)
-    for axis in range(3):
-        first[axis] = math.floor(low[axis] / size[axis])
-        spans[axis] = math.floor(high[axis] / size[axis]) - first[axis] + 1.0
-    count = 0
-    for i in range(weights.size):
-        if weights[i] > least:
-            key = np.int64(0)
-            for axis in range(3):
-                place = math.floor(poses[axis, i] / size[axis]) - first[axis]
-                key = key * np.int64(spans[axis]) + np.int64(place)
-            keys[count] = key
-            count += 1
-    return count, spans[0] * spans[1] * spans[2]

@@ -1,4 +1,4 @@
-"""The observations of the last half minute, tied together by odometry."""
+"""The observations of the last half minute, related to each other by odometry."""
 
 from __future__ import annotations
 
@@ -15,17 +15,20 @@ from cairn.planar.poses import Pose, apart, wrap_all
 
 Array = NDArray[np.float64]
 
-AGREES, CONTRADICTS = 9.2, 13.8  # NIS (2 dof): 99 % and 99.9 %
-# An object counts as two observations at most: more of them share their error.
+# NIS: the 99 % and 99.9 % quantiles of chi-square with 2 degrees of freedom, -2 ln 0.01 and
+# -2 ln 0.001.
+AGREES, CONTRADICTS = 9.2, 13.8
+# An object counts as two observations at most: further ones share their error.
 OBJECT_WORTH = 2.0
-TOGETHER = 0.6  # [m]
-# From poses that differ by more than this [m], [rad] observations are independent.
+# Objects no farther apart than this [m] are seen in one direction.
+TOGETHER_M = 0.6
+# Observations from poses that differ by more than this [m], [rad] are independent.
 ANOTHER_M, ANOTHER_RAD = 0.15, 0.2
 
 
 @dataclass(frozen=True)
 class TimedObservation:
-    """A observation, the dead-reckoned pose it was made from and the seconds moved until then."""
+    """An observation, the dead-reckoned pose it was made from and the seconds moved until then."""
 
     observation: Observation
     at: Pose
@@ -34,10 +37,10 @@ class TimedObservation:
 
 @dataclass(frozen=True)
 class PoseSupport:
-    """How many distinct places agree with a pose, and how many contradict it.
+    """How many distinct positions of objects agree with a pose, and how many contradict it.
 
-    Objects that stand together (0.6 m) are one place: they bear witness to the same direction
-    only, so a pose turned about them satisfies them all.
+    Objects that stand together (0.6 m) count once: they confirm the same direction only, so a pose
+    rotated around them satisfies them all.
     """
 
     agreeing: int
@@ -45,15 +48,16 @@ class PoseSupport:
 
     @property
     def firm(self) -> bool:
-        """At least two places agree, and twice as many as contradict."""
+        """Whether at least two positions agree, and twice as many as contradict."""
         return self.agreeing >= 2 and self.agreeing >= 2 * self.contradicting
 
 
 class RecentObservations:
-    """Sightings younger than `horizon_s` seconds of motion, at most `per_object` of each object.
+    """Observations younger than `horizon_s` seconds of motion, at most `per_object` of each object.
 
-    Poses are dead-reckoned, in a frame of odometry's own. An entry's variance grows with the
-    motion since (`drift` [m/sqrt(s)], `turn_drift` [rad/sqrt(s)]).
+    Poses are dead-reckoned, in a frame of their own. The variance of an observation grows with the
+    motion since then (`drift` [m/sqrt(s)], `turn_drift` [rad/sqrt(s)]): a little more than the
+    motion model, so that old observations do not outweigh new ones.
     """
 
     def __init__(
@@ -74,12 +78,12 @@ class RecentObservations:
         self.entries.clear()
 
     def add(self, observations: Sequence[Observation], at: Pose, moved_s: float) -> None:
-        """Keep observations made from `at`; of one object only those from different poses."""
+        """Add observations made from `at`; those of one object only from different poses."""
         kept = [e for e in self.entries if moved_s - e.moved_s <= self.horizon_s]
         for observation in observations:
             same = [e for e in kept if e.observation.object_id == observation.object_id]
             if same and not apart(same[-1].at, at, ANOTHER_M, ANOTHER_RAD):
-                # The newest pose is the better one: its odometry has drifted least.
+                # The newest pose is better: its odometry has drifted least.
                 kept.remove(same[-1])
             elif len(same) >= self.per_object:
                 kept.remove(same[0])
@@ -94,7 +98,9 @@ class RecentObservations:
         landmarks: Mapping[int, Landmark],
         left_out: int | None = None,
     ) -> Array:
-        """Log-likelihood (n,) of all entries but `left_out`'s, were the robot now at `poses`."""
+        """Return the log-likelihood (n,) of all observations but `left_out`'s if the robot were
+        now at `poses`.
+        """
         entries = self._usable(landmarks, left_out)
         total = np.zeros(poses.shape[1])
         if not entries:
@@ -106,10 +112,10 @@ class RecentObservations:
             count[key] = count.get(key, 0) + 1
         for row, entry in zip(nis, entries, strict=True):
             key = entry.observation.object_id
-            trust = landmarks[key].reliability
-            stray = (1.0 - trust) * math.exp(STRAY)
+            reliability = landmarks[key].reliability
+            stray = (1.0 - reliability) * math.exp(STRAY)
             weight = min(1.0, OBJECT_WORTH / count[key])
-            total += weight * np.log(trust * np.exp(-0.5 * row) + stray)
+            total += weight * np.log(reliability * np.exp(-0.5 * row) + stray)
         return total
 
     def support(
@@ -120,7 +126,9 @@ class RecentObservations:
         landmarks: Mapping[int, Landmark],
         left_out: int | None = None,
     ) -> PoseSupport:
-        """The places of objects (but `left_out`) that agree with and that contradict `pose`."""
+        """Return how many positions of objects (but `left_out`) agree with and contradict
+        `pose`.
+        """
         entries = self._usable(landmarks, left_out)
         if not entries:
             return PoseSupport(0, 0)
@@ -131,8 +139,12 @@ class RecentObservations:
             best.setdefault(entry.observation.object_id, []).append(float(value))
         medians = {key: sorted(values)[len(values) // 2] for key, values in best.items()}
         return PoseSupport(
-            _places([landmarks[key] for key, value in medians.items() if value <= AGREES]),
-            _places([landmarks[key] for key, value in medians.items() if value > CONTRADICTS]),
+            _distinct_positions(
+                [landmarks[key] for key, value in medians.items() if value <= AGREES]
+            ),
+            _distinct_positions(
+                [landmarks[key] for key, value in medians.items() if value > CONTRADICTS]
+            ),
         )
 
     def _usable(
@@ -155,7 +167,7 @@ class RecentObservations:
         landmarks: Mapping[int, Landmark],
         covariance: Array | None,
     ) -> Array:
-        """NIS (entries, n) of each entry from each pose, the drift since it was made included."""
+        """Return the NIS (entries, n) of each entry from each pose, with the drift since then."""
         rows = []
         for entry in entries:
             made = entry.observation
@@ -164,7 +176,7 @@ class RecentObservations:
             rows.append(
                 (*entry.at, entry.moved_s, made.range_m, made.bearing, *errors, mark.x, mark.y)
             )
-        # Columns (entries, 1), to be met by a row of poses.
+        # Columns (entries, 1), broadcast over a row of poses.
         x, y, theta, made_at, seen, bearing, range_variance, bearing_variance, mark_x, mark_y = (
             np.array(rows).T[:, :, None]
         )
@@ -178,7 +190,7 @@ class RecentObservations:
         reach = np.maximum(seen, 0.3)
         bearing_variance = bearing_variance + place_variance / reach**2 + turn_variance
 
-        # Where each was made from, as seen from now; from there, what it should have told.
+        # Where each was made from, relative to now; and from there, what it should have measured.
         along, across = math.cos(now[2]), math.sin(now[2])
         ahead = along * (x - now[0]) + across * (y - now[1])
         aside = along * (y - now[1]) - across * (x - now[0])
@@ -192,10 +204,12 @@ class RecentObservations:
         return nis
 
 
-def _places(objects: Sequence[Landmark]) -> int:
-    """How many places the objects stand at, those within 0.6 m of each other taken as one."""
+def _distinct_positions(objects: Sequence[Landmark]) -> int:
+    """Return at how many positions the objects stand; those within 0.6 m of each other count
+    once.
+    """
     heads: list[Landmark] = []
     for one in objects:
-        if all(math.hypot(one.x - head.x, one.y - head.y) > TOGETHER for head in heads):
+        if all(math.hypot(one.x - head.x, one.y - head.y) > TOGETHER_M for head in heads):
             heads.append(one)
     return len(heads)

@@ -1,4 +1,4 @@
-"""Relocalization: when the map is searched for a lost robot, and when a result is believed."""
+"""Relocalization: what decides that the robot is lost, and when a search result is believed."""
 
 from __future__ import annotations
 
@@ -12,87 +12,64 @@ from cairn.components.localizer.global_search import GlobalSearchResult, RecentM
 from cairn.components.localizer.health import FITS
 from cairn.components.localizer.observations import Landmark
 from cairn.components.localizer.particle_set import PoseEstimate, carry, estimate
-from cairn.components.localizer.recent_observations import TOGETHER
+from cairn.components.localizer.recent_observations import TOGETHER_M
 from cairn.planar.poses import Pose, compose, distance, relative, wrap
-from cairn.schemas.cairn_nav_msgs import ReasonCode
+from cairn.schemas.cairn_nav_msgs import Reason, ReasonCode
 
 Array = NDArray[np.float64]
 
-
-class ConfirmationHistory:
-    """When each mapped object was last seen where a pose that did not rely on it expected it.
-
-    Somewhere else one object may stand as expected by chance, two at different places hardly do.
-    """
-
-    def __init__(self) -> None:
-        self._at: dict[int, float] = {}
-        self.confirmed_until = -math.inf
-        """Until when [s] the robot was certainly not lost before it was placed anew."""
-
-    def note(self, stamp: float, objects: Iterable[int]) -> None:
-        """Take which objects agreed at `stamp` [s]."""
-        self._at |= dict.fromkeys(objects, stamp)
-
-    def placed_anew(self, landmarks: Mapping[int, Landmark]) -> None:
-        """Take that the robot may be somewhere else than what has agreed so far made believe."""
-        self.confirmed_until = max(self.confirmed_until, self._both_since(landmarks))
-        self._at.clear()
-
-    def _both_since(self, landmarks: Mapping[int, Landmark]) -> float:
-        """The latest time [s] since when objects at two places agreed; -inf if none did."""
-        newest: Landmark | None = None
-        for object_id, stamp in sorted(self._at.items(), key=lambda one: -one[1]):
-            mark = landmarks.get(object_id)
-            if mark is None:
-                continue
-            if newest is None:
-                newest = mark
-            elif math.hypot(mark.x - newest.x, mark.y - newest.y) > TOGETHER:
-                return stamp
-        return -math.inf
-
-
-# A robot that was found is looked for anew this long [s]: it may have been found in a wrong place
-# that explains what little was seen.
+# After the robot was found, the map is searched again for so long [s]: it may have been found in a
+# wrong position that explains the few measurements so far.
 PROBATION_S = 30.0
-# So many looks, from poses so far apart [m], must find it there again before that place is sure:
-# what a robot sees that stands does not get truer by being seen again. Or nothing may speak against
-# it on so long a way [m].
-_CONFIRMATIONS, _CONFIRMED_AFTER_M, _UNDISPUTED_M = 3, 0.2, 1.0
-# By so much [nats] another pose must explain the recent observations better: errors that successive
-# observations have in common are worth 2 to 4.
+# So many searches, from poses so far apart [m], must find it there again to confirm the position:
+# static things do not become better evidence by being seen again from the same pose. Or no search
+# may prefer another position for so long a distance [m].
+_CONFIRMATIONS, _CONFIRM_EVERY_M, _UNDISPUTED_M = 3, 0.2, 1.0
+# Another pose must explain the recent measurements better by this log-likelihood [nats]: errors
+# that successive observations have in common are worth 2 to 4.
 BETTER = 6.0
-# By so much [nats], and the other pose is refuted.
+# If it is better by this [nats], the current pose is refuted.
 REFUTED = 25.0
-# Scans that fit less than this are a reason to look elsewhere now and then; less than that, or
-# than this share of what they usually do, to do so at once and to forget what was seen before.
-_WARY, _SUSPICIOUS, _OF_USUAL = 0.8, 0.5, 0.65
-# Share of the newest scan in how well they usually fit; of one that fits much worse, less: a
-# carried robot is not to get used to its wrong place.
-_NEWEST, _NEWEST_OF_BAD = 0.02, 0.001
-# How often to look [s].
-_WARY_EVERY_S, _EVERY_S = 3.0, 1.0
-# For so long [s] a search that found the robot where it is believed to be speaks for that place.
-_HERE_S = 3.0
-_UNCONFIRMED = (
-    ReasonCode.UNCONFIRMED,
-    "the robot was found just now; other positions are not ruled out yet",
+# The robot may be lost if scans fit the map less than the first share: search the map now and then.
+# It is probably lost if they fit less than the second share, or less than the third share of their
+# usual fit: search at once, and forget the earlier measurements.
+_DOUBTFUL_FIT, _LOST_FIT, _LOST_OF_USUAL_FIT = 0.8, 0.5, 0.65
+# Weight of the newest scan in the usual fit; a smaller one if it fits worse than 0.8 of that, so
+# that a carried robot does not get used to its wrong position.
+_NEWEST, _NEWEST_OF_BAD, _BAD = 0.02, 0.001, 0.8
+# Periods of the search [s]: in doubt; while a position is unconfirmed; if the robot is lost; and of
+# a robot whose position is unknown.
+_DOUBTFUL_EVERY_S, _UNCONFIRMED_EVERY_S, _LOST_EVERY_S, _UNKNOWN_EVERY_S = 3.0, 2.0, 1.0, 0.5
+# For so long [s] a search that found the robot at its current position supports that position.
+_FOUND_HERE_S = 3.0
+# From this share of the posterior on, a search result is unambiguous.
+_UNAMBIGUOUS = 0.9
+# Without scans, a robot waits so long [s] for a second object before it believes a result by one
+# object; or for the particles around the only object to narrow to this spread [m].
+_WAIT_FOR_SECOND_S, _WAIT_FOR_SPREAD_S, _ONE_OBJECT_SPREAD_M = 15.0, 10.0, 0.8
+# A search result that is wider than this [m] is not one position.
+_WIDEST_M = 0.5
+# Poses that differ by less than this [m], [rad] are the same position.
+_SAME_M, _SAME_RAD = 0.5, 0.35
+_JUST_FOUND = Reason(
+    ReasonCode.UNCONFIRMED, "the robot was found just now; other positions are not ruled out yet"
 )
 
 
 class Relocalizer:
-    """Looks for the robot: at an unknown start, when it is suspected to be lost, and for a while
-    after it was found.
+    """Searches the map for the robot: at an unknown start, when it is probably lost, and for a
+    while after it was found.
     """
 
     def __init__(self, search_particles: int, random: np.random.Generator) -> None:
         self.search_particles = search_particles
         self.random = random
         self._searched_at = -math.inf
-        self._first_seen = math.inf
-        self._places: tuple[Array, Pose] | None = None  # those of the last look, as the guess
-        self._guess: tuple[Pose, Pose] | None = None  # and the dead-reckoned pose of that time
+        self._first_measured = math.inf
+        self._modes: tuple[Array, Pose] | None = (
+            None  # of the last search, and the dead-reckoned pose
+        )
+        self._guess: tuple[Pose, Pose] | None = None  # the last result, and the dead-reckoned pose
         self._probation_ends = -math.inf
         self._confirmations = _CONFIRMATIONS
         self._confirmed_at: Pose = (0.0, 0.0, 0.0)  # dead-reckoned, as all poses here
@@ -101,37 +78,37 @@ class Relocalizer:
         self._fit = self._usual = 1.0
         self._here_at = -math.inf
 
-    def believe(self) -> None:
-        """Take the robot's place as known."""
+    def accept(self) -> None:
+        """Accept the robot's pose as known, as an operator stated it."""
         self._probation_ends = -math.inf
         self._confirmations = _CONFIRMATIONS
         self._fit = self._usual = 1.0
-        self._guess = self._places = None
+        self._guess = self._modes = None
 
-    def sure(self, stamp: float) -> bool:
-        """Whether no other place than where the robot was found is likely any more."""
-        return not self.doubts(stamp)
+    def confirmed(self, stamp: float) -> bool:
+        """Whether no other position than the current one is likely any more."""
+        return self.doubt(stamp) is None
 
-    def doubts(self, stamp: float) -> tuple[ReasonCode, str] | None:
-        """Return why the robot may be elsewhere, as code and in words; None if it is not likely."""
-        if self._suspicious:
-            return (
+    def doubt(self, stamp: float) -> Reason | None:
+        """Return why the robot may be elsewhere; None if nothing indicates that."""
+        if self._lost:
+            return Reason(
                 ReasonCode.SCAN_MISMATCH,
                 f"scans fit the map by {self._fit:.0%}, usually by {self._usual:.0%}",
             )
         if self._confirmations >= _CONFIRMATIONS:
             return None
         undisputed = stamp >= self._probation_ends and self._away_m >= _UNDISPUTED_M
-        return None if undisputed else _UNCONFIRMED
+        return None if undisputed else _JUST_FOUND
 
     def found_here(self, stamp: float) -> bool:
-        """Whether the last search, no longer ago than 3 s, found the robot where it is believed
-        to be, and clearly; `stamp` [s] is now.
+        """Whether the last search, at most 3 s before `stamp` [s], clearly found the robot at
+        its current position.
         """
-        return self.sure(stamp) and stamp - self._here_at <= _HERE_S
+        return self.confirmed(stamp) and stamp - self._here_at <= _FOUND_HERE_S
 
-    def doubt(self, stamp: float, now: Pose) -> None:
-        """Look for the robot for a while, as at `stamp` [s] it was found where it may not be.
+    def start_probation(self, stamp: float, now: Pose) -> None:
+        """Search for the robot for a while, as at `stamp` [s] it was found where it may not be.
 
         `now` is the dead-reckoned pose.
         """
@@ -141,116 +118,156 @@ class Relocalizer:
         self._away_m = 0.0
         self._fit = self._usual = 1.0
 
-    def suspects(self, fit: float) -> bool:
-        """Take how well scans fit of late; True when the robot seems to be somewhere else now."""
-        before, self._fit = self._suspicious, fit
-        newest = _NEWEST if fit >= 0.8 * self._usual else _NEWEST_OF_BAD
+    def update_fit(self, fit: float) -> bool:
+        """Update how well scans fit; return True when they start to indicate that the robot is
+        lost.
+        """
+        before, self._fit = self._lost, fit
+        newest = _NEWEST if fit >= _BAD * self._usual else _NEWEST_OF_BAD
         self._usual += newest * (fit - self._usual)
-        return self._suspicious and not before
+        return self._lost and not before
 
     @property
-    def _suspicious(self) -> bool:
-        return self._fit < max(_SUSPICIOUS, _OF_USUAL * self._usual)
+    def _lost(self) -> bool:
+        return self._fit < max(_LOST_FIT, _LOST_OF_USUAL_FIT * self._usual)
 
-    def due(self, stamp: float, contradicted: bool) -> bool:
-        """Whether to search at `stamp` [s]; `contradicted` by an object seen just now."""
+    def search_due(self, stamp: float, contradicted: bool) -> bool:
+        """Whether to search at `stamp` [s]; `contradicted` by an object observed just now."""
         since = stamp - self._searched_at
-        if contradicted or self._suspicious:
-            return since >= _EVERY_S
-        if not self.sure(stamp):
-            return since >= 2.0 * _EVERY_S
-        return self._fit < _WARY and since >= _WARY_EVERY_S
+        if contradicted or self._lost:
+            return since >= _LOST_EVERY_S
+        if not self.confirmed(stamp):
+            return since >= _UNCONFIRMED_EVERY_S
+        return self._fit < _DOUBTFUL_FIT and since >= _DOUBTFUL_EVERY_S
 
-    def find(self, stamp: float, evidence: RecentMeasurements) -> Array | None:
-        """Poses (3, n) of a robot whose place is not known; None as long as it is in doubt."""
-        self._first_seen = min(self._first_seen, stamp)
-        if stamp - self._searched_at < 0.5:
+    def find(self, stamp: float, recent: RecentMeasurements) -> Array | None:
+        """Return poses (3, n) of a robot whose position is unknown; None while it is ambiguous."""
+        self._first_measured = min(self._first_measured, stamp)
+        if stamp - self._searched_at < _UNKNOWN_EVERY_S:
             return None
         self._searched_at = stamp
-        found = self._search(evidence)
+        found = self._search(recent)
         if found is None or found.support.contradicting >= max(1, found.support.agreeing):
             self._guess = None
             return None
-        waited = stamp - self._first_seen
+        waited = stamp - self._first_measured
         firm = found.support.agreeing >= 2 or found.fit >= FITS
-        if found.share >= 0.9 and (firm or (waited >= 15.0 and not evidence.scanned)):
-            # Two modes take turns while little was seen: believe the one that stays.
-            if self._again(found.pose.mean, evidence.now):
-                self.doubt(stamp, evidence.now)
+        if found.share >= _UNAMBIGUOUS and (
+            firm or (waited >= _WAIT_FOR_SECOND_S and not recent.scanned)
+        ):
+            # Two modes take turns while there are few measurements: believe the one that stays.
+            if self._found_again(found.pose.mean, recent.now):
+                self.start_probation(stamp, recent.now)
                 return found.poses
         elif (
-            not evidence.scanned
-            and waited >= 10.0
-            and estimate(found.everywhere, np.zeros(found.everywhere.shape[1])).spread < 0.8
+            not recent.scanned
+            and waited >= _WAIT_FOR_SPREAD_S
+            and estimate(found.everywhere, np.zeros(found.everywhere.shape[1])).spread
+            < _ONE_OBJECT_SPREAD_M
         ):
-            # One place alone leaves an arc around it open; its width is stated, and the filter
+            # One object alone leaves an arc around it open; its width is published, and the filter
             # narrows it sooner than waiting does.
-            self.doubt(stamp, evidence.now)
+            self.start_probation(stamp, recent.now)
             return found.everywhere
         return None
 
-    def recover(
-        self, stamp: float, evidence: RecentMeasurements, here: PoseEstimate
-    ) -> Array | None:
-        """Poses (3, n) of a robot believed to be `here`, if it is clearly somewhere else."""
+    def recover(self, stamp: float, recent: RecentMeasurements, here: PoseEstimate) -> Array | None:
+        """Return poses (3, n) of a robot believed to be `here`, if it is clearly elsewhere."""
         self._searched_at = stamp
-        self._away_m = max(self._away_m, distance(evidence.now, self._found_at))
-        found = self._search(evidence)
-        if found is None or found.pose.spread > 0.5:
+        self._away_m = max(self._away_m, distance(recent.now, self._found_at))
+        found = self._search(recent)
+        if found is None or found.pose.spread > _WIDEST_M:
             self._confirmations = 0
             return None
-        if _close(here.mean, found.pose.mean):
-            clearly = found.share >= 0.9
+        if _same(here.mean, found.pose.mean):
+            clearly = found.share >= _UNAMBIGUOUS
             self._here_at = stamp if clearly else -math.inf
-            self._confirm(clearly, evidence.now)
+            self._confirm(clearly, recent.now)
             return None
         self._here_at = -math.inf
         self._confirmations = 0
-        score = evidence.log_likelihood(np.asarray(here.mean)[:, None])
+        score = recent.log_likelihood(np.asarray(here.mean)[:, None])
         if found.score - float(score[0]) < BETTER:
             return None
-        # As long as another place explains more, time does not make this one sure.
+        # As long as another position explains more, time does not confirm this one.
         self._probation_ends = stamp + PROBATION_S
         support = found.support
-        # A robot that is certainly not here had better look on from the likeliest place.
+        # If the robot is certainly not here, the search continues better from the likeliest
+        # position.
         refuted = found.score - float(score[0]) >= REFUTED and found.fit >= FITS
-        if (found.share < 0.9 and not refuted) or support.contradicting > support.agreeing:
+        if (found.share < _UNAMBIGUOUS and not refuted) or support.contradicting > support.agreeing:
             return None
-        fits = evidence.scanned and found.fit >= max(FITS, evidence.fit(here))
+        fits = recent.scanned and found.fit >= max(FITS, recent.fit(here))
         if not fits and support.agreeing < 2:
             return None
-        # Places that look alike take turns, as long as little was seen: believe the one that stays.
-        again = self._again(found.pose.mean, evidence.now)
+        # Positions that look alike take turns while there are few measurements: believe the one
+        # that stays.
+        again = self._found_again(found.pose.mean, recent.now)
         if not again and support.agreeing < 2:
             return None
-        self.doubt(stamp, evidence.now)
+        self.start_probation(stamp, recent.now)
         return found.poses
 
     def _confirm(self, clearly: bool, now: Pose) -> None:
-        """Note that a look found the robot where it is believed to be."""
+        """Note that a search found the robot at its current position, `clearly` or not."""
         if not clearly:
             self._confirmations = 0
-        elif distance(now, self._confirmed_at) >= _CONFIRMED_AFTER_M:
+        elif distance(now, self._confirmed_at) >= _CONFIRM_EVERY_M:
             self._confirmations += 1
             self._confirmed_at = now
 
-    def _again(self, pose: Pose, now: Pose) -> bool:
-        """Whether the last look found the robot where it is found now, carried on by odometry."""
+    def _found_again(self, pose: Pose, now: Pose) -> bool:
+        """Whether the last search found the robot at the same position, carried on by odometry."""
         guess, self._guess = self._guess, (pose, now)
-        return guess is not None and _close(compose(guess[0], relative(guess[1], now)), pose)
+        return guess is not None and _same(compose(guess[0], relative(guess[1], now)), pose)
 
-    def _search(self, evidence: RecentMeasurements) -> GlobalSearchResult | None:
+    def _search(self, recent: RecentMeasurements) -> GlobalSearchResult | None:
         known = None
-        if self._places is not None:
-            places, then = self._places
-            known = carry(places, relative(then, evidence.now))
-        found = search(evidence, self.search_particles, self.random, known)
-        if found is None or found.places is None:
-            self._places = None
+        if self._modes is not None:
+            modes, then = self._modes
+            known = carry(modes, relative(then, recent.now))
+        found = search(recent, self.search_particles, self.random, known)
+        if found is None or found.modes is None:
+            self._modes = None
         else:
-            self._places = (found.places, evidence.now)
+            self._modes = (found.modes, recent.now)
         return found
 
 
-def _close(a: Pose, b: Pose) -> bool:
-    return distance(a, b) < 0.5 and abs(wrap(a[2] - b[2])) < 0.35
+class ConfirmationHistory:
+    """Keeps when each object was last observed where a pose that did not rely on it expected it.
+
+    At a wrong pose one object may be observed as expected by chance, two at different positions
+    hardly are.
+    """
+
+    def __init__(self) -> None:
+        self._agreed_at: dict[int, float] = {}
+        self.confirmed_until = -math.inf
+        """Until when [s] the robot was certainly not lost before its pose was replaced."""
+
+    def add(self, stamp: float, objects: Iterable[int]) -> None:
+        """Add the objects that agreed at `stamp` [s]."""
+        self._agreed_at |= dict.fromkeys(objects, stamp)
+
+    def on_pose_replaced(self, landmarks: Mapping[int, Landmark]) -> None:
+        """Note that the robot was found elsewhere: agreements with the earlier pose end here."""
+        self.confirmed_until = max(self.confirmed_until, self._last_confirmed(landmarks))
+        self._agreed_at.clear()
+
+    def _last_confirmed(self, landmarks: Mapping[int, Landmark]) -> float:
+        """Return the last time [s] since which objects at two positions agreed; -inf if none."""
+        newest: Landmark | None = None
+        for object_id, stamp in sorted(self._agreed_at.items(), key=lambda one: -one[1]):
+            landmark = landmarks.get(object_id)
+            if landmark is None:
+                continue
+            if newest is None:
+                newest = landmark
+            elif math.hypot(landmark.x - newest.x, landmark.y - newest.y) > TOGETHER_M:
+                return stamp
+        return -math.inf
+
+
+def _same(a: Pose, b: Pose) -> bool:
+    return distance(a, b) < _SAME_M and abs(wrap(a[2] - b[2])) < _SAME_RAD

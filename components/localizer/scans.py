@@ -13,46 +13,55 @@ from cairn.components.localizer.health import FITS, SILENT_S
 from cairn.components.localizer.likelihood_field import LikelihoodField
 from cairn.components.localizer.odometry import OdometryStep
 from cairn.components.localizer.particle_set import carry
-from cairn.planar.poses import Pose, compose, distance, relative, wrap
+from cairn.planar.poses import Pose, apart, compose, relative
 
 Array = NDArray[np.float64]
 
-# Motion after which a scan tells something new [m], [rad]; of one that was taken on the spot
-# little counts, as its errors repeat.
+# After so much motion [m], [rad] a scan counts in full; of one taken on the spot this share counts,
+# as its errors repeat.
 _NEW_M, _NEW_RAD, _ON_THE_SPOT = 0.15, 0.15, 0.03
+# The golden ratio: successive starts spread evenly over the beams.
+_GOLDEN = 0.618
+# Weight of the newest scan in the running mean of the fit: a mean over five scans.
+_NEWEST = 0.2
+# About so many rays that hit nothing are traced through the map.
+_TRACED_RAYS = 60
 
 
 class BeamSelector:
-    """At most `most` beams of each scan, and how far the robot has come since the last one."""
+    """Selects at most `most` beams of each scan, and measures the motion between scans."""
 
     def __init__(self, most: int) -> None:
         self.most = most
-        self._far, self._turned = 0.0, 0.0
-        self._turn_of_beams = 0
+        self._moved_m, self._turned_rad = 0.0, 0.0
+        self._scans = 0
 
-    def moved(self, step: OdometryStep) -> None:
-        """Take how the robot moved."""
-        self._far += math.hypot(step.ahead, step.aside)
-        self._turned += abs(step.turned)
+    def add_motion(self, step: OdometryStep) -> None:
+        """Add a step of odometry."""
+        self._moved_m += math.hypot(step.ahead, step.aside)
+        self._turned_rad += abs(step.turned)
 
-    def chosen(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """At most `most` of the points (m, 2), evenly spaced, others from scan to scan."""
+    def select(self, points: Array) -> Array:
+        """Return at most `most` of the points (m, 2), evenly spaced, others in each scan."""
         if len(points) <= self.most:
             return points
-        self._turn_of_beams += 1
-        begin = (self._turn_of_beams * 0.618) % 1.0
-        places = (np.arange(self.most) + begin) * (len(points) / self.most)
-        return points[np.minimum(places.astype(np.intp), len(points) - 1)]
+        self._scans += 1
+        start = (self._scans * _GOLDEN) % 1.0
+        indices = (np.arange(self.most) + start) * (len(points) / self.most)
+        return points[np.minimum(indices.astype(np.intp), len(points) - 1)]
 
     def take_share_of_new(self) -> float:
-        """The share of a scan that counts as new: the more, the further since the last one."""
-        new = self._far / _NEW_M + self._turned / _NEW_RAD
-        self._far = self._turned = 0.0
-        return min(1.0, max(_ON_THE_SPOT, new))
+        """Return the share of a scan that counts as new: it grows with the motion since the last.
+
+        Resets the motion.
+        """
+        share = self._moved_m / _NEW_M + self._turned_rad / _NEW_RAD
+        self._moved_m = self._turned_rad = 0.0
+        return min(1.0, max(_ON_THE_SPOT, share))
 
 
 class RecentScans:
-    """End points of the `keep` newest scans that were taken `apart_m` or `turned` [rad] apart."""
+    """End points of the `keep` newest scans taken `apart_m` [m] or `turned` [rad] apart."""
 
     def __init__(self, keep: int = 8, apart_m: float = 0.3, turned: float = 0.35) -> None:
         self.keep = keep
@@ -63,13 +72,13 @@ class RecentScans:
         return len(self._scans)
 
     def clear(self) -> None:
-        """Forget all."""
+        """Forget all scans."""
         self._scans.clear()
 
     def add(self, points: Array, at: Pose) -> None:
-        """Keep a scan's end points (m, 2), taken at the dead-reckoned pose `at`.
+        """Add a scan's end points (m, 2), taken at the dead-reckoned pose `at`.
 
-        It stands for the last one as long as the robot has not moved apart from the one before.
+        It replaces the last one as long as that was not taken apart from the one before.
         """
         if len(self._scans) >= 2 and not self._apart(self._scans[-2][1], self._scans[-1][1]):
             self._scans.pop()
@@ -80,8 +89,9 @@ class RecentScans:
     def log_likelihood(
         self, poses: Array, now: Pose, each: Callable[[Array, Array], Array], newest: int | None
     ) -> Array:
-        """Sum over the scans (or the `newest` of them) of `each(poses, points)`, were the robot
-        now at `poses` (3, n).
+        """Return the sum over the scans (or the `newest` of them) of `each(poses, points)`.
+
+        The robot is assumed to be now at `poses` (3, n); `now` is the dead-reckoned pose.
         """
         total = np.zeros(poses.shape[1])
         scans = list(self._scans)[-newest:] if newest else self._scans
@@ -90,44 +100,39 @@ class RecentScans:
         return total
 
     def fit(self, pose: Pose, now: Pose, field: LikelihoodField) -> float:
-        """Share of the scans' end points that lie near an obstacle, were the robot at `pose`."""
+        """Return the share of the end points near an obstacle if the robot is at `pose`."""
         if not self._scans:
             return math.nan
         shares = [field.fit(compose(pose, relative(now, at)), points) for points, at in self._scans]
         return float(np.mean(shares))
 
     def _apart(self, a: Pose, b: Pose) -> bool:
-        return distance(a, b) > self.apart_m or abs(wrap(a[2] - b[2])) > self.turned
-
-
-# Share of the newest scan in the running mean.
-_NEWEST = 0.2
-# About so many rays that hit nothing are followed through the map.
-_RAYS = 60
+        return apart(a, b, self.apart_m, self.turned)
 
 
 class ScanFit:
     """Running mean of the share (0 to 1) of a scan's beams that the map explains; None at first.
 
-    A ray that hit nothing counts where the map has nothing either. Else it tells nothing, as glass
-    and what is dark return no beam, unless no ray of the scan hits anything.
+    A ray that hit nothing counts as explained where the map has nothing either. Otherwise it is
+    ignored, as glass and dark surfaces return no beam, unless no ray of the scan hits anything.
     """
 
     def __init__(self) -> None:
         self.value: float | None = None
-        self._at = -math.inf
+        self._updated_at = -math.inf
         self.contradicted = False
         """Whether the newest scan hit nothing where the map has obstacles."""
 
-    def vouches(self, now: float) -> bool:
-        """Whether scans fit well enough to speak for a pose at `now` [s], and still come."""
-        return self.value is not None and self.value >= FITS and now - self._at <= SILENT_S
+    def supports(self, now: float) -> bool:
+        """Whether scans fit well enough to support a pose at `now` [s], and still arrive."""
+        fits = self.value is not None and self.value >= FITS
+        return fits and now - self._updated_at <= SILENT_S
 
-    def forget(self) -> None:
-        """Begin anew: the robot is somewhere else."""
+    def reset(self) -> None:
+        """Start again: the robot is somewhere else."""
         self.value = None
 
-    def note(
+    def update(
         self,
         stamp: float,
         field: LikelihoodField,
@@ -137,11 +142,13 @@ class ScanFit:
         starts: Array,
         ends: Array,
     ) -> None:
-        """Take a scan of `stamp` [s], seen from a pose: some `hits` (m, 2) [m] of `count`, and the
-        `starts` and `ends` (k, 2) [m] of the rays that hit nothing.
+        """Add a scan of `stamp` [s] taken from a pose.
+
+        `hits` (m, 2) [m] are a selection of `count` end points; `starts` and `ends` (k, 2) [m] are
+        those of the rays that hit nothing.
         """
-        self._at = stamp
-        some = slice(None, None, 1 + len(starts) // _RAYS)
+        self._updated_at = stamp
+        some = slice(None, None, 1 + len(starts) // _TRACED_RAYS)
         clear = len(starts) * field.clear(pose, starts[some], ends[some]) if len(starts) else 0.0
         explained = count * field.fit(pose, hits) if count else 0.0
         self.contradicted = not count and clear < 0.5 * len(starts)

@@ -16,38 +16,45 @@ from cairn.planar.poses import Pose, compose, distance, relative, wrap
 
 Array = NDArray[np.float64]
 
-# How far a slip leads astray: deviations [m], [m], [rad].
-_ASTRAY = np.array([[0.35], [0.35], [0.3]])
+# How far a slip moves the robot from its odometry: standard deviations [m], [m], [rad].
+_SLIP = np.array([[0.35], [0.35], [0.3]])
+# Poses drawn around the current one; a third of them is kept in each round of annealing, with the
+# share of the log-likelihood that counts and the noise added [m], [rad].
 _POSES = 1500
 _ANNEALING = ((0.25, 0.05), (0.5, 0.03), (1.0, 0.02))
-# A scan that fits no worse than this is no reason to look.
-_GOOD = 0.8
-# So much more of the scan must fit another pose, and by so much [nats] it must explain it better.
-_FITS_BETTER, _BETTER = 0.12, 6.0
-# It must fit nearly as well as scans did before, else the robot was carried off altogether.
-_AS_BEFORE = 0.9
-# Share of the newest scan in how well they usually fit; of one that fits worse than 0.8 of that,
-# less: a carried robot is not to get used to its wrong place.
-_NEWEST, _NEWEST_OF_BAD = 0.02, 0.001
+# A scan of which the map explains this share or more does not indicate a slip.
+_GOOD_FIT = 0.8
+# Another pose must explain this share of the beams more, and explain the scan better by this
+# log-likelihood [nats], as much as relocalization demands.
+_BETTER_FIT, _BETTER_NATS = 0.12, 6.0
+# It must fit at least this share as well as scans did before; otherwise the robot was carried away.
+_OF_USUAL_FIT = 0.9
+# Weight of the newest scan in the usual fit; a smaller one if it fits worse than 0.8 of that, so
+# that a carried robot does not get used to its wrong position.
+_NEWEST, _NEWEST_OF_BAD, _BAD = 0.02, 0.001, 0.8
+# The poses found by two scans are the same if they differ by less than this [m], [rad]; particles
+# spread wider than this [m] are not one pose.
+_SAME_M, _SAME_RAD, _WIDEST_M = 0.3, 0.2, 0.3
 
 
 class WheelSlipDetector:
-    """Looks around the pose whenever a scan fits badly, and believes two scans that agree.
+    """Searches around the pose whenever a scan fits badly, and believes two scans that agree.
 
-    The motion model holds errors that add up by and by. Wheels that spin, or a robot that is
-    pushed, are off at once by many times as much, and then no pose of the cloud is right.
+    The motion model covers errors that accumulate slowly. Wheels that spin, or a robot that is
+    pushed, are off by many times as much at once, and then no particle is right.
     """
 
     def __init__(self, random: np.random.Generator) -> None:
         self.random = random
-        self._guess: tuple[Pose, Pose] | None = None  # and the dead-reckoned pose of that time
-        self._usual: float | None = None
+        # The pose that the last scan suggested, and the dead-reckoned pose of that time.
+        self._suspected: tuple[Pose, Pose] | None = None
+        self._usual_fit: float | None = None
 
-    def forget(self) -> None:
-        """Drop what was suspected and how well scans fit: the robot is somewhere else."""
-        self._guess = self._usual = None
+    def reset(self) -> None:
+        """Forget what was suspected and how well scans fit: the robot is somewhere else."""
+        self._suspected = self._usual_fit = None
 
-    def look(
+    def detect(
         self,
         here: PoseEstimate,
         points: Array,
@@ -55,37 +62,47 @@ class WheelSlipDetector:
         share: float,
         reckoned: Pose,
     ) -> Array | None:
-        """Poses (3, n) that explain a scan's end points (m, 2) much better than `here` does.
+        """Return poses (3, n) that explain a scan much better than the current one.
 
-        `share` of a scan's log-likelihood counts; `reckoned` is the dead-reckoned pose now.
-        None if there are none, or as long as only one scan tells of them.
+        Args:
+            here: The current pose.
+            points: End points (m, 2) [m] of the scan's beams, in the frame of the base.
+            field: The likelihood field of the grid map.
+            share: The share of a scan's log-likelihood that counts.
+            reckoned: The dead-reckoned pose now.
+
+        Returns:
+            None if there are none, or as long as only one scan suggests them.
+
         """
         fit = field.fit(here.mean, points)
-        guess, self._guess = self._guess, None
-        usual = fit if self._usual is None else self._usual
-        self._usual = usual + (_NEWEST if fit >= 0.8 * usual else _NEWEST_OF_BAD) * (fit - usual)
-        if fit >= _GOOD:
+        before, self._suspected = self._suspected, None
+        usual = fit if self._usual_fit is None else self._usual_fit
+        newest = _NEWEST if fit >= _BAD * usual else _NEWEST_OF_BAD
+        self._usual_fit = usual + newest * (fit - usual)
+        if fit >= _GOOD_FIT:
             return None
         center = np.asarray(here.mean)[:, None]
-        poses = center + _ASTRAY * self.random.standard_normal((3, _POSES))
-        for temper, jitter in _ANNEALING:
+        poses = center + _SLIP * self.random.standard_normal((3, _POSES))
+        for temper, noise in _ANNEALING:
             weights = normalized(temper * share * field.log_likelihood(poses, points))
             poses = poses[:, systematic_choice(weights, _POSES // 3, self.random)]
-            poses += jitter * self.random.standard_normal(poses.shape)
+            poses += noise * self.random.standard_normal(poses.shape)
         found = estimate(poses, np.zeros(poses.shape[1]))
-        least = max(fit + _FITS_BETTER, _AS_BEFORE * usual)
-        if found.spread > 0.3 or field.fit(found.mean, points) < least:
+        least = max(fit + _BETTER_FIT, _OF_USUAL_FIT * usual)
+        if found.spread > _WIDEST_M or field.fit(found.mean, points) < least:
             return None
         both = np.column_stack((found.mean, here.mean))
-        score, before = share * field.log_likelihood(both, points)
-        # The farther, the less likely a slip is.
-        away = ((both[:, :1] - center) / _ASTRAY).ravel()
-        away[2] = wrap(found.mean[2] - here.mean[2]) / _ASTRAY[2, 0]
-        if score - 0.5 * float(away @ away) < before + _BETTER:
+        there, current = share * field.log_likelihood(both, points)
+        # The farther away, the less likely a slip is.
+        slip = ((both[:, :1] - center) / _SLIP).ravel()
+        slip[2] = wrap(found.mean[2] - here.mean[2]) / _SLIP[2, 0]
+        if there - 0.5 * float(slip @ slip) < current + _BETTER_NATS:
             return None
-        self._guess = (found.mean, reckoned)
-        if guess is None:
+        self._suspected = (found.mean, reckoned)
+        if before is None:
             return None
-        expected = compose(guess[0], relative(guess[1], reckoned))
-        apart = distance(expected, found.mean)
-        return poses if apart < 0.3 and abs(wrap(expected[2] - found.mean[2])) < 0.2 else None
+        expected = compose(before[0], relative(before[1], reckoned))
+        same = distance(expected, found.mean) < _SAME_M
+        same = same and abs(wrap(expected[2] - found.mean[2])) < _SAME_RAD
+        return poses if same else None

@@ -99,8 +99,8 @@ def test_no_place_of_two_that_look_alike_has_the_most_of_the_share(seed: int) ->
 
     assert found is not None
     assert found.share < 0.9
-    assert found.places is not None
-    tops = [tuple(top) for top in found.places.T[:4]]
+    assert found.modes is not None
+    tops = [tuple(top) for top in found.modes.T[:4]]
     for alike in ((3.4, 3.2, 0.5), (9.0 - 3.4, 7.0 - 3.2, 0.5 + math.pi)):
         assert min(apart(top, alike)[0] for top in tops) < 0.2
 

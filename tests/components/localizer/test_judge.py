@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from cairn.components.localizer.landmark_evidence import (
+    EvidenceVerdict,
     LandmarkEvaluator,
     LandmarkEvidence,
     SimilarityMode,
-    Verdict,
 )
 from cairn.components.localizer.observations import Landmark, Observation
 from cairn.components.localizer.particle_set import PoseEstimate
@@ -55,19 +55,19 @@ def judge_of(mode: SimilarityMode = "lr") -> LandmarkEvaluator:
 def test_a_contradiction_that_stands_alone_hardly_counts() -> None:
     found = judged(judge_of(), 1, 0, (4.0, 2.0))
 
-    assert found.verdict is Verdict.DISAGREES
+    assert found.verdict is EvidenceVerdict.DISAGREES
     assert not found.corroborated
 
 
 def test_a_robot_that_was_somewhere_else_begins_to_judge_anew() -> None:
     judge = judge_of()
     wrongly = [judged(judge, 1, step, (A.x, A.y + 0.4)).verdict for step in range(10)]
-    assert wrongly[-1] is Verdict.DISAGREES
+    assert wrongly[-1] is EvidenceVerdict.DISAGREES
 
     judge.clear()
 
     rightly = [judged(judge, 1, step, (A.x, A.y)).verdict for step in range(10)]
-    assert Verdict.DISAGREES not in rightly
+    assert EvidenceVerdict.DISAGREES not in rightly
 
 
 def test_contradictions_from_three_places_that_agree_count() -> None:
@@ -93,7 +93,7 @@ def test_an_object_is_not_doubted_while_the_pose_that_relies_on_it_agrees() -> N
         for step in range(5)
     ]
 
-    assert verdicts == [Verdict.NOT_CONVERGED] * 5
+    assert verdicts == [EvidenceVerdict.NOT_CONVERGED] * 5
 
 
 def test_what_is_seen_in_anothers_place_is_a_false_match_for_long() -> None:
@@ -101,8 +101,8 @@ def test_what_is_seen_in_anothers_place_is_a_false_match_for_long() -> None:
 
     verdicts = [judged(judge, 1, step, (3.0, -1.0)).verdict for step in range(8)]
 
-    assert verdicts[:7] == [Verdict.FALSE_MATCH] * 7
-    assert verdicts[7] is Verdict.DISAGREES
+    assert verdicts[:7] == [EvidenceVerdict.FALSE_MATCH] * 7
+    assert verdicts[7] is EvidenceVerdict.DISAGREES
 
 
 def test_two_objects_that_are_seen_in_each_others_places_were_exchanged() -> None:
@@ -113,8 +113,8 @@ def test_two_objects_that_are_seen_in_each_others_places_were_exchanged() -> Non
         second = judged(judge, 2, step, (3.0, 1.0))
         verdicts.append((first.verdict, second.verdict))
 
-    assert verdicts[0][0] is Verdict.FALSE_MATCH
-    assert verdicts[4] == (Verdict.DISAGREES, Verdict.DISAGREES)
+    assert verdicts[0][0] is EvidenceVerdict.FALSE_MATCH
+    assert verdicts[4] == (EvidenceVerdict.DISAGREES, EvidenceVerdict.DISAGREES)
     assert judged(judge, 1, 6, (3.0, -1.0)).similarity == pytest.approx(0.1)
 
 
@@ -129,8 +129,8 @@ def test_an_object_that_was_moved_a_little_is_found_out_by_many_sightings(seed: 
         dx, dy = 0.1 * random.standard_normal(2)
         verdicts.append(judged(judge, 1, step, (3.33 + dx, 1.0 + dy), sd=0.15).verdict)
 
-    assert Verdict.AGREES in verdicts[:6]
-    assert verdicts[6:].count(Verdict.DISAGREES) >= 3
+    assert EvidenceVerdict.AGREES in verdicts[:6]
+    assert verdicts[6:].count(EvidenceVerdict.DISAGREES) >= 3
 
 
 def test_mistaken_identities_do_not_shift_an_object() -> None:
@@ -143,7 +143,7 @@ def test_mistaken_identities_do_not_shift_an_object() -> None:
         for step in range(4, 12)
     }
 
-    assert verdicts == {Verdict.AGREES}
+    assert verdicts == {EvidenceVerdict.AGREES}
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -156,12 +156,12 @@ def test_an_object_that_was_not_moved_agrees_for_ever(seed: int) -> None:
         dx, dy = 0.08 * random.standard_normal(2)
         verdicts.add(judged(judge, 1, step % 10, (3.05 + dx, 1.0 + dy), sd=0.15).verdict)
 
-    assert verdicts == {Verdict.AGREES}
+    assert verdicts == {EvidenceVerdict.AGREES}
 
 
 def test_a_gate_and_the_letter_wait_for_nothing() -> None:
-    assert judged(judge_of("chi_square"), 1, 0, (4.0, 2.0)).verdict is Verdict.DISAGREES
+    assert judged(judge_of("chi_square"), 1, 0, (4.0, 2.0)).verdict is EvidenceVerdict.DISAGREES
     assert judged(judge_of("chi_square"), 1, 0, (4.0, 2.0)).similarity == pytest.approx(0.1)
-    assert judged(judge_of("chi_square"), 1, 0, (3.0, 1.0)).verdict is Verdict.AGREES
+    assert judged(judge_of("chi_square"), 1, 0, (3.0, 1.0)).verdict is EvidenceVerdict.AGREES
     # Without anything else seen, samples on a ring do not converge: no evidence.
-    assert judged(judge_of("letter"), 1, 0, (4.0, 2.0)).verdict is Verdict.NOT_CONVERGED
+    assert judged(judge_of("paper_rule"), 1, 0, (4.0, 2.0)).verdict is EvidenceVerdict.NOT_CONVERGED

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cairn.components.localizer.config import LocalizationSettings
-from cairn.components.localizer.landmark_evidence import Verdict
+from cairn.components.localizer.landmark_evidence import EvidenceVerdict
 from cairn.components.localizer.localization import EvidenceFrame, Localization
 from cairn.components.localizer.observations import Landmark, Observation
 from cairn.components.localizer.odometry import CommandedTrack, MotionModel
@@ -43,7 +43,7 @@ class Run:
                 self.errors.append(math.hypot(x - moment.pose[0], y - moment.pose[1]))
         return self
 
-    def verdicts(self, object_id: int) -> list[Verdict]:
+    def verdicts(self, object_id: int) -> list[EvidenceVerdict]:
         return [
             j.verdict
             for _, frame in self.frames
@@ -59,7 +59,7 @@ def test_a_known_start_is_kept_to_centimeters() -> None:
     run.through(drive(60.0))
 
     assert np.sqrt(np.mean(np.square(run.errors))) < 0.12
-    assert Verdict.DISAGREES not in {v for i in range(1, 8) for v in run.verdicts(i)}
+    assert EvidenceVerdict.DISAGREES not in {v for i in range(1, 8) for v in run.verdicts(i)}
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -81,7 +81,7 @@ def test_a_moved_object_is_told_from_those_that_stand_still(mode: str) -> None:
         (j.observation.object_id, j.corroborated)
         for _, frame in run.frames
         for j in frame.evidence
-        if j.verdict is Verdict.DISAGREES
+        if j.verdict is EvidenceVerdict.DISAGREES
     ]
     assert sum(i == 3 for i, _ in lowered) >= 5
     assert {i for i, corroborated in lowered if corroborated} == {3}
@@ -126,8 +126,8 @@ def test_a_sighting_taken_for_another_object_is_a_false_match() -> None:
         assert judgment.similarity == 0.5
         verdicts.append(judgment.verdict)
 
-    assert verdicts.count(Verdict.FALSE_MATCH) >= 5
-    assert set(verdicts) <= {Verdict.FALSE_MATCH, Verdict.NOT_CONVERGED}
+    assert verdicts.count(EvidenceVerdict.FALSE_MATCH) >= 5
+    assert set(verdicts) <= {EvidenceVerdict.FALSE_MATCH, EvidenceVerdict.NOT_CONVERGED}
 
 
 def test_nothing_is_lowered_while_the_robot_is_badly_located() -> None:

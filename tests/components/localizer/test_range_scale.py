@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from cairn.components.localizer.landmark_evidence import (
+    EvidenceVerdict,
     LandmarkEvaluator,
     LandmarkEvidence,
     SimilarityMode,
-    Verdict,
 )
 from cairn.components.localizer.observations import Landmark, Observation
 from cairn.components.localizer.particle_set import PoseEstimate
@@ -59,7 +59,7 @@ def test_no_object_is_doubted_if_all_ranges_are_wrong(factor: float, mode: Simil
 
     evidence = robot.looks_around(dict.fromkeys(MAP, factor))
 
-    assert not [one for one in evidence if one.verdict is Verdict.DISAGREES]
+    assert not [one for one in evidence if one.verdict is EvidenceVerdict.DISAGREES]
     assert robot.judge.ranges.wrong == pytest.approx(factor, abs=0.02)
 
 
@@ -72,7 +72,7 @@ def test_an_object_that_moved_towards_the_robot_is_doubted_as_the_others_are_rig
     evidence = robot.looks_around({0: factor})
 
     assert robot.judge.ranges.wrong is None
-    doubted = [one for one in evidence if one.verdict is Verdict.DISAGREES]
+    doubted = [one for one in evidence if one.verdict is EvidenceVerdict.DISAGREES]
     assert {one.observation.object_id for one in doubted} == {0}
     assert min(one.similarity for one in doubted) == pytest.approx(0.1)
 
@@ -83,7 +83,7 @@ def test_nothing_is_wrong_with_ranges_that_err_by_chance() -> None:
     evidence = robot.looks_around({})
 
     assert robot.judge.ranges.wrong is None
-    assert {one.verdict for one in evidence} == {Verdict.AGREES}
+    assert {one.verdict for one in evidence} == {EvidenceVerdict.AGREES}
 
 
 def test_the_first_object_that_is_seen_cannot_tell_whether_it_or_the_camera_is_wrong() -> None:
@@ -95,8 +95,8 @@ def test_the_first_object_that_is_seen_cannot_tell_whether_it_or_the_camera_is_w
             robot.sees(key, at, 1.0)
     among_others = [robot.sees(0, at, 0.7) for at in WAY]
 
-    assert {one.verdict for one in alone} == {Verdict.NOT_CONVERGED}
-    assert {one.verdict for one in among_others} == {Verdict.DISAGREES}
+    assert {one.verdict for one in alone} == {EvidenceVerdict.NOT_CONVERGED}
+    assert {one.verdict for one in among_others} == {EvidenceVerdict.DISAGREES}
 
 
 def test_nothing_is_learnt_while_ranges_are_wrong() -> None:
@@ -106,4 +106,4 @@ def test_nothing_is_learnt_while_ranges_are_wrong() -> None:
 
     found = robot.judge.place(Observation(9, 2.0, 0.1, 0.001, 0.0001), here, healthy=True)
 
-    assert found.verdict is Verdict.NOT_CONVERGED
+    assert found.verdict is EvidenceVerdict.NOT_CONVERGED
