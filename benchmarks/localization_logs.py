@@ -114,7 +114,7 @@ def localization(grid: OccupancyCells, seed: int) -> Localization:
     """The localizer with its default parameters."""
     settings = LocalizationSettings(particles=500, motion=MeasuredBase().model())
     one = Localization(settings, MeasuredTrack(), np.random.default_rng(seed))
-    one.use_grid(grid)
+    one.set_grid(grid)
     return one
 
 
@@ -133,11 +133,11 @@ def drive(
         time = float(log.scan_at[k])
         while next_odometry < len(log.odometry_at):
             x, y, theta = log.odometry[next_odometry].tolist()
-            robot.command(float(log.odometry_at[next_odometry]), (x, y, theta), 0.0, 0.0)
+            robot.add_odometry(float(log.odometry_at[next_odometry]), (x, y, theta), 0.0, 0.0)
             next_odometry += 1
             if log.odometry_at[next_odometry - 1] >= time:
                 break
-        robot.scan(time, log.points[k])
+        robot.fuse_scan(time, log.points[k])
         if not robot.located:
             rows.append((time, math.nan, math.nan, 0.0, math.nan))
             continue
@@ -162,7 +162,7 @@ def from_known_start(
     first = int(np.searchsorted(log.scan_at, begin_s))
     robot.advance(float(log.scan_at[first]))
     x, y, theta = log.truth[first].tolist()
-    robot.locate((x, y, theta), np.diag([0.05**2, 0.05**2, 0.03**2]))
+    robot.set_pose((x, y, theta), np.diag([0.05**2, 0.05**2, 0.03**2]))
     return drive(robot, log, given, begin_s, end_s)
 
 

@@ -109,9 +109,9 @@ def run(
         settings, CommandedTrack(LAG_S, *GAINS), np.random.default_rng(seed)
     )
     visual_map = VisualMap(objects)
-    localization.use_map(landmarks_of(visual_map))
+    localization.set_landmarks(landmarks_of(visual_map))
     if start is not None:
-        localization.locate(start, np.diag([0.05**2, 0.05**2, 0.03**2]))
+        localization.set_pose(start, np.diag([0.05**2, 0.05**2, 0.03**2]))
     outcome = Outcome(np.empty((0, 4)), visual_map.objects)
     poses: list[tuple[float, float, float, float]] = []
     frames = [f for f in recording.frames if f[0] >= begin]
@@ -126,12 +126,12 @@ def run(
     times, forward, turn = rows[:, 0].tolist(), rows[:, 1].tolist(), rows[:, 2].tolist()
     for t, sightings in events:
         while k < count and times[k] <= t:
-            localization.command(times[k], STILL, forward[k], turn[k])
+            localization.add_odometry(times[k], STILL, forward[k], turn[k])
             k += 1
         if sightings is None:
             localization.advance(t)
         else:
-            frame = localization.sight(t, sightings)
+            frame = localization.fuse_objects(t, sightings)
             if frame is not None and update_map:
                 _update(t, localization, visual_map, frame, outcome)
         if localization.located:
@@ -173,7 +173,7 @@ def _update(
         outcome.relocalized += 1
         changes += visual_map.take_back(localization.confirmed_until)[1]
     outcome.changes += [(t, c) for c in changes]
-    localization.use_map(landmarks_of(visual_map))
+    localization.set_landmarks(landmarks_of(visual_map))
 
 
 def errors(outcome: Outcome, recording: Recording, step: float = 0.1) -> NDArray[np.float64]:

@@ -171,8 +171,8 @@ def wander(
     errors, covariances = [], []
     for k in range(round(10 * seconds)):
         points = scan(grid, pose, 120, random)
-        robot.command(0.1 * k, odometry, 0.0, 0.0)
-        robot.scan(0.1 * k, points)
+        robot.add_odometry(0.1 * k, odometry, 0.0, 0.0)
+        robot.fuse_scan(0.1 * k, points)
         if robot.located:
             known = robot.pose()
             x, y, theta = known.mean
@@ -192,7 +192,7 @@ def new_robot(grid: OccupancyCells, seed: int) -> Localization:
     """A localizer with the default parameters."""
     settings = LocalizationSettings(particles=500, motion=MODEL)
     robot = Localization(settings, MeasuredTrack(), np.random.default_rng(seed))
-    robot.use_grid(grid)
+    robot.set_grid(grid)
     return robot
 
 
@@ -224,7 +224,7 @@ def tracking(runs: int) -> tuple[Array, Array]:
     for seed in range(runs):
         grid = floor(9.0, 4, seed)
         robot = new_robot(grid, seed)
-        robot.locate(START, np.diag([0.05**2, 0.05**2, 0.03**2]))
+        robot.set_pose(START, np.diag([0.05**2, 0.05**2, 0.03**2]))
         errors, covariances, _ = wander(robot, grid, START, 30.0, seed)
         far.append(np.hypot(errors[20:, 0], errors[20:, 1]))
         for error, covariance in zip(errors[20:, :2], covariances[20:, :2, :2], strict=True):

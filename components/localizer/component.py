@@ -18,7 +18,7 @@ from cairn import (
     Config,
     In,
     Out,
-    ParameterRefused,
+    ParameterRejected,
     RateLimitedLog,
     every,
     from_ns,
@@ -26,6 +26,7 @@ from cairn import (
     to_ns,
 )
 from cairn.components.localizer.config import LocalizerConfig
+from cairn.components.localizer.health import ScannerMonitor
 from cairn.components.localizer.localization import Localization
 from cairn.components.localizer.messages import (
     estimate_message,
@@ -36,7 +37,6 @@ from cairn.components.localizer.messages import (
     transform_message,
     view_of,
 )
-from cairn.components.localizer.health import ScannerMonitor
 from cairn.components.localizer.observations import as_observed_from, view_as_from
 from cairn.components.localizer.odometry import MeasuredTrack
 from cairn.components.localizer.start_pose import find_start_pose, operator_pose, save_last_pose
@@ -153,7 +153,7 @@ class Localizer(Component):
 
     def on_parameters(self, new: Config) -> None:  # noqa: ARG002 - none can be changed
         """Refuse: the particles are allocated once."""
-        raise ParameterRefused("the localizer takes its parameters when it is configured")
+        raise ParameterRejected("the localizer takes its parameters when it is configured")
 
     @on("map")
     def on_map(self, message: OccupancyGrid) -> None:
@@ -275,9 +275,7 @@ class Localizer(Component):
             why = f"{ahead_s:.1f} s ahead of the clock; set the clock of its driver"
         else:
             return True
-        self._warnings.warn(
-            topic, f"message on {topic} of {stamp:.3f} s ignored: it is {why}"
-        )
+        self._warnings.warn(topic, f"message on {topic} of {stamp:.3f} s ignored: it is {why}")
         return False
 
     def _restart_at(self, stamp: float) -> None:

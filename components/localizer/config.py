@@ -24,7 +24,7 @@ ObjectFusion = Literal["reliability", "certain"]
 
 @dataclass(frozen=True)
 class LocalizationSettings:
-    """What can be tuned; units in the names or in `LocalizerConfig`."""
+    """The parameters of the algorithm; units in the names or in `LocalizerConfig`."""
 
     particles: int = 400
     most_particles: int = 20_000
@@ -54,7 +54,7 @@ class StartPose(Config):
 
 
 class CommandedBase(Config):
-    """A base whose odometry is the velocities that it was commanded."""
+    """A base whose odometry holds the commanded velocities."""
 
     kind: Literal["commanded"] = Field(description="Velocities of odometry are commands.")
     lag_s: float = Field(0.17, ge=0, le=1, description="Delay of the base behind a command [s].")
@@ -72,16 +72,16 @@ class CommandedBase(Config):
     )
 
     def track(self) -> OdometryTrack:
-        """How its odometry is read."""
+        """Return a track that interprets its odometry."""
         return CommandedTrack(self.lag_s, self.forward_gain, self.turn_gain)
 
     def model(self) -> MotionModel:
-        """Its noise."""
+        """Return the noise of its motion."""
         return MotionModel(self.forward_noise, self.turn_noise)
 
 
 class MeasuredBase(Config):
-    """A base whose wheels measure the pose that odometry tells."""
+    """A base whose odometry is measured by its wheels."""
 
     kind: Literal["measured"] = Field("measured", description="Odometry is measured by wheels.")
     forward_slip: float = Field(
@@ -95,11 +95,11 @@ class MeasuredBase(Config):
     )
 
     def track(self) -> OdometryTrack:
-        """How its odometry is read."""
+        """Return a track that interprets its odometry."""
         return MeasuredTrack()
 
     def model(self) -> MotionModel:
-        """Its noise."""
+        """Return the noise of its motion."""
         return MotionModel(0.0, 0.0, self.forward_slip, self.turn_slip, self.turn_per_meter)
 
 
@@ -107,32 +107,34 @@ class LocalizerConfig(Config):
     """Parameters of the localizer."""
 
     start: StartPose | None = Field(
-        None, description="Known start; none: find the robot by what it sees."
+        None, description="Known start pose; none: search the map for the robot."
     )
     resume_file: Path | None = Field(
         None,
-        description="Where to keep the last pose, so that a localizer that is started anew within "
-        "a minute goes on from it; none: it begins at `start` again.",
+        description="File of the last pose, from which a localizer that is restarted within a "
+        "minute continues; none: it starts at `start` again.",
     )
-    mount: Mount = Field(Mount(), description="Where the scanner sits on the robot.")
+    mount: Mount = Field(Mount(), description="Pose of the scanner on the robot.")
     particles: int = Field(
-        500, ge=50, le=20_000, description="Least poses of the cloud while located [1]."
+        500, ge=50, le=20_000, description="Least number of particles while located [1]."
     )
     most_particles: int = Field(
-        20_000, ge=50, le=200_000, description="Most poses, where it is spread out [1]."
+        20_000, ge=50, le=200_000, description="Most particles, if they are spread out [1]."
     )
     leave_one_out_filters: int = Field(
-        16, ge=0, le=256, description="Objects that are judged by a cloud without them [1]."
+        16, ge=0, le=256, description="Objects that have a filter without them [1]."
     )
-    leave_one_out_particles: int = Field(400, ge=50, le=20_000, description="Poses of such a cloud [1].")
+    leave_one_out_particles: int = Field(
+        400, ge=50, le=20_000, description="Particles of such a filter [1]."
+    )
     search_particles: int = Field(
-        20_000, ge=1000, le=500_000, description="Least poses drawn to find a robot anywhere [1]."
+        20_000, ge=1000, le=500_000, description="Least poses drawn in a global search [1]."
     )
     independence: float = Field(
         0.15,
         gt=0,
         le=1,
-        description="Share of a observation's log-likelihood that counts, as the errors of "
+        description="Share of an observation's log-likelihood that counts, as the errors of "
         "successive observations repeat [1].",
     )
     beams: int = Field(60, ge=10, le=5000, description="Beams of a scan that are used [1].")
@@ -151,29 +153,32 @@ class LocalizerConfig(Config):
     )
     mode: SimilarityMode = Field(
         "lr",
-        description="Similarity by likelihood ratio, or by new samples as in the paper; to compare "
-        "with: the paper's rule to the letter, or a chi-square gate.",
+        description="Similarity by likelihood ratio (lr), or by new samples as in the paper; for "
+        "comparison: the paper's literal rule, or a chi-square gate.",
     )
     fusion: ObjectFusion = Field(
         "reliability",
-        description="An object has a say in the pose by its reliability; to compare with: at its "
-        "word, as if all stood where the map says.",
+        description="Objects influence the pose by their reliability; for comparison: as if all "
+        "certainly stood where the map says.",
     )
     ring_samples: int = Field(
         300, ge=50, le=10_000, description="New samples around an object in mode paper [1]."
     )
     healthy_spread: float = Field(
-        0.35, gt=0, le=5, description="Position deviation up to which objects are judged [m]."
+        0.35,
+        gt=0,
+        le=5,
+        description="Position deviation up to which objects are compared with the pose [m].",
     )
     hold_s: float = Field(
-        1.5, ge=0, le=5, description="How long a observation waits for odometry to reach it [s]."
+        1.5, ge=0, le=5, description="How long a message waits for odometry to reach it [s]."
     )
     base: MeasuredBase | CommandedBase = Field(
-        MeasuredBase(), discriminator="kind", description="How odometry is to be read."
+        MeasuredBase(), discriminator="kind", description="How odometry is interpreted."
     )
 
     def settings(self) -> LocalizationSettings:
-        """The parameters as the algorithm takes them."""
+        """Return the parameters of the algorithm."""
         return LocalizationSettings(
             particles=self.particles,
             most_particles=max(self.particles, self.most_particles),

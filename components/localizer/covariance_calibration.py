@@ -23,8 +23,8 @@ _NARROWEST, _WIDEST = 0.2, 3.0
 _LONGEST_LAG = 6.0
 # Random corrections leave this share of their mean square in their running mean, seldom more.
 _AT_RANDOM = 4.0 * _NEWEST_STEP
-# Exact beams deviate so much from a map of cells, and move the pose so far [cells]; what is beyond is
-# the error of the map, which turns the robot so much [rad / m].
+# Exact beams deviate so much from a map of cells, and move the pose so far [cells]; what is beyond
+# is the error of the map, which turns the robot so much [rad / m].
 _DEVIATION_OF_CELLS, _ERROR_OF_CELLS = 0.54, 0.125
 _TURN_PER_M = 0.1
 _LEAST_TURN = 0.002

@@ -111,7 +111,7 @@ class ScannerMonitor:
 
         `contradicted`: it hit nothing, although the map has obstacles within its reach.
         """
-        self._invalid = contradicted or not rays.tell
+        self._invalid = contradicted or not rays.informative
         if self._invalid:
             return False
         self._valid_at = stamp
@@ -122,15 +122,17 @@ class ScannerMonitor:
     def limit(self, health: PoseHealth, now: float, topic: str) -> PoseHealth:
         """Return the health at the time `now` [s] with the scans on `topic`."""
         if self._invalid and now - self._valid_at > _INVALID_S:
-            most, since, kind = _MOST_WITHOUT_SCANS, now - self._valid_at, "valid scan"
+            most, since = _MOST_WITHOUT_SCANS, now - self._valid_at
+            text = f"no valid scan on {topic}"
             code = ReasonCode.SCAN_INVALID
         elif now - self._hit_at > SILENT_S:
-            most, since, kind = _MOST_WITHOUT_HITS, now - self._hit_at, "scan that hits anything"
+            most, since = _MOST_WITHOUT_HITS, now - self._hit_at
+            text = f"no scan on {topic} that hits anything"
             code = ReasonCode.SCAN_HITS_NOTHING
         else:
             return health
         how_long = f"for {since:.1f} s" if math.isfinite(since) else "so far"
-        reason = Reason(code, f"no {kind} on {topic} {how_long}")
+        reason = Reason(code, f"{text} {how_long}")
         return replace(health, value=min(health.value, most), reason=reason)
 
 

@@ -1,4 +1,4 @@
-"""Between the localizer's types and the messages on the bus."""
+"""Conversions between the types of the localizer and messages."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ from cairn.schemas.geometry_msgs import (
 from cairn.schemas.std_msgs import Header
 from cairn.schemas.tf2_msgs import TFMessage
 
-# A observation whose sender states no covariance is taken to be this good [m, rad].
+# Deviations of an observation whose sender states no covariance [m], [rad].
 _RANGE_SD, _BEARING_SD = 0.2, math.radians(3.0)
 
 
 def landmarks_of(visual_map: VisualMap) -> list[Landmark]:
-    """The objects of the map as landmarks."""
+    """Return the objects of the map as landmarks."""
     return [
         Landmark(
             object_id=o.object_id,
@@ -54,7 +54,7 @@ def landmarks_of(visual_map: VisualMap) -> list[Landmark]:
 
 
 def observations_of(message: RecognizedObjectArray) -> list[Observation]:
-    """The recognized objects as observations."""
+    """Return the recognized objects as observations."""
     return [
         Observation(
             object_id=o.object_id,
@@ -69,14 +69,14 @@ def observations_of(message: RecognizedObjectArray) -> list[Observation]:
 
 
 def view_of(message: RecognizedObjectArray) -> CameraView | None:
-    """Where an object could have been recognized; None if that is not known."""
+    """Return where an object could have been recognized; None if that is not known."""
     if message.view_left <= message.view_right:
         return None
     return CameraView(message.view_right, message.view_left, message.nearest, message.farthest)
 
 
 def transform_message(header: Header, pose: Pose, in_odometry: Pose) -> TFMessage:
-    """The transform map -> odom that puts the odometry frame's pose where the robot is."""
+    """Return the transform map -> odom: `in_odometry` becomes `pose`."""
     x, y, theta = compose(pose, inverse(in_odometry))
     transform = Transform(
         translation=Vector3(x=x, y=y),
@@ -111,7 +111,7 @@ def estimate_message(
 def relocalization_message(
     header: Header, found: PoseEstimate, confirmed_until: float
 ) -> Relocalization:
-    """Where a lost robot was found, and until when [s] it was not lost, -inf if nobody knows."""
+    """Return where a lost robot was found, and until when [s] it was not lost, -inf if unknown."""
     return Relocalization(
         header=header,
         pose=with_covariance(found.mean, found.covariance),
@@ -137,17 +137,17 @@ def evidence_message(header: Header, frame: EvidenceFrame) -> ObjectEvidenceArra
     )
 
 
-def _evidence(judgment: LandmarkEvidence) -> ObjectEvidence:
-    covariance = 0.5 * (judgment.covariance + judgment.covariance.T)
+def _evidence(one: LandmarkEvidence) -> ObjectEvidence:
+    covariance = 0.5 * (one.covariance + one.covariance.T)
     return ObjectEvidence(
-        object_id=judgment.observation.object_id,
-        similarity=judgment.similarity,
-        verdict=int(judgment.verdict),
-        distance=judgment.distance,
-        x=judgment.x,
-        y=judgment.y,
+        object_id=one.observation.object_id,
+        similarity=one.similarity,
+        verdict=int(one.verdict),
+        distance=one.distance,
+        x=one.x,
+        y=one.y,
         covariance=covariance.ravel(),
-        range=judgment.observation.range_m,
-        bearing=judgment.observation.bearing,
-        corroborated=judgment.corroborated,
+        range=one.observation.range_m,
+        bearing=one.observation.bearing,
+        corroborated=one.corroborated,
     )

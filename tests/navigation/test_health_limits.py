@@ -11,17 +11,17 @@ from cairn.components.map_builder.config import MapBuilderConfig
 from cairn.components.motion_control.config import MotionControlConfig
 from cairn.components.path_planner.config import PathPlannerConfig
 from cairn.planar.scans import Rays
-from cairn.schemas.cairn_nav_msgs import ReasonCode
+from cairn.schemas.cairn_nav_msgs import NO_REASON, Reason, ReasonCode
 
-BEST = PoseHealth(1.0, ReasonCode.NONE, "", PoseSupport(0, 0), None)
-JUST_FOUND = limit_unconfirmed(BEST, ReasonCode.UNCONFIRMED, "why").value
+BEST = PoseHealth(1.0, NO_REASON, PoseSupport(0, 0), None)
+JUST_FOUND = limit_unconfirmed(BEST, Reason(ReasonCode.UNCONFIRMED, "why")).value
 
 
 def out_of_reach() -> float:
     """The health of a robot whose scanner reaches nothing."""
     watch, ranges = ScannerMonitor(), np.full(60, np.inf)
-    watch.note(2.0, Rays(np.zeros((60, 2)), np.zeros(60), ranges, 10.0), contradicted=False)
-    return watch.limited(BEST, 2.0, "scan").value
+    watch.add(2.0, Rays(np.zeros((60, 2)), np.zeros(60), ranges, 10.0), contradicted=False)
+    return watch.limit(BEST, 2.0, "scan").value
 
 
 AUTOMOVE, MOTION = AutoMoveConfig(), MotionControlConfig()

@@ -18,7 +18,7 @@ class Method:
 
 
 OURS = Method("ours", "ours (likelihood ratio)", {"mode": "lr"}, {"rule": "reliability"})
-LETTER = Method("letter", "paper, to the letter", {"mode": "letter"}, {"rule": "letter"})
+LETTER = Method("letter", "paper, to the letter", {"mode": "paper_rule"}, {"rule": "letter"})
 PAPER = Method("paper", "paper, clamped", {"mode": "paper"}, {"rule": "reliability"})
 CHI_SQUARE = Method(
     "chi_square", "chi-square gate", {"mode": "chi_square"}, {"rule": "reliability"}
@@ -27,7 +27,7 @@ PERSISTENCE = Method("persistence", "persistence filter", {"mode": "lr"}, {"rule
 NO_UPDATE = Method("no_update", "no update", {"mode": "lr"}, {"update_objects": False})
 
 # A filter without doubt, as the paper's seems to be: what it does when the map is wrong.
-_WORD = {"mode": "lr", "fusion": "at_its_word", "independence": 1.0}
+_WORD = {"mode": "lr", "fusion": "certain", "independence": 1.0}
 OURS_AT_ITS_WORD = Method("word", "ours, objects at their word", _WORD)
 NO_UPDATE_AT_ITS_WORD = Method(
     "word_no_update", "no update, objects at their word", _WORD, {"update_objects": False}

@@ -8,7 +8,7 @@ import pytest
 from cairn.components.localizer.absence_detector import (
     AbsenceDetector,
     expected,
-    free_sight,
+    is_visible,
 )
 from cairn.components.localizer.observations import CameraView, Landmark, Observation
 from cairn.components.localizer.particle_set import PoseEstimate
@@ -23,8 +23,8 @@ NO_MISSES = np.empty((0, 2))
 
 def ensure_filter(points: np.ndarray = WALL, scanned: float = 10.0) -> AbsenceDetector:
     it = AbsenceDetector()
-    it.scanned(scanned, points, NO_MISSES, (0.0, 0.0, 0.0))
-    it.agreed(10.0, [2])
+    it.add_scan(scanned, points, NO_MISSES, (0.0, 0.0, 0.0))
+    it.add_agreeing(10.0, [2])
     return it
 
 
@@ -32,7 +32,7 @@ def missed(
     it: AbsenceDetector, *seen: Observation, stamp: float = 10.0, poster: Landmark = POSTER
 ) -> list[int]:
     landmarks = {1: poster, 2: ELSEWHERE}
-    found = it.missed(
+    found = it.missing(
         stamp,
         AHEAD,
         [Observation(2, 2.2, 0.4, 0.01, 0.001), *seen],
@@ -84,11 +84,11 @@ def test_where_one_object_after_another_is_missed_it_is_the_light_that_fails() -
     it = ensure_filter()
     dark = {1: POSTER, 3: Landmark(3, 2.9, 0.6)}
 
-    it.scanned(14.0, WALL, NO_MISSES, (0.0, 0.0, 0.0))
-    at_first = it.missed(11.0, AHEAD, [], dark, SURE, (0.0, 0.0, 0.0))
-    then = it.missed(14.0, AHEAD, [], dark, SURE, (0.0, 0.0, 0.0))
-    it.agreed(15.0, [2])
-    with_another = it.missed(15.0, AHEAD, [], dark, SURE, (0.0, 0.0, 0.0))
+    it.add_scan(14.0, WALL, NO_MISSES, (0.0, 0.0, 0.0))
+    at_first = it.missing(11.0, AHEAD, [], dark, SURE, (0.0, 0.0, 0.0))
+    then = it.missing(14.0, AHEAD, [], dark, SURE, (0.0, 0.0, 0.0))
+    it.add_agreeing(15.0, [2])
+    with_another = it.missing(15.0, AHEAD, [], dark, SURE, (0.0, 0.0, 0.0))
 
     # The camera saw well a moment ago: for a moment these two may have been taken away together.
     assert [landmark.object_id for landmark, _, _ in at_first] == [1, 3]
@@ -101,7 +101,7 @@ def test_the_scan_is_seen_from_where_the_robot_has_come_since() -> None:
     it = ensure_filter(np.array([[1.0, 0.0], [3.0, 0.0]]))
     past = PoseEstimate((1.5, 0.0, 0.0), SURE.covariance)
 
-    found = it.missed(10.0, AHEAD, [], {1: POSTER, 2: ELSEWHERE}, past, (1.5, 0.0, 0.0))
+    found = it.missing(10.0, AHEAD, [], {1: POSTER, 2: ELSEWHERE}, past, (1.5, 0.0, 0.0))
 
     assert [landmark.object_id for landmark, _, _ in found] == [1]
 
@@ -119,5 +119,5 @@ def test_a_robot_that_is_not_sure_of_its_heading_expects_less() -> None:
 
 
 def test_a_beam_that_hits_nothing_on_its_way_shows_that_the_sight_is_free() -> None:
-    assert free_sight(np.empty((0, 2)), np.array([[4.0, 0.01]]), 3.0, 0.0)
-    assert not free_sight(np.empty((0, 2)), np.array([[2.0, 0.01]]), 3.0, 0.0)
+    assert is_visible(np.empty((0, 2)), np.array([[4.0, 0.01]]), 3.0, 0.0)
+    assert not is_visible(np.empty((0, 2)), np.array([[2.0, 0.01]]), 3.0, 0.0)

@@ -12,8 +12,8 @@ MAP = {mark.object_id: mark for mark in (HERE, BESIDE, FAR)}
 def until(*agreed: tuple[float, int]) -> float:
     it = ConfirmationHistory()
     for stamp, object_id in agreed:
-        it.note(stamp, [object_id])
-    it.placed_anew(MAP)
+        it.add(stamp, [object_id])
+    it.on_pose_replaced(MAP)
     return it.confirmed_until
 
 
@@ -33,12 +33,12 @@ def test_objects_that_stand_together_are_one_place() -> None:
 def test_what_agreed_with_another_pose_does_not_count_together() -> None:
     it = ConfirmationHistory()
     for stamp, object_id in ((1.0, 1), (2.0, 3)):
-        it.note(stamp, [object_id])
-    it.placed_anew(MAP)
-    it.note(3.0, [1])
-    it.placed_anew(MAP)
-    it.note(4.0, [3])
-    it.placed_anew(MAP)
+        it.add(stamp, [object_id])
+    it.on_pose_replaced(MAP)
+    it.add(3.0, [1])
+    it.on_pose_replaced(MAP)
+    it.add(4.0, [3])
+    it.on_pose_replaced(MAP)
 
     assert it.confirmed_until == 1.0
 

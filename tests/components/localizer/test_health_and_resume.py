@@ -9,10 +9,10 @@ import pytest
 from cairn.components.localizer.health import ScannerMonitor, assess_health, limit_unconfirmed
 from cairn.components.localizer.particle_set import PoseEstimate
 from cairn.components.localizer.recent_observations import PoseSupport
-from cairn.components.localizer.start_pose import load_last_pose, save
+from cairn.components.localizer.start_pose import load_last_pose, save_last_pose
 from cairn.planar.poses import Pose
 from cairn.planar.scans import Rays
-from cairn.schemas.cairn_nav_msgs import ReasonCode
+from cairn.schemas.cairn_nav_msgs import NO_REASON, Reason, ReasonCode
 
 LOG = logging.getLogger(__name__)
 NOTHING = PoseSupport(0, 0)
@@ -25,7 +25,7 @@ def pose(spread_m: float = 0.05, heading: float = 0.02) -> PoseEstimate:
 def test_a_good_pose_has_full_health_and_no_reason() -> None:
     health = assess_health(pose(), PoseSupport(3, 0), 0.9)
 
-    assert (health.value, health.reason) == (1.0, "")
+    assert (health.value, health.reason) == (1.0, NO_REASON)
 
 
 @pytest.mark.parametrize(
@@ -43,7 +43,7 @@ def test_the_worst_side_decides_and_is_named(
     health = assess_health(estimate, support, fit)
 
     assert health.value < 0.35
-    assert word in health.reason
+    assert word in health.reason.text
 
 
 def test_objects_that_contradict_weigh_less_where_the_scan_fits() -> None:
@@ -55,9 +55,9 @@ def test_what_is_not_sure_is_worth_half_at_most() -> None:
     well = assess_health(pose(), NOTHING, 0.9)
     ill = assess_health(pose(spread_m=0.55), NOTHING, 0.9)
 
-    assert limit_unconfirmed(well, ReasonCode.UNCONFIRMED, "why").value < 0.5
-    assert limit_unconfirmed(well, ReasonCode.UNCONFIRMED, "why").reason == "why"
-    assert limit_unconfirmed(ill, ReasonCode.UNCONFIRMED, "why") == ill
+    assert limit_unconfirmed(well, Reason(ReasonCode.UNCONFIRMED, "why")).value < 0.5
+    assert limit_unconfirmed(well, Reason(ReasonCode.UNCONFIRMED, "why")).reason.text == "why"
+    assert limit_unconfirmed(ill, Reason(ReasonCode.UNCONFIRMED, "why")) == ill
 
 
 def rays(hits: int, misses: int, unknown: int) -> Rays:
@@ -70,29 +70,29 @@ def rays(hits: int, misses: int, unknown: int) -> Rays:
     [
         (rays(20, 40, 0), False, 1.0, 1.0, ""),
         (rays(0, 60, 0), False, 0.5, 0.5, "no scan on /scan that hits anything for 2.0 s"),
-        (rays(0, 60, 0), True, 0.0, 0.2, "no scan on /scan that tells anything for 2.0 s"),
-        (rays(0, 0, 60), False, 0.0, 0.2, "no scan on /scan that tells anything for 2.0 s"),
-        (rays(0, 0, 0), False, 0.0, 0.2, "no scan on /scan that tells anything for 2.0 s"),
-        (rays(1, 0, 59), False, 0.0, 0.2, "no scan on /scan that tells anything for 2.0 s"),
+        (rays(0, 60, 0), True, 0.0, 0.2, "no valid scan on /scan for 2.0 s"),
+        (rays(0, 0, 60), False, 0.0, 0.2, "no valid scan on /scan for 2.0 s"),
+        (rays(0, 0, 0), False, 0.0, 0.2, "no valid scan on /scan for 2.0 s"),
+        (rays(1, 0, 59), False, 0.0, 0.2, "no valid scan on /scan for 2.0 s"),
     ],
 )
 def test_the_less_scans_tell_the_less_the_pose_is_worth(
     seen: Rays, contradicted: bool, least: float, most: float, why: str
 ) -> None:
     well, watch = assess_health(pose(), NOTHING, 0.9), ScannerMonitor()
-    watch.note(8.0, rays(60, 0, 0), contradicted=False)
+    watch.add(8.0, rays(60, 0, 0), contradicted=False)
 
     for tenth in range(20):
-        watch.note(8.1 + 0.1 * tenth, seen, contradicted)
-    found = watch.limited(well, 10.0, "/scan")
+        watch.add(8.1 + 0.1 * tenth, seen, contradicted)
+    found = watch.limit(well, 10.0, "/scan")
 
     assert least <= found.value <= most
-    assert found.reason == why
+    assert found.reason.text == why
 
 
 def test_the_last_pose_is_carried_on_by_odometry(tmp_path: Path) -> None:
     file = tmp_path / "pose.json"
-    save(file, 100.0, (1.0, 2.0, 0.5), np.diag([1e-4, 1e-4, 1e-4]), (5.0, 5.0, 0.5))
+    save_last_pose(file, 100.0, (1.0, 2.0, 0.5), np.diag([1e-4, 1e-4, 1e-4]), (5.0, 5.0, 0.5))
 
     found = load_last_pose(file, 102.0, (5.0 + np.cos(0.5), 5.0 + np.sin(0.5), 0.5), LOG)
 
@@ -103,7 +103,7 @@ def test_the_last_pose_is_carried_on_by_odometry(tmp_path: Path) -> None:
 
 def test_odometry_that_began_anew_leaves_the_robot_where_it_was(tmp_path: Path) -> None:
     file = tmp_path / "pose.json"
-    save(file, 100.0, (1.0, 2.0, 0.5), np.diag([1e-4, 1e-4, 1e-4]), (50.0, 5.0, 0.5))
+    save_last_pose(file, 100.0, (1.0, 2.0, 0.5), np.diag([1e-4, 1e-4, 1e-4]), (50.0, 5.0, 0.5))
 
     found = load_last_pose(file, 101.0, (0.0, 0.0, 0.0), LOG)
 
@@ -116,7 +116,7 @@ def test_odometry_that_began_anew_leaves_the_robot_where_it_was(tmp_path: Path) 
 def test_a_pose_of_another_time_is_not_used(tmp_path: Path, now_s: float) -> None:
     file = tmp_path / "pose.json"
     where: Pose = (1.0, 2.0, 0.5)
-    save(file, 100.0, where, np.eye(3), where)
+    save_last_pose(file, 100.0, where, np.eye(3), where)
 
     assert load_last_pose(file, now_s, where, LOG) is None
 
@@ -129,5 +129,5 @@ def test_a_damaged_file_is_told_and_not_used(
     file.write_text(text, encoding="utf-8")
 
     assert load_last_pose(file, 100.0, (0.0, 0.0, 0.0), LOG) is None
-    assert "does not hold a pose" in caplog.text
+    assert "not used" in caplog.text
     assert load_last_pose(tmp_path / "none.json", 100.0, (0.0, 0.0, 0.0), LOG) is None

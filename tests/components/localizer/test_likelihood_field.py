@@ -115,7 +115,7 @@ def test_a_map_taken_anew_is_as_one_made_of_it() -> None:
     poses = random.uniform((0.0, -2.0, -3.0), (3.0, 0.0, 3.0), (20, 3)).T.copy()
     points = random.uniform(-2.0, 2.0, (30, 2))
 
-    same, other = kept.take(Grid(second, frame)), kept.take(Grid(second[:30], frame))
+    same, other = kept.replace(Grid(second, frame)), kept.replace(Grid(second[:30], frame))
 
     assert (same, other) == (True, False)
     made = ScanMap(Grid(second, frame), SIGMA, STRAY)

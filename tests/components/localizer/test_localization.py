@@ -25,15 +25,17 @@ class Run:
         settings = LocalizationSettings(motion=EXACT, search_particles=8000, mode=mode)  # type: ignore[arg-type]
         track = CommandedTrack(lag_s=0.0)
         self.localization = Localization(settings, track, np.random.default_rng(seed))
-        self.localization.use_map(objects)
+        self.localization.set_landmarks(objects)
         self.errors: list[float] = []
         self.frames: list[tuple[Moment, EvidenceFrame]] = []
         self.confirmed_until: list[float] = []
 
     def through(self, moments: Iterable[Moment]) -> "Run":
         for moment in moments:
-            self.localization.command(moment.time, (0.0, 0.0, 0.0), moment.forward, moment.turn)
-            frame = self.localization.sight(moment.time, moment.observations)
+            self.localization.add_odometry(
+                moment.time, (0.0, 0.0, 0.0), moment.forward, moment.turn
+            )
+            frame = self.localization.fuse_objects(moment.time, moment.observations)
             if frame is not None:
                 self.frames.append((moment, frame))
                 if frame.relocalized:
@@ -54,7 +56,7 @@ class Run:
 
 def test_a_known_start_is_kept_to_centimeters() -> None:
     run = Run(landmarks())
-    run.localization.locate((0.0, 0.0, 0.0), CERTAIN)
+    run.localization.set_pose((0.0, 0.0, 0.0), CERTAIN)
 
     run.through(drive(60.0))
 
@@ -73,7 +75,7 @@ def test_a_robot_anywhere_finds_itself_by_what_it_sees(seed: int) -> None:
 @pytest.mark.parametrize("mode", ["lr", "paper"])
 def test_a_moved_object_is_told_from_those_that_stand_still(mode: str) -> None:
     run = Run(landmarks(o3=(1.3, 0.4)), mode)
-    run.localization.locate((0.0, 0.0, 0.0), CERTAIN)
+    run.localization.set_pose((0.0, 0.0, 0.0), CERTAIN)
 
     run.through(drive(125.0))
 
@@ -96,7 +98,7 @@ def test_a_moved_object_is_told_from_those_that_stand_still(mode: str) -> None:
 
 def test_a_gross_error_lowers_no_object_by_much() -> None:
     run = Run(landmarks())
-    run.localization.locate((0.0, 0.0, 0.0), CERTAIN)
+    run.localization.set_pose((0.0, 0.0, 0.0), CERTAIN)
     moments = list(drive(30.0))
     wrong = Observation(1, 1.0, 0.5, 0.01, 0.0004)
     moments[100] = replace(moments[100], observations=[wrong])
@@ -111,7 +113,7 @@ def test_a_sighting_taken_for_another_object_is_a_false_match() -> None:
     verdicts = []
     for when in range(150, 300, 15):
         run = Run(landmarks())
-        run.localization.locate((0.0, 0.0, 0.0), CERTAIN)
+        run.localization.set_pose((0.0, 0.0, 0.0), CERTAIN)
         moments = list(drive(62.0))
         seen = {s.object_id for s in moments[when].observations}
         if not seen:
@@ -132,7 +134,7 @@ def test_a_sighting_taken_for_another_object_is_a_false_match() -> None:
 
 def test_nothing_is_lowered_while_the_robot_is_badly_located() -> None:
     run = Run(landmarks())
-    run.localization.locate((1.0, -0.8, 0.4), np.diag([0.01, 0.01, 0.003]))
+    run.localization.set_pose((1.0, -0.8, 0.4), np.diag([0.01, 0.01, 0.003]))
 
     run.through(drive(4.0))
 
@@ -148,7 +150,7 @@ def test_nothing_is_lowered_while_the_robot_is_badly_located() -> None:
 
 def test_a_kidnapped_robot_finds_itself_again() -> None:
     run = Run(landmarks())
-    run.localization.locate((0.0, 0.0, 0.0), CERTAIN)
+    run.localization.set_pose((0.0, 0.0, 0.0), CERTAIN)
     moments = [m for m in drive(90.0) if not 20.0 <= m.time < 45.0]
 
     run.through(moments)
@@ -161,7 +163,7 @@ def test_a_kidnapped_robot_finds_itself_again() -> None:
 
 def test_a_long_blind_stretch_is_recovered_from() -> None:
     run = Run(landmarks())
-    run.localization.locate((0.0, 0.0, 0.0), CERTAIN)
+    run.localization.set_pose((0.0, 0.0, 0.0), CERTAIN)
 
     run.through(drive(150.0, seed=3, blind=(20.0, 120.0)))
 
@@ -171,10 +173,10 @@ def test_a_long_blind_stretch_is_recovered_from() -> None:
 def test_a_removed_object_is_no_longer_fused_and_its_lie_forgotten() -> None:
     objects = landmarks(o1=(0.0, 1.5))
     run = Run(objects)
-    run.localization.locate((0.0, 0.0, 0.0), CERTAIN)
+    run.localization.set_pose((0.0, 0.0, 0.0), CERTAIN)
     run.through(drive(12.0))
 
-    run.localization.use_map([o for o in objects if o.object_id != 1])
+    run.localization.set_landmarks([o for o in objects if o.object_id != 1])
     run.errors.clear()
     run.through(m for m in drive(40.0) if m.time >= 12.0)
 

@@ -26,7 +26,7 @@ class Robot:
     """Goes a way, and sees all objects from each pose of it."""
 
     def __init__(self, mode: SimilarityMode = "lr") -> None:
-        self.judge = LandmarkEvaluator(mode, 300, np.random.default_rng(0))
+        self.evaluator = LandmarkEvaluator(mode, 300, np.random.default_rng(0))
         self.random = np.random.default_rng(1)
 
     def sees(self, object_id: int, at: Pose, factor: float) -> LandmarkEvidence:
@@ -36,7 +36,7 @@ class Robot:
         range_m = factor * math.hypot(dx, dy) + self.random.normal(0.0, 0.03)
         bearing = wrap(math.atan2(dy, dx) - at[2] + self.random.normal(0.0, 0.01))
         pose = PoseEstimate(at, np.diag([0.0004, 0.0004, 0.0001]))
-        return self.judge.compare(
+        return self.evaluator.compare(
             Observation(object_id, range_m, bearing, 0.03**2, 0.01**2),
             pose,
             pose,
@@ -60,7 +60,7 @@ def test_no_object_is_doubted_if_all_ranges_are_wrong(factor: float, mode: Simil
     evidence = robot.looks_around(dict.fromkeys(MAP, factor))
 
     assert not [one for one in evidence if one.verdict is EvidenceVerdict.DISAGREES]
-    assert robot.judge.ranges.wrong == pytest.approx(factor, abs=0.02)
+    assert robot.evaluator.ranges.wrong == pytest.approx(factor, abs=0.02)
 
 
 @pytest.mark.parametrize("factor", [0.7, 1.3])
@@ -71,7 +71,7 @@ def test_an_object_that_moved_towards_the_robot_is_doubted_as_the_others_are_rig
 
     evidence = robot.looks_around({0: factor})
 
-    assert robot.judge.ranges.wrong is None
+    assert robot.evaluator.ranges.wrong is None
     doubted = [one for one in evidence if one.verdict is EvidenceVerdict.DISAGREES]
     assert {one.observation.object_id for one in doubted} == {0}
     assert min(one.similarity for one in doubted) == pytest.approx(0.1)
@@ -82,7 +82,7 @@ def test_nothing_is_wrong_with_ranges_that_err_by_chance() -> None:
 
     evidence = robot.looks_around({})
 
-    assert robot.judge.ranges.wrong is None
+    assert robot.evaluator.ranges.wrong is None
     assert {one.verdict for one in evidence} == {EvidenceVerdict.AGREES}
 
 
@@ -104,6 +104,6 @@ def test_nothing_is_learnt_while_ranges_are_wrong() -> None:
     robot.looks_around(dict.fromkeys(MAP, 0.8))
     here = PoseEstimate((0.0, 0.0, 0.0), 0.0004 * np.eye(3))
 
-    found = robot.judge.place(Observation(9, 2.0, 0.1, 0.001, 0.0001), here, healthy=True)
+    found = robot.evaluator.place(Observation(9, 2.0, 0.1, 0.001, 0.0001), here, healthy=True)
 
     assert found.verdict is EvidenceVerdict.NOT_CONVERGED

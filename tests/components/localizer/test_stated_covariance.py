@@ -22,12 +22,12 @@ def after_corrections(of: float) -> CovarianceCalibrator:
     """Of a cloud that shrinks from 0.05 to 0.03 m with each scan, and is moved by so much [m]."""
     stated = CovarianceCalibrator()
     for k in range(200):
-        stated.corrected(cloud(0.05), cloud(0.03, of * (-1) ** k), 1.0)
+        stated.add_correction(cloud(0.05), cloud(0.03, of * (-1) ** k), 1.0)
     return stated
 
 
 def deviation(stated: CovarianceCalibrator) -> float:
-    return math.sqrt(stated.of(cloud(0.03), CELL_M)[0, 0])
+    return math.sqrt(stated.calibrated(cloud(0.03), CELL_M)[0, 0])
 
 
 def test_a_filter_that_is_corrected_as_it_expects_states_its_cloud() -> None:
@@ -48,8 +48,8 @@ def test_scans_taken_on_the_spot_say_little() -> None:
     expected = math.sqrt(0.05**2 - 0.03**2)
     still, moving = after_corrections(expected), after_corrections(expected)
     for _ in range(20):
-        still.corrected(cloud(0.05), cloud(0.03), 0.03)
-        moving.corrected(cloud(0.05), cloud(0.03), 1.0)
+        still.add_correction(cloud(0.05), cloud(0.03), 0.03)
+        moving.add_correction(cloud(0.05), cloud(0.03), 1.0)
 
     assert deviation(still) == pytest.approx(0.03, rel=0.05)
     assert deviation(moving) < 0.022
@@ -60,9 +60,9 @@ def test_what_is_corrected_across_a_corridor_says_nothing_along_it() -> None:
     before, after = np.diag([0.3**2, 0.05**2, 0.01]), np.diag([0.3**2, 0.01**2, 0.01])
     for k in range(200):
         y = 0.005 * (-1) ** k
-        stated.corrected(PoseEstimate((0, 0, 0), before), PoseEstimate((0, y, 0), after), 1.0)
+        stated.add_correction(PoseEstimate((0, 0, 0), before), PoseEstimate((0, y, 0), after), 1.0)
 
-    told = stated.of(PoseEstimate((0.0, 0.0, 0.0), after), CELL_M)
+    told = stated.calibrated(PoseEstimate((0.0, 0.0, 0.0), after), CELL_M)
 
     assert math.sqrt(told[0, 0]) == pytest.approx(0.3, rel=0.02)
     assert math.sqrt(told[1, 1]) < 0.01
@@ -74,9 +74,9 @@ def test_what_is_always_corrected_the_same_way_lags_behind_by_much_more(turn: fl
     before, after = np.diag([0.02**2] * 3), np.diag([0.018**2] * 3)
     for _ in range(200):  # a fifth of what is missing is made up for each time
         x, y = 0.004 * math.cos(turn), 0.004 * math.sin(turn)
-        stated.corrected(PoseEstimate((0, 0, 0), before), PoseEstimate((x, y, 0), after), 1.0)
+        stated.add_correction(PoseEstimate((0, 0, 0), before), PoseEstimate((x, y, 0), after), 1.0)
 
-    told = stated.of(PoseEstimate((0.0, 0.0, 0.0), after), CELL_M)
+    told = stated.calibrated(PoseEstimate((0.0, 0.0, 0.0), after), CELL_M)
 
     ahead, left = np.array([math.cos(turn), math.sin(turn)]), [-math.sin(turn), math.cos(turn)]
     assert math.sqrt(ahead @ told[:2, :2] @ ahead) == pytest.approx(0.02, rel=0.2)
@@ -85,8 +85,8 @@ def test_what_is_always_corrected_the_same_way_lags_behind_by_much_more(turn: fl
 
 def test_what_beams_deviate_beyond_the_cells_of_the_map_is_the_maps_error() -> None:
     exact, crooked = CovarianceCalibrator(), CovarianceCalibrator()
-    exact.fitted(EXACT_M, CELL_M)
-    crooked.fitted(math.hypot(EXACT_M, 0.04), CELL_M)
+    exact.add_deviation(EXACT_M, CELL_M)
+    crooked.add_deviation(math.hypot(EXACT_M, 0.04), CELL_M)
 
     assert deviation(exact) == pytest.approx(math.hypot(0.03, CELL_M / 8), rel=0.01)
     assert deviation(crooked) == pytest.approx(math.hypot(0.03, CELL_M / 8, 0.04), rel=0.01)
@@ -96,7 +96,7 @@ def test_a_scan_that_explains_nothing_changes_nothing() -> None:
     stated = CovarianceCalibrator()
     before = deviation(stated)
 
-    stated.fitted(math.nan, CELL_M)
+    stated.add_deviation(math.nan, CELL_M)
 
     assert deviation(stated) == before
 
@@ -106,7 +106,7 @@ def test_the_truth_lies_within_the_stated_sigmas_as_often_as_it_should() -> None
     for seed in (7, 8, 9):
         grid = floor(9.0, 4, seed)
         robot = new_robot(grid, seed)
-        robot.locate(START, np.diag([0.05**2, 0.05**2, 0.03**2]))
+        robot.set_pose(START, np.diag([0.05**2, 0.05**2, 0.03**2]))
         errors, covariances, _ = wander(robot, grid, START, 30.0, seed)
         pairs = zip(errors[20:, :2], covariances[20:, :2, :2], strict=True)
         squares += [error @ np.linalg.solve(covariance, error) for error, covariance in pairs]
