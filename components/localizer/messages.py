@@ -120,7 +120,7 @@ def relocalization_message(
 
 
 def evidence_message(header: Header, frame: EvidenceFrame) -> ObjectEvidenceArray:
-    """The evidence of one frame and the pose that they were made from."""
+    """Return the evidence of one image, and the pose that it was compared with."""
     before: PoseEstimate = frame.before
     x, y, theta = before.mean
     covariance = 0.5 * (before.covariance + before.covariance.T)
