@@ -41,9 +41,9 @@ class AnsweringMotionControl(MotionControl):
     answered: Out[Header] = Out(qos=SENSOR)
 
     @on("scan")
-    def see(self, scan: LaserScan) -> None:
+    def on_scan(self, scan: LaserScan) -> None:
         """Command, then tell."""
-        super().see(scan)
+        super().on_scan(scan)
         last_beam = to_ns(scan.header.stamp) + round(sweep_s(scan) * SECOND)
         self.answered.publish(Header(stamp=from_ns(last_beam)))
 

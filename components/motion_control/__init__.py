@@ -1,1 +1,1 @@
-"""Motion control: drives the robot along plans, and never into what the scanner sees."""
+"""Motion control: drives the robot along plans and never into obstacles."""

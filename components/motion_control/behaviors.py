@@ -1,4 +1,4 @@
-"""What motion control can be wanted to do: follow, back off, look around, explore."""
+"""The behaviors: follow a path, and the recovery motions back off, look around, explore."""
 
 from __future__ import annotations
 
@@ -9,19 +9,23 @@ from typing import Protocol
 
 import numpy as np
 
-from cairn.components.motion_control.arcs import arc_clearances, open_ways
-from cairn.components.motion_control.limits import Limits
-from cairn.components.motion_control.local_planner import STILL, LocalPlanner, Place, Wish
-from cairn.components.motion_control.route import Route
-from cairn.components.motion_control.seen_space import SeenSpace, Surroundings
+from cairn.components.motion_control.collision_checks import check_arcs, check_lines
+from cairn.components.motion_control.followed_path import FollowedPath
+from cairn.components.motion_control.local_planner import LocalPlanner, PlannerInput
+from cairn.components.motion_control.scan_memory import NearbyObstacles, ScanMemory
+from cairn.components.motion_control.velocity_limits import (
+    STAND_STILL,
+    MotionLimits,
+    VelocityTarget,
+)
 from cairn.planar.poses import Pose, compose, distance, relative, wrap
 from cairn.schemas.cairn_nav_msgs import MotionStatus, ReasonCode
 
 SECOND_NS = 1_000_000_000
 
 
-class State(IntEnum):
-    """State of a motion, with the numbers of its message."""
+class MotionState(IntEnum):
+    """The state of a behavior, with the numbers of the message MotionStatus."""
 
     STANDING = MotionStatus.STANDING
     MOVING = MotionStatus.MOVING
@@ -31,11 +35,12 @@ class State(IntEnum):
 
 
 @dataclass(frozen=True)
-class Situation:
-    """What is known at `now` [ns]: poses in the odometry frame and in the map, and obstacles.
+class BehaviorInput:
+    """What a behavior knows at `now` [ns]: poses in the odometry frame and in the map, obstacles.
 
-    `speed` [m/s] and `turn` [rad/s] are measured; `pose` is None where it is unknown; `view` is the
-    part of a circle around the robot that the scanner sees: its middle and half its width [rad].
+    `speed` [m/s] and `turn` [rad/s] are measured; `pose` is None while it is unknown;
+    `field_of_view` is the part of a circle around the robot that the scanner sees: its middle and
+    half its width [rad].
     """
 
     now: int
@@ -43,267 +48,296 @@ class Situation:
     speed: float
     turn: float
     pose: Pose | None
-    space: SeenSpace
-    around: Surroundings
-    view: tuple[float, float] = (0.0, math.pi)
+    memory: ScanMemory
+    obstacles: NearbyObstacles
+    field_of_view: tuple[float, float] = (0.0, math.pi)
 
     @property
-    def place(self) -> Place:
-        """The part of it that the local planner needs."""
-        return Place(self.now, self.odom, self.speed, self.around)
+    def planner_input(self) -> PlannerInput:
+        """Return the part of it that the local planner needs."""
+        return PlannerInput(self.now, self.odom, self.speed, self.obstacles)
 
     @property
-    def stands(self) -> bool:
-        """Whether the robot does not move any more, but for its odometry's noise."""
+    def is_standing(self) -> bool:
+        """Return whether the robot stands still, except for the noise of its odometry."""
         return abs(self.speed) < 0.03 and abs(self.turn) < 0.06
 
 
 @dataclass(frozen=True)
-class Motion:
-    """The velocity to drive at now, its reason, and the distance `left` [m] still to go."""
+class BehaviorResult:
+    """The velocity to drive at now, its reason, and the distance `left` [m] to go."""
 
-    wish: Wish = STILL
-    state: State = State.MOVING
+    target: VelocityTarget = STAND_STILL
+    state: MotionState = MotionState.MOVING
     reason: str = ""
     left: float = 0.0
     code: int = ReasonCode.NONE
 
 
 class Behavior(Protocol):
-    """One thing to do, until it is DONE."""
+    """A motion that ends with the state DONE."""
 
-    def step(self, situation: Situation) -> Motion:
-        """What to do now."""
+    def step(self, inputs: BehaviorInput) -> BehaviorResult:
+        """Return the result for the current inputs."""
         ...
 
 
 class Follow:
-    """Follows a path in the map to its goal, then turns to the goal's heading.
+    """Follow a path in the map to its goal, then turn to the goal's heading.
 
-    It is there within `position` [m] and `heading` [rad]; it aims at a third of these.
+    The goal is reached within `position` [m] and `heading` [rad]; the behavior aims at a third of
+    these, so that noise does not end it early.
     """
 
-    # A path so far away [m] is not gone to.
-    OFF = 2.5
-    # It is called blocked when there was nothing to do for so long [ns].
+    # The robot does not drive to a path that is farther away than this [m]; the planner must
+    # replan.
+    MAX_DISTANCE_M = 2.5
+    # The state is BLOCKED only after no motion was possible for so long [ns]: single scans are
+    # noisy.
     PATIENCE_NS = SECOND_NS // 2
 
-    def __init__(self, limits: Limits, route: Route, position: float, heading: float) -> None:
+    def __init__(
+        self, limits: MotionLimits, path: FollowedPath, position: float, heading: float
+    ) -> None:
         self._limits = limits
         self._planner = LocalPlanner(limits)
         self._position = max(0.02, position)
         self._heading = max(0.02, heading)
         self._arrived = self._done = False
         self._moved_at = 0
-        self.route = route
+        self.path = path
 
-    def step(self, situation: Situation) -> Motion:
-        """What to do now; the situation must have a pose."""
-        pose, goal = situation.pose, self.route.goal
+    def step(self, inputs: BehaviorInput) -> BehaviorResult:
+        """Return the result for the current inputs, which must have a pose."""
+        pose, goal = inputs.pose, self.path.goal
         assert pose is not None
-        apart = distance(pose, goal)
+        distance_left = distance(pose, goal)
         if self._done:
-            return Motion(state=State.DONE)
+            return BehaviorResult(state=MotionState.DONE)
         if not self._arrived:
             ahead = relative(pose, goal)[0]
-            self._arrived = apart < 0.35 * self._position or (
-                apart < 0.7 * self._position and ahead < 0.02
+            self._arrived = distance_left < 0.35 * self._position or (
+                distance_left < 0.7 * self._position and ahead < 0.02
             )
-        elif apart > 0.9 * self._position:
+        elif distance_left > 0.9 * self._position:
             self._arrived = False
         if self._arrived:
-            return self._turn(situation, apart, wrap(goal[2] - pose[2]))
-        way = self.route.ahead(pose)
-        left = max(self.route.left, apart) if self.route.left < 0.5 else self.route.left
-        if self.route.off > self.OFF:
-            reason = f"the path is {self.route.off:.1f} m away"
-            return Motion(state=State.BLOCKED, reason=reason, left=left, code=ReasonCode.OFF_PATH)
-        wish = self._planner.along(way, left, situation.place)
-        if wish.blocked and apart < 0.9 * self._position:
+            return self._turn(inputs, distance_left, wrap(goal[2] - pose[2]))
+        way = self.path.ahead(pose)
+        left = max(self.path.left, distance_left) if self.path.left < 0.5 else self.path.left
+        if self.path.off > self.MAX_DISTANCE_M:
+            reason = f"the path is {self.path.off:.1f} m away"
+            return BehaviorResult(
+                state=MotionState.BLOCKED, reason=reason, left=left, code=ReasonCode.OFF_PATH
+            )
+        target = self._planner.along(way, left, inputs.planner_input)
+        if target.blocked and distance_left < 0.9 * self._position:
             self._arrived = True
-        if not wish.blocked:
-            self._moved_at = situation.now
-        if situation.now - self._moved_at < self.PATIENCE_NS:
-            return Motion(wish, State.MOVING, wish.blocked, left, _code(wish))
-        return _moving(wish, left)
+        if not target.blocked:
+            self._moved_at = inputs.now
+        if inputs.now - self._moved_at < self.PATIENCE_NS:
+            return BehaviorResult(
+                target, MotionState.MOVING, target.blocked, left, _reason_code(target)
+            )
+        return _driving(target, left)
 
-    def _turn(self, situation: Situation, apart: float, off: float) -> Motion:
+    def _turn(self, inputs: BehaviorInput, distance_left: float, off: float) -> BehaviorResult:
         if abs(off) > 0.35 * self._heading:
-            return Motion(Wish(turn=self._limits.turn_by(off)), left=apart)
-        self._done = situation.stands
-        return Motion(state=State.DONE if self._done else State.MOVING, left=apart)
+            return BehaviorResult(
+                VelocityTarget(turn=self._limits.turn_rate_for(off)), left=distance_left
+            )
+        self._done = inputs.is_standing
+        return BehaviorResult(
+            state=MotionState.DONE if self._done else MotionState.MOVING, left=distance_left
+        )
 
 
 class BackOff:
-    """Goes back a little: backwards where that was seen lately, else turned about and ahead."""
+    """Drive back a little: backward where the ground was seen lately, otherwise turned around."""
 
-    SPEED = 0.15  # [m/s]
+    SPEED = 0.15  # [m/s]; slow, as the scanner may not see behind the robot
     SEEN_NS = 4 * SECOND_NS
-    # With less than this [m] behind the robot it does not begin; it goes this far [m] to be done.
+    # With less room [m] behind the robot it does not start; it must drive this far [m] to be done.
     _LEAST, _WORTH = 0.03, 0.05
 
-    def __init__(self, limits: Limits, length: float = 0.3) -> None:
+    def __init__(self, limits: MotionLimits, length: float = 0.3) -> None:
         self._limits = limits
         self._length = length
         self._start: Pose | None = None
-        self._about: LocalPlanner | None = None
+        self._turned_planner: LocalPlanner | None = None
         self._zero = np.zeros(1)
         self._free = np.empty(1)
         self._clear = np.empty(1)
-        self._end: Motion | None = None
+        self._end: BehaviorResult | None = None
 
-    def step(self, situation: Situation) -> Motion:
-        """What to do now."""
+    def step(self, inputs: BehaviorInput) -> BehaviorResult:
+        """Return the result for the current inputs."""
         if self._start is None:
-            self._start = situation.odom
-        if self._end is not None and self._end.state is State.DONE:
+            self._start = inputs.odom
+        if self._end is not None and self._end.state is MotionState.DONE:
             return self._end
-        gone = distance(self._start, situation.odom)
-        left = self._length - gone
+        driven = distance(self._start, inputs.odom)
+        left = self._length - driven
         if left <= 0.01:
-            return self._ended(State.DONE, "")
-        if self._about is not None:
-            return self._turned_about(self._about, situation, gone, left)
+            return self._finish(MotionState.DONE, "")
+        if self._turned_planner is not None:
+            return self._drive_turned(self._turned_planner, inputs, driven, left)
         limits = self._limits
-        points = situation.around.points * -1.0
-        arc_clearances(
-            points, self._zero, self._zero, limits.kept, limits.touching, self._free, self._clear
+        points = inputs.obstacles.points * -1.0
+        check_arcs(
+            points,
+            self._zero,
+            self._zero,
+            limits.keepout_radius,
+            limits.contact_radius,
+            self._free,
+            self._clear,
         )
         free = float(self._free[0])
         if free < self._LEAST:
-            return self._hindered(gone, f"an obstacle {free + limits.margin:.2f} m behind")
-        since = situation.now - self.SEEN_NS
-        if not situation.space.is_seen(situation.odom, math.pi, min(left, free), since):
-            self._about = LocalPlanner(limits)
-            return self._turned_about(self._about, situation, gone, left)
-        pace = min(self.SPEED, limits.speed_before(left), limits.speed_before(free - 0.02))
-        return Motion(Wish(speed=-max(0.04, pace)), left=left)
+            return self._end_blocked(driven, f"an obstacle {free + limits.margin:.2f} m behind")
+        since = inputs.now - self.SEEN_NS
+        if not inputs.memory.is_ground_seen(inputs.odom, math.pi, min(left, free), since):
+            self._turned_planner = LocalPlanner(limits)
+            return self._drive_turned(self._turned_planner, inputs, driven, left)
+        pace = min(self.SPEED, limits.speed_to_stop_in(left), limits.speed_to_stop_in(free - 0.02))
+        return BehaviorResult(VelocityTarget(speed=-max(0.04, pace)), left=left)
 
-    def _turned_about(
-        self, planner: LocalPlanner, situation: Situation, gone: float, left: float
-    ) -> Motion:
+    def _drive_turned(
+        self, planner: LocalPlanner, inputs: BehaviorInput, driven: float, left: float
+    ) -> BehaviorResult:
         assert self._start is not None
-        off = wrap(self._start[2] + math.pi - situation.odom[2])
-        wish = planner.straight(situation.around, off, left)
-        if wish.blocked:
-            return self._hindered(gone, wish.blocked)
-        return _moving(wish, left)
+        off = wrap(self._start[2] + math.pi - inputs.odom[2])
+        target = planner.straight(inputs.obstacles, off, left)
+        if target.blocked:
+            return self._end_blocked(driven, target.blocked)
+        return _driving(target, left)
 
-    def _hindered(self, gone: float, reason: str) -> Motion:
-        if gone >= self._WORTH:
-            return self._ended(State.DONE, f"{gone:.2f} m back: {reason}")
-        return self._ended(State.BLOCKED, reason)
+    def _end_blocked(self, driven: float, reason: str) -> BehaviorResult:
+        if driven >= self._WORTH:
+            return self._finish(MotionState.DONE, f"{driven:.2f} m back: {reason}")
+        return self._finish(MotionState.BLOCKED, reason)
 
-    def _ended(self, state: State, reason: str) -> Motion:
+    def _finish(self, state: MotionState, reason: str) -> BehaviorResult:
         code = ReasonCode.OBSTACLE if reason else ReasonCode.NONE
-        self._end = Motion(state=state, reason=reason, code=code)
+        self._end = BehaviorResult(state=state, reason=reason, code=code)
         return self._end
 
 
 class LookAround:
-    """Turns once around on the spot."""
+    """Turn on the spot once."""
 
-    SPEED = 0.8  # [rad/s]
+    SPEED = 0.8  # [rad/s]; slow enough for scans at 10 Hz to overlap
 
-    def __init__(self, limits: Limits, angle: float = 2.0 * math.pi) -> None:
+    def __init__(self, limits: MotionLimits, angle: float = 2.0 * math.pi) -> None:
         self._limits = limits
         self._left = angle
         self._heading: float | None = None
 
-    def step(self, situation: Situation) -> Motion:
-        """What to do now."""
-        heading = situation.odom[2]
+    def step(self, inputs: BehaviorInput) -> BehaviorResult:
+        """Return the result for the current inputs."""
+        heading = inputs.odom[2]
         if self._heading is not None:
             self._left -= wrap(heading - self._heading)
         self._heading = heading
         if self._left <= 0.02:
-            return Motion(state=State.DONE)
-        return Motion(Wish(turn=min(self.SPEED, self._limits.turn_by(self._left))))
+            return BehaviorResult(state=MotionState.DONE)
+        return BehaviorResult(
+            VelocityTarget(turn=min(self.SPEED, self._limits.turn_rate_for(self._left)))
+        )
 
 
 class Explore:
-    """Goes `length` [m] toward where there is most room."""
+    """Drive `length` [m] in the direction with the most room."""
 
-    # There must be so much room [m] to set out; it keeps so far [m] from what ends the room.
+    # Least room [m] to start, and distance [m] to keep from what ends the room.
     _ROOM, _APART = 0.6, 0.3
     _DIRECTIONS = np.linspace(-math.pi, math.pi, 72, endpoint=False)
     _PATIENCE_NS = 1 * SECOND_NS
     _TRIES = 4
     REACH = 4.0
 
-    def __init__(self, limits: Limits, length: float) -> None:
+    def __init__(self, limits: MotionLimits, length: float) -> None:
         self._limits = limits
         self._left = length
         self._planner = LocalPlanner(limits)
-        self._route: Route | None = None
-        self._look: LookAround | None = None
+        self._path: FollowedPath | None = None
+        self._look_around: LookAround | None = None
         self._odom: Pose | None = None
         self._tries = 0
         self._moved_at: int | None = None
         self._free = np.empty(self._DIRECTIONS.size)
 
-    def step(self, situation: Situation) -> Motion:
-        """What to do now."""
-        gone = 0.0 if self._odom is None else distance(self._odom, situation.odom)
-        self._odom = situation.odom
-        self._left -= gone
+    def step(self, inputs: BehaviorInput) -> BehaviorResult:
+        """Return the result for the current inputs."""
+        driven = 0.0 if self._odom is None else distance(self._odom, inputs.odom)
+        self._odom = inputs.odom
+        self._left -= driven
         if self._left <= 0.0:
-            return Motion(state=State.DONE)
-        if self._look is not None:
-            looked = self._look.step(situation)
-            if looked.state is not State.DONE:
-                return Motion(
-                    looked.wish, State.MOVING, "looking for room", self._left, ReasonCode.NO_ROOM
+            return BehaviorResult(state=MotionState.DONE)
+        if self._look_around is not None:
+            result = self._look_around.step(inputs)
+            if result.state is not MotionState.DONE:
+                return BehaviorResult(
+                    result.target,
+                    MotionState.MOVING,
+                    "looking for room",
+                    self._left,
+                    ReasonCode.NO_ROOM,
                 )
-            self._look = None
-        if self._route is None:
-            return self._choose(situation)
-        way = self._route.ahead(situation.odom)
-        if self._route.left < 0.1:
-            self._route = None
-            return Motion(left=self._left)
-        wish = self._planner.along(way, self._route.left, situation.place)
-        if not wish.blocked:
-            self._moved_at = situation.now
-        elif situation.now - (self._moved_at or 0) > self._PATIENCE_NS:
-            self._route = None
-        return Motion(wish, State.MOVING, wish.blocked, self._left, _code(wish))
+            self._look_around = None
+        if self._path is None:
+            return self._choose(inputs)
+        way = self._path.ahead(inputs.odom)
+        if self._path.left < 0.1:
+            self._path = None
+            return BehaviorResult(left=self._left)
+        target = self._planner.along(way, self._path.left, inputs.planner_input)
+        if not target.blocked:
+            self._moved_at = inputs.now
+        elif inputs.now - (self._moved_at or 0) > self._PATIENCE_NS:
+            self._path = None
+        return BehaviorResult(
+            target, MotionState.MOVING, target.blocked, self._left, _reason_code(target)
+        )
 
-    def _choose(self, situation: Situation) -> Motion:
-        """Set out in the direction of most room among those seen; or look behind; or give up."""
+    def _choose(self, inputs: BehaviorInput) -> BehaviorResult:
+        """Start in the visible direction with the most room, or turn to look behind, or give up."""
         if self._tries == self._TRIES:
             reason = f"no room of {self._ROOM:.1f} m to go to"
-            return Motion(
-                state=State.BLOCKED, reason=reason, left=self._left, code=ReasonCode.NO_ROOM
+            return BehaviorResult(
+                state=MotionState.BLOCKED, reason=reason, left=self._left, code=ReasonCode.NO_ROOM
             )
         self._tries += 1
         limits = self._limits
-        points = situation.space.around(situation.odom, self.REACH).points
-        open_ways(points, self._DIRECTIONS, limits.kept, limits.touching, self._free)
+        points = inputs.memory.around(inputs.odom, self.REACH).points
+        check_lines(
+            points, self._DIRECTIONS, limits.keepout_radius, limits.contact_radius, self._free
+        )
         free = np.minimum(self._free, 3.0)
         wide = np.minimum(free, np.minimum(np.roll(free, 1), np.roll(free, -1)))
-        middle, half = situation.view
+        middle, half = inputs.field_of_view
         seen = np.abs((self._DIRECTIONS - middle + math.pi) % (2 * math.pi) - math.pi) <= half
         worth = np.where(seen, wide - 0.1 * np.abs(self._DIRECTIONS), -np.inf)
         best = int(np.argmax(worth))
         if wide[best] < self._ROOM or not seen[best]:
-            self._look = LookAround(self._limits, math.pi)
-            return Motion(left=self._left)
+            self._look_around = LookAround(self._limits, math.pi)
+            return BehaviorResult(left=self._left)
         length = min(self._left + 0.1, wide[best] - self._APART)
         direction = float(self._DIRECTIONS[best])
         end = compose(
-            situation.odom,
+            inputs.odom,
             (length * math.cos(direction), length * math.sin(direction), direction),
         )
-        self._route = Route(np.array([situation.odom, end]), end)
-        self._moved_at = situation.now
-        return Motion(left=self._left)
+        self._path = FollowedPath(np.array([inputs.odom, end]), end)
+        self._moved_at = inputs.now
+        return BehaviorResult(left=self._left)
 
 
-def _moving(wish: Wish, left: float) -> Motion:
-    state = State.BLOCKED if wish.blocked else State.MOVING
-    return Motion(wish, state, wish.blocked, max(0.0, left), _code(wish))
+def _driving(target: VelocityTarget, left: float) -> BehaviorResult:
+    state = MotionState.BLOCKED if target.blocked else MotionState.MOVING
+    return BehaviorResult(target, state, target.blocked, max(0.0, left), _reason_code(target))
 
 
-def _code(wish: Wish) -> ReasonCode:
-    return ReasonCode.OBSTACLE if wish.blocked else ReasonCode.NONE
+def _reason_code(target: VelocityTarget) -> ReasonCode:
+    return ReasonCode.OBSTACLE if target.blocked else ReasonCode.NONE

@@ -1,4 +1,4 @@
-"""The component MotionControl: drives the base along plans, and never into what is seen."""
+"""The component MotionControl: drives the robot along plans and never into obstacles."""
 
 from __future__ import annotations
 
@@ -21,25 +21,25 @@ from cairn import (
 from cairn.components.motion_control.behaviors import (
     BackOff,
     Behavior,
+    BehaviorInput,
+    BehaviorResult,
     Explore,
     Follow,
     LookAround,
-    Motion,
-    Situation,
-    State,
+    MotionState,
 )
 from cairn.components.motion_control.config import MotionControlConfig
-from cairn.components.motion_control.freshness import Freshness
-from cairn.components.motion_control.local_planner import LOOK
-from cairn.components.motion_control.movers import Movers
-from cairn.components.motion_control.route import Route
-from cairn.components.motion_control.seen_space import SeenSpace, Surroundings
-from cairn.components.motion_control.steering import STAND, Command, Steering
-from cairn.components.motion_control.whereabouts import Whereabouts
+from cairn.components.motion_control.followed_path import FollowedPath
+from cairn.components.motion_control.local_planner import OBSTACLE_RANGE_M
+from cairn.components.motion_control.moving_obstacles import MovingObstacleTracker
+from cairn.components.motion_control.safety_stop import SafetyStop
+from cairn.components.motion_control.scan_memory import NearbyObstacles, ScanMemory
+from cairn.components.motion_control.velocity_limits import STAND, Command, CommandLimiter
 from cairn.planar.messages import planar_pose, planar_poses
 from cairn.planar.odometry import began_anew
-from cairn.planar.poses import Pose, relative
-from cairn.planar.scans import rays_of, sweep_s
+from cairn.planar.pose_tracker import OdometryChange, PoseTracker
+from cairn.planar.poses import Pose
+from cairn.planar.scans import rays_of
 from cairn.schemas.cairn_nav_msgs import (
     PLAN_REASON_CODES,
     LocalizationEstimate,
@@ -53,19 +53,22 @@ from cairn.schemas.nav_msgs import Odometry
 from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.std_msgs import Header
 
-# After a break in odometry or time the robot stands for so long [ns].
+# After a break in odometry or time the robot stands for so long [ns], until scans have arrived.
 _PAUSE_NS = SECOND // 2
-# Health must be so much above the limit before a path is followed again.
-_REGAINED = 0.05
-# A timed command is left out when a scan has just brought one, within this share of the period.
-_JUST_NOW = 0.5
-_COMMAND_HZ, _STATUS_HZ = 20.0, 5.0  # at least
+# The timed command is skipped if a scan has triggered one within this share of the period.
+_RECENT_SHARE = 0.5
+_COMMAND_HZ, _STATUS_HZ = 20.0, 5.0  # minimum rates
+# The robot is assumed to keep its velocity for so long [s] after the newest odometry.
+_EXTRAPOLATION_S = 0.1
+# A step of odometry faster than this multiple [1] of the robot's limits is a jump.
+_JUMP_FACTOR = 2.0
+_HORIZON_S = 5.0  # of odometry
 
 
 class MotionControl(Component):
-    """Drives the robot along plans among obstacles, and tells how that goes.
+    """Drive the robot along plans among obstacles, and report the progress.
 
-    It stands still, and says why, when an input is stale or the robot is lost.
+    The robot stands still, and reports the reason, when an input is stale or the robot is lost.
     """
 
     config: MotionControlConfig
@@ -78,267 +81,248 @@ class MotionControl(Component):
     motion_status: Out[MotionStatus]
 
     def on_configure(self) -> None:
-        """Take memory; nothing is wanted yet."""
-        self._freshness = Freshness()
-        self._nav_command: NavCommand | None = None
+        """Start without a command."""
+        self._safety = SafetyStop(
+            {
+                "nav_command": self.nav_command.topic,
+                "localization": self.localization.topic,
+                "odom": self.odom.topic,
+                "scan": self.scan.topic,
+            }
+        )
+        self._command: NavCommand | None = None
         self._plan: Plan | None = None
         self._behavior: Behavior | None = None
         self._done = False
-        self._lost = False
-        self._paused_until, self._pause = 0, ""
         self._commanded_at = 0
         self._view = (0.0, math.pi)
-        self._scan_told = True
-        self._around: Surroundings | None = None
-        self._motion = Motion(
-            state=State.STANDING, reason="nothing is wanted yet", code=ReasonCode.NO_NAV_COMMAND
+        self._obstacles: NearbyObstacles | None = None
+        self._result = BehaviorResult(
+            state=MotionState.STANDING,
+            reason="no navigation command yet",
+            code=ReasonCode.NO_NAV_COMMAND,
         )
-        self._told: tuple[int, State] | None = None
-        self._whereabouts = Whereabouts(self.config.speed, self.config.turn_speed)
-        self._take(self.config)
+        self._logged: tuple[int, MotionState] | None = None
+        fastest, fastest_turn = self.config.speed, self.config.turn_speed
+        self._tracker = PoseTracker(
+            _HORIZON_S, _JUMP_FACTOR * fastest, _JUMP_FACTOR * fastest_turn, _EXTRAPOLATION_S
+        )
+        self._apply(self.config)
 
     def on_deactivate(self) -> None:
-        """Leave the robot standing."""
+        """Stop the robot."""
         self.cmd_vel.publish(Twist())
 
     def on_parameters(self, new: Config) -> None:
-        """Go on with the new parameters; what was begun begins anew."""
+        """Restart the current behavior with the new parameters."""
         assert isinstance(new, MotionControlConfig)
-        self._take(new)
-        self._begin()
+        self._apply(new)
+        self._start_behavior()
 
     @on("nav_command")
-    def want(self, nav_command: NavCommand) -> None:
-        """Take what is wanted now."""
+    def on_nav_command(self, command: NavCommand) -> None:
+        """Start the commanded behavior if it is new."""
         now = self.clock.now()
-        self._freshness.note("nav_command", now, now)
-        last, self._nav_command = self._nav_command, nav_command
-        if last is None or (last.goal_id, last.behavior) != (
-            nav_command.goal_id,
-            nav_command.behavior,
-        ):
+        self._safety.note("nav_command", now, now)
+        last, self._command = self._command, command
+        if last is None or (last.goal_id, last.behavior) != (command.goal_id, command.behavior):
             self._done = False
-            self._begin()
+            self._start_behavior()
             self._drive()
 
     @on("plan")
-    def follow(self, plan: Plan) -> None:
-        """Take a path, or that there is none."""
+    def on_plan(self, plan: Plan) -> None:
+        """Take a path, or the information that there is none."""
         self._plan = plan
-        self._route()
+        self._follow_plan()
 
     @on("localization")
     def on_localization(self, estimate: LocalizationEstimate) -> None:
-        """Note where the robot is in the map, and whether that can be relied on."""
+        """Take the pose in the map and its reliability."""
         stamp = to_ns(estimate.header.stamp)
-        self._freshness.note("localization", stamp, self.clock.now())
+        self._safety.note("localization", stamp, self.clock.now())
+        self._safety.note_localization(estimate, self.config.health_limit)
         if estimate.located:
-            self._whereabouts.locate(stamp, planar_pose(estimate.pose.pose))
-        limit = self.config.health_limit
-        if estimate.health < limit or not estimate.located:
-            self._lost = True
-        elif estimate.health >= min(1.0, limit + _REGAINED):
-            self._lost = False
+            self._tracker.set_pose(stamp, planar_pose(estimate.pose.pose))
 
     @on("odom")
-    def move(self, odom: Odometry) -> None:
-        """Take how the robot moved."""
+    def on_odom(self, odom: Odometry) -> None:
+        """Track the robot's motion; pause after a break in odometry."""
         stamp, now = to_ns(odom.header.stamp), self.clock.now()
-        self._freshness.note("odom", stamp, now)
+        self._safety.note("odom", stamp, now)
         twist = odom.twist.twist
-        broken = self._whereabouts.move(
+        change = self._tracker.add_odometry(
             stamp, planar_pose(odom.pose.pose), twist.linear.x, twist.angular.z
         )
-        if broken:
-            self._begin_anew(now, f"odometry on {self.odom.topic} {broken}")
-            self.log.warning("%s: standing for a moment", self._pause)
+        if change in (OdometryChange.JUMPED, OdometryChange.RESET):
+            reason = f"odometry on {self.odom.topic} {self._tracker.change}"
+            self._restart(now, reason)
+            self.log.warning("%s: pausing for %.1f s", reason, _PAUSE_NS / SECOND)
             self._drive()
 
     @on("scan")
-    def see(self, scan: LaserScan) -> None:
-        """Take what is around, and command at once by it."""
+    def on_scan(self, scan: LaserScan) -> None:
+        """Take the obstacles around the robot, and command at once."""
         stamp = to_ns(scan.header.stamp)
-        ended = stamp + round(sweep_s(scan) * SECOND)
-        robot, end = self._whereabouts.odom(stamp), self._whereabouts.odom(ended)
-        if robot is None or end is None:
+        sweep = self._tracker.sweep(scan)
+        if sweep is None:
             return
-        rays = rays_of(scan, self._mount, relative(robot, end)).placed(end)
+        rays = rays_of(scan, self._mount, sweep.motion).placed(sweep.end)
         if rays.informative:
-            self._freshness.note("scan", stamp, self.clock.now())
-        elif self._scan_told:
-            self.log.warning("the beams of the scan on %s tell nothing", self.scan.topic)
-        self._scan_told = rays.informative
-        self._space.add(stamp, robot, rays)
-        self._space.expect(self._movers.see(stamp, rays, self._whereabouts.turn))
-        self._view = _view(scan, self._mount)
+            self._safety.note("scan", stamp, self.clock.now())
+        elif self._safety.scan_informative:
+            self.log.warning("uninformative scan on %s: its beams measure nothing", self.scan.topic)
+        self._safety.scan_informative = rays.informative
+        self._memory.add(stamp, sweep.start, rays)
+        self._memory.set_predictions(self._movers.add_scan(stamp, rays, self._tracker.turn))
+        self._view = _field_of_view(scan, self._mount)
         self._drive()
 
     @every(hz=_COMMAND_HZ)
-    def command(self) -> None:
-        """Command even if no scan comes."""
+    def publish_command(self) -> None:
+        """Command even if no scan arrives."""
         since = self.clock.now() - self._commanded_at
-        if since < 0 or since > _JUST_NOW * SECOND / _COMMAND_HZ:
+        if since < 0 or since > _RECENT_SHARE * SECOND / _COMMAND_HZ:
             self._drive()
 
     @every(hz=_STATUS_HZ)
-    def tell(self) -> None:
-        """Tell how it goes."""
-        nearest = self._around.nearest if self._around is not None else LOOK
+    def publish_status(self) -> None:
+        """Publish the progress."""
+        nearest = self._obstacles.nearest if self._obstacles is not None else OBSTACLE_RANGE_M
         self.motion_status.publish(
             MotionStatus(
                 header=Header(stamp=from_ns(self.clock.now()), frame_id="base_link"),
-                goal_id=self._nav_command.goal_id if self._nav_command is not None else 0,
-                state=int(self._motion.state),
-                reason=self._motion.reason,
-                reason_code=int(self._motion.code),
-                distance_left=max(0.0, self._motion.left),
-                speed=self._whereabouts.speed,
+                goal_id=self._goal_id,
+                state=int(self._result.state),
+                reason=self._result.reason,
+                reason_code=int(self._result.code),
+                distance_left=max(0.0, self._result.left),
+                speed=self._tracker.speed,
                 clearance=max(0.0, nearest - self.config.radius),
             )
         )
 
-    def _take(self, config: MotionControlConfig) -> None:
+    @property
+    def _goal_id(self) -> int:
+        return self._command.goal_id if self._command is not None else 0
+
+    def _apply(self, config: MotionControlConfig) -> None:
         self._limits = config.limits()
         self._mount: Pose = config.mount.pose
-        self._steering = Steering(self._limits)
-        self._movers = Movers()
-        self._space = SeenSpace(round(config.memory * SECOND), config.radius)
+        self._limiter = CommandLimiter(self._limits)
+        self._movers = MovingObstacleTracker()
+        self._memory = ScanMemory(round(config.memory * SECOND), config.radius)
 
-    def _begin_anew(self, now: int, why: str) -> None:
-        """Forget what was seen, and stand for a moment."""
-        self._pause, self._paused_until = why, now + _PAUSE_NS
+    def _restart(self, now: int, reason: str) -> None:
+        """Forget the obstacles, pause, and restart the behavior."""
+        self._safety.pause(now + _PAUSE_NS, reason)
         self._commanded_at = now
-        self._space.forget()
+        self._memory.forget()
         self._movers.forget()
-        self._begin()
+        self._start_behavior()
 
-    def _begin(self) -> None:
-        """Begin what is wanted anew, unless it is done."""
-        nav_command = self._nav_command if self._nav_command is not None else NavCommand()
-        wanted = nav_command.behavior
+    def _start_behavior(self) -> None:
+        """Start the commanded behavior from its beginning."""
+        command = self._command if self._command is not None else NavCommand()
         self._behavior = None
-        if wanted == NavCommand.BACK_OFF:
+        if command.behavior == NavCommand.BACK_OFF:
             self._behavior = BackOff(self._limits)
-        elif wanted == NavCommand.LOOK_AROUND:
+        elif command.behavior == NavCommand.LOOK_AROUND:
             self._behavior = LookAround(self._limits)
-        elif wanted == NavCommand.EXPLORE:
-            self._behavior = Explore(self._limits, nav_command.distance)
-        elif wanted == NavCommand.FOLLOW:
-            self._route()
+        elif command.behavior == NavCommand.EXPLORE:
+            self._behavior = Explore(self._limits, command.distance)
+        elif command.behavior == NavCommand.FOLLOW:
+            self._follow_plan()
 
-    def _route(self) -> None:
-        """Follow the plan if it is of the goal_id that is wanted."""
-        nav_command, plan = self._nav_command, self._plan
-        if nav_command is None or nav_command.behavior != NavCommand.FOLLOW:
+    def _follow_plan(self) -> None:
+        """Follow the plan if it belongs to the commanded goal."""
+        command, plan = self._command, self._plan
+        if command is None or command.behavior != NavCommand.FOLLOW:
             return
-        if plan is None or plan.goal_id != nav_command.goal_id:
+        if plan is None or plan.goal_id != command.goal_id:
             return
         if plan.outcome != Plan.FOUND:
             self._behavior = None
             return
-        poses = planar_poses(plan.poses)
-        goal = planar_pose(nav_command.goal)
-        route = Route(poses, goal)
+        path = FollowedPath(planar_poses(plan.poses), planar_pose(command.goal))
         if isinstance(self._behavior, Follow):
-            self._behavior.route = route
+            self._behavior.path = path
             return
         self._behavior = Follow(
-            self._limits, route, nav_command.position_tolerance, nav_command.heading_tolerance
+            self._limits, path, command.position_tolerance, command.heading_tolerance
         )
 
     def _drive(self) -> None:
-        """Command what is to be done now, and tell if that is something else than before."""
+        """Publish the next velocity command, and log and publish a change of state."""
         now = self.clock.now()
         if began_anew(self._commanded_at, now):
-            self._begin_anew(now, "time was set back")
+            self._restart(now, "time was set back")
         self._commanded_at = now
-        self._motion, command = self._judge(now)
+        self._result, command = self._next(now)
         if command is STAND:
-            self._steering.stop(now)
+            self._limiter.stop(now)
         self.cmd_vel.publish(Twist(linear=Vector3(x=command[0]), angular=Vector3(z=command[1])))
-        goal_id = self._nav_command.goal_id if self._nav_command is not None else 0
-        if self._told != (goal_id, self._motion.state):
-            self._told = (goal_id, self._motion.state)
-            reason = f": {self._motion.reason}" if self._motion.reason else ""
-            self.log.info("%s%s", self._motion.state.name.lower(), reason)
-            self.tell()
+        if self._logged != (self._goal_id, self._result.state):
+            self._logged = (self._goal_id, self._result.state)
+            reason = f": {self._result.reason}" if self._result.reason else ""
+            self.log.info("%s%s", self._result.state.name.lower(), reason)
+            self.publish_status()
 
-    def _judge(self, now: int) -> tuple[Motion, Command]:
-        stopped = self._stopped(now)
-        if stopped is not None:
-            return stopped, STAND
+    def _next(self, now: int) -> tuple[BehaviorResult, Command]:
+        """Return the result of the current behavior and the velocity command."""
+        standing = self._must_stand(now)
+        if standing is not None:
+            return standing, STAND
         if self._behavior is None:
-            return self._no_plan(), STAND
-        odom = self._whereabouts.odom(now)
-        if odom is None:  # its first time is yet to come
+            return self._without_plan(), STAND
+        odometry = self._tracker.odometry_at(now)
+        if odometry is None:  # its first stamp is in the future
             reason = f"no odom yet on {self.odom.topic}"
-            return (
-                Motion(state=State.STOPPED, reason=reason, code=ReasonCode.NO_ODOMETRY),
-                STAND,
-            )
-        speed, turn = self._whereabouts.speed, self._whereabouts.turn
-        around = self._space.around(odom, LOOK, speed, self._limits.speed)
-        self._around = around
-        pose = self._whereabouts.pose(now)
-        situation = Situation(now, odom, speed, turn, pose, self._space, around, self._view)
-        motion = self._behavior.step(situation)
-        if motion.state is State.DONE:
+            return _stopped(ReasonCode.NO_ODOMETRY, reason), STAND
+        speed, turn = self._tracker.speed, self._tracker.turn
+        obstacles = self._memory.around(odometry, OBSTACLE_RANGE_M, speed, self._limits.speed)
+        self._obstacles = obstacles
+        pose = self._tracker.pose_at(now)
+        result = self._behavior.step(
+            BehaviorInput(now, odometry, speed, turn, pose, self._memory, obstacles, self._view)
+        )
+        if result.state is MotionState.DONE:
             self._done = True
-            return motion, STAND
-        return motion, self._steering.command(motion.wish, now, (speed, turn), around)
+            return result, STAND
+        return result, self._limiter.command(result.target, now, (speed, turn), obstacles)
 
-    def _stopped(self, now: int) -> Motion | None:
-        """Why it must stand still; None if it may move."""
-        nav_command = self._nav_command
-        timeouts = self.config.timeouts
-        stale = self._freshness.complaint(
-            "nav_command", self.nav_command.topic, timeouts.nav_command, now
-        )
-        if stale or nav_command is None:
-            return Motion(state=State.STOPPED, reason=stale, code=ReasonCode.NO_NAV_COMMAND)
-        if nav_command.behavior == NavCommand.STAND:
-            return Motion(state=State.STANDING)
+    def _must_stand(self, now: int) -> BehaviorResult | None:
+        """Return the state of a robot that must stand still; None if it may move."""
+        command, timeouts = self._command, self.config.timeouts
+        stale = self._safety.stale_command(now, timeouts)
+        if stale or command is None:
+            return _stopped(ReasonCode.NO_NAV_COMMAND, stale)
+        if command.behavior == NavCommand.STAND:
+            return BehaviorResult(state=MotionState.STANDING)
         if self._done:
-            return Motion(state=State.DONE, reason=self._motion.reason, code=self._motion.code)
-        code = int(ReasonCode.NO_ODOMETRY)
-        stale = self._freshness.complaint("odom", self.odom.topic, timeouts.odom, now)
-        if not stale:
-            code = ReasonCode.NO_SCAN
-            called = "scan" if self._scan_told else "scan that tells anything"
-            stale = self._freshness.complaint("scan", self.scan.topic, timeouts.scan, now, called)
-        if not stale and now < self._paused_until:
-            code, stale = ReasonCode.ODOMETRY_RESET, self._pause
-        if not stale and nav_command.behavior == NavCommand.FOLLOW:
-            code, stale = self._unsure(now)
-        return Motion(state=State.STOPPED, reason=stale, code=code) if stale else None
+            last = self._result
+            return BehaviorResult(state=MotionState.DONE, reason=last.reason, code=last.code)
+        follows = command.behavior == NavCommand.FOLLOW
+        pose_known = not follows or self._tracker.pose_at(now) is not None
+        code, reason = self._safety.reason(now, timeouts, follows, pose_known)
+        return _stopped(code, reason) if reason else None
 
-    def _unsure(self, now: int) -> tuple[int, str]:
-        """Return why the pose in the map cannot be relied on; an empty reason if it can."""
-        topic, estimate = self.localization.topic, self.localization.latest
-        stale = self._freshness.complaint(
-            "localization", topic, self.config.timeouts.localization, now
-        )
-        if not stale and self._lost and estimate is not None:
-            return (
-                estimate.reason_code,
-                f"the robot is lost, health {estimate.health:.2f}: {estimate.reason}",
-            )
-        if not stale and self._whereabouts.pose(now) is None:
-            stale = f"no pose on {topic} since odometry began"
-        return ReasonCode.NO_LOCALIZATION, stale
-
-    def _no_plan(self) -> Motion:
-        nav_command, plan = self._nav_command, self._plan
+    def _without_plan(self) -> BehaviorResult:
+        plan = self._plan
         code = int(ReasonCode.NO_PLAN)
-        if plan is None or plan.goal_id != (nav_command.goal_id if nav_command is not None else 0):
-            reason = f"no plan of this goal_id yet on {self.plan.topic}"
+        if plan is None or plan.goal_id != self._goal_id:
+            reason = f"no plan of this goal yet on {self.plan.topic}"
         else:
             code = PLAN_REASON_CODES[plan.outcome]
             reason = f"there is no path: {plan.reason}"
-        return Motion(state=State.BLOCKED, reason=reason, code=code)
+        return BehaviorResult(state=MotionState.BLOCKED, reason=reason, code=code)
 
 
-def _view(scan: LaserScan, mount: Pose) -> tuple[float, float]:
-    """The part of a circle around the robot that is seen: middle and half the width [rad]."""
+def _stopped(code: int, reason: str) -> BehaviorResult:
+    return BehaviorResult(state=MotionState.STOPPED, reason=reason, code=code)
+
+
+def _field_of_view(scan: LaserScan, mount: Pose) -> tuple[float, float]:
+    """Return the scanned part of a circle around the robot: middle and half the width [rad]."""
     middle = mount[2] + 0.5 * (scan.angle_min + scan.angle_max)
     return middle, 0.5 * abs(scan.angle_max - scan.angle_min)

@@ -7,73 +7,88 @@ from typing import Self
 from pydantic import Field, model_validator
 
 from cairn import Config, Mount
-from cairn.components.motion_control.limits import Limits
+from cairn.components.motion_control.velocity_limits import MotionLimits
 
 
 class Timeouts(Config):
-    """Ages of inputs from which the robot stands still."""
+    """Ages of inputs above which the robot stands still."""
 
-    scan: float = Field(0.5, gt=0, le=10, description="Age of the newest scan [s].")
-    odom: float = Field(0.3, gt=0, le=10, description="Age of the newest odometry [s].")
+    scan: float = Field(0.5, gt=0, le=10, description="Maximum age of the newest scan [s].")
+    odom: float = Field(0.3, gt=0, le=10, description="Maximum age of the newest odometry [s].")
     localization: float = Field(
-        1.0, gt=0, le=10, description="Age of the newest localization estimate [s]."
+        1.0, gt=0, le=10, description="Maximum age of the newest localization estimate [s]."
     )
-    nav_command: float = Field(1.5, gt=0, le=10, description="Age of what is wanted [s].")
+    nav_command: float = Field(
+        1.5, gt=0, le=10, description="Maximum age of the navigation command [s]."
+    )
 
 
 class MotionControlConfig(Config):
     """Parameters of motion control."""
 
-    # What was seen is looked at up to 1.6 m from the robot's center.
+    # At most 1: the scan memory knows the ground up to 1.6 m from the robot's center.
     radius: float = Field(0.22, gt=0.05, le=1, description="Radius of the round robot [m].")
     margin: float = Field(
-        0.05, ge=0.01, le=1, description="Space around the robot that is kept free [m]."
+        0.05, ge=0.01, le=1, description="Free space that is kept around the robot [m]."
     )
     stop_distance: float = Field(
         0.12,
         ge=0,
         le=2,
-        description="Further space before what blocks the path, where the robot stops [m].",
+        description="Additional distance to an obstacle on the path at which the robot stops [m].",
     )
     full_speed_clearance: float = Field(
-        0.2, gt=0, le=2, description="Space beside the robot that it needs for full speed [m]."
+        0.2, gt=0, le=2, description="Clearance beside the robot that full speed requires [m]."
     )
-    speed: float = Field(0.6, gt=0, le=3, description="Fastest speed ahead [m/s].")
+    speed: float = Field(0.6, gt=0, le=3, description="Maximum speed [m/s].")
     creep_speed: float = Field(
-        0.15, gt=0, le=1, description="Speed where there is only the margin beside the robot [m/s]."
+        0.15, gt=0, le=1, description="Speed when only the margin is free beside the robot [m/s]."
     )
-    turn_speed: float = Field(1.5, gt=0, le=6, description="Fastest turn [rad/s].")
-    acceleration: float = Field(0.8, gt=0, le=10, description="Acceleration of commands [m/s^2].")
+    turn_speed: float = Field(1.5, gt=0, le=6, description="Maximum turn rate [rad/s].")
+    acceleration: float = Field(
+        0.8, gt=0, le=10, description="Acceleration of velocity commands [m/s^2]."
+    )
     turn_acceleration: float = Field(
-        3.0, gt=0, le=30, description="Angular acceleration of commands [rad/s^2]."
+        3.0, gt=0, le=30, description="Angular acceleration of velocity commands [rad/s^2]."
     )
     braking: float = Field(
         0.6,
         gt=0,
         le=10,
-        description="Deceleration that the robot is relied on for; less than it can [m/s^2].",
+        description="Deceleration on which stopping distances rely; less than the robot can "
+        "[m/s^2].",
     )
     turn_braking: float = Field(
-        2.0, gt=0, le=30, description="Angular deceleration relied on [rad/s^2]."
+        2.0,
+        gt=0,
+        le=30,
+        description="Angular deceleration on which stopping angles rely [rad/s^2].",
     )
     latency: float = Field(
-        0.15, ge=0, le=1, description="Time from what is seen to when the base follows [s]."
+        0.15, ge=0, le=1, description="Delay from a measurement to the base's reaction [s]."
     )
     lookahead: float = Field(
-        1.2, gt=0.1, le=5, description="How far ahead on the path the robot aims [s]."
+        1.2,
+        gt=0.1,
+        le=5,
+        description="Distance of the point on the path that the robot pursues, as driving time "
+        "[s].",
     )
     memory: float = Field(
-        3.0, ge=0, le=30, description="How long what left the scanner's view still counts [s]."
+        3.0,
+        ge=0,
+        le=30,
+        description="How long obstacles outside the field of view are remembered [s].",
     )
     health_limit: float = Field(
-        0.3, ge=0, le=1, description="Health of the localization below which no path is followed."
+        0.3, ge=0, le=1, description="Least localization health for following a path [1]."
     )
     timeouts: Timeouts = Timeouts()
     mount: Mount = Mount()
 
     @model_validator(mode="after")
     def _agrees(self) -> Self:
-        """Refuse what the robot cannot do, rather than do something else."""
+        """Reject combinations that the robot cannot satisfy."""
         for least, most in (
             ("creep_speed", "speed"),
             ("braking", "acceleration"),
@@ -92,9 +107,9 @@ class MotionControlConfig(Config):
             )
         return self
 
-    def limits(self) -> Limits:
-        """The parameters as the algorithm takes them."""
-        return Limits(
+    def limits(self) -> MotionLimits:
+        """Return the parameters as the algorithms use them."""
+        return MotionLimits(
             radius=self.radius,
             margin=self.margin,
             stop_distance=self.stop_distance,

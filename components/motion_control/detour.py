@@ -1,4 +1,4 @@
-"""Looks for a way around what stands on the path, on a small grid of what the scanner sees."""
+"""Detours: find a path around an obstacle on the way, on a small grid around the robot."""
 
 from __future__ import annotations
 
@@ -7,102 +7,105 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from cairn.components.motion_control.arcs import sees
-from cairn.components.motion_control.limits import Limits
+from cairn.components.motion_control.collision_checks import check_straight_lines
+from cairn.components.motion_control.velocity_limits import MotionLimits
 from cairn.planar.grid import distance_field
 from cairn.planar.shortest_path import CLOSED, MARGIN, MIN_COST, PathSearch, open_costs
 
 Array = NDArray[np.float64]
 
-_CELL, _HALF = 0.05, 48  # size of a cell [m]; cells from the robot to the grid's edge
-WITHIN = _CELL * (_HALF - 2)
-"""A place this far [m] ahead and aside can be looked for."""
+_CELL_M, _HALF = 0.05, 48  # size of a cell [m]; cells from the robot to the grid's edge
+SEARCH_RANGE_M = _CELL_M * (_HALF - 2)
+"""Detours end within this distance [m] ahead and aside."""
 
-# Nearer to obstacles than this beyond the margin [m] a way is dearer, up to that price.
+# Within this distance beyond the margin [m] cells are more expensive, by up to this cost.
 _WIDE, _DEAR = 0.2, 60.0
-# Corners are cut only with so much more room [m], as scans are noisy.
+# Corners are cut only with so much more clearance [m], as scans are noisy.
 _SPARE = 0.06
-# A cell's center may be so far [m] from the point in it, which the margin allows for.
+# A cell's center may be so far [m] from the point in it; the margin allows for that.
 _ROUNDING = 0.01
-# A detour may be so much longer than the straight line, by share [1] and by length [m].
+# A detour may be longer than the straight line by this factor [1] and length [m]; a longer one is
+# left to the path planner.
 _LONGER, _MORE = 2.0, 0.6
 
 
 class DetourSearch:
-    """Finds ways of the robot among points; keeps the memory that it works in."""
+    """Finds paths of the robot among points, in memory that is allocated once."""
 
-    def __init__(self, limits: Limits) -> None:
+    def __init__(self, limits: MotionLimits) -> None:
         self._limits = limits
-        self._prices = open_costs(2 * _HALF, 2 * _HALF)
-        self._search = PathSearch(self._prices.shape)
+        self._costs = open_costs(2 * _HALF, 2 * _HALF)
+        self._search = PathSearch(self._costs.shape)
 
     def find(self, points: Array, x: float, y: float) -> Array | None:
-        """A way (n, 2) [m] from the robot's center to x, y [m] in its frame; None if there is none.
+        """Return a path (n, 2) [m] from the robot's center to x, y [m] in its frame, or None.
 
-        `points` (m, 2) [m] are the obstacles. Where the robot stands within the margin of some the
-        way leads out of it.
+        `points` (m, 2) [m] are the obstacles. A robot that stands within the margin of some is led
+        out of it.
         """
         goal = _cell(x, y)
         start = (_HALF, _HALF)
         distances = self._distances(points)
         limits = self._limits
-        kept = limits.kept - _ROUNDING
-        wide = np.clip((kept + _WIDE - distances) / _WIDE, 0.0, 1.0)
-        inner = self._prices[MARGIN:-MARGIN, MARGIN:-MARGIN]
+        keepout_radius = limits.keepout_radius - _ROUNDING
+        wide = np.clip((keepout_radius + _WIDE - distances) / _WIDE, 0.0, 1.0)
+        inner = self._costs[MARGIN:-MARGIN, MARGIN:-MARGIN]
         inner[:] = MIN_COST + _DEAR * wide
-        closed = distances < kept
+        closed = distances < keepout_radius
         inner[closed] = CLOSED
         if closed[start]:
-            self._leave(inner, closed, distances)
+            self._open_exit(inner, closed, distances)
         if inner[goal] >= CLOSED:
             return None
-        cells = self._search.find(self._prices, start, goal).cells
+        cells = self._search.find(self._costs, start, goal).cells
         if cells is None:
             return None
-        way: Array = (cells[:, ::-1].astype(np.float64) - _HALF + 0.5) * _CELL
-        way[0], way[-1] = (0.0, 0.0), (x, y)
-        length = float(np.hypot(*np.diff(way, axis=0).T).sum())
+        path: Array = (cells[:, ::-1].astype(np.float64) - _HALF + 0.5) * _CELL_M
+        path[0], path[-1] = (0.0, 0.0), (x, y)
+        length = float(np.hypot(*np.diff(path, axis=0).T).sum())
         if length > _LONGER * math.hypot(x, y) + _MORE:
             return None
-        return self._straightened(way, points)
+        return self._without_corners(path, points)
 
     def _distances(self, points: Array) -> NDArray[np.float32]:
         taken = np.zeros((2 * _HALF, 2 * _HALF), np.bool_)
-        cells = np.floor(points / _CELL).astype(np.int64) + _HALF
+        cells = np.floor(points / _CELL_M).astype(np.int64) + _HALF
         cells = cells[((cells >= 0) & (cells < 2 * _HALF)).all(axis=1)]
         taken[cells[:, 1], cells[:, 0]] = True
-        return distance_field(taken, _CELL)
+        return distance_field(taken, _CELL_M)
 
-    def _leave(
+    def _open_exit(
         self,
-        prices: NDArray[np.uint8],
+        costs: NDArray[np.uint8],
         closed: NDArray[np.bool_],
         distances: NDArray[np.float32],
     ) -> None:
-        """Open what is as far from obstacles as the robot is now, dear as it is."""
-        reach = math.ceil(self._limits.kept / _CELL) + 1
+        """Open the cells that are as far from obstacles as the robot is now, at a high cost."""
+        reach = math.ceil(self._limits.keepout_radius / _CELL_M) + 1
         near = slice(_HALF - reach, _HALF + reach + 1)
         least = distances[_HALF, _HALF] - 0.01
         opened = closed[near, near] & (distances[near, near] >= least)
-        prices[near, near][opened] = round(MIN_COST + 2.0 * _DEAR)
+        costs[near, near][opened] = round(MIN_COST + 2.0 * _DEAR)
 
-    def _straightened(self, way: Array, points: Array) -> Array:
-        """The way by those of its points that see one another."""
+    def _without_corners(self, path: Array, points: Array) -> Array:
+        """Return the path without the points between corners that see each other."""
         corners = [0]
-        last = way.shape[0] - 1
+        last = path.shape[0] - 1
         while corners[-1] < last:
             here = corners[-1]
             beyond = np.arange(here + 1, last + 1)
             seen = np.empty(beyond.size, np.bool_)
-            x, y = way[here]
-            sees(points, way[beyond], x, y, self._limits.kept + _SPARE, seen)
+            x, y = path[here]
+            check_straight_lines(
+                points, path[beyond], x, y, self._limits.keepout_radius + _SPARE, seen
+            )
             hidden = np.flatnonzero(~seen)
             reached = int(hidden[0]) if hidden.size else int(beyond.size)
             corners.append(here + max(1, reached))
-        straightened: Array = way[corners]
+        straightened: Array = path[corners]
         return straightened
 
 
 def _cell(x: float, y: float) -> tuple[int, int]:
-    """Row and column of a place in the robot's frame."""
-    return math.floor(y / _CELL) + _HALF, math.floor(x / _CELL) + _HALF
+    """Return row and column of a position in the robot's frame."""
+    return math.floor(y / _CELL_M) + _HALF, math.floor(x / _CELL_M) + _HALF

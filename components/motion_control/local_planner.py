@@ -1,8 +1,8 @@
-"""Follows a path among obstacles: along it where it is free, around what stands on it, or not.
+"""The local planner: follow the path where it is free, drive around obstacles on it, or stop.
 
-Pure pursuit of a point ahead on the path (Coulter 1992), regulated in speed by curvature, free
-distance and clearance (Macenski et al. 2023). Each arc is checked against what the scanner sees, as
-in the dynamic window approach (Fox, Burgard, Thrun 1997).
+Pure pursuit of a point ahead on the path (Coulter 1992), with a speed regulated by curvature, free
+distance and clearance (Macenski et al. 2023). Each arc is checked against obstacles, as in the
+dynamic window approach (Fox, Burgard, Thrun 1997).
 """
 
 from __future__ import annotations
@@ -13,208 +13,211 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cairn.components.motion_control.arcs import (
-    FAR,
-    arc_clearances,
-    free_again,
-    free_along,
-    open_ways,
+from cairn.components.motion_control.collision_checks import (
+    UNLIMITED_M,
+    check_arcs,
+    check_lines,
+    first_free_again,
+    free_length,
 )
-from cairn.components.motion_control.detour import WITHIN, DetourSearch
-from cairn.components.motion_control.limits import Limits
-from cairn.components.motion_control.route import AHEAD, SPACING, Route
-from cairn.components.motion_control.seen_space import Surroundings
+from cairn.components.motion_control.detour import SEARCH_RANGE_M, DetourSearch
+from cairn.components.motion_control.followed_path import HORIZON_M, SPACING_M, FollowedPath
+from cairn.components.motion_control.scan_memory import NearbyObstacles
+from cairn.components.motion_control.velocity_limits import (
+    MotionLimits,
+    VelocityTarget,
+)
 from cairn.planar.poses import Pose, compose
 
 Array = NDArray[np.float64]
 
-LOOK = AHEAD + 0.3
-"""Obstacles within this distance [m] of the robot are to be given."""
+OBSTACLE_RANGE_M = HORIZON_M + 0.3
+"""Obstacles within this distance [m] of the robot are needed."""
 
-_NEAREST_AIM, _FARTHEST_AIM = 0.35, 0.8  # [m] along the path
-_AIMS = np.array([1.0, 0.75, 0.55, 0.4])  # shares of it that are tried where there is no room
-# Turning on the spot begins when the path is this far off the heading, and ends here [rad].
+_NEAREST_AIM, _FARTHEST_AIM = (
+    0.35,
+    0.8,
+)  # [m] along the path; nearer points make the robot oscillate, farther ones cut corners
+_AIMS = np.array(
+    [1.0, 0.75, 0.55, 0.4]
+)  # shares of the distance that are tried where there is little room
+# Turning on the spot starts when the path is this far off the heading, and ends here [rad]; the
+# difference keeps the robot from alternating between both motions.
 _TURN_FROM, _TURN_TO = 1.0, 0.2
-# What blocks the path nearer than this [m] is gone around.
+# An obstacle on the path nearer than this [m] is driven around.
 _AVOID = 1.4
-_CHECKED = round(_AVOID / SPACING) + 2
-_AT_GOAL = 0.3  # what is no farther than this before the goal [m] is gone up to
-_NEARLY = 0.06  # [m] that the goal itself may be beyond reach
-_REJOIN = 16  # points of the path that must be free beyond what blocks it
-_AGAIN_NS = 300_000_000  # how long no detour is looked for after there was none
-_GRACE = 0.6  # share of the margin that noise may take from a detour before it is given up
-_TOUCH = 0.02  # free way [m] that is left over where the robot stops
-_STRAIGHT_SPEED = 0.25  # [m/s] where there is no path
+_CHECKED = round(_AVOID / SPACING_M) + 2
+_AT_GOAL = 0.3  # [m]: obstacles this near before the goal do not stop the robot early
+_NEARLY = 0.06  # [m] that the goal itself may be out of reach
+_REJOIN = 16  # points of the path that must be free beyond an obstacle: 0.8 m
+_AGAIN_NS = 300_000_000  # time without a new search after no detour was found
+_GRACE = 0.6  # share of the margin that noise may take from a detour before it is dropped
+_TOUCH = 0.02  # [m] of free path that is left where the robot stops
+_STRAIGHT_SPEED = 0.25  # [m/s] without a path
 _LEAST_SPEED = 0.05  # [m/s] that a base can follow
 
 
 @dataclass(frozen=True)
-class Wish:
-    """A motion wanted: speed [m/s] and curvature [1/m], or turning on the spot [rad/s].
-
-    `blocked` says why there is none; empty if there is.
-    """
-
-    speed: float = 0.0
-    curvature: float = 0.0
-    turn: float = 0.0
-    blocked: str = ""
-
-
-STILL = Wish()
-
-
-@dataclass(frozen=True)
-class Place:
-    """Where the robot is in the odometry frame at `now` [ns], its speed [m/s], what is around."""
+class PlannerInput:
+    """Robot pose in the odometry frame at `now` [ns], speed [m/s], and the obstacles around it."""
 
     now: int
     odom: Pose
     speed: float
-    around: Surroundings
+    obstacles: NearbyObstacles
 
 
 class LocalPlanner:
-    """Follows the way ahead among obstacles; keeps what it has begun, so as not to waver."""
+    """Follows the path ahead among obstacles; keeps to a started detour or turn."""
 
-    def __init__(self, limits: Limits) -> None:
+    def __init__(self, limits: MotionLimits) -> None:
         self._limits = limits
-        self._room = limits.kept
+        self._room = limits.keepout_radius
         self._turning = False
         self._side = 0.0
         self._curvature = 0.0
-        self._detour: Route | None = None
+        self._detour: FollowedPath | None = None
         self._sought_at = -_AGAIN_NS
         self._search = DetourSearch(limits)
         self._free = np.empty(_AIMS.size)
         self._clear = np.empty(_AIMS.size)
 
-    def along(self, way: Array, left: float, place: Place) -> Wish:
-        """The motion along `way` (n, 2) [m], its points `SPACING` apart, in the robot's frame.
+    def along(self, path_ahead: Array, left: float, inputs: PlannerInput) -> VelocityTarget:
+        """Return the velocity along `path_ahead` (n, 2) [m], points `SPACING_M` apart, robot frame.
 
         `left` [m] is the path's length from here to its end.
         """
-        wish = self._free_of(way, left, place)
-        if wish.speed > 0.0 and not place.around.seen_ahead:
-            return Wish(blocked=_UNSEEN)
-        return wish
+        target = self._follow_path_or_detour(path_ahead, left, inputs)
+        if target.speed > 0.0 and not inputs.obstacles.ground_seen_ahead:
+            return VelocityTarget(blocked=_UNSEEN)
+        return target
 
-    def _free_of(self, way: Array, left: float, place: Place) -> Wish:
-        self._room = self._limits.kept
-        ahead = self._ahead(way, place)
+    def _follow_path_or_detour(
+        self, path_ahead: Array, left: float, inputs: PlannerInput
+    ) -> VelocityTarget:
+        self._room = self._limits.keepout_radius
+        ahead = self._ahead(path_ahead, inputs)
         if self._detour is not None:
-            wish = self._round_about(ahead, place)
-            if wish is not None:
-                return wish
+            target = self._follow_detour(ahead, inputs)
+            if target is not None:
+                return target
         if ahead >= min(_AVOID, left):
-            wish = self._follow(way, left, ahead, place)
-            if wish is not None:
-                return wish
-        if place.now - self._sought_at >= _AGAIN_NS and self._seek(way, ahead, place):
-            wish = self._round_about(ahead, place)
-            if wish is not None:
-                return wish
-        self._room = self._limits.tight
-        ahead = self._ahead(way, place)
-        wish = None
+            target = self._follow(path_ahead, left, ahead, inputs)
+            if target is not None:
+                return target
+        if inputs.now - self._sought_at >= _AGAIN_NS and self._find_detour(
+            path_ahead, ahead, inputs
+        ):
+            target = self._follow_detour(ahead, inputs)
+            if target is not None:
+                return target
+        self._room = self._limits.minimum_radius
+        ahead = self._ahead(path_ahead, inputs)
+        target = None
         if ahead >= self._gap(ahead, left):
-            wish = self._follow(way, left, ahead, place)
-        if wish is None or (wish.speed < 0.01 and wish.turn == 0.0):
-            return Wish(curvature=self._curvature, blocked=_told(ahead, place, self._limits))
-        return wish
+            target = self._follow(path_ahead, left, ahead, inputs)
+        if target is None or (target.speed < 0.01 and target.turn == 0.0):
+            return VelocityTarget(
+                curvature=self._curvature, blocked=_blocked_reason(ahead, inputs, self._limits)
+            )
+        return target
 
     def _gap(self, ahead: float, left: float) -> float:
-        """How far [m] to stay from what is on the path: little where the goal is right at it."""
+        """Return the gap [m] to an obstacle on the path: small where the goal is right at it."""
         return self._limits.stop_distance if left - ahead > _AT_GOAL else min(_TOUCH, left)
 
-    def _ahead(self, way: Array, place: Place) -> float:
-        """How far [m] the way is free, `FAR` if nothing is on its first part."""
-        return free_along(place.around.points, way[:_CHECKED], SPACING, self._room)
+    def _ahead(self, path_ahead: Array, inputs: PlannerInput) -> float:
+        """Return the free length [m] of the path, `UNLIMITED_M` if its first part is free."""
+        return free_length(inputs.obstacles.points, path_ahead[:_CHECKED], SPACING_M, self._room)
 
-    def straight(self, around: Surroundings, off: float, left: float) -> Wish:
-        """The motion straight on for `left` [m] in a direction `off` [rad] the heading."""
+    def straight(self, obstacles: NearbyObstacles, off: float, left: float) -> VelocityTarget:
+        """Return the velocity straight on for `left` [m] in a direction `off` [rad] the heading."""
         self._turning = abs(off) > (0.5 * _TURN_TO if self._turning else _TURN_TO)
         if self._turning:
-            return Wish(turn=self._limits.turn_by(self._the_same_way(off)))
-        if not around.seen_ahead:
-            return Wish(blocked=_UNSEEN)
+            return VelocityTarget(turn=self._limits.turn_rate_for(self._same_direction(off)))
+        if not obstacles.ground_seen_ahead:
+            return VelocityTarget(blocked=_UNSEEN)
         curvature = max(-1.0, min(1.0, 2.0 * off))
-        self._check(around.points, np.array([curvature]), np.array([0.3]))
+        self._check(obstacles.points, np.array([curvature]), np.array([0.3]))
         pace = self._pace(curvature, self._free[0], self._clear[0])
-        pace = min(_STRAIGHT_SPEED, self._limits.speed_before(left), pace)
+        pace = min(_STRAIGHT_SPEED, self._limits.speed_to_stop_in(left), pace)
         if pace <= 0.01:
-            gap = max(0.0, around.nearest - self._limits.radius)
-            return Wish(blocked=f"an obstacle {gap:.2f} m from the robot")
-        return Wish(speed=max(_LEAST_SPEED, pace), curvature=curvature)
+            gap = max(0.0, obstacles.nearest - self._limits.radius)
+            return VelocityTarget(blocked=f"an obstacle {gap:.2f} m from the robot")
+        return VelocityTarget(speed=max(_LEAST_SPEED, pace), curvature=curvature)
 
-    def _follow(self, way: Array, left: float, ahead: float, place: Place) -> Wish | None:
-        """Pursue a way that is free for `ahead` [m]; None if no arc leads on to it."""
-        limits, points = self._limits, place.around.points
-        aim = min(_FARTHEST_AIM, max(_NEAREST_AIM, limits.lookahead * place.speed))
-        x, y = way[min(way.shape[0] - 1, round(aim / SPACING))]
+    def _follow(
+        self, path_ahead: Array, left: float, ahead: float, inputs: PlannerInput
+    ) -> VelocityTarget | None:
+        """Pursue a path that is free for `ahead` [m]; return None if no arc leads to it."""
+        limits, points = self._limits, inputs.obstacles.points
+        aim = min(_FARTHEST_AIM, max(_NEAREST_AIM, limits.lookahead * inputs.speed))
+        x, y = path_ahead[min(path_ahead.shape[0] - 1, round(aim / SPACING_M))]
         bearing = math.atan2(y, x)
         if self._turns(bearing):
-            return Wish(turn=limits.turn_by(self._the_same_way(bearing)))
-        end = math.hypot(way[-1, 0], way[-1, 1])
+            return VelocityTarget(turn=limits.turn_rate_for(self._same_direction(bearing)))
+        end = math.hypot(path_ahead[-1, 0], path_ahead[-1, 1])
         fastest = min(
-            limits.speed_before(max(left, end)),
-            limits.speed_before(ahead - self._gap(ahead, left)),
+            limits.speed_to_stop_in(max(left, end)),
+            limits.speed_to_stop_in(ahead - self._gap(ahead, left)),
         )
-        arc = self._pursue(way, aim, points)
+        arc = self._pursue(path_ahead, aim, points)
         if arc is not None:
             curvature, free, clear = arc
             pace = min(fastest, self._pace(curvature, free, clear))
             self._curvature = curvature
-            return Wish(speed=pace if pace < 0.01 else max(pace, _LEAST_SPEED), curvature=curvature)
-        if abs(place.speed) > 0.05:  # first it stands
-            return Wish(curvature=self._curvature)
+            return VelocityTarget(
+                speed=pace if pace < 0.01 else max(pace, _LEAST_SPEED), curvature=curvature
+            )
+        if abs(inputs.speed) > 0.05:  # stop first
+            return VelocityTarget(curvature=self._curvature)
         direct = np.empty(1)
-        open_ways(points, np.array([bearing]), self._room, limits.touching, direct)
+        check_lines(points, np.array([bearing]), self._room, limits.contact_radius, direct)
         if abs(bearing) > _TURN_TO and direct[0] > min(0.3, math.hypot(x, y)):
             self._turning = True
-            return Wish(turn=limits.turn_by(self._the_same_way(bearing)))
+            return VelocityTarget(turn=limits.turn_rate_for(self._same_direction(bearing)))
         return None
 
-    def _round_about(self, ahead: float, place: Place) -> Wish | None:
-        """Go on with the detour; None, and it is given up, when it is over or blocked."""
+    def _follow_detour(self, ahead: float, inputs: PlannerInput) -> VelocityTarget | None:
+        """Continue the detour; drop it and return None when it is over or blocked."""
         assert self._detour is not None
-        way = self._detour.ahead(place.odom)
+        path_ahead = self._detour.ahead(inputs.odom)
         left = self._detour.left
-        if left > 2.0 * SPACING and (ahead < _AVOID or left > _NEAREST_AIM):
-            radius = self._limits.kept - _GRACE * self._limits.margin
-            free = free_along(place.around.points, way[:_CHECKED], SPACING, radius)
+        if left > 2.0 * SPACING_M and (ahead < _AVOID or left > _NEAREST_AIM):
+            radius = self._limits.keepout_radius - _GRACE * self._limits.margin
+            free = free_length(inputs.obstacles.points, path_ahead[:_CHECKED], SPACING_M, radius)
             if free >= min(_AVOID, left):
-                wish = self._follow(way, left + 0.5, FAR, place)
-                if wish is not None:
-                    return wish
+                target = self._follow(path_ahead, left + 0.5, UNLIMITED_M, inputs)
+                if target is not None:
+                    return target
         self._detour = None
         return None
 
-    def _seek(self, way: Array, ahead: float, place: Place) -> bool:
-        """Look for a detour to the path beyond what blocks it."""
-        self._sought_at = place.now
-        points = place.around.points
-        first = 0 if ahead == FAR else round(ahead / SPACING)
-        run = _REJOIN if ahead < FAR else 0
-        index = free_again(points, way, first, run, self._limits.kept)
+    def _find_detour(self, path_ahead: Array, ahead: float, inputs: PlannerInput) -> bool:
+        """Search a detour to the path beyond the obstacle; return whether there is one."""
+        self._sought_at = inputs.now
+        points = inputs.obstacles.points
+        first = 0 if ahead == UNLIMITED_M else round(ahead / SPACING_M)
+        run = _REJOIN if ahead < UNLIMITED_M else 0
+        index = first_free_again(points, path_ahead, first, run, self._limits.keepout_radius)
         if index < 0:
             return False
-        targets = way[index : index + _REJOIN + 1]
-        near = np.flatnonzero((np.abs(targets) < WITHIN).all(axis=1))
+        targets = path_ahead[index : index + _REJOIN + 1]
+        near = np.flatnonzero((np.abs(targets) < SEARCH_RANGE_M).all(axis=1))
         if near.size == 0:
             return False
         x, y = targets[near[-1]]
         found = self._search.find(points, x, y)
         if found is None:
             return False
-        poses = np.array([compose(place.odom, (px, py, 0.0)) for px, py in found])
-        self._detour = Route(poses, compose(place.odom, (x, y, 0.0)))
+        poses = np.array([compose(inputs.odom, (px, py, 0.0)) for px, py in found])
+        self._detour = FollowedPath(poses, compose(inputs.odom, (x, y, 0.0)))
         return True
 
     def _pace(self, curvature: float, free: float, clear: float) -> float:
         limits = self._limits
         return min(
-            limits.speed_before(free - _TOUCH),
+            limits.speed_to_stop_in(free - _TOUCH),
             limits.speed_beside(clear - limits.radius),
             limits.speed_in(curvature),
         )
@@ -225,8 +228,8 @@ class LocalPlanner:
             self._side = 0.0
         return self._turning
 
-    def _the_same_way(self, angle: float) -> float:
-        """An angle to turn by, the way round that was begun, when it is about half a turn."""
+    def _same_direction(self, angle: float) -> float:
+        """Return an angle to turn by; about half a turn continues in the current direction."""
         if self._side * angle < 0.0 and abs(angle) > 2.0:
             return angle + math.copysign(2.0 * math.pi, self._side)
         self._side = math.copysign(1.0, angle)
@@ -234,15 +237,17 @@ class LocalPlanner:
 
     def _check(self, points: Array, curvatures: Array, lengths: Array) -> None:
         limits = self._limits
-        arc_clearances(
-            points, curvatures, lengths, self._room, limits.touching, self._free, self._clear
+        check_arcs(
+            points, curvatures, lengths, self._room, limits.contact_radius, self._free, self._clear
         )
 
-    def _pursue(self, way: Array, aim: float, points: Array) -> tuple[float, float, float] | None:
-        """Curvature, free way and clearance of the arc to the farthest point that it can reach."""
-        last = way.shape[0] - 1
-        aims = np.minimum(last, np.rint(_AIMS * (aim / SPACING)).astype(np.int64))
-        targets = way[aims]
+    def _pursue(
+        self, path_ahead: Array, aim: float, points: Array
+    ) -> tuple[float, float, float] | None:
+        """Return curvature, free length and clearance of the arc to the farthest point in reach."""
+        last = path_ahead.shape[0] - 1
+        aims = np.minimum(last, np.rint(_AIMS * (aim / SPACING_M)).astype(np.int64))
+        targets = path_ahead[aims]
         apart = np.maximum(1e-9, targets[:, 0] ** 2 + targets[:, 1] ** 2)
         curvatures = np.clip(2.0 * targets[:, 1] / apart, -8.0, 8.0)
         halves = np.arctan2(targets[:, 1], targets[:, 0])
@@ -251,7 +256,7 @@ class LocalPlanner:
         best = None
         for i in range(_AIMS.size):
             needed = lengths[i] - (_NEARLY if aims[i] == last else 0.0)
-            # An aim beside or behind the robot is for turning on the spot.
+            # A point beside or behind the robot requires turning on the spot.
             if self._free[i] < needed or abs(halves[i]) > 1.3:
                 continue
             arc = float(curvatures[i]), float(self._free[i]), float(self._clear[i])
@@ -265,8 +270,8 @@ class LocalPlanner:
 _UNSEEN = "the scanner did not see lately what is ahead"
 
 
-def _told(ahead: float, place: Place, limits: Limits) -> str:
-    if ahead == FAR:
-        gap = max(0.0, place.around.nearest - limits.radius)
+def _blocked_reason(ahead: float, inputs: PlannerInput, limits: MotionLimits) -> str:
+    if ahead == UNLIMITED_M:
+        gap = max(0.0, inputs.obstacles.nearest - limits.radius)
         return f"no room to move: an obstacle is {gap:.2f} m from the robot"
     return f"an obstacle {ahead:.2f} m ahead on the path"

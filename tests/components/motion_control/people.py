@@ -1,4 +1,4 @@
-"""People who walk on, and stop before a robot that is in their way."""
+"""People who walk and stop before a robot in their way."""
 
 import math
 from collections.abc import Sequence
@@ -7,7 +7,7 @@ from tests.components.motion_control.world import Disc, Robot
 
 
 class Walker:
-    """A person who sets out at `begin` [s] with a velocity [m/s]; waits while the robot is near."""
+    """A person who starts at `begin` [s] with a velocity [m/s] and waits for a near robot."""
 
     def __init__(
         self,
@@ -22,7 +22,7 @@ class Walker:
         self._time = 0.0
 
     def __call__(self, time: float) -> Sequence[Disc]:
-        """The person as a disc at that time [s]; times must not go back."""
+        """The person as a disc at that time [s]; times must increase."""
         seconds, self._time = time - self._time, time
         vx, vy = self._velocity
         dx, dy = self._robot.pose[0] - self._x, self._robot.pose[1] - self._y

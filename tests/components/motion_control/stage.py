@@ -31,9 +31,9 @@ STEP = 20_000_000  # [ns] of the base
 
 
 class Stage:
-    """Sends what the other components would; `muted` topics are not sent any more.
+    """Publishes the messages of the other components; `muted` topics are silent.
 
-    With `simulated_time` the component's clock is told, and may be `set_back`.
+    With `simulated_time` the component gets a clock, which may be `set_back`.
     """
 
     def __init__(
@@ -79,19 +79,19 @@ class Stage:
     def want(
         self, goal_id: int, behavior: int, goal: Pose = (0.0, 0.0, 0.0), distance: float = 0.0
     ) -> None:
-        """Want something from now on."""
+        """Command something from now on."""
         self.nav_command = NavCommand(
             goal_id=goal_id, behavior=behavior, goal=pose_message(goal), distance=distance
         )
         self._send("nav_command", self.nav_command, LATCHED)
 
     def plan(self, goal_id: int, *points: tuple[float, float], **fields: Any) -> None:
-        """Give a path through these points."""
+        """Publish a path through these points."""
         poses = packed_poses(np.array([(x, y, 0.0) for x, y in points]).reshape(-1, 3))
         self._send("plan", Plan(goal_id=goal_id, poses=poses, **fields), LATCHED)
 
     def wait(self, seconds: float, until: int | None = None) -> None:
-        """Let time pass, or until there is a status of that state."""
+        """Let time pass, or until there is a status with that state."""
         for _ in range(round(seconds * SECOND / STEP)):
             self._step()
             if until is not None and self.statuses and self.status.state == until:

@@ -1,4 +1,4 @@
-"""Parameters that do not agree with one another are refused."""
+"""Inconsistent parameters are rejected."""
 
 import pytest
 from pydantic import ValidationError
@@ -7,7 +7,7 @@ from cairn.components.motion_control.config import MotionControlConfig
 
 
 @pytest.mark.parametrize(
-    ("parameters", "complaint"),
+    ("parameters", "message"),
     [
         (
             {"speed": 0.1},
@@ -31,16 +31,16 @@ from cairn.components.motion_control.config import MotionControlConfig
         ),
     ],
 )
-def test_values_that_do_not_agree_are_refused_with_the_remedy(
-    parameters: dict[str, float], complaint: str
+def test_inconsistent_values_are_rejected_with_the_remedy(
+    parameters: dict[str, float], message: str
 ) -> None:
     with pytest.raises(ValidationError) as refused:
         MotionControlConfig.model_validate(parameters)
 
-    assert complaint in str(refused.value)
+    assert message in str(refused.value)
 
 
-def test_values_at_their_bounds_are_taken_as_they_are() -> None:
+def test_values_at_their_bounds_are_accepted() -> None:
     config = MotionControlConfig(speed=0.15, acceleration=0.6, turn_braking=3.0)
 
     limits = config.limits()
@@ -48,6 +48,6 @@ def test_values_at_their_bounds_are_taken_as_they_are() -> None:
     assert (limits.creep_speed, limits.braking, limits.turn_braking) == (0.15, 0.6, 3.0)
 
 
-def test_a_robot_too_large_for_what_is_kept_of_its_scans_is_refused() -> None:
+def test_robot_too_large_for_the_scan_memory_is_rejected() -> None:
     with pytest.raises(ValidationError, match="less than or equal to 1"):
         MotionControlConfig(radius=1.1)

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cairn.components.motion_control.behaviors import Follow, State
+from cairn.components.motion_control.behaviors import Follow, MotionState
 from cairn.planar.poses import Pose, wrap
 from tests.components.motion_control.people import Walker
 from tests.components.motion_control.world import (
@@ -33,14 +33,14 @@ def follow(*points: tuple[float, float], heading: float = 0.0, within: float = 0
 
 def assert_reached(record: Record, goal: Pose) -> None:
     x, y, heading = record.poses[-1]
-    assert record.states[-1] is State.DONE
+    assert record.states[-1] is MotionState.DONE
     assert record.clearance > 0.0
     assert math.hypot(x - goal[0], y - goal[1]) < 0.1
     assert abs(wrap(heading - goal[2])) < 0.1
 
 
 def reversals(record: Record) -> int:
-    """How often the robot changed the side that it turns to."""
+    """The number of changes of the turning direction."""
     turns = [turn for turn in record.turns if abs(turn) > 0.2]
     return sum(a * b < 0 for a, b in pairwise(turns))
 
@@ -53,7 +53,7 @@ def door(width: float, thickness: float = 0.1) -> list[Wall]:
     ]
 
 
-def test_a_free_straight_path_is_driven_at_full_speed() -> None:
+def test_free_straight_path_is_driven_at_full_speed() -> None:
     record = drive(World(HALL), Robot((-5, 0, 0)), follow((-5, 0), (5, 0)), 30)
 
     assert_reached(record, (5, 0, 0))
@@ -64,7 +64,7 @@ def test_a_free_straight_path_is_driven_at_full_speed() -> None:
     assert record.times[-1] < 20
 
 
-def test_a_corner_is_taken_without_stopping() -> None:
+def test_corner_is_driven_without_stopping() -> None:
     path = follow((-3, 0), (0, 0), (0, 3), heading=math.pi)
 
     record = drive(World(HALL), Robot((-3, 0, 0)), path, 30)
@@ -76,7 +76,7 @@ def test_a_corner_is_taken_without_stopping() -> None:
     assert min(near) > 0.25
 
 
-def test_a_corridor_around_a_corner_is_kept_clear_of() -> None:
+def test_walls_of_a_corridor_with_a_corner_are_kept_clear() -> None:
     walls = [(-4.0, 0.6, -0.6, 0.6), (-0.6, 0.6, -0.6, 4.0), (-4.0, -0.6, 0.6, -0.6)]
     walls += [(0.6, -0.6, 0.6, 4.0)]
 
@@ -88,7 +88,7 @@ def test_a_corridor_around_a_corner_is_kept_clear_of() -> None:
     assert record.clearance > 0.2
 
 
-def test_a_slalom_between_boxes_is_followed() -> None:
+def test_slalom_between_boxes_is_followed() -> None:
     boxes = [wall for x in (-2, 0, 2) for wall in box(x, 0, 0.4, 0.4)]
     points = [(-4, 0), (-2.8, 0.3), (-2, 0.65), (-1.2, 0.3), (-0.8, -0.3), (0, -0.65)]
     points += [(0.8, -0.3), (1.2, 0.3), (2, 0.65), (2.8, 0.3), (4, 0)]
@@ -99,21 +99,19 @@ def test_a_slalom_between_boxes_is_followed() -> None:
     assert record.clearance > 0.06
 
 
-def test_boxes_that_stand_on_the_path_are_gone_around() -> None:
+def test_robot_drives_around_boxes_on_the_path() -> None:
     boxes = [wall for x in (-2, 0, 2) for wall in box(x, 0, 0.4, 0.4)]
 
     record = drive(World(HALL + boxes), Robot((-4, 0, 0)), follow((-4, 0), (4, 0)), 40)
 
     assert_reached(record, (4, 0, 0))
     assert record.clearance > 0.04
-    assert State.BLOCKED not in record.states
+    assert MotionState.BLOCKED not in record.states
 
 
 @pytest.mark.parametrize("aside", [0.0, 0.08, -0.15])
 @pytest.mark.parametrize("view", [ALL_ROUND, FRONT])
-def test_a_narrow_door_is_passed_though_the_path_is_not_in_its_middle(
-    aside: float, view: float
-) -> None:
+def test_narrow_door_is_passed_with_a_path_beside_its_middle(aside: float, view: float) -> None:
     path = follow((-3, aside), (3, aside))
 
     record = drive(World(HALL + door(0.9)), Robot((-3, 0, 0)), path, 30, view=view)
@@ -123,7 +121,7 @@ def test_a_narrow_door_is_passed_though_the_path_is_not_in_its_middle(
     assert reversals(record) < 8
 
 
-def test_a_narrow_door_is_passed_aslant() -> None:
+def test_narrow_door_is_passed_at_an_angle() -> None:
     path = follow((-3, 1.5), (-0.8, 0), (0.8, 0), (3, -1.5))
 
     record = drive(World(HALL + door(0.9, 0.3)), Robot((-3, 1.5, 0)), path, 30)
@@ -132,7 +130,7 @@ def test_a_narrow_door_is_passed_aslant() -> None:
 
 
 class Sudden(World):
-    """A world to which a wall is added 4 s after the beginning."""
+    """A world to which a wall is added after 4 s."""
 
     def __init__(self, walls: list[Wall], later: list[Wall]) -> None:
         super().__init__(walls)
@@ -144,23 +142,23 @@ class Sudden(World):
 
 
 @pytest.mark.parametrize("ahead", [0.6, 0.8, 1.5])
-def test_it_stops_before_a_wall_that_appears_on_the_path(ahead: float) -> None:
-    at = -5 + 0.6 * 4 - 0.225 + ahead  # where the robot is by then, and so much further
+def test_robot_stops_before_a_wall_that_appears_on_the_path(ahead: float) -> None:
+    at = -5 + 0.6 * 4 - 0.225 + ahead  # the robot's position by then, and a distance ahead
 
     record = drive(
         Sudden(HALL, [(at, -10, at, 10)]), Robot((-5, 0, 0)), follow((-5, 0), (5, 0)), 10
     )
 
     assert record.clearance > 0.02
-    assert record.states[-1] is State.BLOCKED
-    assert "ahead on the path" in record.motions[-1].reason
+    assert record.states[-1] is MotionState.BLOCKED
+    assert "ahead on the path" in record.results[-1].reason
     assert record.speeds[-1] == pytest.approx(0.0, abs=1e-3)
     assert max(abs(turn) for turn in record.turns[-100:]) < 1e-3
 
 
 @pytest.mark.parametrize("speed", [0.6, 1.0, 1.3])
 @pytest.mark.parametrize("begin", [1.0, 2.0, 3.0, 4.0])
-def test_a_person_who_crosses_is_not_touched(speed: float, begin: float) -> None:
+def test_crossing_person_is_not_touched(speed: float, begin: float) -> None:
     robot = Robot((-5, 0, 0))
     person = Walker(robot, (-2, -3), (0, speed), begin)
 
@@ -171,7 +169,7 @@ def test_a_person_who_crosses_is_not_touched(speed: float, begin: float) -> None
 
 
 @pytest.mark.parametrize("aside", [0.0, 0.3, 0.6])
-def test_a_person_who_comes_towards_it_is_not_touched(aside: float) -> None:
+def test_approaching_person_is_not_touched(aside: float) -> None:
     robot = Robot((-5, 0, 0))
     person = Walker(robot, (4.5, aside), (-1, 0), 0.0)
 
@@ -192,7 +190,7 @@ headings = st.floats(-math.pi, math.pi)
     goal_heading=headings,
     seed=st.integers(0, 99),
 )
-def test_the_goal_is_reached_from_anywhere(
+def test_goal_is_reached_from_anywhere(
     x: float, y: float, heading: float, goal_heading: float, seed: int
 ) -> None:
     path = follow((x, y), (0.5, -0.5), heading=goal_heading)
@@ -206,7 +204,7 @@ def test_the_goal_is_reached_from_anywhere(
 @given(
     heading=headings, away=st.floats(-3.0, -0.15), length=st.floats(1, 3), seed=st.integers(0, 9)
 )
-def test_a_robot_a_centimeter_off_a_wall_gets_away(
+def test_robot_a_centimeter_from_a_wall_gets_away(
     heading: float, away: float, length: float, seed: int
 ) -> None:
     goal = length * math.cos(away), min(-0.1, length * math.sin(away))
@@ -235,7 +233,7 @@ def test_nothing_is_touched_among_clutter(seed: int, view: float) -> None:
 
 
 @pytest.mark.parametrize("width", [0.7, 0.56])
-def test_a_gap_that_is_hardly_wide_enough_is_passed_slowly(width: float) -> None:
+def test_barely_wide_gap_is_passed_slowly(width: float) -> None:
     record = drive(World(HALL + door(width)), Robot((-3, 0, 0)), follow((-3, 0), (3, 0)), 40)
 
     assert_reached(record, (3, 0, 0))
@@ -243,15 +241,15 @@ def test_a_gap_that_is_hardly_wide_enough_is_passed_slowly(width: float) -> None
     assert max(within) < (0.5 if width == 0.7 else 0.25)
 
 
-def test_a_gap_that_is_too_narrow_is_not_tried() -> None:
+def test_too_narrow_gap_is_not_tried() -> None:
     record = drive(World(HALL + door(0.48)), Robot((-3, 0, 0)), follow((-3, 0), (3, 0)), 20)
 
-    assert record.states[-1] is State.BLOCKED
+    assert record.states[-1] is MotionState.BLOCKED
     assert record.clearance > 0.03
 
 
 @pytest.mark.parametrize("room", [0.07, 0.03])
-def test_a_goal_close_to_a_wall_is_reached(room: float) -> None:
+def test_goal_close_to_a_wall_is_reached(room: float) -> None:
     wall = (3.0, -5.0, 3.0, 5.0)
     goal = 3.0 - 0.22 - room
 
@@ -260,14 +258,14 @@ def test_a_goal_close_to_a_wall_is_reached(room: float) -> None:
     assert_reached(record, (goal, 0, 0))
 
 
-def test_a_path_that_is_far_away_is_not_gone_to() -> None:
+def test_distant_path_is_not_followed() -> None:
     record = drive(World(HALL), Robot((0, 3, 0)), follow((-5, 0), (5, 0)), 3)
 
-    assert record.states[-1] is State.BLOCKED
-    assert record.motions[-1].reason == "the path is 3.0 m away"
+    assert record.states[-1] is MotionState.BLOCKED
+    assert record.results[-1].reason == "the path is 3.0 m away"
 
 
-def test_it_does_not_go_where_the_scanner_sees_nothing() -> None:
+def test_robot_does_not_drive_onto_unseen_ground() -> None:
     class Blind(World):
         def ranges(self, time: float, scanner: Pose, angles: Array, noise: Array) -> Array:
             seen = super().ranges(time, scanner, angles, noise)
@@ -276,11 +274,11 @@ def test_it_does_not_go_where_the_scanner_sees_nothing() -> None:
     record = drive(Blind(HALL), Robot((-5, 0, 0)), follow((-5, 0), (5, 0)), 10)
 
     assert record.speeds[-1] == pytest.approx(0.0, abs=1e-3)
-    assert record.states[-1] is State.BLOCKED
-    assert "did not see" in record.motions[-1].reason
+    assert record.states[-1] is MotionState.BLOCKED
+    assert "did not see" in record.results[-1].reason
 
 
-def test_accelerations_are_kept_to() -> None:
+def test_accelerations_stay_within_limits() -> None:
     record = drive(
         World(HALL), Robot((-5, 0, 2.0)), follow((-5, 0), (-2, 0), (-2, 2), heading=1.0), 30
     )

@@ -1,4 +1,4 @@
-"""The component on a bus in virtual time, its ports in the test's hands."""
+"""The component on a bus in virtual time, its ports driven by the test."""
 
 import math
 from typing import Any
@@ -20,7 +20,7 @@ def stage(*walls: tuple[float, float, float, float], **parameters: Any) -> Stage
 
 
 def following(**parameters: Any) -> Stage:
-    """A robot at full speed on its way to (3, 0)."""
+    """A robot driving to (3, 0) at full speed."""
     it = stage(**parameters)
     it.want(7, NavCommand.FOLLOW, (3.0, 0.0, 1.0))
     it.plan(7, (-3, 0), (3, 0))
@@ -28,7 +28,7 @@ def following(**parameters: Any) -> Stage:
     return it
 
 
-def test_a_plan_is_followed_to_the_goal_and_its_heading() -> None:
+def test_plan_is_followed_to_the_goal_and_its_heading() -> None:
     it = following()
     assert it.status.state == STATES.MOVING
     assert it.robot.speed == pytest.approx(0.6, abs=0.01)
@@ -43,7 +43,7 @@ def test_a_plan_is_followed_to_the_goal_and_its_heading() -> None:
     assert heading == pytest.approx(1.0, abs=0.1)
 
 
-def test_commands_come_at_least_at_20_hz_and_with_each_scan() -> None:
+def test_commands_have_at_least_20_hz_and_follow_each_scan() -> None:
     it = following()
 
     times = np.array([time for time, _, _ in it.commands]) / SECOND
@@ -52,7 +52,7 @@ def test_commands_come_at_least_at_20_hz_and_with_each_scan() -> None:
     assert 18 < len(times) / (times[-1] - times[0]) < 31
 
 
-def test_it_stays_done_and_stands_when_the_leg_is_done() -> None:
+def test_robot_stays_done_and_stands_after_the_goal() -> None:
     it = following()
     it.wait(15, until=STATES.DONE)
     it.statuses.clear()
@@ -64,7 +64,7 @@ def test_it_stays_done_and_stands_when_the_leg_is_done() -> None:
     assert {command[1:] for command in it.commands} == {(0.0, 0.0)}
 
 
-def test_it_stands_when_nothing_else_is_wanted() -> None:
+def test_robot_stands_on_command() -> None:
     it = following()
 
     it.want(8, NavCommand.STAND)
@@ -84,7 +84,9 @@ def test_it_stands_when_nothing_else_is_wanted() -> None:
         ("localization", 1.0, "no localization for 1.0"),
     ],
 )
-def test_a_stale_input_stops_it_and_is_named(topic: str, timeout_s: float, reason: str) -> None:
+def test_stale_input_stops_the_robot_and_is_named(
+    topic: str, timeout_s: float, reason: str
+) -> None:
     it = following()
 
     it.muted.add(topic)
@@ -103,7 +105,7 @@ def test_a_stale_input_stops_it_and_is_named(topic: str, timeout_s: float, reaso
 
 
 @pytest.mark.parametrize("back_s", [1.0, 600.0])
-def test_when_time_is_set_back_it_stands_for_a_moment_and_goes_on(
+def test_robot_pauses_after_a_time_reset_and_continues(
     back_s: float, caplog: pytest.LogCaptureFixture
 ) -> None:
     it = following(simulated_time=True)
@@ -121,7 +123,7 @@ def test_when_time_is_set_back_it_stands_for_a_moment_and_goes_on(
 
 
 @pytest.mark.parametrize("topic", ["scan", "odom", "nav_command", "localization"])
-def test_what_ends_as_time_is_set_back_is_stale_at_once(topic: str) -> None:
+def test_input_that_ends_at_a_time_reset_is_stale_at_once(topic: str) -> None:
     it = following(simulated_time=True)
 
     it.muted.add(topic)
@@ -137,7 +139,7 @@ def test_what_ends_as_time_is_set_back_is_stale_at_once(topic: str) -> None:
     assert len(it.commands) >= 15
 
 
-def test_it_says_what_never_came() -> None:
+def test_input_that_never_arrived_is_named() -> None:
     it = stage()
     it.muted.add("scan")
 
@@ -148,21 +150,21 @@ def test_it_says_what_never_came() -> None:
     assert it.status.reason == "no scan yet on /robot/scan"
 
 
-def test_only_a_plan_of_the_same_leg_counts() -> None:
+def test_only_a_plan_of_the_same_goal_counts() -> None:
     it = following()
 
     it.want(8, NavCommand.FOLLOW, (3.0, 3.0, 0.0))
     it.wait(2.0)
 
     assert it.status.state == STATES.BLOCKED
-    assert it.status.reason == "no plan of this goal_id yet on /robot/plan"
+    assert it.status.reason == "no plan of this goal yet on /robot/plan"
     assert it.robot.speed == 0.0
     it.plan(8, (it.robot.pose[0], 0.0), (3.0, 3.0))
     it.wait(20, until=STATES.DONE)
     assert math.hypot(it.robot.pose[0] - 3, it.robot.pose[1] - 3) < 0.1
 
 
-def test_a_plan_of_another_leg_does_not_disturb() -> None:
+def test_plan_of_another_goal_does_not_interfere() -> None:
     it = following()
 
     it.plan(8, (0, 0), (0, 3))
@@ -172,7 +174,7 @@ def test_a_plan_of_another_leg_does_not_disturb() -> None:
     assert it.robot.speed == pytest.approx(0.6, abs=0.01)
 
 
-def test_it_tells_why_there_is_no_path() -> None:
+def test_reason_of_a_missing_path_is_reported() -> None:
     it = stage()
 
     it.want(1, NavCommand.FOLLOW)
@@ -183,7 +185,7 @@ def test_it_tells_why_there_is_no_path() -> None:
     assert it.status.reason == "there is no path: no way through the door"
 
 
-def test_a_path_is_exchanged_on_the_way() -> None:
+def test_path_is_replaced_while_driving() -> None:
     it = following()
 
     it.plan(7, (it.robot.pose[0], 0), (0, 1), (3, 0))
@@ -193,7 +195,7 @@ def test_a_path_is_exchanged_on_the_way() -> None:
     assert math.hypot(it.robot.pose[0] - 3, it.robot.pose[1]) < 0.1
 
 
-def test_a_goal_where_it_is_already_needs_no_way() -> None:
+def test_goal_at_the_robots_pose_needs_no_motion() -> None:
     it = stage()
 
     it.want(1, NavCommand.FOLLOW, (-3.0, 0.0, 2.0))
@@ -204,7 +206,7 @@ def test_a_goal_where_it_is_already_needs_no_way() -> None:
     assert math.hypot(it.robot.pose[0] + 3, it.robot.pose[1]) < 0.05
 
 
-def test_a_lost_robot_stands_until_it_is_found() -> None:
+def test_lost_robot_stands_until_it_is_located() -> None:
     it = following()
 
     it.health = LocalizationEstimate(located=True, health=0.1, reason="the scan does not fit")
@@ -221,7 +223,7 @@ def test_a_lost_robot_stands_until_it_is_found() -> None:
 @pytest.mark.parametrize(
     "behavior", [NavCommand.BACK_OFF, NavCommand.LOOK_AROUND, NavCommand.EXPLORE]
 )
-def test_recoveries_need_no_pose(behavior: int) -> None:
+def test_recovery_motions_need_no_pose(behavior: int) -> None:
     it = stage()
     it.muted.add("localization")
 
@@ -235,7 +237,7 @@ def test_recoveries_need_no_pose(behavior: int) -> None:
     assert gone == pytest.approx(expected[behavior], abs=0.15)
 
 
-def test_a_jump_of_odometry_is_told_and_it_stands_for_a_moment(
+def test_odometry_jump_is_reported_and_the_robot_pauses(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     it = following()
@@ -251,7 +253,7 @@ def test_a_jump_of_odometry_is_told_and_it_stands_for_a_moment(
     assert math.hypot(it.robot.pose[0] - 3, it.robot.pose[1]) < 0.1
 
 
-def test_what_blocks_the_path_is_told() -> None:
+def test_obstacle_on_the_path_is_reported() -> None:
     it = stage((0.0, -10.0, 0.0, 10.0))
 
     it.want(1, NavCommand.FOLLOW, (3.0, 0.0, 0.0))
@@ -263,7 +265,7 @@ def test_what_blocks_the_path_is_told() -> None:
     assert it.clearance > 0.05
 
 
-def test_a_change_of_speed_is_obeyed_on_the_way() -> None:
+def test_changed_speed_applies_while_driving() -> None:
     it = following()
 
     it.part.ask("set_parameters", speed=0.3)
@@ -273,7 +275,7 @@ def test_a_change_of_speed_is_obeyed_on_the_way() -> None:
     assert it.status.state == STATES.MOVING
 
 
-def test_the_largest_robot_drives_in_open_space() -> None:
+def test_largest_robot_drives_in_open_space() -> None:
     it = following(radius=1.0)
 
     assert it.status.state == STATES.MOVING
@@ -281,7 +283,7 @@ def test_the_largest_robot_drives_in_open_space() -> None:
     assert math.hypot(it.robot.pose[0] - 3, it.robot.pose[1]) < 0.1
 
 
-def test_it_leaves_the_robot_standing() -> None:
+def test_deactivation_stops_the_robot() -> None:
     it = following()
 
     it.part.ask("deactivate")
@@ -290,7 +292,7 @@ def test_it_leaves_the_robot_standing() -> None:
     assert it.robot.speed == 0.0
 
 
-def test_a_scanner_that_sits_askew_is_understood() -> None:
+def test_rotated_scanner_is_supported() -> None:
     it = stage((0.0, -10.0, 0.0, 10.0), mount={"x": 0.1, "theta": math.pi / 2})
     it.mount = (0.1, 0.0, math.pi / 2)
 
@@ -301,7 +303,7 @@ def test_a_scanner_that_sits_askew_is_understood() -> None:
     assert it.robot.pose[0] == pytest.approx(-0.4, abs=0.06)
 
 
-def test_another_number_of_beams_is_no_matter() -> None:
+def test_number_of_beams_may_change() -> None:
     it = following()
 
     it.beams = 90
@@ -310,7 +312,7 @@ def test_another_number_of_beams_is_no_matter() -> None:
     assert it.status.state == STATES.DONE
 
 
-def test_runs_are_alike() -> None:
+def test_runs_are_reproducible() -> None:
     first, second = following(), following()
 
     assert first.commands == second.commands

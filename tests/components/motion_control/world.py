@@ -7,13 +7,17 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from cairn.components.motion_control.behaviors import Behavior, Motion, Situation, State
-from cairn.components.motion_control.limits import Limits
-from cairn.components.motion_control.local_planner import LOOK
-from cairn.components.motion_control.movers import Movers
-from cairn.components.motion_control.route import Route
-from cairn.components.motion_control.seen_space import SeenSpace
-from cairn.components.motion_control.steering import Steering
+from cairn.components.motion_control.behaviors import (
+    Behavior,
+    BehaviorInput,
+    BehaviorResult,
+    MotionState,
+)
+from cairn.components.motion_control.followed_path import FollowedPath
+from cairn.components.motion_control.local_planner import OBSTACLE_RANGE_M
+from cairn.components.motion_control.moving_obstacles import MovingObstacleTracker
+from cairn.components.motion_control.scan_memory import ScanMemory
+from cairn.components.motion_control.velocity_limits import CommandLimiter, MotionLimits
 from cairn.planar.poses import Pose, compose, relative, wrap
 from cairn.planar.scans import Rays
 
@@ -22,7 +26,7 @@ Wall = tuple[float, float, float, float]
 Disc = tuple[float, float, float]
 
 RADIUS = 0.22
-LIMITS = Limits(
+LIMITS = MotionLimits(
     radius=RADIUS,
     margin=0.05,
     stop_distance=0.12,
@@ -40,7 +44,7 @@ LIMITS = Limits(
 
 
 def box(x: float, y: float, width: float, height: float) -> list[Wall]:
-    """The four walls of a box around its middle."""
+    """The four walls of a box around its center."""
     a, b, c, d = x - width / 2, x + width / 2, y - height / 2, y + height / 2
     return [(a, c, b, c), (b, c, b, d), (b, d, a, d), (a, d, a, c)]
 
@@ -53,7 +57,7 @@ class World:
     discs: Callable[[float], Sequence[Disc]] = lambda _: ()
 
     def ranges(self, time: float, scanner: Pose, angles: Array, noise: Array) -> Array:
-        """Range [m] of each beam, +inf beyond 10 m."""
+        """The range [m] of each beam, +inf beyond 10 m."""
         x, y, theta = scanner
         ux, uy = np.cos(theta + angles)[:, None], np.sin(theta + angles)[:, None]
         best = np.full(angles.size, np.inf)
@@ -78,7 +82,7 @@ class World:
         return best
 
     def distance(self, time: float, x: float, y: float) -> float:
-        """How far [m] a point is from the nearest thing."""
+        """The distance [m] of a point to the nearest thing."""
         least = math.inf
         for x0, y0, x1, y1 in self.walls:
             length2 = (x1 - x0) ** 2 + (y1 - y0) ** 2
@@ -101,29 +105,29 @@ class Robot:
 
     def move(self, command: tuple[float, float], seconds: float) -> None:
         """Follow a command for that time [s]."""
-        for wanted, name, most in (
+        for desired, name, most in (
             (command[0], "speed", 0.8 * seconds),
             (command[1], "turn", 3.0 * seconds),
         ):
             now = getattr(self, name)
-            setattr(self, name, now + min(most, max(-most, wanted - now)))
-        turned = self.turn * seconds
-        way = self.speed * seconds
-        step = (way * math.cos(turned / 2), way * math.sin(turned / 2), turned)
+            setattr(self, name, now + min(most, max(-most, desired - now)))
+        angle = self.turn * seconds
+        distance = self.speed * seconds
+        step = (distance * math.cos(angle / 2), distance * math.sin(angle / 2), angle)
         self.pose = compose(self.pose, step)
-        self.odom = compose(self.odom, (step[0] * self.drift, step[1] * self.drift, turned))
+        self.odom = compose(self.odom, (step[0] * self.drift, step[1] * self.drift, angle))
 
 
 @dataclass
 class Record:
-    """What a drive was like."""
+    """The record of a drive."""
 
     times: list[float] = field(default_factory=list)
     poses: list[Pose] = field(default_factory=list)
     speeds: list[float] = field(default_factory=list)
     turns: list[float] = field(default_factory=list)
-    states: list[State] = field(default_factory=list)
-    motions: list[Motion] = field(default_factory=list)
+    states: list[MotionState] = field(default_factory=list)
+    results: list[BehaviorResult] = field(default_factory=list)
     clearance: float = math.inf
     moving_clearance: float = math.inf
 
@@ -139,14 +143,14 @@ def drive(
     view: float = 2 * math.pi,
     noise: float = 0.01,
     pose_noise: float = 0.01,
-    until: State | None = State.DONE,
-    limits: Limits = LIMITS,
+    until: MotionState | None = MotionState.DONE,
+    limits: MotionLimits = LIMITS,
 ) -> Record:
     """Let a behavior drive: scans at 10 Hz, odometry at 50 Hz, and commands."""
     random = np.random.default_rng(seed)
-    space = SeenSpace(3_000_000_000, limits.radius)
-    movers = Movers()
-    steering = Steering(limits)
+    memory = ScanMemory(3_000_000_000, limits.radius)
+    movers = MovingObstacleTracker()
+    limiter = CommandLimiter(limits)
     record = Record()
     whole = view > 2 * math.pi - 1e-6
     angles = np.linspace(-view / 2, view / 2, beams, endpoint=not whole)
@@ -161,28 +165,28 @@ def drive(
         if scans:
             ranges = world.ranges(time, robot.pose, angles, random.normal(0, noise, beams))
             rays = rays_from(robot.odom, angles, ranges)
-            space.add(now, robot.odom, rays)
-            space.expect(movers.see(now, rays, robot.turn))
+            memory.add(now, robot.odom, rays)
+            memory.set_predictions(movers.add_scan(now, rays, robot.turn))
             x, y, theta = robot.pose
-            dx, dy, turned = random.normal(0, pose_noise, 3)
-            believed, base = (x + dx, y + dy, wrap(theta + turned)), robot.odom
+            dx, dy, angle = random.normal(0, pose_noise, 3)
+            believed, base = (x + dx, y + dy, wrap(theta + angle)), robot.odom
         if scans or tick % 5 == 3:
-            situation = Situation(
+            inputs = BehaviorInput(
                 now,
                 robot.odom,
                 robot.speed,
                 robot.turn,
                 compose(believed, relative(base, robot.odom)),
-                space,
-                space.around(robot.odom, LOOK, robot.speed, limits.speed),
+                memory,
+                memory.around(robot.odom, OBSTACLE_RANGE_M, robot.speed, limits.speed),
                 (0.0, view / 2),
             )
-            motion = behavior.step(situation)
-            command = steering.command(
-                motion.wish, now, (robot.speed, robot.turn), situation.around
+            result = behavior.step(inputs)
+            command = limiter.command(
+                result.target, now, (robot.speed, robot.turn), inputs.obstacles
             )
-            record.motions.append(motion)
-            record.states.append(motion.state)
+            record.results.append(result)
+            record.states.append(result.state)
         robot.move(command, 0.02)
         apart = world.distance(time + 0.02, *robot.pose[:2])
         record.clearance = min(record.clearance, apart - limits.radius)
@@ -199,12 +203,12 @@ def drive(
 
 
 def rays_from(at: Pose, angles: Array, ranges: Array) -> Rays:
-    """What a scanner in the robot's middle tells that stands still at a pose."""
+    """The rays of a scanner at the robot's center that stands at a pose."""
     starts = np.tile(np.array(at[:2], np.float64), (ranges.size, 1))
     return Rays(starts, at[2] + angles, ranges, 10.0)
 
 
-def route(*points: tuple[float, float], heading: float = 0.0) -> Route:
-    """A path of straight lines through these points, to the last with that heading."""
+def route(*points: tuple[float, float], heading: float = 0.0) -> FollowedPath:
+    """A path of straight lines through these points, the last one with that heading."""
     poses = np.array([(x, y, 0.0) for x, y in points])
-    return Route(poses, (*points[-1], heading))
+    return FollowedPath(poses, (*points[-1], heading))

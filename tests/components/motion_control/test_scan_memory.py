@@ -1,11 +1,11 @@
-"""What is remembered of scans, and what is not."""
+"""What the scan memory keeps, and what it forgets."""
 
 import math
 
 import numpy as np
 import pytest
 
-from cairn.components.motion_control.seen_space import SeenSpace
+from cairn.components.motion_control.scan_memory import ScanMemory
 from cairn.planar.poses import Pose
 from cairn.planar.scans import Rays, rays_of
 from cairn.schemas.sensor_msgs import LaserScan
@@ -25,8 +25,8 @@ def one_hit(bearing: float, distance: float) -> np.ndarray:
     return ranges
 
 
-def test_what_left_the_view_still_counts_for_a_while() -> None:
-    space = SeenSpace(3 * SECOND, 0.22)
+def test_obstacle_outside_the_view_counts_for_a_while() -> None:
+    space = ScanMemory(3 * SECOND, 0.22)
     space.add(0, (0, 0, 0), rays(one_hit(0.0, 1.0)))
     turned = (0.0, 0.0, math.pi)
 
@@ -41,8 +41,8 @@ def test_what_left_the_view_still_counts_for_a_while() -> None:
     assert later.points.round(6).tolist() == [[2.0, 0.0]]
 
 
-def test_what_a_beam_passes_through_is_gone() -> None:
-    space = SeenSpace(3 * SECOND, 0.22)
+def test_beam_removes_points_that_it_passes_through() -> None:
+    space = ScanMemory(3 * SECOND, 0.22)
     space.add(0, (0, 0, 0), rays(one_hit(0.5, 1.0)))
 
     space.add(SECOND // 10, (0, 0, 0), rays(np.full(ANGLES.size, np.inf)))
@@ -50,8 +50,8 @@ def test_what_a_beam_passes_through_is_gone() -> None:
     assert len(space.around((0, 0, 0), 3.0).points) == 0
 
 
-def test_a_beam_that_tells_nothing_clears_nothing() -> None:
-    space = SeenSpace(3 * SECOND, 0.22)
+def test_beam_without_a_measurement_removes_nothing() -> None:
+    space = ScanMemory(3 * SECOND, 0.22)
     space.add(0, (0, 0, 0), rays(one_hit(0.5, 1.0)))
 
     space.add(SECOND // 10, (0, 0, 0), rays(np.full(ANGLES.size, np.nan)))
@@ -59,8 +59,8 @@ def test_a_beam_that_tells_nothing_clears_nothing() -> None:
     assert len(space.around((0, 0, 0), 3.0).points) == 1
 
 
-def test_what_is_hidden_behind_something_is_kept() -> None:
-    space = SeenSpace(3 * SECOND, 0.22)
+def test_hidden_points_are_kept() -> None:
+    space = ScanMemory(3 * SECOND, 0.22)
     space.add(0, (0, 0, 0), rays(one_hit(0.0, 2.0)))
 
     space.add(SECOND // 10, (0, 0, 0), rays(one_hit(0.0, 1.0)))
@@ -68,8 +68,8 @@ def test_what_is_hidden_behind_something_is_kept() -> None:
     assert sorted(space.around((0, 0, 0), 3.0).points[:, 0].round(6).tolist()) == [1.0, 2.0]
 
 
-def test_a_robot_that_turns_during_a_scan_sees_things_in_their_places() -> None:
-    space = SeenSpace(3 * SECOND, 0.22)
+def test_turning_robot_sees_points_at_their_positions() -> None:
+    space = ScanMemory(3 * SECOND, 0.22)
     ended = (0.0, 0.0, 0.2)
 
     def turning(ranges: np.ndarray) -> Rays:
@@ -83,7 +83,7 @@ def test_a_robot_that_turns_during_a_scan_sees_things_in_their_places() -> None:
         )
         return rays_of(scan, (0, 0, 0), ended).placed(ended)
 
-    # The beam straight ahead is taken halfway between the two headings.
+    # The beam straight ahead is measured halfway between the two headings.
     space.add(0, (0, 0, 0), turning(one_hit(0.0, 2.0)))
     (there,) = space.around((0, 0, 0), 3.0).points.tolist()
     space.add(SECOND // 10, (0, 0, 0), turning(one_hit(0.0, 3.0)))
@@ -93,22 +93,22 @@ def test_a_robot_that_turns_during_a_scan_sees_things_in_their_places() -> None:
     assert beyond == pytest.approx((3 * math.cos(0.1), 3 * math.sin(0.1)), abs=1e-5)
 
 
-def test_only_what_was_seen_of_late_counts_as_seen() -> None:
-    space = SeenSpace(3 * SECOND, 0.22)
+def test_ground_counts_as_seen_for_a_limited_time() -> None:
+    space = ScanMemory(3 * SECOND, 0.22)
     space.add(SECOND, (0, 0, 0), rays(np.full(ANGLES.size, np.inf)))
 
-    assert space.is_seen((0, 0, 0), 0.0, 0.5, 0)
-    assert space.is_seen((0, 0, 0), math.pi / 2, 0.5, 0)
-    assert not space.is_seen((0, 0, 0), math.pi, 0.5, 0)
-    assert not space.is_seen((0, 0, 0), 0.0, 0.5, 2 * SECOND)
+    assert space.is_ground_seen((0, 0, 0), 0.0, 0.5, 0)
+    assert space.is_ground_seen((0, 0, 0), math.pi / 2, 0.5, 0)
+    assert not space.is_ground_seen((0, 0, 0), math.pi, 0.5, 0)
+    assert not space.is_ground_seen((0, 0, 0), 0.0, 0.5, 2 * SECOND)
 
 
-def test_a_place_far_away_is_not_taken_for_one_that_was_seen() -> None:
-    space = SeenSpace(30 * SECOND, 0.22)
+def test_distant_ground_in_the_same_slot_does_not_count_as_seen() -> None:
+    space = ScanMemory(30 * SECOND, 0.22)
     space.add(SECOND, (0, 0, 0), rays(np.full(ANGLES.size, np.inf)))
 
     assert not any(
-        space.is_seen((0.1 * x, 0.1 * y, 0), 0.0, 0.5, SECOND)
+        space.is_ground_seen((0.1 * x, 0.1 * y, 0), 0.0, 0.5, SECOND)
         for x in range(-160, 161, 8)
         for y in range(-160, 161, 8)
         if max(abs(x), abs(y)) > 30
@@ -116,18 +116,18 @@ def test_a_place_far_away_is_not_taken_for_one_that_was_seen() -> None:
 
 
 @pytest.mark.parametrize("radius", [0.1, 0.5, 1.0])
-def test_in_open_space_robots_of_all_sizes_see_what_is_ahead(radius: float) -> None:
-    space = SeenSpace(3 * SECOND, radius)
+def test_robots_of_all_sizes_see_the_ground_ahead_in_open_space(radius: float) -> None:
+    space = ScanMemory(3 * SECOND, radius)
     space.add(SECOND, (0, 0, 0), rays(np.full(ANGLES.size, np.inf)))
 
-    assert space.around((0, 0, 0), 3.3, 0.6, 0.6).seen_ahead
-    assert not space.around((0, 0, math.pi), 3.3, 0.6, 0.6).seen_ahead
+    assert space.around((0, 0, 0), 3.3, 0.6, 0.6).ground_seen_ahead
+    assert not space.around((0, 0, math.pi), 3.3, 0.6, 0.6).ground_seen_ahead
 
 
-def test_a_beam_at_either_side_of_the_seam_of_a_whole_turn_clears() -> None:
+def test_beams_on_both_sides_of_the_seam_of_a_full_turn_remove_points() -> None:
     around = np.linspace(-math.pi, math.pi, 360, endpoint=False)
     for shift in np.linspace(-1.0, 1.0, 9):
-        space = SeenSpace(3 * SECOND, 0.22)
+        space = ScanMemory(3 * SECOND, 0.22)
         space.add(0, (0, 0, 0), rays_from((0, 0, 0), np.array([math.pi + math.radians(shift)]),
                                           np.array([1.0])))  # fmt: skip
 
@@ -136,8 +136,8 @@ def test_a_beam_at_either_side_of_the_seam_of_a_whole_turn_clears() -> None:
         assert len(space.around((0, 0, 0), 3.0).points) == 0, shift
 
 
-def test_scans_of_any_size_are_taken() -> None:
-    space = SeenSpace(3 * SECOND, 0.22)
+def test_scans_of_any_size_are_accepted() -> None:
+    space = ScanMemory(3 * SECOND, 0.22)
 
     space.add(0, (0, 0, 0), rays_from((0, 0, 0), np.empty(0), np.empty(0)))
     space.add(1, (0, 0, 0), rays_from((0, 0, 0), np.array([1.0]), np.array([1.0])))
@@ -151,10 +151,10 @@ def test_scans_of_any_size_are_taken() -> None:
     assert np.isfinite(points).all()
 
 
-def test_what_is_to_come_counts_where_the_robot_may_meet_it() -> None:
-    space = SeenSpace(3 * SECOND, 0.22)
+def test_predicted_positions_count_where_the_robot_may_meet_them() -> None:
+    space = ScanMemory(3 * SECOND, 0.22)
     space.add(0, (0, 0, 0), rays(np.full(ANGLES.size, np.inf)))
-    space.expect(np.array([[1.0, 0.0, 0.4], [2.5, 0.0, 0.4], [0.1, 0.0, 1.4]]))
+    space.set_predictions(np.array([[1.0, 0.0, 0.4], [2.5, 0.0, 0.4], [0.1, 0.0, 1.4]]))
 
     around = space.around((0, 0, 0), 3.0, speed=0.6, fastest=0.6)
 
@@ -162,12 +162,12 @@ def test_what_is_to_come_counts_where_the_robot_may_meet_it() -> None:
     assert around.nearest == 3.0
 
 
-def test_beside_the_robot_a_point_is_gone_only_when_seen_through_from_two_sides() -> None:
-    space = SeenSpace(3 * SECOND, 0.22)
+def test_near_point_is_removed_only_by_beams_from_two_directions() -> None:
+    space = ScanMemory(3 * SECOND, 0.22)
     nothing = np.full(ANGLES.size, np.inf)
     space.add(0, (0, 0, 0), rays(one_hit(0.0, 0.3)))
 
-    for k in range(1, 6):  # as beams along a thin wall, or past its end, would
+    for k in range(1, 6):  # like beams along a thin wall, or past its end
         space.add(k * SECOND // 10, (0, 0, 0), rays(nothing))
     along = space.around((0, 0, 0), 3.0).points.copy()
     aside = (0.0, 0.1, 0.0)
@@ -177,8 +177,8 @@ def test_beside_the_robot_a_point_is_gone_only_when_seen_through_from_two_sides(
     assert len(space.around(aside, 3.0).points) == 0
 
 
-def test_beside_the_robot_a_point_that_is_hit_anew_is_replaced() -> None:
-    space = SeenSpace(3 * SECOND, 0.22)
+def test_near_point_that_is_hit_again_is_replaced() -> None:
+    space = ScanMemory(3 * SECOND, 0.22)
     space.add(0, (0, 0, 0), rays(one_hit(0.0, 0.3)))
 
     space.add(SECOND // 10, (0, 0, 0), rays(one_hit(0.0, 0.34)))
@@ -186,12 +186,12 @@ def test_beside_the_robot_a_point_that_is_hit_anew_is_replaced() -> None:
     assert space.around((0, 0, 0), 3.0).points.round(6).tolist() == [[0.34, 0.0]]
 
 
-def test_space_whose_obstacles_are_forgotten_does_not_count_as_seen() -> None:
-    space = SeenSpace(3 * SECOND, 0.22)
+def test_ground_whose_obstacles_are_forgotten_does_not_count_as_seen() -> None:
+    space = ScanMemory(3 * SECOND, 0.22)
     away = (0.0, 0.0, math.pi)
     space.add(0, (0, 0, 0), rays(np.full(ANGLES.size, np.inf)))
-    assert space.is_seen((0, 0, 0), 0.0, 0.3, 0)
+    assert space.is_ground_seen((0, 0, 0), 0.0, 0.3, 0)
 
     space.add(round(3.5 * SECOND), away, rays(np.full(ANGLES.size, np.inf), away))
 
-    assert not space.is_seen((0, 0, 0), 0.0, 0.3, 0)
+    assert not space.is_ground_seen((0, 0, 0), 0.0, 0.3, 0)

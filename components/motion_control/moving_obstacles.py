@@ -1,4 +1,4 @@
-"""People and other small things that move, and where they will be in a moment."""
+"""Moving obstacles: track people and other small things, and predict their positions."""
 
 from __future__ import annotations
 
@@ -10,30 +10,31 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cairn import SECOND
-from cairn.components.motion_control.seen_space import REACH
+from cairn.components.motion_control.scan_memory import MAX_RANGE_M
 from cairn.planar.compiled import compiled
 from cairn.planar.odometry import began_anew
 from cairn.planar.scans import Rays
 
 Array = NDArray[np.float64]
 
-# Beams whose hits are so near one another [m] see the same thing, at most so large [m]; before its
-# background it stands out by so much [m].
+# Hits nearer to one another than this [m] belong to the same thing, which is at most so large [m]
+# and stands out from its background by so much [m]: values for people's legs and bodies.
 _JOINED, _LARGEST, _BEFORE = 0.2, 0.9, 0.3
-_FEWEST = 3  # beams
-_MOST = 64  # things that are looked at
-# Beams go once around if no more than this is left out [rad]: the robot may turn meanwhile.
+_FEWEST = 3  # beams on a thing
+_MOST = 64  # maximum number of things per scan
+# Beams form a full circle if the gap between last and first is no more than this [rad]: the robot
+# may turn during the scan.
 _SEAM = 0.2
 
-_SAME = 0.35  # a thing is looked for so far [m] from where it is expected
-# A speed is told by the way made in so much time [ns].
+_SAME = 0.35  # a thing is searched within this distance [m] of its predicted position
+# A velocity is estimated from positions over so much time [ns].
 _LEAST_WATCHED, _MOST_WATCHED = 350_000_000, 650_000_000
-_FORGOTTEN = 350_000_000  # [ns]
-_SLOWEST, _FASTEST = 0.35, 2.5  # what counts as moving [m/s]
-# Robots that turn faster [rad/s] than this see all things move a little.
+_FORGOTTEN = 350_000_000  # [ns] without a hit
+_SLOWEST, _FASTEST = 0.35, 2.5  # [m/s] range of speeds that count as moving
+# If the robot turns faster than this [rad/s], all things appear to move, and none is tracked.
 _TURNING = 0.8
 
-# Where a mover will be is told for these times ahead [s], by points so far from its middle [m].
+# Positions are predicted for these times ahead [s], by points so far from the center [m].
 _TIMES = np.arange(1, 8) * 0.2
 _HALF_WIDTH = 0.15
 
@@ -43,13 +44,13 @@ _Seen = tuple[int, float, float]
 
 
 @dataclass
-class _Thing:
-    """Where one thing was seen, the newest last."""
+class _TrackedThing:
+    """The observed positions of one thing, the newest last."""
 
     places: deque[_Seen] = field(default_factory=lambda: deque(maxlen=8))
 
     def velocity(self) -> tuple[float, float]:
-        """Velocity [m/s], zero as long as it is not known or not steady."""
+        """Return the velocity [m/s]; zero as long as it is unknown or unsteady."""
         newest = self.places[-1]
         watched = [p for p in self.places if newest[0] - p[0] <= _MOST_WATCHED]
         if newest[0] - watched[0][0] < _LEAST_WATCHED or len(watched) < 3:
@@ -69,21 +70,20 @@ def _speed(a: _Seen, b: _Seen) -> tuple[float, float]:
     return (b[1] - a[1]) / seconds, (b[2] - a[2]) / seconds
 
 
-class Movers:
-    """Follows small things from scan to scan."""
+class MovingObstacleTracker:
+    """Tracks small things from scan to scan."""
 
     def __init__(self) -> None:
-        self._things: list[_Thing] = []
+        self._things: list[_TrackedThing] = []
         self._ahead = np.empty((0, 3))
         self._newest = -1
 
-    def see(self, stamp: int, rays: Rays, turn: float) -> Array:
-        """Take the scan of `stamp` [ns], when the robot turned by `turn` [rad/s].
+    def add_scan(self, stamp: int, rays: Rays, turn: float) -> Array:
+        """Add the scan of `stamp` [ns] while the robot turns by `turn` [rad/s].
 
-        The rays are in the odometry frame.
-
-        Returns where movers will be in the next moments: x, y [m] in the odometry frame and how
-        far ahead that is [s] (n, 3). A scan no later than the last one tells nothing new.
+        The rays are in the odometry frame. Returns the predicted positions of moving things: x, y
+        [m] in the odometry frame and the time ahead [s] (n, 3). A scan that is not newer than the
+        last one changes nothing.
         """
         if began_anew(self._newest, stamp):
             self.forget()
@@ -97,11 +97,11 @@ class Movers:
         self._things = [t for t in self._things if stamp - t.places[-1][0] < _FORGOTTEN]
         if abs(turn) > _TURNING:
             return np.empty((0, 3))
-        seen: list[_Thing] = []
+        seen: list[_TrackedThing] = []
         for x, y in _things(rays).tolist():
             thing = self._expected(stamp, x, y)
             if thing is None:
-                thing = _Thing()
+                thing = _TrackedThing()
             else:
                 self._things.remove(thing)
             thing.places.append((stamp, x, y))
@@ -111,11 +111,11 @@ class Movers:
         return np.vstack(ahead) if ahead else np.empty((0, 3))
 
     def forget(self) -> None:
-        """Forget all, as when odometry begins anew."""
+        """Forget everything, as when odometry restarts."""
         self._things = []
         self._ahead = np.empty((0, 3))
 
-    def _expected(self, stamp: int, x: float, y: float) -> _Thing | None:
+    def _expected(self, stamp: int, x: float, y: float) -> _TrackedThing | None:
         best, least = None, _SAME
         for thing in self._things:
             then, px, py = thing.places[-1]
@@ -127,7 +127,7 @@ class Movers:
         return best
 
 
-def _ahead(thing: _Thing) -> Array:
+def _ahead(thing: _TrackedThing) -> Array:
     vx, vy = thing.velocity()
     speed = math.hypot(vx, vy)
     if not _SLOWEST <= speed <= _FASTEST:
@@ -143,29 +143,29 @@ def _ahead(thing: _Thing) -> Array:
 
 
 def _things(rays: Rays) -> Array:
-    """Middles (n, 2) [m] of small things that stand before their background."""
+    """Return the centers (n, 2) [m] of small things that stand out from their background."""
     told = ~np.isnan(rays.ranges)
     angles, ranges, starts = rays.angles[told], rays.ranges[told], rays.starts[told]
     if ranges.size < _FEWEST:
         return np.empty((0, 2))
-    near = np.minimum(ranges, REACH)
+    near = np.minimum(ranges, MAX_RANGE_M)
     points = starts + near[:, None] * np.column_stack((np.cos(angles), np.sin(angles)))
     span = abs(rays.angles[-1] - rays.angles[0])
     step = span / (rays.angles.size - 1)
     ends = np.array([math.inf, math.inf])
-    if span + step > 2.0 * math.pi - _SEAM:  # begin between two things, not within one
+    if span + step > 2.0 * math.pi - _SEAM:  # start between two things, not within one
         begin = int(np.argmax(np.abs(near - np.roll(near, 1)) >= _JOINED))
         ranges, points = np.roll(ranges, -begin), np.roll(points, -begin, axis=0)
         ends = ranges[[-1, 0]]
     found = np.empty((_MOST, 2))
-    gaps = np.maximum(_JOINED, 3.0 * step * np.minimum(ranges, REACH))
+    gaps = np.maximum(_JOINED, 3.0 * step * np.minimum(ranges, MAX_RANGE_M))
     count = _small(np.concatenate((ends[:1], ranges, ends[1:])), points, gaps, found)
     return found[:count]
 
 
 @compiled()
 def _stands_out(ranges: Array, points: Array, first: int, end: int) -> bool:
-    """Whether the points from `first` to before `end` are a small thing before its background."""
+    """Return whether the points from `first` to before `end` are a small thing that stands out."""
     if end - first < _FEWEST:
         return False
     if min(ranges[first] - ranges[first + 1], ranges[end + 1] - ranges[end]) <= _BEFORE:
@@ -179,15 +179,15 @@ def _stands_out(ranges: Array, points: Array, first: int, end: int) -> bool:
 
 @compiled("int64(float64[::1], float64[:,::1], float64[::1], float64[:,::1])")
 def _small(ranges: Array, points: Array, gaps: Array, found: Array) -> int:
-    """Fill `found` with the middles of points that belong together and stand out; their number.
+    """Fill `found` with the centers of small things that stand out; return their number.
 
-    `ranges` has one more at each end than `points`; nearer than `gaps` to the one before, a point
-    belongs to the same thing.
+    `ranges` has one more value at each end than `points`; a point nearer than `gaps` to the
+    previous one belongs to the same thing.
     """
     size = points.shape[0]
     count = first = 0
     for k in range(1, size + 1):
-        if k < size and ranges[k] < REACH and ranges[k + 1] < REACH:
+        if k < size and ranges[k] < MAX_RANGE_M and ranges[k + 1] < MAX_RANGE_M:
             apart = math.hypot(points[k, 0] - points[k - 1, 0], points[k, 1] - points[k - 1, 1])
             if apart < gaps[k]:
                 continue

@@ -1,4 +1,4 @@
-"""The path to follow, and where on it the robot is."""
+"""The path that the robot follows, and the robot's progress on it."""
 
 from __future__ import annotations
 
@@ -12,21 +12,22 @@ from cairn.planar.poses import Pose
 
 Array = NDArray[np.float64]
 
-SPACING = 0.05
-"""Distance [m] between the points of the way ahead."""
-AHEAD = 3.0
-"""Length [m] of the way ahead that is looked at."""
+SPACING_M = 0.05
+"""Distance [m] between the points of the path ahead."""
+HORIZON_M = 3.0
+"""Length [m] of the path ahead that is considered."""
 
-# The robot is looked for on the path this far behind and ahead of where it was last [m]; and
-# anywhere when it is further than that off.
+# The robot's position on the path is searched this far behind and ahead of the last one [m], and
+# everywhere if the robot is farther away than the third value [m]: so it stays on its branch where
+# the path crosses itself.
 _BEHIND, _BEFORE = 0.3, 1.0
 _LOST = 0.8
 
 
-class Route:
-    """A polyline, and how far along it the robot has come.
+class FollowedPath:
+    """A polyline, and the robot's progress on it.
 
-    `poses` (n, 3) in any frame; `goal` is its end and the heading wanted there.
+    `poses` (n, 3) in any frame; `goal` is its end with the final heading.
     """
 
     def __init__(self, poses: Array, goal: Pose) -> None:
@@ -37,24 +38,24 @@ class Route:
         self._points = np.ascontiguousarray(points[apart])
         lengths = np.hypot(*np.diff(self._points, axis=0).T)
         self._along = np.concatenate(([0.0], np.cumsum(lengths)))
-        self._way = np.empty((round(AHEAD / SPACING) + 2, 2))
+        self._way = np.empty((round(HORIZON_M / SPACING_M) + 2, 2))
         self._reached: float | None = None
         self.goal = goal
         self.off = 0.0
-        """Distance [m] of the robot to the path when it was last looked at."""
+        """Distance [m] of the robot to the path at the last call of `ahead`."""
 
     @property
     def length(self) -> float:
-        """Length [m] of the whole path."""
+        """Return the length [m] of the whole path."""
         return float(self._along[-1])
 
     @property
     def left(self) -> float:
-        """Length [m] of the path from where the robot is."""
+        """Return the length [m] of the path from the robot on."""
         return self.length - (self._reached or 0.0)
 
     def ahead(self, robot: Pose) -> Array:
-        """The way ahead (n, 2) [m] in the robot's frame, `SPACING` apart, or up to the goal.
+        """Return the path ahead (n, 2) [m] in the robot's frame, points `SPACING_M` apart.
 
         Valid until the next call.
         """
@@ -72,7 +73,7 @@ class Route:
 def _project(
     points: Array, along: Array, x: float, y: float, low: float, high: float
 ) -> tuple[float, float]:
-    """Place on the path nearest to x, y between `low` and `high` [m], and its distance."""
+    """Return the nearest position on the path between `low` and `high` [m], and the distance."""
     place, least = along[-1], math.inf
     for i in range(points.shape[0] - 1):
         length = along[i + 1] - along[i]
@@ -103,7 +104,7 @@ def _ahead(
     segment = 0
     count = 0
     while count < way.shape[0]:
-        place = start + SPACING * count
+        place = start + SPACING_M * count
         ended = place >= along[last]
         while segment < last - 1 and along[segment + 1] < place:
             segment += 1

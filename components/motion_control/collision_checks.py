@@ -1,8 +1,8 @@
-"""How far a round robot can go along arcs, lines and paths among points.
+"""Collision checks: how far a round robot can drive along arcs, lines and paths among points.
 
 Everywhere `radius` [m] is that of the circle to keep free, and `least` [m] that of the robot. A
-point that is within the circle at the start may not come nearer than it is then; one that is within
-the robot itself, as noise makes it seem, blocks what leads toward it and lets the robot leave.
+point that is inside the circle at the start must not come nearer than it is then; a point inside
+the robot itself, as noise makes it appear, blocks motions toward it and lets the robot leave.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ from cairn.planar.compiled import compiled
 
 Array = NDArray[np.float64]
 
-FAR = 10.0
-"""What nothing limits is free, and clear, this far [m]."""
+UNLIMITED_M = 10.0
+"""Free length and clearance [m] where nothing limits them."""
 
-_STRAIGHT = 1e-3  # curvature [1/m] below which an arc is a straight line
-_SLACK = 0.005  # [m] by which a point within the circle may come nearer, as scans are noisy
+_STRAIGHT = 1e-3  # curvature [1/m] below which an arc counts as a straight line
+_SLACK = 0.005  # [m] by which a point inside the circle may come nearer, as scans are noisy
 
 
 @compiled()
-def _keep(squared: float, radius: float, least: float) -> float:
-    """Distance [m] to keep from a point whose squared distance at the start is given."""
+def _kept_distance(squared: float, radius: float, least: float) -> float:
+    """Return the distance [m] to keep from a point with this squared distance at the start."""
     if squared >= radius * radius:
         return radius
     return max(least, math.sqrt(squared) - _SLACK)
@@ -34,7 +34,7 @@ def _keep(squared: float, radius: float, least: float) -> float:
 @compiled(
     "void(float64[:,::1], float64[::1], float64[::1], float64, float64, float64[::1], float64[::1])"
 )
-def arc_clearances(
+def check_arcs(
     points: Array,
     curvatures: Array,
     lengths: Array,
@@ -43,11 +43,11 @@ def arc_clearances(
     free: Array,
     clear: Array,
 ) -> None:
-    """What is in the way of a circle that moves ahead along arcs.
+    """Check arcs that a circle drives ahead.
 
     `points` (n, 2) [m] in the robot's frame; `curvatures` (m,) [1/m], left positive. Fills `free`
-    (m,) [m] with the arc length up to the first touch, and `clear` (m,) [m] with the least distance
-    of a point to the center's way over `lengths` (m,) [m].
+    (m,) [m] with the arc length up to the first contact, and `clear` (m,) [m] with the least
+    distance of a point to the center's path over `lengths` (m,) [m].
     """
     for j in range(curvatures.size):
         bend, length = abs(curvatures[j]), lengths[j]
@@ -56,12 +56,12 @@ def arc_clearances(
         turn = 1.0 if straight else 1.0 / bend
         most = length / turn
         end_x, end_y = turn * math.sin(most), turn * (1.0 - math.cos(most))
-        way, nearest = FAR, FAR * FAR
+        way, nearest = UNLIMITED_M, UNLIMITED_M * UNLIMITED_M
         for i in range(points.shape[0]):
             x, y = points[i, 0], side * points[i, 1]
             here = x * x + y * y
             nearest = min(nearest, here)
-            keep = _keep(here, radius, least)
+            keep = _kept_distance(here, radius, least)
             if here < keep * keep:
                 if x > 0.0:
                     way = 0.0
@@ -94,25 +94,25 @@ def arc_clearances(
 
 
 @compiled("void(float64[:,::1], float64[::1], float64, float64, float64[::1])")
-def open_ways(points: Array, directions: Array, radius: float, least: float, free: Array) -> None:
-    """How far [m] a circle can go straight on in `directions` (m,) [rad] of the robot's frame."""
+def check_lines(points: Array, directions: Array, radius: float, least: float, free: Array) -> None:
+    """Fill `free` with the length [m] that a circle can drive in `directions` (m,) [rad]."""
     for j in range(directions.size):
         cosine, sine = math.cos(directions[j]), math.sin(directions[j])
-        way = FAR
+        way = UNLIMITED_M
         for i in range(points.shape[0]):
             px, py = points[i, 0], points[i, 1]
             x, y = cosine * px + sine * py, cosine * py - sine * px
             if x <= 0.0 or abs(y) >= radius:
                 continue
-            keep = _keep(px * px + py * py, radius, least)
+            keep = _kept_distance(px * px + py * py, radius, least)
             if abs(y) < keep:
                 way = min(way, max(0.0, x - math.sqrt(keep * keep - y * y)))
         free[j] = way
 
 
 @compiled()
-def _fits(points: Array, x: float, y: float, radius: float) -> bool:
-    """Whether a circle fits at x, y, or is no nearer there than at the start to what it touches."""
+def _circle_fits(points: Array, x: float, y: float, radius: float) -> bool:
+    """Return whether a circle fits at x, y, or does not come nearer to points in contact."""
     squared = radius * radius
     for i in range(points.shape[0]):
         px, py = points[i, 0], points[i, 1]
@@ -126,33 +126,35 @@ def _fits(points: Array, x: float, y: float, radius: float) -> bool:
 
 
 @compiled("float64(float64[:,::1], float64[:,::1], float64, float64)")
-def free_along(points: Array, way: Array, spacing: float, radius: float) -> float:
-    """How far [m] a circle can go along `way` (n, 2), whose points are `spacing` [m] apart."""
+def free_length(points: Array, way: Array, spacing: float, radius: float) -> float:
+    """Return how far [m] a circle can drive along `way` (n, 2) with points `spacing` [m] apart."""
     for k in range(way.shape[0]):
-        if not _fits(points, way[k, 0], way[k, 1], radius):
+        if not _circle_fits(points, way[k, 0], way[k, 1], radius):
             return spacing * k
-    return FAR
+    return UNLIMITED_M
 
 
 @compiled("int64(float64[:,::1], float64[:,::1], int64, int64, float64)")
-def free_again(points: Array, way: Array, first: int, run: int, radius: float) -> int:
-    """The first point of `way` from `first` on where a circle fits, and on the `run` next; or -1.
+def first_free_again(points: Array, way: Array, first: int, run: int, radius: float) -> int:
+    """Return the first index of `way` from `first` on where a circle fits, or -1.
 
-    The way's end need not be followed by so many.
+    It must fit on the `run` next points as well.
+
+    At the end of the way fewer points suffice.
     """
     fits = 0
     for k in range(first, way.shape[0]):
-        fits = fits + 1 if _fits(points, way[k, 0], way[k, 1], radius) else 0
+        fits = fits + 1 if _circle_fits(points, way[k, 0], way[k, 1], radius) else 0
         if fits > run:
             return k - run
     return way.shape[0] - fits if fits > 0 else -1
 
 
 @compiled("void(float64[:,::1], float64[:,::1], float64, float64, float64, boolean[::1])")
-def sees(
+def check_straight_lines(
     points: Array, places: Array, x: float, y: float, radius: float, free: NDArray[np.bool_]
 ) -> None:
-    """From which of `places` (m, 2) a circle can go straight to x, y; fills `free` (m,)."""
+    """Fill `free` (m,): from which of `places` (m, 2) a circle can drive straight to x, y."""
     squared = radius * radius
     for j in range(places.shape[0]):
         px, py = places[j, 0], places[j, 1]

@@ -1,11 +1,11 @@
-"""Who moves, and where they will be."""
+"""Moving obstacles are detected and predicted."""
 
 import math
 
 import numpy as np
 
 from cairn import SECOND
-from cairn.components.motion_control.movers import Movers
+from cairn.components.motion_control.moving_obstacles import MovingObstacleTracker
 from cairn.planar.poses import Pose
 from tests.components.motion_control.world import Array, Disc, World, box, rays_from
 
@@ -16,18 +16,18 @@ HALL = box(0, 0, 12, 12)
 def looked(
     world: World, times: np.ndarray, robot: Pose = (0, 0, 0), speed: float = 0.0
 ) -> list[Array]:
-    """What is expected after each scan, when the robot goes straight ahead."""
-    movers, random = Movers(), np.random.default_rng(0)
+    """The predictions after each scan while the robot drives straight ahead."""
+    movers, random = MovingObstacleTracker(), np.random.default_rng(0)
     expected = []
     for time in times.tolist():
         at = (robot[0] + speed * time, robot[1], robot[2])
         ranges = world.ranges(time, at, ANGLES, random.normal(0, 0.01, ANGLES.size))
         rays = rays_from(at, ANGLES, ranges)
-        expected.append(movers.see(round(time * SECOND), rays, 0.0))
+        expected.append(movers.add_scan(round(time * SECOND), rays, 0.0))
     return expected
 
 
-def test_a_person_is_expected_where_they_walk() -> None:
+def test_position_of_a_walking_person_is_predicted() -> None:
     def person(time: float) -> list[Disc]:
         return [(2.0, -1.5 + 1.0 * time, 0.25)]
 
@@ -39,7 +39,7 @@ def test_a_person_is_expected_where_they_walk() -> None:
     assert np.abs(last[:, 0] - 1.8).max() < 0.3
 
 
-def test_a_person_is_noticed_within_half_a_second() -> None:
+def test_walking_person_is_detected_within_half_a_second() -> None:
     def person(time: float) -> list[Disc]:
         return [(2.0, -1.5 + 1.0 * time, 0.25)]
 
@@ -48,7 +48,7 @@ def test_a_person_is_noticed_within_half_a_second() -> None:
     assert next(k for k, rows in enumerate(expected) if len(rows)) <= 5
 
 
-def test_nothing_that_stands_is_taken_for_a_mover_by_a_robot_that_moves() -> None:
+def test_moving_robot_detects_no_motion_of_standing_things() -> None:
     things = [
         *box(1, 1, 0.4, 0.4),
         *box(2.5, -0.8, 0.2, 0.6),
@@ -64,7 +64,7 @@ def test_nothing_that_stands_is_taken_for_a_mover_by_a_robot_that_moves() -> Non
     assert sum(len(rows) for rows in expected) == 0
 
 
-def test_a_scan_that_is_told_twice_tells_nothing_new() -> None:
+def test_repeated_scan_changes_nothing() -> None:
     def person(time: float) -> list[Disc]:
         return [(2.0, -1.5 + 1.0 * time, 0.25)]
 
@@ -75,7 +75,7 @@ def test_a_scan_that_is_told_twice_tells_nothing_new() -> None:
         assert np.array_equal(first, again)
 
 
-def test_movers_are_noticed_after_time_was_set_back() -> None:
+def test_moving_things_are_detected_after_a_time_reset() -> None:
     def person(time: float) -> list[Disc]:
         return [(2.0, -1.5 + 1.0 * time, 0.25)]
 
@@ -84,15 +84,15 @@ def test_movers_are_noticed_after_time_was_set_back() -> None:
     assert len(looked(World(HALL, person), times)[-1]) > 0
 
 
-def test_movers_are_forgotten() -> None:
-    movers = Movers()
+def test_moving_things_are_forgotten() -> None:
+    movers = MovingObstacleTracker()
     world = World(HALL, lambda time: [(2.0, -1 + time, 0.25)])
     for k in range(8):
         ranges = world.ranges(0.1 * k, (0, 0, 0), ANGLES, np.zeros(ANGLES.size))
         rays = rays_from((0, 0, 0), ANGLES, ranges)
-        rows = movers.see(k * SECOND // 10, rays, 0.0)
+        rows = movers.add_scan(k * SECOND // 10, rays, 0.0)
     assert len(rows) > 0
 
     movers.forget()
 
-    assert len(movers.see(2 * SECOND, rays, 0.0)) == 0
+    assert len(movers.add_scan(2 * SECOND, rays, 0.0)) == 0

@@ -1,0 +1,166 @@
+"""Velocity limits: the limits of the robot, and commands within them that always allow to stop."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from cairn.components.motion_control.collision_checks import check_arcs
+from cairn.components.motion_control.scan_memory import NearbyObstacles
+
+
+@dataclass(frozen=True)
+class MotionLimits:
+    """Size [m], speeds [m/s, rad/s] and accelerations [m/s^2, rad/s^2] of a round robot.
+
+    `margin` [m] is kept free around the robot, and `stop_distance` [m] before an obstacle on the
+    path. Full speed requires `full_speed_clearance` [m] beside the robot; with less clearance it
+    slows down to `creep_speed`. Stopping relies on `braking` and `turn_braking` after `latency`
+    [s]; `lookahead` [s] is the driving time to the pursued point on the path.
+    """
+
+    radius: float
+    margin: float
+    stop_distance: float
+    full_speed_clearance: float
+    speed: float
+    creep_speed: float
+    turn_speed: float
+    acceleration: float
+    turn_acceleration: float
+    braking: float
+    turn_braking: float
+    latency: float
+    lookahead: float
+
+    def speed_to_stop_in(self, distance: float) -> float:
+        """Return the speed [m/s] from which the robot stops within a distance [m]."""
+        return min(self.speed, _stopping(distance, self.braking, self.latency))
+
+    def speed_beside(self, clearance: float) -> float:
+        """Return the speed [m/s] for a clearance [m] between robot and obstacle."""
+        share = (clearance - self.margin) / (self.full_speed_clearance - self.margin)
+        return self.creep_speed + (self.speed - self.creep_speed) * min(1.0, max(0.0, share))
+
+    def speed_in(self, curvature: float) -> float:
+        """Return the speed [m/s] at which the robot can follow a curvature [1/m]."""
+        bend = abs(curvature)
+        if bend < 1e-6:
+            return self.speed
+        sideways = math.sqrt(self.acceleration / bend)
+        return min(self.speed, sideways, 0.9 * self.turn_speed / bend)
+
+    def turn_rate_for(self, angle: float) -> float:
+        """Return the turn rate [rad/s] on the spot with that angle [rad] to go."""
+        size = abs(angle)
+        if size < 1e-3:
+            return 0.0
+        turn = _stopping(size, self.turn_braking, self.latency)
+        return math.copysign(min(self.turn_speed, max(turn, min(0.1, size))), angle)
+
+    @property
+    def keepout_radius(self) -> float:
+        """Return the radius [m] of the circle that is kept free around the robot's center."""
+        return self.radius + self.margin
+
+    @property
+    def minimum_radius(self) -> float:
+        """Return the radius [m] of the circle that suffices where there is no other path."""
+        return self.radius + 0.5 * self.margin
+
+    @property
+    def contact_radius(self) -> float:
+        """Return the least distance [m] of an obstacle to the robot's center in planned motions."""
+        return self.radius + min(0.01, 0.4 * self.margin)
+
+
+def _stopping(distance: float, deceleration: float, latency: float) -> float:
+    if distance <= 0.0:
+        return 0.0
+    lag = deceleration * latency
+    return math.sqrt(lag * lag + 2.0 * deceleration * distance) - lag
+
+
+@dataclass(frozen=True)
+class VelocityTarget:
+    """A velocity to reach: speed [m/s] and curvature [1/m], or a turn on the spot [rad/s].
+
+    `blocked` is the reason why no motion is possible; empty otherwise.
+    """
+
+    speed: float = 0.0
+    curvature: float = 0.0
+    turn: float = 0.0
+    blocked: str = ""
+
+
+STAND_STILL = VelocityTarget()
+
+Command = tuple[float, float]
+"""Speed ahead [m/s] and turn rate [rad/s]."""
+
+STAND: Command = (0.0, 0.0)
+
+# A command may be ahead of the measured velocity by this time [s] of acceleration.
+_LEAD_S = 0.3
+_LONGEST_STEP_S, _SHORTEST_STEP_S = 0.12, 0.005
+_TOUCH = 0.01  # [m] of free path that is left
+
+
+class CommandLimiter:
+    """Limits the change from one command to the next by the accelerations."""
+
+    def __init__(self, limits: MotionLimits) -> None:
+        self._limits = limits
+        self._command = STAND
+        self._at = 0
+        self._free = np.empty(1)
+        self._clear = np.empty(1)
+
+    def stop(self, now: int) -> Command:
+        """Command to stand at once: the base brakes as hard as it can."""
+        self._command, self._at = STAND, now
+        return STAND
+
+    def command(
+        self, target: VelocityTarget, now: int, measured: Command, obstacles: NearbyObstacles
+    ) -> Command:
+        """Return the next command at `now` [ns], while the robot moves as `measured`."""
+        limits = self._limits
+        step = min(_LONGEST_STEP_S, max(_SHORTEST_STEP_S, (now - self._at) / 1e9))
+        speed, turn = self._command
+        lead, turn_lead = limits.acceleration * _LEAD_S, limits.turn_acceleration * _LEAD_S
+        speed = min(measured[0] + lead, max(measured[0] - lead, speed))
+        turn = min(measured[1] + turn_lead, max(measured[1] - turn_lead, turn))
+        change, turn_change = limits.acceleration * step, limits.turn_acceleration * step
+        forward = min(speed + change, max(speed - change, target.speed))
+        desired = target.turn + target.curvature * forward
+        desired = min(limits.turn_speed, max(-limits.turn_speed, desired))
+        turned = min(turn + turn_change, max(turn - turn_change, desired))
+        forward = self._guarded(forward, turned, obstacles)
+        self._command, self._at = (forward, turned), now
+        return self._command
+
+    def _guarded(self, forward: float, turn: float, obstacles: NearbyObstacles) -> float:
+        """Return the speed from which the robot can still stop before obstacles on this arc."""
+        limits = self._limits
+        if abs(forward) < 1e-3 or (forward > 0.0 and not obstacles.ground_seen_ahead):
+            return 0.0
+        points = obstacles.points
+        if forward < 0.0:
+            points = points * np.array([-1.0, 1.0])
+            turn = -turn
+        bend = np.array([turn / abs(forward)])
+        check_arcs(
+            points,
+            bend,
+            np.zeros(1),
+            limits.minimum_radius,
+            limits.contact_radius,
+            self._free,
+            self._clear,
+        )
+        most = limits.speed_to_stop_in(self._free[0] - _TOUCH)
+        return math.copysign(min(abs(forward), most), forward)
