@@ -15,87 +15,6 @@ from pydantic_core import CoreSchema, core_schema
 
 Check = Callable[[npt.NDArray[Any]], None]
 
-
-def array_validator(
-    dtype: np.dtype[Any], length: int | None, check: Check | None
-) -> Callable[[object], npt.NDArray[Any]]:
-    """Return a function that converts any sequence to a one-dimensional read-only array of `dtype`.
-
-    The function raises `ValueError` if the conversion would change a value, if there are not
-    `length` elements, or if `check` does. It returns a read-only array of the right type without a
-    copy.
-    """
-
-    def validate(value: object) -> npt.NDArray[Any]:
-        if type(value) is np.ndarray and value.dtype is dtype:
-            flags = value.flags
-            unchanged = not flags.writeable and flags.c_contiguous and value.ndim == 1
-            array = value if unchanged else _converted(value, dtype)
-        else:
-            array = _converted(value, dtype)
-        if length is not None and array.size != length:
-            raise ValueError(f"must have {length} elements, not {array.size}")
-        if check is not None:
-            check(array)
-        return array
-
-    return validate
-
-
-def _converted(value: object, dtype: np.dtype[Any]) -> npt.NDArray[Any]:
-    if isinstance(value, np.ndarray):
-        source = value
-    elif isinstance(value, bytes | bytearray | memoryview):
-        source = np.frombuffer(value, np.uint8)
-        if isinstance(value, bytes) and dtype == np.uint8:
-            return source
-    elif isinstance(value, list | tuple | range):
-        source = _of_sequence(value, dtype)
-    else:
-        raise ValueError(f"must be a sequence of {dtype} numbers")
-    if source.ndim != 1:
-        raise ValueError(f"must be one-dimensional (.ravel() it), not of shape {source.shape}")
-    array = np.array(source, dtype, order="C") if source.dtype == dtype else _cast(source, dtype)
-    array.flags.writeable = False
-    return array
-
-
-def _of_sequence(values: "list[Any] | tuple[Any, ...] | range", dtype: np.dtype[Any]) -> Any:
-    if not values:
-        return np.zeros(0, dtype)
-    try:
-        source = np.asarray(values)
-    except (ValueError, OverflowError) as error:
-        raise ValueError(f"must be a sequence of {dtype} numbers") from error
-    if source.dtype == np.float64 and dtype == np.float32:
-        # Python's floats are not float64 on purpose: they are rounded, but not to infinity.
-        with np.errstate(over="ignore"):
-            single = source.astype(dtype)
-        if np.isfinite(source).tobytes() != np.isfinite(single).tobytes():
-            raise ValueError("must hold numbers that fit float32")
-        return single
-    return source
-
-
-def _cast(source: npt.NDArray[Any], dtype: np.dtype[Any]) -> npt.NDArray[Any]:
-    kinds = (source.dtype.kind, dtype.kind)
-    if source.dtype.kind not in "biuf" or ("b" in kinds and kinds != ("b", "b")):
-        raise ValueError(f"must be a sequence of {dtype} numbers, not of {source.dtype}")
-    if source.size == 0:
-        return np.zeros(0, dtype)
-    if kinds[0] in "iu" and kinds[1] in "iu":
-        limits = np.iinfo(dtype)
-        lossless = limits.min <= int(source.min()) and int(source.max()) <= limits.max
-        array = source.astype(dtype)
-    else:
-        with np.errstate(over="ignore", invalid="ignore"):
-            array = source.astype(dtype)
-            lossless = np.array_equal(array.astype(source.dtype), source, equal_nan=True)
-    if not lossless:
-        raise ValueError(f"must hold numbers that {dtype} represents exactly")
-    return array
-
-
 _INTEGERS = {
     f"{sign}int{bits}": (0 if sign else -(2 ** (bits - 1)), 2 ** (bits if sign else bits - 1) - 1)
     for sign in ("", "u")
@@ -213,16 +132,6 @@ class Array:
         )
 
 
-def _rounded(limit: float | None) -> float | None:
-    return None if limit is None else float(np.float32(limit))
-
-
-def _python_value(value: object) -> object:
-    if isinstance(value, np.generic):
-        return value.item()
-    raise ValueError
-
-
 def mark_of(annotation: object) -> "Scalar | Text | Array | None":
     """Return the mark of an annotation, None if it has none."""
     if get_origin(annotation) is Annotated:
@@ -236,12 +145,6 @@ def finite(array: npt.NDArray[Any]) -> None:
     """Reject NaN and infinities; for `Array.check`."""
     if not np.isfinite(array).all():
         raise ValueError("must hold finite numbers only")
-
-
-def _truth_values(array: npt.NDArray[Any]) -> None:
-    # Data from the wire may have any byte in the place of a bool.
-    if array.view(np.uint8).max(initial=0) > 1:
-        raise ValueError("must hold the bytes 0 and 1 only")
 
 
 def zeros(length: int) -> Any:
@@ -329,3 +232,99 @@ Covariance2 = Annotated[npt.NDArray[np.float64], Array("float64", length=4, chec
 
 Covariance3 = Annotated[npt.NDArray[np.float64], Array("float64", length=9, check=_check3)]
 """Covariance of 3 values, row-major 3x3: finite, symmetric, positive semidefinite."""
+
+
+def _rounded(limit: float | None) -> float | None:
+    return None if limit is None else float(np.float32(limit))
+
+
+def _python_value(value: object) -> object:
+    if isinstance(value, np.generic):
+        return value.item()
+    raise ValueError
+
+
+def _truth_values(array: npt.NDArray[Any]) -> None:
+    # Data from the wire may have any byte in the place of a bool.
+    if array.view(np.uint8).max(initial=0) > 1:
+        raise ValueError("must hold the bytes 0 and 1 only")
+
+
+def array_validator(
+    dtype: np.dtype[Any], length: int | None, check: Check | None
+) -> Callable[[object], npt.NDArray[Any]]:
+    """Return a function that converts any sequence to a one-dimensional read-only array of `dtype`.
+
+    The function raises `ValueError` if the conversion would change a value, if there are not
+    `length` elements, or if `check` does. It returns a read-only array of the right type without a
+    copy.
+    """
+
+    def validate(value: object) -> npt.NDArray[Any]:
+        if type(value) is np.ndarray and value.dtype is dtype:
+            flags = value.flags
+            unchanged = not flags.writeable and flags.c_contiguous and value.ndim == 1
+            array = value if unchanged else _converted(value, dtype)
+        else:
+            array = _converted(value, dtype)
+        if length is not None and array.size != length:
+            raise ValueError(f"must have {length} elements, not {array.size}")
+        if check is not None:
+            check(array)
+        return array
+
+    return validate
+
+
+def _converted(value: object, dtype: np.dtype[Any]) -> npt.NDArray[Any]:
+    if isinstance(value, np.ndarray):
+        source = value
+    elif isinstance(value, bytes | bytearray | memoryview):
+        source = np.frombuffer(value, np.uint8)
+        if isinstance(value, bytes) and dtype == np.uint8:
+            return source
+    elif isinstance(value, list | tuple | range):
+        source = _of_sequence(value, dtype)
+    else:
+        raise ValueError(f"must be a sequence of {dtype} numbers")
+    if source.ndim != 1:
+        raise ValueError(f"must be one-dimensional (.ravel() it), not of shape {source.shape}")
+    array = np.array(source, dtype, order="C") if source.dtype == dtype else _cast(source, dtype)
+    array.flags.writeable = False
+    return array
+
+
+def _of_sequence(values: "list[Any] | tuple[Any, ...] | range", dtype: np.dtype[Any]) -> Any:
+    if not values:
+        return np.zeros(0, dtype)
+    try:
+        source = np.asarray(values)
+    except (ValueError, OverflowError) as error:
+        raise ValueError(f"must be a sequence of {dtype} numbers") from error
+    if source.dtype == np.float64 and dtype == np.float32:
+        # Python's floats are not float64 on purpose: they are rounded, but not to infinity.
+        with np.errstate(over="ignore"):
+            single = source.astype(dtype)
+        if np.isfinite(source).tobytes() != np.isfinite(single).tobytes():
+            raise ValueError("must hold numbers that fit float32")
+        return single
+    return source
+
+
+def _cast(source: npt.NDArray[Any], dtype: np.dtype[Any]) -> npt.NDArray[Any]:
+    kinds = (source.dtype.kind, dtype.kind)
+    if source.dtype.kind not in "biuf" or ("b" in kinds and kinds != ("b", "b")):
+        raise ValueError(f"must be a sequence of {dtype} numbers, not of {source.dtype}")
+    if source.size == 0:
+        return np.zeros(0, dtype)
+    if kinds[0] in "iu" and kinds[1] in "iu":
+        limits = np.iinfo(dtype)
+        lossless = limits.min <= int(source.min()) and int(source.max()) <= limits.max
+        array = source.astype(dtype)
+    else:
+        with np.errstate(over="ignore", invalid="ignore"):
+            array = source.astype(dtype)
+            lossless = np.array_equal(array.astype(source.dtype), source, equal_nan=True)
+    if not lossless:
+        raise ValueError(f"must hold numbers that {dtype} represents exactly")
+    return array

@@ -33,8 +33,13 @@ from cairn.schemas.packed import Packed
 
 T = TypeVar("T")
 
+
 _NAME = re.compile("[a-z][a-z0-9_]*/msg/[A-Z][A-Za-z0-9]*")
+
+
 _CONFIG = ConfigDict(extra="forbid", validate_default=True)
+
+
 _LONGEST_VALUE = 60
 
 
@@ -91,6 +96,11 @@ def message(name: str) -> Callable[[type[T]], type[T]]:
     return decorate
 
 
+def reject(message: object, path: str, value: object, reason: str) -> NoReturn:
+    """Raise `InvalidMessage` for a message under construction."""
+    raise InvalidMessage(type_name(type(message)), path, value, reason)
+
+
 def type_name(cls: type[Any]) -> str:
     """Return the ROS 2 name of a message class: "geometry_msgs/msg/Twist".
 
@@ -102,14 +112,96 @@ def type_name(cls: type[Any]) -> str:
     return name
 
 
+@dataclass(frozen=True)
+class Field:
+    """A field of a message: the type of its elements, and their number.
+
+    `element` is the name of a ROS 2 primitive or a message class; `count` is None for a single
+    element, 0 for a sequence, else the length of the array. `packed`: the field is a `Packed`.
+    """
+
+    name: str
+    element: str | type[Any]
+    count: int | None = None
+    packed: bool = False
+
+
+@dataclass(frozen=True)
+class Constant:
+    """A constant of a message type."""
+
+    name: str
+    ros_type: str
+    value: bool | int | float | str
+
+
+def fields_of(message: type[Any]) -> tuple[Field, ...]:
+    """Return the fields of a message class in the order on the wire.
+
+    Raises `TypeError` if the class is not a message, or a field has a type that messages lack.
+    """
+    if message not in _fields_cache:
+        type_name(message)
+        hints = get_type_hints(message, include_extras=True)
+        _fields_cache[message] = tuple(
+            _field(message, field.name, hints[field.name]) for field in fields(message)
+        )
+    return _fields_cache[message]
+
+
+def constants_of(message: type[Any]) -> tuple[Constant, ...]:
+    """Return the constants of a message class: its `ClassVar` primitives."""
+    type_name(message)
+    constants: list[Constant] = []
+    for name, hint in get_type_hints(message, include_extras=True).items():
+        if get_origin(hint) is ClassVar:
+            mark = mark_of(get_args(hint)[0])
+            if isinstance(mark, Scalar | Text):
+                constants.append(Constant(name, _ros_type(mark), getattr(message, name)))
+    return tuple(constants)
+
+
+def decoding_constructor(message: type[T]) -> Callable[..., T]:
+    """Return a function that makes a message of its fields in order, as a CDR decoder reads them.
+
+    Numbers and strings are Python's, numeric sequences are read-only arrays, other sequences
+    lists. The function accepts and rejects the same messages as the class's constructor in half
+    the time: it checks only what the definition demands beyond the types on the wire, and calls
+    the constructor for values that are not obviously valid. It is generated, as dataclasses do,
+    because a loop over the fields would be as slow as the constructor.
+    """
+    hints = get_type_hints(message, include_extras=True)
+    names = [field.name for field in fields(message)]  # type: ignore[arg-type]
+    # No field of a ROS 2 message begins with an underscore.
+    namespace: dict[str, Any] = {"_message": message, "_new": object.__new__, "_isfinite": isfinite}
+    conditions = [
+        text for name in names if (text := _validity_condition(name, hints[name], namespace))
+    ]
+    parts = [
+        f"{name}=tuple({name})" if get_origin(hints[name]) is tuple else f"{name}={name}"
+        for name in names
+    ]
+    arguments = ", ".join(names)
+    lines = [f"def make({arguments}):"]
+    if conditions:
+        lines += [f"    if not ({' and '.join(conditions)}):"]
+        lines += [f"        return _message({arguments})"]
+    lines += ["    made = _new(_message)", f"    made.__dict__.update({', '.join(parts)})"]
+    check = cross_field_check(message)
+    if check is not None:
+        namespace["_check"] = check
+        lines += ["    _check(made)"]
+    lines += ["    return made"]
+    exec(
+        compile("\n".join(lines), f"<decoding constructor of {message.__qualname__}>", "exec"),
+        namespace,
+    )
+    return cast("Callable[..., T]", namespace["make"])
+
+
 def cross_field_check(cls: type[Any]) -> Callable[[Any], None] | None:
     """Return the check between the fields of a message class: its own `__post_init__`, or None."""
     return cast("Callable[[Any], None] | None", cls.__dict__["__check__"])
-
-
-def reject(message: object, path: str, value: object, reason: str) -> NoReturn:
-    """Raise `InvalidMessage` for a message under construction."""
-    raise InvalidMessage(type_name(type(message)), path, value, reason)
 
 
 def _constructor(
@@ -266,56 +358,7 @@ def _hashing(name: str, fields: tuple[str, ...]) -> Callable[[Any], int]:
     return __hash__
 
 
-@dataclass(frozen=True)
-class Field:
-    """A field of a message: the type of its elements, and their number.
-
-    `element` is the name of a ROS 2 primitive or a message class; `count` is None for a single
-    element, 0 for a sequence, else the length of the array. `packed`: the field is a `Packed`.
-    """
-
-    name: str
-    element: str | type[Any]
-    count: int | None = None
-    packed: bool = False
-
-
-@dataclass(frozen=True)
-class Constant:
-    """A constant of a message type."""
-
-    name: str
-    ros_type: str
-    value: bool | int | float | str
-
-
 _fields_cache: dict[type[Any], tuple[Field, ...]] = {}
-
-
-def fields_of(message: type[Any]) -> tuple[Field, ...]:
-    """Return the fields of a message class in the order on the wire.
-
-    Raises `TypeError` if the class is not a message, or a field has a type that messages lack.
-    """
-    if message not in _fields_cache:
-        type_name(message)
-        hints = get_type_hints(message, include_extras=True)
-        _fields_cache[message] = tuple(
-            _field(message, field.name, hints[field.name]) for field in fields(message)
-        )
-    return _fields_cache[message]
-
-
-def constants_of(message: type[Any]) -> tuple[Constant, ...]:
-    """Return the constants of a message class: its `ClassVar` primitives."""
-    type_name(message)
-    constants: list[Constant] = []
-    for name, hint in get_type_hints(message, include_extras=True).items():
-        if get_origin(hint) is ClassVar:
-            mark = mark_of(get_args(hint)[0])
-            if isinstance(mark, Scalar | Text):
-                constants.append(Constant(name, _ros_type(mark), getattr(message, name)))
-    return tuple(constants)
 
 
 def _field(message: type[Any], name: str, hint: Any) -> Field:
@@ -341,44 +384,6 @@ def _field(message: type[Any], name: str, hint: Any) -> Field:
 
 def _ros_type(mark: Scalar | Text) -> str:
     return mark.ros_type if isinstance(mark, Scalar) else "string"
-
-
-def decoding_constructor(message: type[T]) -> Callable[..., T]:
-    """Return a function that makes a message of its fields in order, as a CDR decoder reads them.
-
-    Numbers and strings are Python's, numeric sequences are read-only arrays, other sequences
-    lists. The function accepts and rejects the same messages as the class's constructor in half
-    the time: it checks only what the definition demands beyond the types on the wire, and calls
-    the constructor for values that are not obviously valid. It is generated, as dataclasses do,
-    because a loop over the fields would be as slow as the constructor.
-    """
-    hints = get_type_hints(message, include_extras=True)
-    names = [field.name for field in fields(message)]  # type: ignore[arg-type]
-    # No field of a ROS 2 message begins with an underscore.
-    namespace: dict[str, Any] = {"_message": message, "_new": object.__new__, "_isfinite": isfinite}
-    conditions = [
-        text for name in names if (text := _validity_condition(name, hints[name], namespace))
-    ]
-    parts = [
-        f"{name}=tuple({name})" if get_origin(hints[name]) is tuple else f"{name}={name}"
-        for name in names
-    ]
-    arguments = ", ".join(names)
-    lines = [f"def make({arguments}):"]
-    if conditions:
-        lines += [f"    if not ({' and '.join(conditions)}):"]
-        lines += [f"        return _message({arguments})"]
-    lines += ["    made = _new(_message)", f"    made.__dict__.update({', '.join(parts)})"]
-    check = cross_field_check(message)
-    if check is not None:
-        namespace["_check"] = check
-        lines += ["    _check(made)"]
-    lines += ["    return made"]
-    exec(
-        compile("\n".join(lines), f"<decoding constructor of {message.__qualname__}>", "exec"),
-        namespace,
-    )
-    return cast("Callable[..., T]", namespace["make"])
 
 
 def _validity_condition(name: str, hint: Any, namespace: dict[str, Any]) -> str:

@@ -35,7 +35,11 @@ from cairn.schemas.packed import Packed
 if TYPE_CHECKING:
     from rosbags.interfaces.typing import Constdefs
 
+
 M = TypeVar("M")
+
+
+_NUMBER = 8  # bytes, and alignment, of a float64
 
 
 class Codec:
@@ -121,7 +125,7 @@ class Codec:
             wire.append(plain[-1])
             if field.packed and isinstance(element, type):
                 whole = f"Packed[{type_name(element)}]"
-                self._wire.cache[whole] = packed_msgdef(whole, element)
+                self._wire.cache[whole] = _packed_msgdef(whole, element)
                 wire[-1] = (field.name, (Nodetype.NAME, whole))
         constants = [(one.name, one.ros_type, one.value) for one in constants_of(cls)]
         self._described.fielddefs[name] = (cast("Constdefs", constants), described)
@@ -143,6 +147,27 @@ class Codec:
         return InvalidMessage(
             name, "", bytes(data[:16]), f"{len(data)} bytes are not CDR of this type: {failure}"
         )
+
+
+def to_plain(message: Any, longest: int | None = None) -> Any:
+    """Return a message as dictionaries, lists and scalars, for people and for JSON.
+
+    Sequences longer than `longest` are cut, with a note of how many elements were left out.
+    """
+    if is_dataclass(message):
+        return {
+            field.name: to_plain(getattr(message, field.name), longest) for field in fields(message)
+        }
+    if isinstance(message, np.ndarray):
+        shown = message if longest is None else message[:longest]
+        return _cut(shown.tolist(), len(message))
+    if isinstance(message, str | bytes | int | float | bool):
+        return message
+    if isinstance(message, np.generic):
+        return message.item()
+    items = list(message)
+    shown_items = items if longest is None else items[:longest]
+    return _cut([to_plain(item, longest) for item in shown_items], len(items))
 
 
 def _description(field: Field) -> FieldDesc:
@@ -190,10 +215,12 @@ def _qualified_name(cls: type[Any]) -> str:
     return f"{cls.__module__}.{cls.__qualname__}"
 
 
-_NUMBER = 8  # bytes, and alignment, of a float64
+def _cut(shown: list[Any], length: int) -> list[Any]:
+    left = length - len(shown)
+    return [*shown, f"... {left} more"] if left else shown
 
 
-def packed_msgdef(name: str, element: type[Any]) -> Msgdef[object]:
+def _packed_msgdef(name: str, element: type[Any]) -> Msgdef[object]:
     """Return a definition for a rosbags `Typestore.cache` of a packed sequence of `element`."""
     columns = Packed(element).array.shape[1]
     return Msgdef(
@@ -263,29 +290,3 @@ def _deserializer(
 
 def _never(*_: Any) -> Any:
     raise NotImplementedError("messages of ROS 1 are not supported")
-
-
-def to_plain(message: Any, longest: int | None = None) -> Any:
-    """Return a message as dictionaries, lists and scalars, for people and for JSON.
-
-    Sequences longer than `longest` are cut, with a note of how many elements were left out.
-    """
-    if is_dataclass(message):
-        return {
-            field.name: to_plain(getattr(message, field.name), longest) for field in fields(message)
-        }
-    if isinstance(message, np.ndarray):
-        shown = message if longest is None else message[:longest]
-        return _cut(shown.tolist(), len(message))
-    if isinstance(message, str | bytes | int | float | bool):
-        return message
-    if isinstance(message, np.generic):
-        return message.item()
-    items = list(message)
-    shown_items = items if longest is None else items[:longest]
-    return _cut([to_plain(item, longest) for item in shown_items], len(items))
-
-
-def _cut(shown: list[Any], length: int) -> list[Any]:
-    left = length - len(shown)
-    return [*shown, f"... {left} more"] if left else shown

@@ -18,8 +18,10 @@ from cairn.deployment.problems import Location, Problem
 
 KeyPath: TypeAlias = tuple[str, ...]
 
+
 MAX_VALUES = 100_000
 """A deployment with more keys and values is a mistake: aliases of aliases grow without bound."""
+
 
 _MAX_DEPTH = 100
 
@@ -91,7 +93,7 @@ def parse_document(text: str, start: Location) -> tuple[DocumentNode | None, lis
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         what = ", ".join(part for part in (error.context, error.problem) if part)
-        return None, [_syntax(_place(mark, start), what)]
+        return None, [_syntax(_location(mark, start), what)]
     except yaml.YAMLError as error:
         return None, [_syntax(start, " ".join(str(error).split()))]
     except RecursionError:
@@ -103,6 +105,21 @@ def parse_document(text: str, start: Location) -> tuple[DocumentNode | None, lis
         return builder.node(root, None, ()), builder.problems
     except _TooMuchError as error:
         return None, [Problem(start, "", f"the file {error}", "write fewer")]
+
+
+def component_nodes(root: DocumentNode) -> Iterator[tuple[str, KeyPath, DocumentNode]]:
+    """Yield name, path and node of each component at any depth, in start order."""
+    yield from _below(root, "components", ())
+
+
+def dotted(steps: tuple[str | int, ...]) -> str:
+    """Return a path as shown and as given to `--set`: components by name, without parents."""
+    names = [str(step) for step in steps]
+    shown = names[:2]
+    rest = names[2:]
+    while shown[:1] == ["components"] and len(rest) >= 2 and rest[0] == "children":
+        shown, rest = ["components", rest[1]], rest[2:]
+    return ".".join([*shown, *rest])
 
 
 class _TooMuchError(Exception):
@@ -119,7 +136,7 @@ class _Builder:
         self.built = 0
 
     def node(self, raw: yaml.Node, key_at: Location | None, path: KeyPath) -> DocumentNode:
-        at = _place(raw.start_mark, self.start)
+        at = _location(raw.start_mark, self.start)
         self.built += 1
         if self.built > MAX_VALUES:
             raise _TooMuchError(f"holds more than {MAX_VALUES:,} values, with its aliases expanded")
@@ -155,7 +172,7 @@ class _Builder:
     def mapping(self, raw: yaml.MappingNode, path: KeyPath) -> dict[str, DocumentNode]:
         entries: dict[str, DocumentNode] = {}
         for raw_key, raw_value in raw.value:
-            at = _place(raw_key.start_mark, self.start)
+            at = _location(raw_key.start_mark, self.start)
             if not isinstance(raw_key, yaml.ScalarNode):
                 self.report(at, path, "a list or mapping used as a key", "use text as the key")
                 continue
@@ -173,35 +190,9 @@ class _Builder:
         self.problems.append(Problem(at, dotted(path), found, remedy))
 
 
-def dotted(steps: tuple[str | int, ...]) -> str:
-    """Return a path as shown and as given to `--set`: components by name, without parents."""
-    names = [str(step) for step in steps]
-    shown = names[:2]
-    rest = names[2:]
-    while shown[:1] == ["components"] and len(rest) >= 2 and rest[0] == "children":
-        shown, rest = ["components", rest[1]], rest[2:]
-    return ".".join([*shown, *rest])
-
-
-def _place(mark: yaml.Mark | None, start: Location) -> Location:
-    if mark is None or not start.line:
-        return start
-    return Location(start.origin, mark.line + 1, mark.column + 1, start.folder)
-
-
-def _kind(node: DocumentNode) -> str:
-    return "a list" if isinstance(node.value, tuple) else f"{node.value!r}"
-
-
-def _syntax(at: Location, what: str) -> Problem:
-    return Problem(at, "", f"invalid YAML: {what}", "correct the syntax")
-
-
-def _unreadable(at: Location, what: str, remedy: str) -> Problem:
-    return Problem(at, "", f"the file cannot be read: {what}", remedy)
-
-
 _TAG = "tag:yaml.org,2002:"
+
+
 _RULES = [
     ("null", r"null|Null|NULL|~|", [*"nN~", ""]),
     ("bool", r"true|True|TRUE|false|False|FALSE", [*"tTfF"]),
@@ -256,11 +247,6 @@ def _scalar(node: yaml.ScalarNode) -> str | int | float | bool | None:
     raise _UnknownTagError(f"the tag {node.tag} is not allowed")
 
 
-def component_nodes(root: DocumentNode) -> Iterator[tuple[str, KeyPath, DocumentNode]]:
-    """Yield name, path and node of each component at any depth, in start order."""
-    yield from _below(root, "components", ())
-
-
 def _below(
     parent: DocumentNode, key: str, path: KeyPath
 ) -> Iterator[tuple[str, KeyPath, DocumentNode]]:
@@ -271,3 +257,21 @@ def _below(
         place = (*path, key, name)
         yield name, place, node
         yield from _below(node, "children", place)
+
+
+def _location(mark: yaml.Mark | None, start: Location) -> Location:
+    if mark is None or not start.line:
+        return start
+    return Location(start.origin, mark.line + 1, mark.column + 1, start.folder)
+
+
+def _kind(node: DocumentNode) -> str:
+    return "a list" if isinstance(node.value, tuple) else f"{node.value!r}"
+
+
+def _syntax(at: Location, what: str) -> Problem:
+    return Problem(at, "", f"invalid YAML: {what}", "correct the syntax")
+
+
+def _unreadable(at: Location, what: str, remedy: str) -> Problem:
+    return Problem(at, "", f"the file cannot be read: {what}", remedy)

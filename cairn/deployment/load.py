@@ -26,6 +26,17 @@ from cairn.deployment.problems import DeploymentError, Location, Problem, sugges
 _SECTIONS = frozenset(Deployment.model_fields)
 
 
+def load_deployment(
+    file: Path, overlays: Sequence[Path] = (), sets: Sequence[str] = ()
+) -> Deployment:
+    """Return the deployment in a file, changed by overlays and `path=value` assignments in order.
+
+    Raises `DeploymentError` with all problems; only with those of the syntax if a file cannot be
+    read.
+    """
+    return assemble(read_sources(file, overlays), sets)
+
+
 class SourceDocument(NamedTuple):
     """A file that was read: its tree, None if it is unreadable, and its problems."""
 
@@ -37,17 +48,6 @@ class SourceDocument(NamedTuple):
 def read_sources(file: Path, overlays: Sequence[Path] = ()) -> list[SourceDocument]:
     """Read a deployment's file and its overlays, each once, because one may be a pipe."""
     return [SourceDocument(one, *read_document(one)) for one in (file, *overlays)]
-
-
-def load_deployment(
-    file: Path, overlays: Sequence[Path] = (), sets: Sequence[str] = ()
-) -> Deployment:
-    """Return the deployment in a file, changed by overlays and `path=value` assignments in order.
-
-    Raises `DeploymentError` with all problems; only with those of the syntax if a file cannot be
-    read.
-    """
-    return assemble(read_sources(file, overlays), sets)
 
 
 def assemble(sources: Sequence[SourceDocument], sets: Sequence[str] = ()) -> Deployment:
@@ -78,55 +78,10 @@ def assemble(sources: Sequence[SourceDocument], sets: Sequence[str] = ()) -> Dep
     return Deployment.model_validate(root.plain())
 
 
-def _exceeds(root: DocumentNode, limit: int) -> bool:
-    """Return whether a tree has more values than `limit`, each use of a shared value counted."""
-    waiting, seen = [root], 0
-    while waiting:
-        node = waiting.pop()
-        seen += 1
-        if seen > limit:
-            return True
-        waiting.extend(node.entries.values())
-        waiting.extend(node.value if isinstance(node.value, tuple) else ())
-    return False
-
-
-def _order(problem: Problem, origins: list[str]) -> tuple[int, int, int]:
-    at = problem.at
-    file = origins.index(at.origin) if at.origin in origins else len(origins)
-    return file, at.line, at.column
-
-
 def apply_overlay(base: DocumentNode, over: DocumentNode) -> tuple[DocumentNode, list[Problem]]:
     """Return the base changed by an overlay, and problems; locations are those of the values."""
     problems: list[Problem] = []
     return _merged(base, over, (), problems), problems
-
-
-def _merged(
-    base: DocumentNode, over: DocumentNode, path: KeyPath, problems: list[Problem]
-) -> DocumentNode:
-    if not isinstance(over.value, Mapping):
-        return over
-    merged = isinstance(base.value, Mapping)
-    entries = dict(base.entries)
-    for key, node in over.value.items():
-        steps = (*path, key)
-        if node.value is None and path[:1] == ("settings",):
-            entries[key] = node
-        elif node.value is not None:
-            nothing = DocumentNode({}, node.at, node.key_at)
-            entries[key] = _merged(entries.get(key, nothing), node, steps, problems)
-        elif entries.pop(key, None) is None:
-            remedy = suggestion(key, base.entries) if base.entries else "remove the line"
-            problems.append(
-                Problem(node.where, dotted(steps), "null removes a key, and there is none", remedy)
-            )
-    return (
-        DocumentNode(entries, base.at, base.key_at)
-        if merged
-        else DocumentNode(entries, over.at, over.key_at)
-    )
 
 
 def apply_set(
@@ -153,6 +108,51 @@ def apply_set(
     if problem is not None:
         return base, [problem]
     return apply_overlay(base, _nested(steps, value, at))
+
+
+def _exceeds(root: DocumentNode, limit: int) -> bool:
+    """Return whether a tree has more values than `limit`, each use of a shared value counted."""
+    waiting, seen = [root], 0
+    while waiting:
+        node = waiting.pop()
+        seen += 1
+        if seen > limit:
+            return True
+        waiting.extend(node.entries.values())
+        waiting.extend(node.value if isinstance(node.value, tuple) else ())
+    return False
+
+
+def _order(problem: Problem, origins: list[str]) -> tuple[int, int, int]:
+    at = problem.at
+    file = origins.index(at.origin) if at.origin in origins else len(origins)
+    return file, at.line, at.column
+
+
+def _merged(
+    base: DocumentNode, over: DocumentNode, path: KeyPath, problems: list[Problem]
+) -> DocumentNode:
+    if not isinstance(over.value, Mapping):
+        return over
+    merged = isinstance(base.value, Mapping)
+    entries = dict(base.entries)
+    for key, node in over.value.items():
+        steps = (*path, key)
+        if node.value is None and path[:1] == ("settings",):
+            entries[key] = node
+        elif node.value is not None:
+            nothing = DocumentNode({}, node.at, node.key_at)
+            entries[key] = _merged(entries.get(key, nothing), node, steps, problems)
+        elif entries.pop(key, None) is None:
+            remedy = suggestion(key, base.entries) if base.entries else "remove the line"
+            problems.append(
+                Problem(node.where, dotted(steps), "null removes a key, and there is none", remedy)
+            )
+    return (
+        DocumentNode(entries, base.at, base.key_at)
+        if merged
+        else DocumentNode(entries, over.at, over.key_at)
+    )
 
 
 def _target(
