@@ -97,7 +97,7 @@ def measure() -> list[Figure]:
     """The 99th percentile of the fast topic."""
     output = run_deployment(
         {
-            "household": {
+            "supervisor": {
                 "plugin": f"{_HERE}:BenchmarkSupervisor",
                 "children": {
                     "slow": {"plugin": f"{_HERE}:SlowReader", "placement": "in_process"},

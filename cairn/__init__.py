@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from cairn.runtime.parameters import Config, Mount, ParameterRejected, ReadPath
     from cairn.runtime.ports import In, Out, every, on
     from cairn.runtime.rate_limited_log import RateLimitedLog
-    from cairn.supervision.supervisor import Supervisor
+    from cairn.supervision.supervisor import StartFailed, Supervisor
 
 __all__ = [
     "LATCHED",
@@ -45,6 +45,7 @@ __all__ = [
     "Qos",
     "RateLimitedLog",
     "ReadPath",
+    "StartFailed",
     "Supervisor",
     "connect",
     "every",
@@ -63,7 +64,7 @@ _MODULES: Final = {
     "cairn.runtime.parameters": ("Config", "Mount", "ParameterRejected", "ReadPath"),
     "cairn.runtime.ports": ("In", "Out", "every", "on"),
     "cairn.runtime.rate_limited_log": ("RateLimitedLog",),
-    "cairn.supervision.supervisor": ("Supervisor",),
+    "cairn.supervision.supervisor": ("StartFailed", "Supervisor"),
 }
 
 

@@ -43,10 +43,10 @@ class ExitReport:
 
 
 class ExitLog:
-    """Finds the last words of a process in its component's log. Create it before the process.
+    """Reads from a component's log why a process of it ended. Create it before the process.
 
-    Earlier incarnations have written to the same file; on a full disk the process perhaps could
-    not write at all.
+    Earlier incarnations have written to the same file; on a full disk the process may not have
+    been able to write at all.
     """
 
     def __init__(self, file: Path) -> None:

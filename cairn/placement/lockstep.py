@@ -26,7 +26,7 @@ class LockstepRun:
     """A deployment on virtual time; `bus` may be watched, `executor` is its clock.
 
     `run` runs it from beginning to end. To run it piece by piece: `start`, then `executor.run_to`
-    or `run_until` as often as wanted, then `shutdown`.
+    or `run_until` as often as needed, then `shutdown`.
     """
 
     def __init__(self, deployment: Deployment, seed: int) -> None:

@@ -60,7 +60,7 @@ class HangDetector:
 
 def _where_silent(status: ComponentStatus) -> str:
     """Return where a component hangs whose process does not even send heartbeats."""
-    import psutil  # not at the top: whoever writes a supervisor imports this module
+    import psutil  # imported here to keep `from cairn import Supervisor` light
 
     try:
         if psutil.Process(status.pid).status() == psutil.STATUS_STOPPED:

@@ -4,7 +4,19 @@ from typing import Literal
 
 from pydantic import Field
 
-from cairn import LATCHED, SECOND, Config, In, Out, Supervisor, every, from_ns, on, to_ns
+from cairn import (
+    LATCHED,
+    SECOND,
+    Config,
+    In,
+    Out,
+    StartFailed,
+    Supervisor,
+    every,
+    from_ns,
+    on,
+    to_ns,
+)
 from cairn.components.automove.inputs import NavigatorInputs
 from cairn.components.automove.recovery_behaviors import NavigatorLimits
 from cairn.components.automove.state_machine import GoalIds, NavigatorStateMachine
@@ -20,7 +32,6 @@ from cairn.schemas.cairn_nav_msgs import (
     ReasonCode,
 )
 from cairn.schemas.std_msgs import Header
-from cairn.supervision.supervisor import StartFailed
 
 # The command is repeated so often, so that its readers know that AutoMove is alive [ns].
 _REPEAT_NS = SECOND // 2

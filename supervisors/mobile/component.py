@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field
 
-from cairn import LATCHED, SECOND, CairnError, Config, In, Out, Supervisor, from_ns, on
+from cairn import LATCHED, SECOND, CairnError, Config, In, Out, StartFailed, Supervisor, from_ns, on
 from cairn.planar.messages import packed_poses, planar_pose
 from cairn.schemas.cairn_nav_msgs import (
     NAVIGATION_END_STATES,
@@ -17,7 +17,6 @@ from cairn.schemas.cairn_nav_msgs import (
 )
 from cairn.schemas.geometry_msgs import PoseStamped
 from cairn.schemas.std_msgs import Header
-from cairn.supervision.supervisor import StartFailed
 from cairn.supervisors.mobile.mission import (
     FARTHEST,
     Goal,

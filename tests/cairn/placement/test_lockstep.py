@@ -1,4 +1,4 @@
-"""In lockstep, time is virtual, ties have an order, and the same seed gives the same bytes."""
+"""Lockstep: virtual time, a fixed order of calls, and the same bytes for the same seed."""
 
 import hashlib
 
@@ -27,7 +27,7 @@ def test_calls_are_made_in_order_of_time_and_ties_in_order_of_arrival() -> None:
     assert made == [("a", 10), ("b", 20), ("c", 30), ("d", 30), ("e", 30)]
 
 
-def test_what_is_set_for_the_past_happens_now_behind_what_is_set_for_now() -> None:
+def test_calls_for_a_past_time_are_made_now_after_those_that_are_due() -> None:
     executor = LockstepExecutor()
     made: list[tuple[str, int]] = []
 
@@ -42,7 +42,7 @@ def test_what_is_set_for_the_past_happens_now_behind_what_is_set_for_now() -> No
     assert made == [("first", 7), ("second", 7), ("past", 7)]
 
 
-def test_a_run_ends_as_soon_as_it_is_to() -> None:
+def test_a_run_ends_when_its_condition_holds() -> None:
     executor = LockstepExecutor()
     made: list[int] = []
     for time in range(10):
@@ -54,7 +54,7 @@ def test_a_run_ends_as_soon_as_it_is_to() -> None:
     assert (made, executor.now()) == ([0, 1, 2, 3, 4, 5], 5)
 
 
-def test_a_run_with_nothing_left_to_happen_is_an_error() -> None:
+def test_a_run_without_any_calls_left_is_an_error() -> None:
     executor = LockstepExecutor()
     executor.at(1, lambda: None)
 
@@ -62,7 +62,7 @@ def test_a_run_with_nothing_left_to_happen_is_an_error() -> None:
         executor.run(lambda: False)
 
 
-def test_components_that_answer_each_other_without_end_are_found() -> None:
+def test_an_endless_exchange_at_one_instant_is_an_error() -> None:
     executor = LockstepExecutor()
     scheduler = executor.scheduler()
 
@@ -92,7 +92,7 @@ def test_a_scheduler_wakes_at_the_earliest_time_that_is_set() -> None:
     assert woken == [20, 110]
 
 
-def test_a_scheduler_that_is_stopped_makes_no_further_call() -> None:
+def test_a_stopped_scheduler_makes_no_further_calls() -> None:
     executor = LockstepExecutor()
     scheduler = executor.scheduler()
     made: list[str] = []
@@ -127,16 +127,16 @@ class Base(Component):
 
     @on("cmd_vel")
     def move(self, command: Twist) -> None:
-        self.schedule(self.clock.now() + int(self.random.integers(0, 3)), self.tell)
+        self.schedule(self.clock.now() + int(self.random.integers(0, 3)), self.publish_pose)
 
-    def tell(self) -> None:
+    def publish_pose(self) -> None:
         frame = f"{self.name} {self.random.random()}"
         self.pose.publish(
             PoseStamped(header=Header(stamp=from_ns(self.clock.now()), frame_id=frame))
         )
 
 
-def everything(seed: int) -> str:
+def digest_of_run(seed: int) -> str:
     """A digest of all bytes that a run of two seconds publishes, in their order per topic."""
     lockstep = Lockstep()
     topics = {
@@ -168,6 +168,6 @@ def everything(seed: int) -> str:
     return digest.hexdigest()
 
 
-def test_the_same_seed_gives_the_same_bytes_of_all_that_is_published() -> None:
-    assert everything(seed=1) == everything(seed=1)
-    assert everything(seed=1) != everything(seed=2)
+def test_the_same_seed_publishes_the_same_bytes() -> None:
+    assert digest_of_run(seed=1) == digest_of_run(seed=1)
+    assert digest_of_run(seed=1) != digest_of_run(seed=2)
