@@ -1,4 +1,4 @@
-"""The last poses that odometry told, and where the robot was between them."""
+"""Odometry history: recent poses by time, with jumps and times that go back detected."""
 
 from __future__ import annotations
 
@@ -8,41 +8,47 @@ from enum import Enum, auto
 
 from cairn.planar.poses import Pose, apart, between, compose, inverse
 
-# Drivers that stamp from several threads, or in batches, mix up a period or two of their 20 Hz or
-# more; for no longer than this [ns] a robot stands still in its history when time is set back.
+# A stamp older than the newest by no more than this [ns] is only out of order: drivers that stamp
+# from several threads, or in batches, mix up a period or two of their 20 Hz or more. So after a
+# reset of time the history stands still for no longer than this.
 _DISORDER_NS = 100_000_000
-# Time stamps jitter, and a step may look longer than it was by so much [m], [rad].
+# Stamps jitter: a step may appear longer than it was by this much [m], [rad].
 _GRACE_M, _GRACE_RAD = 0.1, 0.15
-# In a gap the wheels drive on for no longer than that [s]: their driver has died, or says nothing.
-_DRIVES_ON_S = 0.5
+# In a gap of odometry the wheels are assumed to turn for no longer than this [s]: their driver has
+# died, or it has stopped them.
+_DRIVING_S = 0.5
 
 
-def began_anew(newest: int, stamp: int) -> bool:
-    """Whether time was set back, if `stamp` [ns] comes after `newest`; else it is mere disorder."""
+def time_went_back(newest: int, stamp: int) -> bool:
+    """Return whether time was set back, if `stamp` [ns] arrives after `newest`."""
     return stamp < newest - _DISORDER_NS
 
 
-def jumped(before: Pose, after: Pose, seconds: float, fastest: float, fastest_turn: float) -> bool:
-    """Whether no wheels make that step in that time, if they do `fastest` [m/s] and [rad/s].
+def is_jump(before: Pose, after: Pose, seconds: float, fastest: float, fastest_turn: float) -> bool:
+    """Return whether a step is impossible for wheels of at most `fastest` [m/s], [rad/s].
 
-    A driver that is started anew counts from its origin again, and is silent before.
+    That happens when a restarted driver counts from its origin again, after a gap.
     """
-    driven_s = min(seconds, _DRIVES_ON_S)
-    return apart(before, after, fastest * driven_s + _GRACE_M, fastest_turn * driven_s + _GRACE_RAD)
+    driving_s = min(seconds, _DRIVING_S)
+    return apart(
+        before, after, fastest * driving_s + _GRACE_M, fastest_turn * driving_s + _GRACE_RAD
+    )
 
 
-class Added(Enum):
-    """What became of a pose that an `OdometryHistory` was given."""
+class OdometryChange(Enum):
+    """How a new pose of odometry relates to those before it."""
 
-    IN_ORDER = auto()
-    IGNORED = auto()
-    """It is a little older than the newest one."""
-    ANEW = auto()
-    """Time was set back: it is the first one now, all before is forgotten."""
+    CONTINUED = auto()
+    OUTDATED = auto()
+    """It is slightly older than the newest one, and ignored."""
+    JUMPED = auto()
+    """No wheels drive so far in that time: odometry started again elsewhere."""
+    RESET = auto()
+    """Time was set back."""
 
 
 class OdometryHistory:
-    """Poses in the odometry frame by time [ns], those of the last seconds."""
+    """Poses in the odometry frame of the last seconds, by time [ns]."""
 
     def __init__(self, horizon_ns: int) -> None:
         self._horizon = horizon_ns
@@ -51,31 +57,31 @@ class OdometryHistory:
 
     @property
     def newest(self) -> int | None:
-        """Time [ns] of the newest pose, None before the first."""
+        """Time [ns] of the newest pose; None before the first."""
         return self._stamps[-1] if self._stamps else None
 
-    def add(self, stamp: int, pose: Pose) -> Added:
-        """Take a pose, unless it is a little older than the newest one.
+    def add(self, stamp: int, pose: Pose) -> OdometryChange:
+        """Add a pose, unless it is slightly older than the newest one.
 
-        One that is much older tells that time began anew, and so does the history.
+        A much older stamp means that time was set back: the history starts again with this pose.
         """
-        added = Added.IN_ORDER
+        change = OdometryChange.CONTINUED
         if self._stamps and stamp < self._stamps[-1]:
-            if not began_anew(self._stamps[-1], stamp):
-                return Added.IGNORED
+            if not time_went_back(self._stamps[-1], stamp):
+                return OdometryChange.OUTDATED
             self.clear()
-            added = Added.ANEW
+            change = OdometryChange.RESET
         self._stamps.append(stamp)
         self._poses.append(pose)
         while len(self._stamps) > 2 and self._stamps[0] < stamp - self._horizon:
             self._stamps.popleft()
             self._poses.popleft()
-        return added
+        return change
 
     def at(self, stamp: int) -> Pose | None:
-        """The pose at a time, between two of them in proportion; None before the oldest.
+        """Return the pose at a time, interpolated; None before the oldest.
 
-        After the newest it is that one: what is not told yet is not guessed.
+        After the newest pose it is that one: there is no extrapolation.
         """
         index = bisect_right(self._stamps, stamp)
         if index == 0:
@@ -87,13 +93,13 @@ class OdometryHistory:
         return between(self._poses[index - 1], self._poses[index], share)
 
     def carried(self, pose: Pose, since: int, to: int) -> Pose | None:
-        """Where a robot is at `to` that was at `pose` (any frame) at `since`; None if unknown."""
+        """Return the pose at `to` of a robot that was at `pose` (any frame) at `since`, or None."""
         left, reached = self.at(since), self.at(to)
         if left is None or reached is None:
             return None
         return compose(pose, compose(inverse(left), reached))
 
     def clear(self) -> None:
-        """Forget all, as when odometry begins anew."""
+        """Forget everything, as when odometry restarts."""
         self._stamps.clear()
         self._poses.clear()

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from enum import Enum, auto
 
-from cairn.planar.odometry import Added, OdometryHistory, jumped
+from cairn.planar.odometry import OdometryChange, OdometryHistory, is_jump
 from cairn.planar.poses import Pose, compose, distance, relative
 from cairn.planar.scans import sweep_s
 from cairn.schemas.sensor_msgs import LaserScan
@@ -45,18 +44,6 @@ def sweep_of(scan: LaserScan, odometry_at: Callable[[int], Pose | None]) -> Swee
     end_ns = start_ns + round(sweep_s(scan) * _NS_PER_S)
     start, end = odometry_at(start_ns), odometry_at(end_ns)
     return None if start is None or end is None else Sweep(start, end, end_ns)
-
-
-class OdometryChange(Enum):
-    """How a new pose of odometry relates to those before it."""
-
-    CONTINUED = auto()
-    OUTDATED = auto()
-    """It is a little older than the newest one, and ignored."""
-    JUMPED = auto()
-    """No wheels drive so far in that time: odometry started again elsewhere."""
-    RESET = auto()
-    """Time was set back."""
 
 
 class PoseTracker:
@@ -107,12 +94,11 @@ class PoseTracker:
     ) -> OdometryChange:
         """Add a pose in the odometry frame at `stamp` [ns], and the velocities [m/s], [rad/s]."""
         newest = self._history.newest
-        added = self._history.add(stamp, pose)
-        if added is Added.IGNORED:
-            return OdometryChange.OUTDATED
-        change = OdometryChange.CONTINUED
-        if newest is not None and added is Added.ANEW:
-            change = OdometryChange.RESET
+        change = self._history.add(stamp, pose)
+        if change is OdometryChange.OUTDATED:
+            return change
+        if change is OdometryChange.RESET:
+            assert newest is not None  # otherwise there is nothing to go back from
             self.change = f"went back in time by {(newest - stamp) / _NS_PER_S:.1f} s"
             self._restarted, self._pose = stamp, None
         elif newest is not None and self._is_jump(pose, (stamp - newest) / _NS_PER_S):
@@ -158,4 +144,4 @@ class PoseTracker:
         return sweep_of(scan, self.odometry_at)
 
     def _is_jump(self, pose: Pose, seconds: float) -> bool:
-        return jumped(self._odometry, pose, seconds, self._fastest, self._fastest_turn)
+        return is_jump(self._odometry, pose, seconds, self._fastest, self._fastest_turn)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cairn.planar.compiled import compiled
-from cairn.planar.odometry import jumped
+from cairn.planar.odometry import is_jump
 from cairn.planar.poses import Pose, between, compose, relative
 
 Array = NDArray[np.float64]
@@ -234,7 +234,7 @@ class MeasuredTrack:
         if self._poses:
             step = relative(self._raw, pose)
             seconds = stamp - self.latest
-            if jumped(self._raw, pose, seconds, self.fastest, self.turning):
+            if is_jump(self._raw, pose, seconds, self.fastest, self.turning):
                 self.jumps += 1
                 step = (0.0, 0.0, 0.0)
             here = self._poses[-1]

@@ -34,7 +34,7 @@ from cairn.components.map_builder.store import open_map
 from cairn.planar.grid import map_message as grid_message
 from cairn.planar.map_file import read_map
 from cairn.planar.messages import planar_pose
-from cairn.planar.odometry import Added
+from cairn.planar.odometry import OdometryChange
 from cairn.schemas.cairn_msgs import ObjectEvidenceArray, VisualMap, VisualMapChange
 from cairn.schemas.cairn_nav_msgs import LocalizationEstimate, Relocalization
 from cairn.schemas.map_msgs import OccupancyGridUpdate
@@ -142,7 +142,7 @@ class MapBuilder(Component):
     def follow(self, odom: Odometry) -> None:
         """Remember how the robot moved while its scanner swept."""
         stamp_ns = to_ns(odom.header.stamp)
-        if self._scans.moved(stamp_ns, planar_pose(odom.pose.pose)) is Added.ANEW:
+        if self._scans.moved(stamp_ns, planar_pose(odom.pose.pose)) is OdometryChange.RESET:
             self.log.warning("odometry on %s went back in time: begun anew", self.odom.topic)
 
     @on("scan")

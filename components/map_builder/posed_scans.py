@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from cairn import SECOND, to_ns
 from cairn.planar.messages import planar_pose
-from cairn.planar.odometry import Added, OdometryHistory
+from cairn.planar.odometry import OdometryChange, OdometryHistory
 from cairn.planar.pose_tracker import sweep_of
 from cairn.planar.poses import Pose, compose
 from cairn.planar.scans import Rays, rays_of, sweep_s
@@ -44,7 +44,7 @@ class PosedScans:
         self._given_ns: int | None = None
         self.waiting = "there is no pose yet"
 
-    def moved(self, stamp_ns: int, pose: Pose) -> Added:
+    def moved(self, stamp_ns: int, pose: Pose) -> OdometryChange:
         """Take a pose of odometry."""
         return self._history.add(stamp_ns, pose)
 

@@ -36,8 +36,8 @@ from cairn.components.motion_control.safety_stop import SafetyStop
 from cairn.components.motion_control.scan_memory import NearbyObstacles, ScanMemory
 from cairn.components.motion_control.velocity_limits import STAND, Command, CommandLimiter
 from cairn.planar.messages import planar_pose, planar_poses
-from cairn.planar.odometry import began_anew
-from cairn.planar.pose_tracker import OdometryChange, PoseTracker
+from cairn.planar.odometry import OdometryChange, time_went_back
+from cairn.planar.pose_tracker import PoseTracker
 from cairn.planar.poses import Pose
 from cairn.planar.scans import rays_of
 from cairn.schemas.cairn_nav_msgs import (
@@ -255,7 +255,7 @@ class MotionControl(Component):
     def _drive(self) -> None:
         """Publish the next velocity command, and log and publish a change of state."""
         now = self.clock.now()
-        if began_anew(self._commanded_at, now):
+        if time_went_back(self._commanded_at, now):
             self._restart(now, "time was set back")
         self._commanded_at = now
         self._result, command = self._next(now)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from cairn import SECOND
 from cairn.components.motion_control.scan_memory import MAX_RANGE_M
 from cairn.planar.compiled import compiled
-from cairn.planar.odometry import began_anew
+from cairn.planar.odometry import time_went_back
 from cairn.planar.scans import Rays
 
 Array = NDArray[np.float64]
@@ -85,7 +85,7 @@ class MovingObstacleTracker:
         [m] in the odometry frame and the time ahead [s] (n, 3). A scan that is not newer than the
         last one changes nothing.
         """
-        if began_anew(self._newest, stamp):
+        if time_went_back(self._newest, stamp):
             self.forget()
         elif stamp <= self._newest:
             return self._ahead

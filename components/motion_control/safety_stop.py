@@ -9,7 +9,7 @@ from collections.abc import Mapping
 
 from cairn import SECOND
 from cairn.components.motion_control.config import Timeouts
-from cairn.planar.odometry import began_anew
+from cairn.planar.odometry import time_went_back
 from cairn.schemas.cairn_nav_msgs import LocalizationEstimate, ReasonCode
 
 # The health must exceed the limit by this much [1] before a path is followed again: without the
@@ -34,7 +34,7 @@ class SafetyStop:
     def note(self, name: str, stamp: int, now: int) -> None:
         """Note a message with `stamp` [ns] at `now` [ns]; a stamp in the future counts as now."""
         newest = self._times.get(name, 0)
-        if began_anew(newest, now):
+        if time_went_back(newest, now):
             newest = 0
         self._times[name] = max(min(stamp, now), newest)
 
@@ -85,7 +85,7 @@ class SafetyStop:
         time, topic = self._times.get(name), self._topics[name]
         if time is None:
             return f"no {called or name} yet on {topic}"
-        if began_anew(time, now):
+        if time_went_back(time, now):
             return f"no {called or name} since time was set back on {topic}"
         age = (now - time) / SECOND
         return "" if age <= timeout_s else f"no {called or name} for {age:.2f} s on {topic}"

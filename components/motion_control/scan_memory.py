@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cairn.planar.compiled import compiled
-from cairn.planar.odometry import began_anew
+from cairn.planar.odometry import time_went_back
 from cairn.planar.poses import Pose
 from cairn.planar.scans import Rays
 
@@ -165,7 +165,7 @@ class ScanMemory:
         """
         if rays.ranges.size == 0:
             return
-        if began_anew(self._newest, stamp):
+        if time_went_back(self._newest, stamp):
             self.forget()
         self._newest = stamp
         beams = rays.starts, rays.angles, rays.ranges

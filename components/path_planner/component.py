@@ -35,7 +35,8 @@ from cairn.components.path_planner.planning import (
 )
 from cairn.planar.grid import OccupancyCells, grid_of
 from cairn.planar.messages import packed_poses, planar_pose, pose_message
-from cairn.planar.pose_tracker import OdometryChange, PoseTracker
+from cairn.planar.odometry import OdometryChange
+from cairn.planar.pose_tracker import PoseTracker
 from cairn.planar.poses import Pose
 from cairn.planar.scans import beams_of
 from cairn.schemas.cairn_nav_msgs import LocalizationEstimate, MotionStatus, NavCommand, Plan

@@ -84,7 +84,8 @@ def test_scans_that_tell_nothing_stop_the_robot_before_what_it_cannot_see(
     assert robot.collisions == []
     assert robot.statuses[-1].state != NavigationStatus.SUCCEEDED
     assert re.search(
-        r"no scan( on /robot/scan)? that tells anything for", robot.statuses[-1].reason
+        r"no (informative scan|scan on /robot/scan that tells anything) for",
+        robot.statuses[-1].reason,
     )
     spoils = False
     before = robot.truth

@@ -5,13 +5,13 @@ import math
 import pytest
 
 from cairn import SECOND
-from cairn.planar.odometry import Added, OdometryHistory, jumped
+from cairn.planar.odometry import OdometryChange, OdometryHistory, is_jump
 
 
 def test_history_interpolates_between_messages_and_does_not_extrapolate() -> None:
     history = OdometryHistory(1_000)
     for stamp, x in ((100, 0.0), (200, 1.0), (300, 3.0)):
-        assert history.add(stamp, (x, 0.0, 0.0)) is Added.IN_ORDER
+        assert history.add(stamp, (x, 0.0, 0.0)) is OdometryChange.CONTINUED
 
     assert history.at(50) is None
     assert history.at(150) == (0.5, 0.0, 0.0)
@@ -34,7 +34,7 @@ def test_pose_slightly_older_than_the_newest_is_ignored() -> None:
     history = OdometryHistory(SECOND)
     history.add(10 * SECOND, (1.0, 0.0, 0.0))
 
-    assert history.add(10 * SECOND - SECOND // 20, (9.0, 9.0, 9.0)) is Added.IGNORED
+    assert history.add(10 * SECOND - SECOND // 20, (9.0, 9.0, 9.0)) is OdometryChange.OUTDATED
 
     assert history.newest == 10 * SECOND
     assert history.at(11 * SECOND) == (1.0, 0.0, 0.0)
@@ -49,7 +49,7 @@ def test_history_restarts_once_when_time_goes_back(back: int) -> None:
 
     told = [history.add(newest - back + k * SECOND // 50, (1.0 + k, 0.0, 0.0)) for k in range(3)]
 
-    assert told == [Added.ANEW, Added.IN_ORDER, Added.IN_ORDER]
+    assert told == [OdometryChange.RESET, OdometryChange.CONTINUED, OdometryChange.CONTINUED]
     assert history.at(newest - back - 1) is None
     assert history.at(newest - back + SECOND // 50) == (2.0, 0.0, 0.0)
     assert history.newest == newest - back + SECOND // 25
@@ -69,4 +69,4 @@ def test_history_restarts_once_when_time_goes_back(back: int) -> None:
 def test_step_that_is_impossible_for_wheels_is_a_jump(
     step: tuple[float, float, float], seconds: float, jump: bool
 ) -> None:
-    assert jumped((0.0, 0.0, 0.0), step, seconds, 2.0, 4.0) is jump
+    assert is_jump((0.0, 0.0, 0.0), step, seconds, 2.0, 4.0) is jump

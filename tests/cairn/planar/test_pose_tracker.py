@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from cairn.planar.pose_tracker import OdometryChange, PoseTracker
+from cairn.planar.odometry import OdometryChange
+from cairn.planar.pose_tracker import PoseTracker
 from cairn.schemas.builtin_interfaces import Time
 from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.std_msgs import Header
