@@ -50,6 +50,15 @@ def test_killed_components_and_supervisors_are_restarted_and_the_others_keep_run
     row = await_status("/robot/reader", lambda row: row["restarts"] == 1, run.endpoint)
     assert row["reason"].startswith(f"restarted: was killed by SIGKILL (process {reader}, log ")
 
+    components = {*before, run.process.pid, run.pid_of("reader")}
+    helpers = set(run.pids()) - components
+    assert len(helpers) == 2
+    kill(run, "base")
+
+    killed = run.await_line("mobile: base was killed by SIGKILL", after=killed)
+    run.await_line("base active", after=killed)
+    assert helpers.isdisjoint(run.pids())
+
     below = {run.pid_of(name) for name in ("mobile", "reader", "base")}
     kill(run, "mobile")
 
@@ -75,13 +84,16 @@ def test_a_killed_or_stopped_zygote_fails_the_deployment_and_leaves_nothing(
     run.await_line("cairn: deployment0.yaml failed: the zygote was killed, and with it every compo")
 
 
-def test_killing_cairn_up_leaves_nothing(launch: Launching) -> None:
+@pytest.mark.parametrize("stopped", [(), ("beacon", "mobile", "reader", "base", "talker")])
+def test_killing_cairn_up_leaves_nothing(launch: Launching, stopped: tuple[str, ...]) -> None:
     with TemporaryDirectory() as sockets:  # pytest's own paths are too long for a socket
         run = launch(TREE, environment={"XDG_RUNTIME_DIR": sockets})
         run.await_line("talker active")
         assert len(run.pids()) == 9  # cairn up, zygote, five components, two helpers of one
         assert len(list(Path(sockets).iterdir())) == 1
 
+        for component in stopped:
+            os.kill(run.pid_of(component), signal.SIGSTOP)
         run.process.kill()
 
         run.await_nothing_left()

@@ -66,6 +66,7 @@ def test_too_many_restarts_escalate_to_the_end_of_the_deployment(launch: Launchi
         seen = run.await_line(event, after=seen)
 
     assert run.await_end() == 1
+    run.await_nothing_left()
     run.await_line("talker stopped: shut down")
     run.await_line(
         "cairn: deployment0.yaml failed: .*given up after more than 1 restarts within 60 s; "
