@@ -1,1 +1,1 @@
-"""`cairn doctor`: what this computer lacks for a robot to run on it, with the remedy for each."""
+"""`cairn doctor`: check a computer for what a robot needs, with a remedy for each fault."""

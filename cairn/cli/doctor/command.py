@@ -1,4 +1,4 @@
-"""The command `cairn doctor`: a table of all that was looked at, faults with their remedies."""
+"""The command `cairn doctor`: print all findings as a table, faults with their remedies."""
 
 from __future__ import annotations
 
@@ -13,14 +13,10 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from cairn.cli.doctor.bus import bus
-from cairn.cli.doctor.cameras import cameras
-from cairn.cli.doctor.computer import computer
-from cairn.cli.doctor.deployment import devices, files, loaded
+from cairn.cli.doctor.computer import computer, software
+from cairn.cli.doctor.deployments import devices, files, loaded, running
+from cairn.cli.doctor.devices import cameras, serial_ports
 from cairn.cli.doctor.finding import Finding
-from cairn.cli.doctor.rules import rules
-from cairn.cli.doctor.serial_ports import serial_ports
-from cairn.cli.doctor.software import software
 from cairn.cli.options import DEFAULT_CONNECT, Connect, Domain, Json, Overlay, Set
 from cairn.cli.output import line, print_json
 from cairn.deployment.model import Deployment
@@ -28,7 +24,7 @@ from cairn.deployment.shipped import deployment_file
 from cairn.placement.process_run import endpoints
 
 _COLORS = {"ok": "green", "warn": "yellow", "fail": "bold red"}
-_UNFOLDED = 10_000  # columns, where the output is not a terminal but perhaps `grep`
+_WIDE = 10_000  # columns, if the output is not a terminal but perhaps `grep`
 
 File = Annotated[
     Path | None,
@@ -48,9 +44,9 @@ def doctor(
     domain: Domain = 0,
     json: Json = False,
 ) -> None:
-    """Say what this computer lacks for a robot to run on it, with the remedy for each fault.
+    """Check this computer, and what a deployment needs of it; print the remedy for each fault.
 
-    Nothing is altered, and no device is opened. Exit status 1 if something must be put right.
+    Nothing is changed, and no device is opened. Exit status 1 if there is a fault.
     """
     deployment: Deployment | None = None
     of_file: list[Finding] = []
@@ -72,14 +68,13 @@ def doctor(
 def _general(endpoint: str, domain: int) -> Iterator[Finding]:
     yield from software()
     yield from computer()
-    yield from rules()
     yield from serial_ports()
     yield from cameras()
-    yield from bus(endpoint, domain)
+    yield from running(endpoint, domain)
 
 
 def _print(findings: Sequence[Finding]) -> None:
-    width = None if sys.stdout.isatty() else _UNFOLDED
+    width = None if sys.stdout.isatty() else _WIDE
     console = Console(highlight=False, width=width)
     table = Table(box=None, pad_edge=False, show_header=False)
     for _ in range(3):
@@ -103,5 +98,5 @@ def _print(findings: Sequence[Finding]) -> None:
     line(f"\n{_count(faults, 'fault')}, {_count(warnings, 'warning')}")
 
 
-def _count(number: int, what: str) -> str:
-    return f"{number or 'no'} {what}{'' if number == 1 else 's'}"
+def _count(number: int, noun: str) -> str:
+    return f"{number or 'no'} {noun}{'' if number == 1 else 's'}"

@@ -1,40 +1,78 @@
-"""The computer itself: kernel, drivers, clock, processor, limits, and room for reports."""
+"""The computer: software versions, kernel, drivers, udev rules, clock, processor, limits, disk."""
 
 from __future__ import annotations
 
 import ctypes
+import locale
 import os
 import platform
+import re
 import resource
 import shutil
+import sys
 import tempfile
 import time
 from collections.abc import Iterator
 from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
 
 import platformdirs
 
 import cairn
 from cairn.cli.doctor.finding import Finding
+from cairn.deployment.shipped import FOLDER
 
-_TOPIC = "computer"
+_SOFTWARE, _TOPIC = "software", "computer"
+_PACKAGE = "cairn-robotics"
+_LISTED = ("eclipse-zenoh", "numpy", "opencv-python-headless", "pydantic", "pyserial")
+_OLDEST_PYTHON = (3, 11)
+_RULES = "70-cairn.rules"
+_RULES_FOLDERS = (
+    "etc/udev/rules.d",
+    "run/udev/rules.d",
+    "usr/local/lib/udev/rules.d",
+    "usr/lib/udev/rules.d",
+)
 _DRIVERS = {
     "cdc_acm": "USB scanners and motor controllers (/dev/ttyACM*)",
     "ftdi_sio": "RS-232 over FTDI adapters (/dev/ttyUSB*)",
     "uvcvideo": "USB cameras (/dev/video*)",
 }
 _SLOW_CLOCKS = frozenset({"hpet", "acpi_pm", "jiffies"})
-_ADAPTS_ITSELF = frozenset({"intel_pstate", "amd-pstate", "amd-pstate-epp"})
+_SELF_ADAPTING_DRIVERS = frozenset({"intel_pstate", "amd-pstate", "amd-pstate-epp"})
 _FEW_FILES = 1024
-_LITTLE_ROOM = 1 << 30  # bytes: an hour's report with its logs fits well
-_NO_ROOM = 50 << 20
-_LONG_PATH = 70  # characters: a socket's path may have 107, and its name needs the others
-_UNSYNCHRONISED = 5  # TIME_ERROR, adjtimex(2)
+_LITTLE_SPACE = 1 << 30  # bytes: enough for the report and logs of an hour
+_NO_SPACE = 50 << 20
+_LONG_PATH = 70  # characters: a socket's path may have 107, and its name needs the rest
+_UNSYNCHRONIZED = 5  # TIME_ERROR, adjtimex(2)
+
+
+def software() -> Iterator[Finding]:
+    """Check Python, the packages that Cairn requires, and the locale."""
+    python = f"{platform.python_version()} in {sys.prefix}"
+    if sys.version_info >= _OLDEST_PYTHON:
+        yield Finding(_SOFTWARE, "Python", "ok", python)
+    else:
+        yield Finding(_SOFTWARE, "Python", "fail", python, "use Python 3.11 or later")
+    missing = [name for name in _required_packages() if not _is_installed(name)]
+    for name in missing:
+        remedy = (
+            f"install Cairn again, with its packages: {sys.executable} -m pip install {_PACKAGE}"
+        )
+        yield Finding(_SOFTWARE, name, "fail", "is not installed", remedy)
+    listed = [f"{name} {version(name)}" for name in (_PACKAGE, *_LISTED) if name not in missing]
+    yield Finding(_SOFTWARE, "packages", "ok", ", ".join(listed))
+    encoding = locale.getpreferredencoding(do_setlocale=False)
+    if encoding.upper().replace("-", "") == "UTF8":
+        yield Finding(_SOFTWARE, "locale", "ok", encoding)
+    else:
+        remedy = "set LANG=C.UTF-8; otherwise some names and units are not displayed correctly"
+        yield Finding(_SOFTWARE, "locale", "warn", encoding, remedy)
 
 
 def computer(root: Path = Path("/")) -> Iterator[Finding]:
-    """All of it; `root` is the folder that has `sys` and `lib`."""
+    """Check the computer; `root` is the folder that has `etc`, `lib`, `sys` and `usr`."""
     release = platform.release()
     yield Finding(_TOPIC, "kernel", "ok", f"Linux {release}, {platform.machine()}")
     for name, purpose in _DRIVERS.items():
@@ -43,7 +81,8 @@ def computer(root: Path = Path("/")) -> Iterator[Finding]:
     yield _governor(root)
     yield _open_files()
     yield _runtime_folder()
-    yield _room()
+    yield _disk_space()
+    yield _udev_rules(root)
 
 
 def _driver(root: Path, release: str, name: str, purpose: str) -> Finding:
@@ -53,8 +92,8 @@ def _driver(root: Path, release: str, name: str, purpose: str) -> Finding:
     folder = root / "lib" / "modules" / release
     listed = [folder / "modules.builtin", folder / "modules.dep"]
     if not any(file.exists() for file in listed):
-        found = f"not loaded, and {folder} is not here to load it from; for {purpose}"
-        remedy = "in a container, load it on the host; else install the kernel's modules"
+        found = f"not loaded, and {folder} does not exist to load it from; for {purpose}"
+        remedy = "in a container, load it on the host; otherwise install the kernel's modules"
         return Finding(_TOPIC, subject, "warn", found, remedy)
     if any(f"/{name}.ko" in file.read_text() for file in listed if file.exists()):
         return Finding(_TOPIC, subject, "ok", f"is loaded when a device needs it; for {purpose}")
@@ -62,46 +101,46 @@ def _driver(root: Path, release: str, name: str, purpose: str) -> Finding:
         f"install linux-modules-extra-{release} (Ubuntu), or linux-image-amd64 or -arm64 instead "
         "of the cloud kernel (Debian)"
     )
-    return Finding(_TOPIC, subject, "warn", f"this kernel has none; for {purpose}", remedy)
+    return Finding(_TOPIC, subject, "warn", f"this kernel does not have it; for {purpose}", remedy)
 
 
 def _clock(root: Path) -> Iterator[Finding]:
     now = time.time()
-    told = f"{datetime.fromtimestamp(now, UTC):%Y-%m-%d %H:%M:%S} UTC"
+    text = f"{datetime.fromtimestamp(now, UTC):%Y-%m-%d %H:%M:%S} UTC"
     installed = Path(cairn.__file__).stat().st_mtime
-    remedy = "sudo timedatectl set-ntp true, or install chrony; stamps are compared by this clock"
+    remedy = "sudo timedatectl set-ntp true, or install chrony; stamps are compared with this clock"
     if now < installed:
-        found = f"{told}, which is before Cairn was installed"
+        found = f"{text}, which is before Cairn was installed"
         yield Finding(_TOPIC, "clock", "fail", found, remedy)
     elif _is_synchronized():
-        yield Finding(_TOPIC, "clock", "ok", f"{told}, synchronized")
+        yield Finding(_TOPIC, "clock", "ok", f"{text}, synchronized")
     else:
-        found = f"{told}, not synchronized: it may step while the robot runs"
+        found = f"{text}, not synchronized: it may jump while the robot runs"
         yield Finding(_TOPIC, "clock", "warn", found, remedy)
     source = root / "sys/devices/system/clocksource/clocksource0/current_clocksource"
     name = source.read_text().strip() if source.exists() else "unknown"
     if name in _SLOW_CLOCKS:
-        remedy = "look for `clocksource` in the kernel's log: each reading takes microseconds"
-        yield Finding(_TOPIC, "clock source", "warn", f"{name}, a slow one", remedy)
+        remedy = "search the kernel's log for `clocksource`: each reading takes microseconds"
+        yield Finding(_TOPIC, "clock source", "warn", f"{name}, which is slow", remedy)
     else:
         yield Finding(_TOPIC, "clock source", "ok", name)
 
 
 def _is_synchronized() -> bool:
-    timex = ctypes.create_string_buffer(512)  # larger than any; all 0: only asks, sets nothing
-    return int(ctypes.CDLL(None).adjtimex(timex)) != _UNSYNCHRONISED
+    timex = ctypes.create_string_buffer(512)  # larger than any; all 0: only reads
+    return int(ctypes.CDLL(None).adjtimex(timex)) != _UNSYNCHRONIZED
 
 
 def _governor(root: Path) -> Finding:
     cores = sorted((root / "sys/devices/system/cpu").glob("cpu[0-9]*/cpufreq"))
     subject, count = "processor", f"{os.cpu_count()} cores"
     if not cores:
-        return Finding(_TOPIC, subject, "ok", f"{count}, of a speed that does not change")
+        return Finding(_TOPIC, subject, "ok", f"{count}, of constant speed")
     governors = {(core / "scaling_governor").read_text().strip() for core in cores}
     drivers = {(core / "scaling_driver").read_text().strip() for core in cores}
     found = f"{count}, governor {', '.join(sorted(governors))}"
-    if "powersave" in governors and not drivers <= _ADAPTS_ITSELF:
-        remedy = "sudo cpupower frequency-set -g schedutil: now it stays at its lowest speed"
+    if "powersave" in governors and not drivers <= _SELF_ADAPTING_DRIVERS:
+        remedy = "sudo cpupower frequency-set -g schedutil; now it stays at its lowest speed"
         return Finding(_TOPIC, subject, "warn", found, remedy)
     return Finding(_TOPIC, subject, "ok", found)
 
@@ -116,26 +155,52 @@ def _open_files() -> Finding:
 
 def _runtime_folder() -> Finding:
     folder = os.environ.get("XDG_RUNTIME_DIR") or tempfile.gettempdir()
-    subject = "sockets' folder"
+    subject = "folder of sockets"
     if not os.access(folder, os.W_OK | os.X_OK):
-        remedy = "set XDG_RUNTIME_DIR to a folder of this user's"
+        remedy = "set XDG_RUNTIME_DIR to a folder that this user may write"
         return Finding(_TOPIC, subject, "fail", f"{folder} cannot be written", remedy)
     if len(folder) > _LONG_PATH:
-        remedy = "set XDG_RUNTIME_DIR to one with a shorter path"
+        remedy = "set XDG_RUNTIME_DIR to a folder with a shorter path"
         return Finding(_TOPIC, subject, "fail", f"{folder} is too long for sockets", remedy)
     return Finding(_TOPIC, subject, "ok", folder)
 
 
-def _room() -> Finding:
+def _disk_space() -> Finding:
     folder = platformdirs.user_state_path("cairn")
     above = next(one for one in (folder, *folder.parents) if one.exists())
-    subject = "reports' folder"
+    subject = "folder of reports"
     if not os.access(above, os.W_OK | os.X_OK):
-        remedy = "give `cairn up` another one by --report, or correct its rights"
+        remedy = "name another one with `cairn up --report`, or correct its permissions"
         return Finding(_TOPIC, subject, "fail", f"{folder} cannot be written", remedy)
     free = shutil.disk_usage(above).free
     found = f"{folder}, {free / (1 << 30):,.1f} GiB free"
-    if free < _LITTLE_ROOM:
-        remedy = "make room, or give `cairn up` another folder by --report"
-        return Finding(_TOPIC, subject, "fail" if free < _NO_ROOM else "warn", found, remedy)
+    if free < _LITTLE_SPACE:
+        remedy = "delete files, or name another folder with `cairn up --report`"
+        return Finding(_TOPIC, subject, "fail" if free < _NO_SPACE else "warn", found, remedy)
     return Finding(_TOPIC, subject, "ok", found)
+
+
+def _udev_rules(root: Path) -> Finding:
+    files = [root / folder / _RULES for folder in _RULES_FOLDERS]
+    installed = next((str(file) for file in files if file.exists()), "")
+    if installed:
+        return Finding(_TOPIC, "udev rules", "ok", installed)
+    remedy = (
+        f"sudo cp {FOLDER}/robot/{_RULES} /etc/udev/rules.d/ && sudo udevadm control --reload && "
+        "sudo udevadm trigger"
+    )
+    found = "not installed: without them the robot's devices have no stable names and permissions"
+    return Finding(_TOPIC, "udev rules", "warn", found, remedy)
+
+
+def _required_packages() -> list[str]:
+    lines = [line for line in requires(_PACKAGE) or () if "extra ==" not in line]
+    return [re.split(r"[^A-Za-z0-9._-]", line, maxsplit=1)[0] for line in lines]
+
+
+def _is_installed(name: str) -> bool:
+    try:
+        version(name)
+    except PackageNotFoundError:
+        return False
+    return True

@@ -1,4 +1,4 @@
-"""What the doctor finds."""
+"""The result of one check of `cairn doctor`."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ State = Literal["ok", "warn", "fail"]
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that was looked at.
+    """The result of one check.
 
     Attributes:
-        topic: what it belongs to: `serial ports`.
-        subject: the thing itself: `/dev/ttyACM0`.
-        state: `fail` if a robot cannot run so, `warn` if it may not run well.
-        found: what was found.
-        remedy: what to do about it; empty where all is well.
+        topic: group of checks: `serial ports`.
+        subject: what was checked: `/dev/ttyACM0`.
+        state: `fail` if a robot cannot run, `warn` if it may not run well.
+        found: the result, in words.
+        remedy: what to do about it; empty if nothing is wrong.
     """
 
     topic: str

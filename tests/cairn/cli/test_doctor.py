@@ -1,4 +1,4 @@
-"""`cairn doctor` finds what is wrong with a computer, and says what to do about it."""
+"""`cairn doctor` finds the faults of a computer, and says what to do about each."""
 
 import getpass
 import grp
@@ -15,8 +15,8 @@ from typing import Any
 
 import pytest
 
-from cairn.cli.doctor.cameras import cameras
 from cairn.cli.doctor.computer import computer
+from cairn.cli.doctor.devices import cameras
 from cairn.cli.doctor.finding import Finding
 from cairn.testing.launching import free_port
 from tests.cairn.cli.conftest import Command
@@ -32,15 +32,15 @@ ROBOT = """
 
 
 def of(answer: Answer, subject: str) -> dict[str, Any]:
-    """What the doctor says of one thing."""
+    """Return the finding about one subject."""
     found = {row["subject"]: row for row in answer.json}
-    assert subject in found, f"nothing of {subject}; there are: {list(found)}"
+    assert subject in found, f"no finding about {subject}; there are: {list(found)}"
     row: dict[str, Any] = found[subject]
     return row
 
 
 def examined(folder: Path, device: str) -> Answer:
-    """What the doctor says of a robot with this scanner."""
+    """Return the findings for a robot with this scanner."""
     file = folder / "robot.yaml"
     file.write_text(ROBOT.format(port=free_port(), device=device))
     return cairn("doctor", str(file), "--json")
@@ -64,7 +64,7 @@ def test_a_sound_computer_has_no_faults() -> None:
     assert answer.out.splitlines()[-1].startswith("no faults, ")
 
 
-def test_a_running_robot_is_told_by_name(command: Command) -> None:
+def test_a_running_robot_is_reported_by_name(command: Command) -> None:
     answer = command("doctor", "--json")
 
     assert [row["found"] for row in answer.json if "robot rover runs" in row["found"]]
@@ -84,7 +84,7 @@ def test_another_programs_port_is_a_fault() -> None:
     assert "--set bus.listen=" in of(answer, endpoint)["remedy"]
 
 
-def test_each_fault_of_a_deployment_is_told(tmp_path: Path) -> None:
+def test_each_fault_of_a_deployment_is_reported(tmp_path: Path) -> None:
     answer = examined(tmp_path, "prt: /dev/ttyACM0")
 
     assert answer.code == 1
@@ -93,7 +93,7 @@ def test_each_fault_of_a_deployment_is_told(tmp_path: Path) -> None:
     assert "did you mean port" in fault["remedy"]
 
 
-def test_a_device_that_another_process_has_open_is_told(tmp_path: Path, terminal: str) -> None:
+def test_a_device_that_another_process_has_open_is_reported(tmp_path: Path, terminal: str) -> None:
     with (
         open(terminal, "rb") as device,
         subprocess.Popen(["sleep", "60"], stdin=device) as sleeper,
@@ -105,17 +105,17 @@ def test_a_device_that_another_process_has_open_is_told(tmp_path: Path, terminal
     assert of(answer, terminal)["found"] == f"scanner.port: in use by sleep ({sleeper.pid})"
 
 
-def test_whoever_makes_a_device_in_software_does_not_meddle(tmp_path: Path, terminal: str) -> None:
+def test_the_process_that_emulates_a_device_is_not_reported(tmp_path: Path, terminal: str) -> None:
     answer = examined(tmp_path, f"port: {terminal}")
 
     assert of(answer, terminal)["state"] == "ok"
 
 
-def test_a_device_that_is_there_and_free_is_well(tmp_path: Path) -> None:
-    answer = examined(tmp_path, "port: /dev/full")
+def test_a_device_that_exists_and_is_free_is_ok(tmp_path: Path) -> None:
+    answer = examined(tmp_path, "port: /dev/random")
 
-    assert of(answer, "/dev/full")["state"] == "ok"
-    assert of(answer, "/dev/full")["found"] == "scanner.port"
+    assert of(answer, "/dev/random")["state"] == "ok"
+    assert of(answer, "/dev/random")["found"] == "scanner.port"
 
 
 def test_a_device_that_is_missing_is_a_fault(tmp_path: Path) -> None:
@@ -123,7 +123,7 @@ def test_a_device_that_is_missing_is_a_fault(tmp_path: Path) -> None:
     unplugged = examined(tmp_path, 'port: "usb:15d1:0000"')
 
     assert missing.code == unplugged.code == 1
-    assert of(missing, "/dev/serial/by-id/none")["found"] == "scanner.port: is not there"
+    assert of(missing, "/dev/serial/by-id/none")["found"] == "scanner.port: does not exist"
     assert "no such device is plugged in" in of(unplugged, "scanner.port")["found"]
     assert "--set components.scanner.parameters.port=" in of(unplugged, "scanner.port")["remedy"]
 
@@ -136,12 +136,12 @@ def test_a_file_that_is_missing_is_a_fault(tmp_path: Path) -> None:
 
     missing = [row for row in answer.json if row["subject"] == str(nowhere)]
     assert [row["found"] for row in missing] == [
-        "map_builder.map_file: is not there",
-        "object_recognizer.map_file: is not there",
+        "map_builder.map_file: does not exist",
+        "object_recognizer.map_file: does not exist",
     ]
     assert {row["state"] for row in missing} == {"fail"}
     key = "components.mobile_supervisor.children.automove.children.map_builder.parameters.map_file"
-    assert missing[0]["remedy"] == f"make it, or name another one: --set {key}=PATH"
+    assert missing[0]["remedy"] == f"create it, or name another one: --set {key}=PATH"
     [there] = [row for row in answer.json if row["found"] == "map_builder.grid_file"]
     assert there["state"] == "ok"
 
@@ -155,7 +155,7 @@ def test_a_file_that_may_not_be_read_is_a_fault(
         f"cairn: 1\nexternal_topics: [scan, odom, localization]\n"
         f"components: {{map_builder: {{plugin: map_builder, parameters: {{grid_file: {grid}}}}}}}"
     )
-    # The tests may run as root, who may read everything.
+    # The tests may run as root, which may read everything.
     monkeypatch.setattr(os, "access", lambda path, mode: path != grid)
 
     answer = cairn("doctor", str(file), "--json")
@@ -164,7 +164,7 @@ def test_a_file_that_may_not_be_read_is_a_fault(
     assert of(answer, str(grid))["state"] == "fail"
 
 
-def test_a_device_on_the_network_is_asked(tmp_path: Path) -> None:
+def test_a_network_device_is_tried(tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         port = server.getsockname()[1]
         there = examined(tmp_path, f"host: 127.0.0.1, tcp_port: {port}")
@@ -175,7 +175,7 @@ def test_a_device_on_the_network_is_asked(tmp_path: Path) -> None:
     assert "ping 127.0.0.1" in of(gone, f"127.0.0.1:{port}")["remedy"]
 
 
-def test_a_device_on_the_network_that_is_in_use_is_not_disturbed(tmp_path: Path) -> None:
+def test_a_network_device_in_use_is_not_disturbed(tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         address = server.getsockname()
         with socket.create_connection(address):
@@ -185,18 +185,18 @@ def test_a_device_on_the_network_that_is_in_use_is_not_disturbed(tmp_path: Path)
         with pytest.raises(BlockingIOError):
             server.accept()
 
-    told = of(answer, f"127.0.0.1:{address[1]}")
-    assert told["state"] == "ok"
-    assert f"({os.getpid()})" in told["found"]
+    finding = of(answer, f"127.0.0.1:{address[1]}")
+    assert finding["state"] == "ok"
+    assert f"({os.getpid()})" in finding["found"]
 
 
-def test_a_user_without_rights_is_told_the_group_to_join(
+def test_without_permission_the_remedy_is_the_group_to_join(
     tmp_path: Path, terminal: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     dialout = grp.getgrnam("dialout").gr_gid
     os.chmod(terminal, 0o660)
     os.chown(terminal, 0, dialout)
-    # The tests may run as root, who may open everything.
+    # The tests may run as root, which may open everything.
     monkeypatch.setattr(os, "access", lambda path, mode: str(path) != terminal)
     monkeypatch.setattr(getpass, "getuser", lambda: "ada")
 
@@ -213,7 +213,7 @@ def test_a_user_without_rights_is_told_the_group_to_join(
         ("kernel/drivers/usb/class/cdc_acm.ko.xz: ", "ok", ""),
     ],
 )
-def test_drivers_that_the_kernel_lacks_are_told(
+def test_missing_kernel_drivers_are_reported(
     tmp_path: Path, listed: str, state: str, remedy: str
 ) -> None:
     folder = tmp_path / "lib/modules" / platform.release()
@@ -226,7 +226,7 @@ def test_drivers_that_the_kernel_lacks_are_told(
     assert remedy in finding.remedy
 
 
-def test_a_processor_that_stays_slow_is_told(tmp_path: Path) -> None:
+def test_a_processor_that_stays_slow_is_reported(tmp_path: Path) -> None:
     core = tmp_path / "sys/devices/system/cpu/cpu0/cpufreq"
     core.mkdir(parents=True)
     (core / "scaling_governor").write_text("powersave\n")
@@ -235,7 +235,7 @@ def test_a_processor_that_stays_slow_is_told(tmp_path: Path) -> None:
     assert found(computer(tmp_path), "processor").state == "warn"
 
 
-def test_cameras_are_told_by_names_that_stay(tmp_path: Path) -> None:
+def test_cameras_are_reported_with_stable_names(tmp_path: Path) -> None:
     for number in (0, 1):
         interface = tmp_path / "sys/devices/usb1/1-2/1-2:1.0"
         node = interface / f"video4linux/video{number}"
@@ -251,9 +251,9 @@ def test_cameras_are_told_by_names_that_stay(tmp_path: Path) -> None:
     [finding] = cameras(tmp_path)
 
     assert "Stereo Vision 1; stable names: usb:32e4:9750:7, port:1-2" in finding.found
-    assert finding.state == "fail"  # the node itself is not there
+    assert finding.state == "fail"  # the node itself does not exist
 
 
 def found(findings: Iterator[Finding], subject: str) -> Finding:
-    """The one of that subject."""
+    """Return the finding about that subject."""
     return next(finding for finding in findings if finding.subject == subject)

@@ -1,0 +1,176 @@
+"""Deployments: the running ones, leftovers, and what a deployment file needs of this computer."""
+
+from __future__ import annotations
+
+import getpass
+import os
+import re
+import socket
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from pathlib import Path
+
+import psutil
+
+from cairn.cli.doctor.devices import access, connected_to
+from cairn.cli.doctor.finding import Finding
+from cairn.client import connect
+from cairn.deployment.load import load_deployment
+from cairn.deployment.model import Deployment, Member
+from cairn.deployment.plugins import load_plugin
+from cairn.deployment.problems import DeploymentError
+from cairn.driver.device_names import TCP, devices_named
+from cairn.errors import CairnError
+from cairn.runtime.parameters import Config, ReadPathMark, marked_parameters
+from cairn.supervision.orphan_cleanup import MARK
+
+_TOPIC = "deployments"
+_ROUTER_LIMIT_S = 1.0
+_DEVICE_LIMIT_S = 2.0
+
+
+def running(endpoint: str, domain: int) -> Iterator[Finding]:
+    """Report what listens at the router's endpoint, and processes without their deployment."""
+    yield _router(endpoint, domain)
+    yield _leftovers()
+
+
+def loaded(
+    file: Path, overlays: Sequence[Path], sets: Sequence[str]
+) -> tuple[Deployment | None, list[Finding]]:
+    """Return the deployment, None if it has problems, and the findings."""
+    topic = file.name
+    try:
+        deployment = load_deployment(file, overlays, sets)
+    except DeploymentError as error:
+        return None, [
+            Finding(topic, f"{problem.at}: {problem.path}", "fail", problem.found, problem.remedy)
+            for problem in error.problems
+        ]
+    count = len(list(deployment.members()))
+    return deployment, [Finding(topic, "deployment", "ok", f"{count} components, no problem")]
+
+
+def files(file: Path, deployment: Deployment) -> Iterator[Finding]:
+    """Check every file that a component of the deployment reads: does it exist, is it readable?"""
+    topic = f"files of {file.name}"
+    for member in deployment.members():
+        for read in marked_parameters(_config(member), ReadPathMark):
+            name = f"{member.name}.{read.name}"
+            if os.access(read.value, os.R_OK):
+                yield Finding(topic, str(read.value), "ok", name)
+            elif os.path.exists(read.value):  # this does not fail in a closed folder
+                remedy = f"let {getpass.getuser()} read it: see `ls -l`, `chmod` and `chown`"
+                yield Finding(topic, str(read.value), "fail", f"{name}: may not be read", remedy)
+            else:
+                remedy = f"create it, or name another one: --set {_key(member, read.name)}=PATH"
+                yield Finding(topic, str(read.value), "fail", f"{name}: does not exist", remedy)
+
+
+def devices(file: Path, deployment: Deployment) -> Iterator[Finding]:
+    """Check every device that a driver of the deployment names: does it exist, is it free?"""
+    for member in deployment.members():
+        yield from _devices_of(f"devices of {file.name}", member)
+
+
+def _router(endpoint: str, domain: int) -> Finding:
+    if not _accepts_connections(endpoint):
+        return Finding(_TOPIC, endpoint, "ok", "free: no deployment runs")
+    try:
+        with connect(endpoint, domain) as client:
+            names = sorted(client.connection.statuses())
+    except CairnError:
+        owner = _listener(endpoint)
+        remedy = (
+            "end that program, or use another port: cairn up --set bus.listen=tcp/127.0.0.1:7448"
+        )
+        return Finding(_TOPIC, endpoint, "fail", f"taken by {owner}, which is no router", remedy)
+    if not names:
+        found = "a router without a deployment, perhaps one of ROS 2"
+        remedy = f"join it (--set bus.connect=[{endpoint}]), or end it"
+        return Finding(_TOPIC, endpoint, "warn", found, remedy)
+    robots = ", ".join(sorted({name.split("/")[1] for name in names}))
+    return Finding(_TOPIC, endpoint, "ok", f"robot {robots} runs, {len(names)} components")
+
+
+def _accepts_connections(endpoint: str) -> bool:
+    host, _, port = _address(endpoint).rpartition(":")
+    try:
+        with socket.create_connection((host.strip("[]"), int(port)), _ROUTER_LIMIT_S):
+            return True
+    except OSError:
+        return False
+
+
+def _address(endpoint: str) -> str:
+    return re.split(r"[?#]", endpoint.partition("/")[2], maxsplit=1)[0]
+
+
+def _listener(endpoint: str) -> str:
+    """Return the process that listens on a port, if this user may know it."""
+    port = int(_address(endpoint).rpartition(":")[2])
+    with suppress(psutil.Error):
+        for connection in psutil.net_connections("tcp"):
+            listens = connection.status == psutil.CONN_LISTEN and connection.laddr[1:] == (port,)
+            if listens and connection.pid:
+                return f"{psutil.Process(connection.pid).name()} ({connection.pid})"
+    return "another program"
+
+
+def _leftovers() -> Finding:
+    """Find processes whose zygote has ended: it should have terminated them."""
+    trees: dict[str, list[psutil.Process]] = {}
+    for process in psutil.process_iter():
+        with suppress(psutil.Error):
+            mark = process.environ().get(MARK)
+            if mark and process.status() != psutil.STATUS_ZOMBIE:
+                trees.setdefault(mark, []).append(process)
+    left = [one for tree in trees.values() if not any(map(_is_zygote, tree)) for one in tree]
+    if not left:
+        return Finding(_TOPIC, "leftovers", "ok", "no process of an earlier run")
+    pids = " ".join(str(process.pid) for process in left)
+    found = f"{len(left)} processes have outlived their deployment"
+    return Finding(_TOPIC, "leftovers", "fail", found, f"kill -9 {pids}")
+
+
+def _is_zygote(process: psutil.Process) -> bool:
+    with suppress(psutil.Error):
+        title = " ".join(process.cmdline())
+        return title.startswith("cairn: zygote") or "cairn.supervision.zygote" in title
+    return False
+
+
+def _devices_of(topic: str, member: Member) -> Iterator[Finding]:
+    for device in devices_named(_config(member)):
+        name = f"{member.name}.{device.parameter}"
+        try:
+            found = device.find()
+        except CairnError as error:
+            key = _key(member, device.parameter)
+            remedy = f"plug it in, or name another one: --set {key}=NAME"
+            yield Finding(topic, name, "fail", str(error), remedy)
+            continue
+        if found.startswith(TCP):
+            yield _on_network(topic, name, found.removeprefix(TCP))
+        else:
+            yield access(topic, Path(found), name)
+
+
+def _on_network(topic: str, name: str, address: str) -> Finding:
+    host, _, port = address.rpartition(":")
+    if user := connected_to(host, int(port)):  # a scanner may accept one client only
+        return Finding(topic, address, "ok", f"{name}; in use by {user}")
+    try:
+        socket.create_connection((host, int(port)), _DEVICE_LIMIT_S).close()
+    except (OSError, ValueError) as error:
+        remedy = f"try `ping {host}`: this computer needs an address in the same network"
+        return Finding(topic, address, "fail", f"{name}: does not answer ({error})", remedy)
+    return Finding(topic, address, "ok", f"{name}: answers")
+
+
+def _config(member: Member) -> Config:
+    return load_plugin(member.spec.plugin).config_class().model_validate(member.spec.parameters)
+
+
+def _key(member: Member, parameter: str) -> str:
+    return f"{member.key}.parameters.{parameter}"
