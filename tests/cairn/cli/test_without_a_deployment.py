@@ -98,7 +98,7 @@ def test_plugins_are_listed_with_those_that_cannot_be_used() -> None:
     assert rows["test_talker"]["writes"][0]["type"] == "geometry_msgs/msg/Twist"
     assert not rows["test_broken"]["usable"]
     assert "RuntimeError: this module is broken on purpose" in rows["test_broken"]["summary"]
-    assert "Says the next number" in cairn("plugins").out
+    assert "Publishes the next number" in cairn("plugins").out
 
 
 def test_one_plugin_is_shown_with_ports_and_parameters() -> None:
