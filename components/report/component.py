@@ -1,4 +1,4 @@
-"""The component that follows a run, knows the truth, and writes the report."""
+"""The component Report: compares a run with the truth, and writes the report."""
 
 import json
 import time
@@ -9,8 +9,7 @@ from pathlib import Path
 from pydantic import Field
 
 from cairn import LATCHED, RELIABLE, CairnError, Component, Config, In, every, on, to_ns
-from cairn.components.report.journal import Journal, Value
-from cairn.components.report.record import RunRecord
+from cairn.components.report.run_record import RunJournal, RunRecord, Value
 from cairn.components.report.table import render_table
 from cairn.planar.messages import planar_pose, planar_poses
 from cairn.schemas.cairn_msgs import ComponentStatus, VisualMap, VisualMapChange, VisualObject
@@ -32,7 +31,7 @@ _STATES = {
 
 
 class ReportConfig(Config):
-    """Where the report goes."""
+    """Parameters of the report."""
 
     directory: str = Field(
         "", description="Folder for report.json, report.txt and the pictures; empty: none written."
@@ -40,7 +39,9 @@ class ReportConfig(Config):
 
 
 class Report(Component):
-    """Compares a run with the truth and writes table, report.json and two pictures at its end."""
+    """Compares a run with the truth and writes report.txt, report.json and two pictures at its
+    end.
+    """
 
     config: ReportConfig
 
@@ -56,88 +57,95 @@ class Report(Component):
     component_status: In[ComponentStatus] = In(qos=LATCHED.with_depth(500), optional=True)
 
     def on_configure(self) -> None:
-        """Begin a record; see that the folder can be written before the run, not after."""
+        """Start a record; check that the folder can be written before the run, not after it."""
         self._record = RunRecord()
         self._virtual = False
         self._grids: tuple[OccupancyGrid, OccupancyGrid] | None = None
         self._moved: tuple[int, str, int] | None = None
-        self._journal: Journal | None = None
+        self._journal: RunJournal | None = None
         if self.config.directory:
             folder = Path(self.config.directory)
-            with _told(folder):
+            with _disk_errors_explained(folder):
                 folder.mkdir(parents=True, exist_ok=True)
                 resume = self.restarts > 0
-                self._journal = Journal(
+                self._journal = RunJournal(
                     self._record, folder / "record.jsonl", self.log, resume=resume
                 )
 
     @every(hz=10)
-    def begin(self) -> None:
-        """Note when the run began: as soon as its clock tells a time, whatever else comes."""
+    def on_start(self) -> None:
+        """Record the start of the run: as soon as the clock has a time, whatever else arrives."""
         if self._record.began_s is None and self.clock.now():
-            # How long the computer takes is the one thing that `clock` does not tell.
-            self._note("begins", time.monotonic(), self.clock.now())
+            # The clock of the robot does not tell how long the computer takes.
+            self._write("record_start", time.monotonic(), self.clock.now())
 
     @on("localization")
     def on_localization(self, estimate: LocalizationEstimate) -> None:
         """Record the estimated pose."""
         if estimate.located:
             stamp = to_ns(estimate.header.stamp)
-            self._note("estimated", stamp, *planar_pose(estimate.pose.pose))
+            self._write("record_estimate", stamp, *planar_pose(estimate.pose.pose))
 
     @on("truth")
-    def follow_truth(self, truth: PoseStamped) -> None:
-        """Keep the true pose."""
-        self._note("was_truly_at", to_ns(truth.header.stamp), *planar_pose(truth.pose))
+    def on_truth(self, truth: PoseStamped) -> None:
+        """Record the true pose."""
+        self._write("record_truth", to_ns(truth.header.stamp), *planar_pose(truth.pose))
 
     @on("true_map")
-    def know_truth(self, true_map: VisualMap) -> None:
-        """Keep the objects' true places."""
-        for thing in true_map.objects:
-            self._note("stands_truly_at", thing.object_id, thing.x, thing.y)
+    def on_true_map(self, true_map: VisualMap) -> None:
+        """Record the objects' true positions."""
+        for landmark in true_map.objects:
+            self._write("record_true_position", landmark.object_id, landmark.x, landmark.y)
 
     @on("visual_map")
-    def follow_map(self, visual_map: VisualMap) -> None:
-        """Keep each object's place, state and reliability; the first map is the one given."""
+    def on_visual_map(self, visual_map: VisualMap) -> None:
+        """Record each object's position, state and reliability."""
         objects: list[Value] = [
-            [thing.object_id, thing.name, thing.x, thing.y, _STATES[thing.state], thing.reliability]
-            for thing in visual_map.objects
+            [
+                landmark.object_id,
+                landmark.name,
+                landmark.x,
+                landmark.y,
+                _STATES[landmark.state],
+                landmark.reliability,
+            ]
+            for landmark in visual_map.objects
         ]
-        self._note("mapped", to_ns(visual_map.header.stamp), objects)
+        self._write("record_map", to_ns(visual_map.header.stamp), objects)
 
     @on("visual_map_changes")
-    def follow_changes(self, change: VisualMapChange) -> None:
-        """Note when an object was removed or registered, and what of it was taken back."""
-        stamp, thing = to_ns(change.header.stamp), change.object_id
+    def on_visual_map_change(self, change: VisualMapChange) -> None:
+        """Record removals, registrations, and restorations of objects."""
+        stamp, landmark = to_ns(change.header.stamp), change.object_id
         if change.kind == VisualMapChange.REMOVED:
-            self._note("was_removed", stamp, thing, change.old_x, change.old_y)
+            self._write("record_removal", stamp, landmark, change.old_x, change.old_y)
         elif change.kind == VisualMapChange.REGISTERED:
-            self._note("was_registered", stamp, thing)
+            self._write("record_registration", stamp, landmark)
         elif change.kind == VisualMapChange.RESTORED:
-            self._note("was_restored", thing, change.new_x, change.new_y)
+            self._write("record_restoration", landmark, change.new_x, change.new_y)
 
     @on("map")
-    def follow_grid(self, message: OccupancyGrid) -> None:
-        """Keep the grid map as it was first, and as it is now."""
+    def on_map(self, message: OccupancyGrid) -> None:
+        """Keep the first and the newest grid map."""
         self._grids = (self._grids[0] if self._grids else message, message)
 
     @on("navigate_goal")
-    def follow_orders(self, order: NavigateGoal) -> None:
-        """Keep the goals of an order."""
-        if len(order.goals):
-            goals: list[Value] = [list(row) for row in planar_poses(order.goals).tolist()]
-            self._note("ordered", order.mission_id, goals)
+    def on_navigate_goal(self, mission: NavigateGoal) -> None:
+        """Record the goals of a mission."""
+        if len(mission.goals):
+            goals: list[Value] = [list(row) for row in planar_poses(mission.goals).tolist()]
+            self._write("record_mission", mission.mission_id, goals)
 
     @on("navigation_status")
-    def follow_moves(self, status: NavigationStatus) -> None:
-        """Keep how an order gets on, when that changes."""
+    def on_navigation_status(self, status: NavigationStatus) -> None:
+        """Record the progress of a mission when it changes."""
         state = NAVIGATION_STATES[status.state]
         now = (status.mission_id, state, status.goal)
         if now == self._moved:
             return
         self._moved = now
-        self._note(
-            "moved_on",
+        self._write(
+            "record_progress",
             status.mission_id,
             state,
             status.goal,
@@ -147,36 +155,44 @@ class Report(Component):
         )
 
     @on("collisions")
-    def note_collision(self, touch: Collision) -> None:
-        """Keep a collision."""
-        self._note(
-            "collided", to_ns(touch.header.stamp), touch.obstacle, touch.x, touch.y, touch.speed
+    def on_collision(self, collision: Collision) -> None:
+        """Record a collision."""
+        self._write(
+            "record_collision",
+            to_ns(collision.header.stamp),
+            collision.obstacle,
+            collision.x,
+            collision.y,
+            collision.speed,
         )
 
     @on("component_status")
-    def count_losses(self, status: ComponentStatus) -> None:
-        """Keep every port's counters of messages dropped and refused."""
-        # In lockstep nobody's time is the wall's: without it the same run gives the same report.
+    def on_component_status(self, status: ComponentStatus) -> None:
+        """Record each port's counters of dropped and rejected messages."""
+        # In lockstep the wall clock has no meaning: without it the same run gives the same report.
         self._virtual = status.placement == "lockstep"
         for port in status.ports:
             counts = (port.dropped, port.invalid)
             name = f"{status.component}.{port.port}"
-            if port.direction == port.IN and self._record.losses(name, status.restarts) != counts:
-                self._note("lost", name, status.restarts, *counts)
+            if (
+                port.direction == port.IN
+                and self._record.port_counters(name, status.restarts) != counts
+            ):
+                self._write("record_port_counters", name, status.restarts, *counts)
 
     def on_deactivate(self) -> None:
         """Write the report."""
         if self._journal is None:
             return
-        # Matplotlib takes half a second and 40 MB: not before the run is over.
+        # Matplotlib takes half a second and 40 MB: it is imported after the run.
         from cairn.components.report.pictures import draw_map, draw_reliability
 
-        if self.clock.now():  # a report begun anew at the very end may not have heard of it
-            self._note("ends", self.clock.now())
+        if self.clock.now():  # a report that was restarted at the very end
+            self._write("record_end", self.clock.now())
         folder = Path(self.config.directory)
         summary = self._record.summary(None if self._virtual else time.monotonic())
         text = json.dumps(summary, indent=1, sort_keys=False, allow_nan=False)
-        with _told(folder):
+        with _disk_errors_explained(folder):
             draw_map(self._record, self._grids, folder / "map.png")
             draw_reliability(self._record, folder / "reliability.png")
             (folder / "report.txt").write_text(render_table(summary), encoding="utf-8")
@@ -184,17 +200,17 @@ class Report(Component):
             self._journal.remove()
         self.log.info("report written to %s", folder)
 
-    def _note(self, what: str, *values: Value) -> None:
+    def _write(self, method: str, *values: Value) -> None:
         if self._journal is not None:
-            self._journal.tell(what, *values)
+            self._journal.write(method, *values)
 
 
 @contextmanager
-def _told(folder: Path) -> Iterator[None]:
+def _disk_errors_explained(folder: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
         raise CairnError(
-            f"the report cannot be written to {error.filename or folder}: {error.strerror}; give "
-            "another folder (`--report`), or make room there"
+            f"report: cannot write {error.filename or folder}: {error.strerror}; choose "
+            "another folder (`--report`), or free disk space"
         ) from error

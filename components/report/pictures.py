@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.transforms import Affine2D
 
-from cairn.components.report.record import ObjectRecord, RunRecord
+from cairn.components.report.run_record import ObjectRecord, RunRecord
 from cairn.planar.grid import OCCUPIED_FROM, grid_of
 from cairn.planar.poses import compose
 from cairn.schemas.nav_msgs import OccupancyGrid
@@ -26,9 +26,9 @@ _CHANGED = ("#c8321e", "#7a3fb0", "#d98200", "#0f8f8a", "#b0307e", "#5b6d00")
 def draw_map(
     record: RunRecord, grids: tuple[OccupancyGrid, OccupancyGrid] | None, file: Path
 ) -> None:
-    """Draw the true and the estimated path and each object's old, new and true place.
+    """Draw the true and the estimated path and each object's old, new and true position.
 
-    `grids` are the grid map as it was first and as it is now: what has changed is colored.
+    `grids` are the first and the newest grid map: what has changed is colored.
     """
     shape = 1.0 if grids is None else grids[1].info.height / max(1, grids[1].info.width)
     figure = Figure(figsize=(9, max(5.0, 9 * shape + 1.5 * (shape < 1))), layout="constrained")
@@ -39,8 +39,8 @@ def draw_map(
     true, estimate = record.true_track(), record.track()
     axes.plot(true[:, 0], true[:, 1], color=_TRUE, linewidth=2.0, alpha=0.7)
     axes.plot(estimate[:, 0], estimate[:, 1], color=_ESTIMATE, linewidth=0.8)
-    for thing in record.objects.values():
-        _draw_object(axes, thing)
+    for landmark in record.objects.values():
+        _draw_object(axes, landmark)
     _place_labels(axes, record.objects.values())
     axes.set_aspect("equal", adjustable="datalim" if grids is None else "box")
     axes.set_xlabel("x [m]")
@@ -59,26 +59,26 @@ def draw_map(
 
 
 def draw_reliability(record: RunRecord, file: Path) -> None:
-    """Draw each object's pose reliability over time; those removed or registered in color."""
-    changed = [thing for thing in record.objects.values() if _has_changed(thing)]
-    still = [thing for thing in record.objects.values() if not _has_changed(thing)]
+    """Draw each object's reliability over time; those removed or registered in color."""
+    changed = [landmark for landmark in record.objects.values() if _has_moved(landmark)]
+    still = [landmark for landmark in record.objects.values() if not _has_moved(landmark)]
     figure = Figure(figsize=(11, 6), layout="constrained")
     axes = figure.add_subplot()
-    for thing in still:
-        axes.step(*_curve(record, thing), where="post", color="#b4bcc4", linewidth=0.9)
-    for index, thing in enumerate(changed):
+    for landmark in still:
+        axes.step(*_curve(record, landmark), where="post", color="#b4bcc4", linewidth=0.9)
+    for index, landmark in enumerate(changed):
         color = _CHANGED[index % len(_CHANGED)]
-        words = [f"landmark {thing.object_id}"]
+        words = [f"landmark {landmark.object_id}"]
         for stamp, marker, word in (
-            (thing.moves.last.removed_at, "v", "removed"),
-            (thing.moves.last.registered_at, "^", "registered"),
+            (landmark.moves.last.removed_at, "v", "removed"),
+            (landmark.moves.last.registered_at, "^", "registered"),
         ):
             seconds = record.seconds(stamp)
             if seconds is not None:
                 axes.plot(seconds, 0.1 if marker == "v" else 0.5, marker, color=color, markersize=9)
                 words.append(f"{word} at {seconds:.0f} s")
         axes.step(
-            *_curve(record, thing), where="post", color=color, linewidth=1.8,
+            *_curve(record, landmark), where="post", color=color, linewidth=1.8,
             label=", ".join(words),
         )  # fmt: skip
     for threshold, word in ((0.1, "removed at 0.1 or less"), (0.5, "registered above 0.5")):
@@ -120,10 +120,10 @@ def _draw_grids(axes: Axes, first: OccupancyGrid, last: OccupancyGrid) -> None:
 def _draw_goals(axes: Axes, record: RunRecord) -> None:
     number = 0
     labels: dict[tuple[float, float], list[str]] = {}
-    for _, order in sorted(record.orders.items()):
-        for index, (x, y, theta) in enumerate(order.goals):
+    for _, mission in sorted(record.missions.items()):
+        for index, (x, y, theta) in enumerate(mission.goals):
             number += 1
-            reached = index < order.reached or order.state == "succeeded"
+            reached = index < mission.reached or mission.state == "succeeded"
             color = _NEW if reached else _OLD
             axes.plot(x, y, "D", color=color, markersize=6, alpha=0.8)
             axes.annotate(
@@ -136,42 +136,45 @@ def _draw_goals(axes: Axes, record: RunRecord) -> None:
             f"goal {', '.join(numbers)}", place, (-8, -14), textcoords="offset points", fontsize=8,
             color=_NEW,
         )  # fmt: skip
-    for touch in record.collisions:
-        axes.plot(touch.x, touch.y, "*", color="red", markersize=14)
+    for collision in record.collisions:
+        axes.plot(collision.x, collision.y, "*", color="red", markersize=14)
 
 
-def _draw_object(axes: Axes, thing: ObjectRecord) -> None:
-    if thing.true_place is not None:
-        axes.plot(*thing.true_place, "+", color="black", markersize=11, markeredgewidth=1.3)
-    moved = _has_changed(thing)
-    if thing.map_place is not None and moved:
-        axes.plot(*thing.map_place, "x", color=_OLD, markersize=10, markeredgewidth=2.2)
-    if thing.place is not None and thing.state == "live":
+def _draw_object(axes: Axes, landmark: ObjectRecord) -> None:
+    if landmark.true_position is not None:
+        axes.plot(*landmark.true_position, "+", color="black", markersize=11, markeredgewidth=1.3)
+    moved = _has_moved(landmark)
+    if landmark.map_position is not None and moved:
+        axes.plot(*landmark.map_position, "x", color=_OLD, markersize=10, markeredgewidth=2.2)
+    if landmark.position is not None and landmark.state == "live":
         axes.plot(
-            *thing.place, "o", color=_NEW if moved else _ESTIMATE, markersize=9 if moved else 6,
-            fillstyle="none", markeredgewidth=1.8,
+            *landmark.position, "o", color=_NEW if moved else _ESTIMATE,
+            markersize=9 if moved else 6, fillstyle="none", markeredgewidth=1.8,
         )  # fmt: skip
-        if thing.map_place is not None and moved:
+        if landmark.map_position is not None and moved:
             axes.annotate(
-                "", thing.place, thing.map_place,
+                "", landmark.position, landmark.map_position,
                 arrowprops={"arrowstyle": "->", "color": _OLD, "linestyle": "--", "alpha": 0.7},
             )  # fmt: skip
 
 
-def _place_labels(axes: Axes, things: Iterable[ObjectRecord]) -> None:
+def _place_labels(axes: Axes, landmarks: Iterable[ObjectRecord]) -> None:
     """Label the objects; those that stand close together share one label."""
-    places = [(thing.place or thing.map_place or thing.true_place, thing) for thing in things]
+    positions = [
+        (landmark.position or landmark.map_position or landmark.true_position, landmark)
+        for landmark in landmarks
+    ]
     groups: list[tuple[tuple[float, float], list[str]]] = []
-    for place, thing in places:
+    for place, landmark in positions:
         if place is None:
             continue
         near = next(
             (g for g in groups if np.hypot(g[0][0] - place[0], g[0][1] - place[1]) < 0.5), None
         )
         if near is None:
-            groups.append((place, [_label(thing)]))
+            groups.append((place, [_label(landmark)]))
         else:
-            near[1].append(_label(thing))
+            near[1].append(_label(landmark))
     for place, labels in groups:
         axes.annotate(
             ", ".join(labels), place, (9, 7), textcoords="offset points", fontsize=9,
@@ -187,7 +190,7 @@ def _legend(record: RunRecord, with_grid: bool) -> list[Line2D]:
         )  # fmt: skip
 
     more = []
-    if record.orders:
+    if record.missions:
         more.append(mark("D", _NEW, "goal reached"))
     if with_grid:
         more.append(Line2D([], [], color=_OLD_CELLS, linewidth=6, label="cells freed"))
@@ -205,9 +208,9 @@ def _legend(record: RunRecord, with_grid: bool) -> list[Line2D]:
     ]
 
 
-def _curve(record: RunRecord, thing: ObjectRecord) -> tuple[list[float], list[float]]:
-    stamps = [record.seconds(stamp) or 0.0 for stamp, _ in thing.history]
-    values = [value for _, value in thing.history]
+def _curve(record: RunRecord, landmark: ObjectRecord) -> tuple[list[float], list[float]]:
+    stamps = [record.seconds(stamp) or 0.0 for stamp, _ in landmark.history]
+    values = [value for _, value in landmark.history]
     end = record.seconds(record.end)
     if stamps and end is not None:
         stamps.append(end)
@@ -215,12 +218,12 @@ def _curve(record: RunRecord, thing: ObjectRecord) -> tuple[list[float], list[fl
     return stamps, values
 
 
-def _has_changed(thing: ObjectRecord) -> bool:
-    return bool(thing.moves.standing)
+def _has_moved(landmark: ObjectRecord) -> bool:
+    return bool(landmark.moves.standing)
 
 
-def _label(thing: ObjectRecord) -> str:
-    return str(thing.object_id)
+def _label(landmark: ObjectRecord) -> str:
+    return str(landmark.object_id)
 
 
 def _save(figure: Figure, file: Path) -> None:

@@ -13,17 +13,17 @@ _COLUMNS = ("landmark", "state", "reliability", "given", "now", "true", "off by"
 
 
 def render_table(summary: dict[str, Any]) -> str:
-    """The summary of a run as text, at most 120 columns wide."""
+    """Return the summary of a run as text, at most 120 columns wide."""
     console = Console(file=io.StringIO(), width=_WIDTH, highlight=False)
     table = Table(box=SIMPLE_HEAD, pad_edge=False)
     for column in _COLUMNS:
         table.add_column(column, justify="left" if column in ("state", "events") else "right")
-    for thing in summary["objects"]:
-        moved = thing["removed_at_s"] is not None or thing["registered_at_s"] is not None
-        table.add_row(*_row(thing), style="bold" if moved else None)
-    if table.rows:  # else nobody told of a map
+    for landmark in summary["objects"]:
+        moved = landmark["removed_at_s"] is not None or landmark["registered_at_s"] is not None
+        table.add_row(*_row(landmark), style="bold" if moved else None)
+    if table.rows:  # without a visual map there are none
         console.print(table)
-    for line in _orders(summary):
+    for line in _mission_lines(summary):
         console.print(line)
     console.print(_closing(summary))
     file = console.file
@@ -31,23 +31,25 @@ def render_table(summary: dict[str, Any]) -> str:
     return file.getvalue()
 
 
-def _row(thing: dict[str, Any]) -> tuple[str, ...]:
+def _row(landmark: dict[str, Any]) -> tuple[str, ...]:
     off = ""
-    if thing["x"] is not None and thing["true_x"] is not None:
-        distance = math.hypot(thing["x"] - thing["true_x"], thing["y"] - thing["true_y"])
+    if landmark["x"] is not None and landmark["true_x"] is not None:
+        distance = math.hypot(
+            landmark["x"] - landmark["true_x"], landmark["y"] - landmark["true_y"]
+        )
         off = f"{distance:.2f} m"
     events = [
-        f"{word} {thing[key]:.0f} s"
+        f"{word} {landmark[key]:.0f} s"
         for word, key in (("removed", "removed_at_s"), ("registered", "registered_at_s"))
-        if thing[key] is not None
+        if landmark[key] is not None
     ]
     return (
-        str(thing["id"]),
-        thing["state"],
-        f"{thing['reliability']:.2f}",
-        _place(thing["map_x"], thing["map_y"]),
-        _place(thing["x"], thing["y"]),
-        _place(thing["true_x"], thing["true_y"]),
+        str(landmark["id"]),
+        landmark["state"],
+        f"{landmark['reliability']:.2f}",
+        _place(landmark["map_x"], landmark["map_y"]),
+        _place(landmark["x"], landmark["y"]),
+        _place(landmark["true_x"], landmark["true_y"]),
         off,
         ", ".join(events),
     )
@@ -57,21 +59,21 @@ def _place(x: float | None, y: float | None) -> str:
     return "" if x is None or y is None else f"{x:.2f}, {y:.2f}"
 
 
-def _orders(summary: dict[str, Any]) -> list[str]:
-    """A line for each order to move, and one for what they took together."""
+def _mission_lines(summary: dict[str, Any]) -> list[str]:
+    """Return a line for each mission, and one for what they took together."""
     lines = []
-    for order in summary["orders"]:
-        why = f": {order['reason']}" if order["reason"] not in ("", "arrived") else ""
-        again = f", {order['recoveries']} recoveries" if order["recoveries"] else ""
-        reached = min(order["reached"], len(order["goals"]))
+    for mission in summary["missions"]:
+        why = f": {mission['reason']}" if mission["reason"] not in ("", "arrived") else ""
+        again = f", {mission['recoveries']} recoveries" if mission["recoveries"] else ""
+        reached = min(mission["reached"], len(mission["goals"]))
         lines.append(
-            f"order to {len(order['goals'])} goals {order['state']}{why}: {reached} reached in "
-            f"{order['seconds']:.0f} s{again}"
+            f"mission to {len(mission['goals'])} goals {mission['state']}{why}: {reached} reached "
+            f"in {mission['seconds']:.0f} s{again}"
         )
     if lines:
-        touched = [f"{touch['with']} at {touch['at_s']:.0f} s" for touch in summary["collisions"]]
+        collisions = [f"{one['with']} at {one['at_s']:.0f} s" for one in summary["collisions"]]
         lines.append(
-            f"{summary['driven_m']:.1f} m driven, collisions: {', '.join(touched) or 'none'}"
+            f"{summary['driven_m']:.1f} m driven, collisions: {', '.join(collisions) or 'none'}"
         )
     return lines
 
@@ -82,7 +84,7 @@ def _closing(summary: dict[str, Any]) -> str:
     recorded, wall = summary["recorded_s"], summary["wall_s"]
     speed = f", {wall:.1f} s taken, {recorded / wall:.1f} times real time" if wall else ""
     if summary["first_pose_s"] is None:
-        errors = "the localizer told no pose"
+        errors = "the localizer published no pose"
     elif summary["position_rmse_m"] is None:
         errors = "no truth to compare the poses with"
     else:

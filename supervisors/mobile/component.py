@@ -1,4 +1,4 @@
-"""The control component of the navigation framework: takes orders to move and sees them done."""
+"""The supervisor of a mobile robot: accepts missions, and keeps each until it has its result."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -18,48 +18,50 @@ from cairn.schemas.cairn_nav_msgs import (
 from cairn.schemas.geometry_msgs import PoseStamped
 from cairn.schemas.std_msgs import Header
 from cairn.supervisors.mobile.mission import (
-    FARTHEST,
+    LARGEST_COORDINATE,
     Goal,
-    Order,
-    checked_goals,
-    checked_token,
-    save,
-    saved,
+    Mission,
+    load_mission,
+    parse_goals,
+    parse_token,
+    save_mission,
 )
 
-Coordinate = Annotated[float, Field(ge=-FARTHEST, le=FARTHEST)]
+Coordinate = Annotated[float, Field(ge=-LARGEST_COORDINATE, le=LARGEST_COORDINATE)]
 
-# An order that is under way whenever this component dies may be why it does.
-_RESUMED_AT_MOST = 3
+# A mission is continued at most so often: one that is under way whenever this component dies may be
+# the reason why it dies.
+_MOST_RESUMED = 3
 
 
 class MobileSupervisorConfig(Config):
-    """What the robot is to do."""
+    """Parameters of the supervisor of a mobile robot."""
 
     mission: tuple[tuple[Coordinate, Coordinate, Coordinate], ...] = Field(
-        (), description="Goals to be driven to from the start: x [m], y [m], heading [rad]."
+        (), description="Goals to drive to from the start: x [m], y [m], heading [rad]."
     )
     automove: str = Field(
-        "automove", description="The child that carries orders out; loaded on the first order."
+        "automove",
+        description="The child that carries out missions; loaded with the first mission.",
     )
     finish: bool = Field(
         False,
-        description="Whether to end once the mission is done, and with it the deployment; where an "
-        "order pre-empts the mission, once that order is.",
+        description="Whether the deployment ends when its mission ends; if another mission "
+        "preempts it, when that one ends.",
     )
     state_file: Path | None = Field(
         None,
-        description="Where to keep the order, so that a supervisor whose process died goes on with "
-        "it; none: it is lost, and the robot stands.",
+        description="File of the mission, from which a supervisor that is restarted continues; "
+        "none: the mission is lost, and the robot stands.",
     )
 
 
 class MobileSupervisor(Supervisor):
     """Keeps the base, the range scanner and AutoMove running (paper, step 1).
 
-    Takes orders to move (requests `go`, `cancel` and `order`, topic `goal_pose`, parameter
-    `mission`), loads AutoMove on the first, and keeps each order until it has its result, so that
-    an AutoMove that was started anew goes on with it.
+    Accepts missions (requests `go` and `cancel`, topic `goal_pose`, parameter `mission`; the
+    request `mission` returns the last one), loads AutoMove with the first, and keeps each mission
+    until it has its result, so that an AutoMove that was restarted continues it.
     """
 
     config: MobileSupervisorConfig
@@ -68,155 +70,160 @@ class MobileSupervisor(Supervisor):
     navigation_status: In[NavigationStatus] = In(qos=LATCHED.with_depth(20), optional=True)
     navigate_goal: Out[NavigateGoal] = Out(qos=LATCHED)
 
-    _order: Order | None = None
+    _mission: Mission | None = None
 
     def on_configure(self) -> None:
-        """See that the order can be kept; one of an earlier run is not carried out."""
+        """Check that missions can be kept; remove that of an earlier run."""
         file = self.config.state_file
         if file is None:
             return
         if not file.parent.is_dir():
-            raise CairnError(f"{file.parent}: no such folder to keep the order in (state_file)")
+            raise CairnError(f"{file.parent}: no such folder to keep the mission in (state_file)")
         if self.restarts == 0:
             file.unlink(missing_ok=True)
 
     def on_activate(self) -> None:
-        """Start the children; begin with the mission, or go on with the order there was."""
+        """Start the children; start the configured mission, or continue the one before."""
         super().on_activate()
         if self.restarts > 0:
             self._resume()
         elif self.config.mission:
-            self._go(self.config.mission, mission=True)
+            self._start(self.config.mission, configured=True)
 
     def on_request(self, verb: str, arguments: Mapping[str, Any]) -> Any:
-        """Answer `go` with `goals` [[x, y, heading], ...], `cancel`, `order`; else a supervisor's.
+        """Answer `go` with `goals` [[x, y, heading], ...], `cancel`, `mission`, and the others.
 
-        `go` may choose a `token` for its order. `cancel` may name the `mission_id` or the `token`
-        that it means, else it is whichever order is under way.
+        `go` may choose a `token` for its mission. `cancel` may name the `mission_id` or the `token`
+        of the mission; otherwise it cancels the current one.
         """
         if verb == "go" and {"goals"} <= set(arguments) <= {"goals", "token"}:
-            goals, token = checked_goals(arguments["goals"]), checked_token(arguments.get("token"))
-            return {"mission_id": self._go(goals, token=token).mission_id}
+            goals, token = parse_goals(arguments["goals"]), parse_token(arguments.get("token"))
+            return {"mission_id": self._start(goals, token=token).mission_id}
         if verb == "cancel" and set(arguments) <= {"mission_id", "token"}:
             return {"mission_id": self._cancel(**arguments)}
         if verb == "mission" and not arguments:
-            return self._order.model_dump(mode="json") if self._order is not None else None
+            return self._mission.model_dump(mode="json") if self._mission is not None else None
         return super().on_request(verb, arguments)
 
     @on("goal_pose")
-    def go_to(self, goal: PoseStamped) -> None:
-        """Take a goal from RViz or any other node."""
+    def on_goal_pose(self, goal: PoseStamped) -> None:
+        """Start a mission to a goal from RViz or any other node."""
         frame = goal.header.frame_id
         try:
             if frame not in ("", "map"):
-                raise CairnError(f"its goal on {self.goal_pose.topic} is in frame {frame}, not map")
-            self._go(checked_goals([planar_pose(goal.pose)]))
+                raise CairnError(f"the goal on {self.goal_pose.topic} is in frame {frame}, not map")
+            self._start(parse_goals([planar_pose(goal.pose)]))
         except CairnError as error:
-            self.log.error("the order to move is not carried out: %s", error)
+            self.log.error("mission rejected: %s", error)
 
     @on("navigation_status")
-    def follow(self, status: NavigationStatus) -> None:
-        """Note how far the order has come; let go of it when it has its result."""
-        order = self._order
-        if order is None or order.result or status.mission_id != order.mission_id:
+    def on_navigation_status(self, status: NavigationStatus) -> None:
+        """Note the progress of the mission; close it when it has its result."""
+        mission = self._mission
+        if mission is None or mission.result or status.mission_id != mission.mission_id:
             return
         if status.state in NAVIGATION_END_STATES:
-            done = status.state == NavigationStatus.SUCCEEDED
-            self._close(order, f"{NAVIGATION_STATES[status.state]}: {status.reason}", success=done)
-        elif status.goal > order.first:
-            self._take(order.model_copy(update={"first": status.goal}))
+            success = status.state == NavigationStatus.SUCCEEDED
+            result = f"{NAVIGATION_STATES[status.state]}: {status.reason}"
+            self._close(mission, result, success=success)
+        elif status.goal > mission.first:
+            self._update(mission.model_copy(update={"first": status.goal}))
 
-    def _go(
-        self, goals: tuple[Goal, ...], *, mission: bool = False, token: str | None = None
-    ) -> Order:
+    def _start(
+        self, goals: tuple[Goal, ...], *, configured: bool = False, token: str | None = None
+    ) -> Mission:
         self._load_automove()
-        before = self._order
+        before = self._mission
         last = before.mission_id if before is not None else 0
-        # Larger than any that a forerunner of this supervisor gave.
         now = self.clock.now()
-        mission_id = max(last + 1, now // SECOND & 0x7FFFFFFF)
-        order = Order(
-            mission_id=mission_id,
-            given_ns=now,
+        mission = Mission(
+            # Larger than any id that an earlier process of this supervisor used.
+            mission_id=max(last + 1, now // SECOND & 0x7FFFFFFF),
+            requested_ns=now,
             goals=goals,
-            mission=mission,
-            in_place_of_mission=before is not None and before.of_mission and not before.result,
+            configured=configured,
+            replaces_configured=before is not None and before.ends_configured and not before.result,
             token=token,
         )
         x, y, _ = goals[-1]
-        via = f" by way of {len(goals) - 1} others" if len(goals) > 1 else ""
-        self.log.info("order %d: go to (%.2f, %.2f)%s", mission_id, x, y, via)
-        if order.in_place_of_mission and self.config.finish:
+        via = f" via {len(goals) - 1} other goals" if len(goals) > 1 else ""
+        self.log.info("mission %d: go to (%.2f, %.2f)%s", mission.mission_id, x, y, via)
+        if mission.replaces_configured and self.config.finish:
             self.log.warning(
-                "the mission is pre-empted: the deployment ends with order %d", mission_id
+                "the configured mission is preempted: the deployment ends with mission %d",
+                mission.mission_id,
             )
-        self._take(order)
-        return order
+        self._update(mission)
+        return mission
 
     def _load_automove(self) -> None:
         name = self.config.automove
         if name not in {child.name for child in self.children.status()}:
-            raise CairnError(f"{self.name} has no child {name} to carry out orders to move")
+            raise CairnError(
+                f"{self.name} has no child {name} to carry out missions; add it, or correct the "
+                "parameter automove"
+            )
         try:
             self.children.load(name)
         except StartFailed as error:
             raise CairnError(f"{name} cannot be loaded: {error}") from error
 
     def _cancel(self, *, mission_id: Any = None, token: Any = None) -> int:
-        order = self._order
-        if order is None or order.result or mission_id not in (None, order.mission_id):
+        mission = self._mission
+        if mission is None or mission.result or mission_id not in (None, mission.mission_id):
             which = "to cancel" if mission_id is None else f"{mission_id} under way"
-            raise CairnError(f"{self.name}: there is no order {which}")
-        if token not in (None, order.token):
-            raise CairnError(f"{self.name}: it is another's order that is under way")
-        self._close(order, "canceled: on request")
-        return order.mission_id
+            raise CairnError(f"{self.name}: there is no mission {which}")
+        if token not in (None, mission.token):
+            raise CairnError(f"{self.name}: the mission under way is of another client")
+        self._close(mission, "canceled: on request")
+        return mission.mission_id
 
     def _resume(self) -> None:
+        """Continue the mission of an earlier process of this supervisor."""
         file = self.config.state_file
         try:
-            order = saved(file) if file is not None else None
-            if order is None or order.result:
-                self._order = order
+            mission = load_mission(file) if file is not None else None
+            if mission is None or mission.result:
+                self._mission = mission
                 return
-            if order.resumed >= _RESUMED_AT_MOST:
-                why = f"failed: given up after {self.name} was started anew {order.resumed} times"
-                self.log.error("order %d %s", order.mission_id, why)
-                self._close(order, why)
+            if mission.resumed >= _MOST_RESUMED:
+                why = f"failed: given up after {mission.resumed} restarts of {self.name}"
+                self.log.error("mission %d %s", mission.mission_id, why)
+                self._close(mission, why)
                 return
             self._load_automove()
         except CairnError as error:
-            self.log.error("the order to move is not gone on with: %s", error)
+            self.log.error("mission not continued: %s", error)
             return
-        self.log.warning("going on with order %d", order.mission_id)
-        self._take(order.model_copy(update={"resumed": order.resumed + 1}))
+        self.log.warning("mission %d continued", mission.mission_id)
+        self._update(mission.model_copy(update={"resumed": mission.resumed + 1}))
 
-    def _close(self, order: Order, result: str, *, success: bool = False) -> None:
-        self.log.info("order %d %s", order.mission_id, result)
-        self._take(order.model_copy(update={"result": result}))
+    def _close(self, mission: Mission, result: str, *, success: bool = False) -> None:
+        self.log.info("mission %d %s", mission.mission_id, result)
+        self._update(mission.model_copy(update={"result": result}))
         if not self.config.finish:
             return
-        if order.mission:
+        if mission.configured:
             self.finish(f"the mission {result}", success=success)
-        elif order.in_place_of_mission:  # not before: the robot must not stop under its operator
-            which = f"order {order.mission_id}"
-            self.finish(f"the mission was pre-empted by {which}, which {result}", success=False)
+        elif mission.replaces_configured:  # not earlier: the robot must not stop under its operator
+            which = f"mission {mission.mission_id}"
+            self.finish(f"the mission was preempted by {which}, which {result}", success=False)
 
-    def _take(self, order: Order) -> None:
-        """Keep the order as it is now, and tell it to AutoMove."""
-        self._order = order
+    def _update(self, mission: Mission) -> None:
+        """Keep the mission as it is now, and publish it to AutoMove."""
+        self._mission = mission
         file = self.config.state_file
         if file is not None:
             try:
-                save(file, order)
+                save_mission(file, mission)
             except OSError as error:
-                self.log.error("the order cannot be kept in %s: %s", file, error.strerror)
-        goals = () if order.result else order.goals
+                self.log.error("mission not saved in %s: %s", file, error.strerror)
+        goals = () if mission.result else mission.goals
         self.navigate_goal.publish(
             NavigateGoal(
-                header=Header(stamp=from_ns(order.given_ns), frame_id="map"),
-                mission_id=order.mission_id,
-                first=order.first,
+                header=Header(stamp=from_ns(mission.requested_ns), frame_id="map"),
+                mission_id=mission.mission_id,
+                first=mission.first,
                 goals=packed_poses(np.array(goals, np.float64).reshape(-1, 3)),
             )
         )

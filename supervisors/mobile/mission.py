@@ -1,4 +1,4 @@
-"""Orders to move: what is asked, checked, and kept on disk while it is carried out."""
+"""Missions: the sequence of goals (waypoints) to drive to, checked and kept on disk."""
 
 from __future__ import annotations
 
@@ -12,76 +12,77 @@ from cairn import CairnError
 from cairn.files import replace_file
 
 Goal = tuple[float, float, float]
-FARTHEST = 1e5
-"""No coordinate of a goal is larger [m]."""
+LARGEST_COORDINATE = 1e5
+"""Coordinates of goals are at most so large [m]."""
 _LONGEST_TOKEN = 64
 
 
-class Order(BaseModel):
-    """An order to move: goals x, y [m], heading [rad] in frame map, from number `first` on.
+class Mission(BaseModel):
+    """A mission: goals x, y [m], heading [rad] in frame map, from index `first` on.
 
-    `given_ns` is when it was given, in the supervisor's time. `result` is empty as long as it is
-    carried out. `mission`: it is the deployment's own; `in_place_of_mission`: it, or one before it,
-    pre-empted the mission. `resumed` counts how often a supervisor that was started anew went on
-    with it. By `token` whoever gave it can cancel it without knowing its number.
+    `requested_ns` is the time of the request, by the supervisor's clock. `result` is empty while
+    the mission is under way. `configured`: it is the mission of the deployment;
+    `replaces_configured`: it, or one before it, preempted that mission. `resumed` counts how often
+    a restarted supervisor continued it. A client that chose a `token` can cancel the mission
+    without knowing its id.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     mission_id: int
-    given_ns: int
+    requested_ns: int
     goals: tuple[Goal, ...]
     first: int = 0
     result: str = ""
-    mission: bool = False
-    in_place_of_mission: bool = False
+    configured: bool = False
+    replaces_configured: bool = False
     resumed: int = 0
     token: str | None = None
 
     @property
-    def of_mission(self) -> bool:
-        """Whether the mission ends with it: it is the mission, or stands in its place."""
-        return self.mission or self.in_place_of_mission
+    def ends_configured(self) -> bool:
+        """Whether the deployment's mission ends with it: it is that mission, or replaces it."""
+        return self.configured or self.replaces_configured
 
 
-def checked_goals(given: Any) -> tuple[Goal, ...]:
-    """Goals of a request; `CairnError` says which is wrong."""
-    if not isinstance(given, list) or not given:
-        raise CairnError("an order to move has at least one goal [x, y, heading]")
-    return tuple(_checked(number, goal) for number, goal in enumerate(given, start=1))
+def parse_goals(value: Any) -> tuple[Goal, ...]:
+    """Return the goals of a request; raises `CairnError` with the invalid one."""
+    if not isinstance(value, list) or not value:
+        raise CairnError("a mission has at least one goal [x, y, heading]")
+    return tuple(_parse_goal(number, goal) for number, goal in enumerate(value, start=1))
 
 
-def _checked(number: int, goal: Any) -> Goal:
+def _parse_goal(number: int, goal: Any) -> Goal:
     numbers = isinstance(goal, list | tuple) and all(
         isinstance(value, int | float) and not isinstance(value, bool) for value in goal
     )
     if not numbers or len(goal) != 3:
         raise CairnError(f"goal {number} = {goal!r}: give x [m], y [m] and heading [rad]")
-    if not all(math.isfinite(value) and abs(value) <= FARTHEST for value in goal):
+    if not all(math.isfinite(value) and abs(value) <= LARGEST_COORDINATE for value in goal):
         raise CairnError(
             f"goal {number} = {list(goal)!r}: x, y and heading must be finite, "
-            f"and not beyond {FARTHEST:g}"
+            f"and at most {LARGEST_COORDINATE:g}"
         )
     return float(goal[0]), float(goal[1]), float(goal[2])
 
 
-def checked_token(given: Any) -> str | None:
-    """The token of a request, None if none is given; `CairnError` if it is none."""
-    if given is not None and not (isinstance(given, str) and 0 < len(given) <= _LONGEST_TOKEN):
-        raise CairnError(f"token = {given!r:.80}: give 1 to {_LONGEST_TOKEN} characters")
-    return given
+def parse_token(value: Any) -> str | None:
+    """Return the token of a request, None if it has none; raises `CairnError` if it is invalid."""
+    if value is not None and not (isinstance(value, str) and 0 < len(value) <= _LONGEST_TOKEN):
+        raise CairnError(f"token = {value!r:.80}: give 1 to {_LONGEST_TOKEN} characters")
+    return value
 
 
-def save(file: Path, order: Order) -> None:
-    """Replace the file, at once or not at all; raises `OSError`."""
-    replace_file(file, order.model_dump_json().encode())
+def save_mission(file: Path, mission: Mission) -> None:
+    """Replace the file atomically; raises `OSError`."""
+    replace_file(file, mission.model_dump_json().encode())
 
 
-def saved(file: Path) -> Order | None:
-    """The order in a file; None if there is none. Raises `CairnError` if it is not readable."""
+def load_mission(file: Path) -> Mission | None:
+    """Return the mission in a file, None without a file; raises `CairnError` if it is invalid."""
     try:
-        return Order.model_validate_json(file.read_text(encoding="utf-8"))
+        return Mission.model_validate_json(file.read_text(encoding="utf-8"))
     except FileNotFoundError:
         return None
     except (OSError, UnicodeDecodeError, ValidationError) as error:
-        raise CairnError(f"{file} does not hold an order to move: {error}") from error
+        raise CairnError(f"{file} does not hold a mission: {error}") from error

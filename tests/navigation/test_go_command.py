@@ -125,7 +125,7 @@ def test_ctrl_c_cancels_its_own_order_and_the_robot_stands(robot: Robot) -> None
     answer = cairn("go", "--cancel", connect=robot.run.endpoint)
     assert (answer.code, answer.err) == (
         1,
-        "cairn: mobile_supervisor: there is no order to cancel\n",
+        "cairn: mobile_supervisor: there is no mission to cancel\n",
     )
 
 

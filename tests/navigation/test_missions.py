@@ -63,7 +63,7 @@ def test_a_mission_that_is_pre_empted_ends_the_deployment_once_the_operators_ord
     assert robot.run.end.normal
     assert not robot.run.end.success
     assert re.fullmatch(
-        r"mobile_supervisor has finished: the mission was pre-empted by order \d+, which "
+        r"mobile_supervisor has finished: the mission was preempted by mission \d+, which "
         r"succeeded: arrived at \(2.00, 1.20\)",
         robot.run.end.reason,
     )

@@ -66,7 +66,7 @@ def test_a_canceled_order_leaves_the_robot_standing(drive: DriveOf) -> None:
     assert robot.await_end(1.0).state == NavigationStatus.CANCELED
     assert robot.motions[-1].state == MotionStatus.STANDING
     assert robot.ask("mobile_supervisor", "mission")["result"] == "canceled: on request"
-    with pytest.raises(CairnError, match=f"there is no order {order} under way"):
+    with pytest.raises(CairnError, match=f"there is no mission {order} under way"):
         robot.ask("mobile_supervisor", "cancel", mission_id=order)
 
 

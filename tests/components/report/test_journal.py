@@ -6,23 +6,22 @@ from pathlib import Path
 
 import pytest
 
-from cairn.components.report.journal import Journal
-from cairn.components.report.record import RunRecord
+from cairn.components.report.run_record import RunJournal, RunRecord
 
 LOG = logging.getLogger("test")
 NAN = float("nan")
 
 
-def told(journal: Journal) -> None:
-    journal.tell("begins", 100.0, 10**9)
-    journal.tell("stands_truly_at", 3, 1.0, 2.0)
-    journal.tell(
-        "mapped", 10**9, [[3, "box", 1.0, 2.0, "live", 0.5], [4, "can", NAN, NAN, "live", 0.5]]
+def told(journal: RunJournal) -> None:
+    journal.write("record_start", 100.0, 10**9)
+    journal.write("record_true_position", 3, 1.0, 2.0)
+    journal.write(
+        "record_map", 10**9, [[3, "box", 1.0, 2.0, "live", 0.5], [4, "can", NAN, NAN, "live", 0.5]]
     )
-    journal.tell("estimated", 10**9, 0.5, 0.25, 0.1)
-    journal.tell("was_truly_at", 10**9, 0.5, 0.5, 0.1)
-    journal.tell("was_removed", 2 * 10**9, 3, 1.0, 2.0)
-    journal.tell("lost", "base.cmd_vel", 0, 7, 1)
+    journal.write("record_estimate", 10**9, 0.5, 0.25, 0.1)
+    journal.write("record_truth", 10**9, 0.5, 0.5, 0.1)
+    journal.write("record_removal", 2 * 10**9, 3, 1.0, 2.0)
+    journal.write("record_port_counters", "base.cmd_vel", 0, 7, 1)
 
 
 @pytest.fixture
@@ -32,13 +31,13 @@ def file(tmp_path: Path) -> Path:
 
 def test_a_restarted_report_knows_what_its_former_process_was_told(file: Path) -> None:
     before = RunRecord()
-    told(Journal(before, file, LOG, resume=False))
+    told(RunJournal(before, file, LOG, resume=False))
     with file.open("a") as stream:
-        stream.write('["estimated", 3000000000, 0.')  # killed while it wrote
+        stream.write('["record_estimate", 3000000000, 0.')  # killed while it wrote
 
     after = RunRecord()
-    journal = Journal(after, file, LOG, resume=True)
-    journal.tell("lost", "base.cmd_vel", 1, 2, 0)
+    journal = RunJournal(after, file, LOG, resume=True)
+    journal.write("record_port_counters", "base.cmd_vel", 1, 2, 0)
 
     assert after.object(3) == before.object(3)
     assert (after.estimate, after.truth, after.begin) == (before.estimate, before.truth, 10**9)
@@ -50,19 +49,19 @@ def test_a_restarted_report_knows_what_its_former_process_was_told(file: Path) -
 
 
 def test_a_first_report_does_not_read_what_another_run_left(file: Path) -> None:
-    told(Journal(RunRecord(), file, LOG, resume=False))
+    told(RunJournal(RunRecord(), file, LOG, resume=False))
 
     record = RunRecord()
-    Journal(record, file, LOG, resume=False)
+    RunJournal(record, file, LOG, resume=False)
 
     assert record == RunRecord()
 
 
 def test_maps_that_come_again_to_a_restarted_report_are_not_kept_twice(file: Path) -> None:
     record = RunRecord()
-    journal = Journal(record, file, LOG, resume=False)
+    journal = RunJournal(record, file, LOG, resume=False)
     for stamp, reliability in ((1, 0.5), (2, 0.7), (1, 0.5)):
-        journal.tell("mapped", stamp, [[3, "box", 1.0, 2.0, "live", reliability]])
+        journal.write("record_map", stamp, [[3, "box", 1.0, 2.0, "live", reliability]])
 
     assert record.object(3).history == [(1, 0.5), (2, 0.7)]
     assert record.object(3).reliability == 0.7
@@ -71,10 +70,10 @@ def test_maps_that_come_again_to_a_restarted_report_are_not_kept_twice(file: Pat
 def test_a_full_disk_costs_the_journal_only(file: Path, caplog: pytest.LogCaptureFixture) -> None:
     record = RunRecord()
     file.symlink_to("/dev/full")
-    journal = Journal(record, file, LOG, resume=False)
+    journal = RunJournal(record, file, LOG, resume=False)
 
-    journal.tell("estimated", 5, 0.0, 0.0, 0.0)
-    journal.tell("estimated", 6, 0.0, 0.0, 0.0)
+    journal.write("record_estimate", 5, 0.0, 0.0, 0.0)
+    journal.write("record_estimate", 6, 0.0, 0.0, 0.0)
 
     assert record.estimate_stamps == [5, 6]
     assert len([one for one in caplog.records if "No space left" in one.getMessage()]) == 1
@@ -83,13 +82,13 @@ def test_a_full_disk_costs_the_journal_only(file: Path, caplog: pytest.LogCaptur
 def test_a_report_restarted_on_a_full_disk_goes_on(
     file: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    Journal(RunRecord(), file, LOG, resume=False).tell("estimated", 5, 0.0, 0.0, 0.0)
+    RunJournal(RunRecord(), file, LOG, resume=False).write("record_estimate", 5, 0.0, 0.0, 0.0)
     record = RunRecord()
 
     unlimited = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (file.stat().st_size, unlimited[1]))
     try:
-        Journal(record, file, LOG, resume=True).tell("estimated", 6, 0.0, 0.0, 0.0)
+        RunJournal(record, file, LOG, resume=True).write("record_estimate", 6, 0.0, 0.0, 0.0)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, unlimited)
 

@@ -35,7 +35,7 @@ def test_a_run_without_a_pose_lasts_as_long_as_its_clock_tells(report: Any, tmp_
 
     assert values["recorded_s"] == pytest.approx(12.0, abs=0.2)
     assert values["first_pose_s"] is None
-    assert text.startswith("the localizer told no pose\n12 s recorded")
+    assert text.startswith("the localizer published no pose\n12 s recorded")
 
 
 def test_a_run_whose_poses_cease_lasts_on(report: Any, tmp_path: Path) -> None:

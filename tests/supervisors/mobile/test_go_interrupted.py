@@ -84,7 +84,7 @@ def test_ctrl_c_leaves_the_goal_of_another_client(
     said = capsys.readouterr()
     assert "canceled: the robot stops" not in said.out
     assert said.err == (
-        "nothing is canceled: mobile_supervisor: it is another's order that is under way\n"
+        "nothing is canceled: mobile_supervisor: the mission under way is of another client\n"
     )
 
 
@@ -97,5 +97,5 @@ def test_a_goal_that_ends_at_that_moment_keeps_its_result(
 
     assert last_order(robot)["result"] == "succeeded: "
     assert capsys.readouterr().err == (
-        "nothing is canceled: mobile_supervisor: there is no order to cancel\n"
+        "nothing is canceled: mobile_supervisor: there is no mission to cancel\n"
     )

@@ -13,7 +13,7 @@ from cairn.planar.messages import planar_poses, pose_message
 from cairn.schemas.cairn_nav_msgs import NavigateGoal, NavigationStatus
 from cairn.schemas.geometry_msgs import PoseStamped
 from cairn.schemas.std_msgs import Header
-from cairn.supervisors.mobile.mission import checked_goals, saved
+from cairn.supervisors.mobile.mission import load_mission, parse_goals
 from tests.navigation.deployed import Deployed, taken
 
 TREE = """
@@ -72,7 +72,7 @@ def test_an_order_is_told_latched_and_kept_until_its_result(
     tell(robot, mission_id=number, state=NavigationStatus.DRIVING, goal=1, goals=2)
     (again,) = taken(orders)
     assert (again.mission_id, again.first, goals_of(again)) == (number, 1, goals)
-    kept = saved(tmp_path / "mission.json")
+    kept = load_mission(tmp_path / "mission.json")
     assert kept is not None
     assert (kept.mission_id, kept.first, kept.result) == (number, 1, "")
 
@@ -106,14 +106,14 @@ def test_numbers_of_orders_go_up_and_a_word_on_an_old_one_changes_nothing(
 def test_an_order_is_taken_back_once(deployed: DeployedOf) -> None:
     robot = deployed()
     orders = robot.read("navigate_goal", NavigateGoal)
-    with pytest.raises(CairnError, match="there is no order to cancel"):
+    with pytest.raises(CairnError, match="there is no mission to cancel"):
         robot.ask("mobile_supervisor", "cancel")
     number = robot.ask("mobile_supervisor", "go", goals=[[1.0, 2.0, 0.0]])["mission_id"]
-    with pytest.raises(CairnError, match="there is no order 3 under way"):
+    with pytest.raises(CairnError, match="there is no mission 3 under way"):
         robot.ask("mobile_supervisor", "cancel", mission_id=3)
     assert robot.ask("mobile_supervisor", "cancel", mission_id=number) == {"mission_id": number}
     assert [len(order.goals) for order in taken(orders)] == [1, 0]
-    with pytest.raises(CairnError, match="there is no order to cancel"):
+    with pytest.raises(CairnError, match="there is no mission to cancel"):
         robot.ask("mobile_supervisor", "cancel")
 
 
@@ -122,12 +122,12 @@ def test_an_order_is_taken_back_by_the_token_that_it_was_given_with(deployed: De
     goals = [[1.0, 2.0, 0.0]]
     number = robot.ask("mobile_supervisor", "go", goals=goals, token="mine")["mission_id"]
     for other in ("yours", ""):
-        with pytest.raises(CairnError, match="it is another's order that is under way"):
+        with pytest.raises(CairnError, match="the mission under way is of another client"):
             robot.ask("mobile_supervisor", "cancel", token=other)
     assert robot.ask("mobile_supervisor", "cancel", token="mine") == {"mission_id": number}
 
     robot.ask("mobile_supervisor", "go", goals=goals)  # without a token
-    with pytest.raises(CairnError, match="it is another's order"):
+    with pytest.raises(CairnError, match="is of another client"):
         robot.ask("mobile_supervisor", "cancel", token="mine")
 
 
@@ -183,7 +183,7 @@ def test_an_order_is_not_gone_on_with_for_ever(deployed: DeployedOf) -> None:
         robot.wait(20.0)
         robot.ask("root", "restart", name="mobile_supervisor")
     assert robot.ask("mobile_supervisor", "mission")["result"] == (
-        "failed: given up after mobile_supervisor was started anew 3 times"
+        "failed: given up after 3 restarts of mobile_supervisor"
     )
 
 
@@ -244,7 +244,7 @@ def test_a_supervisor_that_begins_anew_knows_that_the_mission_was_pre_empted(
     robot.await_that(lambda: robot.run.end is not None)
     assert robot.run.end is not None
     assert robot.run.end.reason == (
-        f"mobile_supervisor has finished: the mission was pre-empted by order {number}, which "
+        f"mobile_supervisor has finished: the mission was preempted by mission {number}, which "
         "succeeded: arrived"
     )
 
@@ -257,7 +257,7 @@ def test_without_automove_an_order_is_refused(deployed: DeployedOf) -> None:
 
 def test_a_folder_that_is_none_is_told_at_once(deployed: DeployedOf) -> None:
     robot = deployed("components.mobile_supervisor.parameters.state_file=/nowhere/mission.json")
-    with pytest.raises(CairnError, match="/nowhere: no such folder to keep the order in"):
+    with pytest.raises(CairnError, match="/nowhere: no such folder to keep the mission in"):
         robot.begin()
 
 
@@ -268,11 +268,11 @@ def test_a_folder_that_is_none_is_told_at_once(deployed: DeployedOf) -> None:
         (None, "at least one goal"),
         ([[1.0, 2.0]], r"goal 1 = \[1.0, 2.0\]: give x \[m\], y \[m\] and heading"),
         ([[0, 0, 0], [1.0, math.nan, 0.0]], "goal 2 = .*must be finite"),
-        ([[1.0, -2e5, 0.0]], "not beyond 100000"),
+        ([[1.0, -2e5, 0.0]], "at most 100000"),
         ([[True, 0, 0]], "goal 1"),
         (["0,0,0"], "goal 1"),
     ],
 )
 def test_what_is_no_goal_is_refused_with_its_number(given: Any, why: str) -> None:
     with pytest.raises(CairnError, match=why):
-        checked_goals(given)
+        parse_goals(given)
