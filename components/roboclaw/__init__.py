@@ -1,1 +1,1 @@
-"""A differential base on a Basicmicro RoboClaw motor controller: driver, emulator, probe."""
+"""Driver, emulator and probe of a differential base on a Basicmicro RoboClaw motor controller."""

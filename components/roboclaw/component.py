@@ -18,11 +18,11 @@ from cairn import (
     every,
     on,
 )
-from cairn.components.roboclaw.commanding import LatestCommand
+from cairn.components.roboclaw.client import Handshake, open_line
+from cairn.components.roboclaw.command_timeout import LatestCommand
 from cairn.components.roboclaw.config import RoboclawBaseConfig
-from cairn.components.roboclaw.driving import Driving, Step
-from cairn.components.roboclaw.health import Health, RetryShare
-from cairn.components.roboclaw.lines import open_line
+from cairn.components.roboclaw.drive_loop import DriveLoop
+from cairn.components.roboclaw.health import NOT_CONNECTED, ControllerHealth, RetryShare
 from cairn.components.roboclaw.messages import (
     AWAITS_REST,
     battery_message,
@@ -30,8 +30,7 @@ from cairn.components.roboclaw.messages import (
     odometry_message,
     odometry_transform,
 )
-from cairn.components.roboclaw.odometry import RecentSpeed, WheelOdometry
-from cairn.components.roboclaw.setting_up import Ready
+from cairn.components.roboclaw.odometry import OdometryStep, SpeedAverage, WheelOdometry
 from cairn.driver.device_thread import DeviceThread
 from cairn.driver.diagnostics import RateWindow
 from cairn.driver.errors import DeviceError
@@ -41,14 +40,15 @@ from cairn.schemas.nav_msgs import Odometry
 from cairn.schemas.sensor_msgs import BatteryState
 from cairn.schemas.tf2_msgs import TFMessage
 
-_PAUSE_S = 0.5  # between steps: the line was gone
+_PAUSE_S = 0.5  # between two steps: the line was lost
 
 
 class RoboclawBase(Component):
-    """Drives a differential base by a RoboClaw motor controller; tells what its encoders count.
+    """Drives a differential base by a RoboClaw motor controller; publishes wheel odometry.
 
-    The wheels stop when commands go stale, when it is deactivated, and when the line fails; and if
-    this process hangs, dies or is unplugged, by the controller's own serial timeout.
+    The wheels stop when commands are stale, when the component is deactivated, and when the line
+    fails. If this process hangs or dies or the cable is unplugged, the controller's own serial
+    timeout stops them.
     """
 
     clock_source = "device"
@@ -64,74 +64,76 @@ class RoboclawBase(Component):
     _thread: DeviceThread | None = None
 
     def on_configure(self) -> None:
-        """Begin at the origin of the frame `odom`; see that the RoboClaw is there.
+        """Start at the origin of frame `odom`; check that the RoboClaw is there.
 
-        One that was there before may come back: then it is waited for.
+        After a restart it may be missing: then the device thread waits for it.
         """
         config = self.config
-        self._odometry = WheelOdometry(config.odometry_errors())
-        self._speed = RecentSpeed()
+        self._odometry = WheelOdometry(config.odometry_noise())
+        self._speed = SpeedAverage()
         self._command = LatestCommand(config.command_timeout_s)
-        self._health = Health()
+        self._health = ControllerHealth()
         self._retries = RetryShare()
         self._rate = RateWindow()
-        self._driving = Driving(
+        self._drive_loop = DriveLoop(
             config.drive_settings(),
             lambda: open_line(config.port, config.baud),
             self._command,
             self._health,
-            on_ready=self._ready,
-            on_step=lambda step: self.post(lambda: self._moved(step)),
+            on_ready=self._on_ready,
+            on_step=lambda step: self.post(lambda: self._publish_step(step)),
         )
         if not self.restarts:
             try:
-                self._driving.look()
+                self._drive_loop.check_device()
             except CairnError as error:
                 raise CairnError(f"{self.name}: {error}") from error
 
     def on_activate(self) -> None:
-        """Begin to drive, at rest; what was wrong with a wheel is forgotten.
+        """Start driving, from rest; an earlier wheel fault is cleared.
 
-        What the wheels have turned meanwhile is found in their counters.
+        Distances that the wheels turned while it was inactive are found in their counters.
         """
-        self._command.forget()
+        self._command.clear()
         self._warnings = RateLimitedLog(self.log)
-        self._health.fault, self._health.trouble = None, "it is not connected yet"
+        self._health.wheel_fault, self._health.device_error = None, NOT_CONNECTED
         thread = DeviceThread(
             f"{self.name}: RoboClaw",
-            self._driving.converse,
+            self._drive_loop.serve,
             log=self.log,
-            on_device_error=self._in_trouble,
-            on_failure=self._failed,
+            on_device_error=self._on_device_error,
+            on_failure=self._on_failure,
         )
         self._thread = thread
         thread.start()
 
     def on_deactivate(self) -> None:
-        """Stop the wheels, see that they stand, and let go of the line."""
-        self._let_go()
+        """Stop the wheels, wait until they stand, and close the line."""
+        self._stop_thread()
 
     def on_shutdown(self) -> None:
-        """The same, if it was active."""
-        self._let_go()
+        """Do the same, if it was active."""
+        self._stop_thread()
 
-    def on_error(self, error: Exception) -> bool:  # noqa: ARG002 - whatever it was
+    def on_error(self, error: Exception) -> bool:  # noqa: ARG002 - the same for every error
         """Stop the wheels."""
-        self._let_go()
+        self._stop_thread()
         return False
 
     def on_parameters(self, new: Config) -> None:  # noqa: ARG002 - none can be changed
-        """A base stays the one that it is."""
-        raise ParameterRejected("the base takes its parameters when it is configured")
+        """Reject changes while it runs."""
+        raise ParameterRejected(
+            "the base takes its parameters when it is configured; restart it to change them"
+        )
 
     @on("cmd_vel")
-    def obey(self, command: Twist) -> None:
-        """Take a command, to be carried out from now on."""
-        self._command.give(time.monotonic(), command.linear.x, command.angular.z)
+    def on_cmd_vel(self, command: Twist) -> None:
+        """Use a velocity command from now on."""
+        self._command.set(time.monotonic(), command.linear.x, command.angular.z)
 
     @every(hz=1)
-    def report(self) -> None:
-        """Tell how the controller is, whether there is one or not."""
+    def publish_health(self) -> None:
+        """Publish the state of the controller, connected or not."""
         health, now = self._health, self.clock.now()
         self.diagnostics.publish(
             diagnostics_message(
@@ -144,44 +146,46 @@ class RoboclawBase(Component):
                 self.config.rate,
             )
         )
-        if health.trouble is None and not math.isnan(health.voltage):
+        if health.device_error is None and not math.isnan(health.voltage):
             self.battery_state.publish(battery_message(now, health))
-        self._complain()
+        self._log_warnings()
 
-    def _moved(self, step: Step) -> None:
+    def _publish_step(self, step: OdometryStep) -> None:
         if step.seconds > _PAUSE_S:
-            self._rate.restart()  # the pause is told of already
+            self._rate.restart()  # the pause was reported already
         self._rate.note(step.at)
-        self._odometry.add(step.way, step.turned)
-        speed = self._speed.add(step.seconds, step.way, step.turned)
-        message = odometry_message(self._odometry, step, speed, self.config.odometry_errors())
+        self._odometry.add(step.distance, step.turn)
+        speed = self._speed.add(step.seconds, step.distance, step.turn)
+        message = odometry_message(self._odometry, step, speed, self.config.odometry_noise())
         self.odom.publish(message)
         self.tf.publish(TFMessage(transforms=(odometry_transform(message, self._odometry),)))
 
-    def _complain(self) -> None:
-        """Log what the operator has to see to."""
+    def _log_warnings(self) -> None:
+        """Log what the operator has to repair."""
         health = self._health
-        if health.fault is not None:
-            self._warnings.warn("wheel", f"{health.fault}; the motors are off until a restart")
+        if health.wheel_fault is not None:
+            self._warnings.warn(
+                "wheel", f"{health.wheel_fault}; the motors are off until the driver is restarted"
+            )
         if health.status.errors:
-            what = ", ".join(health.status.errors)
-            self._warnings.warn("status", f"the RoboClaw does not drive: {what}")
+            errors = ", ".join(health.status.errors)
+            self._warnings.warn("status", f"the RoboClaw does not drive: {errors}")
         else:
             self._warnings.resolved("status", "the RoboClaw can drive again")
         if health.awaits_rest and not health.status.errors:
             self._warnings.warn("rest", AWAITS_REST)
         else:
-            self._warnings.resolved("rest", "the base goes where it is commanded again")
+            self._warnings.resolved("rest", "the base follows commands again")
 
-    def _ready(self, ready: Ready) -> None:
+    def _on_ready(self, ready: Handshake) -> None:
         if self._thread is not None:
             self._thread.report_working(f"{ready.version} on {self.config.port} works again")
 
-    def _in_trouble(self, error: DeviceError) -> None:
-        self._health.trouble = str(error)
+    def _on_device_error(self, error: DeviceError) -> None:
+        self._health.device_error = str(error)
 
-    def _failed(self, error: Exception) -> None:
-        """Fail, on the device's thread: its conversation has ended, and nothing is to be ended."""
+    def _on_failure(self, error: Exception) -> None:
+        """Fail the component, from the device thread, which has ended: it must not be stopped."""
         self._thread = None
 
         def fail() -> None:
@@ -189,7 +193,7 @@ class RoboclawBase(Component):
 
         self.post(fail)
 
-    def _let_go(self) -> None:
+    def _stop_thread(self) -> None:
         thread, self._thread = self._thread, None
         if thread is not None:
             thread.stop()

@@ -5,17 +5,18 @@ from __future__ import annotations
 from pydantic import Field, model_validator
 
 from cairn import Config
-from cairn.components.roboclaw.driving import DriveSettings
-from cairn.components.roboclaw.kinematics import Channel, Geometry, Limits
-from cairn.components.roboclaw.odometry import OdometryErrors
-from cairn.components.roboclaw.wheel_watch import WatchLimits
+from cairn.components.roboclaw.drive_loop import DriveSettings
+from cairn.components.roboclaw.kinematics import BaseLimits, MotorChannel, WheelGeometry
+from cairn.components.roboclaw.odometry import OdometryNoise
+from cairn.components.roboclaw.wheel_faults import WheelFaultLimits
 from cairn.driver.device_names import SerialPort
 
-_CYCLES = 4
+_CYCLES = 4  # of the drive loop that must fit into the serial timeout
+_RUNAWAY_S = 0.3  # how long a wheel may run away
 
 
 class RoboclawBaseConfig(Config):
-    """A differential base on a RoboClaw. Wheels and encoders have to be given: they are yours."""
+    """A differential base on a RoboClaw. The dimensions of wheels and encoders are required."""
 
     port: SerialPort = Field(
         "usb:03eb:2404",
@@ -24,36 +25,41 @@ class RoboclawBaseConfig(Config):
         "tcp:HOST:PORT of a serial device server.",
     )
     baud: int = Field(
-        115200, ge=2400, le=460800, description="Speed of the line [bit/s]; over USB it is ignored."
+        115200, ge=2400, le=460800, description="Speed of the line [bit/s]; ignored over USB."
     )
     address: int = Field(
-        0x80, ge=0x80, le=0x87, description="Address of the RoboClaw, 128 to 135; over USB any."
+        0x80, ge=0x80, le=0x87, description="Address of the RoboClaw, 128 to 135; any over USB."
     )
     wheel_radius: float = Field(gt=0.005, le=1, description="Radius of the left wheel [m].")
     radius_ratio: float = Field(
-        1.0, gt=0.9, lt=1.1, description="Radius of the right wheel to that of the left one [1]."
+        1.0,
+        gt=0.9,
+        lt=1.1,
+        description="Radius of the right wheel divided by that of the left one [1].",
     )
     wheel_separation: float = Field(
-        gt=0.02, le=3, description="Distance of the wheels where they touch the floor [m]."
+        gt=0.02, le=3, description="Distance of the points where the wheels touch the floor [m]."
     )
     counts_per_turn: float = Field(
         gt=1,
         le=10_000_000,
-        description="Encoder counts for a turn of the wheel: 4 to a line, times the gear [1].",
+        description="Encoder counts per turn of the wheel: lines x 4 x gear [1].",
     )
-    left: Channel = Field("m1", description="Channel of the left wheel's motor.")
+    left: MotorChannel = Field("m1", description="Channel of the left wheel's motor.")
     left_inverted: bool = Field(
         False, description="Whether the left wheel rolls backwards at positive speeds."
     )
     right_inverted: bool = Field(
         False, description="Whether the right wheel rolls backwards at positive speeds."
     )
-    speed: float = Field(0.6, gt=0, le=5, description="Fastest [m/s].")
-    turn: float = Field(1.5, gt=0, le=10, description="Fastest turn [rad/s].")
-    acceleration: float = Field(0.8, ge=0.05, le=20, description="Acceleration [m/s^2].")
-    turn_acceleration: float = Field(3.0, ge=0.1, le=50, description="Of turns [rad/s^2].")
+    speed: float = Field(0.6, gt=0, le=5, description="Highest speed [m/s].")
+    turn: float = Field(1.5, gt=0, le=10, description="Highest turn rate [rad/s].")
+    acceleration: float = Field(0.8, ge=0.05, le=20, description="Highest acceleration [m/s^2].")
+    turn_acceleration: float = Field(
+        3.0, ge=0.1, le=50, description="Highest acceleration of turns [rad/s^2]."
+    )
     rate: float = Field(
-        50.0, ge=10, le=100, description="How often wheels are ordered and encoders read [Hz]."
+        50.0, ge=10, le=100, description="How often wheels are commanded and encoders read [Hz]."
     )
     command_timeout_s: float = Field(
         0.3, gt=0, le=5, description="Age of a command after which the wheels stop [s]."
@@ -66,21 +72,37 @@ class RoboclawBaseConfig(Config):
         description="Silence after which the RoboClaw stops the wheels by itself [s].",
     )
     stall_s: float = Field(
-        0.8, ge=0.2, le=10, description="How long a wheel may stand that is to turn [s]."
+        0.8,
+        ge=0.2,
+        le=10,
+        description="How long a commanded wheel may stand still before it counts as blocked [s].",
     )
-    judged_speed: float = Field(
-        0.05, ge=0.01, le=1, description="Slower than this no wheel is judged by its encoder [m/s]."
+    fault_speed: float = Field(
+        0.05,
+        ge=0.01,
+        le=1,
+        description="Commanded speed from which wheel faults are detected [m/s].",
     )
     battery_min_v: float | None = Field(
-        None, ge=6, le=60, description="Main battery: below, the RoboClaw stops the motors [V]."
+        None,
+        ge=6,
+        le=60,
+        description="Voltage of the main battery below which the RoboClaw stops the motors [V].",
     )
     battery_max_v: float | None = Field(
-        None, ge=6, le=80, description="Main battery: above, the RoboClaw stops the motors [V]."
+        None,
+        ge=6,
+        le=80,
+        description="Voltage of the main battery above which the RoboClaw stops the motors [V].",
     )
-    way: float = Field(0.01, ge=0, le=1, description="Error of ways [m/sqrt(m)].")
-    turn_error: float = Field(0.02, ge=0, le=1, description="Error of turns [rad/sqrt(rad)].")
+    distance_error: float = Field(
+        0.01, ge=0, le=1, description="Odometry error of distances [m/sqrt(m)]."
+    )
+    turn_error: float = Field(
+        0.02, ge=0, le=1, description="Odometry error of turns [rad/sqrt(rad)]."
+    )
     turn_per_meter: float = Field(
-        0.01, ge=0, le=1, description="Error of the heading on the way [rad/sqrt(m)]."
+        0.01, ge=0, le=1, description="Odometry error of the heading per distance [rad/sqrt(m)]."
     )
 
     @model_validator(mode="after")
@@ -88,11 +110,11 @@ class RoboclawBaseConfig(Config):
         if self.device_timeout_s < _CYCLES / self.rate:
             raise ValueError(
                 f"device_timeout_s = {self.device_timeout_s:g} is less than {_CYCLES} periods of "
-                f"rate = {self.rate:g} Hz: the wheels would stop at every delay; raise either"
+                f"rate = {self.rate:g} Hz: the wheels would stop at every delay; raise one of them"
             )
         if (self.battery_min_v is None) != (self.battery_max_v is None):
             raise ValueError(
-                "battery_min_v and battery_max_v are set together: give both or neither"
+                "battery_min_v and battery_max_v depend on each other; set both or neither"
             )
         if (
             self.battery_min_v is not None
@@ -101,19 +123,19 @@ class RoboclawBaseConfig(Config):
         ):
             raise ValueError(
                 f"battery_min_v = {self.battery_min_v:g} is not below battery_max_v = "
-                f"{self.battery_max_v:g}"
+                f"{self.battery_max_v:g}; exchange or correct them"
             )
         return self
 
     def drive_settings(self) -> DriveSettings:
-        """The part that the conversation with the RoboClaw needs."""
+        """Return the settings of the drive loop."""
         low, high = self.battery_min_v, self.battery_max_v
         return DriveSettings(
             address=self.address,
             baud=self.baud,
             rate_hz=self.rate,
             device_timeout_s=self.device_timeout_s,
-            geometry=Geometry(
+            geometry=WheelGeometry(
                 self.wheel_radius,
                 self.radius_ratio,
                 self.wheel_separation,
@@ -122,11 +144,11 @@ class RoboclawBaseConfig(Config):
                 self.left_inverted,
                 self.right_inverted,
             ),
-            limits=Limits(self.speed, self.turn, self.acceleration, self.turn_acceleration),
-            watch=WatchLimits(self.judged_speed, self.stall_s, min(0.3, self.stall_s)),
+            limits=BaseLimits(self.speed, self.turn, self.acceleration, self.turn_acceleration),
+            faults=WheelFaultLimits(self.fault_speed, self.stall_s, min(_RUNAWAY_S, self.stall_s)),
             main_voltages=None if low is None or high is None else (low, high),
         )
 
-    def odometry_errors(self) -> OdometryErrors:
-        """How fast the odometry's covariance grows."""
-        return OdometryErrors(self.way, self.turn_error, self.turn_per_meter)
+    def odometry_noise(self) -> OdometryNoise:
+        """Return how fast the odometry's covariance grows."""
+        return OdometryNoise(self.distance_error, self.turn_error, self.turn_per_meter)

@@ -1,7 +1,7 @@
 """An emulated RoboClaw: its packets, its time limits, two motors.
 
-It does what the manual says (see `packets.py`, `commands.py`), and where the manual is silent, what
-is the worse for a driver.
+It follows the manual (see `protocol.py`), and where the manual is silent, it does what is worse for
+a driver. Its commands are in `emulator_commands`, its motors in `emulator_motors`.
 """
 
 from __future__ import annotations
@@ -10,25 +10,28 @@ import math
 from collections import deque
 from dataclasses import dataclass
 
-from cairn.components.roboclaw.emulated_answers import ANSWERS
-from cairn.components.roboclaw.emulated_controller import EmulatedController, Firmware
-from cairn.components.roboclaw.emulated_orders import Ordered, orders_of
-from cairn.components.roboclaw.packets import (
+from cairn.components.roboclaw.emulator_commands import (
+    READ_COMMANDS,
+    EmulatedWrite,
+    write_commands,
+)
+from cairn.components.roboclaw.emulator_motors import EmulatedController, Firmware
+from cairn.components.roboclaw.protocol import (
     ACKNOWLEDGED,
     ADDRESSES,
+    CRC_SIZE,
     PACKET_TIMEOUT_S,
-    SUM_SIZE,
     crc16,
     reply_packet,
 )
 
 _STEP_S = 0.005
-_REMEMBERED = 100_000  # steps of motion
+_RECORDED_STEPS = 100_000
 
 
 @dataclass(frozen=True)
-class Moved:
-    """How the motors M1 and M2 truly were at a time [s]: speeds [counts/s], ways [counts]."""
+class TrueMotion:
+    """True speeds [counts/s] and distances [counts] of the motors M1 and M2 at a time [s]."""
 
     time: float
     speeds: tuple[float, float]
@@ -38,8 +41,8 @@ class Moved:
 class EmulatedRoboclaw:
     """The controller and its motors. An `EmulatedDevice` of `cairn.driver.emulator`.
 
-    Its power comes from the battery: when the line is unplugged it goes on, and its serial timeout
-    is what stops the motors.
+    Its power comes from the battery: when the line is unplugged it keeps running until its serial
+    timeout stops the motors.
     """
 
     def __init__(
@@ -53,30 +56,38 @@ class EmulatedRoboclaw:
         first_counts: tuple[int, int] = (0, 0),
         firmware: Firmware = "usual",
     ) -> None:
-        """`address`: the one that it listens to, None for all, as over USB; `baud` None: any;
-        `full_speed`: of both motors at full power [counts/s]; `firmware`: its generation.
+        """Create a controller that is not powered on yet.
+
+        Args:
+            version: the reply to the command that reads the version.
+            address: the address that it answers to; None for all, as over USB.
+            baud: speed of the line [bit/s]; None for any, as over USB.
+            full_speed: of both motors at full power [counts/s].
+            lag_s: time constant of the motors [s].
+            first_counts: the encoders' counters at power-on.
+            firmware: its generation.
         """
         self.controller = EmulatedController(version, full_speed, lag_s, first_counts, firmware)
-        self.moved: deque[Moved] = deque(maxlen=_REMEMBERED)
-        """What the motors have done, step by step."""
+        self.motions: deque[TrueMotion] = deque(maxlen=_RECORDED_STEPS)
+        """The motion of the motors, step by step."""
         self.timeouts = 0
-        """How often the motors were stopped because nothing came."""
-        self.refused = 0
-        """Packets thrown away: cut off, of an unknown command, or with a false sum."""
+        """How often the serial timeout stopped the motors."""
+        self.rejected = 0
+        """Packets discarded: incomplete, of an unknown command, or with a wrong CRC."""
         self._addresses = ADDRESSES if address is None else (address,)
         self._baud = baud
-        self._orders = orders_of(firmware)
+        self._write_commands = write_commands(firmware)
         self._packet = b""
-        self._heard = -math.inf
+        self._last_byte_at = -math.inf
         self._timed_out = False
         self._now: float | None = None
 
     def receive(self, data: bytes, now: float) -> list[bytes]:
-        """Take bytes; the replies to the packets that they complete."""
+        """Receive bytes; return the replies to the packets that they complete."""
         self.advance(now)
-        if self._packet and now - self._heard > PACKET_TIMEOUT_S:
-            self._throw_away()
-        self._heard, self._timed_out = now, False
+        if self._packet and now - self._last_byte_at > PACKET_TIMEOUT_S:
+            self._discard()
+        self._last_byte_at, self._timed_out = now, False
         replies = []
         for byte in data:
             if not self._packet and byte not in self._addresses:
@@ -88,28 +99,28 @@ class EmulatedRoboclaw:
         return replies
 
     def due(self) -> float:
-        """When motors have moved on, or the serial timeout ends."""
+        """Return when `tick` is due: motors have moved on, or the serial timeout expires."""
         if self._now is None:
             return math.inf
         return math.inf if self.controller.at_rest else self._now + 2.0 * _STEP_S
 
     def tick(self, now: float) -> list[bytes]:
-        """Let time pass; it never says anything of its own accord."""
+        """Let time pass; it sends nothing by itself."""
         self.advance(now)
         return []
 
     def disconnected(self, now: float) -> None:
-        """Take no note: a serial line tells nothing of it."""
+        """Do nothing: a serial line does not show it."""
 
     def powered_on(self, now: float) -> None:
-        """Begin to live at the first time; afterwards the line comes back, no more."""
+        """Start at the first call; afterwards only the line has come back."""
         if self._now is None:
             self._now = now
         self.advance(now)
         self._packet = b""
 
     def baud(self) -> int | None:
-        """The speed at which it speaks [bit/s]; None where it does not matter, as over USB."""
+        """Return the speed of its line [bit/s]; None where it does not matter, as over USB."""
         return self._baud
 
     def advance(self, now: float) -> None:
@@ -117,7 +128,7 @@ class EmulatedRoboclaw:
         if self._now is None:
             self._now = now
         while self._now < now:
-            if self._silent_too_long(self._now) or self.controller.switched_off:
+            if self._timeout_expired(self._now) or self.controller.switched_off:
                 self.controller.switch_off()
             if self.controller.at_rest:
                 self._now = now
@@ -130,42 +141,44 @@ class EmulatedRoboclaw:
         first, second = self.controller.motors
         for motor in (first, second):
             motor.step(seconds)
-        self.moved.append(Moved(now, (first.speed, second.speed), (first.turned, second.turned)))
+        self.motions.append(
+            TrueMotion(now, (first.speed, second.speed), (first.turned, second.turned))
+        )
 
-    def _silent_too_long(self, now: float) -> bool:
-        """Whether the serial timeout has just ended (command 14)."""
+    def _timeout_expired(self, now: float) -> bool:
+        """Return whether the serial timeout has just expired (command 14)."""
         limit = self.controller.timeout_s
-        if self._timed_out or not limit or now - self._heard < limit:
+        if self._timed_out or not limit or now - self._last_byte_at < limit:
             return False
         self._timed_out = True
         self.timeouts += not self.controller.at_rest
         return True
 
     def _complete(self) -> bytes:
-        """The reply, if the packet is complete."""
+        """Return the reply if the packet is complete, else nothing."""
         if len(self._packet) < 2:
             return b""
         address, command = self._packet[:2]
-        if command in ANSWERS:
+        if command in READ_COMMANDS:
             self._packet = b""
-            return reply_packet(address, command, ANSWERS[command](self.controller))
-        if command not in self._orders:
-            self._throw_away()
+            return reply_packet(address, command, READ_COMMANDS[command](self.controller))
+        if command not in self._write_commands:
+            self._discard()
             return b""
-        return self._obeyed(self._orders[command])
+        return self._executed(self._write_commands[command])
 
-    def _obeyed(self, ordered: Ordered) -> bytes:
-        size = 2 + ordered.layout.size
-        if len(self._packet) < size + SUM_SIZE:
+    def _executed(self, command: EmulatedWrite) -> bytes:
+        size = 2 + command.layout.size
+        if len(self._packet) < size + CRC_SIZE:
             return b""
-        packet, sum_ = self._packet[:size], self._packet[size:]
-        if crc16(packet).to_bytes(SUM_SIZE, "big") != sum_:
-            self._throw_away()
+        packet, crc = self._packet[:size], self._packet[size:]
+        if crc16(packet).to_bytes(CRC_SIZE, "big") != crc:
+            self._discard()
             return b""
         self._packet = b""
-        ordered.obey(self.controller, *ordered.layout.unpack(packet[2:]))
+        command.execute(self.controller, *command.layout.unpack(packet[2:]))
         return ACKNOWLEDGED
 
-    def _throw_away(self) -> None:
+    def _discard(self) -> None:
         self._packet = b""
-        self.refused += 1
+        self.rejected += 1

@@ -1,4 +1,4 @@
-"""How a RoboClaw is: what is asked of it between its orders, and what is known of it."""
+"""Health of a RoboClaw: what is read from it between velocity commands, and what is known of it."""
 
 from __future__ import annotations
 
@@ -6,73 +6,76 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from cairn.components.roboclaw import commands
-from cairn.components.roboclaw.dialogue import Dialogue, DialogueCounts
-from cairn.components.roboclaw.setting_up import check_timeout
-from cairn.components.roboclaw.status import Status
+from cairn.components.roboclaw import protocol
+from cairn.components.roboclaw.client import PacketCounts, RoboclawClient, has_timeout
+from cairn.components.roboclaw.protocol import ControllerStatus
 from cairn.driver.errors import DeviceError
+
+NOT_CONNECTED = "it is not connected yet"
 
 
 @dataclass
-class Health:
-    """What is known of the controller. Written by the conversation, read by whoever tells of it."""
+class ControllerHealth:
+    """What is known of the controller. The drive loop writes it, the component reads it."""
 
     version: str = ""
-    status: Status = field(default_factory=Status)
+    status: ControllerStatus = field(default_factory=ControllerStatus)
     voltage: float = math.nan
     """Main battery [V]."""
     currents: tuple[float, float] = (math.nan, math.nan)
     """Of M1 and M2 [A]."""
     temperature: float = math.nan
     """[deg C]"""
-    fault: str | None = None
-    """What was wrong with a wheel; from then on the motors are off."""
-    trouble: str | None = "it is not connected yet"
-    """Why there is no conversation; None if there is one."""
+    wheel_fault: str | None = None
+    """The fault of a wheel; since then the motors are off."""
+    device_error: str | None = NOT_CONNECTED
+    """Why there is no connection; None if there is one."""
     awaits_rest: bool = False
-    """Whether the command has to be rest, or to cease, once before the wheels turn again."""
+    """Whether the command must be rest, or cease, once before the wheels turn again."""
     connections: int = 0
-    counts: DialogueCounts = field(default_factory=DialogueCounts)
+    counts: PacketCounts = field(default_factory=PacketCounts)
 
 
 class RetryShare:
-    """Which share of the packets had to be sent again lately."""
+    """Measures which share of the packets had to be sent again recently."""
 
     def __init__(self) -> None:
         self._packets = self._retries = 0
 
-    def since_last(self, counts: DialogueCounts) -> float:
-        """Of those since this was asked last [1]."""
+    def since_last(self, counts: PacketCounts) -> float:
+        """Return the share of retries since the last call [1]."""
         packets, retries = counts.packets - self._packets, counts.retries - self._retries
         self._packets, self._retries = counts.packets, counts.retries
         return retries / packets if packets else 0.0
 
 
-def asking(dialogue: Dialogue, health: Health, timeout_s: float) -> tuple[Callable[[], None], ...]:
-    """Questions to be asked in turns, one each time that the wheels are ordered.
+def health_polls(
+    client: RoboclawClient, health: ControllerHealth, timeout_s: float
+) -> tuple[Callable[[], None], ...]:
+    """Return functions to be called in turn, one per period, that read values into `health`.
 
-    They write what they learn into `health`. The status comes every other time: it stops the base.
-    They raise `DeviceError`, too, if the serial timeout is not `timeout_s` [s] any more.
+    The status is read every other time: it stops the base. They raise `DeviceError`, also if the
+    serial timeout is no longer `timeout_s` [s].
     """
 
     def status() -> None:
-        health.status = dialogue.status()
+        health.status = client.status()
 
     def voltage() -> None:
-        health.voltage = dialogue.ask(commands.MAIN_VOLTAGE)[0] / 10
+        health.voltage = client.read(protocol.MAIN_VOLTAGE)[0] / 10
 
     def currents() -> None:
-        first, second = dialogue.ask(commands.CURRENTS)
+        first, second = client.read(protocol.CURRENTS)
         health.currents = (first / 100, second / 100)
 
     def temperature() -> None:
-        health.temperature = dialogue.ask(commands.TEMPERATURE)[0] / 10
+        health.temperature = client.read(protocol.TEMPERATURE)[0] / 10
 
     def timeout() -> None:
-        if not check_timeout(dialogue, timeout_s):
+        if not has_timeout(client, timeout_s):
             raise DeviceError(
                 "the RoboClaw has lost its serial timeout: it was switched off and on, or another "
-                "program sets it"
+                "program changes it; check its power and close other programs"
             )
 
     return status, voltage, status, currents, status, temperature, status, timeout

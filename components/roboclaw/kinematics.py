@@ -1,8 +1,8 @@
-"""What wheels do when a differential base moves: twists, wheel speeds, encoder counts.
+"""Kinematics of a differential base: velocities, wheel speeds, encoder counts, and their limits.
 
-Frames as REP 103 has them: x ahead, turns counterclockwise. With wheels at distance b,
-forward speed v and turn w: v_left = v - w b/2, v_right = v + w b/2 (Siegwart and Nourbakhsh,
-Introduction to Autonomous Mobile Robots, section 3.2).
+Frames as in REP 103: x forward, turns counterclockwise. With wheels at distance b, forward speed v
+and turn rate w: v_left = v - w b/2, v_right = v + w b/2 (Siegwart and Nourbakhsh, Introduction to
+Autonomous Mobile Robots, section 3.2).
 """
 
 from __future__ import annotations
@@ -11,53 +11,53 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-Channel = Literal["m1", "m2"]
+MotorChannel = Literal["m1", "m2"]
 Pair = tuple[float, float]
-"""Of the left and the right wheel, or forward [m/s] and turn [rad/s]."""
+"""Of the left and the right wheel, or forward [m/s] and turn rate [rad/s]."""
 
 _WRAP = 1 << 32
 
 
 @dataclass(frozen=True)
-class Geometry:
-    """The base's measures, and which channel of the controller drives which wheel."""
+class WheelGeometry:
+    """The base's dimensions, and which channel of the controller drives which wheel."""
 
     radius: float
     """Of the left wheel [m]."""
     radius_ratio: float
-    """Radius of the right wheel to that of the left one [1]."""
+    """Radius of the right wheel divided by that of the left one [1]."""
     separation: float
     """Distance of the points where the wheels touch the floor [m]."""
     counts_per_turn: float
-    """Encoder counts, four to a line, for a turn of the wheel: gear included."""
-    left: Channel
+    """Encoder counts, four per line, for one turn of the wheel, gear included."""
+    left: MotorChannel
     left_inverted: bool
     right_inverted: bool
 
     def wheel_speeds(self, forward: float, turn: float) -> Pair:
-        """Speeds [m/s] of the left and the right wheel along the floor."""
+        """Return the speeds [m/s] of the left and the right wheel along the floor."""
         half = 0.5 * turn * self.separation
         return forward - half, forward + half
 
-    def twist(self, left: float, right: float) -> Pair:
-        """Forward [m/s or m] and turn [rad/s or rad] of wheels' speeds [m/s] or ways [m]."""
+    def body_motion(self, left: float, right: float) -> Pair:
+        """Return forward [m/s or m] and turn [rad/s or rad] for wheel speeds or distances."""
         return 0.5 * (left + right), (right - left) / self.separation
 
     def channel_counts(self, left: float, right: float) -> tuple[int, int]:
-        """Counts [1/s] for M1 and M2 of wheels' speeds [m/s]."""
+        """Return the counts [1/s] of M1 and M2 for wheel speeds [m/s]."""
         scales = self._counts_per_meter()
         wheels = (round(left * scales[0]), round(right * scales[1]))
         return wheels if self.left == "m1" else (wheels[1], wheels[0])
 
-    def wheel_ways(self, first: int, second: int) -> Pair:
-        """Ways [m] of the left and the right wheel of counts of M1 and M2."""
+    def wheel_distances(self, first: int, second: int) -> Pair:
+        """Return the distances [m] of the left and the right wheel for counts of M1 and M2."""
         left, right = (first, second) if self.left == "m1" else (second, first)
         scales = self._counts_per_meter()
         return left / scales[0], right / scales[1]
 
     def fastest_wheels(self, first: int, second: int) -> float:
-        """The speed [m/s] that both wheels reach, where M1 and M2 reach these [counts/s]."""
-        return min(abs(way) for way in self.wheel_ways(first, second))
+        """Return the speed [m/s] that both wheels reach if M1 and M2 reach these [counts/s]."""
+        return min(abs(speed) for speed in self.wheel_distances(first, second))
 
     def _counts_per_meter(self) -> Pair:
         left = self.counts_per_turn / (2.0 * math.pi * self.radius)
@@ -69,8 +69,8 @@ class Geometry:
 
 
 @dataclass(frozen=True)
-class Limits:
-    """How fast the base may move [m/s, rad/s] and become faster or slower [m/s^2, rad/s^2]."""
+class BaseLimits:
+    """Highest speeds [m/s, rad/s] and accelerations [m/s^2, rad/s^2] of the base."""
 
     speed: float
     turn: float
@@ -78,47 +78,49 @@ class Limits:
     turn_acceleration: float
 
     @property
-    def slowing_s(self) -> float:
-        """The longest that slowing down to rest takes [s]."""
+    def stopping_s(self) -> float:
+        """The longest time that slowing down to rest takes [s]."""
         return max(self.speed / self.acceleration, self.turn / self.turn_acceleration)
 
     def wheel_acceleration(self, separation: float) -> float:
-        """The most that a wheel is ever asked for [m/s^2]."""
+        """Return the highest acceleration of a single wheel [m/s^2]."""
         return self.acceleration + 0.5 * separation * self.turn_acceleration
 
 
-def limited(forward: float, turn: float, limits: Limits, wheel: Pair, fastest_wheel: float) -> Pair:
-    """A twist within the limits, on the same curve: both speeds are scaled by one factor.
+def limit_velocity(
+    forward: float, turn: float, limits: BaseLimits, wheel_speeds: Pair, fastest_wheel: float
+) -> Pair:
+    """Scale a velocity into the limits by one factor for both speeds, so the curve is kept.
 
-    `wheel`: the speeds [m/s] that it asks of the wheels, which go at most `fastest_wheel`.
+    `wheel_speeds`: those of the velocity [m/s]; the wheels reach at most `fastest_wheel`.
     """
     share = min(
         1.0,
         _share(forward, limits.speed),
         _share(turn, limits.turn),
-        *(_share(one, fastest_wheel) for one in wheel),
+        *(_share(speed, fastest_wheel) for speed in wheel_speeds),
     )
     return share * forward, share * turn
 
 
-def approached(now: Pair, wanted: Pair, limits: Limits, seconds: float) -> Pair:
-    """The twist after so many seconds on the way from one to another.
+def ramp_velocity(current: Pair, target: Pair, limits: BaseLimits, seconds: float) -> Pair:
+    """Return the velocity after a time [s] of accelerating from the current to the target one.
 
-    Both speeds take the same share of the way: from rest, the curve is the one wanted.
+    Both speeds change by the same share: from rest, the curve is that of the target.
     """
-    ahead, round_ = wanted[0] - now[0], wanted[1] - now[1]
+    forward, turn = target[0] - current[0], target[1] - current[1]
     share = min(
         1.0,
-        _share(ahead, limits.acceleration * seconds),
-        _share(round_, limits.turn_acceleration * seconds),
+        _share(forward, limits.acceleration * seconds),
+        _share(turn, limits.turn_acceleration * seconds),
     )
-    return now[0] + share * ahead, now[1] + share * round_
+    return current[0] + share * forward, current[1] + share * turn
 
 
-def counted(before: int, after: int) -> int:
-    """Counts between two readings of a 32 bit counter, which wraps: less than 2^31 either way."""
+def count_difference(before: int, after: int) -> int:
+    """Return the counts between two readings of a 32-bit counter that wraps, within +-2^31."""
     return (after - before + _WRAP // 2) % _WRAP - _WRAP // 2
 
 
-def _share(value: float, most: float) -> float:
-    return most / abs(value) if abs(value) > most else 1.0
+def _share(value: float, limit: float) -> float:
+    return limit / abs(value) if abs(value) > limit else 1.0

@@ -1,13 +1,12 @@
-"""What a base tells of itself, as messages: odometry, battery, diagnostics."""
+"""Messages of the base: odometry, battery, diagnostics."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from cairn import from_ns
-from cairn.components.roboclaw.driving import Step
-from cairn.components.roboclaw.health import Health
-from cairn.components.roboclaw.odometry import OdometryErrors, WheelOdometry
+from cairn.components.roboclaw.health import ControllerHealth
+from cairn.components.roboclaw.odometry import OdometryNoise, OdometryStep, WheelOdometry
 from cairn.driver.diagnostics import ERROR, OK, WARN, diagnostics
 from cairn.planar.messages import transform_message, with_covariance
 from cairn.schemas.diagnostic_msgs import DiagnosticArray
@@ -17,9 +16,9 @@ from cairn.schemas.sensor_msgs import BatteryState
 from cairn.schemas.std_msgs import Header
 
 _ODOM, _BASE = "odom", "base_link"  # frames
-_FORWARD, _TURN = 0, 35  # where their variances stand in a row-major 6 x 6
-_SLOW = 0.8  # of the nominal rate: slower is told
-_RETRIED = 0.02  # of the packets lately: more is told
+_FORWARD, _TURN = 0, 35  # indices of their variances in a row-major 6 x 6 matrix
+_SLOW = 0.8  # share of the nominal rate below which diagnostics warn
+_RETRIED = 0.02  # share of packets sent again above which diagnostics warn
 
 AWAITS_REST = (
     "the motors were off: the base stands until the command has been rest, or has ceased, once"
@@ -27,15 +26,15 @@ AWAITS_REST = (
 
 
 def odometry_message(
-    odometry: WheelOdometry, step: Step, speed: tuple[float, float], errors: OdometryErrors
+    odometry: WheelOdometry, step: OdometryStep, speed: tuple[float, float], noise: OdometryNoise
 ) -> Odometry:
-    """The pose at the end of a step, and the speed [m/s, rad/s]."""
+    """Return the pose at the end of a step, and the speed [m/s, rad/s]."""
     seconds = step.seconds or 1.0
     covariance = np.zeros(36)
     # The random walks of a step, as speeds.
-    covariance[_FORWARD] = errors.way**2 * abs(step.way) / seconds**2
+    covariance[_FORWARD] = noise.distance**2 * abs(step.distance) / seconds**2
     covariance[_TURN] = (
-        errors.turn**2 * abs(step.turned) + errors.turn_per_meter**2 * abs(step.way)
+        noise.turn**2 * abs(step.turn) + noise.turn_per_meter**2 * abs(step.distance)
     ) / seconds**2
     twist = Twist(linear=Vector3(x=speed[0]), angular=Vector3(z=speed[1]))
     return Odometry(
@@ -47,12 +46,12 @@ def odometry_message(
 
 
 def odometry_transform(message: Odometry, odometry: WheelOdometry) -> TransformStamped:
-    """The same pose as a transform."""
+    """Return the same pose as a transform."""
     return transform_message(message.header, _BASE, odometry.pose)
 
 
-def battery_message(stamp: int, health: Health) -> BatteryState:
-    """The main battery: voltage, and the current of both motors, which discharges it."""
+def battery_message(stamp: int, health: ControllerHealth) -> BatteryState:
+    """Return voltage and current of the main battery; both motors discharge it."""
     return BatteryState(
         header=Header(stamp=from_ns(stamp), frame_id=_BASE),
         voltage=health.voltage,
@@ -62,14 +61,20 @@ def battery_message(stamp: int, health: Health) -> BatteryState:
 
 
 def diagnostics_message(
-    now: int, name: str, port: str, health: Health, retried: float, rate: float, nominal: float
+    now: int,
+    name: str,
+    port: str,
+    health: ControllerHealth,
+    retry_share: float,
+    rate: float,
+    nominal: float,
 ) -> DiagnosticArray:
-    """How the controller is.
+    """Return the state of the controller.
 
-    `retried`: the share of packets sent again lately [1]; `rate`: of the odometry [Hz], against
-    the nominal one.
+    `retry_share`: of the packets sent recently [1]; `rate`: of the odometry [Hz], against the
+    nominal one.
     """
-    level, message = _judged(health, retried, rate, nominal)
+    level, message = _judge(health, retry_share, rate, nominal)
     counts = health.counts
     values = {
         "port": port,
@@ -81,21 +86,23 @@ def diagnostics_message(
         "temperature [deg C]": health.temperature,
         "errors": ", ".join(health.status.errors) or "none",
         "warnings": ", ".join(health.status.warnings) or "none",
-        "wheel fault": health.fault or "none",
+        "wheel fault": health.wheel_fault or "none",
         "connections": health.connections,
         "packets": counts.packets,
         "packets sent again": counts.retries,
-        "replies missing": counts.silent,
-        "replies garbled": counts.garbled,
+        "replies missing": counts.missing,
+        "replies damaged": counts.damaged,
     }
     return diagnostics(now, name, health.version, level, message, values)
 
 
-def _judged(health: Health, retried: float, rate: float, nominal: float) -> tuple[int, str]:
-    if health.trouble is not None:
-        return ERROR, health.trouble
-    if health.fault is not None:
-        return ERROR, f"{health.fault}; the motors are off until the driver is restarted"
+def _judge(
+    health: ControllerHealth, retry_share: float, rate: float, nominal: float
+) -> tuple[int, str]:
+    if health.device_error is not None:
+        return ERROR, health.device_error
+    if health.wheel_fault is not None:
+        return ERROR, f"{health.wheel_fault}; the motors are off until the driver is restarted"
     if health.status.errors:
         return ERROR, f"the RoboClaw does not drive: {', '.join(health.status.errors)}"
     if health.status.warnings:
@@ -104,6 +111,8 @@ def _judged(health: Health, retried: float, rate: float, nominal: float) -> tupl
         return WARN, f"the odometry comes at {rate:.1f} Hz instead of {nominal:g} Hz"
     if health.awaits_rest:
         return WARN, AWAITS_REST
-    if retried > _RETRIED:
-        return WARN, "many packets have to be sent again: see to cable, ground and baud"
+    if retry_share > _RETRIED:
+        return WARN, (
+            f"{retry_share:.0%} of the packets had to be sent again; check cable, ground and baud"
+        )
     return OK, "drives"

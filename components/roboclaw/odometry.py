@@ -1,4 +1,4 @@
-"""Where the wheels have led: exact arcs added up, and how far that is to be trusted."""
+"""Wheel odometry: poses from the distances that encoders count, their covariance, and speeds."""
 
 from __future__ import annotations
 
@@ -15,10 +15,25 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class OdometryErrors:
-    """Standard deviations of random walks along the way, which the covariance grows by."""
+class OdometryStep:
+    """The motion of the base between two readings of the encoders."""
 
-    way: float
+    at: float
+    """Time of the second reading [s of the monotonic clock]."""
+    stamp: int
+    """The same by the system's clock, which all devices share [ns]."""
+    seconds: float
+    distance: float
+    """[m]"""
+    turn: float
+    """[rad]"""
+
+
+@dataclass(frozen=True)
+class OdometryNoise:
+    """Standard deviations of the random walks by which the covariance grows with the motion."""
+
+    distance: float
     """[m/sqrt(m)]"""
     turn: float
     """[rad/sqrt(rad)]"""
@@ -26,21 +41,22 @@ class OdometryErrors:
     """[rad/sqrt(m)]"""
 
 
-class RecentSpeed:
-    """The mean speed over the last moments.
+class SpeedAverage:
+    """The mean speed over the last few steps.
 
-    Nobody knows to the millisecond when encoders were read; over a few readings that is less of it.
+    The time of an encoder reading is uncertain by milliseconds; over several readings this matters
+    less.
     """
 
     def __init__(self, span_s: float = 0.06) -> None:
-        """`span_s`: at least so long a time is averaged over, if there was one [s]."""
+        """`span_s`: shortest time to average over, if so much has passed [s]."""
         self._span_s = span_s
         self._steps: deque[tuple[float, float, float]] = deque()
 
-    def add(self, seconds: float, way: float, turned: float) -> tuple[float, float]:
-        """Take a step in; the speeds [m/s, rad/s]."""
+    def add(self, seconds: float, distance: float, turn: float) -> tuple[float, float]:
+        """Add a step, and return the mean speeds [m/s, rad/s]."""
         steps = self._steps
-        steps.append((seconds, way, turned))
+        steps.append((seconds, distance, turn))
         while sum(step[0] for step in steps) - steps[0][0] >= self._span_s:
             steps.popleft()
         time = sum(step[0] for step in steps) or 1.0
@@ -48,36 +64,37 @@ class RecentSpeed:
 
 
 class WheelOdometry:
-    """Dead reckoning from the ways of both wheels."""
+    """Integrates steps of the base to its pose in frame `odom`, with a covariance."""
 
-    def __init__(self, errors: OdometryErrors) -> None:
-        self._errors = errors
+    def __init__(self, noise: OdometryNoise) -> None:
+        self._noise = noise
         self.pose: Pose = (0.0, 0.0, 0.0)
         self.covariance: Array = np.zeros((3, 3))
-        """Over x, y [m], heading [rad]."""
+        """Of x, y [m], heading [rad]."""
 
-    def add(self, way: float, turned: float) -> None:
-        """Add a step: `way` [m] along an arc that turns by `turned` [rad].
+    def add(self, distance: float, turn: float) -> None:
+        """Add a step: `distance` [m] along an arc that turns by `turn` [rad].
 
-        The chord of the arc is `way` sin(h)/h long, with h half the turn, and leaves at angle h.
+        The chord of the arc has length `distance` sin(h)/h, where h is half the turn, and starts at
+        the angle h.
         """
-        if not (way or turned):
+        if not (distance or turn):
             return
-        half = 0.5 * turned
-        chord = way * (math.sin(half) / half if abs(half) > 1e-9 else 1.0)
-        self._spread(chord, half, way, turned)
-        along = (chord * math.cos(half), chord * math.sin(half), turned)
-        self.pose = compose(self.pose, along)
+        half = 0.5 * turn
+        chord = distance * (math.sin(half) / half if abs(half) > 1e-9 else 1.0)
+        self._propagate(chord, half, distance, turn)
+        step = (chord * math.cos(half), chord * math.sin(half), turn)
+        self.pose = compose(self.pose, step)
 
-    def _spread(self, chord: float, half: float, way: float, turned: float) -> None:
+    def _propagate(self, chord: float, half: float, distance: float, turn: float) -> None:
         """Propagate the covariance to first order."""
-        errors = self._errors
+        noise = self._noise
         middle = self.pose[2] + half
         cosine, sine = math.cos(middle), math.sin(middle)
-        of_pose = np.eye(3)
-        of_pose[0, 2], of_pose[1, 2] = -chord * sine, chord * cosine
-        of_step = np.array([[cosine, -0.5 * chord * sine], [sine, 0.5 * chord * cosine], [0, 1]])
-        way_variance = errors.way**2 * abs(way)
-        turn_variance = errors.turn**2 * abs(turned) + errors.turn_per_meter**2 * abs(way)
-        noise = (of_step * (way_variance, turn_variance)) @ of_step.T
-        self.covariance = of_pose @ self.covariance @ of_pose.T + noise
+        by_pose = np.eye(3)
+        by_pose[0, 2], by_pose[1, 2] = -chord * sine, chord * cosine
+        by_step = np.array([[cosine, -0.5 * chord * sine], [sine, 0.5 * chord * cosine], [0, 1]])
+        distance_variance = noise.distance**2 * abs(distance)
+        turn_variance = noise.turn**2 * abs(turn) + noise.turn_per_meter**2 * abs(distance)
+        added = (by_step * (distance_variance, turn_variance)) @ by_step.T
+        self.covariance = by_pose @ self.covariance @ by_pose.T + added

@@ -1,4 +1,4 @@
-"""A base on an emulated RoboClaw, for tests: deployment, faults, what its wheels truly do."""
+"""A base on an emulated RoboClaw, for tests: deployment, faults, the true motion of its wheels."""
 
 import math
 import time
@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from cairn.components.roboclaw.emulator import EmulatedRoboclaw, Moved
+from cairn.components.roboclaw.emulator import EmulatedRoboclaw, TrueMotion
 from cairn.driver.emulator import Emulator
 from cairn.driver.emulator_lines import PtyEnd
 from cairn.planar.poses import Pose, compose
@@ -39,14 +39,14 @@ DEPLOYMENT = """
           turn: 4.0
           device_timeout_s: 1.0
     """
-"""The wheels' encoders begin just below the wrap of their counters."""
+"""One base; its driver counts across the wrap of the left encoder's counter."""
 
 _METERS = 2.0 * math.pi * RADIUS / COUNTS
-_STANDS_BELOW = 0.01  # [m/s]
+_STANDSTILL_SPEED = 0.01  # [m/s]
 
 
 class EmulatedBase:
-    """The controller on a pseudo-terminal. A device as the contracts know it."""
+    """The controller on a pseudo-terminal: a device as `cairn.testing.device` describes it."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -64,59 +64,59 @@ class EmulatedBase:
         self.emulator.plug_in()
 
     def turns(self) -> bool:
-        return self.speed() > _STANDS_BELOW
+        return self.speed() > _STANDSTILL_SPEED
 
     def await_stand(self, limit_s: float) -> bool:
         return self.await_that(lambda: not self.turns(), limit_s)
 
-    def await_that(self, holds: Callable[[], bool], limit_s: float = LIMIT_S) -> bool:
-        """Wait until something holds of the wheels; whether it did within the limit [s]."""
-        until = time.monotonic() + limit_s
-        while not holds():
-            if time.monotonic() > until:
+    def await_that(self, condition: Callable[[], bool], limit_s: float = LIMIT_S) -> bool:
+        """Wait for a condition; return whether it held within the limit [s]."""
+        deadline = time.monotonic() + limit_s
+        while not condition():
+            if time.monotonic() > deadline:
                 return False
             time.sleep(0.005)
         return True
 
     def speed(self) -> float:
-        """Of the faster wheel, now [m/s]: whatever the line is like."""
+        """Return the present speed of the faster wheel [m/s], independent of the line."""
         speeds: list[float] = []
 
-        def look() -> None:
+        def read() -> None:
             self.device.advance(time.monotonic())
             speeds.extend(abs(motor.speed) for motor in self.device.controller.motors)
 
-        self.emulator.call(look)
+        self.emulator.call(read)
         return max(speeds) * _METERS
 
-    def moved(self) -> list[Moved]:
-        """All that the wheels have done so far."""
-        steps: list[Moved] = []
-        self.emulator.call(lambda: steps.extend(self.device.moved))
+    def motions(self) -> list[TrueMotion]:
+        """Return the motion of the wheels so far."""
+        steps: list[TrueMotion] = []
+        self.emulator.call(lambda: steps.extend(self.device.motions))
         return steps
 
     def fastest_since(self, time_s: float) -> float:
-        """The faster wheel's highest speed since then [m/s; s of the monotonic clock]."""
-        speeds = (max(map(abs, step.speeds)) for step in self.moved() if step.time >= time_s)
+        """Return the highest speed of the faster wheel since a monotonic time [m/s]."""
+        speeds = (max(map(abs, step.speeds)) for step in self.motions() if step.time >= time_s)
         return max(speeds, default=0.0) * _METERS
 
     def true_pose(self) -> Pose:
-        """Where the wheels have led since the beginning, step by step: m1 left, m2 inverted."""
+        """Integrate the true motion of the wheels from the start: m1 left, m2 inverted."""
         pose: Pose = (0.0, 0.0, 0.0)
         left = right = 0.0
-        for step in self.moved():
+        for step in self.motions():
             now_left, now_right = step.turned[0] * _METERS, -step.turned[1] * _METERS
-            way = 0.5 * (now_left - left + now_right - right)
+            distance = 0.5 * (now_left - left + now_right - right)
             turned = (now_right - right - (now_left - left)) / SEPARATION
             half = (0.0, 0.0, 0.5 * turned)
-            pose = compose(compose(compose(pose, half), (way, 0.0, 0.0)), half)
+            pose = compose(compose(compose(pose, half), (distance, 0.0, 0.0)), half)
             left, right = now_left, now_right
         return pose
 
 
 @contextmanager
 def emulated_base(folder: Path) -> Iterator[EmulatedBase]:
-    """One that is plugged in as long as the context lasts."""
+    """Run an emulated base that is plugged in for the time of the context."""
     base = EmulatedBase(folder / "roboclaw")
     with base.emulator:
         yield base

@@ -1,12 +1,12 @@
-"""A line without time: an emulated RoboClaw in the same thread, with faults in its replies."""
+"""A line without real time: an emulated RoboClaw in the same thread, with faulty replies."""
 
-from cairn.components.roboclaw.dialogue import Dialogue, DialogueCounts
+from cairn.components.roboclaw.client import PacketCounts, RoboclawClient
 from cairn.components.roboclaw.emulator import EmulatedRoboclaw
 from cairn.driver.emulator import FrameFaults
 
 
 class Line:
-    """A `Link` to it. Time passes when nobody answers, and by `pass_time`."""
+    """A `Link` to the emulator. Time passes while a read times out, and by `pass_time`."""
 
     name = "line"
     paced = False
@@ -15,22 +15,22 @@ class Line:
         self._device = device
         self._faults = faults
         self._now = 0.0
-        self._came = b""
+        self._received = b""
         self.late: list[bytes] = []
-        """What arrives after the next packet was written, before the reply to it."""
+        """Bytes that arrive after the next packet was written, before the reply to it."""
         device.powered_on(self._now)
 
-    def read(self, limit_s: float) -> bytes:
-        came, self._came = self._came, b""
-        if not came:
-            self.pass_time(limit_s)
-        return came
+    def read(self, timeout_s: float) -> bytes:
+        received, self._received = self._received, b""
+        if not received:
+            self.pass_time(timeout_s)
+        return received
 
     def write(self, data: bytes) -> None:
-        self._came += b"".join(self.late)
+        self._received += b"".join(self.late)
         self.late.clear()
         for frame in self._device.receive(data, self._now):
-            self._came += self._faults.apply(frame) if self._faults else frame
+            self._received += self._faults.apply(frame) if self._faults else frame
 
     def pass_time(self, seconds: float) -> None:
         self._now += seconds
@@ -40,15 +40,15 @@ class Line:
         pass
 
     def discard(self) -> None:
-        self._came = b""
+        self._received = b""
 
     def close(self) -> None:
         pass
 
 
-def dialogue_with(
+def client_on(
     device: EmulatedRoboclaw, faults: FrameFaults | None = None, tries: int = 4
-) -> tuple[Dialogue, Line, DialogueCounts]:
-    """A dialogue with it, over such a line."""
-    line, counts = Line(device, faults), DialogueCounts()
-    return Dialogue(line, 0x80, 115200, counts, tries=tries), line, counts
+) -> tuple[RoboclawClient, Line, PacketCounts]:
+    """Return a client of the emulator on such a line."""
+    line, counts = Line(device, faults), PacketCounts()
+    return RoboclawClient(line, 0x80, 115200, counts, tries=tries), line, counts

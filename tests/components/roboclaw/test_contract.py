@@ -1,4 +1,4 @@
-"""The base on an emulated RoboClaw keeps the contract of a base, and what is particular to it."""
+"""The base on an emulated RoboClaw fulfills the base contract, and its own promises."""
 
 import math
 import time
@@ -20,7 +20,7 @@ from tests.components.roboclaw.emulated_base import DEPLOYMENT, EmulatedBase, em
 
 pytestmark = pytest.mark.realtime
 
-AHEAD = Twist(linear=Vector3(x=0.5))
+FORWARD = Twist(linear=Vector3(x=0.5))
 LEFT = Twist(angular=Vector3(z=2.0))
 DEVICE_TIMEOUT_S = 1.0  # as in the deployment
 COASTING_S = 0.5  # of motors without power
@@ -40,48 +40,48 @@ class TestRoboclawBase(BaseContract):
         with emulated_base(tmp_path_factory.mktemp("line")) as base:
             yield base
 
-    def test_a_square_by_odometry_is_the_square_of_the_wheels(
+    def test_square_by_odometry_is_the_true_square(
         self, robot: Robot, output: Reading[Odometry], device: EmulatedBase
     ) -> None:
         assert device.await_stand(2.0)
-        begun_truly = device.true_pose()
+        true_start = device.true_pose()
         (first,) = output.await_count(1, after=output.count)
-        begun = _pose(first)
+        start = _pose(first)
         for _ in range(4):
-            with robot.sending("cmd_vel", AHEAD):
-                _await_way(output, 0.2)
+            with robot.sending("cmd_vel", FORWARD):
+                _await_distance(output, 0.2)
             with robot.sending("cmd_vel", LEFT):
                 _await_turn(output, math.pi / 2)
         assert device.await_stand(2.0)
-        went = relative(begun_truly, device.true_pose())
-        # A busy computer reads the encoders seldom, and takes the way between for an arc.
+        true_way = relative(true_start, device.true_pose())
+        # A busy computer reads the encoders rarely, and takes the path between for an arc.
         output.await_that(
             lambda arrivals: any(
-                not apart(relative(begun, _pose(one)), went, 0.02, 0.03) for one in arrivals
+                not apart(relative(start, _pose(one)), true_way, 0.02, 0.03) for one in arrivals
             ),
-            f"a way from {begun} to where the wheels have led, {went} from there",
+            f"a pose {true_way} from {start}, as the wheels moved",
             after=output.count,
         )
 
-    def test_a_driver_that_hangs_leaves_it_to_the_controller_and_begins_at_rest(
+    def test_hanging_driver_is_stopped_by_the_controller_and_continues_from_rest(
         self, robot: Robot, output: Reading[Odometry], device: EmulatedBase
     ) -> None:
         before = device.device.timeouts
         with ExitStack() as commands:
-            commands.enter_context(robot.sending("cmd_vel", AHEAD))
+            commands.enter_context(robot.sending("cmd_vel", FORWARD))
             assert device.await_that(lambda: device.speed() > 0.4)
             with robot.hanging("base"):
                 hung = time.monotonic()
                 assert device.await_stand(3.0)
                 assert device.device.timeouts == before + 1
-                # Nothing is said any more: the controller drives on until its timeout, no longer.
+                # No packets arrive: the controller drives on until its timeout, no longer.
                 assert device.fastest_since(hung + DEVICE_TIMEOUT_S + COASTING_S) < 0.05
                 commands.close()
         awake = time.monotonic()
         output.await_count(10, after=output.count)
-        assert device.fastest_since(awake) < 0.05, "it went on where it was interrupted"
+        assert device.fastest_since(awake) < 0.05, "it continued the interrupted motion"
 
-    def test_the_driver_stops_the_wheels_before_the_controller_has_to(
+    def test_driver_stops_the_wheels_before_the_controller_does(
         self, robot: Robot, device: EmulatedBase
     ) -> None:
         before = device.device.timeouts
@@ -90,33 +90,33 @@ class TestRoboclawBase(BaseContract):
         _drive(robot, device)
         robot.request("base", "deactivate")
 
-        assert not device.turns(), "deactivated, it has not waited for the wheels"
+        assert not device.turns(), "deactivation did not wait for the wheels"
         assert device.device.timeouts == before
 
-    def test_it_tells_of_battery_and_health(self, robot: Robot) -> None:
+    def test_battery_and_health_are_published(self, robot: Robot) -> None:
         with (
             robot.read("battery_state", BatteryState) as battery,
             robot.read("diagnostics", DiagnosticArray) as health,
         ):
             battery.await_count(1)
             health.await_that(
-                lambda arrivals: any(_told(one).items() >= HEALTHY.items() for one in arrivals),
+                lambda arrivals: any(_values(one).items() >= HEALTHY.items() for one in arrivals),
                 f"health with {HEALTHY}",
             )
         assert battery.messages[0].voltage == pytest.approx(12.4)
 
-    def test_restarted_while_the_controller_is_away_it_waits_for_it(
+    def test_driver_restarted_while_unplugged_waits_for_the_controller(
         self, robot: Robot, output: Reading[Odometry], device: EmulatedBase
     ) -> None:
-        said = len(robot.run.lines)
+        lines = len(robot.run.lines)
         device.unplug()
         try:
             robot.restart("base")
-            said = robot.run.await_line("cannot be opened: No such file", after=said)
+            lines = robot.run.await_line("cannot be opened: No such file", after=lines)
         finally:
             device.plug_in()
         self.await_working(output, output.count)
-        robot.run.await_line("v4.2.8 on .* works again", after=said)
+        robot.run.await_line("v4.2.8 on .* works again", after=lines)
 
 
 HEALTHY = {
@@ -128,23 +128,23 @@ HEALTHY = {
 }
 
 
-def _told(health: Arrival[DiagnosticArray]) -> dict[str, str]:
+def _values(health: Arrival[DiagnosticArray]) -> dict[str, str]:
     status = health.message.status[0]
     values = {pair.key: pair.value for pair in status.values}
     return {"hardware": status.hardware_id, **values}
 
 
 def _drive(robot: Robot, base: EmulatedBase) -> None:
-    """Bring the wheels to a speed with commands that have just ended."""
-    with robot.sending("cmd_vel", AHEAD):
+    """Bring the wheels to a speed with commands that end then."""
+    with robot.sending("cmd_vel", FORWARD):
         assert base.await_that(lambda: base.speed() > 0.4)
 
 
-def _await_way(odom: Reading[Odometry], way: float) -> None:
+def _await_distance(odom: Reading[Odometry], length: float) -> None:
     start = _pose(odom.arrivals[-1])
     odom.await_that(
-        lambda arrivals: any(distance(start, _pose(one)) > way for one in arrivals),
-        f"a way of {way} m",
+        lambda arrivals: any(distance(start, _pose(one)) > length for one in arrivals),
+        f"a distance of {length} m",
         after=odom.count,
     )
 

@@ -1,20 +1,19 @@
-"""The emulated RoboClaw is as hard to its driver as the real one."""
+"""The emulated RoboClaw applies the rules of the real one to its driver."""
 
 import pytest
 
-from cairn.components.roboclaw import commands
-from cairn.components.roboclaw.commands import Order
+from cairn.components.roboclaw import protocol
 from cairn.components.roboclaw.emulator import EmulatedRoboclaw
-from cairn.components.roboclaw.packets import (
+from cairn.components.roboclaw.protocol import (
     ACKNOWLEDGED,
-    order_packet,
-    question_packet,
+    read_packet,
     reply_data,
+    write_packet,
 )
 
 
-def packet(order: Order) -> bytes:
-    return order_packet(0x80, order.command, order.data)
+def packet(command: protocol.WriteCommand) -> bytes:
+    return write_packet(0x80, command.command, command.data)
 
 
 @pytest.fixture
@@ -24,10 +23,10 @@ def device() -> EmulatedRoboclaw:
     return device
 
 
-RUN = packet(commands.drive_speed(20_000, 4000, -4000))
+RUN = packet(protocol.drive_speed(20_000, 4000, -4000))
 
 
-def test_an_order_is_acknowledged_and_carried_out(device: EmulatedRoboclaw) -> None:
+def test_write_command_is_acknowledged_and_executed(device: EmulatedRoboclaw) -> None:
     assert device.receive(RUN, 0.0) == [ACKNOWLEDGED]
     device.advance(1.0)
 
@@ -38,15 +37,15 @@ def test_an_order_is_acknowledged_and_carried_out(device: EmulatedRoboclaw) -> N
     assert second.count > 2**32 - 5000  # it counts backwards from 0
 
 
-def test_a_packet_with_a_false_sum_is_not_obeyed(device: EmulatedRoboclaw) -> None:
+def test_packet_with_a_wrong_crc_is_not_executed(device: EmulatedRoboclaw) -> None:
     assert device.receive(RUN[:-1] + bytes([RUN[-1] ^ 1]), 0.0) == []
     device.advance(1.0)
 
     assert device.controller.at_rest
-    assert device.refused == 1
+    assert device.rejected == 1
 
 
-def test_a_packet_that_pauses_for_more_than_10_ms_is_thrown_away(device: EmulatedRoboclaw) -> None:
+def test_packet_that_pauses_for_more_than_10_ms_is_discarded(device: EmulatedRoboclaw) -> None:
     device.receive(RUN[:5], 0.0)
     assert device.receive(RUN[5:], 0.009) == [ACKNOWLEDGED]
     device.receive(RUN[:5], 1.0)
@@ -55,12 +54,12 @@ def test_a_packet_that_pauses_for_more_than_10_ms_is_thrown_away(device: Emulate
     assert device.receive(RUN, 1.1) == [ACKNOWLEDGED]
 
 
-def test_noise_before_a_packet_is_passed_over(device: EmulatedRoboclaw) -> None:
+def test_noise_before_a_packet_is_skipped(device: EmulatedRoboclaw) -> None:
     assert device.receive(b"\x00\x41\xff" + RUN, 0.0) == [ACKNOWLEDGED]
 
 
-def test_silence_for_the_serial_timeout_stops_the_motors(device: EmulatedRoboclaw) -> None:
-    device.receive(packet(commands.set_timeout(0.5)), 0.0)
+def test_serial_timeout_stops_the_motors(device: EmulatedRoboclaw) -> None:
+    device.receive(packet(protocol.set_timeout(0.5)), 0.0)
     device.receive(RUN, 0.1)
     device.advance(0.59)
     assert device.controller.motors[0].speed > 3000
@@ -69,20 +68,20 @@ def test_silence_for_the_serial_timeout_stops_the_motors(device: EmulatedRobocla
     assert device.controller.at_rest
     assert device.timeouts == 1
 
-    device.receive(question_packet(0x80, 78), 1.3)  # being talked to again starts nothing
+    device.receive(read_packet(0x80, 78), 1.3)  # a new command does not restart the motors
     device.advance(2.0)
     assert device.controller.at_rest
 
 
-def test_without_a_serial_timeout_it_drives_on_for_ever(device: EmulatedRoboclaw) -> None:
+def test_without_serial_timeout_the_motors_run_on(device: EmulatedRoboclaw) -> None:
     device.receive(RUN, 0.0)
     device.advance(60.0)
 
     assert device.controller.motors[0].speed == pytest.approx(4000, rel=0.01)
 
 
-def test_unplugged_it_goes_on_by_its_battery(device: EmulatedRoboclaw) -> None:
-    device.receive(packet(commands.set_timeout(0.5)), 0.0)
+def test_unplugged_controller_keeps_running_on_its_battery(device: EmulatedRoboclaw) -> None:
+    device.receive(packet(protocol.set_timeout(0.5)), 0.0)
     device.receive(RUN, 0.1)
     device.powered_on(0.3)  # the line is back
 
@@ -90,34 +89,32 @@ def test_unplugged_it_goes_on_by_its_battery(device: EmulatedRoboclaw) -> None:
     assert device.controller.timeout_s == 0.5
 
 
-def test_an_encoder_that_counts_backwards_makes_the_wheel_run_away(
+def test_reversed_encoder_makes_the_wheel_run_away(
     device: EmulatedRoboclaw,
 ) -> None:
     device.controller.set_fault(1, "encoder_reversed")
-    device.receive(packet(commands.drive_speed(20_000, 1000, 1000)), 0.0)
+    device.receive(packet(protocol.drive_speed(20_000, 1000, 1000)), 0.0)
     device.advance(5.0)
 
     assert device.controller.motors[0].speed > 3000
     assert device.controller.motors[1].speed == pytest.approx(1000, rel=0.05)
 
 
-def test_a_reply_is_of_the_numbers_asked_for(device: EmulatedRoboclaw) -> None:
-    def asked(command: int) -> bytes:
-        (reply,) = device.receive(question_packet(0x82, command), 0.0)
+def test_reply_has_the_data_of_its_command(device: EmulatedRoboclaw) -> None:
+    def read(command: int) -> bytes:
+        (reply,) = device.receive(read_packet(0x82, command), 0.0)
         data = reply_data(0x82, command, reply)
         assert data is not None
         return data
 
-    assert asked(21) == b"USB Roboclaw 2x7a v4.2.8\n\0"
-    assert asked(24) == (124).to_bytes(2, "big")
-    assert asked(82) == (315).to_bytes(2, "big")
-    assert asked(99) == b"\x00\x03"
+    assert read(21) == b"USB Roboclaw 2x7a v4.2.8\n\0"
+    assert read(24) == (124).to_bytes(2, "big")
+    assert read(82) == (315).to_bytes(2, "big")
+    assert read(99) == b"\x00\x03"
 
 
 @pytest.mark.parametrize("command", [16, 17, 18, 19])
-def test_counters_and_speeds_come_with_a_byte_of_status(
-    device: EmulatedRoboclaw, command: int
-) -> None:
-    (reply,) = device.receive(question_packet(0x80, command), 0.0)
+def test_counters_and_speeds_have_a_status_byte(device: EmulatedRoboclaw, command: int) -> None:
+    (reply,) = device.receive(read_packet(0x80, command), 0.0)
 
     assert reply_data(0x80, command, reply) == bytes(5)

@@ -1,4 +1,4 @@
-"""`cairn driver probe base`: what it tells, and what it advises."""
+"""`cairn driver probe base`: the facts that it shows, and its advice on wiring."""
 
 import re
 from collections.abc import Iterator
@@ -9,8 +9,8 @@ import typer
 from typer.testing import CliRunner
 
 from cairn import CairnError
+from cairn.components.roboclaw.probe_cli import Direction, MotorTrial, Wheel, wiring_advice
 from cairn.components.roboclaw.probe_cli import base as probe
-from cairn.components.roboclaw.wheel_advice import Direction, Turned, Wheel, advice
 from tests.components.roboclaw.emulated_base import EmulatedBase, emulated_base
 
 
@@ -28,27 +28,27 @@ def run(*words: str, answers: str = "") -> str:
     return str(result.output)
 
 
-def test_it_tells_what_the_controller_is_and_how(base: EmulatedBase) -> None:
+def test_version_status_and_counters_are_shown(base: EmulatedBase) -> None:
     base.device.controller.emergency_stop = True
 
-    told = run(str(base.path), "--seconds", "0.1")
+    output = run(str(base.path), "--seconds", "0.1")
 
-    assert "USB Roboclaw 2x7a v4.2.8" in told
-    assert "errors             emergency stop" in told
-    assert "main battery       12.4 V, limits 6.0 to 34.0 V" in told
-    assert "serial timeout     none" in told
-    assert "M1  4294966796 (+0/s)   M2         300 (+0/s)" in told
+    assert "USB Roboclaw 2x7a v4.2.8" in output
+    assert "errors             emergency stop" in output
+    assert "main battery       12.4 V, limits 6.0 to 34.0 V" in output
+    assert "serial timeout     none" in output
+    assert "M1  4294966796 (+0/s)   M2         300 (+0/s)" in output
 
 
-def test_turning_wheels_leads_to_parameters(base: EmulatedBase) -> None:
-    told = run(str(base.path), "--turn-wheels", answers="y\nr\na\nl\nb\n")
+def test_turning_the_wheels_yields_parameters(base: EmulatedBase) -> None:
+    output = run(str(base.path), "--turn-wheels", answers="y\nr\nf\nl\nb\n")
 
-    assert "M1 +" in told
-    assert "left: m2\n  left_inverted: true\n  right_inverted: false" in told
+    assert "M1 +" in output
+    assert "left: m2\n  left_inverted: true\n  right_inverted: false" in output
     assert base.await_stand(2.0)
 
 
-def test_nothing_turns_without_consent(base: EmulatedBase) -> None:
+def test_nothing_turns_without_confirmation(base: EmulatedBase) -> None:
     app = typer.Typer()
     app.command()(probe)
 
@@ -59,31 +59,31 @@ def test_nothing_turns_without_consent(base: EmulatedBase) -> None:
 
 
 def test_turning_wheels_and_json_exclude_each_other() -> None:
-    with pytest.raises(CairnError, match="cannot be told as --json"):
+    with pytest.raises(CairnError, match="--turn-wheels asks questions"):
         run("/dev/nothing", "--turn-wheels", "--json")
 
 
-def turned(
+def trial(
     motor: str = "m1",
     counts: int = 500,
     other: int = 0,
     wheel: Wheel = "left",
-    direction: Direction = "ahead",
-) -> Turned:
-    return Turned("m1" if motor == "m1" else "m2", counts, other, wheel, direction)
+    direction: Direction = "forward",
+) -> MotorTrial:
+    return MotorTrial("m1" if motor == "m1" else "m2", counts, other, wheel, direction)
 
 
 @pytest.mark.parametrize(
-    ("first", "second", "told"),
+    ("first", "second", "message"),
     [
-        (turned(counts=-500), turned("m2", wheel="right"), "M1: its encoder counts against"),
-        (turned(), turned("m2", counts=3, wheel="right"), "M2: .* its encoder does not count"),
-        (turned(counts=0, other=400), turned("m2", wheel="right"), "M1: the other motor's"),
-        (turned(wheel="none"), turned("m2", wheel="right"), "M1: no wheel turns"),
-        (turned(), turned("m2"), "both motors turned the left wheel"),
+        (trial(counts=-500), trial("m2", wheel="right"), "M1: its encoder counts against"),
+        (trial(), trial("m2", counts=3, wheel="right"), "M2: .* its encoder does not count"),
+        (trial(counts=0, other=400), trial("m2", wheel="right"), "M1: the other motor's"),
+        (trial(wheel="none"), trial("m2", wheel="right"), "M1: no wheel turns"),
+        (trial(), trial("m2"), "both motors turned the left wheel"),
     ],
 )
-def test_what_is_wired_wrongly_is_named(first: Turned, second: Turned, told: str) -> None:
-    (line,) = advice([first, second])
+def test_wrong_wiring_is_named(first: MotorTrial, second: MotorTrial, message: str) -> None:
+    (line,) = wiring_advice([first, second])
 
-    assert re.search(told, line), line
+    assert re.search(message, line), line

@@ -7,10 +7,9 @@ from typing import Annotated, get_args
 import typer
 
 from cairn import CairnError
-from cairn.components.roboclaw.emulated_controller import Firmware
-from cairn.components.roboclaw.emulated_motor import MotorFault
 from cairn.components.roboclaw.emulator import EmulatedRoboclaw
-from cairn.components.roboclaw.packets import ADDRESSES
+from cairn.components.roboclaw.emulator_motors import Firmware, MotorFault
+from cairn.components.roboclaw.protocol import ADDRESSES
 from cairn.driver.emulator_cli import (
     FaultCommand,
     Faults,
@@ -32,28 +31,31 @@ def roboclaw(
     tcp: Tcp = None,
     serial: Serial = None,
     version: Annotated[
-        str, typer.Option(help="What it tells as its product and firmware.")
+        str, typer.Option(help="Product and firmware that it reports.")
     ] = "USB Roboclaw 2x7a v4.2.8",
     address: Annotated[
         int | None,
         typer.Option(
-            min=ADDRESSES[0], max=ADDRESSES[-1], help="The address it has; all, as over USB."
+            min=ADDRESSES[0], max=ADDRESSES[-1], help="Its address; default: all, as over USB."
         ),
     ] = None,
     baud: Annotated[
-        int | None, typer.Option(help="The speed that it understands [bit/s]; any, as over USB.")
+        int | None, typer.Option(help="Speed of its line [bit/s]; default: any, as over USB.")
     ] = None,
     full_speed: Annotated[
-        float, typer.Option(min=1.0, metavar="QPPS", help="Of both motors [counts/s].")
+        float, typer.Option(min=1.0, metavar="QPPS", help="Full speed of both motors [counts/s].")
     ] = 12_000.0,
     lag: Annotated[
         float, typer.Option(min=0.001, max=5.0, help="Time constant of the motors [s].")
     ] = 0.05,
     first_count: Annotated[
-        int, typer.Option(min=0, max=0xFFFFFFFF, help="Of both encoders, at power-on.")
+        int, typer.Option(min=0, max=0xFFFFFFFF, help="Counters of both encoders at power-on.")
     ] = 0,
     firmware: Annotated[
-        str, typer.Option(help=f"Its generation, as some replies differ: {', '.join(_FIRMWARES)}.")
+        str,
+        typer.Option(
+            help=f"Generation of its firmware, as replies differ: {', '.join(_FIRMWARES)}."
+        ),
     ] = "usual",
     faults: Faults = "",
     seed: Seed = 0,
@@ -87,7 +89,7 @@ def _firmware(name: str) -> Firmware:
     for known in _FIRMWARES:
         if known == name:
             return known
-    raise CairnError(f"--firmware {name}: it is one of {', '.join(_FIRMWARES)}")
+    raise CairnError(f"--firmware {name}: unknown generation; use one of {', '.join(_FIRMWARES)}")
 
 
 def _commands(device: EmulatedRoboclaw) -> dict[str, FaultCommand]:
@@ -95,9 +97,9 @@ def _commands(device: EmulatedRoboclaw) -> dict[str, FaultCommand]:
 
     def motor(words: list[str]) -> str:
         number, fault = words if len(words) == 2 else ("", "")
-        if number not in ("1", "2") or fault not in ("well", *_FAULTS):
-            raise CairnError(f"write motor 1|2 well|{'|'.join(_FAULTS)}")
-        known = next((one for one in _FAULTS if one == fault), None)
+        if number not in ("1", "2") or fault not in ("ok", *_FAULTS):
+            raise CairnError(f"write motor 1|2 ok|{'|'.join(_FAULTS)}")
+        known = next((name for name in _FAULTS if name == fault), None)
         controller.set_fault(int(number), known)
         return f"motor {number}: {fault}"
 
@@ -124,13 +126,15 @@ def _commands(device: EmulatedRoboclaw) -> dict[str, FaultCommand]:
     def wheels(words: list[str]) -> str:
         if words:
             raise CairnError("write wheels alone")
-        told = (f"{one.speed:.0f} counts/s, {one.turned:.0f} counts" for one in controller.motors)
-        return f"{'; '.join(told)}; stopped by the serial timeout {device.timeouts} times"
+        motors = (
+            f"{motor.speed:.0f} counts/s, {motor.turned:.0f} counts" for motor in controller.motors
+        )
+        return f"{'; '.join(motors)}; stopped by the serial timeout {device.timeouts} times"
 
     return {
-        "motor": FaultCommand(f"1|2 well|{'|'.join(_FAULTS)}", "what is wrong with a motor", motor),
+        "motor": FaultCommand(f"1|2 ok|{'|'.join(_FAULTS)}", "set the fault of a motor", motor),
         "stop": FaultCommand("on|off", "press the emergency stop, or release it", stop),
-        "battery": FaultCommand("VOLTS", "what the main battery has", battery),
+        "battery": FaultCommand("VOLTS", "set the voltage of the main battery", battery),
         "power": FaultCommand("", "lose power for a moment, and all settings", power),
-        "wheels": FaultCommand("", "tell how both motors truly turn", wheels),
+        "wheels": FaultCommand("", "print how both motors truly turn", wheels),
     }

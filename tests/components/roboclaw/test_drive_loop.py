@@ -1,0 +1,333 @@
+"""The drive loop with an emulated controller: what stops the wheels, and why."""
+
+import logging
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from cairn.components.roboclaw.client import Handshake, UnusableControllerError, open_line
+from cairn.components.roboclaw.command_timeout import LatestCommand
+from cairn.components.roboclaw.config import RoboclawBaseConfig
+from cairn.components.roboclaw.drive_loop import DriveLoop
+from cairn.components.roboclaw.health import ControllerHealth
+from cairn.components.roboclaw.odometry import OdometryStep
+from cairn.driver.device_thread import DeviceThread
+from cairn.driver.errors import DeviceError, LinkLost
+from tests.components.roboclaw.emulated_base import PARAMETERS, EmulatedBase, emulated_base
+
+
+class LoopRun:
+    """A drive loop on a thread of its own, with a thread that repeats the command."""
+
+    def __init__(self, base: EmulatedBase, **parameters: object) -> None:
+        values = {
+            "acceleration": 4.0,
+            "turn_acceleration": 20.0,
+            "stall_s": 0.4,
+            "device_timeout_s": 1.0,
+            **parameters,
+        }
+        config = RoboclawBaseConfig.model_validate({**PARAMETERS, "port": str(base.path), **values})
+        self.base = base
+        self.health = ControllerHealth()
+        self.steps: list[OdometryStep] = []
+        self.device_errors: list[DeviceError] = []
+        self.failures: list[Exception] = []
+        self.ready: list[Handshake] = []
+        self._command = LatestCommand(config.command_timeout_s)
+        self._target = (0.0, 0.0)
+        self._stopping = threading.Event()
+        self._commander = threading.Thread(target=self._repeat_command, daemon=True)
+        self._loop = DriveLoop(
+            config.drive_settings(),
+            lambda: open_line(config.port, config.baud),
+            self._command,
+            self.health,
+            on_ready=self.ready.append,
+            on_step=self._note,
+        )
+        self._thread = self._new_thread()
+        self._hold_up_s = 0.0
+        self.held_up = False
+
+    def hold_up(self, seconds: float) -> None:
+        """Pause the loop, as on a busy computer."""
+        self.held_up, self._hold_up_s = False, seconds
+
+    def command(self, forward: float, turn: float = 0.0) -> None:
+        self._target = (forward, turn)
+
+    def drive(self, forward: float = 0.3) -> None:
+        """Command a speed, and wait until the wheels turn."""
+        self.command(forward)
+        assert self.base.await_that(lambda: self.base.speed() > 0.7 * abs(forward))
+
+    def await_that(self, condition: Callable[[], bool]) -> None:
+        assert self.base.await_that(condition), (
+            f"{self.health}, {self.device_errors}, {self.failures}"
+        )
+
+    def stop(self) -> None:
+        self._thread.stop()
+
+    def restart(self) -> None:
+        self._thread = self._new_thread()
+        self._thread.start()
+
+    def _new_thread(self) -> DeviceThread:
+        return DeviceThread(
+            "run",
+            self._loop.serve,
+            log=logging.getLogger("run"),
+            on_device_error=self.device_errors.append,
+            on_failure=self.failures.append,
+        )
+
+    def _note(self, step: OdometryStep) -> None:
+        self.steps.append(step)
+        if self._hold_up_s:
+            time.sleep(self._hold_up_s)
+            self.held_up, self._hold_up_s = True, 0.0
+
+    def _repeat_command(self) -> None:
+        while not self._stopping.wait(0.02):
+            self._command.set(time.monotonic(), *self._target)
+
+    def __enter__(self) -> "LoopRun":
+        self._thread.start()
+        self._commander.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._thread.stop()
+        self._stopping.set()
+        self._commander.join()
+
+
+@pytest.fixture
+def base(tmp_path: Path) -> Iterator[EmulatedBase]:
+    with emulated_base(tmp_path) as base:
+        yield base
+
+
+def test_stopped_loop_leaves_the_wheels_at_rest(base: EmulatedBase) -> None:
+    with LoopRun(base) as run:
+        run.drive()
+        run.stop()
+
+        assert not base.turns()
+        assert base.device.timeouts == 0  # the driver stopped them
+
+
+def test_blocked_wheel_switches_the_motors_off(base: EmulatedBase) -> None:
+    with LoopRun(base) as run:
+        run.drive()
+        base.device.controller.set_fault(1, "stalled")
+        run.await_that(lambda: run.health.wheel_fault is not None)
+
+        assert "left wheel" in str(run.health.wheel_fault)
+        assert base.await_stand(1.0)
+        base.device.controller.set_fault(1, None)
+        count = len(run.steps)
+        run.await_that(lambda: len(run.steps) > count + 20)
+        assert not base.turns(), "it started moving by itself"
+
+
+def test_reversed_encoder_is_detected_before_the_wheel_is_fast(
+    base: EmulatedBase,
+) -> None:
+    base.device.controller.set_fault(2, "encoder_reversed")
+    with LoopRun(base) as run:
+        run.command(0.2)
+        run.await_that(lambda: run.health.wheel_fault is not None)
+
+        assert "it counts against its motor" in str(run.health.wheel_fault)
+        assert base.await_stand(1.0)
+        assert base.fastest_since(0.0) < 0.4
+
+
+def test_unplugged_encoder_does_not_make_the_wheel_run_away(
+    base: EmulatedBase,
+) -> None:
+    with LoopRun(base) as run:
+        run.drive(0.2)
+        base.device.controller.set_fault(1, "encoder_off")
+        run.await_that(lambda: run.health.wheel_fault is not None)
+
+        assert "stands still" in str(run.health.wheel_fault)
+        assert base.await_stand(1.0)
+        assert base.fastest_since(0.0) < 0.4
+
+
+def test_released_emergency_stop_does_not_start_the_base(base: EmulatedBase) -> None:
+    with LoopRun(base) as run:
+        run.drive()
+        base.device.controller.emergency_stop = True
+        run.await_that(lambda: run.health.status.errors == ("emergency stop",))
+        assert base.await_stand(1.0)
+        base.device.controller.emergency_stop = False
+        run.await_that(lambda: not run.health.status.errors)
+        assert_waits_for_rest(run)
+
+
+def test_stopping_current_is_a_named_warning(base: EmulatedBase) -> None:
+    with LoopRun(base, stall_s=5.0) as run:
+        run.drive()
+        base.device.controller.set_fault(2, "overcurrent")
+        run.await_that(lambda: run.health.status.warnings == ("over-current of M2",))
+
+        run.await_that(lambda: run.health.currents[1] < -10.0)
+
+
+def test_controller_that_lost_power_is_set_up_again(base: EmulatedBase) -> None:
+    with LoopRun(base) as run:
+        run.drive()
+        base.emulator.call(base.device.controller.power_cycle)
+        run.await_that(lambda: len(run.ready) == 2)
+
+        assert not run.ready[1].kept_power
+        assert "switched off and on" in str(run.device_errors[0])
+        assert base.device.controller.timeout_s == 1.0
+        assert 0.0 < distance(run) < 2.0, "the counters' jump was taken for a distance"
+        assert_waits_for_rest(run)
+
+
+def test_power_loss_is_detected_by_the_counters_if_settings_were_saved(
+    base: EmulatedBase,
+) -> None:
+    with LoopRun(base) as run:
+        run.drive(0.5)
+        run.await_that(lambda: distance(run) > 0.1)
+        before = distance(run)
+        base.unplug()
+        assert base.await_stand(3.0)
+        base.emulator.call(base.device.controller.power_cycle)
+        base.device.controller.timeout_s = 1.0  # as saved
+        base.plug_in()
+        run.await_that(lambda: len(run.ready) == 2)
+
+        assert run.ready[1].kept_power
+        assert distance(run) >= before, "the reset of the counters was taken for a distance back"
+        assert_waits_for_rest(run)
+
+
+def assert_waits_for_rest(run: LoopRun) -> None:
+    """Check that the base stays at rest until it was commanded to rest once."""
+    count = len(run.steps)
+    run.await_that(lambda: len(run.steps) > count + 20)
+    assert not run.base.turns()
+    assert run.health.awaits_rest
+
+    run.command(0.0)
+    run.await_that(lambda: not run.health.awaits_rest)
+    run.drive()
+    assert run.health.wheel_fault is None
+
+
+def test_wheels_that_slow_down_after_a_delay_are_no_runaways(base: EmulatedBase) -> None:
+    with LoopRun(base, acceleration=0.8, turn_acceleration=0.5, speed=0.8) as run:
+        run.drive(0.8)
+        run.hold_up(0.6)  # too short for the controller to stop the wheels
+        run.await_that(lambda: run.held_up)
+        assert base.device.timeouts == 0
+        run.command(0.0)
+
+        assert base.await_stand(3.0)
+        assert run.health.wheel_fault is None
+
+
+def test_distance_while_unplugged_is_found_in_the_counters(base: EmulatedBase) -> None:
+    with LoopRun(base) as run:
+        run.drive(0.5)
+        base.unplug()
+        assert base.await_stand(3.0), "the serial timeout did not stop the wheels"
+        base.plug_in()
+        run.await_that(lambda: len(run.ready) == 2)
+        run.command(0.0)
+        run.await_that(
+            lambda: not base.turns() and abs(distance(run) - base.true_pose()[0]) < 0.002
+        )
+
+        assert base.device.timeouts >= 1
+        assert run.ready[1].kept_power
+        assert distance(run) > 0.05
+
+
+def test_distance_while_stopping_is_not_lost(base: EmulatedBase) -> None:
+    with LoopRun(base, acceleration=1.0) as run:
+        run.drive(0.5)
+        run.stop()
+        assert distance(run) < base.true_pose()[0] - 0.01  # the wheels went on after the last step
+        run.command(0.0)
+        run.restart()
+
+        run.await_that(lambda: abs(distance(run) - base.true_pose()[0]) < 0.002)
+
+
+def distance(run: LoopRun) -> float:
+    return sum(step.distance for step in run.steps)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "loops", "message"),
+    [
+        ({"speed": 3.0}, (1, 1, 1, 30_000), "reach 2.24 m/s .* less than speed = 3 m/s"),
+        ({}, (0, 0, 0, 30_000), "the speed loop of M1 is not tuned"),
+        ({}, (1, 1, 1, 0), "the speed loop of M1 is not tuned"),
+    ],
+)
+def test_unusable_controller_is_rejected(
+    base: EmulatedBase,
+    parameters: dict[str, object],
+    loops: tuple[int, int, int, int],
+    message: str,
+) -> None:
+    base.device.controller.loops[0] = loops
+    config = RoboclawBaseConfig.model_validate({**PARAMETERS, "port": str(base.path), **parameters})
+    loop = DriveLoop(
+        config.drive_settings(),
+        lambda: open_line(config.port, config.baud),
+        LatestCommand(0.3),
+        ControllerHealth(),
+        on_ready=lambda _: None,
+        on_step=lambda _: None,
+    )
+
+    with pytest.raises(UnusableControllerError, match=message):
+        loop.check_device()
+
+
+def test_battery_limits_are_set_and_effective(base: EmulatedBase) -> None:
+    with LoopRun(base, battery_min_v=11.0, battery_max_v=16.8) as run:
+        run.drive()
+        assert base.device.controller.main_limits == (11.0, 16.8)
+        base.device.controller.voltage = 10.5
+        run.await_that(lambda: run.health.status.errors == ("main battery voltage low",))
+
+        assert base.await_stand(1.0)
+        run.await_that(lambda: run.health.voltage == 10.5)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "message"),
+    [
+        ({"battery_min_v": 10.0}, "set both or neither"),
+        ({"battery_min_v": 17.0, "battery_max_v": 16.0}, "not below"),
+        ({"device_timeout_s": 0.1, "rate": 20}, "less than 4 periods"),
+        ({"device_timeout_s": 0.25}, "multiple of 0.1"),
+        ({"speed": float("nan")}, "finite"),
+    ],
+)
+def test_inconsistent_parameters_are_rejected(parameters: dict[str, object], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        RoboclawBaseConfig.model_validate({**PARAMETERS, **parameters})
+
+
+def test_missing_port_is_named() -> None:
+    with pytest.raises(LinkLost, match="/dev/no-roboclaw cannot be opened: No such file"):
+        open_line("/dev/no-roboclaw", 115200)
+    with pytest.raises(LinkLost, match="tcp:somewhere names no TCP port; write it as"):
+        open_line("tcp:somewhere", 115200)
