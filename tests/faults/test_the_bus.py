@@ -11,7 +11,6 @@ from cairn.bus.codec import Codec
 from cairn.bus.session import open_peer
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.schemas.geometry_msgs import PoseStamped, Twist, Vector3
-from cairn.schemas.message import type_name
 from cairn.testing.launching import Launching
 from tests.commands import await_status
 
@@ -70,7 +69,7 @@ def test_nan_and_rubbish_in_messages_of_a_foreign_node(launch: Launching) -> Non
     )
     run.await_line("listener active")
     codec = Codec()
-    key = keys.data_key(0, "/robot/words", type_name(Twist), codec.type_hash(Twist))
+    key = keys.message_key(0, "/robot/words", Twist, codec)
     good = codec.encode(Twist(linear=Vector3(x=42.0)))
     nan = good.replace(struct.pack("<d", 42.0), struct.pack("<d", math.nan))
     bus = ZenohBus(open_peer([run.endpoint]))

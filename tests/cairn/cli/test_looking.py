@@ -10,7 +10,6 @@ from cairn.bus import keys
 from cairn.bus.codec import Codec
 from cairn.bus.session import open_peer
 from cairn.runtime.rosout import ROSOUT
-from cairn.schemas.message import type_name
 from cairn.schemas.rcl_interfaces import Log
 from cairn.testing.launching import CAIRN, LIMIT_S, Run
 from tests.commands import await_status
@@ -119,7 +118,7 @@ def test_logs_prints_the_last_messages(command: Command) -> None:
 
 def test_logs_reports_a_component_that_does_not_answer(command: Command, rover: Run) -> None:
     codec = Codec()
-    kept = f"{keys.data_key(0, ROSOUT, type_name(Log), codec.type_hash(Log))}/@adv/pub/hangs"
+    kept = f"{keys.message_key(0, ROSOUT, Log, codec)}/@adv/pub/hangs"
     unanswered: list[zenoh.Query] = []
     with (
         open_peer([rover.endpoint]) as session,
