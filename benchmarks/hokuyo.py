@@ -21,7 +21,7 @@ from cairn.driver.emulator import Emulator
 from cairn.driver.emulator_lines import PtyEnd
 from cairn.schemas.sensor_msgs import LaserScan
 from cairn.testing.launching import launching
-from cairn.testing.robot import Robot
+from cairn.testing.robot import RunningDeployment
 
 _SCANS = 400
 _PERIOD_S = 0.025
@@ -101,7 +101,7 @@ def _driver(folder: Path) -> tuple[float, list[float], list[float]]:
         """
     with Emulator(EmulatedScip("UTM-30LX"), end), launching(folder) as launch:
         run = launch(deployment)
-        robot = Robot(run)
+        robot = RunningDeployment(run)
         try:
             scans = robot.read("scan", LaserScan, lambda scan: LaserScan(header=scan.header))
             scans.await_count(40)

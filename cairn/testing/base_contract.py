@@ -1,7 +1,7 @@
 """The contract of a base: `cmd_vel` in, geometry_msgs/Twist; `odom`, nav_msgs/Odometry, and `tf`.
 
-The tests drive the robot: a short way ahead, a turn to the left on the spot. A real one needs half
-a meter of room, or wheels that are off the ground.
+The tests drive the robot: a short way ahead, a turn to the left on the spot. A real robot needs
+half a meter of space, or wheels off the ground.
 """
 
 from __future__ import annotations
@@ -17,22 +17,26 @@ from cairn.clock import SECOND
 from cairn.schemas.geometry_msgs import Twist, Vector3
 from cairn.schemas.nav_msgs import Odometry
 from cairn.schemas.tf2_msgs import TFMessage
-from cairn.testing import odometry as judged
-from cairn.testing import stamps as timed
-from cairn.testing.bench import Bench
+from cairn.testing import odometry_contract as odometry
+from cairn.testing import timing as timed
 from cairn.testing.device import Wheeled
-from cairn.testing.driver_contract import LifeCycleContract, ParametersContract
-from cairn.testing.end_contract import EndContract, StopContract, UnplugContract
+from cairn.testing.driver_contract import (
+    EndContract,
+    LifeCycleContract,
+    ParametersContract,
+    StopContract,
+    UnplugContract,
+)
 from cairn.testing.odometry_contract import Drive, OdometryContract, Odoms
-from cairn.testing.pauses import undisturbed
-from cairn.testing.reading import Arrival, Reading
-from cairn.testing.robot import Robot
+from cairn.testing.plugin import Bench
+from cairn.testing.robot import Arrival, Reading, RunningDeployment
+from cairn.testing.timing import undisturbed
 
-_NOT_WATCHED = "the wheels cannot be watched here: no fixture `device` with turns and await_stand"
+_NOT_WATCHED = "the wheels cannot be observed: no fixture `device` with turns and await_stand"
 
 
 class DriveContract(OdometryContract):
-    """How commands are carried out, by what odometry says."""
+    """How commands are executed, as odometry shows it."""
 
     speed: ClassVar[float] = 0.2
     """How fast the tests drive ahead [m/s]."""
@@ -44,13 +48,13 @@ class DriveContract(OdometryContract):
     """How long a command is given; the second half of it is judged [s]."""
 
     still: ClassVar[float] = 0.02
-    """A base that is slower than that stands [m/s, rad/s]."""
+    """A slower base counts as standing [m/s, rad/s]."""
 
     stop_limit_s: ClassVar[float] = 1.5
     """Until the wheels stand after the last command [s], braking included."""
 
     top_speed: ClassVar[float | None] = None
-    """The fastest that the driver may go [m/s], whatever is commanded; None: that is not tried."""
+    """The highest speed that the driver allows [m/s], whatever is commanded; None: not tested."""
 
     @pytest.fixture(scope="class")
     @classmethod
@@ -60,7 +64,7 @@ class DriveContract(OdometryContract):
         return undisturbed(lambda: cls._driven(robot))
 
     @classmethod
-    def _driven(cls, robot: Robot) -> Drive:
+    def _driven(cls, robot: RunningDeployment) -> Drive:
         tf = cls.port_of(robot, "tf")
         transforms = None if tf is None else robot.read(tf.topic, TFMessage)
         command = cls.topic(robot, "cmd_vel")
@@ -68,10 +72,10 @@ class DriveContract(OdometryContract):
         with robot.read(cls.topic(robot, cls.port), Odometry) as odom:
             cls.sample(odom, max(10, span // 2))
             begun = odom.count
-            with robot.sending(command, cls.ahead()):
+            with robot.publishing(command, cls.ahead()):
                 cls.sample(odom, span, after=odom.count)
                 turned = odom.count
-            with robot.sending(command, cls.leftwards()):
+            with robot.publishing(command, cls.leftwards()):
                 cls.sample(odom, span, after=odom.count)
                 ceased = odom.count
             end = max(2, math.ceil((cls.stop_limit_s + 0.5) * cls.rate_hz))
@@ -84,9 +88,9 @@ class DriveContract(OdometryContract):
             return Drive(*parts, transforms.messages)
 
     @pytest.fixture
-    def driving(self, robot: Robot, output: Reading[Odometry]) -> Reading[Odometry]:
-        """Odometry of the base, which has been brought to its speed and is commanded no more."""
-        with robot.sending(self.topic(robot, "cmd_vel"), self.ahead()):
+    def driving(self, robot: RunningDeployment, output: Reading[Odometry]) -> Reading[Odometry]:
+        """Odometry of the base, which was driven to its speed and gets no more commands."""
+        with robot.publishing(self.topic(robot, "cmd_vel"), self.ahead()):
             output.await_that(
                 lambda arrivals: any(
                     arrival.message.twist.twist.linear.x > 0.5 * self.speed for arrival in arrivals
@@ -97,45 +101,45 @@ class DriveContract(OdometryContract):
 
     @classmethod
     def ahead(cls) -> Twist:
-        """The command to go ahead."""
+        """Return the command to drive ahead."""
         return Twist(linear=Vector3(x=cls.speed))
 
     @classmethod
     def leftwards(cls) -> Twist:
-        """The command to turn left on the spot."""
+        """Return the command to turn left on the spot."""
         return Twist(angular=Vector3(z=cls.turn))
 
-    def test_it_stands_without_commands(self, drive: Drive) -> None:
+    def test_it_stands_still_without_commands(self, drive: Drive) -> None:
         """Whatever was commanded before it was activated."""
-        way = judged.traveled([arrival.message for arrival in drive.before])
+        way = odometry.traveled([arrival.message for arrival in drive.before])
         assert abs(way.ahead_m) <= self.still, f"it moves {way.ahead_m:.3f} m without a command"
         assert abs(way.left_rad) <= self.still, f"it turns {way.left_rad:.3f} rad without a command"
 
     def test_ahead_is_ahead(self, drive: Drive) -> None:
         """In meters a second, and forward (REP 103: x)."""
         speed = _mean([odom.twist.twist.linear.x for odom in _second_half(drive.ahead)])
-        way = judged.traveled([arrival.message for arrival in drive.ahead])
+        way = odometry.traveled([arrival.message for arrival in drive.ahead])
         self._check_speed(speed, self.speed, "m/s ahead")
         assert way.ahead_m > 0.0, f"commanded ahead, it went {way.ahead_m:.3f} m by its poses"
 
     def test_left_is_left(self, drive: Drive) -> None:
         """In radians a second; counterclockwise from above is positive (REP 103)."""
         turn = _mean([odom.twist.twist.angular.z for odom in _second_half(drive.left)])
-        way = judged.traveled([arrival.message for arrival in drive.left])
+        way = odometry.traveled([arrival.message for arrival in drive.left])
         self._check_speed(turn, self.turn, "rad/s to the left")
         assert way.left_rad > 0.0, f"commanded to the left, it turned {way.left_rad:.3f} rad"
 
     def _check_speed(self, speed: float, commanded: float, what: str) -> None:
         assert abs(speed - commanded) <= self.accuracy * commanded, (
-            f"commanded {commanded:g} {what}, odometry tells {speed:.3f}"
+            f"commanded {commanded:g} {what}, odometry reports {speed:.3f}"
         )
 
 
 class SafetyContract(DriveContract):
-    """Who drives the wheels stops them, whatever has become of the commander or of the driver."""
+    """The wheels stop, whatever happens to the commander or to the driver."""
 
-    def test_it_stops_when_commands_cease(self, drive: Drive) -> None:
-        """The commander may be dead, hung or unplugged."""
+    def test_it_stops_when_commands_stop(self, drive: Drive) -> None:
+        """The commander may have terminated, hang or be unplugged."""
         ceased = timed.stamps_of(drive.left)[-1] + round(self.stop_limit_s * SECOND)
         stamps = timed.stamps_of(drive.after)
         late = [one for one, stamp in zip(drive.after, stamps, strict=True) if stamp > ceased]
@@ -146,19 +150,19 @@ class SafetyContract(DriveContract):
             f"{moving[-1].message.twist.twist}"
         )
 
-    def test_stopped_by_odometry_its_wheels_stand(
+    def test_its_wheels_stand_when_odometry_says_so(
         self, driving: Reading[Odometry], device: object
     ) -> None:
-        """Odometry tells of the wheels, not of the commands."""
+        """Odometry is that of the wheels, not of the commands."""
         if not isinstance(device, Wheeled):
             pytest.skip(_NOT_WATCHED)
         self._await_stand(driving, driving.count)
-        assert device.await_stand(self.stop_limit_s), "odometry says it stands, but wheels turn"
+        assert device.await_stand(self.stop_limit_s), "odometry shows no speed, but wheels turn"
 
     def test_deactivated_it_stops(
-        self, robot: Robot, driving: Reading[Odometry], device: object
+        self, robot: RunningDeployment, driving: Reading[Odometry], device: object
     ) -> None:
-        """And stands when it is activated again, until it is commanded anew."""
+        """And stands when it is activated again, until the next command."""
         robot.request(self.component, "deactivate")
         stood = not isinstance(device, Wheeled) or device.await_stand(self.stop_limit_s)
         before = driving.count
@@ -166,21 +170,21 @@ class SafetyContract(DriveContract):
         assert stood, f"wheels turn {self.stop_limit_s:g} s after {self.component} was deactivated"
         self._await_stand(driving, before)
 
-    def test_hanging_its_wheels_stop(
-        self, robot: Robot, driving: Reading[Odometry], device: object
+    def test_its_wheels_stop_when_the_driver_hangs(
+        self, robot: RunningDeployment, driving: Reading[Odometry], device: object
     ) -> None:
-        """The driver's process does nothing any more (SIGSTOP): the device itself has to stop."""
+        """The driver's process is suspended (SIGSTOP): the device itself has to stop."""
         if not isinstance(device, Wheeled):
             pytest.skip(_NOT_WATCHED)
-        with robot.hanging(self.component):
+        with robot.suspended(self.component):
             stood = device.await_stand(self.stop_limit_s)
         assert stood, f"wheels turn {self.stop_limit_s:g} s after {self.component} hung"
         self.await_working(driving, driving.count)
 
-    def test_killed_its_wheels_stop(
-        self, robot: Robot, driving: Reading[Odometry], device: object
+    def test_its_wheels_stop_when_the_driver_is_killed(
+        self, robot: RunningDeployment, driving: Reading[Odometry], device: object
     ) -> None:
-        """The driver's process is gone, or in another's place: nobody commands the device."""
+        """The driver's process is gone, or replaced: no command reaches the device."""
         if not isinstance(device, Wheeled):
             pytest.skip(_NOT_WATCHED)
         robot.kill(self.component)
@@ -188,20 +192,20 @@ class SafetyContract(DriveContract):
         assert stood, f"wheels turn {self.stop_limit_s:g} s after {self.component} was killed"
         self.await_working(driving, driving.count)
 
-    def test_numbers_that_are_none_are_refused(
-        self, robot: Robot, output: Reading[Odometry]
+    def test_nan_commands_are_refused(
+        self, robot: RunningDeployment, output: Reading[Odometry]
     ) -> None:
-        """A command of NaN does not move it, and does not bring it down."""
+        """A command of NaN does not move it, and does not terminate the driver."""
         pid = robot.status(self.component).pid
         try:
             self._await_stand(output, 0)
         except AssertionError:
-            pytest.skip("it does not stand without commands, so that a movement tells nothing")
+            pytest.skip("it does not stand without commands, so that a movement shows nothing")
         topic = self.topic(robot, "cmd_vel")
         plain = robot.encoded(Twist(linear=Vector3(x=1.5)))
         nan = plain.replace(struct.pack("<d", 1.5), struct.pack("<d", math.nan))
         for _ in range(3):
-            robot.send_bytes(topic, Twist, nan)
+            robot.publish_bytes(topic, Twist, nan)
         robot.await_status(
             self.component,
             lambda status: any(p.port == "cmd_vel" and p.invalid for p in status.ports),
@@ -209,15 +213,15 @@ class SafetyContract(DriveContract):
         )
         later = self.sample(output, 5, after=output.count)
         assert all(map(self._is_still, later)), "a command of NaN has moved it"
-        assert robot.status(self.component).pid == pid, "a command of NaN has brought it down"
+        assert robot.status(self.component).pid == pid, "a command of NaN has terminated the driver"
 
-    def test_speed_is_limited(self, robot: Robot, output: Reading[Odometry]) -> None:
-        """A commander's mistake of units does not make a missile of the robot."""
+    def test_speed_is_limited(self, robot: RunningDeployment, output: Reading[Odometry]) -> None:
+        """A commander's mistake of units does not make the robot too fast."""
         if self.top_speed is None:
-            pytest.skip("top_speed does not tell how fast it may go")
-        with robot.sending(self.topic(robot, "cmd_vel"), Twist(linear=Vector3(x=1000.0))):
+            pytest.skip("top_speed is not set")
+        with robot.publishing(self.topic(robot, "cmd_vel"), Twist(linear=Vector3(x=1000.0))):
             odoms = self.sample(output, math.ceil(self.drive_s * self.rate_hz), after=output.count)
-        fastest = judged.traveled([arrival.message for arrival in odoms]).longest_speed
+        fastest = odometry.traveled([arrival.message for arrival in odoms]).longest_speed
         assert fastest <= self.top_speed * (1.0 + self.accuracy), (
             f"commanded 1000 m/s it went {fastest:.3f} m/s; its limit is {self.top_speed:g} m/s"
         )
@@ -233,13 +237,13 @@ class SafetyContract(DriveContract):
         assert all(map(self._is_still, rest)), "it stood, and moves again without a command"
 
     def _is_still(self, odom: Arrival[Odometry]) -> bool:
-        return judged.is_still(odom.message, self.still, self.still)
+        return odometry.is_still(odom.message, self.still, self.still)
 
 
 class BaseContract(
     EndContract, StopContract, UnplugContract, LifeCycleContract, SafetyContract, ParametersContract
 ):
-    """All that a driver of a base keeps to; derive from it and say what is yours."""
+    """All rules for a driver of a base; derive from it and set what is particular to yours."""
 
 
 def _second_half(arrivals: Odoms) -> list[Odometry]:

@@ -1,46 +1,72 @@
-"""The contract of a stereo camera: `left_image`, `right_image`, `left_info`, `right_info`.
+"""The contract of a camera: `left_image`, `right_image`, `left_info`, `right_info`.
 
-A single camera has the left ports alone. docs/vision.md describes them.
+A single camera has the left ports alone. docs/vision.md describes the ports. Checks raise
+`AssertionError` with a sentence that names the fault. Lengths are in meters and pixels.
 """
 
 from __future__ import annotations
 
 import contextlib
+import math
+import zlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, ClassVar
 
+import numpy as np
 import pytest
 
 from cairn.clock import to_ns
 from cairn.schemas.sensor_msgs import CameraInfo, Image
-from cairn.testing import pairs as judged
-from cairn.testing import stamps as timed
-from cairn.testing.bench import Bench
-from cairn.testing.driver_contract import Contract, LifeCycleContract, ParametersContract
-from cairn.testing.end_contract import EndContract, StopContract, UnplugContract
-from cairn.testing.pauses import undisturbed
-from cairn.testing.reading import Arrival, Reading
-from cairn.testing.robot import Robot
-from cairn.testing.scans import check_frame
+from cairn.testing import timing as timed
+from cairn.testing.driver_contract import (
+    Contract,
+    EndContract,
+    LifeCycleContract,
+    ParametersContract,
+    StopContract,
+    UnplugContract,
+)
+from cairn.testing.plugin import Bench
+from cairn.testing.robot import Arrival, Reading, RunningDeployment
+from cairn.testing.scanner_contract import check_frame
+from cairn.testing.timing import undisturbed
 
 _KINDS: Mapping[str, type[Any]] = {"image": Image, "info": CameraInfo}
+BYTES_PER_PIXEL: Mapping[str, int] = {
+    "mono8": 1,
+    "mono16": 2,
+    "rgb8": 3,
+    "bgr8": 3,
+    "rgba8": 4,
+    "bgra8": 4,
+    "yuv422": 2,
+    "yuv422_yuy2": 2,
+    "bayer_rggb8": 1,
+    "bayer_bggr8": 1,
+    "bayer_gbrg8": 1,
+    "bayer_grbg8": 1,
+}
+"""Encodings of sensor_msgs/Image that cameras publish."""
+
+_LONGEST_BASELINE_M = 2.0
+_CHECKSUM_BYTES = 4
 
 
 @dataclass(frozen=True)
 class Pictures:
-    """A sample, by side: all images without pixels, the first whole, and what is told of them."""
+    """A sample, by side: all images without pixels, the first complete one, and camera infos."""
 
     outlines: Mapping[str, list[Arrival[Image]]]
     whole: Mapping[str, Image]
     infos: Mapping[str, list[Arrival[CameraInfo]]]
     order: Sequence[tuple[str, int]]
-    """Ports and stamps [ns] of all of them, in the order in which they came."""
+    """Ports and stamps [ns] of all messages, in their order of arrival."""
 
 
 class PicturesContract(Contract):
-    """What images and calibrations say, and when."""
+    """Contents and stamps of images and camera infos."""
 
     component: ClassVar[str] = "camera"
     port: ClassVar[str] = "left_info"
@@ -53,7 +79,7 @@ class PicturesContract(Contract):
     """False if the deployment gives the driver no calibration."""
 
     moving: ClassVar[bool] = True
-    """False if images may be the same bit by bit, as those of a test picture."""
+    """False if images may be identical, as those of a test picture."""
 
     rate_tolerance: ClassVar[float] = 0.1
     """How far the rate may be off the nominal one, as a share."""
@@ -62,7 +88,7 @@ class PicturesContract(Contract):
     """How far a spacing of stamps may be off the median, as a share."""
 
     oldest_s: ClassVar[float] = 0.5
-    """How old an image may be when it comes [s]."""
+    """How old an image may be at arrival [s]."""
 
     early_s: ClassVar[float] = 0.005
     """By how much a stamp may be in the future [s]."""
@@ -74,27 +100,27 @@ class PicturesContract(Contract):
     """The frames of the cameras: x right, y down, z ahead (REP 103)."""
 
     sample_count: ClassVar[int] = 12
-    """How many pairs are judged."""
+    """How many pairs are """
 
     @classmethod
     def sides(cls) -> tuple[str, ...]:
-        """The cameras that there are."""
+        """Return the present cameras."""
         return ("left", "right") if cls.stereo else ("left",)
 
     @pytest.fixture(scope="class")
     @classmethod
     def pictures(cls, bench: Bench) -> Pictures:
-        """Pairs in a row, that the tests of the class share."""
+        """Consecutive pairs, shared by the tests of the class."""
         robot = bench.robot(cls.component)
         return undisturbed(lambda: cls._taken(robot))
 
     @classmethod
-    def _taken(cls, robot: Robot) -> Pictures:
+    def _taken(cls, robot: RunningDeployment) -> Pictures:
         whole: dict[str, Image] = {}
 
         def keep(side: str, image: Image) -> Image:
             whole.setdefault(side, image)
-            return judged.outline(image)
+            return outline(image)
 
         types = {f"{side}_{kind}": type_ for side in cls.sides() for kind, type_ in _KINDS.items()}
         ports = {cls.topic(robot, port): port for port in types}
@@ -106,7 +132,7 @@ class PicturesContract(Contract):
                 images[side] = stack.enter_context(robot.read(topic, Image, partial(keep, side)))
                 topic = cls.topic(robot, f"{side}_info")
                 infos[side] = stack.enter_context(robot.read(topic, CameraInfo))
-            with robot.order({topic: types[port] for topic, port in ports.items()}) as came:
+            with robot.read_in_order({topic: types[port] for topic, port in ports.items()}) as came:
                 for image in images.values():
                     cls.sample(image, cls.sample_count)
                 for info in infos.values():
@@ -120,89 +146,89 @@ class PicturesContract(Contract):
         )
 
     def test_rate(self, pictures: Pictures) -> None:
-        """It is the nominal one: frames that are lost make it lower."""
+        """It is the nominal one: lost frames lower it."""
         stamps = timed.stamps_of(pictures.outlines["left"])
         timed.check_rate(stamps, self.rate_hz, self.rate_tolerance)
 
     def test_stamps_increase_regularly(self, pictures: Pictures) -> None:
-        """Each is of its own exposure: what is sent late was not seen late."""
+        """Each is of its own exposure, also if the image is sent late."""
         for arrivals in pictures.outlines.values():
             stamps = timed.stamps_of(arrivals)
             timed.check_increasing(stamps)
             timed.check_regular(stamps, self.jitter)
 
-    def test_stamps_are_of_the_present(self, pictures: Pictures) -> None:
-        """Neither of the future nor of long ago, by the deployment's clock."""
+    def test_stamps_are_current(self, pictures: Pictures) -> None:
+        """Neither in the future nor too old, by the deployment's clock."""
         for arrivals in pictures.outlines.values():
             timed.check_present(arrivals, -self.early_s, self.oldest_s, self.early_s)
 
-    def test_messages_of_a_pair_have_one_stamp(self, pictures: Pictures) -> None:
-        """By it they are found to belong together: both images and both calibrations."""
+    def test_messages_of_a_pair_have_the_same_stamp(self, pictures: Pictures) -> None:
+        """It identifies both images and both camera infos of a pair."""
         streams: dict[str, list[Any]] = {}
         for side in self.sides():
             streams[f"{side}_image"] = [one.message for one in pictures.outlines[side]]
             streams[f"{side}_info"] = [one.message for one in pictures.infos[side]]
-        judged.check_together(streams)
+        check_together(streams)
 
-    def test_infos_come_before_their_images(self, pictures: Pictures) -> None:
-        """So that whoever has an image knows how to rectify it."""
+    def test_infos_precede_their_images(self, pictures: Pictures) -> None:
+        """So that a reader of an image can rectify it at once."""
         for side in self.sides():
-            told = [stamp for port, stamp in pictures.order if port == f"{side}_image"]
-            # Without those whose info came before the sample began.
+            stamps = [stamp for port, stamp in pictures.order if port == f"{side}_image"]
+            # Without those whose info arrived before the sample began.
             early = [
                 stamp
-                for stamp in told
+                for stamp in stamps
                 if (f"{side}_info", stamp) in pictures.order
                 and pictures.order.index((f"{side}_info", stamp))
                 > pictures.order.index((f"{side}_image", stamp))
             ]
             assert not early, (
-                f"{len(early)} of {len(told)} {side} images came before their camera info: it is "
-                "published first"
+                f"{len(early)} of {len(stamps)} {side} images arrived before their camera info; "
+                "publish the camera info first"
             )
 
     def test_frames(self, pictures: Pictures) -> None:
-        """Of images and camera infos, those that transforms know."""
+        """Images and camera infos have the frames that transforms use."""
         for side in self.sides():
             frame = self.frames[side]
             check_frame((one.message.header.frame_id for one in pictures.outlines[side]), frame)
             check_frame((one.message.header.frame_id for one in pictures.infos[side]), frame)
 
-    def test_images_are_whole(self, pictures: Pictures) -> None:
+    def test_images_are_complete(self, pictures: Pictures) -> None:
         """Encoding, size and length of rows agree."""
         for side in self.sides():
-            judged.check_image(pictures.whole[side])
+            check_image(pictures.whole[side])
 
     def test_sizes_are_those_of_the_calibration(self, pictures: Pictures) -> None:
-        """Of each side, and both sides have the same."""
+        """On each side, and both sides have the same size."""
         for side in self.sides():
-            judged.check_size(pictures.whole[side], pictures.infos[side][0].message, side)
+            check_size(pictures.whole[side], pictures.infos[side][0].message, side)
         sizes = {(image.width, image.height) for image in pictures.whole.values()}
         assert len(sizes) == 1, f"left and right images have different sizes: {sorted(sizes)}"
 
-    def test_calibration_is_of_such_a_camera(self, pictures: Pictures) -> None:
+    def test_calibration_fits_the_image_size(self, pictures: Pictures) -> None:
         """Lengths in pixels, the center within the image."""
         infos = {side: some[0].message for side, some in pictures.infos.items()}
-        found = all(map(judged.is_calibrated, infos.values()))
+        found = all(map(is_calibrated, infos.values()))
         if not self.calibrated:
-            pytest.skip("the driver is given no calibration")
-        assert found, "k is 0: the driver tells no calibration, though it is given one"
+            pytest.skip("the driver has no calibration")
+        assert found, "k is 0: the driver does not publish its calibration"
         for side, info in infos.items():
-            judged.check_calibration(info, side)
+            check_calibration(info, side)
 
-    def test_right_is_right(self, pictures: Pictures) -> None:
-        """The baseline is positive and in meters; swapped cameras see everything behind them."""
+    def test_the_baseline_is_positive(self, pictures: Pictures) -> None:
+        """In meters; with swapped cameras everything would be behind them."""
         if not (self.stereo and self.calibrated):
-            pytest.skip("a single camera, or one that is not calibrated, has no baseline")
+            pytest.skip("a single or uncalibrated camera has no baseline")
         left, right = (pictures.infos[side][0].message for side in self.sides())
-        judged.check_baseline(left, right)
+        check_baseline(left, right)
 
     def test_images_are_not_frozen(self, pictures: Pictures) -> None:
-        """A camera that hangs may send its last image for ever."""
+        """A camera that hangs may send its last image forever."""
         if not self.moving:
-            pytest.skip("images of this camera may be the same")
+            pytest.skip("images of this camera may be identical")
         for side, arrivals in pictures.outlines.items():
-            judged.check_not_frozen([one.message for one in arrivals], side)
+            check_not_frozen([one.message for one in arrivals], side)
 
 
 class StereoCameraContract(
@@ -213,4 +239,91 @@ class StereoCameraContract(
     ParametersContract,
     PicturesContract,
 ):
-    """All that a driver of a camera keeps to; derive from it and say what is yours."""
+    """All rules for a driver of a camera; derive from it and set what is particular to yours."""
+
+
+def outline(image: Image) -> Image:
+    """Return the image with a check sum instead of its pixels, so that many can be kept.
+
+    It is one row of the length of the check sum; the other fields are unchanged.
+    """
+    return replace(
+        image,
+        height=1,
+        step=_CHECKSUM_BYTES,
+        data=np.frombuffer(zlib.crc32(image.data.tobytes()).to_bytes(_CHECKSUM_BYTES), np.uint8),
+    )
+
+
+def check_image(image: Image) -> None:
+    """Check that the encoding is known, and a row holds its pixels."""
+    assert image.width > 0, f"an image is {image.width} x {image.height} pixels"
+    assert image.height > 0, f"an image is {image.width} x {image.height} pixels"
+    bytes_ = BYTES_PER_PIXEL.get(image.encoding)
+    assert bytes_ is not None, (
+        f"encoding {image.encoding!r} is unknown; known are {', '.join(BYTES_PER_PIXEL)}"
+    )
+    assert image.step >= image.width * bytes_, (
+        f"step = {image.step} bytes, but a row of {image.width} pixels in {image.encoding} has "
+        f"{image.width * bytes_}"
+    )
+
+
+def check_size(image: Image, info: CameraInfo, side: str) -> None:
+    """Check that the image has the size of its calibration."""
+    found, expected = (image.width, image.height), (info.width, info.height)
+    hint = ": width and height are swapped" if found == expected[::-1] else ""
+    assert found == expected, (
+        f"the {side} image is {found[0]} x {found[1]} pixels, but its camera info has "
+        f"{expected[0]} x {expected[1]}{hint}"
+    )
+
+
+def check_calibration(info: CameraInfo, side: str) -> None:
+    """Check that focal lengths and center are those of a camera of this size [px]."""
+    fx, fy, cx, cy = info.k[0], info.k[4], info.k[2], info.k[5]
+    assert min(fx, fy) > 0.0, f"the {side} camera has the focal lengths {fx:g}, {fy:g} px"
+    assert 0.0 < cx < info.width, (
+        f"the {side} camera's center is at {cx:g}, {cy:g} px, outside of the image"
+    )
+    assert 0.0 < cy < info.height, (
+        f"the {side} camera's center is at {cx:g}, {cy:g} px, outside of the image"
+    )
+
+
+def check_baseline(left: CameraInfo, right: CameraInfo) -> None:
+    """Check that the right camera is on the right: its p has -fx * baseline, the left one's 0."""
+    assert left.p[3] == 0.0, (
+        f"p of the left camera has Tx = {left.p[3]:g}, not 0: are the sides swapped?"
+    )
+    baseline = -right.p[3] / right.p[0] if right.p[0] else math.nan
+    assert 0.0 < baseline < _LONGEST_BASELINE_M, (
+        f"by p of the right camera it is {baseline:g} m to the right of the left one (at most "
+        f"{_LONGEST_BASELINE_M:g} m): Tx is -fx * baseline in meters"
+    )
+
+
+def is_calibrated(info: CameraInfo) -> bool:
+    """Return whether the camera is calibrated; `k` is 0 if not."""
+    return bool(info.k[0])
+
+
+def check_together(streams: Mapping[str, Sequence[Image | CameraInfo]]) -> None:
+    """Check that each stamp of one stream is in all others, but at the edges of the sample."""
+    stamps = {name: [to_ns(one.header.stamp) for one in some] for name, some in streams.items()}
+    first = max(min(some) for some in stamps.values())
+    last = min(max(some) for some in stamps.values())
+    for name, some in stamps.items():
+        within = {stamp for stamp in some if first <= stamp <= last}
+        for other, others in stamps.items():
+            alone = within - set(others)
+            assert not alone, (
+                f"{len(alone)} of {len(within)} messages on {name} have a stamp that no message on "
+                f"{other} has, such as {min(alone)} ns: the messages of a pair have the same stamp"
+            )
+
+
+def check_not_frozen(images: Sequence[Image], side: str) -> None:
+    """Check that images differ: no camera takes identical ones."""
+    sums = {image.data.tobytes() for image in images}
+    assert len(sums) > 1, f"all {len(images)} {side} images are identical"

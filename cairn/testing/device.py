@@ -1,7 +1,7 @@
 """What a test can do with the device under a driver: an emulated one, or a real one with a switch.
 
-A fixture `device` returns an object with as many of these abilities as the device has. What it
-cannot do is not tested, and the test is skipped with that reason.
+A fixture `device` returns an object with the abilities that the device has. Tests that need others
+are skipped, with the reason.
 """
 
 from collections.abc import Mapping
@@ -10,17 +10,17 @@ from typing import Any, Protocol, runtime_checkable
 
 @runtime_checkable
 class Located(Protocol):
-    """A device that is found at another place in every run, such as an emulator's port."""
+    """A device with another address in every run, such as an emulator's port."""
 
     @property
     def settings(self) -> Mapping[str, Any]:
-        """Settings of the deployment that say where the device is, as in `--set NAME=VALUE`."""
+        """Settings of the deployment with the device's address, as in `--set NAME=VALUE`."""
         ...
 
 
 @runtime_checkable
 class Routed(Protocol):
-    """A device that is a ROS 2 node, and reached over a router that runs already."""
+    """A device that is a ROS 2 node, reached over a router that runs already."""
 
     @property
     def router(self) -> str:
@@ -30,25 +30,25 @@ class Routed(Protocol):
 
 @runtime_checkable
 class Unpluggable(Protocol):
-    """A device that can be taken away and given back."""
+    """A device that can be unplugged."""
 
     def unplug(self) -> None:
-        """Take it away, as if somebody pulled its cable."""
+        """Unplug it, as if somebody pulled its cable."""
         ...
 
     def plug_in(self) -> None:
-        """Give it back; does nothing if it is there."""
+        """Plug it in again; does nothing if it is plugged in."""
         ...
 
 
 @runtime_checkable
 class Wheeled(Protocol):
-    """A base whose wheels can be watched without its driver."""
+    """A base whose wheels can be observed without its driver."""
 
     def turns(self) -> bool:
-        """Whether a wheel turns now."""
+        """Return whether a wheel turns now."""
         ...
 
     def await_stand(self, limit_s: float) -> bool:
-        """Wait until no wheel turns; whether that was so within the limit [s]."""
+        """Wait until no wheel turns; return whether that happened within the limit [s]."""
         ...

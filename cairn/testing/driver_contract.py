@@ -1,28 +1,32 @@
-"""What every driver of a sensor or a base keeps to: settings of a contract, and its life."""
+"""The contract of every driver: life cycle, parameters, unplugging, stopping; its settings."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar
 
+import psutil
 import pytest
 
 from cairn.bus.control import ControlError
 from cairn.schemas.cairn_msgs import PortStatus
-from cairn.testing.bench import Bench
-from cairn.testing.reading import Arrival, Reading
-from cairn.testing.robot import Robot
-from cairn.testing.usage import Usage
+from cairn.schemas.diagnostic_msgs import DiagnosticArray, DiagnosticStatus
+from cairn.testing.device import Unpluggable
+from cairn.testing.plugin import Bench
+from cairn.testing.robot import Arrival, Reading, RunningDeployment
 
 _WARM_UP = 2  # cycles after which what is allocated once has been
 _MORE = 2  # threads, files or children that may come and go by chance
+_OF_THE_BUS = re.compile(r"(acc|app|net|rx|tx)-\d+")
+"""Names of Zenoh's threads, which start and end with its work."""
 
 
 class Contract:
-    """The settings of a contract: a user's class overrides those that are not right for it."""
+    """The settings of a contract: a user's class overrides those that do not fit its driver."""
 
     deployment: ClassVar[str | Path]
     """A file, or a text with `components` (and `settings`), that holds the driver under test."""
@@ -46,10 +50,10 @@ class Contract:
     """The type of these messages."""
 
     rate_hz: ClassVar[float]
-    """How often they come nominally, in the deployment's time [Hz]."""
+    """Their nominal rate, in the deployment's time [Hz]."""
 
     return_limit_s: ClassVar[float] = 5.0
-    """Until they come (again) after activation, or after the device's return [s]."""
+    """Until they are published (again) after activation, or after the device's return [s]."""
 
     live_parameters: ClassVar[Mapping[str, Any]] = {}
     """Parameters that may be changed while the driver runs, each with another valid value."""
@@ -57,53 +61,53 @@ class Contract:
     cycles: ClassVar[int] = 8
     """How often the driver is deactivated, cleaned up, configured and activated.
 
-    In fewer than 6 cycles no leak is told from chance, and that is not tested.
+    Fewer than 6 cycles do not distinguish leaks from chance; leaks are not tested then.
     """
 
     leak_mb: ClassVar[float] = 8.0
-    """How much more memory its process may hold after these [MB]."""
+    """How much more memory its process may hold after the cycles [MB]."""
 
     @pytest.fixture
-    def robot(self, bench: Bench) -> Robot:
+    def robot(self, bench: Bench) -> RunningDeployment:
         """The running deployment, the driver active."""
         return bench.robot(self.component)
 
     @pytest.fixture
-    def output(self, robot: Robot) -> Iterator[Reading[Any]]:
+    def output(self, robot: RunningDeployment) -> Iterator[Reading[Any]]:
         """What the driver publishes from now on."""
         with robot.read(self.topic(robot, self.port), self.message) as reading:
             yield reading
 
     @classmethod
-    def port_of(cls, robot: Robot, port: str) -> PortStatus | None:
-        """A port of the driver in this deployment, None if it has no such port."""
+    def port_of(cls, robot: RunningDeployment, port: str) -> PortStatus | None:
+        """Return a port of the driver in this deployment, None if it has no such port."""
         ports = {status.port: status for status in robot.status(cls.component).ports}
         return ports.get(port)
 
     @classmethod
-    def topic(cls, robot: Robot, port: str) -> str:
-        """The topic of a port of the driver in this deployment, whatever it was renamed to.
+    def topic(cls, robot: RunningDeployment, port: str) -> str:
+        """Return the topic of a port of the driver in this deployment, renamed or not.
 
-        Raises `AssertionError` if it has no such port, or if others write what it writes.
+        Raises `AssertionError` if it has no such port, or if other components publish the topic.
         """
         status = cls.port_of(robot, port)
         ports = [other.port for other in robot.status(cls.component).ports]
         assert status is not None, f"{cls.component} has no port {port}, but {', '.join(ports)}"
         others = cls.other_writers(robot, status.topic)
         assert status.direction == PortStatus.IN or not others, (
-            f"{status.topic} is written by {', '.join(others)} as well: give the driver under test "
-            "a topic of its own in the deployment"
+            f"{status.topic} is published by {', '.join(others)} as well; give the driver "
+            "under test a topic of its own in the deployment"
         )
         return status.topic
 
     @classmethod
-    def other_writers(cls, robot: Robot, topic: str) -> list[str]:
-        """Who writes a topic (full names), but for the driver under test."""
+    def other_writers(cls, robot: RunningDeployment, topic: str) -> list[str]:
+        """Return the other components (full names) that publish a topic."""
         return sorted(robot.writers(topic) - {f"/{robot.name}/{cls.component}"})
 
     @classmethod
     def sample(cls, reading: Reading[Any], count: int, *, after: int = 0) -> list[Arrival[Any]]:
-        """So many messages after the first `after`; the limit leaves a slow machine room."""
+        """Wait for `count` messages after the first `after`; the limit suits a slow computer."""
         limit_s = cls.return_limit_s + 3.0 * count / cls.rate_hz
         return reading.await_count(count, after=after, limit_s=limit_s)
 
@@ -115,19 +119,19 @@ class Contract:
 
 @dataclass
 class Cycles:
-    """How the driver came through its cycles of the life cycle."""
+    """Usage after each cycle of the life cycle, and the failure, if one failed."""
 
     usages: list[Usage] = field(default_factory=list)
     failure: str = ""
 
 
 class LifeCycleContract(Contract):
-    """The life cycle: an inactive driver is silent, and may be started and stopped for ever."""
+    """Life cycle: an inactive driver publishes nothing, and may be activated again and again."""
 
     @pytest.fixture(scope="class")
     @classmethod
     def cycled(cls, bench: Bench) -> Cycles:
-        """Lead the driver through its life cycle again and again."""
+        """Lead the driver through its life cycle repeatedly."""
         robot = bench.robot(cls.component)
         cycles = Cycles()
         try:
@@ -137,11 +141,13 @@ class LifeCycleContract(Contract):
             cycles.failure = str(error)
         return cycles
 
-    def test_inactive_it_publishes_nothing(self, robot: Robot, output: Reading[Any]) -> None:
-        """Whoever deactivates a driver relies on its device being at rest."""
+    def test_inactive_it_publishes_nothing(
+        self, robot: RunningDeployment, output: Reading[Any]
+    ) -> None:
+        """Operators who deactivate a driver rely on its device being at rest."""
         self.await_working(output, 0)
         robot.request(self.component, "deactivate")
-        output.stays_silent(0.2)  # for what was under way
+        output.stays_silent(0.2)  # for messages under way
         silent = output.stays_silent(max(0.5, 5.0 / self.rate_hz))
         before = output.count
         robot.request(self.component, "activate")
@@ -149,13 +155,13 @@ class LifeCycleContract(Contract):
         assert silent, f"{self.component} publishes {output.topic} although it is inactive"
         self.await_working(output, before)
 
-    def test_it_works_after_every_cycle(self, cycled: Cycles) -> None:
-        """What `on_cleanup` gives back, `on_configure` can take again."""
+    def test_it_publishes_after_every_cycle(self, cycled: Cycles) -> None:
+        """What `on_cleanup` releases, `on_configure` can take again."""
         done = len(cycled.usages)
         assert not cycled.failure, f"in cycle {done + 1} of {self.cycles}: {cycled.failure}"
 
     def test_cycles_leak_no_threads(self, cycled: Cycles) -> None:
-        """A thread that outlives `on_deactivate` or `on_cleanup` goes on with the device."""
+        """A thread that outlives `on_deactivate` or `on_cleanup` still uses the device."""
         self._check_growth(cycled, "threads", _MORE)
 
     def test_cycles_leak_no_files(self, cycled: Cycles) -> None:
@@ -163,20 +169,22 @@ class LifeCycleContract(Contract):
         self._check_growth(cycled, "files", _MORE)
 
     def test_cycles_leak_no_processes(self, cycled: Cycles) -> None:
-        """Helpers end with what they were started for."""
+        """Helper processes end with the cycle that started them."""
         self._check_growth(cycled, "children", 0)
 
     def test_cycles_leak_no_memory(self, cycled: Cycles) -> None:
-        """Buffers are given back."""
+        """Buffers are released."""
         self._check_growth(cycled, "memory", self.leak_mb * 1e6)
 
-    def test_restarted_it_works(self, robot: Robot, output: Reading[Any]) -> None:
-        """Its supervisor stops it and starts it in a process of its own, on the same device."""
+    def test_restarted_it_publishes(self, robot: RunningDeployment, output: Reading[Any]) -> None:
+        """Its supervisor stops it and starts it in another process, on the same device."""
         robot.restart(self.component)
         self.await_working(output, output.count)
 
-    def test_killed_it_comes_back(self, robot: Robot, output: Reading[Any]) -> None:
-        """What a killed driver left of its device does not hinder the next."""
+    def test_killed_it_is_restarted_and_publishes(
+        self, robot: RunningDeployment, output: Reading[Any]
+    ) -> None:
+        """The state in which a killed driver left its device does not prevent the next start."""
         pid = robot.status(self.component).pid
         robot.kill(self.component)
         robot.await_status(
@@ -188,7 +196,7 @@ class LifeCycleContract(Contract):
         self.await_working(output, output.count)
 
     @classmethod
-    def _cycle(cls, robot: Robot, output: Reading[Any], cycles: Cycles) -> None:
+    def _cycle(cls, robot: RunningDeployment, output: Reading[Any], cycles: Cycles) -> None:
         for _ in range(cls.cycles):
             for verb in ("deactivate", "cleanup", "configure"):
                 robot.request(cls.component, verb)
@@ -198,33 +206,33 @@ class LifeCycleContract(Contract):
             cycles.usages.append(Usage.of(robot.status(cls.component).pid))
 
     def _check_growth(self, cycled: Cycles, what: str, allowed: float) -> None:
-        if len(cycled.usages) < _WARM_UP + _MORE + 2:  # of one more each time, say
-            pytest.skip(f"{len(cycled.usages)} cycles are too few to tell: see cycles")
+        if len(cycled.usages) < _WARM_UP + _MORE + 2:  # to detect one more in each
+            pytest.skip(f"{len(cycled.usages)} cycles are too few to detect leaks; see `cycles`")
         used = [getattr(usage, what) for usage in cycled.usages[_WARM_UP:]]
         grown = used[-1] - used[0]
         assert grown <= allowed, (
-            f"{self.component} holds {used[-1]} {what} after {len(used) - 1} cycles more, {grown} "
-            f"more than before (allowed: {allowed:g}); with each cycle: {used}"
+            f"{self.component} holds {used[-1]} {what} after {len(used) - 1} more cycles, {grown} "
+            f"more than before (allowed: {allowed:g}); in each cycle: {used}"
         )
 
 
 class ParametersContract(Contract):
-    """Parameters: an operator is told what they mean, and cannot set what makes no sense."""
+    """Parameters: each is described, and no invalid value is accepted."""
 
-    def test_each_parameter_is_described_and_bounded(self, robot: Robot) -> None:
-        """`cairn param list` tells an operator the meaning, unit and limits of each."""
+    def test_each_parameter_is_described_and_bounded(self, robot: RunningDeployment) -> None:
+        """`cairn param list` shows an operator the meaning, unit and limits of each."""
         for name, parameter in self._parameters(robot).items():
             assert parameter["description"], f"parameter {name} has no description"
             if _is_number(parameter):
                 assert _bounds(parameter).keys() >= {"<", ">"}, (
-                    f"parameter {name} is a number with the bounds {parameter['bounds']!r}: give "
+                    f"parameter {name} is a number with the bounds {parameter['bounds']!r}; give "
                     "its Field a lower and an upper one (gt or ge, lt or le)"
                 )
 
     def test_bad_values_are_refused_and_change_nothing(
-        self, robot: Robot, output: Reading[Any]
+        self, robot: RunningDeployment, output: Reading[Any]
     ) -> None:
-        """Neither a value out of bounds, nor one of another type, nor an unknown name."""
+        """Values out of bounds, of another type, and unknown names are refused."""
         before = self._parameters(robot)
         for name, parameter in before.items():
             for value in _bad_values(parameter):
@@ -236,10 +244,12 @@ class ParametersContract(Contract):
         self._check_refused(robot, {"there_is_no_such_parameter": 1})
         self.await_working(output, output.count)
 
-    def test_live_parameters_can_be_changed(self, robot: Robot, output: Reading[Any]) -> None:
-        """Those that are named as such, to another value and back, while it runs."""
+    def test_live_parameters_can_be_changed(
+        self, robot: RunningDeployment, output: Reading[Any]
+    ) -> None:
+        """Those listed in `live_parameters`, to another value and back, while it runs."""
         if not self.live_parameters:
-            pytest.skip("live_parameters names none that may be changed while it runs")
+            pytest.skip("live_parameters is empty")
         before = robot.parameters(self.component)
         for name, value in self.live_parameters.items():
             robot.set_parameters(self.component, {name: value})
@@ -249,19 +259,19 @@ class ParametersContract(Contract):
             robot.set_parameters(self.component, {name: before[name]["value"]})
         assert robot.parameters(self.component) == before
 
-    def _parameters(self, robot: Robot) -> dict[str, dict[str, Any]]:
+    def _parameters(self, robot: RunningDeployment) -> dict[str, dict[str, Any]]:
         parameters = robot.parameters(self.component)
         if not parameters:
             pytest.skip(f"{self.component} has no parameters")
         return parameters
 
-    def _check_refused(self, robot: Robot, changes: Mapping[str, Any]) -> None:
+    def _check_refused(self, robot: RunningDeployment, changes: Mapping[str, Any]) -> None:
         try:
             robot.set_parameters(self.component, changes)
         except ControlError as error:
-            assert str(error), f"{changes} is refused without a word"  # noqa: PT017 - not raised
+            assert str(error), f"{changes} is refused without a reason"  # noqa: PT017 - not raised
         else:
-            pytest.fail(f"{self.component} takes {changes}, which makes no sense")
+            pytest.fail(f"{self.component} accepts {changes}, which is invalid")
 
 
 def _is_number(parameter: Mapping[str, Any]) -> bool:
@@ -269,7 +279,7 @@ def _is_number(parameter: Mapping[str, Any]) -> bool:
 
 
 def _bounds(parameter: Mapping[str, Any]) -> dict[str, float]:
-    """Limits by their sign: `<` above, `>` below."""
+    """Return limits by their sign: `<` above, `>` below."""
     found = re.findall(r"([<>])=? (-?[0-9.e+-]+)", parameter["bounds"])
     return {sign: float(limit) for sign, limit in found}
 
@@ -287,3 +297,147 @@ def _bad_values(parameter: Mapping[str, Any]) -> list[Any]:
     limits = _bounds(parameter)
     beyond = {"<": lambda limit: limit + abs(limit) + 1, ">": lambda limit: limit - abs(limit) - 1}
     return ["much", *(beyond[sign](limit) for sign, limit in limits.items())]
+
+
+class UnplugContract(Contract):
+    """Unplugging: a driver survives a loose cable."""
+
+    tell_limit_s: ClassVar[float] = 5.0
+    """Until the driver reports that its device is gone [s]."""
+
+    def test_unplugged_it_stays_alive_and_reports_it(
+        self, robot: RunningDeployment, output: Reading[Any], device: object
+    ) -> None:
+        """It does not terminate, does not repeat its last measurement, and reports the loss."""
+        plug = _unpluggable(device)
+        self.await_working(output, 0)
+        before = robot.status(self.component)
+        said = len(robot.run.lines)
+        diagnosed = self.port_of(robot, "diagnostics")
+        plug.unplug()
+        try:
+            if diagnosed is None:
+                self._await_warning(robot, said)
+            else:
+                self._await_diagnosis(robot, diagnosed.topic)
+            silent = output.stays_silent(max(0.5, 5.0 / self.rate_hz))
+            robot.await_state(self.component, "active")
+            now = robot.status(self.component)
+        finally:
+            plug.plug_in()
+        assert now.pid == before.pid, (
+            f"{self.component} was restarted ({now.reason}) when its device was unplugged; a "
+            "driver waits for its device's return"
+        )
+        assert silent, f"{self.component} publishes {output.topic} without its device"
+
+    def test_plugged_in_again_it_publishes(self, output: Reading[Any], device: object) -> None:
+        """Within a limit, without help."""
+        plug = _unpluggable(device)
+        self.await_working(output, 0)
+        plug.unplug()
+        try:
+            output.await_silence(3.0 / self.rate_hz, self.return_limit_s)
+        finally:
+            plug.plug_in()
+        self.await_working(output, output.count)
+
+    def _await_warning(self, robot: RunningDeployment, said: int) -> None:
+        try:
+            robot.run.await_line(
+                rf"(WARNING|ERROR) +{robot.name}\.{self.component}: ",
+                after=said,
+                limit_s=self.tell_limit_s,
+            )
+        except AssertionError:
+            raise AssertionError(
+                f"{self.component} does not report that its device is gone: there is neither a "
+                "warning in its log, nor a port `diagnostics`"
+            ) from None
+
+    def _await_diagnosis(self, robot: RunningDeployment, topic: str) -> None:
+        shared = bool(self.other_writers(robot, topic))  # then names distinguish its own
+
+        def is_reported(arrivals: Sequence[Arrival[DiagnosticArray]]) -> bool:
+            return any(
+                status.level > DiagnosticStatus.OK
+                for arrival in arrivals
+                for status in arrival.message.status
+                if not shared or self.component in status.name
+            )
+
+        with robot.read(topic, DiagnosticArray) as diagnostics:
+            what = "a status worse than OK, when the device was unplugged"
+            diagnostics.await_that(is_reported, what, limit_s=self.tell_limit_s)
+
+
+class StopContract(Contract):
+    """Stopping: its supervisor relies on it."""
+
+    def test_it_stops_cleanly(self, robot: RunningDeployment, output: Reading[Any]) -> None:
+        """Within its deployment's `stop_timeout_s`; otherwise its supervisor has to kill it."""
+        said = len(robot.run.lines)
+        robot.unload(self.component)
+        stopped = rf"{self.component} (did not stop cleanly|stopped): "
+        robot.run.await_line(stopped, after=said)
+        lines = [line for line in robot.run.lines[said:] if re.search(stopped, line)]
+        robot.load(self.component)
+
+        assert "stopped: shut down" in lines[0], f"it did not stop by itself: {lines[0].strip()}"
+        self.await_working(output, output.count)
+
+
+class EndContract(Contract):
+    """The end of a deployment, by a signal or by force: no process is left."""
+
+    def test_ctrl_c_stops_everything_cleanly(self, robot: RunningDeployment) -> None:
+        """`cairn up` ends with exit status 0, and no process is left."""
+        code = robot.run.stop()
+        robot.run.await_nothing_left()
+
+        assert code == 0, f"cairn up ended with exit status {code}; {robot.run}"
+
+    def test_nothing_is_left_after_a_kill_of_cairn_up(self, bench: Bench) -> None:
+        """A killed `cairn up` cannot stop the driver; it ends all the same."""
+        robot = bench.robot(self.component)
+        robot.run.process.kill()
+        robot.run.await_nothing_left()
+
+
+def _unpluggable(device: object) -> Unpluggable:
+    if not isinstance(device, Unpluggable):
+        pytest.skip("the device cannot be unplugged: no fixture `device` with unplug, plug_in")
+    return device
+
+
+@dataclass(frozen=True)
+class Usage:
+    """What a process holds at a moment; `memory` is its own, not shared with others [bytes].
+
+    Threads of the bus are not counted: they are not the component's.
+    """
+
+    threads: int
+    files: int
+    children: int
+    memory: int
+
+    @classmethod
+    def of(cls, pid: int) -> Usage:
+        """Return what a process holds now; raises `psutil.Error` if there is no such process."""
+        process = psutil.Process(pid)
+        return cls(
+            threads=sum(not _OF_THE_BUS.fullmatch(name) for name in _threads_of(process)),
+            files=process.num_fds(),
+            children=len(process.children()),
+            memory=process.memory_full_info().uss,
+        )
+
+
+def _threads_of(process: psutil.Process) -> list[str]:
+    names = []
+    for thread in process.threads():
+        with suppress(OSError):  # it has just ended
+            name = Path(f"/proc/{process.pid}/task/{thread.id}/comm").read_text(encoding="utf-8")
+            names.append(name.rstrip("\n"))
+    return names

@@ -1,4 +1,4 @@
-"""Runs `cairn up` as a user would, watches its lines, and proves that nothing of it is left."""
+"""Runs `cairn up` as a user would, reads its output, and checks that nothing of it is left."""
 
 import contextlib
 import json
@@ -24,13 +24,13 @@ CAIRN = str(Path(sys.executable).parent / "cairn")
 """The command of the environment that runs the tests."""
 
 LIMIT_S = 120.0
-"""What is waited for is given up after so long, unless told otherwise: far longer than it takes."""
+"""Default time limit of waits [s]: far longer than they take."""
 
 _MARK = "CAIRN_TEST_RUN"  # in the environment of all processes of a run, grandchildren included
 
 
 class Run:
-    """A running `cairn up`: its lines as they come, its processes, its end."""
+    """A running `cairn up`: its output lines, its processes, its end."""
 
     def __init__(
         self,
@@ -61,7 +61,7 @@ class Run:
         self._reader.start()
 
     def await_line(self, pattern: str, *, after: int = 0, limit_s: float = LIMIT_S) -> int:
-        """Wait for a line that contains the pattern; returns its number, for `after`."""
+        """Wait for a line that matches the pattern; return its number, for `after`."""
         deadline = time.monotonic() + limit_s
         number = after
         with self._changed:
@@ -70,27 +70,27 @@ class Run:
                     number += 1
                     if re.search(pattern, line):
                         return number
-                assert not self._ended, f"it ended without a line {pattern!r}; {self}"
+                assert not self._ended, f"cairn up ended without a line {pattern!r}; {self}"
                 left_s = deadline - time.monotonic()
                 assert left_s > 0, f"no line {pattern!r} within {limit_s:g} s; {self}"
                 self._changed.wait(left_s)
 
     def await_end(self, limit_s: float = LIMIT_S) -> int:
-        """Wait for the end of `cairn up`; returns its exit code."""
+        """Wait for the end of `cairn up`; return its exit code."""
         try:
             code = self.process.wait(limit_s)
         except subprocess.TimeoutExpired:
-            raise AssertionError(f"it does not end within {limit_s:g} s; {self}") from None
+            raise AssertionError(f"cairn up does not end within {limit_s:g} s; {self}") from None
         self._reader.join(limit_s)
         return code
 
     def stop(self, limit_s: float = LIMIT_S) -> int:
-        """Press Ctrl-C and wait for the end; returns the exit code."""
+        """Send SIGINT, as Ctrl-C does, and wait for the end; return the exit code."""
         self.process.send_signal(signal.SIGINT)
         return self.await_end(limit_s)
 
     def pid_of(self, component: str) -> int:
-        """The process of a component, or of the `zygote`."""
+        """Return the process id of a component, or of the `zygote`."""
         found = [
             process.pid
             for process in self._processes()
@@ -100,11 +100,11 @@ class Run:
         return found[0]
 
     def pids(self) -> list[int]:
-        """All processes of the run, grandchildren included."""
+        """Return the ids of all processes of the run, grandchildren included."""
         return [process.pid for process in self._processes()]
 
     def await_nothing_left(self, limit_s: float = LIMIT_S) -> None:
-        """Wait until no process of the run is left; kill and tell those that stay."""
+        """Wait until no process of the run is left; kill those that stay, and name them."""
         deadline = time.monotonic() + limit_s
         while (left := self._processes()) and time.monotonic() < deadline:
             await_any_end([process.pid for process in left], deadline - time.monotonic())
@@ -116,12 +116,12 @@ class Run:
         assert not names, f"left running: {names}; {self}"
 
     def log_of(self, component: str) -> str:
-        """What is in the log file of a component."""
+        """Return the log file of a component."""
         return (self.report / "logs" / f"{component}.log").read_text(encoding="utf-8")
 
     def __str__(self) -> str:
-        """What it said, for the message of a test that fails."""
-        return "its lines:\n" + "".join(self.lines)
+        """Return its output, for the message of a test that fails."""
+        return "its output:\n" + "".join(self.lines)
 
     def _processes(self) -> list[psutil.Process]:
         found = []
@@ -151,7 +151,7 @@ class Run:
 
 
 class Launching:
-    """Starts deployments written in a test, each on a router of its own unless told otherwise."""
+    """Launches deployments written in a test, each on a router of its own by default."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -170,8 +170,8 @@ class Launching:
     ) -> Run:
         """Run `cairn up` with a file, or with `components` and other keys given as YAML.
 
-        `connect` names the router of another run, to join it; only `head` lines are read of what
-        it says. What else there is goes to `subprocess.Popen`.
+        `connect` is the endpoint of another run's router, to join it; only `head` lines of output
+        are read. Other arguments go to `subprocess.Popen`.
         """
         endpoint = connect or f"tcp/127.0.0.1:{free_port()}"
         if isinstance(deployment, Path):
@@ -186,7 +186,7 @@ class Launching:
         return run
 
     def write(self, components: str, robot: str = "robot", bus: Any = None) -> Path:
-        """A deployment file with these components."""
+        """Write a deployment file with these components."""
         file = self._folder / f"deployment{len(self.runs)}.yaml"
         bus = {"listen": bus} if isinstance(bus, str) else bus or {}
         head = f"cairn: 1\nrobot: {robot}\nbus: {json.dumps(bus)}\n"
@@ -196,7 +196,7 @@ class Launching:
 
 @contextmanager
 def launching(folder: Path) -> Iterator[Launching]:
-    """Starts deployments; at the end all are stopped, and nothing of them must be left."""
+    """Launch deployments; at the end all are stopped, and nothing of them may be left."""
     launch = Launching(folder)
     try:
         yield launch
@@ -213,7 +213,7 @@ def launching(folder: Path) -> Iterator[Launching]:
 
 
 def free_port() -> int:
-    """A port that nobody listens on."""
+    """Return a free TCP port."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port: int = probe.getsockname()[1]

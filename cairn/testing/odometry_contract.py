@@ -1,30 +1,41 @@
-"""The contract of odometry alone, as a recorded base keeps it, too: `odom`, nav_msgs/Odometry."""
+"""The contract of odometry alone, as of a recorded base: `odom`, nav_msgs/Odometry.
+
+Checks raise `AssertionError` with a sentence that names the fault. Lengths are in meters, angles in
+radians, times in seconds.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any, ClassVar
 
+import numpy as np
 import pytest
 
+from cairn.clock import to_ns
+from cairn.schemas.geometry_msgs import Quaternion
 from cairn.schemas.nav_msgs import Odometry
 from cairn.schemas.tf2_msgs import TFMessage
-from cairn.testing import odometry as judged
-from cairn.testing import stamps as timed
-from cairn.testing.bench import Bench
+from cairn.testing import timing as timed
 from cairn.testing.driver_contract import Contract
-from cairn.testing.pauses import undisturbed
-from cairn.testing.reading import Arrival
+from cairn.testing.plugin import Bench
+from cairn.testing.robot import Arrival
+from cairn.testing.timing import undisturbed
 
 Odoms = Sequence[Arrival[Odometry]]
+_UNIT = 1e-3  # tolerance of a quaternion's length
+_WAY_M = 0.02  # tolerance of distances of any length: encoders have steps
+_TURN_RAD = 0.05
 
 
 @dataclass(frozen=True)
 class Drive:
-    """A drive: odometry while it stood, went ahead, stood again, turned left, and was left alone.
+    """A drive: odometry of standing, driving ahead, turning left, and without commands.
 
-    `transforms` are all that came on tf, None where the driver has no such port.
+    `transforms` are all messages on tf, None if the driver has no such port.
     """
 
     before: Odoms
@@ -41,7 +52,7 @@ class Drive:
 
 
 class OdometryContract(Contract):
-    """What odometry says, and when."""
+    """Contents and stamps of odometry."""
 
     component: ClassVar[str] = "base"
     port: ClassVar[str] = "odom"
@@ -54,7 +65,7 @@ class OdometryContract(Contract):
     """How far a spacing of stamps may be off the median, as a share."""
 
     oldest_s: ClassVar[float] = 0.25
-    """How old odometry may be when it comes [s]."""
+    """How old odometry may be at arrival [s]."""
 
     early_s: ClassVar[float] = 0.005
     """By how much a stamp may be in the future [s]."""
@@ -74,7 +85,7 @@ class OdometryContract(Contract):
     @pytest.fixture(scope="class")
     @classmethod
     def drive(cls, bench: Bench) -> Drive:
-        """Odometry in a row, that the tests of the class share: nobody drives."""
+        """Consecutive odometry without commands, shared by the tests of the class."""
         robot = bench.robot(cls.component)
         tf = cls.port_of(robot, "tf")
         transforms = None if tf is None else robot.read(tf.topic, TFMessage)
@@ -86,7 +97,7 @@ class OdometryContract(Contract):
             return Drive(before, (), (), (), transforms.messages)
 
     def test_rate(self, drive: Drive) -> None:
-        """It is the nominal one: who plans by it relies on it."""
+        """It is the nominal one: readers rely on it."""
         timed.check_rate(timed.stamps_of(drive.before), self.rate_hz, self.rate_tolerance)
 
     def test_stamps_increase_regularly(self, drive: Drive) -> None:
@@ -95,30 +106,158 @@ class OdometryContract(Contract):
         timed.check_increasing(stamps)
         timed.check_regular(stamps, self.jitter)
 
-    def test_stamps_are_of_the_present(self, drive: Drive) -> None:
-        """Neither of the future nor of long ago, by the deployment's clock."""
+    def test_stamps_are_current(self, drive: Drive) -> None:
+        """Neither in the future nor too old, by the deployment's clock."""
         timed.check_present(drive.before, -self.early_s, self.oldest_s, self.early_s)
 
     def test_frames(self, drive: Drive) -> None:
         """As REP 105 names them."""
-        judged.check_frames(drive.all[0], self.odom_frame, self.base_frame)
+        check_frames(drive.all[0], self.odom_frame, self.base_frame)
 
     def test_pose_is_on_the_plane(self, drive: Drive) -> None:
         """A rotation about z, and no height."""
         for odom in drive.all:
-            judged.check_pose(odom)
+            check_pose(odom)
 
     def test_covariance(self, drive: Drive) -> None:
-        """One that filters can use."""
+        """It is one that filters can use."""
         for odom in drive.all:
-            judged.check_covariance(odom)
+            check_covariance(odom)
 
     def test_twist_agrees_with_pose(self, drive: Drive) -> None:
-        """The one is the change of the other."""
-        judged.check_twist_agrees(drive.all, self.accuracy)
+        """The twist is the change of the pose."""
+        check_twist_agrees(drive.all, self.accuracy)
 
     def test_tf_agrees_with_odometry(self, drive: Drive) -> None:
-        """Who reads the one and who reads the other see the same robot."""
+        """Readers of both get the same pose."""
         if drive.transforms is None:
             pytest.skip(f"{self.component} has no port tf")
-        judged.check_transforms_agree(drive.all, drive.transforms, self.odom_frame, self.base_frame)
+        check_transforms_agree(drive.all, drive.transforms, self.odom_frame, self.base_frame)
+
+
+@dataclass(frozen=True)
+class Traveled:
+    """Sums over odometry: by its poses, and by its twists over time."""
+
+    ahead_m: float
+    ahead_by_twist_m: float
+    left_rad: float
+    left_by_twist_rad: float
+    longest_speed: float
+    """The highest speed of a twist [m/s]."""
+
+
+def traveled(odoms: Sequence[Odometry]) -> Traveled:
+    """Sum up the distance ahead (along the heading; negative backwards) and the turn left."""
+    ahead = left = ahead_by_twist = left_by_twist = 0.0
+    for before, after in pairwise(odoms):
+        seconds = (to_ns(after.header.stamp) - to_ns(before.header.stamp)) / 1e9
+        turn = _wrapped(_heading(after) - _heading(before))
+        middle = _heading(before) + 0.5 * turn
+        step = [
+            after.pose.pose.position.x - before.pose.pose.position.x,
+            after.pose.pose.position.y - before.pose.pose.position.y,
+        ]
+        ahead += step[0] * math.cos(middle) + step[1] * math.sin(middle)
+        left += turn
+        twist = after.twist.twist
+        ahead_by_twist += seconds * twist.linear.x
+        left_by_twist += seconds * twist.angular.z
+    fastest = max((abs(odom.twist.twist.linear.x) for odom in odoms), default=0.0)
+    return Traveled(ahead, ahead_by_twist, left, left_by_twist, fastest)
+
+
+def check_frames(odom: Odometry, frame: str, child: str) -> None:
+    """Check the frames: the pose is in that of odometry, the twist in the robot's own."""
+    found = (odom.header.frame_id, odom.child_frame_id)
+    assert found == (frame, child), (
+        f"odometry is of {found[1]!r} in {found[0]!r}, but should be of {child!r} in {frame!r}"
+    )
+
+
+def check_pose(odom: Odometry) -> None:
+    """Check that the orientation has unit length, turns about z only, and z is 0."""
+    rotation = odom.pose.pose.orientation
+    length = _length(rotation)
+    assert abs(length - 1.0) <= _UNIT, (
+        f"the orientation's quaternion has length {length:g}, not 1: it is not a rotation"
+    )
+    tilt = math.hypot(rotation.x, rotation.y)
+    assert tilt <= _UNIT, (
+        f"the orientation {rotation} is tilted: a base on the plane turns about z alone; is its "
+        "order x, y, z, w?"
+    )
+    z = odom.pose.pose.position.z
+    assert abs(z) <= 1e-6, f"the base is at z = {z:g} m: odometry is on the plane"
+
+
+def check_covariance(odom: Odometry) -> None:
+    """Check that covariances are symmetric, and no variance is negative."""
+    for name, values in (("pose", odom.pose.covariance), ("twist", odom.twist.covariance)):
+        matrix = np.asarray(values).reshape(6, 6)
+        assert np.allclose(matrix, matrix.T, rtol=1e-6, atol=1e-12), (
+            f"the covariance of the {name} is not symmetric: {matrix.tolist()}"
+        )
+        assert (matrix.diagonal() >= 0.0).all(), (
+            f"the covariance of the {name} has a negative variance: {matrix.diagonal().tolist()}"
+        )
+
+
+def check_twist_agrees(odoms: Sequence[Odometry], tolerance: float) -> None:
+    """Check that the sum of the twists over time is that of the poses, within a share."""
+    way = traveled(odoms)
+    _agree(
+        way.ahead_m, way.ahead_by_twist_m, tolerance, _WAY_M, "m ahead", "m/s (and in base_link)"
+    )
+    _agree(way.left_rad, way.left_by_twist_rad, tolerance, _TURN_RAD, "rad to the left", "rad/s")
+
+
+def check_transforms_agree(
+    odoms: Sequence[Odometry], transforms: Sequence[TFMessage], frame: str, child: str
+) -> None:
+    """Check that tf equals odometry at each stamp that both have."""
+    poses = {to_ns(odom.header.stamp): odom.pose.pose for odom in odoms}
+    compared = 0
+    for message in transforms:
+        for there in message.transforms:
+            pose = poses.get(to_ns(there.header.stamp))
+            if (there.header.frame_id, there.child_frame_id) != (frame, child) or pose is None:
+                continue
+            compared += 1
+            move, turn = there.transform.translation, there.transform.rotation
+            off_m = math.dist((move.x, move.y), (pose.position.x, pose.position.y))
+            off_rad = abs(_wrapped(_yaw(turn) - _yaw(pose.orientation)))
+            assert off_m <= 1e-6, f"tf is {off_m:g} m off the position of odometry"
+            assert off_rad <= 1e-6, f"tf is {off_rad:g} rad off the heading of odometry"
+    assert compared, (
+        f"of {len(transforms)} messages on tf none has {frame} to {child} at a stamp of odometry"
+    )
+
+
+def is_still(odom: Odometry, speed: float, turn: float) -> bool:
+    """Return whether its twist is no faster than that [m/s, rad/s]."""
+    twist = odom.twist.twist
+    return abs(twist.linear.x) <= speed and abs(twist.angular.z) <= turn
+
+
+def _agree(pose: float, twist: float, tolerance: float, least: float, what: str, unit: str) -> None:
+    assert abs(pose - twist) <= max(least, tolerance * abs(pose)), (
+        f"by its poses the base went {pose:.3f} {what}, by its twists {twist:.3f}: a twist is the "
+        f"speed in {unit}"
+    )
+
+
+def _heading(odom: Odometry) -> float:
+    return _yaw(odom.pose.pose.orientation)
+
+
+def _yaw(rotation: Quaternion) -> float:
+    return 2.0 * math.atan2(rotation.z, rotation.w)
+
+
+def _length(rotation: Quaternion) -> float:
+    return math.hypot(rotation.x, rotation.y, rotation.z, rotation.w)
+
+
+def _wrapped(angle: float) -> float:
+    return math.remainder(angle, 2.0 * math.pi)

@@ -1,4 +1,4 @@
-"""A running deployment in the hands of a test: reads and writes its topics, asks, and does harm."""
+"""A running deployment in a test: reads and publishes topics, sends requests, injects failures."""
 
 from __future__ import annotations
 
@@ -6,36 +6,45 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Any, TypeVar
+from dataclasses import dataclass
+from typing import Any, Generic, TypeVar
 
 import zenoh
 
 from cairn.bus import keys
-from cairn.bus.bus import full_name
+from cairn.bus.bus import Node, Subscription, full_name
 from cairn.bus.control import request
-from cairn.bus.qos import RELIABLE, Qos
+from cairn.bus.qos import LATCHED, RELIABLE, Qos
 from cairn.bus.session import open_peer
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.clock import to_ns
 from cairn.schemas.cairn_msgs import ComponentStatus
-from cairn.schemas.message import type_name
+from cairn.schemas.message import InvalidMessage, type_name
 from cairn.schemas.rosgraph_msgs import Clock
 from cairn.testing.launching import LIMIT_S, Run
-from cairn.testing.reading import MANY, RETAINED, Reading
 
 M = TypeVar("M")
 
 START_LIMIT_S = 120.0
 """The first start after an installation may compile kernels, which takes about a minute."""
 
+MESSAGE_LIMIT_S = 60.0
+"""How long a message is awaited by default [s]: far longer than it takes."""
+
+MANY = Qos("best_effort", "volatile", 1000)
+"""So deep that no message is dropped while the test is busy."""
+
+RETAINED = LATCHED.with_depth(100)
+"""For latched topics: includes messages published before."""
+
 _STATUS = "component_status"
 _REQUEST_S = 15.0
-_SETTLE_S = 20.0
+_PEERS_S = 20.0
 
 
-class Robot:
+class RunningDeployment:
     """A run of `cairn up` whose components are all active, joined over the bus.
 
     Names of topics and components are below the robot's namespace unless they begin with `/`.
@@ -44,13 +53,14 @@ class Robot:
     def __init__(self, run: Run, name: str = "robot", limit_s: float = START_LIMIT_S) -> None:
         """Wait until all components that are loaded at the start are active.
 
-        Raises `AssertionError` with all that `cairn up` said if that is not so within the limit.
+        `name`: the robot's name. Raises `AssertionError` with all output of `cairn up` if they are
+        not active within `limit_s` [s].
         """
-        run.await_line(" active$", limit_s=limit_s)  # of the first: the router answers by now
+        run.await_line(" active$", limit_s=limit_s)  # of the first: the router replies by now
         self.run = run
         self.name = name
         self._bus = ZenohBus(open_peer([run.endpoint]))
-        self._node = self._bus.node("/conformance", self._complain)
+        self._node = self._bus.node("/conformance", _raise)
         self._publishers: dict[str, Any] = {}
         self._now: Callable[[int], int] = _system
         self._changed = threading.Condition()
@@ -58,146 +68,149 @@ class Robot:
         with self._changed:
             topic = full_name(name, _STATUS)
             many = RETAINED.with_depth(1000)
-            self._heartbeats = self._node.subscribe(topic, ComponentStatus, many, self._hear)
-        self.settle()
+            self._heartbeats = self._node.subscribe(topic, ComponentStatus, many, self._on_status)
+        self.wait_for_peers()
         # The root is active when all its children are, and they when theirs are.
         self.await_state("root", "active", limit_s)
         clock = full_name(name, "clock")
         if clock in self.topics(Clock):
-            self._now = _Told(self.read("clock", Clock))
+            self._now = _SimulatedNow(self.read("clock", Clock))
 
-    def settle(self) -> None:
-        """Wait until every process of the deployment and this one know of each other's ports."""
-        unreached = self._bus.wait_for_peers(_SETTLE_S)
-        assert not unreached, f"not reached within {_SETTLE_S:g} s: {unreached}; {self.run}"
+    def wait_for_peers(self) -> None:
+        """Wait until the deployment's processes and this one have discovered each other."""
+        unreached = self._bus.wait_for_peers(_PEERS_S)
+        assert not unreached, f"not reached within {_PEERS_S:g} s: {unreached}; {self.run}"
 
     def close(self) -> None:
-        """Leave the bus; the deployment runs on."""
+        """Leave the bus; the deployment continues."""
         self._bus.close()
 
     def topics(self, message: type[Any]) -> set[str]:
-        """The topics (full names) that somebody writes with this type of message."""
+        """Return the topics (full names) that are published with this type of message."""
         wanted = type_name(message)
-        return {end.topic for end in self._writers() if end.type_name == wanted}
+        return {end.topic for end in self._endpoints() if end.type_name == wanted}
 
     def writers(self, topic: str) -> set[str]:
-        """The components (full names) that write a topic now."""
+        """Return the components (full names) that publish a topic now."""
         full = full_name(self.name, topic)
-        return {end.node.name for end in self._writers() if end.topic == full}
+        return {end.node.name for end in self._endpoints() if end.topic == full}
 
     def read(
         self, topic: str, message: type[M], keep: Callable[[M], M] = lambda message: message
     ) -> Reading[M]:
-        """Follow a topic; if it is latched, with what was sent before.
+        """Subscribe to a topic; a latched one includes what was published before.
 
-        `keep` makes messages smaller that are not needed whole, such as images.
+        `keep` reduces messages that are not needed whole, such as images.
         """
         full = full_name(self.name, topic)
-        kinds = {end.qos.durability for end in self._writers() if end.topic == full}
+        kinds = {end.qos.durability for end in self._endpoints() if end.topic == full}
         qos = RETAINED if "transient_local" in kinds else MANY
         reading = Reading(self._node, full, message, qos, lambda at: self._now(at), keep)
-        self.settle()
+        self.wait_for_peers()
         return reading
 
     @contextmanager
-    def order(self, topics: Mapping[str, type[Any]]) -> Iterator[list[tuple[str, Any]]]:
-        """The messages of several topics, in the order in which they come; whole at the end.
+    def read_in_order(self, topics: Mapping[str, type[Any]]) -> Iterator[list[tuple[str, Any]]]:
+        """Read several topics within the context; the list is complete after it.
 
-        Readings of different topics may overtake one another: each has a thread of its own.
+        It has the messages in their order of arrival across topics. Separate readings would not:
+        each has a thread of its own.
         """
         session, codec = self._bus.session, self._bus.codec
-        came: list[tuple[str, bytes]] = []
-        found: list[tuple[str, Any]] = []
+        received: list[tuple[str, bytes]] = []
+        messages: list[tuple[str, Any]] = []
 
-        def following(topic: str) -> Any:
-            return lambda sample: came.append((topic, sample.payload.to_bytes()))
+        def receiver(topic: str) -> Any:
+            return lambda sample: received.append((topic, sample.payload.to_bytes()))
 
         subscribers = [
             session.declare_subscriber(
                 self._key(topic, message),
-                zenoh.handlers.Callback(following(topic), indirect=False),
+                zenoh.handlers.Callback(receiver(topic), indirect=False),
             )
             for topic, message in topics.items()
         ]
         try:
-            yield found
+            yield messages
         finally:
             for subscriber in subscribers:
                 subscriber.undeclare()
-        found += [(topic, codec.decode(topics[topic], data)) for topic, data in came]
+        messages += [(topic, codec.decode(topics[topic], data)) for topic, data in received]
 
-    def send(self, topic: str, message: Any, qos: Qos = RELIABLE) -> None:
-        """Publish a message; whoever reads the topic now gets it."""
+    def publish(self, topic: str, message: Any, qos: Qos = RELIABLE) -> None:
+        """Publish a message; every present subscriber receives it."""
         full = full_name(self.name, topic)
         if full not in self._publishers:
             self._publishers[full] = self._node.advertise(full, type(message), qos)
-            self.settle()
+            self.wait_for_peers()
         self._publishers[full].publish(message)
 
     @contextmanager
-    def sending(self, topic: str, message: Any, hz: float = 20.0) -> Iterator[None]:
-        """Publish a message at once and then again and again, as long as the context lasts."""
-        self.send(topic, message)
-        over = threading.Event()
+    def publishing(self, topic: str, message: Any, hz: float = 20.0) -> Iterator[None]:
+        """Publish a message at once and then repeatedly, as long as the context lasts."""
+        self.publish(topic, message)
+        is_over = threading.Event()
 
         def repeat() -> None:
-            while not over.wait(1.0 / hz):
-                self.send(topic, message)
+            while not is_over.wait(1.0 / hz):
+                self.publish(topic, message)
 
-        thread = threading.Thread(target=repeat, name=f"sends {topic}", daemon=True)
+        thread = threading.Thread(target=repeat, name=f"publishes {topic}", daemon=True)
         thread.start()
         try:
             yield
         finally:
-            over.set()
+            is_over.set()
             thread.join(LIMIT_S)
 
-    def send_bytes(self, topic: str, message: type[Any], data: bytes) -> None:
-        """Put bytes on the topic of a message type, such as no port would send."""
+    def publish_bytes(self, topic: str, message: type[Any], data: bytes) -> None:
+        """Publish bytes on the topic of a message type, also ones that no port would publish."""
         attachment = keys.Attachment(1, time.time_ns(), os.urandom(16))
         self._bus.session.put(self._key(topic, message), data, attachment=attachment.encode())
 
     def encoded(self, message: Any) -> bytes:
-        """A message as it travels: CDR, little endian, with its header of 4 bytes."""
+        """Return a message as it is sent: CDR, little endian, with its header of 4 bytes."""
         return bytes(self._bus.codec.encode(message))
 
     def status(self, component: str) -> ComponentStatus:
-        """What the component told of itself last, at most a quarter of a second ago.
+        """Return the last status of a component, at most a quarter of a second old.
 
         Raises `AssertionError` if there is no such component.
         """
-        return self.await_status(component, lambda _: True, "there")
+        return self.await_status(component, lambda _: True, "present")
 
     def await_status(
         self,
         component: str,
-        so: Callable[[ComponentStatus], bool],
+        condition: Callable[[ComponentStatus], bool],
         what: str,
         limit_s: float = LIMIT_S,
     ) -> ComponentStatus:
-        """Wait until a component tells what is wanted of it."""
+        """Wait until `condition` holds of a component's status; return that.
 
-        def found() -> bool:
-            return component in self._statuses and so(self._statuses[component])
+        Raises `AssertionError` that the component is not `what` within `limit_s` [s].
+        """
+
+        def holds() -> bool:
+            return component in self._statuses and condition(self._statuses[component])
 
         with self._changed:
-            there = self._changed.wait_for(found, limit_s)
+            in_time = self._changed.wait_for(holds, limit_s)
             last = self._statuses.get(component)
-        assert there, f"{component} is not {what} within {limit_s:g} s, but {last}; {self.run}"
+        assert in_time, f"{component} is not {what} within {limit_s:g} s, but {last}; {self.run}"
         assert last is not None
         return last
 
     def await_state(self, component: str, state: str, limit_s: float = LIMIT_S) -> None:
-        """Wait until a component tells that it is in a state of the life cycle."""
+        """Wait until a component reports this state of its life cycle."""
         self.await_status(component, lambda status: status.state == state, state, limit_s)
 
     def request(
         self, component: str, verb: str, limit_s: float = _REQUEST_S, **arguments: Any
     ) -> Any:
-        """What a component answers to a request (life cycle, parameters, its own).
+        """Return a component's reply to a request (life cycle, parameters, its own).
 
-        Raises `ControlError` with the component's error if it rejects the request; `NoReplyError`
-        if no reply arrives.
+        Raises `ControlError` with the component's reason if it refuses; `NoAnswer` without a reply.
         """
         return request(
             self._bus.session,
@@ -209,41 +222,41 @@ class Robot:
         )
 
     def parameters(self, component: str) -> dict[str, dict[str, Any]]:
-        """A component's parameters by name: value, type, bounds, description."""
+        """Return a component's parameters by name: value, type, bounds, description."""
         return {entry["name"]: entry for entry in self.request(component, "parameters")}
 
     def set_parameters(self, component: str, changes: Mapping[str, Any]) -> None:
-        """Change parameters, all or none; raises `ControlError` with the words of a refusal."""
+        """Change parameters, all or none; raises `ControlError` with the reason of a refusal."""
         self.request(component, "set_parameters", **changes)
 
     def restart(self, component: str, limit_s: float = LIMIT_S) -> None:
-        """Have a component stopped and started anew by its supervisor; it is active then."""
-        self._order("restart", component, limit_s)
+        """Have the supervisor restart a component; it is active afterwards."""
+        self._request_of_supervisor("restart", component, limit_s)
 
     def unload(self, component: str, limit_s: float = LIMIT_S) -> None:
-        """Have a component stopped by its supervisor, and left so."""
-        self._order("unload", component, limit_s)
+        """Have the supervisor stop a component, and leave it stopped."""
+        self._request_of_supervisor("unload", component, limit_s)
 
     def load(self, component: str, limit_s: float = LIMIT_S) -> None:
-        """Have a component that is not loaded started by its supervisor; it is active then."""
-        self._order("load", component, limit_s)
+        """Have the supervisor start a component that is not loaded; it is active afterwards."""
+        self._request_of_supervisor("load", component, limit_s)
 
     def kill(self, component: str, number: signal.Signals = signal.SIGKILL) -> None:
         """Send a signal to a component's process."""
         os.kill(self.run.pid_of(component), number)
 
     @contextmanager
-    def hanging(self, component: str) -> Iterator[None]:
-        """Have a component's process do nothing any more (SIGSTOP), until the context ends."""
+    def suspended(self, component: str) -> Iterator[None]:
+        """Suspend a component's process (SIGSTOP) within the context."""
         pid = self.run.pid_of(component)
         os.kill(pid, signal.SIGSTOP)
         try:
             yield
         finally:
-            if pid in self.run.pids():  # else its supervisor has killed it meanwhile
+            if pid in self.run.pids():  # otherwise its supervisor has killed it meanwhile
                 os.kill(pid, signal.SIGCONT)
 
-    def _order(self, verb: str, component: str, limit_s: float) -> None:
+    def _request_of_supervisor(self, verb: str, component: str, limit_s: float) -> None:
         supervisor = self.status(component).parent
         self.request(supervisor, verb, limit_s, name=component)
 
@@ -251,25 +264,137 @@ class Robot:
         full = full_name(self.name, topic)
         return keys.message_key(self._bus.domain, full, message, self._bus.codec)
 
-    def _writers(self) -> list[keys.EndpointEntity]:
+    def _endpoints(self) -> list[keys.EndpointEntity]:
+        """Return the publishers of the deployment."""
         found: list[keys.EndpointEntity] = []
         end = self._bus.graph.watch(found.append)
         end()
         return [endpoint for endpoint in found if endpoint.kind == "MP"]
 
-    def _hear(self) -> None:
+    def _on_status(self) -> None:
         with self._changed:
             status = self._heartbeats.take()
             if status is not None:
                 self._statuses[status.component] = status
                 self._changed.notify_all()
 
-    def _complain(self, complaint: str) -> None:
-        raise AssertionError(complaint)
+
+@dataclass(frozen=True)
+class Arrival(Generic[M]):
+    """A message, its arrival [ns since 1970], and the deployment's time at its arrival [ns]."""
+
+    message: M
+    at_ns: int
+    clock_ns: int
 
 
-class _Told:
-    """The deployment's time where it is simulated: the last that topic `clock` told."""
+class Reading(Generic[M]):
+    """Collects what is published on a topic until it is closed; `arrivals` grows."""
+
+    def __init__(
+        self,
+        node: Node,
+        topic: str,
+        message: type[M],
+        qos: Qos,
+        clock: Callable[[int], int],
+        keep: Callable[[M], M],
+    ) -> None:
+        """Subscribe; a topic that no component publishes is no error.
+
+        `clock` returns the deployment's time at a system time; `keep` what to keep of a message.
+        """
+        self.topic = topic
+        self.arrivals: list[Arrival[M]] = []
+        self.invalid: list[str] = []
+        self._clock = clock
+        self._keep = keep
+        self._changed = threading.Condition()
+        with self._changed:  # the first message may arrive before the subscription is known here
+            self._subscription: Subscription = node.subscribe(topic, message, qos, self._receive)
+
+    @property
+    def messages(self) -> list[M]:
+        """The messages received so far."""
+        return [arrival.message for arrival in self.arrivals]
+
+    @property
+    def count(self) -> int:
+        """How many messages were received so far: a mark, for `after`."""
+        return len(self.arrivals)
+
+    def await_count(
+        self, count: int, *, after: int = 0, limit_s: float = MESSAGE_LIMIT_S
+    ) -> list[Arrival[M]]:
+        """Wait for `count` messages after the first `after`; return these.
+
+        Raises `AssertionError` with the number received if they do not arrive within the limit.
+        """
+
+        def enough(arrivals: Sequence[Arrival[M]]) -> bool:
+            return len(arrivals) >= count
+
+        self.await_that(enough, f"{count} messages", after=after, limit_s=limit_s)
+        return self.arrivals[after : after + count]
+
+    def await_that(
+        self,
+        condition: Callable[[Sequence[Arrival[M]]], bool],
+        what: str,
+        *,
+        after: int = 0,
+        limit_s: float = MESSAGE_LIMIT_S,
+    ) -> None:
+        """Wait until `condition` holds of the messages after the first `after`.
+
+        Raises `AssertionError` with `what` was awaited if it does not hold within the limit.
+        """
+        with self._changed:
+            holds = self._changed.wait_for(lambda: condition(self.arrivals[after:]), limit_s)
+            count = len(self.arrivals) - after
+        damaged = f"; invalid: {self.invalid[-1]}" if self.invalid else ""
+        assert holds, f"{self.topic}: not within {limit_s:g} s: {what}; {count} received{damaged}"
+
+    def stays_silent(self, seconds: float) -> bool:
+        """Return whether no message arrives within this time [s]."""
+        before = self.count
+        with self._changed:
+            return not self._changed.wait_for(lambda: len(self.arrivals) > before, seconds)
+
+    def await_silence(self, seconds: float, limit_s: float = MESSAGE_LIMIT_S) -> None:
+        """Wait until no message has arrived for `seconds`; `AssertionError` if that never is."""
+        deadline = time.monotonic() + limit_s
+        while not self.stays_silent(seconds):
+            assert time.monotonic() < deadline, f"{self.topic}: not silent within {limit_s:g} s"
+
+    def close(self) -> None:
+        """Unsubscribe; what was received is kept."""
+        self._subscription.close()
+
+    def __enter__(self) -> Reading[M]:
+        """Read until the end of the context."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Unsubscribe."""
+        self.close()
+
+    def _receive(self) -> None:
+        at_ns = time.time_ns()
+        with self._changed:
+            try:
+                message: Any = self._subscription.take()
+            except InvalidMessage as error:
+                self.invalid.append(str(error))
+            else:
+                if message is not None:
+                    kept = self._keep(message)
+                    self.arrivals.append(Arrival(kept, at_ns, self._clock(at_ns)))
+            self._changed.notify_all()
+
+
+class _SimulatedNow:
+    """The deployment's time where it is simulated: the last one on topic `clock`."""
 
     def __init__(self, reading: Reading[Clock]) -> None:
         self._reading = reading
@@ -281,3 +406,7 @@ class _Told:
 
 def _system(at_ns: int) -> int:
     return at_ns
+
+
+def _raise(problem: str) -> None:
+    raise AssertionError(problem)

@@ -1,27 +1,41 @@
-"""The contract of a range scanner: `scan`, sensor_msgs/LaserScan."""
+"""The contract of a range scanner: `scan`, sensor_msgs/LaserScan.
+
+Checks raise `AssertionError` with a sentence that names the fault. Lengths are in meters, angles in
+radians.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 
 from cairn.schemas.sensor_msgs import LaserScan
-from cairn.testing import scans as judged
-from cairn.testing import stamps as timed
-from cairn.testing.bench import Bench
-from cairn.testing.driver_contract import Contract, LifeCycleContract, ParametersContract
-from cairn.testing.end_contract import EndContract, StopContract, UnplugContract
-from cairn.testing.pauses import undisturbed
-from cairn.testing.reading import Arrival
+from cairn.testing import timing as timed
+from cairn.testing.driver_contract import (
+    Contract,
+    EndContract,
+    LifeCycleContract,
+    ParametersContract,
+    StopContract,
+    UnplugContract,
+)
+from cairn.testing.plugin import Bench
+from cairn.testing.robot import Arrival
+from cairn.testing.timing import undisturbed
 
 Scans = list[Arrival[LaserScan]]
+_FARTHEST_M = 300.0  # no turning scanner measures farther
+_ROUNDING = 1e-5  # of float32, as a share
+_TURN = 2.0 * math.pi
 
 
 class ScanContract(Contract):
-    """What a scan says, and when."""
+    """Contents and stamps of scans."""
 
     component: ClassVar[str] = "scanner"
     port: ClassVar[str] = "scan"
@@ -34,93 +48,194 @@ class ScanContract(Contract):
     """How far a spacing of stamps may be off the median, as a share."""
 
     oldest_s: ClassVar[float] = 0.5
-    """How old a scan may be when it comes [s]."""
+    """How old a scan may be at arrival [s]."""
 
     early_s: ClassVar[float] = 0.005
     """By how much a stamp may be in the future [s]."""
 
     live: ClassVar[bool] = True
-    """False for a recording, which is told at the very time that it bears."""
+    """False for a recording, whose scans are published at the time of their stamps."""
 
     frame: ClassVar[str] = "laser"
     """The frame of the scans."""
 
     surroundings: ClassVar[Mapping[float, float]] = {}
-    """What stands around the scanner: ranges [m] by bearing [rad, left positive]."""
+    """What surrounds the scanner: ranges [m] by bearing [rad, left positive]."""
 
     surroundings_m: ClassVar[float] = 0.1
-    """How well these are known and measured [m]."""
+    """How accurately these are known and measured [m]."""
 
     sample_count: ClassVar[int] = 20
-    """How many scans are judged."""
+    """How many scans are """
 
     @pytest.fixture(scope="class")
     @classmethod
     def scans(cls, bench: Bench) -> Scans:
-        """Scans in a row, that the tests of the class share."""
+        """Consecutive scans, shared by the tests of the class."""
         robot = bench.robot(cls.component)
         with robot.read(cls.topic(robot, cls.port), LaserScan) as reading:
             return undisturbed(lambda: cls.sample(reading, cls.sample_count, after=reading.count))
 
     def test_rate(self, scans: Scans) -> None:
-        """It is the nominal one: who plans by it (filters, watchdogs) relies on it."""
+        """It is the nominal one: filters and watchdogs rely on it."""
         timed.check_rate(timed.stamps_of(scans), self.rate_hz, self.rate_tolerance)
 
     def test_stamps_increase_regularly(self, scans: Scans) -> None:
-        """Each is of its own sweep: a constant, repeated or jumping stamp puts scans elsewhere."""
+        """Each is of its own sweep: a constant, repeated or jumping stamp misplaces scans."""
         stamps = timed.stamps_of(scans)
         timed.check_increasing(stamps)
         timed.check_regular(stamps, self.jitter)
 
-    def test_stamps_are_of_the_present(self, scans: Scans) -> None:
-        """Neither of the future nor of long ago, by the deployment's clock."""
+    def test_stamps_are_current(self, scans: Scans) -> None:
+        """Neither in the future nor too old, by the deployment's clock."""
         timed.check_present(scans, -self.early_s, self.oldest_s, self.early_s)
 
     def test_stamp_is_of_the_first_beam(self, scans: Scans) -> None:
         """As sensor_msgs/LaserScan says; a scan is sent when its last beam is measured."""
         if not self.live:
-            pytest.skip("a recording is told at the very time that it bears")
-        sweep_s = judged.sweep_time(scans[0].message)
+            pytest.skip("a recording is published at the time of its stamps")
+        sweep_s = sweep_time(scans[0].message)
         if sweep_s == 0.0:
-            pytest.skip("time_increment = 0: the driver does not tell how long a sweep lasts")
+            pytest.skip("time_increment = 0: the duration of a sweep is unknown")
         timed.check_present(scans, 0.9 * sweep_s, self.oldest_s + sweep_s, self.early_s)
 
     def test_frame(self, scans: Scans) -> None:
-        """All scans are of the frame that transforms and maps know."""
-        judged.check_frame((scan.message.header.frame_id for scan in scans), self.frame)
+        """All scans have the frame that transforms and maps use."""
+        check_frame((scan.message.header.frame_id for scan in scans), self.frame)
 
     def test_limits_are_in_meters(self, scans: Scans) -> None:
         """`range_min` and `range_max` (REP 103: SI units)."""
-        judged.check_limits(scans[0].message)
+        check_limits(scans[0].message)
 
     def test_ranges_are_within_limits(self, scans: Scans) -> None:
-        """Or say why there is no range (REP 117)."""
+        """Or encode why there is no range (REP 117)."""
         for scan in scans:
-            judged.check_ranges(scan.message)
+            check_ranges(scan.message)
 
-    def test_something_is_seen(self, scans: Scans) -> None:
-        """A scanner that never measures anything is covered, or broken."""
+    def test_some_ranges_are_measured(self, scans: Scans) -> None:
+        """A scanner without any range is covered, or has a defect."""
         returns = sum(int(np.isfinite(scan.message.ranges).sum()) for scan in scans)
         assert returns, f"none of {len(scans)} scans holds a range"
 
     def test_angles_agree(self, scans: Scans) -> None:
         """In radians; `angle_max` is that of the last beam; all scans have the same."""
         for scan in scans:
-            judged.check_angles(scan.message)
+            check_angles(scan.message)
 
     def test_times_agree(self, scans: Scans) -> None:
         """`scan_time` and `time_increment`, where they are given."""
-        judged.check_times(scans[0].message, self.rate_hz, max(self.rate_tolerance, self.jitter))
+        check_times(scans[0].message, self.rate_hz, max(self.rate_tolerance, self.jitter))
 
-    def test_surroundings_are_seen_where_they_are(self, scans: Scans) -> None:
+    def test_surroundings_are_measured_where_they_are(self, scans: Scans) -> None:
         """Left is left, and a meter is a meter."""
         if not self.surroundings:
-            pytest.skip("surroundings tells nothing of what stands around the scanner")
+            pytest.skip("surroundings is not set")
         messages = [scan.message for scan in scans]
-        judged.check_sees(messages, self.surroundings, self.surroundings_m)
+        check_surroundings(messages, self.surroundings, self.surroundings_m)
 
 
 class RangeScannerContract(
     EndContract, StopContract, UnplugContract, LifeCycleContract, ParametersContract, ScanContract
 ):
-    """All that a driver of a range scanner keeps to; derive from it and say what is yours."""
+    """All rules for a driver of a range scanner; derive from it and set what is particular."""
+
+
+def check_frame(frames: Iterable[str], frame: str) -> None:
+    """Check that all messages have this frame."""
+    others = sorted({found for found in frames if found != frame})
+    assert not others, f"frame_id is {', '.join(map(repr, others))}, but should be {frame!r}"
+
+
+def check_limits(scan: LaserScan) -> None:
+    """Check that `range_min` and `range_max` are those of a scanner, in meters."""
+    assert scan.ranges.size > 1, f"a scan has {scan.ranges.size} ranges"
+    assert scan.range_max <= _FARTHEST_M, (
+        f"range_max = {scan.range_max:g} m, and no scanner measures farther than "
+        f"{_FARTHEST_M:g} m: are these millimeters?"
+    )
+    assert 0.0 <= scan.range_min < scan.range_max, (
+        f"range_min = {scan.range_min:g} m, range_max = {scan.range_max:g} m: there is no range"
+    )
+
+
+def check_ranges(scan: LaserScan) -> None:
+    """Check that each range is within the limits, or encodes why there is none (REP 117)."""
+    finite = scan.ranges[np.isfinite(scan.ranges)].astype(float)
+    low = scan.range_min * (1.0 - _ROUNDING)
+    high = scan.range_max * (1.0 + _ROUNDING)
+    wrong = finite[(finite < low) | (finite > high)]
+    hint = ": are these millimeters?" if wrong.size and np.median(wrong) > 10 * high else ""
+    assert not wrong.size, (
+        f"{wrong.size} of {scan.ranges.size} ranges are outside of range_min = {scan.range_min:g} m"
+        f" to range_max = {scan.range_max:g} m, such as {wrong[0]:g} m{hint}; too near is -inf, "
+        "nothing hit is +inf, a failed measurement NaN (REP 117)"
+    )
+
+
+def check_angles(scan: LaserScan) -> None:
+    """Check that first angle, last angle, increment and number of beams agree, within one turn."""
+    beams, step = scan.ranges.size, scan.angle_increment
+    assert step != 0.0, "angle_increment = 0: all beams would point the same way"
+    span = (beams - 1) * step
+    assert abs(span) <= _TURN + abs(step), (
+        f"{beams} beams {step:g} rad apart span {span:g} rad, more than a turn: are these degrees?"
+    )
+    assert abs(scan.angle_min + span - scan.angle_max) <= 0.5 * abs(step), (
+        f"{beams} beams from angle_min = {scan.angle_min:g} rad, {step:g} rad apart, end at "
+        f"{scan.angle_min + span:g} rad, but angle_max = {scan.angle_max:g} rad: it is that of the "
+        "last beam"
+    )
+    outside = [angle for angle in (scan.angle_min, scan.angle_max) if abs(angle) > _TURN]
+    assert not outside, f"an angle of {outside[0]:g} rad is beyond a turn: are these degrees?"
+
+
+def check_times(scan: LaserScan, rate_hz: float, tolerance: float) -> None:
+    """Check that `scan_time`, if set, is that of the rate, and the sweep is not longer."""
+    sweep_s = sweep_time(scan)
+    assert scan.time_increment >= 0.0, f"time_increment = {scan.time_increment:g} s is negative"
+    if scan.scan_time == 0.0:
+        return
+    assert abs(scan.scan_time * rate_hz - 1.0) <= tolerance, (
+        f"scan_time = {scan.scan_time:g} s, but at {rate_hz:g} Hz it is {1.0 / rate_hz:g} s"
+    )
+    assert sweep_s <= scan.scan_time * (1.0 + tolerance), (
+        f"a sweep lasts {sweep_s:g} s by time_increment, but scan_time is {scan.scan_time:g} s"
+    )
+
+
+def sweep_time(scan: LaserScan) -> float:
+    """Return the time from the first beam to the last [s]; 0 if the driver does not set it."""
+    return (scan.ranges.size - 1) * scan.time_increment
+
+
+def check_surroundings(
+    scans: Sequence[LaserScan], surroundings: Mapping[float, float], tolerance_m: float
+) -> None:
+    """Check the range [m] measured at each bearing [rad, left positive] of the surroundings."""
+    for bearing, there in surroundings.items():
+        measured = range_at(scans, bearing)
+        if abs(measured - there) <= tolerance_m:
+            continue
+        hint = ""
+        if abs(range_at(scans, -bearing) - there) <= tolerance_m:
+            hint = "; it is measured on the other side: angles must count to the left (REP 103)"
+        elif abs(measured / 1000.0 - there) <= tolerance_m:
+            hint = "; a thousand times as far: are these millimeters?"
+        raise AssertionError(
+            f"at {math.degrees(bearing):g} degrees something is {there:g} m away, but "
+            f"{measured:g} m are measured{hint}"
+        )
+
+
+def range_at(scans: Sequence[LaserScan], bearing: float) -> float:
+    """Return the median range [m] within a degree of a bearing [rad]; NaN without ranges."""
+    found: list[npt.NDArray[np.float32]] = []
+    for scan in scans:
+        angles = scan.angle_min + np.arange(scan.ranges.size) * scan.angle_increment
+        away = np.abs((angles - bearing + math.pi) % _TURN - math.pi)
+        near = away <= max(math.radians(1.0), away.min(initial=math.inf))
+        if away.min(initial=math.inf) <= max(math.radians(1.0), abs(scan.angle_increment)):
+            found.append(scan.ranges[near])
+    measured = np.concatenate(found) if found else np.empty(0, np.float32)
+    measured = measured[np.isfinite(measured)]
+    return float(np.median(measured)) if measured.size else math.nan

@@ -6,8 +6,7 @@ from pathlib import Path
 import pytest
 from cairn.schemas.diagnostic_msgs import DiagnosticArray
 from cairn.schemas.sensor_msgs import LaserScan
-from cairn.testing.reading import Reading
-from cairn.testing.robot import Robot
+from cairn.testing.robot import Reading, RunningDeployment
 from cairn.testing.scanner_contract import RangeScannerContract
 
 from emulated import SURROUNDINGS, Lantern, plugged_in
@@ -26,7 +25,7 @@ class TestLantern(RangeScannerContract):
             yield lantern
 
     def test_damaged_lines_are_counted_and_never_published(
-        self, device: Lantern, robot: Robot, output: Reading[LaserScan]
+        self, device: Lantern, robot: RunningDeployment, output: Reading[LaserScan]
     ) -> None:
         output.await_count(3)
         with robot.read("diagnostics", DiagnosticArray) as told:
@@ -43,7 +42,7 @@ class TestLantern(RangeScannerContract):
         assert max(ranges) < 3.02
 
     def test_a_device_that_hangs_is_told_and_comes_back(
-        self, device: Lantern, robot: Robot, output: Reading[LaserScan]
+        self, device: Lantern, robot: RunningDeployment, output: Reading[LaserScan]
     ) -> None:
         output.await_count(3)
         said = len(robot.run.lines)

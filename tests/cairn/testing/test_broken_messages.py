@@ -1,6 +1,6 @@
-"""Drivers whose messages are wrong are found by the tests for their mistake, and by no others.
+"""Drivers with wrong messages fail the tests for their fault, and no others.
 
-Here on virtual time, where a busy machine is no excuse; the contracts' own tests judge.
+In virtual time, where a busy computer does not matter; the contracts' own tests judge.
 """
 
 from pathlib import Path
@@ -21,22 +21,22 @@ SCANNERS: dict[type[Component], dict[str, str]] = {
     scanners.SoundScanner: {},
     scanners.Millimeters: {
         "test_ranges_are_within_limits": "are these millimeters?",
-        "test_surroundings_are_seen_where_they_are": "a thousand times as far",
+        "test_surroundings_are_measured_where_they_are": "a thousand times as far",
     },
     scanners.MillimeterLimits: {
         "test_limits_are_in_meters": "are these millimeters?",
-        "test_surroundings_are_seen_where_they_are": "a thousand times as far",
+        "test_surroundings_are_measured_where_they_are": "a thousand times as far",
     },
-    scanners.Clockwise: {"test_surroundings_are_seen_where_they_are": "on the other side"},
+    scanners.Clockwise: {"test_surroundings_are_measured_where_they_are": "on the other side"},
     scanners.Degrees: {
         "test_angles_agree": "are these degrees?",
-        "test_surroundings_are_seen_where_they_are": "m are measured",
+        "test_surroundings_are_measured_where_they_are": "m are measured",
     },
     scanners.TooFar: {"test_ranges_are_within_limits": "such as 65.533 m"},
     scanners.StampedWhenSent: {"test_stamp_is_of_the_first_beam": "of the measurement's beginning"},
     scanners.StampsJump: {"test_stamps_increase_regularly": "spacings of stamps are off"},
     scanners.StampsOfAnotherClock: {
-        "test_stamps_are_of_the_present": "of another clock",
+        "test_stamps_are_current": "of another clock",
         "test_stamp_is_of_the_first_beam": "of another clock",
     },
     scanners.OtherFrame: {"test_frame": "'/laser_link'"},
@@ -44,21 +44,21 @@ SCANNERS: dict[type[Component], dict[str, str]] = {
 }
 CAMERAS: dict[type[Component], dict[str, str]] = {
     cameras.SoundCamera: {},
-    cameras.StampsDiffer: {"test_messages_of_a_pair_have_one_stamp": "have the same stamp"},
-    cameras.SwappedSides: {"test_right_is_right": "are the sides swapped?"},
+    cameras.StampsDiffer: {"test_messages_of_a_pair_have_the_same_stamp": "have the same stamp"},
+    cameras.SwappedSides: {"test_the_baseline_is_positive": "are the sides swapped?"},
     cameras.SwappedSizes: {
         "test_sizes_are_those_of_the_calibration": "width and height are swapped"
     },
-    cameras.Frozen: {"test_images_are_not_frozen": "bit by bit"},
-    cameras.WrongEncoding: {"test_images_are_whole": "'GREY'"},
-    cameras.InfosLate: {"test_infos_come_before_their_images": "before their camera info"},
+    cameras.Frozen: {"test_images_are_not_frozen": "identical"},
+    cameras.WrongEncoding: {"test_images_are_complete": "'GREY'"},
+    cameras.InfosLate: {"test_infos_precede_their_images": "before their camera info"},
 }
 BASES: dict[type[Component], dict[str, str]] = {
     bases.SoundBase: {},
-    bases.NeverStops: {"test_it_stops_when_commands_cease": "it still moves"},
+    bases.NeverStops: {"test_it_stops_when_commands_stop": "it still moves"},
     bases.RightIsLeft: {"test_left_is_left": "-0.5"},
     bases.TwistInDegrees: {"test_left_is_left": "28.6", "test_twist_agrees_with_pose": "rad/s"},
-    bases.TransformLags: {"test_tf_agrees_with_odometry": "off where odometry has it"},
+    bases.TransformLags: {"test_tf_agrees_with_odometry": "off the position of odometry"},
 }
 
 

@@ -11,9 +11,13 @@ from cairn.components.hokuyo.emulator import EmulatedScip
 from cairn.components.pbs.emulator import EmulatedPbs
 from cairn.driver.emulator import EmulatedDevice, Emulator
 from cairn.driver.emulator_lines import PtyEnd
-from cairn.testing.bench import Bench, settings
-from cairn.testing.driver_contract import LifeCycleContract, ParametersContract
-from cairn.testing.end_contract import StopContract, UnplugContract
+from cairn.testing.driver_contract import (
+    LifeCycleContract,
+    ParametersContract,
+    StopContract,
+    UnplugContract,
+)
+from cairn.testing.plugin import Bench, settings
 from cairn.testing.scanner_contract import RangeScannerContract, ScanContract
 
 pytestmark = pytest.mark.realtime

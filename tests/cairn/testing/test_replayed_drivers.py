@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from cairn.testing.bench import Bench, settings
 from cairn.testing.camera_contract import PicturesContract
-from cairn.testing.driver_contract import LifeCycleContract, ParametersContract
-from cairn.testing.end_contract import StopContract
+from cairn.testing.driver_contract import LifeCycleContract, ParametersContract, StopContract
 from cairn.testing.odometry_contract import OdometryContract
+from cairn.testing.plugin import Bench, settings
 from cairn.testing.scanner_contract import ScanContract
 
 LOG = Path(__file__).parents[3] / "deploy" / "recordings" / "fr079_corrected.log.gz"

@@ -13,12 +13,10 @@ from cairn.schemas.cairn_sim_msgs import WorldState
 from cairn.schemas.nav_msgs import Odometry
 from cairn.schemas.sensor_msgs import CameraInfo, LaserScan
 from cairn.testing.base_contract import SafetyContract
-from cairn.testing.bench import Bench, settings
 from cairn.testing.camera_contract import PicturesContract
-from cairn.testing.driver_contract import LifeCycleContract, ParametersContract
-from cairn.testing.end_contract import StopContract
-from cairn.testing.reading import Arrival, Reading
-from cairn.testing.robot import Robot
+from cairn.testing.driver_contract import LifeCycleContract, ParametersContract, StopContract
+from cairn.testing.plugin import Bench, settings
+from cairn.testing.robot import Arrival, Reading, RunningDeployment
 from cairn.testing.scanner_contract import ScanContract
 
 WORLD = Path(__file__).parents[3] / "deploy" / "worlds" / "room.yaml"
@@ -94,7 +92,7 @@ class TestDrive(SafetyContract):
     top_speed = 0.6
 
     @pytest.fixture
-    def device(self, robot: Robot) -> Iterator[TrueWheels]:
+    def device(self, robot: RunningDeployment) -> Iterator[TrueWheels]:
         with robot.read("world_state", WorldState) as states:
             yield TrueWheels(states)
 

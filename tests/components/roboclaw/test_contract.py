@@ -14,8 +14,7 @@ from cairn.schemas.geometry_msgs import Twist, Vector3
 from cairn.schemas.nav_msgs import Odometry
 from cairn.schemas.sensor_msgs import BatteryState
 from cairn.testing.base_contract import BaseContract
-from cairn.testing.reading import Arrival, Reading
-from cairn.testing.robot import Robot
+from cairn.testing.robot import Arrival, Reading, RunningDeployment
 from tests.components.roboclaw.emulated_base import DEPLOYMENT, EmulatedBase, emulated_base
 
 pytestmark = pytest.mark.realtime
@@ -41,16 +40,16 @@ class TestRoboclawBase(BaseContract):
             yield base
 
     def test_square_by_odometry_is_the_true_square(
-        self, robot: Robot, output: Reading[Odometry], device: EmulatedBase
+        self, robot: RunningDeployment, output: Reading[Odometry], device: EmulatedBase
     ) -> None:
         assert device.await_stand(2.0)
         true_start = device.true_pose()
         (first,) = output.await_count(1, after=output.count)
         start = _pose(first)
         for _ in range(4):
-            with robot.sending("cmd_vel", FORWARD):
+            with robot.publishing("cmd_vel", FORWARD):
                 _await_distance(output, 0.2)
-            with robot.sending("cmd_vel", LEFT):
+            with robot.publishing("cmd_vel", LEFT):
                 _await_turn(output, math.pi / 2)
         assert device.await_stand(2.0)
         true_way = relative(true_start, device.true_pose())
@@ -64,13 +63,13 @@ class TestRoboclawBase(BaseContract):
         )
 
     def test_hanging_driver_is_stopped_by_the_controller_and_continues_from_rest(
-        self, robot: Robot, output: Reading[Odometry], device: EmulatedBase
+        self, robot: RunningDeployment, output: Reading[Odometry], device: EmulatedBase
     ) -> None:
         before = device.device.timeouts
         with ExitStack() as commands:
-            commands.enter_context(robot.sending("cmd_vel", FORWARD))
+            commands.enter_context(robot.publishing("cmd_vel", FORWARD))
             assert device.await_that(lambda: device.speed() > 0.4)
-            with robot.hanging("base"):
+            with robot.suspended("base"):
                 hung = time.monotonic()
                 assert device.await_stand(3.0)
                 assert device.device.timeouts == before + 1
@@ -82,7 +81,7 @@ class TestRoboclawBase(BaseContract):
         assert device.fastest_since(awake) < 0.05, "it continued the interrupted motion"
 
     def test_driver_stops_the_wheels_before_the_controller_does(
-        self, robot: Robot, device: EmulatedBase
+        self, robot: RunningDeployment, device: EmulatedBase
     ) -> None:
         before = device.device.timeouts
         _drive(robot, device)
@@ -93,7 +92,7 @@ class TestRoboclawBase(BaseContract):
         assert not device.turns(), "deactivation did not wait for the wheels"
         assert device.device.timeouts == before
 
-    def test_battery_and_health_are_published(self, robot: Robot) -> None:
+    def test_battery_and_health_are_published(self, robot: RunningDeployment) -> None:
         with (
             robot.read("battery_state", BatteryState) as battery,
             robot.read("diagnostics", DiagnosticArray) as health,
@@ -106,7 +105,7 @@ class TestRoboclawBase(BaseContract):
         assert battery.messages[0].voltage == pytest.approx(12.4)
 
     def test_driver_restarted_while_unplugged_waits_for_the_controller(
-        self, robot: Robot, output: Reading[Odometry], device: EmulatedBase
+        self, robot: RunningDeployment, output: Reading[Odometry], device: EmulatedBase
     ) -> None:
         lines = len(robot.run.lines)
         device.unplug()
@@ -134,9 +133,9 @@ def _values(health: Arrival[DiagnosticArray]) -> dict[str, str]:
     return {"hardware": status.hardware_id, **values}
 
 
-def _drive(robot: Robot, base: EmulatedBase) -> None:
+def _drive(robot: RunningDeployment, base: EmulatedBase) -> None:
     """Bring the wheels to a speed with commands that end then."""
-    with robot.sending("cmd_vel", FORWARD):
+    with robot.publishing("cmd_vel", FORWARD):
         assert base.await_that(lambda: base.speed() > 0.4)
 
 

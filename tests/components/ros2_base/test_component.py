@@ -24,7 +24,7 @@ from cairn.schemas.geometry_msgs import (
 from cairn.schemas.nav_msgs import Odometry
 from cairn.schemas.std_msgs import Header
 from cairn.testing.lockstep import ComponentHarness
-from cairn.testing.odometry import check_pose
+from cairn.testing.odometry_contract import check_pose
 
 AHEAD = Twist(linear=Vector3(x=0.3), angular=Vector3(z=0.2))
 REST = Twist()

@@ -11,8 +11,7 @@ from cairn.components.ros2_base.component import Ros2Base
 from cairn.schemas.geometry_msgs import Twist, Vector3
 from cairn.schemas.nav_msgs import Odometry
 from cairn.testing.base_contract import BaseContract
-from cairn.testing.reading import Arrival, Reading
-from cairn.testing.robot import Robot
+from cairn.testing.robot import Arrival, Reading, RunningDeployment
 from tests.cairn.bus.network import eventually, node
 from tests.cairn.runtime.running import Threaded
 from tests.components.ros2_base.foreign_base import ForeignBase, foreign_base
@@ -48,9 +47,9 @@ class TestRos2Base(BaseContract):
         return base
 
     def test_without_their_router_driver_and_base_go_on(
-        self, robot: Robot, output: Reading[Odometry], device: ForeignBase
+        self, robot: RunningDeployment, output: Reading[Odometry], device: ForeignBase
     ) -> None:
-        with robot.sending(self.topic(robot, "cmd_vel"), self.ahead()):
+        with robot.publishing(self.topic(robot, "cmd_vel"), self.ahead()):
             output.await_that(lambda odoms: any(map(_goes, odoms)), "a base that goes")
             device.stop_router()
             try:

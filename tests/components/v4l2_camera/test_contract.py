@@ -9,8 +9,7 @@ from typing import Any, ClassVar
 import pytest
 
 from cairn.testing.camera_contract import PicturesContract
-from cairn.testing.driver_contract import ParametersContract
-from cairn.testing.end_contract import UnplugContract
+from cairn.testing.driver_contract import ParametersContract, UnplugContract
 from tests.components.v4l2_camera.emulated import RATE
 
 

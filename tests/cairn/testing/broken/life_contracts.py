@@ -8,9 +8,13 @@ import pytest
 
 from cairn.schemas.sensor_msgs import LaserScan
 from cairn.testing.base_contract import SafetyContract
-from cairn.testing.bench import Bench
-from cairn.testing.driver_contract import LifeCycleContract, ParametersContract
-from cairn.testing.end_contract import StopContract, UnplugContract
+from cairn.testing.driver_contract import (
+    LifeCycleContract,
+    ParametersContract,
+    StopContract,
+    UnplugContract,
+)
+from cairn.testing.plugin import Bench
 from tests.cairn.testing.broken import bases, scanners
 from tests.cairn.testing.broken.deploying import bench_of, contracts, name_of
 

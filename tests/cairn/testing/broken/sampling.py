@@ -8,12 +8,11 @@ import pytest
 
 from cairn import to_ns
 from cairn.testing.base_contract import DriveContract
-from cairn.testing.camera_contract import Pictures
+from cairn.testing.camera_contract import Pictures, outline
 from cairn.testing.driver_contract import Contract
 from cairn.testing.lockstep import ComponentHarness
 from cairn.testing.odometry_contract import Drive
-from cairn.testing.pairs import outline
-from cairn.testing.reading import Arrival
+from cairn.testing.robot import Arrival
 
 SIDES = ("left", "right")
 

@@ -1,4 +1,4 @@
-"""Samples that the machine itself spoils are taken anew, and judged by nobody if all are."""
+"""Samples during pauses of the computer are taken again; if all are, the test is skipped."""
 
 import os
 import select
@@ -12,11 +12,11 @@ import pytest
 pytestmark = pytest.mark.processes
 
 
-# Samples for 0.3 s; says when it begins with each, and what came of them.
+# Samples for 0.3 s; prints the start of each sample, and the result.
 _SAMPLER = """
 import threading
 import pytest
-from cairn.testing.pauses import undisturbed
+from cairn.testing.timing import undisturbed
 
 def take():
     print("sampling", flush=True)
@@ -39,35 +39,35 @@ def sampler() -> Iterator["subprocess.Popen[str]"]:
         process.kill()
 
 
-def test_a_sample_that_a_pause_has_spoilt_is_taken_anew(sampler: "subprocess.Popen[str]") -> None:
+def test_a_sample_with_a_pause_is_taken_again(sampler: "subprocess.Popen[str]") -> None:
     assert line(sampler) == "sampling"
     pause(sampler, 0.5)
 
     assert line(sampler) == "sampling"
 
 
-def test_where_the_machine_is_always_away_the_test_is_skipped_with_the_reason(
+def test_a_computer_that_always_pauses_skips_the_test_with_the_reason(
     sampler: "subprocess.Popen[str]",
 ) -> None:
     for _ in range(3):
         assert line(sampler) == "sampling"
         pause(sampler, 0.5)
 
-    told = line(sampler)
+    reason = line(sampler)
 
-    assert told.startswith("this machine is too busy for what is judged in real time: it paused")
-    assert told.endswith("in each of 3 samples; run the test on a quiet one")
+    assert reason.startswith("this computer is too busy for tests in real time: it paused")
+    assert reason.endswith("in each of 3 samples; run the test on an idle one")
 
 
 def line(process: "subprocess.Popen[str]") -> str:
-    """What it says next."""
+    """Return its next line."""
     assert process.stdout is not None
-    assert select.select([process.stdout], [], [], 60)[0], "it says nothing more"
+    assert select.select([process.stdout], [], [], 60)[0], "it prints nothing more"
     return process.stdout.readline().rstrip("\n")
 
 
 def pause(process: "subprocess.Popen[str]", seconds: float) -> None:
-    """Keep it from running, as a busy host does."""
+    """Suspend it, as a busy host does."""
     os.kill(process.pid, signal.SIGSTOP)
     select.select([], [], [], seconds)
     os.kill(process.pid, signal.SIGCONT)
