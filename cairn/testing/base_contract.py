@@ -28,8 +28,7 @@ from cairn.testing.driver_contract import (
     UnplugContract,
 )
 from cairn.testing.odometry_contract import Drive, OdometryContract, Odoms
-from cairn.testing.plugin import Bench
-from cairn.testing.robot import Arrival, Reading, RunningDeployment
+from cairn.testing.robot import Arrival, Bench, Reading, RunningDeployment
 from cairn.testing.timing import undisturbed
 
 _NOT_WATCHED = "the wheels cannot be observed: no fixture `device` with turns and await_stand"

@@ -28,8 +28,7 @@ from cairn.testing.driver_contract import (
     StopContract,
     UnplugContract,
 )
-from cairn.testing.plugin import Bench
-from cairn.testing.robot import Arrival, Reading, RunningDeployment
+from cairn.testing.robot import Arrival, Bench, Reading, RunningDeployment
 from cairn.testing.scanner_contract import check_frame
 from cairn.testing.timing import undisturbed
 

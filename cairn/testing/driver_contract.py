@@ -16,8 +16,7 @@ from cairn.bus.control import ControlError
 from cairn.schemas.cairn_msgs import PortStatus
 from cairn.schemas.diagnostic_msgs import DiagnosticArray, DiagnosticStatus
 from cairn.testing.device import Unpluggable
-from cairn.testing.plugin import Bench
-from cairn.testing.robot import Arrival, Reading, RunningDeployment
+from cairn.testing.robot import Arrival, Bench, Reading, RunningDeployment
 
 _WARM_UP = 2  # cycles after which what is allocated once has been
 _MORE = 2  # threads, files or children that may come and go by chance

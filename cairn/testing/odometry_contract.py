@@ -21,8 +21,7 @@ from cairn.schemas.nav_msgs import Odometry
 from cairn.schemas.tf2_msgs import TFMessage
 from cairn.testing import timing as timed
 from cairn.testing.driver_contract import Contract
-from cairn.testing.plugin import Bench
-from cairn.testing.robot import Arrival
+from cairn.testing.robot import Arrival, Bench
 from cairn.testing.timing import undisturbed
 
 Odoms = Sequence[Arrival[Odometry]]

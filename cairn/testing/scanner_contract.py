@@ -24,8 +24,7 @@ from cairn.testing.driver_contract import (
     StopContract,
     UnplugContract,
 )
-from cairn.testing.plugin import Bench
-from cairn.testing.robot import Arrival
+from cairn.testing.robot import Arrival, Bench
 from cairn.testing.timing import undisturbed
 
 Scans = list[Arrival[LaserScan]]

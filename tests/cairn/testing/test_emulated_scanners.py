@@ -17,7 +17,7 @@ from cairn.testing.driver_contract import (
     StopContract,
     UnplugContract,
 )
-from cairn.testing.plugin import Bench, settings
+from cairn.testing.robot import Bench, settings
 from cairn.testing.scanner_contract import RangeScannerContract, ScanContract
 
 pytestmark = pytest.mark.realtime

@@ -12,7 +12,7 @@ from PIL import Image
 from cairn.testing.camera_contract import PicturesContract
 from cairn.testing.driver_contract import LifeCycleContract, ParametersContract, StopContract
 from cairn.testing.odometry_contract import OdometryContract
-from cairn.testing.plugin import Bench, settings
+from cairn.testing.robot import Bench, settings
 from cairn.testing.scanner_contract import ScanContract
 
 LOG = Path(__file__).parents[3] / "deploy" / "recordings" / "fr079_corrected.log.gz"

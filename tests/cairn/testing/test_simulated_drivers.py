@@ -15,8 +15,7 @@ from cairn.schemas.sensor_msgs import CameraInfo, LaserScan
 from cairn.testing.base_contract import SafetyContract
 from cairn.testing.camera_contract import PicturesContract
 from cairn.testing.driver_contract import LifeCycleContract, ParametersContract, StopContract
-from cairn.testing.plugin import Bench, settings
-from cairn.testing.robot import Arrival, Reading, RunningDeployment
+from cairn.testing.robot import Arrival, Bench, Reading, RunningDeployment, settings
 from cairn.testing.scanner_contract import ScanContract
 
 WORLD = Path(__file__).parents[3] / "deploy" / "worlds" / "room.yaml"

@@ -7,7 +7,7 @@ from typing import Any
 
 from cairn import Component
 from cairn.runtime.ports import ports_of
-from cairn.testing.plugin import Bench
+from cairn.testing.robot import Bench
 
 ROOT = Path(__file__).parents[4]
 

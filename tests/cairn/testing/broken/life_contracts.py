@@ -14,7 +14,7 @@ from cairn.testing.driver_contract import (
     StopContract,
     UnplugContract,
 )
-from cairn.testing.plugin import Bench
+from cairn.testing.robot import Bench
 from tests.cairn.testing.broken import bases, scanners
 from tests.cairn.testing.broken.deploying import bench_of, contracts, name_of
 
