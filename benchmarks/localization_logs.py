@@ -24,7 +24,7 @@ from benchmarks.result import Figure
 from cairn.components.localizer.config import LocalizationSettings, MeasuredBase
 from cairn.components.localizer.localization import Localization
 from cairn.components.localizer.odometry import MeasuredTrack
-from cairn.components.map_builder.counting import build_map
+from cairn.components.map_builder.grid_from_scans import build_grid
 from cairn.components.replay.carmen import CarmenRecording
 from cairn.planar.grid import OccupancyCells
 from cairn.planar.poses import Pose, wrap
@@ -107,7 +107,7 @@ def mapped_by_scans(log: Log) -> NDArray[np.bool_]:
 def draw_map(log: Log, mapped: NDArray[np.bool_]) -> OccupancyCells:
     """The map that some of the scans draw."""
     chosen = [(log.laser[k], log.scans[k]) for k in np.nonzero(mapped)[0]]
-    return build_map(chosen, RESOLUTION, (0.0, 0.0, 0.0), REACH_M)
+    return build_grid(chosen, RESOLUTION, (0.0, 0.0, 0.0), REACH_M)
 
 
 def localization(grid: OccupancyCells, seed: int) -> Localization:

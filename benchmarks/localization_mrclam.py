@@ -25,9 +25,8 @@ import numpy as np
 
 from benchmarks.localization_replay import Recording, errors, load, run, stressed, true_pose
 from cairn.components.localizer.config import LocalizationSettings
-from cairn.components.map_builder.objects import Kind, MapObject, State
-from cairn.components.map_builder.place import Place
 from cairn.components.replay.mrclam_files import Dataset
+from cairn.visual_map.landmarks import ChangeKind, LandmarkRecord, LandmarkState, MapPosition
 
 DISPLACED = {"one": 1, "two": 2, "removed": 2}
 Mode = Literal["lr", "paper"]
@@ -106,7 +105,9 @@ def solve(case: Case) -> Result:
         if case.kind == "removed" and i in displaced:
             continue
         dx, dy = displaced.get(i, (0.0, 0.0))
-        objects.append(MapObject(i, f"landmark {i}", Place(x + dx, y + dy, 1e-6, 0.0, 1e-6)))
+        objects.append(
+            LandmarkRecord(i, f"landmark {i}", MapPosition(x + dx, y + dy, 1e-6, 0.0, 1e-6))
+        )
     begin = 0.0
     start: tuple[float, float, float] | None = true_pose(rec, 0.0)
     if case.kind.startswith("found"):
@@ -127,35 +128,37 @@ def solve(case: Case) -> Result:
     missed, unregistered, registered = [], [], {}
     for i in displaced:
         found = outcome.objects.get(i)
-        removed = [t for t, c in outcome.changes if c.object_id == i and c.kind is Kind.REMOVED]
+        removed = [
+            t for t, c in outcome.changes if c.object_id == i and c.kind is ChangeKind.REMOVED
+        ]
         if case.kind != "removed" and not removed:
             missed.append(i)
-        if found is None or found.state is not State.LIVE or found.place is None:
+        if found is None or found.state is not LandmarkState.LIVE or found.position is None:
             unregistered.append(i)
             continue
         x, y = rec.places[i]
-        registered[i] = math.hypot(found.place.x - x, found.place.y - y)
+        registered[i] = math.hypot(found.position.x - x, found.position.y - y)
     still = [i for i in rec.places if i not in displaced]
     false = [
         i
         for i in still
-        if any(c.object_id == i and c.kind is Kind.REMOVED for _, c in outcome.changes)
+        if any(c.object_id == i and c.kind is ChangeKind.REMOVED for _, c in outcome.changes)
     ]
     lost = []
     for i in false:
         o = outcome.objects[i]
         x, y = rec.places[i]
         if (
-            o.state is not State.LIVE
-            or o.place is None
-            or (math.hypot(o.place.x - x, o.place.y - y) > 0.3)
+            o.state is not LandmarkState.LIVE
+            or o.position is None
+            or (math.hypot(o.position.x - x, o.position.y - y) > 0.3)
         ):
             lost.append(i)
     tail = error[error[:, 0] >= begin + located] if math.isfinite(located) else error
     detect = {
         c.object_id: t
         for t, c in reversed(outcome.changes)
-        if c.kind is Kind.REMOVED and c.object_id in displaced
+        if c.kind is ChangeKind.REMOVED and c.object_id in displaced
     }
     return Result(
         case,

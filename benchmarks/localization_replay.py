@@ -12,11 +12,17 @@ from cairn.components.localizer.config import LocalizationSettings
 from cairn.components.localizer.localization import EvidenceFrame, Localization
 from cairn.components.localizer.observations import Landmark, Observation
 from cairn.components.localizer.odometry import CommandedTrack
-from cairn.components.map_builder.objects import Change, Evidence, MapObject, State, Verdict
-from cairn.components.map_builder.place import Place
-from cairn.components.map_builder.visual_map import VisualMap
+from cairn.components.map_builder.landmark_map import LandmarkMap
 from cairn.components.replay.mrclam_files import Dataset
 from cairn.components.replay.sighting_noise import range_bearing_variance
+from cairn.visual_map.landmarks import (
+    EvidenceVerdict,
+    LandmarkChange,
+    LandmarkEvidence,
+    LandmarkRecord,
+    LandmarkState,
+    MapPosition,
+)
 
 # As the parameters of a commanded base; its poses matter only over gaps, which MRCLAM has not.
 LAG_S, GAINS = 0.17, (0.95, 0.93)
@@ -38,8 +44,8 @@ class Outcome:
     """What a run gave: poses (n, 4) of time, x, y, heading; the map; changes with their times."""
 
     poses: NDArray[np.float64]
-    objects: dict[int, MapObject]
-    changes: list[tuple[float, Change]] = field(default_factory=list)
+    objects: dict[int, LandmarkRecord]
+    changes: list[tuple[float, LandmarkChange]] = field(default_factory=list)
     located_at: float = math.nan
     relocalized: int = 0
 
@@ -69,20 +75,20 @@ def load(dataset: Dataset, robot: int) -> Recording:
     return Recording(odometry - shift[:3], frames, truth - shift, places)
 
 
-def landmarks_of(visual_map: VisualMap) -> list[Landmark]:
+def landmarks_of(visual_map: LandmarkMap) -> list[Landmark]:
     return [
         Landmark(
             o.object_id,
-            o.place.x,
-            o.place.y,
-            o.place.xx,
-            o.place.xy,
-            o.place.yy,
+            o.position.x,
+            o.position.y,
+            o.position.xx,
+            o.position.xy,
+            o.position.yy,
             o.reliability,
-            o.state is State.LIVE,
+            o.state is LandmarkState.LIVE,
         )
-        for o in visual_map.objects.values()
-        if o.place is not None
+        for o in visual_map.landmarks.values()
+        if o.position is not None
     ]
 
 
@@ -98,7 +104,7 @@ def true_pose(recording: Recording, t: float) -> tuple[float, float, float]:
 
 def run(
     recording: Recording,
-    objects: list[MapObject],
+    objects: list[LandmarkRecord],
     settings: LocalizationSettings,
     seed: int,
     start: tuple[float, float, float] | None,
@@ -108,11 +114,11 @@ def run(
     localization = Localization(
         settings, CommandedTrack(LAG_S, *GAINS), np.random.default_rng(seed)
     )
-    visual_map = VisualMap(objects)
+    visual_map = LandmarkMap(objects)
     localization.set_landmarks(landmarks_of(visual_map))
     if start is not None:
         localization.set_pose(start, np.diag([0.05**2, 0.05**2, 0.03**2]))
-    outcome = Outcome(np.empty((0, 4)), visual_map.objects)
+    outcome = Outcome(np.empty((0, 4)), visual_map.landmarks)
     poses: list[tuple[float, float, float, float]] = []
     frames = [f for f in recording.frames if f[0] >= begin]
     ticks = np.arange(begin + 0.5, recording.odometry[-1, 0], 0.5)
@@ -145,18 +151,18 @@ def run(
 def _update(
     t: float,
     localization: Localization,
-    visual_map: VisualMap,
+    visual_map: LandmarkMap,
     frame: EvidenceFrame,
     outcome: Outcome,
 ) -> None:
     robot = frame.before.mean
     evidence = [
-        Evidence(
+        LandmarkEvidence(
             j.observation.object_id,
             j.similarity,
-            Verdict(int(j.verdict)),
+            EvidenceVerdict(int(j.verdict)),
             j.distance,
-            Place(
+            MapPosition(
                 j.x,
                 j.y,
                 float(j.covariance[0, 0]),
@@ -171,7 +177,7 @@ def _update(
     changes = list(visual_map.apply(evidence, t).changes)
     if frame.relocalized:
         outcome.relocalized += 1
-        changes += visual_map.take_back(localization.confirmed_until)[1]
+        changes += visual_map.undo(localization.confirmed_until)[1]
     outcome.changes += [(t, c) for c in changes]
     localization.set_landmarks(landmarks_of(visual_map))
 

@@ -1,1 +1,1 @@
-"""The map builder: owner of the visual map, its reliabilities and its file."""
+"""The map builder: keeps the visual map and the grid map up to date while the robot works."""

@@ -1,4 +1,4 @@
-"""`cairn map`: import maps and show them."""
+"""`cairn map`: imports maps, shows them, and explains the state of objects."""
 
 from __future__ import annotations
 
@@ -14,24 +14,26 @@ import typer
 from cairn import CairnError
 from cairn.cli.output import line, print_json
 from cairn.cli.output import show as show_rows
-from cairn.components.map_builder.explaining import (
-    chain_of,
-    object_called,
-    shortened,
-    standing_of,
-)
 from cairn.components.map_builder.importing import (
-    altered,
-    imported_grid,
+    alter,
+    import_grid,
+    import_models,
     importer,
-    taught_by,
     write_map,
 )
-from cairn.components.map_builder.objects import MapObject
-from cairn.components.map_builder.store import open_map
+from cairn.components.map_builder.why import (
+    describe_state,
+    find_landmark,
+    history_of,
+    summarize,
+)
+from cairn.files import explain_os_error
 from cairn.planar.grid import FREE, FREE_TO, OCCUPIED_FROM, UNKNOWN
 from cairn.planar.map_file import read_map as read_grid
 from cairn.planar.map_file import write_map as write_grid
+from cairn.visual_map.file import side_files
+from cairn.visual_map.landmark_store import open_landmarks
+from cairn.visual_map.landmarks import LandmarkRecord
 
 DEFAULT_MAP = Path("visual_map.cairn")
 VisualMapFile = Annotated[
@@ -65,9 +67,9 @@ _CHANGE_COLUMNS = {
 @app.command("import")
 def import_map(
     source: Annotated[
-        str, typer.Argument(help="Importer: `mrclam`, `carmen`, `world` or one installed.")
+        str, typer.Argument(help="Importer: `mrclam`, `carmen`, `world` or an installed one.")
     ],
-    dataset: Annotated[Path, typer.Argument(help="What the importer reads: a folder or file.")],
+    dataset: Annotated[Path, typer.Argument(help="The folder or file that the importer reads.")],
     out: Annotated[
         Path,
         typer.Argument(
@@ -76,19 +78,19 @@ def import_map(
     ],
     displace: Annotated[
         list[str] | None,
-        typer.Option(metavar="ID:DX,DY", help="Write an object this far [m] from its place."),
+        typer.Option(metavar="ID:DX,DY", help="Displace an object by this much [m]."),
     ] = None,
     remove: Annotated[
-        list[int] | None, typer.Option(metavar="ID", help="Leave an object out.")
+        list[int] | None, typer.Option(metavar="ID", help="Remove an object.")
     ] = None,
     resolution: Annotated[
         float, typer.Option(min=0.005, max=1.0, help="Size of a grid map's cells [m].")
     ] = 0.05,
     reach: Annotated[
-        float, typer.Option(min=0.5, help="Longer rays show free space only [m].")
+        float, typer.Option(min=0.5, help="Longer rays only show free space [m].")
     ] = 20.0,
     scanner: Annotated[
-        str, typer.Option(metavar="X,Y,THETA", help="Where the scanner sits on the robot [m, rad].")
+        str, typer.Option(metavar="X,Y,THETA", help="Pose of the scanner on the robot [m, rad].")
     ] = "0,0,0",
     force: Annotated[bool, typer.Option("--force", help="Replace a map file.")] = False,
 ) -> None:
@@ -96,20 +98,20 @@ def import_map(
     if out.exists() and not force:
         raise CairnError(f"{out} exists already. Give another name, or --force to replace it.")
     if out.suffix == ".yaml":
-        grid = imported_grid(source, dataset, resolution, _mount(scanner), reach)
-        _make_room(out)
+        grid = import_grid(source, dataset, resolution, _parse_mount(scanner), reach)
+        _prepare(out)
         write_grid(out, grid)
         width, height = grid.size_m
         line(f"{out}: {width:.1f} m x {height:.1f} m, cells of {grid.frame.resolution:g} m")
         return
-    moves = _displacements(displace or [])
-    objects = altered(importer(source)(dataset), moves, remove or [])
-    taught = taught_by(source, dataset)
-    _make_room(out)
-    write_map(out, f"imported by {source} from {dataset.name}", objects, taught=taught)
+    moves = _parse_displacements(displace or [])
+    objects = alter(importer(source)(dataset), moves, remove or [])
+    models = import_models(source, dataset)
+    _prepare(out)
+    write_map(out, f"imported by {source} from {dataset.name}", objects, models=models)
     moved = "".join(f", {key} displaced by ({dx:g}, {dy:g}) m" for key, (dx, dy) in moves.items())
-    left_out = "".join(f", {key} left out" for key in remove or [])
-    line(f"{out}: {len(objects)} objects{moved}{left_out}")
+    removed = "".join(f", {key} removed" for key in remove or [])
+    line(f"{out}: {len(objects)} objects{moved}{removed}")
 
 
 @app.command()
@@ -121,11 +123,11 @@ def show(
     """Show the objects of a visual map, or the size and the cells of a grid map (.yaml)."""
     if file.suffix in (".yaml", ".yml"):
         if history:
-            raise CairnError(f"{file} is a grid map: these have no history.")
+            raise CairnError(f"{file} is a grid map, which has no history; leave out --history")
         _show_grid(file, as_json)
         return
-    with open_map(file, read_only=True) as store:
-        objects = [_object_row(known) for known in store.objects()]
+    with open_landmarks(file, read_only=True) as store:
+        objects = [_object_row(landmark) for landmark in store.landmarks()]
         changes = [_change_row(*change) for change in store.history()] if history else []
         version = store.version()
     if as_json:
@@ -143,28 +145,30 @@ def show(
 def why(
     called: Annotated[str, typer.Argument(metavar="OBJECT", help="Its number or name.")],
     file: VisualMapFile = DEFAULT_MAP,
-    last: Annotated[int, typer.Option(min=1, help="So many of the newest steps.")] = 30,
+    last: Annotated[int, typer.Option(min=1, help="Number of newest steps.")] = 30,
     whole: Annotated[
-        bool, typer.Option("--all", help="Every step, each piece of evidence by itself.")
+        bool, typer.Option("--all", help="Every step, each piece of evidence separately.")
     ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON, every step.")] = False,
 ) -> None:
-    """Tell why the visual map says what it says of an object: the chain of evidence."""
-    with open_map(file, read_only=True) as store:
-        known = object_called(store, called)
-        chain = chain_of(store, known)
+    """Explain the state of an object in the visual map by its chain of evidence."""
+    with open_landmarks(file, read_only=True) as store:
+        landmark = find_landmark(store, called)
+        chain = history_of(store, landmark)
     if as_json:
         rows = [asdict(step) | {"time": _time(step.stamp_ns)} for step in chain]
-        print_json({"object": _object_row(known), "now": standing_of(known), "steps": rows})
+        print_json(
+            {"object": _object_row(landmark), "now": describe_state(landmark), "steps": rows}
+        )
         return
-    line(f"object {known.object_id} ({known.name}) {standing_of(known)}")
-    shown = chain if whole else shortened(chain)
+    line(f"object {landmark.object_id} ({landmark.name}) {describe_state(landmark)}")
+    shown = chain if whole else summarize(chain)
     if not whole and len(shown) > last:
-        line(f"... {len(shown) - last} steps before; --last N or --all has more")
+        line(f"... {len(shown) - last} earlier steps; show more with --last N or --all")
         shown = shown[-last:]
     for step in shown:
         times = f" ({step.times} times)" if step.times > 1 else ""
-        line(f"{_time(step.stamp_ns) or 'at first':>29}  {step.what}{times}")
+        line(f"{_time(step.stamp_ns) or 'initially':>29}  {step.text}{times}")
 
 
 def _show_grid(file: Path, as_json: bool) -> None:
@@ -182,11 +186,11 @@ def _show_grid(file: Path, as_json: bool) -> None:
         print_json({"resolution": grid.frame.resolution, **size, "origin": origin, **shares})
         return
     line(f"{file.name}: {width:.2f} m x {height:.2f} m, cells of {grid.frame.resolution:g} m")
-    line(f"its corner is at ({x:.2f}, {y:.2f}) m, turned by {theta:.3f} rad")
+    line(f"its origin is at ({x:.2f}, {y:.2f}) m, rotated by {theta:.3f} rad")
     line(", ".join(f"{kind} {100 * share:.1f} %" for kind, share in shares.items()))
 
 
-def _displacements(given: list[str]) -> dict[int, tuple[float, float]]:
+def _parse_displacements(given: list[str]) -> dict[int, tuple[float, float]]:
     moves: dict[int, tuple[float, float]] = {}
     for text in given:
         try:
@@ -205,7 +209,7 @@ def _displacements(given: list[str]) -> dict[int, tuple[float, float]]:
     return moves
 
 
-def _mount(text: str) -> tuple[float, float, float]:
+def _parse_mount(text: str) -> tuple[float, float, float]:
     try:
         x, y, theta = (float(part) for part in text.split(","))
     except ValueError:
@@ -213,27 +217,27 @@ def _mount(text: str) -> tuple[float, float, float]:
     return x, y, theta
 
 
-def _make_room(out: Path) -> None:
+def _prepare(out: Path) -> None:
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
-        for suffix in ("-wal", "-shm", "-journal"):
-            out.with_name(out.name + suffix).unlink(missing_ok=True)
+        for file in side_files(out):
+            file.unlink(missing_ok=True)
     except OSError as error:
-        raise CairnError(f"{out} cannot be written: {error.strerror}.") from error
+        raise CairnError(f"{out} cannot be written: {explain_os_error(error)}") from error
 
 
-def _object_row(known: MapObject) -> dict[str, Any]:
-    place, found = known.place, known.candidate
+def _object_row(landmark: LandmarkRecord) -> dict[str, Any]:
+    position, found = landmark.position, landmark.candidate
     return {
-        "object_id": known.object_id,
-        "name": known.name,
-        "x": place.x if place else None,
-        "y": place.y if place else None,
-        "reliability": known.reliability,
-        "state": known.state.name.lower(),
-        "evidence_count": known.evidence_count,
-        "candidate_x": found.place.x if found else None,
-        "candidate_y": found.place.y if found else None,
+        "object_id": landmark.object_id,
+        "name": landmark.name,
+        "x": position.x if position else None,
+        "y": position.y if position else None,
+        "reliability": landmark.reliability,
+        "state": landmark.state.name.lower(),
+        "evidence_count": landmark.evidence_count,
+        "candidate_x": found.position.x if found else None,
+        "candidate_y": found.position.y if found else None,
         "candidate_reliability": found.reliability if found else None,
     }
 

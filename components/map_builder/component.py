@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+import math
+from collections.abc import Iterable, Sequence
+
+import numpy as np
 
 from cairn import (
     LATCHED,
@@ -23,38 +26,50 @@ from cairn import (
     to_ns,
 )
 from cairn.components.map_builder.config import MapBuilderConfig
-from cairn.components.map_builder.grid_keeper import GridKeeper
-from cairn.components.map_builder.grid_updates import GridUpdates
-from cairn.components.map_builder.keeper import MapKeeper, NumberedChange
-from cairn.components.map_builder.messages import change_message, evidence_of, map_message
-from cairn.components.map_builder.objects import Kind
+from cairn.components.map_builder.grid_keeper import GridKeeper, PendingUpdates
+from cairn.components.map_builder.landmark_map import LandmarkKeeper, NumberedChange
+from cairn.components.map_builder.landmark_rule import rule_named
 from cairn.components.map_builder.posed_scans import PosedScans
-from cairn.components.map_builder.rules import rule_named
-from cairn.components.map_builder.store import open_map
 from cairn.planar.grid import map_message as grid_message
 from cairn.planar.map_file import read_map
 from cairn.planar.messages import planar_pose
 from cairn.planar.odometry import OdometryChange
-from cairn.schemas.cairn_msgs import ObjectEvidenceArray, VisualMap, VisualMapChange
+from cairn.schemas.builtin_interfaces import Time
+from cairn.schemas.cairn_msgs import (
+    ObjectEvidenceArray,
+    VisualMap,
+    VisualMapChange,
+    VisualObject,
+)
 from cairn.schemas.cairn_nav_msgs import LocalizationEstimate, Relocalization
 from cairn.schemas.map_msgs import OccupancyGridUpdate
 from cairn.schemas.nav_msgs import OccupancyGrid, Odometry
 from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.std_msgs import Header
 from cairn.visual_map.file import MapFileError
+from cairn.visual_map.landmark_store import open_landmarks
+from cairn.visual_map.landmarks import (
+    ChangeKind,
+    EvidenceVerdict,
+    LandmarkChange,
+    LandmarkEvidence,
+    LandmarkRecord,
+    LandmarkState,
+    MapPosition,
+)
 
-# A full map follows its updates after this [s], for readers that come later.
+# A full map follows its updates after this [s], for readers that start later.
 _FULL_MAP_S = 5.0
 _SAVE_S = 10.0
-# Evidence of no longer than this before a lost robot was found is on its way together with that.
-_ON_THE_WAY_NS = 2 * SECOND
+# Evidence that is at most this much older than a relocalization was made by the lost robot.
+_IN_TRANSIT_NS = 2 * SECOND
 
 
 class MapBuilder(Component):
-    """Keeps the visual map and the grid map true while the robot works.
+    """Keeps the visual map and the grid map up to date while the robot works.
 
-    Judges each object of the visual map by the evidence for it; removes and registers. Changes the
-    grid map by what the scanner sees, as long as the pose is sure.
+    Judges each landmark by the evidence about it: removes moved ones, registers them at their new
+    positions. Integrates scans into the grid map while the robot's pose is reliable.
     """
 
     config: MapBuilderConfig
@@ -68,87 +83,92 @@ class MapBuilder(Component):
     map: Out[OccupancyGrid] = Out(qos=LATCHED)
     map_updates: Out[OccupancyGridUpdate] = Out(qos=RELIABLE.with_depth(50))
 
-    _keeper: MapKeeper | None = None
+    _landmarks: LandmarkKeeper | None = None
     _grid: GridKeeper | None = None
 
     def on_configure(self) -> None:
-        """Check the map files, so that a wrong one is told of before anything moves."""
+        """Check the map files, so that a wrong one is reported before anything moves."""
         config = self.config
         if config.map_file is not None:
-            open_map(config.map_file, read_only=True).close()
+            open_landmarks(config.map_file, read_only=True).close()
         if config.grid_file is not None:
             read_map(config.grid_file)
         self._scans = PosedScans(
             config.mount.pose, config.scans_per_s, config.least_health, config.most_spread
         )
-        self._updates = GridUpdates()
+        self._updates = PendingUpdates()
         self._warnings = RateLimitedLog(self.log)
         self._full_map_at = self._saved_at = 0
-        self._found_at = -_ON_THE_WAY_NS
+        self._relocalized_at = -_IN_TRANSIT_NS
 
     def on_activate(self) -> None:
-        """Open the maps and publish them, if it is known what time it is."""
+        """Open the maps and publish them, if the clock has started."""
         if self.clock.now() > 0:
             self._open_both()
 
     def on_deactivate(self) -> None:
-        """Commit what is left."""
+        """Save the maps."""
         if self._grid is not None:
             self._save_grid(self._grid)
             self._grid = None
-        if self._keeper is not None:
-            keeper, self._keeper = self._keeper, None
+        if self._landmarks is not None:
+            keeper, self._landmarks = self._landmarks, None
             keeper.close()
 
     def on_error(self, error: Exception) -> bool:  # noqa: ARG002 - any error ends it
-        """Let go of the file; what was committed is safe."""
-        if self._keeper is not None:
-            keeper, self._keeper = self._keeper, None
+        """Close the file; committed changes are safe."""
+        if self._landmarks is not None:
+            keeper, self._landmarks = self._landmarks, None
             keeper.abandon()
         return False
 
     def on_parameters(self, new: Config) -> None:  # noqa: ARG002 - none can be changed
-        """Files cannot be exchanged under a map in use."""
-        raise ParameterRejected("the map builder takes its parameters when it is configured")
+        """Refuse all changes: files cannot be replaced while their map is in use."""
+        raise ParameterRejected(
+            "the map builder's parameters can only be set when it is configured"
+        )
 
     @on("object_evidence")
-    def judge(self, frame: ObjectEvidenceArray) -> None:
-        """Take one frame's evidence."""
-        keeper = self._open()
-        stamp_ns = to_ns(frame.header.stamp)
-        # What a lost robot made of things may come after the word that it was lost.
-        of_lost = 0 <= self._found_at - stamp_ns <= _ON_THE_WAY_NS
-        if keeper is not None and self.config.update_objects and not of_lost:
-            self._tell(stamp_ns, *keeper.apply(stamp_ns, evidence_of(frame)))
+    def on_object_evidence(self, message: ObjectEvidenceArray) -> None:
+        """Apply the evidence of one image to the landmarks."""
+        keeper = self._open_landmarks()
+        stamp_ns = to_ns(message.header.stamp)
+        # Evidence of a lost robot may arrive after the message that it was lost.
+        while_lost = 0 <= self._relocalized_at - stamp_ns <= _IN_TRANSIT_NS
+        if keeper is not None and self.config.update_objects and not while_lost:
+            self._publish(stamp_ns, *keeper.apply(stamp_ns, evidence_of(message)))
 
     @on("relocalized")
-    def take_back(self, found: Relocalization) -> None:
-        """Undo what the robot judged and drew while it was lost."""
-        keeper, grid = self._open(), self._open_grid()
-        stamp_ns = self._found_at = to_ns(found.header.stamp)
-        since_ns = max(to_ns(found.confirmed_until), stamp_ns - round(self.config.undo_s * SECOND))
+    def on_relocalized(self, message: Relocalization) -> None:
+        """Undo the changes that were made while the robot was lost."""
+        keeper, grid = self._open_landmarks(), self._open_grid()
+        stamp_ns = self._relocalized_at = to_ns(message.header.stamp)
+        earliest_ns = stamp_ns - round(self.config.undo_s * SECOND)
+        since_ns = max(to_ns(message.confirmed_until), earliest_ns)
         if keeper is not None:
-            self._tell(stamp_ns, *keeper.take_back(stamp_ns, since_ns))
+            self._publish(stamp_ns, *keeper.undo(stamp_ns, since_ns))
         if grid is not None:
-            window = grid.take_back(since_ns / SECOND)
+            window = grid.undo(since_ns / SECOND)
             self._updates.add(window)
             if window is not None:
                 self.log.info(
-                    "the robot was lost: the grid map is again as it was %.0f s ago",
+                    "undid the changes of the grid map of the last %.0f s: the robot was lost",
                     (stamp_ns - since_ns) / SECOND,
                 )
 
     @on("odom")
-    def follow(self, odom: Odometry) -> None:
-        """Remember how the robot moved while its scanner swept."""
+    def on_odometry(self, odom: Odometry) -> None:
+        """Store the robot's motion, which distorts the sweeps of scans."""
         stamp_ns = to_ns(odom.header.stamp)
-        if self._scans.moved(stamp_ns, planar_pose(odom.pose.pose)) is OdometryChange.RESET:
-            self.log.warning("odometry on %s went back in time: begun anew", self.odom.topic)
+        if self._scans.add_odometry(stamp_ns, planar_pose(odom.pose.pose)) is OdometryChange.RESET:
+            self.log.warning(
+                "odometry on %s went back in time: restarted its history", self.odom.topic
+            )
 
     @on("scan")
-    def look(self, scan: LaserScan) -> None:
-        """Keep a scan until its pose has come."""
-        self._scans.scanned(scan)
+    def on_scan(self, scan: LaserScan) -> None:
+        """Keep a scan until its pose arrives."""
+        self._scans.add_scan(scan)
 
     @on("localization")
     def on_localization(self, estimate: LocalizationEstimate) -> None:
@@ -156,56 +176,56 @@ class MapBuilder(Component):
         grid = self._open_grid()
         if grid is None or not self.config.update_grid:
             return
-        waits = self._scans.waiting
+        was_waiting = self._scans.waiting
         ready = self._scans.ready(estimate)
-        if bool(self._scans.waiting) != bool(waits):
+        if bool(self._scans.waiting) != bool(was_waiting):
             if self._scans.waiting:
-                self.log.info("the grid map waits: %s", self._scans.waiting)
+                self.log.info("paused updates of the grid map: %s", self._scans.waiting)
             else:
-                self.log.info("the grid map is kept up to date again")
+                self.log.info("resumed updates of the grid map")
         if ready is not None:
             window = grid.integrate(ready.stamp_ns / SECOND, ready.pose, ready.rays)
             self._updates.add(window)
 
     @every(hz=1)
-    def save(self) -> None:
-        """Open the maps once time is known; commit and tell what changed in the last second."""
+    def save_and_publish(self) -> None:
+        """Commit evidence and publish grid updates; open the maps once the clock has started."""
         now = self.clock.now()
         if now <= 0:
             return
         self._open_both()
-        if self._keeper is not None:
-            self._save_evidence(self._keeper)
+        if self._landmarks is not None:
+            self._save_evidence(self._landmarks)
         if self._grid is None:
             return
-        self._tell_grid(now)
+        self._publish_grid_update(now)
         if now - self._saved_at >= _SAVE_S * SECOND:
             self._saved_at = now
             self._save_grid(self._grid)
 
-    def _save_evidence(self, keeper: MapKeeper) -> None:
+    def _save_evidence(self, keeper: LandmarkKeeper) -> None:
         try:
             keeper.save_pending()
         except MapFileError as error:
-            # It stays pending, and goes with the next change, which is told once it is kept.
-            self._warnings.warn("evidence", f"evidence of objects is not kept yet: {error}")
+            # It stays pending and is committed with the next change, before that is published.
+            self._warnings.warn("evidence", f"evidence of objects is not saved yet: {error}")
 
     def _save_grid(self, grid: GridKeeper) -> None:
         try:
             grid.save(self.clock.now())
         except CairnError as error:
-            # The map that the robot drives by is in memory, and what was told of it holds.
-            self._warnings.warn("grid", f"the grid map is not kept: {error}")
+            # The robot drives by the map in memory, and published updates remain valid.
+            self._warnings.warn("grid", f"the grid map is not saved: {error}")
 
     def _open_both(self) -> None:
-        self._open()
+        self._open_landmarks()
         self._open_grid()
 
-    def _open(self) -> MapKeeper | None:
+    def _open_landmarks(self) -> LandmarkKeeper | None:
         config = self.config
-        if self._keeper is None and config.map_file is not None:
+        if self._landmarks is None and config.map_file is not None:
             now = self.clock.now()
-            self._keeper = MapKeeper(
+            self._landmarks = LandmarkKeeper(
                 config.map_file,
                 config.working_copy,
                 now,
@@ -213,8 +233,8 @@ class MapBuilder(Component):
                 rule_named(config.rule),
                 config.undo_s,
             )
-            self._tell(now, True, [])
-        return self._keeper
+            self._publish(now, True, [])
+        return self._landmarks
 
     def _open_grid(self) -> GridKeeper | None:
         config = self.config
@@ -224,10 +244,10 @@ class MapBuilder(Component):
                 config.grid_file, config.grid_copy, now, config.settle_s, config.undo_s
             )
             self._saved_at = now
-            self._tell_full_map(now)
+            self._publish_full_map(now)
         return self._grid
 
-    def _tell_grid(self, now: int) -> None:
+    def _publish_grid_update(self, now: int) -> None:
         assert self._grid is not None
         update = self._updates.take(self._grid.occupancy.cells)
         if update is not None:
@@ -242,26 +262,99 @@ class MapBuilder(Component):
                     data=update.values.ravel(),
                 )
             )
-        if self._updates.untold and now - self._full_map_at >= _FULL_MAP_S * SECOND:
-            self._tell_full_map(now)
+        is_due = now - self._full_map_at >= _FULL_MAP_S * SECOND
+        if self._updates.full_map_is_outdated and is_due:
+            self._publish_full_map(now)
 
-    def _tell_full_map(self, now: int) -> None:
+    def _publish_full_map(self, now: int) -> None:
         assert self._grid is not None
         self._full_map_at = now
-        self._updates.told()
+        self._updates.full_map_published()
         stamp = from_ns(now)
         header = Header(stamp=stamp, frame_id="map")
         self.map.publish(grid_message(header, self._grid.occupancy.grid, stamp))
 
-    def _tell(self, stamp_ns: int, touched: bool, changes: Sequence[NumberedChange]) -> None:
-        keeper = self._keeper
+    def _publish(self, stamp_ns: int, touched: bool, changes: Sequence[NumberedChange]) -> None:
+        keeper = self._landmarks
         if keeper is None or not (touched or changes):
             return
         stamp = from_ns(stamp_ns)
         for version, change in changes:
-            level = logging.DEBUG if change.kind is Kind.REFINED else logging.INFO
+            level = logging.DEBUG if change.kind is ChangeKind.REFINED else logging.INFO
             self.log.log(
                 level, "object %d %s: %s", change.object_id, change.kind.name, change.reason
             )
             self.visual_map_changes.publish(change_message(stamp, version, change))
-        self.visual_map.publish(map_message(stamp, keeper.version, keeper.objects))
+        self.visual_map.publish(map_message(stamp, keeper.version, keeper.landmarks))
+
+
+def evidence_of(message: ObjectEvidenceArray) -> list[LandmarkEvidence]:
+    """Return the evidence in a message."""
+    robot = (message.robot_x, message.robot_y, message.robot_theta)
+    return [
+        LandmarkEvidence(
+            object_id=piece.object_id,
+            similarity=piece.similarity,
+            verdict=EvidenceVerdict(piece.verdict),
+            distance=piece.distance,
+            implied=MapPosition(
+                piece.x,
+                piece.y,
+                float(piece.covariance[0]),
+                float(piece.covariance[1]),
+                float(piece.covariance[3]),
+            ),
+            robot=robot,
+            healthy=message.healthy,
+            corroborated=piece.corroborated,
+        )
+        for piece in message.evidence
+    ]
+
+
+def map_message(stamp: Time, version: int, landmarks: Iterable[LandmarkRecord]) -> VisualMap:
+    """Return the message of all landmarks; one without a position is at its candidate."""
+    messages = map(_object_message, landmarks)
+    return VisualMap(
+        header=Header(stamp=stamp, frame_id="map"),
+        version=version,
+        objects=tuple(message for message in messages if message is not None),
+    )
+
+
+def change_message(stamp: Time, version: int, change: LandmarkChange) -> VisualMapChange:
+    """Return the message of one change; a removed landmark has no new position."""
+    old, new = change.old, change.new
+    return VisualMapChange(
+        header=Header(stamp=stamp, frame_id="map"),
+        version=version,
+        object_id=change.object_id,
+        kind=int(change.kind),
+        old_x=old.x if old else math.nan,
+        old_y=old.y if old else math.nan,
+        new_x=new.x if new else math.nan,
+        new_y=new.y if new else math.nan,
+        reliability=change.reliability,
+        reason=change.reason,
+    )
+
+
+def _object_message(landmark: LandmarkRecord) -> VisualObject | None:
+    found = landmark.candidate
+    position = landmark.position or (found.position if found else None)
+    if position is None:
+        return None
+    state = landmark.state if landmark.position is not None else LandmarkState.RELOCATING
+    return VisualObject(
+        object_id=landmark.object_id,
+        name=landmark.name,
+        x=position.x,
+        y=position.y,
+        covariance=np.array([position.xx, position.xy, position.xy, position.yy]),
+        reliability=landmark.reliability,
+        state=int(state),
+        evidence_count=landmark.evidence_count,
+        candidate_x=found.position.x if found else math.nan,
+        candidate_y=found.position.y if found else math.nan,
+        candidate_reliability=found.reliability if found else 0.0,
+    )

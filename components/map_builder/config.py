@@ -7,64 +7,67 @@ from pathlib import Path
 from pydantic import Field, model_validator
 
 from cairn import Config, Mount, ReadPath
-from cairn.components.map_builder.rules import RuleName
+from cairn.components.map_builder.landmark_rule import RuleName
 
 
 class MapBuilderConfig(Config):
     """Parameters of the map builder."""
 
     map_file: ReadPath | None = Field(
-        None, description="The visual map: a file made by `cairn map import`; none: no visual map."
+        None, description="The visual map, a file of `cairn map import`; none: no visual map."
     )
     working_copy: Path | None = Field(
         None,
-        description="Where to keep a copy that is changed instead of map_file; none: change "
-        "map_file itself. A copy of the same map, not later than now, is gone on with.",
+        description="Copy of map_file that is changed instead of it; none: map_file itself is "
+        "changed. An existing copy of the same map, not later than now, is used again.",
     )
     learn_unknown: bool = Field(
-        True, description="Whether to place objects that are sighted but not in the map."
+        True, description="Whether to register objects that are observed but not in the map."
     )
     update_objects: bool = Field(True, description="Whether evidence changes the visual map.")
     rule: RuleName = Field(
         "reliability",
-        description="How evidence changes it: by pose reliability; to compare with: the paper's "
-        "rule to the letter, or a persistence filter.",
+        description="How evidence changes it: by pose reliability, or for comparison by the "
+        "paper's literal rule (paper_rule) or by a persistence filter (persistence).",
     )
     grid_file: ReadPath | None = Field(
-        None, description="The grid map: a map_server YAML file; none: no grid map."
+        None, description="The grid map, a map_server YAML file; none: no grid map."
     )
     grid_copy: Path | None = Field(
         None,
-        description="Where to keep the changed grid map (YAML); grid_file is never changed. A copy "
-        "of the same map, not later than now, is gone on with. None: keep it in memory.",
+        description="File of the changed grid map (YAML); grid_file is never changed. An existing "
+        "copy of the same map, not later than now, is used again. None: keep it in memory.",
     )
     update_grid: bool = Field(True, description="Whether scans change the grid map.")
-    mount: Mount = Field(Mount(), description="Where the scanner sits on the robot.")
+    mount: Mount = Field(Mount(), description="Pose of the scanner on the robot.")
     scans_per_s: float = Field(
-        5.0, gt=0, le=100, description="Scans that are put into the grid map, at most [1/s]."
+        5.0, gt=0, le=100, description="Most scans that are integrated into the grid map [1/s]."
     )
     settle_s: float = Field(
         8.0,
         ge=0,
         le=3600,
-        description="How long an obstacle must stand to get into the grid map [s].",
+        description="How long an obstacle must stand to be added to the grid map [s].",
     )
     undo_s: float = Field(
         60.0,
         ge=0,
         le=120,
-        description="How far back, at most, changes of the maps are undone when the robot was "
+        description="Longest time for which changes of the maps are undone after the robot was "
         "lost [s].",
     )
     least_health: float = Field(
-        0.6, ge=0, le=1, description="Health of the pose from which scans are put in [1]."
+        0.6, ge=0, le=1, description="Least health of the pose for integrating scans [1]."
     )
     most_spread: float = Field(
-        0.15, gt=0, le=1, description="Position deviation up to which scans are put in [m]."
+        0.15,
+        gt=0,
+        le=1,
+        description="Largest standard deviation of the position for integrating scans [m].",
     )
 
     @model_validator(mode="after")
-    def _something_to_keep(self) -> MapBuilderConfig:
+    def _check_map_given(self) -> MapBuilderConfig:
         if self.map_file is None and self.grid_file is None:
-            raise ValueError("give map_file, grid_file, or both: there is no map to keep")
+            raise ValueError("there is no map to keep: give map_file, grid_file, or both")
         return self

@@ -1,25 +1,27 @@
-"""Keeps the grid map and its files: what it began with, the copy that is changed, when to save."""
+"""Keeps the grid map: its original, its working copy on disk, and updates to publish."""
 
 from __future__ import annotations
 
 import hashlib
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from cairn import CairnError
 from cairn.components.map_builder.occupancy import Occupancy
-from cairn.components.map_builder.window import Window
-from cairn.components.map_builder.working_copy import LOG, gone_on_with
-from cairn.files import replace_file
+from cairn.components.map_builder.undo import GridWindow
+from cairn.components.map_builder.working_copy import LOG, is_reusable
+from cairn.files import explain_os_error, replace_file
 from cairn.planar.grid import OccupancyCells
 from cairn.planar.map_file import read_map, write_map
 from cairn.planar.poses import Pose
 from cairn.planar.scans import Rays
 
 
-class _Origin(BaseModel):
-    """Of which map a working copy is, and up to when it was changed."""
+class _CopyOrigin(BaseModel):
+    """The map of which a working copy is, and the time of its last change."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -30,9 +32,9 @@ class _Origin(BaseModel):
 class GridKeeper:
     """A grid map on disk and in memory.
 
-    With a `working_copy` the map itself is only read: the copy is written by `save`, and is gone
-    on with if it is one of the same map and not of a later time, as after the death of the process
-    that wrote it. Without one the changes are in memory alone.
+    With a `working_copy` the map itself is only read: `save` writes the copy. It is used again if
+    it is one of the same map and not of a later time, as after the process that wrote it was
+    killed. Without a copy, changes are in memory only.
     """
 
     def __init__(
@@ -46,45 +48,76 @@ class GridKeeper:
         self._copy = working_copy
         original = read_map(map_file)
         self._source = _digest(original)
-        left = _left(working_copy, self._source, now_ns) if working_copy is not None else None
-        self._occupancy = Occupancy(left or original, settle_s, undo_s)
+        previous = (
+            _read_copy(working_copy, self._source, now_ns) if working_copy is not None else None
+        )
+        self._occupancy = Occupancy(previous or original, settle_s, undo_s)
         self._changed = False
 
     @property
     def occupancy(self) -> Occupancy:
-        """The map."""
+        """Return the map."""
         return self._occupancy
 
-    def integrate(self, stamp_s: float, pose: Pose, rays: Rays) -> Window | None:
-        """Take a scan from a known pose; gives what has changed."""
+    def integrate(self, stamp_s: float, pose: Pose, rays: Rays) -> GridWindow | None:
+        """Integrate a scan from a known pose; return the window that this changes."""
         window = self._occupancy.integrate(stamp_s, pose, rays)
         self._changed |= window is not None
         return window
 
-    def take_back(self, stamp_s: float) -> Window | None:
-        """Undo what was changed since `stamp_s` [s]; gives what has changed by that."""
-        window = self._occupancy.take_back(stamp_s)
+    def undo(self, stamp_s: float) -> GridWindow | None:
+        """Undo the changes since `stamp_s` [s]; return the window that this changes."""
+        window = self._occupancy.undo(stamp_s)
         self._changed |= window is not None
         return window
 
     def save(self, now_ns: int) -> None:
-        """Write the working copy if anything has changed since it was written.
+        """Write the working copy if anything has changed since the last time.
 
-        Raises `CairnError` if it cannot be written; what has changed is written by the next call.
+        Raises `CairnError` if it cannot be written; the next call tries again.
         """
         if self._copy is None or not self._changed:
             return
         write_map(self._copy, self._occupancy.grid)
-        origin = _Origin(source=self._source, stamp_ns=now_ns)
+        origin = _CopyOrigin(source=self._source, stamp_ns=now_ns)
         sidecar = _sidecar(self._copy)
         try:
             replace_file(sidecar, origin.model_dump_json().encode())
         except OSError as error:
-            raise CairnError(
-                f"{sidecar} cannot be written: {error.strerror}; make room there, or remove what "
-                "is in its place"
-            ) from error
+            raise CairnError(f"{sidecar} cannot be written: {explain_os_error(error)}") from error
         self._changed = False
+
+
+class PendingUpdates:
+    """Collects changed windows into one update to publish."""
+
+    def __init__(self) -> None:
+        self._box: tuple[int, int, int, int] | None = None
+        self.full_map_is_outdated = False
+
+    def add(self, window: GridWindow | None) -> None:
+        """Add a window that has changed."""
+        if window is None:
+            return
+        box = window.box
+        if self._box is not None:
+            top, left, bottom, right = self._box
+            box = (min(top, box[0]), min(left, box[1]), max(bottom, box[2]), max(right, box[3]))
+        self._box = box
+
+    def take(self, cells: NDArray[np.int8]) -> GridWindow | None:
+        """Return all changes since the last call, with present values; None if there are none."""
+        if self._box is None:
+            return None
+        top, left, bottom, right = self._box
+        self._box = None
+        self.full_map_is_outdated = True
+        return GridWindow(top, left, cells[top:bottom, left:right].copy())
+
+    def full_map_published(self) -> None:
+        """Note that the full map was published."""
+        self._box = None
+        self.full_map_is_outdated = False
 
 
 def _sidecar(copy: Path) -> Path:
@@ -92,25 +125,25 @@ def _sidecar(copy: Path) -> Path:
 
 
 def _digest(map_: OccupancyCells) -> str:
-    """What identifies the content of a grid map, whichever files it stands in."""
+    """Return a digest of the content of a grid map, independent of its files."""
     content = hashlib.sha256(repr((map_.values.shape, map_.frame)).encode())
     content.update(map_.values.tobytes())
     return content.hexdigest()
 
 
-def _left(copy: Path, source: str, now_ns: int) -> OccupancyCells | None:
-    """The map of a working copy that can be gone on with; the log is told why it cannot."""
+def _read_copy(copy: Path, source: str, now_ns: int) -> OccupancyCells | None:
+    """Return the map of a reusable working copy; log why it is not reusable."""
     sidecar = _sidecar(copy)
     try:
-        origin = _Origin.model_validate_json(sidecar.read_bytes())
+        origin = _CopyOrigin.model_validate_json(sidecar.read_bytes())
         cells = read_map(copy)
     except FileNotFoundError:
         return None
     except (OSError, CairnError) as error:
-        LOG.warning("making the working copy %s anew: %s", copy, error)
+        LOG.warning("replacing the working copy %s: %s", copy, error)
         return None
     except ValidationError:
-        LOG.warning("making the working copy %s anew: %s tells of no map", copy, sidecar)
+        LOG.warning("replacing the working copy %s: %s is not valid", copy, sidecar)
         return None
     ahead = origin.stamp_ns > now_ns
-    return cells if gone_on_with(copy, same=origin.source == source, ahead=ahead) else None
+    return cells if is_reusable(copy, same=origin.source == source, ahead=ahead) else None

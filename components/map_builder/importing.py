@@ -1,4 +1,4 @@
-"""What an importer of maps is: a plugin that reads surveyed objects, or cells, or posed scans."""
+"""Imports maps by plugins that read surveyed objects, grids, or scans with poses."""
 
 from __future__ import annotations
 
@@ -9,29 +9,33 @@ from pathlib import Path
 from typing import Any
 
 from cairn import CairnError
-from cairn.components.map_builder.counting import build_map
-from cairn.components.map_builder.objects import Change, Kind, MapObject
-from cairn.components.map_builder.place import Place
-from cairn.components.map_builder.store import create_map
+from cairn.components.map_builder.grid_from_scans import build_grid
 from cairn.files import replacing
 from cairn.planar.grid import OccupancyCells
 from cairn.planar.poses import Pose
 from cairn.schemas.cairn_msgs import VisualMap
 from cairn.schemas.sensor_msgs import LaserScan
 from cairn.vision.object_model import ObjectModel
+from cairn.visual_map.landmark_store import create_landmarks
+from cairn.visual_map.landmarks import (
+    ChangeKind,
+    LandmarkChange,
+    LandmarkRecord,
+    MapPosition,
+)
 from cairn.visual_map.object_models import add_views
 
 IMPORTERS_GROUP = "cairn.visual_map_importers"
-"""Entry points of this group are functions from a path to the `VisualMap` found there."""
+"""Entry points of this group are functions of a path that return its `VisualMap`."""
 
 GRID_IMPORTERS_GROUP = "cairn.grid_map_importers"
-"""Entry points of this group are functions from a path and a size of cells [m] to the grid map."""
+"""Entry points of this group are functions of a path and a cell size [m] that return a grid map."""
 
 POSED_SCANS_GROUP = "cairn.posed_scan_importers"
-"""Entry points of this group are functions from a path to scans and where they were taken."""
+"""Entry points of this group are functions of a path that yield scans with their poses."""
 
-TAUGHT_GROUP = "cairn.object_model_importers"
-"""Entry points of this group are functions from a path to the `TaughtObject`s found there."""
+OBJECT_MODELS_GROUP = "cairn.object_model_importers"
+"""Entry points of this group are functions of a path that return its `ObjectModel`s."""
 
 _GRIDS = (GRID_IMPORTERS_GROUP, POSED_SCANS_GROUP)
 
@@ -40,25 +44,27 @@ PosedScans = Iterator[tuple[Pose, LaserScan]]
 
 
 def importer(name: str) -> Importer:
-    """The importer of visual maps of that name; `CairnError` names those there are."""
+    """Return the importer of visual maps of that name; raise `CairnError` that lists them."""
     loaded: Importer = _loaded(name, IMPORTERS_GROUP, "visual maps")
     return loaded
 
 
-def taught_by(name: str, path: Path) -> Sequence[ObjectModel]:
-    """What the objects look like that the importer of that name finds; none if it cannot tell."""
-    if name not in entry_points(group=TAUGHT_GROUP).names:
+def import_models(name: str, path: Path) -> Sequence[ObjectModel]:
+    """Return the object models of the importer of that name; none if it has no models."""
+    if name not in entry_points(group=OBJECT_MODELS_GROUP).names:
         return ()
-    read: Callable[[Path], Sequence[ObjectModel]] = _loaded(name, TAUGHT_GROUP, "taught objects")
+    read: Callable[[Path], Sequence[ObjectModel]] = _loaded(
+        name, OBJECT_MODELS_GROUP, "object models"
+    )
     return read(path)
 
 
-def imported_grid(
+def import_grid(
     name: str, path: Path, resolution: float, mount: Pose, reach: float
 ) -> OccupancyCells:
-    """The grid map that the importer of that name finds at `path`, or that its scans draw.
+    """Return the grid map of the importer of that name, or build one from its scans.
 
-    Raises `CairnError` if there is no such importer, or nothing to draw a map of.
+    Raises `CairnError` if there is no such importer, or there are no scans.
     """
     if name in entry_points(group=GRID_IMPORTERS_GROUP).names:
         read: Callable[[Path, float], OccupancyCells]
@@ -66,50 +72,48 @@ def imported_grid(
         return read(path, resolution)
     scans: Callable[[Path], PosedScans] = _loaded(name, POSED_SCANS_GROUP, "grid maps")
     try:
-        return build_map(scans(path), resolution, mount, reach)
+        return build_grid(scans(path), resolution, mount, reach)
     except ValueError as error:
-        raise CairnError(f"{path}: {error}, so no map can be drawn of it") from error
+        raise CairnError(
+            f"{path}: {error}, so no map can be built; give a recording with scans"
+        ) from error
 
 
 def _loaded(name: str, group: str, what: str) -> Any:
     points = entry_points(group=group)
     if name not in points.names:
-        _refuse_other_kind(name, group)
+        _check_kind(name, group)
         groups = _GRIDS if group in _GRIDS else (group,)
         names = {known for one in groups for known in entry_points(group=one).names}
         known = ", ".join(sorted(names)) or "none is installed"
-        raise CairnError(f"there is no importer {name!r} of {what}; known: {known}.")
+        raise CairnError(f"there is no importer {name!r} of {what}; there are: {known}.")
     return points[name].load()
 
 
-def _refuse_other_kind(name: str, group: str) -> None:
-    """Say so if the importer is one of the other kind of maps."""
+def _check_kind(name: str, group: str) -> None:
+    """Raise `CairnError` if the importer makes the other kind of maps."""
     grids = {known for g in _GRIDS for known in entry_points(group=g).names}
     if group == IMPORTERS_GROUP and name in grids:
-        raise CairnError(
-            f"{name} makes grid maps only, which are written as .yaml: give MAP a name that ends "
-            "in .yaml."
-        )
+        raise CairnError(f"{name} makes only grid maps; give MAP a name that ends in .yaml.")
     if group in _GRIDS and name in entry_points(group=IMPORTERS_GROUP).names:
         raise CairnError(
-            f"{name} makes visual maps only: give MAP a name that does not end in .yaml, such as "
+            f"{name} makes only visual maps; give MAP a name that does not end in .yaml, such as "
             "map.cairn."
         )
 
 
-def altered(
+def alter(
     found: VisualMap, displaced: Mapping[int, tuple[float, float]], removed: Sequence[int]
-) -> list[MapObject]:
-    """The map's objects, some moved by (dx, dy) [m], some left out.
+) -> list[LandmarkRecord]:
+    """Return the landmarks of a map, some displaced by (dx, dy) [m], some removed.
 
-    Raises `CairnError` for an object that the map does not hold or that is named twice.
+    Raises `CairnError` for an object that is not in the map, or is named twice.
     """
     known = {o.object_id for o in found.objects}
     for object_id in (*displaced, *removed):
         if object_id not in known:
             raise CairnError(
-                f"the map holds no object {object_id}; it holds "
-                f"{', '.join(map(str, sorted(known)))}."
+                f"the map has no object {object_id}; it has {', '.join(map(str, sorted(known)))}."
             )
     both = sorted(set(displaced) & set(removed))
     if both:
@@ -121,7 +125,9 @@ def altered(
         dx, dy = displaced.get(o.object_id, (0.0, 0.0))
         xx, xy, _, yy = (float(value) for value in o.covariance)
         objects.append(
-            MapObject(o.object_id, o.name, Place(o.x + dx, o.y + dy, xx, xy, yy), o.reliability)
+            LandmarkRecord(
+                o.object_id, o.name, MapPosition(o.x + dx, o.y + dy, xx, xy, yy), o.reliability
+            )
         )
     return objects
 
@@ -129,26 +135,28 @@ def altered(
 def write_map(
     path: Path,
     source: str,
-    objects: Sequence[MapObject],
+    landmarks: Sequence[LandmarkRecord],
     stamp_ns: int = 0,
-    taught: Sequence[ObjectModel] = (),
+    models: Sequence[ObjectModel] = (),
 ) -> None:
-    """Write a new map file with the given objects, each with its change IMPORTED.
+    """Write a new map file with these landmarks, each with a change IMPORTED.
 
-    Those of them that are in `taught` are recognized from it at once.
+    The models of these landmarks are written as well, so robots recognize them at once.
     """
     with replacing(path) as part:
-        with create_map(part, source) as store:
+        with create_landmarks(part, source) as store:
             changes = [
                 (
                     version,
                     stamp_ns,
-                    Change(o.object_id, Kind.IMPORTED, None, o.place, o.reliability, source),
+                    LandmarkChange(
+                        o.object_id, ChangeKind.IMPORTED, None, o.position, o.reliability, source
+                    ),
                 )
-                for version, o in enumerate(objects, start=1)
+                for version, o in enumerate(landmarks, start=1)
             ]
-            store.commit([replace(o) for o in objects], (), changes)
-        known = {o.object_id for o in objects}
-        for one in taught:
+            store.commit([replace(o) for o in landmarks], (), changes)
+        known = {o.object_id for o in landmarks}
+        for one in models:
             if one.object_id in known:
                 add_views(part, one.name, one.views, one.size)

@@ -1,4 +1,4 @@
-"""The occupancy of a grid map, kept up to date by scans from known poses."""
+"""Updates the occupancy of a grid map by scans from known poses."""
 
 from __future__ import annotations
 
@@ -7,9 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from cairn.components.map_builder.ray_walk import first_step
-from cairn.components.map_builder.undo import Undo
-from cairn.components.map_builder.window import Window
+from cairn.components.map_builder.undo import GridJournal, GridWindow
 from cairn.planar.compiled import compiled
 from cairn.planar.grid import (
     FREE,
@@ -24,37 +22,37 @@ from cairn.planar.grid import (
 from cairn.planar.poses import Pose
 from cairn.planar.scans import Rays
 
-# Log-odds. What the map holds begins at the limits, so that it takes many contrary scans.
+# Limits of the log-odds. Cells of the given map start at them, so that many contrary scans are
+# needed to change them.
 _LEAST, _MOST = -2.0, 3.5
-# From here on a cell is occupied, down to there free; in between it stays what it was.
+# Log-odds from which a cell is occupied, or free; in between it keeps its state.
 _OCCUPIED, _FREE = 0.6, -0.6
-# A ray that ends: confirms an obstacle of the map, of which it says more than many that pass, as
-# glass returns few; or speaks for a new one.
+# A ray that ends confirms an obstacle of the map, with more weight than many rays that pass (glass
+# returns few rays), or suggests a new obstacle.
 _CONFIRMS, _SUGGESTS = 3.0, 0.3
-# A scan of which rays pass a cell, and none ends near it: speaks once against an obstacle of the
-# map, or forgets a suggestion. The first is small against what confirms: glass lets most rays pass.
+# A scan whose rays pass a cell without an end near it contradicts an obstacle of the map once, or
+# forgets a suggestion. A contradiction is small against a confirmation: glass lets most rays pass.
 _CONTRADICTS, _FORGETS = -0.2, -0.4
-# An end this near an obstacle of the map [cells] is that obstacle, seen from a pose that is not
-# quite right.
+# An end this near an obstacle of the map [cells] is that obstacle, seen from a slightly wrong pose.
 _NEAR = 2
-# One this near confirms it [cells].
+# An end this near confirms it [cells].
 _BESIDE = 1
-# Up to this share of the reach even what is dark returns a ray.
+# Up to this share of the reach even dark objects return a ray.
 _SURE_SHARE = 0.35
-# Until an obstacle is so old [s], what is seen beside it belongs to it, and is drawn as well.
+# While an obstacle is younger than this [s], ends beside it belong to it and are added as well.
 _YOUNG_S = 60.0
-# A ray tells nothing of what lies this far [cells] before its end, or where it grazes a surface.
+# A ray says nothing about cells this near its end [cells], or where it grazes a surface [m].
 _END_CELLS = 3.0
 _GRAZES_M = 1.5
 
 
 class Occupancy:
-    """Free, occupied and unknown cells, changed by rays.
+    """Free, occupied and unknown cells, updated by rays.
 
-    A new obstacle is one that stood for `settle_s` seconds: who walks past leaves no trace. An
-    obstacle of the map is gone when rays pass where it stood. A ray without a return says nothing
-    of far obstacles, because what is dark returns none. Changes of the last `undo_s` seconds can be
-    taken back.
+    An obstacle is added once it has stood for `settle_s` seconds, so people who walk past leave no
+    trace. An obstacle is removed when rays pass where it stood. A ray without a return says nothing
+    about far obstacles, because dark objects return none. Changes of the last `undo_s` seconds can
+    be undone.
     """
 
     def __init__(self, grid: OccupancyCells, settle_s: float, undo_s: float) -> None:
@@ -63,48 +61,48 @@ class Occupancy:
         self.cells: NDArray[np.int8] = np.full(grid.values.shape, UNKNOWN, np.int8)
         self.cells[(grid.values >= 0) & (grid.values <= FREE_TO)] = FREE
         self.cells[grid.values >= OCCUPIED_FROM] = OCCUPIED
-        self._odds = _certain(self.cells)
+        self._odds = _initial_odds(self.cells)
         self._since: NDArray[np.float32] = np.full(self.cells.shape, np.nan, np.float32)
-        # The number of the last scan that spoke for a cell, negative if it spoke against it.
-        self._spoke = np.zeros(self.cells.shape, np.int32)
+        # Number of the last scan with an end near a cell, negative if its rays only passed it.
+        self._last_scan = np.zeros(self.cells.shape, np.int32)
         self._scans = 0
-        self._undo = Undo(self.cells, undo_s)
-        self._began: float | None = None
+        self._journal = GridJournal(self.cells, undo_s)
+        self._start_s: float | None = None
 
     @property
     def grid(self) -> OccupancyCells:
-        """The map as it is now."""
+        """Return the present map."""
         return Grid(self.cells, self.frame)
 
-    def take_back(self, stamp_s: float) -> Window | None:
-        """Undo what was changed since `stamp_s` [s]; gives what has changed by that.
+    def undo(self, stamp_s: float) -> GridWindow | None:
+        """Undo the changes since `stamp_s` [s]; return the window that this changes.
 
-        Evidence that has changed nothing yet is dropped, of whatever time it is.
+        Evidence that has changed nothing yet is dropped, whatever its time.
         """
-        window = self._undo.take_back(stamp_s)
-        if self._began is not None:
-            # What was not decided yet is of doubtful poses, too.
-            self._odds = _certain(self.cells)
-            lost = self._since >= stamp_s - self._began
+        window = self._journal.undo(stamp_s)
+        if self._start_s is not None:
+            # Undecided evidence is of unreliable poses, too.
+            self._odds = _initial_odds(self.cells)
+            lost = self._since >= stamp_s - self._start_s
             self._since[lost | (self.cells != OCCUPIED)] = np.nan
         return window
 
-    def integrate(self, stamp_s: float, pose: Pose, rays: Rays) -> Window | None:
-        """Take the rays of a scan from `pose`; gives what has changed, None if nothing has."""
-        if self._began is None:
-            self._began = stamp_s
-        starts, ends, keep, hit = _in_cells(self.frame, pose, rays)
+    def integrate(self, stamp_s: float, pose: Pose, rays: Rays) -> GridWindow | None:
+        """Integrate the rays of a scan from `pose`; return the window that this changes."""
+        if self._start_s is None:
+            self._start_s = stamp_s
+        starts, ends, ignored, hit = _rays_in_cells(self.frame, pose, rays)
         if not len(hit):
             return None
         self._scans += 1
         box = np.array([self.cells.shape[0], self.cells.shape[1], -1, -1])
-        _confirm(ends, hit, self._spoke, self._scans, self._odds, self.cells)
+        _confirm(ends, hit, self._last_scan, self._scans, self._odds, self.cells)
         _pass(
             starts,
             ends,
             hit,
-            keep,
-            self._spoke,
+            ignored,
+            self._last_scan,
             self._scans,
             self._odds,
             self.cells,
@@ -114,7 +112,7 @@ class Occupancy:
         _end(
             ends,
             hit,
-            stamp_s - self._began,
+            stamp_s - self._start_s,
             self.settle_s,
             self._odds,
             self.cells,
@@ -124,25 +122,25 @@ class Occupancy:
         top, left, bottom, right = (int(edge) for edge in box)
         if bottom < 0:
             return None
-        window = Window(top, left, self.cells[top : bottom + 1, left : right + 1].copy())
-        self._undo.note(stamp_s, window)
+        window = GridWindow(top, left, self.cells[top : bottom + 1, left : right + 1].copy())
+        self._journal.record(stamp_s, window)
         return window
 
 
-def _certain(cells: NDArray[np.int8]) -> NDArray[np.float32]:
-    """Log-odds of a map that nothing speaks against."""
+def _initial_odds(cells: NDArray[np.int8]) -> NDArray[np.float32]:
+    """Return the log-odds of a map without contrary evidence."""
     odds = np.zeros(cells.shape, np.float32)
     odds[cells == FREE] = _LEAST
     odds[cells == OCCUPIED] = _MOST
     return odds
 
 
-def _in_cells(
+def _rays_in_cells(
     frame: Frame, pose: Pose, rays: Rays
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
-    """Starts and ends (n, 2) [cells], how much before its end a ray tells nothing, who hit."""
-    told = ~np.isnan(rays.ranges)
-    ranges = rays.ranges[told]
+    """Return starts and ends (n, 2) [cells], ignored lengths before ends, and which rays hit."""
+    valid = ~np.isnan(rays.ranges)
+    ranges = rays.ranges[valid]
     hit = np.isfinite(ranges)
     reach = np.where(hit, ranges, rays.reach)
     grazing = np.zeros(reach.size)
@@ -150,16 +148,16 @@ def _in_cells(
         step = np.abs(np.diff(reach))
         grazing[1:] = step
         grazing[:-1] = np.maximum(grazing[:-1], step)
-    keep = np.minimum(grazing, _GRAZES_M) / frame.resolution
-    keep = np.where(hit, np.maximum(keep, _END_CELLS), 0.0)
-    starts = _placed(frame, pose, rays.starts[told])
-    angles = rays.angles[told] + pose[2] - frame.origin[2]
+    ignored = np.minimum(grazing, _GRAZES_M) / frame.resolution
+    ignored = np.where(hit, np.maximum(ignored, _END_CELLS), 0.0)
+    starts = _points_in_cells(frame, pose, rays.starts[valid])
+    angles = rays.angles[valid] + pose[2] - frame.origin[2]
     length = reach / frame.resolution
     ends = starts + np.column_stack((length * np.cos(angles), length * np.sin(angles)))
-    return starts, ends, keep, hit
+    return starts, ends, ignored, hit
 
 
-def _placed(frame: Frame, pose: Pose, points: NDArray[np.float64]) -> NDArray[np.float64]:
+def _points_in_cells(frame: Frame, pose: Pose, points: NDArray[np.float64]) -> NDArray[np.float64]:
     x, y = frame.cells(pose[0], pose[1])
     theta = pose[2] - frame.origin[2]
     cosine, sine = math.cos(theta) / frame.resolution, math.sin(theta) / frame.resolution
@@ -170,13 +168,28 @@ def _placed(frame: Frame, pose: Pose, points: NDArray[np.float64]) -> NDArray[np
 
 
 @compiled()
+def first_step(begin: float, direction: float) -> tuple[int, float, float]:
+    """Return the first step of a ray along one axis, in cells (Amanatides and Woo 1987).
+
+    The step of the index, and the shares of the ray at which the first and each further border is
+    crossed.
+    """
+    cell = math.floor(begin)
+    if direction > 0.0:
+        return 1, (cell + 1.0 - begin) / direction, 1.0 / direction
+    if direction < 0.0:
+        return -1, (cell - begin) / direction, -1.0 / direction
+    return 0, math.inf, math.inf
+
+
+@compiled()
 def _grow(box: NDArray[np.int64], row: int, column: int) -> None:
     box[0], box[1] = min(box[0], row), min(box[1], column)
     box[2], box[3] = max(box[2], row), max(box[3], column)
 
 
 @compiled()
-def _passed(
+def _pass_cell(
     odds: NDArray[np.float32],
     cells: NDArray[np.int8],
     since: NDArray[np.float32],
@@ -201,19 +214,19 @@ def _passed(
 def _confirm(
     ends: NDArray[np.float64],
     hit: NDArray[np.bool_],
-    spoke: NDArray[np.int32],
+    last_scan: NDArray[np.int32],
     scan: int,
     odds: NDArray[np.float32],
     cells: NDArray[np.int8],
 ) -> None:
-    rows, columns = spoke.shape
+    rows, columns = last_scan.shape
     for i in range(len(ends)):
         if not hit[i]:
             continue
         row, column = math.floor(ends[i, 1]), math.floor(ends[i, 0])
         for r in range(max(0, row - _NEAR), min(rows, row + _NEAR + 1)):
             for c in range(max(0, column - _NEAR), min(columns, column + _NEAR + 1)):
-                spoke[r, c] = scan
+                last_scan[r, c] = scan
                 beside = abs(r - row) <= _BESIDE and abs(c - column) <= _BESIDE
                 if beside and cells[r, c] == OCCUPIED:
                     odds[r, c] = min(_MOST, odds[r, c] + _CONFIRMS)
@@ -227,8 +240,8 @@ def _pass(
     starts: NDArray[np.float64],
     ends: NDArray[np.float64],
     hit: NDArray[np.bool_],
-    keep: NDArray[np.float64],
-    spoke: NDArray[np.int32],
+    ignored: NDArray[np.float64],
+    last_scan: NDArray[np.int32],
     scan: int,
     odds: NDArray[np.float32],
     cells: NDArray[np.int8],
@@ -240,10 +253,10 @@ def _pass(
         x, y = starts[i, 0], starts[i, 1]
         dx, dy = ends[i, 0] - x, ends[i, 1] - y
         length = math.hypot(dx, dy)
-        if length <= keep[i]:
+        if length <= ignored[i]:
             continue
-        until = 1.0 - keep[i] / length
-        sure = 1.0 if hit[i] else _SURE_SHARE
+        until = 1.0 - ignored[i] / length
+        certain = 1.0 if hit[i] else _SURE_SHARE
         column, row = math.floor(x), math.floor(y)
         step_x, next_x, every_x = first_step(x, dx)
         step_y, next_y, every_y = first_step(y, dy)
@@ -251,11 +264,11 @@ def _pass(
         while at < until:
             if not (0 <= row < rows and 0 <= column < columns):
                 break
-            if at > sure and cells[row, column] == OCCUPIED:
+            if at > certain and cells[row, column] == OCCUPIED:
                 break
-            if abs(spoke[row, column]) != scan:
-                spoke[row, column] = -scan
-                _passed(odds, cells, since, row, column, box)
+            if abs(last_scan[row, column]) != scan:
+                last_scan[row, column] = -scan
+                _pass_cell(odds, cells, since, row, column, box)
             if next_x < next_y:
                 at = next_x
                 next_x += every_x
@@ -292,7 +305,7 @@ def _end(
         known = False
         for r in range(max(0, row - _NEAR), min(rows, row + _NEAR + 1)):
             for c in range(max(0, column - _NEAR), min(columns, column + _NEAR + 1)):
-                # NaN: from the beginning.
+                # NaN: since the start.
                 young = now - since[r, c] < _YOUNG_S
                 if cells[r, c] == OCCUPIED and not young:
                     known = True

@@ -28,9 +28,9 @@ class PosedScan:
 
 
 class PosedScans:
-    """Gives scans whose pose is known and sure, at most `per_s` a second.
+    """Returns scans with reliable poses, at most `per_s` per second.
 
-    `waiting` says in words why none is given, "" while poses are sure.
+    `waiting` is the reason why none is returned, "" while poses are reliable.
     """
 
     def __init__(
@@ -41,40 +41,40 @@ class PosedScans:
         self._least_health, self._most_spread_m = least_health, most_spread_m
         self._history = OdometryHistory(5 * SECOND)
         self._scans: deque[LaserScan] = deque(maxlen=_KEPT)
-        self._given_ns: int | None = None
-        self.waiting = "there is no pose yet"
+        self._last_ns: int | None = None
+        self.waiting = "no pose was received yet"
 
-    def moved(self, stamp_ns: int, pose: Pose) -> OdometryChange:
-        """Take a pose of odometry."""
+    def add_odometry(self, stamp_ns: int, pose: Pose) -> OdometryChange:
+        """Add a pose of odometry."""
         return self._history.add(stamp_ns, pose)
 
-    def scanned(self, scan: LaserScan) -> None:
-        """Take a scan."""
+    def add_scan(self, scan: LaserScan) -> None:
+        """Add a scan."""
         self._scans.append(scan)
 
     def ready(self, estimate: LocalizationEstimate) -> PosedScan | None:
-        """Return the scan that gave this estimate, if it may be put into a map."""
-        self.waiting = self._doubt(estimate)
+        """Return the scan of this estimate, if it is reliable enough for the map."""
+        self.waiting = self._why_unreliable(estimate)
         stamp = to_ns(estimate.header.stamp)
         if self.waiting:
             return None
-        if self._given_ns is not None and 0 <= stamp - self._given_ns < self._every_ns:
+        if self._last_ns is not None and 0 <= stamp - self._last_ns < self._every_ns:
             return None
         scan = next((s for s in self._scans if to_ns(s.header.stamp) == stamp), None)
         if scan is None:
             return None
-        self._given_ns = stamp
+        self._last_ns = stamp
         sweep = sweep_of(scan, self._history.at)
-        moved = sweep.motion if sweep is not None else (0.0, 0.0, 0.0)
-        ends = stamp + round(sweep_s(scan) * SECOND)
-        pose = compose(planar_pose(estimate.pose.pose), moved)
-        return PosedScan(ends, pose, rays_of(scan, self._mount, moved))
+        motion = sweep.motion if sweep is not None else (0.0, 0.0, 0.0)
+        end_ns = stamp + round(sweep_s(scan) * SECOND)
+        pose = compose(planar_pose(estimate.pose.pose), motion)
+        return PosedScan(end_ns, pose, rays_of(scan, self._mount, motion))
 
-    def _doubt(self, estimate: LocalizationEstimate) -> str:
+    def _why_unreliable(self, estimate: LocalizationEstimate) -> str:
         if not estimate.located:
-            return estimate.reason or "the robot is not located"
+            return estimate.reason or "the robot is not localized"
         if estimate.health < self._least_health:
-            return f"the pose is not sure: {estimate.reason}"
+            return f"the pose is not reliable: {estimate.reason}"
         if estimate.position_sd > self._most_spread_m:
             return f"the position is uncertain by {estimate.position_sd:.2f} m"
         if estimate.heading_sd > _MOST_HEADING_SD:

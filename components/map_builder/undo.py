@@ -1,4 +1,4 @@
-"""What a grid map was before its last changes, so that they can be taken back."""
+"""Undoes changes of the maps after the robot turned out to be lost (kidnapped)."""
 
 from __future__ import annotations
 
@@ -8,39 +8,95 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cairn.components.map_builder.window import Window
+from cairn.visual_map.landmarks import LandmarkRecord, LandmarkState
 
 
 @dataclass(frozen=True)
-class _Change:
-    """Cells that changed, counted row by row, and what they were."""
+class _LandmarkUndo:
+    at_s: float
+    before: LandmarkRecord
+
+
+class LandmarkJournal:
+    """The landmarks as they were before they lost trust, in the last `kept_s` seconds."""
+
+    def __init__(self, kept_s: float) -> None:
+        self._kept_s = kept_s
+        self._entries: deque[_LandmarkUndo] = deque()
+
+    def forget_old(self, now_s: float) -> None:
+        """Remove entries that are older than `kept_s`."""
+        while self._entries and self._entries[0].at_s < now_s - self._kept_s:
+            self._entries.popleft()
+
+    def record(self, now_s: float, before: LandmarkRecord, after: LandmarkRecord) -> None:
+        """Record a change of a landmark, if it lost trust by it."""
+        if _lost_trust(before, after):
+            self._entries.append(_LandmarkUndo(now_s, before))
+
+    def undo(self, since_s: float) -> dict[int, LandmarkRecord]:
+        """Remove the entries after `since_s` [s]; return the landmarks as they were then."""
+        restored: dict[int, LandmarkRecord] = {}
+        while self._entries and self._entries[-1].at_s > since_s:
+            before = self._entries.pop().before
+            restored[before.object_id] = before
+        return restored
+
+
+@dataclass(frozen=True)
+class GridWindow:
+    """A part of a grid map that begins at `row` and `column`; `values` (rows, columns)."""
+
+    row: int
+    column: int
+    values: NDArray[np.int8]
+
+    @property
+    def rows(self) -> slice:
+        """Return the rows of the map that it covers."""
+        return slice(self.row, self.row + self.values.shape[0])
+
+    @property
+    def columns(self) -> slice:
+        """Return the columns of the map that it covers."""
+        return slice(self.column, self.column + self.values.shape[1])
+
+    @property
+    def box(self) -> tuple[int, int, int, int]:
+        """Return the first row and column, and those after the last."""
+        return self.rows.start, self.columns.start, self.rows.stop, self.columns.stop
+
+
+@dataclass(frozen=True)
+class _GridUndo:
+    """Flat indices of the cells that changed, and their former values."""
 
     stamp_s: float
     cells: NDArray[np.int32]
     values: NDArray[np.int8]
 
 
-class Undo:
+class GridJournal:
     """The changes of a map's `cells` in the last `kept_s` seconds."""
 
     def __init__(self, cells: NDArray[np.int8], kept_s: float) -> None:
         self._kept_s = kept_s
         self._cells = cells
         self._before = cells.copy()
-        self._changes: deque[_Change] = deque()
+        self._changes: deque[_GridUndo] = deque()
 
-    def note(self, stamp_s: float, window: Window) -> None:
-        """Take what `window` has changed, at `stamp_s` [s]; forget what is too old."""
+    def record(self, stamp_s: float, window: GridWindow) -> None:
+        """Record the changes in `window` at `stamp_s` [s]; forget old ones."""
         while self._changes and self._changes[0].stamp_s < stamp_s - self._kept_s:
             self._changes.popleft()
         before = self._before[window.rows, window.columns]
         rows, columns = np.nonzero(before != window.values)
         changed = (window.row + rows) * self._cells.shape[1] + window.column + columns
-        self._changes.append(_Change(stamp_s, changed.astype(np.int32), before[rows, columns]))
+        self._changes.append(_GridUndo(stamp_s, changed.astype(np.int32), before[rows, columns]))
         before[:] = window.values
 
-    def take_back(self, stamp_s: float) -> Window | None:
-        """Make the map as it was at `stamp_s` [s]; gives what has changed by that."""
+    def undo(self, stamp_s: float) -> GridWindow | None:
+        """Restore the map of `stamp_s` [s]; return the window that this changes."""
         undone = []
         while self._changes and self._changes[-1].stamp_s >= stamp_s:
             change = self._changes.pop()
@@ -52,4 +108,12 @@ class Undo:
         rows, columns = np.divmod(np.concatenate(undone), self._cells.shape[1])
         top, left = int(rows.min()), int(columns.min())
         values = self._cells[top : rows.max() + 1, left : columns.max() + 1]
-        return Window(top, left, values.copy())
+        return GridWindow(top, left, values.copy())
+
+
+def _lost_trust(before: LandmarkRecord, after: LandmarkRecord) -> bool:
+    return (
+        after.reliability < before.reliability
+        or after.state is not before.state
+        or (after.state is LandmarkState.RELOCATING and after.candidate != before.candidate)
+    )

@@ -1,4 +1,4 @@
-"""Which working copies of a map are gone on with."""
+"""Decides whether the working copy of a map is used again, or made again from the original."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from pathlib import Path
 LOG = logging.getLogger("cairn.map_builder")
 
 
-def gone_on_with(copy: Path, *, same: bool, ahead: bool) -> bool:
-    """Whether a copy is of the `same` map and not of a time `ahead`, as of another replay.
+def is_reusable(copy: Path, *, same: bool, ahead: bool) -> bool:
+    """Return whether a copy is of the `same` map and not of a time `ahead` (another replay).
 
-    The log is told, and if it is to be made anew, why.
+    Logs the decision and its reason.
     """
     if same and not ahead:
-        LOG.info("going on with the working copy %s", copy)
+        LOG.info("reusing the working copy %s", copy)
         return True
-    why = "what it holds is of a later time" if same else "it is a copy of another map"
-    LOG.info("making the working copy %s anew: %s", copy, why)
+    why = "it has data of a later time" if same else "it is a copy of another map"
+    LOG.info("replacing the working copy %s: %s", copy, why)
     return False

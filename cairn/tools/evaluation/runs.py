@@ -9,7 +9,7 @@ from pathlib import Path
 
 from cairn import CairnError
 from cairn.cli.runs import log_file
-from cairn.components.map_builder.importing import altered, write_map
+from cairn.components.map_builder.importing import alter, write_map
 from cairn.components.simulation.survey import surveyed_grid, surveyed_models, surveyed_objects
 from cairn.components.simulation.world_file import Event, read_world
 from cairn.deployment.load import load_deployment
@@ -40,9 +40,9 @@ class Trial:
 def survey(world: Path, map_file: Path, visual_map: Path) -> None:
     """Write the grid map and the visual map of a world as it is at the beginning."""
     write_grid(map_file, surveyed_grid(world))
-    objects = altered(surveyed_objects(world), {}, ())
+    objects = alter(surveyed_objects(world), {}, ())
     source = f"surveyed of {world.name}"
-    write_map(visual_map, source, objects, taught=surveyed_models(world))
+    write_map(visual_map, source, objects, models=surveyed_models(world))
 
 
 def robot_start(world: Path) -> Pose:

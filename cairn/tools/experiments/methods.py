@@ -18,7 +18,7 @@ class Method:
 
 
 OURS = Method("ours", "ours (likelihood ratio)", {"mode": "lr"}, {"rule": "reliability"})
-LETTER = Method("letter", "paper, to the letter", {"mode": "paper_rule"}, {"rule": "letter"})
+LETTER = Method("letter", "paper, to the letter", {"mode": "paper_rule"}, {"rule": "paper_rule"})
 PAPER = Method("paper", "paper, clamped", {"mode": "paper"}, {"rule": "reliability"})
 CHI_SQUARE = Method(
     "chi_square", "chi-square gate", {"mode": "chi_square"}, {"rule": "reliability"}

@@ -1,27 +1,33 @@
-"""Evidence as a robot that walks past an object gives it."""
+"""Evidence from a robot that drives past a landmark."""
 
-from cairn.components.map_builder.objects import Evidence, MapObject, Verdict
-from cairn.components.map_builder.place import Place
+from cairn.visual_map.landmarks import (
+    EvidenceVerdict,
+    LandmarkEvidence,
+    LandmarkRecord,
+    MapPosition,
+)
 
-HERE = Place(2.0, 1.0, 1e-4, 0.0, 1e-4)
-THERE = Place(3.5, 1.0, 0.02, 0.0, 0.02)
+HERE = MapPosition(2.0, 1.0, 1e-4, 0.0, 1e-4)
+THERE = MapPosition(3.5, 1.0, 0.02, 0.0, 0.02)
 
 
-def surveyed(object_id: int = 7) -> MapObject:
-    return MapObject(object_id, f"landmark {object_id}", HERE)
+def surveyed(object_id: int = 7) -> LandmarkRecord:
+    return LandmarkRecord(object_id, f"landmark {object_id}", HERE)
 
 
-def sighting(
+def observation(
     similarity: float,
     step: int,
-    implied: Place = HERE,
-    verdict: Verdict | None = None,
+    implied: MapPosition = HERE,
+    verdict: EvidenceVerdict | None = None,
     healthy: bool = True,
     object_id: int = 7,
     corroborated: bool = True,
-) -> Evidence:
-    """Evidence from the pose that is `step` times 0.2 m along the way."""
+) -> LandmarkEvidence:
+    """Return evidence from the pose that is `step` times 0.2 m along the way."""
     if verdict is None:
-        verdict = Verdict.AGREES if similarity >= 0.5 else Verdict.DISAGREES
+        verdict = EvidenceVerdict.AGREES if similarity >= 0.5 else EvidenceVerdict.DISAGREES
     robot = (0.2 * step, 0.0, 0.0)
-    return Evidence(object_id, similarity, verdict, 1.0, implied, robot, healthy, corroborated)
+    return LandmarkEvidence(
+        object_id, similarity, verdict, 1.0, implied, robot, healthy, corroborated
+    )

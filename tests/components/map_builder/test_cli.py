@@ -1,4 +1,4 @@
-"""`cairn map` imports and shows maps, and refuses what it cannot do in words."""
+"""Tests of `cairn map import` and `cairn map show`."""
 
 import json
 from pathlib import Path
@@ -27,7 +27,7 @@ def objects(path: Path) -> dict[int, dict[str, object]]:
     return {o["object_id"]: o for o in shown["objects"]}
 
 
-def test_a_data_set_becomes_a_map(dataset: Path, tmp_path: Path) -> None:
+def test_data_set_is_imported(dataset: Path, tmp_path: Path) -> None:
     out = tmp_path / "sub" / "hall.map"
 
     result = cairn_map("import", "mrclam", dataset, out)
@@ -39,7 +39,7 @@ def test_a_data_set_becomes_a_map(dataset: Path, tmp_path: Path) -> None:
     assert {o["reliability"] for o in known.values()} == {0.5}
 
 
-def test_objects_can_be_displaced_and_left_out(dataset: Path, tmp_path: Path) -> None:
+def test_objects_can_be_displaced_and_removed(dataset: Path, tmp_path: Path) -> None:
     out = tmp_path / "hall.map"
 
     cairn_map(
@@ -54,7 +54,7 @@ def test_objects_can_be_displaced_and_left_out(dataset: Path, tmp_path: Path) ->
     assert known[11]["y"] == pytest.approx(-2.53798053 + 1.0)
 
 
-def test_a_map_is_replaced_only_by_force(dataset: Path, tmp_path: Path) -> None:
+def test_existing_map_is_replaced_only_with_force(dataset: Path, tmp_path: Path) -> None:
     out = tmp_path / "hall.map"
     cairn_map("import", "mrclam", dataset, out)
 
@@ -66,49 +66,49 @@ def test_a_map_is_replaced_only_by_force(dataset: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "complaint"),
+    ("arguments", "message"),
     [
         (["--displace", "8"], "--displace 8: write it as ID:DX,DY"),
         (["--displace", "8:a,b"], "write it as ID:DX,DY"),
         (["--displace", "8:nan,0"], "must be finite"),
         (["--displace", "8:1,0", "--displace", "8:0,1"], "names object 8 twice"),
-        (["--displace", "99:1,0"], "the map holds no object 99; it holds 6, 7"),
-        (["--remove", "99"], "the map holds no object 99"),
+        (["--displace", "99:1,0"], "the map has no object 99; it has 6, 7"),
+        (["--remove", "99"], "the map has no object 99"),
         (["--displace", "8:1,0", "--remove", "8"], "cannot be both"),
     ],
 )
-def test_a_wrong_order_is_explained(
-    dataset: Path, tmp_path: Path, arguments: list[str], complaint: str
+def test_invalid_arguments_are_rejected_with_reason(
+    dataset: Path, tmp_path: Path, arguments: list[str], message: str
 ) -> None:
-    with pytest.raises(CairnError) as refused:
+    with pytest.raises(CairnError) as raised:
         cairn_map("import", "mrclam", dataset, tmp_path / "hall.map", *arguments)
 
-    assert complaint in str(refused.value)
+    assert message in str(raised.value)
     assert not (tmp_path / "hall.map").exists()
 
 
-def test_an_importer_that_does_not_exist_is_told_with_those_that_do(tmp_path: Path) -> None:
-    with pytest.raises(CairnError, match=r"no importer 'mclam'.*known: .*mrclam"):
+def test_unknown_importer_lists_the_known_ones(tmp_path: Path) -> None:
+    with pytest.raises(CairnError, match=r"no importer 'mclam'.*there are: .*mrclam"):
         cairn_map("import", "mclam", tmp_path, tmp_path / "hall.map")
 
 
-def test_an_importer_of_the_other_kind_of_maps_is_told(dataset: Path, tmp_path: Path) -> None:
-    with pytest.raises(CairnError, match=r"carmen makes grid maps only.* ends in .yaml"):
+def test_importer_of_the_other_kind_of_map_is_rejected(dataset: Path, tmp_path: Path) -> None:
+    with pytest.raises(CairnError, match=r"carmen makes only grid maps.* ends in .yaml"):
         cairn_map("import", "carmen", tmp_path / "run.log", tmp_path / "map.png")
-    with pytest.raises(CairnError, match=r"mrclam makes visual maps only.* such as map.cairn"):
+    with pytest.raises(CairnError, match=r"mrclam makes only visual maps.* such as map.cairn"):
         cairn_map("import", "mrclam", dataset, tmp_path / "map.yaml")
 
 
-def test_a_world_is_surveyed_with_cells_of_the_size_asked_for(tmp_path: Path) -> None:
+def test_world_is_imported_with_the_requested_cell_size(tmp_path: Path) -> None:
     out = tmp_path / "room.yaml"
 
-    told = cairn_map("import", "world", ROOM, out, "--resolution", "0.1").output
+    printed = cairn_map("import", "world", ROOM, out, "--resolution", "0.1").output
 
-    assert "cells of 0.1 m" in told
+    assert "cells of 0.1 m" in printed
     assert read_map(out).frame.resolution == 0.1
 
 
-def test_a_grid_map_is_shown_with_its_size_place_and_cells(tmp_path: Path) -> None:
+def test_grid_map_is_shown_with_size_origin_and_cells(tmp_path: Path) -> None:
     file = tmp_path / "map.yaml"
     cells = np.array([[FREE] * 4, [FREE, OCCUPIED, UNKNOWN, UNKNOWN]], np.int8)
     write_map(file, Grid(cells, Frame(0.5, (-1.0, 2.0, 0.1))))
@@ -121,14 +121,14 @@ def test_a_grid_map_is_shown_with_its_size_place_and_cells(tmp_path: Path) -> No
     }  # fmt: skip
     assert cairn_map("show", file).output == (
         "map.yaml: 2.00 m x 1.00 m, cells of 0.5 m\n"
-        "its corner is at (-1.00, 2.00) m, turned by 0.100 rad\n"
+        "its origin is at (-1.00, 2.00) m, rotated by 0.100 rad\n"
         "free 62.5 %, occupied 12.5 %, unknown 25.0 %\n"
     )
     with pytest.raises(CairnError, match="no history"):
         cairn_map("show", file, "--history")
 
 
-def test_the_table_and_its_history_name_objects_and_reasons(dataset: Path, tmp_path: Path) -> None:
+def test_show_prints_objects_and_history_with_reasons(dataset: Path, tmp_path: Path) -> None:
     out = tmp_path / "hall.map"
     cairn_map("import", "mrclam", dataset, out)
 

@@ -1,4 +1,4 @@
-"""A grid map follows what the scanner sees: what moved vanishes and appears; passers-by do not."""
+"""Tests of grid map updates: moved obstacles vanish and appear, people leave no trace."""
 
 import math
 import tracemalloc
@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cairn.components.map_builder.counting import build_map
+from cairn.components.map_builder.grid_from_scans import build_grid
 from cairn.components.map_builder.occupancy import Occupancy
 from cairn.planar.grid import FREE, OCCUPIED, UNKNOWN, Frame, Grid, OccupancyCells
 from cairn.planar.poses import Pose
@@ -35,7 +35,7 @@ def pass_by(
     error_m: float = 0.02,
     seed: int = 0,
 ) -> float:
-    """The robot drives once around the middle of the room; gives the time when it is done."""
+    """Drive the robot once around the middle of the room; return the final time."""
     random = np.random.default_rng(seed)
     for k in range(100):
         around = 2 * math.pi * k / 100
@@ -55,7 +55,7 @@ def share_occupied(occupancy: Occupancy, box: Box) -> float:
     return float((occupancy.cells[bottom:top, left:right] == OCCUPIED).mean())
 
 
-def test_moved_furniture_vanishes_from_its_old_place_and_appears_in_its_new_one() -> None:
+def test_moved_furniture_vanishes_and_appears_at_its_new_position() -> None:
     occupancy = Occupancy(room(), 8.0, 60.0)
     world = room((*(box for box in ROOM if box != OLD), NEW))
     now = 0.0
@@ -68,7 +68,7 @@ def test_moved_furniture_vanishes_from_its_old_place_and_appears_in_its_new_one(
     assert share_occupied(occupancy, (left, bottom - 0.05, right, bottom + 0.1)) > 0.3
 
 
-def test_a_still_room_stays_as_it_is_however_often_it_is_seen() -> None:
+def test_unchanged_room_stays_unchanged() -> None:
     occupancy = Occupancy(room(), 8.0, 60.0)
     now = 0.0
 
@@ -79,7 +79,7 @@ def test_a_still_room_stays_as_it_is_however_often_it_is_seen() -> None:
     assert changed.mean() < 0.001
 
 
-def test_who_walks_past_leaves_no_trace_and_who_stays_is_forgotten_once_gone() -> None:
+def test_people_who_pass_leave_no_trace_and_who_stayed_is_removed() -> None:
     occupancy = Occupancy(room(), 8.0, 60.0)
     pose = (2.0, 2.0, 0.0)
     random = np.random.default_rng(0)
@@ -103,7 +103,7 @@ def test_who_walks_past_leaves_no_trace_and_who_stays_is_forgotten_once_gone() -
 
 
 def seen_through(occupancy: Occupancy, began_s: float, scans: int, far_m: float = 2.0) -> None:
-    """The robot stands at (5, 10) and its rays pass what is `far_m` [m] ahead of it."""
+    """Let rays of a robot at (5, 10) pass through a cell `far_m` [m] ahead of it."""
     around = np.linspace(-math.pi, math.pi, 481, endpoint=False)
     through = Rays(np.zeros((481, 2)), around, np.full(481, far_m + 1.5), 10.0)
     for k in range(scans):
@@ -118,7 +118,7 @@ def a_post(far_m: float = 2.0) -> tuple[Occupancy, tuple[int, int]]:
 
 
 @pytest.mark.parametrize("far_m", [0.5, 1.0, 2.0, 4.0])
-def test_what_is_seen_through_for_four_seconds_is_gone_however_near_it_is(far_m: float) -> None:
+def test_obstacle_that_rays_pass_for_four_seconds_is_removed(far_m: float) -> None:
     occupancy, post = a_post(far_m)
 
     seen_through(occupancy, 0.0, 15, far_m)
@@ -129,7 +129,7 @@ def test_what_is_seen_through_for_four_seconds_is_gone_however_near_it_is(far_m:
 
 
 @pytest.mark.parametrize("far_m", [2.0, 3.0, 4.0, 6.0])
-def test_a_mapped_pane_that_returns_one_ray_in_ten_stays_while_it_is_looked_at(
+def test_mapped_glass_that_returns_one_ray_in_ten_stays(
     far_m: float,
 ) -> None:
     random = np.random.default_rng(0)
@@ -150,20 +150,20 @@ def test_a_mapped_pane_that_returns_one_ray_in_ten_stays_while_it_is_looked_at(
     assert (occupancy.cells[180:220, pane] == OCCUPIED).mean() > 0.75
 
 
-def test_only_what_has_changed_is_told() -> None:
+def test_returned_window_contains_the_changes_only() -> None:
     grid = Grid(np.zeros((20, 40), np.int8), Frame(0.1))
     occupancy = Occupancy(grid, 0.0, 60.0)
     wall = rays(np.array([[1.0, 0.0]]))
 
-    told = [occupancy.integrate(0.2 * k, (1.05, 1.05, 0.0), wall) for k in range(20)]
+    printed = [occupancy.integrate(0.2 * k, (1.05, 1.05, 0.0), wall) for k in range(20)]
 
-    windows = [window for window in told if window is not None]
+    windows = [window for window in printed if window is not None]
     assert len(windows) == 1
     assert (windows[0].row, windows[0].column) == (10, 20)
     assert windows[0].values.tolist() == [[OCCUPIED]]
 
 
-def test_rays_off_the_map_and_without_a_return_are_harmless() -> None:
+def test_rays_outside_the_map_or_without_return_change_nothing() -> None:
     occupancy = Occupancy(Grid(np.full((10, 10), UNKNOWN, np.int8), Frame(0.1)), 0.0, 60.0)
     far = Rays(
         np.zeros((3, 2)), np.array([0.0, 2.0, 4.0]), np.array([50.0, math.inf, math.nan]), 80.0
@@ -177,7 +177,7 @@ def test_rays_off_the_map_and_without_a_return_are_harmless() -> None:
     assert occupancy.cells[0, 0] == UNKNOWN
 
 
-def test_a_map_is_drawn_from_scans_of_known_poses() -> None:
+def test_map_is_built_from_scans_with_poses() -> None:
     random = np.random.default_rng(0)
 
     def scan_from(pose: Pose) -> LaserScan:
@@ -197,7 +197,7 @@ def test_a_map_is_drawn_from_scans_of_known_poses() -> None:
 
     poses = [(2.0, 2.0, 0.3), (3.0, 5.0, 1.0), (6.5, 5.0, -2.0), (6.5, 2.0, 0.0)]
 
-    drawn = build_map(((p, scan_from(p)) for p in poses), 0.1, (0.0, 0.0, 0.0), 8.0)
+    drawn = build_grid(((p, scan_from(p)) for p in poses), 0.1, (0.0, 0.0, 0.0), 8.0)
 
     for x, y, value in ((3.0, 2.0, FREE), (6.0, 5.5, FREE), (4.75, 3.62, OCCUPIED)):
         row, column = drawn.frame.cell(x, y)
@@ -206,7 +206,7 @@ def test_a_map_is_drawn_from_scans_of_known_poses() -> None:
     assert drawn.values[row, column] == UNKNOWN
 
 
-def test_what_was_drawn_while_the_robot_was_lost_can_be_taken_back() -> None:
+def test_changes_of_a_lost_robot_are_undone() -> None:
     occupancy = Occupancy(room(), 8.0, 60.0)
     now = pass_by(occupancy, room((*(box for box in ROOM if box != OLD), NEW)), 0.0)
     found = occupancy.cells.copy()
@@ -217,17 +217,17 @@ def test_what_was_drawn_while_the_robot_was_lost_can_be_taken_back() -> None:
         occupancy.integrate(now + 0.2 * k, (6.0, 5.0, 0.1 * k), rays(seen))
     assert not np.array_equal(occupancy.cells, found)
 
-    window = occupancy.take_back(lost_at)
+    window = occupancy.undo(lost_at)
 
     assert window is not None
     assert np.array_equal(occupancy.cells, found)
-    assert occupancy.take_back(lost_at) is None
+    assert occupancy.undo(lost_at) is None
 
 
 def drive_into_the_unknown(
     occupancy: Occupancy, scans: int, began_s: float = 0.0
 ) -> list[NDArray[np.int8]]:
-    """A long drive with scans that change much; gives the map before each of them."""
+    """Drive with scans that change much; return the map before each of them."""
     random = np.random.default_rng(0)
     angles = np.linspace(-2.35, 2.35, 541)
     before = []
@@ -239,25 +239,25 @@ def drive_into_the_unknown(
     return before
 
 
-def nothing_known(undo_s: float) -> Occupancy:
+def unknown_map(undo_s: float) -> Occupancy:
     return Occupancy(Grid(np.full((800, 800), UNKNOWN, np.int8), Frame(RESOLUTION)), 1.0, undo_s)
 
 
-def test_changes_are_taken_back_exactly_to_any_time_that_is_kept_and_no_further() -> None:
-    occupancy = nothing_known(undo_s=20.0)
+def test_undo_restores_any_recorded_time_exactly() -> None:
+    occupancy = unknown_map(undo_s=20.0)
     before = drive_into_the_unknown(occupancy, 200)
 
     for scan in (199, 170, 101):
-        occupancy.take_back(0.2 * scan - 0.1)
+        occupancy.undo(0.2 * scan - 0.1)
         assert np.array_equal(occupancy.cells, before[scan])
 
-    assert occupancy.take_back(0.0) is not None
+    assert occupancy.undo(0.0) is not None
     oldest = next(k for k in range(200) if np.array_equal(before[k], occupancy.cells))
     assert oldest == pytest.approx(99, abs=1)
 
 
-def test_what_can_be_taken_back_takes_little_more_memory_than_the_map() -> None:
-    occupancy = nothing_known(undo_s=60.0)
+def test_undo_needs_little_memory() -> None:
+    occupancy = unknown_map(undo_s=60.0)
     tracemalloc.start()
     try:
         began, _ = tracemalloc.get_traced_memory()
@@ -269,11 +269,11 @@ def test_what_can_be_taken_back_takes_little_more_memory_than_the_map() -> None:
         tracemalloc.stop()
 
 
-def test_what_was_half_decided_while_the_robot_was_lost_is_forgotten() -> None:
+def test_undo_drops_undecided_evidence() -> None:
     occupancy, post = a_post()
     seen_through(occupancy, 0.0, 15)
 
-    assert occupancy.take_back(0.0) is None
+    assert occupancy.undo(0.0) is None
     seen_through(occupancy, 3.0, 15)
 
     assert occupancy.cells[post] == OCCUPIED

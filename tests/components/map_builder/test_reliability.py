@@ -1,4 +1,4 @@
-"""Equations (1) and (2) as the paper states them, without its absorbing ends."""
+"""Tests of equation (2) without the absorbing ends of the paper."""
 
 import math
 
@@ -17,20 +17,18 @@ def after(reliability: float, *similarities: float) -> float:
     return reliability
 
 
-def test_one_full_agreement_raises_a_half_to_nine_tenths() -> None:
+def test_one_agreement_raises_one_half_to_nine_tenths() -> None:
     assert update(0.5, 1.0) == pytest.approx(0.9)
 
 
 @pytest.mark.parametrize(("start", "frames"), [(0.98, 3), (0.9, 2), (0.5, 1)])
-def test_so_many_disagreements_remove_an_object(start: float, frames: int) -> None:
+def test_number_of_disagreements_that_remove_a_landmark(start: float, frames: int) -> None:
     assert after(start, *[0.0] * (frames - 1)) > REMOVAL
     assert after(start, *[0.0] * frames) <= REMOVAL
 
 
 @given(probability, st.lists(probability, max_size=30))
-def test_reliability_never_reaches_an_end_that_it_cannot_leave(
-    start: float, similarities: list[float]
-) -> None:
+def test_reliability_is_never_absorbing(start: float, similarities: list[float]) -> None:
     reliability = after(start, *similarities, 0.5)
 
     assert LEAST <= reliability <= MOST
@@ -40,12 +38,12 @@ def test_reliability_never_reaches_an_end_that_it_cannot_leave(
 
 
 @given(st.floats(0.03, 0.97))
-def test_a_neutral_similarity_changes_nothing(reliability: float) -> None:
+def test_neutral_similarity_changes_nothing(reliability: float) -> None:
     assert update(reliability, 0.5) == pytest.approx(reliability)
 
 
 @given(st.floats(0.1, 0.9), st.floats(0.1, 0.9), st.floats(0.1, 0.9))
-def test_more_similar_is_never_less_reliable(reliability: float, a: float, b: float) -> None:
+def test_reliability_increases_with_similarity(reliability: float, a: float, b: float) -> None:
     low, high = sorted((a, b))
 
     assert update(reliability, low) <= update(reliability, high)

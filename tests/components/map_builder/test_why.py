@@ -1,4 +1,4 @@
-"""`cairn map why` tells the chain of evidence that made an object what it is in the map."""
+"""Tests of `cairn map why`."""
 
 import json
 from pathlib import Path
@@ -9,23 +9,25 @@ from typer.testing import CliRunner, Result
 from cairn import SECOND, CairnError
 from cairn.components.map_builder.cli import app
 from cairn.components.map_builder.importing import write_map
-from cairn.components.map_builder.keeper import MapKeeper
-from cairn.components.map_builder.objects import Verdict
-from tests.components.map_builder.evidence import HERE, THERE, sighting, surveyed
+from cairn.components.map_builder.landmark_map import LandmarkKeeper
+from cairn.visual_map.landmarks import EvidenceVerdict
+from tests.components.map_builder.evidence import HERE, THERE, observation, surveyed
 
 
 @pytest.fixture
 def moved(tmp_path: Path) -> Path:
-    """A map whose object 7 agreed from four places, was then seen elsewhere, and registered."""
+    """Return a map whose landmark 7 agreed from four poses, moved, and was registered."""
     path = tmp_path / "visual_map.cairn"
     write_map(path, "a test", [surveyed(6), surveyed(7)])
-    keeper = MapKeeper(path, None, 10**18, learn_unknown=True)
+    keeper = LandmarkKeeper(path, None, 10**18, learn_unknown=True)
     for step in range(12):
         at = 1_000_000_000 * SECOND + step * SECOND
         similarity = 0.1 if 4 <= step < 7 else 0.9
-        place = HERE if step < 4 else THERE
-        keeper.apply(at, [sighting(similarity, step, place), sighting(0.9, step, object_id=6)])
-        keeper.apply(at, [sighting(similarity, step, place)])  # from the same pose once more
+        position = HERE if step < 4 else THERE
+        keeper.apply(
+            at, [observation(similarity, step, position), observation(0.9, step, object_id=6)]
+        )
+        keeper.apply(at, [observation(similarity, step, position)])  # from the same pose once more
     keeper.close()
     return path
 
@@ -37,27 +39,27 @@ def why(*arguments: object) -> Result:
     return result
 
 
-def test_the_chain_goes_from_agreement_to_the_new_place(moved: Path) -> None:
-    told = why("7", "--map", moved).output
+def test_history_goes_from_agreement_to_the_new_position(moved: Path) -> None:
+    printed = why("7", "--map", moved).output
 
-    first, *steps = told.splitlines()
-    assert "stands at (3.50, 1.00) m" in first
+    first, *steps = printed.splitlines()
+    assert "is at (3.50, 1.00) m" in first
     order = [
         next(k for k, step in enumerate(steps) if word in step)
         for word in ("IMPORTED", "agrees", "disagrees", "REMOVED", "REGISTERED")
     ]
     assert order == sorted(order)
-    assert "reliability 0.90 -> 0.98" in told
-    assert "reliability 0.38 -> 0.06" in told
-    assert "1.50 m from its place" in told
-    assert "not counted: seen from the same pose as before" in told
+    assert "reliability 0.90 -> 0.98" in printed
+    assert "reliability 0.38 -> 0.06" in printed
+    assert "1.50 m from its position" in printed
+    assert "not counted: seen from the same pose as before" in printed
 
 
-def test_an_object_is_found_by_its_name_and_only_its_own_evidence_is_told(moved: Path) -> None:
-    told = why("landmark 6", "--map", moved).output
+def test_object_is_found_by_name_and_only_its_evidence_is_printed(moved: Path) -> None:
+    printed = why("landmark 6", "--map", moved).output
 
-    assert "object 6 (landmark 6)" in told
-    assert "REMOVED" not in told
+    assert "object 6 (landmark 6)" in printed
+    assert "REMOVED" not in printed
 
 
 def test_json_has_every_step(moved: Path) -> None:
@@ -70,36 +72,34 @@ def test_json_has_every_step(moved: Path) -> None:
     assert evidence[0]["similarity"] == 0.9
 
 
-def test_the_newest_steps_are_shown_and_the_others_counted(moved: Path) -> None:
-    told = why("7", "--map", moved, "--last", 3).output.splitlines()
+def test_newest_steps_are_printed_and_others_counted(moved: Path) -> None:
+    printed = why("7", "--map", moved, "--last", 3).output.splitlines()
 
-    assert len(told) == 5
-    assert "--all has more" in told[1]
+    assert len(printed) == 5
+    assert "--last N or --all" in printed[1]
 
 
-def test_the_map_is_that_of_the_folder_if_none_is_named(
-    moved: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_default_map_is_in_the_working_folder(moved: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(moved.parent)
 
     assert "object 7" in why("7").output
 
 
-def test_an_object_that_is_not_there_is_told_with_those_that_are(moved: Path) -> None:
+def test_unknown_object_lists_the_known_ones(moved: Path) -> None:
     with pytest.raises(CairnError, match=r"no object 99; there are 6 \(landmark 6\), 7"):
         why("99", "--map", moved)
 
 
-def test_what_was_not_seen_is_part_of_the_chain(tmp_path: Path) -> None:
+def test_absences_are_part_of_the_history(tmp_path: Path) -> None:
     path = tmp_path / "a.cairn"
     write_map(path, "a test", [surveyed(7)])
-    keeper = MapKeeper(path, None, 10**18, learn_unknown=True)
+    keeper = LandmarkKeeper(path, None, 10**18, learn_unknown=True)
     for step in range(12):
-        keeper.apply(step * SECOND, [sighting(0.9, step % 3)])
+        keeper.apply(step * SECOND, [observation(0.9, step % 3)])
     for step in range(3):
-        keeper.apply(100 * SECOND, [sighting(0.5, 3 * step, verdict=Verdict.UNSEEN)])
+        keeper.apply(100 * SECOND, [observation(0.5, 3 * step, verdict=EvidenceVerdict.UNSEEN)])
     keeper.close()
 
-    told = why("7", "--map", path).output
+    printed = why("7", "--map", path).output
 
-    assert "not seen at (2.00, 1.00), where it should be in view; reliability 0.98 ->" in told
+    assert "not seen at (2.00, 1.00), where it should be in view; reliability 0.98 ->" in printed

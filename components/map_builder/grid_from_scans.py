@@ -1,4 +1,4 @@
-"""Builds a grid map from scans whose poses are known, all at once: as from a recording."""
+"""Builds a grid map from all scans of a recording, whose poses are known."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from cairn.components.map_builder.ray_walk import first_step
+from cairn.components.map_builder.occupancy import first_step
 from cairn.planar.compiled import compiled
 from cairn.planar.grid import FREE, OCCUPIED, UNKNOWN, Frame, Grid, OccupancyCells
 from cairn.planar.poses import Pose
@@ -17,26 +17,26 @@ from cairn.schemas.sensor_msgs import LaserScan
 
 Array = NDArray[np.float64]
 
-# From this share of the rays that reached a cell on, it is occupied if they ended there.
+# A cell is occupied if at least this share of the rays that reached it ended there.
 _OCCUPIED_SHARE = 0.3
-# Empty cells around what was seen [m].
+# Margin of unknown cells around the map [m].
 _BORDER_M = 1.0
-# A surface is told from beams so many places apart whose ends lie no farther apart than this [m].
-_BESIDE, _TOGETHER_M = 3, 1.0
-# Rays that graze a surface more than this (sine of the angle between them) are taken to do so.
+# A surface is estimated from beams so many indices apart, if their ends are this near [m].
+_NEIGHBOR, _SURFACE_M = 3, 1.0
+# Least sine of the angle between a ray and a surface: smaller ones count as this.
 _GRAZING = 0.1
 
 
-def build_map(
+def build_grid(
     posed_scans: Iterable[tuple[Pose, LaserScan]], resolution: float, mount: Pose, reach: float
 ) -> OccupancyCells:
-    """The map that scans from known poses draw: cells of `resolution` [m].
+    """Build a map with cells of `resolution` [m] from scans with known poses.
 
-    Of the rays that reached a cell the share that ended there tells whether it is occupied (the
-    counting model: Haehnel, Burgard, Thrun 2003). Rays longer than `reach` [m] count as
-    passing only. A ray tells nothing of the cells in front of its end that lie within a cell's
-    size of the surface that it hit: where it grazes a wall, errors of a few centimeters lead it
-    through a good many cells of that wall. Raises `ValueError` if there is no scan.
+    A cell is occupied by the share of rays that ended there, among those that reached it (the
+    counting model: Haehnel, Burgard, Thrun 2003). Rays longer than `reach` [m] only pass. A ray
+    says nothing about cells before its end that are within a cell's size of the surface that it
+    hit: where it grazes a wall, errors of a few centimeters lead it through many cells of that
+    wall. Raises `ValueError` if there is no scan.
     """
     segments = [
         _segments(pose, scan, mount, min(reach, scan.range_max), resolution)
@@ -44,13 +44,15 @@ def build_map(
     ]
     if not segments:
         raise ValueError("there is no scan with a pose")
-    starts, ends, hit, told = (np.concatenate(part) for part in zip(*segments, strict=True))
+    starts, ends, hit, free_share = (np.concatenate(part) for part in zip(*segments, strict=True))
     least = np.minimum(starts.min(axis=0), ends.min(axis=0)) - _BORDER_M
     most = np.maximum(starts.max(axis=0), ends.max(axis=0)) + _BORDER_M
     columns, rows = np.ceil((most - least) / resolution).astype(int)
     ended = np.zeros((rows, columns), np.int32)
     passed = np.zeros((rows, columns), np.int32)
-    _count((starts - least) / resolution, (ends - least) / resolution, hit, told, ended, passed)
+    _count(
+        (starts - least) / resolution, (ends - least) / resolution, hit, free_share, ended, passed
+    )
     cells = np.full((rows, columns), UNKNOWN, np.int8)
     reached = ended + passed
     cells[reached > 0] = FREE
@@ -61,16 +63,17 @@ def build_map(
 def _segments(
     pose: Pose, scan: LaserScan, mount: Pose, reach: float, resolution: float
 ) -> tuple[Array, Array, NDArray[np.bool_], Array]:
-    """Begins and ends (n, 2) [m] of the rays, which of them hit something, and up to what share
-    of each (n,) it tells that cells are free.
+    """Return starts and ends (n, 2) [m] of the rays, and which of them hit something.
+
+    The last array (n,) is the share of each ray up to which it says that cells are free.
     """
     beams = beams_of(scan, mount)
     valid = ~np.isnan(beams.ranges)
-    blind = resolution / _sines(beams.angles, np.where(beams.hit, beams.ranges, math.nan))
+    ignored = resolution / _sines(beams.angles, np.where(beams.hit, beams.ranges, math.nan))
     ranges, angles = beams.ranges[valid], beams.angles[valid] + pose[2]
     hit = ranges <= reach
     length = np.where(hit, ranges, reach)
-    told = np.where(hit, 1.0 - blind[valid] / np.maximum(length, resolution), 1.0)
+    free_share = np.where(hit, 1.0 - ignored[valid] / np.maximum(length, resolution), 1.0)
     cosine, sine = math.cos(pose[2]), math.sin(pose[2])
     start = np.array(
         [
@@ -80,26 +83,26 @@ def _segments(
     )
     starts = np.tile(start, (ranges.size, 1))
     ends = starts + np.column_stack((length * np.cos(angles), length * np.sin(angles)))
-    return starts, ends, hit, told
+    return starts, ends, hit, free_share
 
 
 def _sines(angles: Array, ranges: Array) -> Array:
-    """Sine (n,) of the angle between each beam and the surface that it hit, 1 if not known.
+    """Return the sine (n,) of the angle between each beam and the surface it hit, 1 if unknown.
 
-    The surface runs from what the beams some places before hit to what those after it hit.
+    The surface runs between the ends of beams some indices before and after.
     """
     sines = np.ones(ranges.size)
-    if ranges.size <= 2 * _BESIDE:
+    if ranges.size <= 2 * _NEIGHBOR:
         return sines
     x, y = ranges * np.cos(angles), ranges * np.sin(angles)
-    along_x = x[2 * _BESIDE :] - x[: -2 * _BESIDE]
-    along_y = y[2 * _BESIDE :] - y[: -2 * _BESIDE]
+    along_x = x[2 * _NEIGHBOR :] - x[: -2 * _NEIGHBOR]
+    along_y = y[2 * _NEIGHBOR :] - y[: -2 * _NEIGHBOR]
     apart = np.hypot(along_x, along_y)
-    middle = angles[_BESIDE:-_BESIDE]
+    middle = angles[_NEIGHBOR:-_NEIGHBOR]
     across = np.abs(along_y * np.cos(middle) - along_x * np.sin(middle))
     with np.errstate(invalid="ignore", divide="ignore"):
-        inner = np.where(apart <= _TOGETHER_M, np.clip(across / apart, _GRAZING, 1.0), 1.0)
-    sines[_BESIDE:-_BESIDE] = inner
+        inner = np.where(apart <= _SURFACE_M, np.clip(across / apart, _GRAZING, 1.0), 1.0)
+    sines[_NEIGHBOR:-_NEIGHBOR] = inner
     return sines
 
 
@@ -111,7 +114,7 @@ def _count(
     starts: Array,
     ends: Array,
     hit: NDArray[np.bool_],
-    told: Array,
+    free_share: Array,
     ended: NDArray[np.int32],
     passed: NDArray[np.int32],
 ) -> None:
@@ -123,7 +126,7 @@ def _count(
         step_x, next_x, every_x = first_step(x, dx)
         step_y, next_y, every_y = first_step(y, dy)
         for _ in range(abs(last_column - column) + abs(last_row - row)):
-            if min(next_x, next_y) <= told[i]:
+            if min(next_x, next_y) <= free_share[i]:
                 passed[row, column] += 1
             if next_x < next_y:
                 next_x += every_x

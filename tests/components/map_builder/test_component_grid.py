@@ -1,4 +1,4 @@
-"""The map builder's grid map on the bus: told, changed by sure poses alone, kept on disk."""
+"""Tests of the component's grid map: updates, reliable poses only, working copy."""
 
 import math
 import re
@@ -47,7 +47,7 @@ def scan_of(world: Grid[np.int8], stamp: Header, random: np.random.Generator) ->
 
 
 def watch(it: Any, world: Grid[np.int8], seconds: float, sd: float = 0.02, back_s: int = 0) -> None:
-    """The robot stands and scans the world, its position known to `sd` [m].
+    """Let the robot stand and scan the world, with a position known to `sd` [m].
 
     All stamps are set back by `back_s` [s].
     """
@@ -59,11 +59,16 @@ def watch(it: Any, world: Grid[np.int8], seconds: float, sd: float = 0.02, back_
         header = Header(stamp=stamp, frame_id="map")
         it.give("odom", Odometry(header=header))
         it.give("scan", scan_of(world, header, random))
-        told = with_covariance(HERE, np.diag([sd**2, sd**2, 0.01**2]))
+        published = with_covariance(HERE, np.diag([sd**2, sd**2, 0.01**2]))
         it.give(
             "localization",
             LocalizationEstimate(
-                header=header, located=True, pose=told, health=1.0, position_sd=sd, heading_sd=0.01
+                header=header,
+                located=True,
+                pose=published,
+                health=1.0,
+                position_sd=sd,
+                heading_sd=0.01,
             ),
         )
 
@@ -75,7 +80,7 @@ def grid_file(tmp_path: Path) -> Path:
     return file
 
 
-def test_the_map_is_latched_and_what_changes_is_told_in_windows(
+def test_map_is_latched_and_changes_are_published_as_windows(
     stage: StageOf, grid_file: Path
 ) -> None:
     it = stage(MapBuilder, BEGIN, grid_file=str(grid_file)).begin()
@@ -87,19 +92,19 @@ def test_the_map_is_latched_and_what_changes_is_told_in_windows(
 
     updates = it.taken("map_updates")
     assert updates
-    put_together = np.array(grid_of(first).values)
+    assembled = np.array(grid_of(first).values)
     for update in updates:
         rows = slice(update.y, update.y + update.height)
         columns = slice(update.x, update.x + update.width)
-        put_together[rows, columns] = update.data.reshape(update.height, update.width)
+        assembled[rows, columns] = update.data.reshape(update.height, update.width)
     last = grid_of(it.taken("map")[-1]).values
-    assert np.array_equal(put_together, last)
+    assert np.array_equal(assembled, last)
     row, column = first_cell = (40, 70)
     assert last[row, column] == OCCUPIED, first_cell
     assert grid_of(first).values[row, column] == FREE
 
 
-def test_while_the_pose_is_unsure_the_map_waits_and_says_so(
+def test_unreliable_pose_pauses_updates_and_is_logged(
     stage: StageOf, grid_file: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level("INFO")
@@ -109,10 +114,10 @@ def test_while_the_pose_is_unsure_the_map_waits_and_says_so(
     watch(it, room((*ROOM, NEW)), 15.0, sd=0.4)
 
     assert it.taken("map_updates") == []
-    assert "the grid map waits: the position is uncertain by 0.40 m" in caplog.text
+    assert "paused updates of the grid map: the position is uncertain by 0.40 m" in caplog.text
 
 
-def test_when_time_is_set_back_it_says_so_once_and_draws_on(
+def test_clock_set_back_is_logged_once_and_updates_continue(
     stage: StageOf, grid_file: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     it = stage(MapBuilder, BEGIN, grid_file=str(grid_file)).begin()
@@ -126,7 +131,7 @@ def test_when_time_is_set_back_it_says_so_once_and_draws_on(
     assert grid_of(it.taken("map")[-1]).values[40, 70] == OCCUPIED
 
 
-def test_a_map_builder_that_comes_back_goes_on_with_what_it_drew(
+def test_restarted_map_builder_reuses_its_working_copy(
     stage: StageOf, grid_file: Path, tmp_path: Path
 ) -> None:
     copy = tmp_path / "copy.yaml"
@@ -135,19 +140,19 @@ def test_a_map_builder_that_comes_back_goes_on_with_what_it_drew(
     first.end()
 
     again = stage(MapBuilder, BEGIN + 20.0, grid_file=str(grid_file), grid_copy=str(copy)).begin()
-    (told,) = again.taken("map")
-    assert grid_of(told).values[40, 70] == OCCUPIED
-    assert np.array_equal(read_map(copy).values, grid_of(told).values)
+    (published,) = again.taken("map")
+    assert grid_of(published).values[40, 70] == OCCUPIED
+    assert np.array_equal(read_map(copy).values, grid_of(published).values)
     assert np.array_equal(read_map(grid_file).values, room().values)
 
     earlier = stage(
         MapBuilder, BEGIN - 500.0, grid_file=str(grid_file), grid_copy=str(copy)
     ).begin()
-    (told,) = earlier.taken("map")
-    assert grid_of(told).values[40, 70] == FREE  # the copy is of another run
+    (published,) = earlier.taken("map")
+    assert grid_of(published).values[40, 70] == FREE  # the copy is of another run
 
 
-def test_a_lost_folder_is_complained_of_now_and_then_and_written_to_once_it_is_there_again(
+def test_missing_folder_gives_rate_limited_warnings_until_it_is_back(
     stage: StageOf, grid_file: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     folder = tmp_path / "kept"
@@ -159,9 +164,9 @@ def test_a_lost_folder_is_complained_of_now_and_then_and_written_to_once_it_is_t
     watch(it, room((*ROOM, NEW)), 15.0)
     it.wait(100.0)
 
-    told = [line for line in caplog.messages if "the grid map is not kept" in line]
-    assert 2 <= len(told) <= 4
-    assert "No such file" in told[0]
+    published = [line for line in caplog.messages if "the grid map is not saved" in line]
+    assert 2 <= len(published) <= 4
+    assert "No such file" in published[0]
     assert it.ends == []
     last = grid_of(it.taken("map")[-1]).values
     assert last[40, 70] == OCCUPIED
@@ -171,7 +176,7 @@ def test_a_lost_folder_is_complained_of_now_and_then_and_written_to_once_it_is_t
     assert np.array_equal(read_map(copy).values, last)
 
 
-def test_what_is_in_the_place_of_the_copys_origin_does_not_end_the_map_builder_either(
+def test_unwritable_origin_file_does_not_stop_the_map_builder(
     stage: StageOf, grid_file: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     (tmp_path / "copy.origin.json").mkdir()
@@ -184,7 +189,7 @@ def test_what_is_in_the_place_of_the_copys_origin_does_not_end_the_map_builder_e
     assert it.ends == []
 
 
-def test_a_full_disk_leaves_the_last_copy_that_was_written(
+def test_full_disk_leaves_the_last_copy_intact(
     stage: StageOf, grid_file: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     copy = tmp_path / "copy.yaml"
@@ -198,7 +203,7 @@ def test_a_full_disk_leaves_the_last_copy_that_was_written(
     with room_for(1000):
         again.end()
 
-    assert "the grid map is not kept" in caplog.text
+    assert "the grid map is not saved" in caplog.text
     assert "File too large" in caplog.text
     assert np.array_equal(read_map(copy).values, written)
 
@@ -206,15 +211,15 @@ def test_a_full_disk_leaves_the_last_copy_that_was_written(
 @pytest.mark.parametrize(
     ("file", "content", "why"),
     [
-        ("copy.origin.json", b"", r"copy\.origin\.json tells of no map"),
-        ("copy.origin.json", b'{"source": "\xff', r"copy\.origin\.json tells of no map"),
+        ("copy.origin.json", b"", r"copy\.origin\.json is not valid"),
+        ("copy.origin.json", b'{"source": "\xff', r"copy\.origin\.json is not valid"),
         ("copy.pgm", b"P5\n180 140\n255\nshort", r"copy\.pgm: not a readable image"),
         ("copy.pgm", None, r"copy\.pgm: no such image"),
         ("copy.yaml", b"", r"copy\.yaml: not a map_server YAML file"),
         ("map.pgm", b"", "it is a copy of another map"),
     ],
 )
-def test_a_copy_that_cannot_be_gone_on_with_is_told_of_and_made_anew(
+def test_unusable_copy_is_reported_and_replaced(
     stage: StageOf,
     grid_file: Path,
     tmp_path: Path,
@@ -228,7 +233,7 @@ def test_a_copy_that_cannot_be_gone_on_with_is_told_of_and_made_anew(
     first = stage(MapBuilder, BEGIN, grid_file=str(grid_file), grid_copy=str(copy)).begin()
     watch(first, room((*ROOM, NEW)), 15.0)
     first.end()
-    if file == "map.pgm":  # painted over by hand
+    if file == "map.pgm":  # edited by hand
         write_map(grid_file, room(ROOM[:2]))
     elif content is None:
         (tmp_path / file).unlink()
@@ -237,26 +242,27 @@ def test_a_copy_that_cannot_be_gone_on_with_is_told_of_and_made_anew(
 
     again = stage(MapBuilder, BEGIN + 20.0, grid_file=str(grid_file), grid_copy=str(copy)).begin()
 
-    (told,) = again.taken("map")
-    assert np.array_equal(grid_of(told).values, read_map(grid_file).values)
+    (published,) = again.taken("map")
+    assert np.array_equal(grid_of(published).values, read_map(grid_file).values)
     (line,) = [line for line in caplog.messages if "working copy" in line]
-    assert re.search(rf"making the working copy .*copy\.yaml anew: .*{why}", line)
+    assert re.search(rf"replacing the working copy .*copy\.yaml: .*{why}", line)
 
 
-def test_a_missing_map_is_told_of_before_anything_moves(stage: StageOf, tmp_path: Path) -> None:
+def test_missing_map_fails_configuration(stage: StageOf, tmp_path: Path) -> None:
     with pytest.raises(CairnError, match=r"none\.yaml: no such file"):
         stage(MapBuilder, BEGIN, grid_file=str(tmp_path / "none.yaml")).begin()
     with pytest.raises(CairnError, match="there is no map to keep"):
         stage(MapBuilder, BEGIN)
 
 
-def test_a_pose_for_which_there_is_no_scan_changes_nothing(stage: StageOf, grid_file: Path) -> None:
+def test_pose_without_a_scan_changes_nothing(stage: StageOf, grid_file: Path) -> None:
     it = stage(MapBuilder, BEGIN, grid_file=str(grid_file)).begin()
     header = Header(stamp=from_ns(it.executor.now()), frame_id="map")
-    told = with_covariance(HERE, np.diag([1e-4, 1e-4, 1e-4]))
+    published = with_covariance(HERE, np.diag([1e-4, 1e-4, 1e-4]))
 
     it.give(
-        "localization", LocalizationEstimate(header=header, located=True, pose=told, health=1.0)
+        "localization",
+        LocalizationEstimate(header=header, located=True, pose=published, health=1.0),
     )
     it.wait(3.0)
 

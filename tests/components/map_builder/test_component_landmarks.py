@@ -1,4 +1,4 @@
-"""The map builder on the bus: the map first, changes as they come, and after a death the same."""
+"""Tests of the component's landmarks: map, changes, restart, relocalization."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -10,7 +10,6 @@ import pytest
 from cairn import CairnError, from_ns
 from cairn.components.map_builder.component import MapBuilder
 from cairn.components.map_builder.importing import write_map
-from cairn.components.map_builder.store import open_map
 from cairn.schemas.cairn_msgs import (
     ObjectEvidence,
     ObjectEvidenceArray,
@@ -19,6 +18,7 @@ from cairn.schemas.cairn_msgs import (
 )
 from cairn.schemas.cairn_nav_msgs import Relocalization
 from cairn.schemas.std_msgs import Header
+from cairn.visual_map.landmark_store import open_landmarks
 from tests.components.map_builder.evidence import surveyed
 from tests.disk import room_for
 
@@ -49,7 +49,7 @@ def frame(step: int, similarity: float, x: float) -> ObjectEvidenceArray:
     return ObjectEvidenceArray(header=header, robot_x=0.3 * step, healthy=True, evidence=(piece,))
 
 
-def found(stamp: int, confirmed_until: int = 0) -> Relocalization:
+def relocalization(stamp: int, confirmed_until: int = 0) -> Relocalization:
     header = Header(stamp=from_ns(stamp * 10**9), frame_id="map")
     return Relocalization(header=header, confirmed_until=from_ns(confirmed_until * 10**9))
 
@@ -58,7 +58,7 @@ def states(it: Any) -> dict[int, int]:
     return {o.object_id: o.state for o in it.taken("visual_map")[-1].objects}
 
 
-def test_the_map_is_published_when_it_begins(stage: StageOf, map_file: Path) -> None:
+def test_map_is_published_at_start(stage: StageOf, map_file: Path) -> None:
     it = stage(MapBuilder, 1000.0, map_file=str(map_file)).begin()
 
     (first,) = it.taken("visual_map")
@@ -68,9 +68,7 @@ def test_the_map_is_published_when_it_begins(stage: StageOf, map_file: Path) -> 
     assert first.version == 2
 
 
-def test_a_moved_object_is_removed_and_registered_on_the_bus(
-    stage: StageOf, map_file: Path
-) -> None:
+def test_moved_landmark_is_removed_and_registered(stage: StageOf, map_file: Path) -> None:
     it = stage(MapBuilder, 1000.0, map_file=str(map_file)).begin()
 
     it.give("object_evidence", frame(0, 0.1, 3.5))
@@ -86,7 +84,7 @@ def test_a_moved_object_is_removed_and_registered_on_the_bus(
     assert states(it)[7] == VisualObject.LIVE
 
 
-def test_a_killed_map_builder_comes_back_with_its_changes(stage: StageOf, map_file: Path) -> None:
+def test_restarted_map_builder_keeps_its_changes(stage: StageOf, map_file: Path) -> None:
     copy = map_file.with_name("copy.map")
     parameters = {"map_file": str(map_file), "working_copy": str(copy)}
     it = stage(MapBuilder, 1000.0, **parameters).begin()
@@ -97,42 +95,40 @@ def test_a_killed_map_builder_comes_back_with_its_changes(stage: StageOf, map_fi
     assert states(again)[7] == VisualObject.RELOCATING
 
 
-def test_what_a_lost_robot_judged_is_restored(stage: StageOf, map_file: Path) -> None:
+def test_judgments_of_a_lost_robot_are_undone(stage: StageOf, map_file: Path) -> None:
     it = stage(MapBuilder, 1000.0, map_file=str(map_file)).begin()
     it.give("object_evidence", frame(0, 0.1, 3.5))
 
-    it.give("relocalized", found(1010))
+    it.give("relocalized", relocalization(1010))
 
     kinds = [c.kind for c in it.taken("visual_map_changes")]
     assert kinds == [VisualMapChange.REMOVED, VisualMapChange.RESTORED]
     assert states(it)[7] == VisualObject.LIVE
 
 
-def test_what_it_judged_while_it_was_sure_stays(stage: StageOf, map_file: Path) -> None:
+def test_judgments_before_the_loss_are_kept(stage: StageOf, map_file: Path) -> None:
     it = stage(MapBuilder, 1000.0, map_file=str(map_file)).begin()
     it.give("object_evidence", frame(0, 0.1, 3.5))
 
-    it.give("relocalized", found(1010, confirmed_until=1001))
+    it.give("relocalized", relocalization(1010, confirmed_until=1001))
 
     assert [c.kind for c in it.taken("visual_map_changes")] == [VisualMapChange.REMOVED]
     assert states(it)[7] == VisualObject.RELOCATING
 
 
-def test_what_it_judged_long_ago_stays(stage: StageOf, map_file: Path) -> None:
+def test_old_judgments_are_kept(stage: StageOf, map_file: Path) -> None:
     it = stage(MapBuilder, 1000.0, map_file=str(map_file)).begin()
     it.give("object_evidence", frame(0, 0.1, 3.5))
 
-    it.give("relocalized", found(1061))
+    it.give("relocalized", relocalization(1061))
 
     assert states(it)[7] == VisualObject.RELOCATING
 
 
-def test_what_a_lost_robot_judged_and_comes_late_is_not_taken(
-    stage: StageOf, map_file: Path
-) -> None:
+def test_late_evidence_of_a_lost_robot_is_ignored(stage: StageOf, map_file: Path) -> None:
     it = stage(MapBuilder, 1000.0, map_file=str(map_file)).begin()
 
-    it.give("relocalized", found(1005))
+    it.give("relocalized", relocalization(1005))
     it.give("object_evidence", frame(5, 0.1, 3.5))
     assert it.taken("visual_map_changes") == []
 
@@ -140,18 +136,16 @@ def test_what_a_lost_robot_judged_and_comes_late_is_not_taken(
     assert states(it)[7] == VisualObject.RELOCATING
 
 
-def test_where_time_was_set_back_evidence_is_taken(stage: StageOf, map_file: Path) -> None:
+def test_evidence_counts_after_the_clock_was_set_back(stage: StageOf, map_file: Path) -> None:
     it = stage(MapBuilder, 1000.0, map_file=str(map_file)).begin()
 
-    it.give("relocalized", found(1100))
+    it.give("relocalized", relocalization(1100))
     it.give("object_evidence", frame(5, 0.1, 3.5))
 
     assert states(it)[7] == VisualObject.RELOCATING
 
 
-def test_a_file_that_is_no_map_is_told_before_anything_moves(
-    stage: StageOf, tmp_path: Path
-) -> None:
+def test_invalid_map_file_fails_configuration(stage: StageOf, tmp_path: Path) -> None:
     wrong = tmp_path / "wrong.map"
     wrong.write_text("nothing of the kind")
     it = stage(MapBuilder, 1000.0, map_file=str(wrong))
@@ -160,7 +154,7 @@ def test_a_file_that_is_no_map_is_told_before_anything_moves(
         it.begin()
 
 
-def test_evidence_that_a_full_disk_does_not_take_is_kept_once_there_is_room(
+def test_evidence_is_saved_once_a_full_disk_has_room(
     stage: StageOf, map_file: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     it = stage(MapBuilder, 1000.0, map_file=str(map_file)).begin()
@@ -169,10 +163,10 @@ def test_evidence_that_a_full_disk_does_not_take_is_kept_once_there_is_room(
         it.wait(3.0)
 
     assert it.ends == []
-    assert "evidence of objects is not kept yet: " in caplog.text
+    assert "evidence of objects is not saved yet: " in caplog.text
 
     it.wait(2.0)
 
-    with open_map(map_file, read_only=True) as kept:
-        counts = {one.object_id: one.evidence_count for one in kept.objects()}
+    with open_landmarks(map_file, read_only=True) as kept:
+        counts = {one.object_id: one.evidence_count for one in kept.landmarks()}
     assert counts == {6: 0, 7: 1}

@@ -1,10 +1,10 @@
-"""Maps drawn of posed scans: walls seen at grazing angles stay, and nothing else appears."""
+"""Tests of grid maps from scans with poses."""
 
 import math
 
 import numpy as np
 
-from cairn.components.map_builder.counting import build_map
+from cairn.components.map_builder.grid_from_scans import build_grid
 from cairn.planar.grid import OCCUPIED, OccupancyCells, distance_field
 from cairn.planar.poses import Pose
 from cairn.schemas.sensor_msgs import LaserScan
@@ -15,13 +15,13 @@ LENGTH = 16.0
 
 
 def corridor() -> OccupancyCells:
-    """2 m wide, between two blocks."""
+    """Return a corridor, 2 m wide, between two blocks."""
     blocks: tuple[Box, ...] = ((0.0, 0.0, LENGTH, 1.0), (0.0, 3.0, LENGTH, 4.0))
     return room(blocks, LENGTH, 4.0)
 
 
-def driven(grid: OccupancyCells, seed: int) -> list[tuple[Pose, LaserScan]]:
-    """Scans along the corridor, their poses off by 7 cm and a degree."""
+def drive(grid: OccupancyCells, seed: int) -> list[tuple[Pose, LaserScan]]:
+    """Return scans along the corridor, with pose errors of 7 cm and a degree."""
     random = np.random.default_rng(seed)
     posed = []
     for x in np.arange(0.5, LENGTH - 0.5, 0.25):
@@ -44,10 +44,10 @@ def driven(grid: OccupancyCells, seed: int) -> list[tuple[Pose, LaserScan]]:
     return posed
 
 
-def test_corridor_walls_are_whole_and_nothing_stands_between_them() -> None:
+def test_corridor_walls_are_complete_and_the_space_between_is_free() -> None:
     grid = corridor()
 
-    drawn = build_map(driven(grid, 0), 0.05, (0.0, 0.0, 0.0), 15.0)
+    drawn = build_grid(drive(grid, 0), 0.05, (0.0, 0.0, 0.0), 15.0)
 
     found = np.array([drawn.frame.point(r, c) for r, c in np.argwhere(drawn.values == OCCUPIED)])
     for wall_y in (1.0, 3.0):
@@ -61,15 +61,15 @@ def test_corridor_walls_are_whole_and_nothing_stands_between_them() -> None:
     assert to_wall[rows, columns].max() < 0.2
 
 
-def test_who_walked_past_leaves_nothing() -> None:
+def test_people_who_walk_past_leave_no_trace() -> None:
     grid = corridor()
-    posed = driven(grid, 1)
+    posed = drive(grid, 1)
     with_person = room(
         ((0.0, 0.0, LENGTH, 1.0), (0.0, 3.0, LENGTH, 4.0), (7.0, 2.2, 7.3, 2.5)), LENGTH, 4.0
     )
-    posed[10:14] = driven(with_person, 1)[10:14]
+    posed[10:14] = drive(with_person, 1)[10:14]
 
-    drawn = build_map(posed, 0.05, (0.0, 0.0, 0.0), 15.0)
+    drawn = build_grid(posed, 0.05, (0.0, 0.0, 0.0), 15.0)
 
     top, left = drawn.frame.cell(6.8, 2.0)
     bottom, right = drawn.frame.cell(7.5, 2.7)

@@ -1,0 +1,360 @@
+"""Landmarks in the visual map's file: records, every change, every piece of evidence."""
+
+from __future__ import annotations
+
+import json
+import math
+import sqlite3
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from cairn.planar.poses import Pose
+from cairn.visual_map.file import (
+    MOST_ID,
+    check_row,
+    connect,
+    create,
+    explained_errors,
+    row_checksum,
+    transaction,
+)
+from cairn.visual_map.landmarks import (
+    NO_VIEWPOINTS,
+    CandidatePosition,
+    Cell,
+    EvidenceVerdict,
+    LandmarkChange,
+    LandmarkEvidence,
+    LandmarkRecord,
+    LandmarkState,
+    MapPosition,
+    Viewpoints,
+)
+
+Row = tuple[Any, ...]
+
+# The robot's pose at the last observation of a candidate is not stored: the next observation counts
+# as made from another pose.
+_ELSEWHERE = (float("inf"), float("inf"), 0.0)
+
+
+@dataclass(frozen=True)
+class JudgedEvidence:
+    """A piece of evidence, the landmark after it, and whether it counted."""
+
+    stamp_ns: int
+    evidence: LandmarkEvidence
+    after: LandmarkRecord
+    counted: bool
+
+
+@dataclass(frozen=True)
+class StoredEvidence:
+    """A stored piece of evidence, with the state of the landmark after it; [ns], [m], [rad]."""
+
+    stamp_ns: int
+    similarity: float
+    verdict: EvidenceVerdict
+    distance: float
+    implied: tuple[float, float]
+    robot: Pose
+    healthy: bool
+    counted: bool
+    reliability: float
+    candidate_reliability: float | None
+    state: LandmarkState
+
+
+@dataclass(frozen=True)
+class StoredChange:
+    """A stored change of the map; `new` is the position [m] after it, None if there is none."""
+
+    stamp_ns: int
+    kind: str
+    new: tuple[float, float] | None
+    reliability: float
+    reason: str
+
+
+class LandmarkStore:
+    """The landmarks of an open map file.
+
+    Committed data are on the disk when `commit` returns: they survive SIGKILL and loss of power.
+    Evidence may be gathered and committed together; changes must be committed at once.
+    """
+
+    def __init__(self, path: Path, connection: sqlite3.Connection) -> None:
+        """Use `open_landmarks` or `create_landmarks`."""
+        self.path = path
+        self._connection = connection
+
+    def __enter__(self) -> LandmarkStore:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the file; committed data are safe."""
+        self._connection.close()
+
+    def landmarks(self) -> list[LandmarkRecord]:
+        """Return all landmarks as last committed."""
+        with explained_errors(self.path):
+            rows = self._connection.execute("SELECT * FROM objects ORDER BY object_id").fetchall()
+            return list(map(landmark_from_row, rows))
+
+    def version(self) -> int:
+        """Return the number of changes made so far."""
+        with explained_errors(self.path):
+            row = self._connection.execute("SELECT max(version) FROM changes").fetchone()
+        return int(row[0] or 0)
+
+    def last_stamp_ns(self) -> int:
+        """Return the time of the newest evidence [ns], 0 before the first."""
+        with explained_errors(self.path):
+            row = self._connection.execute("SELECT max(stamp_ns) FROM evidence").fetchone()
+        return int(row[0] or 0)
+
+    def digest(self) -> str:
+        """Return the digest of the map that this one was copied from, "" for an original."""
+        with explained_errors(self.path):
+            row = self._connection.execute("SELECT digest FROM origin").fetchone()
+        return str(row[0]) if row else ""
+
+    def history(self) -> list[tuple[int, int, int, str, float, str]]:
+        """Return all changes: version, stamp [ns], object, kind, reliability, reason."""
+        with explained_errors(self.path):
+            return self._connection.execute(
+                "SELECT version, stamp_ns, object_id, kind, reliability, reason "
+                "FROM changes ORDER BY version"
+            ).fetchall()
+
+    def evidence_of(self, object_id: int) -> list[StoredEvidence]:
+        """Return all evidence about an object, oldest first."""
+        with explained_errors(self.path):
+            rows = self._connection.execute(
+                "SELECT stamp_ns, similarity, verdict, distance, x, y, robot_x, robot_y, "
+                "robot_theta, healthy, counted, reliability, candidate_reliability, state "
+                "FROM evidence WHERE object_id = ? ORDER BY rowid",
+                (object_id,),
+            ).fetchall()
+            return [_stored_evidence(row) for row in rows]
+
+    def changes_of(self, object_id: int) -> list[StoredChange]:
+        """Return all changes of an object, oldest first."""
+        with explained_errors(self.path):
+            rows = self._connection.execute(
+                "SELECT stamp_ns, kind, new_x, new_y, reliability, reason FROM changes "
+                "WHERE object_id = ? ORDER BY version",
+                (object_id,),
+            ).fetchall()
+            return [
+                StoredChange(stamp, kind, None if x is None else (x, y), reliability, reason)
+                for stamp, kind, x, y, reliability, reason in rows
+            ]
+
+    def commit(
+        self,
+        landmarks: Sequence[LandmarkRecord],
+        judged: Sequence[JudgedEvidence] = (),
+        changes: Sequence[tuple[int, int, LandmarkChange]] = (),
+    ) -> None:
+        """Write landmarks, evidence and changes (version, stamp [ns], change), all or nothing."""
+        with transaction(self.path, self._connection) as connection:
+            connection.executemany(
+                f"INSERT OR REPLACE INTO objects VALUES ({_placeholders(19)})",
+                map(landmark_row, landmarks),
+            )
+            connection.executemany(
+                f"INSERT INTO evidence VALUES ({_placeholders(18)})",
+                (evidence_row(j.stamp_ns, j.evidence, j.after, j.counted) for j in judged),
+            )
+            connection.executemany(
+                f"INSERT INTO changes VALUES ({_placeholders(10)})",
+                (change_row(version, stamp_ns, change) for version, stamp_ns, change in changes),
+            )
+
+
+def create_landmarks(path: Path, source: str) -> LandmarkStore:
+    """Make a new, empty map file; `source` says in words where the map comes from."""
+    return LandmarkStore(path, create(path, source))
+
+
+def open_landmarks(path: Path, *, read_only: bool = False) -> LandmarkStore:
+    """Open a map file; raise `MapFileError` with the file, the defect and the remedy."""
+    return LandmarkStore(path, connect(path, read_only=read_only))
+
+
+def _stored_evidence(row: tuple[Any, ...]) -> StoredEvidence:
+    stamp, similarity, verdict, distance, x, y, robot_x, robot_y, theta, *rest = row
+    healthy, counted, reliability, candidate_reliability, state = rest
+    try:
+        return StoredEvidence(
+            stamp_ns=int(stamp),
+            similarity=float(similarity),
+            verdict=EvidenceVerdict[verdict],
+            distance=float(distance),
+            implied=(float(x), float(y)),
+            robot=(float(robot_x), float(robot_y), float(theta)),
+            healthy=bool(healthy),
+            counted=bool(counted),
+            reliability=float(reliability),
+            candidate_reliability=candidate_reliability,
+            state=LandmarkState(state),
+        )
+    except (TypeError, KeyError) as error:
+        raise ValueError(f"evidence at {stamp}: {error}") from error
+
+
+def _placeholders(count: int) -> str:
+    return ", ".join("?" * count)
+
+
+def landmark_row(landmark: LandmarkRecord) -> Row:
+    """Return the row of table `objects` for a landmark."""
+    found = landmark.candidate
+    row = (
+        landmark.object_id,
+        landmark.name,
+        *_position_row(landmark.position),
+        landmark.reliability,
+        int(landmark.state),
+        landmark.evidence_count,
+        *_position_row(found.position if found else None),
+        found.reliability if found else None,
+        found.observations if found else None,
+        json.dumps(asdict(landmark.viewpoints)),
+    )
+    return (*row, row_checksum(row))
+
+
+def landmark_from_row(row: Row) -> LandmarkRecord:
+    """Return the landmark of a row of table `objects`.
+
+    Raises `ValueError` with the object and the value if the row is not valid.
+    """
+    try:
+        candidate_position = _position(row[10:15])
+        candidate = None
+        if candidate_position is not None:
+            observations = _within("candidate_sightings", int(row[16]), 0, MOST_ID)
+            candidate = CandidatePosition(
+                candidate_position, _probability(row[15]), observations, _ELSEWHERE
+            )
+        if "\0" in str(row[1]):
+            raise ValueError("name contains a NUL")
+        found = LandmarkRecord(
+            object_id=_within("object_id", int(row[0]), 0, MOST_ID),
+            name=str(row[1]),
+            position=_position(row[2:7]),
+            reliability=_probability(row[7]),
+            state=LandmarkState(row[8]),
+            evidence_count=_within("evidence_count", int(row[9]), 0, MOST_ID),
+            candidate=candidate,
+            viewpoints=_viewpoints(str(row[17])),
+        )
+        check_row(row[:18], row[18])
+        return found
+    except (ValueError, TypeError, KeyError) as error:
+        raise ValueError(f"object {row[0]}: {error}") from error
+
+
+def change_row(version: int, stamp_ns: int, change: LandmarkChange) -> Row:
+    """Return the row of table `changes`."""
+    old, new = change.old, change.new
+    return (
+        version,
+        stamp_ns,
+        change.object_id,
+        change.kind.name,
+        old.x if old else None,
+        old.y if old else None,
+        new.x if new else None,
+        new.y if new else None,
+        change.reliability,
+        change.reason,
+    )
+
+
+def evidence_row(
+    stamp_ns: int, evidence: LandmarkEvidence, after: LandmarkRecord, counted: bool
+) -> Row:
+    """Return the row of table `evidence`: the observation, and the landmark after it."""
+    return (
+        stamp_ns,
+        evidence.object_id,
+        evidence.effective_similarity,
+        evidence.verdict.name,
+        evidence.distance,
+        *_position_row(evidence.implied),
+        *evidence.robot,
+        int(evidence.healthy),
+        int(counted),
+        after.reliability,
+        after.candidate.reliability if after.candidate else None,
+        int(after.state),
+    )
+
+
+def _position_row(position: MapPosition | None) -> Row:
+    if position is None:
+        return (None,) * 5
+    return position.x, position.y, position.xx, position.xy, position.yy
+
+
+def _position(values: Row) -> MapPosition | None:
+    if values[0] is None:
+        return None
+    position = MapPosition(*(float(value) for value in values))
+    if not all(map(math.isfinite, (position.x, position.y, position.xx, position.xy, position.yy))):
+        raise ValueError(f"its position has values that are not finite: {values}")
+    if (
+        position.xx < 0
+        or position.yy < 0
+        or position.xy**2 > position.xx * position.yy * (1 + 1e-9)
+    ):
+        raise ValueError(
+            f"({position.xx}, {position.xy}, {position.yy}) is not a covariance of its position"
+        )
+    return position
+
+
+def _viewpoints(text: str) -> Viewpoints:
+    if not text:
+        return NO_VIEWPOINTS
+    held = json.loads(text)
+
+    def counts(name: str) -> tuple[tuple[Cell, int], ...]:
+        return tuple(
+            (_cell(cell), _within(f"number of times {name}", int(count), 0, MOST_ID))
+            for cell, count in held[name]
+        )
+
+    return Viewpoints(counts("seen"), counts("missed"), tuple(map(_cell, held["absent"])))
+
+
+def _cell(pair: Any) -> Cell:
+    sector, band = pair
+    return int(sector), int(band)
+
+
+def _probability(value: Any) -> float:
+    number = float(value)
+    if not 0.0 <= number <= 1.0:
+        raise ValueError(f"its reliability {number} is not between 0 and 1")
+    return number
+
+
+def _within(name: str, number: int, low: int, high: int) -> int:
+    if not low <= number <= high:
+        raise ValueError(f"its {name} {number} is not from {low} to {high}")
+    return number

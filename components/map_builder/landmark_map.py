@@ -1,0 +1,223 @@
+"""The landmarks in memory and in their file: applies evidence, numbers and commits changes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from cairn import SECOND
+from cairn.components.map_builder.landmark_rule import Rule, judge
+from cairn.components.map_builder.undo import LandmarkJournal
+from cairn.components.map_builder.working_copy import is_reusable
+from cairn.visual_map.file import MapFileError, copy_map, digest_of
+from cairn.visual_map.landmark_store import JudgedEvidence, LandmarkStore, open_landmarks
+from cairn.visual_map.landmarks import (
+    ChangeKind,
+    EvidenceVerdict,
+    LandmarkChange,
+    LandmarkEvidence,
+    LandmarkRecord,
+    LandmarkState,
+    MapPosition,
+    new_landmark,
+)
+from cairn.visual_map.object_models import read_model_name
+
+UNDO_S = 60.0
+
+NumberedChange = tuple[int, LandmarkChange]
+
+
+@dataclass(frozen=True)
+class AppliedEvidence:
+    """What the evidence of one image changed.
+
+    `after` holds for each piece of evidence the landmark after it and whether it counted, None for
+    an object that the map does not learn.
+    """
+
+    after: tuple[tuple[LandmarkRecord, bool] | None, ...]
+    changes: tuple[LandmarkChange, ...]
+
+
+class LandmarkMap:
+    """All landmarks by identifier, in memory, with a journal of the last `undo_s` seconds.
+
+    `name_of` returns the name of an object that is not in the map yet.
+    """
+
+    def __init__(
+        self,
+        landmarks: Iterable[LandmarkRecord],
+        learn_unknown: bool = True,
+        rule: Rule = judge,
+        undo_s: float = UNDO_S,
+        name_of: Callable[[int], str | None] = lambda _: None,
+    ) -> None:
+        self.landmarks: dict[int, LandmarkRecord] = {one.object_id: one for one in landmarks}
+        self.learn_unknown = learn_unknown
+        self._rule = rule
+        self._name_of = name_of
+        self._journal = LandmarkJournal(undo_s)
+
+    def apply(self, evidence: Sequence[LandmarkEvidence], now_s: float) -> AppliedEvidence:
+        """Apply the evidence of one image, of `now_s` [s]."""
+        self._journal.forget_old(now_s)
+        after: list[tuple[LandmarkRecord, bool] | None] = []
+        changes: list[LandmarkChange] = []
+        for piece in evidence:
+            known = self.landmarks.get(piece.object_id)
+            if known is None:
+                if not self.learn_unknown or piece.verdict is EvidenceVerdict.UNSEEN:
+                    after.append(None)
+                    continue
+                known = new_landmark(piece.object_id, self._name_of(piece.object_id))
+            judged, change = self._rule(known, piece, now_s)
+            after.append((judged, judged is not known))
+            if judged is known:
+                continue
+            self._journal.record(now_s, known, judged)
+            self.landmarks[piece.object_id] = judged
+            if change is not None:
+                changes.append(change)
+        return AppliedEvidence(tuple(after), tuple(changes))
+
+    def undo(self, since_s: float) -> tuple[list[LandmarkRecord], list[LandmarkChange]]:
+        """Undo the judgments after `since_s` [s]: the robot turned out to have been lost.
+
+        Returns the restored landmarks and the changes of the map.
+        """
+        restored = self._journal.undo(since_s)
+        changes = []
+        for object_id, before in restored.items():
+            now = self.landmarks[object_id]
+            self.landmarks[object_id] = before
+            if now.state is not before.state or _differ(now.position, before.position):
+                reason = (
+                    "the robot was lost, or may have been, when it judged this object; that "
+                    "judgment is undone"
+                )
+                changes.append(
+                    LandmarkChange(
+                        object_id,
+                        ChangeKind.RESTORED,
+                        now.position,
+                        before.position if before.state is LandmarkState.LIVE else None,
+                        before.reliability,
+                        reason,
+                    )
+                )
+        return list(restored.values()), changes
+
+
+class LandmarkKeeper:
+    """A landmark map and its file.
+
+    Changes are committed before they are returned; evidence is collected until `save`. With a
+    `working_copy`, the map itself is only read. The copy is made if there is none, if it is one of
+    another map, or if it is of a later time (another replay); otherwise it is used again, as after
+    the process that wrote it was killed.
+    """
+
+    def __init__(
+        self,
+        map_file: Path,
+        working_copy: Path | None,
+        now_ns: int,
+        learn_unknown: bool,
+        rule: Rule = judge,
+        undo_s: float = UNDO_S,
+    ) -> None:
+        self._original = map_file
+        self.path = _working_file(map_file, working_copy, now_ns)
+        self._store: LandmarkStore = open_landmarks(self.path)
+        self._map = LandmarkMap(
+            self._store.landmarks(), learn_unknown, rule, undo_s, self._model_name
+        )
+        self.version = self._store.version()
+        self._pending: list[JudgedEvidence] = []
+
+    @property
+    def landmarks(self) -> list[LandmarkRecord]:
+        """Return all landmarks, by identifier."""
+        return [self._map.landmarks[key] for key in sorted(self._map.landmarks)]
+
+    def apply(
+        self, stamp_ns: int, evidence: Sequence[LandmarkEvidence]
+    ) -> tuple[bool, list[NumberedChange]]:
+        """Apply the evidence of one image; return whether it counted, and the changes."""
+        applied = self._map.apply(evidence, stamp_ns / SECOND)
+        counted = False
+        for piece, after in zip(evidence, applied.after, strict=True):
+            if after is not None:
+                self._pending.append(JudgedEvidence(stamp_ns, piece, *after))
+                counted |= after[1]
+        return counted, self._commit(stamp_ns, applied.changes)
+
+    def undo(self, stamp_ns: int, since_ns: int) -> tuple[bool, list[NumberedChange]]:
+        """Undo at `stamp_ns` what was judged after `since_ns`, because the robot was lost."""
+        restored, changes = self._map.undo(since_ns / SECOND)
+        if not restored:
+            return False, []
+        numbered = self._commit(stamp_ns, changes)
+        self.save()
+        return True, numbered
+
+    def save(self) -> None:
+        """Commit the evidence collected so far."""
+        self._store.commit(self.landmarks, self._pending)
+        self._pending.clear()
+
+    def save_pending(self) -> None:
+        """Commit the evidence collected so far, if there is any."""
+        if self._pending:
+            self.save()
+
+    def close(self) -> None:
+        """Commit the remaining evidence and close the file."""
+        try:
+            self.save_pending()
+        finally:
+            self._store.close()
+
+    def abandon(self) -> None:
+        """Close the file without committing the remaining evidence."""
+        self._store.close()
+
+    def _model_name(self, object_id: int) -> str | None:
+        """Return the name of an object, which may have been taught after the copy was made."""
+        try:
+            return read_model_name(self._original, object_id)
+        except MapFileError:
+            return None  # the recognizer reports the file; a landmark may do without its name
+
+    def _commit(self, stamp_ns: int, changes: Sequence[LandmarkChange]) -> list[NumberedChange]:
+        if not changes:
+            return []
+        numbered = [(self.version + k, change) for k, change in enumerate(changes, start=1)]
+        self._store.commit(
+            self.landmarks,
+            self._pending,
+            [(version, stamp_ns, change) for version, change in numbered],
+        )
+        self._pending.clear()
+        self.version += len(changes)
+        return numbered
+
+
+def _working_file(map_file: Path, working_copy: Path | None, now_ns: int) -> Path:
+    if working_copy is None:
+        return map_file
+    if working_copy.exists():
+        with open_landmarks(working_copy, read_only=True) as previous:
+            same = previous.digest() == digest_of(map_file)
+            ahead = previous.last_stamp_ns() > now_ns
+        if is_reusable(working_copy, same=same, ahead=ahead):
+            return working_copy
+    copy_map(map_file, working_copy)
+    return working_copy
+
+
+def _differ(a: MapPosition | None, b: MapPosition | None) -> bool:
+    return a is not b and (a is None or b is None or a.distance(b) > 0.01)
