@@ -33,7 +33,7 @@ class _References:
         self.problems: list[Problem] = []
         self.unresolved: set[KeyPath] = set()
         self.resolved: dict[KeyPath, DocumentNode | None] = {}
-        self.open: list[KeyPath] = []
+        self.in_progress: list[KeyPath] = []
 
     def resolve(self, node: DocumentNode, path: KeyPath) -> DocumentNode:
         if path[:1] == ("settings",) and len(path) > 1:
@@ -64,9 +64,9 @@ class _References:
             if node is None:
                 return None
             place = ("settings", *name)
-            self.open.append(name)
+            self.in_progress.append(name)
             result = self.inside(node, place)
-            self.open.pop()
+            self.in_progress.pop()
             broken = any(path[: len(place)] == place for path in self.unresolved)
             self.resolved[name] = None if broken else result
         return self.resolved[name]
@@ -101,10 +101,10 @@ class _References:
         if self.settings.find(*steps) is None:
             known = [".".join(known) for known in _names(self.settings, ())]
             raise self.problem(at, path, f"there is no setting {name}", suggestion(name, known))
-        within = [one[: len(steps)] == steps for one in self.open]
+        within = [one[: len(steps)] == steps for one in self.in_progress]
         cycle = within.index(True) if True in within else None
         if cycle is not None:
-            chain = " -> ".join(".".join(one) for one in [*self.open[cycle:], steps])
+            chain = " -> ".join(".".join(one) for one in [*self.in_progress[cycle:], steps])
             found = f"circular settings: {chain}"
             raise self.problem(at, path, found, "give one of them a value")
         node = self.setting(steps)

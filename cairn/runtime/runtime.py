@@ -125,7 +125,7 @@ class Runtime:
         Raises `CairnError` with the component's own error if it fails; the component is then
         either unconfigured again (its `on_error` recovered) or has ended.
         """
-        end = target_state(self._state, transition)
+        target = target_state(self._state, transition)
         self._in_transition = transition
         try:
             self._call(f"on_{transition}", self._step, transition)
@@ -136,7 +136,7 @@ class Runtime:
             raise CairnError(f"{self.name}: {transition} failed: {why}") from failure.error
         finally:
             self._in_transition = None
-        self._state = end
+        self._state = target
         if transition is Transition.SHUTDOWN:
             self._ended(self._finishing or ExitReport(True, "shut down"))
         else:

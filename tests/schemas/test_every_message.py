@@ -75,10 +75,10 @@ def test_damaged_message_is_valid_or_rejected(name: str, mutations: int) -> None
     originals = [CODEC.encode(message) for message in samples(name, 30)]
     random = np.random.default_rng(zlib.crc32(name.encode()))
     before = _peak_memory()
-    outcomes = {"valid": 0, "refused": 0}
+    outcomes = {"valid": 0, "rejected": 0}
     for _ in range(mutations):
         message = _decode_or_refuse(cls, damaged(originals, random))
-        outcomes["refused" if message is None else "valid"] += 1
+        outcomes["rejected" if message is None else "valid"] += 1
         if message is not None:
             assert CODEC.decode(cls, CODEC.encode(message)) == message
             assert constructed(message) == message

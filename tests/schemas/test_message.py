@@ -203,14 +203,14 @@ def test_missing_and_unknown_fields_are_named() -> None:
 
 
 def test_long_value_is_shortened_in_the_error() -> None:
-    with pytest.raises(InvalidMessage) as refused:
+    with pytest.raises(InvalidMessage) as rejected:
         Header(frame_id="a" * 10_000 + "\0")
-    assert len(str(refused.value)) < 300
-    with pytest.raises(InvalidMessage) as refused:
+    assert len(str(rejected.value)) < 300
+    with pytest.raises(InvalidMessage) as rejected:
         Image(data=np.zeros(100_000, np.uint8))
-    assert len(str(refused.value)) < 300
-    assert refused.value.path == "data"
-    assert refused.value.type_name == "sensor_msgs/msg/Image"
+    assert len(str(rejected.value)) < 300
+    assert rejected.value.path == "data"
+    assert rejected.value.type_name == "sensor_msgs/msg/Image"
 
 
 def test_rejection_leaks_no_memory() -> None:

@@ -154,9 +154,9 @@ def test_error_names_the_whole_path_to_the_value(codec: Codec) -> None:
     transforms = tuple(TransformStamped(transform=Transform()) for _ in range(3))
     data = codec.encode(TFMessage(transforms=transforms))
     nan_in_last = data[:-8] + struct.pack("<d", math.nan)
-    with pytest.raises(InvalidMessage) as refused:
+    with pytest.raises(InvalidMessage) as rejected:
         codec.decode(TFMessage, nan_in_last)
-    assert str(refused.value) == (
+    assert str(rejected.value) == (
         "tf2_msgs/msg/TFMessage: transforms[2].transform.rotation.w = nan: must be a finite number"
     )
 

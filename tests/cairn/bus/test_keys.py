@@ -104,9 +104,9 @@ def test_attachment_equals_that_of_zenohs_own_serializer(
 
 @pytest.mark.parametrize("data", [b"", bytes(32), bytes(33), bytes(34), b"x" * 10_000])
 def test_other_bytes_are_rejected_as_attachment(data: bytes) -> None:
-    with pytest.raises(WireFormatError, match="33 bytes") as refused:
+    with pytest.raises(WireFormatError, match="33 bytes") as rejected:
         Attachment.decode(data)
-    assert len(str(refused.value)) < 200
+    assert len(str(rejected.value)) < 200
 
 
 def test_gid_is_the_little_endian_xxh3_of_the_token() -> None:
@@ -161,9 +161,9 @@ def test_tokens_of_humble_without_type_hash_are_parsed() -> None:
     ],
 )
 def test_other_keys_are_rejected_as_tokens(key: str) -> None:
-    with pytest.raises(WireFormatError) as refused:
+    with pytest.raises(WireFormatError) as rejected:
         parse_token(key)
-    assert len(str(refused.value)) < 500
+    assert len(str(rejected.value)) < 500
 
 
 @given(st.text("@ros2_lv/0123%NMPS:,dx", max_size=80))
@@ -211,9 +211,9 @@ def test_qos_of_other_implementations_is_parsed(chunk: str, qos: Qos) -> None:
      f"::,{'9' * 9000}:,:,:,,", "::,10:,:,:,,\n"],
 )  # fmt: skip
 def test_malformed_qos_is_rejected(chunk: str) -> None:
-    with pytest.raises(WireFormatError, match="is not a QoS chunk") as refused:
+    with pytest.raises(WireFormatError, match="is not a QoS chunk") as rejected:
         parse_qos_chunk(chunk)
-    assert len(str(refused.value)) < 500
+    assert len(str(rejected.value)) < 500
 
 
 def test_type_names_are_converted_both_ways() -> None:
