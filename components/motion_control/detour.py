@@ -19,14 +19,14 @@ SEARCH_RANGE_M = _CELL_M * (_HALF - 2)
 """Detours end within this distance [m] ahead and aside."""
 
 # Within this distance beyond the margin [m] cells are more expensive, by up to this cost.
-_WIDE, _DEAR = 0.2, 60.0
+_COST_RANGE_M, _MAX_EXTRA_COST = 0.2, 60.0
 # Corners are cut only with so much more clearance [m], as scans are noisy.
-_SPARE = 0.06
+_SPARE_M = 0.06
 # A cell's center may be so far [m] from the point in it; the margin allows for that.
-_ROUNDING = 0.01
+_ROUNDING_M = 0.01
 # A detour may be longer than the straight line by this factor [1] and length [m]; a longer one is
 # left to the path planner.
-_LONGER, _MORE = 2.0, 0.6
+_MAX_FACTOR, _MAX_EXTRA_M = 2.0, 0.6
 
 
 class DetourSearch:
@@ -47,11 +47,11 @@ class DetourSearch:
         start = (_HALF, _HALF)
         distances = self._distances(points)
         limits = self._limits
-        keepout_radius = limits.keepout_radius - _ROUNDING
-        wide = np.clip((keepout_radius + _WIDE - distances) / _WIDE, 0.0, 1.0)
+        free_radius = limits.keepout_radius - _ROUNDING_M
+        wide = np.clip((free_radius + _COST_RANGE_M - distances) / _COST_RANGE_M, 0.0, 1.0)
         inner = self._costs[MARGIN:-MARGIN, MARGIN:-MARGIN]
-        inner[:] = MIN_COST + _DEAR * wide
-        closed = distances < keepout_radius
+        inner[:] = MIN_COST + _MAX_EXTRA_COST * wide
+        closed = distances < free_radius
         inner[closed] = CLOSED
         if closed[start]:
             self._open_exit(inner, closed, distances)
@@ -63,16 +63,16 @@ class DetourSearch:
         path: Array = (cells[:, ::-1].astype(np.float64) - _HALF + 0.5) * _CELL_M
         path[0], path[-1] = (0.0, 0.0), (x, y)
         length = float(np.hypot(*np.diff(path, axis=0).T).sum())
-        if length > _LONGER * math.hypot(x, y) + _MORE:
+        if length > _MAX_FACTOR * math.hypot(x, y) + _MAX_EXTRA_M:
             return None
-        return self._without_corners(path, points)
+        return self._only_corners(path, points)
 
     def _distances(self, points: Array) -> NDArray[np.float32]:
-        taken = np.zeros((2 * _HALF, 2 * _HALF), np.bool_)
+        occupied = np.zeros((2 * _HALF, 2 * _HALF), np.bool_)
         cells = np.floor(points / _CELL_M).astype(np.int64) + _HALF
         cells = cells[((cells >= 0) & (cells < 2 * _HALF)).all(axis=1)]
-        taken[cells[:, 1], cells[:, 0]] = True
-        return distance_field(taken, _CELL_M)
+        occupied[cells[:, 1], cells[:, 0]] = True
+        return distance_field(occupied, _CELL_M)
 
     def _open_exit(
         self,
@@ -85,21 +85,21 @@ class DetourSearch:
         near = slice(_HALF - reach, _HALF + reach + 1)
         least = distances[_HALF, _HALF] - 0.01
         opened = closed[near, near] & (distances[near, near] >= least)
-        costs[near, near][opened] = round(MIN_COST + 2.0 * _DEAR)
+        costs[near, near][opened] = round(MIN_COST + 2.0 * _MAX_EXTRA_COST)
 
-    def _without_corners(self, path: Array, points: Array) -> Array:
-        """Return the path without the points between corners that see each other."""
+    def _only_corners(self, path: Array, points: Array) -> Array:
+        """Return the corners of the path: the points between two corners in sight are dropped."""
         corners = [0]
         last = path.shape[0] - 1
         while corners[-1] < last:
             here = corners[-1]
             beyond = np.arange(here + 1, last + 1)
-            seen = np.empty(beyond.size, np.bool_)
+            visible = np.empty(beyond.size, np.bool_)
             x, y = path[here]
             check_straight_lines(
-                points, path[beyond], x, y, self._limits.keepout_radius + _SPARE, seen
+                points, path[beyond], x, y, self._limits.keepout_radius + _SPARE_M, visible
             )
-            hidden = np.flatnonzero(~seen)
+            hidden = np.flatnonzero(~visible)
             reached = int(hidden[0]) if hidden.size else int(beyond.size)
             corners.append(here + max(1, reached))
         straightened: Array = path[corners]

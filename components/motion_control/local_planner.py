@@ -34,25 +34,25 @@ Array = NDArray[np.float64]
 OBSTACLE_RANGE_M = HORIZON_M + 0.3
 """Obstacles within this distance [m] of the robot are needed."""
 
-_NEAREST_AIM, _FARTHEST_AIM = (
+_MIN_AIM_M, _MAX_AIM_M = (
     0.35,
     0.8,
 )  # [m] along the path; nearer points make the robot oscillate, farther ones cut corners
-_AIMS = np.array(
+_AIM_SHARES = np.array(
     [1.0, 0.75, 0.55, 0.4]
 )  # shares of the distance that are tried where there is little room
 # Turning on the spot starts when the path is this far off the heading, and ends here [rad]; the
 # difference keeps the robot from alternating between both motions.
 _TURN_FROM, _TURN_TO = 1.0, 0.2
 # An obstacle on the path nearer than this [m] is driven around.
-_AVOID = 1.4
-_CHECKED = round(_AVOID / SPACING_M) + 2
-_AT_GOAL = 0.3  # [m]: obstacles this near before the goal do not stop the robot early
-_NEARLY = 0.06  # [m] that the goal itself may be out of reach
-_REJOIN = 16  # points of the path that must be free beyond an obstacle: 0.8 m
-_AGAIN_NS = 300_000_000  # time without a new search after no detour was found
-_GRACE = 0.6  # share of the margin that noise may take from a detour before it is dropped
-_TOUCH = 0.02  # [m] of free path that is left where the robot stops
+_AVOID_WITHIN_M = 1.4
+_CHECKED = round(_AVOID_WITHIN_M / SPACING_M) + 2
+_AT_GOAL_M = 0.3  # [m]: obstacles this near before the goal do not stop the robot early
+_GOAL_SLACK_M = 0.06  # [m] that the goal itself may be out of reach
+_REJOIN_POINTS = 16  # points of the path that must be free beyond an obstacle: 0.8 m
+_RETRY_NS = 300_000_000  # time without a new search after no detour was found
+_MARGIN_SHARE = 0.6  # share of the margin that noise may take from a detour before it is dropped
+_STOP_GAP_M = 0.02  # [m] of free path that is left where the robot stops
 _STRAIGHT_SPEED = 0.25  # [m/s] without a path
 _LEAST_SPEED = 0.05  # [m/s] that a base can follow
 
@@ -77,10 +77,10 @@ class LocalPlanner:
         self._side = 0.0
         self._curvature = 0.0
         self._detour: FollowedPath | None = None
-        self._sought_at = -_AGAIN_NS
+        self._searched_at = -_RETRY_NS
         self._search = DetourSearch(limits)
-        self._free = np.empty(_AIMS.size)
-        self._clear = np.empty(_AIMS.size)
+        self._free = np.empty(_AIM_SHARES.size)
+        self._clear = np.empty(_AIM_SHARES.size)
 
     def along(self, path_ahead: Array, left: float, inputs: PlannerInput) -> VelocityTarget:
         """Return the velocity along `path_ahead` (n, 2) [m], points `SPACING_M` apart, robot frame.
@@ -101,11 +101,11 @@ class LocalPlanner:
             target = self._follow_detour(ahead, inputs)
             if target is not None:
                 return target
-        if ahead >= min(_AVOID, left):
+        if ahead >= min(_AVOID_WITHIN_M, left):
             target = self._follow(path_ahead, left, ahead, inputs)
             if target is not None:
                 return target
-        if inputs.now - self._sought_at >= _AGAIN_NS and self._find_detour(
+        if inputs.now - self._searched_at >= _RETRY_NS and self._find_detour(
             path_ahead, ahead, inputs
         ):
             target = self._follow_detour(ahead, inputs)
@@ -124,7 +124,7 @@ class LocalPlanner:
 
     def _gap(self, ahead: float, left: float) -> float:
         """Return the gap [m] to an obstacle on the path: small where the goal is right at it."""
-        return self._limits.stop_distance if left - ahead > _AT_GOAL else min(_TOUCH, left)
+        return self._limits.stop_distance if left - ahead > _AT_GOAL_M else min(_STOP_GAP_M, left)
 
     def _ahead(self, path_ahead: Array, inputs: PlannerInput) -> float:
         """Return the free length [m] of the path, `UNLIMITED_M` if its first part is free."""
@@ -151,17 +151,17 @@ class LocalPlanner:
     ) -> VelocityTarget | None:
         """Pursue a path that is free for `ahead` [m]; return None if no arc leads to it."""
         limits, points = self._limits, inputs.obstacles.points
-        aim = min(_FARTHEST_AIM, max(_NEAREST_AIM, limits.lookahead * inputs.speed))
+        aim = min(_MAX_AIM_M, max(_MIN_AIM_M, limits.lookahead * inputs.speed))
         x, y = path_ahead[min(path_ahead.shape[0] - 1, round(aim / SPACING_M))]
         bearing = math.atan2(y, x)
-        if self._turns(bearing):
+        if self._needs_turn(bearing):
             return VelocityTarget(turn=limits.turn_rate_for(self._same_direction(bearing)))
         end = math.hypot(path_ahead[-1, 0], path_ahead[-1, 1])
         fastest = min(
             limits.speed_to_stop_in(max(left, end)),
             limits.speed_to_stop_in(ahead - self._gap(ahead, left)),
         )
-        arc = self._pursue(path_ahead, aim, points)
+        arc = self._best_arc(path_ahead, aim, points)
         if arc is not None:
             curvature, free, clear = arc
             pace = min(fastest, self._pace(curvature, free, clear))
@@ -183,10 +183,10 @@ class LocalPlanner:
         assert self._detour is not None
         path_ahead = self._detour.ahead(inputs.odom)
         left = self._detour.left
-        if left > 2.0 * SPACING_M and (ahead < _AVOID or left > _NEAREST_AIM):
-            radius = self._limits.keepout_radius - _GRACE * self._limits.margin
+        if left > 2.0 * SPACING_M and (ahead < _AVOID_WITHIN_M or left > _MIN_AIM_M):
+            radius = self._limits.keepout_radius - _MARGIN_SHARE * self._limits.margin
             free = free_length(inputs.obstacles.points, path_ahead[:_CHECKED], SPACING_M, radius)
-            if free >= min(_AVOID, left):
+            if free >= min(_AVOID_WITHIN_M, left):
                 target = self._follow(path_ahead, left + 0.5, UNLIMITED_M, inputs)
                 if target is not None:
                     return target
@@ -195,14 +195,14 @@ class LocalPlanner:
 
     def _find_detour(self, path_ahead: Array, ahead: float, inputs: PlannerInput) -> bool:
         """Search a detour to the path beyond the obstacle; return whether there is one."""
-        self._sought_at = inputs.now
+        self._searched_at = inputs.now
         points = inputs.obstacles.points
         first = 0 if ahead == UNLIMITED_M else round(ahead / SPACING_M)
-        run = _REJOIN if ahead < UNLIMITED_M else 0
+        run = _REJOIN_POINTS if ahead < UNLIMITED_M else 0
         index = first_free_again(points, path_ahead, first, run, self._limits.keepout_radius)
         if index < 0:
             return False
-        targets = path_ahead[index : index + _REJOIN + 1]
+        targets = path_ahead[index : index + _REJOIN_POINTS + 1]
         near = np.flatnonzero((np.abs(targets) < SEARCH_RANGE_M).all(axis=1))
         if near.size == 0:
             return False
@@ -217,12 +217,12 @@ class LocalPlanner:
     def _pace(self, curvature: float, free: float, clear: float) -> float:
         limits = self._limits
         return min(
-            limits.speed_to_stop_in(free - _TOUCH),
+            limits.speed_to_stop_in(free - _STOP_GAP_M),
             limits.speed_beside(clear - limits.radius),
             limits.speed_in(curvature),
         )
 
-    def _turns(self, bearing: float) -> bool:
+    def _needs_turn(self, bearing: float) -> bool:
         self._turning = abs(bearing) > (_TURN_TO if self._turning else _TURN_FROM)
         if not self._turning:
             self._side = 0.0
@@ -241,12 +241,12 @@ class LocalPlanner:
             points, curvatures, lengths, self._room, limits.contact_radius, self._free, self._clear
         )
 
-    def _pursue(
+    def _best_arc(
         self, path_ahead: Array, aim: float, points: Array
     ) -> tuple[float, float, float] | None:
         """Return curvature, free length and clearance of the arc to the farthest point in reach."""
         last = path_ahead.shape[0] - 1
-        aims = np.minimum(last, np.rint(_AIMS * (aim / SPACING_M)).astype(np.int64))
+        aims = np.minimum(last, np.rint(_AIM_SHARES * (aim / SPACING_M)).astype(np.int64))
         targets = path_ahead[aims]
         apart = np.maximum(1e-9, targets[:, 0] ** 2 + targets[:, 1] ** 2)
         curvatures = np.clip(2.0 * targets[:, 1] / apart, -8.0, 8.0)
@@ -254,8 +254,8 @@ class LocalPlanner:
         lengths = np.sqrt(apart) / np.maximum(0.1, np.sinc(halves / math.pi))
         self._check(points, curvatures, lengths)
         best = None
-        for i in range(_AIMS.size):
-            needed = lengths[i] - (_NEARLY if aims[i] == last else 0.0)
+        for i in range(_AIM_SHARES.size):
+            needed = lengths[i] - (_GOAL_SLACK_M if aims[i] == last else 0.0)
             # A point beside or behind the robot requires turning on the spot.
             if self._free[i] < needed or abs(halves[i]) > 1.3:
                 continue
@@ -267,7 +267,7 @@ class LocalPlanner:
         return best
 
 
-_UNSEEN = "the scanner did not see lately what is ahead"
+_UNSEEN = "the scanner did not see the ground ahead lately"
 
 
 def _blocked_reason(ahead: float, inputs: PlannerInput, limits: MotionLimits) -> str:

@@ -18,28 +18,28 @@ from cairn.planar.scans import Rays
 Array = NDArray[np.float64]
 
 # Hits nearer to one another than this [m] belong to the same thing, which is at most so large [m]
-# and stands out from its background by so much [m]: values for people's legs and bodies.
-_JOINED, _LARGEST, _BEFORE = 0.2, 0.9, 0.3
-_FEWEST = 3  # beams on a thing
-_MOST = 64  # maximum number of things per scan
+# and stands out from its background by so much [m]; people fit these sizes.
+_MAX_GAP_M, _MAX_SIZE_M, _MIN_PROMINENCE_M = 0.2, 0.9, 0.3
+_MIN_BEAMS = 3  # beams on a thing
+_MAX_THINGS = 64  # maximum number of things per scan
 # Beams form a full circle if the gap between last and first is no more than this [rad]: the robot
 # may turn during the scan.
-_SEAM = 0.2
+_SEAM_RAD = 0.2
 
-_SAME = 0.35  # a thing is searched within this distance [m] of its predicted position
+_MATCH_M = 0.35  # a thing is searched within this distance [m] of its predicted position
 # A velocity is estimated from positions over so much time [ns].
-_LEAST_WATCHED, _MOST_WATCHED = 350_000_000, 650_000_000
-_FORGOTTEN = 350_000_000  # [ns] without a hit
+_MIN_WATCHED_NS, _MAX_WATCHED_NS = 350_000_000, 650_000_000
+_FORGOTTEN_NS = 350_000_000  # [ns] without a hit
 _SLOWEST, _FASTEST = 0.35, 2.5  # [m/s] range of speeds that count as moving
 # If the robot turns faster than this [rad/s], all things appear to move, and none is tracked.
-_TURNING = 0.8
+_MAX_TURN = 0.8
 
 # Positions are predicted for these times ahead [s], by points so far from the center [m].
-_TIMES = np.arange(1, 8) * 0.2
+_PREDICTION_TIMES = np.arange(1, 8) * 0.2
 _HALF_WIDTH = 0.15
 
 
-_Seen = tuple[int, float, float]
+_Observation = tuple[int, float, float]
 """Time [ns], x and y [m] in the odometry frame."""
 
 
@@ -47,13 +47,13 @@ _Seen = tuple[int, float, float]
 class _TrackedThing:
     """The observed positions of one thing, the newest last."""
 
-    places: deque[_Seen] = field(default_factory=lambda: deque(maxlen=8))
+    positions: deque[_Observation] = field(default_factory=lambda: deque(maxlen=8))
 
     def velocity(self) -> tuple[float, float]:
         """Return the velocity [m/s]; zero as long as it is unknown or unsteady."""
-        newest = self.places[-1]
-        watched = [p for p in self.places if newest[0] - p[0] <= _MOST_WATCHED]
-        if newest[0] - watched[0][0] < _LEAST_WATCHED or len(watched) < 3:
+        newest = self.positions[-1]
+        watched = [p for p in self.positions if newest[0] - p[0] <= _MAX_WATCHED_NS]
+        if newest[0] - watched[0][0] < _MIN_WATCHED_NS or len(watched) < 3:
             return 0.0, 0.0
         oldest, middle = watched[0], watched[len(watched) // 2]
         first, then = _speed(oldest, middle), _speed(middle, newest)
@@ -65,7 +65,7 @@ class _TrackedThing:
         return _speed(oldest, newest)
 
 
-def _speed(a: _Seen, b: _Seen) -> tuple[float, float]:
+def _speed(a: _Observation, b: _Observation) -> tuple[float, float]:
     seconds = (b[0] - a[0]) / SECOND
     return (b[1] - a[1]) / seconds, (b[2] - a[2]) / seconds
 
@@ -74,8 +74,8 @@ class MovingObstacleTracker:
     """Tracks small things from scan to scan."""
 
     def __init__(self) -> None:
-        self._things: list[_TrackedThing] = []
-        self._ahead = np.empty((0, 3))
+        self._tracked: list[_TrackedThing] = []
+        self._predictions = np.empty((0, 3))
         self._newest = -1
 
     def add_scan(self, stamp: int, rays: Rays, turn: float) -> Array:
@@ -88,37 +88,37 @@ class MovingObstacleTracker:
         if time_went_back(self._newest, stamp):
             self.forget()
         elif stamp <= self._newest:
-            return self._ahead
+            return self._predictions
         self._newest = stamp
-        self._ahead = self._expect(stamp, rays, turn)
-        return self._ahead
+        self._predictions = self._update_things(stamp, rays, turn)
+        return self._predictions
 
-    def _expect(self, stamp: int, rays: Rays, turn: float) -> Array:
-        self._things = [t for t in self._things if stamp - t.places[-1][0] < _FORGOTTEN]
-        if abs(turn) > _TURNING:
+    def _update_things(self, stamp: int, rays: Rays, turn: float) -> Array:
+        self._tracked = [t for t in self._tracked if stamp - t.positions[-1][0] < _FORGOTTEN_NS]
+        if abs(turn) > _MAX_TURN:
             return np.empty((0, 3))
         seen: list[_TrackedThing] = []
-        for x, y in _things(rays).tolist():
-            thing = self._expected(stamp, x, y)
+        for x, y in _detect_things(rays).tolist():
+            thing = self._match(stamp, x, y)
             if thing is None:
                 thing = _TrackedThing()
             else:
-                self._things.remove(thing)
-            thing.places.append((stamp, x, y))
+                self._tracked.remove(thing)
+            thing.positions.append((stamp, x, y))
             seen.append(thing)
-        self._things += seen
-        ahead = [_ahead(thing) for thing in seen]
+        self._tracked += seen
+        ahead = [_predict(thing) for thing in seen]
         return np.vstack(ahead) if ahead else np.empty((0, 3))
 
     def forget(self) -> None:
         """Forget everything, as when odometry restarts."""
-        self._things = []
-        self._ahead = np.empty((0, 3))
+        self._tracked = []
+        self._predictions = np.empty((0, 3))
 
-    def _expected(self, stamp: int, x: float, y: float) -> _TrackedThing | None:
-        best, least = None, _SAME
-        for thing in self._things:
-            then, px, py = thing.places[-1]
+    def _match(self, stamp: int, x: float, y: float) -> _TrackedThing | None:
+        best, least = None, _MATCH_M
+        for thing in self._tracked:
+            then, px, py = thing.positions[-1]
             vx, vy = thing.velocity()
             seconds = (stamp - then) / SECOND
             apart = math.hypot(px + vx * seconds - x, py + vy * seconds - y)
@@ -127,58 +127,58 @@ class MovingObstacleTracker:
         return best
 
 
-def _ahead(thing: _TrackedThing) -> Array:
+def _predict(thing: _TrackedThing) -> Array:
     vx, vy = thing.velocity()
     speed = math.hypot(vx, vy)
     if not _SLOWEST <= speed <= _FASTEST:
         return np.empty((0, 3))
-    _, x, y = thing.places[-1]
+    _, x, y = thing.positions[-1]
     aside = np.array([-vy, vx]) * (_HALF_WIDTH / speed)
-    middles = np.array([x, y]) + _TIMES[:, None] * np.array([vx, vy])
-    rows = np.column_stack((middles, _TIMES))
+    middles = np.array([x, y]) + _PREDICTION_TIMES[:, None] * np.array([vx, vy])
+    rows = np.column_stack((middles, _PREDICTION_TIMES))
     left, right = rows.copy(), rows.copy()
     left[:, :2] += aside
     right[:, :2] -= aside
     return np.vstack((left, right))
 
 
-def _things(rays: Rays) -> Array:
+def _detect_things(rays: Rays) -> Array:
     """Return the centers (n, 2) [m] of small things that stand out from their background."""
-    told = ~np.isnan(rays.ranges)
-    angles, ranges, starts = rays.angles[told], rays.ranges[told], rays.starts[told]
-    if ranges.size < _FEWEST:
+    measured = ~np.isnan(rays.ranges)
+    angles, ranges, starts = rays.angles[measured], rays.ranges[measured], rays.starts[measured]
+    if ranges.size < _MIN_BEAMS:
         return np.empty((0, 2))
     near = np.minimum(ranges, MAX_RANGE_M)
     points = starts + near[:, None] * np.column_stack((np.cos(angles), np.sin(angles)))
     span = abs(rays.angles[-1] - rays.angles[0])
     step = span / (rays.angles.size - 1)
     ends = np.array([math.inf, math.inf])
-    if span + step > 2.0 * math.pi - _SEAM:  # start between two things, not within one
-        begin = int(np.argmax(np.abs(near - np.roll(near, 1)) >= _JOINED))
+    if span + step > 2.0 * math.pi - _SEAM_RAD:  # start between two things, not within one
+        begin = int(np.argmax(np.abs(near - np.roll(near, 1)) >= _MAX_GAP_M))
         ranges, points = np.roll(ranges, -begin), np.roll(points, -begin, axis=0)
         ends = ranges[[-1, 0]]
-    found = np.empty((_MOST, 2))
-    gaps = np.maximum(_JOINED, 3.0 * step * np.minimum(ranges, MAX_RANGE_M))
-    count = _small(np.concatenate((ends[:1], ranges, ends[1:])), points, gaps, found)
+    found = np.empty((_MAX_THINGS, 2))
+    gaps = np.maximum(_MAX_GAP_M, 3.0 * step * np.minimum(ranges, MAX_RANGE_M))
+    count = _find_small(np.concatenate((ends[:1], ranges, ends[1:])), points, gaps, found)
     return found[:count]
 
 
 @compiled()
 def _stands_out(ranges: Array, points: Array, first: int, end: int) -> bool:
     """Return whether the points from `first` to before `end` are a small thing that stands out."""
-    if end - first < _FEWEST:
+    if end - first < _MIN_BEAMS:
         return False
-    if min(ranges[first] - ranges[first + 1], ranges[end + 1] - ranges[end]) <= _BEFORE:
+    if min(ranges[first] - ranges[first + 1], ranges[end + 1] - ranges[end]) <= _MIN_PROMINENCE_M:
         return False
     for i in range(first, end):
         dx, dy = points[i, 0] - points[first, 0], points[i, 1] - points[first, 1]
-        if math.hypot(dx, dy) >= _LARGEST:
+        if math.hypot(dx, dy) >= _MAX_SIZE_M:
             return False
     return True
 
 
 @compiled("int64(float64[::1], float64[:,::1], float64[::1], float64[:,::1])")
-def _small(ranges: Array, points: Array, gaps: Array, found: Array) -> int:
+def _find_small(ranges: Array, points: Array, gaps: Array, found: Array) -> int:
     """Fill `found` with the centers of small things that stand out; return their number.
 
     `ranges` has one more value at each end than `points`; a point nearer than `gaps` to the
