@@ -33,7 +33,7 @@ from cairn.schemas.tf2_msgs import TFMessage
 
 
 @dataclass(frozen=True)
-class BaseLimits:
+class WheelDriveLimits:
     """Limits [m/s, rad/s, m/s^2, rad/s^2], delay of a command [s], and its timeout [s]."""
 
     speed: float = 0.6
@@ -47,7 +47,7 @@ class BaseLimits:
 class WheelDrive:
     """The current speeds of the wheels, `forward` [m/s] and `turn` [rad/s]."""
 
-    def __init__(self, limits: BaseLimits) -> None:
+    def __init__(self, limits: WheelDriveLimits) -> None:
         self.limits = limits
         self.forward = self.turn = 0.0
         self._pending: deque[tuple[float, float, float]] = deque()
@@ -216,7 +216,7 @@ class SimulatedBase(Component):
         """Draw this base's scale errors."""
         config = self.config
         self._wheels = WheelDrive(
-            BaseLimits(
+            WheelDriveLimits(
                 config.speed,
                 config.turn,
                 config.acceleration,

@@ -47,9 +47,9 @@ def test_history_restarts_once_when_time_goes_back(back: int) -> None:
         history.add(5000 * SECOND + k * SECOND // 50, (0.01 * k, 0.0, 0.0))
     newest = 5000 * SECOND + 9 * SECOND // 50
 
-    told = [history.add(newest - back + k * SECOND // 50, (1.0 + k, 0.0, 0.0)) for k in range(3)]
+    message = [history.add(newest - back + k * SECOND // 50, (1.0 + k, 0.0, 0.0)) for k in range(3)]
 
-    assert told == [OdometryChange.RESET, OdometryChange.CONTINUED, OdometryChange.CONTINUED]
+    assert message == [OdometryChange.RESET, OdometryChange.CONTINUED, OdometryChange.CONTINUED]
     assert history.at(newest - back - 1) is None
     assert history.at(newest - back + SECOND // 50) == (2.0, 0.0, 0.0)
     assert history.newest == newest - back + SECOND // 25

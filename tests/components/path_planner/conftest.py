@@ -13,7 +13,7 @@ from tests.components.path_planner.rooms import as_map, pose_at
 
 
 @pytest.fixture
-def begun(stage: Callable[..., Any]) -> Callable[..., Any]:
+def start_planner(stage: Callable[..., Any]) -> Callable[..., Any]:
     def begin(grid: OccupancyCells | None, pose: Pose | None = HERE, **parameters: Any) -> Any:
         it = stage(PathPlanner, BEGIN, **parameters).begin()
         if grid is not None:

@@ -35,8 +35,8 @@ def test_outcomes_have_the_numbers_of_the_message() -> None:
     assert all(outcome == getattr(Plan, outcome.name) for outcome in PlanOutcome)
 
 
-def test_goal_is_planned_at_once(begun: Any) -> None:
-    it = begun(room(DOOR))
+def test_goal_is_planned_at_once(start_planner: Any) -> None:
+    it = start_planner(room(DOOR))
 
     it.give("nav_command", follow(THERE, goal_id=7))
 
@@ -51,8 +51,10 @@ def test_goal_is_planned_at_once(begun: Any) -> None:
     assert [p.pose.position.x for p in path.poses] == poses[:, 0].tolist()
 
 
-def test_missing_inputs_are_reported_and_planning_starts_when_they_arrive(begun: Any) -> None:
-    it = begun(None, None)
+def test_missing_inputs_are_reported_and_planning_starts_when_they_arrive(
+    start_planner: Any,
+) -> None:
+    it = start_planner(None, None)
 
     it.give("nav_command", follow(THERE))
     it.give("localization", not_located("no objects seen"))
@@ -65,8 +67,8 @@ def test_missing_inputs_are_reported_and_planning_starts_when_they_arrive(begun:
     assert plans[1].reason == "the robot is not located: no objects seen"
 
 
-def test_repeated_command_changes_nothing_and_a_new_goal_is_planned(begun: Any) -> None:
-    it = begun(room())
+def test_repeated_command_changes_nothing_and_a_new_goal_is_planned(start_planner: Any) -> None:
+    it = start_planner(room())
     for _ in range(3):
         it.give("nav_command", follow(THERE, goal_id=1))
         it.wait(0.5)
@@ -80,8 +82,8 @@ def test_repeated_command_changes_nothing_and_a_new_goal_is_planned(begun: Any) 
     assert [plan.goal_id for plan in it.taken("plan")] == [3]
 
 
-def test_odometry_carries_the_last_pose_forward(begun: Any) -> None:
-    it = begun(room(), pose=None)
+def test_odometry_carries_the_last_pose_forward(start_planner: Any) -> None:
+    it = start_planner(room(), pose=None)
     it.give("odom", odom_at((5.0, 5.0, 1.0), BEGIN))
     it.give("localization", pose_at((1.0, 1.0, 1.0), BEGIN))
     it.wait(1.0)
@@ -93,9 +95,9 @@ def test_odometry_carries_the_last_pose_forward(begun: Any) -> None:
     assert poses[0, :2] == pytest.approx((1.0, 1.5))
 
 
-def driven_away(begun: Any) -> Any:
+def driven_away(start_planner: Any) -> Any:
     """A robot driving to THERE, 3.8 m from the start of its odometry."""
-    it = begun(room(), pose=None)
+    it = start_planner(room(), pose=None)
     it.give("odom", odom_at((3.0, 2.3, 0.0), BEGIN))
     it.give("localization", pose_at((4.0, 4.0, 0.0), BEGIN))
     it.give("nav_command", follow(THERE))
@@ -104,9 +106,9 @@ def driven_away(begun: Any) -> Any:
 
 
 def test_pose_is_not_carried_forward_across_an_odometry_jump(
-    begun: Any, caplog: pytest.LogCaptureFixture
+    start_planner: Any, caplog: pytest.LogCaptureFixture
 ) -> None:
-    it = driven_away(begun)
+    it = driven_away(start_planner)
 
     it.wait(2.0)
     it.give("odom", odom_at((0.0, 0.0, 0.0), BEGIN + 2.0))
@@ -121,8 +123,8 @@ def test_pose_is_not_carried_forward_across_an_odometry_jump(
     assert it.taken("plan") == []  # the known path is good
 
 
-def test_goal_after_an_odometry_jump_waits_for_a_pose(begun: Any) -> None:
-    it = driven_away(begun)
+def test_goal_after_an_odometry_jump_waits_for_a_pose(start_planner: Any) -> None:
+    it = driven_away(start_planner)
 
     it.wait(2.0)
     it.give("odom", odom_at((0.0, 0.0, 0.0), BEGIN + 2.0))
@@ -141,8 +143,8 @@ def test_goal_after_an_odometry_jump_waits_for_a_pose(begun: Any) -> None:
     assert tuple(planar_poses(found.poses)[0, :2]) == (4.5, 4.5)
 
 
-def test_pose_after_the_jump_that_arrives_before_odometry_counts(begun: Any) -> None:
-    it = driven_away(begun)
+def test_pose_after_the_jump_that_arrives_before_odometry_counts(start_planner: Any) -> None:
+    it = driven_away(start_planner)
     it.wait(2.0)
     it.give("localization", pose_at((5.0, 5.0, 0.0), BEGIN + 2.0))
 
@@ -153,8 +155,8 @@ def test_pose_after_the_jump_that_arrives_before_odometry_counts(begun: Any) -> 
     assert tuple(planar_poses(plan.poses)[0, :2]) == (5.0, 5.0)
 
 
-def test_pose_from_before_a_time_reset_is_not_used(begun: Any) -> None:
-    it = driven_away(begun)
+def test_pose_from_before_a_time_reset_is_not_used(start_planner: Any) -> None:
+    it = driven_away(start_planner)
 
     it.give("odom", odom_at((3.0, 2.3, 0.0), BEGIN - 50.0))
     it.give("nav_command", follow(THERE, goal_id=2))
@@ -168,8 +170,10 @@ def test_pose_from_before_a_time_reset_is_not_used(begun: Any) -> None:
 @pytest.mark.parametrize(
     ("seconds", "step"), [(0.05, (0.15, 0.0, 0.3)), (1.0, (1.0, 0.0, 2.0))], ids=["fast", "seldom"]
 )
-def test_fast_robots_and_rare_odometry_are_no_jump(begun: Any, seconds: float, step: Pose) -> None:
-    it = driven_away(begun)
+def test_fast_robots_and_rare_odometry_are_no_jump(
+    start_planner: Any, seconds: float, step: Pose
+) -> None:
+    it = driven_away(start_planner)
 
     it.wait(seconds)
     it.give("odom", odom_at(compose((3.0, 2.3, 0.0), step), now(it)))
@@ -179,8 +183,8 @@ def test_fast_robots_and_rare_odometry_are_no_jump(begun: Any, seconds: float, s
     assert planar_poses(plan.poses)[0, :2] == pytest.approx((4.0 + step[0], 4.0))
 
 
-def test_restarted_planner_continues_with_the_latched_goal(begun: Any) -> None:
-    it = begun(room())
+def test_restarted_planner_continues_with_the_latched_goal(start_planner: Any) -> None:
+    it = start_planner(room())
     it.give("nav_command", follow(THERE, goal_id=4))
     it.taken("plan")
 
@@ -196,17 +200,17 @@ def test_restarted_planner_continues_with_the_latched_goal(begun: Any) -> None:
 
 
 def test_map_update_outside_the_map_is_logged_and_ignored(
-    begun: Any, caplog: pytest.LogCaptureFixture
+    start_planner: Any, caplog: pytest.LogCaptureFixture
 ) -> None:
-    it = begun(room())
+    it = start_planner(room())
 
     it.give("map_updates", window((8.0, 0.0, 10.0, 1.0), 100))
 
     assert "a map update outside the map: 40 x 20 cells at column 160, row 0" in caplog.text
 
 
-def test_cost_parameters_change_at_run_time(begun: Any) -> None:
-    it = begun(room(wall_with_door(0.6)))
+def test_cost_parameters_change_at_run_time(start_planner: Any) -> None:
+    it = start_planner(room(wall_with_door(0.6)))
     it.give("nav_command", follow(THERE))
     assert it.taken("plan")[0].outcome == Plan.FOUND
 

@@ -31,9 +31,9 @@ from tests.components.path_planner.rooms import (
 )
 
 
-def test_free_path_is_kept(begun: Any) -> None:
+def test_free_path_is_kept(start_planner: Any) -> None:
     grid = room(DOOR)
-    it = begun(grid)
+    it = start_planner(grid)
     it.give("nav_command", follow(THERE))
 
     stay(it, grid, 4.0)
@@ -41,9 +41,11 @@ def test_free_path_is_kept(begun: Any) -> None:
     assert len(it.taken("plan")) == 1
 
 
-def test_path_avoids_a_box_that_only_the_scanner_sees_until_it_is_forgotten(begun: Any) -> None:
+def test_path_avoids_a_box_that_only_the_scanner_sees_until_it_is_forgotten(
+    start_planner: Any,
+) -> None:
     box = (2.5, 1.7, 2.9, 2.4)
-    it = begun(room(DOOR, size=(9.0, 7.0)), pose=(1.0, 1.8, 0.0))
+    it = start_planner(room(DOOR, size=(9.0, 7.0)), pose=(1.0, 1.8, 0.0))
     here = (1.0, 1.8, 0.0)
     it.give("nav_command", follow((4.0, 2.3, 0.0)))
     (first,) = it.taken("plan")
@@ -62,10 +64,10 @@ def test_path_avoids_a_box_that_only_the_scanner_sees_until_it_is_forgotten(begu
     assert all(plan.length < around.length for plan in back)
 
 
-def test_obstacles_seen_for_an_earlier_goal_are_not_avoided(begun: Any) -> None:
+def test_obstacles_seen_for_an_earlier_goal_are_not_avoided(start_planner: Any) -> None:
     box = (2.5, 1.7, 2.9, 2.4)
     here, there = (1.0, 1.8, 0.0), (4.0, 2.3, 0.0)
-    it = begun(room(), pose=here)
+    it = start_planner(room(), pose=here)
     it.give("nav_command", follow(there, goal_id=1))
     stay(it, room([box]), 0.5, here)
     it.give("nav_command", stand(goal_id=2))
@@ -109,14 +111,14 @@ def test_time_reset_forgets_old_obstacles_and_accepts_new_ones(
     assert caplog.text.count("odometry on /robot/odom went back in time") == 1
 
 
-def test_door_blocked_by_a_person_is_reported_until_the_person_leaves(begun: Any) -> None:
-    somebody = (4.4, 2.3, 4.7, 2.6)
-    it = begun(room(DOOR), pose=(2.0, 2.4, 0.0))
+def test_door_blocked_by_a_person_is_reported_until_the_person_leaves(start_planner: Any) -> None:
+    person_box = (4.4, 2.3, 4.7, 2.6)
+    it = start_planner(room(DOOR), pose=(2.0, 2.4, 0.0))
     here = (2.0, 2.4, 0.0)
     it.give("nav_command", follow((7.0, 2.4, 0.0)))
     assert it.taken("plan")[0].outcome == Plan.FOUND
 
-    stay(it, room([*DOOR, somebody]), 3.0, here)
+    stay(it, room([*DOOR, person_box]), 3.0, here)
     refused = it.taken("plan")
     stay(it, room(DOOR), 2.1, here)
     again = it.taken("plan")
@@ -128,8 +130,8 @@ def test_door_blocked_by_a_person_is_reported_until_the_person_leaves(begun: Any
     assert [plan.outcome for plan in again] == [Plan.FOUND]
 
 
-def test_path_closed_by_a_map_update_is_replanned(begun: Any) -> None:
-    it = begun(room())
+def test_path_closed_by_a_map_update_is_replanned(start_planner: Any) -> None:
+    it = start_planner(room())
     it.give("nav_command", follow(THERE))
     it.taken("plan")
     box = (4.0, 3.0, 5.0, 4.0)
@@ -142,8 +144,8 @@ def test_path_closed_by_a_map_update_is_replanned(begun: Any) -> None:
     assert clear_of(around, [box]) > 0.19
 
 
-def test_obstacle_in_the_margin_does_not_break_the_path(begun: Any) -> None:
-    it = begun(room(), pose=(1.0, 1.025, 0.0))
+def test_obstacle_in_the_margin_does_not_break_the_path(start_planner: Any) -> None:
+    it = start_planner(room(), pose=(1.0, 1.025, 0.0))
     it.give("nav_command", follow((8.0, 1.025, 0.0)))
     it.taken("plan")
 
@@ -155,8 +157,8 @@ def test_obstacle_in_the_margin_does_not_break_the_path(begun: Any) -> None:
     assert len(it.taken("plan")) == 1
 
 
-def test_path_opened_by_a_map_update_is_taken_if_clearly_shorter(begun: Any) -> None:
-    it = begun(room([(3.0, 0.0, 3.1, 6.0)]), pose=(1.5, 3.0, 0.0))
+def test_path_opened_by_a_map_update_is_taken_if_clearly_shorter(start_planner: Any) -> None:
+    it = start_planner(room([(3.0, 0.0, 3.1, 6.0)]), pose=(1.5, 3.0, 0.0))
     it.give("nav_command", follow((7.0, 3.0, 0.0)))
     (long,) = it.taken("plan")
 
@@ -184,8 +186,10 @@ def stand_blocked(it: Any, duration: float, state: int = MotionStatus.BLOCKED) -
 @pytest.mark.parametrize(
     ("state", "seconds"), [(MotionStatus.BLOCKED, 2.6), (MotionStatus.MOVING, 6.6)]
 )
-def test_stuck_robot_gets_another_path_and_keeps_it(begun: Any, state: int, seconds: float) -> None:
-    it = begun(room(TWO_DOORS), pose=(4.0, 2.4, 0.0))
+def test_stuck_robot_gets_another_path_and_keeps_it(
+    start_planner: Any, state: int, seconds: float
+) -> None:
+    it = start_planner(room(TWO_DOORS), pose=(4.0, 2.4, 0.0))
     it.give("nav_command", follow(BEYOND))
     (straight,) = it.taken("plan")
 
@@ -198,8 +202,8 @@ def test_stuck_robot_gets_another_path_and_keeps_it(begun: Any, state: int, seco
     assert it.taken("plan") == []
 
 
-def test_stuck_robot_without_an_alternative_keeps_its_path(begun: Any) -> None:
-    it = begun(room(DOOR), pose=(4.0, 2.4, 0.0))
+def test_stuck_robot_without_an_alternative_keeps_its_path(start_planner: Any) -> None:
+    it = start_planner(room(DOOR), pose=(4.0, 2.4, 0.0))
     it.give("nav_command", follow(BEYOND))
     it.taken("plan")
 
@@ -213,9 +217,9 @@ def test_stuck_robot_without_an_alternative_keeps_its_path(begun: Any) -> None:
 
 
 def test_robot_stopped_by_a_missing_input_is_not_stuck(
-    begun: Any,
+    start_planner: Any,
 ) -> None:
-    it = begun(room(TWO_DOORS), pose=(4.0, 2.4, 0.0))
+    it = start_planner(room(TWO_DOORS), pose=(4.0, 2.4, 0.0))
     it.give("nav_command", follow(BEYOND))
     it.taken("plan")
 
@@ -225,10 +229,10 @@ def test_robot_stopped_by_a_missing_input_is_not_stuck(
 
 
 def test_blocked_path_is_not_taken_again_when_it_is_out_of_view(
-    begun: Any,
+    start_planner: Any,
 ) -> None:
     here, blocking = (3.0, 2.4, 0.0), (4.3, 2.0, 4.5, 2.8)
-    it = begun(room(TWO_DOORS), pose=here)
+    it = start_planner(room(TWO_DOORS), pose=here)
     it.give("nav_command", follow(BEYOND))
     stay(it, room([*TWO_DOORS, blocking]), 0.5, here)
     around = it.taken("plan")[-1]
@@ -242,8 +246,8 @@ def test_blocked_path_is_not_taken_again_when_it_is_out_of_view(
     assert it.taken("plan")[-1].length < 5.1
 
 
-def test_grown_map_is_planned_on(begun: Any) -> None:
-    it = begun(room(size=(5.0, 7.0)))
+def test_grown_map_is_planned_on(start_planner: Any) -> None:
+    it = start_planner(room(size=(5.0, 7.0)))
     it.give("nav_command", follow(THERE))
     (outside,) = it.taken("plan")
 
@@ -254,8 +258,8 @@ def test_grown_map_is_planned_on(begun: Any) -> None:
     assert [plan.outcome for plan in it.taken("plan")] == [Plan.FOUND]
 
 
-def test_wall_across_the_path_is_noticed_in_a_map_with_another_origin(begun: Any) -> None:
-    it = begun(room())
+def test_wall_across_the_path_is_noticed_in_a_map_with_another_origin(start_planner: Any) -> None:
+    it = start_planner(room())
     it.give("nav_command", follow(THERE))
     (straight,) = it.taken("plan")
 
@@ -269,8 +273,8 @@ def test_wall_across_the_path_is_noticed_in_a_map_with_another_origin(begun: Any
     assert around.length > straight.length + 0.5
 
 
-def test_path_outside_a_shrunk_map_is_replanned_at_once(begun: Any) -> None:
-    it = begun(room(), pose=(1.0, 1.5, 0.0))
+def test_path_outside_a_shrunk_map_is_replanned_at_once(start_planner: Any) -> None:
+    it = start_planner(room(), pose=(1.0, 1.5, 0.0))
     it.give("nav_command", follow((8.0, 1.5, 0.0)))
     it.taken("plan")
 
@@ -281,8 +285,8 @@ def test_path_outside_a_shrunk_map_is_replanned_at_once(begun: Any) -> None:
     assert "the goal (8.00, 1.50) is outside the map" in plan.reason
 
 
-def test_robot_outside_the_map_gets_a_path_when_it_is_back(begun: Any) -> None:
-    it = begun(room(), pose=(-0.1, 3.0, 0.0))
+def test_robot_outside_the_map_gets_a_path_when_it_is_back(start_planner: Any) -> None:
+    it = start_planner(room(), pose=(-0.1, 3.0, 0.0))
     it.give("nav_command", follow(THERE))
     (off,) = it.taken("plan")
 
@@ -294,8 +298,8 @@ def test_robot_outside_the_map_gets_a_path_when_it_is_back(begun: Any) -> None:
     assert [plan.outcome for plan in it.taken("plan")] == [Plan.FOUND]
 
 
-def test_robot_that_left_its_path_gets_a_new_one(begun: Any) -> None:
-    it = begun(room())
+def test_robot_that_left_its_path_gets_a_new_one(start_planner: Any) -> None:
+    it = start_planner(room())
     it.give("nav_command", follow((8.0, 1.0, 0.0)))
     it.taken("plan")
 
@@ -309,9 +313,9 @@ def test_robot_that_left_its_path_gets_a_new_one(begun: Any) -> None:
     assert tuple(planar_poses(plan.poses)[0, :2]) == (3.0, 1.7)
 
 
-def test_path_out_of_an_obstacle_is_kept(begun: Any) -> None:
+def test_path_out_of_an_obstacle_is_kept(start_planner: Any) -> None:
     here = (1.2, 1.0, 0.0)
-    it = begun(room([(0.8, 0.8, 1.3, 1.2)]), pose=here)
+    it = start_planner(room([(0.8, 0.8, 1.3, 1.2)]), pose=here)
     it.give("nav_command", follow(THERE))
 
     for _ in range(10):
@@ -321,8 +325,8 @@ def test_path_out_of_an_obstacle_is_kept(begun: Any) -> None:
     assert [plan.outcome for plan in it.taken("plan")] == [Plan.FOUND]
 
 
-def test_scans_of_a_lost_robot_are_not_used(begun: Any) -> None:
-    it = begun(room(DOOR))
+def test_scans_of_a_lost_robot_are_not_used(start_planner: Any) -> None:
+    it = start_planner(room(DOOR))
     it.give("nav_command", follow(THERE))
     it.give("localization", pose_at((1.0, 1.0, 0.0), now(it), health=0.1))
     stay(it, room([*DOOR, (2.0, 1.0, 2.4, 2.0)]), 1.0, health=0.1)

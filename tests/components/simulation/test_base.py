@@ -5,11 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from cairn.components.simulation.base import BaseLimits, EncoderErrors, Encoders, WheelDrive
+from cairn.components.simulation.base import EncoderErrors, Encoders, WheelDrive, WheelDriveLimits
 from cairn.planar.poses import Pose, compose, relative, wrap
 
 STEP = 0.02
-LIMITS = BaseLimits()
+LIMITS = WheelDriveLimits()
 ERRORS = EncoderErrors(
     distance_scale=0.01, turn_scale=0.02, distance=0.01, turn=0.02, turn_per_meter=0.01
 )

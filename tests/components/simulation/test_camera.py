@@ -258,7 +258,7 @@ def test_rectified_distorted_image_equals_the_image_of_an_ideal_lens(
 
 
 @pytest.mark.parametrize(
-    ("parameters", "told"),
+    ("parameters", "expected_text"),
     [
         (
             {"distortion": [-5.0]},
@@ -271,9 +271,9 @@ def test_rectified_distorted_image_equals_the_image_of_an_ideal_lens(
     ],
 )
 def test_impossible_camera_is_rejected(
-    watched: Make, parameters: dict[str, Any], told: str
+    watched: Make, parameters: dict[str, Any], expected_text: str
 ) -> None:
-    with pytest.raises(CairnError, match=told):
+    with pytest.raises(CairnError, match=expected_text):
         watched(**parameters)
 
 

@@ -37,7 +37,7 @@ def test_sensors_see_moved_furniture_at_its_new_pose(begin: Begin) -> None:
 
 
 @pytest.mark.parametrize(
-    ("verb", "arguments", "told"),
+    ("verb", "arguments", "message"),
     [
         ("move", {"name": "table", "x": 3, "y": 2}, "table would stand on the robot"),
         ("move", {"name": "sofa", "x": 3, "y": 2}, "sofa does not exist; there are object_1, "),
@@ -56,11 +56,11 @@ def test_sensors_see_moved_furniture_at_its_new_pose(begin: Begin) -> None:
     ],
 )
 def test_invalid_requests_are_rejected_with_the_reason(
-    begin: Begin, verb: str, arguments: dict[str, Any], told: str
+    begin: Begin, verb: str, arguments: dict[str, Any], message: str
 ) -> None:
     simulation = begin(furniture=[TABLE], objects=OBJECTS)
 
-    with pytest.raises(CairnError, match=told):
+    with pytest.raises(CairnError, match=message):
         simulation.world.ask(verb, **arguments)
     assert simulation.world.state == "active"
 

@@ -103,7 +103,7 @@ def test_kidnap_moves_the_robot(world: World) -> None:
 
 
 @pytest.mark.parametrize(
-    ("command", "told"),
+    ("command", "message"),
     [
         (["kidnap", "0.1", "2"], "cannot be at (0.10, 2.00): wall 1 is 0.10 m from there"),
         (["kidnap", "-3", "2"], "outside the walls"),
@@ -137,14 +137,14 @@ def test_kidnap_moves_the_robot(world: World) -> None:
     ],
 )
 def test_impossible_changes_are_rejected_with_the_reason(
-    world: World, command: list[str], told: str
+    world: World, command: list[str], message: str
 ) -> None:
     before = listed(world)["table"]
 
     answer = world(*command)
 
     assert answer.code == 1
-    assert told in answer.err
+    assert message in answer.err
     assert answer.err.count("\n") == 1
     assert listed(world)["table"] == before
 

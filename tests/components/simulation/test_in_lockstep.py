@@ -47,10 +47,10 @@ def test_exact_odometry_equals_the_truth_at_the_same_times(begin: Begin) -> None
 def test_each_odometry_message_has_a_transform(begin: Begin) -> None:
     simulation = begin()
     script(simulation)
-    odometry, told = simulation.taken("odom"), simulation.taken("tf")
+    odometry, expected_text = simulation.taken("odom"), simulation.taken("tf")
 
-    assert len(told) == len(odometry) > 300
-    for odom, message in zip(odometry, told, strict=True):
+    assert len(expected_text) == len(odometry) > 300
+    for odom, message in zip(odometry, expected_text, strict=True):
         (transform,) = message.transforms
         assert transform.header == odom.header
         assert (transform.header.frame_id, transform.child_frame_id) == ("odom", "base_link")
@@ -120,8 +120,8 @@ def test_objects_are_observed_at_true_range_and_bearing(begin: Begin) -> None:
         to_ns(state.header.stamp): planar_pose(state.robot)
         for state in simulation.taken("world_state")
     }
-    told = [one for one in simulation.taken("objects") if one.objects]
-    seen = [one for one in told if to_ns(one.header.stamp) in truth]
+    expected_text = [one for one in simulation.taken("objects") if one.objects]
+    seen = [one for one in expected_text if to_ns(one.header.stamp) in truth]
 
     assert len(seen) >= 4
     for message in seen:
@@ -201,11 +201,11 @@ def test_same_seed_gives_the_same_bytes(tmp_path: Path) -> None:
 
 def test_impossible_scanner_is_rejected_when_it_is_configured(tmp_path: Path) -> None:
     simulation = Simulation(tmp_path)
-    for parameters, told in (
+    for parameters, expected_text in (
         ({"rate": 50}, "rate = 50 Hz, but a UST-10LX turns 40 times per second"),
         ({"first": 1.0, "last": 0.9}, "leave fewer than two beams of a UST-10LX"),
     ):
-        with pytest.raises(CairnError, match=told):
+        with pytest.raises(CairnError, match=expected_text):
             simulation.rerun(SimulatedScanner, **parameters)
 
 

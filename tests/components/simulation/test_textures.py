@@ -70,7 +70,7 @@ def test_large_pictures_are_reduced_and_color_becomes_gray(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize(
-    ("thing", "told"),
+    ("thing", "message"),
     [
         ({"texture": "none.png"}, r"object_1: .*none.png cannot be read"),
         ({"texture": "text.png"}, r"object_1: .*text.png is not an image"),
@@ -83,7 +83,7 @@ def test_large_pictures_are_reduced_and_color_becomes_gray(tmp_path: Path) -> No
     ],
 )
 def test_objects_that_no_camera_can_show_are_rejected(
-    thing: dict[str, object], told: str, tmp_path: Path
+    thing: dict[str, object], message: str, tmp_path: Path
 ) -> None:
     (tmp_path / "text.png").write_text("no picture")
     file = tmp_path / "world.yaml"
@@ -97,7 +97,7 @@ def test_objects_that_no_camera_can_show_are_rejected(
 
         assert answer.code == 1
         (problem,) = world_problems(read_world(file), RADIUS)
-        with pytest.raises(CairnError, match=told):
+        with pytest.raises(CairnError, match=message):
             raise CairnError(problem)
         assert problem in answer.err
 
@@ -145,7 +145,7 @@ def test_see_writes_the_image_of_either_camera(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "message"),
     [
         (["0", "2", "0", "seen.png"], "the camera cannot be at (0.00, 2.00): wall 1 is 0.00 m"),
         (["-2", "2", "0", "seen.png"], "outside the walls"),
@@ -155,10 +155,12 @@ def test_see_writes_the_image_of_either_camera(tmp_path: Path) -> None:
         (["4", "1", "north", "seen.png"], "'north' is not a number"),
     ],
 )
-def test_see_rejects_impossible_requests(arguments: list[str], told: str, tmp_path: Path) -> None:
+def test_see_rejects_impossible_requests(
+    arguments: list[str], message: str, tmp_path: Path
+) -> None:
     *place, name = arguments[:4]
     answer = cairn("world", "see", str(ROOM), *place, str(tmp_path / name), *arguments[4:])
 
     assert answer.code == 1
-    assert told in answer.err
+    assert message in answer.err
     assert answer.err.count("\n") == 1

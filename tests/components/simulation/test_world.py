@@ -46,9 +46,9 @@ def test_contact_is_reported_again_after_the_robot_was_clear() -> None:
 
 def test_both_walls_of_a_corner_are_reported_once_each() -> None:
     world = world_of(robot={"x": 5.7, "y": 3.7, "theta": math.pi / 4})
-    told = [one.what for _ in range(5) for one in driven(world, 2.0, 0.3, 0.2)]
+    message = [one.what for _ in range(5) for one in driven(world, 2.0, 0.3, 0.2)]
 
-    assert sorted(told) == sorted(set(told))
+    assert sorted(message) == sorted(set(message))
 
 
 def test_blocked_robot_does_not_follow_its_wheels() -> None:
@@ -180,9 +180,9 @@ def test_events_happen_when_due_in_the_order_of_time() -> None:
 def test_impossible_event_is_reported_with_its_reason() -> None:
     world = world_of(furniture=[TABLE], events=[{"at": 1, "move": "table", "to": {"x": 3, "y": 2}}])
 
-    (told,) = world.run_due_events(1.0)
+    (message,) = world.run_due_events(1.0)
 
-    assert not told.succeeded
-    assert told.description == (
+    assert not message.succeeded
+    assert message.description == (
         "the event at 1 s cannot happen: table would stand on the robot; choose another position"
     )

@@ -32,11 +32,11 @@ UNREADABLE: dict[str, tuple[str, str]] = {
 
 @pytest.mark.parametrize("case", UNREADABLE)
 def test_file_that_is_not_a_world_is_rejected_with_its_position(case: str, tmp_path: Path) -> None:
-    text, told = UNREADABLE[case]
+    text, message = UNREADABLE[case]
     file = tmp_path / "world.yaml"
     file.write_text(text)
 
-    with pytest.raises(CairnError, match=told) as found:
+    with pytest.raises(CairnError, match=message) as found:
         read_world(file)
     assert str(found.value).startswith(str(file))
     assert "\n" not in str(found.value)
@@ -85,11 +85,11 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
 
 @pytest.mark.parametrize("case", WRONG)
 def test_invalid_value_is_rejected_with_its_key(case: str, tmp_path: Path) -> None:
-    changed, told = WRONG[case]
+    changed, message = WRONG[case]
     file = tmp_path / "world.yaml"
     file.write_text(yaml.safe_dump(box(**changed)))
 
-    with pytest.raises(CairnError, match=told) as found:
+    with pytest.raises(CairnError, match=message) as found:
         read_world(file)
     assert str(found.value).startswith(f"{file}: ")
 
@@ -205,11 +205,11 @@ IMPOSSIBLE: dict[str, tuple[dict[str, Any], str]] = {
 
 @pytest.mark.parametrize("case", IMPOSSIBLE)
 def test_impossible_world_is_rejected(case: str, tmp_path: Path) -> None:
-    changed, told = IMPOSSIBLE[case]
+    changed, message = IMPOSSIBLE[case]
     file = tmp_path / "world.yaml"
     file.write_text(yaml.safe_dump(box(**changed)))
 
-    assert re.search(told, "; ".join(world_problems(read_world(file), RADIUS)))
+    assert re.search(message, "; ".join(world_problems(read_world(file), RADIUS)))
     answer = cairn("world", "check", str(file))
     assert answer.code == 1
     assert answer.err.startswith(f"cairn: {file}: ")
