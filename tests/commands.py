@@ -18,7 +18,7 @@ from tests.patience import LIMIT_S
 
 @dataclass(frozen=True)
 class Answer:
-    """What a command printed, and its exit code."""
+    """The exit code of a command, and what it printed."""
 
     code: int
     out: str
@@ -52,7 +52,7 @@ def cairn(*arguments: str, connect: str = "") -> Answer:
 def await_status(
     component: str, accept: Callable[[dict[str, Any]], bool], connect: str
 ) -> dict[str, Any]:
-    """A component's row of `cairn ps` once it is as wanted: heartbeats trail what happens."""
+    """Return a component's row of `cairn ps` once `accept` holds: heartbeats follow events."""
     deadline = time.monotonic() + LIMIT_S
     while True:
         answer = cairn("ps", "--json", connect=connect)
@@ -60,4 +60,6 @@ def await_status(
         row: dict[str, Any] = rows.get(component, {})
         if row and accept(row):
             return row
-        assert time.monotonic() < deadline, f"{component} is not so within {LIMIT_S:g} s: {rows}"
+        assert time.monotonic() < deadline, (
+            f"{component} is not accepted within {LIMIT_S:g} s: {rows}"
+        )

@@ -1,4 +1,4 @@
-"""How long tests wait for what ought to come."""
+"""How long tests wait for an event that has to happen."""
 
 LIMIT_S = 120.0
-"""Far longer than anything takes, even where others use the machine; reached only by a fault."""
+"""Far longer than anything takes, even on a busy machine; only a fault reaches it."""

@@ -1,4 +1,4 @@
-"""Prints rows as a table, or as JSON for programs."""
+"""The output of commands: lines, tables, JSON, remarks."""
 
 import io
 import json
@@ -8,11 +8,11 @@ from typing import Any
 
 from cairn.errors import CairnError
 
-_UNFOLDED = 10_000  # columns, where the output is not a terminal but perhaps `grep`
+_WIDE = 10_000  # columns, if the output is not a terminal but perhaps `grep`
 
 
-class OutputLost(CairnError):  # noqa: N818 - says what happened
-    """What a command prints cannot be written: the disk is full, or the terminal has gone."""
+class OutputLost(CairnError):  # noqa: N818 - names the event
+    """The output cannot be written: the disk is full, or the terminal was closed."""
 
 
 def show(
@@ -47,7 +47,7 @@ def show(
         Console(highlight=False).print(table)
         return
     drawn = io.StringIO()
-    Console(file=drawn, width=_UNFOLDED, highlight=False, color_system=None).print(table)
+    Console(file=drawn, width=_WIDE, highlight=False, color_system=None).print(table)
     line("\n".join(text.rstrip() for text in drawn.getvalue().splitlines()))
 
 
@@ -59,7 +59,7 @@ def print_json(value: Any) -> None:
 def line(text: str) -> None:
     """Print one line as it is.
 
-    Raises `BrokenPipeError` if nobody reads it any more, `OutputLost` if the disk is full.
+    Raises `BrokenPipeError` if the reader has ended, `OutputLost` if the disk is full.
     """
     try:
         print(text, flush=True)  # noqa: T201 - a command's output
@@ -70,7 +70,7 @@ def line(text: str) -> None:
 
 
 def note(text: str) -> None:
-    """Print a remark, beside the output proper."""
+    """Print a remark on stderr."""
     print(text, file=sys.stderr)  # noqa: T201 - a command's remark
 
 

@@ -29,7 +29,7 @@ def plugins(
     plugin: Annotated[
         str,
         typer.Argument(
-            help="Show this one's ports and parameters; package.module:Class too.",
+            help="Show the ports and parameters of this one; package.module:Class works too.",
             metavar="PLUGIN",
         ),
     ] = "",
@@ -37,7 +37,7 @@ def plugins(
 ) -> None:
     """List the installed plugins, or show one with its ports and parameters.
 
-    One that cannot be imported says why.
+    For a plugin that cannot be imported, the reason is listed.
     """
     if plugin:
         _show_one(plugin, as_json=json)
@@ -79,14 +79,14 @@ def _show_one(reference: str, *, as_json: bool) -> None:
     show(ports, ("port", "direction", "type", "qos"), as_json=False, nothing="no ports")
     line("")
     shown = ("parameter", "default", "bounds", "description")
-    told = [row | {"default": _told(row["default"])} for row in parameters]
-    show(told, shown, as_json=False, nothing="no parameters")
+    rows = [row | {"default": _default_text(row["default"])} for row in parameters]
+    show(rows, shown, as_json=False, nothing="no parameters")
 
 
-def _told(default: object) -> object:
-    """A default as it is: a table's figures have two places, which is no resolution [rad].
+def _default_text(default: object) -> object:
+    """Return a default with all its digits: tables print two, which is too coarse for radians.
 
-    Of a group, what it sets.
+    For a group of parameters, return those that it sets.
     """
     if isinstance(default, BaseModel):
         given = ((name, getattr(default, name)) for name in type(default).model_fields)
@@ -132,7 +132,7 @@ def show_type(
     name: Annotated[str, typer.Argument(metavar="TYPE", help="As in nav_msgs/msg/Odometry.")],
     json: Json = False,
 ) -> None:
-    """Print a type's ROS 2 definition, with those of the types that it holds, and its hash."""
+    """Print a type's ROS 2 definition, with those of the types in it, and its hash."""
     codec = Codec()
     message = find_message(name)
     definition = codec.definition(message)
@@ -143,13 +143,13 @@ def show_type(
 
 
 def known_messages() -> dict[str, type[Any]]:
-    """All message classes by type name."""
+    """Return all message classes by type name."""
     return _of_plugins() | _of_schemas()
 
 
 def find_message(name: str) -> type[Any]:
-    """The message class of a type name; `CairnError` with the nearest ones if there is none."""
-    ours = _of_schemas()  # first, because plugins take their time to import
+    """Return the message class of a type name; `CairnError` with similar names if there is none."""
+    ours = _of_schemas()  # first, because importing the plugins takes time
     if name in ours:
         return ours[name]
     known = _of_plugins() | ours
@@ -170,7 +170,7 @@ def _of_schemas() -> dict[str, type[Any]]:
                 try:
                     found[type_name(value)] = value
                 except TypeError:
-                    continue  # a class beside the messages
+                    continue  # not a message
     return found
 
 

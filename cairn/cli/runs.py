@@ -20,9 +20,9 @@ from cairn.supervision.orphan_cleanup import set_parent_death_signal
 
 @contextmanager
 def writing_report(folder: Path, option: str = "--out") -> Iterator[None]:
-    """Tell what keeps a report from being written: `CairnError` instead of `OSError`.
+    """Raise `CairnError` instead of `OSError` if the report cannot be written.
 
-    `option` is that by which the user names the folder.
+    `option` is the option by which the user names the folder.
     """
     try:
         yield
@@ -30,22 +30,22 @@ def writing_report(folder: Path, option: str = "--out") -> Iterator[None]:
         where = f"{error.filename}: " if error.filename else ""
         raise CairnError(
             f"the report's folder {folder} cannot be written: {where}{error.strerror or error}; "
-            f"name another one with {option}, or make room there"
+            f"name another one with {option}, or free some space there"
         ) from error
 
 
 @contextmanager
 def log_file(file: Path, now: Callable[[], int]) -> Iterator[None]:
-    """Keep what the components of this process log in a file, with the time [ns] given by `now`.
+    """Write what the components of this process log to a file; `now` returns the time [ns].
 
-    Raises `CairnError` if it cannot be made. When the disk is full, that is told once, and the run
-    goes on.
+    Raises `CairnError` if the file cannot be created. If the disk becomes full, that is reported
+    once, and the run continues.
     """
     try:
         handler = _LogFile(file, mode="w", encoding="utf-8")
     except OSError as error:
         raise CairnError(
-            f"the log file {file} cannot be made: {error.strerror}; name another folder with "
+            f"the log file {file} cannot be created: {error.strerror}; name another folder with "
             "--report"
         ) from error
     handler.setFormatter(_Formatter(now))
@@ -60,24 +60,24 @@ def log_file(file: Path, now: Callable[[], int]) -> Iterator[None]:
 
 
 class _LogFile(logging.FileHandler):
-    _told = False
+    _reported = False
 
     def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802
-        """Tell of a full disk once; anything else is a defect and shown as `logging` does."""
+        """Report a full disk once; anything else is a defect, which `logging` prints."""
         error = sys.exception()
         if not isinstance(error, OSError):
             super().handleError(record)
-        elif not self._told:
-            self._told = True
+        elif not self._reported:
+            self._reported = True
             reason = f"cairn: {self.baseFilename} cannot be written: {error.strerror}"
             print(f"{reason}; the log is incomplete", file=sys.stderr)  # noqa: T201
 
     def close(self) -> None:
-        """Close the file; what the disk had no room for is lost, and has been told."""
+        """Close the file; what did not fit on the disk is lost, which has been reported."""
         try:
             super().close()
         except OSError as error:
-            if not self._told:
+            if not self._reported:
                 reason = f"cairn: {self.baseFilename} cannot be written: {error.strerror}"
                 print(reason, file=sys.stderr)  # noqa: T201
 
@@ -92,7 +92,7 @@ class _Formatter(logging.Formatter):
 
 
 def seeds_of(text: str) -> range:
-    """The seeds that `--seeds A..B`, or one number, names; `CairnError` if it names none."""
+    """Return the seeds of `--seeds A..B`, or of one number; `CairnError` if it is invalid."""
     first, dots, last = text.partition("..")
     try:
         begin = int(first)
@@ -105,9 +105,9 @@ def seeds_of(text: str) -> range:
 
 
 def worker_pool(count: int) -> ProcessPoolExecutor:
-    """So many processes of their own memory, which end with this one, even if it is killed.
+    """Return a pool of `count` processes, which end with this one, even if it is killed.
 
-    To be used from the main thread: the kernel ends them with the thread that began them.
+    Call it on the main thread: the kernel kills them when the thread that started them ends.
     """
     return ProcessPoolExecutor(
         count,

@@ -1,4 +1,4 @@
-"""`cairn up FILE`: runs a deployment in the foreground, and owns every process of it."""
+"""`cairn up FILE`: run a deployment in the foreground, and own all of its processes."""
 
 import gc
 import json
@@ -49,18 +49,26 @@ def up(
     overlay: Overlay = None,
     set_: Set = None,
     lockstep: Annotated[
-        bool, typer.Option("--lockstep", help="In one process on virtual time, reproducibly.")
+        bool,
+        typer.Option(
+            "--lockstep",
+            help="Run in one process, in virtual time, with the same result in every run.",
+        ),
     ] = False,
-    seed: Annotated[int, typer.Option(min=0, help="Of all randomness.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of everything random.")] = 0,
     report: Annotated[
         Path | None,
         typer.Option(help="Folder for report and logs; by default one in the user's state folder."),
     ] = None,
-    plain: Annotated[bool, typer.Option("--plain", help="Lines, even on a terminal.")] = False,
+    plain: Annotated[
+        bool, typer.Option("--plain", help="Print lines, also on a terminal.")
+    ] = False,
 ) -> None:
-    """Run a deployment until it is done or Ctrl-C; nothing is left running.
+    """Run a deployment until it ends or Ctrl-C; no process is left running.
 
-    Exit status 0 if it ended as it should, 1 if it failed, or was to do what it could not.
+    FILE may be the name of a shipped deployment: `cairn up sim` runs the simulated robot. Reports
+    and logs are written to a folder, never beside the deployment. Exit status 0 if the deployment
+    has ended with success, 1 if not.
     """
     service = service_manager(os.environ)
     folder = (report or _folder_of_run(file)).absolute()
@@ -81,7 +89,7 @@ def up(
         if not live:
             line(f"{title}; logs and report: {folder}")
         if lockstep and not any(member.spec.significant for member in deployment.members()):
-            note("no component is `significant`: nothing but Ctrl-C ends this run")
+            note("no component is `significant`: only Ctrl-C ends this run")
         with LiveView(Console(), title) if live else PlainView(line, sys.stdout.fileno()) as view:
             if lockstep:
                 end = _run_lockstep(deployment, seed, folder, view)
@@ -126,8 +134,8 @@ def _run_lockstep(
         if events % 1000 == 0:
             watch.refresh()
 
-    # What was imported and built so far lives as long as the process: garbage collection need not
-    # go through it again and again, nor take it apart at the end.
+    # What was imported and built so far lives as long as the process: the garbage collector does
+    # not have to visit it again and again, nor to free it at the end.
     gc.freeze()
     handler = _ViewHandler(view, run.executor.now)
     root_logger = logging.getLogger("cairn")
@@ -177,7 +185,7 @@ def _announced_long_import() -> Iterator[None]:
 
 
 def _folder_of_run(file: Path) -> Path:
-    """A folder for this run in the user's state folder, where the last few are kept."""
+    """Return a new folder in the user's state folder, where the last few are kept."""
     runs = platformdirs.user_state_path("cairn") / "runs"
     for old in sorted(runs.glob("*"))[: -_RUNS_KEPT + 1 or None] if runs.exists() else []:
         shutil.rmtree(old, ignore_errors=True)
@@ -185,12 +193,12 @@ def _folder_of_run(file: Path) -> Path:
 
 
 def _prepare(folder: Path) -> None:
-    """Make the folder for logs and report, without what a former run left there."""
+    """Create the folder of logs and report; remove those of an earlier run."""
     logs = folder / "logs"
     try:
         str(folder).encode()
     except UnicodeEncodeError as error:
-        raise CairnError(f"the report's folder {str(folder)!r} is no UTF-8: rename it") from error
+        raise CairnError(f"the report's folder {str(folder)!r} is not UTF-8; rename it") from error
     with writing_report(folder, "--report"):
         logs.mkdir(parents=True, exist_ok=True)
         for old in (folder / _CLOSING_TABLE, *logs.glob("*.log")):
@@ -198,7 +206,7 @@ def _prepare(folder: Path) -> None:
 
 
 def _report_setting(documents: Iterable[Any], folder: Path) -> list[str]:
-    """Tell a deployment that has a setting `report` where its report goes."""
+    """Return the assignment of the setting `report`, if the deployment has it."""
     for document in documents:
         settings = document.get("settings") if isinstance(document, dict) else None
         if isinstance(settings, dict) and _REPORT_SETTING in settings:
@@ -207,7 +215,7 @@ def _report_setting(documents: Iterable[Any], folder: Path) -> list[str]:
 
 
 class _ViewHandler(logging.Handler):
-    """Shows log records in a view, with virtual time."""
+    """Passes log records to a view, with virtual time."""
 
     def __init__(self, view: LiveView | PlainView, now: Callable[[], int]) -> None:
         super().__init__()

@@ -1,4 +1,4 @@
-"""What `cairn up` shows: a live table on a terminal, else lines; fed from the bus."""
+"""The display of `cairn up`: a live table on a terminal, else lines; it reads the bus."""
 
 import select
 import threading
@@ -35,22 +35,22 @@ _STYLES = {"active": "green", "inactive": "yellow", "unconfigured": "yellow", "f
 
 
 class View(Protocol):
-    """Shows what it is told."""
+    """Displays a running deployment."""
 
     def log(self, entry: Log) -> None:
-        """Show a log message."""
+        """Display a log message."""
         ...
 
     def status(self, status: ComponentStatus) -> None:
-        """Note the last status of a component."""
+        """Keep the last status of a component."""
         ...
 
     def time(self, now: int) -> None:
-        """Note the time [ns] that the components live in."""
+        """Keep the time [ns] of the deployment's clock."""
         ...
 
     def refresh(self) -> None:
-        """Bring what is shown up to date."""
+        """Update the display."""
         ...
 
 
@@ -60,20 +60,20 @@ class PlainView:
     def __init__(self, print_line: Callable[[str], None], descriptor: int) -> None:
         self._print = print_line
         self._reader_gone = select.poll()
-        self._reader_gone.register(descriptor, 0)  # errors are always told
+        self._reader_gone.register(descriptor, 0)  # errors are always reported
 
     def log(self, entry: Log) -> None:
         """Print the message."""
         self._print(render(entry))
 
     def status(self, status: ComponentStatus) -> None:
-        """States are in the log as well."""
+        """Do nothing: states are in the log as well."""
 
     def time(self, now: int) -> None:
-        """Lines carry their own time."""
+        """Do nothing: lines have their own time."""
 
     def refresh(self) -> None:
-        """Raise `BrokenPipeError` if nobody reads any more, even if there is no line to print."""
+        """Raise `BrokenPipeError` if the output has no reader, even without a line to print."""
         if self._reader_gone.poll(0):
             raise BrokenPipeError
 
@@ -81,7 +81,7 @@ class PlainView:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Nothing is held back."""
+        """Do nothing: every line is printed at once."""
 
 
 class LiveView:
@@ -140,7 +140,7 @@ class LiveView:
         if self._now is not None and self._first is not None:
             lived = (self._now - self._first) / SECOND
             clock = datetime.fromtimestamp(self._now / SECOND, UTC).strftime("%H:%M:%S")
-            text += f"   time {clock}, {lived:.0f} s lived"
+            text += f"   time {clock}, {lived:.0f} s passed"
             if wall > 1:
                 text += f" ({lived / wall:.1f} times real time)"
         return Rule(Text(text), align="left")
@@ -183,15 +183,15 @@ class LiveView:
         return found + [(name, 0) for name in self._statuses if name not in known]
 
 
-def _not_woken() -> None:
-    """What has come waits until the next refresh."""
+def _no_wake() -> None:
+    """Do nothing: messages wait until the next refresh."""
 
 
 class Watch:
-    """Reads what a view shows, as one more node of the deployment: statuses and time."""
+    """Reads statuses and time for a view, as one more node of the deployment."""
 
     def __init__(self, bus: Bus, robot: str, view: View, *, clock: bool) -> None:
-        """`clock`: time is simulated, on topic `clock`."""
+        """`clock` says that time is simulated, and published on topic `clock`."""
         self._view = view
         self._robot = robot
         self._node = bus.node(full_name(robot, VIEW), lambda _: None)
@@ -203,13 +203,13 @@ class Watch:
             self._add(full_name(robot, CLOCK_TOPIC), Clock, newest, self._time)
 
     def refresh(self) -> None:
-        """Pass on all that has come, then have the view drawn."""
+        """Pass all messages received to the view, then draw it."""
         for subscription, show in self._sources:
             while True:
                 try:
                     message = subscription.take()
                 except InvalidMessage:
-                    continue  # counted where it matters: at the components' own ports
+                    continue  # the components' own ports count it
                 if message is None:
                     break
                 show(message)
@@ -221,36 +221,36 @@ class Watch:
         message: type[Any],
         qos: Qos,
         show: Callable[[Any], None],
-        wake: Callable[[], None] = _not_woken,
+        wake: Callable[[], None] = _no_wake,
     ) -> None:
         self._sources.append((self._node.subscribe(topic, message, qos, wake), show))
 
-    def _time(self, told: Clock) -> None:
-        self._view.time(to_ns(told.clock))
+    def _time(self, message: Clock) -> None:
+        self._view.time(to_ns(message.clock))
 
 
 class LogWatch(Watch):
-    """Reads the log messages of a robot too, from /rosout."""
+    """Also reads the log messages of a robot, from /rosout."""
 
     def __init__(
         self, bus: Bus, robot: str, view: View, *, clock: bool, hurry: Callable[[], None]
     ) -> None:
-        """`hurry` asks for a refresh soon; it is called, on any thread, when some have come."""
+        """`hurry` requests a refresh soon; it is called, on any thread, when messages arrive."""
         super().__init__(bus, robot, view, clock=clock)
         self._hurry = hurry
-        self._news = threading.Event()  # some have come since the last refresh
+        self._news = threading.Event()  # messages have arrived since the last refresh
         self._mark = Log(level=Log.DEBUG, name=f"{robot}.{VIEW}", msg=f"end of view {uuid4()}")
         self._marked = False
         self._marker = self._node.advertise(ROSOUT, Log, ROSOUT_QOS)
         self._add(ROSOUT, Log, ROSOUT_QOS, self._log, self._wake)
 
     def refresh(self) -> None:
-        """Pass on all that has come, then have the view drawn."""
+        """Pass all messages received to the view, then draw it."""
         self._news.clear()
         super().refresh()
 
     def finish(self) -> None:
-        """Refresh until everything is shown that this process has logged."""
+        """Refresh until everything that this process has logged is displayed."""
         deadline = time.monotonic() + _FINISH_LIMIT_S
         # What this process publishes comes back to it in the same order.
         self._marker.publish(self._mark)

@@ -33,23 +33,21 @@ def test_prints_lines_and_keeps_logs_in_the_report_folder(launch: Launching) -> 
 
     assert run.lines[0].startswith("deployment0.yaml: robot robot; logs and report: /")
     seen = 0
-    for told in (
+    for event in (
         "listener active",
         "talker active",
         "talker ended: all said",
         "listener stopped: shut down",
         "^ended.*: talker has finished: all said",
     ):
-        seen = run.await_line(told, after=seen)
+        seen = run.await_line(event, after=seen)
     assert seen == len(run.lines) - 1
     run.await_line("heard 20")  # lines of different processes come in no certain order
     assert "heard 20, the last was 20" in run.log_of("listener")
     assert "talker active" in run.log_of("root")
 
 
-def test_what_is_waited_for_is_told_once_while_plugins_take_long_to_import(
-    launch: Launching, tmp_path: Path
-) -> None:
+def test_a_long_import_of_plugins_is_announced_once(launch: Launching, tmp_path: Path) -> None:
     module = """
         import fcntl
         from cairn import Component
@@ -86,7 +84,7 @@ def test_a_report_folder_is_used_again_without_the_old_logs(
     assert "old" not in run.log_of("listener")
 
 
-def test_lockstep_with_the_same_seed_says_the_same(launch: Launching) -> None:
+def test_lockstep_with_the_same_seed_prints_the_same(launch: Launching) -> None:
     runs = [launch(TALK, "--lockstep", "--seed", "7") for _ in range(2)]
 
     assert [run.await_end() for run in runs] == [0, 0]
@@ -106,7 +104,7 @@ def test_lockstep_stops_on_ctrl_c(launch: Launching) -> None:
     run.await_line("talker stopped: shut down")
 
 
-def test_ctrl_c_while_it_starts_leaves_nothing(launch: Launching) -> None:
+def test_ctrl_c_during_the_start_leaves_no_process(launch: Launching) -> None:
     run = launch(TALK)
     run.await_line("logs and report")
 
@@ -144,9 +142,8 @@ def test_two_robots_share_a_bus(launch: Launching) -> None:
     assert names("--robot", "beta") == {"/beta/root", "/beta/beacon"}
     assert cairn("ps", connect=first.endpoint).out.startswith("robot  component ")
     several = cairn("param", "list", "root", connect=first.endpoint)
-    assert several.err == (
-        "cairn: root: several robots have it: /alpha/root, /beta/root; give --robot\n"
-    )
+    assert several.code == 1
+    assert "several robots have it: /alpha/root, /beta/root; give --robot" in several.err
     assert cairn("restart", "beacon", "--robot", "beta", connect=first.endpoint).code == 0
     assert second.stop() == 0
     assert first.stop() == 0
@@ -182,7 +179,7 @@ def everything_from(screen: int) -> str:
     return re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", shown.decode(errors="replace"))
 
 
-def test_a_second_robot_of_the_same_name_is_refused_and_the_first_goes_on(
+def test_a_second_robot_of_the_same_name_is_rejected_and_the_first_goes_on(
     launch: Launching,
 ) -> None:
     first = launch(ENDLESS, robot="alpha")

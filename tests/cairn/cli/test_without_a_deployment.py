@@ -1,4 +1,4 @@
-"""Commands that need no running deployment, and those that miss it."""
+"""Commands that need no running deployment, and the errors of those that do."""
 
 import os
 import subprocess
@@ -25,7 +25,7 @@ from tests.patience import LIMIT_S
         ("restart", "localizer"),
     ],
 )
-def test_without_a_running_deployment_the_remedy_is_told(arguments: tuple[str, ...]) -> None:
+def test_without_a_running_deployment_the_remedy_is_printed(arguments: tuple[str, ...]) -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
 
     answer = cairn(*arguments, connect=endpoint)
@@ -37,14 +37,14 @@ def test_without_a_running_deployment_the_remedy_is_told(arguments: tuple[str, .
     assert "--connect" in answer.err
 
 
-def test_an_endpoint_that_is_none_is_refused() -> None:
+def test_an_invalid_endpoint_is_rejected() -> None:
     answer = cairn("ps", "--connect", "localhost")
 
     assert answer.code == 1
     assert answer.err.startswith("cairn: --connect: 'localhost' is not an endpoint; write ")
 
 
-def test_check_finds_nothing_wrong(tmp_path: Path) -> None:
+def test_check_accepts_a_deployment_without_problems(tmp_path: Path) -> None:
     file = tmp_path / "good.yaml"
     file.write_text("cairn: 1\ncomponents: {talker: {plugin: test_talker}}\n")
 
@@ -52,7 +52,7 @@ def test_check_finds_nothing_wrong(tmp_path: Path) -> None:
     assert cairn("check", str(file), "--json").json == {"valid": True, "components": ["talker"]}
 
 
-def test_check_tells_all_problems_with_their_lines(tmp_path: Path) -> None:
+def test_check_reports_all_problems_with_their_lines(tmp_path: Path) -> None:
     file = tmp_path / "bad.yaml"
     file.write_text(
         "cairn: 1\nrobt: rover\ncomponents:\n  talker: {plugin: test_takler}\n"
@@ -67,10 +67,10 @@ def test_check_tells_all_problems_with_their_lines(tmp_path: Path) -> None:
     assert f"{file}:4: components.talker.plugin: there is no plugin test_takler" in answer.err
     assert f"{file}:5: components.listener.parameters.loud" in answer.err
 
-    told = cairn("check", str(file), "--json")
-    assert told.code == 1
-    assert told.json["valid"] is False
-    assert [(problem["line"], problem["path"]) for problem in told.json["problems"]] == [
+    invalid = cairn("check", str(file), "--json")
+    assert invalid.code == 1
+    assert invalid.json["valid"] is False
+    assert [(problem["line"], problem["path"]) for problem in invalid.json["problems"]] == [
         (2, "robt"),
         (4, "components.talker.plugin"),
         (5, "components.listener.parameters.loud"),
@@ -181,7 +181,7 @@ def test_an_installed_package_adds_commands_and_a_broken_one_does_no_harm() -> N
     assert "Greet" not in cairn("ps", "--help").out  # a command of Cairn's own is not replaced
 
 
-def test_a_full_disk_under_its_output_is_told() -> None:
+def test_a_full_disk_under_the_output_is_reported() -> None:
     with Path("/dev/full").open("wb") as full:
         listed = subprocess.run(
             [CAIRN, "schema", "list"],

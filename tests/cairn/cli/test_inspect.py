@@ -1,4 +1,4 @@
-"""What an operator sees of a running deployment: ps, graph, topic, logs."""
+"""Commands that inspect a running deployment: ps, graph, topic, logs."""
 
 import json
 import subprocess
@@ -54,7 +54,7 @@ def test_ps_as_json_has_everything(command: Command, rover: Run) -> None:
     assert rows["/rover/root"]["pid"] == rover.process.pid
 
 
-def test_graph_shows_who_writes_and_reads_each_topic(command: Command) -> None:
+def test_graph_lists_publishers_and_subscribers_of_each_topic(command: Command) -> None:
     rows = {row["topic"]: row for row in command("graph", "--json").json}
 
     assert rows["/rover/words"] == {
@@ -71,7 +71,7 @@ def test_graph_shows_who_writes_and_reads_each_topic(command: Command) -> None:
     assert "/rover/words geometry_msgs/msg/Twist talker listener" in lines
 
 
-def test_topic_list_counts_writers_and_readers(command: Command) -> None:
+def test_topic_list_counts_publishers_and_subscribers(command: Command) -> None:
     rows = {row["topic"]: row for row in command("topic", "list", "--json").json}
 
     assert (rows["/rover/words"]["publishers"], rows["/rover/words"]["subscribers"]) == (1, 1)
@@ -87,7 +87,7 @@ def test_topic_echo_prints_messages(command: Command) -> None:
     assert passing.out.count("---\n") == 2
 
 
-def test_topic_echo_of_a_silent_topic_gives_up(command: Command) -> None:
+def test_topic_echo_of_a_silent_topic_times_out(command: Command) -> None:
     answer = command("topic", "echo", "velocity", "--wait", "0.1")
     silent = command("topic", "echo", "/rover/goal_pose", "--wait", "0.1")
 
@@ -124,14 +124,14 @@ def test_logs_reports_a_component_that_does_not_answer(command: Command, rover: 
         open_peer([rover.endpoint]) as session,
         session.declare_queryable(kept, unanswered.append),
     ):
-        said = command("logs")
+        printed = command("logs")
         for query in unanswered:
             query.drop()
 
     assert unanswered
-    assert "INFO    rover.root: talker active\n" in said.out
-    assert "a component does not answer" in said.err
-    assert "logs/" in said.err
+    assert "INFO    rover.root: talker active\n" in printed.out
+    assert "a component does not answer" in printed.err
+    assert "logs/" in printed.err
 
 
 def test_logs_follow_goes_on_until_ctrl_c(rover: Run) -> None:

@@ -1,4 +1,4 @@
-"""What an operator changes in a running deployment: parameters, loading, restarts."""
+"""Commands that change a running deployment: parameters, loading, restarts."""
 
 import pytest
 
@@ -9,7 +9,7 @@ from .conftest import Command
 pytestmark = pytest.mark.processes
 
 
-def test_param_list_tells_value_bounds_and_meaning(command: Command) -> None:
+def test_param_list_prints_value_bounds_and_meaning(command: Command) -> None:
     rows = {row["name"]: row for row in command("param", "list", "talker", "--json").json}
 
     assert rows["volume"]["bounds"] == ">= 0, <= 11"
@@ -24,7 +24,7 @@ def test_param_set_changes_a_running_component(command: Command) -> None:
     assert command("param", "get", "talker", "volume").out == "7\n"
 
 
-def test_param_set_is_refused_with_the_reason(command: Command) -> None:
+def test_a_rejected_param_set_prints_the_reason(command: Command) -> None:
     command("param", "set", "talker", "volume=5")
     refusals = {
         "volume=11": "cairn: volume: the neighbors object to more than 10\n",
@@ -35,22 +35,22 @@ def test_param_set_is_refused_with_the_reason(command: Command) -> None:
         "volme=3": "cairn: there is no parameter volme; did you mean volume?\n",
         "volume": "cairn: 'volume' is not a change; write NAME=VALUE\n",
     }
-    for change, told in refusals.items():
+    for change, error in refusals.items():
         answer = command("param", "set", "talker", change)
-        assert (answer.code, answer.err) == (1, told)
+        assert (answer.code, answer.err) == (1, error)
     assert command("param", "get", "talker", "volume").out == "5\n"
 
 
-def test_unknown_names_are_told_with_the_known_ones(command: Command) -> None:
+def test_unknown_names_are_reported_with_the_known_ones(command: Command) -> None:
     assert command("param", "get", "talker", "pitch").err == (
         "cairn: talker has no parameter pitch; it has words, volume\n"
     )
-    nobody = command("param", "list", "nobody")
-    assert nobody.code == 1
-    assert nobody.err.startswith("cairn: there is no nobody on the bus; there are: /rover/beacon")
-    stranger = command("restart", "nobody")
-    assert stranger.code == 1
-    assert stranger.err.startswith("cairn: no supervisor has a component nobody; they have: ")
+    missing = command("param", "list", "nobody")
+    assert missing.code == 1
+    assert missing.err.startswith("cairn: there is no nobody on the bus; there are: /rover/beacon")
+    unknown = command("restart", "nobody")
+    assert unknown.code == 1
+    assert unknown.err.startswith("cairn: no supervisor has a component nobody; they have: ")
     lost = command("ps", "--robot", "tower")
     assert (lost.code, lost.err) == (
         1,

@@ -1,4 +1,4 @@
-"""A command that is killed leaves none of the processes that it computed with."""
+"""A command that is killed leaves no worker process."""
 
 import os
 import select
