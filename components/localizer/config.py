@@ -18,7 +18,7 @@ from cairn.components.localizer.odometry import (
     OdometryTrack,
 )
 
-# How objects are fused: by their reliability, or each as if it certainly stood in its place.
+# How objects are fused: by their reliability, or each as if it certainly stood in its position.
 ObjectFusion = Literal["reliability", "certain"]
 
 

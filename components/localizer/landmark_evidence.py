@@ -124,7 +124,7 @@ class LandmarkEvaluator:
         self._displacements.clear()
         self.ranges.clear()
 
-    def place(
+    def locate(
         self, observation: Observation, pose: PoseEstimate, healthy: bool
     ) -> LandmarkEvidence:
         """Return where an object stands that the map does not hold: there is no similarity."""
@@ -169,11 +169,11 @@ class LandmarkEvaluator:
             others: Log-likelihood (n,) of poses (3, n) by all recent measurements but the object's.
         """
         landmark = landmarks[observation.object_id]
-        seen = innovation(pose, observation, landmark)
-        contradicts = seen.nis > GATE
-        similarity, distance = likelihood_ratio_similarity(seen), math.sqrt(seen.nis)
+        difference = innovation(pose, observation, landmark)
+        contradicts = difference.nis > GATE
+        similarity, distance = likelihood_ratio_similarity(difference), math.sqrt(difference.nis)
         if self.mode == "chi_square":
-            similarity = gate_similarity(seen)
+            similarity = gate_similarity(difference)
         elif self.mode != "lr":
             similarity, distance = self._by_new_samples(observation, landmark, pose, others)
         if self.mode in ("paper_rule", "chi_square"):
@@ -249,11 +249,11 @@ class LandmarkEvaluator:
             for other in landmarks.values()
         )
 
-    def _stands_at(self, object_id: int, place: Landmark) -> bool:
+    def _stands_at(self, object_id: int, position: Landmark) -> bool:
         """Whether an object was observed at the position of another one: the two were exchanged."""
         return any(
-            math.hypot(seen.x - place.x, seen.y - place.y) < VETO
-            for seen in self._contradictions.get(object_id, ())
+            math.hypot(one.x - position.x, one.y - position.y) < VETO
+            for one in self._contradictions.get(object_id, ())
         )
 
     def _by_new_samples(
@@ -267,12 +267,12 @@ class LandmarkEvaluator:
         object.
         """
         drawn = sample_ring(observation, landmark, self.ring_samples, self.random)
-        # New samples assume that the object stands in its place; otherwise the other measurements
-        # would draw them off its ring.
-        at_its_word = as_certain(landmark)
+        # New samples assume that the object stands in its position; otherwise the other
+        # measurements would draw them off its ring.
+        certain = as_certain(landmark)
         found = converge(
             drawn,
-            lambda poses: others(poses) + object_log_likelihood(poses, observation, at_its_word),
+            lambda poses: others(poses) + object_log_likelihood(poses, observation, certain),
             self.random,
         )
         if found is None:
@@ -317,14 +317,14 @@ CLUTTER = 1.0 / (4.0 * math.radians(60.0))
 ACCEPTED = 9.21
 
 
-def likelihood_ratio_similarity(seen: Innovation) -> float:
+def likelihood_ratio_similarity(difference: Innovation) -> float:
     """Mode "lr": the odds of "stands where the map says" against "stands anywhere in view".
 
     A prediction too vague to exceed clutter even for an exact match is neutral.
     """
-    if seen.peak < 4.0 * CLUTTER:
+    if difference.peak < 4.0 * CLUTTER:
         return NEUTRAL
-    return clamp(seen.density / (seen.density + CLUTTER))
+    return clamp(difference.density / (difference.density + CLUTTER))
 
 
 def paper_similarity(radius: float, distance: float) -> float:
@@ -332,13 +332,13 @@ def paper_similarity(radius: float, distance: float) -> float:
     return clamp(min(1.0, radius / max(distance, 1e-6)))
 
 
-def gate_similarity(seen: Innovation) -> float:
+def gate_similarity(difference: Innovation) -> float:
     """Mode "chi_square": agrees inside the 99 % gate of the prediction, disagrees outside 99.9
     %.
     """
-    if seen.nis <= ACCEPTED:
+    if difference.nis <= ACCEPTED:
         return MOST
-    return LEAST if seen.nis > GATE else NEUTRAL
+    return LEAST if difference.nis > GATE else NEUTRAL
 
 
 def paper_rule_similarity(radius: float, distance: float) -> float:
@@ -431,7 +431,7 @@ class _Implied:
     pose.
     """
 
-    place: Array
+    position: Array
     noise: Array
     seen_from: Pose
 
@@ -468,23 +468,23 @@ class DisplacementDetector:
             known.append(_Implied(np.array([x, y]), noise, pose.mean))
         mapped = np.array([[landmark.xx, landmark.xy], [landmark.xy, landmark.yy]])
         common = whole - noise + mapped + (_COMMON_M**2 + MAP_SIGMA**2) * np.eye(2)
-        there = np.array([landmark.x, landmark.y])
+        mapped_position = np.array([landmark.x, landmark.y])
         windows = [list(known)[-count:] for count in _WINDOWS if count <= len(known)]
-        return any(_beside(_agreed(window), there, common) for window in windows)
+        return any(_beside(_agreed(window), mapped_position, common) for window in windows)
 
 
 @dataclass(frozen=True)
 class _Agreed:
     """The weighted mean of implied positions [m], and its covariance [m^2]."""
 
-    place: Array
+    position: Array
     noise: Array
 
 
 def _beside(agreed: _Agreed | None, there: Array, common: Array) -> bool:
     if agreed is None:
         return False
-    off = agreed.place - there
+    off = agreed.position - there
     far = math.hypot(*off) >= _SMALL_M
     return far and float(off @ np.linalg.solve(common + agreed.noise, off)) > GATE
 
@@ -499,12 +499,12 @@ def _agreed(implied: list[_Implied]) -> _Agreed | None:
 def _weighted_mean(implied: list[_Implied]) -> _Agreed:
     information = [np.linalg.inv(one.noise) for one in implied]
     noise = np.linalg.inv(np.sum(information, axis=0))
-    weighted = [of_one @ one.place for of_one, one in zip(information, implied, strict=True)]
+    weighted = [of_one @ one.position for of_one, one in zip(information, implied, strict=True)]
     return _Agreed(noise @ np.sum(weighted, axis=0), noise)
 
 
 def _squared_distance(one: _Implied, mean: _Agreed) -> float:
-    off = one.place - mean.place
+    off = one.position - mean.position
     total = one.noise + mean.noise + _COMMON_M**2 * np.eye(2)
     return float(off @ np.linalg.solve(total, off))
 
@@ -534,7 +534,7 @@ class RangeScaleEstimator:
     """
 
     def __init__(self) -> None:
-        self._ratios: dict[int, deque[float]] = {}  # seen longest ago first
+        self._ratios: dict[int, deque[float]] = {}  # in the order of the last observation
 
     def forget(self, object_id: int) -> None:
         """Forget an object whose position in the map changed."""

@@ -358,7 +358,7 @@ class Localization:
     ) -> LandmarkEvidence:
         object_id = observation.object_id
         if not self._is_live(object_id):
-            return self.evaluator.place(observation, before, healthy)
+            return self.evaluator.locate(observation, before, healthy)
         paper_rule = self.settings.mode == "paper_rule"
         pose = before if paper_rule else self.filters.estimate_without(object_id)
         recent = self._recent()

@@ -78,7 +78,7 @@ def object_log_likelihood(
     dx = landmark.x - poses[0]
     dy = landmark.y - poses[1]
     distance = np.sqrt(dx * dx + dy * dy)
-    # The map's own uncertainty seen from here: isotropic is enough, as it is a few centimeters.
+    # The map's own uncertainty from here: isotropic is enough, as it is a few centimeters.
     spread = 0.5 * (landmark.xx + landmark.yy)
     range_variance = observation.range_variance + spread
     bearing_variance = observation.bearing_variance + spread / max(observation.range_m, 0.3) ** 2
@@ -132,14 +132,14 @@ def innovation(pose: PoseEstimate, observation: Observation, landmark: Landmark)
             wrap(observation.bearing - math.atan2(dy, dx) + theta),
         ]
     )
-    by_place = np.array([[dx / distance, dy / distance], [-dy / distance**2, dx / distance**2]])
-    jacobian = np.hstack([-by_place, [[0.0], [-1.0]]])
-    place = np.array([[landmark.xx, landmark.xy], [landmark.xy, landmark.yy]])
-    place += (MAP_SIGMA**2) * np.eye(2)
+    by_position = np.array([[dx / distance, dy / distance], [-dy / distance**2, dx / distance**2]])
+    jacobian = np.hstack([-by_position, [[0.0], [-1.0]]])
+    position = np.array([[landmark.xx, landmark.xy], [landmark.xy, landmark.yy]])
+    position += (MAP_SIGMA**2) * np.eye(2)
     covariance = pose.covariance + np.diag([POSE_FLOOR**2 / 2, POSE_FLOOR**2 / 2, 0.0])
     total = (
         jacobian @ covariance @ jacobian.T
-        + by_place @ place @ by_place.T
+        + by_position @ position @ by_position.T
         + np.diag([observation.range_variance, observation.bearing_variance])
     )
     nis = float(error @ np.linalg.solve(total, error))

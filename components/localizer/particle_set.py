@@ -154,8 +154,8 @@ def _bins(
         if weights[i] > least:
             key = np.int64(0)
             for axis in range(3):
-                place = math.floor(poses[axis, i] / size[axis]) - first[axis]
-                key = key * np.int64(spans[axis]) + np.int64(place)
+                bin_index = math.floor(poses[axis, i] / size[axis]) - first[axis]
+                key = key * np.int64(spans[axis]) + np.int64(bin_index)
             keys[count] = key
             count += 1
     return count, spans[0] * spans[1] * spans[2]

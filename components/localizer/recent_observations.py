@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 AGREES, CONTRADICTS = 9.2, 13.8
 # An object counts as two observations at most: further ones share their error.
 OBJECT_WORTH = 2.0
-# Objects no farther apart than this [m] are seen in one direction.
+# Objects no farther apart than this [m] are observed in one direction.
 TOGETHER_M = 0.6
 # Observations from poses that differ by more than this [m], [rad] are independent.
 ANOTHER_M, ANOTHER_RAD = 0.15, 0.2
@@ -177,7 +177,7 @@ class RecentObservations:
                 (*entry.at, entry.moved_s, made.range_m, made.bearing, *errors, mark.x, mark.y)
             )
         # Columns (entries, 1), broadcast over a row of poses.
-        x, y, theta, made_at, seen, bearing, range_variance, bearing_variance, mark_x, mark_y = (
+        x, y, theta, made_at, range_m, bearing, range_variance, bearing_variance, mark_x, mark_y = (
             np.array(rows).T[:, :, None]
         )
         age = moved_s - made_at
@@ -187,7 +187,7 @@ class RecentObservations:
             place_variance = place_variance + 0.5 * (covariance[0, 0] + covariance[1, 1])
             turn_variance = turn_variance + covariance[2, 2]
         range_variance = range_variance + place_variance
-        reach = np.maximum(seen, 0.3)
+        reach = np.maximum(range_m, 0.3)
         bearing_variance = bearing_variance + place_variance / reach**2 + turn_variance
 
         # Where each was made from, relative to now; and from there, what it should have measured.
@@ -199,7 +199,7 @@ class RecentObservations:
         dx = mark_x - (poses[0] + ahead * cosine - aside * sine)
         dy = mark_y - (poses[1] + ahead * sine + aside * cosine)
         error = wrap_all(np.arctan2(dy, dx) - poses[2] - turned - bearing)
-        nis: Array = (np.sqrt(dx * dx + dy * dy) - seen) ** 2 / range_variance
+        nis: Array = (np.sqrt(dx * dx + dy * dy) - range_m) ** 2 / range_variance
         nis += error**2 / bearing_variance
         return nis
 

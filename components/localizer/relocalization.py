@@ -172,7 +172,7 @@ class Relocalizer:
         return None
 
     def recover(self, stamp: float, recent: RecentMeasurements, here: PoseEstimate) -> Array | None:
-        """Return poses (3, n) of a robot believed to be `here`, if it is clearly elsewhere."""
+        """Return poses (3, n) of a robot whose pose is `here`, if it is clearly elsewhere."""
         self._searched_at = stamp
         self._away_m = max(self._away_m, distance(recent.now, self._found_at))
         found = self._search(recent)

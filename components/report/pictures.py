@@ -131,10 +131,10 @@ def _draw_goals(axes: Axes, record: RunRecord) -> None:
                 arrowprops={"arrowstyle": "->", "color": color},
             )  # fmt: skip
             labels.setdefault((round(x, 1), round(y, 1)), []).append(str(number))
-    for place, numbers in labels.items():
+    for position, numbers in labels.items():
         axes.annotate(
-            f"goal {', '.join(numbers)}", place, (-8, -14), textcoords="offset points", fontsize=8,
-            color=_NEW,
+            f"goal {', '.join(numbers)}", position, (-8, -14), textcoords="offset points",
+            fontsize=8, color=_NEW,
         )  # fmt: skip
     for collision in record.collisions:
         axes.plot(collision.x, collision.y, "*", color="red", markersize=14)
@@ -165,19 +165,20 @@ def _place_labels(axes: Axes, landmarks: Iterable[ObjectRecord]) -> None:
         for landmark in landmarks
     ]
     groups: list[tuple[tuple[float, float], list[str]]] = []
-    for place, landmark in positions:
-        if place is None:
+    for position, landmark in positions:
+        if position is None:
             continue
         near = next(
-            (g for g in groups if np.hypot(g[0][0] - place[0], g[0][1] - place[1]) < 0.5), None
+            (g for g in groups if np.hypot(g[0][0] - position[0], g[0][1] - position[1]) < 0.5),
+            None,
         )
         if near is None:
-            groups.append((place, [_label(landmark)]))
+            groups.append((position, [_label(landmark)]))
         else:
             near[1].append(_label(landmark))
-    for place, labels in groups:
+    for position, labels in groups:
         axes.annotate(
-            ", ".join(labels), place, (9, 7), textcoords="offset points", fontsize=9,
+            ", ".join(labels), position, (9, 7), textcoords="offset points", fontsize=9,
             fontweight="bold", color="#303030",
         )  # fmt: skip
 
@@ -194,13 +195,13 @@ def _legend(record: RunRecord, with_grid: bool) -> list[Line2D]:
         more.append(mark("D", _NEW, "goal reached"))
     if with_grid:
         more.append(Line2D([], [], color=_OLD_CELLS, linewidth=6, label="cells freed"))
-        more.append(Line2D([], [], color=_NEW, linewidth=6, label="cells occupied anew"))
+        more.append(Line2D([], [], color=_NEW, linewidth=6, label="cells newly occupied"))
     if record.collisions:
         more.append(mark("*", "red", "collision"))
     return [
         Line2D([], [], color=_TRUE, linewidth=2, label="true path"),
         Line2D([], [], color=_ESTIMATE, label="estimated path"),
-        mark("+", "black", "true place"),
+        mark("+", "black", "true position"),
         mark("o", _ESTIMATE, "landmark in the map"),
         mark("x", _OLD, "removed: where the map had it"),
         mark("o", _NEW, "registered: where it is now"),

@@ -407,8 +407,8 @@ def track_error(
     share = np.where((gap > longest_gap_ns) & (stamps >= estimate_stamps[after]), 1.0, share)
     step = estimate[after] - estimate[before]
     step[:, 2] = wrap_all(step[:, 2])
-    believed = estimate[before] + share[:, None] * step
-    difference = believed - true
+    interpolated = estimate[before] + share[:, None] * step
+    difference = interpolated - true
     return TrackError(
         stamps, np.hypot(difference[:, 0], difference[:, 1]), wrap_all(difference[:, 2])
     )

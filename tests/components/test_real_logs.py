@@ -38,7 +38,7 @@ def fr101() -> Place:
 
 
 @pytest.mark.parametrize("seed", range(2))
-def test_wheels_that_tell_of_turns_not_made_do_not_lose_the_robot(fr079: Place, seed: int) -> None:
+def test_wheel_slip_in_a_real_log_does_not_lose_the_robot(fr079: Place, seed: int) -> None:
     log, grid = fr079
     every = np.ones(len(log.scans), bool)
 
@@ -50,7 +50,7 @@ def test_wheels_that_tell_of_turns_not_made_do_not_lose_the_robot(fr079: Place, 
     assert np.mean(outcome.squares <= THREE_SIGMA) > 0.9
 
 
-def test_scans_three_seconds_apart_hold_the_robot(fr101: Place) -> None:
+def test_scans_three_seconds_apart_keep_the_pose(fr101: Place) -> None:
     log, grid = fr101
 
     outcome = from_known_start(log, grid, np.ones(len(log.scans), bool), 0, 0.0, 400.0)
@@ -60,7 +60,7 @@ def test_scans_three_seconds_apart_hold_the_robot(fr101: Place) -> None:
 
 
 @pytest.mark.parametrize("begin_s", [110.0, 350.0, 590.0, 790.0])
-def test_the_robot_is_found_in_an_office_building(fr101: Place, begin_s: float) -> None:
+def test_robot_is_found_in_an_office_building(fr101: Place, begin_s: float) -> None:
     log, grid = fr101
     robot = localization(grid, 1)
     robot.advance(begin_s)

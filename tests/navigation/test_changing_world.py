@@ -11,7 +11,7 @@ from tests.navigation.driving import Drive, share_occupied
 DriveOf = Callable[..., Drive]
 
 
-def test_moved_furniture_vanishes_from_the_grid_map_and_appears_where_it_is(
+def test_moved_furniture_is_updated_in_the_grid_map(
     drive: DriveOf,
 ) -> None:
     robot = drive()
@@ -30,7 +30,7 @@ def test_moved_furniture_vanishes_from_the_grid_map_and_appears_where_it_is(
     assert share_occupied(grid, 2.6, 4.6) > 0.1
 
 
-def test_a_moved_object_is_found_again_and_the_visual_map_repaired(drive: DriveOf) -> None:
+def test_moved_object_is_updated_in_the_visual_map(drive: DriveOf) -> None:
     robot = drive()
     maps = robot.read("visual_map", VisualMap)
     robot.go(3.0, 5.6)
@@ -46,7 +46,7 @@ def test_a_moved_object_is_found_again_and_the_visual_map_repaired(drive: DriveO
     assert any(distance(place, (6.9, 7.0, 0.0)) < 0.3 for place in places.values()), places
 
 
-def test_a_person_who_stands_on_the_goal_is_waited_for(drive: DriveOf) -> None:
+def test_robot_waits_for_a_person_on_the_goal(drive: DriveOf) -> None:
     robot = drive()
     robot.ask("world", "person", name="guard", waypoints=[[4.0, 1.4]])
     robot.go(4.0, 1.4)
@@ -59,7 +59,7 @@ def test_a_person_who_stands_on_the_goal_is_waited_for(drive: DriveOf) -> None:
     assert robot.statuses[-1].recoveries > 0
 
 
-def test_what_was_taken_away_out_of_sight_is_gone_near_to_and_found_gone(drive: DriveOf) -> None:
+def test_robot_goes_near_an_obstacle_and_finds_it_removed(drive: DriveOf) -> None:
     robot = drive("settings.scanner=URG-04LX")
     robot.go(1.2, 3.0)
     robot.arrives((1.2, 3.0))
@@ -72,7 +72,7 @@ def test_what_was_taken_away_out_of_sight_is_gone_near_to_and_found_gone(drive: 
     assert any(reason.startswith("go near") for reason in reasons), robot
 
 
-def test_a_person_who_stays_on_the_goal_has_the_robot_give_up(drive: DriveOf) -> None:
+def test_person_who_stays_on_the_goal_fails_the_mission(drive: DriveOf) -> None:
     robot = drive()
     robot.ask("world", "person", name="guard", waypoints=[[4.0, 1.4]])
     robot.go(4.0, 1.4)
@@ -99,7 +99,7 @@ def walled_in(robot: Drive) -> None:
         robot.ask("world", "furniture", name=name, x=x + dx, y=y + dy, size=size)
 
 
-def test_a_robot_that_is_walled_in_gives_up_with_the_nearest_place(drive: DriveOf) -> None:
+def test_enclosed_robot_fails_with_the_nearest_position(drive: DriveOf) -> None:
     robot = drive()
     walled_in(robot)
 
@@ -114,7 +114,7 @@ def test_a_robot_that_is_walled_in_gives_up_with_the_nearest_place(drive: DriveO
     assert robot.stands()
 
 
-def test_a_robot_whose_walls_go_away_drives_on(drive: DriveOf) -> None:
+def test_robot_drives_on_when_walls_are_removed(drive: DriveOf) -> None:
     robot = drive()
     walled_in(robot)
     robot.go(3.0, 3.4)

@@ -37,9 +37,7 @@ class TestFromStartToEnd:
         with robot_in(tmp_path_factory.mktemp("fresh")) as robot:
             yield robot
 
-    def test_nobody_can_be_told_where_the_robot_is_before_there_is_a_localizer(
-        self, robot: Robot
-    ) -> None:
+    def test_locate_is_rejected_without_a_localizer(self, robot: Robot) -> None:
         answer = cairn("locate", "1", "1", connect=robot.run.endpoint)
 
         assert answer.code == 1
@@ -47,9 +45,7 @@ class TestFromStartToEnd:
             "cairn: nothing subscribes to initialpose: the localizer is loaded with the first goal"
         )
 
-    def test_it_tells_every_step_and_ends_with_0_when_the_robot_is_there(
-        self, robot: Robot
-    ) -> None:
+    def test_go_prints_each_step_and_exits_with_0(self, robot: Robot) -> None:
         going = robot.go("2.0", "1.2", "10deg")
 
         assert going.await_end() == 0
@@ -66,7 +62,7 @@ class TestFromStartToEnd:
         assert "N s  driving: N m left, about N s" in said
         assert re.search(r"s  arrived at \(2.00, 1.20\)$", going.lines[-1].strip())
 
-    def test_the_end_of_the_deployment_is_noticed(self, robot: Robot) -> None:
+    def test_end_of_the_deployment_is_reported(self, robot: Robot) -> None:
         going = robot.go(*far_place(robot))
         going.await_word("mission ")
 
@@ -79,7 +75,7 @@ class TestFromStartToEnd:
         ), going
 
 
-def test_the_robot_is_told_where_it_is(robot: Robot) -> None:
+def test_locate_sets_the_pose(robot: Robot) -> None:
     assert robot.go("2.0", "1.2").await_end() == 0
     x, y, theta = robot.place
     lines = len(robot.run.lines)
@@ -91,7 +87,7 @@ def test_the_robot_is_told_where_it_is(robot: Robot) -> None:
     robot.run.await_line(re.escape(f"told to be at ({x:.2f} m, {y:.2f} m, "), after=lines)
 
 
-def test_a_goal_outside_the_map_ends_with_1_and_a_sentence(robot: Robot) -> None:
+def test_goal_outside_the_map_exits_with_1_and_the_reason(robot: Robot) -> None:
     going = robot.go("-3.5", "-2")
 
     assert going.await_end() == 1
@@ -103,7 +99,7 @@ def test_a_goal_outside_the_map_ends_with_1_and_a_sentence(robot: Robot) -> None
     ), going
 
 
-def test_as_json_it_prints_the_result_alone(robot: Robot) -> None:
+def test_json_output_is_the_result_alone(robot: Robot) -> None:
     answer = cairn("go", "2.4", "1.2", "--json", connect=robot.run.endpoint)
 
     assert (answer.code, answer.err) == (0, "")
@@ -112,7 +108,7 @@ def test_as_json_it_prints_the_result_alone(robot: Robot) -> None:
     assert answer.json["elapsed_s"] > 0
 
 
-def test_ctrl_c_cancels_its_own_order_and_the_robot_stands(robot: Robot) -> None:
+def test_ctrl_c_cancels_its_own_mission(robot: Robot) -> None:
     going = robot.go(*far_place(robot))
     going.await_word("driving")
     robot.await_moved(0.3)
@@ -129,7 +125,7 @@ def test_ctrl_c_cancels_its_own_order_and_the_robot_stands(robot: Robot) -> None
     )
 
 
-def test_sigterm_cancels_its_own_order_and_the_robot_stands(robot: Robot) -> None:
+def test_sigterm_cancels_its_own_mission(robot: Robot) -> None:
     going = robot.go(*far_place(robot))
     going.await_word("driving")
     robot.await_moved(0.3)
@@ -141,7 +137,7 @@ def test_sigterm_cancels_its_own_order_and_the_robot_stands(robot: Robot) -> Non
     assert going.lines[-1] == "canceled: the robot stops\n"
 
 
-def test_a_terminal_that_is_closed_cancels_its_order(robot: Robot) -> None:
+def test_closed_terminal_cancels_its_mission(robot: Robot) -> None:
     x, y = far_place(robot)
     child, terminal = pty.fork()
     if child == 0:
@@ -157,7 +153,7 @@ def test_a_terminal_that_is_closed_cancels_its_order(robot: Robot) -> None:
     assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 128 + signal.SIGHUP
 
 
-def test_an_order_whose_teller_is_not_read_any_more_is_canceled(robot: Robot) -> None:
+def test_closed_output_cancels_the_mission(robot: Robot) -> None:
     lines = len(robot.run.lines)
     going = subprocess.Popen(
         [CAIRN, "go", *far_place(robot), "--connect", robot.run.endpoint],
@@ -177,7 +173,7 @@ def test_an_order_whose_teller_is_not_read_any_more_is_canceled(robot: Robot) ->
     ("goal", "why"), [("nan", "must be finite"), ("2e5", "must be finite, and not beyond 100000")]
 )
 @pytest.mark.parametrize("how", ["--wait", "--no-wait"])
-def test_as_json_it_prints_why_a_goal_is_refused(
+def test_json_output_has_the_reason_of_a_rejected_goal(
     robot: Robot, goal: str, why: str, how: str
 ) -> None:
     answer = cairn("go", goal, "1", "--json", how, connect=robot.run.endpoint)
@@ -188,7 +184,7 @@ def test_as_json_it_prints_why_a_goal_is_refused(
     assert answer.err == f"cairn: {answer.json['reason']}\n"
 
 
-def test_an_order_is_taken_back_from_a_supervisor_that_hangs(robot: Robot) -> None:
+def test_mission_of_a_hanging_supervisor_is_canceled(robot: Robot) -> None:
     going = robot.go("6.6,1.8", "1.4,1.2", "6.6,1.8", "1.4,1.2")  # the whole wait is not enough
     going.await_word("driving")
     os.kill(robot.run.pid_of("mobile_supervisor"), signal.SIGSTOP)
@@ -206,7 +202,7 @@ def test_an_order_is_taken_back_from_a_supervisor_that_hangs(robot: Robot) -> No
     assert "canceled after" in going.lines[-1]
 
 
-def test_whoever_is_pre_empted_is_told_and_takes_nothing_back(robot: Robot) -> None:
+def test_preempted_client_is_informed_and_cancels_nothing(robot: Robot) -> None:
     first = robot.go(*far_place(robot))
     first.await_word("driving")
     answer = cairn("go", "4.0", "5.0", "--no-wait", "--json", connect=robot.run.endpoint)
@@ -219,7 +215,7 @@ def test_whoever_is_pre_empted_is_told_and_takes_nothing_back(robot: Robot) -> N
     assert (canceled.code, canceled.out) == (0, f"mission {order} is canceled\n")
 
 
-def test_an_order_that_its_supervisor_lost_is_told_of(robot: Robot) -> None:
+def test_mission_lost_by_its_supervisor_is_reported(robot: Robot) -> None:
     going = robot.go(*far_place(robot))
     going.await_word("driving")
     (Path(robot.run.report) / "mission.json").unlink()

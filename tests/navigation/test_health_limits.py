@@ -27,20 +27,20 @@ def out_of_reach() -> float:
 AUTOMOVE, MOTION = AutoMoveConfig(), MotionControlConfig()
 
 
-def test_a_robot_just_found_may_move_but_has_not_arrived() -> None:
+def test_robot_just_found_may_move_but_has_not_arrived() -> None:
     assert MOTION.health_limit + 0.05 <= JUST_FOUND
     assert AUTOMOVE.least_health <= JUST_FOUND < AUTOMOVE.sure_health
 
 
-def test_a_robot_whose_scans_hit_nothing_may_arrive() -> None:
+def test_robot_whose_scans_hit_nothing_may_arrive() -> None:
     assert AUTOMOVE.sure_health <= out_of_reach()
 
 
-def test_whoever_motion_control_takes_for_lost_is_looked_for() -> None:
+def test_robot_that_motion_control_stops_is_relocalized() -> None:
     assert MOTION.health_limit <= AUTOMOVE.least_health
     assert PathPlannerConfig().least_health <= MOTION.health_limit
 
 
-def test_neither_draws_into_the_map() -> None:
+def test_uncertain_poses_do_not_update_the_map() -> None:
     builder = MapBuilderConfig(grid_file=Path("map.yaml"))
     assert max(JUST_FOUND, out_of_reach()) < builder.least_health

@@ -91,7 +91,7 @@ def once_around(robot: Robot) -> Round:
 
 
 @pytest.mark.parametrize(("component", "leg", "driven"), KILLS)
-def test_a_process_killed_on_the_way_does_not_end_the_order(
+def test_killed_process_does_not_end_the_mission(
     robot: Robot, once_around: Round, component: str, leg: int, driven: float
 ) -> None:
     going = once_around.under_way(leg)
@@ -109,9 +109,7 @@ def test_a_process_killed_on_the_way_does_not_end_the_order(
     assert robot.collisions == []
 
 
-def test_the_order_ends_at_its_last_place_after_all_others(
-    robot: Robot, once_around: Round
-) -> None:
+def test_mission_ends_at_its_last_goal(robot: Robot, once_around: Round) -> None:
     going = once_around.under_way(len(TOUR) - 1)
 
     assert going.await_end() == 0, f"{going}; {robot.run}"
@@ -120,7 +118,7 @@ def test_the_order_ends_at_its_last_place_after_all_others(
     assert robot.collisions == []
 
 
-def test_without_commands_the_robot_stands_and_goes_on_when_they_come_again(robot: Robot) -> None:
+def test_robot_stands_without_commands_and_continues(robot: Robot) -> None:
     x, y = ("4.8", "1.4") if robot.place[0] < 3.5 else ("1.2", "1.2")
     lines = len(robot.run.lines)
     going = robot.go(x, y)

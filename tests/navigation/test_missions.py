@@ -25,7 +25,7 @@ def launch(tmp_path: Path) -> Iterator[Launching]:
         yield launch
 
 
-def test_a_mission_is_driven_and_ends_the_deployment(drive: DriveOf) -> None:
+def test_finished_mission_ends_the_deployment(drive: DriveOf) -> None:
     robot = drive(THERE, FINISH)
 
     robot.await_that(lambda: robot.run.end is not None, 60.0)
@@ -38,7 +38,7 @@ def test_a_mission_is_driven_and_ends_the_deployment(drive: DriveOf) -> None:
     )
 
 
-def test_a_mission_that_fails_ends_the_deployment_without_success(drive: DriveOf) -> None:
+def test_failed_mission_ends_the_deployment_without_success(drive: DriveOf) -> None:
     robot = drive(OUTSIDE, FINISH)
 
     robot.await_that(lambda: robot.run.end is not None, 60.0)
@@ -49,7 +49,7 @@ def test_a_mission_that_fails_ends_the_deployment_without_success(drive: DriveOf
     assert "the mission failed: " in robot.run.end.reason
 
 
-def test_a_mission_that_is_pre_empted_ends_the_deployment_once_the_operators_order_is_done(
+def test_preempted_mission_ends_the_deployment_with_the_new_mission(
     drive: DriveOf,
 ) -> None:
     robot = drive(THERE, FINISH)
@@ -69,7 +69,7 @@ def test_a_mission_that_is_pre_empted_ends_the_deployment_once_the_operators_ord
     )
 
 
-def test_without_finish_a_pre_empted_mission_ends_nothing(drive: DriveOf) -> None:
+def test_preempted_mission_without_finish_ends_nothing(drive: DriveOf) -> None:
     robot = drive(THERE)
     robot.await_state(NavigationStatus.DRIVING)
 
@@ -81,9 +81,7 @@ def test_without_finish_a_pre_empted_mission_ends_nothing(drive: DriveOf) -> Non
 
 
 @pytest.mark.xdist_group("robots in real time")
-def test_a_mission_that_fails_in_real_processes_ends_with_status_1(
-    tmp_path: Path, launch: Launching
-) -> None:
+def test_failed_mission_in_processes_exits_with_1(tmp_path: Path, launch: Launching) -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     sets = ("--set", OUTSIDE, "--set", FINISH, "--set", f"bus.listen={endpoint}")
     run = Run([str(SIM), *sets], tmp_path / "report", endpoint, {}, None)

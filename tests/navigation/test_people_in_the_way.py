@@ -8,7 +8,7 @@ from tests.navigation.driving import Drive
 DriveOf = Callable[..., Drive]
 
 
-def test_who_is_held_up_near_the_goal_walks_around_the_robot(drive: DriveOf) -> None:
+def test_person_near_the_goal_walks_around_the_robot(drive: DriveOf) -> None:
     robot = drive()
     corners = [[4.4, 1.6], [7.0, 1.6], [7.1, 3.4], [7.0, 1.6]]
     robot.ask("world", "person", name="ada", waypoints=corners, speed=0.5, pause=4.0)
@@ -18,7 +18,7 @@ def test_who_is_held_up_near_the_goal_walks_around_the_robot(drive: DriveOf) -> 
         robot.arrives(goal)
 
 
-def test_the_robot_gives_way_to_who_comes_out_of_a_dead_end(drive: DriveOf) -> None:
+def test_robot_gives_way_to_a_person_from_a_dead_end(drive: DriveOf) -> None:
     robot = drive()
     for name, y in (("low", 1.45), ("high", 2.55)):
         robot.ask("world", "furniture", name=name, x=7.9, y=y, size=[2.2, 0.2])

@@ -11,7 +11,7 @@ TOUR = DEPLOY / "demo_tour.yaml"
 PLACES = "mission=[[6.5, 1.8, 0.8], [3.4, 5.4, 3.1]]"
 
 
-def test_two_processes_drive_the_same_tour_to_the_last_bit(tmp_path: Path) -> None:
+def test_two_processes_give_bitwise_equal_runs(tmp_path: Path) -> None:
     up = [CAIRN, "up", str(SIM), "--overlay", str(TOUR), "--set", PLACES, "--lockstep"]
     for folder in ("one", "other"):
         where = ["--report", str(tmp_path / folder)]

@@ -62,7 +62,7 @@ def order(number: int, *goals: tuple[float, float, float], first: int = 0) -> Na
     return NavigateGoal(mission_id=number, first=first, goals=packed_poses(rows))
 
 
-def test_an_order_loads_the_plugins_in_turn_and_tells_which(deployed: DeployedOf) -> None:
+def test_mission_loads_the_plugins_and_publishes_each(deployed: DeployedOf) -> None:
     robot = deployed(PLUGINS)
     statuses = robot.read("navigation_status", NavigationStatus)
     robot.wait(1.0)
@@ -78,7 +78,7 @@ def test_an_order_loads_the_plugins_in_turn_and_tells_which(deployed: DeployedOf
     ]
 
 
-def test_plugins_that_cannot_be_loaded_end_the_order_with_the_cause(deployed: DeployedOf) -> None:
+def test_plugin_that_cannot_be_loaded_fails_the_mission(deployed: DeployedOf) -> None:
     robot = deployed(BROKEN)
     statuses = robot.read("navigation_status", NavigationStatus)
     for number in (1, 2):
@@ -91,7 +91,7 @@ def test_plugins_that_cannot_be_loaded_end_the_order_with_the_cause(deployed: De
     assert robot.run.end is None
 
 
-def test_what_is_wanted_is_told_on_change_and_twice_a_second(deployed: DeployedOf) -> None:
+def test_command_is_published_on_change_and_twice_a_second(deployed: DeployedOf) -> None:
     robot = deployed(PLUGINS)
     nav_commands, statuses = (
         robot.read("nav_command", NavCommand),
@@ -122,7 +122,7 @@ def test_what_is_wanted_is_told_on_change_and_twice_a_second(deployed: DeployedO
     assert taken(nav_commands)[-1].behavior == NavCommand.STAND
 
 
-def test_where_to_give_way_is_wanted_of_the_planner(deployed: DeployedOf) -> None:
+def test_giving_way_commands_the_planner(deployed: DeployedOf) -> None:
     robot = deployed(PLUGINS)
     nav_commands = robot.read("nav_command", NavCommand)
     for x in range(11):
@@ -152,7 +152,7 @@ def test_where_to_give_way_is_wanted_of_the_planner(deployed: DeployedOf) -> Non
         (("components.automove.parameters.sure_health=0.8",), NavigationStatus.RECOVERING),
     ],
 )
-def test_how_sure_a_robot_at_its_goal_must_be_is_configured(
+def test_sure_health_is_configurable(
     deployed: DeployedOf, sets: tuple[str, ...], state: int
 ) -> None:
     robot = deployed(PLUGINS, *sets)
@@ -172,7 +172,7 @@ def test_how_sure_a_robot_at_its_goal_must_be_is_configured(
     assert taken(statuses)[-1].state == state
 
 
-def test_an_age_that_grows_within_a_reason_is_no_news(deployed: DeployedOf) -> None:
+def test_changing_numbers_in_a_reason_are_not_published_at_once(deployed: DeployedOf) -> None:
     robot = deployed(PLUGINS)
     statuses, nav_commands = (
         robot.read("navigation_status", NavigationStatus),
@@ -193,7 +193,7 @@ def test_an_age_that_grows_within_a_reason_is_no_news(deployed: DeployedOf) -> N
     assert len(taken(statuses)) < 12
 
 
-def test_a_new_order_pre_empts_and_one_without_goals_takes_back(deployed: DeployedOf) -> None:
+def test_new_mission_preempts_and_empty_mission_cancels(deployed: DeployedOf) -> None:
     robot = deployed(PLUGINS)
     statuses, nav_commands = (
         robot.read("navigation_status", NavigationStatus),
@@ -218,7 +218,7 @@ def test_a_new_order_pre_empts_and_one_without_goals_takes_back(deployed: Deploy
     assert goal_ids == 2
 
 
-def test_an_order_that_is_over_is_nothing_to_do(deployed: DeployedOf) -> None:
+def test_finished_mission_is_ignored(deployed: DeployedOf) -> None:
     robot = deployed(PLUGINS)
     statuses = robot.read("navigation_status", NavigationStatus)
     robot.publish("navigate_goal", order(9), LATCHED)

@@ -6,7 +6,7 @@ from cairn.schemas.cairn_nav_msgs import MotionStatus, NavigationStatus
 from tests.components.automove.journey import Way
 
 
-def test_what_a_recovery_undid_and_is_driven_again_is_no_progress() -> None:
+def test_driving_again_after_a_recovery_is_no_progress() -> None:
     way = Way(10.0).drive(3600.0, blocked=lambda left: left <= 9.0)
 
     assert way.navigator.state == NavigationStatus.FAILED
@@ -14,7 +14,7 @@ def test_what_a_recovery_undid_and_is_driven_again_is_no_progress() -> None:
     assert way.navigator.recoveries == 6
 
 
-def test_progress_that_never_ends_at_the_goal_is_given_up_too() -> None:
+def test_endless_progress_fails_the_mission() -> None:
     way = Way(100.0, recoveries_per_goal=20)
     for left in range(99, 0, -1):
         way.drive_until_blocked_at(left)
@@ -26,7 +26,7 @@ def test_progress_that_never_ends_at_the_goal_is_given_up_too() -> None:
     assert way.navigator.recoveries == 20
 
 
-def test_every_goal_has_recoveries_of_its_own() -> None:
+def test_each_goal_has_its_own_recoveries() -> None:
     goals = ((1.0, 0.0, 0.0), (2.0, 0.0, 0.0), (3.0, 0.0, 0.0))
     way = Way(2.0, *goals, recoveries_per_goal=1)
     for number in range(len(goals)):
@@ -39,7 +39,7 @@ def test_every_goal_has_recoveries_of_its_own() -> None:
     assert way.navigator.state == NavigationStatus.SUCCEEDED
 
 
-def test_a_long_way_around_what_is_in_the_way_is_progress() -> None:
+def test_detour_around_an_obstacle_is_progress() -> None:
     way = Way(10.0, recoveries=2)
     for _ in range(2):
         way.drive_until_blocked_at(1.0)
@@ -53,7 +53,7 @@ def test_a_long_way_around_what_is_in_the_way_is_progress() -> None:
     assert way.navigator.recoveries == 5
 
 
-def test_a_robot_that_takes_a_long_way_around_is_not_stuck() -> None:
+def test_robot_on_a_detour_is_not_stuck() -> None:
     way = Way(10.0).drive(22.0)
     assert way.left < 1.5
 
@@ -64,7 +64,7 @@ def test_a_robot_that_takes_a_long_way_around_is_not_stuck() -> None:
     assert way.navigator.recoveries == 0
 
 
-def test_a_robot_sent_to_and_fro_between_two_blocked_ways_gives_up() -> None:
+def test_alternating_between_two_blocked_paths_fails() -> None:
     way = Way(5.0)
     for _ in range(100):
         way.left = 5.0
@@ -76,7 +76,7 @@ def test_a_robot_sent_to_and_fro_between_two_blocked_ways_gives_up() -> None:
     assert way.navigator.recoveries <= 30
 
 
-def test_a_robot_whose_way_changes_for_ever_while_it_moves_gives_up() -> None:
+def test_ever_changing_paths_fail_the_mission() -> None:
     way = Way(5.0)
     for _ in range(300):
         for length in (5.0, 20.0):

@@ -39,7 +39,7 @@ def gives_way(**more: object) -> Journey:
     return journey
 
 
-def test_it_goes_back_along_its_way_waits_there_and_plans_to_its_goal_anew() -> None:
+def test_giving_way_retreats_waits_and_replans() -> None:
     journey = gives_way()
     assert journey.tried == [NavCommand.STAND, NavCommand.FOLLOW]
     assert journey.navigator.behavior == NavCommand.FOLLOW
@@ -77,7 +77,7 @@ def test_it_goes_back_along_its_way_waits_there_and_plans_to_its_goal_anew() -> 
         {"health": LOST},
     ],
 )
-def test_it_waits_where_it_is_when_it_cannot_get_back_soon(there: dict[str, object]) -> None:
+def test_robot_waits_if_it_cannot_retreat(there: dict[str, object]) -> None:
     journey = gives_way()
     for name, value in there.items():
         setattr(journey, name, value)
@@ -89,13 +89,13 @@ def test_it_waits_where_it_is_when_it_cannot_get_back_soon(there: dict[str, obje
     assert journey.navigator.reason.text.startswith("give way (2 of 4)")
 
 
-def test_a_way_back_that_never_ends_is_given_up() -> None:
+def test_endless_retreat_is_given_up() -> None:
     journey = gives_way()
     journey.run(31.0)
     assert journey.navigator.behavior == NavCommand.STAND
 
 
-def test_a_robot_that_came_from_nowhere_waits_instead() -> None:
+def test_robot_without_a_trail_waits_instead() -> None:
     journey = Journey()
     journey.plan = NO_WAY
     journey.run(200.0)
@@ -104,7 +104,7 @@ def test_a_robot_that_came_from_nowhere_waits_instead() -> None:
     assert journey.navigator.state == NavigationStatus.FAILED
 
 
-def test_what_is_driven_again_after_giving_way_is_no_progress() -> None:
+def test_driving_again_after_a_retreat_is_no_progress() -> None:
     way = Way(10.0)
     came(way)
     way.drive(3600.0, blocked=lambda left: left <= 9.0)
@@ -121,7 +121,7 @@ def back_from(*meters: float) -> Pose | None:
     return trail.retreat((9.0, 0.0, 1.0))
 
 
-def test_the_last_place_that_is_far_enough_is_gone_back_to() -> None:
+def test_retreat_is_to_the_last_position_far_enough() -> None:
     there_and_back = [STEP * step for step in (*range(30), *range(30, 10, -1))]
     assert back_from(*there_and_back) == pytest.approx((23 * STEP, 0.0, 0.0))
     assert back_from(*(STEP * step for step in range(9))) == (0.0, 0.0, 0.0)
@@ -129,5 +129,5 @@ def test_the_last_place_that_is_far_enough_is_gone_back_to() -> None:
     assert back_from() is None
 
 
-def test_places_from_before_the_pose_was_corrected_are_forgotten() -> None:
+def test_trail_before_a_pose_correction_is_forgotten() -> None:
     assert back_from(*(STEP * step for step in range(30)), 7.0, 7.3) is None

@@ -10,7 +10,7 @@ UINT32 = 2**32
 
 
 @given(st.lists(st.integers(0, 3_000_000), min_size=1, max_size=200))
-def test_numbers_differ_and_fit_their_message_whatever_time_passes_between(
+def test_goal_ids_are_unique_and_fit_the_message(
     steps: list[int],
 ) -> None:
     goal_ids, now, given_out = GoalIds(), NOW, []
@@ -21,18 +21,18 @@ def test_numbers_differ_and_fit_their_message_whatever_time_passes_between(
     assert all(0 < goal_id < UINT32 for goal_id in given_out)
 
 
-def test_a_successor_begins_beyond_all_numbers_of_its_forerunner() -> None:
+def test_restarted_process_uses_larger_goal_ids() -> None:
     forerunner = GoalIds()
     given_out = [forerunner.next(NOW + ms * 1_000_000) for ms in range(0, 100, 2)]
     assert GoalIds().next(NOW + 100_000_000) not in given_out
 
 
-def test_numbers_go_on_when_they_overflow_and_when_the_clock_is_set_back() -> None:
+def test_goal_ids_continue_after_overflow_and_clock_set_back() -> None:
     wrap = (UINT32 - 1) * 1_000_000
     goal_ids = GoalIds()
     assert [goal_ids.next(wrap), goal_ids.next(wrap), goal_ids.next(wrap)] == [UINT32 - 1, 1, 2]
     assert goal_ids.next(wrap - 10_000_000) == 3
 
 
-def test_a_run_on_virtual_time_begins_with_one() -> None:
+def test_first_goal_id_in_virtual_time_is_one() -> None:
     assert GoalIds().next(0) == 1

@@ -28,7 +28,7 @@ def goes_near() -> Journey:
     return journey
 
 
-def test_it_goes_to_the_nearest_place_looks_from_there_and_plans_anew() -> None:
+def test_going_near_drives_to_the_nearest_position_and_replans() -> None:
     journey = goes_near()
     assert journey.tried == [STAND, STAND, FOLLOW]
     assert journey.navigator.target == pytest.approx((2.0, 4.0, 0.0))
@@ -48,7 +48,7 @@ def test_it_goes_to_the_nearest_place_looks_from_there_and_plans_anew() -> None:
     assert journey.navigator.target == (3.0, 4.0, 0.0)
 
 
-def test_a_way_there_that_never_ends_is_given_up() -> None:
+def test_endless_approach_is_given_up() -> None:
     journey = goes_near()
     journey.run(54.0)
     assert journey.navigator.reason.text.startswith("go near")
@@ -56,7 +56,7 @@ def test_a_way_there_that_never_ends_is_given_up() -> None:
 
 
 @pytest.mark.parametrize("nearest", [(0.6, 0.7), (math.nan, math.nan)])
-def test_it_looks_around_when_it_is_near_or_there_is_no_such_place(
+def test_robot_near_the_goal_looks_around_instead(
     nearest: tuple[float, float],
 ) -> None:
     journey = no_way(nearest_x=nearest[0], nearest_y=nearest[1])

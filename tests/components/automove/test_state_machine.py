@@ -21,7 +21,7 @@ from tests.components.automove.journey import SURE, Journey
 LOST = LocalizationEstimate(located=True, health=0.1, reason="the map explains 20% of the scan")
 
 
-def test_it_plans_and_drives_once_the_robot_is_located_and_ends_when_motion_is_done() -> None:
+def test_located_robot_plans_drives_and_succeeds() -> None:
     journey = Journey().run(1.0)
     assert journey.states == [NavigationStatus.PLANNING, NavigationStatus.DRIVING]
     assert journey.navigator.behavior == NavCommand.FOLLOW
@@ -35,7 +35,7 @@ def test_it_plans_and_drives_once_the_robot_is_located_and_ends_when_motion_is_d
     assert journey.navigator.finished
 
 
-def test_every_want_has_a_leg_of_its_own_and_old_answers_change_nothing() -> None:
+def test_each_command_has_a_new_goal_id_and_old_answers_are_ignored() -> None:
     journey = Journey((1.0, 0.0, 0.0), (2.0, 0.0, 0.0)).run(1.0)
     first = journey.navigator.goal_id
     journey.motion = {"state": MotionStatus.DONE}
@@ -48,7 +48,7 @@ def test_every_want_has_a_leg_of_its_own_and_old_answers_change_nothing() -> Non
     assert (journey.navigator.goal_index, journey.navigator.state) == (1, NavigationStatus.PLANNING)
 
 
-def test_a_course_begins_with_the_goal_that_it_is_told() -> None:
+def test_mission_starts_at_the_given_goal_index() -> None:
     navigator = NavigatorStateMachine(
         mission_id=1,
         goals=((1.0, 0.0, 0.0), (2.0, 0.0, 0.0)),
@@ -60,7 +60,7 @@ def test_a_course_begins_with_the_goal_that_it_is_told() -> None:
 
 
 @pytest.mark.parametrize("health", [None, LOST])
-def test_nothing_moves_before_the_robot_is_located(health: LocalizationEstimate | None) -> None:
+def test_robot_stands_until_it_is_located(health: LocalizationEstimate | None) -> None:
     journey = Journey()
     journey.health = health
     journey.run(1.5)
@@ -69,7 +69,7 @@ def test_nothing_moves_before_the_robot_is_located(health: LocalizationEstimate 
     assert journey.navigator.reason.text in (LOST.reason, "no estimate from the localizer yet")
 
 
-def test_a_silent_localizer_is_not_looked_for_by_driving() -> None:
+def test_silent_localizer_triggers_no_recovery() -> None:
     journey = Journey(stopped_s=5.0)
     journey.health = None
     journey.run(6.0)
@@ -85,7 +85,7 @@ def test_a_silent_localizer_is_not_looked_for_by_driving() -> None:
     )  # motion control stops by itself, and says so
 
 
-def test_a_lost_robot_stands_then_looks_for_itself_in_turn_and_gives_up() -> None:
+def test_lost_robot_tries_all_recoveries_and_fails() -> None:
     journey = Journey().run(1.0)
     journey.health = LOST
     journey.run(2.0)
@@ -103,7 +103,7 @@ def test_a_lost_robot_stands_then_looks_for_itself_in_turn_and_gives_up() -> Non
     assert journey.navigator.recoveries == 12
 
 
-def test_who_explores_in_vain_goes_twice_as_far_the_next_time() -> None:
+def test_each_exploration_drives_twice_as_far() -> None:
     journey = Journey().run(1.0)
     journey.health = LOST
 
@@ -119,7 +119,7 @@ def test_who_explores_in_vain_goes_twice_as_far_the_next_time() -> None:
     assert far == [2.0, 4.0, 8.0]
 
 
-def test_a_robot_that_finds_itself_stops_looking_and_drives_on() -> None:
+def test_located_robot_stops_recovering_and_drives_on() -> None:
     journey = Journey().run(1.0)
     journey.health = LOST
     journey.run(10.0)
@@ -131,7 +131,7 @@ def test_a_robot_that_finds_itself_stops_looking_and_drives_on() -> None:
     assert journey.navigator.state == NavigationStatus.DRIVING
 
 
-def test_a_short_doubt_does_not_stop_it() -> None:
+def test_short_doubt_does_not_stop_the_robot() -> None:
     journey = Journey().run(1.0)
     journey.health = LOST
     journey.run(0.8)
@@ -140,7 +140,7 @@ def test_a_short_doubt_does_not_stop_it() -> None:
     assert journey.states == [NavigationStatus.PLANNING, NavigationStatus.DRIVING]
 
 
-def test_what_blocks_it_is_waited_for_then_driven_around_and_progress_counts_anew() -> None:
+def test_blocked_robot_recovers_and_progress_resets_the_tries() -> None:
     journey = Journey().run(1.0)
     journey.motion = {"state": MotionStatus.BLOCKED, "reason": "a wall", "distance_left": 4.0}
     journey.run(2.5)
@@ -161,7 +161,7 @@ def test_what_blocks_it_is_waited_for_then_driven_around_and_progress_counts_ane
     assert journey.navigator.reason.text == "wait (1 of 6): a wall"
 
 
-def test_it_gives_up_after_all_recoveries_and_tells_why() -> None:
+def test_mission_fails_after_all_recoveries_with_the_reason() -> None:
     journey = Journey().run(1.0)
     journey.motion = {"state": MotionStatus.BLOCKED, "reason": "a wall"}
     journey.run(200.0)
@@ -176,7 +176,7 @@ def test_it_gives_up_after_all_recoveries_and_tells_why() -> None:
     assert journey.navigator.reason.text == "a wall (after 6 recoveries)"
 
 
-def test_without_recoveries_it_gives_up_at_once() -> None:
+def test_mission_without_recoveries_fails_at_once() -> None:
     journey = Journey(recoveries=0).run(1.0)
     journey.motion = {"state": MotionStatus.BLOCKED, "reason": "a wall"}
     journey.run(3.5)
@@ -186,7 +186,7 @@ def test_without_recoveries_it_gives_up_at_once() -> None:
     )
 
 
-def test_a_robot_that_moves_but_gets_no_nearer_recovers() -> None:
+def test_moving_without_progress_triggers_a_recovery() -> None:
     journey = Journey().run(1.0)
     journey.motion = {"state": MotionStatus.MOVING, "distance_left": 2.0}
     journey.run(21.0)
@@ -200,9 +200,7 @@ def test_a_robot_that_moves_but_gets_no_nearer_recovers() -> None:
 @pytest.mark.parametrize(
     ("outcome", "tries"), [(Plan.UNREACHABLE, 4), (Plan.GOAL_BLOCKED, 4), (Plan.START_BLOCKED, 6)]
 )
-def test_no_path_is_waited_for_and_then_told_in_the_planners_words(
-    outcome: int, tries: int
-) -> None:
+def test_missing_path_fails_with_the_reason_of_the_planner(outcome: int, tries: int) -> None:
     journey = Journey()
     journey.plan = {"outcome": outcome, "reason": "the goal is in a wall"}
     journey.motion = {"state": MotionStatus.DONE}
@@ -217,7 +215,7 @@ def test_no_path_is_waited_for_and_then_told_in_the_planners_words(
     )
 
 
-def test_a_goal_outside_the_map_is_given_up_at_once() -> None:
+def test_goal_outside_the_map_fails_at_once() -> None:
     journey = Journey()
     journey.plan = {"outcome": Plan.OUTSIDE_MAP, "reason": "the goal is outside the map"}
     journey.run(0.3)
@@ -225,7 +223,7 @@ def test_a_goal_outside_the_map_is_given_up_at_once() -> None:
     assert journey.navigator.reason.text == "no path: the goal is outside the map"
 
 
-def test_a_robot_that_seems_to_be_outside_the_map_recovers_and_drives_on() -> None:
+def test_robot_outside_the_map_recovers_and_drives_on() -> None:
     journey = Journey()
     outside = "the robot at (-0.10, 3.00) is outside the map"
     journey.plan = {"outcome": Plan.START_BLOCKED, "reason": outside}
@@ -239,14 +237,14 @@ def test_a_robot_that_seems_to_be_outside_the_map_recovers_and_drives_on() -> No
     assert journey.navigator.state == NavigationStatus.DRIVING
 
 
-def test_a_planner_that_gives_no_answer_is_told_of() -> None:
+def test_silent_planner_is_reported() -> None:
     journey = Journey(planning_s=5.0)
     journey.plan = None
     journey.run(6.0)
     assert journey.navigator.reason.text == "wait (1 of 6): the path planner has not answered"
 
 
-def test_a_missing_input_is_waited_for_and_then_named() -> None:
+def test_missing_input_fails_the_mission_with_its_name() -> None:
     journey = Journey(stopped_s=5.0).run(1.0)
     journey.motion = {"state": MotionStatus.STOPPED, "reason": "no scan for 0.6 s on /robot/scan"}
     journey.run(4.0)
@@ -266,7 +264,7 @@ def test_a_missing_input_is_waited_for_and_then_named() -> None:
     assert journey.navigator.reason.text == "no scan for 0.6 s on /robot/scan"
 
 
-def test_an_input_missing_while_it_recovers_is_named_too() -> None:
+def test_input_missing_during_a_recovery_is_named() -> None:
     journey = Journey(stopped_s=5.0).run(1.0)
     journey.health = LOST
     journey.run(10.0)
@@ -277,7 +275,7 @@ def test_an_input_missing_while_it_recovers_is_named_too() -> None:
     assert journey.navigator.state == NavigationStatus.FAILED
 
 
-def test_a_silent_motion_control_is_told_with_the_time_it_has_been_silent() -> None:
+def test_silent_motion_control_is_reported_with_the_time() -> None:
     journey = Journey(stopped_s=5.0).run(1.0)
     journey.motion = None
     journey.run(3.0)
@@ -287,7 +285,7 @@ def test_a_silent_motion_control_is_told_with_the_time_it_has_been_silent() -> N
     assert journey.navigator.state == NavigationStatus.FAILED
 
 
-def test_a_canceled_course_stands_and_stays_so() -> None:
+def test_canceled_mission_stays_canceled() -> None:
     journey = Journey().run(1.0)
     goal_id = journey.navigator.goal_id
     journey.navigator.cancel()
@@ -297,7 +295,7 @@ def test_a_canceled_course_stands_and_stays_so() -> None:
     assert journey.navigator.goal_id != goal_id
 
 
-def test_the_distance_left_is_along_the_path_where_one_is_followed() -> None:
+def test_distance_left_is_along_the_path_while_driving() -> None:
     journey = Journey()
     assert journey.navigator.distance_left(journey.inputs) == pytest.approx(5.0)
     journey.motion = {"state": MotionStatus.MOVING, "distance_left": 7.0}
@@ -310,7 +308,7 @@ def test_the_distance_left_is_along_the_path_where_one_is_followed() -> None:
     assert math.isinf(NavigatorInputs().localization_s)
 
 
-def test_a_goal_is_not_reached_by_a_robot_that_is_not_sure_where_it_is() -> None:
+def test_uncertain_pose_does_not_reach_a_goal() -> None:
     journey = Journey().run(1.0)
     journey.health = LocalizationEstimate(located=True, health=0.45, reason="found but now")
     journey.motion = {"state": MotionStatus.DONE}

@@ -30,7 +30,7 @@ def at(field: LikelihoodField, *pose: float, point: tuple[float, float] = (1.0, 
     return float(value[0])
 
 
-def test_the_deviation_is_that_of_the_beams_that_end_near_an_obstacle() -> None:
+def test_deviation_is_of_beams_near_an_obstacle() -> None:
     field = field_of([(20, 30)])
     x, y = field.frame.point(20, 30)
     points = np.array([(x, y), (x + 0.1, y), (x, y + 0.2), (x + 0.5, y)])
@@ -41,7 +41,7 @@ def test_the_deviation_is_that_of_the_beams_that_end_near_an_obstacle() -> None:
     assert math.isnan(field.deviation((0.0, 0.0, 0.0), points[3:]))
 
 
-def test_a_beam_counts_by_its_distance_to_the_nearest_obstacle() -> None:
+def test_beam_likelihood_depends_on_the_nearest_obstacle() -> None:
     field = field_of([(20, 30)])
 
     assert at(field, 0.525, 1.025, 0.0) == pytest.approx(expected(0.0), abs=1e-5)
@@ -56,14 +56,14 @@ def test_a_beam_counts_by_its_distance_to_the_nearest_obstacle() -> None:
     st.integers(5, 54),
 )
 @settings(max_examples=50)
-def test_a_rotated_map_is_read_in_its_own_frame(origin: Pose, row: int, column: int) -> None:
+def test_rotated_map_is_read_in_its_frame(origin: Pose, row: int, column: int) -> None:
     field = field_of([(row, column)], origin)
     x, y = Frame(0.05, origin).point(row, column)
 
     assert at(field, x, y, 0.3, point=(0.0, 0.0)) == pytest.approx(expected(0.0), abs=1e-4)
 
 
-def test_what_lies_off_the_map_is_never_taken_for_its_border() -> None:
+def test_point_off_the_map_is_not_taken_for_its_border() -> None:
     field = field_of([(row, 59) for row in range(40)])
 
     assert at(field, 7.0, 1.0, 0.0) == pytest.approx(math.log(STRAY), abs=1e-5)
@@ -72,9 +72,7 @@ def test_what_lies_off_the_map_is_never_taken_for_its_border() -> None:
 
 @given(st.integers(0, 35), st.integers(0, 50), st.integers(1, 5), st.integers(1, 9))
 @settings(max_examples=40)
-def test_a_renewed_window_gives_the_field_of_the_whole_new_map(
-    row: int, column: int, height: int, width: int
-) -> None:
+def test_renewed_window_equals_a_new_field(row: int, column: int, height: int, width: int) -> None:
     random = np.random.default_rng(row * 100 + column)
     values = random.choice(
         np.array([FREE, UNKNOWN, OCCUPIED], np.int8), (40, 60), p=[0.9, 0.05, 0.05]
@@ -90,7 +88,7 @@ def test_a_renewed_window_gives_the_field_of_the_whole_new_map(
     np.testing.assert_allclose(field.cells, whole.cells, atol=1e-5)
 
 
-def test_fit_is_the_share_of_beams_that_the_map_explains() -> None:
+def test_fit_is_the_share_of_explained_beams() -> None:
     field = field_of([(20, 30)])
     points = np.array([[1.0, 0.0], [1.1, 0.0], [2.0, 0.5], [0.3, 0.0]])
 
@@ -98,14 +96,14 @@ def test_fit_is_the_share_of_beams_that_the_map_explains() -> None:
     assert math.isnan(field.fit((0.0, 0.0, 0.0), np.zeros((0, 2))))
 
 
-def test_a_map_without_obstacles_explains_nothing() -> None:
+def test_map_without_obstacles_explains_nothing() -> None:
     field = field_of([])
 
     assert at(field, 0.5, 0.5, 0.0) == pytest.approx(math.log(STRAY), abs=1e-5)
     assert field.fit((0.5, 0.5, 0.0), np.array([[1.0, 0.0]])) == 0.0
 
 
-def test_a_map_taken_anew_is_as_one_made_of_it() -> None:
+def test_replaced_map_equals_a_new_one() -> None:
     random = np.random.default_rng(0)
     first = random.choice([FREE, OCCUPIED, UNKNOWN], (40, 60), p=[0.9, 0.05, 0.05]).astype(np.int8)
     second = first.copy()

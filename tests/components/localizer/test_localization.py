@@ -1,4 +1,4 @@
-"""The localizer's algorithm in a small hall: it finds the robot, keeps it, and judges objects."""
+"""Localization in a small hall: the robot is found and tracked, and objects get evidence."""
 
 import math
 from collections.abc import Iterable
@@ -54,7 +54,7 @@ class Run:
         ]
 
 
-def test_a_known_start_is_kept_to_centimeters() -> None:
+def test_known_start_is_tracked_to_centimeters() -> None:
     run = Run(landmarks())
     run.localization.set_pose((0.0, 0.0, 0.0), CERTAIN)
 
@@ -65,7 +65,7 @@ def test_a_known_start_is_kept_to_centimeters() -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_robot_anywhere_finds_itself_by_what_it_sees(seed: int) -> None:
+def test_robot_with_unknown_start_is_located(seed: int) -> None:
     run = Run(landmarks(), seed=seed).through(drive(25.0, seed))
 
     assert run.localization.located
@@ -73,7 +73,7 @@ def test_a_robot_anywhere_finds_itself_by_what_it_sees(seed: int) -> None:
 
 
 @pytest.mark.parametrize("mode", ["lr", "paper"])
-def test_a_moved_object_is_told_from_those_that_stand_still(mode: str) -> None:
+def test_moved_object_is_distinguished_from_static_ones(mode: str) -> None:
     run = Run(landmarks(o3=(1.3, 0.4)), mode)
     run.localization.set_pose((0.0, 0.0, 0.0), CERTAIN)
 
@@ -96,7 +96,7 @@ def test_a_moved_object_is_told_from_those_that_stand_still(mode: str) -> None:
     assert np.mean(implied, axis=0) == pytest.approx((-1.0, 3.5), abs=0.2)
 
 
-def test_a_gross_error_lowers_no_object_by_much() -> None:
+def test_single_gross_error_is_not_corroborated() -> None:
     run = Run(landmarks())
     run.localization.set_pose((0.0, 0.0, 0.0), CERTAIN)
     moments = list(drive(30.0))
@@ -109,7 +109,7 @@ def test_a_gross_error_lowers_no_object_by_much() -> None:
     assert hit.evidence[0].similarity >= 0.45 or not hit.evidence[0].corroborated
 
 
-def test_a_sighting_taken_for_another_object_is_a_false_match() -> None:
+def test_misrecognized_object_is_a_false_match() -> None:
     verdicts = []
     for when in range(150, 300, 15):
         run = Run(landmarks())
@@ -132,7 +132,7 @@ def test_a_sighting_taken_for_another_object_is_a_false_match() -> None:
     assert set(verdicts) <= {EvidenceVerdict.FALSE_MATCH, EvidenceVerdict.NOT_CONVERGED}
 
 
-def test_nothing_is_lowered_while_the_robot_is_badly_located() -> None:
+def test_uncertain_pose_corroborates_nothing() -> None:
     run = Run(landmarks())
     run.localization.set_pose((1.0, -0.8, 0.4), np.diag([0.01, 0.01, 0.003]))
 
@@ -148,7 +148,7 @@ def test_nothing_is_lowered_while_the_robot_is_badly_located() -> None:
     )
 
 
-def test_a_kidnapped_robot_finds_itself_again() -> None:
+def test_kidnapped_robot_is_relocalized() -> None:
     run = Run(landmarks())
     run.localization.set_pose((0.0, 0.0, 0.0), CERTAIN)
     moments = [m for m in drive(90.0) if not 20.0 <= m.time < 45.0]
@@ -161,7 +161,7 @@ def test_a_kidnapped_robot_finds_itself_again() -> None:
     assert all(10.0 < confirmed_until <= 20.0 for confirmed_until in run.confirmed_until)
 
 
-def test_a_long_blind_stretch_is_recovered_from() -> None:
+def test_pose_recovers_after_a_long_time_without_observations() -> None:
     run = Run(landmarks())
     run.localization.set_pose((0.0, 0.0, 0.0), CERTAIN)
 
@@ -170,7 +170,7 @@ def test_a_long_blind_stretch_is_recovered_from() -> None:
     assert max(run.errors[-50:]) < 0.3
 
 
-def test_a_removed_object_is_no_longer_fused_and_its_lie_forgotten() -> None:
+def test_removed_object_is_no_longer_fused() -> None:
     objects = landmarks(o1=(0.0, 1.5))
     run = Run(objects)
     run.localization.set_pose((0.0, 0.0, 0.0), CERTAIN)
@@ -183,7 +183,7 @@ def test_a_removed_object_is_no_longer_fused_and_its_lie_forgotten() -> None:
     assert np.mean(run.errors) < 0.15
 
 
-def test_the_same_seed_gives_the_same_run() -> None:
+def test_same_seed_gives_the_same_run() -> None:
     def final(seed: int) -> tuple[float, float, float]:
         run = Run(landmarks(o3=(1.3, 0.4)), seed=seed).through(drive(20.0))
         return run.localization.pose().mean

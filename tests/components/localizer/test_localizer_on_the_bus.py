@@ -117,7 +117,7 @@ def error(message: PoseWithCovarianceStamped, moments: Sequence[Moment]) -> floa
     return math.hypot(where.x - moment.pose[0], where.y - moment.pose[1])
 
 
-def test_the_pose_is_published_from_a_known_start(stage: StageOf) -> None:
+def test_pose_is_published_from_a_known_start(stage: StageOf) -> None:
     moments = list(drive(20.0))
     it = begun(stage, START)
 
@@ -134,7 +134,7 @@ def test_the_pose_is_published_from_a_known_start(stage: StageOf) -> None:
     assert math.hypot(transform.transform.translation.x, transform.transform.translation.y) < 0.3
 
 
-def test_no_pose_is_claimed_before_the_robot_is_found(stage: StageOf) -> None:
+def test_no_pose_is_published_before_the_robot_is_found(stage: StageOf) -> None:
     moments = list(drive(25.0))
     it = begun(stage, None)
     blind = [Moment(m.time, m.forward, m.turn, m.pose, []) for m in moments[:25]]
@@ -146,7 +146,7 @@ def test_no_pose_is_claimed_before_the_robot_is_found(stage: StageOf) -> None:
     assert error(it.taken("pose")[-1], moments) < 0.3
 
 
-def test_late_sightings_change_no_conclusion(stage: StageOf) -> None:
+def test_late_observations_give_the_same_evidence(stage: StageOf) -> None:
     moments = list(drive(30.0))
     prompt, late = begun(stage, START), begun(stage, START)
 
@@ -160,7 +160,7 @@ def test_late_sightings_change_no_conclusion(stage: StageOf) -> None:
     assert judged[0][:100] == judged[1][:100]
 
 
-def test_a_sighting_waits_for_odometry_but_not_for_ever(
+def test_observation_waits_for_odometry_for_a_limited_time(
     stage: StageOf, caplog: pytest.LogCaptureFixture
 ) -> None:
     moments = list(drive(10.0))
@@ -178,7 +178,7 @@ def test_a_sighting_waits_for_odometry_but_not_for_ever(
     assert "no odometry for" in caplog.text
 
 
-def test_time_that_runs_backwards_is_told_and_ignored(
+def test_odometry_that_runs_backwards_is_logged_and_ignored(
     stage: StageOf, caplog: pytest.LogCaptureFixture
 ) -> None:
     moments = list(drive(20.0))
@@ -197,7 +197,7 @@ def test_time_that_runs_backwards_is_told_and_ignored(
     assert error(it.taken("pose")[-1], moments) < 0.3
 
 
-def test_a_localizer_restarted_on_the_way_does_not_believe_the_old_start(
+def test_restarted_localizer_does_not_use_the_old_start(
     stage: StageOf, caplog: pytest.LogCaptureFixture
 ) -> None:
     moments = list(drive(60.0))
@@ -209,7 +209,7 @@ def test_a_localizer_restarted_on_the_way_does_not_believe_the_old_start(
     assert error(it.taken("pose")[-1], moments) < 0.3
 
 
-def test_a_localizer_restarted_near_the_start_goes_on_by_odometry(stage: StageOf) -> None:
+def test_localizer_restarted_near_the_start_uses_odometry(stage: StageOf) -> None:
     moments = list(drive(20.0))
     it = begun(stage, START)
     blind = [Moment(m.time, m.forward, m.turn, m.pose, []) for m in moments[40:]]
@@ -219,7 +219,7 @@ def test_a_localizer_restarted_near_the_start_goes_on_by_odometry(stage: StageOf
     assert error(it.taken("pose")[-1], moments) < 0.3
 
 
-def test_missed_odometry_is_made_up_for_by_its_own_pose(
+def test_gap_in_commands_is_filled_by_the_odometry_pose(
     stage: StageOf, caplog: pytest.LogCaptureFixture
 ) -> None:
     moments = list(drive(20.0))
@@ -232,7 +232,7 @@ def test_missed_odometry_is_made_up_for_by_its_own_pose(
     assert error(it.taken("pose")[-1], moments) < 0.4
 
 
-def test_an_operator_can_say_where_the_robot_is(stage: StageOf) -> None:
+def test_operator_sets_the_pose(stage: StageOf) -> None:
     it = begun(stage, None)
     moments = list(drive(5.0))
     blind = [Moment(m.time, m.forward, m.turn, m.pose, []) for m in moments]
@@ -244,7 +244,7 @@ def test_an_operator_can_say_where_the_robot_is(stage: StageOf) -> None:
     assert error(it.taken("pose")[-1], moments) < 0.2
 
 
-def test_evidence_names_the_moved_object_and_where_it_stands(stage: StageOf) -> None:
+def test_evidence_has_the_moved_object_and_its_position(stage: StageOf) -> None:
     it = begun(stage, START)
     it.give("visual_map", visual_map(o3=(1.3, 0.4)))
 
@@ -259,7 +259,7 @@ def test_evidence_names_the_moved_object_and_where_it_stands(stage: StageOf) -> 
     assert all(m.reason for m, _ in evidence if not m.healthy)
 
 
-def test_an_object_that_the_map_lacks_is_placed(stage: StageOf) -> None:
+def test_unmapped_object_gets_a_position(stage: StageOf) -> None:
     it = begun(stage, START)
     known = visual_map()
     it.give("visual_map", VisualMap(objects=known.objects[1:]))

@@ -104,7 +104,7 @@ def last_health(it: Any) -> Any:
     return it.taken("localization")[-1]
 
 
-def test_each_scan_gives_a_pose_and_a_health_of_its_stamp(stage: StageOf) -> None:
+def test_each_scan_gives_an_estimate_with_its_stamp(stage: StageOf) -> None:
     it, moments = begun(stage), journey()
 
     travel(it, moments)
@@ -115,7 +115,7 @@ def test_each_scan_gives_a_pose_and_a_health_of_its_stamp(stage: StageOf) -> Non
     assert healths[-1].health > 0.9
 
 
-def test_a_robot_that_is_anywhere_is_found_by_scans(stage: StageOf) -> None:
+def test_robot_with_unknown_start_is_found_by_scans(stage: StageOf) -> None:
     it, moments = begun(stage, None), journey()
 
     travel(it, moments)
@@ -135,7 +135,7 @@ def test_a_robot_that_is_anywhere_is_found_by_scans(stage: StageOf) -> None:
         (np.full(BEAMS, -np.inf, np.float32), "invalid scan on /robot/scan"),
     ],
 )
-def test_scans_that_tell_nothing_leave_odometry(
+def test_invalid_scans_leave_odometry(
     stage: StageOf, ranges: NDArray[np.float32], word: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     it, moments = begun(stage), journey(6.0)
@@ -150,7 +150,7 @@ def test_scans_that_tell_nothing_leave_odometry(
     assert "no valid scan on /robot/scan for" in health.reason
 
 
-def test_the_number_of_beams_may_change(stage: StageOf) -> None:
+def test_number_of_beams_may_change(stage: StageOf) -> None:
     it, moments = begun(stage), journey()
     numbers = iter(np.tile([BEAMS, 61, 21, 1], len(moments)))
 
@@ -159,7 +159,7 @@ def test_the_number_of_beams_may_change(stage: StageOf) -> None:
     assert last_error(it, moments) < 0.1
 
 
-def test_odometry_that_jumps_is_told_and_left_out(
+def test_odometry_jump_is_logged_and_ignored(
     stage: StageOf, caplog: pytest.LogCaptureFixture
 ) -> None:
     it, moments = begun(stage), journey()
@@ -171,9 +171,7 @@ def test_odometry_that_jumps_is_told_and_left_out(
     assert last_error(it, moments) < 0.1
 
 
-def test_time_that_runs_backwards_is_ignored(
-    stage: StageOf, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_outdated_messages_are_ignored(stage: StageOf, caplog: pytest.LogCaptureFixture) -> None:
     it, moments = begun(stage), journey()
     travel(it, moments[:60])
 
@@ -186,7 +184,7 @@ def test_time_that_runs_backwards_is_ignored(
     assert last_error(it, moments) < 0.1
 
 
-def test_time_that_was_set_back_is_gone_on_with(
+def test_localizer_continues_after_time_was_set_back(
     stage: StageOf, caplog: pytest.LogCaptureFixture
 ) -> None:
     it, moments = begun(stage), journey()
@@ -203,7 +201,7 @@ def test_time_that_was_set_back_is_gone_on_with(
     assert apart(planar_pose(shown.pose.pose), moments[-1].pose)[0] < 0.1
 
 
-def test_scans_of_a_clock_that_is_fast_are_told_and_not_kept(
+def test_scans_ahead_of_the_clock_are_logged_and_dropped(
     stage: StageOf, caplog: pytest.LogCaptureFixture
 ) -> None:
     it, moments = begun(stage), journey()
@@ -216,7 +214,7 @@ def test_scans_of_a_clock_that_is_fast_are_told_and_not_kept(
     assert last_error(it, moments) < 0.1
 
 
-def test_of_a_scan_without_odometry_no_transform_is_told(stage: StageOf) -> None:
+def test_scan_without_odometry_gives_no_transform(stage: StageOf) -> None:
     it, moments = begun(stage), journey()
     travel(it, moments[:60])
     before = it.taken("tf")[-1].transforms[0]
@@ -235,7 +233,7 @@ def test_of_a_scan_without_odometry_no_transform_is_told(stage: StageOf) -> None
 
 
 @pytest.mark.parametrize("variance", [-1.0, 0.0])
-def test_a_base_that_states_no_covariance_has_none(stage: StageOf, variance: float) -> None:
+def test_odometry_without_covariance_is_accepted(stage: StageOf, variance: float) -> None:
     it = begun(stage)
     first = odometry(0.0, (0.0, 0.0, 0.0))
     covariance = np.zeros(36)
@@ -248,7 +246,7 @@ def test_a_base_that_states_no_covariance_has_none(stage: StageOf, variance: flo
     assert planar_pose(it.taken("pose")[-1].pose.pose) == pytest.approx(AT, abs=0.05)
 
 
-def test_an_operator_need_not_state_a_covariance(stage: StageOf) -> None:
+def test_operator_pose_needs_no_covariance(stage: StageOf) -> None:
     it, moments = begun(stage, None), journey()
     none = np.zeros(36)
     for given in (none, np.where(np.arange(36) == 7, -1.0, none)):
@@ -268,7 +266,7 @@ def test_an_operator_need_not_state_a_covariance(stage: StageOf) -> None:
     assert last_error(it, moments) < 0.1
 
 
-def test_a_map_of_another_size_takes_the_place_of_the_first(stage: StageOf) -> None:
+def test_map_of_another_size_replaces_the_first(stage: StageOf) -> None:
     it, moments = begun(stage), journey()
     travel(it, moments[:60])
     small = room()
@@ -289,7 +287,7 @@ def update(x: int, y: int, values: NDArray[np.int8]) -> OccupancyGridUpdate:
     )
 
 
-def test_updates_renew_the_map_and_those_off_it_are_told(
+def test_updates_renew_the_map_and_those_off_it_are_logged(
     stage: StageOf, caplog: pytest.LogCaptureFixture
 ) -> None:
     # The map lacks the box in the middle until it is told of it.
@@ -307,7 +305,7 @@ def test_updates_renew_the_map_and_those_off_it_are_told(
     assert last_health(it).health > 0.9
 
 
-def test_an_update_before_any_map_is_harmless(stage: StageOf) -> None:
+def test_update_before_any_map_is_ignored(stage: StageOf) -> None:
     it, moments = begun(stage, mapped=False), journey(3.0)
 
     it.give("map_updates", update(0, 0, np.full((10, 30), FREE, np.int8)))
@@ -316,7 +314,7 @@ def test_an_update_before_any_map_is_harmless(stage: StageOf) -> None:
     assert last_error(it, moments) < 0.1
 
 
-def test_without_any_sensor_the_pose_follows_odometry(stage: StageOf) -> None:
+def test_pose_without_sensors_follows_odometry(stage: StageOf) -> None:
     it, moments = begun(stage), journey(6.0)
 
     travel(it, moments, lambda _: None)
@@ -327,7 +325,7 @@ def test_without_any_sensor_the_pose_follows_odometry(stage: StageOf) -> None:
     assert "no scan on /robot/scan" in health.reason
 
 
-def test_an_operator_finds_a_lost_robot(stage: StageOf) -> None:
+def test_operator_pose_locates_a_lost_robot(stage: StageOf) -> None:
     it, moments = begun(stage, None), journey()
     travel(it, moments[:30], lambda _: np.full(BEAMS, np.inf, np.float32))
     assert it.taken("pose") == []
@@ -342,7 +340,7 @@ def test_an_operator_finds_a_lost_robot(stage: StageOf) -> None:
     assert last_health(it).health > 0.9
 
 
-def test_a_wrong_word_of_an_operator_is_not_believed_for_long(stage: StageOf) -> None:
+def test_wrong_operator_pose_is_corrected(stage: StageOf) -> None:
     it, moments = begun(stage), journey(25.0)
     travel(it, moments[:30])
     covariance = np.zeros(36)

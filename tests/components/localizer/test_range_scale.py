@@ -1,4 +1,4 @@
-"""A camera whose ranges are all wrong is told from objects that were moved."""
+"""A camera whose ranges are all wrong is distinguished from objects that were moved."""
 
 import math
 
@@ -64,7 +64,7 @@ def test_no_object_is_doubted_if_all_ranges_are_wrong(factor: float, mode: Simil
 
 
 @pytest.mark.parametrize("factor", [0.7, 1.3])
-def test_an_object_that_moved_towards_the_robot_is_doubted_as_the_others_are_right(
+def test_object_moved_towards_the_robot_is_not_a_range_error(
     factor: float,
 ) -> None:
     robot = Robot()
@@ -104,6 +104,6 @@ def test_nothing_is_learnt_while_ranges_are_wrong() -> None:
     robot.looks_around(dict.fromkeys(MAP, 0.8))
     here = PoseEstimate((0.0, 0.0, 0.0), 0.0004 * np.eye(3))
 
-    found = robot.evaluator.place(Observation(9, 2.0, 0.1, 0.001, 0.0001), here, healthy=True)
+    found = robot.evaluator.locate(Observation(9, 2.0, 0.1, 0.001, 0.0001), here, healthy=True)
 
     assert found.verdict is EvidenceVerdict.NOT_CONVERGED

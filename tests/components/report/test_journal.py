@@ -29,7 +29,7 @@ def file(tmp_path: Path) -> Path:
     return tmp_path / "record.jsonl"
 
 
-def test_a_restarted_report_knows_what_its_former_process_was_told(file: Path) -> None:
+def test_restarted_report_replays_its_journal(file: Path) -> None:
     before = RunRecord()
     told(RunJournal(before, file, LOG, resume=False))
     with file.open("a") as stream:
@@ -48,7 +48,7 @@ def test_a_restarted_report_knows_what_its_former_process_was_told(file: Path) -
     assert not file.exists()
 
 
-def test_a_first_report_does_not_read_what_another_run_left(file: Path) -> None:
+def test_first_report_ignores_the_journal_of_another_run(file: Path) -> None:
     told(RunJournal(RunRecord(), file, LOG, resume=False))
 
     record = RunRecord()
@@ -57,7 +57,7 @@ def test_a_first_report_does_not_read_what_another_run_left(file: Path) -> None:
     assert record == RunRecord()
 
 
-def test_maps_that_come_again_to_a_restarted_report_are_not_kept_twice(file: Path) -> None:
+def test_repeated_maps_are_not_recorded_twice(file: Path) -> None:
     record = RunRecord()
     journal = RunJournal(record, file, LOG, resume=False)
     for stamp, reliability in ((1, 0.5), (2, 0.7), (1, 0.5)):
@@ -67,7 +67,7 @@ def test_maps_that_come_again_to_a_restarted_report_are_not_kept_twice(file: Pat
     assert record.object(3).reliability == 0.7
 
 
-def test_a_full_disk_costs_the_journal_only(file: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_full_disk_loses_only_the_journal(file: Path, caplog: pytest.LogCaptureFixture) -> None:
     record = RunRecord()
     file.symlink_to("/dev/full")
     journal = RunJournal(record, file, LOG, resume=False)
@@ -79,7 +79,7 @@ def test_a_full_disk_costs_the_journal_only(file: Path, caplog: pytest.LogCaptur
     assert len([one for one in caplog.records if "No space left" in one.getMessage()]) == 1
 
 
-def test_a_report_restarted_on_a_full_disk_goes_on(
+def test_report_restarted_on_a_full_disk_continues(
     file: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     RunJournal(RunRecord(), file, LOG, resume=False).write("record_estimate", 5, 0.0, 0.0, 0.0)

@@ -28,7 +28,7 @@ def told(it: Any, folder: Path) -> tuple[dict[str, Any], str]:
     return values, (folder / "report.txt").read_text(encoding="utf-8")
 
 
-def test_a_run_without_a_pose_lasts_as_long_as_its_clock_tells(report: Any, tmp_path: Path) -> None:
+def test_run_without_poses_has_the_duration_of_its_clock(report: Any, tmp_path: Path) -> None:
     report.wait(12.0)
 
     values, text = told(report, tmp_path)
@@ -38,7 +38,7 @@ def test_a_run_without_a_pose_lasts_as_long_as_its_clock_tells(report: Any, tmp_
     assert text.startswith("the localizer published no pose\n12 s recorded")
 
 
-def test_a_run_whose_poses_cease_lasts_on(report: Any, tmp_path: Path) -> None:
+def test_run_continues_after_the_last_pose(report: Any, tmp_path: Path) -> None:
     report.give("truth", truth_at(BEGIN))
     report.give("localization", pose_at((0.0, 0.1, 0.0), BEGIN))
     report.wait(30.0)
@@ -49,7 +49,7 @@ def test_a_run_whose_poses_cease_lasts_on(report: Any, tmp_path: Path) -> None:
     assert text.startswith("position error 0.100 m rms")
 
 
-def test_a_run_without_the_truth_says_so(report: Any, tmp_path: Path) -> None:
+def test_run_without_truth_is_reported(report: Any, tmp_path: Path) -> None:
     report.give("localization", pose_at((0.0, 0.1, 0.0), BEGIN))
 
     _, text = told(report, tmp_path)
@@ -57,9 +57,7 @@ def test_a_run_without_the_truth_says_so(report: Any, tmp_path: Path) -> None:
     assert text.startswith("no truth to compare the poses with\n")
 
 
-def test_a_run_whose_clock_never_told_a_time_is_of_no_length(
-    stage: Callable[..., Any], tmp_path: Path
-) -> None:
+def test_run_without_clock_has_no_duration(stage: Callable[..., Any], tmp_path: Path) -> None:
     values, text = told(stage(Report, 0.0, directory=str(tmp_path)).begin(), tmp_path)
 
     assert (values["recorded_s"], values["wall_s"]) == (0.0, None)

@@ -5,7 +5,7 @@ from cairn.components.report.run_record import ObjectMove, ObjectMoves
 HERE, THERE, ELSEWHERE = (1.0, 2.0), (3.0, 2.0), (0.0, 5.0)
 
 
-def test_a_move_is_a_removal_and_a_registration() -> None:
+def test_move_is_a_removal_and_a_registration() -> None:
     moves = ObjectMoves()
     moves.removed(10, HERE)
     moves.registered(20)
@@ -13,7 +13,7 @@ def test_a_move_is_a_removal_and_a_registration() -> None:
     assert moves.last == ObjectMove(HERE, 10, 20)
 
 
-def test_an_object_restored_to_its_place_never_moved() -> None:
+def test_restored_object_never_moved() -> None:
     moves = ObjectMoves()
     moves.removed(10, HERE)
     moves.restored(HERE)
@@ -21,7 +21,7 @@ def test_an_object_restored_to_its_place_never_moved() -> None:
     assert moves.last == ObjectMove(None, None)
 
 
-def test_taking_back_a_later_move_leaves_the_one_that_holds() -> None:
+def test_undoing_a_later_move_keeps_the_earlier_one() -> None:
     moves = ObjectMoves()
     moves.removed(10, HERE)
     moves.registered(20)
@@ -31,7 +31,7 @@ def test_taking_back_a_later_move_leaves_the_one_that_holds() -> None:
     assert moves.last == ObjectMove(HERE, 10, 20)
 
 
-def test_several_moves_are_taken_back_at_once() -> None:
+def test_several_moves_are_undone_at_once() -> None:
     moves = ObjectMoves()
     for stamp, left in ((10, HERE), (30, THERE), (50, ELSEWHERE)):
         moves.removed(stamp, left)
@@ -41,7 +41,7 @@ def test_several_moves_are_taken_back_at_once() -> None:
     assert moves.last == ObjectMove(HERE, 10, 15)
 
 
-def test_an_object_sought_for_again_was_not_registered() -> None:
+def test_object_without_a_position_again_was_not_registered() -> None:
     moves = ObjectMoves()
     moves.removed(10, HERE)
     moves.registered(20)
@@ -51,7 +51,7 @@ def test_an_object_sought_for_again_was_not_registered() -> None:
     assert moves.last == ObjectMove(HERE, 10, None)
 
 
-def test_an_object_that_the_map_lacked_is_registered_only() -> None:
+def test_unmapped_object_is_only_registered() -> None:
     moves = ObjectMoves()
     moves.registered(20)
 
@@ -60,7 +60,7 @@ def test_an_object_that_the_map_lacked_is_registered_only() -> None:
     assert moves.last == ObjectMove(None, None, None)
 
 
-def test_a_registration_that_is_taken_back_of_an_object_without_a_place_is_forgotten() -> None:
+def test_undone_registration_of_an_unmapped_object_is_forgotten() -> None:
     moves = ObjectMoves()
     moves.registered(20)
     moves.removed(30, THERE)

@@ -59,7 +59,7 @@ def tell(robot: Deployed, **status: Any) -> None:
     robot.publish("navigation_status", NavigationStatus(**status), LATCHED)
 
 
-def test_an_order_is_told_latched_and_kept_until_its_result(
+def test_mission_is_published_latched_and_kept_until_its_result(
     deployed: DeployedOf, tmp_path: Path
 ) -> None:
     robot = deployed()
@@ -89,7 +89,7 @@ def test_an_order_is_told_latched_and_kept_until_its_result(
     assert robot.ask("mobile_supervisor", "mission")["result"] == "succeeded: arrived"
 
 
-def test_numbers_of_orders_go_up_and_a_word_on_an_old_one_changes_nothing(
+def test_mission_ids_increase_and_old_statuses_are_ignored(
     deployed: DeployedOf,
 ) -> None:
     robot = deployed()
@@ -103,7 +103,7 @@ def test_numbers_of_orders_go_up_and_a_word_on_an_old_one_changes_nothing(
     assert robot.ask("mobile_supervisor", "mission")["result"] == ""
 
 
-def test_an_order_is_taken_back_once(deployed: DeployedOf) -> None:
+def test_mission_is_canceled_once(deployed: DeployedOf) -> None:
     robot = deployed()
     orders = robot.read("navigate_goal", NavigateGoal)
     with pytest.raises(CairnError, match="there is no mission to cancel"):
@@ -117,7 +117,7 @@ def test_an_order_is_taken_back_once(deployed: DeployedOf) -> None:
         robot.ask("mobile_supervisor", "cancel")
 
 
-def test_an_order_is_taken_back_by_the_token_that_it_was_given_with(deployed: DeployedOf) -> None:
+def test_mission_is_canceled_by_its_token(deployed: DeployedOf) -> None:
     robot = deployed()
     goals = [[1.0, 2.0, 0.0]]
     number = robot.ask("mobile_supervisor", "go", goals=goals, token="mine")["mission_id"]
@@ -132,12 +132,12 @@ def test_an_order_is_taken_back_by_the_token_that_it_was_given_with(deployed: De
 
 
 @pytest.mark.parametrize("token", ["", 7, "x" * 65])
-def test_what_is_no_token_is_refused(deployed: DeployedOf, token: Any) -> None:
+def test_invalid_token_is_rejected(deployed: DeployedOf, token: Any) -> None:
     with pytest.raises(CairnError, match=r"token = .*: give 1 to 64 characters"):
         deployed().ask("mobile_supervisor", "go", goals=[[1.0, 2.0, 0.0]], token=token)
 
 
-def test_a_goal_pose_is_an_order_unless_it_is_of_another_frame(deployed: DeployedOf) -> None:
+def test_goal_pose_starts_a_mission_unless_its_frame_is_wrong(deployed: DeployedOf) -> None:
     robot = deployed()
     orders = robot.read("navigate_goal", NavigateGoal)
     for frame in ("map", "", "odom"):
@@ -146,7 +146,7 @@ def test_a_goal_pose_is_an_order_unless_it_is_of_another_frame(deployed: Deploye
     assert [goals_of(order) for order in taken(orders)] == [[[-1.0, 2.0, 0.5]]] * 2
 
 
-def test_a_supervisor_that_begins_anew_goes_on_where_the_order_was(deployed: DeployedOf) -> None:
+def test_restarted_supervisor_continues_the_mission(deployed: DeployedOf) -> None:
     robot = deployed()
     orders = robot.read("navigate_goal", NavigateGoal)
     goals = [[1.0, 2.0, 0.0], [3.0, 4.0, 0.0]]
@@ -160,7 +160,7 @@ def test_a_supervisor_that_begins_anew_goes_on_where_the_order_was(deployed: Dep
     assert (again.mission_id, again.first, goals_of(again)) == (number, 1, goals)
 
 
-def test_an_order_that_is_over_stays_so_and_its_number_is_not_given_again(
+def test_finished_mission_stays_finished_after_a_restart(
     deployed: DeployedOf,
 ) -> None:
     robot = deployed()
@@ -176,7 +176,7 @@ def test_an_order_that_is_over_stays_so_and_its_number_is_not_given_again(
     assert robot.ask("mobile_supervisor", "go", goals=[[1.0, 2.0, 0.0]])["mission_id"] > number
 
 
-def test_an_order_is_not_gone_on_with_for_ever(deployed: DeployedOf) -> None:
+def test_mission_is_given_up_after_several_restarts(deployed: DeployedOf) -> None:
     robot = deployed()
     robot.ask("mobile_supervisor", "go", goals=[[1.0, 2.0, 0.0]])
     for _ in range(4):
@@ -188,9 +188,7 @@ def test_an_order_is_not_gone_on_with_for_ever(deployed: DeployedOf) -> None:
 
 
 @pytest.mark.parametrize("text", ["", "{}", '{"mission_id": 1, "goals": [[NaN, 0, 0]]}', "\x00"])
-def test_a_kept_order_that_cannot_be_read_is_not_gone_on_with(
-    deployed: DeployedOf, tmp_path: Path, text: str
-) -> None:
+def test_unreadable_mission_file_is_logged(deployed: DeployedOf, tmp_path: Path, text: str) -> None:
     robot = deployed()
     orders = robot.read("navigate_goal", NavigateGoal)
     robot.ask("mobile_supervisor", "go", goals=[[1.0, 2.0, 0.0]])
@@ -203,9 +201,7 @@ def test_a_kept_order_that_cannot_be_read_is_not_gone_on_with(
     assert robot.ask("mobile_supervisor", "mission") is None
 
 
-def test_an_order_of_an_earlier_run_is_not_carried_out(
-    deployed: DeployedOf, tmp_path: Path
-) -> None:
+def test_mission_of_an_earlier_run_is_removed(deployed: DeployedOf, tmp_path: Path) -> None:
     first = deployed()
     first.ask("mobile_supervisor", "go", goals=[[1.0, 2.0, 0.0]])
     first.end()
@@ -218,7 +214,7 @@ def test_an_order_of_an_earlier_run_is_not_carried_out(
     assert not (tmp_path / "mission.json").exists()
 
 
-def test_a_mission_begins_at_once_and_its_end_ends_the_deployment(deployed: DeployedOf) -> None:
+def test_configured_mission_starts_at_once_and_ends_the_deployment(deployed: DeployedOf) -> None:
     robot = deployed(*MISSION)
     orders = robot.read("navigate_goal", NavigateGoal)
     robot.wait(0.0)
@@ -231,7 +227,7 @@ def test_a_mission_begins_at_once_and_its_end_ends_the_deployment(deployed: Depl
     assert robot.run.end.reason == ("mobile_supervisor has finished: the mission failed: no path")
 
 
-def test_a_supervisor_that_begins_anew_knows_that_the_mission_was_pre_empted(
+def test_restarted_supervisor_knows_that_the_mission_was_preempted(
     deployed: DeployedOf,
 ) -> None:
     robot = deployed(*MISSION)
@@ -249,13 +245,13 @@ def test_a_supervisor_that_begins_anew_knows_that_the_mission_was_pre_empted(
     )
 
 
-def test_without_automove_an_order_is_refused(deployed: DeployedOf) -> None:
+def test_mission_without_automove_is_rejected(deployed: DeployedOf) -> None:
     robot = deployed("components.mobile_supervisor.parameters.automove=driver")
     with pytest.raises(CairnError, match="mobile_supervisor has no child driver"):
         robot.ask("mobile_supervisor", "go", goals=[[1.0, 2.0, 0.0]])
 
 
-def test_a_folder_that_is_none_is_told_at_once(deployed: DeployedOf) -> None:
+def test_missing_state_folder_is_reported_at_once(deployed: DeployedOf) -> None:
     robot = deployed("components.mobile_supervisor.parameters.state_file=/nowhere/mission.json")
     with pytest.raises(CairnError, match="/nowhere: no such folder to keep the mission in"):
         robot.begin()
@@ -273,6 +269,6 @@ def test_a_folder_that_is_none_is_told_at_once(deployed: DeployedOf) -> None:
         (["0,0,0"], "goal 1"),
     ],
 )
-def test_what_is_no_goal_is_refused_with_its_number(given: Any, why: str) -> None:
+def test_invalid_goal_is_rejected_with_its_number(given: Any, why: str) -> None:
     with pytest.raises(CairnError, match=why):
         parse_goals(given)

@@ -1,4 +1,4 @@
-"""What odometry tells between any two times, and what it is not believed."""
+"""Odometry tracks: motion between any two times, jumps, lag and gain."""
 
 import math
 
@@ -43,7 +43,7 @@ def test_standing_still_is_no_motion() -> None:
 
 
 @pytest.mark.parametrize("jump", [(5.0, 0.0, 0.0), (0.1, 0.0, 2.5), (-3.0, 4.0, 0.0)])
-def test_a_jump_that_no_wheels_can_make_is_left_out(jump: Pose) -> None:
+def test_impossible_jump_is_ignored(jump: Pose) -> None:
     x, y, theta = jump
     after = (x + 0.1 * math.cos(theta), y + 0.1 * math.sin(theta), theta)
     track = measured((0.0, 0.0, 0.0), (0.1, 0.0, 0.0), jump, after)
@@ -62,7 +62,7 @@ def test_time_that_runs_backwards_is_refused(track: MeasuredTrack | CommandedTra
     assert track.append(1.0, (0.0, 0.0, 0.0), 0.0, 0.0)
 
 
-def test_a_command_is_carried_out_late_and_short() -> None:
+def test_command_is_executed_with_lag_and_gain() -> None:
     track = CommandedTrack(lag_s=0.2, forward_gain=0.9)
     track.append(0.0, (0.0, 0.0, 0.0), 1.0, 0.0)
     track.advance(0.0)
@@ -72,7 +72,7 @@ def test_a_command_is_carried_out_late_and_short() -> None:
 
 
 @given(st.tuples(st.floats(-1, 1), st.floats(-1, 1), st.floats(-3, 3)))
-def test_an_increment_leads_where_it_was_taken_from(target: Pose) -> None:
+def test_step_leads_to_its_target(target: Pose) -> None:
     begin = (0.3, -2.0, 1.0)
     there = relative(begin, move_pose(begin, odometry_step(target)))
 

@@ -13,7 +13,7 @@ from tests.navigation.driving import STOPS_S, Drive
 DriveOf = Callable[..., Drive]
 
 
-def test_an_order_shows_all_its_steps_and_ends_where_it_should(drive: DriveOf) -> None:
+def test_mission_publishes_its_states_and_ends_at_the_goal(drive: DriveOf) -> None:
     robot = drive()
     robot.wait(1.0)
 
@@ -38,7 +38,7 @@ def test_an_order_shows_all_its_steps_and_ends_where_it_should(drive: DriveOf) -
     assert robot.stands()
 
 
-def test_a_new_goal_pre_empts_the_old_one(drive: DriveOf) -> None:
+def test_new_goal_preempts_the_old_one(drive: DriveOf) -> None:
     robot = drive()
     robot.go(7.5, 5.0)
     robot.await_state(NavigationStatus.DRIVING)
@@ -54,7 +54,7 @@ def test_a_new_goal_pre_empts_the_old_one(drive: DriveOf) -> None:
     ] == NavigationStatus.DRIVING
 
 
-def test_a_canceled_order_leaves_the_robot_standing(drive: DriveOf) -> None:
+def test_canceled_mission_leaves_the_robot_standing(drive: DriveOf) -> None:
     robot = drive()
     order = robot.ask("mobile_supervisor", "go", goals=[[7.5, 5.0, 0.0]])["mission_id"]
     robot.await_state(NavigationStatus.DRIVING)
@@ -70,7 +70,7 @@ def test_a_canceled_order_leaves_the_robot_standing(drive: DriveOf) -> None:
         robot.ask("mobile_supervisor", "cancel", mission_id=order)
 
 
-def test_several_goals_are_driven_to_one_after_the_other(drive: DriveOf) -> None:
+def test_several_goals_are_reached_in_order(drive: DriveOf) -> None:
     robot = drive()
     goals = [[3.0, 1.2, 0.0], [6.4, 1.8, 1.5], [6.6, 3.2, 1.5]]
     robot.ask("mobile_supervisor", "go", goals=goals)
@@ -92,7 +92,7 @@ def test_several_goals_are_driven_to_one_after_the_other(drive: DriveOf) -> None
     ],
     ids=["in the table", "west of the map", "far away"],
 )
-def test_a_goal_where_no_robot_can_be_is_given_up_with_the_nearest_place(
+def test_blocked_goal_fails_with_the_nearest_position(
     drive: DriveOf, goal: tuple[float, float], reason: str
 ) -> None:
     robot = drive()
@@ -107,7 +107,7 @@ def test_a_goal_where_no_robot_can_be_is_given_up_with_the_nearest_place(
     robot.arrives((1.5, 1.2))
 
 
-def test_what_is_no_goal_is_refused_and_the_order_under_way_goes_on(drive: DriveOf) -> None:
+def test_invalid_goal_is_rejected_and_the_mission_continues(drive: DriveOf) -> None:
     robot = drive()
     robot.go(3.0, 1.2)
     robot.await_state(NavigationStatus.DRIVING)

@@ -1,4 +1,4 @@
-"""The covariance that is stated: scaled by what corrections were, with the map's own error."""
+"""The published covariance: scaled by past corrections, with the error of the map."""
 
 import math
 
@@ -30,7 +30,7 @@ def deviation(stated: CovarianceCalibrator) -> float:
     return math.sqrt(stated.calibrated(cloud(0.03), CELL_M)[0, 0])
 
 
-def test_a_filter_that_is_corrected_as_it_expects_states_its_cloud() -> None:
+def test_consistent_filter_publishes_its_own_covariance() -> None:
     expected = math.sqrt(0.05**2 - 0.03**2)
 
     assert deviation(after_corrections(expected)) == pytest.approx(0.03, rel=0.05)
@@ -55,7 +55,7 @@ def test_scans_taken_on_the_spot_say_little() -> None:
     assert deviation(moving) < 0.022
 
 
-def test_what_is_corrected_across_a_corridor_says_nothing_along_it() -> None:
+def test_corrections_across_a_corridor_do_not_scale_along_it() -> None:
     stated = CovarianceCalibrator()
     before, after = np.diag([0.3**2, 0.05**2, 0.01]), np.diag([0.3**2, 0.01**2, 0.01])
     for k in range(200):
@@ -69,7 +69,7 @@ def test_what_is_corrected_across_a_corridor_says_nothing_along_it() -> None:
 
 
 @pytest.mark.parametrize("turn", [0.0, 0.7])
-def test_what_is_always_corrected_the_same_way_lags_behind_by_much_more(turn: float) -> None:
+def test_steady_corrections_add_a_lag(turn: float) -> None:
     stated = CovarianceCalibrator()
     before, after = np.diag([0.02**2] * 3), np.diag([0.018**2] * 3)
     for _ in range(200):  # a fifth of what is missing is made up for each time
@@ -83,7 +83,7 @@ def test_what_is_always_corrected_the_same_way_lags_behind_by_much_more(turn: fl
     assert math.sqrt(left @ told[:2, :2] @ left) < 0.01
 
 
-def test_what_beams_deviate_beyond_the_cells_of_the_map_is_the_maps_error() -> None:
+def test_deviation_beyond_the_cells_is_the_error_of_the_map() -> None:
     exact, crooked = CovarianceCalibrator(), CovarianceCalibrator()
     exact.add_deviation(EXACT_M, CELL_M)
     crooked.add_deviation(math.hypot(EXACT_M, 0.04), CELL_M)
@@ -92,7 +92,7 @@ def test_what_beams_deviate_beyond_the_cells_of_the_map_is_the_maps_error() -> N
     assert deviation(crooked) == pytest.approx(math.hypot(0.03, CELL_M / 8, 0.04), rel=0.01)
 
 
-def test_a_scan_that_explains_nothing_changes_nothing() -> None:
+def test_scan_without_deviation_changes_nothing() -> None:
     stated = CovarianceCalibrator()
     before = deviation(stated)
 

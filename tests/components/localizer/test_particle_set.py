@@ -1,4 +1,4 @@
-"""The cloud of poses: its size, its moments, and how it is drawn anew."""
+"""The particle set: its size, moments, resampling, and tempered updates."""
 
 import math
 
@@ -11,10 +11,13 @@ from numpy.typing import NDArray
 from cairn.components.localizer.odometry import MotionModel, OdometryStep
 from cairn.components.localizer.particle_set import (
     ParticleSet,
+    effective_count,
     estimate,
     kld_count,
+    normalized,
     resample,
     systematic_choice,
+    tempered_update,
 )
 
 MODEL = MotionModel(0.0, 0.0, 0.02, 0.04, 0.03)
@@ -30,11 +33,11 @@ def spread_over(size_m: float, count: int = 5000) -> Array:
     return np.vstack((random.uniform(0, size_m, (2, count)), random.uniform(-3, 3, (1, count))))
 
 
-def test_a_cloud_in_one_bin_needs_no_more_than_the_least() -> None:
+def test_particles_in_one_bin_need_no_more_than_the_least() -> None:
     assert kld_count(np.full((3, 500), 0.1), np.full(500, 1 / 500)) == 0
 
 
-def test_the_wider_the_cloud_the_more_poses_it_needs() -> None:
+def test_wider_particle_set_needs_more_particles() -> None:
     weights = np.full(5000, 1 / 5000)
     counts = [kld_count(spread_over(size), weights) for size in (0.5, 2.0, 5.0, 1000.0)]
 
@@ -44,7 +47,7 @@ def test_the_wider_the_cloud_the_more_poses_it_needs() -> None:
     assert counts[-1] == pytest.approx(5000 / 0.04, rel=0.1)
 
 
-def test_poses_without_weight_do_not_count() -> None:
+def test_particles_without_weight_do_not_count() -> None:
     poses = spread_over(20.0)
     weights = np.zeros(5000)
     weights[:2] = 0.5
@@ -53,7 +56,7 @@ def test_poses_without_weight_do_not_count() -> None:
     assert kld_count(poses, weights) == 0
 
 
-def test_a_cloud_shrinks_as_scans_tell_more() -> None:
+def test_particle_set_shrinks_as_it_becomes_certain() -> None:
     it = cloud()
     it.set_gaussian((0.0, 0.0, 0.0), np.diag([1.0, 1.0, 0.3]))
     assert it.count == 5000
@@ -65,7 +68,7 @@ def test_a_cloud_shrinks_as_scans_tell_more() -> None:
     assert it.estimate().spread < 0.2
 
 
-def test_a_likelihood_that_few_poses_meet_is_taken_in_stages() -> None:
+def test_narrow_likelihood_is_fused_in_stages() -> None:
     it = cloud()
     it.set_gaussian((0.0, 0.0, 0.0), np.diag([0.09, 0.09, 0.01]))
 
@@ -75,7 +78,7 @@ def test_a_likelihood_that_few_poses_meet_is_taken_in_stages() -> None:
     assert len(np.unique(it.poses[0])) > 300
 
 
-def test_moving_spreads_the_cloud_and_standing_does_not() -> None:
+def test_motion_spreads_the_particles_and_standing_does_not() -> None:
     it = cloud()
     it.set_gaussian((0.0, 0.0, 0.0), np.diag([1e-4, 1e-4, 1e-4]))
     before = it.poses.copy()
@@ -91,7 +94,7 @@ def test_moving_spreads_the_cloud_and_standing_does_not() -> None:
 
 @given(st.integers(0, 1000), st.floats(-3.1, 3.1), st.floats(0.01, 2.5))
 @settings(max_examples=50)
-def test_moments_are_those_of_the_circle(seed: int, heading: float, width: float) -> None:
+def test_moments_are_circular(seed: int, heading: float, width: float) -> None:
     random = np.random.default_rng(seed)
     poses = random.standard_normal((3, 300))
     poses[2] = heading + width * poses[2]
@@ -109,7 +112,7 @@ def test_moments_are_those_of_the_circle(seed: int, heading: float, width: float
 
 @given(st.integers(0, 1000))
 @settings(max_examples=20)
-def test_drawing_anew_keeps_mean_and_covariance(seed: int) -> None:
+def test_resampling_keeps_mean_and_covariance(seed: int) -> None:
     random = np.random.default_rng(seed)
     poses = np.array([[0.3], [0.1], [0.05]]) * random.standard_normal((3, 4000))
     before = estimate(poses, np.zeros(4000))
@@ -122,7 +125,7 @@ def test_drawing_anew_keeps_mean_and_covariance(seed: int) -> None:
 
 
 @given(st.lists(st.floats(0, 1), min_size=1, max_size=50), st.integers(1, 300), st.integers(0, 99))
-def test_every_pose_is_chosen_as_often_as_it_weighs(
+def test_particles_are_chosen_in_proportion_to_their_weights(
     parts: list[float], count: int, seed: int
 ) -> None:
     weights = np.array(parts) + 1e-6
@@ -132,3 +135,74 @@ def test_every_pose_is_chosen_as_often_as_it_weighs(
 
     times = np.bincount(chosen, minlength=weights.size)
     assert np.all(np.abs(times - count * weights) <= 1.0 + 1e-6)
+
+
+@given(
+    st.lists(st.floats(0.0, 1.0), min_size=1, max_size=50).filter(lambda w: sum(w) > 1e-3),
+    st.integers(1, 200),
+    st.integers(0, 2**32),
+)
+def test_systematic_resampling_draws_each_as_often_as_its_weight(
+    weights: list[float], count: int, seed: int
+) -> None:
+    share = np.array(weights) / sum(weights)
+
+    chosen = systematic_choice(share, count, np.random.default_rng(seed))
+
+    drawn = np.bincount(chosen, minlength=len(share))
+    assert drawn.sum() == count
+    assert np.all(np.abs(drawn - count * share) <= 1.0 + 1e-6)
+
+
+def test_resampling_is_unbiased_over_many_draws() -> None:
+    share = np.array([0.05, 0.15, 0.3, 0.5])
+    random = np.random.default_rng(0)
+
+    drawn = np.concatenate([systematic_choice(share, 7, random) for _ in range(4000)])
+
+    assert np.bincount(drawn) / drawn.size == pytest.approx(share, abs=0.005)
+
+
+def test_resampling_keeps_mean_and_spread() -> None:
+    random = np.random.default_rng(1)
+    poses = np.array([[1.0], [2.0], [3.1]]) + np.array([[0.3], [0.1], [0.2]]) * (
+        random.standard_normal((3, 4000))
+    )
+
+    before = estimate(poses, np.zeros(4000))
+    after = estimate(resample(poses, np.full(4000, 1 / 4000), 0.25, random), np.zeros(4000))
+
+    assert after.mean == pytest.approx(before.mean, abs=0.02)
+    assert np.sqrt(np.diag(after.covariance)) == pytest.approx(
+        np.sqrt(np.diag(before.covariance)), rel=0.05
+    )
+
+
+def test_headings_are_averaged_across_the_turn() -> None:
+    poses = np.array([[0.0, 0.0], [0.0, 0.0], [math.pi - 0.1, -math.pi + 0.1]])
+
+    assert abs(estimate(poses, np.zeros(2)).mean[2]) == pytest.approx(math.pi)
+
+
+@settings(max_examples=25)
+@given(st.floats(-1.5, 1.5), st.floats(0.03, 0.3), st.integers(0, 1000))
+def test_narrowing_finds_the_posterior_that_few_samples_lie_in(
+    place: float, sd: float, seed: int
+) -> None:
+    random = np.random.default_rng(seed)
+    poses = random.standard_normal((3, 1, 500)) * np.array([1.0, 0.1, 0.1])[:, None, None]
+    log_weights = np.zeros((1, 500))
+
+    tempered_update(poses, log_weights, lambda p, _: -0.5 * ((p[0] - place) / sd) ** 2, random)
+
+    found = estimate(poses[:, 0], log_weights[0])
+    posterior_variance = 1 / (1 + 1 / sd**2)
+    assert found.mean[0] == pytest.approx(place * posterior_variance / sd**2, abs=0.35 * sd + 0.02)
+    assert math.sqrt(found.covariance[0, 0]) == pytest.approx(
+        math.sqrt(posterior_variance), rel=0.5
+    )
+    assert effective_count(log_weights)[0] > 150
+
+
+def test_weights_of_vanishing_likelihood_are_still_weights() -> None:
+    assert normalized(np.array([-1e5, -1e5 - 1.0])).sum() == pytest.approx(1.0)

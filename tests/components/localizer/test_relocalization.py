@@ -1,5 +1,6 @@
-"""When a robot that is believed to be somewhere is moved elsewhere."""
+"""Relocalization: a lost robot is found again, and until when it was certainly not lost."""
 
+import math
 from types import SimpleNamespace
 from typing import Any
 
@@ -8,9 +9,15 @@ import pytest
 
 from cairn.components.localizer import relocalization
 from cairn.components.localizer.global_search import GlobalSearchResult
+from cairn.components.localizer.observations import Landmark
 from cairn.components.localizer.particle_set import PoseEstimate
 from cairn.components.localizer.recent_observations import PoseSupport
-from cairn.components.localizer.relocalization import BETTER, REFUTED, Relocalizer
+from cairn.components.localizer.relocalization import (
+    BETTER,
+    REFUTED,
+    ConfirmationHistory,
+    Relocalizer,
+)
 
 HERE = PoseEstimate((0.0, 0.0, 0.0), np.eye(3) * 1e-4)
 POSES = np.array([[5.0, 5.0], [1.0, 1.0], [0.0, 0.0]])
@@ -37,7 +44,7 @@ def looks(
     return [one.recover(stamp, evidence(), HERE) for stamp in (10.0, 11.0)]
 
 
-def test_a_place_that_explains_more_and_has_no_rival_is_believed_at_the_second_look(
+def test_unrivaled_better_position_is_accepted_by_the_second_search(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     first, second = looks(monkeypatch, share=0.95, score=BETTER + 1.0, fit=0.9)
@@ -52,7 +59,7 @@ def test_places_that_look_alike_leave_the_robot_where_it_may_be(
     assert looks(monkeypatch, share=0.5, score=BETTER + 1.0, fit=0.9) == [None, None]
 
 
-def test_who_is_certainly_not_here_looks_on_from_the_likeliest_of_places_that_look_alike(
+def test_refuted_robot_moves_to_the_likeliest_lookalike(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     first, second = looks(monkeypatch, share=0.5, score=REFUTED + 1.0, fit=0.9)
@@ -61,5 +68,47 @@ def test_who_is_certainly_not_here_looks_on_from_the_likeliest_of_places_that_lo
     assert second is POSES
 
 
-def test_a_place_that_scans_do_not_fit_either_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_position_that_scans_do_not_fit_is_rejected(monkeypatch: pytest.MonkeyPatch) -> None:
     assert looks(monkeypatch, share=0.5, score=REFUTED + 1.0, fit=0.3) == [None, None]
+
+
+HERE_AGREEMENTS, BESIDE, FAR = Landmark(1, 0.0, 0.0), Landmark(2, 0.4, 0.0), Landmark(3, 4.0, 0.0)
+MAP = {mark.object_id: mark for mark in (HERE_AGREEMENTS, BESIDE, FAR)}
+
+
+def until(*agreed: tuple[float, int]) -> float:
+    it = ConfirmationHistory()
+    for stamp, object_id in agreed:
+        it.add(stamp, [object_id])
+    it.on_pose_replaced(MAP)
+    return it.confirmed_until
+
+
+def test_confirmed_until_the_earlier_of_two_newest_agreements() -> None:
+    assert until((1.0, 3), (2.0, 1), (3.0, 3)) == 2.0
+
+
+def test_one_agreeing_object_does_not_confirm_the_pose() -> None:
+    assert until((1.0, 1), (2.0, 1)) == -math.inf
+
+
+def test_objects_close_together_count_as_one_position() -> None:
+    assert until((1.0, 3), (2.0, 1), (3.0, 2)) == 1.0
+    assert until((2.0, 1), (3.0, 2)) == -math.inf
+
+
+def test_agreements_with_different_poses_are_not_combined() -> None:
+    it = ConfirmationHistory()
+    for stamp, object_id in ((1.0, 1), (2.0, 3)):
+        it.add(stamp, [object_id])
+    it.on_pose_replaced(MAP)
+    it.add(3.0, [1])
+    it.on_pose_replaced(MAP)
+    it.add(4.0, [3])
+    it.on_pose_replaced(MAP)
+
+    assert it.confirmed_until == 1.0
+
+
+def test_object_removed_from_the_map_confirms_nothing() -> None:
+    assert until((1.0, 3), (2.0, 9)) == -math.inf

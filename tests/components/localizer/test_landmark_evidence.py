@@ -1,4 +1,4 @@
-"""The verdict on observations: what stands alone waits, what is consistent counts."""
+"""The evidence for landmarks: single contradictions wait, consistent ones are corroborated."""
 
 import math
 
@@ -52,14 +52,14 @@ def judge_of(mode: SimilarityMode = "lr") -> LandmarkEvaluator:
     return LandmarkEvaluator(mode, 300, np.random.default_rng(0))
 
 
-def test_a_contradiction_that_stands_alone_hardly_counts() -> None:
+def test_single_contradiction_is_not_corroborated() -> None:
     found = judged(judge_of(), 1, 0, (4.0, 2.0))
 
     assert found.verdict is EvidenceVerdict.DISAGREES
     assert not found.corroborated
 
 
-def test_a_robot_that_was_somewhere_else_begins_to_judge_anew() -> None:
+def test_clear_forgets_contradictions() -> None:
     judge = judge_of()
     wrongly = [judged(judge, 1, step, (A.x, A.y + 0.4)).verdict for step in range(10)]
     assert wrongly[-1] is EvidenceVerdict.DISAGREES
@@ -70,7 +70,7 @@ def test_a_robot_that_was_somewhere_else_begins_to_judge_anew() -> None:
     assert EvidenceVerdict.DISAGREES not in rightly
 
 
-def test_contradictions_from_three_places_that_agree_count() -> None:
+def test_three_consistent_contradictions_corroborate_each_other() -> None:
     judge = judge_of()
 
     found = [judged(judge, 1, step, (4.0, 2.0)) for step in range(4)]
@@ -79,7 +79,7 @@ def test_contradictions_from_three_places_that_agree_count() -> None:
     assert [one.corroborated for one in found] == [False, False, True, True]
 
 
-def test_an_object_is_not_doubted_while_the_pose_that_relies_on_it_agrees() -> None:
+def test_object_is_not_doubted_while_the_full_pose_agrees() -> None:
     judge = judge_of()
     # The robot is truly 1 m to the right of where the poses without the object have strayed to.
     verdicts = [
@@ -96,7 +96,7 @@ def test_an_object_is_not_doubted_while_the_pose_that_relies_on_it_agrees() -> N
     assert verdicts == [EvidenceVerdict.NOT_CONVERGED] * 5
 
 
-def test_what_is_seen_in_anothers_place_is_a_false_match_for_long() -> None:
+def test_observation_at_another_object_is_a_false_match() -> None:
     judge = judge_of()
 
     verdicts = [judged(judge, 1, step, (3.0, -1.0)).verdict for step in range(8)]
@@ -105,7 +105,7 @@ def test_what_is_seen_in_anothers_place_is_a_false_match_for_long() -> None:
     assert verdicts[7] is EvidenceVerdict.DISAGREES
 
 
-def test_two_objects_that_are_seen_in_each_others_places_were_exchanged() -> None:
+def test_two_objects_observed_at_each_others_positions_were_exchanged() -> None:
     judge = judge_of()
     verdicts = []
     for step in range(5):
@@ -119,7 +119,7 @@ def test_two_objects_that_are_seen_in_each_others_places_were_exchanged() -> Non
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_an_object_that_was_moved_a_little_is_found_out_by_many_sightings(seed: int) -> None:
+def test_small_displacement_is_detected_by_many_observations(seed: int) -> None:
     """Each observation by itself agrees: it is as noisy as the move is wide."""
     random = np.random.default_rng(seed)
     judge = judge_of()
@@ -133,7 +133,7 @@ def test_an_object_that_was_moved_a_little_is_found_out_by_many_sightings(seed: 
     assert verdicts[6:].count(EvidenceVerdict.DISAGREES) >= 3
 
 
-def test_mistaken_identities_do_not_shift_an_object() -> None:
+def test_false_matches_do_not_displace_an_object() -> None:
     judge = judge_of()
     for step in range(4):
         judged(judge, 1, step, (1.5 + step, 2.5), sd=0.15)
@@ -147,7 +147,7 @@ def test_mistaken_identities_do_not_shift_an_object() -> None:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_an_object_that_was_not_moved_agrees_for_ever(seed: int) -> None:
+def test_static_object_always_agrees(seed: int) -> None:
     random = np.random.default_rng(seed)
     judge = judge_of()
 
@@ -159,7 +159,7 @@ def test_an_object_that_was_not_moved_agrees_for_ever(seed: int) -> None:
     assert verdicts == {EvidenceVerdict.AGREES}
 
 
-def test_a_gate_and_the_letter_wait_for_nothing() -> None:
+def test_gate_and_paper_rule_need_no_corroboration() -> None:
     assert judged(judge_of("chi_square"), 1, 0, (4.0, 2.0)).verdict is EvidenceVerdict.DISAGREES
     assert judged(judge_of("chi_square"), 1, 0, (4.0, 2.0)).similarity == pytest.approx(0.1)
     assert judged(judge_of("chi_square"), 1, 0, (3.0, 1.0)).verdict is EvidenceVerdict.AGREES

@@ -1,4 +1,4 @@
-"""Equation (1) in both modes: clamped, never NaN, neutral where nothing can be said."""
+"""Equation (1) in all modes: clamped, never NaN, neutral where nothing is known."""
 
 import math
 
@@ -47,7 +47,7 @@ def test_similarity_is_always_a_number_within_its_bounds(
     assert 0.1 <= likelihood_ratio_similarity(found) <= 0.9
 
 
-def test_an_object_in_its_place_agrees_and_one_that_moved_does_not() -> None:
+def test_object_in_place_agrees_and_moved_object_disagrees() -> None:
     landmark = Landmark(1, 2.0, 0.0)
 
     assert likelihood_ratio_similarity(innovation(pose(), seen(2.0), landmark)) == 0.9
@@ -55,7 +55,7 @@ def test_an_object_in_its_place_agrees_and_one_that_moved_does_not() -> None:
     assert likelihood_ratio_similarity(innovation(pose(), seen(2.0, 0.7), landmark)) == 0.1
 
 
-def test_a_robot_that_does_not_know_where_it_is_judges_nothing() -> None:
+def test_uncertain_pose_is_neutral() -> None:
     lost = pose(sd=3.0)
 
     assert likelihood_ratio_similarity(innovation(lost, seen(3.0), Landmark(1, 2.0, 0.0))) == 0.5
@@ -79,7 +79,7 @@ def test_to_the_letter_similarity_is_bounded_by_nothing() -> None:
     assert paper_rule_radius(pose(sd=0.001)) == pytest.approx(0.002)
 
 
-def test_a_gate_decides_by_one_sighting() -> None:
+def test_gate_decides_by_one_observation() -> None:
     landmark = Landmark(1, 2.0, 0.0)
 
     assert gate_similarity(innovation(pose(), seen(2.1), landmark)) == 0.9
@@ -124,7 +124,7 @@ def test_no_sighting_rules_a_pose_out(x: float, y: float, theta: float, trust: f
     assert math.log(1 - trust) - 4.6 - 1e-9 <= fit <= 1e-9
 
 
-def test_an_object_far_from_where_a_sure_pose_expects_it_is_contradicted_not_passed_over() -> None:
+def test_far_displacement_is_a_contradiction() -> None:
     sure = PoseEstimate((0.0, 0.0, 0.0), np.diag([1e-4, 1e-4, 1e-6]))
     seen = Observation(1, 2.0, 0.0, 1e-4, 1e-5)
 
@@ -134,7 +134,7 @@ def test_an_object_far_from_where_a_sure_pose_expects_it_is_contradicted_not_pas
     assert likelihood_ratio_similarity(found) == LEAST
 
 
-def test_an_object_at_its_word_rules_poses_out_and_one_of_some_reliability_does_not() -> None:
+def test_only_a_certain_object_rules_poses_out() -> None:
     far = np.array([[10.0], [10.0], [0.0]])
     landmark = Landmark(1, 2.0, 0.0, reliability=0.9)
 

@@ -1,4 +1,4 @@
-"""Recent scans, the search for the robot, slips of the wheels, and when what is found is sure."""
+"""Recent scans, the global search, wheel slip, and the confirmation of what was found."""
 
 import math
 from itertools import count
@@ -54,7 +54,7 @@ def through(one: Localization, moment: Moment) -> bool:
     return one.fuse_scan(moment.time, moment.points)
 
 
-def test_scans_are_kept_from_different_poses_only() -> None:
+def test_recent_scans_are_from_different_poses() -> None:
     scans = RecentScans(keep=3)
     for k in range(20):
         scans.add(np.array([[1.0, 0.0]]), (0.1 * k, 0.0, 0.0))
@@ -66,7 +66,7 @@ def test_scans_are_kept_from_different_poses_only() -> None:
     assert len(scans) <= 2
 
 
-def test_scans_are_carried_back_to_where_they_were_taken() -> None:
+def test_recent_scans_are_carried_to_their_poses() -> None:
     grid = room()
     poses = [(2.0, 2.0, 0.0), (2.5, 2.0, 0.2), (3.0, 2.1, 0.4)]
     seen = evidence(grid, *poses)
@@ -79,7 +79,7 @@ def test_scans_are_carried_back_to_where_they_were_taken() -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_the_search_finds_the_pose_that_explains_the_scans(seed: int) -> None:
+def test_search_finds_the_pose_that_explains_the_scans(seed: int) -> None:
     seen = evidence(room(), (2.0, 2.0, 0.3), (2.5, 2.1, 0.5), (2.9, 2.4, 1.0), seed=seed)
 
     found = search(seen, 5000, np.random.default_rng(seed))
@@ -92,7 +92,7 @@ def test_the_search_finds_the_pose_that_explains_the_scans(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_no_place_of_two_that_look_alike_has_the_most_of_the_share(seed: int) -> None:
+def test_two_lookalike_positions_share_the_posterior(seed: int) -> None:
     seen = evidence(room(SYMMETRIC), (3.0, 3.0, 0.3), (3.4, 3.2, 0.5), seed=seed)
 
     found = search(seen, 5000, np.random.default_rng(seed))
@@ -105,7 +105,7 @@ def test_no_place_of_two_that_look_alike_has_the_most_of_the_share(seed: int) ->
         assert min(apart(top, alike)[0] for top in tops) < 0.2
 
 
-def test_nothing_seen_is_nowhere_found() -> None:
+def test_search_without_measurements_finds_nothing() -> None:
     nothing = RecentMeasurements(
         RecentObservations(), RecentScans(), {}, None, 0.1, (0.0, 0.0, 0.0), 0.0
     )
@@ -114,7 +114,7 @@ def test_nothing_seen_is_nowhere_found() -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_robot_in_a_symmetric_room_is_found_nowhere(seed: int) -> None:
+def test_robot_in_a_symmetric_room_is_not_located(seed: int) -> None:
     grid = room(SYMMETRIC)
     one = robot(grid, seed)
 
@@ -126,7 +126,7 @@ def test_a_robot_in_a_symmetric_room_is_found_nowhere(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_found_robot_is_sure_only_after_more_looks(seed: int) -> None:
+def test_found_robot_is_confirmed_by_further_searches(seed: int) -> None:
     grid = room()
     one = robot(grid, seed)
     values: list[float] = []
@@ -142,7 +142,7 @@ def test_a_found_robot_is_sure_only_after_more_looks(seed: int) -> None:
 
 
 @pytest.mark.parametrize("slip", [(0.4, 0.1, 0.0), (0.0, 0.0, 0.5), (-0.3, 0.2, -0.4)])
-def test_wheels_that_slip_are_found_out_by_two_scans(slip: Pose) -> None:
+def test_wheel_slip_is_detected_by_two_scans(slip: Pose) -> None:
     grid = room()
     one = robot(grid)
     one.set_pose(START, np.diag([0.01**2, 0.01**2, 0.01**2]))
@@ -162,7 +162,7 @@ def test_wheels_that_slip_are_found_out_by_two_scans(slip: Pose) -> None:
     assert "not ruled out" in one.health().reason.text
 
 
-def test_people_all_around_are_no_slip() -> None:
+def test_people_around_the_robot_are_no_wheel_slip() -> None:
     grid = room()
     watch = WheelSlipDetector(np.random.default_rng(0))
     scan_map = ScanMap(grid, 0.1, 0.05)
@@ -180,7 +180,7 @@ def test_people_all_around_are_no_slip() -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_carried_robot_is_found_and_never_well_in_the_wrong_place(seed: int) -> None:
+def test_carried_robot_is_found_and_has_low_health_before(seed: int) -> None:
     grid = room()
     one = robot(grid, seed)
     one.set_pose(START, np.diag([0.01**2, 0.01**2, 0.01**2]))

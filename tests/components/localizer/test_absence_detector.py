@@ -1,4 +1,4 @@
-"""What should be in view and is not recognized is told, unless something may hide it."""
+"""The absence detector: objects in view that are not recognized, unless something hides them."""
 
 import math
 
@@ -43,44 +43,44 @@ def missed(
     return [landmark.object_id for landmark, _, _ in found]
 
 
-def test_a_poster_on_the_wall_ahead_that_is_not_recognized_is_missed() -> None:
+def test_unrecognized_object_in_view_is_missing() -> None:
     assert missed(ensure_filter()) == [1]
 
 
-def test_one_that_is_recognized_is_not() -> None:
+def test_recognized_object_is_not_missing() -> None:
     assert missed(ensure_filter(), Observation(1, 3.0, 0.0, 0.01, 0.001)) == []
 
 
-def test_nor_is_one_that_may_have_been_recognized_as_another() -> None:
+def test_object_recognized_as_an_alternative_is_not_missing() -> None:
     assert missed(ensure_filter(), Observation(5, 3.0, 0.0, 0.01, 0.001, (1,))) == []
 
 
-def test_nor_is_one_that_was_removed_from_the_map() -> None:
+def test_object_removed_from_the_map_is_not_missing() -> None:
     assert missed(ensure_filter(), poster=Landmark(1, 3.0, 0.0, live=False)) == []
 
 
-def test_somebody_who_stands_before_it_hides_it() -> None:
+def test_person_in_front_hides_the_object() -> None:
     person = np.column_stack((np.full(11, 1.5), np.linspace(-0.2, 0.2, 11)))
 
     assert missed(ensure_filter(np.concatenate((WALL, person)))) == []
 
 
-def test_without_a_beam_in_its_direction_nothing_is_missed() -> None:
+def test_object_without_a_beam_in_its_direction_is_not_missing() -> None:
     assert missed(ensure_filter(WALL[:20])) == []
     assert missed(AbsenceDetector()) == []
 
 
-def test_a_camera_that_has_not_recognized_anything_of_late_misses_nothing() -> None:
+def test_nothing_is_missing_while_the_camera_recognizes_nothing() -> None:
     assert missed(ensure_filter(scanned=40.0), stamp=40.0) == [1]
     assert missed(ensure_filter(scanned=41.0), stamp=41.0) == []
 
 
-def test_a_scanner_that_is_silent_does_not_tell_what_stands_before_it() -> None:
+def test_nothing_is_missing_without_recent_scans() -> None:
     assert missed(ensure_filter(scanned=9.1)) == [1]
     assert missed(ensure_filter(scanned=8.9)) == []
 
 
-def test_where_one_object_after_another_is_missed_it_is_the_light_that_fails() -> None:
+def test_many_missing_objects_indicate_a_failing_camera() -> None:
     it = ensure_filter()
     dark = {1: POSTER, 3: Landmark(3, 2.9, 0.6)}
 
@@ -96,7 +96,7 @@ def test_where_one_object_after_another_is_missed_it_is_the_light_that_fails() -
     assert [landmark.object_id for landmark, _, _ in with_another] == [1, 3]
 
 
-def test_the_scan_is_seen_from_where_the_robot_has_come_since() -> None:
+def test_scan_is_carried_to_the_current_pose() -> None:
     """A person 1 m ahead; the robot has gone by."""
     it = ensure_filter(np.array([[1.0, 0.0], [3.0, 0.0]]))
     past = PoseEstimate((1.5, 0.0, 0.0), SURE.covariance)
@@ -107,17 +107,17 @@ def test_the_scan_is_seen_from_where_the_robot_has_come_since() -> None:
 
 
 @pytest.mark.parametrize(("x", "y"), [(0.3, 0.0), (4.9, 0.0), (2.0, 1.1), (2.0, -1.1), (-3.0, 0.0)])
-def test_what_is_at_the_edge_of_the_view_is_not_expected(x: float, y: float) -> None:
+def test_object_at_the_edge_of_the_view_is_not_expected(x: float, y: float) -> None:
     assert expected(SURE, Landmark(1, x, y), AHEAD) is None
 
 
-def test_a_robot_that_is_not_sure_of_its_heading_expects_less() -> None:
+def test_uncertain_heading_narrows_the_expected_view() -> None:
     unsure = PoseEstimate((0.0, 0.0, 0.0), np.diag([0.0004, 0.0004, 0.04]))
 
     assert expected(SURE, Landmark(1, 3.0, 0.6), AHEAD) is not None
     assert expected(unsure, Landmark(1, 3.0, 0.6), AHEAD) is None
 
 
-def test_a_beam_that_hits_nothing_on_its_way_shows_that_the_sight_is_free() -> None:
+def test_beam_without_a_hit_shows_free_sight() -> None:
     assert is_visible(np.empty((0, 2)), np.array([[4.0, 0.01]]), 3.0, 0.0)
     assert not is_visible(np.empty((0, 2)), np.array([[2.0, 0.01]]), 3.0, 0.0)

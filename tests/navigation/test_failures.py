@@ -20,7 +20,7 @@ from tests.navigation.driving import DEPLOY, STOPS_S, Drive
 DriveOf = Callable[..., Drive]
 
 
-def test_a_silent_scanner_stops_the_robot_which_says_so_and_goes_on_when_it_is_back(
+def test_silent_scanner_stops_the_robot_until_it_returns(
     drive: DriveOf,
 ) -> None:
     robot = drive()
@@ -38,7 +38,7 @@ def test_a_silent_scanner_stops_the_robot_which_says_so_and_goes_on_when_it_is_b
     robot.arrives((7.0, 5.0))
 
 
-def test_a_scanner_that_stays_silent_ends_the_order_with_its_name(drive: DriveOf) -> None:
+def test_scanner_that_stays_silent_fails_the_mission(drive: DriveOf) -> None:
     robot = drive()
     robot.go(7.0, 5.0)
     robot.await_state(NavigationStatus.DRIVING)
@@ -57,9 +57,7 @@ def spoilt(scan: LaserScan, how: str) -> LaserScan:
 
 
 @pytest.mark.parametrize("how", ["unknown", "no beams", "hits nothing"])
-def test_scans_that_tell_nothing_stop_the_robot_before_what_it_cannot_see(
-    drive: DriveOf, how: str
-) -> None:
+def test_invalid_scans_stop_the_robot(drive: DriveOf, how: str) -> None:
     scanner = "components.range_scanner.topics.scan=true_scan"
     robot = drive(scanner, "external_topics=[scan]")
     scans, spoils = robot.read("true_scan", LaserScan), False
@@ -98,7 +96,7 @@ def test_scans_that_tell_nothing_stop_the_robot_before_what_it_cannot_see(
     ("component", "missed_after_s"),
     [("motion_control", 0.3), ("range_scanner", 0.5), ("localizer", 1.0), ("automove", 1.5)],
 )
-def test_a_silent_component_leaves_the_robot_standing_in_time(
+def test_silent_component_stops_the_robot_in_time(
     drive: DriveOf, component: str, missed_after_s: float
 ) -> None:
     robot = drive()
@@ -115,9 +113,7 @@ def test_a_silent_component_leaves_the_robot_standing_in_time(
 @pytest.mark.parametrize(
     "component", ["map_builder", "localizer", "path_planner", "motion_control"]
 )
-def test_a_plugin_that_begins_anew_on_the_way_does_not_end_the_order(
-    drive: DriveOf, component: str
-) -> None:
+def test_restarted_plugin_does_not_end_the_mission(drive: DriveOf, component: str) -> None:
     robot = drive()
     robot.go(6.6, 1.8)
     robot.await_state(NavigationStatus.DRIVING)
@@ -130,9 +126,7 @@ def test_a_plugin_that_begins_anew_on_the_way_does_not_end_the_order(
 
 
 @pytest.mark.parametrize("component", ["base", "range_scanner", "automove"])
-def test_a_component_below_the_supervisor_that_begins_anew_does_not_end_the_order(
-    drive: DriveOf, component: str
-) -> None:
+def test_restarted_child_does_not_end_the_mission(drive: DriveOf, component: str) -> None:
     robot = drive()
     robot.ask("mobile_supervisor", "go", goals=[[3.0, 1.2, 0.0], [6.6, 1.8, 0.0]])
     robot.await_goal(1)
@@ -148,7 +142,7 @@ def test_a_component_below_the_supervisor_that_begins_anew_does_not_end_the_orde
 KEPT = "components.mobile_supervisor.parameters.state_file=${report}/mission.json"
 
 
-def test_a_supervisor_that_begins_anew_goes_on_with_the_order_it_kept(drive: DriveOf) -> None:
+def test_restarted_supervisor_continues_its_mission(drive: DriveOf) -> None:
     robot = drive(KEPT)
     order = robot.ask("mobile_supervisor", "go", goals=[[3.0, 1.2, 0.0], [6.6, 1.8, 0.0]])
     robot.await_goal(1)
@@ -160,7 +154,7 @@ def test_a_supervisor_that_begins_anew_goes_on_with_the_order_it_kept(drive: Dri
     assert robot.ask("mobile_supervisor", "mission")["resumed"] == 1
 
 
-def test_a_supervisor_that_finds_no_order_lets_the_robot_stand(
+def test_restarted_supervisor_without_a_mission_leaves_the_robot_standing(
     drive: DriveOf, tmp_path: Path
 ) -> None:
     robot = drive(KEPT)
@@ -209,7 +203,7 @@ def no_picture(folder: Path) -> Path:
         (no_picture, "small.pgm"),
     ],
 )
-def test_a_map_that_is_none_fails_the_deployment_at_once_with_one_cause(
+def test_invalid_map_fails_the_deployment_at_once(
     drive: DriveOf, tmp_path: Path, make: Callable[[Path], Path], cause: str
 ) -> None:
     robot = drive(f"settings.map={make(tmp_path)}", *AT_START)
@@ -223,9 +217,7 @@ def test_a_map_that_is_none_fails_the_deployment_at_once_with_one_cause(
     assert robot.now == 0.0
 
 
-def test_a_map_that_is_none_fails_an_order_at_once_with_its_cause(
-    drive: DriveOf, tmp_path: Path
-) -> None:
+def test_invalid_map_fails_the_mission_at_once(drive: DriveOf, tmp_path: Path) -> None:
     robot = drive(f"settings.map={no_map(tmp_path)}")
     robot.go(3.0, 1.2)
 
