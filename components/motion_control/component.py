@@ -171,7 +171,7 @@ class MotionControl(Component):
         if rays.informative:
             self._safety.note("scan", stamp, self.clock.now())
         elif self._safety.scan_informative:
-            self.log.warning("uninformative scan on %s: its beams measure nothing", self.scan.topic)
+            self.log.warning("invalid scan on %s: its beams measure nothing", self.scan.topic)
         self._safety.scan_informative = rays.informative
         self._memory.add(stamp, sweep.start, rays)
         self._memory.set_predictions(self._movers.add_scan(stamp, rays, self._tracker.turn))

@@ -65,7 +65,7 @@ class SafetyStop:
         stale = self._stale("odom", timeouts.odom, now)
         if stale:
             return ReasonCode.NO_ODOMETRY, stale
-        scan = "scan" if self.scan_informative else "informative scan"
+        scan = "scan" if self.scan_informative else "valid scan"
         stale = self._stale("scan", timeouts.scan, now, scan)
         if stale:
             return ReasonCode.NO_SCAN, stale

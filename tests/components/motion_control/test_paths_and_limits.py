@@ -169,12 +169,12 @@ def test_fresh_input_is_stale_after_a_time_reset_until_it_arrives_again() -> Non
     assert reason(it, 41 * SECOND) == "no scan for 1.00 s on /r/scan"
 
 
-def test_uninformative_scans_are_named_as_such() -> None:
+def test_scans_without_measurements_are_named_as_such() -> None:
     it = stop_with_odometry()
     it.note("scan", 10 * SECOND, 10 * SECOND)
     it.scan_informative = False
 
-    assert reason(it, 11 * SECOND) == "no informative scan for 1.00 s on /r/scan"
+    assert reason(it, 11 * SECOND) == "no valid scan for 1.00 s on /r/scan"
 
 
 def test_lost_robot_stops_until_its_health_exceeds_the_limit_clearly() -> None:
