@@ -70,7 +70,7 @@ class DriveContract(OdometryContract):
         span = max(2, math.ceil(cls.drive_s * cls.rate_hz))
         with robot.read(cls.topic(robot, cls.port), Odometry) as odom:
             cls.sample(odom, max(10, span // 2))
-            begun = odom.count
+            started = odom.count
             with robot.publishing(command, cls.ahead()):
                 cls.sample(odom, span, after=odom.count)
                 turned = odom.count
@@ -79,8 +79,13 @@ class DriveContract(OdometryContract):
                 ceased = odom.count
             end = max(2, math.ceil((cls.stop_limit_s + 0.5) * cls.rate_hz))
             cls.sample(odom, end, after=odom.count)
-        told = odom.arrivals
-        parts = (told[:begun], told[begun:turned], told[turned:ceased], told[ceased:])
+        arrivals = odom.arrivals
+        parts = (
+            arrivals[:started],
+            arrivals[started:turned],
+            arrivals[turned:ceased],
+            arrivals[ceased:],
+        )
         if transforms is None:
             return Drive(*parts, None)
         with transforms:

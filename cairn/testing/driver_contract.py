@@ -311,12 +311,12 @@ class UnplugContract(Contract):
         plug = _unpluggable(device)
         self.await_working(output, 0)
         before = robot.status(self.component)
-        said = len(robot.run.lines)
+        mark = len(robot.run.lines)
         diagnosed = self.port_of(robot, "diagnostics")
         plug.unplug()
         try:
             if diagnosed is None:
-                self._await_warning(robot, said)
+                self._await_warning(robot, mark)
             else:
                 self._await_diagnosis(robot, diagnosed.topic)
             silent = output.stays_silent(max(0.5, 5.0 / self.rate_hz))
@@ -341,11 +341,11 @@ class UnplugContract(Contract):
             plug.plug_in()
         self.await_working(output, output.count)
 
-    def _await_warning(self, robot: RunningDeployment, said: int) -> None:
+    def _await_warning(self, robot: RunningDeployment, mark: int) -> None:
         try:
             robot.run.await_line(
                 rf"(WARNING|ERROR) +{robot.name}\.{self.component}: ",
-                after=said,
+                after=mark,
                 limit_s=self.tell_limit_s,
             )
         except AssertionError:
@@ -375,11 +375,11 @@ class StopContract(Contract):
 
     def test_it_stops_cleanly(self, robot: RunningDeployment, output: Reading[Any]) -> None:
         """Within its deployment's `stop_timeout_s`; otherwise its supervisor has to kill it."""
-        said = len(robot.run.lines)
+        mark = len(robot.run.lines)
         robot.unload(self.component)
         stopped = rf"{self.component} (did not stop cleanly|stopped): "
-        robot.run.await_line(stopped, after=said)
-        lines = [line for line in robot.run.lines[said:] if re.search(stopped, line)]
+        robot.run.await_line(stopped, after=mark)
+        lines = [line for line in robot.run.lines[mark:] if re.search(stopped, line)]
         robot.load(self.component)
 
         assert "stopped: shut down" in lines[0], f"it did not stop by itself: {lines[0].strip()}"

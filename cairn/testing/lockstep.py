@@ -1,6 +1,6 @@
 """The lockstep harness: test one component, or a whole deployment, in virtual time.
 
-Virtual time advances only when the test says so, so that such a test takes no real time and gives
+Virtual time advances only when the test lets it, so that such a test takes no real time and gives
 the same result in every run. `ComponentHarness` runs one component whose ports the test writes and
 reads; `DeploymentHarness` runs all components of a deployment file:
 

@@ -81,8 +81,8 @@ class HokuyoConfig(Config):
         0.5,
         ge=0.05,
         le=60,
-        description="How long nothing is received, beyond two turns, until the sensor is told to "
-        "start again [s].",
+        description="How long nothing is received, beyond two turns, until the sensor is started "
+        "again [s].",
     )
     rate_tolerance: float = Field(
         0.05,

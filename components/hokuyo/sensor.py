@@ -1,6 +1,6 @@
 """A connected sensor, and the loop that has it measure: connects, watches, restarts its stream.
 
-A sensor that falls silent is told to start again here; one that was unplugged is opened again by
+A silent sensor gets the command to start again here; one that was unplugged is opened again by
 `cairn.driver.device_thread`.
 """
 
@@ -88,14 +88,14 @@ class ConnectedSensor:
         Raises `DeviceError` if it does not start at all.
         """
         try:
-            wanted = request_of(config, self.spec)
+            full = request_of(config, self.spec)
         except CairnError as error:
             raise DeviceError(f"{self.link.name}: {error}") from error
         if isinstance(self.protocol, Scip1):
-            plain = replace(wanted, intensity=False, multi_echo=False, skip=0, encoding=2)
+            plain = replace(full, intensity=False, multi_echo=False, skip=0, encoding=2)
             self.protocol.start(plain)
             return plain
-        for request in _fallbacks(wanted):
+        for request in _fallbacks(full):
             try:
                 self.protocol.start(request)
             except CommandRefused as refusal:
@@ -133,7 +133,7 @@ class Measurement:
         self.spec: SensorSpec | None = None
         """How the sensor that was connected last measures."""
         self.restarts = 0
-        """How often a silent sensor was told to start again."""
+        """How often a silent sensor got the command to start again."""
         self.connections = 0
         self._on_scan = on_scan
         self._last_baud: int | None = None
@@ -206,7 +206,7 @@ class Measurement:
                 if restarted and not any_scan:
                     raise DeviceError(
                         f"{sensor.link.name}: no scan for {config.silence_s:g} s, although the "
-                        f"sensor was told to start again{self._damage()}"
+                        f"sensor got the command to start again{self._damage()}"
                     )
                 restarted = True
                 self.restarts += 1
@@ -349,13 +349,13 @@ def _open(config: HokuyoConfig) -> Link:
     return SerialLink(config.port, config.baud)
 
 
-def _fallbacks(wanted: ScanRequest) -> list[ScanRequest]:
+def _fallbacks(full: ScanRequest) -> list[ScanRequest]:
     """Return the request, then with fewer and fewer options that not every sensor has."""
-    tries = [wanted]
-    if wanted.multi_echo and wanted.intensity:
-        tries.append(replace(wanted, intensity=False))
-    if wanted.multi_echo:
-        tries.append(replace(wanted, multi_echo=False))
-    if wanted.intensity or wanted.encoding == 2:
-        tries.append(replace(wanted, multi_echo=False, intensity=False, encoding=3))
+    tries = [full]
+    if full.multi_echo and full.intensity:
+        tries.append(replace(full, intensity=False))
+    if full.multi_echo:
+        tries.append(replace(full, multi_echo=False))
+    if full.intensity or full.encoding == 2:
+        tries.append(replace(full, multi_echo=False, intensity=False, encoding=3))
     return tries

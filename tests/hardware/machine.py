@@ -46,7 +46,7 @@ def run_in_guest(
 
     With `booted` the guest's init is systemd, which takes longer.
 
-    What it prints is printed here as it comes; what the kernel says goes to the file `log`.
+    Its output is printed here at once; the kernel's messages go to the file `log`.
     Raises `CannotRun` if the guest does not come to the command's end within the limit [s].
     """
     with tempfile.TemporaryDirectory(prefix="cairn-guest-") as name:

@@ -11,7 +11,7 @@ _SYSTEM_FOLDERS = ("/usr/local/sbin", "/usr/sbin", "/sbin")  # not on a user's p
 _INSTALL_LIMIT_S = 300
 
 
-class CannotRun(Exception):  # noqa: N818 - says what happened
+class CannotRun(Exception):  # noqa: N818 - it is an event
     """Why there can be no virtual machine here, and what to do about it."""
 
 

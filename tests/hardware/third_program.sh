@@ -1,4 +1,4 @@
-# Runs the command that the guest was started for, and tells its exit status. What it prints goes to
+# Runs the command that the guest was started for, and reports its exit status. What it prints goes to
 # the host over a virtual port.
 . /mnt/exchange/environment  # REPOSITORY, COMMAND
 busybox ip link set lo up

@@ -21,7 +21,7 @@ class Parrot:
     next_at: float = math.inf
     power_ons: int = 0
     hang_ups: int = 0
-    heard: list[bytes] = field(default_factory=list)
+    received: list[bytes] = field(default_factory=list)
     _held: bytes = b""
 
     def powered_on(self, now: float) -> None:
@@ -47,7 +47,7 @@ class Parrot:
     def receive(self, data: bytes, now: float) -> list[bytes]:
         *lines, self._held = (self._held + data).split(b"\n")
         for line in lines:
-            self.heard.append(line)
+            self.received.append(line)
             if line == b"count":
                 self.next_at = now
             elif line.startswith(b"speak "):

@@ -88,8 +88,8 @@ def restarted_devices(draw: st.DrawFn) -> Stream:
     sent = [100_000 + period_ms * n + (away_ms if n >= before else 0) for n in numbers]
     # Another clock: before an earlier time of the old one, or ahead by more than may be late.
     other = draw(st.integers(away_ms + period_ms + 100, _MODULUS - 1000))
-    begun = draw(st.integers(0, _MODULUS - 1))
-    shown = [begun + ms - (other if n >= before else 0) for n, ms in enumerate(sent)]
+    start = draw(st.integers(0, _MODULUS - 1))
+    shown = [start + ms - (other if n >= before else 0) for n, ms in enumerate(sent)]
     random = np.random.default_rng(draw(st.integers(0, 1 << 32)))
     latest = draw(st.sampled_from([0.002, 0.02, 0.5]))
     return Stream([ms / 1000 for ms in sent], shown, list(random.uniform(0, latest, len(sent))))
@@ -109,7 +109,7 @@ def test_a_restarted_device_is_followed_from_its_first_message(stream: Stream) -
 def test_one_damaged_stamp_affects_no_other_message(stream: Stream, data: st.DataObject) -> None:
     stream.late = [0.002] * len(stream.late)
     at = data.draw(st.integers(1, len(stream.shown) - 1))
-    # Ahead by less than messages may be late it cannot be told from one that is in time.
+    # Ahead by less than messages may be late it cannot be distinguished from one on time.
     stream.shown[at] += data.draw(st.integers(600, _MODULUS - 1))
     clock = DeviceClock(1000, 24)
 

@@ -151,7 +151,7 @@ def test_a_hanging_device_neither_sends_nor_receives(tmp_path: Path) -> None:
         assert link.read(0.1) == b""
         emulator.hang(0)
         asked(link, b"hello")
-        assert b"lost" not in parrot.heard
+        assert b"lost" not in parrot.received
         link.close()
 
 
@@ -210,7 +210,7 @@ def test_at_the_wrong_speed_nothing_is_understood_in_either_direction(tmp_path: 
             pass
         assert b"\0" in read_count(link, 40)
         link.close()
-    assert parrot.heard == [b"count"]
+    assert parrot.received == [b"count"]
 
 
 def test_a_change_of_speed_is_answered_at_the_old_speed(tmp_path: Path) -> None:

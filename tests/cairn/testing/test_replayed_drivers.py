@@ -1,4 +1,4 @@
-"""The replayed drivers keep the contracts, as far as they can: nobody drives a recorded robot."""
+"""The replayed drivers keep the contracts, as far as a recording allows."""
 
 import gzip
 from collections.abc import Iterator
@@ -48,7 +48,7 @@ CAMERA_REPLAY = """
 
 
 class Recorded:
-    """Four times as fast as it was recorded; the clock tells each tenth of a second."""
+    """Replayed at four times the recorded speed; the clock ticks every tenth of a second."""
 
     live = False
     early_s = 3.0

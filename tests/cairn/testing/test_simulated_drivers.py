@@ -1,6 +1,6 @@
-"""The simulated drivers keep the contracts, all in one deployment: what they tell, and their lives.
+"""The simulated drivers keep the contracts of messages and life cycle, all in one deployment.
 
-Their messages are judged by a robot's clock, so that these tests run beside no others.
+Messages are judged in real time, so that these tests run beside no others.
 """
 
 import math
@@ -56,9 +56,9 @@ class TestPictures(PicturesContract):
 
 
 class TrueWheels:
-    """The wheels of the simulated base, by what the world knows. A device as the contracts know it.
+    """The wheels of the simulated base, as its world knows them; a device of the contracts.
 
-    The world tells true speeds with each state, and goes on telling them while no wheel turns.
+    The world publishes true speeds with each state, also while no wheel turns.
     """
 
     def __init__(self, states: Reading[WorldState]) -> None:

@@ -58,10 +58,10 @@ def test_every_scan_is_equal_to_what_was_sent(
         (one,) = [
             one for one, first in zip(sent, scans, strict=True) if first.header == scan.header
         ]
-        told = [ranges(row[row >= 0], model) for row in one.distances]
-        for echoes, wanted in zip(scan.ranges, told, strict=True):
-            assert echoes.echoes.tolist() == pytest.approx(wanted, abs=1e-5, nan_ok=True)
-        assert len(scan.intensities) == (len(told) if parameters.get("intensity") else 0)
+        report = [ranges(row[row >= 0], model) for row in one.distances]
+        for echoes, expected in zip(scan.ranges, report, strict=True):
+            assert echoes.echoes.tolist() == pytest.approx(expected, abs=1e-5, nan_ok=True)
+        assert len(scan.intensities) == (len(report) if parameters.get("intensity") else 0)
     if not emulated.get("knows_scip2", True):
         return  # it has no clock, and sends its last scan whenever it is asked
     stamps = [_seconds(scan) for scan in scans]
@@ -81,14 +81,14 @@ def _seconds(scan: Any) -> float:
 def test_angles_and_diagnostics_describe_the_sensor(tmp_path: Path) -> None:
     with driven(tmp_path, UTM, mount={"x": 0.2}, frame_id="front_laser") as it:
         scan = it.scans.wait(3)[0]
-        told = it.health(lambda status: True)
-    values = {value.key: value.value for value in told.values}
+        report = it.health(lambda status: True)
+    values = {value.key: value.value for value in report.values}
 
     assert scan.header.frame_id == "front_laser"
     assert scan.ranges.size == 1081
     assert scan.angle_min == pytest.approx(-0.75 * math.pi, abs=1e-6)
     assert scan.angle_max == pytest.approx(0.75 * math.pi, abs=1e-6)
-    assert told.hardware_id == "H0614967"
+    assert report.hardware_id == "H0614967"
     assert values["nominal rate [Hz]"] == "40"
     assert values["firmware"].startswith("1.18")
     assert values["STAT at start"] == "Sensor works well."
@@ -144,8 +144,8 @@ def test_parameters_change_while_it_runs_or_are_refused(tmp_path: Path) -> None:
 def test_options_that_a_sensor_lacks_are_dropped_and_reported(tmp_path: Path) -> None:
     with driven(tmp_path, "URG-04LX-UG01", intensity=True, multi_echo=True) as it:
         scan = it.scans.wait(1)[0]
-        told = it.health(lambda status: True)
-    values = {value.key: value.value for value in told.values}
+        report = it.health(lambda status: True)
+    values = {value.key: value.value for value in report.values}
 
     assert scan.intensities.size == 0
     assert values["intensity"] == "False"

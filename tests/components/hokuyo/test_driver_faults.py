@@ -78,13 +78,15 @@ def test_a_damaged_scan_is_dropped_and_counted(tmp_path: Path, fault: FrameFault
         it.scans.wait(2)
         it.emulator.inject(fault, 3)
         it.scans.wait(10, after=len(it.scans))
-        told = it.health(lambda status: True)
+        report = it.health(lambda status: True)
 
     assert_all_were_sent(it)
     assert it.emulator.injected == {fault: 3}
-    assert values(told)["connections"] == "1"
+    assert values(report)["connections"] == "1"
     if fault in ("bad_sum", "cut"):
-        assert int(values(told)["damaged replies"]) + int(values(told)["bytes of no reply"]) >= 1
+        assert (
+            int(values(report)["damaged replies"]) + int(values(report)["bytes of no reply"]) >= 1
+        )
 
 
 def test_a_silent_sensor_is_told_to_start_again(tmp_path: Path) -> None:
@@ -92,9 +94,9 @@ def test_a_silent_sensor_is_told_to_start_again(tmp_path: Path) -> None:
         it.scans.wait(2)
         it.emulator.call(lambda: it.device.receive(b"QT\n", 0.0))  # as if it had stopped by itself
         it.scans.wait(3, after=len(it.scans))
-        told = it.health(lambda status: "silent" in status.message, after=0)
+        report = it.health(lambda status: "silent" in status.message, after=0)
 
-    assert told.level == WARN
+    assert report.level == WARN
 
 
 def test_scans_resume_after_a_hang(tmp_path: Path) -> None:
@@ -145,18 +147,18 @@ def test_statuses_in_a_stream_are_counted_but_not_as_damage(tmp_path: Path, stat
         it.scans.wait(2)
         it.emulator.call(lambda: it.device.send_status(status, 2))
         it.scans.wait(5, after=len(it.scans))
-        told = it.health(lambda told: values(told).get(f"status {status}") == "2")
+        report = it.health(lambda report: values(report).get(f"status {status}") == "2")
 
-    assert values(told)["damaged replies"] == "0"
+    assert values(report)["damaged replies"] == "0"
 
 
 def test_a_reported_defect_is_an_error_with_its_status(tmp_path: Path) -> None:
     with driven(tmp_path) as it:
         it.scans.wait(2)
         it.emulator.call(lambda: it.device.send_status("55"))
-        told = it.health(lambda status: status.level == ERROR)
+        report = it.health(lambda status: status.level == ERROR)
 
-    assert "55" in told.message
+    assert "55" in report.message
 
 
 def test_a_restarted_driver_waits_for_its_sensor(tmp_path: Path) -> None:

@@ -163,12 +163,12 @@ def test_commands_may_end_in_several_ways_and_arrive_in_pieces(end: bytes) -> No
 
 def test_state_numbers_follow_the_state() -> None:
     sensor = EmulatedScip("UST-10LX")
-    told = []
+    numbers = []
     for command in (b"VV", b"BM", b"MD0000108001000", b"QT", b"TM0", b"TM2", b"%SL"):
         sensor.receive(command + b"\n", 0.0)
         (answer,) = sensor.receive(b"%ST\n", 0.0)
-        told.append(answer.split(b"\n")[2][:3])
-    assert told == [b"000", b"003", b"004", b"000", b"002", b"000", b"005"]
+        numbers.append(answer.split(b"\n")[2][:3])
+    assert numbers == [b"000", b"003", b"004", b"000", b"002", b"000", b"005"]
 
 
 def test_a_reboot_takes_two_commands_within_a_second() -> None:
@@ -233,7 +233,7 @@ def test_scans_are_sent_at_the_rate_of_the_mirror() -> None:
         assert len(sensor.tick(times[-1])) == 1
         assert sensor.tick(times[-1]) == []
     assert np.diff(times) == pytest.approx([0.025, 0.025])
-    # A turn that begins after the command, and is told when its last step has been measured.
+    # A turn that begins after the command, and is sent when its last step has been measured.
     assert times[0] == pytest.approx(10.025 + 0.025 * 1081 / 1440)
 
 

@@ -80,7 +80,7 @@ def test_a_sensor_with_the_necessary_commands_only(tmp_path: Path, wants_laser: 
         try:
             it.component.activate()
             scans = it.scans.wait(5)
-            told = it.health(lambda status: True)
+            report = it.health(lambda status: True)
         finally:
             it.component.close()
     stamps = [scan.header.stamp.sec + scan.header.stamp.nanosec * 1e-9 for scan in scans]
@@ -89,6 +89,6 @@ def test_a_sensor_with_the_necessary_commands_only(tmp_path: Path, wants_laser: 
     assert scans[0].angle_min == pytest.approx(-math.pi / 2)
     assert scans[0].ranges.size == 181
     assert np.all(np.diff(stamps) > 0)
-    values = {value.key: value.value for value in told.values}
+    values = {value.key: value.value for value in report.values}
     assert values["model"] == "PLAIN-1"
     assert values["computing [ms]"] == "not measured"

@@ -253,12 +253,12 @@ def _same(right: ScanData, found: ScanData) -> None:
 
 @pytest.mark.parametrize("values", [1, 21, 64, 128, 682, 1081])
 def test_lines_may_be_full_or_not(values: int) -> None:
-    wanted = np.arange(values) * 37 % 30_000
-    text = b"".join(encode_number(int(value), 3) for value in wanted)
+    expected = np.arange(values) * 37 % 30_000
+    text = b"".join(encode_number(int(value), 3) for value in expected)
 
     data = scan_data(reply_of(text), ScanRequest(0, values - 1))
 
-    assert data.distances[:, 0].tolist() == wanted.tolist()
+    assert data.distances[:, 0].tolist() == expected.tolist()
 
 
 def test_two_characters_and_intensities() -> None:

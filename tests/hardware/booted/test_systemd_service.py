@@ -1,4 +1,4 @@
-"""The systemd unit of deploy/robot runs a robot as a user of least rights, and starts it anew."""
+"""The systemd unit of deploy/robot runs a robot as a user of least rights, and restarts it."""
 
 import json
 import os
@@ -50,7 +50,7 @@ BindReadOnlyPaths={paths}
 
 @pytest.fixture(scope="module", autouse=True)
 def _installed() -> Iterator[None]:
-    """Everything installed as docs/robot.md says, but for an environment that is linked."""
+    """Everything installed as docs/robot.md describes, but with a linked environment."""
     for folder in (_UNITS / f"{_SERVICE}.service.d", Path("/etc/cairn"), Path("/etc/sysusers.d")):
         folder.mkdir(parents=True, exist_ok=True)
     Path("/run/udev/rules.d").mkdir(parents=True, exist_ok=True)
@@ -138,7 +138,7 @@ def of_robot() -> list[psutil.Process]:
 
 
 def of_service(what: str) -> str:
-    """A property of the service as systemd tells it."""
+    """Return a property of the service, as systemd reports it."""
     done = subprocess.run(
         ["systemctl", "show", _SERVICE, "--property", what, "--value"],
         check=True,
@@ -150,7 +150,7 @@ def of_service(what: str) -> str:
 
 
 def journal() -> str:
-    """What the service said, and systemd of it."""
+    """Return the journal of the service, and of systemd about it."""
     done = subprocess.run(
         ["journalctl", "--unit", _SERVICE, "--output", "json"],
         check=True,
@@ -174,7 +174,7 @@ def end_of_journal() -> str:
 
 
 def await_word(word: str, *, after: str) -> None:
-    """Wait until systemd or the service says something, after that place of the journal."""
+    """Wait for a line of systemd or the service, after this position in the journal."""
     follow = ["journalctl", "--follow", "--lines=all", "--after-cursor", after, "--output=cat"]
     with subprocess.Popen([*follow, "--unit", _SERVICE], stdout=PIPE, text=True) as process:
         limit = threading.Timer(_LIMIT_S, process.kill)

@@ -50,8 +50,8 @@ class Cable(ABC):
 class AcmCable(Cable):
     """A USB device of class CDC-ACM, as a URG-04LX: the kernel's own gadget on its dummy bus.
 
-    When it is unplugged, the far end's terminal is hung up: whoever has it open reads its end, and
-    has to open it again.
+    When it is unplugged, the far end's terminal is hung up: a process that has it open reads an
+    end of file, and has to open it again.
     """
 
     port = Path("/dev/ttyACM0")

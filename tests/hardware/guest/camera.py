@@ -37,7 +37,7 @@ def load_cameras() -> None:
 
 
 def unplug_cameras() -> None:
-    """Take both away, while whoever has them open has them open."""
+    """Remove both, while processes have them open."""
     (_DRIVER / "unbind").write_text("vivid.0")
 
 

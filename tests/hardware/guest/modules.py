@@ -12,7 +12,7 @@ def load(module: str) -> None:
 
 
 def settle() -> None:
-    """Wait until udev has made all links for the devices of which the kernel has told it."""
+    """Wait until udev has made all links for the devices that the kernel has reported."""
     run("udevadm", "settle")
 
 

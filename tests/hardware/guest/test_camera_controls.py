@@ -41,7 +41,7 @@ def test_controls_are_set_on_both_cameras_while_they_stream() -> None:
 
 
 @pytest.mark.parametrize(
-    ("changes", "told"),
+    ("changes", "report"),
     [
         ({"controls__brightness": 256}, "brightness = 256: the camera takes 0 to 255"),
         ({"controls__auto_exposure": 1}, "the camera has no control auto_exposure; it has alpha"),
@@ -51,7 +51,7 @@ def test_controls_are_set_on_both_cameras_while_they_stream() -> None:
     ],
 )
 def test_what_a_camera_does_not_take_is_refused_with_its_bounds(
-    changes: dict[str, object], told: str
+    changes: dict[str, object], report: str
 ) -> None:
     with Driver(device=LEFT, **SMALL) as driver:
         before = value_of(LEFT, "brightness")
@@ -59,7 +59,7 @@ def test_what_a_camera_does_not_take_is_refused_with_its_bounds(
         with pytest.raises(ParameterRejected) as refused:
             driver.set(**changes)
 
-        assert told in str(refused.value)
+        assert report in str(refused.value)
         assert value_of(LEFT, "brightness") == before
 
 
@@ -74,7 +74,7 @@ def test_what_it_gives_instead_of_what_was_asked_for_is_told(
 
 
 @pytest.mark.parametrize(
-    ("parameters", "told"),
+    ("parameters", "report"),
     [
         ({"device": LEFT, "format": "MJPG"}, "but format is MJPG: choose another format"),
         ({"device": "name:nobody"}, "name:nobody: there is no such camera; there are: /dev/"),
@@ -84,12 +84,12 @@ def test_what_it_gives_instead_of_what_was_asked_for_is_told(
     ],
 )
 def test_a_camera_that_cannot_be_had_is_refused_when_it_is_configured(
-    parameters: dict[str, object], told: str
+    parameters: dict[str, object], report: str
 ) -> None:
     with pytest.raises(CairnError) as refused:
         Driver(**parameters)
 
-    assert told in str(refused.value)
+    assert report in str(refused.value)
     assert "camera: " in str(refused.value)
 
 
@@ -97,8 +97,8 @@ def test_cameras_are_listed_with_what_they_offer() -> None:
     cameras = {camera["names"][-1]: camera for camera in listed()}
 
     for name in (LEFT, RIGHT):
-        told = "\n".join(as_lines(cameras[name]))
+        report = "\n".join(as_lines(cameras[name]))
         assert cameras[name]["fault"] == ""
-        assert "GREY: 320 x 180 at " in told
-        assert re.search(r"brightness = \d+: 0 to 255; 128 by default", told)
-        assert "not read by this driver: UYVY" in told
+        assert "GREY: 320 x 180 at " in report
+        assert re.search(r"brightness = \d+: 0 to 255; 128 by default", report)
+        assert "not read by this driver: UYVY" in report

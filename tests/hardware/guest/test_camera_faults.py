@@ -1,4 +1,4 @@
-"""Whatever becomes of a camera, its driver tells it, and pictures come again."""
+"""Whatever happens to a camera, its driver reports it, and publishes images again."""
 
 from __future__ import annotations
 
@@ -40,25 +40,25 @@ def driver() -> Iterator[Driver]:
 def test_a_damaged_buffer_is_dropped_and_counted(driver: Driver) -> None:
     Knobs(LEFT).turn("inject_v4l2_buf_flag_error")
 
-    told = driver.await_values(lambda told: told["marked"] == "1")
+    values = driver.await_values(lambda values: values["marked"] == "1")
 
-    assert told["restarts"] == "0"
+    assert values["restarts"] == "0"
     driver.await_pictures(3)
 
 
 def test_a_stream_that_breaks_off_is_started_anew(driver: Driver) -> None:
     Knobs(LEFT).turn("inject_fatal_streaming_error")
 
-    told = driver.await_values(lambda told: told["restarts"] == "1")
+    values = driver.await_values(lambda values: values["restarts"] == "1")
 
-    assert told["returns"] == "0"
+    assert values["returns"] == "0"
     driver.await_pictures(3)
 
 
 def test_a_buffer_that_is_not_taken_back_is_got_over(driver: Driver) -> None:
     Knobs(LEFT).turn("inject_vidioc_qbuf_error")
 
-    driver.await_values(lambda told: told["restarts"] == "1")
+    driver.await_values(lambda values: values["restarts"] == "1")
 
     driver.await_pictures(3)
 
@@ -76,8 +76,8 @@ def test_a_stream_that_does_not_start_is_started_again(request_: str) -> None:
 def test_a_stream_that_falls_silent_is_started_anew(driver: Driver) -> None:
     Knobs(LEFT).turn("percentage_of_dropped_buffers", 100)
     try:
-        told = driver.await_values(lambda told: int(told["restarts"]) > 1)
-        assert told["level"] == str(ERROR)
+        values = driver.await_values(lambda values: int(values["restarts"]) > 1)
+        assert values["level"] == str(ERROR)
     finally:
         Knobs(LEFT).turn("percentage_of_dropped_buffers", 0)
 
@@ -87,7 +87,7 @@ def test_a_stream_that_falls_silent_is_started_anew(driver: Driver) -> None:
 def test_lost_pictures_are_counted(driver: Driver) -> None:
     Knobs(LEFT).turn("percentage_of_dropped_buffers", 30)
     try:
-        driver.await_values(lambda told: int(told["lost"]) > 2)
+        driver.await_values(lambda values: int(values["lost"]) > 2)
     finally:
         Knobs(LEFT).turn("percentage_of_dropped_buffers", 0)
 
@@ -97,11 +97,11 @@ def test_numbers_of_pictures_that_wrap_are_no_loss() -> None:
     try:
         with Driver(device=LEFT, **{**SMALL, "rate": 50}) as driver:
             driver.await_pictures(150)  # numbers begin 128 before they wrap
-            told = driver.values()
+            values = driver.values()
     finally:
         Knobs(LEFT).turn("wrap_sequence_number", 0)
 
-    assert int(told["lost"]) < 2**16, "of 2**32 numbers"
+    assert int(values["lost"]) < 2**16, "of 2**32 numbers"
 
 
 def test_a_time_that_cannot_be_is_replaced_by_that_of_arrival() -> None:
@@ -109,13 +109,13 @@ def test_a_time_that_cannot_be_is_replaced_by_that_of_arrival() -> None:
     try:
         with Driver(device=LEFT, **SMALL) as driver:
             [image] = driver.await_pictures(1)
-            told = driver.values()
+            values = driver.values()
             now = time.time()
     finally:
         Knobs(LEFT).turn("wrap_timestamp", 0)
 
     assert now - 5 < image.header.stamp.sec <= now
-    assert int(told["unstamped"]) > 0
+    assert int(values["unstamped"]) > 0
 
 
 def test_stamps_of_the_exposures_begin_are_told_as_such() -> None:
@@ -129,9 +129,9 @@ def test_stamps_of_the_exposures_begin_are_told_as_such() -> None:
 
 
 def test_a_camera_that_is_gone_for_a_moment_is_opened_anew(driver: Driver) -> None:
-    Knobs(LEFT).turn("disconnect")  # vivid's cameras are back when nobody has them open
+    Knobs(LEFT).turn("disconnect")  # vivid's cameras return when no process has them open
 
-    driver.await_values(lambda told: told["returns"] == "1")
+    driver.await_values(lambda values: values["returns"] == "1")
 
     driver.await_pictures(3)
 
@@ -144,8 +144,8 @@ def test_cameras_that_are_unplugged_are_taken_up_as_they_were_set_when_they_are_
         driver.set(controls__gain_automatic=0, controls__gain=33)
 
         unplug_cameras()
-        told = driver.await_values(lambda told: "no such camera" in told["message"])
-        assert told["level"] == str(ERROR)
+        values = driver.await_values(lambda values: "no such camera" in values["message"])
+        assert values["level"] == str(ERROR)
         driver.set(controls__gain=44)
         driver.taken("right_image")
         plug_in_cameras()
@@ -162,8 +162,8 @@ def test_while_the_right_camera_is_away_the_left_one_is_published_alone() -> Non
         driver.await_one("right_image")
 
         with disconnected(RIGHT):
-            told = driver.await_values(lambda told: told["level"] == str(ERROR), index=1)
-            assert "gone" in told["message"] or "no such camera" in told["message"]
+            values = driver.await_values(lambda values: values["level"] == str(ERROR), index=1)
+            assert "gone" in values["message"] or "no such camera" in values["message"]
             driver.taken("right_image")
             driver.await_pictures(5)
             assert driver.taken("right_image") == []

@@ -126,7 +126,7 @@ def test_damaged_mjpg_is_dropped_and_counted(source: Loopback, damage: Any, coun
         sent_and_received(source, camera, [first])
         before = int(camera.values()[counted])
         source.write(damage(first))
-        camera.await_values(lambda told: int(told[counted]) == before + 1)
+        camera.await_values(lambda values: int(values[counted]) == before + 1)
         [received] = sent_and_received(source, camera, [second])
 
     expected = simplejpeg.decode_jpeg(second, colorspace="GRAY")[..., 0]
@@ -140,4 +140,4 @@ def test_a_short_picture_is_dropped_and_counted(source: Loopback) -> None:
         sent_and_received(source, camera, [whole.tobytes()])
         before = int(camera.values()["short"])
         source.write(whole.tobytes()[:-WIDTH])
-        camera.await_values(lambda told: int(told["short"]) == before + 1)
+        camera.await_values(lambda values: int(values["short"]) == before + 1)

@@ -29,8 +29,8 @@ while True:
 
 
 class Naps:
-    """A process that naps for 10 ms again and again; by how much it oversleeps tells how the host
-    treats the guest: the guest's own scheduler wakes who naps at once, however busy others are."""
+    """A process that sleeps for 10 ms repeatedly; how late it wakes shows pauses of the host:
+    the guest's own scheduler wakes a sleeping process at once, however busy others are."""
 
     def __enter__(self) -> Self:
         """Begin."""
@@ -46,8 +46,8 @@ class Naps:
     ) -> None:
         """End, and take the longest [ms]."""
         self._process.kill()
-        told, _ = self._process.communicate()
-        self.longest_ms = max(map(float, told.splitlines()[:-1]), default=0.0)
+        report, _ = self._process.communicate()
+        self.longest_ms = max(map(float, report.splitlines()[:-1]), default=0.0)
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -65,7 +65,7 @@ def test_no_picture_is_lost(pixel_format: str) -> None:
         driver.await_pictures(25)
         for _ in range(_WINDOWS):
             before = losses(driver)
-            begun, used = time.monotonic(), time.process_time()
+            started, used = time.monotonic(), time.process_time()
             with Naps() as naps:
                 driver.await_pictures(_PICTURES)
             after = losses(driver)
@@ -73,19 +73,19 @@ def test_no_picture_is_lost(pixel_format: str) -> None:
                 return
             spoiled.append([new - old for old, new in zip(before, after, strict=True)])
             pauses.append(naps.longest_ms)
-            shares.append((time.process_time() - used) / (time.monotonic() - begun))
+            shares.append((time.process_time() - used) / (time.monotonic() - started))
 
-    told = f"lost and skipped, left and right, of {_PICTURES} pictures each: {spoiled}"
+    report = f"lost and skipped, left and right, of {_PICTURES} pictures each: {spoiled}"
     if min(pauses) > _PERIOD_MS:
-        pytest.skip(f"the host leaves the guest no time: it pauses for {pauses} ms; {told}")
+        pytest.skip(f"the host leaves the guest no time: it pauses for {pauses} ms; {report}")
     lost = any(left or right for left, _, right, _ in spoiled)
     if min(shares) > _SATURATED and not lost:
-        # What the kernel delivers, and nobody has time for, gives way to what is newer.
-        pytest.skip(f"the emulated processor is too slow, {min(shares):.2f} of it used; {told}")
-    pytest.fail(told)
+        # Images that no process reads in time are dropped for newer ones.
+        pytest.skip(f"the emulated processor is too slow, {min(shares):.2f} of it used; {report}")
+    pytest.fail(report)
 
 
 def losses(driver: Driver) -> list[int]:
     """Pictures lost and skipped so far, of the left and of the right camera."""
-    told = [driver.values(index) for index in range(2)]
-    return [int(one[name]) for one in told for name in ("lost", "skipped")]
+    report = [driver.values(index) for index in range(2)]
+    return [int(one[name]) for one in report for name in ("lost", "skipped")]

@@ -1,4 +1,4 @@
-"""What the kernel says of devices that come and go."""
+"""Events of the kernel about devices that appear and vanish."""
 
 import select
 import socket
@@ -27,13 +27,13 @@ class DeviceEvents:
     def await_node(self, node: Path, *, there: bool, limit_s: float = 30.0) -> None:
         """Wait until a device's node is there, or is no longer.
 
-        The kernel makes and removes the node before it tells of that. Raises `AssertionError`
+        The kernel makes and removes the node before it reports that. Raises `AssertionError`
         after the limit.
         """
         deadline = time.monotonic() + limit_s
         while node.exists() is not there:
             left_s = max(0.0, deadline - time.monotonic())
             readable, _, _ = select.select([self._socket], [], [], left_s)
-            wanted = "does not come" if there else "does not go"
-            assert readable, f"{node} {wanted} within {limit_s:g} s"
+            problem = "does not appear" if there else "does not vanish"
+            assert readable, f"{node} {problem} within {limit_s:g} s"
             self._socket.recv(_LONGEST)

@@ -50,21 +50,21 @@ class SoundBase(Component):
 
     def step(self, now: int) -> None:
         seconds, self.moved_at = (now - self.moved_at) / SECOND, now
-        forward, turn = self.wanted(now)
+        forward, turn = self.target(now)
         self.theta += turn * seconds
         self.x += forward * seconds * math.cos(self.theta)
         self.y += forward * seconds * math.sin(self.theta)
         header = Header(stamp=from_ns(now), frame_id="odom")
-        self.odom.publish(self.told(header, forward, turn))
+        self.odom.publish(self.odometry(header, forward, turn))
         self.tf.publish(self.placed(header))
 
-    def wanted(self, now: int) -> tuple[float, float]:
+    def target(self, now: int) -> tuple[float, float]:
         if now - self.commanded_at > TIMEOUT_S * SECOND:
             return 0.0, 0.0
         forward = min(TOP_SPEED, max(-TOP_SPEED, self.command.linear.x))
         return forward, min(2.0, max(-2.0, self.command.angular.z))
 
-    def told(self, header: Header, forward: float, turn: float) -> Odometry:
+    def odometry(self, header: Header, forward: float, turn: float) -> Odometry:
         pose = Pose(position=Point(x=self.x, y=self.y), orientation=self.rotation())
         twist = Twist(linear=Vector3(x=forward), angular=Vector3(z=turn))
         return Odometry(
@@ -86,9 +86,9 @@ class SoundBase(Component):
 class NeverStops(SoundBase):
     """Carries out its last command for ever."""
 
-    def wanted(self, now: int) -> tuple[float, float]:
+    def target(self, now: int) -> tuple[float, float]:
         self.commanded_at = now
-        return super().wanted(now)
+        return super().target(now)
 
 
 class RightIsLeft(SoundBase):
@@ -101,18 +101,18 @@ class RightIsLeft(SoundBase):
 
 
 class Unlimited(SoundBase):
-    """Goes as fast as it is told."""
+    """Drives at any commanded speed."""
 
-    def wanted(self, now: int) -> tuple[float, float]:
-        forward, turn = super().wanted(now)
+    def target(self, now: int) -> tuple[float, float]:
+        forward, turn = super().target(now)
         return (self.command.linear.x if forward else 0.0), turn
 
 
 class TwistInDegrees(SoundBase):
     """Tells its rate of turning in degrees a second."""
 
-    def told(self, header: Header, forward: float, turn: float) -> Odometry:
-        return super().told(header, forward, math.degrees(turn))
+    def odometry(self, header: Header, forward: float, turn: float) -> Odometry:
+        return super().odometry(header, forward, math.degrees(turn))
 
 
 class TransformLags(SoundBase):

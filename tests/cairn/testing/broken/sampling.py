@@ -1,4 +1,4 @@
-"""Runs a driver on virtual time, and has a contract's own tests judge what it publishes."""
+"""Runs a driver in virtual time, and applies a contract's own tests to what it publishes."""
 
 import inspect
 from collections.abc import Mapping
@@ -20,22 +20,22 @@ Arrivals = Mapping[str, list[Arrival[Any]]]
 
 
 def failures_of(contract: Contract, **given: object) -> dict[str, str]:
-    """What each test of the contract has to say that needs these fixtures and no others.
+    """Return the failures of the tests of the contract that need exactly these fixtures.
 
-    One that is skipped says so: it would find no mistake.
+    A skipped test is in it too: it would find no fault.
     """
-    said = {}
+    failures = {}
     for name, test in inspect.getmembers(contract, inspect.ismethod):
         if name.startswith("test_") and inspect.signature(test).parameters.keys() == given.keys():
             try:
                 test(**given)
             except (AssertionError, pytest.skip.Exception) as problem:
-                said[name] = str(problem)
-    return said
+                failures[name] = str(problem)
+    return failures
 
 
 def arrivals(driver: ComponentHarness[Any]) -> Arrivals:
-    """All that has been published since the last call, by port; it comes when it is published."""
+    """Return what was published since the last call, by port; it arrives when it is published."""
     times: dict[str, list[int]] = {}
     for port, at_ns in driver.published:
         times.setdefault(port, []).append(at_ns)
@@ -49,7 +49,7 @@ def arrivals(driver: ComponentHarness[Any]) -> Arrivals:
 
 
 def pictures(driver: ComponentHarness[Any], seconds: float) -> Pictures:
-    """What a stereo camera publishes meanwhile."""
+    """Return what a stereo camera publishes in this time [s]."""
     driver.run_for(seconds)
     order = [port for port, _ in driver.published]
     came = arrivals(driver)
@@ -70,7 +70,7 @@ def pictures(driver: ComponentHarness[Any], seconds: float) -> Pictures:
 
 
 def drive(driver: ComponentHarness[Any], contract: type[DriveContract]) -> Drive:
-    """A drive as the contract has it: rest, ahead, to the left, and left alone."""
+    """Return a drive of the contract: standing, ahead, to the left, and standing."""
     parts: list[Arrivals] = []
     for command, seconds in (
         (None, 1.0),

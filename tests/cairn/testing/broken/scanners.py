@@ -51,12 +51,12 @@ class SoundScanner(Component):
         self._there = there
         for _ in self.turns.look(self.clock.now()):
             if there:
-                self.tell()
+                self.send()
 
     def gone(self) -> None:
         self.log.warning("%s is gone", self.config.device)
 
-    def tell(self) -> None:
+    def send(self) -> None:
         self.scan.publish(self.taken())
 
     def taken(self) -> LaserScan:
@@ -139,7 +139,7 @@ class StampedWhenSent(SoundScanner):
 class StampsJump(SoundScanner):
     """Stamps by when the operating system gave the bytes."""
 
-    def tell(self) -> None:
+    def send(self) -> None:
         late = round((0.0, 0.02, 0.02, 0.0)[self.turns.number % 4] * SECOND)
         self.scan.publish(self.stamped(self.turns.ended - SWEEP_NS - late))
 
@@ -147,7 +147,7 @@ class StampsJump(SoundScanner):
 class StampsOfAnotherClock(SoundScanner):
     """Stamps by the device's clock, which began an hour before."""
 
-    def tell(self) -> None:
+    def send(self) -> None:
         self.scan.publish(self.stamped(self.turns.ended - 3600 * SECOND))
 
 
@@ -162,9 +162,9 @@ class OtherFrame(SoundScanner):
 class EveryOther(SoundScanner):
     """Loses every other scan."""
 
-    def tell(self) -> None:
+    def send(self) -> None:
         if self.turns.number % 2:
-            super().tell()
+            super().send()
 
 
 class NeverSilent(SoundScanner):
@@ -183,7 +183,7 @@ class NeverSilent(SoundScanner):
         self._thread.join()
         self._publisher.close()
 
-    def tell(self) -> None:
+    def send(self) -> None:
         pass
 
     def _stream(self) -> None:
@@ -259,7 +259,7 @@ class RepeatsUnplugged(SoundScanner):
     @every(hz=RATE_HZ)
     def repeat(self) -> None:
         if not self.config.device.exists():
-            self.tell()
+            self.send()
 
 
 class NeverReturns(SoundScanner):
@@ -269,6 +269,6 @@ class NeverReturns(SoundScanner):
         super().gone()
         self._given_up = True
 
-    def tell(self) -> None:
+    def send(self) -> None:
         if not getattr(self, "_given_up", False):
-            super().tell()
+            super().send()
