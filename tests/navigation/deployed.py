@@ -1,116 +1,66 @@
-"""A deployment in lockstep in the hands of a test: let time pass, ask, publish, read."""
+"""A deployment in lockstep, with a hook for what is published; adapts the lockstep harness."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from typing import Any
 
-from cairn import RELIABLE, SECOND, Qos
-from cairn.bus.bus import full_name
+from cairn import RELIABLE, Qos
 from cairn.deployment.model import Deployment
-from cairn.placement.lockstep import LockstepRun
-
-_MANY = Qos("reliable", "transient_local", 1_000_000)
+from cairn.testing.lockstep import DeploymentHarness, LockstepReading
 
 
 class Deployed:
-    """Nothing has begun before the first `wait`, `ask` or `publish`."""
+    """Nothing is started before the first `wait`, `ask` or `publish`."""
 
     def __init__(self, deployment: Deployment, seed: int = 1) -> None:
-        self.run = LockstepRun(deployment, seed=seed)
-        self._outside = self.run.bus.node("/robot/operator", _heed)
-        self._writers: dict[str, Any] = {}
-        self._began = False
-        self._told = False  # whether anything has come since the last look
+        self.harness = DeploymentHarness(deployment, seed=seed)
+        self.run = self.harness.run
 
     @property
     def now(self) -> float:
         """Virtual time [s]."""
-        return self.run.executor.now() / SECOND
+        return self.harness.now
 
     def wait(self, seconds: float) -> None:
-        """Let time pass, and what is to happen then happen."""
-        self.begin()
-        executor = self.run.executor
-        end = executor.now() + round(seconds * SECOND)
-        over: list[bool] = []
-
-        def leave(turns: int) -> None:
-            if turns:
-                executor.at(end, lambda: leave(turns - 1))
-            else:
-                over.append(True)
-
-        executor.at(end, lambda: leave(100))
-        executor.run(lambda: self._look() or bool(over))
+        """Let virtual time advance, with what happens until then."""
+        self.harness.run_for(seconds)
 
     def await_that(self, so: Callable[[], bool], limit_s: float = 300.0) -> None:
-        """Let time pass until something is so."""
-        self.begin()
-        executor, until = self.run.executor, self.now + limit_s
-        executor.at(round(until * SECOND), _nothing)
-        executor.run(lambda: self._look() or so() or self.now >= until)
-        assert so(), f"not so within {limit_s} s; {self}"
+        """Let virtual time advance until a condition holds."""
+        try:
+            self.harness.run_until(so, limit_s)
+        except AssertionError as error:
+            raise AssertionError(f"{error}; {self}") from None
 
     def hear(self) -> None:
-        """Called when something was told on a topic that is read: take it."""
+        """Take new messages; called after each message on a topic that is read."""
 
     def ask(self, component: str, verb: str, **arguments: Any) -> Any:
-        """What a component answers to a request; what follows at once has happened then."""
-        self.begin()
-        answer = self.run.runtime(component).request(verb, arguments)
-        self.wait(0.0)
-        return answer
+        """Return a component's reply to a request; what follows at once has happened then."""
+        return self.harness.request(component, verb, **arguments)
 
-    def read(self, topic: str, message: type[Any]) -> Any:
-        """All that is published on a topic, to be taken."""
-        return self._outside.subscribe(full_name("robot", topic), message, _MANY, self._note)
+    def read(self, topic: str, message: type[Any]) -> LockstepReading[Any]:
+        """Collect what is published on a topic."""
+        return self.harness.read(topic, message, on_message=lambda: self.hear())
 
     def publish(self, topic: str, message: Any, qos: Qos = RELIABLE) -> None:
-        """Put a message on a topic; what follows at once has happened then."""
-        self.begin()
-        writer = self._writers.get(topic)
-        if writer is None:
-            name = full_name("robot", topic)
-            writer = self._writers[topic] = self._outside.advertise(name, type(message), qos)
-        writer.publish(message)
-        self.wait(0.0)
+        """Publish a message; what follows at once has happened then."""
+        self.harness.publish(topic, message, qos=qos)
 
     def begin(self) -> None:
-        """Configure and activate all, once; raises `CairnError` if that cannot be."""
-        if self._began:
-            return
-        self._began = True
-        self.run.start()
+        """Configure and activate all, once; raises `CairnError` if that fails."""
+        self.harness.start()
 
     def end(self) -> None:
-        """Stop all in good order, unless it has ended."""
-        if self._began:
-            self.run.shutdown()
+        """Shut all down in order, unless it has ended."""
+        self.harness.shutdown()
 
     def silence(self, component: str) -> None:
-        """Have a component do nothing any more, like a process that was stopped."""
-        self.run.suspend(component)
-
-    def _note(self) -> None:
-        self._told = True
-
-    def _look(self) -> bool:
-        """Before every event. Always false."""
-        if self._told:
-            self._told = False
-            self.hear()
-        return False
+        """Suspend a component, as if its process were stopped."""
+        self.harness.suspend(component)
 
 
-def taken(reader: Any) -> list[Any]:
-    """All that waits there."""
-    return list(iter(reader.take, None))
-
-
-def _nothing() -> None:
-    """Nobody is woken."""
-
-
-def _heed(complaint: str) -> None:
-    raise AssertionError(complaint)
+def taken(reading: LockstepReading[Any]) -> list[Any]:
+    """Return the messages since the last call."""
+    return reading.take()

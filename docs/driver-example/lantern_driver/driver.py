@@ -1,4 +1,4 @@
-"""The driver: ports, parameters, life cycle, and the conversation with the device."""
+"""The driver: ports, parameters, life cycle, and the loop on the device thread."""
 
 import math
 import threading
@@ -21,20 +21,20 @@ from pydantic import Field
 from lantern_driver import protocol
 from lantern_driver.protocol import DamagedLine, Lines, Turn
 
-_LISTEN_S = 0.1
-_SILENCE_S = 1.0  # a Lantern that says nothing for so long does not measure
+_POLL_S = 0.1
+_SILENCE_S = 1.0  # a Lantern that is silent for longer does not measure
 _STEP = math.pi / (protocol.BEAMS - 1)
 
 
 class LanternConfig(Config):
-    """Where the Lantern is."""
+    """Parameters of the driver."""
 
     port: SerialPort = Field(
         description="Serial port: /dev/serial/by-id/..., or usb:VENDOR:PRODUCT[:SERIAL]."
     )
     frame_id: str = Field("laser", min_length=1, description="Frame of the scans.")
     farthest: float = Field(
-        8.0, ge=0.1, le=8.0, description="What is farther counts as nothing hit [m]."
+        8.0, ge=0.1, le=8.0, description="Farther ranges count as nothing hit [m]."
     )
 
 
@@ -48,35 +48,37 @@ class LanternScanner(Component):
     diagnostics: Out[DiagnosticArray]
 
     def on_configure(self) -> None:
-        """See that the line is there; raises `LinkLost` if not, which names it."""
+        """Check that the line is there; raises `LinkLost`, with its name, if not."""
         self._damaged = 0
-        self._feed = DeviceFeed(self, self._converse, self._publish)
+        self._feed = DeviceFeed(self, self._serve, self._publish)
         SerialLink(self.config.port, protocol.BAUD).close()
 
     def on_activate(self) -> None:
-        """Begin to measure."""
+        """Start measuring."""
         self._feed.start()
 
     def on_deactivate(self) -> None:
-        """Stop measuring, and let go of the line."""
+        """Stop measuring, and close the line."""
         self._feed.stop()
 
     def on_error(self, error: Exception) -> bool:
-        """Stop measuring, and let go of the line; the supervisor decides."""
+        """Stop measuring, and close the line; the supervisor decides what follows."""
         self._feed.stop()
         return False
 
     def on_parameters(self, new: Config) -> None:
-        """Another reach can be had at once, another line or frame cannot."""
+        """Accept another reach at once, but no other line or frame."""
         assert isinstance(new, LanternConfig)
         if (new.port, new.frame_id) != (self.config.port, self.config.frame_id):
-            raise ParameterRejected(f"{self.name} takes port and frame_id when it is configured")
+            raise ParameterRejected(
+                f"{self.name}: port and frame_id are fixed while it runs; restart it"
+            )
 
     @every(hz=1)
     def report(self) -> None:
-        """Tell how the device is."""
+        """Publish the device's health."""
         hz = self._feed.hz()
-        level, text = OK, f"{hz:.1f} scans a second"
+        level, text = OK, f"{hz:.1f} scans per second"
         if self._feed.device_error:
             level, text = ERROR, self._feed.device_error
         elif abs(hz - protocol.RATE_HZ) > 0.1 * protocol.RATE_HZ:
@@ -84,35 +86,35 @@ class LanternScanner(Component):
         values = {
             "rate [Hz]": hz,
             "damaged lines": self._damaged,
-            "left out": self._feed.dropped,
+            "dropped scans": self._feed.dropped,
         }
         now, port = self.clock.now(), self.config.port
         self.diagnostics.publish(diagnostics(now, self.name, port, level, text, values))
 
-    def _converse(self, stopping: threading.Event) -> None:
-        """Runs on a thread of its own; what comes is handed to the component."""
+    def _serve(self, stopping: threading.Event) -> None:
+        """Measure until `stopping`, on the device thread; pass turns to the component."""
         link = SerialLink(self.config.port, protocol.BAUD)
         clock = DeviceClock(protocol.CLOCK_HZ, protocol.CLOCK_BITS)
         lines = Lines()
         try:
             link.discard()
             link.write(protocol.START)
-            heard = time.monotonic()
+            received = time.monotonic()
             while not stopping.is_set():
-                data, now = link.read(_LISTEN_S), time.monotonic()
+                data, now = link.read(_POLL_S), time.monotonic()
                 for line in lines.feed(data):
                     try:
                         turn = protocol.read_turn(line)
                     except DamagedLine:
                         self._damaged += 1
                         continue
-                    heard = now
+                    received = now
                     self._feed.report_working(f"{link.name}: the Lantern measures")
                     ended = clock.seconds(turn.ended_ms)
                     began = ended + clock.offset(ended, now) - protocol.SWEEP_S
                     self._feed.put((turn, began))
-                if now - heard > _SILENCE_S:
-                    raise DeviceError(f"{link.name}: no turn for {_SILENCE_S:g} s; is it on?")
+                if now - received > _SILENCE_S:
+                    raise DeviceError(f"{link.name}: no turn for {_SILENCE_S:g} s; check its power")
             link.write(protocol.STOP)
         finally:
             link.close()
@@ -140,7 +142,7 @@ class LanternScanner(Component):
 
 
 def _ranges(turn: Turn, farthest: float) -> np.ndarray:
-    """Meters; infinite where nothing was seen within the reach (REP 117)."""
+    """Return ranges [m]; infinite where nothing was hit within the reach (REP 117)."""
     meters = np.array(turn.millimeters, np.float32) / np.float32(1000.0)
     meters[(meters == 0.0) | (meters > farthest)] = np.inf
     return meters

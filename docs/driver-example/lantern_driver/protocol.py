@@ -1,8 +1,8 @@
-"""What the Lantern says and is told: bytes and numbers, no line, no clock, no bus.
+"""The Lantern's protocol: bytes and numbers, no line, no clock, no bus.
 
-It begins to measure when it is told `G`, and stops at `X`. Twenty times a second it then sends a
-line of text: `T`, when the turn ended [ms of its own clock, 16 bits], the distances of 91 beams
-[mm, 0: nothing seen], `*`, and the sum of all bytes before that as two hexadecimal digits. It turns
+The command `G` starts measuring, `X` stops it. Twenty times per second the Lantern sends a line of
+text: `T`, the end of the turn [ms of its own clock, 16 bits], the distances of 91 beams [mm, 0:
+nothing hit], `*`, and the sum of all bytes before that as two hexadecimal digits. It turns
 clockwise: the first beam points to the left, the last one to the right.
 """
 
@@ -12,11 +12,11 @@ BAUD = 115_200
 START, STOP = b"G\n", b"X\n"
 BEAMS = 91
 RATE_HZ = 20.0
-SWEEP_S = 0.025  # of each turn it looks ahead, which is half of it
+SWEEP_S = 0.025  # it measures ahead, in half of each turn
 CLOCK_HZ, CLOCK_BITS = 1000.0, 16
 NEAREST_MM, FARTHEST_MM = 50, 8000
 
-_LONGEST = 1000  # bytes: no line has more
+_LONGEST = 1000  # bytes of a line
 
 
 class DamagedLine(ValueError):
@@ -38,25 +38,25 @@ def write_turn(turn: Turn) -> bytes:
 
 
 def read_turn(line: bytes) -> Turn:
-    """The turn that a line tells; raises `DamagedLine` if it does not."""
-    body, star, told = line.rstrip(b"\n").rpartition(b"*")
-    if not star or told != b"%02X" % (sum(body) & 0xFF):
+    """Return the turn that a line describes; raises `DamagedLine` if it is damaged."""
+    body, star, received = line.rstrip(b"\n").rpartition(b"*")
+    if not star or received != b"%02X" % (sum(body) & 0xFF):
         raise DamagedLine(f"the sum of {line[:20]!r} ... is wrong")
     kind, *words = body.split(b" ")
     if kind != b"T" or len(words) != 1 + BEAMS or not all(word.isdigit() for word in words):
-        raise DamagedLine(f"{line[:20]!r} ... tells no turn of {BEAMS} beams")
+        raise DamagedLine(f"{line[:20]!r} ... is not a turn of {BEAMS} beams")
     ended, *millimeters = map(int, words)
     return Turn(ended, tuple(millimeters))
 
 
 class Lines:
-    """Puts lines together from bytes as they come."""
+    """Splits received bytes into lines."""
 
     def __init__(self) -> None:
         self._rest = b""
 
     def feed(self, data: bytes) -> list[bytes]:
-        """The lines that are whole now; of bytes without an end only the newest are kept."""
+        """Return the lines that are complete now; of an endless line only the end is kept."""
         *lines, rest = (self._rest + data).split(b"\n")
         self._rest = rest[-_LONGEST:]
         return lines

@@ -41,7 +41,7 @@ class EmulatedLantern:
         return [write_turn(Turn(round(ended * 1000) % (1 << 16), self._distances()))]
 
     def disconnected(self, now: float) -> None:
-        """It does not know: its line has three wires."""
+        """Ignore it: a line with three wires does not show it."""
 
     def powered_on(self, now: float) -> None:
         self._due = math.inf

@@ -1,4 +1,4 @@
-"""The driver keeps the contract of a range scanner, and what that cannot know of this device."""
+"""The driver keeps the contract of a range scanner, and rules particular to this device."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -28,10 +28,10 @@ class TestLantern(RangeScannerContract):
         self, device: Lantern, robot: RunningDeployment, output: Reading[LaserScan]
     ) -> None:
         output.await_count(3)
-        with robot.read("diagnostics", DiagnosticArray) as told:
-            before = damaged(told.await_count(1)[0].message)
+        with robot.read("diagnostics", DiagnosticArray) as diagnostics:
+            before = damaged(diagnostics.await_count(1)[0].message)
             device.emulator.inject("bad_sum", 5)
-            told.await_that(
+            diagnostics.await_that(
                 lambda arrivals: any(damaged(one.message) >= before + 5 for one in arrivals),
                 "five damaged lines more",
             )
@@ -41,18 +41,18 @@ class TestLantern(RangeScannerContract):
         assert min(ranges) > 0.98
         assert max(ranges) < 3.02
 
-    def test_a_device_that_hangs_is_told_and_comes_back(
+    def test_a_hanging_device_is_reported_and_returns(
         self, device: Lantern, robot: RunningDeployment, output: Reading[LaserScan]
     ) -> None:
         output.await_count(3)
-        said = len(robot.run.lines)
+        mark = len(robot.run.lines)
         device.emulator.hang()
-        robot.run.await_line("no turn for 1 s", after=said)
+        robot.run.await_line("no turn for 1 s", after=mark)
         device.emulator.hang(0.0)
         output.await_count(3, after=output.count)
 
 
 def damaged(message: DiagnosticArray) -> int:
-    """How many damaged lines are told."""
+    """Return the count of damaged lines."""
     values = {entry.key: entry.value for entry in message.status[0].values}
     return int(values["damaged lines"])
