@@ -138,8 +138,8 @@ def test_a_goal_loads_the_plugins_which_can_be_loaded_and_unloaded_singly(
 
     send_goal(run, 1.0, 2.0)
 
-    ordered = run.await_line(r"mobile_supervisor: order \d+: go to \(1.00, 2.00\)", after=active)
-    run.await_line("automove: reader active", after=ordered)
+    accepted = run.await_line(r"mobile_supervisor: mission \d+: go to \(1.00, 2.00\)", after=active)
+    run.await_line("automove: reader active", after=accepted)
     automove, beacon = run.pid_of("automove"), run.pid_of("beacon")
     reader = run.pid_of("reader")
 
@@ -177,7 +177,7 @@ def test_a_goal_that_fails_is_reported_and_can_be_sent_again(
     for _ in range(2):
         send_goal(run, 1.0, 2.0)
         seen = run.await_line(
-            r"robot.mobile_supervisor: order \d+ failed: not all plugins can be loaded: base: "
+            r"robot.mobile_supervisor: mission \d+ failed: not all plugins can be loaded: base: "
             "activate failed: ValueError: broken on purpose",
             after=seen,
         )
