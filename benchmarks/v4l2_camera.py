@@ -14,7 +14,7 @@ from benchmarks.result import Figure
 from benchmarks.running import results, run_deployment
 from cairn.bus.qos import SENSOR
 from cairn.components.v4l2_camera.component import V4l2StereoCamera
-from cairn.components.v4l2_camera.pixels import PictureLayout
+from cairn.components.v4l2_camera.decoding import ImageLayout
 from cairn.runtime.component import Component
 from cairn.runtime.ports import In, every, on
 from cairn.schemas.sensor_msgs import CameraInfo, Image
@@ -30,7 +30,7 @@ class FedCamera(V4l2StereoCamera):
 
     def on_configure(self) -> None:
         """Make the buffers."""
-        self._layout = PictureLayout(_WIDTH, _HEIGHT, self.config.format)
+        self._layout = ImageLayout(_WIDTH, _HEIGHT, self.config.format)
         self._buffers = [_buffer(self.config.format, seed) for seed in (0, 1)]
         self._infos = [CameraInfo(width=_WIDTH, height=_HEIGHT)] * 2
         self._times: list[tuple[float, float, float]] = []
@@ -41,23 +41,23 @@ class FedCamera(V4l2StereoCamera):
     def on_cleanup(self) -> None:
         """There is nothing to let go of."""
 
-    def tell(self) -> None:
+    def publish_health(self) -> None:
         """There is nothing to tell."""
 
     @every(hz=50)
     def take(self) -> None:
         """Convert and publish a pair."""
         began = time.thread_time(), time.perf_counter()
-        left, right = (self._layout.gray(buffer) for buffer in self._buffers)
+        left, right = (self._layout.decode(buffer) for buffer in self._buffers)
         converted = time.thread_time()
         self._publish(self.clock.now(), (left, right))
         ended = time.thread_time(), time.perf_counter()
         self._times.append((ended[0] - began[0], converted - began[0], ended[1] - began[1]))
         if len(self._times) == _PAIRS:
             names = ("processor", "converting", "passed")
-            told = dict(zip(names, np.median(self._times, axis=0).tolist(), strict=True))
-            told["size"] = sum(map(len, self._buffers))
-            self.log.info("RESULT %s", json.dumps(told))
+            measured = dict(zip(names, np.median(self._times, axis=0).tolist(), strict=True))
+            measured["size"] = sum(map(len, self._buffers))
+            self.log.info("RESULT %s", json.dumps(measured))
             self.finish("measured")
 
 
@@ -87,19 +87,19 @@ def _figure(pixel_format: str) -> Figure:
         "significant": True,
     }
     output = run_deployment({"reader": {"plugin": f"{_HERE}:Reader"}, "camera": camera}, 60)
-    [told] = results(output)
+    [measured] = results(output)
     return Figure(
         f"pair of {_WIDTH} x {_HEIGHT}, {pixel_format}: converted and published",
-        1e3 * told["processor"],
+        1e3 * measured["processor"],
         "ms",
         at_most=_LIMIT_MS,
-        note=f"of one core, {1e3 * told['converting']:.2f} of it converting "
-        f"{told['size'] / 1000:.0f} kB; {1e3 * told['passed']:.2f} ms passed",
+        note=f"of one core, {1e3 * measured['converting']:.2f} of it converting "
+        f"{measured['size'] / 1000:.0f} kB; {1e3 * measured['passed']:.2f} ms passed",
     )
 
 
 def _buffer(pixel_format: str, seed: int) -> bytes:
-    """A picture with edges and noise, as a camera's buffer."""
+    """A image with edges and noise, as a camera's buffer."""
     random = np.random.default_rng(seed)
     coarse = random.integers(0, 256, (_HEIGHT // 16, _WIDTH // 16), np.uint8)
     large = cv2.resize(coarse, (_WIDTH, _HEIGHT), interpolation=cv2.INTER_LINEAR)

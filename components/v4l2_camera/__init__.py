@@ -1,1 +1,1 @@
-"""Cameras and stereo cameras behind Linux's V4L2."""
+"""Driver and probe of cameras and stereo cameras behind V4L2."""

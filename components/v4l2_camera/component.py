@@ -21,15 +21,14 @@ from cairn import (
     every,
     from_ns,
 )
-from cairn.components.v4l2_camera.agreement import Agreement
-from cairn.components.v4l2_camera.calibrations import read_calibrations
+from cairn.components.v4l2_camera.calibration import optical_frame_transform, read_calibrations
 from cairn.components.v4l2_camera.camera import Camera
 from cairn.components.v4l2_camera.config import LIVE, V4l2StereoCameraConfig
-from cairn.components.v4l2_camera.controls import ControlRefused
-from cairn.components.v4l2_camera.pairing import Pairing, Picture
-from cairn.components.v4l2_camera.pixels import Gray, halves
-from cairn.components.v4l2_camera.placing import placed
-from cairn.components.v4l2_camera.report import CameraReport, PairReport
+from cairn.components.v4l2_camera.controls import ControlRejected
+from cairn.components.v4l2_camera.decoding import Gray, split_side_by_side
+from cairn.components.v4l2_camera.format_negotiation import FormatCheck
+from cairn.components.v4l2_camera.health import CameraMonitor, PairMonitor
+from cairn.components.v4l2_camera.pairing import StampedImage, StereoPairer
 from cairn.driver.device_thread import DeviceThread
 from cairn.driver.errors import DeviceError
 from cairn.schemas.diagnostic_msgs import DiagnosticArray
@@ -42,10 +41,10 @@ _SIDES = ("left", "right")
 
 
 class V4l2StereoCamera(Component):
-    """A camera behind V4L2, a side-by-side stereo camera, or two cameras that make a stereo one.
+    """A camera behind V4L2, a side-by-side stereo camera, or two cameras as a stereo pair.
 
-    Images are gray, as they were taken, and the newest there are. Both of a pair have the stamp of
-    the left one: when the kernel says that it was taken. A camera that is unplugged is waited for.
+    It publishes the newest images, gray and not rectified. Both images of a pair have the stamp of
+    the left one: its capture time by the kernel. It waits for a camera that is unplugged.
     """
 
     clock_source = "device"
@@ -63,20 +62,21 @@ class V4l2StereoCamera(Component):
     _threads: tuple[DeviceThread, ...] = ()
 
     def on_configure(self) -> None:
-        """Open the cameras and agree with them on their pictures.
+        """Open the cameras and negotiate their formats.
 
-        One that was there before may come back: then it is waited for, once active.
+        After a restart a camera may be missing: then its thread waits for it, once active.
         """
         config = self.config
         try:
             count = 2 if config.is_stereo else 1
             files = (config.left_calibration, config.right_calibration)[:count]
             self._infos, self._baseline = read_calibrations(files, _FRAMES[:count], self.log)
-            self._agreement = Agreement(config, self._infos, self.log)
+            self._format_check = FormatCheck(config, self._infos, self.log)
             self._cameras = tuple(
                 Camera(
-                    config.settings_of(device), config.controls.given(),
-                    partial(self._agreement.accept, side), partial(self._came, side), self.log,
+                    config.settings_of(device), config.controls.values(),
+                    partial(self._format_check.accept, side), partial(self._on_image, side),
+                    self.log,
                 )
                 for side, device in enumerate(config.devices())
             )  # fmt: skip
@@ -86,33 +86,33 @@ class V4l2StereoCamera(Component):
             raise CairnError(f"{self.name}: {error}") from error
 
     def on_activate(self) -> None:
-        """Tell where the cameras sit; let them stream."""
+        """Publish the poses of the cameras, and start their streams."""
         header = Header(stamp=from_ns(self.clock.now()), frame_id="base_link")
         offsets = (0.0,) if self._baseline is None else (0.0, self._baseline)
         config = self.config
         self.tf_static.publish(
             TFMessage(
                 transforms=tuple(
-                    placed(header, frame, config.mount, config.z, offset)
+                    optical_frame_transform(header, frame, config.mount, config.z, offset)
                     for frame, offset in zip(_FRAMES, offsets, strict=False)
                 )
             )
         )
-        self._newest = [deque[Picture](maxlen=1) for _ in self._cameras]
-        self._trouble = [""] * len(self._cameras)
-        self._pairing = Pairing(self._agreement.half_period())
-        self._pair_report = PairReport(self.name, self._pairing)
-        self._reports = [
-            CameraReport(f"{self.name}: {side} camera" if self._has_two else self.name, camera)
+        self._newest = [deque[StampedImage](maxlen=1) for _ in self._cameras]
+        self._device_errors = [""] * len(self._cameras)
+        self._pairer = StereoPairer(self._format_check.half_period())
+        self._pair_monitor = PairMonitor(self.name, self._pairer)
+        self._monitors = [
+            CameraMonitor(f"{self.name}: {side} camera" if self._has_two else self.name, camera)
             for side, camera in zip(_SIDES, self._cameras, strict=False)
         ]
         self._threads = tuple(
             DeviceThread(
                 f"{self.name} {side}",
-                camera.converse,
+                camera.serve,
                 log=self.log,
-                on_device_error=partial(self._troubled, index),
-                on_failure=self._failed,
+                on_device_error=partial(self._on_device_error, index),
+                on_failure=self._on_failure,
             )
             for index, (side, camera) in enumerate(zip(_SIDES, self._cameras, strict=False))
         )
@@ -120,15 +120,15 @@ class V4l2StereoCamera(Component):
             thread.start()
 
     def on_deactivate(self) -> None:
-        """Stop streaming; the cameras stay open."""
+        """Stop the streams; the cameras stay open."""
         self._stop()
 
     def on_cleanup(self) -> None:
-        """Let go of the cameras."""
+        """Close the cameras."""
         self._close()
 
-    def on_error(self, error: Exception) -> bool:  # noqa: ARG002 - it makes no difference
-        """Let go of the cameras, for the one that is started in place of this."""
+    def on_error(self, error: Exception) -> bool:  # noqa: ARG002 - the same for every error
+        """Close the cameras, for the component that is started instead."""
         try:
             self._stop()
         finally:
@@ -136,7 +136,7 @@ class V4l2StereoCamera(Component):
         return False
 
     def on_parameters(self, new: Config) -> None:
-        """Set controls on the cameras; they stay the cameras that they are."""
+        """Set controls of the cameras; other parameters cannot be changed."""
         assert isinstance(new, V4l2StereoCameraConfig)
         for name in type(new).model_fields:
             if name not in LIVE and getattr(new, name) != getattr(self.config, name):
@@ -147,23 +147,23 @@ class V4l2StereoCamera(Component):
         with ExitStack() as undo:
             try:
                 for camera in self._cameras:
-                    undo.callback(camera.adjust(new.controls.given()))
-            except (ControlRefused, DeviceError) as error:
+                    undo.callback(camera.set_controls(new.controls.values()))
+            except (ControlRejected, DeviceError) as error:
                 raise ParameterRejected(str(error)) from error
             undo.pop_all()
 
     @every(hz=1)
-    def tell(self) -> None:
-        """Tell how the cameras are."""
+    def publish_health(self) -> None:
+        """Publish the health of the cameras and of their pairs."""
         now = self.clock.now()
-        told = [
-            report.told(now, trouble)
-            for report, trouble in zip(self._reports, self._trouble, strict=True)
+        reports = [
+            monitor.report(now, device_error)
+            for monitor, device_error in zip(self._monitors, self._device_errors, strict=True)
         ]
         if self._has_two:
-            told.append(self._pair_report.told(now))
-        statuses = tuple(status for one in told for status in one.status)
-        self.diagnostics.publish(replace(told[0], status=statuses))
+            reports.append(self._pair_monitor.report(now))
+        statuses = tuple(status for report in reports for status in report.status)
+        self.diagnostics.publish(replace(reports[0], status=statuses))
 
     @property
     def _has_two(self) -> bool:
@@ -176,43 +176,43 @@ class V4l2StereoCamera(Component):
             except DeviceError as error:
                 if not self.restarts:
                     raise
-                self.log.warning("%s; it is waited for", error)
+                self.log.warning("waiting for a camera: %s", error)
         if self._has_two and self._cameras[0].node == self._cameras[1].node:
             raise CairnError(
-                f"device and right_device are both {self._cameras[0].node}: name two cameras, or "
-                "set side_by_side to true for one that sends both pictures in one"
+                f"device and right_device are both {self._cameras[0].node}; name two cameras, or "
+                "set side_by_side to true for one that sends both images in one"
             )
 
-    def _came(self, side: int, picture: Picture) -> None:
-        """On the camera's thread: hand on a picture, in place of one that was not taken yet."""
-        self._threads[side].report_working(f"{self.config.devices()[side]}: pictures come again")
-        self._trouble[side] = ""
+    def _on_image(self, side: int, image: StampedImage) -> None:
+        """Queue an image on the camera's thread; it replaces one that was not published yet."""
+        self._threads[side].report_working(f"{self.config.devices()[side]}: images arrive again")
+        self._device_errors[side] = ""
         if self._newest[side]:
-            self._cameras[side].counts.skipped += 1
-        self._newest[side].append(picture)
-        self.post(partial(self._take, side))
+            self._cameras[side].counts.dropped += 1
+        self._newest[side].append(image)
+        self.post(partial(self._publish_newest, side))
 
-    def _take(self, side: int) -> None:
+    def _publish_newest(self, side: int) -> None:
         try:
-            picture = self._newest[side].popleft()
-        except IndexError:  # two had come, and the newer one was taken
+            image = self._newest[side].popleft()
+        except IndexError:  # two had arrived, and the newer one was published
             return
         if not self._has_two:
-            self._publish(picture.stamp, self._views(picture.gray))
+            self._publish(image.stamp, self._views(image.gray))
             return
-        self._pairing.within = self._agreement.half_period()  # a camera may have come meanwhile
-        pair = self._pairing.add(side, picture)
+        self._pairer.tolerance = self._format_check.half_period()  # cameras may have changed
+        pair = self._pairer.add(side, image)
         if pair is not None:
             left, right = pair
             self._publish(left.stamp, (left.gray, right.gray))
         elif side == 0 and not self._cameras[1].is_streaming:
-            # What sees with one eye ranges by size: better than nothing until the other is back.
-            self._publish(picture.stamp, (picture.gray,))
+            # With one camera objects are ranged by size: better than nothing until both are back.
+            self._publish(image.stamp, (image.gray,))
 
     def _views(self, gray: Gray) -> tuple[Gray, ...]:
         if not self.config.side_by_side:
             return (gray,)
-        left, right = halves(gray)
+        left, right = split_side_by_side(gray)
         return (right, left) if self.config.right_comes_first else (left, right)
 
     def _publish(self, stamp: int, views: tuple[Gray, ...]) -> None:
@@ -224,13 +224,13 @@ class V4l2StereoCamera(Component):
             known = CameraInfo(width=width, height=height) if info is None else info
             port.publish(replace(known, header=header))
         for out, view, header in zip(images, views, headers, strict=False):
-            out.publish(_message(view, header))
+            out.publish(_image_message(view, header))
 
-    def _troubled(self, side: int, error: DeviceError) -> None:
-        self._trouble[side] = str(error)
+    def _on_device_error(self, side: int, error: DeviceError) -> None:
+        self._device_errors[side] = str(error)
 
-    def _failed(self, error: Exception) -> None:
-        self.post(partial(_fail, error))
+    def _on_failure(self, error: Exception) -> None:
+        self.post(partial(_raise, error))
 
     def _stop(self) -> None:
         with ExitStack() as stopping:  # all of them, even if one does not end
@@ -243,7 +243,7 @@ class V4l2StereoCamera(Component):
             camera.close()
 
 
-def _message(pixels: Gray, header: Header) -> Image:
+def _image_message(pixels: Gray, header: Header) -> Image:
     height, width = pixels.shape
     return Image(
         header=header,
@@ -255,5 +255,5 @@ def _message(pixels: Gray, header: Header) -> Image:
     )
 
 
-def _fail(error: Exception) -> None:
+def _raise(error: Exception) -> None:
     raise error

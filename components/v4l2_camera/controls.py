@@ -1,4 +1,4 @@
-"""A camera's controls: exposure, gain and the like, with the bounds that the camera gives them."""
+"""Controls of a camera: exposure, gain and others, with the bounds that the camera reports."""
 
 from __future__ import annotations
 
@@ -9,10 +9,9 @@ from typing import Final
 
 from cairn.components.v4l2_camera import videodev
 
-# Numbers of the usual controls (linux/v4l2-controls.h). Kernels changed their names (until 5.15
-# `exposure_auto` was what is `auto_exposure` now), never their numbers. Those that switch something
-# to automatic come before what they take over: a camera refuses an exposure while it exposes
-# automatically.
+# Ids of the usual controls (linux/v4l2-controls.h). Kernels changed their names (until 5.15
+# `auto_exposure` was `exposure_auto`), never their ids. Controls that switch something to automatic
+# come before what they control: a camera refuses an exposure time while it exposes automatically.
 STANDARD: Final = {
     "auto_exposure": 0x009A0901,
     "exposure_time_absolute": 0x009A0902,
@@ -42,12 +41,12 @@ SETTABLE: Final = (
 """Types of controls that have a number as their value; buttons, strings and arrays have none."""
 
 
-class ControlRefused(Exception):  # noqa: N818 - reads as what the camera says
-    """A camera does not take a value of a control; the text has its bounds."""
+class ControlRejected(Exception):  # noqa: N818 - named like `cairn.ParameterRejected`
+    """A camera does not accept a value of a control; the text has its bounds."""
 
 
 @dataclass(frozen=True)
-class Control:
+class CameraControl:
     """One control of a camera; `items` are those of a menu, by value."""
 
     id: int
@@ -62,17 +61,17 @@ class Control:
 
     @property
     def read_only(self) -> bool:
-        """Whether nobody can set it."""
+        """Whether it cannot be set."""
         return bool(self.flags & videodev.CTRL_FLAG_READ_ONLY)
 
     @property
     def inactive(self) -> bool:
-        """Whether it has no effect now, as something automatic has taken it over."""
+        """Whether it has no effect now, as the camera sets it automatically."""
         return bool(self.flags & videodev.CTRL_FLAG_INACTIVE)
 
     @property
     def bounds(self) -> str:
-        """What values it takes, in words."""
+        """The values that it accepts, in words."""
         if self.items:
             return ", ".join(f"{value} ({text})" for value, text in sorted(self.items.items()))
         if self.type == videodev.CTRL_TYPE_BITMASK:
@@ -80,14 +79,14 @@ class Control:
         steps = f" in steps of {self.step}" if self.step > 1 else ""
         return f"{self.minimum} to {self.maximum}{steps}"
 
-    def judge(self, value: int) -> None:
-        """Raise `ControlRefused` if the control does not take the value."""
+    def check(self, value: int) -> None:
+        """Raise `ControlRejected` if the control does not accept the value."""
         if self.read_only:
-            raise ControlRefused(f"{self.name} can only be read")
-        if not self._takes(value):
-            raise ControlRefused(f"{self.name} = {value}: the camera takes {self.bounds}")
+            raise ControlRejected(f"{self.name} is read-only; leave it out")
+        if not self._accepts(value):
+            raise ControlRejected(f"{self.name} = {value}: the camera accepts {self.bounds}")
 
-    def _takes(self, value: int) -> bool:
+    def _accepts(self, value: int) -> bool:
         if self.items:
             return value in self.items
         if self.type == videodev.CTRL_TYPE_BITMASK:
@@ -96,34 +95,35 @@ class Control:
         return self.minimum <= value <= self.maximum and (value - self.minimum) % step == 0
 
 
-def plain_name(told: str) -> str:
-    """A control's name as v4l2-ctl writes it: `Exposure Time, Absolute` is
-    `exposure_time_absolute`.
+def plain_name(name: str) -> str:
+    """Return a control's name as v4l2-ctl writes it.
+
+    `Exposure Time, Absolute` becomes `exposure_time_absolute`.
     """
-    return re.sub(r"[^a-z0-9]+", "_", told.lower()).strip("_")
+    return re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")
 
 
-def assigned(
-    controls: Mapping[str, Control], wanted: Mapping[str, int]
-) -> list[tuple[Control, int]]:
-    """Which control gets which value, in the order in which they are to be set.
+def assign_controls(
+    controls: Mapping[str, CameraControl], requested: Mapping[str, int]
+) -> list[tuple[CameraControl, int]]:
+    """Return controls with their requested values, in the order in which they must be set.
 
-    `controls` are a camera's, by plain name. Raises `ControlRefused` for one that it does not have
-    or a value that it does not take.
+    `controls` are a camera's, by plain name. Raises `ControlRejected` for one that it does not have
+    or a value that it does not accept.
     """
     by_id = {control.id: control for control in controls.values()}
     found = []
-    for name in sorted(wanted, key=_turn):
+    for name in sorted(requested, key=_priority):
         control = by_id.get(STANDARD.get(name, -1)) or controls.get(name)
         if control is None:
-            raise ControlRefused(
+            raise ControlRejected(
                 f"the camera has no control {name}; it has {', '.join(sorted(controls)) or 'none'}"
             )
-        control.judge(wanted[name])
-        found.append((control, wanted[name]))
+        control.check(requested[name])
+        found.append((control, requested[name]))
     return found
 
 
-def _turn(name: str) -> int:
-    order = list(STANDARD)
-    return order.index(name) if name in STANDARD else len(order)
+def _priority(name: str) -> int:
+    names = list(STANDARD)
+    return names.index(name) if name in STANDARD else len(names)

@@ -1,62 +1,69 @@
-"""A video node: what it is, what it offers, and how its pictures are set up."""
+"""A V4L2 video node: what it offers, its format and controls, and its stream of frames."""
 
 from __future__ import annotations
 
 import ctypes
 import errno
+import mmap
 import os
+import select
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, TypeVar
 
 from cairn.components.v4l2_camera import videodev
-from cairn.components.v4l2_camera.controls import SETTABLE, STANDARD, Control, plain_name
-from cairn.components.v4l2_camera.offers import PictureSize
-from cairn.components.v4l2_camera.pixels import PictureLayout
+from cairn.components.v4l2_camera.controls import SETTABLE, STANDARD, CameraControl, plain_name
+from cairn.components.v4l2_camera.decoding import ImageLayout
+from cairn.components.v4l2_camera.format_negotiation import CaptureFormat, FrameSize
 from cairn.driver.errors import DeviceError, LinkLost
 
-# The system's call itself, as it lets other threads go on: `fcntl.ioctl` keeps them all waiting,
-# and some requests to a USB camera take seconds where its line is bad.
+# The system call itself, as it does not block other threads: `fcntl.ioctl` keeps the interpreter
+# lock, and some requests to a USB camera take seconds if its cable is bad.
 _IOCTL: Final = ctypes.CDLL(None, use_errno=True).ioctl
 _IOCTL.argtypes = (ctypes.c_int, ctypes.c_ulong, ctypes.c_void_p)
 
-# What the enumerations of sizes and rates are cut off at: some drivers never end them.
-_MOST = 1000
+_LONGEST_LIST = 1000  # of sizes and rates: some drivers never end their lists
 
 S = TypeVar("S", bound=ctypes.Structure)
 
 
 @dataclass(frozen=True)
-class Setup:
-    """What a camera agreed to: how pictures are laid out, and how many a second come.
+class FilledBuffer:
+    """A buffer that the camera has filled.
 
-    `rate` is 0 where the camera does not tell it.
+    `data` are its bytes, None where they were not copied; `sequence` is the kernel's number of the
+    frame, `captured` its time by CLOCK_MONOTONIC [ns], that of the start of exposure if `at_start`,
+    else of the end of its transfer; None where the kernel driver reports none. `is_damaged`: the
+    kernel driver reports damaged data.
     """
 
-    layout: PictureLayout
-    rate: float
+    data: bytes | None
+    sequence: int
+    captured: int | None
+    at_start: bool
+    is_damaged: bool
 
 
 class VideoDevice:
-    """An open video node. Requests to it may be made by any thread.
+    """An open video node. Any thread may call its methods.
 
     All methods raise `LinkLost` once it is unplugged, and `DeviceError` if it refuses.
     """
 
     def __init__(self, path: Path) -> None:
-        """Open it; raises `LinkLost` if it is not there, `DeviceError` if it is no camera."""
+        """Open it; raises `LinkLost` if it does not exist, `DeviceError` if it is not a camera."""
         self.path = path
         if not videodev.IS_64_BIT:
             raise DeviceError(
-                f"{path}: cameras are read on 64-bit systems only, as the kernel lays its "
-                "structures out otherwise on this one; use a 64-bit Python and kernel"
+                f"{path}: this system is not a 64-bit one, so the kernel's structures have another "
+                "layout; use a 64-bit Python and kernel"
             )
         try:
             self._descriptor = os.open(path, os.O_RDWR | os.O_NONBLOCK | os.O_CLOEXEC)
         except OSError as error:
-            raise _not_opened(path, error) from error
+            raise _open_error(path, error) from error
         try:
             self._identify()
         except DeviceError:
@@ -64,92 +71,94 @@ class VideoDevice:
             raise
 
     def close(self) -> None:
-        """Let go of it; may be called again."""
+        """Close it; may be called again."""
         if self._descriptor >= 0:
-            # A device that was unplugged says so once more when it is closed; it is closed then.
+            # Closing an unplugged device reports an error once more, but closes it.
             with suppress(OSError):
                 os.close(self._descriptor)
             self._descriptor = -1
 
     def fileno(self) -> int:
-        """The file descriptor, to wait on."""
+        """Return the file descriptor, for waiting."""
         return self._descriptor
 
-    def request(self, number: int, argument: ctypes._CData, doing: str) -> None:
-        """Make a request; raises `LinkLost` or `DeviceError` that says what it was `doing`."""
+    def request(self, number: int, argument: ctypes._CData, action: str) -> None:
+        """Make a request; raises `LinkLost`, or `DeviceError` with the `action` that failed."""
         try:
             self.ioctl(number, argument)
         except OSError as error:
-            raise self.failed(error, doing) from error
+            raise self.device_error(error, action) from error
 
     def ioctl(self, number: int, argument: ctypes._CData) -> None:
-        """Make a request; raises `OSError` as the system tells it."""
+        """Make a request; raises `OSError` if the system reports an error."""
         while _IOCTL(self._descriptor, number, ctypes.byref(argument)) < 0:
             code = ctypes.get_errno()
             if code != errno.EINTR:
                 raise OSError(code, os.strerror(code))
 
-    def failed(self, error: OSError, doing: str) -> DeviceError:
-        """The error of ours that tells a system's one."""
+    def device_error(self, error: OSError, action: str) -> DeviceError:
+        """Return the error to raise for an error of the system."""
         if error.errno in (errno.ENODEV, errno.ENXIO, errno.EBADF):
-            return LinkLost(f"{self.path} is gone: it was unplugged, or its driver was unloaded")
+            return LinkLost(
+                f"{self.path} has disappeared: it was unplugged, or its kernel driver was unloaded"
+            )
         remedy = ""
         if error.errno == errno.EBUSY:
-            remedy = f"; another program uses it (`fuser -v {self.path}` tells which): end that"
+            remedy = f"; another program uses it (`fuser -v {self.path}` names it): terminate that"
         if error.errno == errno.EACCES:
-            remedy = "; something automatic holds it (auto_exposure, gain_automatic ...): set that"
+            remedy = "; the camera sets it automatically (auto_exposure, gain_automatic): set that"
         if error.errno == errno.ENOTTY:
-            remedy = "; it is no camera: `cairn driver probe camera` lists those that are"
+            remedy = "; it is not a camera: `cairn driver probe camera` lists them"
         if error.errno == errno.ENOSPC:
-            remedy = "; its USB bus has no room left: plug it into another one, or use MJPG"
-        return DeviceError(f"{self.path}: {doing}: {os.strerror(error.errno or 0)}{remedy}")
+            remedy = "; its USB bus has no bandwidth left: use another bus, or MJPG"
+        return DeviceError(f"{self.path}: {action}: {os.strerror(error.errno or 0)}{remedy}")
 
     def formats(self) -> list[str]:
-        """The names of its pixel formats, its own order."""
+        """Return the names of its pixel formats, in its own order."""
         found = self._enumerated(
             videodev.ENUM_FMT,
             lambda index: videodev.FormatDescription(index=index, type=videodev.CAPTURE),
         )
-        return [videodev.fourcc_name(one.pixelformat) for one in found]
+        return [videodev.fourcc_name(entry.pixelformat) for entry in found]
 
-    def sizes(self, pixel_format: str) -> list[PictureSize]:
-        """The sizes of pictures of a format, and the rates of each; none if it does not tell."""
+    def sizes(self, pixel_format: str) -> list[FrameSize]:
+        """Return the frame sizes of a format with their rates; none if it does not report them."""
         code = videodev.fourcc(pixel_format)
         sizes = []
-        for one in self._enumerated(
+        for entry in self._enumerated(
             videodev.ENUM_FRAMESIZES,
             lambda index: videodev.SizeQuery(index=index, pixel_format=code),
         ):
-            is_range = one.type != videodev.DISCRETE
-            # Of a range the largest: least and largest width, its step, and so the height.
-            width, height = one.size.stepwise[1:5:3] if is_range else one.size.discrete
+            is_range = entry.type != videodev.DISCRETE
+            # The largest of a range: minimum, maximum and step of the width, then of the height.
+            width, height = entry.size.stepwise[1:5:3] if is_range else entry.size.discrete
             rates = tuple(self._rates(code, width, height))
-            sizes.append(PictureSize(width, height, rates, is_range=is_range))
-            if is_range:  # the one answer tells all of it
+            sizes.append(FrameSize(width, height, rates, is_range=is_range))
+            if is_range:  # one entry describes all of it
                 break
         return sizes
 
-    def set_up(self, pixel_format: str, width: int, height: int, rate: float) -> Setup:
-        """Ask for pictures, size in px and rate in 1/s; gives what the camera makes of that.
+    def set_format(self, pixel_format: str, width: int, height: int, rate: float) -> CaptureFormat:
+        """Request a format, size [px] and rate [1/s]; return what the camera chose.
 
-        Raises `DeviceError` also if it does not have the pixel format.
+        Raises `DeviceError`, also if it does not offer the pixel format.
         """
-        asked = videodev.Format(type=videodev.CAPTURE)
-        pix = asked.fmt.pix
+        requested = videodev.Format(type=videodev.CAPTURE)
+        pix = requested.fmt.pix
         pix.width, pix.height = width, height
         pix.pixelformat, pix.field = videodev.fourcc(pixel_format), videodev.FIELD_NONE
-        self.request(videodev.S_FMT, asked, f"asked for {pixel_format} {width} x {height}")
-        got = videodev.fourcc_name(pix.pixelformat)
-        if got != pixel_format:
+        self.request(videodev.S_FMT, requested, f"requesting {pixel_format} {width} x {height}")
+        chosen = videodev.fourcc_name(pix.pixelformat)
+        if chosen != pixel_format:
             raise DeviceError(
-                f"{self.path} gives {got} instead of {pixel_format} of {width} x {height} pixels; "
-                f"it has {', '.join(self.formats())}: choose another format or size"
+                f"{self.path} sends {chosen} instead of {pixel_format} of {width} x {height} "
+                f"pixels; it offers {', '.join(self.formats())}: choose another format or size"
             )
-        layout = PictureLayout(pix.width, pix.height, got, pix.bytesperline)
-        return Setup(layout, self._set_rate(rate))
+        layout = ImageLayout(pix.width, pix.height, chosen, pix.bytesperline)
+        return CaptureFormat(layout, self._set_rate(rate))
 
-    def controls(self) -> dict[str, Control]:
-        """Its controls that have a number as value, by plain name."""
+    def controls(self) -> dict[str, CameraControl]:
+        """Return its controls that have a number as value, by plain name."""
         offered = [
             query
             for query in self._control_queries()
@@ -157,93 +166,93 @@ class VideoDevice:
         ]
         return {control.name: control for control in map(self._control, offered)}
 
-    def control(self, control: Control) -> int:
-        """The value that a control has."""
+    def control(self, control: CameraControl) -> int:
+        """Return the value of a control."""
         value = videodev.ControlValue(id=control.id)
-        self.request(videodev.G_CTRL, value, f"asked for {control.name}")
+        self.request(videodev.G_CTRL, value, f"reading {control.name}")
         return _unsigned_bits(control.type, value.value)
 
-    def is_held(self, control: Control) -> bool:
-        """Whether something automatic has taken a control over, at this moment."""
+    def is_inactive(self, control: CameraControl) -> bool:
+        """Return whether the camera sets a control automatically at this moment."""
         query = videodev.ControlQuery(id=control.id)
-        self.request(videodev.QUERYCTRL, query, f"asked for {control.name}")
+        self.request(videodev.QUERYCTRL, query, f"reading {control.name}")
         return bool(query.flags & videodev.CTRL_FLAG_INACTIVE)
 
-    def set_control(self, control: Control, wanted: int) -> None:
-        """Give a control a value that it takes."""
-        value = videodev.ControlValue(id=control.id, value=ctypes.c_int32(wanted).value)
-        self.request(videodev.S_CTRL, value, f"set {control.name} = {wanted}")
+    def set_control(self, control: CameraControl, value: int) -> None:
+        """Set a control to a value that it accepts."""
+        argument = videodev.ControlValue(id=control.id, value=ctypes.c_int32(value).value)
+        self.request(videodev.S_CTRL, argument, f"setting {control.name} = {value}")
 
     def _identify(self) -> None:
-        known = videodev.Capability()
-        self.request(videodev.QUERYCAP, known, "asked what it is")
-        self.card = known.card.decode("utf-8", "replace")
-        self.bus = known.bus_info.decode("utf-8", "replace")
-        has_own = known.capabilities & videodev.CAP_DEVICE_CAPS
-        can = known.device_caps if has_own else known.capabilities
-        if not can & videodev.CAP_VIDEO_CAPTURE or not can & videodev.CAP_STREAMING:
-            several = can & videodev.CAP_VIDEO_CAPTURE_MPLANE
+        capability = videodev.Capability()
+        self.request(videodev.QUERYCAP, capability, "querying its capabilities")
+        self.card = capability.card.decode("utf-8", "replace")
+        self.bus = capability.bus_info.decode("utf-8", "replace")
+        has_device_caps = capability.capabilities & videodev.CAP_DEVICE_CAPS
+        caps = capability.device_caps if has_device_caps else capability.capabilities
+        if not caps & videodev.CAP_VIDEO_CAPTURE or not caps & videodev.CAP_STREAMING:
+            several = caps & videodev.CAP_VIDEO_CAPTURE_MPLANE
             raise DeviceError(
                 f"{self.path} ({self.card}) "
-                + ("gives its pictures in several planes" if several else "gives no pictures")
-                + ": choose another node, `cairn driver probe camera` lists them"
+                + ("sends its images in several planes" if several else "sends no images")
+                + "; choose another node, `cairn driver probe camera` lists them"
             )
 
     def _set_rate(self, rate: float) -> float:
-        asked = videodev.StreamParameters(type=videodev.CAPTURE)
-        if not self._answers(videodev.G_PARM, asked):
-            return 0.0  # as capture cards, whose rate is that of their signal
-        period = asked.parm.capture.timeperframe
-        if asked.parm.capture.capability & videodev.CAP_TIMEPERFRAME:
+        requested = videodev.StreamParameters(type=videodev.CAPTURE)
+        if not self._supports(videodev.G_PARM, requested):
+            return 0.0  # such as capture cards, whose rate is that of their signal
+        period = requested.parm.capture.timeperframe
+        if requested.parm.capture.capability & videodev.CAP_TIMEPERFRAME:
             period.numerator, period.denominator = 1000, round(1000 * rate)
-            self.request(videodev.S_PARM, asked, f"asked for {rate:g} pictures a second")
+            self.request(videodev.S_PARM, requested, f"requesting {rate:g} images per second")
         return _rate(period)
 
     def _rates(self, code: int, width: int, height: int) -> Iterator[float]:
-        for one in self._enumerated(
+        for entry in self._enumerated(
             videodev.ENUM_FRAMEINTERVALS,
             lambda index: videodev.IntervalQuery(
                 index=index, pixel_format=code, width=width, height=height
             ),
         ):
-            discrete = one.type == videodev.DISCRETE
-            yield _rate(one.interval.discrete if discrete else one.interval.stepwise[0])
+            discrete = entry.type == videodev.DISCRETE
+            yield _rate(entry.interval.discrete if discrete else entry.interval.stepwise[0])
             if not discrete:
                 return
 
     def _control_queries(self) -> Iterator[videodev.ControlQuery]:
         query = videodev.ControlQuery(id=videodev.CTRL_FLAG_NEXT_CTRL)
-        while (is_told := self._is_control(query)) is True:
+        while (found := self._query_control(query)) is True:
             yield query
             query = videodev.ControlQuery(id=query.id | videodev.CTRL_FLAG_NEXT_CTRL)
-        if is_told is None:  # nor what comes after it, but numbers of the usual ones are known
+        if found is None:  # the list ends here, but the ids of the usual controls are known
             last = query.id & ~videodev.CTRL_FLAG_NEXT_CTRL
-            for number in sorted(number for number in STANDARD.values() if number > last):
-                single = videodev.ControlQuery(id=number)
-                if self._is_control(single):
+            for control_id in sorted(known for known in STANDARD.values() if known > last):
+                single = videodev.ControlQuery(id=control_id)
+                if self._query_control(single):
                     yield single
 
-    def _is_control(self, query: videodev.ControlQuery) -> bool | None:
-        """Whether there is such a control; None if the firmware fails to tell, as some do."""
+    def _query_control(self, query: videodev.ControlQuery) -> bool | None:
+        """Return whether there is such a control; None if the firmware fails, as some does."""
         try:
-            return self._answers(videodev.QUERYCTRL, query)
+            return self._supports(videodev.QUERYCTRL, query)
         except LinkLost:
             raise
         except DeviceError:
             return None
 
-    def _control(self, query: videodev.ControlQuery) -> Control:
+    def _control(self, query: videodev.ControlQuery) -> CameraControl:
         items = {}
         if query.type in (videodev.CTRL_TYPE_MENU, videodev.CTRL_TYPE_INTEGER_MENU):
             for index in range(query.minimum, query.maximum + 1):
                 menu = videodev.MenuQuery(id=query.id, index=index)
-                if not self._answers(videodev.QUERYMENU, menu):
+                if not self._supports(videodev.QUERYMENU, menu):
                     continue  # menus have gaps
                 named = query.type == videodev.CTRL_TYPE_MENU
                 items[index] = menu.item.name.decode("utf-8", "replace") if named else str(
                     menu.item.value
                 )  # fmt: skip
-        return Control(
+        return CameraControl(
             query.id,
             plain_name(query.name.decode("utf-8", "replace")),
             query.type,
@@ -256,42 +265,158 @@ class VideoDevice:
         )
 
     def _enumerated(self, number: int, query: Callable[[int], S]) -> Iterator[S]:
-        """Answers to queries numbered from 0, until there is none."""
-        for index in range(_MOST):
+        """Yield the answers to queries numbered from 0, until there is none."""
+        for index in range(_LONGEST_LIST):
             argument = query(index)
-            if not self._answers(number, argument):
+            if not self._supports(number, argument):
                 return
             yield argument
 
-    def _answers(self, number: int, argument: ctypes._CData) -> bool:
-        """Make a request that a device need not know; whether it answered."""
+    def _supports(self, number: int, argument: ctypes._CData) -> bool:
+        """Make a request that a device need not support; return whether it does."""
         try:
             self.ioctl(number, argument)
         except OSError as error:
             if error.errno in (errno.EINVAL, errno.ENOTTY):
                 return False
-            raise self.failed(error, "asked what it offers") from error
+            raise self.device_error(error, "querying what it offers") from error
         return True
 
 
+class VideoStream:
+    """The buffers of a camera whose format is set; it streams between `start` and `stop`.
+
+    Methods raise `LinkLost` once the camera is unplugged, and `DeviceError` if it fails.
+    """
+
+    def __init__(self, device: VideoDevice, buffers: int) -> None:
+        """Share `buffers` buffers with the kernel, or as many as its driver grants."""
+        self._device = device
+        self._maps: list[mmap.mmap] = []
+        with ExitStack() as undo:
+            undo.callback(self.close)
+            request = videodev.BufferRequest(
+                count=buffers, type=videodev.CAPTURE, memory=videodev.MMAP
+            )
+            device.request(videodev.REQBUFS, request, f"requesting {buffers} buffers")
+            for index in range(request.count):
+                self._maps.append(self._map(index))
+            if not self._maps:
+                raise DeviceError(f"{device.path} grants no buffers; check its kernel driver")
+            undo.pop_all()
+
+    def start(self) -> None:
+        """Queue all buffers, and start the stream."""
+        for index in range(len(self._maps)):
+            self._enqueue(index)
+        self._switch(videodev.STREAMON, "starting the stream")
+
+    def stop(self) -> None:
+        """Stop streaming; frames that were not read are lost."""
+        self._switch(videodev.STREAMOFF, "stopping the stream")
+
+    def close(self) -> None:
+        """Free the buffers; may be called again, and after the device has disappeared."""
+        for shared in self._maps:
+            shared.close()
+        self._maps.clear()
+        none = videodev.BufferRequest(count=0, type=videodev.CAPTURE, memory=videodev.MMAP)
+        with suppress(OSError):  # an unplugged device has freed them already
+            self._device.ioctl(videodev.REQBUFS, none)
+
+    def newest(self, timeout_s: float) -> list[FilledBuffer]:
+        """Return all filled buffers, oldest first; waits up to `timeout_s` [s] for one.
+
+        All of them are taken from the kernel, so that the last whole frame is the newest one; only
+        its data are copied.
+        """
+        poll = select.poll()
+        poll.register(self._device, select.POLLIN)
+        ready = poll.poll(1000 * timeout_s)
+        if not ready:
+            return []
+        filled = self._all_filled()
+        if not filled and not ready[0][1] & select.POLLIN:
+            # Polling would return at once from now on.
+            raise DeviceError(f"{self._device.path}: its stream reports an error")
+        whole = [buffer.index for buffer in filled if not buffer.flags & videodev.BUF_FLAG_ERROR]
+        buffers = []
+        for buffer in filled:
+            is_newest = bool(whole) and buffer.index == whole[-1]
+            data = self._maps[buffer.index][: buffer.bytesused] if is_newest else None
+            buffers.append(_filled_buffer(buffer, data))
+            self._enqueue(buffer.index)
+        return buffers
+
+    def _all_filled(self) -> list[videodev.Buffer]:
+        filled = []
+        for _ in self._maps:  # no more can be filled
+            buffer = self._dequeue()
+            if buffer is None:
+                break
+            filled.append(buffer)
+        return filled
+
+    def _dequeue(self) -> videodev.Buffer | None:
+        buffer = videodev.Buffer(type=videodev.CAPTURE, memory=videodev.MMAP)
+        try:
+            self._device.ioctl(videodev.DQBUF, buffer)
+        except OSError as error:
+            if error.errno == errno.EAGAIN:
+                return None
+            raise self._device.device_error(error, "its stream failed") from error
+        return buffer
+
+    def _enqueue(self, index: int) -> None:
+        buffer = videodev.Buffer(index=index, type=videodev.CAPTURE, memory=videodev.MMAP)
+        self._device.request(videodev.QBUF, buffer, "queuing a buffer")
+
+    def _switch(self, number: int, action: str) -> None:
+        self._device.request(number, ctypes.c_int32(videodev.CAPTURE), action)
+
+    def _map(self, index: int) -> mmap.mmap:
+        buffer = videodev.Buffer(index=index, type=videodev.CAPTURE, memory=videodev.MMAP)
+        self._device.request(videodev.QUERYBUF, buffer, "querying a buffer")
+        try:
+            return mmap.mmap(
+                self._device.fileno(), buffer.length, mmap.MAP_SHARED, mmap.PROT_READ,
+                offset=buffer.m.offset,
+            )  # fmt: skip
+        except OSError as error:
+            raise self._device.device_error(error, "mapping a buffer") from error
+
+
+def _filled_buffer(buffer: videodev.Buffer, data: bytes | None) -> FilledBuffer:
+    flags = buffer.flags
+    monotonic = flags & videodev.BUF_FLAG_TIMESTAMP_MASK == videodev.BUF_FLAG_TIMESTAMP_MONOTONIC
+    time = buffer.timestamp
+    return FilledBuffer(
+        data,
+        buffer.sequence,
+        time.tv_sec * 1_000_000_000 + time.tv_usec * 1000 if monotonic else None,
+        flags & videodev.BUF_FLAG_TSTAMP_SRC_MASK == videodev.BUF_FLAG_TSTAMP_SRC_SOE,
+        bool(flags & videodev.BUF_FLAG_ERROR),
+    )
+
+
 def _unsigned_bits(kind: int, value: int) -> int:
-    """A control's value, which the kernel gives as a signed number even where it is bits."""
+    """Return a control's value; the kernel returns bits as a signed number."""
     return value & 0xFFFFFFFF if kind == videodev.CTRL_TYPE_BITMASK else value
 
 
 def _rate(period: videodev.Fraction) -> float:
-    """Pictures a second; 0 for a period that is not told."""
+    """Return the rate [1/s]; 0 for a period that is not reported."""
     return period.denominator / period.numerator if period.numerator else 0.0
 
 
-def _not_opened(path: Path, error: OSError) -> DeviceError:
+def _open_error(path: Path, error: OSError) -> DeviceError:
     if error.errno in (errno.ENOENT, errno.ENODEV, errno.ENXIO):
         return LinkLost(
-            f"{path}: there is no such camera; `cairn driver probe camera` lists those that are"
+            f"{path}: there is no such camera; `cairn driver probe camera` lists those connected"
         )
     remedy = ""
     if error.errno in (errno.EACCES, errno.EPERM):
-        remedy = "; add the user to the group of the device (`ls -l` tells it, mostly video)"
+        remedy = "; add the user to the group of the device (`ls -l` shows it, mostly video)"
     if error.errno == errno.EBUSY:
-        remedy = f"; another program uses it (`fuser -v {path}` tells which): end that"
+        remedy = f"; another program uses it (`fuser -v {path}` names it): terminate that"
     return DeviceError(f"{path} cannot be opened: {os.strerror(error.errno or 0)}{remedy}")

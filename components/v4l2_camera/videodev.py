@@ -1,8 +1,8 @@
-"""Structures and requests of Linux's `linux/videodev2.h`, as far as capturing needs them.
+"""Structures and requests of `linux/videodev2.h` that capturing needs, for ctypes.
 
 Names of fields are the kernel's, so that its documentation (Video for Linux API, part I of the
 kernel's media userspace API) can be read beside them. The layouts are those of 64-bit systems:
-`v4l2_buffer` holds a `timeval` and a pointer, and is laid out otherwise on 32-bit ones.
+`v4l2_buffer` holds a `timeval` and a pointer, and has another layout on 32-bit ones.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ IS_64_BIT: Final = ctypes.sizeof(c_void_p) == 8
 CAPTURE: Final = 1  # V4L2_BUF_TYPE_VIDEO_CAPTURE
 MMAP: Final = 1  # V4L2_MEMORY_MMAP
 FIELD_NONE: Final = 1
-"""V4L2_FIELD_NONE: whole pictures, not interlaced ones."""
+"""V4L2_FIELD_NONE: progressive frames, not interlaced ones."""
 
 CAP_VIDEO_CAPTURE: Final = 0x00000001
 CAP_VIDEO_CAPTURE_MPLANE: Final = 0x00001000
@@ -45,7 +45,7 @@ DISCRETE: Final = 1
 
 
 class Capability(ctypes.Structure):
-    """struct v4l2_capability: who the device is, and what it can do."""
+    """struct v4l2_capability: identity and capabilities of the device."""
 
     _fields_ = [
         ("driver", c_char * 16),
@@ -73,7 +73,7 @@ class FormatDescription(ctypes.Structure):
 
 
 class PixelFormat(ctypes.Structure):
-    """struct v4l2_pix_format: size and layout of pictures."""
+    """struct v4l2_pix_format: size and layout of frames."""
 
     _fields_ = [
         ("width", c_uint32),
@@ -109,7 +109,7 @@ class Fraction(ctypes.Structure):
 
 
 class CaptureParameters(ctypes.Structure):
-    """struct v4l2_captureparm: how fast pictures come."""
+    """struct v4l2_captureparm: rate of frames."""
 
     _fields_ = [
         ("capability", c_uint32),
@@ -132,7 +132,7 @@ class StreamParameters(ctypes.Structure):
 
 
 class BufferRequest(ctypes.Structure):
-    """struct v4l2_requestbuffers: how many buffers are wanted, and given."""
+    """struct v4l2_requestbuffers: how many buffers are requested, and granted."""
 
     _fields_ = [
         ("count", c_uint32),
@@ -167,7 +167,7 @@ class _Memory(ctypes.Union):
 
 
 class Buffer(ctypes.Structure):
-    """struct v4l2_buffer: a picture's place in memory, its number, time and faults."""
+    """struct v4l2_buffer: a frame's memory, number, time and flags."""
 
     _fields_ = [
         ("index", c_uint32),
@@ -231,7 +231,7 @@ class _SizeUnion(ctypes.Union):
 
 
 class SizeQuery(ctypes.Structure):
-    """struct v4l2_frmsizeenum: a size of pictures that the device offers."""
+    """struct v4l2_frmsizeenum: a frame size that the device offers."""
 
     _fields_ = [
         ("index", c_uint32),
@@ -248,7 +248,7 @@ class _IntervalUnion(ctypes.Union):
 
 
 class IntervalQuery(ctypes.Structure):
-    """struct v4l2_frmivalenum: a period of pictures that the device offers."""
+    """struct v4l2_frmivalenum: a frame interval that the device offers."""
 
     _fields_ = [
         ("index", c_uint32),
@@ -262,7 +262,7 @@ class IntervalQuery(ctypes.Structure):
 
 
 def _request(direction: int, number: int, argument: type[ctypes.Structure | c_int32]) -> int:
-    """A request's number: direction, size of its argument, 'V', its own number (asm/ioctl.h)."""
+    """Return a request number: direction, size of argument, 'V', number (asm/ioctl.h)."""
     return direction << 30 | ctypes.sizeof(argument) << 16 | ord("V") << 8 | number
 
 
@@ -288,11 +288,11 @@ ENUM_FRAMEINTERVALS: Final = _request(_BOTH, 75, IntervalQuery)
 
 
 def fourcc(name: str) -> int:
-    """The number of a pixel format: `YUYV`."""
+    """Return the number of a pixel format such as `YUYV`."""
     return int.from_bytes(name.encode("ascii").ljust(4), "little")
 
 
 def fourcc_name(number: int) -> str:
-    """The name of a pixel format's number."""
+    """Return the name of a pixel format's number."""
     letters = (number & 0x7FFFFFFF).to_bytes(4, "little")
     return letters.decode("ascii", "replace").rstrip()

@@ -1,8 +1,8 @@
-"""Cameras in software for the driver's tests."""
+"""Fixtures: fake cameras for tests of the driver."""
 
 import pytest
 
-from tests.components.v4l2_camera.fakes import LEFT, RIGHT, FakeCamera, FakeCameras
+from tests.components.v4l2_camera.fake_cameras import LEFT, RIGHT, FakeCamera, FakeCameras
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""What a deployment may ask of a camera, and what is refused before any device is opened."""
+"""Parameters, calibrations and formats: what is rejected before a camera streams."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from pydantic import ValidationError
 
 from cairn import CairnError
 from cairn.components.v4l2_camera.config import ControlsConfig, V4l2StereoCameraConfig
-from cairn.components.v4l2_camera.offers import PictureSize, best_format
+from cairn.components.v4l2_camera.format_negotiation import FrameSize, best_format
 from cairn.driver.device_names import devices_named
 from cairn.schemas.sensor_msgs import CameraInfo
 from cairn.vision.camera_file import write_camera
-from tests.components.v4l2_camera.driving import Driver, RestartedDriver
-from tests.components.v4l2_camera.fakes import HEIGHT, WIDTH, FakeCameras
+from tests.components.v4l2_camera.driver import Driver, RestartedDriver
+from tests.components.v4l2_camera.fake_cameras import HEIGHT, WIDTH, FakeCameras
 
 LEFT, RIGHT = "/dev/left", "/dev/right"
 BASELINE_M = 0.12
@@ -24,33 +24,33 @@ VGA = (640, 480)
 
 
 @pytest.mark.parametrize(
-    ("parameters", "told"),
+    ("parameters", "message"),
     [
-        ({"device": "video0"}, "device = 'video0' is no name of a camera: give path, name:NAME"),
-        ({"device": LEFT, "right_device": "x"}, "right_device = 'x' is no name of a camera"),
+        ({"device": "video0"}, "device = 'video0' does not name a camera; use path, name:NAME"),
+        ({"device": LEFT, "right_device": "x"}, "right_device = 'x' does not name a camera"),
         ({"device": LEFT, "right_device": LEFT}, "are both '/dev/left'"),
         ({"device": LEFT, "right_device": RIGHT, "side_by_side": True}, "leave right_device out"),
-        ({"device": LEFT, "side_by_side": True, "width": 641}, "needs an even width, not 641"),
-        ({"device": LEFT, "right_comes_first": True}, "is of side_by_side cameras"),
+        ({"device": LEFT, "side_by_side": True, "width": 641}, "width = 641 is odd"),
+        ({"device": LEFT, "right_comes_first": True}, "is for side_by_side cameras"),
         ({"device": LEFT, "right_calibration": "r.yaml"}, "there is no right camera"),
         ({"device": LEFT, "format": "H264"}, "Input should be 'auto', 'GREY', 'YUYV' or 'MJPG'"),
         ({"device": LEFT, "controls": {"gian": 1}}, "Extra inputs are not permitted"),
     ],
 )
-def test_what_cannot_be_is_refused(parameters: dict[str, Any], told: str) -> None:
+def test_inconsistent_parameters_are_rejected(parameters: dict[str, Any], message: str) -> None:
     with pytest.raises(ValidationError) as refused:
         V4l2StereoCameraConfig.model_validate(parameters)
 
-    assert told in str(refused.value)
+    assert message in str(refused.value)
 
 
-def test_controls_that_are_given_are_known_by_name() -> None:
+def test_controls_are_returned_by_name() -> None:
     controls = ControlsConfig(gain=3, auto_exposure=0, other={"led1_mode": 1})
 
-    assert controls.given() == {"gain": 3, "auto_exposure": 0, "led1_mode": 1}
+    assert controls.values() == {"gain": 3, "auto_exposure": 0, "led1_mode": 1}
 
 
-def test_the_devices_of_a_deployment_are_found() -> None:
+def test_devices_of_a_deployment_are_found() -> None:
     config = V4l2StereoCameraConfig(device=LEFT, right_device=RIGHT)
 
     found = {named.parameter: named.find() for named in devices_named(config)}
@@ -61,22 +61,22 @@ def test_the_devices_of_a_deployment_are_found() -> None:
 @pytest.mark.parametrize(
     ("offers", "rate", "chosen"),
     [
-        ({"MJPG": [PictureSize(640, 480, (30.0,))], "YUYV": [PictureSize(640, 480, (30.0,))]}, 25,
+        ({"MJPG": [FrameSize(640, 480, (30.0,))], "YUYV": [FrameSize(640, 480, (30.0,))]}, 25,
          "YUYV"),
-        ({"MJPG": [PictureSize(640, 480, (60.0,))], "YUYV": [PictureSize(640, 480, (30.0,))]}, 60,
+        ({"MJPG": [FrameSize(640, 480, (60.0,))], "YUYV": [FrameSize(640, 480, (30.0,))]}, 60,
          "MJPG"),
-        ({"MJPG": [PictureSize(640, 480, (30.0,))], "YUYV": [PictureSize(320, 240, (30.0,))]}, 30,
+        ({"MJPG": [FrameSize(640, 480, (30.0,))], "YUYV": [FrameSize(320, 240, (30.0,))]}, 30,
          "MJPG"),
-        ({"YUYV": [PictureSize(640, 480, (29.97,))], "MJPG": []}, 30, "YUYV"),
-        ({"YUYV": [PictureSize(1920, 1080, (), is_range=True)]}, 30, "YUYV"),
+        ({"YUYV": [FrameSize(640, 480, (29.97,))], "MJPG": []}, 30, "YUYV"),
+        ({"YUYV": [FrameSize(1920, 1080, (), is_range=True)]}, 30, "YUYV"),
         ({"YUYV": []}, 30, "YUYV"),
-        ({"MJPG": [PictureSize(320, 240, (30.0,))], "YUYV": [PictureSize(320, 240, ())]}, 30,
+        ({"MJPG": [FrameSize(320, 240, (30.0,))], "YUYV": [FrameSize(320, 240, ())]}, 30,
          "YUYV"),  # none suits: the camera gives what comes nearest
         ({}, 30, None),
     ],
 )  # fmt: skip
-def test_the_format_is_the_first_that_has_the_size_at_the_rate(
-    offers: dict[str, list[PictureSize]], rate: float, chosen: str | None
+def test_first_format_with_the_size_at_the_rate_is_chosen(
+    offers: dict[str, list[FrameSize]], rate: float, chosen: str | None
 ) -> None:
     assert best_format(offers, ("GREY", "YUYV", "MJPG"), VGA, rate) == chosen
 
@@ -103,9 +103,9 @@ def stereo(cameras: FakeCameras, tmp_path: Path) -> dict[str, Any]:
     return parameters
 
 
-def test_calibrations_tell_where_the_right_camera_sits(stereo: dict[str, Any]) -> None:
+def test_calibrations_determine_the_pose_of_the_right_camera(stereo: dict[str, Any]) -> None:
     with Driver(**stereo, mount={"x": 0.2, "y": 0.05}, z=0.7) as driver:
-        [message] = driver.taken("tf_static")
+        [message] = driver.take("tf_static")
 
     left, right = message.transforms
     place = left.transform.translation
@@ -115,19 +115,19 @@ def test_calibrations_tell_where_the_right_camera_sits(stereo: dict[str, Any]) -
     assert left.child_frame_id == "left_camera_optical_frame"
 
 
-def test_a_calibration_of_another_size_is_refused(
+def test_calibration_of_another_size_is_rejected(
     stereo: dict[str, Any], cameras: FakeCameras
 ) -> None:
     for camera in cameras.cameras.values():
         camera.size = (WIDTH, HEIGHT)
 
-    with pytest.raises(CairnError, match=f"but the camera gives {WIDTH} x {HEIGHT}: calibrate"):
+    with pytest.raises(CairnError, match=f"but the camera sends {WIDTH} x {HEIGHT}; calibrate"):
         Driver(**stereo)
 
     assert all(camera.opened == 0 for camera in cameras.cameras.values())
 
 
-def test_after_a_restart_cameras_come_late_and_must_be_those_of_the_calibrations(
+def test_late_cameras_must_fit_their_calibrations(
     stereo: dict[str, Any], cameras: FakeCameras
 ) -> None:
     both = list(cameras.cameras.values())
@@ -137,7 +137,7 @@ def test_after_a_restart_cameras_come_late_and_must_be_those_of_the_calibrations
     with RestartedDriver(**stereo) as driver:
         for camera in both:
             camera.plug_in()
-        driver.await_values(lambda told: "but the camera gives 64 x 48" in told["message"])
+        driver.await_values(lambda values: "but the camera sends 64 x 48" in values["message"])
         for camera in both:
             camera.size = (160, 120)
             camera.send(1)
@@ -146,19 +146,19 @@ def test_after_a_restart_cameras_come_late_and_must_be_those_of_the_calibrations
     assert info.p[3] == pytest.approx(-150 * BASELINE_M)
 
 
-def test_a_size_other_than_was_asked_for_is_told(
+def test_differences_from_the_request_are_logged(
     stereo: dict[str, Any], caplog: pytest.LogCaptureFixture
 ) -> None:
     with Driver(**stereo, rate=20):
         pass
 
-    assert "pixels, not 64 x 48 as was asked for" in caplog.text
-    assert "/dev/left gives 25 pictures a second, not 20 as was asked for" in caplog.text
+    assert "pixels instead of the requested 64 x 48" in caplog.text
+    assert "/dev/left sends 25 images per second instead of the requested 20" in caplog.text
 
 
-def test_cameras_of_different_sizes_are_refused(cameras: FakeCameras) -> None:
+def test_cameras_of_different_sizes_are_rejected(cameras: FakeCameras) -> None:
     cameras.add(LEFT)
     cameras.add(RIGHT).size = (32, 24)
 
-    with pytest.raises(CairnError, match="pictures of 32 x 24 and 64 x 48 pixels"):
+    with pytest.raises(CairnError, match="images of 32 x 24 and 64 x 48 pixels"):
         Driver(device=LEFT, right_device=RIGHT, width=WIDTH, height=HEIGHT)

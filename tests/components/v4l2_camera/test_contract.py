@@ -1,4 +1,4 @@
-"""The driver keeps to the contract of a stereo camera, on cameras that can be unplugged."""
+"""The driver fulfills the contract of a stereo camera, on cameras that can be unplugged."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 
 from cairn.testing.camera_contract import PicturesContract
 from cairn.testing.driver_contract import ParametersContract, UnplugContract
-from tests.components.v4l2_camera.emulated import RATE
+from tests.components.v4l2_camera.emulated_cameras import RATE
 
 
 class Cables:
@@ -37,7 +37,7 @@ class TestEmulatedCameras(UnplugContract, ParametersContract, PicturesContract):
 settings: {left: "", right: ""}
 components:
   camera:
-    plugin: tests.components.v4l2_camera.emulated:EmulatedStereoCamera
+    plugin: tests.components.v4l2_camera.emulated_cameras:EmulatedStereoCamera
     parameters:
       device: ${left}
       right_device: ${right}

@@ -1,4 +1,4 @@
-"""Structures and requests are laid out as the kernel has them on 64-bit systems."""
+"""Structures and requests have the layout of the kernel on 64-bit systems."""
 
 import ctypes
 
@@ -23,7 +23,9 @@ from cairn.components.v4l2_camera import videodev
         (videodev.IntervalQuery, 52),
     ],
 )
-def test_structures_have_the_kernels_sizes(structure: type[ctypes.Structure], size: int) -> None:
+def test_structures_have_the_sizes_of_the_kernel(
+    structure: type[ctypes.Structure], size: int
+) -> None:
     assert ctypes.sizeof(structure) == size
 
 
@@ -49,14 +51,14 @@ def test_structures_have_the_kernels_sizes(structure: type[ctypes.Structure], si
         (videodev.ENUM_FRAMEINTERVALS, 0xC034564B),
     ],
 )
-def test_requests_have_the_kernels_numbers(request_: int, number: int) -> None:
+def test_requests_have_the_numbers_of_the_kernel(request_: int, number: int) -> None:
     assert request_ == number
 
 
 @pytest.mark.parametrize(
     ("field", "offset"), [("timestamp", 24), ("sequence", 56), ("m", 64), ("length", 72)]
 )
-def test_fields_of_a_buffer_are_where_the_kernel_has_them(field: str, offset: int) -> None:
+def test_buffer_fields_have_the_offsets_of_the_kernel(field: str, offset: int) -> None:
     assert getattr(videodev.Buffer, field).offset == offset
 
 

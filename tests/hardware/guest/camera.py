@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from cairn.components.v4l2_camera import videodev
+from cairn.components.v4l2_camera.camera_names import find_camera, video_nodes
 from cairn.components.v4l2_camera.device import VideoDevice
-from cairn.components.v4l2_camera.names import find_camera, video_nodes
 from tests.hardware.guest.modules import run, settle
 
 # Pictures that cost the emulated guest little.

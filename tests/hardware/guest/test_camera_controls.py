@@ -8,8 +8,8 @@ from collections.abc import Iterator
 import pytest
 
 from cairn import CairnError, ParameterRejected, to_ns
-from cairn.components.v4l2_camera.listing import as_lines, listed
-from tests.components.v4l2_camera.driving import Driver
+from cairn.components.v4l2_camera.probe_cli import describe_cameras, description_lines
+from tests.components.v4l2_camera.driver import Driver
 from tests.hardware.guest.camera import LEFT, RIGHT, SMALL, load_cameras, unload, value_of
 
 
@@ -23,8 +23,8 @@ def _cameras() -> Iterator[None]:
 def test_all_of_a_pair_have_one_stamp() -> None:
     with Driver(device=LEFT, right_device=RIGHT, **{**SMALL, "format": "YUYV"}) as driver:
         rights = [driver.await_one("right_image") for _ in range(5)]
-        driver.go("deactivate")
-        others = [driver.taken(port) for port in ("left_image", "left_info", "right_info")]
+        driver.transition("deactivate")
+        others = [driver.take(port) for port in ("left_image", "left_info", "right_info")]
 
     stamps = {to_ns(one.header.stamp) for one in rights}
     for messages in others:
@@ -34,7 +34,7 @@ def test_all_of_a_pair_have_one_stamp() -> None:
 def test_controls_are_set_on_both_cameras_while_they_stream() -> None:
     with Driver(device=LEFT, right_device=RIGHT, **SMALL) as driver:
         driver.set(controls__brightness=77, controls__other={"hue": -9})
-        driver.await_pictures(2)
+        driver.await_images(2)
 
         for camera in (LEFT, RIGHT):
             assert (value_of(camera, "brightness"), value_of(camera, "hue")) == (77, -9)
@@ -43,16 +43,14 @@ def test_controls_are_set_on_both_cameras_while_they_stream() -> None:
 @pytest.mark.parametrize(
     ("changes", "report"),
     [
-        ({"controls__brightness": 256}, "brightness = 256: the camera takes 0 to 255"),
+        ({"controls__brightness": 256}, "brightness = 256: the camera accepts 0 to 255"),
         ({"controls__auto_exposure": 1}, "the camera has no control auto_exposure; it has alpha"),
         ({"controls__other": {"test_pattern": 99}}, "takes 0 (75% Colorbar), 1 (100% Colorbar)"),
-        ({"controls__other": {"read_only_integer_32_bits": 1}}, "can only be read"),
+        ({"controls__other": {"read_only_integer_32_bits": 1}}, "is read-only"),
         ({"width": 352}, "takes width when it is configured; controls, stamp_delay_s may be"),
     ],
 )
-def test_what_a_camera_does_not_take_is_refused_with_its_bounds(
-    changes: dict[str, object], report: str
-) -> None:
+def test_invalid_value_is_rejected_with_its_bounds(changes: dict[str, object], report: str) -> None:
     with Driver(device=LEFT, **SMALL) as driver:
         before = value_of(LEFT, "brightness")
 
@@ -63,27 +61,30 @@ def test_what_a_camera_does_not_take_is_refused_with_its_bounds(
         assert value_of(LEFT, "brightness") == before
 
 
-def test_what_it_gives_instead_of_what_was_asked_for_is_told(
+def test_differences_from_the_request_are_logged(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     with Driver(device=LEFT, format="GREY", width=600, height=400, rate=7) as driver:
-        [image] = driver.await_pictures(1)
+        [image] = driver.await_images(1)
 
-    assert f"gives {image.width} x {image.height} pixels, not 600 x 400" in caplog.text
-    assert "pictures a second, not 7 as was asked for" in caplog.text
+    assert (
+        f"sends {image.width} x {image.height} pixels instead of the requested 600 x 400"
+        in caplog.text
+    )
+    assert "images per second instead of the requested 7" in caplog.text
 
 
 @pytest.mark.parametrize(
     ("parameters", "report"),
     [
-        ({"device": LEFT, "format": "MJPG"}, "but format is MJPG: choose another format"),
+        ({"device": LEFT, "format": "MJPG"}, "but format is MJPG; choose another format"),
         ({"device": "name:nobody"}, "name:nobody: there is no such camera; there are: /dev/"),
         ({"device": "/dev/video63"}, "/dev/video63: there is no such camera; `cairn driver probe"),
         ({"device": "/dev/null"}, "/dev/null"),
-        ({"device": LEFT, "controls": {"gain": 999}}, "gain = 999: the camera takes 0 to 255"),
+        ({"device": LEFT, "controls": {"gain": 999}}, "gain = 999: the camera accepts 0 to 255"),
     ],
 )
-def test_a_camera_that_cannot_be_had_is_refused_when_it_is_configured(
+def test_unusable_camera_is_rejected_when_it_is_configured(
     parameters: dict[str, object], report: str
 ) -> None:
     with pytest.raises(CairnError) as refused:
@@ -93,12 +94,12 @@ def test_a_camera_that_cannot_be_had_is_refused_when_it_is_configured(
     assert "camera: " in str(refused.value)
 
 
-def test_cameras_are_listed_with_what_they_offer() -> None:
-    cameras = {camera["names"][-1]: camera for camera in listed()}
+def test_cameras_are_listed_with_their_formats_and_controls() -> None:
+    cameras = {camera["names"][-1]: camera for camera in describe_cameras()}
 
     for name in (LEFT, RIGHT):
-        report = "\n".join(as_lines(cameras[name]))
-        assert cameras[name]["fault"] == ""
+        report = "\n".join(description_lines(cameras[name]))
+        assert cameras[name]["error"] == ""
         assert "GREY: 320 x 180 at " in report
-        assert re.search(r"brightness = \d+: 0 to 255; 128 by default", report)
-        assert "not read by this driver: UYVY" in report
+        assert re.search(r"brightness = \d+: 0 to 255; default 128", report)
+        assert "not supported by this driver: UYVY" in report

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from cairn.driver.diagnostics import ERROR
-from tests.components.v4l2_camera.driving import Driver
+from tests.components.v4l2_camera.driver import Driver
 from tests.hardware.guest.camera import (
     LEFT,
     RIGHT,
@@ -33,47 +33,47 @@ def _cameras() -> Iterator[None]:
 @pytest.fixture
 def driver() -> Iterator[Driver]:
     with Driver(device=LEFT, **SMALL, silence_s=0.5) as driver:
-        driver.await_pictures(2)
+        driver.await_images(2)
         yield driver
 
 
-def test_a_damaged_buffer_is_dropped_and_counted(driver: Driver) -> None:
+def test_damaged_buffer_is_dropped_and_counted(driver: Driver) -> None:
     Knobs(LEFT).turn("inject_v4l2_buf_flag_error")
 
     values = driver.await_values(lambda values: values["marked"] == "1")
 
     assert values["restarts"] == "0"
-    driver.await_pictures(3)
+    driver.await_images(3)
 
 
-def test_a_stream_that_breaks_off_is_started_anew(driver: Driver) -> None:
+def test_failed_stream_is_restarted(driver: Driver) -> None:
     Knobs(LEFT).turn("inject_fatal_streaming_error")
 
     values = driver.await_values(lambda values: values["restarts"] == "1")
 
-    assert values["returns"] == "0"
-    driver.await_pictures(3)
+    assert values["reopened"] == "0"
+    driver.await_images(3)
 
 
-def test_a_buffer_that_is_not_taken_back_is_got_over(driver: Driver) -> None:
+def test_rejected_buffer_restarts_the_stream(driver: Driver) -> None:
     Knobs(LEFT).turn("inject_vidioc_qbuf_error")
 
     driver.await_values(lambda values: values["restarts"] == "1")
 
-    driver.await_pictures(3)
+    driver.await_images(3)
 
 
 @pytest.mark.parametrize("request_", ["reqbufs", "streamon"])
 def test_a_stream_that_does_not_start_is_started_again(request_: str) -> None:
     with Driver(device=LEFT, **SMALL) as driver:
-        driver.await_pictures(1)
-        driver.go("deactivate")
+        driver.await_images(1)
+        driver.transition("deactivate")
         Knobs(LEFT).turn(f"inject_vidioc_{request_}_error")
-        driver.go("activate")
-        driver.await_pictures(3)
+        driver.transition("activate")
+        driver.await_images(3)
 
 
-def test_a_stream_that_falls_silent_is_started_anew(driver: Driver) -> None:
+def test_silent_stream_is_restarted(driver: Driver) -> None:
     Knobs(LEFT).turn("percentage_of_dropped_buffers", 100)
     try:
         values = driver.await_values(lambda values: int(values["restarts"]) > 1)
@@ -81,10 +81,10 @@ def test_a_stream_that_falls_silent_is_started_anew(driver: Driver) -> None:
     finally:
         Knobs(LEFT).turn("percentage_of_dropped_buffers", 0)
 
-    driver.await_pictures(3)
+    driver.await_images(3)
 
 
-def test_lost_pictures_are_counted(driver: Driver) -> None:
+def test_lost_frames_are_counted(driver: Driver) -> None:
     Knobs(LEFT).turn("percentage_of_dropped_buffers", 30)
     try:
         driver.await_values(lambda values: int(values["lost"]) > 2)
@@ -92,11 +92,11 @@ def test_lost_pictures_are_counted(driver: Driver) -> None:
         Knobs(LEFT).turn("percentage_of_dropped_buffers", 0)
 
 
-def test_numbers_of_pictures_that_wrap_are_no_loss() -> None:
+def test_wrap_of_sequence_numbers_is_no_loss() -> None:
     Knobs(LEFT).turn("wrap_sequence_number", 1)
     try:
         with Driver(device=LEFT, **{**SMALL, "rate": 50}) as driver:
-            driver.await_pictures(150)  # numbers begin 128 before they wrap
+            driver.await_images(150)  # numbers begin 128 before they wrap
             values = driver.values()
     finally:
         Knobs(LEFT).turn("wrap_sequence_number", 0)
@@ -108,7 +108,7 @@ def test_a_time_that_cannot_be_is_replaced_by_that_of_arrival() -> None:
     Knobs(LEFT).turn("wrap_timestamp", 1)
     try:
         with Driver(device=LEFT, **SMALL) as driver:
-            [image] = driver.await_pictures(1)
+            [image] = driver.await_images(1)
             values = driver.values()
             now = time.time()
     finally:
@@ -118,22 +118,22 @@ def test_a_time_that_cannot_be_is_replaced_by_that_of_arrival() -> None:
     assert int(values["unstamped"]) > 0
 
 
-def test_stamps_of_the_exposures_begin_are_told_as_such() -> None:
+def test_stamps_at_the_start_of_exposure_are_reported() -> None:
     Knobs(LEFT).turn("timestamp_source", 1)
     try:
         with Driver(device=LEFT, **SMALL) as driver:
-            driver.await_pictures(1)
-            assert driver.values()["stamped at"] == "begin of exposure"
+            driver.await_images(1)
+            assert driver.values()["stamped at"] == "start of exposure"
     finally:
         Knobs(LEFT).turn("timestamp_source", 0)
 
 
-def test_a_camera_that_is_gone_for_a_moment_is_opened_anew(driver: Driver) -> None:
+def test_camera_that_disappears_for_a_moment_is_reopened(driver: Driver) -> None:
     Knobs(LEFT).turn("disconnect")  # vivid's cameras return when no process has them open
 
-    driver.await_values(lambda values: values["returns"] == "1")
+    driver.await_values(lambda values: values["reopened"] == "1")
 
-    driver.await_pictures(3)
+    driver.await_images(3)
 
 
 def test_cameras_that_are_unplugged_are_taken_up_as_they_were_set_when_they_are_back(
@@ -147,25 +147,25 @@ def test_cameras_that_are_unplugged_are_taken_up_as_they_were_set_when_they_are_
         values = driver.await_values(lambda values: "no such camera" in values["message"])
         assert values["level"] == str(ERROR)
         driver.set(controls__gain=44)
-        driver.taken("right_image")
+        driver.take("right_image")
         plug_in_cameras()
         back = time.monotonic()
         driver.await_one("right_image")
         record_property("published again after [s]", round(time.monotonic() - back, 2))
 
-        assert driver.values()["returns"] == "1"
+        assert driver.values()["reopened"] == "1"
         assert {value_of(camera, "gain") for camera in (LEFT, RIGHT)} == {44}
 
 
-def test_while_the_right_camera_is_away_the_left_one_is_published_alone() -> None:
+def test_left_images_are_published_while_the_right_camera_is_away() -> None:
     with Driver(device=LEFT, right_device=RIGHT, **SMALL) as driver:
         driver.await_one("right_image")
 
         with disconnected(RIGHT):
             values = driver.await_values(lambda values: values["level"] == str(ERROR), index=1)
-            assert "gone" in values["message"] or "no such camera" in values["message"]
-            driver.taken("right_image")
-            driver.await_pictures(5)
-            assert driver.taken("right_image") == []
+            assert "disappeared" in values["message"] or "no such camera" in values["message"]
+            driver.take("right_image")
+            driver.await_images(5)
+            assert driver.take("right_image") == []
 
         driver.await_one("right_image")

@@ -10,7 +10,7 @@ import pytest
 import simplejpeg
 from numpy.typing import NDArray
 
-from tests.components.v4l2_camera.driving import Driver
+from tests.components.v4l2_camera.driver import Driver
 from tests.hardware.guest.camera import Loopback, load, unload
 
 NAME = "cairn-test"
@@ -61,7 +61,7 @@ def source(request: pytest.FixtureRequest) -> Iterator[Loopback]:
 
 def sent_and_received(source: Loopback, camera: Driver, sent: list[bytes]) -> list[Gray]:
     received = []
-    camera.taken("left_image")
+    camera.take("left_image")
     for data in sent:
         source.write(data)
         # The blank that the loopback was made with may come first, more than once.
@@ -103,7 +103,7 @@ def test_side_by_side(source: Loopback) -> None:
     [sent] = pictures(1)
     with driver("GREY", side_by_side=True) as camera:
         left = sent_and_received(source, camera, [sent.tobytes()])[0]
-        right = camera.taken("right_image")[-1]
+        right = camera.take("right_image")[-1]
 
     assert left.tolist() == sent[:, : WIDTH // 2].tolist()
     assert pixels(right).tolist() == sent[:, WIDTH // 2 :].tolist()

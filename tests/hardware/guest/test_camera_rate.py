@@ -1,4 +1,4 @@
-"""Two cameras of 640 x 480 pixels at 25 pictures a second, without one lost."""
+"""Two cameras of 640 x 480 pixels at 25 images per second, without one lost."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Self
 
 import pytest
 
-from tests.components.v4l2_camera.driving import Driver
+from tests.components.v4l2_camera.driver import Driver
 from tests.hardware.guest.camera import LEFT, RIGHT, load_cameras, unload
 
 _WINDOWS, _PICTURES = 4, 75
@@ -58,16 +58,16 @@ def _cameras() -> Iterator[None]:
 
 
 @pytest.mark.parametrize("pixel_format", ["GREY", "YUYV"])
-def test_no_picture_is_lost(pixel_format: str) -> None:
+def test_no_image_is_lost(pixel_format: str) -> None:
     spoiled, pauses, shares = [], [], []
     with Driver(device=LEFT, right_device=RIGHT, format=pixel_format, rate=25) as driver:
         driver.await_one("right_image")
-        driver.await_pictures(25)
+        driver.await_images(25)
         for _ in range(_WINDOWS):
             before = losses(driver)
             started, used = time.monotonic(), time.process_time()
             with Naps() as naps:
-                driver.await_pictures(_PICTURES)
+                driver.await_images(_PICTURES)
             after = losses(driver)
             if after == before:
                 return
@@ -75,7 +75,7 @@ def test_no_picture_is_lost(pixel_format: str) -> None:
             pauses.append(naps.longest_ms)
             shares.append((time.process_time() - used) / (time.monotonic() - started))
 
-    report = f"lost and skipped, left and right, of {_PICTURES} pictures each: {spoiled}"
+    report = f"lost and dropped, left and right, of {_PICTURES} pictures each: {spoiled}"
     if min(pauses) > _PERIOD_MS:
         pytest.skip(f"the host leaves the guest no time: it pauses for {pauses} ms; {report}")
     lost = any(left or right for left, _, right, _ in spoiled)
@@ -86,6 +86,6 @@ def test_no_picture_is_lost(pixel_format: str) -> None:
 
 
 def losses(driver: Driver) -> list[int]:
-    """Pictures lost and skipped so far, of the left and of the right camera."""
+    """Pictures lost and dropped so far, of the left and of the right camera."""
     report = [driver.values(index) for index in range(2)]
-    return [int(one[name]) for one in report for name in ("lost", "skipped")]
+    return [int(one[name]) for one in report for name in ("lost", "dropped")]

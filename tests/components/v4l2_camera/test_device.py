@@ -1,18 +1,21 @@
-"""Cameras whose firmware does not answer for all that it offers are used as far as it does."""
+"""Video nodes whose firmware does not answer every request are used as far as possible."""
 
 from __future__ import annotations
 
 import ctypes
 import errno
+import mmap
+import os
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from cairn.components.v4l2_camera import listing, videodev
+from cairn.components.v4l2_camera import probe_cli, videodev
+from cairn.components.v4l2_camera.camera_names import CameraNode
 from cairn.components.v4l2_camera.controls import STANDARD
-from cairn.components.v4l2_camera.device import VideoDevice
-from cairn.components.v4l2_camera.names import CameraNode
+from cairn.components.v4l2_camera.device import VideoDevice, VideoStream
 from cairn.driver.errors import DeviceError, LinkLost
 
 BRIGHTNESS, GAIN, EXPOSURE = (
@@ -76,15 +79,13 @@ def test_all_controls_are_found(device: VideoDevice) -> None:
     assert numbers(device) == [BRIGHTNESS, GAIN, EXPOSURE]
 
 
-def test_controls_behind_one_that_is_not_described_are_found(
-    firmware: Firmware, device: VideoDevice
-) -> None:
+def test_controls_after_a_failing_one_are_found(firmware: Firmware, device: VideoDevice) -> None:
     firmware.no_description = {GAIN: errno.EIO}
 
     assert numbers(device) == [BRIGHTNESS, EXPOSURE]
 
 
-def test_a_camera_that_is_unplugged_meanwhile_is_not_one_with_fewer_controls(
+def test_unplugging_while_controls_are_listed_is_an_error(
     firmware: Firmware, device: VideoDevice
 ) -> None:
     firmware.no_description = {GAIN: errno.EIO, EXPOSURE: errno.ENODEV}
@@ -93,21 +94,64 @@ def test_a_camera_that_is_unplugged_meanwhile_is_not_one_with_fewer_controls(
         device.controls()
 
 
-def test_a_value_that_is_not_told_does_not_spoil_the_list(
+def test_unreadable_value_does_not_prevent_the_list(
     firmware: Firmware, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     firmware.no_value = {GAIN: errno.EPIPE}
     node = CameraNode(Path("/dev/null"), "Awkward")
-    monkeypatch.setattr(listing, "video_nodes", lambda: [node])
+    monkeypatch.setattr(probe_cli, "video_nodes", lambda: [node])
 
-    [camera] = listing.listed()
+    [camera] = probe_cli.describe_cameras()
 
-    assert camera["fault"] == ""
-    told = "\n".join(listing.as_lines(camera))
-    assert f"control_{BRIGHTNESS:x} = 5: 0 to 9" in told
-    assert f"control_{GAIN:x} = unknown: 0 to 9" in told
+    assert camera["error"] == ""
+    text = "\n".join(probe_cli.description_lines(camera))
+    assert f"control_{BRIGHTNESS:x} = 5: 0 to 9" in text
+    assert f"control_{GAIN:x} = unknown: 0 to 9" in text
 
 
-def test_what_is_no_camera_is_told_as_such() -> None:
-    with pytest.raises(DeviceError, match=r"/dev/null: .*; it is no camera: `cairn driver probe"):
+def test_device_that_is_not_a_camera_is_named_as_such() -> None:
+    with pytest.raises(DeviceError, match=r"/dev/null: .*; it is not a camera: `cairn"):
         VideoDevice(Path("/dev/null"))
+
+
+class SharedBuffers:
+    """A device whose buffers lie in a memory file; the test fills them."""
+
+    path = Path("/dev/video0")
+
+    def __init__(self, size: int) -> None:
+        self._size = size
+        self._memory = os.memfd_create("buffers")
+        self._filled: list[tuple[int, int, int]] = []
+
+    def fill(self, index: int, data: bytes, flags: int = 0) -> None:
+        os.pwrite(self._memory, data, index * self._size)
+        self._filled.append((index, len(data), flags))
+
+    def fileno(self) -> int:
+        return self._memory
+
+    def request(self, number: int, argument: Any, _action: str) -> None:
+        if number == videodev.REQBUFS:
+            os.ftruncate(self._memory, argument.count * self._size)
+        if number == videodev.QUERYBUF:
+            argument.length, argument.m.offset = self._size, argument.index * self._size
+
+    def ioctl(self, number: int, argument: Any) -> None:
+        if number == videodev.DQBUF:
+            if not self._filled:
+                raise OSError(errno.EAGAIN, "no buffer is filled")
+            argument.index, argument.bytesused, argument.flags = self._filled.pop(0)
+
+
+def test_good_image_is_read_although_a_damaged_one_follows() -> None:
+    device = SharedBuffers(mmap.PAGESIZE)
+    with closing(VideoStream(device, 4)) as stream:  # type: ignore[arg-type] # all that it uses
+        stream.start()
+        device.fill(0, b"old")
+        device.fill(1, b"good")
+        device.fill(2, b"bad", videodev.BUF_FLAG_ERROR)
+        buffers = stream.newest(0.0)
+
+    assert [buffer.data for buffer in buffers] == [None, b"good", None]
+    assert [buffer.is_damaged for buffer in buffers] == [False, False, True]

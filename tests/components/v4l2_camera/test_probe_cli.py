@@ -1,4 +1,4 @@
-"""`cairn driver probe camera` tries cameras and tells what comes of them."""
+"""`cairn driver probe camera` tries cameras and reports what they send."""
 
 from __future__ import annotations
 
@@ -11,9 +11,16 @@ import cv2
 import pytest
 
 from cairn import CairnError
-from cairn.components.v4l2_camera.cli import probe
+from cairn.components.v4l2_camera.probe_cli import probe
 from tests.commands import cairn
-from tests.components.v4l2_camera.fakes import HEIGHT, LEFT, RIGHT, WIDTH, FakeCamera, FakeCameras
+from tests.components.v4l2_camera.fake_cameras import (
+    HEIGHT,
+    LEFT,
+    RIGHT,
+    WIDTH,
+    FakeCamera,
+    FakeCameras,
+)
 
 
 @pytest.fixture
@@ -26,7 +33,7 @@ def pair(cameras: FakeCameras) -> Iterator[list[FakeCamera]]:
         while not over.wait(0.04):
             now = time.monotonic_ns()
             for camera in both:
-                camera.send(99, taken=now)
+                camera.send(99, captured=now)
 
     thread = threading.Thread(target=stream)
     thread.start()
@@ -36,17 +43,17 @@ def pair(cameras: FakeCameras) -> Iterator[list[FakeCamera]]:
 
 
 @pytest.mark.usefixtures("pair")
-def test_a_pair_is_tried_and_its_pictures_saved(
+def test_trial_of_a_pair_saves_its_images(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "it.png"
 
     probe(LEFT, right=RIGHT, seconds=0.5, width=WIDTH, height=HEIGHT, format_="GREY", out=out)
 
-    told = capsys.readouterr().out
-    assert "/dev/left: Fake usb-1\n  GREY 64 x 48, " in told
-    assert "the camera agreed to 25" in told
-    assert "pairs, " in told
+    values = capsys.readouterr().out
+    assert "/dev/left: Fake usb-1\n  GREY 64 x 48, " in values
+    assert "negotiated 25" in values
+    assert "pairs, " in values
     for file in (out, tmp_path / "it_right.png"):
         saved = cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)
         assert saved is not None
@@ -54,28 +61,28 @@ def test_a_pair_is_tried_and_its_pictures_saved(
         assert (saved == 99).all()
 
 
-def test_a_camera_that_gives_nothing_is_told_of(
+def test_camera_without_images_is_an_error(
     cameras: FakeCameras, capsys: pytest.CaptureFixture[str]
 ) -> None:
     cameras.add(LEFT)
 
-    with pytest.raises(CairnError, match="no picture came of every camera"):
+    with pytest.raises(CairnError, match="not every camera sent an image"):
         probe(LEFT, seconds=0.5, width=WIDTH, height=HEIGHT)
 
-    assert "0 pictures" in capsys.readouterr().out
+    assert "0 images" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "message"),
     [
-        (("video0",), "device = 'video0' is no name of a camera"),
+        (("video0",), "device = 'video0' does not name a camera"),
         (("--right", LEFT), "name the left one first"),
-        ((LEFT, "--json"), "--json is for the list"),
+        ((LEFT, "--json"), "--json works for the list only"),
         ((LEFT, "--format", "H264"), "format should be 'auto', 'GREY', 'YUYV' or 'MJPG'"),
     ],
 )
-def test_what_cannot_be_asked_is_refused(arguments: tuple[str, ...], told: str) -> None:
+def test_wrong_arguments_are_rejected(arguments: tuple[str, ...], message: str) -> None:
     answer = cairn("driver", "probe", "camera", *arguments)
 
     assert answer.code == 1
-    assert told in answer.err
+    assert message in answer.err

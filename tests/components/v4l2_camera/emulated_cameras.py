@@ -1,4 +1,4 @@
-"""The driver as a plugin, on cameras in software that stream by themselves.
+"""The driver as a plugin, on emulated cameras that stream by themselves.
 
 A camera is plugged in as long as the file that it is named after is there.
 """
@@ -14,23 +14,23 @@ import numpy as np
 import pytest
 
 from cairn.components.v4l2_camera.component import V4l2StereoCamera
-from cairn.components.v4l2_camera.device import Setup
-from cairn.components.v4l2_camera.stream import Capture
+from cairn.components.v4l2_camera.device import FilledBuffer
+from cairn.components.v4l2_camera.format_negotiation import CaptureFormat
 from cairn.driver.errors import LinkLost
-from tests.components.v4l2_camera.fakes import HEIGHT, WIDTH, FakeCamera, FakeDevice
+from tests.components.v4l2_camera.fake_cameras import HEIGHT, WIDTH, FakeCamera, FakeDevice
 
 RATE = 10.0
 _PERIOD_S = 1.0 / RATE
 
 
 class EmulatedStereoCamera(V4l2StereoCamera):
-    """The driver of cameras behind V4L2, on emulated ones."""
+    """The V4L2 driver with emulated cameras."""
 
     def on_configure(self) -> None:
-        """Put emulated cameras in the place of the kernel's."""
+        """Replace the kernel's cameras by emulated ones."""
         patch = pytest.MonkeyPatch()  # never undone: the process is this driver's alone
         patch.setattr("cairn.components.v4l2_camera.camera.VideoDevice", _Device)
-        patch.setattr("cairn.components.v4l2_camera.camera.Stream", _Stream)
+        patch.setattr("cairn.components.v4l2_camera.camera.VideoStream", _Stream)
         super().on_configure()
 
 
@@ -39,12 +39,12 @@ class _Device(FakeDevice):
         _check_plugged(path)
         super().__init__(path, FakeCamera())
 
-    def set_up(self, name: str, width: int, height: int, rate: float) -> Setup:
-        return replace(super().set_up(name, width, height, rate), rate=RATE)
+    def set_format(self, name: str, width: int, height: int, rate: float) -> CaptureFormat:
+        return replace(super().set_format(name, width, height, rate), rate=RATE)
 
 
 class _Stream:
-    """A picture of noise at each whole period, so that two cameras are synchronized."""
+    """An image of noise at each whole period, so that two cameras are synchronized."""
 
     def __init__(self, device: _Device, _buffers: int) -> None:
         self._path = device.path
@@ -58,18 +58,18 @@ class _Stream:
         _check_plugged(self._path)
 
     def close(self) -> None:
-        """There is nothing to let go of."""
+        """Do nothing: there are no buffers."""
 
-    def newest(self, limit_s: float) -> list[Capture]:
-        taken_s = self._number * _PERIOD_S
-        wait_s = taken_s - time.monotonic()
-        self._never.wait(max(0.0, min(wait_s, limit_s)))
+    def newest(self, timeout_s: float) -> list[FilledBuffer]:
+        captured_s = self._number * _PERIOD_S
+        wait_s = captured_s - time.monotonic()
+        self._never.wait(max(0.0, min(wait_s, timeout_s)))
         _check_plugged(self._path)
-        if wait_s > limit_s:
+        if wait_s > timeout_s:
             return []
         noise = np.random.default_rng(self._number).integers(0, 256, WIDTH * HEIGHT, np.uint8)
         self._number += 1
-        return [Capture(noise.tobytes(), self._number, round(1e9 * taken_s), False, False)]
+        return [FilledBuffer(noise.tobytes(), self._number, round(1e9 * captured_s), False, False)]
 
 
 def _check_plugged(path: Path) -> None:

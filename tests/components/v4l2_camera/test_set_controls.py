@@ -1,49 +1,49 @@
-"""Controls of cameras while the driver runs: of both or of none, and what holds them."""
+"""Controls set while the driver runs: on both cameras or none, and not while automatic."""
 
 from __future__ import annotations
 
 import pytest
 
 from cairn import ParameterRejected
-from tests.components.v4l2_camera.driving import Driver
-from tests.components.v4l2_camera.fakes import ONE, TWO, FakeCamera
+from tests.components.v4l2_camera.driver import Driver
+from tests.components.v4l2_camera.fake_cameras import ONE, TWO, FakeCamera
 
 
 @pytest.mark.parametrize("given", [{"gain": 10}, {}])
 def test_controls_are_set_on_both_cameras_or_on_none(
     left: FakeCamera, right: FakeCamera, given: dict[str, int]
 ) -> None:
-    right.refused_values.add(66)
+    right.rejected_values.add(66)
     with Driver(**TWO, controls=given) as driver:
-        with pytest.raises(ParameterRejected, match="/dev/right: set gain = 66"):
+        with pytest.raises(ParameterRejected, match="/dev/right: setting gain = 66"):
             driver.set(controls__gain=66)
 
         assert (left.values["gain"], right.values["gain"]) == (10, 10)
         driver.set(controls__gain=55)
         assert (left.values["gain"], right.values["gain"]) == (55, 55)
-        with pytest.raises(ParameterRejected, match="gain = 256: the camera takes 0 to 255"):
+        with pytest.raises(ParameterRejected, match="gain = 256: the camera accepts 0 to 255"):
             driver.set(controls__gain=256)
 
 
-def test_a_control_that_is_held_is_set_once_it_is_not(
+def test_automatic_control_is_set_once_it_is_manual(
     left: FakeCamera, caplog: pytest.LogCaptureFixture
 ) -> None:
-    left.held.add("exposure_time_absolute")
+    left.inactive.add("exposure_time_absolute")
     with Driver(**ONE, controls={"exposure_time_absolute": 7}) as driver:
         assert left.values["exposure_time_absolute"] == 100
-        assert "exposure_time_absolute is held by something automatic: 7 is set" in caplog.text
+        assert "exposure_time_absolute is set automatically by the camera; 7 is set" in caplog.text
 
-        left.held.clear()
+        left.inactive.clear()
         driver.set(controls__gain=9)
 
         assert left.values == {"gain": 9, "exposure_time_absolute": 7}
 
 
-def test_what_another_program_has_set_meanwhile_is_set_again(left: FakeCamera) -> None:
+def test_controls_changed_by_another_program_are_restored(left: FakeCamera) -> None:
     with Driver(**ONE, controls={"gain": 9}) as driver:
-        driver.go("deactivate")
+        driver.transition("deactivate")
         left.values["gain"] = 200
-        driver.go("activate")
+        driver.transition("activate")
         left.send(1)
         driver.await_one("left_image")
 

@@ -1,10 +1,10 @@
-"""Cameras are found by what stays the same, in sysfs as the kernel lays it out."""
+"""Cameras are found by stable names, in sysfs as the kernel lays it out."""
 
 from pathlib import Path
 
 import pytest
 
-from cairn.components.v4l2_camera.names import find_camera, is_name, video_nodes
+from cairn.components.v4l2_camera.camera_names import find_camera, is_name, video_nodes
 from cairn.driver.errors import LinkLost
 
 
@@ -18,7 +18,7 @@ class Computer:
         self._count = 0
 
     def plug_in(self, port: str, name: str, ids: str, serial: str = "", nodes: int = 2) -> None:
-        """A USB camera, with a node for pictures and one for their metadata."""
+        """A USB camera, with a node for images and one for their metadata."""
         device = self._devices / "usb1" / port
         interface = device / f"{port}:1.0"
         interface.mkdir(parents=True)
@@ -58,7 +58,7 @@ def computer(tmp_path: Path) -> Computer:
     return Computer(tmp_path)
 
 
-def test_a_usb_camera_is_found_by_name_numbers_and_socket(computer: Computer) -> None:
+def test_usb_camera_is_found_by_name_ids_and_port(computer: Computer) -> None:
     computer.add_platform("Other")
     computer.plug_in("1-1.2", "UVC Camera", "046d:0825", "A3F0")
 
@@ -68,7 +68,7 @@ def test_a_usb_camera_is_found_by_name_numbers_and_socket(computer: Computer) ->
         assert computer.find(name) == "video1"
 
 
-def test_two_cameras_of_a_kind_are_told_apart_by_serial_number_or_socket(
+def test_equal_cameras_are_distinguished_by_serial_number_or_port(
     computer: Computer,
 ) -> None:
     computer.plug_in("1-1", "UVC Camera", "046d:0825", "A")
@@ -94,7 +94,7 @@ def test_a_camera_that_is_not_there_is_told_with_those_that_are(computer: Comput
         computer.find("name:X")
 
 
-def test_a_camera_that_is_unplugged_while_cameras_are_looked_at_is_not_there(
+def test_camera_unplugged_during_the_search_is_not_found(
     computer: Computer,
 ) -> None:
     computer.plug_in("1-1", "Going", "046d:0825", nodes=1)
@@ -106,7 +106,7 @@ def test_a_camera_that_is_unplugged_while_cameras_are_looked_at_is_not_there(
         computer.find("name:Going")
 
 
-def test_nodes_are_told_in_order_of_their_numbers(computer: Computer) -> None:
+def test_nodes_are_listed_in_the_order_of_their_numbers(computer: Computer) -> None:
     for number in range(11):
         computer.add_platform(f"camera {number}")
 
@@ -123,5 +123,5 @@ def test_nodes_are_told_in_order_of_their_numbers(computer: Computer) -> None:
         ("usb:46d:825", False), ("video0", False), ("name:", False), ("", False),
     ],
 )  # fmt: skip
-def test_what_is_no_name_is_noticed(text: str, valid: bool) -> None:
+def test_invalid_names_are_detected(text: str, valid: bool) -> None:
     assert is_name(text) == valid

@@ -1,7 +1,7 @@
-"""Cameras by names that stay the same when they are plugged in another order.
+"""Finding cameras by names that do not depend on the order in which they are plugged in.
 
-The kernel numbers `/dev/videoN` as devices come. What stays is told by sysfs: a camera's own name,
-its USB numbers, and the socket it is plugged into. So it is found without udev, too.
+The kernel numbers `/dev/videoN` in the order in which devices appear. What stays the same is in
+sysfs: a camera's own name, its USB ids, and the port it is plugged into. So udev is not needed.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ _USB = re.compile(r"usb:([0-9a-fA-F]{4}):([0-9a-fA-F]{4})(?::(.+))?")
 
 @dataclass(frozen=True)
 class CameraNode:
-    """A video node: its path, its name, and for USB what it is and where it is plugged in.
+    """A video node: its path, its name, and for USB its ids and its port.
 
-    `index` numbers the nodes of one device: of a USB camera 0 has the pictures, 1 their metadata.
+    `index` numbers the nodes of one device: of a USB camera 0 has the images, 1 their metadata.
     """
 
     path: Path
@@ -36,7 +36,7 @@ class CameraNode:
 
     @property
     def stable(self) -> str:
-        """How the node is best called in a deployment."""
+        """The best name of the node in a deployment."""
         if not self.vendor:
             return f"name:{self.name}"
         serial = f":{self.serial}" if self.serial else ""
@@ -48,42 +48,42 @@ class CameraNode:
 
 
 def video_nodes(sysfs: Path = SYSFS, dev: Path = DEV) -> list[CameraNode]:
-    """All video nodes of the computer, in order of their numbers."""
+    """Return all video nodes of the computer, in the order of their numbers."""
     nodes = []
     for entry in sorted(sysfs.glob("video*"), key=lambda entry: int(entry.name[5:] or 0)):
         try:
             nodes.append(_node(entry, dev))
-        except OSError:  # unplugged while it was looked at
+        except OSError:  # unplugged meanwhile
             continue
     return nodes
 
 
-def find_camera(wanted: str, sysfs: Path = SYSFS, dev: Path = DEV) -> Path:
-    """The path of the video node that is called so.
+def find_camera(name: str, sysfs: Path = SYSFS, dev: Path = DEV) -> Path:
+    """Return the path of the video node with a name.
 
-    That is a path (`/dev/v4l/by-id/...`), returned as it is, or one of `name:NAME` (as sysfs tells
-    it), `usb:VENDOR:PRODUCT[:SERIAL]` (hexadecimal numbers) and `port:PORT` (the USB socket,
+    The name is a path (`/dev/v4l/by-id/...`), which is returned unchanged, or one of `name:NAME`
+    (as in sysfs), `usb:VENDOR:PRODUCT[:SERIAL]` (hexadecimal ids) and `port:PORT` (the USB port,
     `1-1.2`). Raises `LinkLost` if there is none now, or if there are several.
     """
-    if wanted.startswith("/"):
-        return Path(wanted)
+    if name.startswith("/"):
+        return Path(name)
     nodes = video_nodes(sysfs, dev)
-    called = [node for node in nodes if _is_called(node, wanted)]
-    # A device's further nodes are called as its first one.
-    found = [node for node in called if node.index == 0] or called
+    matching = [node for node in nodes if _matches(node, name)]
+    # The other nodes of a device have the name of its first one.
+    found = [node for node in matching if node.index == 0] or matching
     if len(found) == 1:
         return found[0].path
     if found:
         raise LinkLost(
-            f"{wanted}: there are several such cameras: {'; '.join(map(str, found))}; tell them "
-            "apart by serial number, or by port:... if they have none"
+            f"{name}: there are several such cameras: {'; '.join(map(str, found))}; name one "
+            "by serial number, or by port:... if they have none"
         )
-    there = "; ".join(map(str, nodes)) or "none"
-    raise LinkLost(f"{wanted}: there is no such camera; there are: {there}")
+    known = "; ".join(map(str, nodes)) or "none"
+    raise LinkLost(f"{name}: there is no such camera; there are: {known}")
 
 
 def is_name(text: str) -> bool:
-    """Whether a camera can be called so."""
+    """Return whether a text can name a camera."""
     return bool(
         text.startswith("/")
         or _USB.fullmatch(text)
@@ -91,13 +91,13 @@ def is_name(text: str) -> bool:
     )
 
 
-def _is_called(node: CameraNode, wanted: str) -> bool:
-    usb = _USB.fullmatch(wanted)
+def _matches(node: CameraNode, name: str) -> bool:
+    usb = _USB.fullmatch(name)
     if usb is not None:
         return (node.vendor, node.product) == (usb[1].lower(), usb[2].lower()) and (
             usb[3] in (None, node.serial)
         )
-    kind, _, value = wanted.partition(":")
+    kind, _, value = name.partition(":")
     return (kind == "name" and node.name == value) or (kind == "port" and node.port == value)
 
 
