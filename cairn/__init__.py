@@ -18,7 +18,6 @@ from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
     from cairn.bus.qos import LATCHED, RELIABLE, SENSOR, Qos
-    from cairn.client.robot import connect
     from cairn.clock import SECOND, Clock, from_ns, to_ns
     from cairn.errors import CairnError
     from cairn.runtime.component import Component
@@ -47,7 +46,6 @@ __all__ = [
     "ReadPath",
     "StartFailed",
     "Supervisor",
-    "connect",
     "every",
     "from_ns",
     "on",
@@ -56,7 +54,6 @@ __all__ = [
 
 _MODULES: Final = {
     "cairn.bus.qos": ("LATCHED", "RELIABLE", "SENSOR", "Qos"),
-    "cairn.client.robot": ("connect",),
     "cairn.clock": ("SECOND", "Clock", "from_ns", "to_ns"),
     "cairn.errors": ("CairnError",),
     "cairn.runtime.component": ("Component",),

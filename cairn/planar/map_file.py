@@ -86,7 +86,7 @@ def write_map(file: Path, grid: OccupancyCells, mode: Mode = "trinary") -> None:
     values = grid.values[::-1]
     unknown = values == UNKNOWN
     if mode == "raw":
-        picture = Image.fromarray(np.where(unknown, 255, values).astype(np.uint8))
+        picture = Image.fromarray(values.astype(np.uint8))  # UNKNOWN, -1, becomes 255
     elif mode == "scale":
         light = np.rint(255.0 * (1.0 - np.clip(values, 0, 100) / 100.0)).astype(np.uint8)
         picture = Image.fromarray(np.dstack((light, np.where(unknown, 0, 255).astype(np.uint8))))

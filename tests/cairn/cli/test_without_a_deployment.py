@@ -1,6 +1,7 @@
 """Commands that need no running deployment, and the errors of those that do."""
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -41,7 +42,8 @@ def test_an_invalid_endpoint_is_rejected() -> None:
     answer = cairn("ps", "--connect", "localhost")
 
     assert answer.code == 1
-    assert answer.err.startswith("cairn: --connect: 'localhost' is not an endpoint; write ")
+    assert "--connect" in answer.err
+    assert "'localhost' is not an endpoint; write " in answer.err
 
 
 def test_check_accepts_a_deployment_without_problems(tmp_path: Path) -> None:
@@ -175,8 +177,10 @@ def test_an_installed_package_adds_commands_and_a_broken_one_does_no_harm() -> N
     assert broken in cairn("fail").err
     shown = cairn("--help")
     assert "Installed by other packages:" in shown.out
-    assert "greet       Greet a number.\n" in shown.out
-    assert "fail        broken: RuntimeError('broken on purpose')\n" in shown.out
+    assert re.search(r"^  greet +Greet a number\.$", shown.out, re.MULTILINE)
+    assert re.search(
+        r"^  fail +broken: RuntimeError\('broken on purpose'\)$", shown.out, re.MULTILINE
+    )
     assert (shown.code, shown.err) == (0, "")
     assert "Greet" not in cairn("ps", "--help").out  # a command of Cairn's own is not replaced
 
