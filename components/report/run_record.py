@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import logging
 import math
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any
@@ -471,4 +472,6 @@ class RunJournal:
                 "%s cannot be written (%s): should this process be killed, the report is lost",
                 self._file, error.strerror,
             )  # fmt: skip
+            with suppress(OSError):  # again, for the line that it still holds
+                self._stream.close()
             self._stream = None
