@@ -18,10 +18,10 @@ from cairn.components.replay.sighting_noise import range_bearing_variance
 from cairn.visual_map.landmarks import (
     EvidenceVerdict,
     LandmarkChange,
-    LandmarkEvidence,
     LandmarkRecord,
     LandmarkState,
     MapPosition,
+    ReceivedEvidence,
 )
 
 # As the parameters of a commanded base; its poses matter only over gaps, which MRCLAM has not.
@@ -157,7 +157,7 @@ def _update(
 ) -> None:
     robot = frame.before.mean
     evidence = [
-        LandmarkEvidence(
+        ReceivedEvidence(
             j.observation.object_id,
             j.similarity,
             EvidenceVerdict(int(j.verdict)),

@@ -135,7 +135,7 @@ class LandmarkRecord:
 
 
 @dataclass(frozen=True)
-class LandmarkEvidence:
+class ReceivedEvidence:
     """What one observation, or a missing one, says about a landmark (`ObjectEvidence`).
 
     `implied` is the position of the object by this observation, `robot` the robot's pose at that

@@ -6,7 +6,6 @@ import math
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from enum import IntEnum
 from statistics import median
 from typing import Literal
 
@@ -34,6 +33,7 @@ from cairn.components.localizer.particle_set import (
 from cairn.components.localizer.recent_observations import ANOTHER_M, ANOTHER_RAD
 from cairn.planar.poses import Pose, apart, wrap, wrap_all
 from cairn.planar.poses import distance as meters_between
+from cairn.visual_map.landmarks import EvidenceVerdict
 
 Array = NDArray[np.float64]
 
@@ -56,16 +56,6 @@ SimilarityMode = Literal["lr", "paper", "paper_rule", "chi_square"]
 _EXACT_M = 0.15
 # So many contradictions of each object are remembered: more than corroboration needs.
 _MOST_CONTRADICTIONS = 20
-
-
-class EvidenceVerdict(IntEnum):
-    """The verdict of a piece of evidence: the constants of cairn_msgs/ObjectEvidence."""
-
-    AGREES = 0
-    DISAGREES = 1
-    FALSE_MATCH = 2
-    NOT_CONVERGED = 3
-    UNSEEN = 4
 
 
 @dataclass(frozen=True)

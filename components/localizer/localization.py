@@ -20,11 +20,7 @@ from cairn.components.localizer.health import (
     contradiction,
     limit_unconfirmed,
 )
-from cairn.components.localizer.landmark_evidence import (
-    EvidenceVerdict,
-    LandmarkEvaluator,
-    LandmarkEvidence,
-)
+from cairn.components.localizer.landmark_evidence import LandmarkEvaluator, LandmarkEvidence
 from cairn.components.localizer.leave_one_out import LeaveOneOutFilters
 from cairn.components.localizer.likelihood_field import ScanMap
 from cairn.components.localizer.observations import (
@@ -43,6 +39,7 @@ from cairn.components.localizer.wheel_slip import WheelSlipDetector
 from cairn.planar.grid import OccupancyCells
 from cairn.planar.poses import Pose
 from cairn.schemas.cairn_nav_msgs import NO_REASON, Reason, ReasonCode
+from cairn.visual_map.landmarks import EvidenceVerdict
 
 Array = NDArray[np.float64]
 

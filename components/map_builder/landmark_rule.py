@@ -31,15 +31,15 @@ from cairn.visual_map.landmarks import (
     ChangeKind,
     EvidenceVerdict,
     LandmarkChange,
-    LandmarkEvidence,
     LandmarkRecord,
     LandmarkState,
     MapPosition,
+    ReceivedEvidence,
     Viewpoints,
 )
 
 Rule = Callable[
-    [LandmarkRecord, LandmarkEvidence, float], tuple[LandmarkRecord, LandmarkChange | None]
+    [LandmarkRecord, ReceivedEvidence, float], tuple[LandmarkRecord, LandmarkChange | None]
 ]
 """A function of a landmark, evidence and its time [s]: the new record and the change, if any."""
 
@@ -72,7 +72,7 @@ def rule_named(name: RuleName) -> Rule:
 
 
 def judge(
-    landmark: LandmarkRecord, evidence: LandmarkEvidence, now_s: float
+    landmark: LandmarkRecord, evidence: ReceivedEvidence, now_s: float
 ) -> tuple[LandmarkRecord, LandmarkChange | None]:
     """Apply the rule that keeps a robot's map."""
     if evidence.verdict is EvidenceVerdict.UNSEEN:
@@ -121,7 +121,7 @@ def cell_of(x: float, y: float, robot: Pose) -> Cell:
 
 
 def _judge_observation(
-    landmark: LandmarkRecord, evidence: LandmarkEvidence, now_s: float
+    landmark: LandmarkRecord, evidence: ReceivedEvidence, now_s: float
 ) -> tuple[LandmarkRecord, LandmarkChange | None]:
     agrees = evidence.verdict is EvidenceVerdict.AGREES
     disagrees = evidence.verdict is EvidenceVerdict.DISAGREES
@@ -158,7 +158,7 @@ def _judge_observation(
 
 
 def _remove_moved(
-    judged: LandmarkRecord, evidence: LandmarkEvidence, now_s: float
+    judged: LandmarkRecord, evidence: ReceivedEvidence, now_s: float
 ) -> tuple[LandmarkRecord, LandmarkChange | None]:
     """Remove a landmark from its position; the last observation is the first candidate."""
     position, reliability = judged.position, judged.reliability
@@ -176,7 +176,7 @@ def _remove_moved(
 
 
 def _judge_absence(
-    landmark: LandmarkRecord, evidence: LandmarkEvidence
+    landmark: LandmarkRecord, evidence: ReceivedEvidence
 ) -> tuple[LandmarkRecord, LandmarkChange | None]:
     """Judge that a landmark was not seen where it should have been.
 
@@ -219,7 +219,7 @@ def _judge_absence(
 
 
 def _refine(
-    judged: LandmarkRecord, position: MapPosition, evidence: LandmarkEvidence
+    judged: LandmarkRecord, position: MapPosition, evidence: ReceivedEvidence
 ) -> tuple[LandmarkRecord, LandmarkChange | None]:
     """Improve an uncertain position by an agreeing observation; surveyed ones hardly move."""
     better = fuse(position, evidence.implied)

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from cairn.components.localizer.config import LocalizationSettings
-from cairn.components.localizer.landmark_evidence import EvidenceVerdict
 from cairn.components.localizer.localization import EvidenceFrame, Localization
 from cairn.components.localizer.observations import Landmark, Observation
 from cairn.components.localizer.odometry import CommandedTrack, MotionModel
+from cairn.visual_map.landmarks import EvidenceVerdict
 from tests.components.localizer.hall import Moment, drive, landmarks
 
 EXACT = MotionModel()

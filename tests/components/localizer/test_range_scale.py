@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from cairn.components.localizer.landmark_evidence import (
-    EvidenceVerdict,
     LandmarkEvaluator,
     LandmarkEvidence,
     SimilarityMode,
@@ -14,6 +13,7 @@ from cairn.components.localizer.landmark_evidence import (
 from cairn.components.localizer.observations import Landmark, Observation
 from cairn.components.localizer.particle_set import PoseEstimate
 from cairn.planar.poses import Pose, wrap
+from cairn.visual_map.landmarks import EvidenceVerdict
 
 MAP = {
     key: Landmark(key, x, y, reliability=0.98)
