@@ -16,6 +16,7 @@ class Deployed:
     def __init__(self, deployment: Deployment, seed: int = 1) -> None:
         self.harness = DeploymentHarness(deployment, seed=seed)
         self.run = self.harness.run
+        self._is_new = False  # whether a message was received since the last `hear`
 
     @property
     def now(self) -> float:
@@ -25,28 +26,32 @@ class Deployed:
     def wait(self, seconds: float) -> None:
         """Let virtual time advance, with what happens until then."""
         self.harness.run_for(seconds)
+        self._hear_new()
 
     def await_that(self, so: Callable[[], bool], limit_s: float = 300.0) -> None:
         """Let virtual time advance until a condition holds."""
         try:
-            self.harness.run_until(so, limit_s)
+            self.harness.run_until(lambda: self._hear_new() or so(), limit_s)
         except AssertionError as error:
             raise AssertionError(f"{error}; {self}") from None
 
     def hear(self) -> None:
-        """Take new messages; called after each message on a topic that is read."""
+        """Take new messages of the topics that are read; called before conditions are checked."""
 
     def ask(self, component: str, verb: str, **arguments: Any) -> Any:
         """Return a component's reply to a request; what follows at once has happened then."""
-        return self.harness.request(component, verb, **arguments)
+        answer = self.harness.request(component, verb, **arguments)
+        self._hear_new()
+        return answer
 
     def read(self, topic: str, message: type[Any]) -> LockstepReading[Any]:
         """Collect what is published on a topic."""
-        return self.harness.read(topic, message, on_message=lambda: self.hear())
+        return self.harness.read(topic, message, on_message=self._note)
 
     def publish(self, topic: str, message: Any, qos: Qos = RELIABLE) -> None:
         """Publish a message; what follows at once has happened then."""
         self.harness.publish(topic, message, qos=qos)
+        self._hear_new()
 
     def begin(self) -> None:
         """Configure and activate all, once; raises `CairnError` if that fails."""
@@ -59,6 +64,16 @@ class Deployed:
     def silence(self, component: str) -> None:
         """Suspend a component, as if its process were stopped."""
         self.harness.suspend(component)
+
+    def _note(self) -> None:
+        self._is_new = True
+
+    def _hear_new(self) -> bool:
+        """Call `hear` if a message was received. Always false."""
+        if self._is_new:
+            self._is_new = False
+            self.hear()
+        return False
 
 
 def taken(reading: LockstepReading[Any]) -> list[Any]:
