@@ -1,6 +1,6 @@
 """The contract of a camera: `left_image`, `right_image`, `left_info`, `right_info`.
 
-A single camera has the left ports alone. docs/vision.md describes the ports. Checks raise
+A single camera has the left ports alone. docs/how-to/vision.md describes the ports. Checks raise
 `AssertionError` with a sentence that names the fault. Lengths are in meters and pixels.
 """
 

@@ -57,7 +57,8 @@ class Block:
 
 def blocks(page: str) -> list[Block]:
     text = (ROOT / page).read_text(encoding="utf-8")
-    found = re.findall(r"^```(\w+)(?: title=(\S+))?\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
+    fence = r'^```(\w+)(?: title="(\S+)")?\n(.*?)^```'
+    found = re.findall(fence, text, re.DOTALL | re.MULTILINE)
     return [Block(*parts) for parts in found]
 
 

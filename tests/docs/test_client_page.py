@@ -1,4 +1,4 @@
-"""The examples of docs/client.md run, in their order, against a simulated robot."""
+"""The examples of docs/how-to/client.md run, in their order, against a simulated robot."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -19,12 +19,14 @@ def test_the_examples_of_the_page_run_against_the_simulated_robot(
 ) -> None:
     run = launch(root / "deploy" / "sim.yaml")
     run.await_line("mobile_supervisor active")
-    code = [block.text for block in page_blocks("docs/client.md") if block.language == "python"]
+    code = [
+        block.text for block in page_blocks("docs/how-to/client.md") if block.language == "python"
+    ]
     names: dict[str, Any] = {}
 
     for block in code:
         text = block.replace("client.connect()", f"client.connect({run.endpoint!r})")
-        exec(compile(text, "docs/client.md", "exec"), names)
+        exec(compile(text, "docs/how-to/client.md", "exec"), names)
 
     printed = capsys.readouterr().out
     assert "mobile_supervisor    active" in printed

@@ -1,4 +1,4 @@
-"""The driver of docs/testing-drivers.md is tested as its author would: from wheels, elsewhere."""
+"""The driver of docs/how-to/test-a-driver.md is tested as its author would test it."""
 
 import re
 import shutil
@@ -13,7 +13,7 @@ pytestmark = pytest.mark.processes
 
 
 EXAMPLE = ROOT / "docs" / "driver-example"
-PAGE = "docs/testing-drivers.md"
+PAGE = "docs/how-to/test-a-driver.md"
 
 
 @pytest.fixture(scope="module")

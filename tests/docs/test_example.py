@@ -1,4 +1,4 @@
-"""The example of docs/components.md works as the page says, for a user's own package."""
+"""The example of docs/how-to/component.md works as the page says, for a user's own package."""
 
 import json
 import re
@@ -44,7 +44,7 @@ def user(shell: Callable[[Path, Path], Any], installed: Path) -> Any:
 
 
 def test_what_the_page_quotes_stands_in_the_files(page_blocks: Callable[[str], Any]) -> None:
-    quoted = [block for block in page_blocks("docs/components.md") if block.title]
+    quoted = [block for block in page_blocks("docs/how-to/component.md") if block.title]
 
     assert len(quoted) >= 10
     for block in quoted:

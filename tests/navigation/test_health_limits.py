@@ -1,4 +1,4 @@
-"""Who acts on the health of the pose: the defaults fit each other, as docs/navigation.md says."""
+"""Health limits: the defaults fit each other, as docs/concepts/navigation.md says."""
 
 from pathlib import Path
 

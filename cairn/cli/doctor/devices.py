@@ -35,7 +35,7 @@ _DISTURBING = {
     "ModemManager": "probes every serial port that is plugged in, as if it were a modem",
     "brltty": "takes serial adapters for Braille displays",
 }
-_INSTALL_RULES = "install Cairn's udev rules (docs/robot.md)"
+_INSTALL_RULES = "install Cairn's udev rules (docs/how-to/robot.md)"
 
 
 def serial_ports() -> Iterator[Finding]:

@@ -46,7 +46,7 @@ class ObserverConfig(Config):
 
 
 class Observer(Component):
-    """Writes what it is told as lines of JSON: [what, stamp [s], ...], as `docs/experiments.md`."""
+    """Writes lines of JSON, [kind, stamp [s], ...]: see `docs/how-to/experiments.md`."""
 
     config: ObserverConfig
 

@@ -1,4 +1,4 @@
-"""The examples in docs/deployment.md match the product."""
+"""The examples in docs/reference/deployment.md match the product."""
 
 import re
 import shlex
@@ -12,12 +12,14 @@ from cairn.deployment.model import BusSettings, ChildSpec, Deployment, Supervisi
 from cairn.deployment.problems import DeploymentError
 
 Write = Callable[..., Path]
-PAGE = (Path(__file__).parents[3] / "docs" / "deployment.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[3] / "docs" / "reference" / "deployment.md").read_text(
+    encoding="utf-8"
+)
 
 
 @pytest.fixture(autouse=True)
 def files(write: Write) -> None:
-    for name, text in re.findall(r"```yaml title=(\S+)\n(.*?)```", PAGE, re.DOTALL):
+    for name, text in re.findall(r'```yaml title="(\S+)"\n(.*?)```', PAGE, re.DOTALL):
         write(text, name)
 
 

@@ -11,9 +11,8 @@ PAGE = Path(__file__).parents[3] / "docs" / "drivers" / "base.md"
 
 
 def block(title: str) -> str:
-    found = re.search(
-        rf"^```yaml title={re.escape(title)}\n(.*?)^```", PAGE.read_text(), re.DOTALL | re.MULTILINE
-    )
+    fence = rf'^```yaml title="{re.escape(title)}"\n(.*?)^```'
+    found = re.search(fence, PAGE.read_text(), re.DOTALL | re.MULTILINE)
     assert found, f"{PAGE.name} shows no {title}"
     return found[1]
 

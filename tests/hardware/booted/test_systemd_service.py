@@ -50,7 +50,7 @@ BindReadOnlyPaths={paths}
 
 @pytest.fixture(scope="module", autouse=True)
 def _installed() -> Iterator[None]:
-    """Everything installed as docs/robot.md describes, but with a linked environment."""
+    """Everything installed as docs/how-to/robot.md describes, but with a linked environment."""
     for folder in (_UNITS / f"{_SERVICE}.service.d", Path("/etc/cairn"), Path("/etc/sysusers.d")):
         folder.mkdir(parents=True, exist_ok=True)
     Path("/run/udev/rules.d").mkdir(parents=True, exist_ok=True)
