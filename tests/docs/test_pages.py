@@ -69,7 +69,7 @@ def test_the_readmes_component_passes_the_check_of_its_deployment(
 
     checked = json.loads(shell(tmp_path, tmp_path).cairn("check", "rover.yaml", "--json"))
 
-    assert checked == {"valid": True, "components": ["rover", "scanner", "wanderer"]}
+    assert checked == {"valid": True, "components": ["supervisor", "scanner", "wanderer"]}
 
 
 @pytest.mark.parametrize("page", OUTSIDE_THE_SITE)
