@@ -129,7 +129,7 @@ def test_parameters_change_while_it_runs_or_are_refused(tmp_path: Path) -> None:
         for change, reason in (
             ({"port": "/dev/elsewhere"}, "port is fixed while"),
             ({"angle_min": 2.4, "angle_max": 2.5}, "no two rays of a UTM-30LX"),
-            ({"cluster": 0}, "cluster = 0 refused"),
+            ({"cluster": 0}, "cluster = 0 rejected"),
             ({"angle_min": 3.0, "angle_max": 2.0}, "angle_min must be less"),
         ):
             with pytest.raises(CairnError, match=reason):
