@@ -37,12 +37,13 @@ test-hardware: $(VENV)/tests
 test-service: $(VENV)/tests
 	$(BIN)/python -m tests.hardware --booted
 
-## Style, types, import contracts, and all tests.
+## Style, types, import contracts, documentation, and all tests.
 check: $(VENV)/tests
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	$(MAKE) docs
 	$(MAKE) test
 
 ## The documentation site, in build/site: a broken link fails the build.
