@@ -18,6 +18,9 @@ from benchmarks.localization_logs import (
 from cairn.planar.grid import OccupancyCells
 from cairn.tools.evaluation.results import SIGMA_LIMITS
 
+pytestmark = pytest.mark.slow
+
+
 Place = tuple[Log, OccupancyCells]
 THREE_SIGMA = SIGMA_LIMITS[2]
 

@@ -17,6 +17,9 @@ from cairn.placement.lockstep import LockstepRun
 from cairn.schemas.cairn_msgs import VisualMap, VisualMapChange, VisualObject
 from cairn.schemas.geometry_msgs import PoseWithCovarianceStamped
 
+pytestmark = pytest.mark.slow
+
+
 MANY = Qos("reliable", "transient_local", 100_000)
 END_S = 400.0  # of 886 s: it is registered within 190 s and must stay there
 

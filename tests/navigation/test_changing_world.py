@@ -2,11 +2,16 @@
 
 from collections.abc import Callable
 
+import pytest
+
 from cairn.planar.poses import distance
 from cairn.schemas.cairn_msgs import VisualMap
 from cairn.schemas.cairn_nav_msgs import NavigationStatus
 from tests.navigation.deployed import taken
 from tests.navigation.driving import Drive, share_occupied
+
+pytestmark = pytest.mark.slow
+
 
 DriveOf = Callable[..., Drive]
 

@@ -2,8 +2,13 @@
 
 from collections.abc import Callable
 
+import pytest
+
 from cairn.schemas.cairn_nav_msgs import NavigationStatus
 from tests.navigation.driving import Drive
+
+pytestmark = pytest.mark.slow
+
 
 DriveOf = Callable[..., Drive]
 

@@ -3,9 +3,14 @@
 import subprocess
 from pathlib import Path
 
+import pytest
+
 from cairn.testing.launching import CAIRN
 from tests.navigation.driving import DEPLOY, SIM
 from tests.patience import LIMIT_S
+
+pytestmark = pytest.mark.slow
+
 
 TOUR = DEPLOY / "demo_tour.yaml"
 PLACES = "mission=[[6.5, 1.8, 0.8], [3.4, 5.4, 3.1]]"

@@ -22,6 +22,9 @@ from cairn.schemas.packed import Packed
 from tests.schemas.arbitrary import EVERY_MESSAGE, OF_ROS_2, arbitrary, samples
 from tests.schemas.damage import damaged
 
+pytestmark = pytest.mark.slow
+
+
 CODEC = Codec()
 ROS = get_typestore(Stores.ROS2_JAZZY)
 

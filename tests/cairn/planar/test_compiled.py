@@ -13,6 +13,9 @@ import pytest
 
 from cairn.planar.compiled import compiled, fingerprint
 
+pytestmark = pytest.mark.slow
+
+
 LIMITS = "FACTOR = 2.0\n"
 CALLEE = """
 from cairn.planar.compiled import compiled

@@ -1,11 +1,14 @@
 """Tests of the descriptor index."""
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from cairn.vision.feature_matching import PROBES, DescriptorIndex
+
+pytestmark = pytest.mark.images
 
 
 def clustered(seed: int, count: int) -> NDArray[np.uint8]:

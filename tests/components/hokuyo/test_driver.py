@@ -20,6 +20,9 @@ from tests.cairn.driver.parrot import Parrot
 from tests.components.hokuyo.driving import Driven, Received, assert_were_sent, driven, ranges
 from tests.patience import LIMIT_S
 
+pytestmark = pytest.mark.slow
+
+
 SCANS = 8
 URG, UTM, EW, UST = "URG-04LX", "UTM-30LX", "UTM-30LX-EW", "UST-10LX"
 MODES: list[tuple[str, bool, dict[str, Any], dict[str, Any]]] = [

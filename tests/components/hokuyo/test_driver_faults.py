@@ -22,6 +22,9 @@ from cairn.driver.emulator_lines import PtyEnd
 from tests.components.hokuyo.driving import Driven, assert_were_sent, driven
 from tests.patience import LIMIT_S
 
+pytestmark = pytest.mark.slow
+
+
 FAULTS: tuple[FrameFault, ...] = ("bad_sum", "cut", "garbage", "drop")
 
 _ANY_RATE = 1.0  # how many scans a busy computer drops is not judged here

@@ -13,6 +13,9 @@ from cairn.driver.emulator import Emulator
 from cairn.driver.emulator_lines import PtyEnd
 from tests.components.hokuyo.driving import Driven
 
+pytestmark = pytest.mark.slow
+
+
 _LIMITS = ("DMIN:100", "DMAX:4000", "SCAN:600")
 _STEPS = ("ARES:360", "AMIN:0", "AMAX:180", "AFRT:90")
 _PP = ("MODL:PLAIN-1", *_LIMITS, *_STEPS, "EXTRA:new")

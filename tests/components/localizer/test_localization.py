@@ -14,6 +14,9 @@ from cairn.components.localizer.odometry import CommandedTrack, MotionModel
 from cairn.visual_map.landmarks import EvidenceVerdict
 from tests.components.localizer.hall import Moment, drive, landmarks
 
+pytestmark = pytest.mark.slow
+
+
 EXACT = MotionModel()
 CERTAIN = np.diag([0.01, 0.01, 0.003])
 

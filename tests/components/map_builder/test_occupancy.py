@@ -15,6 +15,9 @@ from cairn.planar.scans import Rays
 from cairn.schemas.sensor_msgs import LaserScan
 from tests.components.localizer.room import RESOLUTION, ROOM, Box, room, scanned
 
+pytestmark = pytest.mark.slow
+
+
 OLD: Box = (4.0, 3.0, 5.5, 3.6)
 NEW: Box = (4.0, 5.5, 5.5, 6.1)
 

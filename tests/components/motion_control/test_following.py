@@ -23,6 +23,9 @@ from tests.components.motion_control.world import (
     route,
 )
 
+pytestmark = pytest.mark.slow
+
+
 HALL = box(0, 0, 20, 20)
 ALL_ROUND, FRONT = 2 * math.pi, 1.5 * math.pi
 

@@ -11,6 +11,9 @@ from cairn.schemas.cairn_nav_msgs import LocalizationEstimate, MotionStatus, Nav
 from tests.components.motion_control.stage import Stage
 from tests.components.motion_control.world import Robot, World, box
 
+pytestmark = pytest.mark.slow
+
+
 HALL = box(0, 0, 20, 20)
 STATES = MotionStatus
 

@@ -36,6 +36,8 @@ from tests.cairn.runtime.running import Threaded
 from tests.components.hokuyo.driving import Received
 from tests.patience import LIMIT_S
 
+pytestmark = pytest.mark.slow
+
 
 class FrequentReporter(PbsScanner):
     """Reports 20 times per second, so that tests wait less for diagnostics."""

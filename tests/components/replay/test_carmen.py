@@ -16,6 +16,9 @@ from cairn.components.replay.recording import RecordingError
 from cairn.planar.poses import distance, relative, wrap
 from tests.components.replay.conftest import FR079, FR101, Write, flaser, odom
 
+pytestmark = pytest.mark.slow
+
+
 Array = NDArray[np.float64]
 
 

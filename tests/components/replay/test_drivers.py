@@ -23,6 +23,9 @@ from cairn.process_exit import ExitReport
 from cairn.schemas.nav_msgs import Odometry
 from tests.components.replay.conftest import FR079, FR101, LEGS, Write, odom
 
+pytestmark = pytest.mark.slow
+
+
 StageOf = Callable[..., Any]
 
 MANY = Qos("reliable", "transient_local", 100_000)

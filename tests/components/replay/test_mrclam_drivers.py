@@ -18,6 +18,9 @@ from cairn.components.replay.truth import ReplayTruth
 from cairn.process_exit import ExitReport
 from cairn.schemas.rosgraph_msgs import Clock
 
+pytestmark = pytest.mark.slow
+
+
 StageOf = Callable[..., Any]
 
 

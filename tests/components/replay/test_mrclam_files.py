@@ -10,6 +10,8 @@ import pytest
 from cairn.components.replay.mrclam_files import Dataset
 from cairn.components.replay.recording import RecordingError
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture
 def copy(dataset: Path, tmp_path: Path) -> Path:

@@ -15,6 +15,8 @@ from tests.commands import cairn
 from tests.components.replay.conftest import FR079, LEGS, OLD_BAG, Write, flaser, odom
 from tests.components.replay.test_bags import Messages, odometry, ros2, scan
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.mark.parametrize(("file", "count"), [(LEGS, 121), (OLD_BAG, 20)])
 def test_a_bag_of_a_urg_is_told_with_its_scanner(file: Path, count: int) -> None:
