@@ -1,1 +1,1 @@
-"""A base that speaks ROS 2: any that takes `cmd_vel` and tells `odom` over rmw_zenoh."""
+"""Driver of a base behind ROS 2: one that takes `cmd_vel` and publishes `odom` over rmw_zenoh."""

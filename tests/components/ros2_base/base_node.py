@@ -1,9 +1,9 @@
 """A base that is a ROS 2 node, in a process of its own: `base_node.py PORT DEFINITIONS`.
 
-It speaks by zenoh-ros2-sdk, an independent client of rmw_zenoh, and drives as ROS 2's
-diff_drive_controller does: a command holds for half a second, a stamped one that is older is
-refused, wheels become faster and slower by and by, and odometry begins at 0 when the node starts.
-DEFINITIONS is a directory of .msg files. It obeys lines of JSON, `[verb, argument ...]`, and
+It speaks by zenoh-ros2-sdk, an independent client of rmw_zenoh, and drives like ROS 2's
+diff_drive_controller: a command holds for half a second, an older stamped one is rejected, the
+wheels accelerate gradually, and odometry begins at 0 when the node starts.
+DEFINITIONS is a directory of .msg files. It executes lines of JSON, `[verb, argument ...]`, and
 answers each with one.
 """
 
@@ -21,11 +21,11 @@ import numpy as np
 PERIOD_S = 0.05
 COMMAND_TIMEOUT_S = 0.5
 ACCELERATIONS = (1.5, 6.0)  # [m/s^2, rad/s^2]
-STANDS_BELOW = 0.01  # [m/s, rad/s]
+STANDSTILL_SPEED = 0.01  # [m/s, rad/s]
 
 
 class BaseNode:
-    """The node: its ends on the bus while it has joined, and the base that it drives."""
+    """The node: its publisher and subscribers while it has joined, and the base that it drives."""
 
     def __init__(self, port: int, definitions: Path) -> None:
         # The SDK logs to its standard output otherwise, among the answers.
@@ -33,59 +33,59 @@ class BaseNode:
         import zenoh_ros2_sdk as sdk
 
         self._sdk = sdk
-        self._where = {"router_ip": "127.0.0.1", "router_port": port, "namespace": "/ros"}
+        self._router = {"router_ip": "127.0.0.1", "router_port": port, "namespace": "/ros"}
         self._types = sdk.ZenohSession.get_instance("127.0.0.1", port).store.types
         sdk.get_registry().messages_dir = definitions
         self._lock = threading.Lock()
         self._moved = threading.Condition()
         self._ends: list[Any] = []
-        self._begin()
+        self._reset()
         threading.Thread(target=self._drive, daemon=True).start()
 
     def join(self) -> None:
         """Start the node, if it has not joined."""
         if self._ends:
             return
-        self._begin()
-        node = {"node_name": "base", **self._where}
+        self._reset()
+        node = {"node_name": "base", **self._router}
         odom = self._sdk.ROS2Publisher("/odom", "nav_msgs/msg/Odometry", **node)
         kinds = (
-            ("/cmd_vel", "geometry_msgs/msg/Twist", self._obey),
-            ("/stamped/cmd_vel", "geometry_msgs/msg/TwistStamped", self._obey_stamped),
+            ("/cmd_vel", "geometry_msgs/msg/Twist", self._on_command),
+            ("/stamped/cmd_vel", "geometry_msgs/msg/TwistStamped", self._on_stamped_command),
         )
         subscribers = [self._sdk.ROS2Subscriber(*kind, **node) for kind in kinds]
         with self._lock:
             self._ends = [odom, *subscribers]
 
     def leave(self) -> None:
-        """End the node: it hears nothing any more, and tells nothing."""
+        """Stop the node: it neither receives nor publishes."""
         with self._lock:
             ends, self._ends = self._ends, []
         for end in ends:
             end.close()
 
     def turns(self) -> bool:
-        """Whether the wheels truly turn now."""
-        return any(abs(speed) > STANDS_BELOW for speed in self._speeds)
+        """Return whether the wheels turn now."""
+        return any(abs(speed) > STANDSTILL_SPEED for speed in self._speeds)
 
     def await_stand(self, limit_s: float) -> bool:
-        """Wait until they do not; whether that was within the limit."""
+        """Wait until they stand; return whether that was within the limit [s]."""
         with self._moved:
             return self._moved.wait_for(lambda: not self.turns(), limit_s)
 
-    def _begin(self) -> None:
+    def _reset(self) -> None:
         self._pose = (0.0, 0.0, 0.0)
         self._speeds = self._command = (0.0, 0.0)
         self._commanded_at = -math.inf
 
-    def _obey(self, twist: Any) -> None:
+    def _on_command(self, twist: Any) -> None:
         self._command = (twist.linear.x, twist.angular.z)
         self._commanded_at = time.monotonic()
 
-    def _obey_stamped(self, message: Any) -> None:
+    def _on_stamped_command(self, message: Any) -> None:
         stamp = message.header.stamp
         if time.time() - (stamp.sec + stamp.nanosec / 1e9) < COMMAND_TIMEOUT_S:
-            self._obey(message.twist)
+            self._on_command(message.twist)
 
     def _drive(self) -> None:
         due = time.monotonic()
@@ -97,24 +97,26 @@ class BaseNode:
                 self._moved.notify_all()
             with self._lock:
                 if self._ends:
-                    self._tell(self._ends[0])
+                    self._publish_odometry(self._ends[0])
 
     def _step(self) -> None:
         fresh = time.monotonic() - self._commanded_at <= COMMAND_TIMEOUT_S
-        wanted = self._command if fresh else (0.0, 0.0)
+        target = self._command if fresh else (0.0, 0.0)
         forward, turn = (
             now + max(-most * PERIOD_S, min(most * PERIOD_S, aim - now))
-            for now, aim, most in zip(self._speeds, wanted, ACCELERATIONS, strict=True)
+            for now, aim, most in zip(self._speeds, target, ACCELERATIONS, strict=True)
         )
         self._speeds = (forward, turn)
         x, y, heading = self._pose
         middle = heading + 0.5 * turn * PERIOD_S
-        way = forward * PERIOD_S
+        distance = forward * PERIOD_S
         self._pose = (
-            x + way * math.cos(middle), y + way * math.sin(middle), heading + turn * PERIOD_S
+            x + distance * math.cos(middle),
+            y + distance * math.sin(middle),
+            heading + turn * PERIOD_S,
         )  # fmt: skip
 
-    def _tell(self, odom: Any) -> None:
+    def _publish_odometry(self, odom: Any) -> None:
         x, y, heading = self._pose
         seconds, nanoseconds = divmod(time.time_ns(), 10**9)
         odom.publish(

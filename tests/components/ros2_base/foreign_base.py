@@ -20,7 +20,7 @@ _PROGRAM = Path(__file__).with_name("base_node.py")
 
 
 class ForeignBase:
-    """The base behind its router. A device as the contracts know it."""
+    """The base behind its router: a device as `cairn.testing.device` describes it."""
 
     def __init__(self, router: str, process: "subprocess.Popen[str]") -> None:
         self.router = router
@@ -28,14 +28,14 @@ class ForeignBase:
         self._session: zenoh.Session | None = None
 
     def unplug(self) -> None:
-        """End its node and its router, as when its computer is switched off."""
-        self._ask("leave")
+        """Stop its node and its router, as when its computer is switched off."""
+        self._request("leave")
         self.stop_router()
 
     def plug_in(self) -> None:
         """Start both, if they do not run."""
         self.start_router()
-        self._ask("join")
+        self._request("join")
 
     def stop_router(self) -> None:
         if self._session is not None:
@@ -47,12 +47,12 @@ class ForeignBase:
             self._session = zenoh.open(router_config(self.router))
 
     def turns(self) -> bool:
-        return bool(self._ask("turns"))
+        return bool(self._request("turns"))
 
     def await_stand(self, limit_s: float) -> bool:
-        return bool(self._ask("await_stand", limit_s))
+        return bool(self._request("await_stand", limit_s))
 
-    def _ask(self, verb: str, *arguments: Any) -> Any:
+    def _request(self, verb: str, *arguments: Any) -> Any:
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         self._process.stdin.write(json.dumps([verb, *arguments]) + "\n")
@@ -64,7 +64,7 @@ class ForeignBase:
 
 @contextmanager
 def foreign_base(folder: Path) -> Iterator[ForeignBase]:
-    """One that has joined, as long as the context lasts."""
+    """Run a base that has joined for the time of the context."""
     port = free_port()
     endpoint = f"tcp/127.0.0.1:{port}"
     write_definitions(folder)
@@ -81,7 +81,7 @@ def foreign_base(folder: Path) -> Iterator[ForeignBase]:
 
 
 def router_config(endpoint: str) -> zenoh.Config:
-    """A router as `rmw_zenohd` opens it."""
+    """Return the configuration of a router like `rmw_zenohd`."""
     config = zenoh.Config()
     config.insert_json5("mode", '"router"')
     config.insert_json5("listen/endpoints", json.dumps([endpoint]))
@@ -91,7 +91,7 @@ def router_config(endpoint: str) -> zenoh.Config:
 
 
 def write_definitions(folder: Path) -> None:
-    """A .msg file for each message type that is used, as a ROS 2 installation has them."""
+    """Write a .msg file for each message type used, as in a ROS 2 installation."""
     codec = Codec()
     for message in (Odometry, Twist, TwistStamped):
         first, *others = codec.definition(message).split("=" * 80 + "\n")

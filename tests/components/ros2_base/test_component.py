@@ -1,4 +1,4 @@
-"""The driver of a base that speaks ROS 2, on virtual time: what it sends on, and when not."""
+"""The driver of a base behind ROS 2 in virtual time: which commands and odometry it passes on."""
 
 import math
 from dataclasses import replace
@@ -26,12 +26,12 @@ from cairn.schemas.std_msgs import Header
 from cairn.testing.lockstep import ComponentHarness
 from cairn.testing.odometry_contract import check_pose
 
-AHEAD = Twist(linear=Vector3(x=0.3), angular=Vector3(z=0.2))
+FORWARD = Twist(linear=Vector3(x=0.3), angular=Vector3(z=0.2))
 REST = Twist()
 
 
 class Base(ComponentHarness[Ros2Base]):
-    """The driver, and a base that tells odometry 20 times a second while it is `well`."""
+    """The driver, and a base that publishes odometry 20 times per second while it is `working`."""
 
     def __init__(self, **parameters: Any) -> None:
         super().__init__(Ros2Base, parameters)
@@ -50,64 +50,64 @@ class Base(ComponentHarness[Ros2Base]):
             header=Header(stamp=stamp, frame_id=frame),
             child_frame_id=child,
             pose=PoseWithCovariance(pose=pose_message((x, 0.0, heading))),
-            twist=TwistWithCovariance(twist=AHEAD),
+            twist=TwistWithCovariance(twist=FORWARD),
         )
 
-    def run(self, seconds: float, command: Twist | None = None, *, well: bool = True) -> None:
-        """Let time pass, with odometry, and a command ten times a second."""
+    def run(self, seconds: float, command: Twist | None = None, *, working: bool = True) -> None:
+        """Let time pass, with odometry, and a command ten times per second."""
         for step in range(round(seconds * 20)):
-            if well:
+            if working:
                 self.publish("base_odom", self.odometry(self.x))
             if command is not None and step % 2 == 0:
                 self.publish("cmd_vel", command)
             self.run_for(0.05)
 
     def go_to(self, x: float) -> None:
-        """Be commanded ahead, and go so far."""
+        """Command forward motion until a position [m] is reached."""
         while self.x < x:
             self.x = min(x, self.x + 0.03)
-            self.run(0.05, AHEAD)
+            self.run(0.05, FORWARD)
 
     def levels(self) -> list[int]:
-        return [one.status[0].level for one in self.take("diagnostics")]
+        return [message.status[0].level for message in self.take("diagnostics")]
 
-    def diagnosis(self) -> str:
-        """What it told of itself last."""
+    def health(self) -> str:
+        """Return the newest message in its diagnostics."""
         message: str = self.take("diagnostics")[-1].status[0].message
         return message
 
 
 def started(**parameters: Any) -> Base:
-    """One whose base works, and which has been silent for a while."""
+    """Return a driver whose base works, with no command for a while."""
     base = Base(**parameters)
-    base.run_for(10.0)  # the virtual clock begins at 0, where ages would be beyond it
+    base.run_for(10.0)  # virtual time starts at 0, before which odometry cannot be stamped
     base.run(2.0)
     for port in ("base_cmd_vel", "base_cmd_vel_stamped", "odom", "tf", "diagnostics"):
         base.take(port)
     return base
 
 
-def test_a_command_is_sent_on_at_once_and_said_again() -> None:
+def test_command_is_passed_on_at_once_and_repeated() -> None:
     base = started()
 
-    base.publish("cmd_vel", AHEAD)
-    assert base.take("base_cmd_vel") == [AHEAD]
+    base.publish("cmd_vel", FORWARD)
+    assert base.take("base_cmd_vel") == [FORWARD]
 
     base.run_for(0.26)
-    assert base.take("base_cmd_vel") == 5 * [AHEAD]
+    assert base.take("base_cmd_vel") == 5 * [FORWARD]
     assert base.take("base_cmd_vel_stamped") == []
 
 
-def test_stale_it_becomes_rest_and_then_silence() -> None:
+def test_stale_command_becomes_rest_and_then_silence() -> None:
     base = started()
-    base.run(1.0, AHEAD)
+    base.run(1.0, FORWARD)
     base.take("base_cmd_vel")
 
     base.run(1.0)
     sent = base.take("base_cmd_vel")
     assert sent[-1] == REST
     assert sent.count(REST) >= 10
-    assert set(map(repr, sent)) <= {repr(AHEAD), repr(REST)}
+    assert set(map(repr, sent)) <= {repr(FORWARD), repr(REST)}
 
     base.run(1.0)
     base.take("base_cmd_vel")
@@ -115,29 +115,29 @@ def test_stale_it_becomes_rest_and_then_silence() -> None:
     assert base.take("base_cmd_vel") == []  # a joystick may have the base
 
 
-def test_at_first_it_tells_the_base_to_rest() -> None:
+def test_activation_commands_rest() -> None:
     base = Base()
     base.run_for(0.5)
 
     assert set(map(repr, base.take("base_cmd_vel"))) == {repr(REST)}
 
 
-def test_failing_it_tells_the_base_to_rest() -> None:
+def test_failure_commands_rest() -> None:
     base = started()
-    base.publish("cmd_vel", AHEAD)
+    base.publish("cmd_vel", FORWARD)
     base.take("base_cmd_vel")
 
     def fail(message: Odometry) -> None:
         raise ArithmeticError(message.child_frame_id)
 
-    base.runtime.run("tell", fail, base.odometry(0.0))
+    base.runtime.run("on_base_odom", fail, base.odometry(0.0))
 
     assert base.take("base_cmd_vel") == [REST]
 
 
-def test_deactivated_it_tells_the_base_to_rest() -> None:
+def test_deactivation_commands_rest() -> None:
     base = started()
-    base.publish("cmd_vel", AHEAD)
+    base.publish("cmd_vel", FORWARD)
     base.take("base_cmd_vel")
 
     base.runtime.transition(Transition.DEACTIVATE)
@@ -145,23 +145,23 @@ def test_deactivated_it_tells_the_base_to_rest() -> None:
     assert base.take("base_cmd_vel") == [REST]
 
 
-def test_without_odometry_the_base_is_not_driven() -> None:
+def test_base_without_odometry_is_not_driven() -> None:
     base = started()
-    base.run(1.0, AHEAD)
-    assert base.take("base_cmd_vel")[-1] == AHEAD
+    base.run(1.0, FORWARD)
+    assert base.take("base_cmd_vel")[-1] == FORWARD
 
-    base.run(1.0, AHEAD, well=False)
+    base.run(1.0, FORWARD, working=False)
     assert base.take("base_cmd_vel")[-1] == REST
-    base.run(1.1, AHEAD, well=False)
+    base.run(1.1, FORWARD, working=False)
     assert set(map(repr, base.take("base_cmd_vel"))) == {repr(REST)}
     assert base.levels()[-1] == 2
 
-    base.run(1.1, AHEAD)
-    assert base.take("base_cmd_vel")[-1] == AHEAD
+    base.run(1.1, FORWARD)
+    assert base.take("base_cmd_vel")[-1] == FORWARD
     assert base.levels()[-1] == 0
 
 
-def test_a_command_beyond_the_limits_keeps_its_curve() -> None:
+def test_command_beyond_the_limits_keeps_its_curve() -> None:
     base = started(speed=0.5, turn=1.0)
 
     base.publish("cmd_vel", Twist(linear=Vector3(x=-5.0), angular=Vector3(z=2.0)))
@@ -171,45 +171,45 @@ def test_a_command_beyond_the_limits_keeps_its_curve() -> None:
     assert sent.angular.z == pytest.approx(0.2)
 
 
-def test_a_controller_since_jazzy_is_sent_stamped_commands() -> None:
+def test_stamped_commands_are_sent_if_configured() -> None:
     base = started(stamped=True)
 
-    base.publish("cmd_vel", AHEAD)
+    base.publish("cmd_vel", FORWARD)
 
     (sent,) = base.take("base_cmd_vel_stamped")
     assert isinstance(sent, TwistStamped)
-    assert sent.twist == AHEAD
+    assert sent.twist == FORWARD
     assert (to_ns(sent.header.stamp), sent.header.frame_id) == (base.now_ns, "base_link")
     assert base.take("base_cmd_vel") == []
 
 
-def test_a_base_without_a_clock_is_sent_commands_of_its_own_present() -> None:
+def test_base_without_a_clock_gets_stamp_zero() -> None:
     base = started(stamped=True, stamp_on_arrival=True)
 
-    base.publish("cmd_vel", AHEAD)
+    base.publish("cmd_vel", FORWARD)
 
     (sent,) = base.take("base_cmd_vel_stamped")
-    assert sent.twist == AHEAD
-    assert to_ns(sent.header.stamp) == 0  # its controller puts its own time there
+    assert sent.twist == FORWARD
+    assert to_ns(sent.header.stamp) == 0  # its controller replaces 0 by its own time
 
 
-def test_odometry_is_sent_on_as_it_is_with_its_transform() -> None:
+def test_odometry_is_published_unchanged_with_its_transform() -> None:
     base = started(odom_frame="bot/odom", base_frame="bot/base_footprint")
-    given = base.odometry(1.5, frame="bot/odom", child="bot/base_footprint")
+    reported = base.odometry(1.5, frame="bot/odom", child="bot/base_footprint")
 
-    base.publish("base_odom", given)
+    base.publish("base_odom", reported)
 
     (odom,) = base.take("odom")
     assert (odom.header.frame_id, odom.child_frame_id) == ("odom", "base_link")
-    assert odom.header.stamp == given.header.stamp
+    assert odom.header.stamp == reported.header.stamp
     assert planar_pose(odom.pose.pose) == pytest.approx((1.5, 0.0, 0.1))
-    assert odom.twist == given.twist
+    assert odom.twist == reported.twist
     (tf,) = base.take("tf")
     assert tf.transforms[0].transform.translation.x == 1.5
     assert tf.transforms[0].child_frame_id == "base_link"
 
 
-def test_a_base_that_sends_its_own_transform_is_left_to_it() -> None:
+def test_transform_can_be_left_to_the_base() -> None:
     base = started(send_tf=False)
     base.run(0.5)
 
@@ -217,7 +217,7 @@ def test_a_base_that_sends_its_own_transform_is_left_to_it() -> None:
     assert base.take("tf") == []
 
 
-def test_where_odometry_jumps_it_is_led_on() -> None:
+def test_odometry_continues_across_a_jump() -> None:
     base = started()
     base.x = 3.0
     base.run(0.2)  # from 0 to 3 m at once: the first jump
@@ -231,49 +231,49 @@ def test_where_odometry_jumps_it_is_led_on() -> None:
     assert xs[-1] - xs[0] == pytest.approx(0.02 * math.cos(0.0), abs=0.001)
 
 
-def test_a_base_that_comes_back_at_its_origin_was_started_anew() -> None:
+def test_base_back_at_its_origin_counts_as_restarted() -> None:
     base = started()
     base.go_to(0.6)
-    base.run(3.0, AHEAD, well=False)  # it starts; nobody has noticed, and commands go on
+    base.run(3.0, FORWARD, working=False)  # it restarts unnoticed, and commands continue
     base.x = 0.0
     base.take("odom")
     base.take("base_cmd_vel")
 
-    base.run(1.2, AHEAD)
+    base.run(1.2, FORWARD)
 
     xs = [planar_pose(odom.pose.pose)[0] for odom in base.take("odom")]
     assert xs == pytest.approx(len(xs) * [0.6]), "the robot is where it was"
-    assert set(map(repr, base.take("base_cmd_vel"))) == {repr(REST)}, "it sets off by itself"
-    assert "once the command has been rest" in base.diagnosis()
+    assert set(map(repr, base.take("base_cmd_vel"))) == {repr(REST)}, "it moves by itself"
+    assert "once the command has been rest" in base.health()
 
     base.run(0.1, REST)
-    base.run(1.2, AHEAD)
-    assert base.take("base_cmd_vel")[-1] == AHEAD
-    assert base.diagnosis() == "drives"
+    base.run(1.2, FORWARD)
+    assert base.take("base_cmd_vel")[-1] == FORWARD
+    assert base.health() == "drives"
 
 
-def test_a_base_that_was_out_of_reach_goes_on_where_it_is() -> None:
+def test_base_that_was_unreachable_continues_at_its_pose() -> None:
     base = started()
     base.go_to(0.6)
     base.run_for(3.0)
-    base.x = 1.6  # somebody drove it meanwhile
+    base.x = 1.6  # it was driven by hand meanwhile
     base.take("odom")
 
-    base.run(0.2, AHEAD)
+    base.run(0.2, FORWARD)
 
     assert planar_pose(base.take("odom")[-1].pose.pose)[0] == pytest.approx(1.6)
-    assert base.take("base_cmd_vel")[-1] == AHEAD
+    assert base.take("base_cmd_vel")[-1] == FORWARD
 
 
-def test_led_on_with_another_heading_the_covariance_is_turned_with_the_pose() -> None:
+def test_covariance_is_rotated_with_a_continued_pose() -> None:
     base = started()
     base.publish("base_odom", base.odometry(2.0, heading=0.1 + math.pi / 2))
     base.run_for(0.05)
     covariance = np.diag([4.0, 1.0, 0.0, 0.0, 0.0, 9.0])
-    given = base.odometry(2.0, heading=0.1 + math.pi / 2)
+    reported = base.odometry(2.0, heading=0.1 + math.pi / 2)
     base.take("odom")
 
-    base.publish("base_odom", _with_covariance(given, covariance))
+    base.publish("base_odom", _with_covariance(reported, covariance))
 
     (odom,) = base.take("odom")
     turned = odom.pose.covariance.reshape(6, 6)
@@ -286,13 +286,13 @@ def _with_covariance(odom: Odometry, covariance: np.ndarray) -> Odometry:
     return replace(odom, pose=pose)
 
 
-def test_odometry_of_a_base_that_tilts_is_brought_to_the_plane() -> None:
+def test_odometry_of_a_tilted_base_is_projected_to_the_plane() -> None:
     base = started()
-    given = base.odometry(0.0)
+    reported = base.odometry(0.0)
     tilted = Quaternion(x=0.1, y=0.0, z=0.2, w=0.97)  # of length 0.995
     pose = PoseWithCovariance(pose=Pose(position=Point(z=0.05), orientation=tilted))
 
-    base.publish("base_odom", replace(given, pose=pose))
+    base.publish("base_odom", replace(reported, pose=pose))
 
     (odom,) = base.take("odom")
     check_pose(odom)
@@ -313,7 +313,7 @@ def test_odometry_of_a_base_that_tilts_is_brought_to_the_plane() -> None:
     ],
     ids=["old", "of the future", "of another frame", "of another child", "without orientation"],
 )
-def test_odometry_that_cannot_be_relied_on_is_not_sent_on(message: Any) -> None:
+def test_unusable_odometry_is_not_published(message: Any) -> None:
     base = started()
 
     base.publish("base_odom", message(base))
@@ -323,15 +323,15 @@ def test_odometry_that_cannot_be_relied_on_is_not_sent_on(message: Any) -> None:
     assert base.take("diagnostics")[-1].status[0].values[2].value == "1"
 
 
-def test_why_odometry_is_refused_is_told_instead_of_silence() -> None:
+def test_reason_of_a_rejection_is_reported_instead_of_silence() -> None:
     base = started(base_frame="base_footprint")
     base.run(1.0)
 
-    assert "set base_frame and odom_frame" in base.diagnosis()
+    assert "set base_frame and odom_frame" in base.health()
 
 
 @pytest.mark.parametrize("age_s", [0.0, -0.08], ids=["in time", "with a clock that is ahead"])
-def test_odometry_that_comes_twice_is_sent_on_once(age_s: float) -> None:
+def test_repeated_odometry_is_published_once(age_s: float) -> None:
     base = started()
     message = base.odometry(0.0, age_s)
 
@@ -341,21 +341,21 @@ def test_odometry_that_comes_twice_is_sent_on_once(age_s: float) -> None:
     assert len(base.take("odom")) == 1
 
 
-def test_two_nodes_that_tell_odometry_do_not_flood_the_log(
+def test_two_odometry_publishers_do_not_flood_the_log(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     base = started()
     caplog.clear()
     for _ in range(40):
         base.run(0.05)
-        base.publish("base_odom", base.odometry(0.0, age_s=0.07))  # the other one's, which is later
+        base.publish("base_odom", base.odometry(0.0, age_s=0.07))  # from the other publisher, later
 
-    told = [record.message for record in caplog.records if "out of order" in record.message]
-    assert "does more than one node write" in told[0]
-    assert len(told) <= 6, "1, 2, 4, 8, 16, 32 of them"
+    warnings = [record.message for record in caplog.records if "out of order" in record.message]
+    assert "only one node publishes" in warnings[0]
+    assert len(warnings) <= 6, "1, 2, 4, 8, 16, 32 of them"
 
 
-def test_a_base_whose_clock_is_not_set_is_stamped_on_arrival() -> None:
+def test_odometry_can_be_stamped_on_arrival() -> None:
     base = started(stamp_on_arrival=True)
 
     base.publish("base_odom", base.odometry(0.0, age_s=9.0))

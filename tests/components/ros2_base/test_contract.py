@@ -1,4 +1,4 @@
-"""The base behind ROS 2 keeps the contract of a base; an independent ROS 2 node plays the base."""
+"""The base behind ROS 2 fulfills the base contract, with an independent ROS 2 node as the base."""
 
 from collections.abc import Iterator
 
@@ -46,25 +46,25 @@ class TestRos2Base(BaseContract):
     def device(cls, base: ForeignBase) -> ForeignBase:
         return base
 
-    def test_without_their_router_driver_and_base_go_on(
+    def test_driver_and_base_continue_without_their_router(
         self, robot: RunningDeployment, output: Reading[Odometry], device: ForeignBase
     ) -> None:
         with robot.publishing(self.topic(robot, "cmd_vel"), self.ahead()):
-            output.await_that(lambda odoms: any(map(_goes, odoms)), "a base that goes")
+            output.await_that(lambda odoms: any(map(_moves, odoms)), "a moving base")
             device.stop_router()
             try:
                 later = output.await_count(20, after=output.count)
             finally:
                 device.start_router()
-        assert all(map(_goes, later)), "it was not driven any more"
+        assert all(map(_moves, later)), "the base stopped"
         assert device.await_stand(self.stop_limit_s)
 
 
-def _goes(odom: Arrival[Odometry]) -> bool:
+def _moves(odom: Arrival[Odometry]) -> bool:
     return odom.message.twist.twist.linear.x > 0.1
 
 
-def test_a_controller_of_these_years_is_driven_by_stamped_commands(base: ForeignBase) -> None:
+def test_stamped_commands_drive_a_recent_controller(base: ForeignBase) -> None:
     bus, driver_bus = ZenohBus(open_peer([base.router])), ZenohBus(open_peer([base.router]))
     try:
         commander = node(bus, "/robot/commander").advertise("/robot/cmd_vel", Twist, SENSOR)

@@ -1,4 +1,4 @@
-"""The deployments of docs/drivers/base.md are what they are said to be."""
+"""The deployments of docs/drivers/base.md pass the check and name existing parameters."""
 
 import re
 from pathlib import Path
@@ -17,7 +17,7 @@ def block(title: str) -> str:
     return found[1]
 
 
-def test_the_base_behind_ros_2_passes_the_check_with_and_without_the_overlay(
+def test_base_behind_ros_2_passes_the_check_with_and_without_overlay(
     tmp_path: Path,
 ) -> None:
     rover, jazzy = tmp_path / "rover.yaml", tmp_path / "jazzy.yaml"
@@ -28,7 +28,7 @@ def test_the_base_behind_ros_2_passes_the_check_with_and_without_the_overlay(
     load_deployment(rover, [jazzy])
 
 
-def test_the_base_on_a_roboclaw_passes_the_check(tmp_path: Path) -> None:
+def test_base_on_a_roboclaw_passes_the_check(tmp_path: Path) -> None:
     body = "".join(f"  {line}\n" for line in block("base.yaml").splitlines())
     file = tmp_path / "robot.yaml"
     file.write_text(f"cairn: 1\nexternal_topics: [cmd_vel]\ncomponents:\n{body}")
@@ -36,7 +36,7 @@ def test_the_base_on_a_roboclaw_passes_the_check(tmp_path: Path) -> None:
     load_deployment(file)
 
 
-def test_every_parameter_that_the_page_names_exists() -> None:
+def test_page_names_every_parameter() -> None:
     fields = {*RoboclawBaseConfig.model_fields, *Ros2BaseConfig.model_fields}
     table = re.findall(r"^\| (`[^|]+`) \| [^|]+ \|", PAGE.read_text(), re.MULTILINE)
     named = {name for row in table for name in re.findall(r"`(\w+)`", row)}

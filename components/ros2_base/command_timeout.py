@@ -1,0 +1,88 @@
+"""Command timeout: stale velocity commands become rest, then nothing is sent to the base."""
+
+from __future__ import annotations
+
+from cairn import from_ns
+from cairn.schemas.geometry_msgs import Twist, TwistStamped, Vector3
+from cairn.schemas.std_msgs import Header
+
+Velocity = tuple[float, float]
+"""Forward [m/s] and turn rate [rad/s]."""
+
+REST: Velocity = (0.0, 0.0)
+
+
+class CommandRelay:
+    """Holds the newest velocity command, and decides what to send to the base.
+
+    Once a command is stale, rest is sent for `rest_s`, often enough that a lost message does not
+    matter; then nothing, so that another commander of the same base (a joystick) is not overridden.
+    The base's own timeout is for the case that nothing arrives at all.
+
+    A base that was restarted must not start moving by itself with the present command, as its
+    emergency stop may have been released. It rests until the command is rest, or ceases, once.
+    """
+
+    def __init__(self, speed: float, turn: float, timeout_s: float, rest_s: float) -> None:
+        """Set limits [m/s, rad/s]; `timeout_s`: the age at which a command is stale."""
+        self._limits = (speed, turn)
+        self._timeout_s = timeout_s
+        self._rest_s = rest_s
+        self._command = REST
+        self._received_s: float | None = None
+        self._rest_since: float | None = None
+        self._awaits_rest = False
+
+    @property
+    def awaits_rest(self) -> bool:
+        """Whether the command must be rest, or cease, before the base is driven again."""
+        return self._awaits_rest
+
+    def set(self, now: float, forward: float, turn: float) -> None:
+        """Set the command, received at time `now` [s]."""
+        self._command = _limit((forward, turn), self._limits)
+        self._received_s = now
+
+    def base_restarted(self, now: float) -> None:
+        """Let the base rest if it is commanded to move at time `now` [s]."""
+        self._awaits_rest = self._is_fresh(now) and self._command != REST
+
+    def due(self, now: float, *, usable: bool) -> Velocity | None:
+        """Return what to send at time `now` [s]; None: nothing.
+
+        `usable`: whether the base may be driven; if not, it is commanded to rest.
+        """
+        fresh = self._is_fresh(now)
+        if not fresh or self._command == REST:
+            self._awaits_rest = False
+        if fresh and usable and not self._awaits_rest:
+            self._rest_since = None
+            return self._command
+        if self._rest_since is None:
+            self._rest_since = now
+        return REST if fresh or now - self._rest_since <= self._rest_s else None
+
+    def _is_fresh(self, now: float) -> bool:
+        return self._received_s is not None and 0.0 <= now - self._received_s <= self._timeout_s
+
+
+def twist(forward: float, turn: float) -> Twist:
+    """Return a command message [m/s, rad/s]."""
+    return Twist(linear=Vector3(x=forward), angular=Vector3(z=turn))
+
+
+def stamped_twist(stamp: int, frame: str, forward: float, turn: float) -> TwistStamped:
+    """Return a stamped command [ns] in the base's own frame; 0 means the base's present time."""
+    return TwistStamped(
+        header=Header(stamp=from_ns(stamp), frame_id=frame), twist=twist(forward, turn)
+    )
+
+
+def _limit(command: Velocity, limits: Velocity) -> Velocity:
+    """Scale a command into the limits by one factor, so the curve is kept."""
+    share = min(
+        (limit / abs(value) for value, limit in zip(command, limits, strict=True) if value),
+        default=1.0,
+    )
+    share = min(1.0, share)
+    return share * command[0], share * command[1]

@@ -1,0 +1,131 @@
+"""Odometry of the base: whether it is usable, continuity across jumps, conversion to messages."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cairn import from_ns
+from cairn.planar.messages import pose_message, transform_message
+from cairn.planar.poses import Pose, apart, compose, inverse
+from cairn.schemas.geometry_msgs import PoseWithCovariance, TransformStamped
+from cairn.schemas.nav_msgs import Odometry
+from cairn.schemas.std_msgs import Header
+
+Array = NDArray[np.float64]
+
+_ODOM, _BASE = "odom", "base_link"  # frames of Cairn's robots
+_NORM_TOLERANCE = 0.05  # how far the norm of an orientation may differ from 1
+_SLACK_M = 0.1
+_SLACK_RAD = 0.2
+_SLACK_S = 0.1  # a motion that takes this much longer than the time passed is still possible
+_ORIGIN: Pose = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class OdometryLimits:
+    """Frames of the base's odometry, and its highest speeds [m/s, rad/s]."""
+
+    odom_frame: str
+    base_frame: str
+    speed: float
+    turn: float
+    silence_s: float
+    """A base that was silent for longer may have been restarted [s]."""
+
+
+def rejection(message: Odometry, limits: OdometryLimits) -> str | None:
+    """Return why a message of odometry cannot be used, as a sentence; None if it can."""
+    frames = (message.header.frame_id, message.child_frame_id)
+    if frames != (limits.odom_frame, limits.base_frame):
+        return (
+            f"the base's odometry is of frame {frames[1]!r} in {frames[0]!r}, not of "
+            f"{limits.base_frame!r} in {limits.odom_frame!r}; set base_frame and odom_frame"
+        )
+    q = message.pose.pose.orientation
+    norm = math.sqrt(q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w)
+    if abs(norm - 1.0) > _NORM_TOLERANCE:
+        return (
+            f"the orientation in the base's odometry has norm {norm:.3g} instead of 1; correct the "
+            "node that publishes it"
+        )
+    return None
+
+
+class OdometryContinuity:
+    """Continues the base's poses where they jump, as when the base was restarted.
+
+    Frame `odom` is continuous by definition (REP 105), and localization relies on it. After a long
+    silence nearly any motion is possible; but a base that is at its origin then was restarted.
+    """
+
+    def __init__(self, limits: OdometryLimits) -> None:
+        self._limits = limits
+        self._offset = _ORIGIN
+        self._last: tuple[float, Pose] | None = None
+        self.jumps = 0
+
+    @property
+    def rotation(self) -> float:
+        """How far the continued poses are rotated against the base's own [rad]."""
+        return self._offset[2]
+
+    def pose(self, time_s: float, reported: Pose) -> Pose:
+        """Return the continued pose for the one that the base reports at time `time_s` [s]."""
+        if self._last is not None and self._jumped(time_s - self._last[0], self._last[1], reported):
+            self.jumps += 1
+            before = compose(self._offset, self._last[1])
+            self._offset = compose(before, inverse(reported))
+        self._last = (time_s, reported)
+        return compose(self._offset, reported)
+
+    def _jumped(self, seconds: float, before: Pose, after: Pose) -> bool:
+        limits, possible_s = self._limits, max(0.0, seconds) + _SLACK_S
+        too_far = apart(
+            before,
+            after,
+            limits.speed * possible_s + _SLACK_M,
+            limits.turn * possible_s + _SLACK_RAD,
+        )
+        return too_far or (
+            seconds > limits.silence_s and _at_origin(after) and not _at_origin(before)
+        )
+
+
+def odometry_message(message: Odometry, stamp: int, pose: Pose, rotation: float) -> Odometry:
+    """Return the base's odometry in the robot's frames, and in the plane.
+
+    `rotation`: how far `pose`, and so the axes of its covariance, are rotated against the base's
+    own [rad].
+    """
+    covariance = rotate_covariance(message.pose.covariance, rotation)
+    return dataclasses.replace(
+        message,
+        header=Header(stamp=from_ns(stamp), frame_id=_ODOM),
+        child_frame_id=_BASE,
+        pose=PoseWithCovariance(pose=pose_message(pose), covariance=covariance),
+    )
+
+
+def odometry_transform(message: Odometry, pose: Pose) -> TransformStamped:
+    """Return the same pose as a transform."""
+    return transform_message(message.header, _BASE, pose)
+
+
+def rotate_covariance(covariance: Array, angle: float) -> Array:
+    """Rotate a row-major 6 x 6 covariance of a pose by an angle [rad] about z."""
+    if not angle:
+        return covariance
+    cosine, sine = np.cos(angle), np.sin(angle)
+    about_z = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+    rotation = np.kron(np.eye(2), about_z)
+    rotated: Array = (rotation @ covariance.reshape(6, 6) @ rotation.T).ravel()
+    return rotated
+
+
+def _at_origin(pose: Pose) -> bool:
+    return not apart(_ORIGIN, pose, _SLACK_M, _SLACK_RAD)
