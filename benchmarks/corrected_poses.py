@@ -25,9 +25,8 @@ from numpy.typing import NDArray
 from scipy.sparse import csc_matrix
 from scipy.sparse.linalg import spsolve
 
-from cairn.components.replay.carmen_lines import LaserLine, read_log
-from cairn.components.replay.carmen_poses import signed
-from cairn.components.replay.text_lines import text_lines
+from cairn.components.replay.carmen import LaserLine, read_log, restore_driving_direction
+from cairn.components.replay.recording import text_lines
 from cairn.planar.poses import compose, wrap, wrap_all
 
 Array = NDArray[np.float64]
@@ -220,7 +219,7 @@ def main() -> None:
     log = read_log(args.log)
     lasers = log.lasers["FLASER"]
     times = np.array([line.time for line in lasers])
-    wheels = signed(log.odometry).lines
+    wheels = restore_driving_direction(log.odometry).lines
     told = np.array([line.pose for line in wheels])
     told_at = np.array([line.time for line in wheels])
     turned = np.unwrap(told[:, 2])

@@ -25,7 +25,7 @@ import numpy as np
 
 from benchmarks.localization_replay import Recording, errors, load, run, stressed, true_pose
 from cairn.components.localizer.config import LocalizationSettings
-from cairn.components.replay.mrclam_files import Dataset
+from cairn.components.replay.mrclam import MrclamDataset
 from cairn.visual_map.landmarks import ChangeKind, LandmarkRecord, LandmarkState, MapPosition
 
 DISPLACED = {"one": 1, "two": 2, "removed": 2}
@@ -64,7 +64,7 @@ class Result:
 
 @cache
 def recording(folder: Path, robot: int) -> Recording:
-    return load(Dataset(folder), robot)
+    return load(MrclamDataset(folder), robot)
 
 
 def independent_sightings(rec: Recording) -> dict[int, int]:

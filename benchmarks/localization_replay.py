@@ -13,8 +13,7 @@ from cairn.components.localizer.localization import EvidenceFrame, Localization
 from cairn.components.localizer.observations import Landmark, Observation
 from cairn.components.localizer.odometry import CommandedTrack
 from cairn.components.map_builder.landmark_map import LandmarkMap
-from cairn.components.replay.mrclam_files import Dataset
-from cairn.components.replay.sighting_noise import range_bearing_variance
+from cairn.components.replay.mrclam import MrclamDataset, range_bearing_variance
 from cairn.visual_map.landmarks import (
     EvidenceVerdict,
     LandmarkChange,
@@ -50,11 +49,11 @@ class Outcome:
     relocalized: int = 0
 
 
-def load(dataset: Dataset, robot: int) -> Recording:
+def load(dataset: MrclamDataset, robot: int) -> Recording:
     subjects = dataset.subjects()
     odometry = dataset.odometry(robot)
     origin = odometry[0, 0]
-    seen = dataset.sightings(robot)
+    seen = dataset.observations(robot)
     frames: list[tuple[float, list[Observation]]] = []
     for t, code, reach, bearing in zip(
         seen.time - origin, seen.barcode, seen.range_m, seen.bearing, strict=True

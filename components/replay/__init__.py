@@ -1,1 +1,1 @@
-"""Drivers that replay recordings: MRCLAM data sets, CARMEN logs, ROS 1 and ROS 2 bags."""
+"""Replay of recordings: MRCLAM data sets, CARMEN logs, ROS bags, MCAP files, images, videos."""

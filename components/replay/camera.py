@@ -1,4 +1,4 @@
-"""The driver that replays a recorded camera or stereo camera."""
+"""Replay component for a recorded camera or stereo camera."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ import numpy as np
 from pydantic import Field
 
 from cairn import SENSOR, CairnError, Out, RateLimitedLog, ReadPath, every, from_ns
-from cairn.components.replay.driver import RecordingConfig, RecordingDriver
-from cairn.components.replay.due import Records
-from cairn.components.replay.recording import Gray, Images
+from cairn.components.replay.components import ReplayComponent
+from cairn.components.replay.config import RecordingConfig
+from cairn.components.replay.recording import Gray, ImageStream
 from cairn.schemas.sensor_msgs import CameraInfo, Image
 from cairn.schemas.std_msgs import Header
 from cairn.vision.camera_file import read_camera
@@ -20,10 +20,10 @@ _FRAMES = ("left_camera_optical_frame", "right_camera_optical_frame")
 
 
 class ReplayCameraConfig(RecordingConfig):
-    """Which images, and how their cameras are calibrated."""
+    """Which images, and the calibrations of their cameras."""
 
     side_by_side: bool = Field(
-        False, description="Each image holds that of the left camera, and right of it the other's."
+        False, description="Each image holds those of the left and the right camera side by side."
     )
     left_calibration: ReadPath | None = Field(
         None, description="camera_info YAML file of the left camera, or of the only one."
@@ -33,10 +33,10 @@ class ReplayCameraConfig(RecordingConfig):
     )
 
 
-class ReplayCamera(RecordingDriver):
+class ReplayCamera(ReplayComponent):
     """Replays the images of a camera, or of a stereo camera in pairs, each at its recorded time.
 
-    Images are sent gray and as they were taken; how to rectify them is told before them.
+    Images are published gray and not rectified, after their calibrations.
     """
 
     config: ReplayCameraConfig
@@ -50,42 +50,41 @@ class ReplayCamera(RecordingDriver):
         recording = self.config.open()
         images = recording.images()
         if images is None:
-            self.lacks("images of one camera or of a stereo camera")
+            self.replay_nothing("images of one camera or of a stereo camera")
             for note in recording.notes():
                 self.log.warning("%s: %s", self.config.recording, note)
-            self.records = Records(())
             return
         self._images = images
         self._warnings = RateLimitedLog(self.log)
         self._infos = self._calibrations(images)
-        self.take(recording, images.stamps)
+        self.select(recording, images.stamps)
 
     @every(hz=100)
     def replay(self) -> None:
-        """Publish what is due."""
+        """Publish the records that are due."""
         self.publish_due(self._publish)
 
     def _publish(self, index: int) -> None:
         try:
-            taken = self._images.load(index)
+            views = self._images.load(index)
         except CairnError as error:
-            # A camera misses an image now and then, too.
-            self._warnings.warn("image", f"image {index + 1} is left out: {error}")
+            # A real camera also loses an image sometimes.
+            self._warnings.warn("image", f"left out image {index + 1}: {error}")
             return
         if self.config.side_by_side:
-            middle = taken[0].shape[1] // 2
-            taken = (taken[0][:, :middle], taken[0][:, middle:])
+            middle = views[0].shape[1] // 2
+            views = (views[0][:, :middle], views[0][:, middle:])
         stamp = from_ns(self._images.stamps[index])
         headers = [Header(stamp=stamp, frame_id=frame) for frame in _FRAMES]
         infos = (self.left_info, self.right_info)
         for info, known, header in zip(infos, self._infos, headers, strict=False):
             info.publish(replace(known, header=header))
         images = (self.left_image, self.right_image)
-        for image, pixels, header in zip(images, taken, headers, strict=False):
-            image.publish(_message(pixels, header))
+        for image, pixels, header in zip(images, views, headers, strict=False):
+            image.publish(_image_message(pixels, header))
 
-    def _calibrations(self, images: Images) -> list[CameraInfo]:
-        """What is told of each camera; without a calibration the size alone, as ROS has it."""
+    def _calibrations(self, images: ImageStream) -> list[CameraInfo]:
+        """Return the calibration of each camera; without one only the size, as ROS does."""
         width, height = images.size
         cameras = images.cameras
         if self.config.side_by_side:
@@ -93,26 +92,26 @@ class ReplayCamera(RecordingDriver):
                 raise CairnError(
                     f"{self.config.recording}: side_by_side = true, but there "
                     + ("are images of both cameras" if cameras == 2 else f"images are {width} wide")
-                    + ": set side_by_side to false"
+                    + "; set side_by_side to false"
                 )
             width, cameras = width // 2, 2
         files = (self.config.left_calibration, self.config.right_calibration)
         if cameras == 1 and files[1] is not None:
             raise CairnError(
                 f"{self.config.recording} holds images of one camera only, but right_calibration = "
-                f"{files[1]}: leave it out, or set side_by_side to true"
+                f"{files[1]}; leave it out, or set side_by_side to true"
             )
         infos = []
         for file, frame in zip(files[:cameras], _FRAMES, strict=False):
             info = CameraInfo(width=width, height=height)
             if file is None:
-                self.log.warning("%s: no calibration is given, so nothing can be ranged", frame)
+                self.log.warning("%s has no calibration, so no ranges can be measured", frame)
             else:
                 info = read_camera(file, frame)
             if (info.width, info.height) != (width, height):
                 raise CairnError(
-                    f"{file} is of images of {info.width} x {info.height} pixels, but those of "
-                    f"{self.config.recording} are {width} x {height}: calibrate with such images"
+                    f"{file} is for images of {info.width} x {info.height} pixels, but those of "
+                    f"{self.config.recording} are {width} x {height}; calibrate with such images"
                 )
             infos.append(info)
         if cameras == 2 and all(files):
@@ -120,7 +119,7 @@ class ReplayCamera(RecordingDriver):
         return infos
 
 
-def _message(pixels: Gray, header: Header) -> Image:
+def _image_message(pixels: Gray, header: Header) -> Image:
     height, width = pixels.shape
     return Image(
         header=header,

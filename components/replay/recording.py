@@ -1,9 +1,14 @@
-"""What a recording of any format holds, as the drivers see it."""
+"""What a recording of any format holds: its streams, as the replay components read them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import bz2
+import gzip
+import zlib
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from io import BufferedReader
+from pathlib import Path
 from typing import Protocol
 
 import numpy as np
@@ -18,12 +23,12 @@ Gray = NDArray[np.uint8]
 
 
 class RecordingError(CairnError):
-    """A recording that is missing, damaged or of another format."""
+    """A recording is missing, damaged or of another format."""
 
 
 @dataclass(frozen=True)
-class Odometry:
-    """What the wheels told, at `stamps` [ns] in order.
+class OdometryStream:
+    """Wheel odometry at `stamps` [ns] in order.
 
     `poses` (n, 3): x [m], y [m], theta [rad] in the odometry frame; `covariances` (n, 3, 3) of
     them; `twists` (n, 2): forward [m/s] and turn [rad/s, left positive].
@@ -36,7 +41,7 @@ class Odometry:
 
 
 @dataclass(frozen=True)
-class Trajectory:
+class TimedPoses:
     """Poses of the robot (n, 3: x [m], y [m], theta [rad]) at `stamps` [ns] in order."""
 
     stamps: Sequence[int]
@@ -44,18 +49,19 @@ class Trajectory:
 
 
 @dataclass(frozen=True)
-class Scans:
-    """Laser scans in order of their `stamps` [ns], which their headers bear too."""
+class ScanStream:
+    """Laser scans in order of their `stamps` [ns], which are also in their headers."""
 
     stamps: Sequence[int]
     messages: Sequence[LaserScan]
 
 
 @dataclass(frozen=True)
-class Sighting:
-    """A landmark seen: range [m], bearing [rad, left positive], variances [m^2, rad^2].
+class RecordedObservation:
+    """An observation of a landmark: range [m], bearing [rad, left positive], variances.
 
-    `code` is what the camera read. `object_id` is None if the recording does not say whose it is.
+    Variances are in m^2 and rad^2. `code` is the barcode that the camera read; `object_id` is None
+    if the recording does not assign it to a landmark.
     """
 
     code: int
@@ -67,19 +73,20 @@ class Sighting:
 
 
 @dataclass(frozen=True)
-class Sightings:
-    """The landmarks seen at each of `stamps` [ns]; a frame may be empty."""
+class ObservationStream:
+    """The observations at each of `stamps` [ns]; a frame may be empty."""
 
     stamps: Sequence[int]
-    frames: Sequence[Sequence[Sighting]]
+    frames: Sequence[Sequence[RecordedObservation]]
 
 
 @dataclass(frozen=True)
-class Images:
-    """What one camera, or the two (`cameras`) of a stereo camera, took at `stamps` [ns] in order.
+class ImageStream:
+    """Images of one camera, or of both (`cameras`) of a stereo camera, at `stamps` [ns] in order.
 
-    `load` gives the images (h, w), left first, of the stamp with an index; indices must not go
-    back. It raises `CairnError` if they cannot be read. All are of one `size`: width, height [px].
+    `load` returns the images (h, w), left first, of the stamp with an index; indices must not
+    decrease. It raises `CairnError` if they cannot be read. All have one `size`: width and height
+    in pixels.
     """
 
     name: str
@@ -90,11 +97,11 @@ class Images:
 
 
 @dataclass(frozen=True)
-class Source:
-    """A series of records as the recording names it, and how many there are.
+class RecordedTopic:
+    """A series of records by the name that the recording uses, and their number.
 
-    `kind` is what it is replayed as: scan, odom, objects, truth, images; None if it
-    is not replayed.
+    `kind` is what it is replayed as: scan, odom, objects, truth, images; None if it is not
+    replayed.
     """
 
     kind: str | None
@@ -106,45 +113,84 @@ class Source:
 class Recording(Protocol):
     """A recording; each method reads what it needs and raises `RecordingError`.
 
-    None stands for what the recording does not hold.
+    A method returns None for a stream that the recording does not hold.
     """
 
     def span(self) -> tuple[int, int]:
-        """Times [ns] of the first and the last record that a replay publishes."""
+        """Return the times [ns] of the first and the last record that a replay publishes."""
 
-    def odometry(self) -> Odometry | None:
-        """What the wheels told."""
+    def odometry(self) -> OdometryStream | None:
+        """Return the wheel odometry."""
 
-    def scans(self) -> Scans | None:
-        """What the laser scanner measured."""
+    def scans(self) -> ScanStream | None:
+        """Return the scans of the laser scanner."""
 
-    def sightings(self) -> Sightings | None:
-        """What the camera saw."""
+    def observations(self) -> ObservationStream | None:
+        """Return the observations of landmarks."""
 
-    def images(self) -> Images | None:
-        """What the cameras took."""
+    def images(self) -> ImageStream | None:
+        """Return the images of the cameras."""
 
-    def truth(self) -> Trajectory | None:
-        """Where the robot was, as measured from outside or corrected afterwards."""
+    def truth(self) -> TimedPoses | None:
+        """Return the robot's true poses, measured from outside or corrected afterwards."""
 
-    def surveyed(self) -> VisualMap | None:
-        """Where the landmarks stand."""
+    def landmark_map(self) -> VisualMap | None:
+        """Return the surveyed landmarks."""
 
-    def sources(self) -> Sequence[Source]:
-        """What was recorded, that which is not replayed too."""
+    def topics(self) -> Sequence[RecordedTopic]:
+        """Return everything that was recorded, replayed or not."""
 
     def notes(self) -> Sequence[str]:
-        """What of the recording was lost, left out or had to be assumed: sentences."""
+        """Return what was lost, left out or assumed, as sentences."""
 
 
 def nanoseconds(time_s: Array) -> list[int]:
-    """Recorded times [s] as whole nanoseconds; microseconds are what a double holds of them."""
+    """Convert recorded times [s] to [ns], rounded to microseconds, the precision of a double."""
     return [round(t * 1e6) * 1000 for t in time_s.tolist()]
 
 
-def from_deviations(deviations: Array) -> Array:
-    """Covariances (n, 3, 3) from standard deviations (n, 2) of the place [m] and the turn [rad]."""
+def covariances_of(deviations: Array) -> Array:
+    """Return covariances (n, 3, 3) for standard deviations (n, 2): position [m], heading [rad]."""
     covariances = np.zeros((len(deviations), 3, 3))
     covariances[:, 0, 0] = covariances[:, 1, 1] = deviations[:, 0] ** 2
     covariances[:, 2, 2] = deviations[:, 1] ** 2
     return covariances
+
+
+def text_lines(path: Path) -> Iterator[tuple[int, str]]:
+    """Yield each line of a text file with its number, from 1 on.
+
+    The file may be compressed by gzip or bzip2, which is found out by its content. Raises
+    `RecordingError` for a file that cannot be read, is cut off or is not text.
+    """
+    line = 0
+    try:
+        with _open(path) as stream:
+            for line, raw in enumerate(stream, start=1):
+                yield line, raw.decode("ascii")
+    except (EOFError, zlib.error, gzip.BadGzipFile) as error:
+        raise damaged_line(path, line + 1, f"the gzip stream is broken ({error})") from error
+    except UnicodeDecodeError as error:
+        raise damaged_line(path, line, "not a text file") from error
+    except OSError as error:
+        if error.errno is None:  # raised by bz2 for a damaged stream
+            raise damaged_line(path, line + 1, f"the bzip2 stream is broken ({error})") from error
+        raise RecordingError(f"{path} cannot be read: {error.strerror or error}.") from error
+
+
+def damaged_line(path: Path, line: int, fault: str) -> RecordingError:
+    """Return the error for a damaged line."""
+    return RecordingError(
+        f"{path}, line {line}: {fault}. The file is cut off, changed or of another format: "
+        "take a fresh copy of the data set."
+    )
+
+
+def _open(path: Path) -> gzip.GzipFile | bz2.BZ2File | BufferedReader:
+    with path.open("rb") as stream:
+        magic = stream.read(3)
+    if magic[:2] == b"\x1f\x8b":
+        return gzip.open(path, "rb")
+    if magic == b"BZh":
+        return bz2.open(path, "rb")
+    return path.open("rb")

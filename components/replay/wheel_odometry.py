@@ -1,4 +1,4 @@
-"""What can be said of recorded wheel odometry: its velocities, and how far it may be off."""
+"""Velocities and uncertainty of recorded wheel odometry, estimated from its poses."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from cairn.planar.poses import wrap_all
 Array = NDArray[np.float64]
 
 
-def velocities(stamps: Sequence[int], poses: Array) -> Array:
-    """Forward [m/s] and turn [rad/s] (n, 2) that led from each pose's forerunner to it.
+def odometry_velocities(stamps: Sequence[int], poses: Array) -> Array:
+    """Return velocities (n, 2: forward [m/s], turn [rad/s]) from the previous pose to each one.
 
-    Zeros for the first pose, and where no time passes.
+    They are 0 for the first pose, and where no time passes.
     """
     twists = np.zeros((len(poses), 2))
     if len(poses) < 2:
@@ -28,28 +28,28 @@ def velocities(stamps: Sequence[int], poses: Array) -> Array:
     return twists
 
 
-def agree(stamps: Sequence[int], poses: Array, twists: Array) -> bool:
-    """Whether recorded velocities add up to the way and the turns of the poses, within a fifth."""
+def velocities_agree(stamps: Sequence[int], poses: Array, twists: Array) -> bool:
+    """Return whether recorded velocities add up to the motion of the poses, within a fifth."""
     seconds = _seconds(stamps)
-    told = np.abs(twists[1:] * seconds[:, None]).sum(axis=0)
+    recorded = np.abs(twists[1:] * seconds[:, None]).sum(axis=0)
     forward, turned = _steps(poses)
-    made = np.array([np.abs(forward).sum(), np.abs(turned).sum()])
-    return bool(np.all(np.abs(told - made) <= 0.2 * made + (0.5, 0.5)))
+    moved = np.array([np.abs(forward).sum(), np.abs(turned).sum()])
+    return bool(np.all(np.abs(recorded - moved) <= 0.2 * moved + (0.5, 0.5)))
 
 
-def deviations(poses: Array) -> Array:
-    """Standard deviations (n, 2) of place [m] and turn [rad] of poses (n, 3), from the first on.
+def odometry_deviations(poses: Array) -> Array:
+    """Return standard deviations (n, 2: position [m], heading [rad]) of poses (n, 3).
 
-    By the way and the turns behind the robot: 1 % of the way; a heading that veers by 0.02 rad per
-    meter, drifts by 0.03 rad per square root of a meter, and misses 3 % of the turns. That is what
-    the wheels of the Freiburg recordings fr079 and fr101 were off against corrected poses.
+    They grow with the motion since the first pose: 1 % of the distance; a heading that veers by
+    0.02 rad per meter, drifts by 0.03 rad per square root of a meter, and misses 3 % of the turns.
+    These are the errors of the Freiburg recordings fr079 and fr101 against corrected poses.
     """
     forward, turned = _steps(poses)
-    way = np.concatenate(([0.0], np.cumsum(np.abs(forward))))
+    distance = np.concatenate(([0.0], np.cumsum(np.abs(forward))))
     turns = np.concatenate(([0.0], np.cumsum(turned)))
-    turn_sd = np.sqrt((0.02 * way) ** 2 + 0.03**2 * way + (0.03 * turns) ** 2)
-    place_sd = np.sqrt((0.01 * way) ** 2 + (0.5 * turn_sd * way) ** 2)
-    return np.stack([place_sd, turn_sd], axis=1)
+    turn_sd = np.sqrt((0.02 * distance) ** 2 + 0.03**2 * distance + (0.03 * turns) ** 2)
+    position_sd = np.sqrt((0.01 * distance) ** 2 + (0.5 * turn_sd * distance) ** 2)
+    return np.stack([position_sd, turn_sd], axis=1)
 
 
 def _seconds(stamps: Sequence[int]) -> Array:
@@ -57,7 +57,7 @@ def _seconds(stamps: Sequence[int]) -> Array:
 
 
 def _steps(poses: Array) -> tuple[Array, Array]:
-    """How far ahead [m] and how far to the left [rad] each step went (n - 1)."""
+    """Return the forward distance [m] and the left turn [rad] of each step (n - 1)."""
     turned = wrap_all(np.diff(poses[:, 2]))
     middle = poses[:-1, 2] + 0.5 * turned
     dx, dy = np.diff(poses[:, 0]), np.diff(poses[:, 1])

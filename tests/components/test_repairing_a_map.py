@@ -10,8 +10,7 @@ import yaml
 
 from cairn import Qos
 from cairn.components.map_builder.importing import alter, write_map
-from cairn.components.replay.landmarks import read_landmarks
-from cairn.components.replay.mrclam_files import Dataset
+from cairn.components.replay.mrclam import MrclamDataset, read_landmarks
 from cairn.deployment.load import load_deployment
 from cairn.placement.lockstep import LockstepRun
 from cairn.schemas.cairn_msgs import VisualMap, VisualMapChange, VisualObject
@@ -33,11 +32,11 @@ def deployment(dataset: Path, robot: int, map_file: Path, start: dict[str, float
         "clock": "simulated",
         "components": {
             "odometry": {
-                "plugin": "components.replay.odometry:ReplayOdometry",
+                "plugin": "components.replay.components:ReplayOdometry",
                 "parameters": recording,
             },
             "sightings": {
-                "plugin": "components.replay.sightings:ReplaySightings",
+                "plugin": "components.replay.components:ReplayRecognizer",
                 "parameters": recording,
             },
             "map_builder": {
@@ -49,7 +48,7 @@ def deployment(dataset: Path, robot: int, map_file: Path, start: dict[str, float
                 "parameters": {"start": start},
             },
             "clock": {
-                "plugin": "components.replay.clock:ReplayClock",
+                "plugin": "components.replay.pacing:ReplayClock",
                 "parameters": {**recording, "rate": 10.0},
                 "topics": {"time": "clock"},
                 "significant": True,
@@ -70,8 +69,8 @@ def test_displaced_landmark_is_registered_at_its_true_position(
     map_file = tmp_path / "hall.map"
     surveyed = read_landmarks(dataset)
     write_map(map_file, "a test", alter(surveyed, {object_id: (-1.2, 0.7)}, []))
-    truth = Dataset(dataset).truth(robot)
-    first = Dataset(dataset).odometry(robot)[0, 0]
+    truth = MrclamDataset(dataset).truth(robot)
+    first = MrclamDataset(dataset).odometry(robot)[0, 0]
     x, y, theta = (float(np.interp(first, truth[:, 0], truth[:, k])) for k in (1, 2, 3))
     page = deployment(dataset, robot, map_file, {"x": x, "y": y, "theta": theta})
     file = tmp_path / "run.yaml"

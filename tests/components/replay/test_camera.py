@@ -8,18 +8,18 @@ import pytest
 import yaml
 
 from cairn import SECOND, Qos, to_ns
-from cairn.components.replay.clock import ReplayClock
-from cairn.components.replay.formats import open_recording
+from cairn.components.replay.open_recording import open_recording
+from cairn.components.replay.pacing import ReplayClock
 from cairn.deployment.load import load_deployment
 from cairn.placement.lockstep import LockstepRun
 from cairn.schemas.sensor_msgs import CameraInfo, Image
 from tests.cairn.vision.cameras import HEIGHT, WIDTH, info
 from tests.commands import cairn
-from tests.components.replay.pictures import (
+from tests.components.replay.image_recordings import (
     StageOf,
     calibrations,
+    numbered_image,
     pairs,
-    picture,
     replayed,
     save,
     shade,
@@ -32,7 +32,7 @@ pytestmark = pytest.mark.images
 MANY = Qos("reliable", "transient_local", 100_000)
 
 
-def test_a_folder_of_pairs_is_a_stereo_camera(stage: StageOf, tmp_path: Path) -> None:
+def test_folder_of_pairs_is_a_stereo_camera(stage: StageOf, tmp_path: Path) -> None:
     folder = pairs(tmp_path / "images", 12)
 
     it = replayed(stage, folder, image_rate_hz=5.0, **calibrations(tmp_path / "calibration"))
@@ -69,20 +69,20 @@ def test_folders_of_two_numbered_cameras_are_a_stereo_camera(
     assert [shade(image) for image in it.taken("right_image")] == [30, 40]
 
 
-def test_images_of_one_camera_go_out_on_the_left(stage: StageOf, tmp_path: Path) -> None:
+def test_images_of_one_camera_are_published_as_left_ones(stage: StageOf, tmp_path: Path) -> None:
     folder = save(tmp_path / "mono", "a1.png", "a2.png", "a10.png")
 
     it = replayed(stage, folder, image_rate_hz=1.0)
 
     assert [shade(image) for image in it.taken("left_image")] == [10, 20, 30]
     # As ROS has it, a camera that is not calibrated tells its size alone.
-    told = it.taken("left_info")[0]
-    assert (told.width, told.height, told.k.any()) == (WIDTH, HEIGHT, False)
+    left_info = it.taken("left_info")[0]
+    assert (left_info.width, left_info.height, left_info.k.any()) == (WIDTH, HEIGHT, False)
     assert it.taken("right_image") == it.taken("right_info") == []
 
 
-def test_side_by_side_images_are_parted(stage: StageOf, tmp_path: Path) -> None:
-    wide = np.hstack((picture(40), picture(90)))
+def test_side_by_side_images_are_split(stage: StageOf, tmp_path: Path) -> None:
+    wide = np.hstack((numbered_image(40), numbered_image(90)))
     (tmp_path / "wide").mkdir()
     cv2.imwrite(str(tmp_path / "wide" / "0.png"), wide)
 
@@ -115,7 +115,7 @@ def test_side_by_side_images_are_parted(stage: StageOf, tmp_path: Path) -> None:
         ),
     ],
 )
-def test_times_are_those_of_names_or_of_a_table(
+def test_times_come_from_names_or_from_a_table(
     tmp_path: Path, names: tuple[str, ...], times: str | None, stamps: tuple[int, int | None]
 ) -> None:
     save(tmp_path, *names)
@@ -130,7 +130,7 @@ def test_times_are_those_of_names_or_of_a_table(
         assert images.stamps[1] // 1_000_000 == stamps[1]
 
 
-def test_a_pairs_folder_beside_a_table_of_names_is_told_the_same(tmp_path: Path) -> None:
+def test_table_of_names_applies_to_pairs(tmp_path: Path) -> None:
     save(tmp_path, "left/0.png", "left/1.png", "right/0.png", "right/1.png")
     (tmp_path / "times.txt").write_text("1.0\n2.0\n")
 
@@ -140,7 +140,7 @@ def test_a_pairs_folder_beside_a_table_of_names_is_told_the_same(tmp_path: Path)
     assert (images.cameras, list(images.stamps)) == (2, [SECOND, 2 * SECOND])
 
 
-def test_a_video_is_replayed_at_its_own_rate_or_at_another(stage: StageOf, tmp_path: Path) -> None:
+def test_video_is_replayed_at_its_own_or_another_rate(stage: StageOf, tmp_path: Path) -> None:
     file = video(tmp_path / "run.avi", 5, fps=10.0)
 
     own = replayed(stage, file).taken("left_image")
@@ -154,7 +154,7 @@ def test_a_video_is_replayed_at_its_own_rate_or_at_another(stage: StageOf, tmp_p
 def test_videos_of_both_cameras_are_a_stereo_camera(stage: StageOf, tmp_path: Path) -> None:
     folder = tmp_path / "videos"
     video(folder / "left.avi", 5)
-    video(folder / "right.avi", 3, begin=60)
+    video(folder / "right.avi", 3, start=60)
 
     it = replayed(stage, folder)
 
@@ -162,10 +162,10 @@ def test_videos_of_both_cameras_are_a_stereo_camera(stage: StageOf, tmp_path: Pa
     assert [round(shade(image), -1) for image in left] == [10, 20, 30]
     assert [round(shade(image), -1) for image in right] == [60, 70, 80]
     (note,) = open_recording(folder).notes()
-    assert note == "left.avi has 5 frames, right.avi 3: those from number 4 on are left out"
+    assert note == "left.avi has 5 frames, right.avi 3: frames from number 4 on are left out"
 
 
-def test_a_video_that_was_cut_off_ends_with_a_warning(
+def test_cut_off_video_ends_with_a_warning(
     stage: StageOf, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     file = video(tmp_path / "run.avi", 20)
@@ -176,14 +176,14 @@ def test_a_video_that_was_cut_off_ends_with_a_warning(
 
     it = replayed(stage, file)
 
-    told = [r.message for r in caplog.records if "is left out" in r.message]
+    warnings = [r.message for r in caplog.records if "left out image" in r.message]
     sent = len(it.taken("left_image"))
     assert 1 <= sent <= 6
     if sent < len(open_recording(file).images().stamps):  # type: ignore[union-attr]
-        assert f"{file} ends after {sent} of" in told[0]
+        assert f"{file} ends after {sent} of" in warnings[0]
 
 
-def test_a_part_of_a_video_is_replayed(stage: StageOf, tmp_path: Path) -> None:
+def test_part_of_a_video_is_replayed(stage: StageOf, tmp_path: Path) -> None:
     file = video(tmp_path / "run.avi", 10)
 
     it = replayed(stage, file, begin_s=0.45, end_s=0.75)
@@ -191,7 +191,7 @@ def test_a_part_of_a_video_is_replayed(stage: StageOf, tmp_path: Path) -> None:
     assert [round(shade(image), -1) for image in it.taken("left_image")] == [60, 70, 80]
 
 
-def test_an_image_that_is_damaged_is_left_out_with_a_warning(
+def test_damaged_image_is_left_out_with_a_warning(
     stage: StageOf, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     folder = save(tmp_path / "images", "0.png", "1.png", "2.png")
@@ -201,10 +201,10 @@ def test_an_image_that_is_damaged_is_left_out_with_a_warning(
     it = replayed(stage, folder, image_rate_hz=5.0)
 
     assert [shade(image) for image in it.taken("left_image")] == [10, 30]
-    assert any(f"image 2 is left out: {damaged}" in r.message for r in caplog.records)
+    assert any(f"left out image 2: {damaged}" in r.message for r in caplog.records)
 
 
-def test_images_without_their_other_are_left_out_and_named(tmp_path: Path) -> None:
+def test_unpaired_images_are_left_out_and_named(tmp_path: Path) -> None:
     folder = pairs(tmp_path, 4)
     (folder / "right2.png").unlink()
     save(folder, "overview.png")
@@ -215,10 +215,10 @@ def test_images_without_their_other_are_left_out_and_named(tmp_path: Path) -> No
     assert images is not None
     assert len(images.stamps) == 3
     (note,) = recording.notes()
-    assert note == "2 images have no other of a pair, left out: left2.png, overview.png"
+    assert note == "2 images have no partner, left out: left2.png, overview.png"
 
 
-def test_the_clock_runs_over_the_images(stage: StageOf, tmp_path: Path) -> None:
+def test_clock_runs_over_the_images(stage: StageOf, tmp_path: Path) -> None:
     folder = save(tmp_path, *(f"{n}.png" for n in range(11)))
     it = stage(ReplayClock, 50.0, recording=str(folder), image_rate_hz=2.0, rate=10.0).begin()
 
@@ -229,7 +229,7 @@ def test_the_clock_runs_over_the_images(stage: StageOf, tmp_path: Path) -> None:
     assert it.ends
 
 
-def test_what_a_camera_recorded_is_shown(tmp_path: Path) -> None:
+def test_recorded_images_are_shown(tmp_path: Path) -> None:
     folder = pairs(tmp_path, 3)
 
     answer = cairn("recording", "show", str(folder), "--image-rate", "2")
@@ -241,7 +241,7 @@ def test_what_a_camera_recorded_is_shown(tmp_path: Path) -> None:
     assert "holds neither scans nor odometry: there is nothing to draw" in drawn.err
 
 
-def test_images_alone_are_replayed_by_a_deployment(tmp_path: Path) -> None:
+def test_deployment_replays_images_only(tmp_path: Path) -> None:
     folder = pairs(tmp_path / "images", 5)
     recorded = {"recording": str(folder), "image_rate_hz": 5.0}
     file = tmp_path / "replay.yaml"

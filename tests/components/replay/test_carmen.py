@@ -1,4 +1,4 @@
-"""CARMEN logs of all kinds are read for what they mean; damaged ones are refused by line."""
+"""CARMEN logs of all kinds: their meaning, and errors with the line of damaged ones."""
 
 import bz2
 import gzip
@@ -32,7 +32,7 @@ def drive(seconds: int) -> list[str]:
     return lines
 
 
-def test_a_raw_log_gives_odometry_and_scans_and_no_truth(write: Write) -> None:
+def test_raw_log_gives_odometry_and_scans_without_truth(write: Write) -> None:
     recording = CarmenRecording(write("# CARMEN Logfile", "PARAM a b c", "", *drive(5)))
 
     odometry, scans = recording.odometry(), recording.scans()
@@ -49,7 +49,7 @@ def test_a_raw_log_gives_odometry_and_scans_and_no_truth(write: Write) -> None:
 
 
 @pytest.mark.parametrize("compress", [gzip.compress, bz2.compress])
-def test_a_compressed_log_is_known_by_its_content(
+def test_compressed_log_is_detected_by_its_content(
     write: Write, compress: Callable[[bytes], bytes]
 ) -> None:
     path = write(*drive(2))
@@ -62,7 +62,7 @@ def test_a_compressed_log_is_known_by_its_content(
 @pytest.mark.parametrize(
     ("beams", "last_deg"), [(180, 89.0), (181, 90.0), (360, 89.5), (361, 90.0), (401, 50.0)]
 )
-def test_the_beams_of_a_sick_laser_are_known_by_their_number(
+def test_beams_of_a_sick_laser_follow_from_their_number(
     write: Write, beams: int, last_deg: float
 ) -> None:
     recording = CarmenRecording(write(flaser(1.0, 0.0, (2.0,) * beams)))
@@ -76,14 +76,14 @@ def test_the_beams_of_a_sick_laser_are_known_by_their_number(
     )
 
 
-def test_beams_of_no_known_laser_are_assumed_and_told(write: Write) -> None:
+def test_beams_of_an_unknown_laser_are_assumed_with_a_note(write: Write) -> None:
     recording = CarmenRecording(write(flaser(1.0, 0.0, (2.0,) * 91)))
 
     (note, *_) = recording.notes()
     assert "91 beams are not those of a SICK laser" in note
 
 
-def test_an_error_code_tells_nothing_and_out_of_reach_is_no_return(write: Write) -> None:
+def test_error_code_is_nan_and_out_of_reach_is_infinity(write: Write) -> None:
     ranges = (1.0, 81.91, 81.83, 3.0, *(1.0,) * 176)
     recording = CarmenRecording(
         write("PARAM robot_front_laser_max 80.99 h 0", flaser(1.0, 0.0, ranges))
@@ -97,7 +97,7 @@ def test_an_error_code_tells_nothing_and_out_of_reach_is_no_return(write: Write)
     assert scans.messages[0].range_max == pytest.approx(80.99)
 
 
-def test_the_newer_kinds_of_scans_tell_of_their_beams(write: Write) -> None:
+def test_newer_scan_lines_describe_their_beams(write: Write) -> None:
     laser = "1 -2.0 4.0 1.0 30.0 0.01 0 5 1 2 3 4 30 2 7 8"
     poses = "1.5 2 0.5 1.4 2 0.5"
     recording = CarmenRecording(
@@ -117,7 +117,7 @@ def test_the_newer_kinds_of_scans_tell_of_their_beams(write: Write) -> None:
     assert any("ROBOTLASER1 is replayed, not RAWLASER1" in note for note in recording.notes())
 
 
-def test_scans_of_other_lasers_are_left_out_and_told(write: Write) -> None:
+def test_scans_of_other_lasers_are_left_out_with_a_note(write: Write) -> None:
     recording = CarmenRecording(
         write(flaser(1.0, 0.0), flaser(1.0, 0.0).replace("FLASER", "RLASER"))
     )
@@ -128,16 +128,16 @@ def test_scans_of_other_lasers_are_left_out_and_told(write: Write) -> None:
     assert any("RLASER are left out" in note for note in recording.notes())
 
 
-def test_velocities_that_do_not_fit_the_poses_are_taken_from_these(write: Write) -> None:
+def test_velocities_that_disagree_with_the_poses_are_recomputed(write: Write) -> None:
     recording = CarmenRecording(write(*(odom(5 + k / 10, k / 10, speed=0.001) for k in range(100))))
 
     odometry = recording.odometry()
     assert odometry is not None
     assert odometry.twists[1:, 0] == pytest.approx(np.ones(99))
-    assert any("velocities are taken from the poses" in note for note in recording.notes())
+    assert any("velocities are computed from the poses" in note for note in recording.notes())
 
 
-def test_odometry_that_counts_driving_backwards_as_ahead_is_put_right(write: Write) -> None:
+def test_odometry_that_counts_backwards_as_forward_is_corrected(write: Write) -> None:
     lines = [odom(k / 10, k / 10, speed=1.0 if k <= 50 else -1.0) for k in range(101)]
 
     recording = CarmenRecording(write(*lines))
@@ -150,7 +150,7 @@ def test_odometry_that_counts_driving_backwards_as_ahead_is_put_right(write: Wri
     assert any("5.0 m of driving backwards" in note for note in recording.notes())
 
 
-def test_odometry_set_to_corrected_poses_is_put_together_again(write: Write) -> None:
+def test_odometry_set_to_corrected_poses_is_rejoined(write: Write) -> None:
     corrected = "FLASER 1 2.0 1.2 0 0 1.2 0 0 101 host 101"
     marker = "ODOM 1.2 0 0 0 0 0 0 host 0"
     lines = [odom(100, 0.0), odom(101, 1.0), corrected, marker, odom(102, 2.2)]
@@ -165,7 +165,7 @@ def test_odometry_set_to_corrected_poses_is_put_together_again(write: Write) -> 
     assert any("set to the corrected pose 1 times" in note for note in recording.notes())
 
 
-def test_scans_that_were_stamped_late_get_their_own_time(write: Write) -> None:
+def test_scan_delay_is_subtracted_from_the_stamps_of_a_log(write: Write) -> None:
     recording = CarmenRecording(write(*drive(5)), scan_delay_s=0.25)
 
     scans, odometry = recording.scans(), recording.odometry()
@@ -177,7 +177,7 @@ def test_scans_that_were_stamped_late_get_their_own_time(write: Write) -> None:
     assert recording.span() == (round(99.75 * SECOND), 105 * SECOND)
 
 
-def test_a_simulators_true_poses_are_the_truth(write: Write) -> None:
+def test_true_poses_of_a_simulator_are_the_truth(write: Write) -> None:
     lines = [*drive(1), "TRUEPOS 1 2 0.5 0 0 0 100.5 host 100.5"]
 
     truth = CarmenRecording(write(*lines)).truth()
@@ -186,7 +186,7 @@ def test_a_simulators_true_poses_are_the_truth(write: Write) -> None:
     assert truth.poses.tolist() == [[1.0, 2.0, 0.5]]
 
 
-def test_a_scan_that_cannot_be_is_told_with_its_line(write: Write) -> None:
+def test_invalid_scan_is_rejected_with_its_line(write: Write) -> None:
     laser = "0 -1.5 3.0 1.5 0.01 0.01 0 3 1 1 1 0"  # it reaches 1 cm
     path = write(odom(0.0, 0.0), f"RAWLASER1 {laser} 0.1 host 0.1")
 
@@ -194,38 +194,38 @@ def test_a_scan_that_cannot_be_is_told_with_its_line(write: Write) -> None:
         CarmenRecording(path).scans()
 
 
-def test_a_recording_may_begin_at_any_time(write: Write) -> None:
+def test_recording_may_start_at_any_time(write: Write) -> None:
     recording = CarmenRecording(write(odom(0.0, 0.0), odom(0.1, 0.1)))
 
     assert recording.span() == (0, SECOND // 10)
 
 
 @pytest.mark.parametrize(
-    ("line", "complaint"),
+    ("line", "message"),
     [
-        ("ODOM 1 0 0 1 0 0 9.0 host", "ODOM has 9 fields where 10 belong"),
+        ("ODOM 1 0 0 1 0 0 9.0 host", "ODOM has 9 fields instead of 10"),
         ("ODOM 1 0 fast 1 0 0 9.0 host 9.0", "not a number among '1 0 fast 1 0'"),
         ("ODOM 1 0 nan 1 0 0 9.0 host 9.0", "not a finite number"),
         ("ODOM 1 0 0 1 0 0 3.0 host 3.0", "time runs backwards, from 6.000 s to 3.000 s"),
         ("ODOM 1 0 0 1 0 0 9000 host 3.0", "8994 s pass since the record before"),
-        ("FLASER 3 1 1 0 0 0 0 0 0 9.0 host 9.0", "FLASER has 13 fields where 14 belong"),
-        ("FLASER many 1 1 0 0 0 0 0 0 9.0 host 9.0", "'many' is no number of readings"),
+        ("FLASER 3 1 1 0 0 0 0 0 0 9.0 host 9.0", "FLASER has 13 fields instead of 14"),
+        ("FLASER many 1 1 0 0 0 0 0 0 9.0 host 9.0", "'many' is not a number of readings"),
         ("FLASER 1 -2 0 0 0 0 0 0 9.0 host 9.0", "a range is -2 m"),
         ("ROBOTLASER1 0 0 1", "ROBOTLASER1"),
     ],
 )
-def test_a_damaged_line_is_named(write: Write, line: str, complaint: str) -> None:
+def test_damaged_line_is_named(write: Write, line: str, message: str) -> None:
     path = write(odom(5.0, 0.0), odom(6.0, 1.0), line)
 
     with pytest.raises(RecordingError) as refused:
         CarmenRecording(path)
 
     assert f"{path}, line 3: " in str(refused.value)
-    assert complaint in str(refused.value)
+    assert message in str(refused.value)
     assert "take a fresh copy" in str(refused.value)
 
 
-def test_a_cut_off_log_is_named(tmp_path: Path) -> None:
+def test_cut_off_log_is_named(tmp_path: Path) -> None:
     path = tmp_path / "cut.log.gz"
     path.write_bytes(FR101.read_bytes()[:100_000])
 
@@ -233,7 +233,7 @@ def test_a_cut_off_log_is_named(tmp_path: Path) -> None:
         CarmenRecording(path)
 
 
-def test_the_corrected_log_of_fr079_is_read_whole() -> None:
+def test_corrected_log_of_fr079_is_read_completely() -> None:
     recording = CarmenRecording(FR079)
 
     odometry, scans, truth = recording.odometry(), recording.scans(), recording.truth()
@@ -248,7 +248,7 @@ def test_the_corrected_log_of_fr079_is_read_whole() -> None:
     assert truth.poses[0].tolist() == [0.0, 0.0, 0.0]
 
 
-def test_posed_scans_are_the_lasers_own_poses() -> None:
+def test_posed_scans_have_the_poses_of_the_laser() -> None:
     pairs = list(posed_scans(FR079))
 
     truth = CarmenRecording(FR079).truth()
@@ -263,18 +263,18 @@ def test_posed_scans_are_the_lasers_own_poses() -> None:
         assert to_ns(scan.header.stamp) == truth.stamps[k]
 
 
-def test_a_raw_log_has_no_posed_scans(write: Write) -> None:
+def test_raw_log_has_no_posed_scans(write: Write) -> None:
     with pytest.raises(RecordingError, match=r"holds no corrected poses: .* raw odometry"):
         next(posed_scans(write(*drive(3))))
 
 
-def test_the_advice_for_a_raw_log_is_no_dead_end(write: Write) -> None:
+def test_advice_for_a_raw_log_can_be_followed(write: Write) -> None:
     """A replay would need the very map that is wanted."""
     with pytest.raises(
-        RecordingError, match="Give a log that a SLAM program has corrected"
-    ) as told:
+        RecordingError, match="Use a log that a SLAM program has corrected"
+    ) as error:
         next(posed_scans(write(*drive(3))))
-    assert "replay" not in str(told.value).removeprefix(str(write()))
+    assert "replay" not in str(error.value).removeprefix(str(write()))
 
 
 def pose_at(stamps: Sequence[int], poses: Array, stamp: int) -> tuple[float, float, float]:
@@ -286,7 +286,7 @@ def pose_at(stamps: Sequence[int], poses: Array, stamp: int) -> tuple[float, flo
     ("log", "begin_s", "end_s"),
     [(FR079, 1513.6, 1519.4), (FR079, 2199.4, 2201.4), (FR101, 158.5, 170.0), (FR101, 800, 820)],
 )
-def test_odometry_moves_as_the_corrected_poses_do(log: Path, begin_s: float, end_s: float) -> None:
+def test_odometry_moves_like_the_corrected_poses(log: Path, begin_s: float, end_s: float) -> None:
     """In the first two stretches the robot drives backwards; in the others odometry is reset."""
     recording = CarmenRecording(log)
     odometry, truth = recording.odometry(), recording.truth()

@@ -1,4 +1,4 @@
-"""Data sets of any number and robot are read; damaged ones are refused by name, line and remedy."""
+"""MRCLAM data sets of any number and robot; damaged ones are rejected with file and line."""
 
 import gzip
 import shutil
@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cairn.components.replay.mrclam_files import Dataset
+from cairn.components.replay.mrclam import MrclamDataset
 from cairn.components.replay.recording import RecordingError
 
 pytestmark = pytest.mark.slow
@@ -28,11 +28,11 @@ def copy(dataset: Path, tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize("robot", [2, 5])
-def test_a_whole_recording_is_read(dataset: Path, robot: int) -> None:
-    recording = Dataset(dataset)
+def test_complete_recording_is_read(dataset: Path, robot: int) -> None:
+    recording = MrclamDataset(dataset)
 
     odometry = recording.odometry(robot)
-    sightings = recording.sightings(robot)
+    sightings = recording.observations(robot)
 
     assert odometry.shape[1] == 3
     assert len(odometry) > 60_000
@@ -47,60 +47,60 @@ def test_a_whole_recording_is_read(dataset: Path, robot: int) -> None:
 
 
 def test_windows_line_ends_comments_and_blank_lines_change_nothing(copy: Path) -> None:
-    before = Dataset(copy).odometry(2)
+    before = MrclamDataset(copy).odometry(2)
     path = copy / "Robot2_Odometry.dat"
     text = path.read_text().replace("\n", "\r\n")
     path.write_bytes((text + "\r\n# the end\r\n\r\n").encode())
 
-    assert np.array_equal(Dataset(copy).odometry(2), before)
+    assert np.array_equal(MrclamDataset(copy).odometry(2), before)
 
 
 @pytest.mark.parametrize(
-    ("line", "complaint"),
+    ("line", "message"),
     [
-        ("1248444189.9 0.1", "2 columns where 3 belong"),
+        ("1248444189.9 0.1", "2 columns instead of 3"),
         ("1248444189.9 0.1 fast", "not a number"),
         ("1248444189.9 nan 0.1", "not a finite number"),
         ("1248444100.0 0.1 0.1", "time runs backwards, from 1248444190."),
     ],
 )
-def test_a_damaged_line_is_named(copy: Path, line: str, complaint: str) -> None:
+def test_damaged_line_is_named(copy: Path, line: str, message: str) -> None:
     path = copy / "Robot2_Odometry.dat"
     path.write_text(path.read_text() + line + "\n")
 
     with pytest.raises(RecordingError) as refused:
-        Dataset(copy).odometry(2)
+        MrclamDataset(copy).odometry(2)
 
-    assert f"{path}, line 61: {complaint}" in str(refused.value)
+    assert f"{path}, line 61: {message}" in str(refused.value)
     assert "take a fresh copy" in str(refused.value)
 
 
-def test_a_gzip_file_that_was_cut_off_is_named(dataset: Path, copy: Path) -> None:
+def test_cut_off_gzip_file_is_named(dataset: Path, copy: Path) -> None:
     (copy / "Robot2_Odometry.dat").unlink()
     whole = (dataset / "Robot2_Odometry.dat.gz").read_bytes()
     (copy / "Robot2_Odometry.dat.gz").write_bytes(whole[: len(whole) // 2])
 
     with pytest.raises(RecordingError, match=r"Robot2_Odometry.dat.gz, line \d+: the gzip stream"):
-        Dataset(copy).odometry(2)
+        MrclamDataset(copy).odometry(2)
 
 
 @pytest.mark.parametrize("content", [b"", b"# only a comment\n"])
-def test_an_empty_file_is_named(copy: Path, content: bytes) -> None:
+def test_empty_file_is_named(copy: Path, content: bytes) -> None:
     (copy / "Robot2_Measurement.dat").write_bytes(content)
 
     with pytest.raises(RecordingError, match=r"Robot2_Measurement.dat holds no record"):
-        Dataset(copy).sightings(2)
+        MrclamDataset(copy).observations(2)
 
 
-def test_a_binary_file_is_no_data_set(copy: Path) -> None:
+def test_binary_file_is_rejected(copy: Path) -> None:
     (copy / "Barcodes.dat").write_bytes(b"\x89PNG\r\n\xff\xfe")
 
     with pytest.raises(RecordingError, match=r"Barcodes.dat, line 1: not a text file"):
-        Dataset(copy).subjects()
+        MrclamDataset(copy).subjects()
 
 
 @pytest.mark.parametrize(
-    ("name", "record", "told"),
+    ("name", "record", "message"),
     [
         ("Measurement", "1248444999.0 63 -1.0 0.1", r"range \[m\] is -1, not from 1e-06 to 10000"),
         ("Measurement", "1248444999.0 6.5 1.0 0.1", r"barcode 6.5 is not a whole number"),
@@ -110,28 +110,30 @@ def test_a_binary_file_is_no_data_set(copy: Path) -> None:
         ("Odometry", "1248448000.0 1e300 0.0", r"forward \[m/s\] is 1e\+300, not from -100 to 100"),
     ],
 )
-def test_a_number_that_cannot_be_is_refused_with_its_line(
-    copy: Path, name: str, record: str, told: str
+def test_impossible_number_is_rejected_with_its_line(
+    copy: Path, name: str, record: str, message: str
 ) -> None:
     path = copy / f"Robot2_{name}.dat"
     text = path.read_text()
     path.write_text(f"{text}{record}\n")
 
     with pytest.raises(
-        RecordingError, match=rf"{path.name}, line {text.count(chr(10)) + 1}: {told}"
+        RecordingError, match=rf"{path.name}, line {text.count(chr(10)) + 1}: {message}"
     ):
-        Dataset(copy).span(2)
+        MrclamDataset(copy).span(2)
 
 
-def test_files_of_different_runs_are_refused(copy: Path) -> None:
+def test_files_of_different_runs_are_rejected(copy: Path) -> None:
     (copy / "Robot2_Measurement.dat").write_text("100.0 63 1.0 0.1\n")
 
-    with pytest.raises(RecordingError, match="the files are not of one run"):
-        Dataset(copy).span(2)
+    with pytest.raises(RecordingError, match="the files are not from one run"):
+        MrclamDataset(copy).span(2)
 
 
-def test_a_missing_robot_or_folder_is_told_with_what_is_there(copy: Path, tmp_path: Path) -> None:
+def test_missing_robot_or_folder_is_named_with_the_existing_files(
+    copy: Path, tmp_path: Path
+) -> None:
     with pytest.raises(RecordingError, match=r"neither Robot4_Odometry.dat nor .*Barcodes.dat"):
-        Dataset(copy).odometry(4)
+        MrclamDataset(copy).odometry(4)
     with pytest.raises(RecordingError, match="no such folder"):
-        Dataset(tmp_path / "nowhere").odometry(2)
+        MrclamDataset(tmp_path / "nowhere").odometry(2)

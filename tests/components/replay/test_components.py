@@ -1,4 +1,4 @@
-"""The drivers replay any recording at its recorded times, whole or in part."""
+"""Replay components publish any recording at its recorded times, completely or in part."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -10,13 +10,15 @@ import yaml
 
 from cairn import SECOND, Qos, to_ns
 from cairn.components.replay.carmen import CarmenRecording
-from cairn.components.replay.clock import ReplayClock
-from cairn.components.replay.formats import open_recording
-from cairn.components.replay.odometry import ReplayOdometry
+from cairn.components.replay.components import (
+    ReplayOdometry,
+    ReplayRecognizer,
+    ReplayScanner,
+    ReplayTruth,
+)
+from cairn.components.replay.open_recording import open_recording
+from cairn.components.replay.pacing import ReplayClock
 from cairn.components.replay.recording import RecordingError
-from cairn.components.replay.scanner import ReplayScanner
-from cairn.components.replay.sightings import ReplaySightings
-from cairn.components.replay.truth import ReplayTruth
 from cairn.deployment.load import load_deployment
 from cairn.placement.lockstep import LockstepRun
 from cairn.process_exit import ExitReport
@@ -47,7 +49,7 @@ def test_scans_are_published_at_their_recorded_times(stage: StageOf) -> None:
     assert np.array_equal(sent[3].ranges, scans.messages[3].ranges, equal_nan=True)
 
 
-def test_a_bag_without_odometry_replays_its_scans_and_says_so(
+def test_bag_without_odometry_replays_its_scans_with_a_warning(
     stage: StageOf, caplog: pytest.LogCaptureFixture
 ) -> None:
     first, _ = open_recording(LEGS).span()
@@ -63,23 +65,23 @@ def test_a_bag_without_odometry_replays_its_scans_and_says_so(
     assert f"{LEGS} holds no odometry: nothing to replay" in [r.message for r in caplog.records]
 
 
-def test_a_laser_recording_has_no_sightings(
+def test_laser_recording_has_no_observations(
     stage: StageOf, caplog: pytest.LogCaptureFixture
 ) -> None:
-    it = stage(ReplaySightings, 158.0, recording=str(FR101)).begin()
+    it = stage(ReplayRecognizer, 158.0, recording=str(FR101)).begin()
 
     it.wait(1.0)
 
     assert it.taken("objects") == []
-    assert any("holds no sightings of landmarks" in r.message for r in caplog.records)
+    assert any("holds no observations of landmarks" in r.message for r in caplog.records)
 
 
-def test_what_was_assumed_of_a_recording_is_logged(
+def test_assumptions_about_a_recording_are_logged(
     stage: StageOf, caplog: pytest.LogCaptureFixture
 ) -> None:
     stage(ReplayClock, 0.0, recording=str(FR079)).begin()
 
-    assert any("of driving backwards as ahead" in r.message for r in caplog.records)
+    assert any("of driving backwards as forward" in r.message for r in caplog.records)
 
 
 def test_corrected_poses_are_replayed_as_truth(stage: StageOf) -> None:
@@ -97,7 +99,7 @@ def test_corrected_poses_are_replayed_as_truth(stage: StageOf) -> None:
 
 
 @pytest.mark.parametrize("driver", [ReplayOdometry, ReplayScanner, ReplayTruth])
-def test_a_part_of_a_recording_is_replayed(stage: StageOf, driver: Any) -> None:
+def test_part_of_a_recording_is_replayed(stage: StageOf, driver: Any) -> None:
     port = {ReplayOdometry: "odom", ReplayScanner: "scan", ReplayTruth: "truth"}[driver]
     it = stage(driver, BEGIN + 499.0, recording=str(FR079), begin_s=500.0, end_s=503.0).begin()
 
@@ -109,7 +111,7 @@ def test_a_part_of_a_recording_is_replayed(stage: StageOf, driver: Any) -> None:
     assert stamps[-1] == pytest.approx(502.8, abs=0.3)
 
 
-def test_the_clock_runs_over_the_part_that_is_replayed(stage: StageOf) -> None:
+def test_clock_runs_over_the_replayed_part(stage: StageOf) -> None:
     it = stage(
         ReplayClock, 50.0, recording=str(FR101), begin_s=100.0, end_s=110.0, rate=10.0
     ).begin()
@@ -123,46 +125,48 @@ def test_the_clock_runs_over_the_part_that_is_replayed(stage: StageOf) -> None:
     assert it.ends == [ExitReport(True, "the recording is at its end")]
 
 
-def test_a_part_that_lies_behind_the_end_is_refused(stage: StageOf) -> None:
+def test_part_after_the_end_is_rejected(stage: StageOf) -> None:
     it = stage(ReplayScanner, 0.0, recording=str(FR101), begin_s=2000.0)
 
-    with pytest.raises(RecordingError, match=r"nothing is left .* the recording is 923.6 s long"):
+    with pytest.raises(
+        RecordingError, match=r"there is nothing to replay .* the recording is 923.6 s long"
+    ):
         it.runtime.component.on_configure()
 
 
-def test_a_data_set_of_several_robots_wants_a_robots_number(dataset: Path) -> None:
-    with pytest.raises(RecordingError, match="of several robots: give `robot`, 1 to 5"):
+def test_data_set_of_several_robots_needs_a_robot_number(dataset: Path) -> None:
+    with pytest.raises(RecordingError, match="of several robots; set `robot`, 1 to 5"):
         open_recording(dataset)
 
 
 @pytest.mark.parametrize(
-    ("content", "told"),
+    ("content", "message"),
     [
-        (b"\x89PNG\r\n\x1a\n", "is no recording that can be read .it begins with b'.x89PNG"),
-        (b"hello world\n", "is no recording that can be read"),
-        (b"", "is no recording that can be read"),
+        (b"\x89PNG\r\n\x1a\n", "is not a recording that can be read .it starts with b'.x89PNG"),
+        (b"hello world\n", "is not a recording that can be read"),
+        (b"", "is not a recording that can be read"),
         (b"\x1f\x8bcut", "line 1: the gzip stream is broken"),
     ],
 )
-def test_what_is_no_recording_is_refused_with_what_is_one(
-    tmp_path: Path, content: bytes, told: str
+def test_unknown_file_is_rejected_with_the_known_formats(
+    tmp_path: Path, content: bytes, message: str
 ) -> None:
     path = tmp_path / "thing"
     path.write_bytes(content)
 
-    with pytest.raises(RecordingError, match=told):
+    with pytest.raises(RecordingError, match=message):
         open_recording(path)
 
 
-def test_a_missing_recording_and_a_wrong_folder_are_told(tmp_path: Path) -> None:
-    with pytest.raises(RecordingError, match=r"no such file or folder. Give an MRCLAM folder"):
+def test_missing_recording_and_wrong_folder_are_rejected(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match=r"no such file or folder; use an MRCLAM folder"):
         open_recording(tmp_path / "nowhere")
     (tmp_path / "notes.txt").write_text("x")
-    with pytest.raises(RecordingError, match=r"is no recording .it holds: notes.txt"):
+    with pytest.raises(RecordingError, match=r"is not a recording .it holds: notes.txt"):
         open_recording(tmp_path)
 
 
-def test_a_whole_replay_in_lockstep_from_time_zero(write: Write, tmp_path: Path) -> None:
+def test_complete_replay_in_lockstep_from_time_zero(write: Write, tmp_path: Path) -> None:
     """A log may begin at time 0, which is when simulated clocks stand."""
     log = str(write(*(odom(k / 10, k / 10) for k in range(31))))
     page = {
@@ -171,11 +175,11 @@ def test_a_whole_replay_in_lockstep_from_time_zero(write: Write, tmp_path: Path)
         "clock": "simulated",
         "components": {
             "base": {
-                "plugin": "components.replay.odometry:ReplayOdometry",
+                "plugin": "components.replay.components:ReplayOdometry",
                 "parameters": {"recording": log},
             },
             "clock": {
-                "plugin": "components.replay.clock:ReplayClock",
+                "plugin": "components.replay.pacing:ReplayClock",
                 "parameters": {"recording": log, "rate": 10.0},
                 "topics": {"time": "clock"},
                 "significant": True,

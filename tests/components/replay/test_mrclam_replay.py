@@ -9,12 +9,9 @@ import numpy as np
 import pytest
 
 from cairn import SECOND, from_ns, to_ns
-from cairn.components.replay.clock import ReplayClock
-from cairn.components.replay.dead_reckoning import reckon
-from cairn.components.replay.mrclam_files import Dataset
-from cairn.components.replay.odometry import ReplayOdometry
-from cairn.components.replay.sightings import ReplaySightings
-from cairn.components.replay.truth import ReplayTruth
+from cairn.components.replay.components import ReplayOdometry, ReplayRecognizer, ReplayTruth
+from cairn.components.replay.mrclam import MrclamDataset, integrate_commands
+from cairn.components.replay.pacing import ReplayClock
 from cairn.process_exit import ExitReport
 from cairn.schemas.rosgraph_msgs import Clock
 
@@ -25,7 +22,7 @@ StageOf = Callable[..., Any]
 
 
 def test_odometry_is_published_at_its_recorded_time(stage: StageOf, dataset: Path) -> None:
-    rows = Dataset(dataset).odometry(2)
+    rows = MrclamDataset(dataset).odometry(2)
     it = stage(ReplayOdometry, rows[0, 0], recording=str(dataset), robot=2).begin()
 
     it.wait(5.0)
@@ -37,10 +34,10 @@ def test_odometry_is_published_at_its_recorded_time(stage: StageOf, dataset: Pat
     assert [o.twist.twist.angular.z for o in sent] == due[:, 2].tolist()
 
 
-def test_a_driver_started_anew_skips_what_passed_and_keeps_its_odometry_frame(
+def test_restarted_component_skips_past_records_and_keeps_its_frame(
     stage: StageOf, dataset: Path
 ) -> None:
-    rows = Dataset(dataset).odometry(2)
+    rows = MrclamDataset(dataset).odometry(2)
     at = rows[0, 0] + 300.0
     it = stage(ReplayOdometry, at, recording=str(dataset), robot=2).begin()
 
@@ -49,16 +46,16 @@ def test_a_driver_started_anew_skips_what_passed_and_keeps_its_odometry_frame(
     first = it.taken("odom")[0]
     index = int(np.searchsorted(rows[:, 0], at - 0.5))
     assert to_ns(first.header.stamp) / SECOND == pytest.approx(rows[index, 0])
-    assert first.pose.pose.position.x == pytest.approx(reckon(rows).poses[index, 0])
+    assert first.pose.pose.position.x == pytest.approx(integrate_commands(rows).poses[index, 0])
     assert math.sqrt(first.pose.covariance[0]) > 1.0
 
 
-def test_sightings_of_one_time_make_one_message_without_robots(
+def test_observations_of_one_time_make_one_message_without_robots(
     stage: StageOf, dataset: Path
 ) -> None:
-    seen = Dataset(dataset).sightings(5)
-    subjects = Dataset(dataset).subjects()
-    it = stage(ReplaySightings, seen.time[0], recording=str(dataset), robot=5).begin()
+    seen = MrclamDataset(dataset).observations(5)
+    subjects = MrclamDataset(dataset).subjects()
+    it = stage(ReplayRecognizer, seen.time[0], recording=str(dataset), robot=5).begin()
 
     it.wait(60.0)
 
@@ -73,24 +70,24 @@ def test_sightings_of_one_time_make_one_message_without_robots(
     assert [o.object_id for m in messages for o in m.objects] == [subject for _, subject in due]
 
 
-def test_an_unknown_barcode_is_told_once_and_ignored(
+def test_unknown_barcode_is_warned_of_once_and_ignored(
     stage: StageOf, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     (tmp_path / "Barcodes.dat").write_text("6 63\n")
     records = "".join(f"{100 + k}.0 {code} 2.0 0.1\n" for k, code in enumerate([63, 99, 99, 63]))
     (tmp_path / "Robot1_Measurement.dat").write_text(records)
-    it = stage(ReplaySightings, 100.0, recording=str(tmp_path), robot=1).begin()
+    it = stage(ReplayRecognizer, 100.0, recording=str(tmp_path), robot=1).begin()
 
     it.wait(10.0)
 
     assert [m.objects[0].object_id for m in it.taken("objects")] == [6, 6]
     assert [r.message for r in caplog.records if "barcode" in r.message] == [
-        "barcode 99 is not in Barcodes.dat: ignored"
+        "barcode 99 is not in Barcodes.dat: its observations are ignored"
     ]
 
 
-def test_truth_is_thinned_and_the_surveyed_map_told(stage: StageOf, dataset: Path) -> None:
-    first, _ = Dataset(dataset).span(2)
+def test_truth_is_thinned_and_the_surveyed_map_published(stage: StageOf, dataset: Path) -> None:
+    first, _ = MrclamDataset(dataset).span(2)
     it = stage(ReplayTruth, first, recording=str(dataset), robot=2).begin()
 
     it.wait(10.0)
@@ -100,10 +97,8 @@ def test_truth_is_thinned_and_the_surveyed_map_told(stage: StageOf, dataset: Pat
     assert {o.object_id for o in surveyed.objects} == set(range(6, 21))
 
 
-def test_the_clock_runs_at_its_rate_to_the_end_of_the_recording(
-    stage: StageOf, dataset: Path
-) -> None:
-    first, last = Dataset(dataset).span(2)
+def test_clock_runs_at_its_rate_to_the_end_of_the_recording(stage: StageOf, dataset: Path) -> None:
+    first, last = MrclamDataset(dataset).span(2)
     it = stage(ReplayClock, 1000.0, recording=str(dataset), robot=2, rate=100.0, tick_s=0.5).begin()
 
     it.wait(0.5 + (last - first) / 100.0 + 0.1)
@@ -115,10 +110,8 @@ def test_the_clock_runs_at_its_rate_to_the_end_of_the_recording(
     assert it.ends == [ExitReport(True, "the recording is at its end")]
 
 
-def test_a_clock_started_anew_goes_on_where_the_replay_stands(
-    stage: StageOf, dataset: Path
-) -> None:
-    first, _ = Dataset(dataset).span(2)
+def test_restarted_clock_continues_where_the_replay_is(stage: StageOf, dataset: Path) -> None:
+    first, _ = MrclamDataset(dataset).span(2)
     it = stage(ReplayClock, 1000.0, recording=str(dataset), robot=2, rate=10.0).begin()
     reached = round((first + 200.0) * SECOND)
     it.give("reached", Clock(clock=from_ns(reached)))

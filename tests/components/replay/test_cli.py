@@ -8,32 +8,34 @@ import pytest
 from PIL import Image
 
 from cairn import SECOND
-from cairn.components.replay.pictures import rough_map
-from cairn.components.replay.recording import Odometry, Scans
+from cairn.components.replay.cli import rough_map
+from cairn.components.replay.recording import OdometryStream, ScanStream
 from cairn.schemas.sensor_msgs import LaserScan
 from tests.commands import cairn
 from tests.components.replay.conftest import FR079, LEGS, OLD_BAG, Write, flaser, odom
-from tests.components.replay.test_bags import Messages, odometry, ros2, scan
+from tests.components.replay.test_ros_bag import Messages, odometry, ros2, scan
 
 pytestmark = pytest.mark.slow
 
 
 @pytest.mark.parametrize(("file", "count"), [(LEGS, 121), (OLD_BAG, 20)])
-def test_a_bag_of_a_urg_is_told_with_its_scanner(file: Path, count: int) -> None:
-    told = cairn("recording", "show", str(file), "--json").json
+def test_bag_of_a_urg_is_shown_with_its_scanner(file: Path, count: int) -> None:
+    shown = cairn("recording", "show", str(file), "--json").json
 
-    (stream,) = told["streams"]
+    (stream,) = shown["streams"]
     assert (stream["replayed_as"], stream["topic"]) == ("scan", "/scan")
     assert (stream["type"], stream["count"]) == ("sensor_msgs/msg/LaserScan", count)
     assert stream["rate_hz"] == pytest.approx(10.0, abs=0.1)
     assert stream["span_s"] == pytest.approx((count - 1) / 10.0, abs=0.1)
-    assert told["scanner"]["beams"] == 512
-    assert told["scanner"]["last_deg"] - told["scanner"]["first_deg"] == pytest.approx(179.6, abs=1)
-    assert told["scanner"]["range_max_m"] == pytest.approx(5.6)
-    assert (told["odometry"], told["true_poses"]) == (False, False)
+    assert shown["scanner"]["beams"] == 512
+    assert shown["scanner"]["last_deg"] - shown["scanner"]["first_deg"] == pytest.approx(
+        179.6, abs=1
+    )
+    assert shown["scanner"]["range_max_m"] == pytest.approx(5.6)
+    assert (shown["odometry"], shown["true_poses"]) == (False, False)
 
 
-def test_the_table_names_streams_and_what_is_missing() -> None:
+def test_table_names_streams_and_missing_ones() -> None:
     answer = cairn("recording", "show", str(LEGS))
 
     assert "scan         /scan  sensor_msgs/msg/LaserScan    121     11.96      10.03" in answer.out
@@ -41,16 +43,16 @@ def test_the_table_names_streams_and_what_is_missing() -> None:
     assert "odometry: none\ntrue poses: none\n" in answer.out
 
 
-def test_a_corrected_log_has_odometry_and_true_poses() -> None:
-    told = cairn("recording", "show", str(FR079), "--json").json
+def test_corrected_log_has_odometry_and_true_poses() -> None:
+    shown = cairn("recording", "show", str(FR079), "--json").json
 
-    kinds = {row["replayed_as"]: (row["topic"], row["count"]) for row in told["streams"]}
+    kinds = {row["replayed_as"]: (row["topic"], row["count"]) for row in shown["streams"]}
     assert kinds == {"odom": ("ODOM", 8951), "scan": ("FLASER", 2765), "truth": ("FLASER", 2765)}
-    assert (told["odometry"], told["true_poses"]) == (True, True)
-    assert any("driving backwards" in note for note in told["notes"])
+    assert (shown["odometry"], shown["true_poses"]) == (True, True)
+    assert any("driving backwards" in note for note in shown["notes"])
 
 
-def test_a_data_set_without_scanner_is_told_and_drawn(dataset: Path, tmp_path: Path) -> None:
+def test_data_set_without_scanner_is_shown_and_drawn(dataset: Path, tmp_path: Path) -> None:
     picture = tmp_path / "way.png"
 
     answer = cairn("recording", "show", str(dataset), "--robot", "2", "--out", str(picture))
@@ -59,7 +61,7 @@ def test_a_data_set_without_scanner_is_told_and_drawn(dataset: Path, tmp_path: P
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
-def test_topics_that_are_not_replayed_are_counted_and_truth_can_be_named(tmp_path: Path) -> None:
+def test_other_topics_are_counted_and_truth_can_be_named(tmp_path: Path) -> None:
     messages: Messages = [
         ("/scan", SECOND, scan(1.0)),
         ("/odom", SECOND, odometry(1.0, 0.0)),
@@ -67,28 +69,28 @@ def test_topics_that_are_not_replayed_are_counted_and_truth_can_be_named(tmp_pat
     ]
     path = ros2(tmp_path / "run", messages)
 
-    told = cairn("recording", "show", str(path), "--json").json
-    kinds = {row["topic"]: (row["replayed_as"], row["count"]) for row in told["streams"]}
+    shown = cairn("recording", "show", str(path), "--json").json
+    kinds = {row["topic"]: (row["replayed_as"], row["count"]) for row in shown["streams"]}
     assert kinds == {"/mocap": (None, 1), "/odom": ("odom", 1), "/scan": ("scan", 1)}
-    assert told["true_poses"] is False
+    assert shown["true_poses"] is False
 
-    told = cairn("recording", "show", str(path), "--truth", "/mocap", "--json").json
-    assert told["true_poses"] is True
+    shown = cairn("recording", "show", str(path), "--truth", "/mocap", "--json").json
+    assert shown["true_poses"] is True
 
 
-def test_of_several_topics_one_is_asked_for_and_taken(tmp_path: Path) -> None:
+def test_one_of_several_topics_must_be_named(tmp_path: Path) -> None:
     path = ros2(tmp_path / "run", [("/front", SECOND, scan(1.0)), ("/rear", SECOND, scan(1.0))])
 
     refused = cairn("recording", "show", str(path))
     assert refused.code == 1
     assert "several topics" in refused.err
     assert "--scan" in refused.err
-    told = cairn("recording", "show", str(path), "--scan", "/rear", "--json").json
-    kinds = {row["topic"]: row["replayed_as"] for row in told["streams"]}
+    shown = cairn("recording", "show", str(path), "--scan", "/rear", "--json").json
+    kinds = {row["topic"]: row["replayed_as"] for row in shown["streams"]}
     assert kinds == {"/front": None, "/rear": "scan"}
 
 
-def test_the_picture_has_scans_and_with_odometry_a_map_beside(write: Write, tmp_path: Path) -> None:
+def test_drawing_has_scans_and_with_odometry_a_map(write: Write, tmp_path: Path) -> None:
     log = write(odom(1.0, 0.0), odom(2.0, 0.5), flaser(1.5, 0.25))
     alone, both = tmp_path / "alone.png", tmp_path / "both.png"
 
@@ -100,12 +102,14 @@ def test_the_picture_has_scans_and_with_odometry_a_map_beside(write: Write, tmp_
     assert two[0] > 1.8 * one[0]
 
 
-def test_scans_are_placed_where_odometry_has_the_robot_at_their_time() -> None:
+def test_scans_are_transformed_by_the_odometry_at_their_time() -> None:
     """A post at (3, 1), seen between two records of a robot that drives on and turns."""
     poses = np.array([[0.0, 1.0, 0.0], [2.0, 1.0, 0.0], [3.0, 0.0, 3.1], [3.0, 0.0, -3.1]])
-    odometry = Odometry([0, 2 * SECOND, 3 * SECOND, 4 * SECOND], poses, np.zeros(0), np.zeros(0))
+    odometry = OdometryStream(
+        [0, 2 * SECOND, 3 * SECOND, 4 * SECOND], poses, np.zeros(0), np.zeros(0)
+    )
     seen = [(0, 0.0, 3.0), (1, 0.0, 2.0), (2, 0.0, 1.0), (3.5, -0.5 * math.pi, 1.0), (5, 0.0, 1.0)]
-    scans = Scans(
+    scans = ScanStream(
         [round(at * SECOND) for at, _, _ in seen],
         [
             LaserScan(
@@ -121,7 +125,7 @@ def test_scans_are_placed_where_odometry_has_the_robot_at_their_time() -> None:
     assert points == pytest.approx(np.array([[3.0, 1.0]] * 4), abs=1e-6)  # the last is too late
 
 
-def test_a_picture_that_cannot_be_written_is_told(tmp_path: Path) -> None:
+def test_unwritable_drawing_is_an_error(tmp_path: Path) -> None:
     answer = cairn("recording", "show", str(LEGS), "--out", str(tmp_path / "picture.xyz"))
 
     assert answer.code == 1

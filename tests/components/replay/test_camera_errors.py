@@ -1,4 +1,4 @@
-"""What cannot be replayed as a camera is refused in words."""
+"""Recordings that cannot be replayed as a camera are rejected with a remedy."""
 
 from pathlib import Path
 from typing import Any
@@ -7,7 +7,7 @@ import pytest
 
 from cairn import CairnError
 from cairn.components.replay.camera import ReplayCamera
-from tests.components.replay.pictures import StageOf, calibrations, pairs, save, video
+from tests.components.replay.image_recordings import StageOf, calibrations, pairs, save, video
 
 pytestmark = pytest.mark.images
 
@@ -73,17 +73,17 @@ def broken(tmp_path: Path, what: str) -> tuple[Path, dict[str, Any]]:
 
 
 @pytest.mark.parametrize(
-    ("what", "told"),
+    ("what", "message"),
     [
-        ("no times", "nothing tells when its images were taken: give image_rate_hz"),
-        ("times run back", r"1.png was taken at 1.000000 s, not after 0.png, at 2.000000 s"),
-        ("two at one time", r"b_1700000000123.png was taken at .* not after a_1700000000123.png"),
+        ("no times", "the times of its images are unknown: set image_rate_hz"),
+        ("times run back", r"1.png has time 1.000000 s, not after 0.png with 2.000000 s"),
+        ("two at one time", r"b_1700000000123.png has time .* not after a_1700000000123.png"),
         ("too few times", r"times.txt has 1 times, but there are 2 images"),
-        ("no time", r"times.txt, line 1: soon is no time in seconds"),
+        ("no time", r"times.txt, line 1: soon is not a time in seconds"),
         ("sizes", r"1.png is 64 x 48 pixels, but .*0.png is 320 x 240"),
         ("no image", r"1.png cannot be read as an image"),
-        ("no pairs", "no left image belongs to a right one"),
-        ("calibrated at another size", r"left.yaml is of images of 320 x 240 .* are 640 x 480"),
+        ("no pairs", "no left image has a right one"),
+        ("calibrated at another size", r"left.yaml is for images of 320 x 240 .* are 640 x 480"),
         ("two calibrations for one camera", "holds images of one camera only, but right_cal"),
         ("swapped", "left and right are swapped"),
         ("side by side of pairs", "side_by_side = true, but there are images of both cameras"),
@@ -92,11 +92,11 @@ def broken(tmp_path: Path, what: str) -> tuple[Path, dict[str, Any]]:
         ("videos of two sizes", r"right.avi is 640 x 240 pixels, but .*left.avi is 320 x 240"),
     ],
 )
-def test_what_cannot_be_replayed_is_refused(
-    stage: StageOf, tmp_path: Path, what: str, told: str
+def test_unusable_images_are_rejected(
+    stage: StageOf, tmp_path: Path, what: str, message: str
 ) -> None:
     path, parameters = broken(tmp_path, what)
     it = stage(ReplayCamera, 0.0, recording=str(path), **parameters)
 
-    with pytest.raises(CairnError, match=told):
+    with pytest.raises(CairnError, match=message):
         it.runtime.component.on_configure()

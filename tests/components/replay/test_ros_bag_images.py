@@ -9,29 +9,29 @@ import numpy as np
 import pytest
 
 from cairn import SECOND
-from cairn.components.replay.formats import open_recording
+from cairn.components.replay.open_recording import open_recording
 from cairn.components.replay.recording import RecordingError
 from tests.cairn.vision.cameras import HEIGHT, WIDTH
-from tests.components.replay.pictures import (
+from tests.components.replay.image_recordings import (
     StageOf,
-    picture,
+    numbered_image,
     replayed,
     shade,
 )
-from tests.components.replay.test_bags import BEGIN, STORE, Messages, header, odometry, of, ros2
+from tests.components.replay.test_ros_bag import BEGIN, STORE, Messages, header, odometry, of, ros2
 
 pytestmark = pytest.mark.images
 
 
 def image(t: float, shade: int, **changes: Any) -> Any:
-    told = {"height": HEIGHT, "width": WIDTH, "encoding": "bgr8", "is_bigendian": 0}
-    data = np.repeat(picture(shade).ravel(), 3)
-    told |= {"step": 3 * WIDTH, "data": data, **changes}
-    return of(STORE, "sensor_msgs/msg/Image", header=header(t, "camera"), **told)
+    fields = {"height": HEIGHT, "width": WIDTH, "encoding": "bgr8", "is_bigendian": 0}
+    data = np.repeat(numbered_image(shade).ravel(), 3)
+    fields |= {"step": 3 * WIDTH, "data": data, **changes}
+    return of(STORE, "sensor_msgs/msg/Image", header=header(t, "camera"), **fields)
 
 
 def compressed(t: float, shade: int) -> Any:
-    data = np.frombuffer(cv2.imencode(".png", picture(shade))[1].tobytes(), np.uint8)
+    data = np.frombuffer(cv2.imencode(".png", numbered_image(shade))[1].tobytes(), np.uint8)
     return of(
         STORE,
         "sensor_msgs/msg/CompressedImage",
@@ -65,7 +65,7 @@ def test_images_of_a_bag_are_replayed_in_pairs(
 
 
 @pytest.mark.parametrize("which", [0, 1])
-def test_a_compressed_image_that_is_cut_short_is_left_out(
+def test_truncated_compressed_image_is_left_out(
     stage: StageOf, tmp_path: Path, caplog: pytest.LogCaptureFixture, which: int
 ) -> None:
     shades = [10, 20, 30]
@@ -85,7 +85,7 @@ def test_a_compressed_image_that_is_cut_short_is_left_out(
 
 
 @pytest.mark.parametrize("changes", [{"step": 3 * WIDTH + 1}, {"encoding": "mono64"}])
-def test_an_image_that_cannot_be_is_left_out(
+def test_invalid_image_is_left_out(
     stage: StageOf, tmp_path: Path, caplog: pytest.LogCaptureFixture, changes: dict[str, Any]
 ) -> None:
     odd = image(BEGIN + 0.2, 20, **changes)
@@ -99,7 +99,7 @@ def test_an_image_that_cannot_be_is_left_out(
     assert any("topic /image, image 2: " in record.message for record in caplog.records)
 
 
-def test_images_of_another_clock_are_replayed_when_they_were_got(tmp_path: Path) -> None:
+def test_images_with_stamps_of_another_clock_use_times_of_receipt(tmp_path: Path) -> None:
     messages = [("/image", round((BEGIN + k) * SECOND), image(0.5 + k, 10)) for k in range(3)]
 
     recording = open_recording(ros2(tmp_path / "bag", messages))
@@ -107,10 +107,10 @@ def test_images_of_another_clock_are_replayed_when_they_were_got(tmp_path: Path)
     images = recording.images()
     assert images is not None
     assert images.stamps == [round((BEGIN + k) * SECOND) for k in range(3)]
-    assert any("/image are of another clock" in note for note in recording.notes())
+    assert any("/image are from another clock" in note for note in recording.notes())
 
 
-def test_images_that_are_not_later_than_others_are_left_out(tmp_path: Path) -> None:
+def test_images_out_of_order_are_left_out(tmp_path: Path) -> None:
     stamps = [0.0, 0.4, 0.2, 0.4, 0.6]
     messages = [
         ("/image", round((BEGIN + k) * SECOND), image(BEGIN + stamp, 10 + 10 * k))
@@ -126,7 +126,7 @@ def test_images_that_are_not_later_than_others_are_left_out(tmp_path: Path) -> N
     assert "2 images of /image are not later than those before them, left out" in recording.notes()
 
 
-def test_a_bag_of_damaged_images_alone_is_told(tmp_path: Path) -> None:
+def test_bag_of_damaged_images_only_is_rejected(tmp_path: Path) -> None:
     message = compressed(BEGIN, 10)
     message.data = message.data[:-60]
     bag = ros2(tmp_path / "bag", [("/image/compressed", round(BEGIN * SECOND), message)])
@@ -135,7 +135,7 @@ def test_a_bag_of_damaged_images_alone_is_told(tmp_path: Path) -> None:
         open_recording(bag).images()
 
 
-def test_a_bag_with_several_cameras_wants_one_named(
+def test_one_of_several_cameras_must_be_named(
     stage: StageOf, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     topics = ("/front/image", "/back/image")
@@ -151,11 +151,13 @@ def test_a_bag_with_several_cameras_wants_one_named(
     assert nothing.taken("left_image") == []
     assert any("several topics hold images" in r.message for r in caplog.records)
     assert [shade(m) for m in named.taken("left_image")] == [30]
-    with pytest.raises(RecordingError, match="/odom is no topic of images; there are /back/image"):
+    with pytest.raises(
+        RecordingError, match="/odom is not a topic of images; there are /back/image"
+    ):
         open_recording(bag, topics={"left_image": "/odom"})
 
 
-def test_a_recording_without_images_is_told(
+def test_recording_without_images_is_reported(
     stage: StageOf, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     bag = ros2(tmp_path / "bag", [("/odom", BEGIN * SECOND, odometry(BEGIN, 0.0))])

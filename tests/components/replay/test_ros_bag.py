@@ -1,4 +1,4 @@
-"""Bags of ROS 1 and ROS 2 are read alike; what a broken one has lost is told."""
+"""Bags of ROS 1 and ROS 2: their streams, and the recovery of damaged ones."""
 
 import math
 import struct
@@ -14,9 +14,9 @@ from rosbags.rosbag2 import Writer as Ros2Writer
 from rosbags.typesys import Stores, get_typestore
 
 from cairn import SECOND, to_ns
-from cairn.components.replay.bag import BagRecording
-from cairn.components.replay.formats import open_recording
+from cairn.components.replay.open_recording import open_recording
 from cairn.components.replay.recording import RecordingError
+from cairn.components.replay.ros_bag import BagRecording
 from tests.components.replay.conftest import LEGS, OLD_BAG
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
@@ -38,14 +38,17 @@ def header(t: float, frame: str, store: Any = STORE) -> Any:
 
 
 def scan(t: float, store: Any = STORE, **fields: Any) -> Any:
-    told = {
+    values = {
         "angle_min": -1.0, "angle_max": 1.0, "angle_increment": 0.5, "time_increment": 0.0,
         "scan_time": 0.1, "range_min": 0.1, "range_max": 5.0,
         "ranges": np.array([1, 2, 3, math.inf, math.nan], np.float32),
         "intensities": np.zeros(0, np.float32),
     }  # fmt: skip
     return of(
-        store, "sensor_msgs/msg/LaserScan", header=header(t, "base_laser", store), **told | fields
+        store,
+        "sensor_msgs/msg/LaserScan",
+        header=header(t, "base_laser", store),
+        **(values | fields),
     )
 
 
@@ -118,7 +121,7 @@ def drive(count: int = 5) -> Messages:
 
 
 @pytest.mark.parametrize("plugin", list(StoragePlugin))
-def test_scans_and_odometry_of_a_ros2_bag_are_ours(tmp_path: Path, plugin: StoragePlugin) -> None:
+def test_ros2_bag_gives_scans_and_odometry(tmp_path: Path, plugin: StoragePlugin) -> None:
     recording = open_recording(ros2(tmp_path / "bag", drive(), plugin))
 
     scans, wheels = recording.scans(), recording.odometry()
@@ -139,7 +142,9 @@ def test_scans_and_odometry_of_a_ros2_bag_are_ours(tmp_path: Path, plugin: Stora
 @pytest.mark.parametrize(
     ("plugin", "suffix"), [(StoragePlugin.MCAP, ".mcap"), (StoragePlugin.SQLITE3, ".db3")]
 )
-def test_a_bags_bare_file_is_read(tmp_path: Path, plugin: StoragePlugin, suffix: str) -> None:
+def test_file_of_a_bag_without_its_folder_is_read(
+    tmp_path: Path, plugin: StoragePlugin, suffix: str
+) -> None:
     (file,) = ros2(tmp_path / "bag", drive(), plugin).glob(f"*{suffix}")
     bare = file.rename(tmp_path / f"alone{suffix}")
 
@@ -149,7 +154,7 @@ def test_a_bags_bare_file_is_read(tmp_path: Path, plugin: StoragePlugin, suffix:
     assert len(scans.stamps) == 5
 
 
-def test_a_ros1_bag_is_read(tmp_path: Path) -> None:
+def test_ros1_bag_is_read(tmp_path: Path) -> None:
     recording = open_recording(ros1(tmp_path / "run.bag", 3))
 
     scans = recording.scans()
@@ -159,7 +164,7 @@ def test_a_ros1_bag_is_read(tmp_path: Path) -> None:
     assert list(recording.notes()) == []
 
 
-def test_a_real_compressed_ros1_bag_is_read() -> None:
+def test_real_compressed_ros1_bag_is_read() -> None:
     scans = open_recording(LEGS).scans()
 
     assert scans is not None
@@ -168,7 +173,7 @@ def test_a_real_compressed_ros1_bag_is_read() -> None:
     assert np.diff(scans.stamps) / SECOND == pytest.approx(np.full(120, 0.1), abs=0.01)
 
 
-def test_a_bag_of_the_old_format_is_read_in_sequence() -> None:
+def test_bag_of_the_old_format_is_read_in_sequence() -> None:
     recording = open_recording(OLD_BAG)
 
     scans = recording.scans()
@@ -177,7 +182,7 @@ def test_a_bag_of_the_old_format_is_read_in_sequence() -> None:
     assert list(recording.notes()) == []
 
 
-def test_a_ros1_bag_with_a_broken_index_is_read_in_sequence_and_the_loss_told(
+def test_ros1_bag_with_a_broken_index_is_recovered_with_a_note(
     tmp_path: Path,
 ) -> None:
     """As in a bag of scan_tools: the record behind the first chunk claims a wrong length."""
@@ -200,13 +205,13 @@ def test_a_ros1_bag_with_a_broken_index_is_read_in_sequence_and_the_loss_told(
     scans = recording.scans()
     assert scans is not None
     assert len(scans.stamps) == 4
-    told = " ".join(recording.notes())
-    assert "its index is broken" in told
-    assert "read in sequence, 4 messages" in told
-    assert "bytes from byte" in told
+    notes = " ".join(recording.notes())
+    assert "its index is broken" in notes
+    assert "read in sequence, 4 messages" in notes
+    assert "bytes from byte" in notes
 
 
-def test_a_ros1_bag_that_was_cut_off_gives_what_is_whole(tmp_path: Path) -> None:
+def test_cut_off_ros1_bag_gives_its_whole_messages(tmp_path: Path) -> None:
     path = tmp_path / "cut.bag"
     with Ros1Writer(path) as writer:
         writer.chunk_threshold = 1
@@ -227,7 +232,7 @@ def test_a_ros1_bag_that_was_cut_off_gives_what_is_whole(tmp_path: Path) -> None
     assert any("are damaged" in note for note in recording.notes())
 
 
-def test_a_ros1_bag_of_nothing_but_damage_is_refused(tmp_path: Path) -> None:
+def test_ros1_bag_without_readable_messages_is_rejected(tmp_path: Path) -> None:
     path = tmp_path / "wrong.bag"
     path.write_bytes(b"#ROSBAG V2.0\n" + bytes(2000))
 
@@ -235,7 +240,7 @@ def test_a_ros1_bag_of_nothing_but_damage_is_refused(tmp_path: Path) -> None:
         open_recording(path)
 
 
-def test_a_cut_off_mcap_file_is_refused_with_a_remedy(tmp_path: Path) -> None:
+def test_cut_off_mcap_file_is_rejected_with_a_remedy(tmp_path: Path) -> None:
     (file,) = ros2(tmp_path / "bag", drive(), StoragePlugin.MCAP).glob("*.mcap")
     whole = file.read_bytes()
     cut = tmp_path / "cut.mcap"
@@ -245,14 +250,16 @@ def test_a_cut_off_mcap_file_is_refused_with_a_remedy(tmp_path: Path) -> None:
         open_recording(cut)
 
 
-def test_a_misnamed_file_is_told(tmp_path: Path) -> None:
+def test_file_with_a_wrong_suffix_is_rejected(tmp_path: Path) -> None:
     (file,) = ros2(tmp_path / "bag", drive(), StoragePlugin.MCAP).glob("*.mcap")
 
-    with pytest.raises(RecordingError, match=r"is a .mcap file: give it a name that ends in .mcap"):
+    with pytest.raises(
+        RecordingError, match=r"is a .mcap file: rename it so that it ends in .mcap"
+    ):
         open_recording(file.rename(tmp_path / "run.bin"))
 
 
-def test_a_ros1_bag_by_another_name_is_read(tmp_path: Path) -> None:
+def test_ros1_bag_with_another_suffix_is_read(tmp_path: Path) -> None:
     path = ros1(tmp_path / "run.bag", 2).rename(tmp_path / "recording")
 
     scans = open_recording(path).scans()
@@ -261,7 +268,7 @@ def test_a_ros1_bag_by_another_name_is_read(tmp_path: Path) -> None:
     assert len(scans.stamps) == 2
 
 
-def test_odometry_comes_from_transforms_where_there_is_no_topic_of_it(tmp_path: Path) -> None:
+def test_odometry_is_computed_from_transforms_without_an_odometry_topic(tmp_path: Path) -> None:
     messages: Messages = []
     for k in range(5):
         at = BEGIN + k
@@ -278,7 +285,7 @@ def test_odometry_comes_from_transforms_where_there_is_no_topic_of_it(tmp_path: 
     assert any("from the transforms" in note for note in recording.notes())
 
 
-def test_true_poses_are_those_of_the_topic_named(tmp_path: Path) -> None:
+def test_true_poses_are_those_of_the_named_topic(tmp_path: Path) -> None:
     true = of(
         STORE, "geometry_msgs/msg/PoseStamped", header=header(BEGIN, "map"), pose=pose(3.0, 1.0)
     )
@@ -290,13 +297,15 @@ def test_true_poses_are_those_of_the_topic_named(tmp_path: Path) -> None:
     assert truth.poses[0] == pytest.approx([3.0, 0.0, 1.0])
 
 
-def test_one_of_several_scanners_is_to_be_named(tmp_path: Path) -> None:
+def test_one_of_several_scanners_must_be_named(tmp_path: Path) -> None:
     at = BEGIN * SECOND
     bag = ros2(tmp_path / "bag", [("/front", at, scan(BEGIN)), ("/rear", at, scan(BEGIN))])
 
     with pytest.raises(RecordingError, match=r"several topics .* /front, /rear.* topics.scan"):
         open_recording(bag)
-    with pytest.raises(RecordingError, match=r"topics.scan = /left is no topic .* /front, /rear"):
+    with pytest.raises(
+        RecordingError, match=r"topics.scan = /left is not a topic .* /front, /rear"
+    ):
         open_recording(bag, topics={"scan": "left"})
     scans = open_recording(bag, topics={"scan": "/rear"}).scans()
     assert scans is not None
@@ -311,10 +320,10 @@ def test_stamps_of_another_clock_are_replaced_by_times_of_receipt(tmp_path: Path
     scans = recording.scans()
     assert scans is not None
     assert scans.stamps == [(BEGIN + k) * SECOND for k in range(3)]
-    assert any("of another clock" in note for note in recording.notes())
+    assert any("from another clock" in note for note in recording.notes())
 
 
-def test_scans_of_a_bag_that_were_stamped_late_get_their_own_time(tmp_path: Path) -> None:
+def test_scan_delay_is_subtracted_from_the_stamps_of_a_bag(tmp_path: Path) -> None:
     bag = ros2(tmp_path / "bag", drive())
 
     late, own = open_recording(bag).scans(), open_recording(bag, scan_delay_s=0.25).scans()
@@ -326,23 +335,23 @@ def test_scans_of_a_bag_that_were_stamped_late_get_their_own_time(tmp_path: Path
 
 
 @pytest.mark.parametrize(
-    ("fields", "told"),
+    ("fields", "message"),
     [
         ({"angle_max": 3.0}, "angle_max = 3.0"),
         ({"range_min": 0.0, "range_max": 0.0}, "range_max = 0.0: must be above 0 and finite"),
     ],
 )
-def test_a_scan_that_cannot_be_is_told_with_its_file_topic_and_number(
-    tmp_path: Path, fields: dict[str, float], told: str
+def test_invalid_scan_is_rejected_with_file_topic_and_number(
+    tmp_path: Path, fields: dict[str, float], message: str
 ) -> None:
     scans = [scan(BEGIN), scan(BEGIN + 1, **fields)]
     bag = ros2(tmp_path / "bag", [("/scan", (BEGIN + k) * SECOND, m) for k, m in enumerate(scans)])
 
-    with pytest.raises(RecordingError, match=rf"{bag}, topic /scan: message 2: .*{told}"):
+    with pytest.raises(RecordingError, match=rf"{bag}, topic /scan: message 2: .*{message}"):
         open_recording(bag)
 
 
-def test_a_bag_of_other_things_is_refused_with_its_topics(tmp_path: Path) -> None:
+def test_bag_without_usable_topics_is_rejected_with_its_topics(tmp_path: Path) -> None:
     message = of(STORE, "std_msgs/msg/String", data="hello")
     bag = ros2(tmp_path / "bag", [("/chatter", BEGIN * SECOND, message)])
 
@@ -351,7 +360,7 @@ def test_a_bag_of_other_things_is_refused_with_its_topics(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("damage", [lambda p: p.unlink(), lambda p: p.write_bytes(b"SQLite no")])
-def test_a_broken_ros2_bag_is_refused_with_a_remedy(
+def test_broken_ros2_bag_is_rejected_with_a_remedy(
     tmp_path: Path, damage: Callable[[Path], Any]
 ) -> None:
     bag = ros2(tmp_path / "bag", drive())

@@ -1,8 +1,8 @@
-"""Reads a ROS 1 bag from front to back without its index, past what is damaged.
+"""Recovery of ROS 1 bags: reads a bag from start to end without its index, past damaged parts.
 
 Format: wiki.ros.org/Bags/Format/2.0, and 1.2 of the year 2009. A record is a header (length, then
 fields `name=value`, each with its length) and data (length, then bytes); in format 2.0 messages
-lie in chunks of records.
+are in chunks of records.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _TIME = struct.Struct("<II")
 
 
 @dataclass(frozen=True)
-class Connection:
+class BagConnection:
     """A topic of a bag with its message type, `package/Name`, and that type's definition."""
 
     topic: str
@@ -32,15 +32,15 @@ class Connection:
 
 
 @dataclass
-class SequentialBag:
-    """What reading in sequence came upon; complete when the iteration has ended."""
+class SequentialBagReader:
+    """Reads a bag in sequence; `lost` is complete when the iteration has ended."""
 
     path: Path
     lost: list[str] = field(default_factory=list)
-    _connections: dict[bytes, Connection] = field(default_factory=dict)
+    _connections: dict[bytes, BagConnection] = field(default_factory=dict)
 
-    def messages(self) -> Iterator[tuple[Connection, int, bytes]]:
-        """Connection, time of receipt [ns] and serialized bytes of each message in the file."""
+    def messages(self) -> Iterator[tuple[BagConnection, int, bytes]]:
+        """Yield connection, time of receipt [ns] and serialized bytes of each message."""
         try:
             data = self.path.read_bytes()
         except OSError as error:
@@ -48,13 +48,15 @@ class SequentialBag:
         at = data.find(b"\n") + 1
         yield from self._records(data, at, "")
 
-    def _records(self, data: bytes, at: int, where: str) -> Iterator[tuple[Connection, int, bytes]]:
+    def _records(
+        self, data: bytes, at: int, location: str
+    ) -> Iterator[tuple[BagConnection, int, bytes]]:
         while at < len(data):
             record = _record(data, at)
             if record is None:
-                resumed = _next_chunk(data, at + 1) if not where else None
-                until = len(data) if resumed is None else resumed
-                self.lost.append(f"{until - at} bytes from byte {at}{where} on are damaged")
+                resumed = _next_chunk(data, at + 1) if not location else None
+                end = len(data) if resumed is None else resumed
+                self.lost.append(f"{end - at} bytes from byte {at}{location} on are damaged")
                 if resumed is None:
                     return
                 at = resumed
@@ -70,7 +72,7 @@ class SequentialBag:
             elif kind == _MESSAGE:
                 message = self._message(header, body)
                 if message is None:
-                    self.lost.append(f"the message at byte {at}{where} belongs to no topic")
+                    self.lost.append(f"the message at byte {at}{location} belongs to no topic")
                 else:
                     yield message
             at = after
@@ -89,12 +91,12 @@ class SequentialBag:
         definition = described.get("message_definition", described.get("def", b""))
         topic = header.get("topic", b"")
         if described.get("type"):
-            known = Connection(_text(topic), _text(described["type"]), _text(definition))
+            known = BagConnection(_text(topic), _text(described["type"]), _text(definition))
             self._connections[header.get("conn", topic)] = known
 
     def _message(
         self, header: dict[str, bytes], body: bytes
-    ) -> tuple[Connection, int, bytes] | None:
+    ) -> tuple[BagConnection, int, bytes] | None:
         connection = self._connections.get(header.get("conn", header.get("topic", b"")))
         if "time" in header and len(header["time"]) == _TIME.size:
             seconds, nanoseconds = _TIME.unpack(header["time"])
@@ -108,7 +110,7 @@ class SequentialBag:
 
 
 def _record(data: bytes, at: int) -> tuple[dict[str, bytes], bytes, int] | None:
-    """Header, data and end of the record at byte `at`, None if there is none."""
+    """Return header, data and end of the record at byte `at`, None if there is none."""
     head = _sized(data, at)
     if head is None or head[1] - at > _LONGEST_HEADER:
         return None
@@ -124,14 +126,14 @@ def _record(data: bytes, at: int) -> tuple[dict[str, bytes], bytes, int] | None:
 
 
 def _whole_index(header: dict[str, bytes], body: bytes) -> bool:
-    """Whether an index is as long as its entries; a wrong length would skip what follows."""
+    """Return whether an index is as long as its entries; else what follows would be skipped."""
     if header["op"][0] != _INDEX or header.get("ver") != _UINT32.pack(1):
         return True
     return header.get("count") == _UINT32.pack(len(body) // 12) and len(body) % 12 == 0
 
 
 def _sized(data: bytes, at: int) -> tuple[bytes, int] | None:
-    """What stands at byte `at` behind its length, and where it ends."""
+    """Return the bytes that follow their length at byte `at`, and their end."""
     if at + 4 > len(data):
         return None
     end = at + 4 + int(_UINT32.unpack_from(data, at)[0])
@@ -142,24 +144,24 @@ def _fields(head: bytes) -> dict[str, bytes] | None:
     fields: dict[str, bytes] = {}
     at = 0
     while at < len(head):
-        one = _sized(head, at)
-        if one is None or b"=" not in one[0]:
+        entry = _sized(head, at)
+        if entry is None or b"=" not in entry[0]:
             return None
-        name, _, value = one[0].partition(b"=")
+        name, _, value = entry[0].partition(b"=")
         fields[_text(name)] = value
-        at = one[1]
+        at = entry[1]
     return fields
 
 
 def _next_chunk(data: bytes, at: int) -> int | None:
-    """Where the next whole chunk begins."""
+    """Return where the next whole chunk starts."""
     found = data.find(b"op=\x05", at)
     while found >= 0:
-        # Its fields `compression` and `size` stand before or behind `op`, in any order.
-        for begin in range(found - 8, max(at, found - 64) - 1, -1):
-            record = _record(data, begin)
+        # Its fields `compression` and `size` are before or after `op`, in any order.
+        for start in range(found - 8, max(at, found - 64) - 1, -1):
+            record = _record(data, start)
             if record is not None and "compression" in record[0]:
-                return begin
+                return start
         found = data.find(b"op=\x05", found + 1)
     return None
 

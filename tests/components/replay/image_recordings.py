@@ -1,4 +1,4 @@
-"""Pictures that tell which they are, in folders and videos, and the driver that replays them."""
+"""Folders and videos of identifiable images, and the component that replays them."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from cairn import SECOND
 from cairn.components.replay.camera import ReplayCamera
-from cairn.components.replay.formats import open_recording
+from cairn.components.replay.open_recording import open_recording
 from cairn.vision.camera_file import write_camera
 from tests.cairn.vision.cameras import HEIGHT, WIDTH, info
 
@@ -18,8 +18,8 @@ StageOf = Callable[..., Any]
 Gray = NDArray[np.uint8]
 
 
-def picture(shade: int, width: int = WIDTH, height: int = HEIGHT) -> Gray:
-    """An image that is told from others after compression, too: its shade is in the middle."""
+def numbered_image(shade: int, width: int = WIDTH, height: int = HEIGHT) -> Gray:
+    """Return an image that can be identified after compression: its shade is in the middle."""
     image = np.full((height, width), shade, np.uint8)
     image[: height // 4] = 255 - shade
     return image
@@ -29,25 +29,25 @@ def shade(image: Any) -> int:
     return int(image.data.reshape(image.height, image.width)[image.height // 2, image.width // 2])
 
 
-def save(folder: Path, *names: str, begin: int = 10, **size: int) -> Path:
+def save(folder: Path, *names: str, start: int = 10, **size: int) -> Path:
     for number, name in enumerate(names):
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        cv2.imwrite(str(folder / name), picture(begin + 10 * number, **size))
+        cv2.imwrite(str(folder / name), numbered_image(start + 10 * number, **size))
     return folder
 
 
 def pairs(folder: Path, count: int) -> Path:
     save(folder, *(f"left{n}.png" for n in range(count)))
-    return save(folder, *(f"right{n}.png" for n in range(count)), begin=15)
+    return save(folder, *(f"right{n}.png" for n in range(count)), start=15)
 
 
-def video(file: Path, count: int, width: int = WIDTH, fps: float = 10.0, begin: int = 10) -> Path:
+def video(file: Path, count: int, width: int = WIDTH, fps: float = 10.0, start: int = 10) -> Path:
     file.parent.mkdir(exist_ok=True)
     size = (width, HEIGHT)
     codec = cv2.VideoWriter.fourcc(*"MJPG")
     writer = cv2.VideoWriter(str(file), codec, fps, size, isColor=False)
     for number in range(count):
-        writer.write(picture(begin + 10 * number, width))
+        writer.write(numbered_image(start + 10 * number, width))
     writer.release()
     return file
 
@@ -63,7 +63,7 @@ def calibrations(folder: Path) -> dict[str, str]:
 
 
 def replayed(stage: StageOf, path: Path, **parameters: Any) -> Any:
-    """The driver after all that is recorded has passed."""
+    """Return the component after the whole recording was replayed."""
     first, last = open_recording(path, image_rate_hz=parameters.get("image_rate_hz")).span()
     it = stage(ReplayCamera, first / SECOND - 0.5, recording=str(path), **parameters).begin()
     it.wait((last - first) / SECOND + 1.0)

@@ -1,4 +1,4 @@
-"""Opens a recording of any format; formats are told apart by content, not by name."""
+"""Opening a recording of any format; the format is found out by content, not by name."""
 
 from __future__ import annotations
 
@@ -6,22 +6,19 @@ from collections.abc import Mapping
 from itertools import islice
 from pathlib import Path
 
-from cairn.components.replay.bag import BagRecording
-from cairn.components.replay.carmen import CarmenRecording
-from cairn.components.replay.carmen_lines import MESSAGES
-from cairn.components.replay.image_recording import ImageRecording, holds_images
+from cairn.components.replay.carmen import MESSAGES, CarmenRecording
+from cairn.components.replay.image_recording import ImageRecording, holds_images, is_video
 from cairn.components.replay.mrclam import MrclamRecording
-from cairn.components.replay.recording import Recording, RecordingError
-from cairn.components.replay.text_lines import text_lines
-from cairn.components.replay.video import is_video
+from cairn.components.replay.recording import Recording, RecordingError, text_lines
+from cairn.components.replay.ros_bag import BagRecording
 
-_KINDS = (
+_FORMATS = (
     "an MRCLAM folder (Barcodes.dat and Robot<n>_*.dat), a CARMEN log, a ROS 1 bag, "
     "the folder of a ROS 2 bag (with metadata.yaml), an MCAP file, a video, or a folder of images"
 )
 _BAGS = (b"#ROSBAG V", b"#ROSRECORD V", b"\x89MCAP0\r\n", b"SQLite format 3\x00")
-# A CARMEN log may begin with comments and with hundreds of parameters.
-_LINES_LOOKED_AT = 100
+# A CARMEN log may start with comments and with hundreds of parameters.
+_LINES_READ = 100
 
 
 def open_recording(
@@ -31,12 +28,17 @@ def open_recording(
     scan_delay_s: float = 0.0,
     image_rate_hz: float | None = None,
 ) -> Recording:
-    """The recording at `path`.
+    """Open the recording at `path`.
 
-    `robot` is the number of one of an MRCLAM data set's robots. `topics` names a bag's topics for
-    `scan`, `odom` and `truth`, where their types do not tell. `scan_delay_s` is by how much scans
-    were stamped later than odometry of the same moment [s]. `image_rate_hz` is how many images or
-    frames a second holds, where nothing else tells. Raises `RecordingError`.
+    Args:
+        path: file or folder of the recording.
+        robot: number of one robot of an MRCLAM data set.
+        topics: a bag's topics for `scan`, `odom`, `truth` and images, where their types are
+            ambiguous.
+        scan_delay_s: how much later scans were stamped than odometry of the same moment [s].
+        image_rate_hz: images or frames per second, if the recording does not hold their times.
+
+    Raises `RecordingError`.
     """
     if path.is_dir():
         if (path / "metadata.yaml").is_file():
@@ -44,30 +46,31 @@ def open_recording(
         if next(path.glob("Barcodes.dat*"), None) or next(path.glob("Robot*_*.dat*"), None):
             if robot is None:
                 raise RecordingError(
-                    f"{path} is an MRCLAM data set of several robots: give `robot`, 1 to 5."
+                    f"{path} is an MRCLAM data set of several robots; set `robot`, 1 to 5."
                 )
             return MrclamRecording(path, robot)
         if holds_images(path):
             return ImageRecording(path, image_rate_hz)
         held = sorted(child.name for child in path.iterdir())[:8]
         raise RecordingError(
-            f"{path} is no recording (it holds: {', '.join(held) or 'nothing'}). Give {_KINDS}."
+            f"{path} is not a recording (it holds: {', '.join(held) or 'nothing'}); use {_FORMATS}."
         )
     if not path.exists():
-        raise RecordingError(f"{path}: no such file or folder. Give {_KINDS}.")
-    begins = _begins(path)
-    if begins.startswith(_BAGS):
+        raise RecordingError(f"{path}: no such file or folder; use {_FORMATS}.")
+    start = _first_bytes(path)
+    if start.startswith(_BAGS):
         return BagRecording(path, topics or {}, scan_delay_s)
     if is_video(path):
         return ImageRecording(path, image_rate_hz)
     if _is_carmen(path):
         return CarmenRecording(path, scan_delay_s)
     raise RecordingError(
-        f"{path} is no recording that can be read (it begins with {begins[:16]!r}). Give {_KINDS}."
+        f"{path} is not a recording that can be read (it starts with {start[:16]!r}); use "
+        f"{_FORMATS}."
     )
 
 
-def _begins(path: Path) -> bytes:
+def _first_bytes(path: Path) -> bytes:
     try:
         with path.open("rb") as stream:
             return stream.read(32)
@@ -77,7 +80,7 @@ def _begins(path: Path) -> bytes:
 
 def _is_carmen(path: Path) -> bool:
     try:
-        first = [text.split(maxsplit=1) for _, text in islice(text_lines(path), _LINES_LOOKED_AT)]
+        first = [text.split(maxsplit=1) for _, text in islice(text_lines(path), _LINES_READ)]
     except RecordingError as error:
         if "not a text file" in str(error):
             return False

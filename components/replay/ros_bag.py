@@ -1,0 +1,573 @@
+"""ROS 1 bags, ROS 2 bags and MCAP files: reading their messages, and the streams that they hold.
+
+Images are read from the file as they are replayed: all at once would fill the memory. A ROS 1 bag
+with a broken index is read in sequence, see `ros1_bag_recovery`.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections import Counter, deque
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from rosbags.highlevel import AnyReader
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.msg import normalize_msgtype
+
+from cairn import SECOND, CairnError, from_ns
+from cairn.components.replay.recording import (
+    Gray,
+    ImageStream,
+    ObservationStream,
+    OdometryStream,
+    RecordedTopic,
+    RecordingError,
+    ScanStream,
+    TimedPoses,
+    covariances_of,
+)
+from cairn.components.replay.ros1_bag_recovery import SequentialBagReader
+from cairn.components.replay.wheel_odometry import odometry_deviations, odometry_velocities
+from cairn.planar.messages import planar_pose
+from cairn.planar.poses import Pose
+from cairn.schemas.cairn_msgs import VisualMap
+from cairn.schemas.geometry_msgs import Point, Quaternion
+from cairn.schemas.geometry_msgs import Pose as PoseMessage
+from cairn.schemas.message import InvalidMessage
+from cairn.schemas.sensor_msgs import Image, LaserScan
+from cairn.schemas.std_msgs import Header
+from cairn.vision.image_files import camera_of
+from cairn.vision.images import decode, gray_of
+
+T = TypeVar("T")
+Received = Sequence[tuple[int, Any]]
+"""Messages with their times of receipt [ns]."""
+
+_SCAN = "sensor_msgs/msg/LaserScan"
+_ODOMETRY = "nav_msgs/msg/Odometry"
+_TF = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+_POSE_TYPES = {
+    "geometry_msgs/msg/PoseStamped": lambda message: message.pose,
+    "geometry_msgs/msg/PoseWithCovarianceStamped": lambda message: message.pose.pose,
+    _ODOMETRY: lambda message: message.pose.pose,
+}
+_BASES = ("base_footprint", "base_link")
+
+
+class BagRecording:
+    """The bag at `path`; `topics` names its topics for `scan`, `odom`, `truth` if ambiguous.
+
+    Scans get a time `scan_delay_s` [s] before their stamp.
+    """
+
+    def __init__(self, path: Path, topics: Mapping[str, str], scan_delay_s: float = 0.0) -> None:
+        """Read everything but the images; raises `RecordingError`."""
+        self._path = path
+        self._named = {kind: "/" + name.lstrip("/") for kind, name in topics.items()}
+        bag = read_bag(path, self._choose)
+        self._types = {"/" + topic.lstrip("/"): kind for topic, kind in bag.types.items()}
+        self._messages = {"/" + topic.lstrip("/"): of for topic, of in bag.messages.items()}
+        self._counts = {"/" + topic.lstrip("/"): count for topic, count in bag.counts.items()}
+        self._notes = bag.notes
+        self._scan_delay = round(scan_delay_s * SECOND)
+        scan, odom = self._topic("scan", (_SCAN,)), self._topic("odom", (_ODOMETRY,))
+        truth = self._topic("truth", tuple(_POSE_TYPES)) if "truth" in self._named else None
+        self._scans = self._read(scan, self._to_scans)
+        self._odometry = self._read(odom, self._to_odometry)
+        self._replayed = {topic: kind for topic, kind in ((scan, "scan"), (odom, "odom")) if topic}
+        if self._odometry is None:
+            transforms = {t: of for t, of in self._messages.items() if self._types[t] in _TF}
+            self._odometry = self._from_tf([pair for of in transforms.values() for pair in of])
+            if self._odometry is not None:
+                self._replayed |= dict.fromkeys(transforms, "odom")
+        self._truth = self._read(truth, self._to_trajectory)
+        if truth is not None:
+            self._replayed[truth] = "truth"
+        self._image_topics, notes = image_topics(path, self._types, self._named)
+        self._notes += notes
+        self._replayed |= dict.fromkeys(self._image_topics, "images")
+        if self._scans is None and self._odometry is None and not self._image_topics:
+            raise RecordingError(
+                f"{path} holds neither laser scans, odometry nor images: nothing to replay. "
+                "Its topics are "
+                f"{', '.join(f'{t} ({kind})' for t, kind in sorted(self._types.items()))}."
+            )
+
+    def span(self) -> tuple[int, int]:
+        """Return the times [ns] of the first and the last scan or odometry, else image."""
+        both = [x.stamps for x in (self._scans, self._odometry) if x is not None]
+        images = None if both else self.images()
+        if images is not None:
+            return images.stamps[0], images.stamps[-1]
+        return min(stamps[0] for stamps in both), max(stamps[-1] for stamps in both)
+
+    def odometry(self) -> OdometryStream | None:
+        """Return odometry messages, else transforms from frame odom to the robot's base."""
+        return self._odometry
+
+    def scans(self) -> ScanStream | None:
+        """Return the laser's scans."""
+        return self._scans
+
+    def observations(self) -> ObservationStream | None:
+        """Return None: ROS has no standard message for landmarks."""
+        return None
+
+    def images(self) -> ImageStream | None:
+        """Return the images of a camera's topic, or of a stereo camera's two."""
+        if not self._image_topics:
+            return None
+        images, notes = bag_images(self._path, self._image_topics)
+        self._notes += [note for note in notes if note not in self._notes]
+        return images
+
+    def truth(self) -> TimedPoses | None:
+        """Return the poses of the topic that `topics` names for them."""
+        return self._truth
+
+    def landmark_map(self) -> VisualMap | None:
+        """Return None: ROS has no standard message for landmarks."""
+        return None
+
+    def topics(self) -> Sequence[RecordedTopic]:
+        """Return the bag's topics."""
+        return [
+            RecordedTopic(self._replayed.get(topic), topic, kind, self._counts.get(topic, 0))
+            for topic, kind in sorted(self._types.items())
+        ]
+
+    def notes(self) -> Sequence[str]:
+        """Return what was lost or assumed."""
+        return self._notes
+
+    def _choose(self, types: Mapping[str, str]) -> list[str]:
+        kinds = (_SCAN, _ODOMETRY, *_TF, *_POSE_TYPES)
+        named = set(self._named.values())
+        return [t for t, kind in types.items() if kind in kinds or "/" + t.lstrip("/") in named]
+
+    def _topic(self, kind: str, types: Sequence[str]) -> str | None:
+        """Return the topic to replay, None if the bag has none of that kind."""
+        found = sorted(topic for topic, of in self._types.items() if of in types)
+        named = self._named.get(kind)
+        if named is not None:
+            if named in found:
+                return named
+            if kind == "odom" and self._types.get(named) in _TF:
+                return None
+            raise RecordingError(
+                f"{self._path}: topics.{kind} = {named} is not a topic of {' or '.join(types)}; "
+                f"there {'are ' + ', '.join(found) if found else 'is none'}."
+            )
+        if len(found) > 1 and f"/{kind}" not in found:
+            raise RecordingError(
+                f"{self._path} has several topics of {types[0]}: {', '.join(found)}. Name one "
+                f"with the parameter topics.{kind} (`cairn recording show`: --{kind})."
+            )
+        return f"/{kind}" if f"/{kind}" in found else next(iter(found), None)
+
+    def _read(self, topic: str | None, convert: Callable[[list[int], list[Any]], T]) -> T | None:
+        """Convert the messages of a topic in order of their stamps; None if there are none."""
+        received = self._messages.get(topic, []) if topic else []
+        if not received:
+            return None
+        stamps = self._stamps(topic or "", [(at, m.header.stamp) for at, m in received])
+        order = sorted(range(len(stamps)), key=stamps.__getitem__)
+        try:
+            return convert([stamps[k] for k in order], [received[k][1] for k in order])
+        except (InvalidMessage, ValueError) as error:
+            raise RecordingError(
+                f"{self._path}, topic {topic}: {error}. Such a message cannot be replayed: name "
+                "another topic, or remove it from the bag."
+            ) from error
+
+    def _stamps(self, topic: str, received: Sequence[tuple[int, Any]]) -> list[int]:
+        stamps, note = message_stamps(topic, received)
+        self._notes += [note] if note else []
+        return stamps
+
+    def _to_scans(self, stamps: list[int], messages: list[Any]) -> ScanStream:
+        stamps = [max(stamp - self._scan_delay, 0) for stamp in stamps]
+        scans = []
+        for number, (stamp, m) in enumerate(zip(stamps, messages, strict=True), start=1):
+            try:
+                scans.append(_scan(stamp, m))
+            except InvalidMessage as error:
+                raise ValueError(f"message {number}: {error}") from error
+        return ScanStream(stamps, scans)
+
+    @staticmethod
+    def _to_odometry(stamps: list[int], messages: list[Any]) -> OdometryStream:
+        poses = np.array([_pose(m.pose.pose) for m in messages])
+        recorded = np.array([m.pose.covariance for m in messages], dtype=np.float64)
+        covariances = recorded.reshape(-1, 6, 6)[:, [0, 1, 5]][:, :, [0, 1, 5]]
+        if not covariances.any() or not np.isfinite(covariances).all():
+            covariances = covariances_of(odometry_deviations(poses))
+        twists = np.array([(m.twist.twist.linear.x, m.twist.twist.angular.z) for m in messages])
+        return OdometryStream(stamps, poses, covariances, twists)
+
+    @staticmethod
+    def _to_trajectory(stamps: list[int], messages: list[Any]) -> TimedPoses:
+        poses = [_pose(_POSE_TYPES[m.__msgtype__](m)) for m in messages]
+        return TimedPoses(stamps, np.array(poses))
+
+    def _from_tf(self, received: Received) -> OdometryStream | None:
+        """Return odometry from transforms of frame odom to the base."""
+        pairs = [
+            (at, transform)
+            for at, message in received
+            for transform in message.transforms
+            if transform.header.frame_id.strip("/") == "odom"
+            and transform.child_frame_id.strip("/") in _BASES
+        ]
+        if not pairs:
+            return None
+        stamps = self._stamps("/tf", [(at, t.header.stamp) for at, t in pairs])
+        order = sorted(range(len(stamps)), key=stamps.__getitem__)
+        stamps = [stamps[k] for k in order]
+        poses = np.array([_transform_pose(pairs[k][1].transform) for k in order])
+        self._notes.append("odometry is computed from the transforms of frame odom")
+        covariances = covariances_of(odometry_deviations(poses))
+        return OdometryStream(stamps, poses, covariances, odometry_velocities(stamps, poses))
+
+
+def _scan(stamp: int, m: Any) -> LaserScan:
+    beams = len(m.ranges)
+    return LaserScan(
+        header=Header(stamp=from_ns(stamp), frame_id="laser"),
+        angle_min=float(m.angle_min),
+        angle_max=float(m.angle_max),
+        angle_increment=float(m.angle_increment),
+        time_increment=float(m.time_increment),
+        scan_time=float(m.scan_time),
+        range_min=float(m.range_min),
+        range_max=float(m.range_max),
+        ranges=np.asarray(m.ranges, dtype=np.float32),
+        # Some drivers send another number of intensities, which belong to no beam.
+        intensities=np.asarray(m.intensities if len(m.intensities) == beams else [], np.float32),
+    )
+
+
+def _pose(pose: Any) -> Pose:
+    return _pose_of(pose.position, pose.orientation)
+
+
+def _transform_pose(transform: Any) -> Pose:
+    return _pose_of(transform.translation, transform.rotation)
+
+
+def _pose_of(position: Any, rotation: Any) -> Pose:
+    message = PoseMessage(
+        position=Point(x=float(position.x), y=float(position.y)),
+        orientation=Quaternion(
+            x=float(rotation.x), y=float(rotation.y), z=float(rotation.z), w=float(rotation.w)
+        ),
+    )
+    return planar_pose(message)
+
+
+Choice = Callable[[Mapping[str, str]], Collection[str]]
+"""Which topics to read, given the message type (`package/msg/Name`) of each."""
+
+_SUFFIXES = {b"\x89MCAP0\r\n": ".mcap", b"SQLite format 3\x00": ".db3"}
+
+
+@dataclass(frozen=True)
+class BagContents:
+    """Messages with their times of receipt [ns], by topic; `notes` say what was lost.
+
+    `types` and `counts` are those of all topics.
+    """
+
+    types: Mapping[str, str]
+    counts: Mapping[str, int]
+    messages: Mapping[str, list[tuple[int, Any]]]
+    notes: list[str]
+
+
+def read_bag(path: Path, choose: Choice) -> BagContents:
+    """Read the messages of those topics of the bag at `path` that `choose` returns.
+
+    `path` is a ROS 1 bag, the folder of a ROS 2 bag, or one of its files. Messages have the
+    attributes of their ROS 2 definition. Raises `RecordingError`.
+    """
+    if _is_ros1(path):
+        try:
+            # The library does not read format 1.2, nor bags with another suffix.
+            if _is_ros1(path, b"#ROSRECORD") or path.suffix != ".bag":
+                return _in_sequence(path, choose, "")
+            return _by_index(path, choose)
+        except RecordingError:
+            raise
+        except Exception as error:  # the library raises various errors for a broken bag
+            return _in_sequence(path, choose, _error_text(error))
+    _check_suffix(path)
+    try:
+        return _by_index(path, choose)
+    except RecordingError:
+        raise
+    except Exception as error:  # the library raises various errors for a broken bag
+        repair = (
+            f"mcap recover {path.name}" if path.suffix == ".mcap" else f"ros2 bag reindex {path}"
+        )
+        raise RecordingError(
+            f"{path} cannot be read as a ROS 2 bag ({_error_text(error)}). It is cut off, damaged, "
+            f"or was not closed after recording: repair it with `{repair}`, or take a fresh copy."
+        ) from error
+
+
+def _by_index(path: Path, choose: Choice) -> BagContents:
+    with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+        types = {connection.topic: connection.msgtype for connection in reader.connections}
+        counts = Counter[str]()
+        for connection in reader.connections:
+            counts[connection.topic] += connection.msgcount
+        chosen = choose(types)
+        messages: dict[str, list[tuple[int, Any]]] = {topic: [] for topic in chosen}
+        connections = [c for c in reader.connections if c.topic in chosen]
+        # Without connections the library would read all of them.
+        for connection, received, raw in reader.messages(connections) if connections else ():
+            message = reader.deserialize(raw, connection.msgtype)
+            messages[connection.topic].append((received, message))
+    return BagContents(types, counts, messages, [])
+
+
+def _in_sequence(path: Path, choose: Choice, cause: str) -> BagContents:
+    """Read whatever can be found in the file from start to end; `cause`: why."""
+    sequence = SequentialBagReader(path)
+    found = list(sequence.messages())
+    notes = list(sequence.lost)
+    if not found:
+        raise RecordingError(
+            f"{path} holds no message that can be read ({'; '.join([cause, *notes])}). Repair it "
+            "with `rosbag reindex`, or take a fresh copy."
+        )
+    types = {c.topic: normalize_msgtype(c.type) for c, _, _ in found}
+    chosen = choose(types)
+    messages: dict[str, list[tuple[int, Any]]] = {topic: [] for topic in chosen}
+    typestore = get_typestore(Stores.EMPTY)
+    for connection in {c.topic: c for c, _, _ in found if c.topic in chosen}.values():
+        fields = get_types_from_msg(connection.definition, types[connection.topic])
+        if "roslib/msg/Header" in fields:  # its name until the end of 2010
+            fields["std_msgs/msg/Header"] = fields.pop("roslib/msg/Header")
+        typestore.register({t: f for t, f in fields.items() if t not in typestore.fielddefs})
+    for number, (connection, received, raw) in enumerate(found, start=1):
+        if connection.topic in chosen:
+            try:
+                message = typestore.deserialize_ros1(raw, types[connection.topic])
+            except (struct.error, AssertionError, ValueError, IndexError) as error:
+                notes.append(
+                    f"message {number} ({connection.topic}) is damaged: {_error_text(error)}"
+                )
+                continue
+            messages[connection.topic].append((received, message))
+    if cause:
+        notes.insert(0, f"its index is broken ({cause}): read in sequence, {len(found)} messages")
+    return BagContents(types, Counter(c.topic for c, _, _ in found), messages, notes)
+
+
+def _is_ros1(path: Path, magic: bytes = b"#ROS") -> bool:
+    if path.is_dir():
+        return False
+    with path.open("rb") as stream:
+        return stream.read(len(magic)) == magic
+
+
+def _check_suffix(path: Path) -> None:
+    if path.is_dir():
+        return
+    with path.open("rb") as stream:
+        magic = stream.read(16)
+    for start, suffix in _SUFFIXES.items():
+        if magic.startswith(start) and path.suffix != suffix:
+            raise RecordingError(
+                f"{path} is a {suffix} file: rename it so that it ends in {suffix}."
+            )
+
+
+def _error_text(error: Exception) -> str:
+    return " ".join(str(error).split()) or type(error).__name__
+
+
+IMAGE_TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
+"""The types of topics that hold images."""
+
+# Images of a pair differ by less than this [ns].
+_PAIR_TOLERANCE = SECOND // 100
+
+
+def image_topics(
+    path: Path, types: Mapping[str, str], named: Mapping[str, str]
+) -> tuple[list[str], list[str]]:
+    """Return the topics of the left (or only) and of the right camera, with notes.
+
+    `types` are those of the bag's topics, `named` the topics named for left_image and right_image.
+    None is returned if the bag has no images, or the choice is ambiguous. Raises `RecordingError`
+    if a named topic holds no images.
+    """
+    found = sorted(topic for topic, kind in types.items() if kind in IMAGE_TYPES)
+    requested = [named[key] for key in ("left_image", "right_image") if key in named]
+    for topic in requested:
+        if topic not in found:
+            raise RecordingError(
+                f"{path}: {topic} is not a topic of images; there "
+                f"{'are ' + ', '.join(found) if found else 'is none'}."
+            )
+    if requested or len(found) <= 1:
+        return requested or found, []
+    sides = {side: [t for t in found if _camera_of_topic(t) == side] for side in ("left", "right")}
+    if all(len(topics) == 1 for topics in sides.values()):
+        return [*sides["left"], *sides["right"]], []
+    return [], [
+        f"several topics hold images, so none is replayed: {', '.join(found)}; name one with the "
+        "parameter topics.left_image, and the right one of a stereo camera with topics.right_image"
+    ]
+
+
+def bag_images(path: Path, topics: list[str]) -> tuple[ImageStream, list[str]]:
+    """Return the images of one topic, or the pairs of two, with notes on what is left out.
+
+    Raises `RecordingError` if they cannot be read.
+    """
+    notes: list[str] = []
+    times = [_image_times(path, topic, notes) for topic in topics]
+    chosen = [list(times[0])]
+    if len(topics) == 2:
+        chosen = _paired(*times)
+        unpaired = sum(len(of) for of in times) - 2 * len(chosen[0])
+        if unpaired:
+            notes.append(f"{unpaired} images have no partner, left out")
+    if not chosen[0]:
+        raise RecordingError(
+            f"{path} holds no {'pairs of ' * (len(topics) == 2)}images on {' and '.join(topics)}"
+            + (" within 10 ms of each other." if len(topics) == 2 else ".")
+        )
+    height, width = _first_whole(
+        _SequentialImages(path, topics[0], chosen[0]), len(chosen[0])
+    ).shape
+    readers = [_SequentialImages(path, topic, of) for topic, of in zip(topics, chosen, strict=True)]
+
+    def load(index: int) -> tuple[Gray, ...]:
+        return tuple(reader.image(index) for reader in readers)
+
+    stamps = [times[0][number] for number in chosen[0]]
+    return ImageStream(" and ".join(topics), stamps, len(topics), (width, height), load), notes
+
+
+class _SequentialImages:
+    """Images of one topic by their numbers, which must not decrease."""
+
+    def __init__(self, path: Path, topic: str, numbers: list[int]) -> None:
+        self._name = f"{path}, topic {topic}"
+        self._numbers = numbers
+        self._messages = enumerate(_image_messages(path, topic))
+
+    def image(self, index: int) -> Gray:
+        for number, (_, message) in self._messages:
+            if number == self._numbers[index]:
+                return _gray(self._name, number, message)
+        raise RecordingError(f"{self._name} ends before image {index + 1}")
+
+
+def _first_whole(images: _SequentialImages, count: int) -> Gray:
+    """Return the first image that is not damaged; raises `RecordingError` if there is none."""
+    for index in range(count - 1):
+        with suppress(RecordingError):
+            return images.image(index)
+    return images.image(count - 1)
+
+
+def _image_messages(path: Path, topic: str) -> Iterator[tuple[int, Any]]:
+    """Yield the messages of a topic with their times of receipt [ns]."""
+    try:
+        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+            of = [c for c in reader.connections if "/" + c.topic.lstrip("/") == topic]
+            for connection, got, raw in reader.messages(of):
+                yield got, reader.deserialize(raw, connection.msgtype)
+    except Exception as error:  # the library raises various errors for a broken bag
+        raise RecordingError(
+            f"{path}: its images cannot be read ({' '.join(str(error).split())}): repair the bag "
+            "with `rosbag reindex`, `ros2 bag reindex` or `mcap recover`"
+        ) from error
+
+
+def _image_times(path: Path, topic: str, notes: list[str]) -> dict[int, int]:
+    """Return the stamps [ns] of a topic's images by their numbers; notes on those left out."""
+    received = [(got, message.header.stamp) for got, message in _image_messages(path, topic)]
+    stamps, note = message_stamps(topic, received)
+    notes += [note] if note else []
+    times: dict[int, int] = {}
+    newest = -1
+    for number, stamp in enumerate(stamps):
+        if stamp > newest:
+            times[number] = newest = stamp
+    if len(times) < len(stamps):
+        notes.append(
+            f"{len(stamps) - len(times)} images of {topic} are not later than those before them, "
+            "left out"
+        )
+    return times
+
+
+def _paired(left: Mapping[int, int], right: Mapping[int, int]) -> list[list[int]]:
+    """Return the numbers of left and of right images that make pairs."""
+    pairs: list[list[int]] = [[], []]
+    others = deque(right.items())
+    for number, stamp in left.items():
+        while others and others[0][1] < stamp - _PAIR_TOLERANCE:
+            others.popleft()
+        if others and others[0][1] <= stamp + _PAIR_TOLERANCE:
+            pairs[0].append(number)
+            pairs[1].append(others.popleft()[0])
+    return pairs
+
+
+def _gray(name: str, number: int, message: Any) -> Gray:
+    try:
+        if hasattr(message, "format"):
+            return decode(f"it ({message.format})", np.asarray(message.data, np.uint8).tobytes())
+        return gray_of(
+            Image(
+                height=message.height,
+                width=message.width,
+                encoding=message.encoding,
+                is_bigendian=message.is_bigendian,
+                step=message.step,
+                data=np.asarray(message.data, np.uint8).ravel(),
+            )
+        )
+    except (CairnError, InvalidMessage) as error:
+        raise RecordingError(f"{name}, image {number + 1}: {error}") from error
+
+
+def _camera_of_topic(topic: str) -> str | None:
+    """Return the camera that a part of a topic's name indicates."""
+    sides = {camera_of(Path(part)) for part in topic.strip("/").split("/")} - {None}
+    return sides.pop() if len(sides) == 1 else None
+
+
+# Stamps that are further from the time of receipt than this are of another clock [ns].
+_CLOCK_TOLERANCE = 60 * SECOND
+
+
+def message_stamps(topic: str, received: Sequence[tuple[int, Any]]) -> tuple[list[int], str]:
+    """Return the stamps [ns] of a topic's messages, and a note, or "".
+
+    If the stamps are of another clock, they are replaced by the times of receipt, with a note.
+
+    `received` are the times of receipt [ns] and the stamps (builtin_interfaces/Time).
+    """
+    if not received:
+        return [], ""
+    stamps = [stamp.sec * SECOND + stamp.nanosec for _, stamp in received]
+    apart = sorted(abs(stamp - got) for (got, _), stamp in zip(received, stamps, strict=True))
+    if apart[len(apart) // 2] <= _CLOCK_TOLERANCE:
+        return stamps, ""
+    return [got for got, _ in received], (
+        f"stamps on {topic} are from another clock than the bag's (the first is "
+        f"{stamps[0] / SECOND:g} s): the times of receipt are used instead"
+    )
