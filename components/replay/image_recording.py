@@ -133,20 +133,23 @@ def open_image_folder(folder: Path, rate_hz: float | None) -> tuple[ImageStream,
     notes = []
     columns: list[Sequence[Path]] = [files]
     if {"left", "right"} <= set(sides):
-        of = pair_files(
+        paired = pair_files(
             (file for file, side in zip(files, sides, strict=True) if side == "left"),
             (file for file, side in zip(files, sides, strict=True) if side == "right"),
         )
-        if not of.pairs:
+        if not paired.pairs:
             raise RecordingError(
                 f"{folder}: no left image has a right one: names of a pair may differ only "
                 "by left and right, or by the number in cam0 and cam1"
             )
-        columns = [[a for a, _ in of.pairs], [b for _, b in of.pairs]]
-        alone = [*of.unpaired, *(f for f, side in zip(files, sides, strict=True) if side is None)]
-        if alone:
-            some = ", ".join(str(file.relative_to(folder)) for file in alone[:5])
-            notes.append(f"{len(alone)} images have no partner, left out: {some}")
+        columns = [[a for a, _ in paired.pairs], [b for _, b in paired.pairs]]
+        unpaired = [
+            *paired.unpaired,
+            *(f for f, side in zip(files, sides, strict=True) if side is None),
+        ]
+        if unpaired:
+            some = ", ".join(str(file.relative_to(folder)) for file in unpaired[:5])
+            notes.append(f"{len(unpaired)} images have no partner, left out: {some}")
     size = _size([file for column in columns for file in column])
 
     rows = sorted(

@@ -81,11 +81,17 @@ class BagRecording:
         self._odometry = self._read(odom, self._to_odometry)
         self._replayed = {topic: kind for topic, kind in ((scan, "scan"), (odom, "odom")) if topic}
         if self._odometry is None:
-            transforms = {t: of for t, of in self._messages.items() if self._types[t] in _TF}
-            self._odometry = self._from_tf([pair for of in transforms.values() for pair in of])
+            transforms = {
+                topic: messages
+                for topic, messages in self._messages.items()
+                if self._types[topic] in _TF
+            }
+            self._odometry = self._from_tf(
+                [pair for messages in transforms.values() for pair in messages]
+            )
             if self._odometry is not None:
                 self._replayed |= dict.fromkeys(transforms, "odom")
-        self._truth = self._read(truth, self._to_trajectory)
+        self._truth = self._read(truth, self._to_poses)
         if truth is not None:
             self._replayed[truth] = "truth"
         self._image_topics, notes = image_topics(path, self._types, self._named)
@@ -100,7 +106,7 @@ class BagRecording:
 
     def span(self) -> tuple[int, int]:
         """Return the times [ns] of the first and the last scan or odometry, else image."""
-        both = [x.stamps for x in (self._scans, self._odometry) if x is not None]
+        both = [stream.stamps for stream in (self._scans, self._odometry) if stream is not None]
         images = None if both else self.images()
         if images is not None:
             return images.stamps[0], images.stamps[-1]
@@ -152,7 +158,7 @@ class BagRecording:
 
     def _topic(self, kind: str, types: Sequence[str]) -> str | None:
         """Return the topic to replay, None if the bag has none of that kind."""
-        found = sorted(topic for topic, of in self._types.items() if of in types)
+        found = sorted(topic for topic, kind in self._types.items() if kind in types)
         named = self._named.get(kind)
         if named is not None:
             if named in found:
@@ -211,7 +217,7 @@ class BagRecording:
         return OdometryStream(stamps, poses, covariances, twists)
 
     @staticmethod
-    def _to_trajectory(stamps: list[int], messages: list[Any]) -> TimedPoses:
+    def _to_poses(stamps: list[int], messages: list[Any]) -> TimedPoses:
         poses = [_pose(_POSE_TYPES[m.__msgtype__](m)) for m in messages]
         return TimedPoses(stamps, np.array(poses))
 
@@ -438,7 +444,7 @@ def bag_images(path: Path, topics: list[str]) -> tuple[ImageStream, list[str]]:
     chosen = [list(times[0])]
     if len(topics) == 2:
         chosen = _paired(*times)
-        unpaired = sum(len(of) for of in times) - 2 * len(chosen[0])
+        unpaired = sum(len(stamps) for stamps in times) - 2 * len(chosen[0])
         if unpaired:
             notes.append(f"{unpaired} images have no partner, left out")
     if not chosen[0]:
@@ -449,7 +455,10 @@ def bag_images(path: Path, topics: list[str]) -> tuple[ImageStream, list[str]]:
     height, width = _first_whole(
         _SequentialImages(path, topics[0], chosen[0]), len(chosen[0])
     ).shape
-    readers = [_SequentialImages(path, topic, of) for topic, of in zip(topics, chosen, strict=True)]
+    readers = [
+        _SequentialImages(path, topic, numbers)
+        for topic, numbers in zip(topics, chosen, strict=True)
+    ]
 
     def load(index: int) -> tuple[Gray, ...]:
         return tuple(reader.image(index) for reader in readers)
@@ -485,9 +494,9 @@ def _image_messages(path: Path, topic: str) -> Iterator[tuple[int, Any]]:
     """Yield the messages of a topic with their times of receipt [ns]."""
     try:
         with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
-            of = [c for c in reader.connections if "/" + c.topic.lstrip("/") == topic]
-            for connection, got, raw in reader.messages(of):
-                yield got, reader.deserialize(raw, connection.msgtype)
+            connections = [c for c in reader.connections if "/" + c.topic.lstrip("/") == topic]
+            for connection, receipt, raw in reader.messages(connections):
+                yield receipt, reader.deserialize(raw, connection.msgtype)
     except Exception as error:  # the library raises various errors for a broken bag
         raise RecordingError(
             f"{path}: its images cannot be read ({' '.join(str(error).split())}): repair the bag "
@@ -497,7 +506,9 @@ def _image_messages(path: Path, topic: str) -> Iterator[tuple[int, Any]]:
 
 def _image_times(path: Path, topic: str, notes: list[str]) -> dict[int, int]:
     """Return the stamps [ns] of a topic's images by their numbers; notes on those left out."""
-    received = [(got, message.header.stamp) for got, message in _image_messages(path, topic)]
+    received = [
+        (receipt, message.header.stamp) for receipt, message in _image_messages(path, topic)
+    ]
     stamps, note = message_stamps(topic, received)
     notes += [note] if note else []
     times: dict[int, int] = {}
@@ -564,10 +575,12 @@ def message_stamps(topic: str, received: Sequence[tuple[int, Any]]) -> tuple[lis
     if not received:
         return [], ""
     stamps = [stamp.sec * SECOND + stamp.nanosec for _, stamp in received]
-    apart = sorted(abs(stamp - got) for (got, _), stamp in zip(received, stamps, strict=True))
+    apart = sorted(
+        abs(stamp - receipt) for (receipt, _), stamp in zip(received, stamps, strict=True)
+    )
     if apart[len(apart) // 2] <= _CLOCK_TOLERANCE:
         return stamps, ""
-    return [got for got, _ in received], (
+    return [receipt for receipt, _ in received], (
         f"stamps on {topic} are from another clock than the bag's (the first is "
         f"{stamps[0] / SECOND:g} s): the times of receipt are used instead"
     )

@@ -81,7 +81,7 @@ class EncoderReading:
 
 
 @dataclass(frozen=True)
-class Handshake:
+class ControllerHandshake:
     """What was found out about a RoboClaw that is ready to drive."""
 
     version: str
@@ -281,7 +281,7 @@ def handshake(
     limits: BaseLimits,
     timeout_s: float,
     main_voltages: tuple[float, float] | None,
-) -> Handshake:
+) -> ControllerHandshake:
     """Set the serial timeout and the battery's limits, and check that speed loops are tuned.
 
     Args:
@@ -297,7 +297,9 @@ def handshake(
     kept_power = _set_timeout(client, version, timeout_s)
     if main_voltages is not None:
         _set_main_voltages(client, version, main_voltages)
-    return Handshake(version, _fastest_wheel(client, version, geometry, limits), kept_power)
+    return ControllerHandshake(
+        version, _fastest_wheel(client, version, geometry, limits), kept_power
+    )
 
 
 def has_timeout(client: RoboclawClient, timeout_s: float) -> bool:

@@ -18,7 +18,7 @@ from cairn import (
     every,
     on,
 )
-from cairn.components.roboclaw.client import Handshake, open_line
+from cairn.components.roboclaw.client import ControllerHandshake, open_line
 from cairn.components.roboclaw.command_timeout import LatestCommand
 from cairn.components.roboclaw.config import RoboclawBaseConfig
 from cairn.components.roboclaw.drive_loop import DriveLoop
@@ -30,7 +30,7 @@ from cairn.components.roboclaw.messages import (
     odometry_message,
     odometry_transform,
 )
-from cairn.components.roboclaw.odometry import OdometryStep, SpeedAverage, WheelOdometry
+from cairn.components.roboclaw.odometry import SpeedAverage, WheelOdometry, WheelStep
 from cairn.driver.device_thread import DeviceThread
 from cairn.driver.diagnostics import RateWindow
 from cairn.driver.errors import DeviceError
@@ -150,7 +150,7 @@ class RoboclawBase(Component):
             self.battery_state.publish(battery_message(now, health))
         self._log_warnings()
 
-    def _publish_step(self, step: OdometryStep) -> None:
+    def _publish_step(self, step: WheelStep) -> None:
         if step.seconds > _PAUSE_S:
             self._rate.restart()  # the pause was reported already
         self._rate.note(step.at)
@@ -177,7 +177,7 @@ class RoboclawBase(Component):
         else:
             self._warnings.resolved("rest", "the base follows commands again")
 
-    def _on_ready(self, ready: Handshake) -> None:
+    def _on_ready(self, ready: ControllerHandshake) -> None:
         if self._thread is not None:
             self._thread.report_working(f"{ready.version} on {self.config.port} works again")
 

@@ -15,9 +15,9 @@ from dataclasses import dataclass
 
 from cairn.components.roboclaw import protocol
 from cairn.components.roboclaw.client import (
+    ControllerHandshake,
     EncoderReader,
     EncoderReading,
-    Handshake,
     RoboclawClient,
     handshake,
 )
@@ -30,7 +30,7 @@ from cairn.components.roboclaw.kinematics import (
     limit_velocity,
     ramp_velocity,
 )
-from cairn.components.roboclaw.odometry import OdometryStep
+from cairn.components.roboclaw.odometry import WheelStep
 from cairn.components.roboclaw.wheel_faults import WheelFaultDetector, WheelFaultLimits
 from cairn.driver.errors import DeviceError
 from cairn.driver.link import Link
@@ -71,8 +71,8 @@ class DriveLoop:
         open_link: Callable[[], Link],
         command: LatestCommand,
         health: ControllerHealth,
-        on_ready: Callable[[Handshake], None],
-        on_step: Callable[[OdometryStep], None],
+        on_ready: Callable[[ControllerHandshake], None],
+        on_step: Callable[[WheelStep], None],
     ) -> None:
         """`on_ready` is called after each handshake, `on_step` for each step, both on the thread
         that calls `serve`.
@@ -88,7 +88,7 @@ class DriveLoop:
         self._velocity: Pair = REST
         self._not_judged_until = -math.inf
 
-    def check_device(self) -> Handshake:
+    def check_device(self) -> ControllerHandshake:
         """Check that the RoboClaw is there and can be used; raises `CairnError`."""
         link = self._open_link()
         try:
@@ -119,7 +119,7 @@ class DriveLoop:
         settings = self._settings
         return RoboclawClient(link, settings.address, settings.baud, self._health.counts)
 
-    def _start(self, client: RoboclawClient, encoders: EncoderReader) -> Handshake:
+    def _start(self, client: RoboclawClient, encoders: EncoderReader) -> ControllerHandshake:
         self._velocity = REST
         self._command_rest(client)
         ready = self._handshake(client)
@@ -153,7 +153,7 @@ class DriveLoop:
             self._health.awaits_rest = True
         self._last = None
 
-    def _handshake(self, client: RoboclawClient) -> Handshake:
+    def _handshake(self, client: RoboclawClient) -> ControllerHandshake:
         settings = self._settings
         return handshake(
             client,
@@ -167,7 +167,7 @@ class DriveLoop:
         self,
         client: RoboclawClient,
         encoders: EncoderReader,
-        ready: Handshake,
+        ready: ControllerHandshake,
         stopping: threading.Event,
     ) -> None:
         period = 1.0 / self._settings.rate_hz
@@ -194,7 +194,7 @@ class DriveLoop:
             stopping.wait(max(0.0, due - time.monotonic()))
 
     def _send_command(
-        self, client: RoboclawClient, ready: Handshake, now: float, seconds: float
+        self, client: RoboclawClient, ready: ControllerHandshake, now: float, seconds: float
     ) -> Pair:
         """Send the next velocity to the wheels; return the wheel speeds [m/s] commanded."""
         settings, geometry = self._settings, self._settings.geometry
@@ -225,7 +225,7 @@ class DriveLoop:
             self._health.awaits_rest = False
         return REST if self._health.awaits_rest else target
 
-    def _measure(self, encoders: EncoderReader, ready: Handshake) -> OdometryStep:
+    def _measure(self, encoders: EncoderReader, ready: ControllerHandshake) -> WheelStep:
         now = encoders.read()
         before = self._last or now
         seconds = now.at - before.at
@@ -242,9 +242,9 @@ class DriveLoop:
                 "and close other programs"
             )
         distance, turn = geometry.body_motion(*distances)
-        return OdometryStep(now.at, now.stamp, seconds, distance, turn)
+        return WheelStep(now.at, now.stamp, seconds, distance, turn)
 
-    def _judge_wheels(self, client: RoboclawClient, commanded: Pair, step: OdometryStep) -> None:
+    def _judge_wheels(self, client: RoboclawClient, commanded: Pair, step: WheelStep) -> None:
         if self._health.wheel_fault is not None:
             return
         excused = self._health.status.errors or step.at < self._not_judged_until

@@ -6,7 +6,7 @@ import numpy as np
 
 from cairn import from_ns
 from cairn.components.roboclaw.health import ControllerHealth
-from cairn.components.roboclaw.odometry import OdometryNoise, OdometryStep, WheelOdometry
+from cairn.components.roboclaw.odometry import OdometryNoise, WheelOdometry, WheelStep
 from cairn.driver.diagnostics import ERROR, OK, WARN, diagnostics
 from cairn.planar.messages import transform_message, with_covariance
 from cairn.schemas.diagnostic_msgs import DiagnosticArray
@@ -26,7 +26,7 @@ AWAITS_REST = (
 
 
 def odometry_message(
-    odometry: WheelOdometry, step: OdometryStep, speed: tuple[float, float], noise: OdometryNoise
+    odometry: WheelOdometry, step: WheelStep, speed: tuple[float, float], noise: OdometryNoise
 ) -> Odometry:
     """Return the pose at the end of a step, and the speed [m/s, rad/s]."""
     seconds = step.seconds or 1.0

@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class OdometryStep:
+class WheelStep:
     """The motion of the base between two readings of the encoders."""
 
     at: float

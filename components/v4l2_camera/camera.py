@@ -30,7 +30,7 @@ _SILENT_PERIODS = 4.0
 _Values = list[tuple[CameraControl, int]]
 
 
-class Camera:
+class VideoCamera:
     """A camera that `serve` reads, on the driver's thread for it, until it is stopped.
 
     It stays open in between: `open` and `close` frame its use. Whatever the device does, `serve`

@@ -22,7 +22,7 @@ from cairn import (
     from_ns,
 )
 from cairn.components.v4l2_camera.calibration import optical_frame_transform, read_calibrations
-from cairn.components.v4l2_camera.camera import Camera
+from cairn.components.v4l2_camera.camera import VideoCamera
 from cairn.components.v4l2_camera.config import LIVE, V4l2StereoCameraConfig
 from cairn.components.v4l2_camera.controls import ControlRejected
 from cairn.components.v4l2_camera.decoding import Gray, split_side_by_side
@@ -58,7 +58,7 @@ class V4l2StereoCamera(Component):
     tf_static: Out[TFMessage] = Out(qos=LATCHED)
     diagnostics: Out[DiagnosticArray]
 
-    _cameras: tuple[Camera, ...] = ()
+    _cameras: tuple[VideoCamera, ...] = ()
     _threads: tuple[DeviceThread, ...] = ()
 
     def on_configure(self) -> None:
@@ -73,7 +73,7 @@ class V4l2StereoCamera(Component):
             self._infos, self._baseline = read_calibrations(files, _FRAMES[:count], self.log)
             self._format_check = FormatCheck(config, self._infos, self.log)
             self._cameras = tuple(
-                Camera(
+                VideoCamera(
                     config.settings_of(device), config.controls.values(),
                     partial(self._format_check.accept, side), partial(self._on_image, side),
                     self.log,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from cairn.components.v4l2_camera.camera import Camera
+from cairn.components.v4l2_camera.camera import VideoCamera
 from cairn.components.v4l2_camera.frame_counts import FrameCounts
 from cairn.components.v4l2_camera.pairing import StereoPairer
 from cairn.driver.diagnostics import ERROR, OK, WARN, diagnostics
@@ -17,7 +17,7 @@ _OFTEN = 2.0  # [1/s]: slower cameras may have no image between two reports, one
 class CameraMonitor:
     """Reports the health of one camera by what has happened since the last report."""
 
-    def __init__(self, name: str, camera: Camera) -> None:
+    def __init__(self, name: str, camera: VideoCamera) -> None:
         self._name = name
         self._camera = camera
         self._before = replace(camera.counts)

@@ -19,7 +19,7 @@ from pydantic import ValidationError
 from cairn import SECOND, CairnError
 from cairn.cli.options import Json
 from cairn.cli.output import line, note, print_json
-from cairn.components.v4l2_camera.camera import Camera
+from cairn.components.v4l2_camera.camera import VideoCamera
 from cairn.components.v4l2_camera.camera_names import CameraNode, video_nodes
 from cairn.components.v4l2_camera.config import CameraSettings, V4l2StereoCameraConfig
 from cairn.components.v4l2_camera.controls import CameraControl
@@ -39,7 +39,7 @@ _USUAL_RATE = 25.0  # [1/s], of a camera that does not report it
 class CameraTrial:
     """What one camera sent: its counts, ages of its images [s], the newest one, errors."""
 
-    camera: Camera
+    camera: VideoCamera
     capture_format: CaptureFormat
     rate: float = 0.0
     ages: list[float] = field(default_factory=list)
@@ -169,7 +169,7 @@ def try_cameras(
     with ExitStack() as stack:
         trials = []
         for side, settings in enumerate(cameras):
-            camera = Camera(settings, {}, _accept_any, partial(_put, images, side), log)
+            camera = VideoCamera(settings, {}, _accept_any, partial(_put, images, side), log)
             stack.callback(camera.close)
             trials.append(CameraTrial(camera, camera.open()))
         for side, trial in enumerate(trials):

@@ -2,8 +2,12 @@
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
+
+from cairn import Component
+from cairn.testing.lockstep import ComponentHarness
 
 DATA = Path(__file__).parents[2] / "data"
 FR079 = DATA.parents[1] / "deploy" / "recordings" / "fr079_corrected.log.gz"
@@ -12,6 +16,11 @@ LEGS = DATA / "rosbags" / "leg_tracker_12s.bag"
 OLD_BAG = DATA / "rosbags" / "laser_scan_splitter_v12.bag"
 
 Write = Callable[..., Path]
+
+
+def start(component: type[Component], start_s: float, **parameters: Any) -> ComponentHarness[Any]:
+    """Run a replay component alone from a virtual time [s]."""
+    return ComponentHarness(component, parameters, start_s=start_s)
 
 
 def odom(t: float, x: float, speed: float = 1.0) -> str:

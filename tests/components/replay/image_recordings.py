@@ -1,6 +1,5 @@
 """Folders and videos of identifiable images, and the component that replays them."""
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +12,8 @@ from cairn.components.replay.camera import ReplayCamera
 from cairn.components.replay.open_recording import open_recording
 from cairn.vision.camera_file import write_camera
 from tests.cairn.vision.cameras import HEIGHT, WIDTH, info
+from tests.components.replay.conftest import start
 
-StageOf = Callable[..., Any]
 Gray = NDArray[np.uint8]
 
 
@@ -62,9 +61,9 @@ def calibrations(folder: Path) -> dict[str, str]:
     return files
 
 
-def replayed(stage: StageOf, path: Path, **parameters: Any) -> Any:
+def replayed(path: Path, **parameters: Any) -> Any:
     """Return the component after the whole recording was replayed."""
     first, last = open_recording(path, image_rate_hz=parameters.get("image_rate_hz")).span()
-    it = stage(ReplayCamera, first / SECOND - 0.5, recording=str(path), **parameters).begin()
-    it.wait((last - first) / SECOND + 1.0)
+    it = start(ReplayCamera, first / SECOND - 0.5, recording=str(path), **parameters)
+    it.run_for((last - first) / SECOND + 1.0)
     return it

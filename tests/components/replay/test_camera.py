@@ -1,22 +1,22 @@
 """Images of folders and videos are replayed as a camera sends them."""
 
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 import yaml
 
-from cairn import SECOND, Qos, to_ns
+from cairn import SECOND, to_ns
 from cairn.components.replay.open_recording import open_recording
 from cairn.components.replay.pacing import ReplayClock
-from cairn.deployment.load import load_deployment
-from cairn.placement.lockstep import LockstepRun
 from cairn.schemas.sensor_msgs import CameraInfo, Image
+from cairn.testing.lockstep import DeploymentHarness, LockstepReading
 from tests.cairn.vision.cameras import HEIGHT, WIDTH, info
 from tests.commands import cairn
+from tests.components.replay.conftest import start
 from tests.components.replay.image_recordings import (
-    StageOf,
     calibrations,
     numbered_image,
     pairs,
@@ -29,15 +29,12 @@ from tests.components.replay.image_recordings import (
 pytestmark = pytest.mark.images
 
 
-MANY = Qos("reliable", "transient_local", 100_000)
-
-
-def test_folder_of_pairs_is_a_stereo_camera(stage: StageOf, tmp_path: Path) -> None:
+def test_folder_of_pairs_is_a_stereo_camera(tmp_path: Path) -> None:
     folder = pairs(tmp_path / "images", 12)
 
-    it = replayed(stage, folder, image_rate_hz=5.0, **calibrations(tmp_path / "calibration"))
+    it = replayed(folder, image_rate_hz=5.0, **calibrations(tmp_path / "calibration"))
 
-    left, right = it.taken("left_image"), it.taken("right_image")
+    left, right = it.take("left_image"), it.take("right_image")
     # In natural order: 10 and 11 come after 9.
     assert [shade(image) for image in left] == [10 + 10 * n for n in range(12)]
     assert [shade(image) for image in right] == [15 + 10 * n for n in range(12)]
@@ -51,47 +48,45 @@ def test_folder_of_pairs_is_a_stereo_camera(stage: StageOf, tmp_path: Path) -> N
     assert set(np.diff(stamps)) == {SECOND // 5}
     assert left[0].header.frame_id == "left_camera_optical_frame"
     assert right[0].header.frame_id == "right_camera_optical_frame"
-    infos = it.taken("left_info"), it.taken("right_info")
+    infos = it.take("left_info"), it.take("right_info")
     for messages in (right, *infos):
         assert [to_ns(message.header.stamp) for message in messages] == stamps
     assert infos[1][0].p.tolist() == info("right").p.tolist()
     assert infos[1][0].header.frame_id == "right_camera_optical_frame"
 
 
-def test_folders_of_two_numbered_cameras_are_a_stereo_camera(
-    stage: StageOf, tmp_path: Path
-) -> None:
+def test_folders_of_two_numbered_cameras_are_a_stereo_camera(tmp_path: Path) -> None:
     save(tmp_path, "cam0/1.png", "cam0/2.png", "cam1/1.png", "cam1/2.png")
 
-    it = replayed(stage, tmp_path, image_rate_hz=5.0)
+    it = replayed(tmp_path, image_rate_hz=5.0)
 
-    assert [shade(image) for image in it.taken("left_image")] == [10, 20]
-    assert [shade(image) for image in it.taken("right_image")] == [30, 40]
+    assert [shade(image) for image in it.take("left_image")] == [10, 20]
+    assert [shade(image) for image in it.take("right_image")] == [30, 40]
 
 
-def test_images_of_one_camera_are_published_as_left_ones(stage: StageOf, tmp_path: Path) -> None:
+def test_images_of_one_camera_are_published_as_left_ones(tmp_path: Path) -> None:
     folder = save(tmp_path / "mono", "a1.png", "a2.png", "a10.png")
 
-    it = replayed(stage, folder, image_rate_hz=1.0)
+    it = replayed(folder, image_rate_hz=1.0)
 
-    assert [shade(image) for image in it.taken("left_image")] == [10, 20, 30]
+    assert [shade(image) for image in it.take("left_image")] == [10, 20, 30]
     # As ROS has it, a camera that is not calibrated tells its size alone.
-    left_info = it.taken("left_info")[0]
+    left_info = it.take("left_info")[0]
     assert (left_info.width, left_info.height, left_info.k.any()) == (WIDTH, HEIGHT, False)
-    assert it.taken("right_image") == it.taken("right_info") == []
+    assert it.take("right_image") == it.take("right_info") == []
 
 
-def test_side_by_side_images_are_split(stage: StageOf, tmp_path: Path) -> None:
+def test_side_by_side_images_are_split(tmp_path: Path) -> None:
     wide = np.hstack((numbered_image(40), numbered_image(90)))
     (tmp_path / "wide").mkdir()
     cv2.imwrite(str(tmp_path / "wide" / "0.png"), wide)
 
     it = replayed(
-        stage, tmp_path / "wide", image_rate_hz=1.0, side_by_side=True,
+        tmp_path / "wide", image_rate_hz=1.0, side_by_side=True,
         **calibrations(tmp_path / "calibration"),
     )  # fmt: skip
 
-    (left,), (right,) = it.taken("left_image"), it.taken("right_image")
+    (left,), (right,) = it.take("left_image"), it.take("right_image")
     assert (shade(left), shade(right)) == (40, 90)
     assert (left.width, right.width) == (WIDTH, WIDTH)
 
@@ -140,25 +135,25 @@ def test_table_of_names_applies_to_pairs(tmp_path: Path) -> None:
     assert (images.cameras, list(images.stamps)) == (2, [SECOND, 2 * SECOND])
 
 
-def test_video_is_replayed_at_its_own_or_another_rate(stage: StageOf, tmp_path: Path) -> None:
+def test_video_is_replayed_at_its_own_or_another_rate(tmp_path: Path) -> None:
     file = video(tmp_path / "run.avi", 5, fps=10.0)
 
-    own = replayed(stage, file).taken("left_image")
-    slow = replayed(stage, file, image_rate_hz=2.0).taken("left_image")
+    own = replayed(file).take("left_image")
+    slow = replayed(file, image_rate_hz=2.0).take("left_image")
 
     assert [round(shade(image), -1) for image in own] == [10, 20, 30, 40, 50]
     for taken, rate in ((own, 10), (slow, 2)):
         assert set(np.diff([to_ns(image.header.stamp) for image in taken])) == {SECOND // rate}
 
 
-def test_videos_of_both_cameras_are_a_stereo_camera(stage: StageOf, tmp_path: Path) -> None:
+def test_videos_of_both_cameras_are_a_stereo_camera(tmp_path: Path) -> None:
     folder = tmp_path / "videos"
     video(folder / "left.avi", 5)
     video(folder / "right.avi", 3, start=60)
 
-    it = replayed(stage, folder)
+    it = replayed(folder)
 
-    left, right = it.taken("left_image"), it.taken("right_image")
+    left, right = it.take("left_image"), it.take("right_image")
     assert [round(shade(image), -1) for image in left] == [10, 20, 30]
     assert [round(shade(image), -1) for image in right] == [60, 70, 80]
     (note,) = open_recording(folder).notes()
@@ -166,7 +161,7 @@ def test_videos_of_both_cameras_are_a_stereo_camera(stage: StageOf, tmp_path: Pa
 
 
 def test_cut_off_video_ends_with_a_warning(
-    stage: StageOf, tmp_path: Path, caplog: pytest.LogCaptureFixture
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     file = video(tmp_path / "run.avi", 20)
     whole = file.read_bytes()
@@ -174,33 +169,33 @@ def test_cut_off_video_ends_with_a_warning(
     # The frames from the sixth on are gone, the header still tells of all.
     file.write_bytes(whole[: frames[5]])
 
-    it = replayed(stage, file)
+    it = replayed(file)
 
     warnings = [r.message for r in caplog.records if "left out image" in r.message]
-    sent = len(it.taken("left_image"))
+    sent = len(it.take("left_image"))
     assert 1 <= sent <= 6
     if sent < len(open_recording(file).images().stamps):  # type: ignore[union-attr]
         assert f"{file} ends after {sent} of" in warnings[0]
 
 
-def test_part_of_a_video_is_replayed(stage: StageOf, tmp_path: Path) -> None:
+def test_part_of_a_video_is_replayed(tmp_path: Path) -> None:
     file = video(tmp_path / "run.avi", 10)
 
-    it = replayed(stage, file, begin_s=0.45, end_s=0.75)
+    it = replayed(file, begin_s=0.45, end_s=0.75)
 
-    assert [round(shade(image), -1) for image in it.taken("left_image")] == [60, 70, 80]
+    assert [round(shade(image), -1) for image in it.take("left_image")] == [60, 70, 80]
 
 
 def test_damaged_image_is_left_out_with_a_warning(
-    stage: StageOf, tmp_path: Path, caplog: pytest.LogCaptureFixture
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     folder = save(tmp_path / "images", "0.png", "1.png", "2.png")
     damaged = folder / "1.png"
     damaged.write_bytes(damaged.read_bytes()[:-60])
 
-    it = replayed(stage, folder, image_rate_hz=5.0)
+    it = replayed(folder, image_rate_hz=5.0)
 
-    assert [shade(image) for image in it.taken("left_image")] == [10, 30]
+    assert [shade(image) for image in it.take("left_image")] == [10, 30]
     assert any(f"left out image 2: {damaged}" in r.message for r in caplog.records)
 
 
@@ -218,13 +213,13 @@ def test_unpaired_images_are_left_out_and_named(tmp_path: Path) -> None:
     assert note == "2 images have no partner, left out: left2.png, overview.png"
 
 
-def test_clock_runs_over_the_images(stage: StageOf, tmp_path: Path) -> None:
+def test_clock_runs_over_the_images(tmp_path: Path) -> None:
     folder = save(tmp_path, *(f"{n}.png" for n in range(11)))
-    it = stage(ReplayClock, 50.0, recording=str(folder), image_rate_hz=2.0, rate=10.0).begin()
+    it = start(ReplayClock, 50.0, recording=str(folder), image_rate_hz=2.0, rate=10.0)
 
-    it.wait(2.0)
+    it.run_for(2.0)
 
-    times = [to_ns(m.clock) / SECOND for m in it.taken("time")]
+    times = [to_ns(m.clock) / SECOND for m in it.take("time")]
     assert times[-1] - times[0] == pytest.approx(6.0, abs=0.1)
     assert it.ends
 
@@ -268,23 +263,18 @@ def test_deployment_replays_images_only(tmp_path: Path) -> None:
         )
     )
 
-    run = LockstepRun(load_deployment(file), seed=0)
-    outside = run.bus.node("/robot/outside", pytest.fail)
     topics = {
         "left_image": Image,
         "left_info": CameraInfo,
         "right_image": Image,
         "right_info": CameraInfo,
     }
-    readers = {
-        name: outside.subscribe(f"/robot/{name}", kind, MANY, lambda: None)
-        for name, kind in topics.items()
-    }
+    with DeploymentHarness(file) as replay:
+        readings: dict[str, LockstepReading[Any]] = {
+            name: replay.read(name, message) for name, message in topics.items()
+        }
+        assert replay.run_to_end().normal
 
-    assert run.run(lambda: None).normal
-
-    for name, reader in readers.items():
-        stamps = []
-        while (message := reader.take()) is not None:
-            stamps.append(to_ns(message.header.stamp))
+    for name, reading in readings.items():
+        stamps = [to_ns(message.header.stamp) for message in reading.messages]
         assert stamps == [SECOND + k * SECOND // 5 for k in range(5)], name

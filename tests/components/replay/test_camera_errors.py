@@ -7,7 +7,8 @@ import pytest
 
 from cairn import CairnError
 from cairn.components.replay.camera import ReplayCamera
-from tests.components.replay.image_recordings import StageOf, calibrations, pairs, save, video
+from tests.components.replay.conftest import start
+from tests.components.replay.image_recordings import calibrations, pairs, save, video
 
 pytestmark = pytest.mark.images
 
@@ -92,11 +93,7 @@ def broken(tmp_path: Path, what: str) -> tuple[Path, dict[str, Any]]:
         ("videos of two sizes", r"right.avi is 640 x 240 pixels, but .*left.avi is 320 x 240"),
     ],
 )
-def test_unusable_images_are_rejected(
-    stage: StageOf, tmp_path: Path, what: str, message: str
-) -> None:
+def test_unusable_images_are_rejected(tmp_path: Path, what: str, message: str) -> None:
     path, parameters = broken(tmp_path, what)
-    it = stage(ReplayCamera, 0.0, recording=str(path), **parameters)
-
     with pytest.raises(CairnError, match=message):
-        it.runtime.component.on_configure()
+        start(ReplayCamera, 0.0, recording=str(path), **parameters)

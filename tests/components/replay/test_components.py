@@ -1,6 +1,5 @@
 """Replay components publish any recording at its recorded times, completely or in part."""
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -8,7 +7,7 @@ import numpy as np
 import pytest
 import yaml
 
-from cairn import SECOND, Qos, to_ns
+from cairn import SECOND, CairnError, to_ns
 from cairn.components.replay.carmen import CarmenRecording
 from cairn.components.replay.components import (
     ReplayOdometry,
@@ -19,29 +18,25 @@ from cairn.components.replay.components import (
 from cairn.components.replay.open_recording import open_recording
 from cairn.components.replay.pacing import ReplayClock
 from cairn.components.replay.recording import RecordingError
-from cairn.deployment.load import load_deployment
-from cairn.placement.lockstep import LockstepRun
 from cairn.process_exit import ExitReport
 from cairn.schemas.nav_msgs import Odometry
-from tests.components.replay.conftest import FR079, FR101, LEGS, Write, odom
+from cairn.testing.lockstep import DeploymentHarness
+from tests.components.replay.conftest import FR079, FR101, LEGS, Write, odom, start
 
 pytestmark = pytest.mark.slow
 
 
-StageOf = Callable[..., Any]
-
-MANY = Qos("reliable", "transient_local", 100_000)
 BEGIN = 1211.520329  # fr079's first record [s]
 
 
-def test_scans_are_published_at_their_recorded_times(stage: StageOf) -> None:
+def test_scans_are_published_at_their_recorded_times() -> None:
     scans = CarmenRecording(FR101).scans()
     assert scans is not None
-    it = stage(ReplayScanner, 158.0, recording=str(FR101)).begin()
+    it = start(ReplayScanner, 158.0, recording=str(FR101))
 
-    it.wait(30.0)
+    it.run_for(30.0)
 
-    sent = it.taken("scan")
+    sent = it.take("scan")
     assert [to_ns(s.header.stamp) for s in sent] == [
         stamp for stamp in scans.stamps if stamp <= 188 * SECOND
     ]
@@ -50,88 +45,78 @@ def test_scans_are_published_at_their_recorded_times(stage: StageOf) -> None:
 
 
 def test_bag_without_odometry_replays_its_scans_with_a_warning(
-    stage: StageOf, caplog: pytest.LogCaptureFixture
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
     first, _ = open_recording(LEGS).span()
-    scanner = stage(ReplayScanner, first / SECOND, recording=str(LEGS)).begin()
-    wheels = stage(ReplayOdometry, first / SECOND, recording=str(LEGS)).begin()
+    scanner = start(ReplayScanner, first / SECOND, recording=str(LEGS))
+    wheels = start(ReplayOdometry, first / SECOND, recording=str(LEGS))
 
-    scanner.wait(2.0)
-    wheels.wait(2.0)
+    scanner.run_for(2.0)
+    wheels.run_for(2.0)
 
-    assert 20 <= len(scanner.taken("scan")) <= 21
-    assert wheels.taken("odom") == []
-    assert wheels.taken("reached")
+    assert 20 <= len(scanner.take("scan")) <= 21
+    assert wheels.take("odom") == []
+    assert wheels.take("reached")
     assert f"{LEGS} holds no odometry: nothing to replay" in [r.message for r in caplog.records]
 
 
-def test_laser_recording_has_no_observations(
-    stage: StageOf, caplog: pytest.LogCaptureFixture
-) -> None:
-    it = stage(ReplayRecognizer, 158.0, recording=str(FR101)).begin()
+def test_laser_recording_has_no_observations(caplog: pytest.LogCaptureFixture) -> None:
+    it = start(ReplayRecognizer, 158.0, recording=str(FR101))
 
-    it.wait(1.0)
+    it.run_for(1.0)
 
-    assert it.taken("objects") == []
+    assert it.take("objects") == []
     assert any("holds no observations of landmarks" in r.message for r in caplog.records)
 
 
-def test_assumptions_about_a_recording_are_logged(
-    stage: StageOf, caplog: pytest.LogCaptureFixture
-) -> None:
-    stage(ReplayClock, 0.0, recording=str(FR079)).begin()
+def test_assumptions_about_a_recording_are_logged(caplog: pytest.LogCaptureFixture) -> None:
+    start(ReplayClock, 0.0, recording=str(FR079))
 
     assert any("of driving backwards as forward" in r.message for r in caplog.records)
 
 
-def test_corrected_poses_are_replayed_as_truth(stage: StageOf) -> None:
+def test_corrected_poses_are_replayed_as_truth() -> None:
     truth = CarmenRecording(FR101).truth()
     assert truth is not None
-    it = stage(ReplayTruth, 158.0, recording=str(FR101)).begin()
+    it = start(ReplayTruth, 158.0, recording=str(FR101))
 
-    it.wait(10.0)
+    it.run_for(10.0)
 
-    sent = it.taken("truth")
+    sent = it.take("truth")
     assert sent
     assert sent[0].header.frame_id == "map"
     assert sent[0].pose.position.x == pytest.approx(truth.poses[0, 0])
-    assert it.taken("true_map") == []
+    assert it.take("true_map") == []
 
 
 @pytest.mark.parametrize("driver", [ReplayOdometry, ReplayScanner, ReplayTruth])
-def test_part_of_a_recording_is_replayed(stage: StageOf, driver: Any) -> None:
+def test_part_of_a_recording_is_replayed(driver: Any) -> None:
     port = {ReplayOdometry: "odom", ReplayScanner: "scan", ReplayTruth: "truth"}[driver]
-    it = stage(driver, BEGIN + 499.0, recording=str(FR079), begin_s=500.0, end_s=503.0).begin()
+    it = start(driver, BEGIN + 499.0, recording=str(FR079), begin_s=500.0, end_s=503.0)
 
-    it.wait(10.0)
+    it.run_for(10.0)
 
-    stamps = [to_ns(m.header.stamp) / SECOND - BEGIN for m in it.taken(port)]
+    stamps = [to_ns(m.header.stamp) / SECOND - BEGIN for m in it.take(port)]
     assert len(stamps) > 3
     assert stamps[0] == pytest.approx(500.2, abs=0.3)
     assert stamps[-1] == pytest.approx(502.8, abs=0.3)
 
 
-def test_clock_runs_over_the_replayed_part(stage: StageOf) -> None:
-    it = stage(
-        ReplayClock, 50.0, recording=str(FR101), begin_s=100.0, end_s=110.0, rate=10.0
-    ).begin()
+def test_clock_runs_over_the_replayed_part() -> None:
+    it = start(ReplayClock, 50.0, recording=str(FR101), begin_s=100.0, end_s=110.0, rate=10.0)
 
-    it.wait(2.0)
+    it.run_for(2.0)
 
-    times = [to_ns(m.clock) / SECOND for m in it.taken("time")]
+    times = [to_ns(m.clock) / SECOND for m in it.take("time")]
     first = CarmenRecording(FR101).span()[0] / SECOND
     assert times[0] == pytest.approx(first + 100.0)
     assert first + 110.0 < times[-1] < first + 111.2
     assert it.ends == [ExitReport(True, "the recording is at its end")]
 
 
-def test_part_after_the_end_is_rejected(stage: StageOf) -> None:
-    it = stage(ReplayScanner, 0.0, recording=str(FR101), begin_s=2000.0)
-
-    with pytest.raises(
-        RecordingError, match=r"there is nothing to replay .* the recording is 923.6 s long"
-    ):
-        it.runtime.component.on_configure()
+def test_part_after_the_end_is_rejected() -> None:
+    with pytest.raises(CairnError, match=r"nothing to replay .* the recording is 923.6 s long"):
+        start(ReplayScanner, 0.0, recording=str(FR101), begin_s=2000.0)
 
 
 def test_data_set_of_several_robots_needs_a_robot_number(dataset: Path) -> None:
@@ -190,16 +175,9 @@ def test_complete_replay_in_lockstep_from_time_zero(write: Write, tmp_path: Path
     file = tmp_path / "run.yaml"
     file.write_text(yaml.safe_dump(page, sort_keys=False))
 
-    run = LockstepRun(load_deployment(file), seed=0)
-    outside = run.bus.node("/robot/outside", pytest.fail)
-    odometry = outside.subscribe("/robot/odom", Odometry, MANY, _nothing)
-    assert run.run(_nothing).normal
+    with DeploymentHarness(file) as replay:
+        odometry = replay.read("odom", Odometry)
+        assert replay.run_to_end().normal
 
-    stamps = []
-    while (message := odometry.take()) is not None:
-        stamps.append(to_ns(message.header.stamp))
+    stamps = [to_ns(message.header.stamp) for message in odometry.messages]
     assert stamps == [k * SECOND // 10 for k in range(31)]
-
-
-def _nothing() -> None:
-    pass

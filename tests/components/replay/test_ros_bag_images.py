@@ -13,7 +13,6 @@ from cairn.components.replay.open_recording import open_recording
 from cairn.components.replay.recording import RecordingError
 from tests.cairn.vision.cameras import HEIGHT, WIDTH
 from tests.components.replay.image_recordings import (
-    StageOf,
     numbered_image,
     replayed,
     shade,
@@ -43,7 +42,7 @@ def compressed(t: float, shade: int) -> Any:
 
 @pytest.mark.parametrize("make", [image, compressed])
 def test_images_of_a_bag_are_replayed_in_pairs(
-    stage: StageOf, tmp_path: Path, make: Callable[[float, int], Any]
+    tmp_path: Path, make: Callable[[float, int], Any]
 ) -> None:
     kind = "/compressed" if make is compressed else ""
     messages: Messages = []
@@ -57,16 +56,16 @@ def test_images_of_a_bag_are_replayed_in_pairs(
             messages.append((f"/stereo/right/image_raw{kind}", at + 1, other))
     bag = ros2(tmp_path / "bag", messages)
 
-    it = replayed(stage, bag)
+    it = replayed(bag)
 
-    assert [shade(m) for m in it.taken("left_image")] == [10, 40, 50]
-    assert [shade(m) for m in it.taken("right_image")] == [15, 45, 55]
+    assert [shade(m) for m in it.take("left_image")] == [10, 40, 50]
+    assert [shade(m) for m in it.take("right_image")] == [15, 45, 55]
     assert list(open_recording(bag).span()) == [BEGIN * SECOND, round((BEGIN + 0.8) * SECOND)]
 
 
 @pytest.mark.parametrize("which", [0, 1])
 def test_truncated_compressed_image_is_left_out(
-    stage: StageOf, tmp_path: Path, caplog: pytest.LogCaptureFixture, which: int
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, which: int
 ) -> None:
     shades = [10, 20, 30]
     messages: Messages = [
@@ -76,26 +75,26 @@ def test_truncated_compressed_image_is_left_out(
     messages[which][2].data = messages[which][2].data[:-60]
     bag = ros2(tmp_path / "bag", messages)
 
-    it = replayed(stage, bag)
+    it = replayed(bag)
 
     whole = [shade for k, shade in enumerate(shades) if k != which]
-    assert [shade(image) for image in it.taken("left_image")] == whole
+    assert [shade(image) for image in it.take("left_image")] == whole
     why = f"topic /image/compressed, image {which + 1}: it (png) is truncated or damaged"
     assert any(why in record.message for record in caplog.records)
 
 
 @pytest.mark.parametrize("changes", [{"step": 3 * WIDTH + 1}, {"encoding": "mono64"}])
 def test_invalid_image_is_left_out(
-    stage: StageOf, tmp_path: Path, caplog: pytest.LogCaptureFixture, changes: dict[str, Any]
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, changes: dict[str, Any]
 ) -> None:
     odd = image(BEGIN + 0.2, 20, **changes)
     messages = [("/image", round(m * SECOND), i) for m, i in (
         (BEGIN, image(BEGIN, 10)), (BEGIN + 0.2, odd), (BEGIN + 0.4, image(BEGIN + 0.4, 30))
     )]  # fmt: skip
 
-    it = replayed(stage, ros2(tmp_path / "bag", messages))
+    it = replayed(ros2(tmp_path / "bag", messages))
 
-    assert [shade(image) for image in it.taken("left_image")] == [10, 30]
+    assert [shade(image) for image in it.take("left_image")] == [10, 30]
     assert any("topic /image, image 2: " in record.message for record in caplog.records)
 
 
@@ -136,7 +135,7 @@ def test_bag_of_damaged_images_only_is_rejected(tmp_path: Path) -> None:
 
 
 def test_one_of_several_cameras_must_be_named(
-    stage: StageOf, tmp_path: Path, caplog: pytest.LogCaptureFixture
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     topics = ("/front/image", "/back/image")
     bag = ros2(
@@ -145,12 +144,12 @@ def test_one_of_several_cameras_must_be_named(
         + [("/odom", BEGIN * SECOND, odometry(BEGIN, 0.0))],
     )
 
-    nothing = replayed(stage, bag)
-    named = replayed(stage, bag, topics={"left_image": "/back/image"})
+    nothing = replayed(bag)
+    named = replayed(bag, topics={"left_image": "/back/image"})
 
-    assert nothing.taken("left_image") == []
+    assert nothing.take("left_image") == []
     assert any("several topics hold images" in r.message for r in caplog.records)
-    assert [shade(m) for m in named.taken("left_image")] == [30]
+    assert [shade(m) for m in named.take("left_image")] == [30]
     with pytest.raises(
         RecordingError, match="/odom is not a topic of images; there are /back/image"
     ):
@@ -158,9 +157,9 @@ def test_one_of_several_cameras_must_be_named(
 
 
 def test_recording_without_images_is_reported(
-    stage: StageOf, tmp_path: Path, caplog: pytest.LogCaptureFixture
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     bag = ros2(tmp_path / "bag", [("/odom", BEGIN * SECOND, odometry(BEGIN, 0.0))])
 
-    assert replayed(stage, bag).taken("left_image") == []
+    assert replayed(bag).take("left_image") == []
     assert any("holds no images of one camera" in r.message for r in caplog.records)

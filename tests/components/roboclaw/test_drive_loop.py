@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from cairn.components.roboclaw.client import Handshake, UnusableControllerError, open_line
+from cairn.components.roboclaw.client import ControllerHandshake, UnusableControllerError, open_line
 from cairn.components.roboclaw.command_timeout import LatestCommand
 from cairn.components.roboclaw.config import RoboclawBaseConfig
 from cairn.components.roboclaw.drive_loop import DriveLoop
 from cairn.components.roboclaw.health import ControllerHealth
-from cairn.components.roboclaw.odometry import OdometryStep
+from cairn.components.roboclaw.odometry import WheelStep
 from cairn.driver.device_thread import DeviceThread
 from cairn.driver.errors import DeviceError, LinkLost
 from tests.components.roboclaw.emulated_base import PARAMETERS, EmulatedBase, emulated_base
@@ -33,10 +33,10 @@ class LoopRun:
         config = RoboclawBaseConfig.model_validate({**PARAMETERS, "port": str(base.path), **values})
         self.base = base
         self.health = ControllerHealth()
-        self.steps: list[OdometryStep] = []
+        self.steps: list[WheelStep] = []
         self.device_errors: list[DeviceError] = []
         self.failures: list[Exception] = []
-        self.ready: list[Handshake] = []
+        self.ready: list[ControllerHandshake] = []
         self._command = LatestCommand(config.command_timeout_s)
         self._target = (0.0, 0.0)
         self._stopping = threading.Event()
@@ -86,7 +86,7 @@ class LoopRun:
             on_failure=self.failures.append,
         )
 
-    def _note(self, step: OdometryStep) -> None:
+    def _note(self, step: WheelStep) -> None:
         self.steps.append(step)
         if self._hold_up_s:
             time.sleep(self._hold_up_s)
