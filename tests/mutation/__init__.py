@@ -1,1 +1,1 @@
-"""Deliberate faults in the code of the product, and which test catches each of them."""
+"""Deliberate faults in the product code, and which test catches each of them."""

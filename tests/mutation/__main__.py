@@ -1,9 +1,9 @@
-"""Applies deliberate faults to a copy of the code, and tells which of them the tests catch.
+"""Apply deliberate faults to a copy of the code, and report which of them the tests catch.
 
-Each job works in a scratch folder of its own, with the files that git tracks. A fault is caught if
-a test fails, fails again when it runs alone, and passes without the fault; or if the tests do not
-end within the time limit, and pass within it without the fault. The exit status is 1 if a fault is
-missed.
+Each job works in a scratch folder of its own, with a copy of the files that git tracks. A fault is
+caught if a test fails, fails again when it runs alone, and passes without the fault. It is also
+caught if the tests exceed the time limit with the fault and pass within it without the fault. The
+exit status is 1 if a fault is missed.
 """
 
 import argparse
@@ -31,37 +31,40 @@ from tests.mutation.faults import NO_TEST, ROOT, Fault, mutated, problems, read_
 
 _MARK = "CAIRN_MUTATION"
 _FAILED = re.compile(r"^(?:FAILED|ERROR) (tests/.*?)(?:\[.*| - .*)?$", re.MULTILINE)
-_PACKAGES = "cairn components planar schemas supervisors tests vision cairn_test_plugins"
-# Where a child process finds the packages and what entry points name, whatever its folder is.
-_WHENCE = f"""
+# `cairn` contains components, schemas, supervisors and deploy by symbolic links to folders next to
+# it; the copy keeps these links.
+_PACKAGES = ("cairn", "tests", "cairn_test_plugins")
+# Prints the files from which a child process imports the packages and the entry points.
+_PRINT_ORIGINS = f"""
 import importlib.metadata, importlib.util
 entries = importlib.metadata.distribution("cairn-robotics").entry_points
-for module in [*"{_PACKAGES}".split(), *(entry.module for entry in entries)]:
+for module in [*{_PACKAGES}, *(entry.module for entry in entries)]:
     print(importlib.util.find_spec(module).origin)
 """
 
 
 @dataclass(frozen=True)
 class Result:
-    """What the tests made of a fault; `caught_by` is a test, `timeout` or `none`.
+    """The result of one fault; `caught_by` is a test, `timeout` or `none`.
 
-    `unsound` is a test, or `timeout`, that fails without the fault as well, or only sometimes.
+    `unreliable` is a test (or `timeout`) that does not count, because it failed only once with the
+    fault, or also fails without it.
     """
 
     id: str
     room: str
     caught_by: str
-    unsound: str
+    unreliable: str
     seconds: float
 
     @property
     def caught(self) -> bool:
-        """Whether the fault was noticed."""
+        """Whether a test caught the fault."""
         return self.caught_by != NO_TEST
 
 
 class Scratch:
-    """A copy of the code in which faults are applied and tests run."""
+    """A copy of the code in which faults are applied and tests are run."""
 
     def __init__(self, root: Path, limit_s: float) -> None:
         self.root = root
@@ -70,59 +73,76 @@ class Scratch:
             ["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, check=True
         )
         for name in filter(None, tracked.stdout.decode().split("\0")):
-            if os.path.lexists(ROOT / name):  # else it is deleted and not committed
+            if os.path.lexists(ROOT / name):  # it may have been deleted without a commit
                 (root / name).parent.mkdir(parents=True, exist_ok=True)
                 shutil.copy2(ROOT / name, root / name, follow_symlinks=False)
-        shown = self._run([sys.executable, "-c", _WHENCE], tempfile.gettempdir(), root / ".numba")
-        files = shown.split()
+        # In another folder than the copy, as tests also start processes in other folders.
+        command = [sys.executable, "-c", _PRINT_ORIGINS]
+        output = self._run(command, tempfile.gettempdir(), root / ".numba")
+        files = output.split()
         if not files or not all(file.startswith(f"{root}{os.sep}") for file in files):
-            raise SystemExit(f"{root}: child processes do not import this copy, but:\n{shown}")
+            raise SystemExit(
+                f"{root}: child processes import files from outside of this copy:\n{output}"
+                "install the packages of the working tree again"
+            )
 
     def judge(self, fault: Fault) -> Result:
-        """Run the tests with the fault."""
-        began = time.monotonic()
+        """Run the tests with the fault, and the failed test again with it and without it."""
+        started = time.monotonic()
         with self._applied(fault) as cache:
-            failed = self._failed(fault.tests, cache)
-            suspects, unsound = fault.tests if failed == "timeout" else (failed,), ""
-            # On a busy machine a test may fail for another reason: then it passes alone.
-            once = failed not in (NO_TEST, "timeout") and self._failed(suspects, cache) == NO_TEST
-        if failed != NO_TEST and (once or self._failed(suspects, self.root / ".numba") != NO_TEST):
-            failed, unsound = NO_TEST, failed
-        return Result(fault.id, fault.room, failed, unsound, round(time.monotonic() - began, 1))
+            failed = self._first_failed(fault.tests, cache)
+            again, unreliable = fault.tests if failed == "timeout" else (failed,), ""
+            # On a busy machine a test may fail for another reason; then it passes when run alone.
+            only_once = (
+                failed not in (NO_TEST, "timeout") and self._first_failed(again, cache) == NO_TEST
+            )
+        if failed != NO_TEST and (
+            only_once or self._first_failed(again, self.root / ".numba") != NO_TEST
+        ):
+            failed, unreliable = NO_TEST, failed
+        seconds = round(time.monotonic() - started, 1)
+        return Result(fault.id, fault.room, failed, unreliable, seconds)
 
     @contextmanager
     def _applied(self, fault: Fault) -> Iterator[Path]:
-        """Apply a fault; gives the folder for compiled kernels to be used with it."""
+        """Apply a fault; yield the cache folder for kernels that are compiled with it."""
         path, source = self.root / fault.file, (ROOT / fault.file).read_text("utf-8")
-        # Numba does not notice that a kernel changed which another one calls.
+        # Numba does not compile a kernel again when another kernel that it calls has changed.
         kernels = "@compiled" in source or "@numba" in source
         cache = Path(tempfile.mkdtemp(dir=self.root)) if kernels else self.root / ".numba"
         path.write_text(mutated(fault, source), "utf-8")
         try:
             yield cache
         finally:
-            shutil.copy2(ROOT / fault.file, path)  # with its time, so that .pyc files are renewed
+            shutil.copy2(
+                ROOT / fault.file, path
+            )  # with its old time, so that .pyc files are written again
 
-    def _failed(self, tests: Sequence[str], cache: Path) -> str:
+    def _first_failed(self, tests: Sequence[str], cache: Path) -> str:
         """Return the first test that fails, `timeout` or `none`."""
         pytest = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *tests]
         try:
-            shown = self._run(pytest, str(self.root), cache)
+            output = self._run(pytest, str(self.root), cache)
         except subprocess.TimeoutExpired:
             return "timeout"
-        found = _FAILED.search(shown)
-        if found is None and not re.search(r"^\d+ (passed|skipped)", shown, re.MULTILINE):
-            return tests[0]  # pytest itself did not come to an end
+        found = _FAILED.search(output)
+        if found is None and not re.search(r"^\d+ (passed|skipped)", output, re.MULTILINE):
+            return tests[0]  # pytest itself crashed
         return NO_TEST if found is None else found[1]
 
     def _run(self, command: Sequence[str], folder: str, cache: Path) -> str:
-        """Return the output of a command; nothing that it started is left running."""
+        """Run a command and return its output; kill all processes that it leaves behind."""
         mark = uuid4().hex
-        imported = f"{self.root}{os.pathsep}{self.root / 'tests' / 'plugin_package'}"
+        import_path = f"{self.root}{os.pathsep}{self.root / 'tests' / 'plugin_package'}"
         process = subprocess.Popen(
             command,
             cwd=folder,
-            env={**os.environ, "PYTHONPATH": imported, "NUMBA_CACHE_DIR": str(cache), _MARK: mark},
+            env={
+                **os.environ,
+                "PYTHONPATH": import_path,
+                "NUMBA_CACHE_DIR": str(cache),
+                _MARK: mark,
+            },
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
@@ -143,7 +163,7 @@ def _kill_marked(mark: str) -> None:
                 process.kill()
 
 
-def _judged(faults: Sequence[Fault], jobs: int, limit_s: float) -> Iterator[Result]:
+def _judge_all(faults: Sequence[Fault], jobs: int, limit_s: float) -> Iterator[Result]:
     with (
         tempfile.TemporaryDirectory(prefix="mutation-") as folder,
         ThreadPoolExecutor(jobs) as pool,
@@ -164,40 +184,53 @@ def _judged(faults: Sequence[Fault], jobs: int, limit_s: float) -> Iterator[Resu
 
 
 def main() -> int:
-    """Run the faults that were asked for."""
+    """Run the tests with each of the chosen faults."""
     parser = argparse.ArgumentParser("python -m tests.mutation", description=__doc__)
     parser.add_argument("ids", nargs="*", metavar="ID", help="faults to apply; by default all")
     parser.add_argument("--room", help="only the faults of this room")
-    parser.add_argument("--jobs", type=int, default=1, help="how many faults to try at a time")
-    parser.add_argument("--limit", type=float, default=300.0, help="for the tests of a fault [s]")
+    parser.add_argument(
+        "--jobs", type=int, default=1, help="number of faults tried at the same time"
+    )
+    parser.add_argument(
+        "--limit", type=float, default=300.0, help="time limit for the tests of a fault [s]"
+    )
     parser.add_argument("--out", type=Path, help="write the results to this JSON file")
-    parser.add_argument("--record", action="store_true", help="write caught_by to faults.yaml")
-    parser.add_argument("--check", action="store_true", help="only check that faults apply")
-    given = parser.parse_args()
+    parser.add_argument("--record", action="store_true", help="write `caught_by` to faults.yaml")
+    parser.add_argument(
+        "--check", action="store_true", help="only check that each fault can be applied to the code"
+    )
+    arguments = parser.parse_args()
     console, faults = Console(), read_faults()
     chosen = [
         fault
         for fault in faults
-        if fault.id in (given.ids or [fault.id]) and fault.room == (given.room or fault.room)
+        if fault.id in (arguments.ids or [fault.id])
+        and fault.room == (arguments.room or fault.room)
     ]
-    unknown = sorted(set(given.ids) - {fault.id for fault in faults})
-    wrong = [*problems(faults), *(f"{one}: there is no fault with this id" for one in unknown)]
-    if wrong or given.check:
-        console.print("\n".join(wrong) or f"{len(faults)} faults apply", markup=False)
-        return 1 if wrong else 0
+    unknown = sorted(set(arguments.ids) - {fault.id for fault in faults})
+    errors = [
+        *problems(faults),
+        *(f"{one}: no fault has this id; see tests/mutation/faults.yaml" for one in unknown),
+    ]
+    if errors or arguments.check:
+        text = "\n".join(errors) or f"all {len(faults)} faults can be applied"
+        console.print(text, markup=False)
+        return 1 if errors else 0
     results: list[Result] = []
-    for result in _judged(chosen, given.jobs, given.limit):
+    for result in _judge_all(chosen, arguments.jobs, arguments.limit):
         results.append(result)
-        why = (
-            f"; {result.unsound} fails without the fault, too, or not always"
-            if result.unsound
+        note = (
+            f"; {result.unreliable} does not count: it failed only once, or fails without the fault"
+            if result.unreliable
             else ""
         )
-        told = f"{result.id}: {result.caught_by} ({result.seconds} s){why}"
-        console.print(told, soft_wrap=True, markup=False)
-        if given.out is not None:
-            given.out.write_text(json.dumps([asdict(one) for one in results], indent=1), "utf-8")
-        if given.record:
+        text = f"{result.id}: {result.caught_by} ({result.seconds} s){note}"
+        console.print(text, soft_wrap=True, markup=False)
+        if arguments.out is not None:
+            arguments.out.write_text(
+                json.dumps([asdict(one) for one in results], indent=1), "utf-8"
+            )
+        if arguments.record:
             found = {one.id: one.caught_by for one in results}
             update = [{"caught_by": found.get(fault.id, fault.caught_by)} for fault in faults]
             write_faults([f.model_copy(update=u) for f, u in zip(faults, update, strict=True)])

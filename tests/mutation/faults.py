@@ -1,4 +1,4 @@
-"""The list of deliberate faults: how to read, check and write it."""
+"""Read, check and write the list of deliberate faults."""
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -13,15 +13,15 @@ FILE = Path(__file__).with_name("faults.yaml")
 NO_TEST = "none"
 
 _HEADER = """\
-# Deliberate faults. `python -m tests.mutation` applies each to a copy of the code and runs its
-# tests; see tests/mutation/__main__.py. `find` occurs exactly once in `file`. `caught_by` is the
-# first test that failed when the fault was last recorded, or none. With `--record` the runner
-# writes this file anew, and other comments are lost.
+# Deliberate faults. `python -m tests.mutation` applies each of them to a copy of the code and runs
+# its tests; see tests/mutation/__main__.py. `find` occurs exactly once in `file`. `caught_by` is
+# the first test that failed when the fault was last recorded, or none. With `--record` the runner
+# rewrites this file; comments other than this one are lost.
 """
 
 
 class Fault(BaseModel):
-    """A small change of the code that a programmer's mistake could make."""
+    """A small change of the code that could be made by mistake."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
     id: str = Field(pattern=r"^[a-z0-9-]+$")
@@ -35,34 +35,34 @@ class Fault(BaseModel):
 
 
 def read_faults(file: Path = FILE) -> list[Fault]:
-    """Read the list of faults; raises `ValueError` if an entry is not valid."""
+    """Read the list of faults; raise `ValueError` if an entry is invalid."""
     return [Fault.model_validate(entry) for entry in yaml.safe_load(file.read_text("utf-8"))]
 
 
 def write_faults(faults: Sequence[Fault], file: Path = FILE) -> None:
-    """Replace the list of faults."""
+    """Write the list of faults, in place of the old one."""
     entries = [{**fault.model_dump(), "tests": list(fault.tests)} for fault in faults]
     text = yaml.dump(entries, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=98)
     file.write_text(_HEADER + text.replace("\n- id:", "\n\n- id:"), "utf-8")
 
 
 def mutated(fault: Fault, source: str) -> str:
-    """Return the text of the file with the fault."""
+    """Return the source of the file with the fault applied."""
     return source.replace(fault.find, fault.replace)
 
 
 def problems(faults: Sequence[Fault], root: Path = ROOT) -> Iterator[str]:
-    """Yield a sentence for each fault that cannot be applied to the code under `root`."""
+    """Yield a message for each fault that cannot be applied to the code under `root`."""
     for name, count in Counter(fault.id for fault in faults).items():
         if count > 1:
-            yield f"{name}: {count} faults have this id"
+            yield f"{name}: {count} faults have this id; give each its own"
     for fault in faults:
         for test in fault.tests:
             if not (root / test.partition("::")[0]).exists():
-                yield f"{fault.id}: there is no test {test}"
+                yield f"{fault.id}: test {test} does not exist; correct `tests`"
         path = root / fault.file
         if not path.is_file():
-            yield f"{fault.id}: there is no file {fault.file}"
+            yield f"{fault.id}: file {fault.file} does not exist; correct `file`"
             continue
         source = path.read_text("utf-8")
         count = source.count(fault.find)
@@ -74,11 +74,11 @@ def problems(faults: Sequence[Fault], root: Path = ROOT) -> Iterator[str]:
         try:
             compile(mutated(fault, source), fault.file, "exec")
         except SyntaxError as error:
-            yield f"{fault.id}: {fault.file} with the fault is not Python: {error}"
+            yield f"{fault.id}: {fault.file} is not valid Python with the fault: {error}"
 
 
 class _Dumper(yaml.SafeDumper):
-    """Writes code as literal blocks."""
+    """Dumper that writes code as literal blocks."""
 
     def increase_indent(self, flow: bool = False, indentless: bool = False) -> Any:
         """Indent lists within an entry."""
