@@ -1,4 +1,4 @@
-"""`cairn driver probe base`: reads a RoboClaw, and turns its motors to find its wiring."""
+"""`cairn driver probe base`: reads a RoboClaw, and turns its motors to check its wiring."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the tests of recordings share: the recordings carried for them, and small ones written."""
+"""Fixtures of the replay tests: the recordings in the repository, and small ones written here."""
 
 from collections.abc import Callable
 from pathlib import Path

@@ -70,7 +70,7 @@ def test_images_of_one_camera_are_published_as_left_ones(tmp_path: Path) -> None
     it = replayed(folder, image_rate_hz=1.0)
 
     assert [shade(image) for image in it.take("left_image")] == [10, 20, 30]
-    # As ROS has it, a camera that is not calibrated tells its size alone.
+    # As in ROS, the info of a camera that is not calibrated holds only its size.
     left_info = it.take("left_info")[0]
     assert (left_info.width, left_info.height, left_info.k.any()) == (WIDTH, HEIGHT, False)
     assert it.take("right_image") == it.take("right_info") == []
@@ -166,7 +166,7 @@ def test_cut_off_video_ends_with_a_warning(
     file = video(tmp_path / "run.avi", 20)
     whole = file.read_bytes()
     frames = [n for n in range(len(whole)) if whole.startswith(b"00dc", n)]
-    # The frames from the sixth on are gone, the header still tells of all.
+    # The frames from the sixth on are missing, but the header still counts all of them.
     file.write_bytes(whole[: frames[5]])
 
     it = replayed(file)

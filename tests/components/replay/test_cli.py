@@ -1,4 +1,4 @@
-"""`cairn recording show` tells and draws what a recording holds."""
+"""`cairn recording show` prints and draws the contents of a recording."""
 
 import math
 from pathlib import Path
@@ -103,20 +103,26 @@ def test_drawing_has_scans_and_with_odometry_a_map(write: Write, tmp_path: Path)
 
 
 def test_scans_are_transformed_by_the_odometry_at_their_time() -> None:
-    """A post at (3, 1), seen between two records of a robot that drives on and turns."""
+    """A post at (3, 1) is measured between two records of a robot that drives and turns."""
     poses = np.array([[0.0, 1.0, 0.0], [2.0, 1.0, 0.0], [3.0, 0.0, 3.1], [3.0, 0.0, -3.1]])
     odometry = OdometryStream(
         [0, 2 * SECOND, 3 * SECOND, 4 * SECOND], poses, np.zeros(0), np.zeros(0)
     )
-    seen = [(0, 0.0, 3.0), (1, 0.0, 2.0), (2, 0.0, 1.0), (3.5, -0.5 * math.pi, 1.0), (5, 0.0, 1.0)]
+    measurements = [
+        (0, 0.0, 3.0),
+        (1, 0.0, 2.0),
+        (2, 0.0, 1.0),
+        (3.5, -0.5 * math.pi, 1.0),
+        (5, 0.0, 1.0),
+    ]
     scans = ScanStream(
-        [round(at * SECOND) for at, _, _ in seen],
+        [round(at * SECOND) for at, _, _ in measurements],
         [
             LaserScan(
                 angle_min=bearing, angle_max=bearing + 0.1, angle_increment=0.1, range_min=0.1,
                 range_max=9.0, ranges=np.array([meters, math.inf], np.float32),
             )
-            for _, bearing, meters in seen
+            for _, bearing, meters in measurements
         ],
     )  # fmt: skip
 

@@ -152,7 +152,7 @@ def test_missing_recording_and_wrong_folder_are_rejected(tmp_path: Path) -> None
 
 
 def test_complete_replay_in_lockstep_from_time_zero(write: Write, tmp_path: Path) -> None:
-    """A log may begin at time 0, which is when simulated clocks stand."""
+    """A log may start at time 0, at which simulated clocks start, too."""
     log = str(write(*(odom(k / 10, k / 10) for k in range(31))))
     page = {
         "cairn": 1,

@@ -1,4 +1,4 @@
-"""The drivers publish each record at its recorded time, and go on where the replay stands."""
+"""Components replay an MRCLAM data set, and continue after a restart where the replay is."""
 
 import math
 from pathlib import Path
@@ -45,9 +45,9 @@ def test_restarted_component_skips_past_records_and_keeps_its_frame(dataset: Pat
 
 
 def test_observations_of_one_time_make_one_message_without_robots(dataset: Path) -> None:
-    seen = MrclamDataset(dataset).observations(5)
+    table = MrclamDataset(dataset).observations(5)
     subjects = MrclamDataset(dataset).subjects()
-    it = start(ReplayRecognizer, seen.time[0], recording=str(dataset), robot=5)
+    it = start(ReplayRecognizer, table.time[0], recording=str(dataset), robot=5)
 
     it.run_for(60.0)
 
@@ -55,8 +55,8 @@ def test_observations_of_one_time_make_one_message_without_robots(dataset: Path)
     stamps = [to_ns(m.header.stamp) for m in messages]
     due = [
         (t, subjects[b])
-        for t, b in zip(seen.time.tolist(), seen.barcode.tolist(), strict=True)
-        if t <= seen.time[0] + 60.0 and subjects.get(b, 0) >= 6
+        for t, b in zip(table.time.tolist(), table.barcode.tolist(), strict=True)
+        if t <= table.time[0] + 60.0 and subjects.get(b, 0) >= 6
     ]
     assert len(set(stamps)) == len(stamps) == len({t for t, _ in due})
     assert [o.object_id for m in messages for o in m.objects] == [subject for _, subject in due]

@@ -2,7 +2,7 @@
 
 It speaks by zenoh-ros2-sdk, an independent client of rmw_zenoh, and drives like ROS 2's
 diff_drive_controller: a command holds for half a second, an older stamped one is rejected, the
-wheels accelerate gradually, and odometry begins at 0 when the node starts.
+wheels accelerate gradually, and odometry starts at 0 when the node starts.
 DEFINITIONS is a directory of .msg files. It executes lines of JSON, `[verb, argument ...]`, and
 answers each with one.
 """

@@ -32,7 +32,7 @@ def test_single_camera_uses_the_left_ports_only(left: FakeCamera) -> None:
 
 def test_paired_images_have_the_stamp_of_the_left_one(left: FakeCamera, right: FakeCamera) -> None:
     with Driver(**TWO) as driver:
-        begin(driver, left, right)
+        stream_pairs(driver, left, right)
         now = time.monotonic_ns()
         left.send(1, captured=now - 9_000_000)
         right.send(2, captured=now - 4_000_000)
@@ -50,7 +50,7 @@ def test_images_more_than_half_a_period_apart_are_not_published(
     left: FakeCamera, right: FakeCamera
 ) -> None:
     with Driver(**TWO) as driver:
-        begin(driver, left, right)
+        stream_pairs(driver, left, right)
         now = time.monotonic_ns()
         left.send(1, captured=now - 100_000_000)
         right.send(2, captured=now - 75_000_000)
@@ -187,14 +187,14 @@ def test_left_images_are_published_while_the_right_camera_is_away(
     left: FakeCamera, right: FakeCamera
 ) -> None:
     with Driver(**TWO) as driver:
-        begin(driver, left, right)
+        stream_pairs(driver, left, right)
         right.unplug()
         driver.await_values(lambda values: values["level"] == str(ERROR), index=1)
         left.send(3)
         alone = driver.await_one("left_image", lambda image: level(image) == 3)
         assert alone.header.stamp not in {one.header.stamp for one in driver.take("right_image")}
         right.plug_in()
-        begin(driver, left, right)
+        stream_pairs(driver, left, right)
 
 
 def test_one_camera_with_two_names_is_rejected(cameras: FakeCameras, tmp_path: Path) -> None:
@@ -236,7 +236,7 @@ def test_hanging_camera_does_not_keep_the_other_one_open(
 ) -> None:
     monkeypatch.setattr("cairn.driver.device_thread._STOP_LIMIT_S", 0.5)
     with Driver(**TWO) as driver:
-        begin(driver, left, right)
+        stream_pairs(driver, left, right)
         over = left.hang()
         with pytest.raises(CairnError, match="camera left: the device thread did not stop"):
             driver.transition("deactivate")
@@ -248,22 +248,24 @@ def test_hanging_camera_does_not_keep_the_other_one_open(
 
 def test_cameras_with_pairs_are_healthy(left: FakeCamera, right: FakeCamera) -> None:
     with Driver(**TWO) as driver:
-        begin(driver, left, right)
+        stream_pairs(driver, left, right)
         driver.publish_health()  # what was until now
         now = time.monotonic_ns()
         left.send(1, captured=now - 2_000_000)
         right.send(2, captured=now)
         driver.await_one("right_image", lambda image: level(image) == 2)
         driver.publish_health()
-        told = [message.status[2] for message in driver.take("diagnostics")]
+        statuses = [message.status[2] for message in driver.take("diagnostics")]
 
-    assert (OK, "right +2.00 ms after left") in {(one.level, one.message) for one in told}
+    assert (OK, "right +2.00 ms after left") in {
+        (status.level, status.message) for status in statuses
+    }
 
 
-def begin(driver: Driver, left: FakeCamera, right: FakeCamera) -> None:
-    """Have both cameras stream: a right picture is published of a pair alone.
+def stream_pairs(driver: Driver, left: FakeCamera, right: FakeCamera) -> None:
+    """Send images until a pair is published: then both cameras stream.
 
-    These pictures are old enough not to be taken for the others of those that follow.
+    These images are too old to be paired with those that follow.
     """
     while not driver.take("right_image"):
         taken = time.monotonic_ns() - 500_000_000
