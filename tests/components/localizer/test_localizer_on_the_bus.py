@@ -1,7 +1,7 @@
 """The localizer on the bus: order by stamps, known and unknown starts, evidence, bad time."""
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -28,9 +28,8 @@ from cairn.schemas.geometry_msgs import (
 )
 from cairn.schemas.nav_msgs import Odometry
 from cairn.schemas.std_msgs import Header
+from cairn.testing.lockstep import ComponentHarness
 from tests.components.localizer.hall import PLACES, Moment, drive
-
-StageOf = Callable[..., Any]
 
 BEGIN = 1000.0
 START = {"x": 0.0, "y": 0.0, "theta": 0.0}
@@ -88,25 +87,34 @@ def visual_map(**moved: tuple[float, float]) -> VisualMap:
     )
 
 
-def begun(stage: StageOf, start: dict[str, float] | None, **parameters: Any) -> Any:
-    it = stage(
-        Localizer, BEGIN, start=start, base=BASE, search_particles=8000, **parameters
-    ).begin()
-    it.give("visual_map", visual_map())
-    return it
+def start_localizer(
+    start: dict[str, float] | None, **parameters: Any
+) -> ComponentHarness[Localizer]:
+    localizer = ComponentHarness(
+        Localizer,
+        {"start": start, "base": BASE, "search_particles": 8000, **parameters},
+        start_s=BEGIN,
+    )
+    localizer.publish("visual_map", visual_map())
+    return localizer
 
 
-def travel(it: Any, moments: Iterable[Moment], drift_m: float = 0.0, late_s: float = 0.0) -> None:
+def travel(
+    localizer: ComponentHarness[Localizer],
+    moments: Iterable[Moment],
+    drift_m: float = 0.0,
+    late_s: float = 0.0,
+) -> None:
     """Give odometry in time and observations `late_s` later."""
     waiting: list[Moment] = []
     for moment in moments:
-        it.wait(max(0.0, BEGIN + moment.time - it.executor.now() / 1e9))
-        it.give("odom", odometry(moment, drift_m))
+        localizer.run_for(max(0.0, BEGIN + moment.time - localizer.now))
+        localizer.publish("odom", odometry(moment, drift_m))
         waiting.append(moment)
         while waiting and waiting[0].time <= moment.time - late_s:
             ready = waiting.pop(0)
             if ready.observations:
-                it.give("objects", recognized(ready))
+                localizer.publish("objects", recognized(ready))
 
 
 def error(message: PoseWithCovarianceStamped, moments: Sequence[Moment]) -> float:
@@ -117,140 +125,136 @@ def error(message: PoseWithCovarianceStamped, moments: Sequence[Moment]) -> floa
     return math.hypot(where.x - moment.pose[0], where.y - moment.pose[1])
 
 
-def test_pose_is_published_from_a_known_start(stage: StageOf) -> None:
+def test_pose_is_published_from_a_known_start() -> None:
     moments = list(drive(20.0))
-    it = begun(stage, START)
+    localizer = start_localizer(START)
 
-    travel(it, moments)
+    travel(localizer, moments)
 
-    poses = it.taken("pose")
+    poses = localizer.take("pose")
     assert len(poses) >= 90
     assert max(error(pose, moments) for pose in poses) < 0.3
     assert poses[0].header.frame_id == "map"
-    cloud = it.taken("particles")[-1]
+    cloud = localizer.take("particles")[-1]
     assert len(cloud.poses) == 200
-    transform = it.taken("tf")[-1].transforms[0]
+    transform = localizer.take("tf")[-1].transforms[0]
     assert (transform.header.frame_id, transform.child_frame_id) == ("map", "odom")
     assert math.hypot(transform.transform.translation.x, transform.transform.translation.y) < 0.3
 
 
-def test_no_pose_is_published_before_the_robot_is_found(stage: StageOf) -> None:
+def test_no_pose_is_published_before_the_robot_is_found() -> None:
     moments = list(drive(25.0))
-    it = begun(stage, None)
+    localizer = start_localizer(None)
     blind = [Moment(m.time, m.forward, m.turn, m.pose, []) for m in moments[:25]]
 
-    travel(it, blind)
-    assert it.taken("pose") == []
-    travel(it, moments[25:])
+    travel(localizer, blind)
+    assert localizer.take("pose") == []
+    travel(localizer, moments[25:])
 
-    assert error(it.taken("pose")[-1], moments) < 0.3
+    assert error(localizer.take("pose")[-1], moments) < 0.3
 
 
-def test_late_observations_give_the_same_evidence(stage: StageOf) -> None:
+def test_late_observations_give_the_same_evidence() -> None:
     moments = list(drive(30.0))
-    prompt, late = begun(stage, START), begun(stage, START)
+    prompt, late = start_localizer(START), start_localizer(START)
 
     travel(prompt, moments)
     travel(late, moments, late_s=0.19)
 
     judged = [
-        [(e.object_id, e.similarity) for m in it.taken("object_evidence") for e in m.evidence]
-        for it in (prompt, late)
+        [(e.object_id, e.similarity) for m in localizer.take("object_evidence") for e in m.evidence]
+        for localizer in (prompt, late)
     ]
     assert judged[0][:100] == judged[1][:100]
 
 
 def test_observation_waits_for_odometry_for_a_limited_time(
-    stage: StageOf, caplog: pytest.LogCaptureFixture
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
     moments = list(drive(10.0))
-    it = begun(stage, START, hold_s=1.0)
-    travel(it, moments[:20])
-    it.taken("object_evidence")
+    localizer = start_localizer(START, hold_s=1.0)
+    travel(localizer, moments[:20])
+    localizer.take("object_evidence")
     ahead = next(m for m in moments[21:] if m.observations)
-    it.wait(ahead.time + BEGIN - it.executor.now() / 1e9)
+    localizer.run_for(ahead.time + BEGIN - localizer.now)
 
-    it.give("objects", recognized(ahead))
-    assert it.taken("object_evidence") == []
-    it.wait(2.0)
+    localizer.publish("objects", recognized(ahead))
+    assert localizer.take("object_evidence") == []
+    localizer.run_for(2.0)
 
-    assert len(it.taken("object_evidence")) == 1
+    assert len(localizer.take("object_evidence")) == 1
     assert "no odometry for" in caplog.text
 
 
 def test_odometry_that_runs_backwards_is_logged_and_ignored(
-    stage: StageOf, caplog: pytest.LogCaptureFixture
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
     moments = list(drive(20.0))
-    it = begun(stage, START)
-    travel(it, moments[:60])
+    localizer = start_localizer(START)
+    travel(localizer, moments[:60])
 
-    it.give("odom", odometry(moments[3]))
-    it.give("objects", recognized(next(m for m in moments if m.observations)))
-    travel(it, moments[60:])
+    localizer.publish("odom", odometry(moments[3]))
+    localizer.publish("objects", recognized(next(m for m in moments if m.observations)))
+    travel(localizer, moments[60:])
 
     assert (
         "odometry on /robot/odom ignored: time runs backwards, from 1011.800 s to 1000.600 s"
         in caplog.text
     )
     assert "of 1000.000 s ignored: it is 11.8 s late" in caplog.text
-    assert error(it.taken("pose")[-1], moments) < 0.3
+    assert error(localizer.take("pose")[-1], moments) < 0.3
 
 
-def test_restarted_localizer_does_not_use_the_old_start(
-    stage: StageOf, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_restarted_localizer_does_not_use_the_old_start(caplog: pytest.LogCaptureFixture) -> None:
     moments = list(drive(60.0))
-    it = begun(stage, START)
+    localizer = start_localizer(START)
 
-    travel(it, moments[150:], drift_m=3.0)
+    travel(localizer, moments[150:], drift_m=3.0)
 
     assert "start pose not used" in caplog.text
-    assert error(it.taken("pose")[-1], moments) < 0.3
+    assert error(localizer.take("pose")[-1], moments) < 0.3
 
 
-def test_localizer_restarted_near_the_start_uses_odometry(stage: StageOf) -> None:
+def test_localizer_restarted_near_the_start_uses_odometry() -> None:
     moments = list(drive(20.0))
-    it = begun(stage, START)
+    localizer = start_localizer(START)
     blind = [Moment(m.time, m.forward, m.turn, m.pose, []) for m in moments[40:]]
 
-    travel(it, blind, drift_m=0.1)
+    travel(localizer, blind, drift_m=0.1)
 
-    assert error(it.taken("pose")[-1], moments) < 0.3
+    assert error(localizer.take("pose")[-1], moments) < 0.3
 
 
-def test_gap_in_commands_is_filled_by_the_odometry_pose(
-    stage: StageOf, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_gap_in_commands_is_filled_by_the_odometry_pose(caplog: pytest.LogCaptureFixture) -> None:
     moments = list(drive(20.0))
-    it = begun(stage, START)
+    localizer = start_localizer(START)
     blind = [Moment(m.time, m.forward, m.turn, m.pose, []) for m in moments]
 
-    travel(it, [*blind[:20], *blind[50:]])
+    travel(localizer, [*blind[:20], *blind[50:]])
 
     assert "no odometry on /robot/odom for 6" in caplog.text
-    assert error(it.taken("pose")[-1], moments) < 0.4
+    assert error(localizer.take("pose")[-1], moments) < 0.4
 
 
-def test_operator_sets_the_pose(stage: StageOf) -> None:
-    it = begun(stage, None)
+def test_operator_sets_the_pose() -> None:
+    localizer = start_localizer(None)
     moments = list(drive(5.0))
     blind = [Moment(m.time, m.forward, m.turn, m.pose, []) for m in moments]
-    travel(it, blind[:5])
+    travel(localizer, blind[:5])
 
-    it.give("initialpose", PoseWithCovarianceStamped(pose=odometry(moments[4]).pose))
-    travel(it, blind[5:])
+    localizer.publish("initialpose", PoseWithCovarianceStamped(pose=odometry(moments[4]).pose))
+    travel(localizer, blind[5:])
 
-    assert error(it.taken("pose")[-1], moments) < 0.2
+    assert error(localizer.take("pose")[-1], moments) < 0.2
 
 
-def test_evidence_has_the_moved_object_and_its_position(stage: StageOf) -> None:
-    it = begun(stage, START)
-    it.give("visual_map", visual_map(o3=(1.3, 0.4)))
+def test_evidence_has_the_moved_object_and_its_position() -> None:
+    localizer = start_localizer(START)
+    localizer.publish("visual_map", visual_map(o3=(1.3, 0.4)))
 
-    travel(it, drive(70.0))
+    travel(localizer, drive(70.0))
 
-    evidence = [(m, e) for m in it.taken("object_evidence") for e in m.evidence]
+    evidence = [(m, e) for m in localizer.take("object_evidence") for e in m.evidence]
     blamed = {e.object_id for _, e in evidence if e.similarity < 0.4}
     assert blamed == {3}
     against = [e for m, e in evidence if e.verdict == ObjectEvidence.DISAGREES and m.healthy]
@@ -259,16 +263,16 @@ def test_evidence_has_the_moved_object_and_its_position(stage: StageOf) -> None:
     assert all(m.reason for m, _ in evidence if not m.healthy)
 
 
-def test_unmapped_object_gets_a_position(stage: StageOf) -> None:
-    it = begun(stage, START)
+def test_unmapped_object_gets_a_position() -> None:
+    localizer = start_localizer(START)
     known = visual_map()
-    it.give("visual_map", VisualMap(objects=known.objects[1:]))
+    localizer.publish("visual_map", VisualMap(objects=known.objects[1:]))
 
-    travel(it, drive(60.0))
+    travel(localizer, drive(60.0))
 
     placed = [
         e
-        for m in it.taken("object_evidence")
+        for m in localizer.take("object_evidence")
         for e in m.evidence
         if e.object_id == 1 and m.healthy and e.verdict == ObjectEvidence.AGREES
     ]

@@ -20,9 +20,9 @@ from cairn.schemas.map_msgs import OccupancyGridUpdate
 from cairn.schemas.nav_msgs import Odometry
 from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.std_msgs import Header
+from cairn.testing.lockstep import ComponentHarness
 from tests.components.localizer.room import Moment, apart, drive, room
 
-StageOf = Callable[..., Any]
 BEGIN = 1000.0
 AT: Pose = (2.0, 2.0, 0.0)
 START = {"x": AT[0], "y": AT[1], "theta": AT[2], "position_sd": 0.02, "heading_sd": 0.02}
@@ -66,62 +66,66 @@ def grid_message(grid: OccupancyCells) -> Any:
     return map_message(header(0.0, "map"), grid, Time())
 
 
-def begun(stage: StageOf, start: dict[str, float] | None = START, mapped: bool = True) -> Any:
-    it = stage(Localizer, BEGIN, start=start, search_particles=5000).begin()
+def start_localizer(
+    start: dict[str, float] | None = START, mapped: bool = True
+) -> ComponentHarness[Localizer]:
+    localizer = ComponentHarness(
+        Localizer, {"start": start, "search_particles": 5000}, start_s=BEGIN
+    )
     if mapped:
-        it.give("map", grid_message(room()))
-    return it
+        localizer.publish("map", grid_message(room()))
+    return localizer
 
 
 def travel(
-    it: Any,
+    localizer: ComponentHarness[Localizer],
     moments: Iterable[Moment],
     change: Callable[[NDArray[np.float32]], NDArray[np.float32] | None] = lambda ranges: ranges,
     shift: Pose = (0.0, 0.0, 0.0),
 ) -> None:
     """Give odometry and scans in time; `change` alters each scan, None leaves it out."""
     for moment in moments:
-        it.wait(max(0.0, BEGIN + moment.time - it.executor.now() / 1e9))
-        it.give("odom", odometry(moment.time, compose(shift, moment.odometry)))
+        localizer.run_for(max(0.0, BEGIN + moment.time - localizer.now))
+        localizer.publish("odom", odometry(moment.time, compose(shift, moment.odometry)))
         ranges = change(ranges_of(moment))
         if ranges is not None:
-            it.give("scan", scan(moment.time, ranges))
+            localizer.publish("scan", scan(moment.time, ranges))
 
 
 def journey(seconds: float = 12.0, seed: int = 0) -> list[Moment]:
     return list(drive(room(), AT, seconds, seed))
 
 
-def last_error(it: Any, moments: list[Moment]) -> float:
-    message = it.taken("pose")[-1]
+def last_error(localizer: ComponentHarness[Localizer], moments: list[Moment]) -> float:
+    message = localizer.take("pose")[-1]
     stamp = message.header.stamp
     time = stamp.sec + stamp.nanosec / 1e9 - BEGIN
     moment = min(moments, key=lambda m: abs(m.time - time))
     return apart(planar_pose(message.pose.pose), moment.pose)[0]
 
 
-def last_health(it: Any) -> Any:
-    return it.taken("localization")[-1]
+def last_health(localizer: ComponentHarness[Localizer]) -> Any:
+    return localizer.take("localization")[-1]
 
 
-def test_each_scan_gives_an_estimate_with_its_stamp(stage: StageOf) -> None:
-    it, moments = begun(stage), journey()
+def test_each_scan_gives_an_estimate_with_its_stamp() -> None:
+    localizer, moments = start_localizer(), journey()
 
-    travel(it, moments)
+    travel(localizer, moments)
 
-    poses, healths = it.taken("pose"), it.taken("localization")
+    poses, healths = localizer.take("pose"), localizer.take("localization")
     assert [p.header.stamp for p in poses] == [h.header.stamp for h in healths]
     assert len(poses) >= 0.95 * len(moments)
     assert healths[-1].health > 0.9
 
 
-def test_robot_with_unknown_start_is_found_by_scans(stage: StageOf) -> None:
-    it, moments = begun(stage, None), journey()
+def test_robot_with_unknown_start_is_found_by_scans() -> None:
+    localizer, moments = start_localizer(None), journey()
 
-    travel(it, moments)
+    travel(localizer, moments)
 
-    assert last_error(it, moments) < 0.1
-    healths = it.taken("localization")
+    assert last_error(localizer, moments) < 0.1
+    healths = localizer.take("localization")
     assert not healths[0].located
     assert healths[-1].health > 0.9
 
@@ -136,64 +140,64 @@ def test_robot_with_unknown_start_is_found_by_scans(stage: StageOf) -> None:
     ],
 )
 def test_invalid_scans_leave_odometry(
-    stage: StageOf, ranges: NDArray[np.float32], word: str, caplog: pytest.LogCaptureFixture
+    ranges: NDArray[np.float32], word: str, caplog: pytest.LogCaptureFixture
 ) -> None:
-    it, moments = begun(stage), journey(6.0)
+    localizer, moments = start_localizer(), journey(6.0)
 
-    travel(it, moments[:30])
-    travel(it, moments[30:], lambda _: ranges)
+    travel(localizer, moments[:30])
+    travel(localizer, moments[30:], lambda _: ranges)
 
-    assert last_error(it, moments) < 0.2
+    assert last_error(localizer, moments) < 0.2
     assert word in caplog.text
-    health = last_health(it)
+    health = last_health(localizer)
     assert health.health <= 0.2
     assert "no valid scan on /robot/scan for" in health.reason
 
 
-def test_number_of_beams_may_change(stage: StageOf) -> None:
-    it, moments = begun(stage), journey()
+def test_number_of_beams_may_change() -> None:
+    localizer, moments = start_localizer(), journey()
     numbers = iter(np.tile([BEAMS, 61, 21, 1], len(moments)))
 
-    travel(it, moments, lambda ranges: ranges[:: (BEAMS - 1) // max(1, next(numbers) - 1)].copy())
+    travel(
+        localizer,
+        moments,
+        lambda ranges: ranges[:: (BEAMS - 1) // max(1, next(numbers) - 1)].copy(),
+    )
 
-    assert last_error(it, moments) < 0.1
+    assert last_error(localizer, moments) < 0.1
 
 
-def test_odometry_jump_is_logged_and_ignored(
-    stage: StageOf, caplog: pytest.LogCaptureFixture
-) -> None:
-    it, moments = begun(stage), journey()
+def test_odometry_jump_is_logged_and_ignored(caplog: pytest.LogCaptureFixture) -> None:
+    localizer, moments = start_localizer(), journey()
 
-    travel(it, moments[:60])
-    travel(it, moments[60:], shift=(30.0, -20.0, 2.0))
+    travel(localizer, moments[:60])
+    travel(localizer, moments[60:], shift=(30.0, -20.0, 2.0))
 
     assert "odometry on /robot/odom jumped" in caplog.text
-    assert last_error(it, moments) < 0.1
+    assert last_error(localizer, moments) < 0.1
 
 
-def test_outdated_messages_are_ignored(stage: StageOf, caplog: pytest.LogCaptureFixture) -> None:
-    it, moments = begun(stage), journey()
-    travel(it, moments[:60])
+def test_outdated_messages_are_ignored(caplog: pytest.LogCaptureFixture) -> None:
+    localizer, moments = start_localizer(), journey()
+    travel(localizer, moments[:60])
 
-    it.give("odom", odometry(1.0, (9.0, 9.0, 1.0)))
-    it.give("scan", scan(1.0, ranges_of(moments[10])))
-    travel(it, moments[60:])
+    localizer.publish("odom", odometry(1.0, (9.0, 9.0, 1.0)))
+    localizer.publish("scan", scan(1.0, ranges_of(moments[10])))
+    travel(localizer, moments[60:])
 
     assert "runs backwards" in caplog.text
     assert "message on /robot/scan of 1001.000 s ignored: it is " in caplog.text
-    assert last_error(it, moments) < 0.1
+    assert last_error(localizer, moments) < 0.1
 
 
-def test_localizer_continues_after_time_was_set_back(
-    stage: StageOf, caplog: pytest.LogCaptureFixture
-) -> None:
-    it, moments = begun(stage), journey()
-    travel(it, moments[:60])
+def test_localizer_continues_after_time_was_set_back(caplog: pytest.LogCaptureFixture) -> None:
+    localizer, moments = start_localizer(), journey()
+    travel(localizer, moments[:60])
 
     for moment in moments[60:]:  # the clock of the robot was 500 s fast
-        it.give("odom", odometry(moment.time - 500.0, moment.odometry))
-        it.give("scan", scan(moment.time - 500.0, ranges_of(moment)))
-    shown = it.taken("pose")[-1]
+        localizer.publish("odom", odometry(moment.time - 500.0, moment.odometry))
+        localizer.publish("scan", scan(moment.time - 500.0, ranges_of(moment)))
+    shown = localizer.take("pose")[-1]
 
     assert "time on /robot/odom was set back by 49" in caplog.text
     assert caplog.text.count("was set back") == 1
@@ -201,29 +205,27 @@ def test_localizer_continues_after_time_was_set_back(
     assert apart(planar_pose(shown.pose.pose), moments[-1].pose)[0] < 0.1
 
 
-def test_scans_ahead_of_the_clock_are_logged_and_dropped(
-    stage: StageOf, caplog: pytest.LogCaptureFixture
-) -> None:
-    it, moments = begun(stage), journey()
-    travel(it, moments[:60])
+def test_scans_ahead_of_the_clock_are_logged_and_dropped(caplog: pytest.LogCaptureFixture) -> None:
+    localizer, moments = start_localizer(), journey()
+    travel(localizer, moments[:60])
 
-    it.give("scan", scan(86_400.0, ranges_of(moments[60])))
-    travel(it, moments[60:])
+    localizer.publish("scan", scan(86_400.0, ranges_of(moments[60])))
+    travel(localizer, moments[60:])
 
     assert "s ahead of the clock; set the clock of its driver" in caplog.text
-    assert last_error(it, moments) < 0.1
+    assert last_error(localizer, moments) < 0.1
 
 
-def test_scan_without_odometry_gives_no_transform(stage: StageOf) -> None:
-    it, moments = begun(stage), journey()
-    travel(it, moments[:60])
-    before = it.taken("tf")[-1].transforms[0]
+def test_scan_without_odometry_gives_no_transform() -> None:
+    localizer, moments = start_localizer(), journey()
+    travel(localizer, moments[:60])
+    before = localizer.take("tf")[-1].transforms[0]
 
     # It begins before odometry does after its jump.
-    it.give("scan", scan(moments[60].time, ranges_of(moments[60])))
-    it.give("odom", odometry(moments[60].time + 0.05, (30.0, -20.0, 2.0)))
+    localizer.publish("scan", scan(moments[60].time, ranges_of(moments[60])))
+    localizer.publish("odom", odometry(moments[60].time + 0.05, (30.0, -20.0, 2.0)))
 
-    for message in it.taken("tf"):
+    for message in localizer.take("tf"):
         for transform in message.transforms:
             moved = np.hypot(
                 transform.transform.translation.x - before.transform.translation.x,
@@ -233,25 +235,25 @@ def test_scan_without_odometry_gives_no_transform(stage: StageOf) -> None:
 
 
 @pytest.mark.parametrize("variance", [-1.0, 0.0])
-def test_odometry_without_covariance_is_accepted(stage: StageOf, variance: float) -> None:
-    it = begun(stage)
+def test_odometry_without_covariance_is_accepted(variance: float) -> None:
+    localizer = start_localizer()
     first = odometry(0.0, (0.0, 0.0, 0.0))
     covariance = np.zeros(36)
     covariance[[0, 7, 35]] = variance
     stated = PoseWithCovariance(pose=first.pose.pose, covariance=covariance)
 
-    it.give("odom", replace(first, pose=stated))
-    it.give("odom", odometry(0.2, (0.0, 0.0, 0.0)))
+    localizer.publish("odom", replace(first, pose=stated))
+    localizer.publish("odom", odometry(0.2, (0.0, 0.0, 0.0)))
 
-    assert planar_pose(it.taken("pose")[-1].pose.pose) == pytest.approx(AT, abs=0.05)
+    assert planar_pose(localizer.take("pose")[-1].pose.pose) == pytest.approx(AT, abs=0.05)
 
 
-def test_operator_pose_needs_no_covariance(stage: StageOf) -> None:
-    it, moments = begun(stage, None), journey()
+def test_operator_pose_needs_no_covariance() -> None:
+    localizer, moments = start_localizer(None), journey()
     none = np.zeros(36)
     for given in (none, np.where(np.arange(36) == 7, -1.0, none)):
-        it.give("odom", odometry(0.0, moments[0].odometry))
-        it.give(
+        localizer.publish("odom", odometry(0.0, moments[0].odometry))
+        localizer.publish(
             "initialpose",
             PoseWithCovarianceStamped(
                 header=header(0.0, "map"),
@@ -261,23 +263,23 @@ def test_operator_pose_needs_no_covariance(stage: StageOf) -> None:
             ),
         )
 
-    travel(it, moments)
+    travel(localizer, moments)
 
-    assert last_error(it, moments) < 0.1
+    assert last_error(localizer, moments) < 0.1
 
 
-def test_map_of_another_size_replaces_the_first(stage: StageOf) -> None:
-    it, moments = begun(stage), journey()
-    travel(it, moments[:60])
+def test_map_of_another_size_replaces_the_first() -> None:
+    localizer, moments = start_localizer(), journey()
+    travel(localizer, moments[:60])
     small = room()
     cells = np.full((small.values.shape[0] + 40, small.values.shape[1] + 60), FREE, np.int8)
     cells[20:-20, 20:-40] = small.values
 
-    it.give("map", grid_message(Grid(cells, Frame(0.05, (-1.0, -1.0, 0.0)))))
-    travel(it, moments[60:])
+    localizer.publish("map", grid_message(Grid(cells, Frame(0.05, (-1.0, -1.0, 0.0)))))
+    travel(localizer, moments[60:])
 
-    assert last_error(it, moments) < 0.1
-    assert last_health(it).health > 0.9
+    assert last_error(localizer, moments) < 0.1
+    assert last_health(localizer).health > 0.9
 
 
 def update(x: int, y: int, values: NDArray[np.int8]) -> OccupancyGridUpdate:
@@ -288,67 +290,71 @@ def update(x: int, y: int, values: NDArray[np.int8]) -> OccupancyGridUpdate:
 
 
 def test_updates_renew_the_map_and_those_off_it_are_logged(
-    stage: StageOf, caplog: pytest.LogCaptureFixture
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
-    # The map lacks the box in the middle until it is told of it.
-    it, moments = begun(stage, mapped=False), journey()
+    # The map lacks the box in the middle until the updates arrive.
+    localizer, moments = start_localizer(mapped=False), journey()
     boxes = ((1.0, 5.0, 2.2, 5.6), (7.2, 0.0, 9.0, 1.2))
-    it.give("map", grid_message(room(boxes)))
+    localizer.publish("map", grid_message(room(boxes)))
 
-    it.give("map_updates", update(80, 60, np.full((12, 30), OCCUPIED, np.int8)))
-    it.give("map_updates", update(170, 0, np.full((10, 30), FREE, np.int8)))
-    it.give("map_updates", update(-3, 0, np.full((10, 30), FREE, np.int8)))
-    travel(it, moments)
+    localizer.publish("map_updates", update(80, 60, np.full((12, 30), OCCUPIED, np.int8)))
+    localizer.publish("map_updates", update(170, 0, np.full((10, 30), FREE, np.int8)))
+    localizer.publish("map_updates", update(-3, 0, np.full((10, 30), FREE, np.int8)))
+    travel(localizer, moments)
 
     assert "it leaves the map" in caplog.text
-    assert last_error(it, moments) < 0.1
-    assert last_health(it).health > 0.9
+    assert last_error(localizer, moments) < 0.1
+    assert last_health(localizer).health > 0.9
 
 
-def test_update_before_any_map_is_ignored(stage: StageOf) -> None:
-    it, moments = begun(stage, mapped=False), journey(3.0)
+def test_update_before_any_map_is_ignored() -> None:
+    localizer, moments = start_localizer(mapped=False), journey(3.0)
 
-    it.give("map_updates", update(0, 0, np.full((10, 30), FREE, np.int8)))
-    travel(it, moments)
+    localizer.publish("map_updates", update(0, 0, np.full((10, 30), FREE, np.int8)))
+    travel(localizer, moments)
 
-    assert last_error(it, moments) < 0.1
+    assert last_error(localizer, moments) < 0.1
 
 
-def test_pose_without_sensors_follows_odometry(stage: StageOf) -> None:
-    it, moments = begun(stage), journey(6.0)
+def test_pose_without_sensors_follows_odometry() -> None:
+    localizer, moments = start_localizer(), journey(6.0)
 
-    travel(it, moments, lambda _: None)
+    travel(localizer, moments, lambda _: None)
 
-    assert last_error(it, moments) < 0.2
-    health = last_health(it)
+    assert last_error(localizer, moments) < 0.2
+    health = last_health(localizer)
     assert health.health <= 0.5
     assert "no scan on /robot/scan" in health.reason
 
 
-def test_operator_pose_locates_a_lost_robot(stage: StageOf) -> None:
-    it, moments = begun(stage, None), journey()
-    travel(it, moments[:30], lambda _: np.full(BEAMS, np.inf, np.float32))
-    assert it.taken("pose") == []
+def test_operator_pose_locates_a_lost_robot() -> None:
+    localizer, moments = start_localizer(None), journey()
+    travel(localizer, moments[:30], lambda _: np.full(BEAMS, np.inf, np.float32))
+    assert localizer.take("pose") == []
     covariance = np.zeros(36)
     covariance[[0, 7, 35]] = 0.01
 
-    told = PoseWithCovariance(pose=pose_message(moments[29].pose), covariance=covariance)
-    it.give("initialpose", PoseWithCovarianceStamped(header=header(3.0, "map"), pose=told))
-    travel(it, moments[30:])
+    operator_pose = PoseWithCovariance(pose=pose_message(moments[29].pose), covariance=covariance)
+    localizer.publish(
+        "initialpose", PoseWithCovarianceStamped(header=header(3.0, "map"), pose=operator_pose)
+    )
+    travel(localizer, moments[30:])
 
-    assert last_error(it, moments) < 0.1
-    assert last_health(it).health > 0.9
+    assert last_error(localizer, moments) < 0.1
+    assert last_health(localizer).health > 0.9
 
 
-def test_wrong_operator_pose_is_corrected(stage: StageOf) -> None:
-    it, moments = begun(stage), journey(25.0)
-    travel(it, moments[:30])
+def test_wrong_operator_pose_is_corrected() -> None:
+    localizer, moments = start_localizer(), journey(25.0)
+    travel(localizer, moments[:30])
     covariance = np.zeros(36)
     covariance[[0, 7, 35]] = 0.01
 
-    told = PoseWithCovariance(pose=pose_message((7.0, 5.5, 2.5)), covariance=covariance)
-    it.give("initialpose", PoseWithCovarianceStamped(header=header(3.0, "map"), pose=told))
-    travel(it, moments[30:])
+    operator_pose = PoseWithCovariance(pose=pose_message((7.0, 5.5, 2.5)), covariance=covariance)
+    localizer.publish(
+        "initialpose", PoseWithCovarianceStamped(header=header(3.0, "map"), pose=operator_pose)
+    )
+    travel(localizer, moments[30:])
 
-    assert last_error(it, moments) < 0.1
-    assert it.taken("relocalized")
+    assert last_error(localizer, moments) < 0.1
+    assert localizer.take("relocalized")

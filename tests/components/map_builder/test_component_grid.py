@@ -3,7 +3,6 @@
 import math
 import re
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -20,10 +19,10 @@ from cairn.schemas.cairn_nav_msgs import LocalizationEstimate
 from cairn.schemas.nav_msgs import Odometry
 from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.std_msgs import Header
+from cairn.testing.lockstep import ComponentHarness
 from tests.components.localizer.room import ROOM, Box, room, scanned
 from tests.disk import room_for
 
-StageOf = Callable[..., Any]
 BEGIN = 1000.0
 HERE: Pose = (2.0, 2.0, 0.0)
 NEW: Box = (3.5, 1.7, 3.9, 2.3)
@@ -52,15 +51,15 @@ def watch(it: Any, world: Grid[np.int8], seconds: float, sd: float = 0.02, back_
     All stamps are set back by `back_s` [s].
     """
     random = np.random.default_rng(0)
-    began = it.executor.now()
+    began = it.now_ns
     for k in range(round(seconds / 0.2)):
-        it.wait(max(0.0, (began + k * 200_000_000 - it.executor.now()) / 1e9))
-        stamp = from_ns(it.executor.now() - back_s * SECOND)
+        it.run_for(max(0.0, (began + k * 200_000_000 - it.now_ns) / 1e9))
+        stamp = from_ns(it.now_ns - back_s * SECOND)
         header = Header(stamp=stamp, frame_id="map")
-        it.give("odom", Odometry(header=header))
-        it.give("scan", scan_of(world, header, random))
+        it.publish("odom", Odometry(header=header))
+        it.publish("scan", scan_of(world, header, random))
         published = with_covariance(HERE, np.diag([sd**2, sd**2, 0.01**2]))
-        it.give(
+        it.publish(
             "localization",
             LocalizationEstimate(
                 header=header,
@@ -80,24 +79,22 @@ def grid_file(tmp_path: Path) -> Path:
     return file
 
 
-def test_map_is_latched_and_changes_are_published_as_windows(
-    stage: StageOf, grid_file: Path
-) -> None:
-    it = stage(MapBuilder, BEGIN, grid_file=str(grid_file)).begin()
-    (first,) = it.taken("map")
+def test_map_is_latched_and_changes_are_published_as_windows(grid_file: Path) -> None:
+    it = ComponentHarness(MapBuilder, {"grid_file": str(grid_file)}, start_s=BEGIN)
+    (first,) = it.take("map")
     assert np.array_equal(grid_of(first).values, room().values)
 
     watch(it, room((*ROOM, NEW)), 15.0)
-    it.wait(6.0)
+    it.run_for(6.0)
 
-    updates = it.taken("map_updates")
+    updates = it.take("map_updates")
     assert updates
     assembled = np.array(grid_of(first).values)
     for update in updates:
         rows = slice(update.y, update.y + update.height)
         columns = slice(update.x, update.x + update.width)
         assembled[rows, columns] = update.data.reshape(update.height, update.width)
-    last = grid_of(it.taken("map")[-1]).values
+    last = grid_of(it.take("map")[-1]).values
     assert np.array_equal(assembled, last)
     row, column = first_cell = (40, 70)
     assert last[row, column] == OCCUPIED, first_cell
@@ -105,103 +102,113 @@ def test_map_is_latched_and_changes_are_published_as_windows(
 
 
 def test_unreliable_pose_pauses_updates_and_is_logged(
-    stage: StageOf, grid_file: Path, caplog: pytest.LogCaptureFixture
+    grid_file: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level("INFO")
-    it = stage(MapBuilder, BEGIN, grid_file=str(grid_file)).begin()
+    it = ComponentHarness(MapBuilder, {"grid_file": str(grid_file)}, start_s=BEGIN)
     watch(it, room(), 1.0)
 
     watch(it, room((*ROOM, NEW)), 15.0, sd=0.4)
 
-    assert it.taken("map_updates") == []
+    assert it.take("map_updates") == []
     assert "paused updates of the grid map: the position is uncertain by 0.40 m" in caplog.text
 
 
 def test_clock_set_back_is_logged_once_and_updates_continue(
-    stage: StageOf, grid_file: Path, caplog: pytest.LogCaptureFixture
+    grid_file: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    it = stage(MapBuilder, BEGIN, grid_file=str(grid_file)).begin()
+    it = ComponentHarness(MapBuilder, {"grid_file": str(grid_file)}, start_s=BEGIN)
     watch(it, room(), 5.0)
-    it.taken("map")
+    it.take("map")
 
     watch(it, room((*ROOM, NEW)), 15.0, back_s=600)
-    it.wait(6.0)
+    it.run_for(6.0)
 
     assert caplog.text.count("odometry on /robot/odom went back in time") == 1
-    assert grid_of(it.taken("map")[-1]).values[40, 70] == OCCUPIED
+    assert grid_of(it.take("map")[-1]).values[40, 70] == OCCUPIED
 
 
-def test_restarted_map_builder_reuses_its_working_copy(
-    stage: StageOf, grid_file: Path, tmp_path: Path
-) -> None:
+def test_restarted_map_builder_reuses_its_working_copy(grid_file: Path, tmp_path: Path) -> None:
     copy = tmp_path / "copy.yaml"
-    first = stage(MapBuilder, BEGIN, grid_file=str(grid_file), grid_copy=str(copy)).begin()
+    first = ComponentHarness(
+        MapBuilder, {"grid_file": str(grid_file), "grid_copy": str(copy)}, start_s=BEGIN
+    )
     watch(first, room((*ROOM, NEW)), 15.0)
-    first.end()
+    first.request("deactivate")
 
-    again = stage(MapBuilder, BEGIN + 20.0, grid_file=str(grid_file), grid_copy=str(copy)).begin()
-    (published,) = again.taken("map")
+    again = ComponentHarness(
+        MapBuilder, {"grid_file": str(grid_file), "grid_copy": str(copy)}, start_s=BEGIN + 20.0
+    )
+    (published,) = again.take("map")
     assert grid_of(published).values[40, 70] == OCCUPIED
     assert np.array_equal(read_map(copy).values, grid_of(published).values)
     assert np.array_equal(read_map(grid_file).values, room().values)
 
-    earlier = stage(
-        MapBuilder, BEGIN - 500.0, grid_file=str(grid_file), grid_copy=str(copy)
-    ).begin()
-    (published,) = earlier.taken("map")
+    earlier = ComponentHarness(
+        MapBuilder, {"grid_file": str(grid_file), "grid_copy": str(copy)}, start_s=BEGIN - 500.0
+    )
+    (published,) = earlier.take("map")
     assert grid_of(published).values[40, 70] == FREE  # the copy is of another run
 
 
 def test_missing_folder_gives_rate_limited_warnings_until_it_is_back(
-    stage: StageOf, grid_file: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+    grid_file: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     folder = tmp_path / "kept"
     folder.mkdir()
     copy = folder / "copy.yaml"
-    it = stage(MapBuilder, BEGIN, grid_file=str(grid_file), grid_copy=str(copy)).begin()
+    it = ComponentHarness(
+        MapBuilder, {"grid_file": str(grid_file), "grid_copy": str(copy)}, start_s=BEGIN
+    )
     shutil.rmtree(folder)
 
     watch(it, room((*ROOM, NEW)), 15.0)
-    it.wait(100.0)
+    it.run_for(100.0)
 
     published = [line for line in caplog.messages if "the grid map is not saved" in line]
     assert 2 <= len(published) <= 4
     assert "No such file" in published[0]
     assert it.ends == []
-    last = grid_of(it.taken("map")[-1]).values
+    last = grid_of(it.take("map")[-1]).values
     assert last[40, 70] == OCCUPIED
 
     folder.mkdir()
-    it.wait(11.0)
+    it.run_for(11.0)
     assert np.array_equal(read_map(copy).values, last)
 
 
 def test_unwritable_origin_file_does_not_stop_the_map_builder(
-    stage: StageOf, grid_file: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+    grid_file: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     (tmp_path / "copy.origin.json").mkdir()
     copy = tmp_path / "copy.yaml"
-    it = stage(MapBuilder, BEGIN, grid_file=str(grid_file), grid_copy=str(copy)).begin()
+    it = ComponentHarness(
+        MapBuilder, {"grid_file": str(grid_file), "grid_copy": str(copy)}, start_s=BEGIN
+    )
     watch(it, room((*ROOM, NEW)), 15.0)
-    it.end()
+    it.request("deactivate")
 
     assert "copy.origin.json cannot be written: Is a directory" in caplog.text
     assert it.ends == []
 
 
 def test_full_disk_leaves_the_last_copy_intact(
-    stage: StageOf, grid_file: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+    grid_file: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     copy = tmp_path / "copy.yaml"
-    first = stage(MapBuilder, BEGIN, grid_file=str(grid_file), grid_copy=str(copy)).begin()
+    first = ComponentHarness(
+        MapBuilder, {"grid_file": str(grid_file), "grid_copy": str(copy)}, start_s=BEGIN
+    )
     watch(first, room((*ROOM, NEW)), 15.0)
-    first.end()
+    first.request("deactivate")
     written = read_map(copy).values
 
-    again = stage(MapBuilder, BEGIN + 20.0, grid_file=str(grid_file), grid_copy=str(copy)).begin()
+    again = ComponentHarness(
+        MapBuilder, {"grid_file": str(grid_file), "grid_copy": str(copy)}, start_s=BEGIN + 20.0
+    )
     watch(again, room(), 8.0)
     with room_for(1000):
-        again.end()
+        again.request("deactivate")
 
     assert "the grid map is not saved" in caplog.text
     assert "File too large" in caplog.text
@@ -220,7 +227,6 @@ def test_full_disk_leaves_the_last_copy_intact(
     ],
 )
 def test_unusable_copy_is_reported_and_replaced(
-    stage: StageOf,
     grid_file: Path,
     tmp_path: Path,
     caplog: pytest.LogCaptureFixture,
@@ -230,9 +236,11 @@ def test_unusable_copy_is_reported_and_replaced(
 ) -> None:
     caplog.set_level("INFO")
     copy = tmp_path / "copy.yaml"
-    first = stage(MapBuilder, BEGIN, grid_file=str(grid_file), grid_copy=str(copy)).begin()
+    first = ComponentHarness(
+        MapBuilder, {"grid_file": str(grid_file), "grid_copy": str(copy)}, start_s=BEGIN
+    )
     watch(first, room((*ROOM, NEW)), 15.0)
-    first.end()
+    first.request("deactivate")
     if file == "map.pgm":  # edited by hand
         write_map(grid_file, room(ROOM[:2]))
     elif content is None:
@@ -240,30 +248,32 @@ def test_unusable_copy_is_reported_and_replaced(
     else:
         (tmp_path / file).write_bytes(content)
 
-    again = stage(MapBuilder, BEGIN + 20.0, grid_file=str(grid_file), grid_copy=str(copy)).begin()
+    again = ComponentHarness(
+        MapBuilder, {"grid_file": str(grid_file), "grid_copy": str(copy)}, start_s=BEGIN + 20.0
+    )
 
-    (published,) = again.taken("map")
+    (published,) = again.take("map")
     assert np.array_equal(grid_of(published).values, read_map(grid_file).values)
     (line,) = [line for line in caplog.messages if "working copy" in line]
     assert re.search(rf"replacing the working copy .*copy\.yaml: .*{why}", line)
 
 
-def test_missing_map_fails_configuration(stage: StageOf, tmp_path: Path) -> None:
+def test_missing_map_fails_configuration(tmp_path: Path) -> None:
     with pytest.raises(CairnError, match=r"none\.yaml: no such file"):
-        stage(MapBuilder, BEGIN, grid_file=str(tmp_path / "none.yaml")).begin()
+        ComponentHarness(MapBuilder, {"grid_file": str(tmp_path / "none.yaml")}, start_s=BEGIN)
     with pytest.raises(CairnError, match="there is no map to keep"):
-        stage(MapBuilder, BEGIN)
+        ComponentHarness(MapBuilder, start_s=BEGIN, activate=False)
 
 
-def test_pose_without_a_scan_changes_nothing(stage: StageOf, grid_file: Path) -> None:
-    it = stage(MapBuilder, BEGIN, grid_file=str(grid_file)).begin()
-    header = Header(stamp=from_ns(it.executor.now()), frame_id="map")
+def test_pose_without_a_scan_changes_nothing(grid_file: Path) -> None:
+    it = ComponentHarness(MapBuilder, {"grid_file": str(grid_file)}, start_s=BEGIN)
+    header = Header(stamp=from_ns(it.now_ns), frame_id="map")
     published = with_covariance(HERE, np.diag([1e-4, 1e-4, 1e-4]))
 
-    it.give(
+    it.publish(
         "localization",
         LocalizationEstimate(header=header, located=True, pose=published, health=1.0),
     )
-    it.wait(3.0)
+    it.run_for(3.0)
 
-    assert it.taken("map_updates") == []
+    assert it.take("map_updates") == []

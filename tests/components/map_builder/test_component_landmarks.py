@@ -1,6 +1,5 @@
 """Tests of the component's landmarks: map, changes, restart, relocalization."""
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -18,11 +17,10 @@ from cairn.schemas.cairn_msgs import (
 )
 from cairn.schemas.cairn_nav_msgs import Relocalization
 from cairn.schemas.std_msgs import Header
+from cairn.testing.lockstep import ComponentHarness
 from cairn.visual_map.landmark_store import open_landmarks
 from tests.components.map_builder.evidence import surveyed
 from tests.disk import room_for
-
-StageOf = Callable[..., Any]
 
 
 @pytest.fixture
@@ -55,28 +53,28 @@ def relocalization(stamp: int, confirmed_until: int = 0) -> Relocalization:
 
 
 def states(it: Any) -> dict[int, int]:
-    return {o.object_id: o.state for o in it.taken("visual_map")[-1].objects}
+    return {o.object_id: o.state for o in it.take("visual_map")[-1].objects}
 
 
-def test_map_is_published_at_start(stage: StageOf, map_file: Path) -> None:
-    it = stage(MapBuilder, 1000.0, map_file=str(map_file)).begin()
+def test_map_is_published_at_start(map_file: Path) -> None:
+    it = ComponentHarness(MapBuilder, {"map_file": str(map_file)}, start_s=1000.0)
 
-    (first,) = it.taken("visual_map")
+    (first,) = it.take("visual_map")
 
     assert [o.object_id for o in first.objects] == [6, 7]
     assert {o.reliability for o in first.objects} == {0.5}
     assert first.version == 2
 
 
-def test_moved_landmark_is_removed_and_registered(stage: StageOf, map_file: Path) -> None:
-    it = stage(MapBuilder, 1000.0, map_file=str(map_file)).begin()
+def test_moved_landmark_is_removed_and_registered(map_file: Path) -> None:
+    it = ComponentHarness(MapBuilder, {"map_file": str(map_file)}, start_s=1000.0)
 
-    it.give("object_evidence", frame(0, 0.1, 3.5))
+    it.publish("object_evidence", frame(0, 0.1, 3.5))
     assert states(it)[7] == VisualObject.RELOCATING
     for step in range(1, 4):
-        it.give("object_evidence", frame(step, 0.9, 3.5))
+        it.publish("object_evidence", frame(step, 0.9, 3.5))
 
-    changes = it.taken("visual_map_changes")
+    changes = it.take("visual_map_changes")
     assert [c.kind for c in changes[:2]] == [VisualMapChange.REMOVED, VisualMapChange.REGISTERED]
     assert np.isnan(changes[0].new_x)
     assert changes[1].old_x == 2.0
@@ -84,88 +82,88 @@ def test_moved_landmark_is_removed_and_registered(stage: StageOf, map_file: Path
     assert states(it)[7] == VisualObject.LIVE
 
 
-def test_restarted_map_builder_keeps_its_changes(stage: StageOf, map_file: Path) -> None:
+def test_restarted_map_builder_keeps_its_changes(map_file: Path) -> None:
     copy = map_file.with_name("copy.map")
     parameters = {"map_file": str(map_file), "working_copy": str(copy)}
-    it = stage(MapBuilder, 1000.0, **parameters).begin()
-    it.give("object_evidence", frame(0, 0.1, 3.5))
+    it = ComponentHarness(MapBuilder, parameters, start_s=1000.0)
+    it.publish("object_evidence", frame(0, 0.1, 3.5))
 
-    again = stage(MapBuilder, 1001.0, **parameters).begin()
+    again = ComponentHarness(MapBuilder, parameters, start_s=1001.0)
 
     assert states(again)[7] == VisualObject.RELOCATING
 
 
-def test_judgments_of_a_lost_robot_are_undone(stage: StageOf, map_file: Path) -> None:
-    it = stage(MapBuilder, 1000.0, map_file=str(map_file)).begin()
-    it.give("object_evidence", frame(0, 0.1, 3.5))
+def test_judgments_of_a_lost_robot_are_undone(map_file: Path) -> None:
+    it = ComponentHarness(MapBuilder, {"map_file": str(map_file)}, start_s=1000.0)
+    it.publish("object_evidence", frame(0, 0.1, 3.5))
 
-    it.give("relocalized", relocalization(1010))
+    it.publish("relocalized", relocalization(1010))
 
-    kinds = [c.kind for c in it.taken("visual_map_changes")]
+    kinds = [c.kind for c in it.take("visual_map_changes")]
     assert kinds == [VisualMapChange.REMOVED, VisualMapChange.RESTORED]
     assert states(it)[7] == VisualObject.LIVE
 
 
-def test_judgments_before_the_loss_are_kept(stage: StageOf, map_file: Path) -> None:
-    it = stage(MapBuilder, 1000.0, map_file=str(map_file)).begin()
-    it.give("object_evidence", frame(0, 0.1, 3.5))
+def test_judgments_before_the_loss_are_kept(map_file: Path) -> None:
+    it = ComponentHarness(MapBuilder, {"map_file": str(map_file)}, start_s=1000.0)
+    it.publish("object_evidence", frame(0, 0.1, 3.5))
 
-    it.give("relocalized", relocalization(1010, confirmed_until=1001))
+    it.publish("relocalized", relocalization(1010, confirmed_until=1001))
 
-    assert [c.kind for c in it.taken("visual_map_changes")] == [VisualMapChange.REMOVED]
+    assert [c.kind for c in it.take("visual_map_changes")] == [VisualMapChange.REMOVED]
     assert states(it)[7] == VisualObject.RELOCATING
 
 
-def test_old_judgments_are_kept(stage: StageOf, map_file: Path) -> None:
-    it = stage(MapBuilder, 1000.0, map_file=str(map_file)).begin()
-    it.give("object_evidence", frame(0, 0.1, 3.5))
+def test_old_judgments_are_kept(map_file: Path) -> None:
+    it = ComponentHarness(MapBuilder, {"map_file": str(map_file)}, start_s=1000.0)
+    it.publish("object_evidence", frame(0, 0.1, 3.5))
 
-    it.give("relocalized", relocalization(1061))
-
-    assert states(it)[7] == VisualObject.RELOCATING
-
-
-def test_late_evidence_of_a_lost_robot_is_ignored(stage: StageOf, map_file: Path) -> None:
-    it = stage(MapBuilder, 1000.0, map_file=str(map_file)).begin()
-
-    it.give("relocalized", relocalization(1005))
-    it.give("object_evidence", frame(5, 0.1, 3.5))
-    assert it.taken("visual_map_changes") == []
-
-    it.give("object_evidence", frame(6, 0.1, 3.5))
-    assert states(it)[7] == VisualObject.RELOCATING
-
-
-def test_evidence_counts_after_the_clock_was_set_back(stage: StageOf, map_file: Path) -> None:
-    it = stage(MapBuilder, 1000.0, map_file=str(map_file)).begin()
-
-    it.give("relocalized", relocalization(1100))
-    it.give("object_evidence", frame(5, 0.1, 3.5))
+    it.publish("relocalized", relocalization(1061))
 
     assert states(it)[7] == VisualObject.RELOCATING
 
 
-def test_invalid_map_file_fails_configuration(stage: StageOf, tmp_path: Path) -> None:
+def test_late_evidence_of_a_lost_robot_is_ignored(map_file: Path) -> None:
+    it = ComponentHarness(MapBuilder, {"map_file": str(map_file)}, start_s=1000.0)
+
+    it.publish("relocalized", relocalization(1005))
+    it.publish("object_evidence", frame(5, 0.1, 3.5))
+    assert it.take("visual_map_changes") == []
+
+    it.publish("object_evidence", frame(6, 0.1, 3.5))
+    assert states(it)[7] == VisualObject.RELOCATING
+
+
+def test_evidence_counts_after_the_clock_was_set_back(map_file: Path) -> None:
+    it = ComponentHarness(MapBuilder, {"map_file": str(map_file)}, start_s=1000.0)
+
+    it.publish("relocalized", relocalization(1100))
+    it.publish("object_evidence", frame(5, 0.1, 3.5))
+
+    assert states(it)[7] == VisualObject.RELOCATING
+
+
+def test_invalid_map_file_fails_configuration(tmp_path: Path) -> None:
     wrong = tmp_path / "wrong.map"
     wrong.write_text("nothing of the kind")
-    it = stage(MapBuilder, 1000.0, map_file=str(wrong))
+    it = ComponentHarness(MapBuilder, {"map_file": str(wrong)}, start_s=1000.0, activate=False)
 
     with pytest.raises(CairnError, match=r"wrong\.map.*damaged or not a map"):
-        it.begin()
+        it.activate()
 
 
 def test_evidence_is_saved_once_a_full_disk_has_room(
-    stage: StageOf, map_file: Path, caplog: pytest.LogCaptureFixture
+    map_file: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    it = stage(MapBuilder, 1000.0, map_file=str(map_file)).begin()
+    it = ComponentHarness(MapBuilder, {"map_file": str(map_file)}, start_s=1000.0)
     with room_for(1000):
-        it.give("object_evidence", frame(0, 0.9, 2.0))
-        it.wait(3.0)
+        it.publish("object_evidence", frame(0, 0.9, 2.0))
+        it.run_for(3.0)
 
     assert it.ends == []
     assert "evidence of objects is not saved yet: " in caplog.text
 
-    it.wait(2.0)
+    it.run_for(2.0)
 
     with open_landmarks(map_file, read_only=True) as kept:
         counts = {one.object_id: one.evidence_count for one in kept.landmarks()}

@@ -13,17 +13,16 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cairn import SECOND
 from cairn.components.object_recognizer import component, recognize_cli
 from cairn.components.object_recognizer.component import ObjectRecognizer
 from cairn.schemas.cairn_msgs import RecognizedObjectArray
 from cairn.schemas.sensor_msgs import CameraInfo
+from cairn.testing.lockstep import ComponentHarness
 from cairn.vision import teaching
 from cairn.vision.features import Features, extract
 from cairn.vision.teaching import make_view
 from cairn.visual_map.file import create
 from cairn.visual_map.object_models import add_views
-from tests.components.conftest import Stage
 from tests.components.object_recognizer.scenes import (
     SIZE,
     Thing,
@@ -39,18 +38,18 @@ BEGIN_S = 1000.0
 class Robot:
     """A recognizer that receives an image every 0.2 s."""
 
-    def __init__(self, stage: Stage) -> None:
-        self.stage = stage
+    def __init__(self, recognizer: ComponentHarness[ObjectRecognizer]) -> None:
+        self.recognizer = recognizer
         self._noise = 0
 
     @property
     def now_s(self) -> float:
-        return self.stage.executor.now() / SECOND
+        return self.recognizer.now
 
     def calibrate(self, left: CameraInfo | None = None, right: CameraInfo | None = None) -> Robot:
         """Send it the cameras' calibrations, by default those of `scenes`."""
-        self.stage.give("left_info", left or info())
-        self.stage.give("right_info", right or info(right=True))
+        self.recognizer.publish("left_info", left or info())
+        self.recognizer.publish("right_info", right or info(right=True))
         return self
 
     def show(
@@ -60,13 +59,13 @@ class Robot:
         encoding: str = "mono8",
     ) -> RecognizedObjectArray | None:
         """Send it a pair of images; return what it publishes, None if it publishes nothing."""
-        self.stage.wait(0.2)
-        self.stage.taken("objects")
+        self.recognizer.run_for(0.2)
+        self.recognizer.take("objects")
         if left is not None:
-            self.stage.give("left_image", message(left, self.now_s, encoding))
+            self.recognizer.publish("left_image", message(left, self.now_s, encoding))
         if right is not None:
-            self.stage.give("right_image", message(right, self.now_s, encoding))
-        published = self.stage.taken("objects")
+            self.recognizer.publish("right_image", message(right, self.now_s, encoding))
+        published = self.recognizer.take("objects")
         assert len(published) <= 1
         return published[0] if published else None
 
@@ -133,12 +132,12 @@ def map_file(taught_map: Path, tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def robot(stage: Callable[..., Stage], map_file: Path) -> Callable[..., Robot]:
-    def begin(**parameters: Any) -> Robot:
-        given = {"map_file": str(map_file), **parameters}
-        return Robot(stage(ObjectRecognizer, BEGIN_S, **given).begin())
+def robot(map_file: Path) -> Callable[..., Robot]:
+    def start(**parameters: Any) -> Robot:
+        parameters = {"map_file": str(map_file), **parameters}
+        return Robot(ComponentHarness(ObjectRecognizer, parameters, start_s=BEGIN_S))
 
-    return begin
+    return start
 
 
 @pytest.fixture

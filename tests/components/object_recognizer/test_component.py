@@ -143,7 +143,7 @@ def await_log(it: Robot, caplog: pytest.LogCaptureFixture, text: str) -> None:
     deadline = time.monotonic() + 20
     caplog.clear()
     while text not in caplog.text:
-        it.stage.wait(1.0)
+        it.recognizer.run_for(1.0)
         assert time.monotonic() < deadline
 
 
@@ -153,7 +153,7 @@ def test_map_damaged_at_run_time_is_reported_and_models_are_kept(
     it = robot().calibrate()
 
     map_file.write_bytes(b"not a map " * 100)
-    it.stage.wait(1.0)
+    it.recognizer.run_for(1.0)
 
     assert "keeping the object models loaded before" in warnings()
     assert str(map_file) in warnings()
@@ -200,10 +200,10 @@ def test_recognition_is_repeatable(robot: Start) -> None:
 
 def test_run_time_parameters_can_be_changed_and_others_cannot(robot: Start) -> None:
     it = robot().calibrate()
-    it.stage.runtime.set_parameters({"farthest": 1.2})
+    it.recognizer.set_parameters({"farthest": 1.2})
     assert it.see([Thing(1, 0.0, 1.5)]).objects == ()
     with pytest.raises(CairnError, match="map_file can only be set when"):
-        it.stage.runtime.set_parameters({"map_file": "/tmp/other.cairn"})
+        it.recognizer.set_parameters({"map_file": "/tmp/other.cairn"})
 
 
 def test_images_of_another_size_than_the_calibration_are_reported(

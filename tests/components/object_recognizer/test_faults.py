@@ -300,10 +300,10 @@ def test_newer_of_two_pairs_is_processed(robot: Start) -> None:
     first, second = pair([HERE], 1), pair([Thing(2, 0.0, 1.5)], 2)
 
     # The right image of the first pair arrives after the left one of the second.
-    it.stage.give("left_image", message(first[0], 2000.0))
-    it.stage.give("left_image", message(second[0], 2000.2))
-    it.stage.give("right_image", message(first[1], 2000.0))
-    it.stage.give("right_image", message(second[1], 2000.2))
+    it.recognizer.publish("left_image", message(first[0], 2000.0))
+    it.recognizer.publish("left_image", message(second[0], 2000.2))
+    it.recognizer.publish("right_image", message(first[1], 2000.0))
+    it.recognizer.publish("right_image", message(second[1], 2000.2))
 
-    (published,) = it.stage.taken("objects")
+    (published,) = it.recognizer.take("objects")
     assert [one.object_id for one in published.objects] == [2]

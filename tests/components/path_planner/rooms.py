@@ -25,13 +25,13 @@ Box = tuple[float, float, float, float]
 def room(
     boxes: Sequence[Box] = (),
     size: tuple[float, float] = (9.0, 7.0),
-    is_unknown_space: Sequence[Box] = (),
+    unknown: Sequence[Box] = (),
     origin: Pose = (0.0, 0.0, 0.0),
 ) -> OccupancyCells:
     """A walled room with boxes, by positions [m] relative to the corner of its map."""
     values = np.zeros((round(size[1] / RESOLUTION), round(size[0] / RESOLUTION)), np.int8)
     values[:2], values[-2:], values[:, :2], values[:, -2:] = 100, 100, 100, 100
-    for kind, places in ((-1, is_unknown_space), (100, boxes)):
+    for kind, places in ((-1, unknown), (100, boxes)):
         for x0, y0, x1, y1 in places:
             columns = slice(round(x0 / RESOLUTION), round(x1 / RESOLUTION))
             values[round(y0 / RESOLUTION) : round(y1 / RESOLUTION), columns] = kind
@@ -80,14 +80,14 @@ def stand(goal_id: int) -> NavCommand:
 def scan_of(grid: OccupancyCells, pose: Pose, time: float, beams: int = 360) -> LaserScan:
     """The scan of a map from a pose, by small steps along each beam."""
     angles = -math.pi + 2 * math.pi / beams * np.arange(beams)
-    inflation_distance = np.arange(0.05, 8.0, 0.02)
-    x = pose[0] + np.cos(pose[2] + angles)[:, None] * inflation_distance
-    y = pose[1] + np.sin(pose[2] + angles)[:, None] * inflation_distance
+    distances = np.arange(0.05, 8.0, 0.02)
+    x = pose[0] + np.cos(pose[2] + angles)[:, None] * distances
+    y = pose[1] + np.sin(pose[2] + angles)[:, None] * distances
     rows, columns = grid.values.shape
     row = np.clip((y / RESOLUTION).astype(int), 0, rows - 1)
     column = np.clip((x / RESOLUTION).astype(int), 0, columns - 1)
     hit = grid.values[row, column] > 50
-    ranges = np.where(hit.any(axis=1), inflation_distance[hit.argmax(axis=1)], np.inf)
+    ranges = np.where(hit.any(axis=1), distances[hit.argmax(axis=1)], np.inf)
     return LaserScan(
         header=Header(stamp=seconds(time), frame_id="laser"),
         angle_min=-math.pi,

@@ -72,11 +72,11 @@ def test_updated_windows_give_the_same_costs_as_a_new_map(
     assert updated.update(top, left, after[window])
     assert taken.replace_map(OccupancyCells(both, FRAME))
 
-    anew = CostMap(OccupancyCells(both, FRAME), costs)
-    np.testing.assert_array_equal(updated.map_costs, anew.map_costs)
-    np.testing.assert_array_equal(taken.cell_costs, anew.cell_costs)
-    anew.set_scanner_obstacles(seen)
-    np.testing.assert_array_equal(updated.cell_costs, anew.cell_costs)
+    rebuilt = CostMap(OccupancyCells(both, FRAME), costs)
+    np.testing.assert_array_equal(updated.map_costs, rebuilt.map_costs)
+    np.testing.assert_array_equal(taken.cell_costs, rebuilt.cell_costs)
+    rebuilt.set_scanner_obstacles(seen)
+    np.testing.assert_array_equal(updated.cell_costs, rebuilt.cell_costs)
 
 
 def test_obstacle_of_the_scanner_closes_cells_once_the_map_no_longer_has_it() -> None:

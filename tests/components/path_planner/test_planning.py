@@ -214,7 +214,7 @@ def test_robot_deep_inside_an_obstacle_is_reported() -> None:
 
 
 def test_unknown_space_is_passed_only_if_allowed() -> None:
-    grid = room(is_unknown_space=[(4.0, 0.0, 5.0, 7.0)])
+    grid = room(unknown=[(4.0, 0.0, 5.0, 7.0)])
 
     closed = plan(grid)
     opened = plan(grid, costs=replace(COSTS, allow_unknown=True))

@@ -1,23 +1,22 @@
 """When the path planner replans: obstacles on the path, a robot off the path, a shorter path."""
 
 from functools import partial
-from typing import Any
 
 import pytest
 
-from cairn import LATCHED, SECOND, SENSOR, from_ns
+from cairn import SECOND, from_ns
 from cairn.components.path_planner.component import PathPlanner
 from cairn.planar.messages import planar_poses
 from cairn.schemas.cairn_nav_msgs import MotionStatus, Plan
 from cairn.schemas.rosgraph_msgs import Clock
-from tests.cairn.runtime.running import Lockstep, taken
-from tests.components.path_planner.planner_on_the_bus import (
+from cairn.testing.lockstep import ComponentHarness
+from tests.components.path_planner.planner_harness import (
     DOOR,
     THERE,
-    clear_of,
-    now,
-    stay,
-    window,
+    distance_to,
+    map_update,
+    scan_standing,
+    start_planner,
 )
 from tests.components.path_planner.rooms import (
     Box,
@@ -31,52 +30,50 @@ from tests.components.path_planner.rooms import (
 )
 
 
-def test_free_path_is_kept(start_planner: Any) -> None:
+def test_free_path_is_kept() -> None:
     grid = room(DOOR)
-    it = start_planner(grid)
-    it.give("nav_command", follow(THERE))
+    planner = start_planner(grid)
+    planner.publish("nav_command", follow(THERE))
 
-    stay(it, grid, 4.0)
+    scan_standing(planner, grid, 4.0)
 
-    assert len(it.taken("plan")) == 1
+    assert len(planner.take("plan")) == 1
 
 
-def test_path_avoids_a_box_that_only_the_scanner_sees_until_it_is_forgotten(
-    start_planner: Any,
-) -> None:
+def test_path_avoids_a_box_that_only_the_scanner_sees_until_it_is_forgotten() -> None:
     box = (2.5, 1.7, 2.9, 2.4)
-    it = start_planner(room(DOOR, size=(9.0, 7.0)), pose=(1.0, 1.8, 0.0))
+    planner = start_planner(room(DOOR, size=(9.0, 7.0)), pose=(1.0, 1.8, 0.0))
     here = (1.0, 1.8, 0.0)
-    it.give("nav_command", follow((4.0, 2.3, 0.0)))
-    (first,) = it.taken("plan")
-    assert clear_of(first, [box]) < 0.1
+    planner.publish("nav_command", follow((4.0, 2.3, 0.0)))
+    (first,) = planner.take("plan")
+    assert distance_to(first, [box]) < 0.1
 
-    stay(it, room([*DOOR, box]), 0.5, here)
-    (around,) = it.taken("plan")
-    stay(it, room([*DOOR, box]), 3.0, here)
-    assert it.taken("plan") == []
-    stay(it, room(DOOR), 3.0, here)
+    scan_standing(planner, room([*DOOR, box]), 0.5, here)
+    (around,) = planner.take("plan")
+    scan_standing(planner, room([*DOOR, box]), 3.0, here)
+    assert planner.take("plan") == []
+    scan_standing(planner, room(DOOR), 3.0, here)
 
     assert around.outcome == Plan.FOUND
-    assert clear_of(around, [box]) > 0.19
-    back = it.taken("plan")
+    assert distance_to(around, [box]) > 0.19
+    back = planner.take("plan")
     assert len(back) <= 1
     assert all(plan.length < around.length for plan in back)
 
 
-def test_obstacles_seen_for_an_earlier_goal_are_not_avoided(start_planner: Any) -> None:
+def test_obstacles_seen_for_an_earlier_goal_are_not_avoided() -> None:
     box = (2.5, 1.7, 2.9, 2.4)
     here, there = (1.0, 1.8, 0.0), (4.0, 2.3, 0.0)
-    it = start_planner(room(), pose=here)
-    it.give("nav_command", follow(there, goal_id=1))
-    stay(it, room([box]), 0.5, here)
-    it.give("nav_command", stand(goal_id=2))
-    it.wait(5.0)
-    it.taken("plan")
+    planner = start_planner(room(), pose=here)
+    planner.publish("nav_command", follow(there, goal_id=1))
+    scan_standing(planner, room([box]), 0.5, here)
+    planner.publish("nav_command", stand(goal_id=2))
+    planner.run_for(5.0)
+    planner.take("plan")
 
-    it.give("nav_command", follow(there, goal_id=3))
+    planner.publish("nav_command", follow(there, goal_id=3))
 
-    assert clear_of(it.taken("plan")[0], [box]) < 0.1
+    assert distance_to(planner.take("plan")[0], [box]) < 0.1
 
 
 def test_time_reset_forgets_old_obstacles_and_accepts_new_ones(
@@ -84,44 +81,40 @@ def test_time_reset_forgets_old_obstacles_and_accepts_new_ones(
 ) -> None:
     before, after = (2.5, 1.7, 2.9, 2.4), (2.5, 1.0, 2.9, 1.7)
     here = (1.0, 1.8, 0.0)
-    lockstep = Lockstep()
-    lockstep.add(PathPlanner, simulated_time=True).activate()
-    plans = lockstep.read("plan", Plan)
-    lockstep.publish("map", as_map(room()), qos=LATCHED)
+    planner = ComponentHarness(PathPlanner, simulated_time=True)
+    planner.publish("map", as_map(room()))
 
-    def add_scan(box: Box, begin: float) -> Plan:
-        """The last plan after half a second of scans of a room with a box."""
+    def plan_after_scans(box: Box, begin: float) -> Plan:
+        """Return the last plan after half a second of scans of a room with a box."""
         for k in range(5):
             time = begin + 0.1 * k
-            lockstep.publish("clock", Clock(clock=from_ns(round(time * SECOND))))
-            lockstep.publish("odom", odom_at((0.0, 0.0, 0.0), time))
-            lockstep.publish("localization", pose_at(here, time))
-            lockstep.publish("nav_command", follow((4.0, 2.3, 0.0)), qos=LATCHED)
-            lockstep.run()
-            lockstep.publish("scan", scan_of(room([box]), here, time), qos=SENSOR)
-            lockstep.run()
-        plan: Plan = taken(plans)[-1]
+            planner.publish("clock", Clock(clock=from_ns(round(time * SECOND))))
+            planner.publish("odom", odom_at((0.0, 0.0, 0.0), time))
+            planner.publish("localization", pose_at(here, time))
+            planner.publish("nav_command", follow((4.0, 2.3, 0.0)))
+            planner.publish("scan", scan_of(room([box]), here, time))
+        plan: Plan = planner.take("plan")[-1]
         return plan
 
-    first, second = add_scan(before, 1000.0), add_scan(after, 400.0)
+    first, second = plan_after_scans(before, 1000.0), plan_after_scans(after, 400.0)
 
-    assert clear_of(first, [before]) > 0.19
-    assert clear_of(second, [after]) > 0.19
-    assert clear_of(second, [before]) < 0.19
+    assert distance_to(first, [before]) > 0.19
+    assert distance_to(second, [after]) > 0.19
+    assert distance_to(second, [before]) < 0.19
     assert caplog.text.count("odometry on /robot/odom went back in time") == 1
 
 
-def test_door_blocked_by_a_person_is_reported_until_the_person_leaves(start_planner: Any) -> None:
+def test_door_blocked_by_a_person_is_reported_until_the_person_leaves() -> None:
     person_box = (4.4, 2.3, 4.7, 2.6)
-    it = start_planner(room(DOOR), pose=(2.0, 2.4, 0.0))
+    planner = start_planner(room(DOOR), pose=(2.0, 2.4, 0.0))
     here = (2.0, 2.4, 0.0)
-    it.give("nav_command", follow((7.0, 2.4, 0.0)))
-    assert it.taken("plan")[0].outcome == Plan.FOUND
+    planner.publish("nav_command", follow((7.0, 2.4, 0.0)))
+    assert planner.take("plan")[0].outcome == Plan.FOUND
 
-    stay(it, room([*DOOR, person_box]), 3.0, here)
-    refused = it.taken("plan")
-    stay(it, room(DOOR), 2.1, here)
-    again = it.taken("plan")
+    scan_standing(planner, room([*DOOR, person_box]), 3.0, here)
+    refused = planner.take("plan")
+    scan_standing(planner, room(DOOR), 2.1, here)
+    again = planner.take("plan")
 
     assert {plan.outcome for plan in refused} == {Plan.UNREACHABLE}
     assert refused[-1].reason.startswith("blocked by an obstacle that the scanner sees at (4.")
@@ -130,205 +123,203 @@ def test_door_blocked_by_a_person_is_reported_until_the_person_leaves(start_plan
     assert [plan.outcome for plan in again] == [Plan.FOUND]
 
 
-def test_path_closed_by_a_map_update_is_replanned(start_planner: Any) -> None:
-    it = start_planner(room())
-    it.give("nav_command", follow(THERE))
-    it.taken("plan")
+def test_path_closed_by_a_map_update_is_replanned() -> None:
+    planner = start_planner(room())
+    planner.publish("nav_command", follow(THERE))
+    planner.take("plan")
     box = (4.0, 3.0, 5.0, 4.0)
 
-    it.give("map_updates", window((0.5, 5.5, 1.0, 6.0), 100))
-    assert it.taken("plan") == []
-    it.give("map_updates", window(box, 100))
+    planner.publish("map_updates", map_update((0.5, 5.5, 1.0, 6.0), 100))
+    assert planner.take("plan") == []
+    planner.publish("map_updates", map_update(box, 100))
 
-    (around,) = it.taken("plan")
-    assert clear_of(around, [box]) > 0.19
-
-
-def test_obstacle_in_the_margin_does_not_break_the_path(start_planner: Any) -> None:
-    it = start_planner(room(), pose=(1.0, 1.025, 0.0))
-    it.give("nav_command", follow((8.0, 1.025, 0.0)))
-    it.taken("plan")
-
-    it.give("map_updates", window((4.0, 1.25, 5.0, 1.6), 100))  # centers 0.25 m off: closed
-    it.wait(2.0)
-    assert it.taken("plan") == []
-    it.give("map_updates", window((4.0, 1.2, 5.0, 1.25), 100))
-
-    assert len(it.taken("plan")) == 1
+    (around,) = planner.take("plan")
+    assert distance_to(around, [box]) > 0.19
 
 
-def test_path_opened_by_a_map_update_is_taken_if_clearly_shorter(start_planner: Any) -> None:
-    it = start_planner(room([(3.0, 0.0, 3.1, 6.0)]), pose=(1.5, 3.0, 0.0))
-    it.give("nav_command", follow((7.0, 3.0, 0.0)))
-    (long,) = it.taken("plan")
+def test_obstacle_in_the_margin_does_not_break_the_path() -> None:
+    planner = start_planner(room(), pose=(1.0, 1.025, 0.0))
+    planner.publish("nav_command", follow((8.0, 1.025, 0.0)))
+    planner.take("plan")
 
-    it.give("map_updates", window((3.0, 2.0, 3.1, 4.0), 0))
-    it.wait(1.5)
-    (short,) = it.taken("plan")
-    it.give("map_updates", window((3.0, 2.0, 3.1, 2.5), 100))
-    it.wait(3.0)
+    planner.publish(
+        "map_updates", map_update((4.0, 1.25, 5.0, 1.6), 100)
+    )  # centers 0.25 m off: closed
+    planner.run_for(2.0)
+    assert planner.take("plan") == []
+    planner.publish("map_updates", map_update((4.0, 1.2, 5.0, 1.25), 100))
+
+    assert len(planner.take("plan")) == 1
+
+
+def test_path_opened_by_a_map_update_is_taken_if_clearly_shorter() -> None:
+    planner = start_planner(room([(3.0, 0.0, 3.1, 6.0)]), pose=(1.5, 3.0, 0.0))
+    planner.publish("nav_command", follow((7.0, 3.0, 0.0)))
+    (long,) = planner.take("plan")
+
+    planner.publish("map_updates", map_update((3.0, 2.0, 3.1, 4.0), 0))
+    planner.run_for(1.5)
+    (short,) = planner.take("plan")
+    planner.publish("map_updates", map_update((3.0, 2.0, 3.1, 2.5), 100))
+    planner.run_for(3.0)
 
     assert long.length > short.length + 2
-    assert it.taken("plan") == []
+    assert planner.take("plan") == []
 
 
 TWO_DOORS = [(4.5, 0.0, 4.6, 2.0), (4.5, 2.8, 4.6, 5.2), (4.5, 6.0, 4.6, 7.0)]
 BEYOND = (8.0, 2.4, 0.0)
 
 
-def stand_blocked(it: Any, duration: float, state: int = MotionStatus.BLOCKED) -> None:
+def stand_blocked(
+    planner: ComponentHarness[PathPlanner], duration: float, state: int = MotionStatus.BLOCKED
+) -> None:
     """Let motion control report for some time, five times per second, that the robot is blocked."""
     for _ in range(round(duration * 5)):
-        it.wait(0.2)
-        it.give("motion_status", MotionStatus(goal_id=1, state=state))
+        planner.run_for(0.2)
+        planner.publish("motion_status", MotionStatus(goal_id=1, state=state))
 
 
 @pytest.mark.parametrize(
     ("state", "seconds"), [(MotionStatus.BLOCKED, 2.6), (MotionStatus.MOVING, 6.6)]
 )
-def test_stuck_robot_gets_another_path_and_keeps_it(
-    start_planner: Any, state: int, seconds: float
-) -> None:
-    it = start_planner(room(TWO_DOORS), pose=(4.0, 2.4, 0.0))
-    it.give("nav_command", follow(BEYOND))
-    (straight,) = it.taken("plan")
+def test_stuck_robot_gets_another_path_and_keeps_it(state: int, seconds: float) -> None:
+    planner = start_planner(room(TWO_DOORS), pose=(4.0, 2.4, 0.0))
+    planner.publish("nav_command", follow(BEYOND))
+    (straight,) = planner.take("plan")
 
-    stand_blocked(it, seconds, state)
-    (around,) = it.taken("plan")
-    it.wait(20.0)
+    stand_blocked(planner, seconds, state)
+    (around,) = planner.take("plan")
+    planner.run_for(20.0)
 
     assert straight.length < 4.1
     assert planar_poses(around.poses)[:, 1].max() > 5.2
-    assert it.taken("plan") == []
+    assert planner.take("plan") == []
 
 
-def test_stuck_robot_without_an_alternative_keeps_its_path(start_planner: Any) -> None:
-    it = start_planner(room(DOOR), pose=(4.0, 2.4, 0.0))
-    it.give("nav_command", follow(BEYOND))
-    it.taken("plan")
+def test_stuck_robot_without_an_alternative_keeps_its_path() -> None:
+    planner = start_planner(room(DOOR), pose=(4.0, 2.4, 0.0))
+    planner.publish("nav_command", follow(BEYOND))
+    planner.take("plan")
 
-    stand_blocked(it, 10.0)
-    kept = it.taken("plan")
-    it.give("nav_command", stand(goal_id=2))
-    it.give("nav_command", follow(BEYOND, goal_id=3))
+    stand_blocked(planner, 10.0)
+    kept = planner.take("plan")
+    planner.publish("nav_command", stand(goal_id=2))
+    planner.publish("nav_command", follow(BEYOND, goal_id=3))
 
     assert kept == []
-    assert [plan.outcome for plan in it.taken("plan")] == [Plan.FOUND]
+    assert [plan.outcome for plan in planner.take("plan")] == [Plan.FOUND]
 
 
-def test_robot_stopped_by_a_missing_input_is_not_stuck(
-    start_planner: Any,
-) -> None:
-    it = start_planner(room(TWO_DOORS), pose=(4.0, 2.4, 0.0))
-    it.give("nav_command", follow(BEYOND))
-    it.taken("plan")
+def test_robot_stopped_by_a_missing_input_is_not_stuck() -> None:
+    planner = start_planner(room(TWO_DOORS), pose=(4.0, 2.4, 0.0))
+    planner.publish("nav_command", follow(BEYOND))
+    planner.take("plan")
 
-    stand_blocked(it, 10.0, MotionStatus.STOPPED)
+    stand_blocked(planner, 10.0, MotionStatus.STOPPED)
 
-    assert it.taken("plan") == []
+    assert planner.take("plan") == []
 
 
-def test_blocked_path_is_not_taken_again_when_it_is_out_of_view(
-    start_planner: Any,
-) -> None:
+def test_blocked_path_is_not_taken_again_when_it_is_out_of_view() -> None:
     here, blocking = (3.0, 2.4, 0.0), (4.3, 2.0, 4.5, 2.8)
-    it = start_planner(room(TWO_DOORS), pose=here)
-    it.give("nav_command", follow(BEYOND))
-    stay(it, room([*TWO_DOORS, blocking]), 0.5, here)
-    around = it.taken("plan")[-1]
+    planner = start_planner(room(TWO_DOORS), pose=here)
+    planner.publish("nav_command", follow(BEYOND))
+    scan_standing(planner, room([*TWO_DOORS, blocking]), 0.5, here)
+    around = planner.take("plan")[-1]
 
-    it.wait(20.0)  # not seen any more, neither present nor gone
-    kept = it.taken("plan")
-    stay(it, room(TWO_DOORS), 2.0, here)
+    planner.run_for(20.0)  # not seen any more, neither present nor gone
+    kept = planner.take("plan")
+    scan_standing(planner, room(TWO_DOORS), 2.0, here)
 
     assert planar_poses(around.poses)[:, 1].max() > 5.2
     assert kept == []
-    assert it.taken("plan")[-1].length < 5.1
+    assert planner.take("plan")[-1].length < 5.1
 
 
-def test_grown_map_is_planned_on(start_planner: Any) -> None:
-    it = start_planner(room(size=(5.0, 7.0)))
-    it.give("nav_command", follow(THERE))
-    (outside,) = it.taken("plan")
+def test_grown_map_is_planned_on() -> None:
+    planner = start_planner(room(size=(5.0, 7.0)))
+    planner.publish("nav_command", follow(THERE))
+    (outside,) = planner.take("plan")
 
-    it.give("map", as_map(room()))
-    it.wait(1.5)
+    planner.publish("map", as_map(room()))
+    planner.run_for(1.5)
 
     assert outside.outcome == Plan.OUTSIDE_MAP
-    assert [plan.outcome for plan in it.taken("plan")] == [Plan.FOUND]
+    assert [plan.outcome for plan in planner.take("plan")] == [Plan.FOUND]
 
 
-def test_wall_across_the_path_is_noticed_in_a_map_with_another_origin(start_planner: Any) -> None:
-    it = start_planner(room())
-    it.give("nav_command", follow(THERE))
-    (straight,) = it.taken("plan")
+def test_wall_across_the_path_is_noticed_in_a_map_with_another_origin() -> None:
+    planner = start_planner(room())
+    planner.publish("nav_command", follow(THERE))
+    (straight,) = planner.take("plan")
 
     grown = partial(room, size=(14.0, 12.0), origin=(-5.0, -5.0, 0.0))
-    it.give("map", as_map(grown([(1.0, 1.0, 4.0, 4.0)])))
-    assert it.taken("plan") == []  # the path is as free as it was
-    it.give("map", as_map(grown([(9.5, 5.7, 9.6, 12.0)])))  # at x = 4.5, from y = 0.7
+    planner.publish("map", as_map(grown([(1.0, 1.0, 4.0, 4.0)])))
+    assert planner.take("plan") == []  # the path is as free as it was
+    planner.publish("map", as_map(grown([(9.5, 5.7, 9.6, 12.0)])))  # at x = 4.5, from y = 0.7
 
-    (around,) = it.taken("plan")
+    (around,) = planner.take("plan")
     assert around.outcome == Plan.FOUND
     assert around.length > straight.length + 0.5
 
 
-def test_path_outside_a_shrunk_map_is_replanned_at_once(start_planner: Any) -> None:
-    it = start_planner(room(), pose=(1.0, 1.5, 0.0))
-    it.give("nav_command", follow((8.0, 1.5, 0.0)))
-    it.taken("plan")
+def test_path_outside_a_shrunk_map_is_replanned_at_once() -> None:
+    planner = start_planner(room(), pose=(1.0, 1.5, 0.0))
+    planner.publish("nav_command", follow((8.0, 1.5, 0.0)))
+    planner.take("plan")
 
-    it.give("map", as_map(room(size=(9.0, 3.0), origin=(-5.0, 0.0, 0.0))))  # to x = 4
+    planner.publish("map", as_map(room(size=(9.0, 3.0), origin=(-5.0, 0.0, 0.0))))  # to x = 4
 
-    (plan,) = it.taken("plan")
+    (plan,) = planner.take("plan")
     assert plan.outcome == Plan.OUTSIDE_MAP
     assert "the goal (8.00, 1.50) is outside the map" in plan.reason
 
 
-def test_robot_outside_the_map_gets_a_path_when_it_is_back(start_planner: Any) -> None:
-    it = start_planner(room(), pose=(-0.1, 3.0, 0.0))
-    it.give("nav_command", follow(THERE))
-    (off,) = it.taken("plan")
+def test_robot_outside_the_map_gets_a_path_when_it_is_back() -> None:
+    planner = start_planner(room(), pose=(-0.1, 3.0, 0.0))
+    planner.publish("nav_command", follow(THERE))
+    (off,) = planner.take("plan")
 
-    it.give("localization", pose_at((1.0, 3.0, 0.0), now(it)))
-    it.wait(1.5)
+    planner.publish("localization", pose_at((1.0, 3.0, 0.0), planner.now))
+    planner.run_for(1.5)
 
     assert off.outcome == Plan.START_BLOCKED
     assert off.reason == "the robot at (-0.10, 3.00) is outside the map"
-    assert [plan.outcome for plan in it.taken("plan")] == [Plan.FOUND]
+    assert [plan.outcome for plan in planner.take("plan")] == [Plan.FOUND]
 
 
-def test_robot_that_left_its_path_gets_a_new_one(start_planner: Any) -> None:
-    it = start_planner(room())
-    it.give("nav_command", follow((8.0, 1.0, 0.0)))
-    it.taken("plan")
+def test_robot_that_left_its_path_gets_a_new_one() -> None:
+    planner = start_planner(room())
+    planner.publish("nav_command", follow((8.0, 1.0, 0.0)))
+    planner.take("plan")
 
-    it.wait(1.0)
-    it.give("localization", pose_at((3.0, 1.4, 0.0), now(it)))
-    assert it.taken("plan") == []
-    it.wait(1.0)
-    it.give("localization", pose_at((3.0, 1.7, 0.0), now(it)))
+    planner.run_for(1.0)
+    planner.publish("localization", pose_at((3.0, 1.4, 0.0), planner.now))
+    assert planner.take("plan") == []
+    planner.run_for(1.0)
+    planner.publish("localization", pose_at((3.0, 1.7, 0.0), planner.now))
 
-    (plan,) = it.taken("plan")
+    (plan,) = planner.take("plan")
     assert tuple(planar_poses(plan.poses)[0, :2]) == (3.0, 1.7)
 
 
-def test_path_out_of_an_obstacle_is_kept(start_planner: Any) -> None:
+def test_path_out_of_an_obstacle_is_kept() -> None:
     here = (1.2, 1.0, 0.0)
-    it = start_planner(room([(0.8, 0.8, 1.3, 1.2)]), pose=here)
-    it.give("nav_command", follow(THERE))
+    planner = start_planner(room([(0.8, 0.8, 1.3, 1.2)]), pose=here)
+    planner.publish("nav_command", follow(THERE))
 
     for _ in range(10):
-        it.wait(0.3)
-        it.give("localization", pose_at(here, now(it)))
+        planner.run_for(0.3)
+        planner.publish("localization", pose_at(here, planner.now))
 
-    assert [plan.outcome for plan in it.taken("plan")] == [Plan.FOUND]
+    assert [plan.outcome for plan in planner.take("plan")] == [Plan.FOUND]
 
 
-def test_scans_of_a_lost_robot_are_not_used(start_planner: Any) -> None:
-    it = start_planner(room(DOOR))
-    it.give("nav_command", follow(THERE))
-    it.give("localization", pose_at((1.0, 1.0, 0.0), now(it), health=0.1))
-    stay(it, room([*DOOR, (2.0, 1.0, 2.4, 2.0)]), 1.0, health=0.1)
+def test_scans_of_a_lost_robot_are_not_used() -> None:
+    planner = start_planner(room(DOOR))
+    planner.publish("nav_command", follow(THERE))
+    planner.publish("localization", pose_at((1.0, 1.0, 0.0), planner.now, health=0.1))
+    scan_standing(planner, room([*DOOR, (2.0, 1.0, 2.4, 2.0)]), 1.0, health=0.1)
 
-    assert len(it.taken("plan")) == 1
+    assert len(planner.take("plan")) == 1

@@ -1,7 +1,6 @@
 """What a report says of a run, whatever of it came."""
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -11,27 +10,28 @@ from cairn.components.report.component import Report
 from cairn.planar.messages import pose_message
 from cairn.schemas.geometry_msgs import PoseStamped
 from cairn.schemas.std_msgs import Header
+from cairn.testing.lockstep import ComponentHarness
 from tests.components.path_planner.rooms import pose_at, seconds
 
 BEGIN = 100.0
 
 
 @pytest.fixture
-def report(stage: Callable[..., Any], tmp_path: Path) -> Any:
-    return stage(Report, BEGIN, directory=str(tmp_path)).begin()
+def report(tmp_path: Path) -> Any:
+    return ComponentHarness(Report, {"directory": str(tmp_path)}, start_s=BEGIN)
 
 
-def told(it: Any, folder: Path) -> tuple[dict[str, Any], str]:
+def finished(it: Any, folder: Path) -> tuple[dict[str, Any], str]:
     """The report at the end of a run: its values, and its text."""
-    it.end()
+    it.request("deactivate")
     values = json.loads((folder / "report.json").read_text(encoding="utf-8"))
     return values, (folder / "report.txt").read_text(encoding="utf-8")
 
 
 def test_run_without_poses_has_the_duration_of_its_clock(report: Any, tmp_path: Path) -> None:
-    report.wait(12.0)
+    report.run_for(12.0)
 
-    values, text = told(report, tmp_path)
+    values, text = finished(report, tmp_path)
 
     assert values["recorded_s"] == pytest.approx(12.0, abs=0.2)
     assert values["first_pose_s"] is None
@@ -39,26 +39,26 @@ def test_run_without_poses_has_the_duration_of_its_clock(report: Any, tmp_path: 
 
 
 def test_run_continues_after_the_last_pose(report: Any, tmp_path: Path) -> None:
-    report.give("truth", truth_at(BEGIN))
-    report.give("localization", pose_at((0.0, 0.1, 0.0), BEGIN))
-    report.wait(30.0)
+    report.publish("truth", truth_at(BEGIN))
+    report.publish("localization", pose_at((0.0, 0.1, 0.0), BEGIN))
+    report.run_for(30.0)
 
-    values, text = told(report, tmp_path)
+    values, text = finished(report, tmp_path)
 
     assert (values["recorded_s"], values["first_pose_s"]) == (30.0, 0.0)
     assert text.startswith("position error 0.100 m rms")
 
 
 def test_run_without_truth_is_reported(report: Any, tmp_path: Path) -> None:
-    report.give("localization", pose_at((0.0, 0.1, 0.0), BEGIN))
+    report.publish("localization", pose_at((0.0, 0.1, 0.0), BEGIN))
 
-    _, text = told(report, tmp_path)
+    _, text = finished(report, tmp_path)
 
     assert text.startswith("no truth to compare the poses with\n")
 
 
-def test_run_without_clock_has_no_duration(stage: Callable[..., Any], tmp_path: Path) -> None:
-    values, text = told(stage(Report, 0.0, directory=str(tmp_path)).begin(), tmp_path)
+def test_run_without_clock_has_no_duration(tmp_path: Path) -> None:
+    values, text = finished(ComponentHarness(Report, {"directory": str(tmp_path)}), tmp_path)
 
     assert (values["recorded_s"], values["wall_s"]) == (0.0, None)
     assert "0 s recorded; dropped: none" in text

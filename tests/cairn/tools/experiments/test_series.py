@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -24,6 +22,7 @@ from cairn.schemas.cairn_msgs import (
 from cairn.schemas.cairn_nav_msgs import LocalizationEstimate
 from cairn.schemas.geometry_msgs import PoseArray, PoseStamped
 from cairn.schemas.std_msgs import Header
+from cairn.testing.lockstep import ComponentHarness
 from cairn.tools.experiments.observer import PairObserver, WorldObserver
 from cairn.tools.experiments.series import Move, Sighting, read_pair, read_world
 
@@ -37,17 +36,17 @@ def true_map(seconds: float, *places: tuple[int, float, float]) -> VisualMap:
     return VisualMap(header=at(seconds), objects=objects)
 
 
-def test_what_was_true_is_kept(stage: Callable[..., Any], tmp_path: Path) -> None:
+def test_what_was_true_is_kept(tmp_path: Path) -> None:
     file = tmp_path / "world.jsonl"
-    it = stage(WorldObserver, 0.0, file=str(file)).begin()
+    it = ComponentHarness(WorldObserver, {"file": str(file)})
 
-    it.give("true_map", true_map(0.0, (1, 2.0, 3.0), (2, 4.0, 5.0)))
-    it.give("truth", PoseStamped(header=at(1.0), pose=pose_message((0.0, 0.0, 3.0))))
-    it.give("truth", PoseStamped(header=at(2.0), pose=pose_message((1.0, 2.0, -3.0))))
+    it.publish("true_map", true_map(0.0, (1, 2.0, 3.0), (2, 4.0, 5.0)))
+    it.publish("truth", PoseStamped(header=at(1.0), pose=pose_message((0.0, 0.0, 3.0))))
+    it.publish("truth", PoseStamped(header=at(2.0), pose=pose_message((1.0, 2.0, -3.0))))
     seen = RecognizedObject(object_id=2, range=1.5, bearing=-0.2)
-    it.give("recognized_objects", RecognizedObjectArray(header=at(2.0), objects=(seen,)))
-    it.give("true_map", true_map(3.0, (1, 2.0, 3.0), (2, 4.5, 5.0)))
-    it.runtime.request("shutdown", {})
+    it.publish("recognized_objects", RecognizedObjectArray(header=at(2.0), objects=(seen,)))
+    it.publish("true_map", true_map(3.0, (1, 2.0, 3.0), (2, 4.5, 5.0)))
+    it.request("shutdown")
 
     world = read_world(file)
     assert world.moves == (Move(3.0, 2, (4.0, 5.0), (4.5, 5.0)),)
@@ -59,18 +58,18 @@ def test_what_was_true_is_kept(stage: Callable[..., Any], tmp_path: Path) -> Non
     assert math.cos(theta) == pytest.approx(-1.0)  # the short way from 3 to -3 rad
 
 
-def test_what_a_pair_told_is_kept(stage: Callable[..., Any], tmp_path: Path) -> None:
+def test_what_a_pair_told_is_kept(tmp_path: Path) -> None:
     file = tmp_path / "ours.jsonl"
-    it = stage(PairObserver, 0.0, file=str(file)).begin()
+    it = ComponentHarness(PairObserver, {"file": str(file)})
 
     for stamp, live in ((1.0, 0), (2.0, 0), (3.0, 1)):
         thing = VisualObject(object_id=7, x=1.0, y=2.0, reliability=0.9, state=live)
-        it.give("visual_map", VisualMap(header=at(stamp), objects=(thing,)))
+        it.publish("visual_map", VisualMap(header=at(stamp), objects=(thing,)))
     covariance = np.array([[0.04, 0.01, 0.0], [0.01, 0.09, 0.0], [0.0, 0.0, 0.16]])
     told = with_covariance((1.0, 2.0, 0.5), covariance)
-    it.give("localization", LocalizationEstimate(header=at(1.0), located=True, pose=told))
+    it.publish("localization", LocalizationEstimate(header=at(1.0), located=True, pose=told))
     change = VisualMapChange(header=at(3.0), object_id=7, kind=1, old_x=1.0, old_y=2.0, reason="no")
-    it.give("visual_map_changes", change)
+    it.publish("visual_map_changes", change)
     evidence = ObjectEvidence(
         object_id=7,
         similarity=0.1,
@@ -85,10 +84,10 @@ def test_what_a_pair_told_is_kept(stage: Callable[..., Any], tmp_path: Path) -> 
     frame = ObjectEvidenceArray(
         header=at(2.5), robot_x=1.0, robot_y=2.0, robot_theta=0.5, evidence=(evidence,)
     )
-    it.give("object_evidence", frame)
+    it.publish("object_evidence", frame)
     cloud = np.array([[0.0, 0.0, math.pi - 0.1], [2.0, 0.0, -math.pi + 0.1]])
-    it.give("particles", PoseArray(header=at(2.0), poses=packed_poses(cloud)))
-    it.runtime.request("shutdown", {})
+    it.publish("particles", PoseArray(header=at(2.0), poses=packed_poses(cloud)))
+    it.request("shutdown")
 
     pair = read_pair(file)
     np.testing.assert_allclose(pair.poses, [[1.0, 2.0, 0.5]], atol=1e-5)
@@ -112,6 +111,6 @@ def test_a_file_that_is_no_series_is_refused(tmp_path: Path) -> None:
         read_world(tmp_path / "none.jsonl")
 
 
-def test_a_folder_that_is_not_there_is_told_of(stage: Callable[..., Any], tmp_path: Path) -> None:
+def test_a_folder_that_is_not_there_is_told_of(tmp_path: Path) -> None:
     with pytest.raises(CairnError, match="cannot be written: No such file"):
-        stage(PairObserver, 0.0, file=str(tmp_path / "none" / "ours.jsonl")).begin()
+        ComponentHarness(PairObserver, {"file": str(tmp_path / "none" / "ours.jsonl")})
