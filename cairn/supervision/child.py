@@ -84,7 +84,7 @@ class Launcher(Protocol):
         ...
 
     def request_stop(self) -> None:
-        """Have nothing started any more, and cut short the start in progress; any thread."""
+        """Reject further starts and cancel the start in progress; thread-safe."""
         ...
 
 

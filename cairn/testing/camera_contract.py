@@ -99,7 +99,7 @@ class PicturesContract(Contract):
     """The frames of the cameras: x right, y down, z ahead (REP 103)."""
 
     sample_count: ClassVar[int] = 12
-    """How many pairs are """
+    """Number of messages that a check collects from each camera."""
 
     @classmethod
     def sides(cls) -> tuple[str, ...]:

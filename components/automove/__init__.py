@@ -1,1 +1,1 @@
-"""AutoMove: carries out an order to move with the plugins it loads for it."""
+"""AutoMove: executes missions with the plugins that it loads: the navigator state machine."""

@@ -1,1 +1,1 @@
-"""The localizer: where the robot is, and which objects of the map contradict it."""
+"""The localizer: estimates the robot's pose, and evidence for and against each landmark."""
