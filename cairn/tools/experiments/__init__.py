@@ -1,1 +1,1 @@
-"""The experiments of the paper: one robot, many ways of keeping its visual map, one table."""
+"""The experiments of the paper: one robot, several methods of updating its map, one table."""

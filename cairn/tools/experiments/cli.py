@@ -1,7 +1,9 @@
-"""`cairn experiment`: the experiments of the paper."""
+"""`cairn experiment`: the commands of the paper's experiments, and their options."""
 
 from __future__ import annotations
 
+import os
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -11,25 +13,53 @@ from cairn import CairnError
 from cairn.cli.options import Json
 from cairn.cli.output import line, print_json
 from cairn.cli.runs import seeds_of
-from cairn.tools.experiments.ablation import Ask, run_ablation
+from cairn.deployment.shipped import FOLDER, deployment_file
+from cairn.tools.experiments.ablation import AblationOptions, run_ablation
 from cairn.tools.experiments.map_update import run_map_update
-from cairn.tools.experiments.methods import ABLATION, OURS, PAPER, Method
-from cairn.tools.experiments.options import (
-    DEPLOYMENT,
-    OVERLAY,
-    DeploymentFile,
-    Driver,
-    DriverOption,
-    Out,
-    Overlay,
-    Seeds,
-    Set,
-    Workers,
-    overlays,
-    refuse_unreadable,
-)
-from cairn.tools.experiments.pairs import Plan
+from cairn.tools.experiments.methods import ABLATION, OURS, PAPER, ExperimentSetup, Method
 from cairn.tools.experiments.uncertainty import UNCERTAINTY, run_uncertainty
+
+_DEPLOYMENT, _OVERLAY = FOLDER / "sim.yaml", FOLDER / "experiment.yaml"
+
+
+class RecognitionDriver(StrEnum):
+    """The kinds of simulated object recognition."""
+
+    pixels = "pixels"
+    geometric = "geometric"
+
+
+Seeds = Annotated[str, typer.Option(help="Seeds A..B, one or two runs each.")]
+Out = Annotated[
+    Path,
+    typer.Option(
+        help="Folder for the report: a new or empty one, or one with an earlier report of the same "
+        "command, which is replaced together with its runs and pictures."
+    ),
+]
+Workers = Annotated[int, typer.Option(min=0, help="Number of parallel runs; 0: one per processor.")]
+Set = Annotated[
+    list[str] | None,
+    typer.Option("--set", help="Change a value of the deployment: path=value.", metavar="SET"),
+]
+DeploymentFile = Annotated[
+    Path,
+    typer.Option(help="The deployment to run, by file or by shipped name.", parser=deployment_file),
+]
+Overlay = Annotated[
+    Path,
+    typer.Option(
+        help="Overlay with the tour, the scanner and the changes of the world. With --driver "
+        "pixels the file pixels.yaml in the same folder is added."
+    ),
+]
+DriverOption = Annotated[
+    RecognitionDriver,
+    typer.Option(
+        help="pixels: a simulated stereo camera and the object recognizer; geometric: "
+        "observations computed by geometry, many times faster."
+    ),
+]
 
 app = typer.Typer(help="Run the experiments of the paper.", no_args_is_help=True)
 
@@ -41,112 +71,140 @@ def _experiment() -> None:
 
 @app.command()
 def uncertainty(
-    driver: DriverOption = Driver.pixels,
+    driver: DriverOption = RecognitionDriver.pixels,
     seeds: Seeds = "0..29",
     out: Out = Path("uncertainty"),
-    deployment: DeploymentFile = DEPLOYMENT,
-    overlay: Overlay = OVERLAY,
+    deployment: DeploymentFile = _DEPLOYMENT,
+    overlay: Overlay = _OVERLAY,
     set_: Set = None,
     workers: Workers = 0,
     json: Json = False,
 ) -> None:
-    """Show what a change of the room does to the pose, with and without an update (figure 9).
+    """Measure how a change of the room affects the pose, with and without a map update (figure 9).
 
-    Each seed is a way, driven by scans alone, in the room as it is and in the room in which
-    something is moved. Ends with status 1 if a run failed.
+    The robot follows the same path twice for each seed, driven by scans alone: in the unchanged
+    room, and in a room in which an object is moved. Exits with status 1 if a run failed.
     """
-    plan = _plan(deployment, overlay, driver, set_, None, UNCERTAINTY)
-    numbers = seeds_of(seeds)
-    _tell(*run_uncertainty(plan, numbers, out.absolute(), workers, quiet=json), out=out, json=json)
+    setup = _setup(deployment, overlay, driver, set_, None, UNCERTAINTY)
+    _report(
+        *run_uncertainty(setup, seeds_of(seeds), out.absolute(), workers, quiet=json),
+        out=out,
+        json=json,
+    )
 
 
 @app.command()
 def map_update(
-    driver: DriverOption = Driver.pixels,
+    driver: DriverOption = RecognitionDriver.pixels,
     seeds: Seeds = "0..29",
     out: Out = Path("map-update"),
-    deployment: DeploymentFile = DEPLOYMENT,
-    overlay: Overlay = OVERLAY,
+    deployment: DeploymentFile = _DEPLOYMENT,
+    overlay: Overlay = _OVERLAY,
     set_: Set = None,
     workers: Workers = 0,
     json: Json = False,
 ) -> None:
-    """Move an object while the robot drives, and show how it repairs its map (figure 10).
+    """Move an object while the robot drives, and report how it repairs its map (figure 10).
 
-    Ends with status 1 if a run failed.
+    Exits with status 1 if a run failed.
     """
-    plan = _plan(deployment, overlay, driver, set_, OURS, (PAPER,))
-    numbers = seeds_of(seeds)
-    _tell(*run_map_update(plan, numbers, out.absolute(), workers, quiet=json), out=out, json=json)
+    setup = _setup(deployment, overlay, driver, set_, OURS, (PAPER,))
+    _report(
+        *run_map_update(setup, seeds_of(seeds), out.absolute(), workers, quiet=json),
+        out=out,
+        json=json,
+    )
 
 
 @app.command()
 def ablation(
-    moved: Annotated[int, typer.Option(min=0, max=1000, help="Objects moved in each run.")] = 1,
+    moved: Annotated[
+        int, typer.Option(min=0, max=1000, help="Number of objects moved in each run.")
+    ] = 1,
     move_distance: Annotated[
         float | None,
-        typer.Option(min=0.05, max=1000, help="How far [m]; else anywhere, 0.6 m at least."),
+        typer.Option(
+            min=0.05, max=1000, help="Distance of the moves [m]; default: any of at least 0.6 m."
+        ),
     ] = None,
-    at: Annotated[
-        float, typer.Option(min=1, max=1e5, help="When something is changed [s].")
-    ] = 62.0,
+    at: Annotated[float, typer.Option(min=1, max=1e5, help="Time of the changes [s].")] = 62.0,
     kidnap: Annotated[
-        bool, typer.Option("--kidnap", help="Carry the robot off at the same time.")
+        bool, typer.Option("--kidnap", help="Kidnap the robot at the same time.")
     ] = False,
     false_matches: Annotated[
         float | None,
-        typer.Option(min=0, max=1, help="Share of mistaken sightings; geometric driver only."),
+        typer.Option(
+            min=0,
+            max=1,
+            help="Share of observations that are false matches; geometric driver only.",
+        ),
     ] = None,
     scanner_range: Annotated[
-        float | None, typer.Option(min=0.3, max=30, help="How far the scanner sees [m].")
+        float | None, typer.Option(min=0.3, max=30, help="Range of the scanner [m].")
     ] = None,
-    driver: DriverOption = Driver.pixels,
+    driver: DriverOption = RecognitionDriver.pixels,
     seeds: Seeds = "0..29",
     out: Out = Path("ablation"),
-    deployment: DeploymentFile = DEPLOYMENT,
-    overlay: Overlay = OVERLAY,
+    deployment: DeploymentFile = _DEPLOYMENT,
+    overlay: Overlay = _OVERLAY,
     set_: Set = None,
     workers: Workers = 0,
     json: Json = False,
 ) -> None:
     """Compare the paper's rule, ours and others on the same data, in one table.
 
-    Ends with status 1 if a run failed.
+    Exits with status 1 if a run failed.
     """
-    if false_matches is not None and driver is not Driver.geometric:
+    if false_matches is not None and driver is not RecognitionDriver.geometric:
         raise CairnError(
-            "--false-matches is a parameter of the geometric driver: from pixels their rate is "
-            "what it is; add --driver geometric"
+            "--false-matches is a parameter of the geometric driver, the rate from pixels cannot "
+            "be chosen; add --driver geometric"
         )
-    ask = Ask(moved, move_distance, at, kidnap, scanner_range, false_matches)
+    options = AblationOptions(moved, move_distance, at, kidnap, scanner_range, false_matches)
     others = tuple(method for method in ABLATION if method is not OURS)
-    plan = _plan(deployment, overlay, driver, [*ask.sets(), *(set_ or ())], OURS, others)
-    numbers = seeds_of(seeds)
-    _tell(
-        *run_ablation(plan, ask, numbers, out.absolute(), workers, quiet=json), out=out, json=json
+    sets = [*options.sets(), *(set_ or ())]
+    setup = _setup(deployment, overlay, driver, sets, OURS, others)
+    _report(
+        *run_ablation(setup, options, seeds_of(seeds), out.absolute(), workers, quiet=json),
+        out=out,
+        json=json,
     )
 
 
-def _plan(
+def _setup(
     deployment: Path,
     overlay: Path,
-    driver: Driver,
+    driver: RecognitionDriver,
     sets: list[str] | None,
     driving: Method | None,
     shadows: tuple[Method, ...],
-) -> Plan:
-    over = overlays(overlay, driver)
-    refuse_unreadable(deployment, over)
-    files = tuple(file.absolute() for file in over)
-    return Plan(deployment.absolute(), files, tuple(sets or ()), driving, shadows)
+) -> ExperimentSetup:
+    overlays = [overlay]
+    if driver is RecognitionDriver.pixels:
+        overlays.append(overlay.with_name("pixels.yaml"))
+    _check_readable(deployment, "--deployment")
+    for file in overlays:
+        _check_readable(file, "--overlay")
+    files = tuple(file.absolute() for file in overlays)
+    return ExperimentSetup(deployment.absolute(), files, tuple(sets or ()), driving, shadows)
 
 
-def _tell(lines: list[str], body: dict[str, Any], done: bool, *, out: Path, json: bool) -> None:
+def _check_readable(file: Path, option: str) -> None:
+    if not os.access(file, os.R_OK):
+        raise CairnError(
+            f"{file}: there is no such deployment, or it cannot be read; name yours with {option} "
+            "FILE"
+        )
+
+
+def _report(
+    lines: list[str], body: dict[str, Any], succeeded: bool, *, out: Path, json: bool
+) -> None:
     if json:
         print_json(body)
     else:
-        for told in lines:
-            line(told)
+        for text in lines:
+            line(text)
         line(f"report: {out}/report.txt, {out}/report.json and pictures")
-    if not done:
+    if not succeeded:
         raise typer.Exit(1)

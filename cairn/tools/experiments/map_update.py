@@ -2,29 +2,57 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from cairn.tools.experiments import text
-from cairn.tools.experiments.experiment import Observed, observed
-from cairn.tools.experiments.judging import THERE_M, MoveResult, PairResult, RunResult
-from cairn.tools.experiments.map_pictures import draw_reliabilities, draw_sequence
-from cairn.tools.experiments.methods import OURS, PAPER, Method
-from cairn.tools.experiments.pairs import MAP_BUILDER, Plan, changed_at, plain
-from cairn.tools.experiments.report_folder import ReportFolder, begun, write_report
-from cairn.tools.experiments.runs import Job, checked
-from cairn.tools.experiments.sequence import sequence_of
-from cairn.tools.experiments.statistics import Mean, Rate, Spread, mean_of, rate_of, spread_of
+from cairn.tools.experiments.map_sequence import draw_map_panels, map_panels
+from cairn.tools.experiments.methods import (
+    MAP_BUILDER,
+    OURS,
+    PAPER,
+    ExperimentSetup,
+    Method,
+    base_deployment,
+    first_event_s,
+)
+from cairn.tools.experiments.report_folder import ReportFolder, open_report, write_report
+from cairn.tools.experiments.results import (
+    CORRECT_M,
+    ExperimentRunResult,
+    MethodResult,
+    MoveResult,
+)
+from cairn.tools.experiments.runs import FinishedRun, RunSpec, check_setup, run_experiment
+from cairn.tools.experiments.series import STEP_S, MethodSeries, WorldSeries
+from cairn.tools.experiments.statistics import (
+    Mean,
+    Percentiles,
+    Rate,
+    bootstrap_mean,
+    format_count,
+    format_mean,
+    format_percentiles,
+    format_rate,
+    format_table,
+    interval_note,
+    percentiles,
+    too_few_note,
+    wilson_rate,
+)
 
 METHODS = (OURS, PAPER)
-_SEQUENCE, _RELIABILITIES = "maps_a_h.png", "reliability.png"
+_PANELS, _RELIABILITY = "maps_a_h.png", "reliability.png"
 
 
-class UpdateSummary(BaseModel):
+class MapUpdateSummary(BaseModel):
     """All runs of one method."""
 
     model_config = ConfigDict(extra="forbid")
@@ -32,37 +60,39 @@ class UpdateSummary(BaseModel):
     method: str
     title: str
     repaired: Rate = Field(
-        description="Runs in which all that was moved was removed and registered within 0.3 m of "
-        "its new place."
+        description="Runs in which every moved object was removed and registered within 0.3 m of "
+        "its new position."
     )
-    none_lost: Rate = Field(description="Runs in which nothing that stood there was removed.")
-    none_false: Rate = Field(
-        description="Runs in which nothing was registered more than 0.3 m off its place."
+    no_false_removal: Rate = Field(description="Runs in which no object was removed that stood.")
+    no_false_registration: Rate = Field(
+        description="Runs in which no object was registered more than 0.3 m from its position."
     )
-    all_right: Rate = Field(description="Runs of which all three are true.")
-    removed_after: Spread = Field(description="From the move to the removal [s].")
-    registered_after: Spread = Field(description="From the move to the registration [s].")
-    sightings_to_remove: Spread
-    views_to_remove: Spread
-    sightings_to_register: Spread
-    registered_error: Spread = Field(description="How far off its place an object is put [m].")
+    all_correct: Rate = Field(description="Runs in which all three are true.")
+    removed_after: Percentiles = Field(description="From the move to the removal [s].")
+    registered_after: Percentiles = Field(description="From the move to the registration [s].")
+    observations_to_remove: Percentiles
+    viewpoints_to_remove: Percentiles
+    observations_to_register: Percentiles
+    registration_error: Percentiles = Field(
+        description="Distance of the registered from the true position [m]."
+    )
     map_error: Mean = Field(
-        description="Mean distance of live objects from their true places in the end [m]."
+        description="Mean distance of the live landmarks from their true positions at the end [m]."
     )
 
 
 def run_map_update(
-    plan: Plan, seeds: Sequence[int], out: Path, workers: int, *, quiet: bool
+    setup: ExperimentSetup, seeds: Sequence[int], out: Path, workers: int, *, quiet: bool
 ) -> tuple[list[str], dict[str, Any], bool]:
-    """Run it; the report's lines, its figures, and whether all runs did what they should."""
-    at = changed_at(plan)
-    folder = ReportFolder(out, "map-update", (_SEQUENCE, _RELIABILITIES))
-    jobs = [Job(plan, seed, folder.run(seed), moves=True) for seed in seeds]
-    checked(plan)
-    with begun(folder):
-        runs, failures = observed(jobs, folder, workers, at, quiet=quiet)
+    """Run it; return the report's lines, its figures, and whether all runs succeeded."""
+    at = first_event_s(setup)
+    folder = ReportFolder(out, "map-update", (_PANELS, _RELIABILITY))
+    specs = [RunSpec(setup, seed, folder.run(seed), moves=True) for seed in seeds]
+    check_setup(setup)
+    with open_report(folder):
+        runs, failures = run_experiment(specs, folder, workers, at, quiet=quiet)
         results = [run.result for run in runs]
-        summaries = [_summed_up(method, results) for method in METHODS] if runs else []
+        summaries = [_summarize(method, results) for method in METHODS] if runs else []
         lines = list(_lines(summaries, results, failures))
         body = {
             "seeds": list(seeds),
@@ -73,84 +103,88 @@ def run_map_update(
         }
         pictures = {}
         if runs:
-            grid = Path(plain(plan).member(MAP_BUILDER).spec.parameters["grid_file"])
+            parameters = base_deployment(setup).member(MAP_BUILDER).spec.parameters
+            grid = Path(parameters["grid_file"])
             shown = _shown(runs)
-            sequence = sequence_of(shown.pairs[PAPER.name], shown.world)
+            panels = map_panels(shown.methods[PAPER.name], shown.world)
             pictures = {
-                _SEQUENCE: partial(draw_sequence, sequence, shown.world, grid),
-                _RELIABILITIES: partial(
-                    draw_reliabilities, [(run.pairs[OURS.name], run.world) for run in runs]
+                _PANELS: partial(draw_map_panels, panels, shown.world, grid),
+                _RELIABILITY: partial(
+                    _draw_reliability, [(run.methods[OURS.name], run.world) for run in runs]
                 ),
             }
-        models = (UpdateSummary, Rate, Mean, Spread, RunResult, PairResult, MoveResult)
-        write_report(folder, lines, body, models, pictures)
+        models = (MapUpdateSummary, Rate, Mean, Percentiles)
+        results_models = (ExperimentRunResult, MethodResult, MoveResult)
+        write_report(folder, lines, body, (*models, *results_models), pictures)
     return lines, {key: body[key] for key in ("failures", "summary")}, not failures
 
 
-def _shown(runs: Sequence[Observed]) -> Observed:
-    """The run whose maps are shown: the first in which the paper's rule repaired the map."""
+def _shown(runs: Sequence[FinishedRun]) -> FinishedRun:
+    """Return the run whose maps are drawn: the first in which the paper's rule repaired the map."""
     for run in runs:
-        paper = next(pair for pair in run.result.pairs if pair.method == PAPER.name)
-        if _repaired(paper):
+        paper = next(one for one in run.result.methods if one.method == PAPER.name)
+        if _is_repaired(paper):
             return run
     return runs[0]
 
 
-def _repaired(pair: PairResult) -> bool:
+def _is_repaired(result: MethodResult) -> bool:
     return all(
         move.removed_at is not None
-        and move.registered_error is not None
-        and move.registered_error <= THERE_M
-        for move in pair.moves
+        and move.registration_error is not None
+        and move.registration_error <= CORRECT_M
+        for move in result.moves
     )
 
 
-def _summed_up(method: Method, runs: Sequence[RunResult]) -> UpdateSummary:
-    pairs = [pair for run in runs for pair in run.pairs if pair.method == method.name]
-    moves = [move for pair in pairs for move in pair.moves]
+def _summarize(method: Method, runs: Sequence[ExperimentRunResult]) -> MapUpdateSummary:
+    results = [one for run in runs for one in run.methods if one.method == method.name]
+    moves = [move for result in results for move in result.moves]
     removed = [move for move in moves if move.removed_at is not None]
     registered = [move for move in moves if move.registered_at is not None]
 
-    def share(right: Sequence[bool]) -> Rate:
-        return rate_of(sum(right), len(right))
+    def share(true: Sequence[bool]) -> Rate:
+        return wilson_rate(sum(true), len(true))
 
-    repaired = [_repaired(pair) for pair in pairs]
-    kept = [not pair.false_removals for pair in pairs]
-    true = [not pair.false_registrations for pair in pairs]
-    return UpdateSummary(
+    repaired = [_is_repaired(result) for result in results]
+    kept = [not result.false_removals for result in results]
+    correct = [not result.false_registrations for result in results]
+    return MapUpdateSummary(
         method=method.name,
         title=method.title,
         repaired=share(repaired),
-        none_lost=share(kept),
-        none_false=share(true),
-        all_right=share([all(three) for three in zip(repaired, kept, true, strict=True)]),
-        removed_after=spread_of([(m.removed_at or 0.0) - m.moved_at for m in removed]),
-        registered_after=spread_of([(m.registered_at or 0.0) - m.moved_at for m in registered]),
-        sightings_to_remove=spread_of([m.sightings_to_remove or 0 for m in removed]),
-        views_to_remove=spread_of([m.views_to_remove or 0 for m in removed]),
-        sightings_to_register=spread_of([m.sightings_to_register or 0 for m in registered]),
-        registered_error=spread_of([m.registered_error or 0.0 for m in registered]),
-        map_error=mean_of([pair.map_error for pair in pairs if pair.map_error is not None]),
+        no_false_removal=share(kept),
+        no_false_registration=share(correct),
+        all_correct=share([all(three) for three in zip(repaired, kept, correct, strict=True)]),
+        removed_after=percentiles([(m.removed_at or 0.0) - m.moved_at for m in removed]),
+        registered_after=percentiles([(m.registered_at or 0.0) - m.moved_at for m in registered]),
+        observations_to_remove=percentiles([m.observations_to_remove or 0 for m in removed]),
+        viewpoints_to_remove=percentiles([m.viewpoints_to_remove or 0 for m in removed]),
+        observations_to_register=percentiles([m.observations_to_register or 0 for m in registered]),
+        registration_error=percentiles([m.registration_error or 0.0 for m in registered]),
+        map_error=bootstrap_mean([one.map_error for one in results if one.map_error is not None]),
     )
 
 
 def _lines(
-    summaries: Sequence[UpdateSummary], runs: Sequence[RunResult], failures: Mapping[str, str]
+    summaries: Sequence[MapUpdateSummary],
+    runs: Sequence[ExperimentRunResult],
+    failures: Mapping[str, str],
 ) -> Iterator[str]:
-    yield f"map update: {text.count(len(runs), 'run')}"
+    yield f"map update: {format_count(len(runs), 'run')}"
     for name, failure in failures.items():
         yield f"{name} failed: {failure}"
     if not runs:
         return
-    yield from text.few(len(runs))
+    yield from too_few_note(len(runs))
     yield f"{OURS.title}, run by run:"
-    yield from text.table(
+    yield from format_table(
         (
             "seed",
             "removed at [s]",
             "registered at [s]",
-            "off [m]",
-            "sightings to remove",
+            "error [m]",
+            "observations to remove",
             "to register",
             "false removals",
             "false registrations",
@@ -159,63 +193,117 @@ def _lines(
         [row for run in runs for row in _rows(run)],
     )
     yield ""
-    yield from text.table(
-        ("method", "repaired", "nothing lost", "nothing false", "all of it", "map error [m]"),
+    yield from format_table(
+        (
+            "method",
+            "repaired",
+            "no false removal",
+            "no false registration",
+            "all correct",
+            "map error [m]",
+        ),
         [
             (
                 one.title,
-                text.rate(one.repaired),
-                text.rate(one.none_lost),
-                text.rate(one.none_false),
-                text.rate(one.all_right),
-                text.mean(one.map_error),
+                format_rate(one.repaired),
+                format_rate(one.no_false_removal),
+                format_rate(one.no_false_registration),
+                format_rate(one.all_correct),
+                format_mean(one.map_error),
             )
             for one in summaries
         ],
     )
-    yield f"  in brackets: 95 % intervals, of rates after Wilson, {text.of_means(len(runs))}"
+    yield f"  in brackets: 95 % intervals, for rates by Wilson, {interval_note(len(runs))}"
     yield ""
-    yield from text.table(
-        ("median / 90 %", "removed", "registered", "sightings", "views", "to register", "off"),
+    yield from format_table(
+        (
+            "median / 90 %",
+            "removed",
+            "registered",
+            "observations",
+            "viewpoints",
+            "to register",
+            "error",
+        ),
         [
             (
                 one.title,
-                text.spread(one.removed_after, 1, "s"),
-                text.spread(one.registered_after, 1, "s"),
-                text.spread(one.sightings_to_remove),
-                text.spread(one.views_to_remove),
-                text.spread(one.sightings_to_register),
-                text.spread(one.registered_error, 3, "m"),
+                format_percentiles(one.removed_after, 1, "s"),
+                format_percentiles(one.registered_after, 1, "s"),
+                format_percentiles(one.observations_to_remove),
+                format_percentiles(one.viewpoints_to_remove),
+                format_percentiles(one.observations_to_register),
+                format_percentiles(one.registration_error, 3, "m"),
             )
             for one in summaries
         ],
     )
     yield ""
-    yield "sightings of each object before and after the change, fewest of all runs:"
+    yield "observations of each object before and after the change, the fewest of all runs:"
     yield "  " + ", ".join(_coverage(runs))
 
 
-def _rows(run: RunResult) -> Iterator[tuple[str, ...]]:
-    pair = next(one for one in run.pairs if one.method == OURS.name)
-    for move in pair.moves:
+def _rows(run: ExperimentRunResult) -> Iterator[tuple[str, ...]]:
+    ours = next(one for one in run.methods if one.method == OURS.name)
+    for move in ours.moves:
         yield (
             str(run.seed),
-            _figure(move.removed_at, 1),
-            _figure(move.registered_at, 1),
-            _figure(move.registered_error, 3),
-            _figure(move.sightings_to_remove, 0),
-            _figure(move.sightings_to_register, 0),
-            str(len(pair.false_removals)),
-            str(len(pair.false_registrations)),
-            _figure(pair.map_error, 3),
+            _format(move.removed_at, 1),
+            _format(move.registered_at, 1),
+            _format(move.registration_error, 3),
+            _format(move.observations_to_remove, 0),
+            _format(move.observations_to_register, 0),
+            str(len(ours.false_removals)),
+            str(len(ours.false_registrations)),
+            _format(ours.map_error, 3),
         )
 
 
-def _coverage(runs: Sequence[RunResult]) -> Iterator[str]:
+def _coverage(runs: Sequence[ExperimentRunResult]) -> Iterator[str]:
     for key in sorted({key for run in runs for key in run.coverage}):
         before, after = (min(run.coverage.get(key, (0, 0))[i] for run in runs) for i in (0, 1))
         yield f"{key}: {before}, {after}"
 
 
-def _figure(value: float | None, digits: int) -> str:
+def _format(value: float | None, digits: int) -> str:
     return "-" if value is None else f"{value:.{digits}f}"
+
+
+def _draw_reliability(runs: Sequence[tuple[MethodSeries, WorldSeries]], file: Path) -> None:
+    """Draw reliability over time: of the moved objects, and of the others, mean of all runs."""
+    figure = Figure(figsize=(9.0, 3.6), layout="constrained")
+    axes = figure.subplots()
+    end = min(float(world.stamps[-1]) for _, world in runs)
+    stamps = np.arange(0.0, end, STEP_S)
+    groups: dict[bool, list[NDArray[np.float64]]] = {True: [], False: []}
+    for series, world in runs:
+        moved = {move.object_id for move in world.moves}
+        for key in series.map_at(math.inf):
+            groups[key in moved].append(_reliability(series, key, stamps))
+    for is_moved, label, color in (
+        (False, "objects that stay", "tab:green"),
+        (True, "objects that are moved", "tab:red"),
+    ):
+        if not groups[is_moved]:
+            continue
+        rows = np.array(groups[is_moved])
+        low, high = np.percentile(rows, [5, 95], axis=0)
+        axes.plot(stamps, rows.mean(axis=0), color=color, label=f"{label}: mean, 5 to 95 %")
+        axes.fill_between(stamps, low, high, color=color, alpha=0.15, linewidth=0)
+    for stamp in {move.stamp for _, world in runs for move in world.moves}:
+        axes.axvline(stamp, color="black", linewidth=0.8)
+    axes.set_ylim(0.0, 1.02)
+    axes.set_xlabel("time [s]; vertical line: an object is moved")
+    axes.set_ylabel("reliability [1]")
+    axes.legend(loc="lower left", frameon=False)
+    figure.savefig(file, dpi=110)
+
+
+def _reliability(
+    series: MethodSeries, object_id: int, stamps: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    mine = [one for one in series.landmarks if one.object_id == object_id]
+    since = np.array([one.stamp for one in mine])
+    values = np.array([one.reliability for one in mine])
+    return np.asarray(values[np.maximum(np.searchsorted(since, stamps, "right") - 1, 0)])

@@ -1,4 +1,4 @@
-"""The components that write down a run: what was true, and what one pair made of it."""
+"""The components that record a run: the ground truth, and the estimates of one method."""
 
 from __future__ import annotations
 
@@ -34,15 +34,16 @@ from cairn.schemas.cairn_msgs import (
 from cairn.schemas.cairn_nav_msgs import Collision, LocalizationEstimate, Relocalization
 from cairn.schemas.geometry_msgs import PoseArray, PoseStamped
 
-_MANY = RELIABLE.with_depth(500)
+# Every message is recorded, also those of one instant of virtual time.
+_LOSSLESS = RELIABLE.with_depth(500)
 
 Value = float | int | str | bool | None | list["Value"]
 
 
 class ObserverConfig(Config):
-    """Where the series goes."""
+    """Parameters of an observer."""
 
-    file: Path = Field(description="Where to write the series: lines of JSON.")
+    file: Path = Field(description="File of the series: lines of JSON.")
 
 
 class Observer(Component):
@@ -51,7 +52,7 @@ class Observer(Component):
     config: ObserverConfig
 
     def on_configure(self) -> None:
-        """Begin the file."""
+        """Create the file."""
         file = self.config.file
         try:
             self._stream: IO[str] = file.open("w", encoding="utf-8")
@@ -60,9 +61,9 @@ class Observer(Component):
                 f"the series {file} cannot be written: {error.strerror}; name another folder"
             ) from error
 
-    def on_parameters(self, new: Config) -> None:  # noqa: ARG002 - none can be changed
-        """A series goes to one file."""
-        raise ParameterRejected("an observer takes its parameters when it is configured")
+    def on_parameters(self, new: Config) -> None:  # noqa: ARG002 - no parameter can be changed
+        """Reject changes: a series is one file."""
+        raise ParameterRejected("the file of an observer cannot be changed while it runs")
 
     def on_cleanup(self) -> None:
         """Close the file."""
@@ -72,107 +73,110 @@ class Observer(Component):
         """Close the file."""
         self._close()
 
-    def _write(self, what: str, stamp: Time, *values: Value) -> None:
-        self._stream.write(json.dumps([what, to_ns(stamp) / SECOND, *values]) + "\n")
+    def _write(self, kind: str, stamp: Time, *values: Value) -> None:
+        self._stream.write(json.dumps([kind, to_ns(stamp) / SECOND, *values]) + "\n")
 
     def _close(self) -> None:
         try:
             self._stream.close()
         except OSError as error:
             raise CairnError(
-                f"the series {self.config.file} is not complete: {error.strerror}; make room there"
+                f"the series {self.config.file} is incomplete: {error.strerror}; free some space "
+                "there"
             ) from error
 
 
 class WorldObserver(Observer):
-    """Writes down what was true in a run, and what the recognizer told of it."""
+    """Records the ground truth of a run, and the observations of the object recognizer."""
 
-    truth: In[PoseStamped] = In(qos=_MANY)
+    truth: In[PoseStamped] = In(qos=_LOSSLESS)
     true_map: In[VisualMap] = In(qos=LATCHED.with_depth(100))
-    recognized_objects: In[RecognizedObjectArray] = In(qos=_MANY)
+    recognized_objects: In[RecognizedObjectArray] = In(qos=_LOSSLESS)
     collisions: In[Collision] = In(qos=RELIABLE.with_depth(100), optional=True)
 
     @on("truth")
-    def follow(self, truth: PoseStamped) -> None:
-        """Write where the robot is."""
+    def on_truth(self, truth: PoseStamped) -> None:
+        """Record the robot's true pose."""
         self._write("pose", truth.header.stamp, *_rounded(*planar_pose(truth.pose)))
 
     @on("true_map")
-    def survey(self, true_map: VisualMap) -> None:
-        """Write where the objects stand."""
-        places: list[Value] = [[o.object_id, *_rounded(o.x, o.y)] for o in true_map.objects]
-        self._write("places", true_map.header.stamp, places)
+    def on_true_map(self, true_map: VisualMap) -> None:
+        """Record the true positions of the objects."""
+        objects: list[Value] = [[o.object_id, *_rounded(o.x, o.y)] for o in true_map.objects]
+        self._write("objects", true_map.header.stamp, objects)
 
     @on("recognized_objects")
-    def see(self, seen: RecognizedObjectArray) -> None:
-        """Write what was recognized."""
-        for one in seen.objects:
+    def on_recognized_objects(self, recognized: RecognizedObjectArray) -> None:
+        """Record the observations of one image."""
+        for one in recognized.objects:
             self._write(
-                "sighting",
-                seen.header.stamp,
+                "observation",
+                recognized.header.stamp,
                 one.object_id,
                 *_rounded(one.range, one.bearing),
             )
 
     @on("collisions")
-    def touch(self, touch: Collision) -> None:
-        """Write what the robot touched."""
-        self._write("collision", touch.header.stamp, touch.obstacle, *_rounded(touch.x, touch.y))
+    def on_collision(self, collision: Collision) -> None:
+        """Record a collision."""
+        position = _rounded(collision.x, collision.y)
+        self._write("collision", collision.header.stamp, collision.obstacle, *position)
 
 
-class PairObserver(Observer):
-    """Writes down what one localizer and one map builder made of a run."""
+class MethodObserver(Observer):
+    """Records the estimates of one localizer and the map of one map builder."""
 
-    localization: In[LocalizationEstimate] = In(qos=_MANY)
+    localization: In[LocalizationEstimate] = In(qos=_LOSSLESS)
     visual_map: In[VisualMap] = In(qos=LATCHED.with_depth(100))
-    visual_map_changes: In[VisualMapChange] = In(qos=_MANY)
-    object_evidence: In[ObjectEvidenceArray] = In(qos=_MANY)
+    visual_map_changes: In[VisualMapChange] = In(qos=_LOSSLESS)
+    object_evidence: In[ObjectEvidenceArray] = In(qos=_LOSSLESS)
     particles: In[PoseArray] = In(optional=True)
     relocalized: In[Relocalization] = In(optional=True)
 
     def on_configure(self) -> None:
-        """Nothing was mapped yet."""
+        """Start with an empty map."""
         super().on_configure()
-        self._mapped: dict[int, list[Value]] = {}
+        self._landmarks: dict[int, list[Value]] = {}
 
     @on("localization")
-    def on_localization(self, told: LocalizationEstimate) -> None:
-        """Write the estimated pose and its covariance."""
-        if not told.located:
+    def on_localization(self, estimate: LocalizationEstimate) -> None:
+        """Record the estimated pose and its covariance."""
+        if not estimate.located:
             return
-        pose, covariance = planar_pose(told.pose.pose), planar_covariance(told.pose)
+        pose, covariance = planar_pose(estimate.pose.pose), planar_covariance(estimate.pose)
         xx, xy, yy = covariance[0, 0], covariance[0, 1], covariance[1, 1]
         variances = [float(f"{value:.6g}") for value in (xx, xy, yy, covariance[2, 2])]
-        self._write("pose", told.header.stamp, *_rounded(*pose), *variances)
+        self._write("pose", estimate.header.stamp, *_rounded(*pose), *variances)
 
     @on("particles")
-    def look(self, cloud: PoseArray) -> None:
-        """Write how far the samples are spread: variances of x, y [m^2] and heading [rad^2]."""
-        x, y, theta = planar_poses(cloud.poses).T
-        middle = math.atan2(np.sin(theta).mean(), np.cos(theta).mean())
-        variances = (x.var(), y.var(), np.mean(wrap_all(theta - middle) ** 2))
-        self._write("cloud", cloud.header.stamp, *(float(f"{value:.6g}") for value in variances))
+    def on_particles(self, particles: PoseArray) -> None:
+        """Record the variances of the particles: x, y [m^2] and heading [rad^2]."""
+        x, y, theta = planar_poses(particles.poses).T
+        mean = math.atan2(np.sin(theta).mean(), np.cos(theta).mean())
+        variances = (x.var(), y.var(), np.mean(wrap_all(theta - mean) ** 2))
+        rounded = (float(f"{value:.6g}") for value in variances)
+        self._write("particles", particles.header.stamp, *rounded)
 
     @on("visual_map")
-    def read(self, visual_map: VisualMap) -> None:
-        """Write those objects of the map that are not as they were."""
+    def on_visual_map(self, visual_map: VisualMap) -> None:
+        """Record the landmarks that have changed since the last map."""
         for o in visual_map.objects:
             row: list[Value] = [*_rounded(o.x, o.y), int(o.state), round(o.reliability, 6)]
-            if self._mapped.get(o.object_id) != row:
-                self._mapped[o.object_id] = row
-                self._write("object", visual_map.header.stamp, o.object_id, *row)
+            if self._landmarks.get(o.object_id) != row:
+                self._landmarks[o.object_id] = row
+                self._write("landmark", visual_map.header.stamp, o.object_id, *row)
 
     @on("visual_map_changes")
-    def note(self, change: VisualMapChange) -> None:
-        """Write a change of the map."""
-        old = _place(change.old_x, change.old_y)
-        new = _place(change.new_x, change.new_y)
+    def on_visual_map_change(self, change: VisualMapChange) -> None:
+        """Record a change of the map."""
+        old = _position(change.old_x, change.old_y)
+        new = _position(change.new_x, change.new_y)
         stamp, kind = change.header.stamp, int(change.kind)
         self._write("change", stamp, change.object_id, kind, old, new, change.reason)
 
     @on("object_evidence")
-    def weigh(self, frame: ObjectEvidenceArray) -> None:
-        """Write what one image says of each object, and the pose that it was compared with."""
+    def on_object_evidence(self, frame: ObjectEvidenceArray) -> None:
+        """Record the evidence of one image, and the robot pose that it was compared with."""
         robot: list[Value] = [*_rounded(frame.robot_x, frame.robot_y, frame.robot_theta)]
         for one in frame.evidence:
             self._write(
@@ -186,15 +190,16 @@ class PairObserver(Observer):
             )
 
     @on("relocalized")
-    def find(self, found: Relocalization) -> None:
-        """Write that the robot was lost and found itself, and until when it was sure not to be."""
-        pose = _rounded(*planar_pose(found.pose.pose))
-        self._write("relocalized", found.header.stamp, *pose, to_ns(found.confirmed_until) / SECOND)
+    def on_relocalized(self, relocalization: Relocalization) -> None:
+        """Record a relocalization, and until when the robot was certainly not lost before."""
+        pose = _rounded(*planar_pose(relocalization.pose.pose))
+        confirmed_s = to_ns(relocalization.confirmed_until) / SECOND
+        self._write("relocalized", relocalization.header.stamp, *pose, confirmed_s)
 
 
 def _rounded(*values: float) -> list[float]:
     return [round(value, 5) for value in values]
 
 
-def _place(x: float, y: float) -> Value:
+def _position(x: float, y: float) -> Value:
     return None if math.isnan(x) else [round(x, 5), round(y, 5)]

@@ -1,4 +1,4 @@
-"""The folder of an experiment's report: what is in it is of one report, and of no other."""
+"""The folder of an experiment's report, which never mixes files of two reports."""
 
 from __future__ import annotations
 
@@ -20,35 +20,35 @@ from cairn.cli.runs import writing_report
 from cairn.files import replace_file
 
 _FIGURES, _TEXT, _RUNS = "report.json", "report.txt", "runs"
-_NAMED = 3  # of what is in a folder, in an error
+_LISTED = 3  # files of a refused folder that the error lists
 
 
 @dataclass(frozen=True)
 class ReportFolder:
-    """Where the report of an experiment goes; `pictures` are the names of those it may have."""
+    """The folder of a report; `pictures` are the names of the pictures that it may have."""
 
     path: Path
     experiment: str
     pictures: tuple[str, ...]
 
     def run(self, seed: int, *parts: str) -> Path:
-        """The folder of a run."""
+        """Return the folder of a run."""
         return self.path.joinpath(_RUNS, f"seed-{seed}", *parts)
 
 
 @contextmanager
-def begun(folder: ReportFolder) -> Iterator[None]:
-    """Make the folder, or take an earlier report of the same experiment out of it.
+def open_report(folder: ReportFolder) -> Iterator[None]:
+    """Create the folder, or remove an earlier report of the same experiment from it.
 
-    `CairnError` if it holds anything else, if another process writes a report into it now, or if it
-    cannot be written. Until the report is written, report.json says that it is not finished.
+    Raises `CairnError` if it holds anything else, if another process is writing a report into it,
+    or if it cannot be written. Until the report is written, report.json has `"finished": false`.
     """
     out = folder.path
     with writing_report(out):
         out.mkdir(parents=True, exist_ok=True)
         opened = os.open(out, os.O_RDONLY)
     try:
-        _hold(out, opened)
+        _lock(out, opened)
         _clear(folder)
         yield
     finally:
@@ -62,8 +62,8 @@ def write_report(
     models: Sequence[type[BaseModel]],
     pictures: Mapping[str, Callable[[Path], None]],
 ) -> None:
-    """Write report.txt, report.json, with what the fields of its `models` mean, and pictures."""
-    about = {model.__name__: _described(model) for model in models}
+    """Write the pictures, report.txt, and report.json with the descriptions of the fields."""
+    about = {model.__name__: _descriptions(model) for model in models}
     with writing_report(folder.path):
         for name, draw in pictures.items():
             draw(folder.path / name)
@@ -71,25 +71,25 @@ def write_report(
         _write_figures(folder, {"finished": True, **body, "about": about})
 
 
-def _hold(out: Path, opened: int) -> None:
-    """Keep others out as long as the folder is `opened`; whatever ends this process ends that."""
+def _lock(out: Path, opened: int) -> None:
+    """Lock the folder until `opened` is closed, at the latest when this process ends."""
     try:
         fcntl.flock(opened, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         raise CairnError(
-            f"another experiment writes its report into {out} just now: wait for its end, or name "
-            "another folder with --out"
+            f"{out}: another experiment is writing its report into this folder; wait until it has "
+            "finished, or name another folder with --out"
         ) from None
 
 
 def _clear(folder: ReportFolder) -> None:
     out = folder.path
     with writing_report(out):
-        held = sorted(one.name for one in out.iterdir())
-        if held:
-            _refuse_others(folder, held)
+        names = sorted(one.name for one in out.iterdir())
+        if names:
+            _check_is_replaceable(folder, names)
             note(f"{out}: the earlier report is replaced")
-        # First of all: whatever becomes of the rest, nobody takes it for a whole report.
+        # First: if the rest fails, the folder does not look like a complete report.
         _write_figures(folder, {"finished": False})
         if (out / _RUNS).exists():
             shutil.rmtree(out / _RUNS)
@@ -97,23 +97,23 @@ def _clear(folder: ReportFolder) -> None:
             (out / name).unlink(missing_ok=True)
 
 
-def _refuse_others(folder: ReportFolder, held: Sequence[str]) -> None:
+def _check_is_replaceable(folder: ReportFolder, names: Sequence[str]) -> None:
     earlier = _experiment_of(folder.path / _FIGURES)
     if earlier == folder.experiment:
         return
     if earlier is None:
-        named = ", ".join([*held[:_NAMED], *(["..."] if len(held) > _NAMED else [])])
-        what = f"holds {named} and no report of this command"
+        listed = ", ".join([*names[:_LISTED], *(["..."] if len(names) > _LISTED else [])])
+        content = f"holds {listed} and no report of this command"
     else:
-        what = f"holds a report of cairn experiment {earlier}"
+        content = f"holds a report of cairn experiment {earlier}"
     raise CairnError(
-        f"the report's folder {folder.path} {what}, which is not overwritten: name a new folder "
-        "with --out, or empty this one"
+        f"{folder.path}: this folder {content}, which is not overwritten; name a new folder with "
+        "--out, or empty this one"
     )
 
 
 def _experiment_of(file: Path) -> str | None:
-    """Of which experiment a report is, finished or not; None if it is not one."""
+    """Return the experiment of a report, finished or not; None if the file is not a report."""
     try:
         report = json.loads(file.read_bytes())
     except (FileNotFoundError, ValueError):
@@ -127,6 +127,6 @@ def _write_figures(folder: ReportFolder, body: Mapping[str, Any]) -> None:
     replace_file(folder.path / _FIGURES, text.encode() + b"\n")
 
 
-def _described(model: type[BaseModel]) -> dict[str, str]:
+def _descriptions(model: type[BaseModel]) -> dict[str, str]:
     fields = model.model_fields.items()
     return {name: field.description for name, field in fields if field.description}

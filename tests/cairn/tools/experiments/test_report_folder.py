@@ -1,4 +1,4 @@
-"""A report never mixes with what its folder held before."""
+"""A report never mixes with earlier files in its folder."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from cairn import CairnError
-from cairn.tools.experiments.report_folder import ReportFolder, begun, write_report
+from cairn.tools.experiments.report_folder import ReportFolder, open_report, write_report
 
 
 def folder_of(path: Path, experiment: str = "ablation") -> ReportFolder:
@@ -17,7 +17,7 @@ def folder_of(path: Path, experiment: str = "ablation") -> ReportFolder:
 
 def write(folder: ReportFolder, *seeds: int) -> None:
     """A report with runs and a picture."""
-    with begun(folder):
+    with open_report(folder):
         for seed in seeds:
             folder.run(seed).mkdir(parents=True)
             (folder.run(seed) / "world.jsonl").write_text("")
@@ -29,14 +29,14 @@ def files_of(path: Path) -> list[str]:
     return sorted(str(file.relative_to(path)) for file in path.rglob("*") if file.is_file())
 
 
-def test_an_earlier_report_of_the_same_experiment_is_replaced(
+def test_earlier_report_of_the_same_experiment_is_replaced(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = folder_of(tmp_path / "out")
     write(folder, 0, 1, 2)
     (folder.path / "notes.md").write_text("mine")
 
-    with begun(folder):
+    with open_report(folder):
         assert files_of(folder.path) == ["notes.md", "report.json"]
         assert json.loads((folder.path / "report.json").read_text())["finished"] is False
         assert "the earlier report is replaced" in capsys.readouterr().err
@@ -45,57 +45,57 @@ def test_an_earlier_report_of_the_same_experiment_is_replaced(
     assert (report["experiment"], report["finished"], report["seeds"]) == ("ablation", True, [7])
 
 
-def test_one_that_was_interrupted_is_replaced(tmp_path: Path) -> None:
+def test_interrupted_report_is_replaced(tmp_path: Path) -> None:
     folder = folder_of(tmp_path / "out")
-    with begun(folder):
+    with open_report(folder):
         folder.run(0).mkdir(parents=True)
 
-    with begun(folder):
+    with open_report(folder):
         assert files_of(folder.path) == ["report.json"]
         assert not folder.run(0).exists()
 
 
-def test_two_at_a_time_do_not_write_into_one_folder(tmp_path: Path) -> None:
+def test_second_experiment_does_not_write_into_the_same_folder(tmp_path: Path) -> None:
     folder = folder_of(tmp_path)
-    with begun(folder):
+    with open_report(folder):
         folder.run(0).mkdir(parents=True)
 
-        with pytest.raises(CairnError, match="another experiment writes its report into") as it:
-            begun(folder).__enter__()
+        with pytest.raises(CairnError, match="another experiment is writing its report") as error:
+            open_report(folder).__enter__()
 
         assert folder.run(0).exists()
-    assert "--out" in str(it.value)
+    assert "--out" in str(error.value)
 
 
-def test_the_report_of_another_experiment_is_left_alone(tmp_path: Path) -> None:
+def test_report_of_another_experiment_is_not_overwritten(tmp_path: Path) -> None:
     write(folder_of(tmp_path), 0)
     before = files_of(tmp_path)
 
     with pytest.raises(
         CairnError, match="holds a report of cairn experiment ablation, which"
-    ) as it:
-        begun(folder_of(tmp_path, "map-update")).__enter__()
+    ) as error:
+        open_report(folder_of(tmp_path, "map-update")).__enter__()
 
-    assert str(tmp_path) in str(it.value)
-    assert "--out" in str(it.value)
+    assert str(tmp_path) in str(error.value)
+    assert "--out" in str(error.value)
     assert files_of(tmp_path) == before
 
 
 @pytest.mark.parametrize("report", ["", "[1]", '{"experiment": 3}', '{"summary": []}'])
-def test_a_folder_with_anything_else_is_left_alone(tmp_path: Path, report: str) -> None:
+def test_folder_with_other_files_is_not_overwritten(tmp_path: Path, report: str) -> None:
     (tmp_path / "runs").mkdir()
     (tmp_path / "runs" / "mine.txt").write_text("mine")
     (tmp_path / "report.json").write_text(report)
 
     with pytest.raises(CairnError, match=r"holds report\.json, runs and no report of this command"):
-        begun(folder_of(tmp_path)).__enter__()
+        open_report(folder_of(tmp_path)).__enter__()
 
     assert files_of(tmp_path) == ["report.json", "runs/mine.txt"]
 
 
-def test_what_is_no_folder_is_told_of(tmp_path: Path) -> None:
+def test_file_in_place_of_the_folder_is_reported(tmp_path: Path) -> None:
     file = tmp_path / "out"
     file.write_text("")
 
     with pytest.raises(CairnError, match=r"out cannot be written: .*File exists; name another"):
-        begun(folder_of(file)).__enter__()
+        open_report(folder_of(file)).__enter__()

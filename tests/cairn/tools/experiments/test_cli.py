@@ -12,33 +12,33 @@ from pathlib import Path
 import pytest
 
 from cairn.tools.experiments import ablation, runs
-from cairn.tools.experiments.room import Room
-from cairn.tools.experiments.series import read_pair, read_world
+from cairn.tools.experiments.random_changes import RandomChanges
+from cairn.tools.experiments.series import read_method, read_world
 from tests.commands import Answer, cairn
 
 pytestmark = pytest.mark.processes
 
 
 DEPLOY = Path(__file__).parents[4] / "deploy"
-# To where objects 8 and 9 hang, and back.
-TOUR = "settings.mission=[[4.6, 1.6, -1.0], [4.4, 1.5, -0.6]]"
+# Near objects 8 and 9.
+TOUR = "settings.mission=[[4.6, 1.6, -1.0]]"
 
 
 @pytest.fixture(autouse=True, scope="module")
-def room_once() -> Iterator[None]:
-    """Where in the room objects could hang takes seconds to find, and is the same each time."""
+def candidate_poses_once() -> Iterator[None]:
+    """The candidate poses for moved objects take seconds to find, and are always the same."""
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(ablation, "Room", cache(Room))
+        patched.setattr(ablation, "RandomChanges", cache(RandomChanges))
         yield
 
 
 @pytest.fixture
 def on_a_thread(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """Runs one by one on a thread, which begins at once: its processes are for the ablation."""
+    """Run one by one on a thread, which starts at once; the ablation's test uses processes."""
     monkeypatch.setattr(runs, "worker_pool", lambda _: ThreadPoolExecutor(1))
-    told = logging.getLogger("cairn").propagate
+    propagate = logging.getLogger("cairn").propagate
     yield
-    logging.getLogger("cairn").propagate = told
+    logging.getLogger("cairn").propagate = propagate
 
 
 def experiment(command: str, out: Path, *options: str) -> Answer:
@@ -59,53 +59,52 @@ def experiment(command: str, out: Path, *options: str) -> Answer:
     )
 
 
-def test_an_ablation_compares_all_methods_on_the_same_data(tmp_path: Path) -> None:
-    way = "settings.mission=[[4.6, 1.6, -1.0]]"
-    answer = experiment(
-        "ablation", tmp_path, "--seeds", "0", "--at", "6", "--moved", "2", "--set", way
-    )
+def test_ablation_compares_all_methods_on_the_same_data(tmp_path: Path) -> None:
+    answer = experiment("ablation", tmp_path, "--seeds", "0", "--at", "6", "--moved", "2")
 
     assert answer.code == 0, answer
     assert "1 of 1: runs/seed-0 done" in answer.err
     for title in ("ours (likelihood ratio)", "paper, clamped", "persistence filter", "no update"):
         assert title in answer.out
-    assert "1 run cannot tell which method is better" in answer.out
-    assert "of means none: there is 1 run only" in answer.out
+    assert "1 run: too few to decide which method is better" in answer.out
+    assert "none for means: there is only 1 run" in answer.out
     report = json.loads((tmp_path / "report.json").read_text())
     assert (tmp_path / "report.txt").read_text().splitlines()[0] in answer.out
     assert [one["method"] for one in report["summary"]] == [
         "ours",
-        "letter",
+        "paper_rule",
         "paper",
         "chi_square",
         "persistence",
         "no_update",
     ]
     (run,) = report["runs"]
-    assert [move["moved_at"] for move in run["pairs"][0]["moves"]] == [6.0, 6.0]
+    assert [move["moved_at"] for move in run["methods"][0]["moves"]] == [6.0, 6.0]
     assert report["about"]["MethodSummary"]["recall"].startswith("Moved objects that were removed,")
     assert (tmp_path / "ablation.png").read_bytes().startswith(b"\x89PNG")
     folder = tmp_path / "runs" / "seed-0"
     assert len(read_world(folder / "world.jsonl").moves) == 2
-    last = [read_pair(folder / f"{one['method']}.jsonl").stamps[-1] for one in report["summary"]]
+    last = [read_method(folder / f"{one['method']}.jsonl").stamps[-1] for one in report["summary"]]
     assert max(last) - min(last) < 0.2
 
 
 @pytest.mark.usefixtures("on_a_thread")
-def test_without_a_change_the_environment_is_the_same_to_the_last_bit(tmp_path: Path) -> None:
-    """Both runs of a seed drive the same way: what differs comes of the change alone."""
-    event = "components.world.parameters.events=[{at: 8, move: object_9, to: {x: 9, y: 1.9}}]"
+def test_both_runs_of_a_seed_are_identical_to_the_last_bit_until_the_change(
+    tmp_path: Path,
+) -> None:
+    """Both runs of a seed follow the same path: only the change causes differences."""
+    event = "components.world.parameters.events=[{at: 6, move: object_9, to: {x: 9, y: 1.9}}]"
     answer = experiment("uncertainty", tmp_path, "--seeds", "1", "--set", event, "--json")
 
     assert answer.code == 0, answer
     report = (tmp_path / "report.txt").read_text()
-    assert report.count("In none of 1 way the moved object was registered anew") == 2  # filters
+    assert report.count("In 0 of 1 seed the moved object was registered again") == 2  # filters
     figures = {
         (one["condition"], one["phase"], one["quantity"]): one["against_unchanged"]["mean"]
         for one in answer.json["summary"]
     }
-    for condition in ("updated", "not_updated"):
-        for quantity in ("position_spread", "position_sd", "position_error"):
+    for condition in ("changed", "changed_fixed"):
+        for quantity in ("position_spread", "position_sigma", "position_error"):
             assert figures[condition, "before", quantity] == 1.0
     for picture in ("fig9_position.png", "fig9_orientation.png"):
         assert (tmp_path / picture).read_bytes().startswith(b"\x89PNG")
@@ -119,9 +118,9 @@ def test_without_a_change_the_environment_is_the_same_to_the_last_bit(tmp_path: 
 
 
 @pytest.mark.usefixtures("on_a_thread")
-def test_a_map_update_shows_its_maps(tmp_path: Path) -> None:
-    place = "{x: 4.7, y: 0, theta: 1.5708}"
-    event = f"components.world.parameters.events=[{{at: 6, move: object_8, to: {place}}}]"
+def test_map_update_draws_its_maps(tmp_path: Path) -> None:
+    pose = "{x: 4.7, y: 0, theta: 1.5708}"
+    event = f"components.world.parameters.events=[{{at: 6, move: object_8, to: {pose}}}]"
     answer = experiment("map-update", tmp_path, "--seeds", "0", "--set", event)
 
     assert answer.code == 0, answer
@@ -131,7 +130,7 @@ def test_a_map_update_shows_its_maps(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("on_a_thread")
-def test_runs_that_fail_are_told_and_end_with_status_1(tmp_path: Path) -> None:
+def test_failed_runs_are_reported_and_exit_with_status_1(tmp_path: Path) -> None:
     answer = experiment(
         "map-update",
         tmp_path,
@@ -149,50 +148,50 @@ def test_runs_that_fail_are_told_and_end_with_status_1(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("on_a_thread")
-def test_a_run_in_which_nothing_was_moved_counts_for_nothing(tmp_path: Path) -> None:
+def test_run_in_which_nothing_was_moved_counts_for_nothing(tmp_path: Path) -> None:
     late = "components.world.parameters.events=[{at: 900, move: object_8, to: {x: 4.7, y: 0}}]"
     answer = experiment("map-update", tmp_path, "--seeds", "0", "--set", late)
 
     assert answer.code == 1
-    assert "runs/seed-0 failed: nothing was moved at 900 s: the world refused it" in answer.out
+    assert "runs/seed-0 failed: nothing was moved at 900 s: the world rejected" in answer.out
     assert "repaired" not in answer.out
 
 
-def test_a_folder_that_holds_anything_else_is_refused_before_any_run(tmp_path: Path) -> None:
+def test_folder_with_other_files_is_rejected_before_any_run(tmp_path: Path) -> None:
     (tmp_path / "thesis.tex").write_text("mine")
 
     answer = experiment("map-update", tmp_path, "--seeds", "0")
 
     assert answer.code == 1
-    assert f"{tmp_path} holds thesis.tex and no report of this command" in answer.err
+    assert f"{tmp_path}: this folder holds thesis.tex and no report of this command" in answer.err
     assert "name a new folder with --out" in answer.err
     assert [file.name for file in tmp_path.iterdir()] == ["thesis.tex"]
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("options", "message"),
     [
-        (("ablation", "--moved", "0"), "--moved 0 without --kidnap leaves nothing"),
-        (("ablation", "--moved", "40"), "of 10 objects only 10 can be moved"),
+        (("ablation", "--moved", "0"), "--moved 0 without --kidnap changes nothing"),
+        (("ablation", "--moved", "40"), "only 10 of 10 objects can be moved"),
         (("ablation", "--scanner-range", "1.2", "--seeds", "x"), "write it as A..B"),
-        (("uncertainty", "--set", "components.world.parameters.events=[]"), "nothing is changed"),
+        (("uncertainty", "--set", "components.world.parameters.events=[]"), "nothing changes"),
         (("map-update", "--set", "components.localizr.x=1"), "localizr"),
-        (("map-update", "--deployment", "none.yaml"), "none.yaml: no such deployment"),
-        (("map-update", "--overlay", "none.yaml"), "none.yaml: no such deployment"),
+        (("map-update", "--deployment", "none.yaml"), "none.yaml: there is no such deployment"),
+        (("map-update", "--overlay", "none.yaml"), "none.yaml: there is no such deployment"),
     ],
 )
-def test_what_cannot_be_is_told_before_any_run(
-    tmp_path: Path, options: tuple[str, ...], told: str
+def test_invalid_options_are_rejected_before_any_run(
+    tmp_path: Path, options: tuple[str, ...], message: str
 ) -> None:
     command, *rest = options
     answer = experiment(command, tmp_path / "out", *rest)
 
     assert answer.code == 1
-    assert told in answer.err
+    assert message in answer.err
     assert not (tmp_path / "out" / "runs").exists()
 
 
-def test_false_matches_are_for_the_geometric_driver(tmp_path: Path) -> None:
+def test_false_matches_require_the_geometric_driver(tmp_path: Path) -> None:
     answer = experiment("ablation", tmp_path, "--driver", "pixels", "--false-matches", "0.05")
 
     assert answer.code == 1
