@@ -106,7 +106,9 @@ class Scratch:
     @contextmanager
     def _applied(self, fault: Fault) -> Iterator[Path]:
         """Apply a fault; yield the cache folder for kernels that are compiled with it."""
-        path, source = self.root / fault.file, (ROOT / fault.file).read_text("utf-8")
+        # The working tree may change meanwhile, so the copy itself is what is restored.
+        path = self.root / fault.file
+        source, times = path.read_text("utf-8"), path.stat()
         # Numba does not compile a kernel again when another kernel that it calls has changed.
         kernels = "@compiled" in source or "@numba" in source
         cache = Path(tempfile.mkdtemp(dir=self.root)) if kernels else self.root / ".numba"
@@ -114,9 +116,9 @@ class Scratch:
         try:
             yield cache
         finally:
-            shutil.copy2(
-                ROOT / fault.file, path
-            )  # with its old time, so that .pyc files are written again
+            path.write_text(source, "utf-8")
+            # With its old time, so that .pyc files are written again.
+            os.utime(path, ns=(times.st_atime_ns, times.st_mtime_ns))
 
     def _first_failed(self, tests: Sequence[str], cache: Path) -> str:
         """Return the first test that fails, `timeout` or `none`."""
