@@ -14,7 +14,10 @@ pytestmark = pytest.mark.processes
 FAILS_AT_START = """
     components:
       beacon: {{plugin: test_beacon}}
-      base: {{plugin: test_faulty, parameters: {{fault: raise, where: {where}}}}}
+      base:
+        plugin: test_faulty
+        start_timeout_s: 600  # longer than the test waits: the end of the process must be noticed
+        parameters: {{fault: raise, where: {where}}}
     """
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
+import time
 from collections.abc import Iterator
 from concurrent.futures import Future
 
@@ -11,7 +12,7 @@ import pytest
 
 from cairn import CairnError, Component
 from cairn.bus.lockstep_bus import LockstepBus
-from cairn.driver.device_thread import DeviceFeed, DeviceThread
+from cairn.driver.device_thread import RETRY_S, DeviceFeed, DeviceThread
 from cairn.driver.errors import DeviceError
 from tests.cairn.runtime.running import Threaded
 from tests.patience import LIMIT_S
@@ -45,6 +46,25 @@ def test_a_failed_device_is_opened_again_and_its_recovery_logged(
     assert messages[-1] == "the device is back"
     assert len(messages) == 3  # the second and third failure are one warning
     assert "2 times" in messages[1]
+
+
+def test_a_failed_device_is_opened_again_after_a_pause() -> None:
+    retried, attempts = threading.Event(), list[float]()
+
+    def serve(_: threading.Event) -> None:
+        attempts.append(time.monotonic())
+        if len(attempts) > 1:
+            retried.set()
+        raise DeviceError("no device")
+
+    thread = DeviceThread(
+        "driver", serve, log=LOG, on_device_error=lambda _: None, on_failure=_unexpected
+    )
+    thread.start()
+    assert retried.wait(LIMIT_S)
+    thread.stop()
+
+    assert attempts[1] - attempts[0] > 0.9 * RETRY_S
 
 
 def test_a_bug_in_the_driver_is_not_retried() -> None:

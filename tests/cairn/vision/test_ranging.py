@@ -94,6 +94,15 @@ def test_truth_is_within_three_sigma(
     assert np.mean(distances) > 0.3
 
 
+def test_stereo_range_is_never_more_certain_than_the_calibration() -> None:
+    for seed in range(20):
+        found = scene(seed, 40, 0.05).range_by_stereo()
+        assert found is not None
+
+        # Baseline and focal length are known to 1 %.
+        assert np.sqrt(found.covariance[2, 2]) >= 0.01 * found.position[2]
+
+
 def test_range_is_accurate_with_a_third_of_wrong_matches() -> None:
     errors = []
     for seed in range(40):

@@ -138,3 +138,10 @@ def test_file_with_other_tables_is_rejected(tmp_path: Path) -> None:
 
     with pytest.raises(MapFileError, match=r"a\.cairn: its tables are not those of a visual map"):
         connect(path, read_only=True)
+
+
+def test_commits_are_written_to_disk_at_once(first_format: Path) -> None:
+    with closing(connect(first_format)) as connection:
+        synchronous = connection.execute("PRAGMA synchronous").fetchone()[0]
+
+    assert synchronous == 2  # FULL: a commit survives a power failure

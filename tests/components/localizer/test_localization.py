@@ -99,6 +99,19 @@ def test_moved_object_is_distinguished_from_static_ones(mode: str) -> None:
     assert np.mean(implied, axis=0) == pytest.approx((-1.0, 3.5), abs=0.2)
 
 
+def test_object_is_not_compared_with_a_pose_that_it_determined_itself() -> None:
+    run = Run(landmarks())
+    run.localization.set_pose((0.0, 0.0, 0.0), np.diag([0.25, 0.25, 0.003]))
+
+    run.through(
+        replace(moment, observations=[o for o in moment.observations if o.object_id == 1])
+        for moment in drive(8.0)
+    )
+
+    assert run.localization.pose().spread < run.localization.settings.healthy_spread_m
+    assert set(run.verdicts(1)) == {EvidenceVerdict.NOT_CONVERGED}
+
+
 def test_single_gross_error_is_not_corroborated() -> None:
     run = Run(landmarks())
     run.localization.set_pose((0.0, 0.0, 0.0), CERTAIN)

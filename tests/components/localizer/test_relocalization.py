@@ -18,6 +18,7 @@ from cairn.components.localizer.relocalization import (
     ConfirmationHistory,
     Relocalizer,
 )
+from cairn.schemas.cairn_nav_msgs import ReasonCode
 
 HERE = PoseEstimate((0.0, 0.0, 0.0), np.eye(3) * 1e-4)
 POSES = np.array([[5.0, 5.0], [1.0, 1.0], [0.0, 0.0]])
@@ -70,6 +71,21 @@ def test_refuted_robot_moves_to_the_likeliest_lookalike(
 
 def test_position_that_scans_do_not_fit_is_rejected(monkeypatch: pytest.MonkeyPatch) -> None:
     assert looks(monkeypatch, share=0.5, score=REFUTED + 1.0, fit=0.3) == [None, None]
+
+
+def test_carried_robot_does_not_get_used_to_scans_that_fit_badly() -> None:
+    relocalizer = Relocalizer(1000, np.random.default_rng(0))
+    for _ in range(300):
+        relocalizer.update_fit(0.95)
+    usual = relocalizer.doubt(30.0)
+
+    for _ in range(100):
+        relocalizer.update_fit(0.55)
+    doubt = relocalizer.doubt(40.0)
+
+    assert usual is None
+    assert doubt is not None
+    assert doubt.code == ReasonCode.SCAN_MISMATCH
 
 
 HERE_AGREEMENTS, BESIDE, FAR = Landmark(1, 0.0, 0.0), Landmark(2, 0.4, 0.0), Landmark(3, 4.0, 0.0)

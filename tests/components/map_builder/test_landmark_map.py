@@ -32,6 +32,16 @@ def test_observations_from_one_pose_count_once() -> None:
     assert landmark_map.landmarks[7].evidence_count == 1
 
 
+def test_repeated_disagreement_from_one_pose_does_not_remove_a_landmark() -> None:
+    landmark_map = LandmarkMap([surveyed()])
+    agreed = [observation(0.9, step) for step in range(3)]
+
+    changes = kinds(landmark_map, *agreed, *[observation(0.1, 3, THERE)] * 20)
+
+    assert changes == []
+    assert landmark_map.landmarks[7].evidence_count == 4
+
+
 def test_moved_landmark_is_removed_and_registered_at_its_new_position() -> None:
     landmark_map = LandmarkMap([surveyed()])
     agreed = [observation(0.9, step) for step in range(3)]

@@ -9,7 +9,12 @@ from cairn.components.motion_control.config import Timeouts
 from cairn.components.motion_control.detour import DetourSearch
 from cairn.components.motion_control.followed_path import SPACING_M, FollowedPath
 from cairn.components.motion_control.safety_stop import SafetyStop
-from cairn.components.motion_control.velocity_limits import MotionLimits
+from cairn.components.motion_control.scan_memory import NearbyObstacles
+from cairn.components.motion_control.velocity_limits import (
+    CommandLimiter,
+    MotionLimits,
+    VelocityTarget,
+)
 from cairn.schemas.cairn_nav_msgs import LocalizationEstimate
 from tests.components.motion_control.world import LIMITS, route
 
@@ -119,6 +124,19 @@ def test_speed_is_lower_with_less_clearance_and_in_curves() -> None:
     assert bends[-1] * 4.0 < LIMITS.turn_speed
 
 
+@pytest.mark.parametrize("direction", [1.0, -1.0], ids=["forward", "backward"])
+def test_only_obstacles_in_the_direction_of_motion_stop_the_robot(direction: float) -> None:
+    target = VelocityTarget(speed=0.15 * direction)
+
+    def commanded(x: float) -> float:
+        obstacles = NearbyObstacles(wall(-0.3, 0.3, x), abs(x))
+        return CommandLimiter(LIMITS).command(target, SECOND, (0.0, 0.0), obstacles)[0]
+
+    near = LIMITS.radius + 0.01
+    assert commanded(near * direction) == pytest.approx(0.0)
+    assert commanded(-near * direction) * direction > 0.05
+
+
 def test_contact_minimum_and_keepout_radius_increase_in_this_order() -> None:
     for margin in (0.01, 0.05, 0.5):
         limits = MotionLimits(**{**vars(LIMITS), "margin": margin})
@@ -147,6 +165,13 @@ def test_stale_input_is_named_with_its_age() -> None:
     it.note("scan", 10 * SECOND, 10 * SECOND)
     assert reason(it, 10 * SECOND + SECOND // 2) == ""
     assert reason(it, 10 * SECOND + 620_000_000) == "no scan for 0.62 s on /r/scan"
+
+
+def test_age_of_an_input_counts_from_its_stamp_not_from_its_arrival() -> None:
+    it = stop_with_odometry()
+    it.note("scan", 9 * SECOND, 10 * SECOND)
+
+    assert reason(it, 10 * SECOND) == "no scan for 1.00 s on /r/scan"
 
 
 def test_message_from_the_future_is_not_fresh_for_longer() -> None:

@@ -44,6 +44,16 @@ def test_contact_is_reported_again_after_the_robot_was_clear() -> None:
     assert len(driven(world, 3.0, 0.5)) == 1
 
 
+def test_contact_is_reported_again_after_the_robot_was_moved_along_the_wall() -> None:
+    world = world_of()
+    driven(world, 10.0, 0.5)
+    x, y, _ = world.robot
+
+    world.kidnap((x, y - 1.0, 0.0))
+
+    assert [one.what for one in driven(world, 1.0, 0.5)] == ["wall 1"]
+
+
 def test_both_walls_of_a_corner_are_reported_once_each() -> None:
     world = world_of(robot={"x": 5.7, "y": 3.7, "theta": math.pi / 4})
     message = [one.what for _ in range(5) for one in driven(world, 2.0, 0.3, 0.2)]

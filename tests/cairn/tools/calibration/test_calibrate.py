@@ -11,9 +11,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from cairn import CairnError
 from cairn.tools.calibration import cli
-from cairn.tools.calibration.images import CalibrationImages, find_images
+from cairn.tools.calibration.images import BoardCorners, CalibrationImages, find_images
+from cairn.tools.calibration.result import calibrate_cameras
 from cairn.vision.camera_file import read_camera
+from cairn.vision.chessboard import Board
 from cairn.vision.image_files import pair_files
 from cairn.vision.stereo import StereoRig
 from tests.commands import Answer, cairn
@@ -321,3 +324,12 @@ def test_camera_is_not_a_stereo_pair_with_itself(calibrated: Path) -> None:
     same = str(calibrated / "out" / "left.yaml")
 
     assert "no baseline" in cairn("camera", "show", same, same).err
+
+
+@pytest.mark.parametrize("right", [(640, 360), (480, 480)])
+def test_left_and_right_images_of_different_sizes_are_rejected(right: tuple[int, int]) -> None:
+    board = Board(9, 6, 0.025)
+    found = [BoardCorners(size, {}, []) for size in ((640, 480), right)]
+
+    with pytest.raises(CairnError, match=rf"640 x 480 .* {right[0]} x {right[1]}"):
+        calibrate_cameras(board, found, ([], []))

@@ -1,0 +1,59 @@
+"""The checks of odometry accept correct messages and reject wrong ones."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+
+from cairn.clock import SECOND, from_ns
+from cairn.schemas.geometry_msgs import (
+    Pose,
+    PoseWithCovariance,
+    Quaternion,
+    Twist,
+    TwistWithCovariance,
+    Vector3,
+)
+from cairn.schemas.nav_msgs import Odometry
+from cairn.schemas.std_msgs import Header
+from cairn.testing.odometry_contract import check_covariance, check_twist_agrees, traveled
+
+TURN_RATE = 0.5
+
+
+def turned(seconds: float, start: float) -> Odometry:
+    """Return odometry of a base that has turned on the spot for that time from a heading [rad]."""
+    heading = math.remainder(start + TURN_RATE * seconds, 2.0 * math.pi)
+    rotation = Quaternion(z=math.sin(0.5 * heading), w=math.cos(0.5 * heading))
+    return Odometry(
+        header=Header(stamp=from_ns(round(seconds * SECOND)), frame_id="odom"),
+        child_frame_id="base_link",
+        pose=PoseWithCovariance(pose=Pose(orientation=rotation)),
+        twist=TwistWithCovariance(twist=Twist(angular=Vector3(z=TURN_RATE))),
+    )
+
+
+def test_turn_through_180_degrees_agrees_with_its_twists() -> None:
+    odoms = [turned(0.1 * step, start=2.7) for step in range(21)]
+
+    check_twist_agrees(odoms, tolerance=0.05)
+
+    assert traveled(odoms).left_rad == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("part", ["pose", "twist"])
+@pytest.mark.parametrize("index", range(6))
+def test_each_negative_variance_is_rejected(part: str, index: int) -> None:
+    variances = [0.01] * 6
+    variances[index] = -0.01
+    covariance = tuple(
+        variances[row] if row == column else 0.0 for row in range(6) for column in range(6)
+    )
+    odom = turned(0.0, start=0.0)
+    wrong = replace(odom, **{part: replace(getattr(odom, part), covariance=covariance)})
+
+    check_covariance(odom)
+    with pytest.raises(AssertionError, match=f"the {part} has a negative variance"):
+        check_covariance(wrong)

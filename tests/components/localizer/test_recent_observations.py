@@ -1,0 +1,29 @@
+"""Recent observations: which poses they support, at any heading."""
+
+import math
+
+import numpy as np
+import pytest
+
+from cairn.components.localizer.observations import Landmark, Observation
+from cairn.components.localizer.particle_set import PoseEstimate
+from cairn.components.localizer.recent_observations import PoseSupport, RecentObservations
+from cairn.planar.poses import wrap
+
+LANDMARKS = {
+    number: Landmark(number, 2.0 * math.cos(angle), 2.0 * math.sin(angle), reliability=0.9)
+    for number, angle in enumerate(math.radians(degrees) for degrees in range(15, 360, 45))
+}
+
+
+@pytest.mark.parametrize("heading", [math.radians(degrees) for degrees in range(-180, 180, 30)])
+def test_true_pose_is_supported_by_all_objects_around_it(heading: float) -> None:
+    here = (0.0, 0.0, heading)
+    recent = RecentObservations()
+    bearings = {i: wrap(math.atan2(mark.y, mark.x) - heading) for i, mark in LANDMARKS.items()}
+    made = [Observation(i, 2.0, bearing, 0.01, 0.0003) for i, bearing in bearings.items()]
+    recent.add(made, here, 0.0)
+
+    support = recent.support(PoseEstimate(here, np.eye(3) * 1e-4), here, 0.0, LANDMARKS)
+
+    assert support == PoseSupport(agreeing=len(LANDMARKS), contradicting=0)
