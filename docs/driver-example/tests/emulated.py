@@ -12,13 +12,13 @@ from lantern_driver import protocol
 from lantern_driver.protocol import Turn, write_turn
 
 SURROUNDINGS = {math.radians(90): 1.0, 0.0: 2.0, math.radians(-90): 3.0}
-"""What stands around it [m], by bearing [rad, left positive]."""
+"""Ranges [m] of the walls around it, by bearing [rad, left positive]."""
 
 _PERIOD_S = 1.0 / protocol.RATE_HZ
 
 
 class EmulatedLantern:
-    """The device as its line shows it; `cairn.driver.emulator` plugs it in and runs it."""
+    """The behavior of the device on its line; `cairn.driver.emulator` runs it."""
 
     def __init__(self) -> None:
         self._due = math.inf
@@ -41,7 +41,7 @@ class EmulatedLantern:
         return [write_turn(Turn(round(ended * 1000) % (1 << 16), self._distances()))]
 
     def disconnected(self, now: float) -> None:
-        """Ignore it: a line with three wires does not show it."""
+        """Do nothing: a line with three wires does not show it."""
 
     def powered_on(self, now: float) -> None:
         self._due = math.inf
@@ -50,10 +50,10 @@ class EmulatedLantern:
         return protocol.BAUD
 
     def set_baud(self, baud: int) -> None:
-        """It has one speed."""
+        """Do nothing: it has one speed."""
 
     def _distances(self) -> tuple[int, ...]:
-        """A wall from 1 m on the left to 3 m on the right; noise of some mm; two gaps."""
+        """Return a wall from 1 m on the left to 3 m on the right, with noise and two gaps [mm]."""
         self._turns += 1
         walls = [1000 + 2000 * beam // (protocol.BEAMS - 1) for beam in range(protocol.BEAMS)]
         noise = [(7 * beam + 5 * self._turns) % 11 - 5 for beam in range(protocol.BEAMS)]
@@ -63,7 +63,7 @@ class EmulatedLantern:
 
 
 class Lantern:
-    """The device as the contracts know it: where it is, and how it is unplugged."""
+    """The device as the contracts use it: its address, and how to unplug it."""
 
     def __init__(self, path: Path) -> None:
         self.emulator = Emulator(EmulatedLantern(), PtyEnd(path))
@@ -82,7 +82,7 @@ class Lantern:
 
 @contextmanager
 def plugged_in(folder: Path) -> Iterator[Lantern]:
-    """One that is there as long as the context lasts."""
+    """Provide an emulated Lantern for the duration of the context."""
     lantern = Lantern(folder / "lantern")
     with lantern.emulator:
         yield lantern

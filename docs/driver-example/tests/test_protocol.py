@@ -1,4 +1,4 @@
-"""Lines are read as they were written, or not at all."""
+"""Lines of the protocol: written, read, damaged, split."""
 
 import pytest
 
@@ -7,20 +7,20 @@ from lantern_driver.protocol import BEAMS, DamagedLine, Lines, Turn, read_turn, 
 TURN = Turn(65_535, tuple(range(1000, 1000 + BEAMS)))
 
 
-def test_a_line_tells_the_turn_that_was_written() -> None:
+def test_a_written_line_is_read_as_the_same_turn() -> None:
     assert read_turn(write_turn(TURN)) == TURN
 
 
-def test_no_damaged_byte_goes_unnoticed() -> None:
+def test_every_damaged_byte_is_detected() -> None:
     line = write_turn(TURN)
-    for place in range(len(line) - 1):
+    for index in range(len(line) - 1):
         damaged = bytearray(line)
-        damaged[place] ^= 0x01
+        damaged[index] ^= 0x01
         with pytest.raises(DamagedLine):
             read_turn(bytes(damaged))
 
 
-def test_lines_are_put_together_from_any_pieces() -> None:
+def test_lines_are_assembled_from_single_bytes() -> None:
     stream = write_turn(TURN) * 3
     lines = Lines()
 
