@@ -1,4 +1,4 @@
-"""The base moves on command and stops without."""
+"""The base moves on command and stops without commands."""
 
 import pytest
 from cairn import LifecycleState
@@ -11,7 +11,7 @@ from turtle_robot.messages import BaseState
 AHEAD = Twist(linear=Vector3(x=0.5))
 
 
-def test_it_moves_on_command() -> None:
+def test_base_moves_on_command() -> None:
     base = ComponentHarness(TurtleBase)
     for _ in range(10):
         base.publish("cmd_vel", AHEAD)
@@ -20,7 +20,7 @@ def test_it_moves_on_command() -> None:
     assert base.take("odom")[-1].pose.pose.position.x == pytest.approx(0.5, abs=0.1)
 
 
-def test_it_stops_when_commands_cease_to_come() -> None:
+def test_base_stops_when_commands_cease() -> None:
     base = ComponentHarness(TurtleBase, {"command_timeout_s": 0.3})
     base.publish("cmd_vel", AHEAD)
     base.run_for(1.0)
@@ -31,7 +31,7 @@ def test_it_stops_when_commands_cease_to_come() -> None:
     assert speeds[-1] == 0.0
 
 
-def test_the_wall_stops_it() -> None:
+def test_wall_blocks_the_base() -> None:
     base = ComponentHarness(TurtleBase, {"pen_m": 0.3})
     base.publish("cmd_vel", AHEAD)
     base.run_for(0.5)
@@ -41,13 +41,13 @@ def test_the_wall_stops_it() -> None:
     assert state.blocked
 
 
-def test_a_jam_is_mended_in_place_but_not_for_ever() -> None:
+def test_base_recovers_from_jams_until_the_limit() -> None:
     base = ComponentHarness(TurtleBase, {"jams_per_m": 10.0})
     while base.end is None and base.now < 60.0:
         base.publish("cmd_vel", AHEAD)
         base.run_for(0.1)
 
-    # It recovers three times within ten seconds; the next jam is for its supervisor.
+    # It recovers three times within ten seconds; after the next jam it fails.
     assert base.end is not None
     assert base.end.reason == "move: the left wheel has jammed"
     assert base.state is LifecycleState.FINALIZED

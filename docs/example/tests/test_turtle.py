@@ -9,7 +9,7 @@ from cairn.testing.lockstep import DeploymentHarness
 TURTLE = Path(__file__).parents[1] / "deploy" / "turtle.yaml"
 
 
-def test_the_turtle_wanders_its_way_and_the_deployment_ends() -> None:
+def test_deployment_ends_when_the_turtle_has_traveled_its_distance() -> None:
     with DeploymentHarness(TURTLE, sets=["distance=5"], seed=1) as turtle:
         odom = turtle.read("odom", Odometry)
         turtle.run_until(lambda: len(odom.messages) >= 10)
@@ -22,11 +22,12 @@ def test_the_turtle_wanders_its_way_and_the_deployment_ends() -> None:
     assert max(message.twist.twist.linear.x for message in odom.messages) == pytest.approx(0.8)
 
 
-def test_it_rests_when_its_battery_is_low(caplog: pytest.LogCaptureFixture) -> None:
+def test_wanderer_is_unloaded_when_the_battery_is_low(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level("INFO", logger="cairn")
-    thirsty = ["components.base.parameters.used_per_m=0.6"]
-    with DeploymentHarness(TURTLE, sets=thirsty, seed=1) as turtle:
+    high_use = ["components.base.parameters.used_per_m=0.6"]
+    with DeploymentHarness(TURTLE, sets=high_use, seed=1) as turtle:
         turtle.run_for(20.0)
 
-    told = [record.getMessage() for record in caplog.records if "wanderer" in record.getMessage()]
-    assert told[:3] == ["wanderer active", "wanderer stopped: shut down", "wanderer active"]
+    messages = [record.getMessage() for record in caplog.records]
+    logged = [message for message in messages if "wanderer" in message]
+    assert logged[:3] == ["wanderer active", "wanderer stopped: shut down", "wanderer active"]

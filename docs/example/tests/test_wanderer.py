@@ -1,4 +1,4 @@
-"""The wanderer goes ahead, turns at walls, and ends."""
+"""The wanderer drives ahead, turns at walls, and ends."""
 
 import pytest
 from cairn import ParameterRejected
@@ -14,7 +14,7 @@ def at(x: float) -> Odometry:
     return Odometry(pose=PoseWithCovariance(pose=Pose(position=Point(x=x))))
 
 
-def test_it_turns_at_a_wall_and_then_goes_on() -> None:
+def test_wanderer_turns_at_a_wall_and_drives_on() -> None:
     wanderer = ComponentHarness(Wanderer, {"turn_speed": 6.0})
     wanderer.run_for(0.45)
     assert all(command.linear.x == 0.5 for command in wanderer.take("cmd_vel"))
@@ -27,7 +27,7 @@ def test_it_turns_at_a_wall_and_then_goes_on() -> None:
     assert wanderer.take("cmd_vel")[-1].linear.x == 0.5
 
 
-def test_it_ends_after_its_way_and_leaves_the_robot_standing() -> None:
+def test_wanderer_stops_the_robot_and_ends_after_its_distance() -> None:
     wanderer = ComponentHarness(Wanderer, {"distance": 0.5})
     for step in range(6):
         wanderer.publish("odom", at(0.1 * step + 0.001))
@@ -38,12 +38,12 @@ def test_it_ends_after_its_way_and_leaves_the_robot_standing() -> None:
     assert wanderer.take("cmd_vel")[-1].linear.x == 0.0
 
 
-def test_a_way_that_is_behind_it_is_refused() -> None:
+def test_distance_already_traveled_is_rejected() -> None:
     wanderer = ComponentHarness(Wanderer)
     for step in range(10):
         wanderer.publish("odom", at(0.1 * step))
 
-    with pytest.raises(ParameterRejected, match=r"0\.9 m are behind the turtle already"):
+    with pytest.raises(ParameterRejected, match=r"already traveled 0\.9 m"):
         wanderer.set_parameters({"distance": 0.5, "speed": 1.0})
 
     assert wanderer.component.config.model_dump()["speed"] == 0.5

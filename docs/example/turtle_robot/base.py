@@ -1,4 +1,4 @@
-"""The driver of the turtle's base: commands in, odometry and state out."""
+"""The driver of the turtle's base: receives commands, publishes odometry and state."""
 
 import math
 
@@ -24,15 +24,15 @@ class TurtleBaseConfig(Config):
     """Parameters of the base."""
 
     pen_m: float = Field(2.0, gt=0.2, le=100, description="Width of the square pen [m].")
-    used_per_m: float = Field(0.01, ge=0, le=1, description="Charge used per way [1/m].")
-    jams_per_m: float = Field(0.0, ge=0, le=10, description="Jams of a wheel per way [1/m].")
+    used_per_m: float = Field(0.01, ge=0, le=1, description="Charge used per distance [1/m].")
+    jams_per_m: float = Field(0.0, ge=0, le=10, description="Wheel jams per distance [1/m].")
     command_timeout_s: float = Field(
         0.5, gt=0, le=5, description="Age of a command beyond which the wheels stop [s]."
     )
 
 
 class TurtleBase(Component):
-    """Drives the turtle: carries out commands, and stops when they cease to come."""
+    """Drives the turtle: executes velocity commands, and stops when they cease."""
 
     config: TurtleBaseConfig
 
@@ -46,31 +46,31 @@ class TurtleBase(Component):
         self._command, self._commanded_at = Twist(), 0
 
     def on_activate(self) -> None:
-        """Begin to count time."""
+        """Start measuring time."""
         self._moved_at = self.clock.now()
 
     def on_error(self, error: Exception) -> bool:
-        """Say that a jam is mended by starting anew; all else is for the supervisor."""
+        """Recover from a jam by a new start; leave other errors to the supervisor."""
         return isinstance(error, WheelJamError)
 
     @on("cmd_vel")
-    def obey(self, command: Twist) -> None:
-        """Take a command, to be carried out from now on."""
+    def on_cmd_vel(self, command: Twist) -> None:
+        """Keep the command for the next steps."""
         self._command, self._commanded_at = command, self.clock.now()
 
     @every(hz=20)
     def move(self) -> None:
-        """Carry out the last command while it is fresh, and tell where that led."""
+        """Execute the last command while it is fresh; publish odometry and state."""
         now = self.clock.now()
         command = self._command
         if now - self._commanded_at > self.config.command_timeout_s * SECOND:
-            command = Twist()  # the safe stop: whatever has become of the commander
+            command = Twist()  # the safe stop: the sender may be dead or hung
         seconds, self._moved_at = (now - self._moved_at) / SECOND, now
         forward, turn = command.linear.x, command.angular.z
         self._wheels.advance(seconds, forward, turn, self.config.used_per_m)
-        self._tell(now, forward, turn)
+        self._publish(now, forward, turn)
 
-    def _tell(self, now: int, forward: float, turn: float) -> None:
+    def _publish(self, now: int, forward: float, turn: float) -> None:
         wheels = self._wheels
         half = wheels.theta / 2
         pose = Pose(

@@ -1,4 +1,4 @@
-"""The turtle's own message types; everything else it says is standard ROS 2."""
+"""The turtle's own message types; all others are standard ROS 2."""
 
 from typing import Annotated
 
@@ -11,7 +11,7 @@ Share = Annotated[float, Scalar("float32", at_least=0, at_most=1)]
 
 @message("turtle_msgs/msg/BaseState")
 class BaseState:
-    """How the base is: charge of its battery [share of full], and whether the wall stops it."""
+    """State of the base: battery charge [share of full], and whether a wall blocks it."""
 
     header: Header = Header()
     charge: Share = 1.0

@@ -1,4 +1,4 @@
-"""The supervisor of the turtle: lets it wander while the battery lasts."""
+"""The supervisor of the turtle: runs the wanderer while the battery lasts."""
 
 from cairn import Config, In, Supervisor, on
 from pydantic import Field
@@ -9,22 +9,24 @@ WANDERER = "wanderer"
 
 
 class TurtleSupervisorConfig(Config):
-    """When the turtle wanders."""
+    """Parameters of the supervisor."""
 
     rest_below: float = Field(0.2, ge=0, le=1, description="Charge below which it rests [1].")
-    wander_above: float = Field(0.5, ge=0, le=1, description="Charge above which it goes on [1].")
+    wander_above: float = Field(
+        0.5, ge=0, le=1, description="Charge above which it wanders again [1]."
+    )
 
 
 class TurtleSupervisor(Supervisor):
-    """Keeps the base running; loads the wanderer when there is charge, unloads it when not."""
+    """Keeps the base running; loads the wanderer at high charge, unloads it at low charge."""
 
     config: TurtleSupervisorConfig
 
     base_state: In[BaseState]
 
     @on("base_state")
-    def judge(self, state: BaseState) -> None:
-        """Load or unload the wanderer; nothing happens if it is so already."""
+    def on_base_state(self, state: BaseState) -> None:
+        """Load or unload the wanderer; no effect if that is done already."""
         if state.charge < self.config.rest_below:
             self.children.unload(WANDERER)
         elif state.charge > self.config.wander_above:

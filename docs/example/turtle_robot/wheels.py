@@ -1,4 +1,4 @@
-"""The turtle's wheels and its pen, simulated: plain arithmetic without bus, clock or files."""
+"""Simulation of the turtle's wheels and pen: plain arithmetic without bus, clock or files."""
 
 import math
 
@@ -7,11 +7,11 @@ from cairn import CairnError
 
 
 class WheelJamError(CairnError):
-    """The wheels do not turn; they do again once the controller is started anew."""
+    """A wheel is stuck until its controller is restarted."""
 
 
 class Wheels:
-    """A base with two wheels, set down in the middle of a square pen [m, rad]."""
+    """A base with two wheels that starts in the middle of a square pen [m, rad]."""
 
     def __init__(self, pen_m: float, jams_per_m: float, random: np.random.Generator) -> None:
         self.x = self.y = self.theta = 0.0
@@ -22,7 +22,7 @@ class Wheels:
         self._random = random
 
     def advance(self, seconds: float, forward: float, turn: float, used_per_m: float) -> None:
-        """Move on at `forward` [m/s] and `turn` [rad/s]; `WheelJamError` now and then."""
+        """Move at `forward` [m/s] and `turn` [rad/s]; raise `WheelJamError` at random."""
         step_m = forward * seconds * self._random.normal(1.0, 0.02)
         if self._random.random() < self._jams_per_m * abs(step_m):
             raise WheelJamError("the left wheel has jammed")
@@ -34,4 +34,4 @@ class Wheels:
             self.x, self.y = x, y
             self.charge = max(0.0, self.charge - used_per_m * abs(step_m))
         if forward == 0.0 == turn:
-            self.charge = min(1.0, self.charge + 0.1 * seconds)  # the sun shines
+            self.charge = min(1.0, self.charge + 0.1 * seconds)  # the sun charges it
