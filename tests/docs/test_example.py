@@ -1,4 +1,4 @@
-"""The example of docs/how-to/component.md works as the page says, for a user's own package."""
+"""The example of docs/how-to/component.md works as the page says, as an installed package."""
 
 import json
 import re
@@ -24,7 +24,7 @@ TURTLE = "deploy/turtle.yaml"
 
 @pytest.fixture(scope="session")
 def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Where pip has installed the example's package, outside of the project."""
+    """Install the example's package with pip, outside of the project; return the folder."""
     folder = tmp_path_factory.mktemp("installed")
     source = folder / "source"
     shutil.copytree(EXAMPLE, source, ignore=shutil.ignore_patterns("__pycache__"))
@@ -39,11 +39,11 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def user(shell: Callable[[Path, Path], Any], installed: Path) -> Any:
-    """A shell in the example's folder, its package installed."""
+    """Return a shell in the example's folder, with its package installed."""
     return shell(EXAMPLE, installed)
 
 
-def test_what_the_page_quotes_stands_in_the_files(page_blocks: Callable[[str], Any]) -> None:
+def test_quoted_blocks_match_the_files(page_blocks: Callable[[str], Any]) -> None:
     quoted = [block for block in page_blocks("docs/how-to/component.md") if block.title]
 
     assert len(quoted) >= 10
@@ -88,7 +88,7 @@ def test_lockstep_gives_the_same_run_for_the_same_seed(user: Any, tmp_path: Path
     assert logs[0] == logs[1]
 
 
-def test_in_real_processes_it_is_watched_and_tuned_as_the_page_says(
+def test_real_processes_can_be_inspected_and_tuned_as_the_page_says(
     user: Any, tmp_path: Path, endpoint: str
 ) -> None:
     at = ("--connect", endpoint)
@@ -110,7 +110,9 @@ def test_in_real_processes_it_is_watched_and_tuned_as_the_page_says(
     assert json.loads(speed) == 0.8
 
 
-def test_in_its_parents_process_it_runs_unchanged(user: Any, tmp_path: Path, endpoint: str) -> None:
+def test_component_runs_unchanged_in_its_parents_process(
+    user: Any, tmp_path: Path, endpoint: str
+) -> None:
     placement = "components.wanderer.placement=in_process"
     with running(user, tmp_path, f"bus.listen={endpoint}", placement, "distance=0.2") as turtle:
         assert "m traveled" in wait_for(turtle, "ended: ")
@@ -128,7 +130,7 @@ def test_the_packages_own_tests_pass(user: Any) -> None:
 
 @contextmanager
 def running(user: Any, report: Path, *sets: str) -> "Iterator[subprocess.Popen[str]]":
-    """`cairn up` in real processes, with a way to go that it does not come to the end of."""
+    """Run `cairn up` in real processes, with a distance that the turtle does not reach."""
     words = [f"--set={value}" for value in ("distance=1000", *sets)]
     cairn = str(Path(sys.executable).with_name("cairn"))
     process = subprocess.Popen(
@@ -147,11 +149,11 @@ def running(user: Any, report: Path, *sets: str) -> "Iterator[subprocess.Popen[s
 
 
 def wait_for(process: "subprocess.Popen[str]", text: str) -> str:
-    """The first line printed that contains the text; fails with all lines if there is none."""
+    """Return the first printed line that contains the text; fail with all lines if none does."""
     assert process.stdout is not None
     lines = []
     for line in process.stdout:
         if text in line:
             return line
         lines.append(line)
-    pytest.fail(f"it never said {text!r}, but: {''.join(lines)}")
+    pytest.fail(f"{text!r} was not printed, but: {''.join(lines)}")
