@@ -1,4 +1,4 @@
-"""Runs the benchmarks named, or all, and prints their figures with limits."""
+"""Runs the named benchmarks, or all, and prints their metrics with limits."""
 
 import importlib
 import sys
@@ -26,23 +26,23 @@ BENCHMARKS = (
 
 
 def main() -> int:
-    """0 if every figure keeps its limit."""
+    """Run the benchmarks; return 0 if every metric is within its limit."""
     names = sys.argv[1:] or list(BENCHMARKS)
     unknown = [name for name in names if name not in BENCHMARKS]
     if unknown:
-        print(f"there is no benchmark {', '.join(unknown)}; there are {', '.join(BENCHMARKS)}")
+        print(f"unknown benchmark {', '.join(unknown)}; choose from {', '.join(BENCHMARKS)}")
         return 2
     kept = True
     for name in names:
-        figures = importlib.import_module(f"benchmarks.{name}").measure()
+        metrics = importlib.import_module(f"benchmarks.{name}").measure()
         table = Table(box=None, pad_edge=False, title=name, title_justify="left")
         for column in ("figure", "value", "limit", "", "note"):
             table.add_column(column)
-        for figure in figures:
-            kept = kept and figure.kept
-            verdict = "" if not figure.limit else ("kept" if figure.kept else "MISSED")
-            value = f"{figure.value:.3g} {figure.unit}"
-            table.add_row(figure.name, value, figure.limit, verdict, figure.note)
+        for metric in metrics:
+            kept = kept and metric.kept
+            verdict = "" if not metric.limit else ("kept" if metric.kept else "MISSED")
+            value = f"{metric.value:.3g} {metric.unit}"
+            table.add_row(metric.name, value, metric.limit, verdict, metric.note)
         Console(width=150).print(table)
     return 0 if kept else 1
 

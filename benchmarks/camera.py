@@ -1,4 +1,4 @@
-"""How long a pair of images of the simulated stereo camera takes, of one core."""
+"""Processor time of a pair of images of the simulated stereo camera."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.result import Figure
+from benchmarks.result import Metric
 from cairn.components.simulation.camera import LightConfig, SensorConfig, photograph
 from cairn.components.simulation.camera_optics import ImageSensor, LensDistortion, PinholeCamera
 from cairn.components.simulation.layout import WorldLayout, geometry_message
@@ -23,7 +23,7 @@ _POSES = 24
 
 
 def pair_ms(world: str, distortion: tuple[float, ...] = ()) -> float:
-    """Median processor time [ms] of a pair of 640 x 480 images, from places all over a world."""
+    """Return the median processor time [ms] of a pair of images, from random poses in a world."""
     found = read_world(_WORLDS / f"{world}.yaml")
     layout = WorldLayout.of(found)
     surfaces, atlas = surfaces_of(geometry_message(Header(), layout))
@@ -45,18 +45,18 @@ def pair_ms(world: str, distortion: tuple[float, ...] = ()) -> float:
     return 1e3 * float(np.median(times))
 
 
-def measure() -> list[Figure]:
-    """All figures."""
-    figures = []
+def measure() -> list[Metric]:
+    """Return all metrics."""
+    metrics = []
     for world in ("room", "office", "hall"):
         ms = pair_ms(world)
-        figures.append(
-            Figure(f"pair of 640 x 480 images, {world}.yaml", ms, "ms", at_most=12.0,
+        metrics.append(
+            Metric(f"pair of 640 x 480 images, {world}.yaml", ms, "ms", at_most=12.0,
                    note=f"{1e3 / ms:.0f} pairs a second")
         )  # fmt: skip
     ms = pair_ms("room", (-0.28, 0.08))
-    figures.append(
-        Figure("the same of room.yaml, through lenses with distortion", ms, "ms",
+    metrics.append(
+        Metric("the same of room.yaml, through lenses with distortion", ms, "ms",
                note=f"{1e3 / ms:.0f} pairs a second")
     )  # fmt: skip
-    return figures
+    return metrics

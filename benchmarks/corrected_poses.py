@@ -1,12 +1,12 @@
-"""Corrects the poses of a CARMEN log by relations between them that people have checked.
+"""Corrects the poses of a CARMEN log by manually verified relations between them.
 
     python -m benchmarks.corrected_poses LOG RELATIONS OUT [--apart 0.3] [--turned 0.2]
 
 A pose graph is solved by least squares: one node for each scan, edges by the relations (of the
 SLAM benchmark of R. Kuemmerle et al., Autonomous Robots 27(4), 2009) and by odometry between
-successive scans. It grows scan by scan, so that each loop is closed while little drift has
-gathered. Relations are taken to be between poses of the robot: maps of fr079 come out sharpest
-so. OUT is a CARMEN log (gzipped) whose FLASER lines carry the corrected pose in both pose fields,
+successive scans. It grows scan by scan, so that each loop is closed before much drift has
+accumulated. Relations are treated as relations of robot poses: these give the sharpest maps of
+fr079. OUT is a CARMEN log (gzipped) whose FLASER lines have the corrected pose in both pose fields,
 the laser's and the robot's; ODOM lines are the raw ones, and so are all times. Scans closer to the
 last one than --apart [m], --turned [rad] and --after [s] are left out. With --delay [s] odometry is
 taken from so long before a scan's time: the delay at which odometry and relations agree best.
@@ -32,7 +32,7 @@ from cairn.planar.poses import compose, wrap, wrap_all
 Array = NDArray[np.float64]
 
 # Standard deviations: a relation's [m, rad]; odometry's at least, and per meter and radian.
-# Where this robot shunted, its wheels told of turns that it did not make: relations go before.
+# Where this robot maneuvered, its odometry reports turns that it did not make: relations win.
 _RELATION = (0.02, 0.007)
 _STEP = (0.01, 0.01)
 _PER_M, _PER_RAD = (0.05, 0.05), (0.02, 0.1)
@@ -40,7 +40,7 @@ _PER_M, _PER_RAD = (0.05, 0.05), (0.02, 0.1)
 
 @dataclass(frozen=True)
 class Edges:
-    """Node `b` as seen from node `a`: `measured` (n, 3) [m, m, rad] with `weights` (n, 3)."""
+    """Node `b` relative to node `a`: `measured` (n, 3) [m, m, rad] with `weights` (n, 3)."""
 
     a: NDArray[np.int64]
     b: NDArray[np.int64]
@@ -49,27 +49,27 @@ class Edges:
 
 
 def relations_of(path: Path, times: Array) -> Edges:
-    """The relations whose two times are times of scans: t1 t2 x y z roll pitch yaw."""
+    """Read the relations whose two times are times of scans: t1 t2 x y z roll pitch yaw."""
     rows = np.array([[float(word) for word in text.split()] for _, text in text_lines(path)])
     a, b = (np.abs(times[None, :] - rows[:, k, None]).argmin(axis=1) for k in (0, 1))
     met = (np.abs(times[a] - rows[:, 0]) < 1e-3) & (np.abs(times[b] - rows[:, 1]) < 1e-3)
-    place, turn = _RELATION
-    weights = np.tile([place**-2, place**-2, turn**-2], (int(met.sum()), 1))
+    position, turn = _RELATION
+    weights = np.tile([position**-2, position**-2, turn**-2], (int(met.sum()), 1))
     return Edges(a[met], b[met], rows[met][:, [2, 3, 7]], weights)
 
 
 def odometry_of(poses: Array) -> Edges:
-    """What the wheels told between successive scans."""
+    """Return the edges by odometry between successive scans."""
     a = np.arange(len(poses) - 1)
     measured = relative(poses[:-1], poses[1:])
-    way, turn = np.hypot(measured[:, 0], measured[:, 1]), np.abs(measured[:, 2])
-    place_sd = _STEP[0] + _PER_M[0] * way + _PER_RAD[0] * turn
-    turn_sd = _STEP[1] + _PER_M[1] * way + _PER_RAD[1] * turn
-    return Edges(a, a + 1, measured, np.column_stack((place_sd, place_sd, turn_sd)) ** -2)
+    distance, turn = np.hypot(measured[:, 0], measured[:, 1]), np.abs(measured[:, 2])
+    position_sd = _STEP[0] + _PER_M[0] * distance + _PER_RAD[0] * turn
+    turn_sd = _STEP[1] + _PER_M[1] * distance + _PER_RAD[1] * turn
+    return Edges(a, a + 1, measured, np.column_stack((position_sd, position_sd, turn_sd)) ** -2)
 
 
 def relative(origins: Array, poses: Array) -> Array:
-    """`poses` (n, 3) as seen from `origins` (n, 3)."""
+    """Return `poses` (n, 3) relative to `origins` (n, 3)."""
     dx, dy = poses[:, 0] - origins[:, 0], poses[:, 1] - origins[:, 1]
     cosine, sine = np.cos(origins[:, 2]), np.sin(origins[:, 2])
     return np.column_stack(
@@ -78,14 +78,14 @@ def relative(origins: Array, poses: Array) -> Array:
 
 
 def residuals(poses: Array, edges: Edges) -> Array:
-    """By how much (n, 3) the poses differ from what the edges say."""
+    """Return the differences (n, 3) between the poses and the edges."""
     apart = relative(poses[edges.a], poses[edges.b]) - edges.measured
     apart[:, 2] = wrap_all(apart[:, 2])
     return apart
 
 
 def grown(odometry: Edges, relations: Edges, every: int = 100) -> Array:
-    """The poses (n, 3) that fit best, the first at the origin; `every` is how many join at once."""
+    """Return the best poses (n, 3), the first at the origin; `every` nodes are added at once."""
     count = len(odometry.a) + 1
     poses = np.zeros((1, 3))
     latest = np.maximum(relations.a, relations.b)
@@ -100,7 +100,7 @@ def grown(odometry: Edges, relations: Edges, every: int = 100) -> Array:
 
 
 def solve(poses: Array, graph: list[Edges], rounds: int) -> Array:
-    """The poses (n, 3) that fit the edges best (Gauss-Newton, damped); the first stays."""
+    """Return the best poses (n, 3) for the edges (Gauss-Newton, damped); the first is fixed."""
     damping = 1e-6
     cost = _cost(poses, graph)
     for _ in range(rounds):
@@ -120,7 +120,7 @@ def solve(poses: Array, graph: list[Edges], rounds: int) -> Array:
 
 
 def chosen(edges: Edges, which: NDArray[np.bool_]) -> Edges:
-    """Some of the edges."""
+    """Return some of the edges."""
     return Edges(edges.a[which], edges.b[which], edges.measured[which], edges.weights[which])
 
 
@@ -148,15 +148,15 @@ def _normal(poses: Array, graph: list[Edges]) -> tuple[csc_matrix, Array]:
                 rows.append(row.ravel())
                 columns.append(column.ravel())
                 values.append(block.ravel())
-    rows.append(np.arange(3))  # holds the first pose where it is
+    rows.append(np.arange(3))  # fixes the first pose
     columns.append(np.arange(3))
     values.append(np.full(3, 1e12))
-    place = (np.concatenate(rows), np.concatenate(columns))
-    return csc_matrix((np.concatenate(values), place), shape=(size, size)), gradient
+    position = (np.concatenate(rows), np.concatenate(columns))
+    return csc_matrix((np.concatenate(values), position), shape=(size, size)), gradient
 
 
 def _jacobians(poses: Array, edges: Edges) -> tuple[Array, Array]:
-    """Derivatives (n, 3, 3) of the residuals by the pose `a` and by the pose `b`."""
+    """Return derivatives (n, 3, 3) of the residuals by the pose `a` and by the pose `b`."""
     a, b = poses[edges.a], poses[edges.b]
     dx, dy = b[:, 0] - a[:, 0], b[:, 1] - a[:, 1]
     cosine, sine = np.cos(a[:, 2]), np.sin(a[:, 2])
@@ -171,7 +171,7 @@ def _jacobians(poses: Array, edges: Edges) -> tuple[Array, Array]:
 
 
 def thinned(times: Array, poses: Array, apart: float, turned: float, after: float) -> list[int]:
-    """Indices of poses so far from the one before [m], so much turned [rad], or so late [s]."""
+    """Return indices of poses that differ from the last kept one by [m], [rad] or [s]."""
     kept = [0]
     for k in range(1, len(poses)):
         moved = poses[k] - poses[kept[-1]]
@@ -182,9 +182,9 @@ def thinned(times: Array, poses: Array, apart: float, turned: float, after: floa
 
 
 def write_log(path: Path, source: Path, lasers: list[LaserLine], poses: dict[int, Array]) -> None:
-    """A log of the parameters, ODOM lines and those FLASER lines of `source` that have a pose.
+    """Write the parameters, the ODOM lines and those FLASER lines of `source` that have a pose.
 
-    `poses` are the robot's corrected ones, by number of line.
+    `poses` are the corrected robot poses, by line number.
     """
     mounts = {line.line: line for line in lasers}
     written = ["# Poses corrected by benchmarks/corrected_poses.py: both of each FLASER line.\n"]
@@ -220,22 +220,22 @@ def main() -> None:
     lasers = log.lasers["FLASER"]
     times = np.array([line.time for line in lasers])
     wheels = restore_driving_direction(log.odometry).lines
-    told = np.array([line.pose for line in wheels])
-    told_at = np.array([line.time for line in wheels])
-    turned = np.unwrap(told[:, 2])
+    odometry = np.array([line.pose for line in wheels])
+    odometry_at = np.array([line.time for line in wheels])
+    turned = np.unwrap(odometry[:, 2])
     moments = times - args.delay
-    columns = (told[:, 0], told[:, 1], turned)
-    raw = np.column_stack([np.interp(moments, told_at, column) for column in columns])
+    columns = (odometry[:, 0], odometry[:, 1], turned)
+    raw = np.column_stack([np.interp(moments, odometry_at, column) for column in columns])
     start = relative(np.repeat(raw[:1], len(raw), axis=0), raw)
     relations = relations_of(args.relations, times)
     poses = grown(odometry_of(raw), relations)
     for name, these in (("odometry", start), ("corrected", poses)):
         off = residuals(these, relations)
-        place = np.hypot(off[:, 0], off[:, 1])
+        position = np.hypot(off[:, 0], off[:, 1])
         print(
-            f"{name}: {len(off)} relations, place off by {place.mean():.4f} m in the mean, "
-            f"{np.sqrt((place**2).mean()):.4f} m rms, at most {place.max():.3f} m; "
-            f"heading {np.degrees(np.abs(off[:, 2]).mean()):.3f} degrees in the mean, "
+            f"{name}: {len(off)} relations, position error {position.mean():.4f} m on average, "
+            f"{np.sqrt((position**2).mean()):.4f} m rms, at most {position.max():.3f} m; "
+            f"heading {np.degrees(np.abs(off[:, 2]).mean()):.3f} degrees on average, "
             f"at most {np.degrees(np.abs(off[:, 2]).max()):.2f}"
         )
     kept = thinned(times, poses, args.apart, args.turned, args.after)

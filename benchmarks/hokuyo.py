@@ -1,4 +1,4 @@
-"""What the SCIP driver costs: an emulated UTM-30LX at 40 Hz, over a pseudo-terminal."""
+"""Processor time and delay of the SCIP driver: an emulated UTM-30LX at 40 Hz."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 import psutil
 import zenoh
 
-from benchmarks.result import Figure
+from benchmarks.result import Metric
 from cairn.bus.session import open_peer
 from cairn.components.hokuyo.config import HokuyoConfig
 from cairn.components.hokuyo.emulator import EmulatedScip
@@ -30,21 +30,21 @@ _LIMIT_S = 30.0
 
 
 class _TimedEnd(PtyEnd):
-    """A pseudo-terminal that notes when the last byte of each scan went onto it [ns since 1970]."""
+    """A pseudo-terminal that records when it sent the last byte of each scan [ns since 1970]."""
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
         self.scans: list[int] = []
 
     def write(self, data: bytes) -> int:
-        given = super().write(data)
-        if given == len(data) > 1000:
+        sent = super().write(data)
+        if sent == len(data) > 1000:
             self.scans.append(time.time_ns())
-        return given
+        return sent
 
 
-def measure() -> list[Figure]:
-    """Processor time of protocol and decoding alone, and of the driver; delay to a reader."""
+def measure() -> list[Metric]:
+    """Measure processor time of protocol and decoding, of the driver; delay to a reader."""
     with tempfile.TemporaryDirectory() as folder:
         alone = _protocol(Path(folder) / "scanner")
     with tempfile.TemporaryDirectory() as folder:
@@ -52,9 +52,9 @@ def measure() -> list[Figure]:
     late = ", ".join(f"{share} %: {np.percentile(delays, share):.2f} ms" for share in (95, 99))
     bare = f"a bare Zenoh message of as many bytes takes {np.median(hops):.2f} ms, median"
     return [
-        Figure("UTM-30LX, 40 Hz: protocol and decoding, of a core", alone, "%", 3.0),
-        Figure("the same: the driver's process, two readers of scans", driver, "%"),
-        Figure(
+        Metric("UTM-30LX, 40 Hz: protocol and decoding, of a core", alone, "%", 3.0),
+        Metric("the same: the driver's process, two readers of scans", driver, "%"),
+        Metric(
             "last byte of a scan to its reader in another process, median",
             float(np.median(delays)),
             "ms",
@@ -65,21 +65,21 @@ def measure() -> list[Figure]:
 
 
 def _protocol(port: Path) -> float:
-    """Share of a core [%] of the thread that reads, checks and decodes scans."""
+    """Return the share of a core [%] of the thread that reads, checks and decodes scans."""
     used: list[float] = []
     stopping = threading.Event()
     count = 0
-    begun = 0.0
+    started = 0.0
 
     def on_scan(_: StampedScan) -> None:
-        nonlocal count, begun
+        nonlocal count, started
         count += 1
         if count == 1:
-            begun = time.monotonic()
+            started = time.monotonic()
             used.append(time.thread_time())
         if count == _SCANS:
             used.append(time.thread_time())
-            used.append(time.monotonic() - begun)
+            used.append(time.monotonic() - started)
             stopping.set()
 
     with Emulator(EmulatedScip("UTM-30LX"), PtyEnd(port)):
@@ -90,8 +90,9 @@ def _protocol(port: Path) -> float:
 
 
 def _driver(folder: Path) -> tuple[float, list[float], list[float]]:
-    """Share of a core [%] of the driver's process, and delays [ms] to a reader: of scans, from
-    their last byte on; of bare messages between two processes.
+    """Return the share of a core [%] of the driver's process, and delays [ms] to a reader.
+
+    The delays are those of scans, from their last byte on, and of bare messages.
     """
     port = folder / "scanner"
     end = _TimedEnd(port)
@@ -114,33 +115,33 @@ def _driver(folder: Path) -> tuple[float, list[float], list[float]]:
         hops = _hops(run.endpoint)
     used = after.user - before.user + after.system - before.system
     sent = np.array(end.scans)
-    came = np.array([arrival.at_ns for arrival in arrivals])
-    last = sent[np.searchsorted(sent, came) - 1]
-    return 100.0 * used / took, ((came - last) / 1e6).tolist(), hops
+    arrived = np.array([arrival.at_ns for arrival in arrivals])
+    last = sent[np.searchsorted(sent, arrived) - 1]
+    return 100.0 * used / took, ((arrived - last) / 1e6).tolist(), hops
 
 
 def _hops(endpoint: str) -> list[float]:
-    """Delays [ms] of bare messages, as large and as frequent as scans, from another process."""
+    """Return delays [ms] of bare messages, as large and as frequent as scans."""
     delays: list[float] = []
 
-    def take(sample: zenoh.Sample) -> None:
+    def record_delay(sample: zenoh.Sample) -> None:
         now = time.time_ns()
         delays.append((now - int(sample.payload.to_bytes().rstrip(b"-"))) / 1e6)
 
     session = open_peer((endpoint,))
     sender = multiprocessing.get_context("spawn").Process(target=_send_times, args=(endpoint,))
     try:
-        session.declare_subscriber("bench/hop", take)
+        session.declare_subscriber("bench/hop", record_delay)
         sender.start()
         sender.join(_LIMIT_S)
     finally:
         sender.kill()
         session.close()
-    return delays[len(delays) // 10 :]  # without the first, which wait for connections
+    return delays[len(delays) // 10 :]  # the first ones wait for connections
 
 
 def _send_times(endpoint: str) -> None:
-    """In a process of its own: send when each message is sent [ns since 1970]."""
+    """Send messages that contain the time of sending [ns since 1970], in another process."""
     session = open_peer((endpoint,))
     publisher = session.declare_publisher("bench/hop")
     due = time.monotonic()

@@ -1,11 +1,11 @@
-"""A fast topic's latency while a neighbor in the same process reads slowly and images pass."""
+"""Latency of a fast topic beside a slow reader in the same process, and image traffic."""
 
 import json
 import time
 
 import numpy as np
 
-from benchmarks.result import Figure
+from benchmarks.result import Metric
 from benchmarks.running import results, run_deployment
 from cairn import Supervisor
 from cairn.bus.qos import RELIABLE, SENSOR
@@ -22,24 +22,24 @@ _BURN_S = 0.05
 
 
 class Sender(Component):
-    """Sends small messages fast; each carries when it was sent."""
+    """Publishes small messages at a high rate; each contains its time of sending."""
 
     fast: Out[Twist]
 
     @every(hz=_FAST_HZ)
     def send(self) -> None:
-        """Send one."""
+        """Publish a message."""
         now = time.perf_counter()
         self.fast.publish(Twist(linear=Vector3(x=now)))
 
 
-class Camera(Component):
-    """Sends 900 kB images at 30 Hz."""
+class ImageSource(Component):
+    """Publishes 900 kB images at 30 Hz."""
 
     image: Out[Image] = Out(qos=SENSOR)
 
     def on_activate(self) -> None:
-        """Make the image."""
+        """Create the image."""
         self._image = Image(
             header=Header(frame_id="camera"), height=480, width=640, encoding="rgb8", step=1920,
             data=np.zeros(480 * 1920, np.uint8),
@@ -47,7 +47,7 @@ class Camera(Component):
 
     @every(hz=30)
     def send(self) -> None:
-        """Send it."""
+        """Publish the image."""
         self.image.publish(self._image)
 
 
@@ -61,25 +61,25 @@ class SlowReader(Component):
     image: In[Image] = In(qos=SENSOR)
 
     @on("image")
-    def brood(self, _: Image) -> None:
-        """Hold the interpreter, as far as it lets itself be held."""
+    def on_image(self, _: Image) -> None:
+        """Keep the interpreter busy."""
         end = time.perf_counter() + _BURN_S
         while time.perf_counter() < end:
             pass
 
 
 class FastReader(Component):
-    """Times the small messages."""
+    """Measures the latency of the small messages."""
 
     fast: In[Twist] = In(qos=RELIABLE)
 
     def on_activate(self) -> None:
-        """Begin."""
+        """Start without measured times."""
         self._times: list[float] = []
 
     @on("fast")
     def read(self, message: Twist) -> None:
-        """Note how long it took; `perf_counter` is the same clock in all processes."""
+        """Record the latency; `perf_counter` is the same clock in all processes."""
         self._times.append(time.perf_counter() - message.linear.x)
         if len(self._times) == _SECONDS * _FAST_HZ:
             ordered = sorted(self._times)
@@ -93,8 +93,8 @@ class FastReader(Component):
             self.finish("measured")
 
 
-def measure() -> list[Figure]:
-    """The 99th percentile of the fast topic."""
+def measure() -> list[Metric]:
+    """Measure the 99th percentile of the fast topic."""
     output = run_deployment(
         {
             "supervisor": {
@@ -109,11 +109,11 @@ def measure() -> list[Figure]:
                     },
                 },
             },
-            "camera": {"plugin": f"{_HERE}:Camera"},
+            "camera": {"plugin": f"{_HERE}:ImageSource"},
             "sender": {"plugin": f"{_HERE}:Sender"},
         },
         120,
     )
     found = results(output)[0]
     note = f"median {found['median_ms']:.2f} ms, longest {found['max_ms']:.1f} ms"
-    return [Figure("fast topic beside a slow neighbor: p99", found["p99_ms"], "ms", 5.0, note=note)]
+    return [Metric("fast topic beside a slow neighbor: p99", found["p99_ms"], "ms", 5.0, note=note)]

@@ -5,7 +5,7 @@
 Kinds: `correct`, `one` or `two` landmarks displaced, `removed` (two left out), from a known start;
 after `found_` the same from the recording's beginning without a start, after `unknown_` from a
 random time on without a start. Each case draws its landmarks, directions and distances (1 to 2 m)
-from its own seed, among those seen often enough to be found: from at least `--enough` true poses
+from its own seed, among those observed often enough: from at least `--enough` true poses
 0.15 m or 0.2 rad apart.
 """
 
@@ -23,7 +23,7 @@ from typing import Literal
 
 import numpy as np
 
-from benchmarks.localization_replay import Recording, errors, load, run, stressed, true_pose
+from benchmarks.localization_replay import RobotRecording, errors, load, run, stressed, true_pose
 from cairn.components.localizer.config import LocalizationSettings
 from cairn.components.replay.mrclam import MrclamDataset
 from cairn.visual_map.landmarks import ChangeKind, LandmarkRecord, LandmarkState, MapPosition
@@ -63,20 +63,20 @@ class Result:
 
 
 @cache
-def recording(folder: Path, robot: int) -> Recording:
+def recording(folder: Path, robot: int) -> RobotRecording:
     return load(MrclamDataset(folder), robot)
 
 
-def independent_sightings(rec: Recording) -> dict[int, int]:
-    """Sightings of each landmark from true poses 0.15 m or 0.2 rad apart."""
+def independent_observations(rec: RobotRecording) -> dict[int, int]:
+    """Return the observations of each landmark from true poses 0.15 m or 0.2 rad apart."""
     last: dict[int, tuple[float, float, float]] = {}
-    count = dict.fromkeys(rec.places, 0)
+    count = dict.fromkeys(rec.positions, 0)
     times = np.array([t for t, _ in rec.frames])
     heading = np.interp(times, rec.truth[:, 0], np.unwrap(rec.truth[:, 3]))
     x = np.interp(times, rec.truth[:, 0], rec.truth[:, 1])
     y = np.interp(times, rec.truth[:, 0], rec.truth[:, 2])
-    for k, (_, sightings) in enumerate(rec.frames):
-        for s in sightings:
+    for k, (_, observations) in enumerate(rec.frames):
+        for s in observations:
             then = last.get(s.object_id)
             apart = then is None or (
                 math.hypot(x[k] - then[0], y[k] - then[1]) > 0.15 or abs(heading[k] - then[2]) > 0.2
@@ -92,7 +92,7 @@ def solve(case: Case) -> Result:
     if case.stress:
         rec = stressed(rec, np.random.default_rng([case.seed, case.robot]))
     random = np.random.default_rng([case.seed, case.robot])
-    count = independent_sightings(rec)
+    count = independent_observations(rec)
     seen = sorted(i for i, n in count.items() if n >= case.enough)
     number = DISPLACED.get(case.kind.split("_")[-1], 0)
     chosen = [int(i) for i in random.choice(seen, number, replace=False)]
@@ -101,7 +101,7 @@ def solve(case: Case) -> Result:
         angle, reach = random.uniform(-math.pi, math.pi), random.uniform(1.0, 2.0)
         displaced[i] = (reach * math.cos(angle), reach * math.sin(angle))
     objects = []
-    for i, (x, y) in rec.places.items():
+    for i, (x, y) in rec.positions.items():
         if case.kind == "removed" and i in displaced:
             continue
         dx, dy = displaced.get(i, (0.0, 0.0))
@@ -136,9 +136,9 @@ def solve(case: Case) -> Result:
         if found is None or found.state is not LandmarkState.LIVE or found.position is None:
             unregistered.append(i)
             continue
-        x, y = rec.places[i]
+        x, y = rec.positions[i]
         registered[i] = math.hypot(found.position.x - x, found.position.y - y)
-    still = [i for i in rec.places if i not in displaced]
+    still = [i for i in rec.positions if i not in displaced]
     false = [
         i
         for i in still
@@ -147,7 +147,7 @@ def solve(case: Case) -> Result:
     lost = []
     for i in false:
         o = outcome.objects[i]
-        x, y = rec.places[i]
+        x, y = rec.positions[i]
         if (
             o.state is not LandmarkState.LIVE
             or o.position is None
@@ -238,7 +238,7 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0, help="first seed")
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--mode", choices=["lr", "paper"], default="lr")
-    parser.add_argument("--no-update", action="store_true", help="leave the map as it is")
+    parser.add_argument("--no-update", action="store_true", help="do not update the map")
     parser.add_argument("--enough", type=int, default=10)
     parser.add_argument(
         "--kinds", nargs="+", default=["correct", "one", "two", "removed", "unknown", "unknown_one"]
@@ -246,7 +246,7 @@ def main() -> None:
     parser.add_argument(
         "--stress", action="store_true", help="other base, camera, gross errors, blind stretch"
     )
-    parser.add_argument("--verbose", action="store_true", help="name every run that fell short")
+    parser.add_argument("--verbose", action="store_true", help="list every run that missed a limit")
     args = parser.parse_args()
     with ProcessPoolExecutor(args.jobs) as pool:
         report(list(pool.map(solve, cases(args))), args.verbose)

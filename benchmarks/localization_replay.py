@@ -23,24 +23,24 @@ from cairn.visual_map.landmarks import (
     ReceivedEvidence,
 )
 
-# As the parameters of a commanded base; its poses matter only over gaps, which MRCLAM has not.
+# Parameters of a base without odometry; they matter only in gaps, which MRCLAM does not have.
 LAG_S, GAINS = 0.17, (0.95, 0.93)
 STILL = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
-class Recording:
+class RobotRecording:
     """One robot's records; times [s] from the first odometry record."""
 
     odometry: NDArray[np.float64]
     frames: list[tuple[float, list[Observation]]]
     truth: NDArray[np.float64]
-    places: dict[int, tuple[float, float]]
+    positions: dict[int, tuple[float, float]]
 
 
 @dataclass
-class Outcome:
-    """What a run gave: poses (n, 4) of time, x, y, heading; the map; changes with their times."""
+class ReplayOutcome:
+    """Poses (n, 4) of time, x, y, heading; the final map; changes with their times."""
 
     poses: NDArray[np.float64]
     objects: dict[int, LandmarkRecord]
@@ -49,29 +49,29 @@ class Outcome:
     relocalized: int = 0
 
 
-def load(dataset: MrclamDataset, robot: int) -> Recording:
+def load(dataset: MrclamDataset, robot: int) -> RobotRecording:
     subjects = dataset.subjects()
     odometry = dataset.odometry(robot)
     origin = odometry[0, 0]
     seen = dataset.observations(robot)
     frames: list[tuple[float, list[Observation]]] = []
-    for t, code, reach, bearing in zip(
+    for t, code, range_m, bearing in zip(
         seen.time - origin, seen.barcode, seen.range_m, seen.bearing, strict=True
     ):
         subject = subjects.get(int(code), 0)
         if subject < 6:
             continue
-        sighting = Observation(
-            subject, float(reach), float(bearing), *range_bearing_variance(reach)
+        observation = Observation(
+            subject, float(range_m), float(bearing), *range_bearing_variance(range_m)
         )
         if frames and frames[-1][0] == t:
-            frames[-1][1].append(sighting)
+            frames[-1][1].append(observation)
         else:
-            frames.append((float(t), [sighting]))
+            frames.append((float(t), [observation]))
     truth = dataset.truth(robot)
     shift = np.array([origin, 0.0, 0.0, 0.0])
-    places = {s.subject: (s.x, s.y) for s in dataset.landmarks()}
-    return Recording(odometry - shift[:3], frames, truth - shift, places)
+    positions = {s.subject: (s.x, s.y) for s in dataset.landmarks()}
+    return RobotRecording(odometry - shift[:3], frames, truth - shift, positions)
 
 
 def landmarks_of(visual_map: LandmarkMap) -> list[Landmark]:
@@ -91,7 +91,7 @@ def landmarks_of(visual_map: LandmarkMap) -> list[Landmark]:
     ]
 
 
-def true_pose(recording: Recording, t: float) -> tuple[float, float, float]:
+def true_pose(recording: RobotRecording, t: float) -> tuple[float, float, float]:
     truth = recording.truth
     heading = np.interp(t, truth[:, 0], np.unwrap(truth[:, 3]))
     return (
@@ -102,14 +102,14 @@ def true_pose(recording: Recording, t: float) -> tuple[float, float, float]:
 
 
 def run(
-    recording: Recording,
+    recording: RobotRecording,
     objects: list[LandmarkRecord],
     settings: LocalizationSettings,
     seed: int,
     start: tuple[float, float, float] | None,
     update_map: bool = True,
     begin: float = 0.0,
-) -> Outcome:
+) -> ReplayOutcome:
     localization = Localization(
         settings, CommandedTrack(LAG_S, *GAINS), np.random.default_rng(seed)
     )
@@ -117,7 +117,7 @@ def run(
     localization.set_landmarks(landmarks_of(visual_map))
     if start is not None:
         localization.set_pose(start, np.diag([0.05**2, 0.05**2, 0.03**2]))
-    outcome = Outcome(np.empty((0, 4)), visual_map.landmarks)
+    outcome = ReplayOutcome(np.empty((0, 4)), visual_map.landmarks)
     poses: list[tuple[float, float, float, float]] = []
     frames = [f for f in recording.frames if f[0] >= begin]
     ticks = np.arange(begin + 0.5, recording.odometry[-1, 0], 0.5)
@@ -129,14 +129,14 @@ def run(
     rows = recording.odometry[recording.odometry[:, 0] >= begin]
     k, count = 0, len(rows)
     times, forward, turn = rows[:, 0].tolist(), rows[:, 1].tolist(), rows[:, 2].tolist()
-    for t, sightings in events:
+    for t, observations in events:
         while k < count and times[k] <= t:
             localization.add_odometry(times[k], STILL, forward[k], turn[k])
             k += 1
-        if sightings is None:
+        if observations is None:
             localization.advance(t)
         else:
-            frame = localization.fuse_objects(t, sightings)
+            frame = localization.fuse_objects(t, observations)
             if frame is not None and update_map:
                 _update(t, localization, visual_map, frame, outcome)
         if localization.located:
@@ -152,7 +152,7 @@ def _update(
     localization: Localization,
     visual_map: LandmarkMap,
     frame: EvidenceFrame,
-    outcome: Outcome,
+    outcome: ReplayOutcome,
 ) -> None:
     robot = frame.before.mean
     evidence = [
@@ -181,8 +181,10 @@ def _update(
     localization.set_landmarks(landmarks_of(visual_map))
 
 
-def errors(outcome: Outcome, recording: Recording, step: float = 0.1) -> NDArray[np.float64]:
-    """Position errors [m] (n, 2: time, error) from the first pose on."""
+def errors(
+    outcome: ReplayOutcome, recording: RobotRecording, step: float = 0.1
+) -> NDArray[np.float64]:
+    """Return position errors [m] (n, 2: time, error) from the first pose on."""
     poses = outcome.poses
     grid = np.arange(poses[0, 0], min(poses[-1, 0], recording.truth[-1, 0]), step)
     truth = recording.truth
@@ -191,43 +193,43 @@ def errors(outcome: Outcome, recording: Recording, step: float = 0.1) -> NDArray
     return np.stack([grid, np.hypot(dx, dy)], axis=1)
 
 
-def stressed(recording: Recording, random: np.random.Generator) -> Recording:
-    """The recording as another robot in another hall might have made it.
+def stressed(recording: RobotRecording, random: np.random.Generator) -> RobotRecording:
+    """Return the recording as that of another robot in another hall.
 
-    Perhaps mirrored; another base (commands scaled by up to 7 %), camera (range scaled by up to
-    4 %, bearing off by 0.7 degrees), up to 2 % gross errors (half of them misread barcodes that
+    It may be mirrored; it has another base (commands scaled by up to 7 %), camera (range scaled by
+    up to 4 %, bearing off by 0.7 degrees), up to 2 % gross errors (half of them misread barcodes that
     last a while), fewer frames, and one blind stretch of 60 to 200 s.
     """
     odometry = recording.odometry * np.array(
         [1.0, random.uniform(0.93, 1.07), random.uniform(0.93, 1.07)]
     )
     truth = recording.truth.copy()
-    places = dict(recording.places)
+    positions = dict(recording.positions)
     side = 1.0 if random.random() < 0.5 else -1.0
     odometry[:, 2] *= side
     truth[:, 2] *= side
     truth[:, 3] *= side
-    places = {i: (x, side * y) for i, (x, y) in places.items()}
+    positions = {i: (x, side * y) for i, (x, y) in positions.items()}
     scale, offset = random.uniform(0.96, 1.04), random.normal(0.0, math.radians(0.7))
     gross, kept = random.uniform(0.0, 0.02), random.uniform(0.3, 1.0)
     end = float(odometry[-1, 0])
     blind_from = random.uniform(60.0, end - 200.0)
     blind_to = blind_from + random.uniform(60.0, 200.0)
     frames = []
-    misread: tuple[float, int, int] = (-1.0, 0, 0)  # until, barcode, taken for
-    ids = sorted(places)
-    for t, sightings in recording.frames:
+    misread: tuple[float, int, int] = (-1.0, 0, 0)  # until, barcode, mistaken as
+    ids = sorted(positions)
+    for t, observations in recording.frames:
         if blind_from < t < blind_to or random.random() > kept:
             continue
         seen = []
-        for s in sightings:
-            object_id, reach, bearing = s.object_id, s.range_m * scale, side * s.bearing + offset
+        for s in observations:
+            object_id, range_m, bearing = s.object_id, s.range_m * scale, side * s.bearing + offset
             if random.random() < gross / 4:
                 misread = (t + 2.0, object_id, int(random.choice(ids)))
             if t < misread[0] and object_id == misread[1]:
                 object_id = misread[2]
             if random.random() < gross / 2:
-                reach, bearing = random.uniform(0.5, 6.0), random.uniform(-0.5, 0.5)
-            seen.append(Observation(object_id, reach, bearing, *range_bearing_variance(reach)))
+                range_m, bearing = random.uniform(0.5, 6.0), random.uniform(-0.5, 0.5)
+            seen.append(Observation(object_id, range_m, bearing, *range_bearing_variance(range_m)))
         frames.append((t, seen))
-    return Recording(odometry, frames, truth, places)
+    return RobotRecording(odometry, frames, truth, positions)

@@ -1,11 +1,11 @@
-"""One scan's update against plain numpy, the rebuilding of fields, and how well the robot is found.
+"""Localization by scans: time of an update, rebuilding of fields, relocalization, and accuracy.
 
-Times are medians of one thread, alternately measured in one run: the machine's own speed cancels.
+Times are medians of one thread, measured alternately with plain numpy in one run, so that the speed
+of the machine cancels out.
 """
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,59 +14,31 @@ from itertools import accumulate
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.result import Figure
-from cairn.components.localizer.config import LocalizationSettings, MeasuredBase
+from benchmarks.result import Metric
 from cairn.components.localizer.likelihood_field import LikelihoodField
-from cairn.components.localizer.localization import Localization
-from cairn.components.localizer.odometry import MeasuredTrack, OdometryStep, move_pose
+from cairn.components.localizer.odometry import OdometryStep, move_pose
 from cairn.components.localizer.particle_set import ParticleSet
-from cairn.planar.grid import FREE, OCCUPIED, Frame, Grid, OccupancyCells, distance_field
-from cairn.planar.poses import Pose, compose, wrap
+from cairn.planar.grid import OCCUPIED, distance_field
 from cairn.tools.evaluation.results import SIGMA_LIMITS
+from tests.components.localizer.random_floor import (
+    MODEL,
+    RESOLUTION,
+    START,
+    floor,
+    free_pose,
+    new_robot,
+    scan,
+    wander,
+)
 
 Array = NDArray[np.float64]
 
-RESOLUTION = 0.05
-MODEL = MeasuredBase().model()
 STEP = OdometryStep(0.12, 0.0, 0.08, 0.2)
 _ROUNDS = 80
-START: Pose = (2.0, 2.0, 0.4)
-
-
-def floor(size_m: float, boxes: int, seed: int) -> OccupancyCells:
-    """A walled square with boxes in it, at random; its middle and its first corner stay free."""
-    random = np.random.default_rng(seed)
-    count = round(size_m / RESOLUTION)
-    cells = np.full((count, count), FREE, np.int8)
-    cells[0] = cells[-1] = OCCUPIED
-    cells[:, 0] = cells[:, -1] = OCCUPIED
-    for _ in range(boxes):
-        rows, columns = random.integers(6, 50, 2)
-        row, column = random.integers(70, count - 50, 2)
-        cells[row : row + rows, column : column + columns] = OCCUPIED
-    return Grid(cells, Frame(RESOLUTION))
-
-
-def scan(
-    grid: OccupancyCells, pose: Pose, beams: int, random: np.random.Generator, reach: float = 10.0
-) -> Array:
-    """End points (m, 2) [m] of a full turn of beams with 1 cm of noise, in the base's frame."""
-    angles = np.linspace(-math.pi, math.pi, beams, endpoint=False)
-    ranges = np.arange(0.0, reach, 0.01)
-    x = pose[0] + np.cos(pose[2] + angles)[:, None] * ranges
-    y = pose[1] + np.sin(pose[2] + angles)[:, None] * ranges
-    rows, columns = grid.values.shape
-    row = np.clip((y / RESOLUTION).astype(int), 0, rows - 1)
-    column = np.clip((x / RESOLUTION).astype(int), 0, columns - 1)
-    inside = grid.values[row, column] == OCCUPIED
-    far = ranges[inside.argmax(axis=1)] + 0.01 * random.standard_normal(beams)
-    hit = inside.any(axis=1)
-    points: Array = np.column_stack((far * np.cos(angles), far * np.sin(angles)))[hit]
-    return points
 
 
 def plain_sensor_step(field: LikelihoodField, poses: Array, points: Array) -> Array:
-    """The same sum in numpy: float32, in chunks that stay in the cache, one gather and one sum."""
+    """Compute the same sum in numpy: float32, in chunks that fit into the cache."""
     flat = field.cells.ravel()
     rows, columns = field.cells.shape
     per_meter = np.float32(1.0 / field.frame.resolution)
@@ -90,8 +62,8 @@ def plain_sensor_step(field: LikelihoodField, poses: Array, points: Array) -> Ar
 
 @dataclass(frozen=True)
 class Times:
-    """Medians [ms] of a whole update and of numpy's sensor step alone, of their ratio, and the
-    share of the updates that resampled.
+    """Medians [ms] of a whole update and of numpy's sensor step, of their ratio, and the share of
+    updates that resampled.
     """
 
     whole: float
@@ -101,7 +73,7 @@ class Times:
 
 
 def updates(particles: int, beams: int, seed: int = 0) -> Times:
-    """Both in turn, while a robot drives around and is tracked: all of each scan counts."""
+    """Time both alternately while a robot drives around and is tracked."""
     random = np.random.default_rng(seed)
     grid = floor(9.0, 4, seed)
     field = LikelihoodField(grid, 0.1, 0.05)
@@ -121,7 +93,7 @@ def updates(particles: int, beams: int, seed: int = 0) -> Times:
         def plain(points: Array = points) -> None:
             plain_sensor_step(field, cloud.poses, points)
 
-        # Who comes second finds the field in the cache: in turn.
+        # The second one finds the field in the cache: alternate.
         if k % 2:
             theirs = timed(plain)
             times.append((timed(whole), theirs))
@@ -134,15 +106,15 @@ def updates(particles: int, beams: int, seed: int = 0) -> Times:
     return Times(ours_ms, theirs_ms, ratio, resampled / len(times))
 
 
-def timed(what: Callable[[], None]) -> float:
-    """Seconds that it takes."""
+def timed(call: Callable[[], None]) -> float:
+    """Return the duration of a call [s]."""
     began = time.perf_counter()
-    what()
+    call()
     return time.perf_counter() - began
 
 
 def rebuilding() -> tuple[float, float]:
-    """Median times [ms] of the distance field and of the likelihood field of 600 x 600 cells."""
+    """Return median times [ms] of the distance and the likelihood field of 600 x 600 cells."""
     grid = floor(30.0, 60, 0)
     obstacles = np.asarray(grid.values == OCCUPIED)
     field = LikelihoodField(grid, 0.1, 0.05)
@@ -158,46 +130,8 @@ def rebuilding() -> tuple[float, float]:
     return 1e3 * float(first), 1e3 * float(second)
 
 
-def wander(
-    robot: Localization, grid: OccupancyCells, start: Pose, seconds: float, seed: int
-) -> tuple[Array, Array, bool]:
-    """Drive where the way is free, with odometry off by 1 %, 10 scans a second of 120 beams.
-
-    Gives the errors (n, 3) [m, m, rad] and covariances (n, 3, 3) of the poses since the robot is
-    located, and whether the last one is right within 0.3 m.
-    """
-    random = np.random.default_rng(seed)
-    pose, odometry = start, (0.0, 0.0, 0.0)
-    errors, covariances = [], []
-    for k in range(round(10 * seconds)):
-        points = scan(grid, pose, 120, random)
-        robot.add_odometry(0.1 * k, odometry, 0.0, 0.0)
-        robot.fuse_scan(0.1 * k, points)
-        if robot.located:
-            known = robot.pose()
-            x, y, theta = known.mean
-            errors.append((x - pose[0], y - pose[1], wrap(theta - pose[2])))
-            covariances.append(known.covariance)
-        ahead = points[(np.abs(points[:, 1]) < 0.35) & (points[:, 0] > 0)]
-        blocked = len(ahead) > 0 and float(ahead[:, 0].min()) < 0.8
-        far, turn = (0.0, 0.08) if blocked else (0.05, 0.02 * math.sin(0.02 * k))
-        slip = 1.0 + 0.02 * random.standard_normal()
-        pose = compose(pose, (far * slip, 0.0, turn * slip + 0.001 * random.standard_normal()))
-        odometry = compose(odometry, (1.01 * far, 0.0, turn))
-    right = bool(errors) and math.hypot(*errors[-1][:2]) < 0.3
-    return np.array(errors).reshape(-1, 3), np.array(covariances).reshape(-1, 3, 3), right
-
-
-def new_robot(grid: OccupancyCells, seed: int) -> Localization:
-    """A localizer with the default parameters."""
-    settings = LocalizationSettings(particles=500, motion=MODEL)
-    robot = Localization(settings, MeasuredTrack(), np.random.default_rng(seed))
-    robot.set_grid(grid)
-    return robot
-
-
 def global_tries(tries: int) -> tuple[int, int]:
-    """How many of so many robots, anywhere in 30 x 30 m, are found within 20 s; how many wrong."""
+    """Return how many robots in 30 x 30 m are located within 20 s: correctly, and wrongly."""
     right = wrong = 0
     for seed in range(tries):
         grid = floor(30.0, 60, seed % 5)
@@ -211,15 +145,8 @@ def global_tries(tries: int) -> tuple[int, int]:
     return right, wrong
 
 
-def free_pose(grid: OccupancyCells, random: np.random.Generator) -> Pose:
-    """A pose 0.5 m from everything."""
-    room = distance_field(np.asarray(grid.values == OCCUPIED), RESOLUTION)
-    row, column = random.choice(np.argwhere(room > 0.5))
-    return (*grid.frame.point(int(row), int(column)), float(random.uniform(-math.pi, math.pi)))
-
-
 def tracking(runs: int) -> tuple[Array, Array]:
-    """Position errors (n,) [m] and squared Mahalanobis distances (n,) from a known start."""
+    """Return position errors (n,) [m] and squared Mahalanobis distances (n,) from a known start."""
     far, distances = [], []
     for seed in range(runs):
         grid = floor(9.0, 4, seed)
@@ -232,34 +159,34 @@ def tracking(runs: int) -> tuple[Array, Array]:
     return np.concatenate(far), np.array(distances)
 
 
-def measure() -> list[Figure]:
-    """All figures."""
-    figures = []
+def measure() -> list[Metric]:
+    """Return all metrics."""
+    metrics = []
     for particles, beams, limit in ((2_000, 60, 0.7), (10_000, 360, 0.35)):
         t = updates(particles, beams)
-        figures.append(
-            Figure(f"one update, {particles} poses x {beams} beams: times numpy's sensor step",
+        metrics.append(
+            Metric(f"one update, {particles} poses x {beams} beams: times numpy's sensor step",
                    t.ratio, "", at_most=limit, note=f"{t.whole:.2f} ms; numpy {t.plain:.2f} ms; "
                    f"{t.resampled:.0%} of the updates resampled")
         )  # fmt: skip
     distance, likelihood = rebuilding()
-    figures += [
-        Figure("distance field of 600 x 600 cells", distance, "ms", at_most=4.0),
-        Figure("likelihood field of 600 x 600 cells, rebuilt", likelihood, "ms", at_most=4.0),
+    metrics += [
+        Metric("distance field of 600 x 600 cells", distance, "ms", at_most=4.0),
+        Metric("likelihood field of 600 x 600 cells, rebuilt", likelihood, "ms", at_most=4.0),
     ]
     right, wrong = global_tries(30)
-    figures += [
-        Figure("found anywhere in 30 x 30 m, of 30 tries", right, "", at_least=27),
-        Figure("in a wrong place, of 30 tries", wrong, "", at_most=1),
+    metrics += [
+        Metric("located anywhere in 30 x 30 m, of 30 tries", right, "", at_least=27),
+        Metric("located at a wrong pose, of 30 tries", wrong, "", at_most=1),
     ]
     errors, squares = tracking(5)
-    figures.append(
-        Figure("tracking at cells of 5 cm: position error", float(np.sqrt(np.mean(errors**2))),
+    metrics.append(
+        Metric("tracking at cells of 5 cm: position error", float(np.sqrt(np.mean(errors**2))),
                "m rms", at_most=0.02, note=f"95 % {np.percentile(errors, 95):.3f} m")
     )  # fmt: skip
     one, two, three = (float(np.mean(squares <= limit)) for limit in SIGMA_LIMITS)
-    figures.append(
-        Figure("truth within 1 sigma as stated", one, "of poses", at_least=0.55,
+    metrics.append(
+        Metric("truth within 1 sigma as stated", one, "of poses", at_least=0.55,
                note=f"within 2: {two:.3f}, 3: {three:.3f}")
     )  # fmt: skip
-    return figures
+    return metrics

@@ -13,7 +13,7 @@ import psutil
 import yaml
 
 from benchmarks.lockstep import ROOT
-from benchmarks.result import Figure
+from benchmarks.result import Metric
 from benchmarks.running import free_port, results
 from cairn.bus.qos import SENSOR
 from cairn.clock import SECOND, from_ns, to_ns
@@ -32,67 +32,67 @@ _LAPS = 4
 
 
 class AnsweringMotionControl(MotionControl):
-    """Tells after the command that answers a scan when that scan's last beam was measured.
+    """Publishes, after the command that a scan caused, when the scan's last beam was measured.
 
-    A command itself does not tell what it answers: many are timed, and one may come to a third
-    process before the scan that it answers.
+    A command does not contain its cause: many are sent by a timer, and one may arrive at a third
+    process before the scan that caused it.
     """
 
     answered: Out[Header] = Out(qos=SENSOR)
 
     @on("scan")
     def on_scan(self, scan: LaserScan) -> None:
-        """Command, then tell."""
+        """Publish the command, then the time of the last beam."""
         super().on_scan(scan)
         last_beam = to_ns(scan.header.stamp) + round(sweep_s(scan) * SECOND)
         self.answered.publish(Header(stamp=from_ns(last_beam)))
 
 
 class Stopwatch(Component):
-    """Times from a scan's last beam until its command has come to another process."""
+    """Measures the time from a scan's last beam to the arrival of its command."""
 
     answered: In[Header] = In(qos=SENSOR)
 
     def on_activate(self) -> None:
-        """Begin."""
+        """Start without measured times."""
         self._times_ms: list[float] = []
 
     @on("answered")
-    def stop(self, scan: Header) -> None:
-        """The command has come just before this."""
+    def on_answered(self, scan: Header) -> None:
+        """Record the delay: the command arrived just before this message."""
         self._times_ms.append((self.clock.now() - to_ns(scan.stamp)) / 1e6)
 
     def on_deactivate(self) -> None:
-        """Tell."""
+        """Log the result."""
         ordered = sorted(self._times_ms)
         last = len(ordered) - 1
         found = {"median_ms": ordered[last // 2], "p95_ms": ordered[int(0.95 * last)]}
         self.log.info("RESULT %s", json.dumps({**found, "count": len(ordered)}))
 
 
-def measure() -> list[Figure]:
-    """A tour in lockstep on one core, and the same in real time."""
+def measure() -> list[Metric]:
+    """Measure a tour in lockstep on one core, and the same tour in real time."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         report, took = _in_lockstep(folder / "lockstep")
         busy, latency = in_real_time(folder)
     return [
-        Figure(
+        Metric(
             "tours of the room in lockstep, one core: times real time, start and report included",
             report["recorded_s"] / took,
             "x",
             at_least=20,
             note=f"{report['recorded_s']:.0f} s in {took:.1f} s",
         ),
-        Figure("the same: position error", report["position_rmse_m"], "m rms", at_most=0.05),
-        Figure("the same: collisions", float(len(report["collisions"])), "", at_most=0),
-        Figure(
+        Metric("the same: position error", report["position_rmse_m"], "m rms", at_most=0.05),
+        Metric("the same: collisions", float(len(report["collisions"])), "", at_most=0),
+        Metric(
             f"all processes at 10 scans a second and {_PARTICLES} particles: of two cores",
             100.0 * busy / 2.0,
             "%",
             at_most=60,
         ),
-        Figure(
+        Metric(
             "last beam of a scan to velocity command: p95",
             latency["p95_ms"],
             "ms",
@@ -123,9 +123,9 @@ def _in_lockstep(folder: Path) -> tuple[dict[str, Any], float]:
 
 
 def in_real_time(folder: Path, *arguments: str) -> tuple[float, dict[str, float]]:
-    """Processors in use on average while the robot drives the tour, and the latencies.
+    """Return the mean number of busy processors while the robot drives the tour, and the latencies.
 
-    `arguments` are more of them for `cairn up`; the report is in `folder`/real.
+    `arguments` are further ones of `cairn up`; the report is in `folder`/real.
     """
     overlay = folder / "measured.yaml"
     localizer = {"parameters": {"particles": _PARTICLES}}
@@ -146,7 +146,7 @@ def in_real_time(folder: Path, *arguments: str) -> tuple[float, dict[str, float]
     command += ["--overlay", str(_TOUR), "--overlay", str(overlay)]
     command += ["--set", f"bus.listen=tcp/127.0.0.1:{free_port()}", *arguments]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as up:
-        time.sleep(_BEGINS_S)  # what is measured is a stretch of time
+        time.sleep(_BEGINS_S)  # the benchmark measures an interval of time
         before = _used_s(up.pid)
         time.sleep(_MEASURED_S)
         used_s = _used_s(up.pid) - before
@@ -157,7 +157,7 @@ def in_real_time(folder: Path, *arguments: str) -> tuple[float, dict[str, float]
 
 
 def _used_s(pid: int) -> float:
-    """Processor time [s] that a process and all below it have used."""
+    """Return the processor time [s] of a process and all its descendants."""
     root = psutil.Process(pid)
     total = 0.0
     for process in [root, *root.children(recursive=True)]:

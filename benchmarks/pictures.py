@@ -1,4 +1,4 @@
-"""Pictures to teach and images to find them in: drawn by chance, and cut from real photographs."""
+"""Pictures to teach and images to find them in: drawn at random, and cut from real photographs."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ WIDTH, HEIGHT = 640, 480
 _DATA = Path(__file__).parents[1] / "tests" / "data"
 _CUT = ("images/box_in_scene.png", "images/board.jpg", "images/building.jpg", "images/graf1.jpg")
 _BEHIND = ("stereo/aloeL.jpg", "images/home.jpg", "images/tsukuba_l.png", "images/blox.jpg")
-_CELL = (100, 120)  # px, rows and columns of what is cut from photographs
+_CELL = (100, 120)  # px, rows and columns of the cuts from photographs
 _PLAIN = 25.0  # gray levels, standard deviation: sky and walls are not taught
 
 
 @dataclass(frozen=True)
 class Scenery:
-    """How pictures are seen: bounds of scale and tilt [deg], and what the camera does to them."""
+    """How pictures appear: bounds of scale and tilt [deg], and the effects of the camera."""
 
     scale: tuple[float, float] = (0.6, 1.6)
     tilt_deg: tuple[float, float] = (0.0, 50.0)
@@ -33,7 +33,7 @@ class Scenery:
 
 
 def read(name: str) -> Gray:
-    """A photograph of the tests' data."""
+    """Read a photograph of the tests' data."""
     image = cv2.imread(str(_DATA / name), cv2.IMREAD_GRAYSCALE)
     if image is None:
         raise FileNotFoundError(_DATA / name)
@@ -41,7 +41,7 @@ def read(name: str) -> Gray:
 
 
 def pictures(count: int, seed: int) -> list[Gray]:
-    """So many different pictures: as many cuts from photographs as there are, the rest drawn."""
+    """Return different pictures: all cuts from photographs, the rest drawn."""
     random = np.random.default_rng(seed)
     cuts = [
         cv2.resize(cell, None, fx=1.5, fy=1.5, interpolation=cv2.INTER_CUBIC).astype(np.uint8)
@@ -56,7 +56,7 @@ def pictures(count: int, seed: int) -> list[Gray]:
 
 
 def drawing(random: np.random.Generator) -> Gray:
-    """Shapes, letters and grain on a ground that changes slowly."""
+    """Draw shapes, letters and grain on a smooth background."""
     width, height = (int(side) for side in random.integers(140, 260, 2))
     coarse = random.normal(0, random.uniform(5, 40), random.integers(2, 8, 2))
     ground = random.integers(30, 226) + cv2.resize(
@@ -74,28 +74,28 @@ def drawing(random: np.random.Generator) -> Gray:
 
 def _draw(picture: Gray, random: np.random.Generator) -> None:
     height, width = picture.shape
-    place = (int(random.integers(0, width)), int(random.integers(0, height)))
+    position = (int(random.integers(0, width)), int(random.integers(0, height)))
     gray, thickness = int(random.integers(0, 256)), int(random.integers(1, 5))
     match random.integers(0, 4):
         case 0:
             axes = (int(random.integers(3, 40)), int(random.integers(3, 40)))
             filled = -1 if random.random() < 0.4 else thickness
             turn, arc = float(random.uniform(0, 360)), float(random.uniform(90, 360))
-            cv2.ellipse(picture, place, axes, turn, 0, arc, gray, filled, cv2.LINE_AA)
+            cv2.ellipse(picture, position, axes, turn, 0, arc, gray, filled, cv2.LINE_AA)
         case 1:
-            corners = place + random.integers(-30, 31, (int(random.integers(3, 7)), 2))
+            corners = position + random.integers(-30, 31, (int(random.integers(3, 7)), 2))
             cv2.fillPoly(picture, [corners.astype(np.int32)], gray, cv2.LINE_AA)
         case 2:
             end = (int(random.integers(0, width)), int(random.integers(0, height)))
-            cv2.line(picture, place, end, gray, thickness, cv2.LINE_AA)
+            cv2.line(picture, position, end, gray, thickness, cv2.LINE_AA)
         case _:
             text = "".join(chr(random.integers(48, 123)) for _ in range(random.integers(1, 9)))
             font, size = int(random.integers(0, 8)), float(random.uniform(0.4, 2.0))
-            cv2.putText(picture, text, place, font, size, gray, thickness, cv2.LINE_AA)
+            cv2.putText(picture, text, position, font, size, gray, thickness, cv2.LINE_AA)
 
 
 def behind(random: np.random.Generator) -> Gray:
-    """A photograph (none that was cut from) that fills an image, mirrored and framed by chance."""
+    """Return a background photograph, randomly mirrored and framed; no cut comes from it."""
     photograph = read(_BEHIND[random.integers(len(_BEHIND))])
     share = random.uniform(0.7, 1.0)
     rows, columns = (int(side * share) for side in photograph.shape)
@@ -110,7 +110,7 @@ def behind(random: np.random.Generator) -> Gray:
 
 
 def seen(picture: Gray, scenery: Scenery, random: np.random.Generator) -> Homography:
-    """Where a pinhole camera of 60 degrees sees a picture that hangs about somewhere before it."""
+    """Return the homography of a picture at a random pose before a pinhole camera of 60 degrees."""
     height, width = picture.shape
     focal = WIDTH / 2 / math.tan(math.radians(30))
     azimuth, roll = random.uniform(-math.pi, math.pi, 2)
@@ -119,17 +119,17 @@ def seen(picture: Gray, scenery: Scenery, random: np.random.Generator) -> Homogr
     turn = cv2.Rodrigues(axis * tilt)[0] @ cv2.Rodrigues(np.array([0.0, 0.0, roll]))[0]
     away = focal / math.exp(random.uniform(*np.log(scenery.scale)))
     middle = random.uniform((0.3 * WIDTH, 0.3 * HEIGHT), (0.7 * WIDTH, 0.7 * HEIGHT))
-    place = np.append((middle - (WIDTH / 2, HEIGHT / 2)) / focal, 1.0) * away
+    position = np.append((middle - (WIDTH / 2, HEIGHT / 2)) / focal, 1.0) * away
     camera = np.array([[focal, 0, WIDTH / 2], [0, focal, HEIGHT / 2], [0, 0, 1]])
     centered = np.array([[1, 0, -(width - 1) / 2], [0, 1, -(height - 1) / 2], [0, 0, 1]])
-    homography = camera @ np.column_stack((turn[:, 0], turn[:, 1], place)) @ centered
+    homography = camera @ np.column_stack((turn[:, 0], turn[:, 1], position)) @ centered
     return np.asarray(homography / homography[2, 2])
 
 
 def hung(image: Gray, picture: Gray, homography: Homography, covered: float = 0.0) -> Gray:
-    """The image with the picture in it, a share of it covered by the image from one side."""
+    """Return the image with the picture in it, a share of the picture covered from one side."""
     height, width = picture.shape
-    # Seen smaller, a picture loses what is finer than the image's pixels.
+    # A smaller picture loses details finer than the pixels of the image.
     shrunk = math.sqrt(abs(np.linalg.det(homography[:2, :2])))
     if shrunk < 0.8:
         picture = cv2.GaussianBlur(picture, (0, 0), 0.4 / shrunk).astype(np.uint8)
@@ -141,7 +141,7 @@ def hung(image: Gray, picture: Gray, homography: Homography, covered: float = 0.
 
 
 def photographed(image: Gray, scenery: Scenery, random: np.random.Generator) -> Gray:
-    """The image in other light, blurred, and with noise."""
+    """Return the image in other light, blurred, and with noise."""
     light = 255.0 * random.uniform(0.6, 1.3) * (image / 255.0) ** random.uniform(0.7, 1.4)
     blurred = cv2.GaussianBlur(light, (0, 0), scenery.blur)
     noise = random.normal(0.0, scenery.noise, image.shape)

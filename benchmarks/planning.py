@@ -1,4 +1,4 @@
-"""Plans over large maps of boxes and serpentines: their time and length, by SciPy and OpenCV."""
+"""Time and length of plans on large maps of boxes and serpentines, compared with SciPy."""
 
 import time
 from collections.abc import Callable
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
-from benchmarks.result import Figure
+from benchmarks.result import Metric
 from cairn.components.path_planner.cost_map import CostMap, CostParameters
 from cairn.components.path_planner.planning import Planner
 from cairn.planar.grid import Frame, OccupancyCells
@@ -31,7 +31,7 @@ SIDES = ((0, 1), (1, 0), (1, 1), (1, -1))
 
 
 def boxes(size: int, seed: int) -> OccupancyCells:
-    """A square map of boxes of 0.2 to 2 m at random that cover a tenth of it, its corners free."""
+    """Return a square map with random boxes of 0.2 to 2 m on a tenth of it and free corners."""
     rng = np.random.default_rng(seed)
     values = np.zeros((size, size), np.int8)
     while (values == 100).mean() < 0.1:
@@ -43,7 +43,7 @@ def boxes(size: int, seed: int) -> OccupancyCells:
 
 
 def serpentine(size: int) -> OccupancyCells:
-    """Corridors of 2 m one behind the other, open at alternate ends."""
+    """Return corridors of 2 m, connected at alternate ends."""
     values = np.zeros((size, size), np.int8)
     for turn, row in enumerate(range(40, size - 40, 40)):
         opening = slice(40, None) if turn % 2 else slice(None, size - 40)
@@ -52,7 +52,7 @@ def serpentine(size: int) -> OccupancyCells:
 
 
 def milliseconds(call: Callable[[], object], times: int = 5) -> float:
-    """The median time that a call takes, after one that is not counted."""
+    """Return the median duration of a call, after one that does not count."""
     call()
     taken = []
     for _ in range(times):
@@ -63,7 +63,7 @@ def milliseconds(call: Callable[[], object], times: int = 5) -> float:
 
 
 def planned(costs: CostMap) -> tuple[float, float]:
-    """Time [ms] of a plan from corner to corner, and its length [m]; 0 without one."""
+    """Return the time [ms] of a plan from corner to corner, and its length [m]; 0 without one."""
     planner = Planner(0.1)
     far = costs.shape[0] * RESOLUTION - 0.7
     start, goal = (0.7, 0.7, 0.0), (far, far, 0.0)
@@ -73,7 +73,7 @@ def planned(costs: CostMap) -> tuple[float, float]:
 
 
 def dijkstra_ms(costs: CostMap) -> tuple[float, float]:
-    """Time [ms] and length [m] of SciPy's Dijkstra over eight neighbors, its graph at hand."""
+    """Return time [ms] and length [m] of SciPy's Dijkstra over eight neighbors of a given graph."""
     free = costs.cell_costs[MARGIN:-MARGIN, MARGIN:-MARGIN] < CLOSED
     rows, columns = free.shape
     numbers = np.arange(rows * columns).reshape(rows, columns)
@@ -100,54 +100,54 @@ def _transform(free: NDArray[np.uint8]) -> None:
     cv2.distanceTransform(free, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
 
 
-def measure() -> list[Figure]:
-    """Whole plans given the cost map, on one thread; then what keeping the cost map up takes."""
+def measure() -> list[Metric]:
+    """Measure plans on a given cost map, on one thread, and updates of the cost map."""
     cv2.setNumThreads(1)
-    figures = []
+    metrics = []
     for size, limit in LIMITS_MS.items():
         maps = [CostMap(boxes(size, seed), COSTS) for seed in range(3 if size < 4000 else 1)]
         plans = [planned(costs) for costs in maps]
         taken = float(np.median([ms for ms, _ in plans]))
         free = (maps[0].cell_costs < CLOSED).view(np.uint8)
         transform = milliseconds(partial(_transform, free), 3)
-        figures += [
-            Figure(f"{size} x {size}, boxes: plan", taken, "ms", at_most=limit,
+        metrics += [
+            Metric(f"{size} x {size}, boxes: plan", taken, "ms", at_most=limit,
                    note=f"{taken / transform:.2g} times one distance transform of the map"),
-            Figure(f"{size} x {size}, boxes: maps without a plan",
+            Metric(f"{size} x {size}, boxes: maps without a plan",
                    float(sum(length == 0 for _, length in plans)), "", at_most=0),
         ]  # fmt: skip
         if size <= 1000:
             reference, length = dijkstra_ms(maps[0])
-            figures.append(
-                Figure(f"{size} x {size}, boxes: times as fast as Dijkstra in SciPy",
+            metrics.append(
+                Metric(f"{size} x {size}, boxes: times as fast as Dijkstra in SciPy",
                        reference / taken, "x", at_least=6, note=f"SciPy {reference:.3g} ms")
             )  # fmt: skip
             shortest = planned(CostMap(boxes(size, 0), LENGTH_ALONE))[1]
-            figures += [
-                Figure(f"{size} x {size}: length, weight 0, to Dijkstra's over 8 neighbors",
+            metrics += [
+                Metric(f"{size} x {size}: length, weight 0, to Dijkstra's over 8 neighbors",
                        shortest / length, "", at_most=1.0),
-                Figure(f"{size} x {size}: length to that with weight 0",
+                Metric(f"{size} x {size}: length to that with weight 0",
                        plans[0][1] / shortest, "", at_most=1.1),
             ]  # fmt: skip
         taken, length = planned(CostMap(serpentine(size), COSTS))
-        figures.append(
-            Figure(f"{size} x {size}, serpentine: plan", taken, "ms",
+        metrics.append(
+            Metric(f"{size} x {size}, serpentine: plan", taken, "ms",
                    at_most=3 * limit if length else 0, note=f"{length:.0f} m long")
         )  # fmt: skip
-    return figures + kept_up()
+    return metrics + cost_map_updates()
 
 
-def kept_up() -> list[Figure]:
-    """Changes of 2 x 2 m and obstacles seen in a map of 30 x 30 m."""
+def cost_map_updates() -> list[Metric]:
+    """Measure changes of 2 x 2 m, and scanned obstacles, in a map of 30 x 30 m."""
     grid = boxes(600, 1)
     costs = CostMap(grid, COSTS)
     flat = np.zeros((40, 40), np.int8)
     person = np.argwhere(np.ones((8, 2))) + 300
     turn = iter(range(10**6))
     return [
-        Figure("600 x 600: a window of 40 x 40 changed",
+        Metric("600 x 600: a window of 40 x 40 changed",
                milliseconds(lambda: costs.update(280, 280, flat), 20), "ms", at_most=1),
-        Figure("600 x 600: 16 cells seen, moved",
+        Metric("600 x 600: 16 scanned cells moved",
                milliseconds(lambda: costs.set_scanner_obstacles(person + next(turn) % 2), 20),
                "ms", at_most=0.3),
     ]  # fmt: skip

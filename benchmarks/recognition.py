@@ -1,6 +1,6 @@
-"""How long objects take to be recognized, how many are, and how many that are not there.
+"""Time of object recognition, recall, and false matches.
 
-The time is that of one core, beside that of extracting the features of the same image.
+The time is that of one core, relative to the extraction of the features of the same image.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from benchmarks.pictures import (
     pictures,
     seen,
 )
-from benchmarks.result import Figure
+from benchmarks.result import Metric
 from cairn.vision.features import Features, extract
 from cairn.vision.object_model import ObjectModel
 from cairn.vision.recognition import Detection, Recognizer
@@ -34,7 +34,7 @@ from cairn.vision.teaching import make_view
 _SHOWN = 10  # objects, known in each database, that scenes show one of
 _SCENES, _EMPTY, _SWEPT = 60, 150, 40
 _LIMITS = {10: 1.3, 100: None, 1000: 2.0}
-_OFF = 15.0  # px, of a corner of what is found in its place
+_OFF = 15.0  # px, greatest error of a corner of a correct detection
 
 _HARDER = {
     "tilted by 45 deg": Scenery((1.0, 1.0), (45.0, 45.0)),
@@ -51,16 +51,16 @@ _HARDER = {
 
 @dataclass(frozen=True)
 class _Scene:
-    """An image's features, how long they took [s], and what is seen in it, and where."""
+    """An image's features, their extraction time [s], the object in it, and its homography."""
 
     features: Features
-    took: float
+    duration: float
     shown: int
     homography: Homography
 
 
-def measure() -> list[Figure]:
-    """All figures."""
+def measure() -> list[Metric]:
+    """Return all metrics."""
     cv2.setNumThreads(1)
     taught = [_taught(number, picture) for number, picture in enumerate(pictures(1000, 1))]
     # A picture with fewer features would not be taught.
@@ -68,8 +68,10 @@ def measure() -> list[Figure]:
     random = np.random.default_rng(2)
     scenes = [_scene(taught, Scenery(), random) for _ in range(_SCENES)]
     count = float(np.mean([len(each.features) for each in scenes]))
-    took = float(np.mean([each.took for each in scenes]))
-    figures = [Figure("extraction of features", 1e3 * took, "ms", note=f"{count:.0f} in an image")]
+    duration = float(np.mean([each.duration for each in scenes]))
+    metrics = [
+        Metric("extraction of features", 1e3 * duration, "ms", note=f"{count:.0f} in an image")
+    ]
     recalls = {}
     for known, limit in _LIMITS.items():
         began = time.process_time()
@@ -77,20 +79,20 @@ def measure() -> list[Figure]:
         built = time.process_time() - began
         recalls[known], seconds = _recall(recognizer, scenes)
         note = f"{1e3 * seconds:.1f} ms; built in {built:.1f} s"
-        figures += [
-            Figure(f"recognition among {known} objects, with extraction", 1.0 + seconds / took,
+        metrics += [
+            Metric(f"recognition among {known} objects, with extraction", 1.0 + seconds / duration,
                    "x extraction", at_most=limit, note=note),
-            Figure(f"recall among {known} objects", recalls[known], ""),
+            Metric(f"recall among {known} objects", recalls[known], ""),
         ]  # fmt: skip
     share = recalls[1000] / recalls[10]
-    figures.append(Figure("recall among 1000 of that among 10", share, "", at_least=0.95))
+    metrics.append(Metric("recall among 1000 of that among 10", share, "", at_least=0.95))
     for known in _LIMITS:
-        figures.append(_false(taught[:known]))
+        metrics.append(_false(taught[:known]))
     few = Recognizer(taught[:_SHOWN])
     for name, scenery in _HARDER.items():
         swept = [_scene(taught, scenery, random) for _ in range(_SWEPT)]
-        figures.append(Figure(f"recall, {name}", _recall(few, swept)[0], ""))
-    return figures
+        metrics.append(Metric(f"recall, {name}", _recall(few, swept)[0], ""))
+    return metrics
 
 
 def _taught(number: int, picture: Gray) -> ObjectModel:
@@ -109,14 +111,14 @@ def _scene(taught: Sequence[ObjectModel], scenery: Scenery, random: np.random.Ge
 
 
 def _recall(recognizer: Recognizer, scenes: Sequence[_Scene]) -> tuple[float, float]:
-    """The share of scenes whose object is found where it is; how long one takes [s]."""
+    """Return the share of scenes whose object is found at its position; time per scene [s]."""
     found = 0
     began = time.process_time()
     answers = [recognizer.recognize(scene.features, WIDTH, HEIGHT) for scene in scenes]
-    took = time.process_time() - began
+    duration = time.process_time() - began
     for scene, answer in zip(scenes, answers, strict=True):
         found += any(_right(each, scene, recognizer) for each in answer)
-    return found / len(scenes), took / len(scenes)
+    return found / len(scenes), duration / len(scenes)
 
 
 def _right(found: Detection, scene: _Scene, recognizer: Recognizer) -> bool:
@@ -127,8 +129,8 @@ def _right(found: Detection, scene: _Scene, recognizer: Recognizer) -> bool:
     return float(np.linalg.norm(found.corners - truth, axis=1).max()) < _OFF
 
 
-def _false(taught: Sequence[ObjectModel]) -> Figure:
-    """How many objects are found in images that show none: photographs, and other pictures."""
+def _false(taught: Sequence[ObjectModel]) -> Metric:
+    """Measure false matches in images without objects: photographs, and other pictures."""
     random = np.random.default_rng(3)
     recognizer = Recognizer(taught)
     found = 0
@@ -139,7 +141,7 @@ def _false(taught: Sequence[ObjectModel]) -> Figure:
             image = hung(image, other, seen(other, Scenery(), random))
         features = extract(photographed(image, Scenery(), random))
         found += len(recognizer.recognize(features, WIDTH, HEIGHT))
-    return Figure(
-        f"false matches in an image, {len(taught)} objects known", found / _EMPTY, "",
+    return Metric(
+        f"false matches per image, {len(taught)} objects known", found / _EMPTY, "",
         at_most=0.01, note=f"{found} in {_EMPTY} images"
     )  # fmt: skip

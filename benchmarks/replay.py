@@ -1,4 +1,4 @@
-"""The same replay over real processes at 10 times real time, undisturbed and with kills."""
+"""Replay of a real recording in processes at 10 times real time, undisturbed and with kills."""
 
 import json
 import os
@@ -9,16 +9,16 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from benchmarks.lockstep import DEPLOYMENT, DISPLACED, make_map, run_replay, wrong_places
-from benchmarks.result import Figure
+from benchmarks.lockstep import DEPLOYMENT, DISPLACED, make_map, run_replay, wrong_positions
+from benchmarks.result import Metric
 from benchmarks.running import free_port
 
 _PATH = ("localizer.objects", "map_builder.object_evidence", "localizer.visual_map")
-"""The inputs on the way from a sighting to the map."""
+"""The inputs on the path from an observation to the map."""
 
 
-def measure() -> list[Figure]:
-    """Conclusions and losses over real processes."""
+def measure() -> list[Metric]:
+    """Measure accuracy and lost messages in real processes."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         displaced = make_map(folder / "displaced.cairn", *DISPLACED)
@@ -27,20 +27,20 @@ def measure() -> list[Figure]:
         plain, _ = run_replay(folder / "plain", *settings, "--seed", "1")
         killed = _with_kills(folder / "killed", displaced)
     return [
-        Figure("replay at 10 times real time: times real time",
+        Metric("replay at 10 times real time: times real time",
                plain["recorded_s"] / plain["wall_s"], "x", at_least=9.0),
-        *_conclusions("undisturbed", plain),
-        Figure("undisturbed: dropped from sighting to map",
+        *_accuracy("undisturbed", plain),
+        Metric("undisturbed: dropped between observation and map",
                float(sum(plain["dropped"][port] for port in _PATH)), "", at_most=0),
-        *_conclusions("localizer and map_builder killed", killed),
+        *_accuracy("localizer and map_builder killed", killed),
     ]  # fmt: skip
 
 
-def _conclusions(what: str, report: dict[str, Any]) -> list[Figure]:
+def _accuracy(name: str, report: dict[str, Any]) -> list[Metric]:
     return [
-        Figure(f"{what}: position error", report["position_rmse_m"], "m rms", at_most=0.30),
-        Figure(f"{what}: landmarks off their true place by 0.3 m",
-               float(wrong_places(report)), "", at_most=0),
+        Metric(f"{name}: position error", report["position_rmse_m"], "m rms", at_most=0.30),
+        Metric(f"{name}: landmarks 0.3 m or more from the truth",
+               float(wrong_positions(report)), "", at_most=0),
     ]  # fmt: skip
 
 

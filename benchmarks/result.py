@@ -1,11 +1,11 @@
-"""One measured figure with its limit."""
+"""One measured metric with its limit."""
 
 from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class Figure:
-    """What was measured, in which unit, and the limit that it is to keep (None: told only)."""
+class Metric:
+    """A measured value with its unit and its limit (None: reported only)."""
 
     name: str
     value: float
@@ -16,7 +16,7 @@ class Figure:
 
     @property
     def kept(self) -> bool:
-        """Whether the limit is kept."""
+        """Whether the value is within the limit."""
         return (self.at_most is None or self.value <= self.at_most) and (
             self.at_least is None or self.value >= self.at_least
         )

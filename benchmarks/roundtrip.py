@@ -1,4 +1,4 @@
-"""Round trip between two processes through ports, against raw zenoh-python in the same run."""
+"""Round trip between two processes through ports, compared with raw zenoh-python."""
 
 import json
 import multiprocessing
@@ -12,7 +12,7 @@ import numpy as np
 import zenoh
 from pydantic import Field
 
-from benchmarks.result import Figure
+from benchmarks.result import Metric
 from benchmarks.running import free_port, results, run_deployment
 from cairn.bus.codec import Codec
 from cairn.runtime.component import Component
@@ -28,7 +28,7 @@ _HERE = "benchmarks.roundtrip"
 
 
 def payload(name: str) -> Any:
-    """The message of a payload."""
+    """Return the message of a payload."""
     header = Header(frame_id="bench")
     match name:
         case "64 B":
@@ -48,19 +48,19 @@ def payload(name: str) -> Any:
 
 
 class PingConfig(Config):
-    """What is sent how often."""
+    """Parameters of a ping."""
 
     payload: str = Field(description="Name of the payload.")
     count: int = Field(ge=1, description="Round trips [1].")
 
 
 class Ping(Component):
-    """Sends, and times the way back to its handler."""
+    """Publishes messages and measures the round trip to its handler."""
 
     config: PingConfig
 
     def on_activate(self) -> None:
-        """Send the first."""
+        """Publish the first message."""
         self._message = payload(self.config.payload)
         self._times: list[float] = []
         self.schedule(self.clock.now(), self._send)
@@ -70,7 +70,7 @@ class Ping(Component):
         self.ping.publish(self._message)  # type: ignore[attr-defined]
 
     def came_back(self) -> None:
-        """Note the time; send the next."""
+        """Record the round trip and publish the next message."""
         self._times.append(time.perf_counter() - self._sent)
         if len(self._times) < self.config.count:
             self._send()
@@ -81,74 +81,74 @@ class Ping(Component):
 
 
 class TextPing(Ping):
-    """64 bytes."""
+    """Publishes 64 bytes."""
 
     ping: Out[String]
     pong: In[String]
 
     @on("pong")
     def back(self, _: String) -> None:
-        """It came back."""
+        """Receive the answer."""
         self.came_back()
 
 
 class ScanPing(Ping):
-    """2.8 kB."""
+    """Publishes scans of 2.8 kB."""
 
     ping: Out[LaserScan]
     pong: In[LaserScan]
 
     @on("pong")
     def back(self, _: LaserScan) -> None:
-        """It came back."""
+        """Receive the answer."""
         self.came_back()
 
 
 class ImagePing(Ping):
-    """300 kB."""
+    """Publishes images of 300 kB."""
 
     ping: Out[Image]
     pong: In[Image]
 
     @on("pong")
     def back(self, _: Image) -> None:
-        """It came back."""
+        """Receive the answer."""
         self.came_back()
 
 
 class TextPong(Component):
-    """Sends 64 bytes back."""
+    """Publishes 64 bytes again."""
 
     ping: In[String]
     pong: Out[String]
 
     @on("ping")
     def answer(self, message: String) -> None:
-        """Send it back."""
+        """Publish the message again."""
         self.pong.publish(message)
 
 
 class ScanPong(Component):
-    """Sends a scan back."""
+    """Publishes a scan again."""
 
     ping: In[LaserScan]
     pong: Out[LaserScan]
 
     @on("ping")
     def answer(self, message: LaserScan) -> None:
-        """Send it back."""
+        """Publish the message again."""
         self.pong.publish(message)
 
 
 class ImagePong(Component):
-    """Sends an image back."""
+    """Publishes an image again."""
 
     ping: In[Image]
     pong: Out[Image]
 
     @on("ping")
     def answer(self, message: Image) -> None:
-        """Send it back."""
+        """Publish the message again."""
         self.pong.publish(message)
 
 
@@ -156,7 +156,7 @@ _CLASSES = {"64 B": "Text", "2.8 kB scan": "Scan", "300 kB image": "Image"}
 
 
 def through_ports(name: str) -> dict[str, float]:
-    """Median and 99th percentile [us] of the round trip through two components' ports."""
+    """Return median and 99th percentile [us] of the round trip through two components' ports."""
     kind = _CLASSES[name]
     output = run_deployment(
         {
@@ -173,29 +173,29 @@ def through_ports(name: str) -> dict[str, float]:
     return {key: float(value) for key, value in results(output)[0].items()}
 
 
-def raw(name: str, way: str) -> dict[str, float]:
-    """The same with the same bytes over zenoh-python alone, `way` being "ring" or "callback"."""
+def raw(name: str, handler: str) -> dict[str, float]:
+    """Return the same for zenoh-python alone; `handler` is "ring" or "callback"."""
     context = multiprocessing.get_context("spawn")
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     ours, theirs = context.Pipe()
-    process = context.Process(target=_raw_pong, args=(endpoint, way, theirs))
+    process = context.Process(target=_raw_pong, args=(endpoint, handler, theirs))
     process.start()
     try:
         if not ours.poll(30) or ours.recv() != "ready":
             raise RuntimeError("the other process did not start")
-        return _raw_ping(endpoint, way, Codec().encode(payload(name)), PAYLOADS[name])
+        return _raw_ping(endpoint, handler, Codec().encode(payload(name)), PAYLOADS[name])
     finally:
         ours.send("end")
         process.join(10)
         process.kill()
 
 
-def _raw_ping(endpoint: str, way: str, data: bytes, count: int) -> dict[str, float]:
+def _raw_ping(endpoint: str, handler: str, data: bytes, count: int) -> dict[str, float]:
     with _session(connect=endpoint) as session:
         publisher = session.declare_publisher("bench/ping", express=False)
         back = threading.Semaphore(0)
         subscriber: Any
-        if way == "callback":
+        if handler == "callback":
 
             def returned(sample: zenoh.Sample) -> None:
                 sample.payload.to_bytes()
@@ -211,7 +211,7 @@ def _raw_ping(endpoint: str, way: str, data: bytes, count: int) -> dict[str, flo
         for _ in range(count):
             begin = time.perf_counter()
             publisher.put(data)
-            if way == "callback":
+            if handler == "callback":
                 if not back.acquire(timeout=5):
                     raise RuntimeError("a message did not come back")
             else:
@@ -221,7 +221,7 @@ def _raw_ping(endpoint: str, way: str, data: bytes, count: int) -> dict[str, flo
     return summary(times[count // 10 :])
 
 
-def _raw_pong(endpoint: str, way: str, parent: Connection) -> None:
+def _raw_pong(endpoint: str, handler: str, parent: Connection) -> None:
     with _session(listen=endpoint) as session:
         publisher = session.declare_publisher("bench/pong", express=False)
 
@@ -229,7 +229,7 @@ def _raw_pong(endpoint: str, way: str, parent: Connection) -> None:
             publisher.put(sample.payload.to_bytes())
 
         subscriber: Any
-        if way == "callback":
+        if handler == "callback":
             subscriber = session.declare_subscriber("bench/ping", answer)
         else:
             ring: Any = zenoh.handlers.RingChannel(10)
@@ -264,7 +264,7 @@ def _session(*, listen: str | None = None, connect: str | None = None) -> zenoh.
 
 
 def summary(seconds: list[float]) -> dict[str, float]:
-    """Median and 99th percentile in us."""
+    """Return median and 99th percentile in us."""
     ordered = sorted(seconds)
     return {
         "median": statistics.median(ordered) * 1e6,
@@ -272,26 +272,26 @@ def summary(seconds: list[float]) -> dict[str, float]:
     }
 
 
-def measure() -> list[Figure]:
-    """The ratio of the medians for each payload, against the faster way of raw zenoh-python."""
-    figures = []
+def measure() -> list[Metric]:
+    """Measure the ratio of the medians to the faster handler of raw zenoh-python."""
+    metrics = []
     for name in PAYLOADS:
         ours, plain = [], {"ring": [], "callback": []}  # type: ignore[var-annotated]
         for _ in range(ROUNDS):
-            for way, found in plain.items():
-                found.append(raw(name, way)["median"])
+            for handler, found in plain.items():
+                found.append(raw(name, handler)["median"])
             ours.append(through_ports(name)["median"])
         best = min(statistics.median(found) for found in plain.values())
         mine = statistics.median(ours)
-        figures.append(
-            Figure(
+        metrics.append(
+            Metric(
                 f"round trip {name}: ports / raw zenoh",
                 mine / best,
                 "x",
                 at_most=LIMIT,
                 note=f"{mine:.0f} us / {best:.0f} us (raw: "
-                + ", ".join(f"{way} {statistics.median(t):.0f}" for way, t in plain.items())
+                + ", ".join(f"{handler} {statistics.median(t):.0f}" for handler, t in plain.items())
                 + ")",
             )
         )
-    return figures
+    return metrics

@@ -1,4 +1,4 @@
-"""Runs a deployment for a benchmark as a user would, with `cairn up`."""
+"""Runs the deployment of a benchmark as a user does, with `cairn up`."""
 
 import json
 import socket
@@ -13,7 +13,7 @@ import yaml
 
 
 def free_port() -> int:
-    """A port of the loopback interface that nobody listens on now."""
+    """Return a free port of the loopback interface."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port: int = probe.getsockname()[1]
@@ -23,7 +23,7 @@ def free_port() -> int:
 def run_deployment(
     components: Mapping[str, Any], limit_s: float, *arguments: str, clock: str = "system"
 ) -> str:
-    """Run these components to their end with `cairn up`; gives what it printed.
+    """Run these components to their end with `cairn up` and return its output.
 
     Raises `RuntimeError` with the output if it fails or takes longer than `limit_s`.
     """
@@ -50,7 +50,7 @@ def run_deployment(
 
 
 def results(output: str) -> list[dict[str, Any]]:
-    """What the components of a benchmark logged as `RESULT {json}`."""
+    """Return the results that the components of a benchmark logged as `RESULT {json}`."""
     return [
         json.loads(line.partition("RESULT ")[2])
         for line in output.splitlines()

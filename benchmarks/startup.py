@@ -19,7 +19,7 @@ import psutil
 import yaml
 from scipy import ndimage
 
-from benchmarks.result import Figure
+from benchmarks.result import Metric
 from benchmarks.running import free_port
 from cairn.runtime.component import Component
 from cairn.runtime.ports import Out, every
@@ -41,7 +41,7 @@ energy: Any = numba.njit("float64(float64[:])", cache=True)(_energy)
 
 
 class Heavy(Component):
-    """Uses all three libraries in every turn."""
+    """Uses all three libraries in every call."""
 
     out: Out[Twist]
 
@@ -54,7 +54,7 @@ class Heavy(Component):
 
 
 class _Up:
-    """A running `cairn up` whose lines are awaited."""
+    """A running `cairn up`, whose output can be awaited."""
 
     def __init__(self, file: Path, report: Path) -> None:
         self.began = time.monotonic()
@@ -65,7 +65,7 @@ class _Up:
         threading.Thread(target=self._read, daemon=True).start()
 
     def wait_for(self, found: Callable[[list[tuple[float, str]]], Any], limit_s: float) -> Any:
-        """What `found` makes of the lines, once it is not None."""
+        """Return the result of `found` on the lines, once it is not None."""
         with self._changed:
             if not self._changed.wait_for(lambda: found(self.lines) is not None, limit_s):
                 text = "\n".join(line for _, line in self.lines)
@@ -84,8 +84,8 @@ def _actives(lines: list[tuple[float, str]], name: str) -> list[float]:
     return [when for when, line in lines if line.endswith(f": {name} active")]
 
 
-def measure() -> list[Figure]:
-    """From `cairn up` to the last one active; from SIGKILL to active again; PSS of each."""
+def measure() -> list[Metric]:
+    """Measure from `cairn up` to all active, from SIGKILL to active again, and the PSS of each."""
     names = [f"heavy_{index}" for index in range(COUNT)]
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "bench.yaml"
@@ -109,9 +109,9 @@ def measure() -> list[Figure]:
             up.process.send_signal(signal.SIGINT)
             up.process.wait(60)
     return [
-        Figure(f"`cairn up` of {COUNT} heavy components: all active", start_s, "s", 2.0),
-        Figure("component killed with SIGKILL: active again", back - killed_at, "s", 0.5),
-        Figure(
+        Metric(f"`cairn up` of {COUNT} heavy components: all active", start_s, "s", 2.0),
+        Metric("component killed with SIGKILL: active again", back - killed_at, "s", 0.5),
+        Metric(
             "memory of each (PSS), largest", max(memory), "MiB", 25.0,
             note=f"mean {sum(memory) / len(memory):.1f} MiB",
         ),

@@ -1,4 +1,4 @@
-"""What a pair of a V4L2 stereo camera costs its driver, from the kernel's bytes to the bus."""
+"""Processor time of the V4L2 stereo camera driver for one pair of images."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import simplejpeg
 
-from benchmarks.result import Figure
+from benchmarks.result import Metric
 from benchmarks.running import results, run_deployment
 from cairn.bus.qos import SENSOR
 from cairn.components.v4l2_camera.component import V4l2StereoCamera
@@ -26,23 +26,23 @@ _LIMIT_MS = 5.0
 
 
 class FedCamera(V4l2StereoCamera):
-    """The driver, but for the kernel: buffers are in its memory, and come by a timer."""
+    """The driver without the kernel: buffers are in its memory, and a timer delivers them."""
 
     def on_configure(self) -> None:
-        """Make the buffers."""
+        """Create the buffers."""
         self._layout = ImageLayout(_WIDTH, _HEIGHT, self.config.format)
         self._buffers = [_buffer(self.config.format, seed) for seed in (0, 1)]
         self._infos = [CameraInfo(width=_WIDTH, height=_HEIGHT)] * 2
         self._times: list[tuple[float, float, float]] = []
 
     def on_activate(self) -> None:
-        """There is nothing to begin."""
+        """Do nothing: there is no device."""
 
     def on_cleanup(self) -> None:
-        """There is nothing to let go of."""
+        """Do nothing: there is no device."""
 
     def publish_health(self) -> None:
-        """There is nothing to tell."""
+        """Do nothing: there is no device."""
 
     @every(hz=50)
     def take(self) -> None:
@@ -61,8 +61,8 @@ class FedCamera(V4l2StereoCamera):
             self.finish("measured")
 
 
-class Reader(Component):
-    """Reads all of it, in another process: what nobody reads is not even encoded."""
+class ImageReader(Component):
+    """Subscribes to all topics in another process: unread messages are not even encoded."""
 
     left_image: In[Image] = In(qos=SENSOR.with_depth(2))
     right_image: In[Image] = In(qos=SENSOR.with_depth(2))
@@ -71,24 +71,24 @@ class Reader(Component):
 
     @on("right_image")
     def read(self, _: Image) -> None:
-        """Take it, as the others."""
+        """Receive the image."""
 
 
-def measure() -> list[Figure]:
-    """All figures."""
+def measure() -> list[Metric]:
+    """Return all metrics."""
     return [_figure(name) for name in ("GREY", "YUYV", "MJPG")]
 
 
-def _figure(pixel_format: str) -> Figure:
+def _figure(pixel_format: str) -> Metric:
     camera: Mapping[str, object] = {
         "plugin": f"{_HERE}:FedCamera",
         "parameters": {"device": "/dev/null", "format": pixel_format},
         "restart": "transient",
         "significant": True,
     }
-    output = run_deployment({"reader": {"plugin": f"{_HERE}:Reader"}, "camera": camera}, 60)
+    output = run_deployment({"reader": {"plugin": f"{_HERE}:ImageReader"}, "camera": camera}, 60)
     [measured] = results(output)
-    return Figure(
+    return Metric(
         f"pair of {_WIDTH} x {_HEIGHT}, {pixel_format}: converted and published",
         1e3 * measured["processor"],
         "ms",
@@ -99,7 +99,7 @@ def _figure(pixel_format: str) -> Figure:
 
 
 def _buffer(pixel_format: str, seed: int) -> bytes:
-    """A image with edges and noise, as a camera's buffer."""
+    """Return an image with edges and noise, as a camera's buffer."""
     random = np.random.default_rng(seed)
     coarse = random.integers(0, 256, (_HEIGHT // 16, _WIDTH // 16), np.uint8)
     large = cv2.resize(coarse, (_WIDTH, _HEIGHT), interpolation=cv2.INTER_LINEAR)

@@ -1,4 +1,4 @@
-"""All processes in real time with a stereo camera: what they need, and whether anything queues."""
+"""All processes in real time with a stereo camera: processor time, latency, dropped messages."""
 
 import json
 import subprocess
@@ -10,7 +10,7 @@ import yaml
 
 from benchmarks.lockstep import ROOT
 from benchmarks.navigation import in_real_time
-from benchmarks.result import Figure
+from benchmarks.result import Metric
 from cairn.bus.qos import RELIABLE
 from cairn.clock import SECOND, to_ns
 from cairn.runtime.component import Component
@@ -20,35 +20,35 @@ from cairn.schemas.cairn_msgs import RecognizedObjectArray
 _PIXELS = ROOT / "deploy" / "pixels.yaml"
 _WORLD = ROOT / "deploy" / "worlds" / "room.yaml"
 _PERIOD_MS = 200.0
-# Where only the newest image is kept: one that came while another was looked at is left out.
+# Inputs that keep only the newest image: others that arrive during recognition are skipped.
 _NEWEST_ONLY = ("object_recognizer.left_image", "object_recognizer.right_image")
 
 
-class SightingWatch(Component):
-    """Times from an exposure to what was recognized in it."""
+class ObservationWatch(Component):
+    """Measures the time from an exposure to the observations in it."""
 
     recognized_objects: In[RecognizedObjectArray] = In(qos=RELIABLE.with_depth(200))
 
     def on_activate(self) -> None:
-        """Begin."""
+        """Start without measured times."""
         self._times_ms: list[float] = []
         self._stamps: list[int] = []
         self._seen = 0
 
     @on("recognized_objects")
-    def note(self, frame: RecognizedObjectArray) -> None:
-        """What was recognized has come."""
+    def on_recognized_objects(self, frame: RecognizedObjectArray) -> None:
+        """Record the delay of the observations of one image."""
         self._times_ms.append((self.clock.now() - to_ns(frame.header.stamp)) / (SECOND / 1000))
         self._stamps.append(to_ns(frame.header.stamp))
         self._seen += len(frame.objects)
 
     def on_deactivate(self) -> None:
-        """Tell."""
+        """Log the result."""
         ordered = sorted(self._times_ms)
         last = len(ordered) - 1
         taken = 1 + round((self._stamps[-1] - self._stamps[0]) / (SECOND / 1000) / _PERIOD_MS)
         self.log.info(
-            "SIGHTINGS %s",
+            "OBSERVATIONS %s",
             json.dumps(
                 {
                     "median_ms": ordered[last // 2],
@@ -62,8 +62,8 @@ class SightingWatch(Component):
         )
 
 
-def measure() -> list[Figure]:
-    """The tour of the room in real processes, from pixels."""
+def measure() -> list[Metric]:
+    """Measure the tour of the room in real processes, from pixels."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         visual_map = folder / "room.cairn"
@@ -75,7 +75,7 @@ def measure() -> list[Figure]:
         )
         watch = folder / "watch.yaml"
         watch.write_text(
-            yaml.safe_dump({"components": {"watch": {"plugin": f"{__name__}:SightingWatch"}}})
+            yaml.safe_dump({"components": {"watch": {"plugin": f"{__name__}:ObservationWatch"}}})
         )
         busy, latency = in_real_time(
             folder,
@@ -84,7 +84,7 @@ def measure() -> list[Figure]:
         )
         report = json.loads((folder / "real" / "report.json").read_text())
         log = next((folder / "real" / "logs").glob("watch*")).read_text()
-    seen = json.loads(log.partition("SIGHTINGS ")[2].splitlines()[0])
+    seen = json.loads(log.partition("OBSERVATIONS ")[2].splitlines()[0])
     dropped = {
         port: count
         for port, count in report["dropped"].items()
@@ -92,35 +92,35 @@ def measure() -> list[Figure]:
     }
     left_out = seen["taken"] - seen["images"]
     return [
-        Figure(
+        Metric(
             "all processes at 5 pairs of 640 x 480 and 10 scans a second: of two cores",
             100.0 * busy / 2.0,
             "%",
             at_most=100,
         ),
-        Figure(
+        Metric(
             "last beam of a scan to velocity command: p95",
             latency["p95_ms"],
             "ms",
             at_most=50,
             note=f"median {latency['median_ms']:.1f} ms of {latency['count']}",
         ),
-        Figure(
-            "exposure to sightings: p95",
+        Metric(
+            "exposure to observations: p95",
             seen["p95_ms"],
             "ms",
             at_most=_PERIOD_MS,
             note=f"median {seen['median_ms']:.0f} ms, {seen['images']} images, "
             f"{seen['objects']} objects",
         ),
-        Figure(
-            "images left out as a newer one had come",
+        Metric(
+            "images skipped because a newer one had arrived",
             100.0 * left_out / seen["taken"],
             "%",
             at_most=1,
             note=f"{left_out} of {seen['taken']}, start included",
         ),
-        Figure(
+        Metric(
             "messages dropped elsewhere",
             sum(dropped.values()),
             "",

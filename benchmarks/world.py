@@ -1,4 +1,4 @@
-"""The simulated world: rays a second on one core, and what a simulated second costs in lockstep."""
+"""The simulated world: rays per second on one core, and time of a simulated second in lockstep."""
 
 import math
 import time
@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.result import Figure
+from benchmarks.result import Metric
 from cairn.bus.lockstep_bus import LockstepBus
 from cairn.bus.qos import SENSOR
 from cairn.clock import SECOND
@@ -29,13 +29,13 @@ from cairn.schemas.geometry_msgs import Twist, Vector3
 
 Array = NDArray[np.float64]
 WORLDS = Path(__file__).parent.parent / "deploy" / "worlds"
-REACH = 10.0
+LONGEST_RANGE_M = 10.0
 
 
 def in_python(x: float, y: float, angle: float, segments: list[list[float]]) -> float:
-    """The range [m] of one ray against segments, as one would write it down."""
+    """Return the range [m] of one ray against segments, in plain Python."""
     cosine, sine = math.cos(angle), math.sin(angle)
-    best = REACH
+    best = LONGEST_RANGE_M
     for x1, y1, x2, y2 in segments:
         dx, dy = x2 - x1, y2 - y1
         across = cosine * dy - sine * dx
@@ -45,11 +45,11 @@ def in_python(x: float, y: float, angle: float, segments: list[list[float]]) -> 
         share = ((x1 - x) * sine - (y1 - y) * cosine) / across
         if 0.0 <= share <= 1.0 and 0.0 <= along < best:
             best = along
-    return best if best < REACH else math.inf
+    return best if best < LONGEST_RANGE_M else math.inf
 
 
 def in_numpy(starts: Array, angles: Array, segments: Array) -> Array:
-    """The same for all rays and segments at once."""
+    """Return the ranges of all rays against all segments at once."""
     cosine, sine = np.cos(angles)[:, None], np.sin(angles)[:, None]
     x1, y1 = segments[:, 0] - starts[:, :1], segments[:, 1] - starts[:, 1:]
     dx, dy = segments[:, 2] - segments[:, 0], segments[:, 3] - segments[:, 1]
@@ -57,23 +57,25 @@ def in_numpy(starts: Array, angles: Array, segments: Array) -> Array:
         across = cosine * dy - sine * dx
         along = (x1 * dy - y1 * dx) / across
         share = (x1 * sine - y1 * cosine) / across
-    along[~((share >= 0.0) & (share <= 1.0) & (along >= 0.0) & (along < REACH))] = math.inf
+    along[~((share >= 0.0) & (share <= 1.0) & (along >= 0.0) & (along < LONGEST_RANGE_M))] = (
+        math.inf
+    )
     nearest: Array = along.min(axis=1)
     return nearest
 
 
-def rays() -> list[Figure]:
-    """Sweeps of 1081 rays from places all over the hall."""
+def rays() -> list[Metric]:
+    """Measure sweeps of 1081 rays from random positions in the hall."""
     segments = WorldLayout.of(read_world(WORLDS / "hall.yaml")).solid_segments.segments
-    nobody = np.zeros((0, 3))
+    no_people = np.zeros((0, 3))
     random = np.random.default_rng(0)
     sweeps = 40
     starts = random.uniform((0.5, 1.0), (19.5, 14.5), (sweeps, 2)).repeat(1081, axis=0)
     angles = np.tile(np.linspace(-math.pi, math.pi, 1081), sweeps)
-    ranges, _ = cast(starts, angles, segments, nobody, REACH)
+    ranges, _ = cast(starts, angles, segments, no_people, LONGEST_RANGE_M)
     began = time.process_time()
     for _ in range(20):
-        cast(starts, angles, segments, nobody, REACH)
+        cast(starts, angles, segments, no_people, LONGEST_RANGE_M)
     rate = 20 * angles.size / (time.process_time() - began)
     began = time.process_time()
     vectorized = np.concatenate(
@@ -93,17 +95,17 @@ def rays() -> list[Figure]:
     wrong = np.sum(~np.isclose(ranges, vectorized, atol=1e-9))
     wrong += np.sum(~np.isclose(ranges[:count], plain, atol=1e-9))
     return [
-        Figure("hall: rays a second", rate / 1e6, "million", at_least=2),
-        Figure("hall: times as fast as numpy", rate / numpy_rate, "x", at_least=3,
+        Metric("hall: rays per second", rate / 1e6, "million", at_least=2),
+        Metric("hall: times as fast as numpy", rate / numpy_rate, "x", at_least=3,
                note=f"numpy {numpy_rate / 1e6:.2g} million"),
-        Figure("hall: times as fast as a loop in Python", rate / python_rate, "x", at_least=50,
+        Metric("hall: times as fast as a loop in Python", rate / python_rate, "x", at_least=50,
                note=f"Python {python_rate / 1e3:.2g} thousand"),
-        Figure("hall: rays on which they do not agree", float(wrong), "", at_most=0),
+        Metric("hall: rays with different results", float(wrong), "", at_most=0),
     ]  # fmt: skip
 
 
 def simulated(world: str, seconds: float) -> float:
-    """CPU ms a simulated second of world, base, scanner and recognizer, driven in a curve."""
+    """Return the CPU ms per simulated second of world, base, scanner and recognizer in a curve."""
     executor, bus, ends = LockstepExecutor(SECOND), LockstepBus(), list[ExitReport]()
     parts: dict[str, tuple[type[Component], dict[str, object]]] = {
         "world": (SimulatedWorld, {"world": str(WORLDS / world)}),
@@ -137,15 +139,15 @@ def simulated(world: str, seconds: float) -> float:
     return 1000.0 * (time.process_time() - began) / seconds
 
 
-def measure() -> list[Figure]:
-    """Rays against what stands in the hall; the whole simulation in three worlds."""
+def measure() -> list[Metric]:
+    """Measure rays in the hall, and the whole simulation in three worlds."""
     limits = {"room": 12.0, "office": 12.0, "hall": 16.0}
     return rays() + [
-        Figure(f"{world}: the simulation, CPU for a simulated second",
+        Metric(f"{world}: the simulation, CPU per simulated second",
                min(simulated(f"{world}.yaml", 20.0) for _ in range(3)), "ms", at_most=limit)
         for world, limit in limits.items()
     ]  # fmt: skip
 
 
-def _ignore(complaint: str) -> None:
+def _ignore(problem: str) -> None:
     """Ignore error reports."""

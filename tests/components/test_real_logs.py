@@ -5,43 +5,43 @@ import math
 import numpy as np
 import pytest
 
-from benchmarks.localization_logs import (
+from cairn.planar.grid import OccupancyCells
+from cairn.tools.evaluation.results import SIGMA_LIMITS
+from tests.components.corrected_logs import (
     LOGS,
-    Log,
+    CorrectedLog,
     draw_map,
     drive,
     from_known_start,
-    load,
-    localization,
+    load_log,
     mapped_by_stretches,
+    new_localizer,
 )
-from cairn.planar.grid import OccupancyCells
-from cairn.tools.evaluation.results import SIGMA_LIMITS
 
 pytestmark = pytest.mark.slow
 
 
-Place = tuple[Log, OccupancyCells]
+LogAndMap = tuple[CorrectedLog, OccupancyCells]
 THREE_SIGMA = SIGMA_LIMITS[2]
 
 
-def place(name: str) -> Place:
-    log = load(LOGS[name])
+def log_and_map(name: str) -> LogAndMap:
+    log = load_log(LOGS[name])
     return log, draw_map(log, mapped_by_stretches(log))
 
 
 @pytest.fixture(scope="module")
-def fr079() -> Place:
-    return place("fr079")
+def fr079() -> LogAndMap:
+    return log_and_map("fr079")
 
 
 @pytest.fixture(scope="module")
-def fr101() -> Place:
-    return place("fr101")
+def fr101() -> LogAndMap:
+    return log_and_map("fr101")
 
 
 @pytest.mark.parametrize("seed", range(2))
-def test_wheel_slip_in_a_real_log_does_not_lose_the_robot(fr079: Place, seed: int) -> None:
+def test_wheel_slip_in_a_real_log_does_not_lose_the_robot(fr079: LogAndMap, seed: int) -> None:
     log, grid = fr079
     every = np.ones(len(log.scans), bool)
 
@@ -53,7 +53,7 @@ def test_wheel_slip_in_a_real_log_does_not_lose_the_robot(fr079: Place, seed: in
     assert np.mean(outcome.squares <= THREE_SIGMA) > 0.9
 
 
-def test_scans_three_seconds_apart_keep_the_pose(fr101: Place) -> None:
+def test_scans_three_seconds_apart_keep_the_pose(fr101: LogAndMap) -> None:
     log, grid = fr101
 
     outcome = from_known_start(log, grid, np.ones(len(log.scans), bool), 0, 0.0, 400.0)
@@ -63,13 +63,13 @@ def test_scans_three_seconds_apart_keep_the_pose(fr101: Place) -> None:
 
 
 @pytest.mark.parametrize("begin_s", [110.0, 350.0, 590.0, 790.0])
-def test_robot_is_found_in_an_office_building(fr101: Place, begin_s: float) -> None:
+def test_robot_is_found_in_an_office_building(fr101: LogAndMap, begin_s: float) -> None:
     log, grid = fr101
-    robot = localization(grid, 1)
+    robot = new_localizer(grid, 1)
     robot.advance(begin_s)
 
     every = np.ones(len(log.scans), bool)
-    outcome = drive(robot, log, every, begin_s, begin_s + 90.0, until_found=True)
+    outcome = drive(robot, log, every, begin_s, begin_s + 90.0, until_located=True)
 
     assert not math.isnan(outcome.error[-1])
     assert outcome.error[-1] < 0.5

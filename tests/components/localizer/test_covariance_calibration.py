@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from benchmarks.localization_scan import START, floor, new_robot, wander
 from cairn.components.localizer.covariance_calibration import CovarianceCalibrator
 from cairn.components.localizer.particle_set import PoseEstimate
 from cairn.tools.evaluation.results import SIGMA_LIMITS
+from tests.components.localizer.random_floor import START, floor, new_robot, wander
 
 CELL_M = 0.05
 EXACT_M = 0.027  # what exact beams deviate from a map of such cells
