@@ -36,7 +36,7 @@ def main() -> int:
     for name in names:
         metrics = importlib.import_module(f"benchmarks.{name}").measure()
         table = Table(box=None, pad_edge=False, title=name, title_justify="left")
-        for column in ("figure", "value", "limit", "", "note"):
+        for column in ("metric", "value", "limit", "", "note"):
             table.add_column(column)
         for metric in metrics:
             kept = kept and metric.kept

@@ -197,8 +197,8 @@ def stressed(recording: RobotRecording, random: np.random.Generator) -> RobotRec
     """Return the recording as that of another robot in another hall.
 
     It may be mirrored; it has another base (commands scaled by up to 7 %), camera (range scaled by
-    up to 4 %, bearing off by 0.7 degrees), up to 2 % gross errors (half of them misread barcodes that
-    last a while), fewer frames, and one blind stretch of 60 to 200 s.
+    up to 4 %, bearing off by 0.7 degrees), up to 2 % gross errors (half of them misread barcodes
+    for 2 s), fewer frames, and one blind stretch of 60 to 200 s.
     """
     odometry = recording.odometry * np.array(
         [1.0, random.uniform(0.93, 1.07), random.uniform(0.93, 1.07)]

@@ -76,10 +76,10 @@ class ImageReader(Component):
 
 def measure() -> list[Metric]:
     """Return all metrics."""
-    return [_figure(name) for name in ("GREY", "YUYV", "MJPG")]
+    return [_metric(name) for name in ("GREY", "YUYV", "MJPG")]
 
 
-def _figure(pixel_format: str) -> Metric:
+def _metric(pixel_format: str) -> Metric:
     camera: Mapping[str, object] = {
         "plugin": f"{_HERE}:FedCamera",
         "parameters": {"device": "/dev/null", "format": pixel_format},

@@ -29,13 +29,13 @@ from cairn.schemas.geometry_msgs import Twist, Vector3
 
 Array = NDArray[np.float64]
 WORLDS = Path(__file__).parent.parent / "deploy" / "worlds"
-LONGEST_RANGE_M = 10.0
+RANGE_M = 10.0
 
 
 def in_python(x: float, y: float, angle: float, segments: list[list[float]]) -> float:
     """Return the range [m] of one ray against segments, in plain Python."""
     cosine, sine = math.cos(angle), math.sin(angle)
-    best = LONGEST_RANGE_M
+    best = RANGE_M
     for x1, y1, x2, y2 in segments:
         dx, dy = x2 - x1, y2 - y1
         across = cosine * dy - sine * dx
@@ -45,7 +45,7 @@ def in_python(x: float, y: float, angle: float, segments: list[list[float]]) -> 
         share = ((x1 - x) * sine - (y1 - y) * cosine) / across
         if 0.0 <= share <= 1.0 and 0.0 <= along < best:
             best = along
-    return best if best < LONGEST_RANGE_M else math.inf
+    return best if best < RANGE_M else math.inf
 
 
 def in_numpy(starts: Array, angles: Array, segments: Array) -> Array:
@@ -57,9 +57,7 @@ def in_numpy(starts: Array, angles: Array, segments: Array) -> Array:
         across = cosine * dy - sine * dx
         along = (x1 * dy - y1 * dx) / across
         share = (x1 * sine - y1 * cosine) / across
-    along[~((share >= 0.0) & (share <= 1.0) & (along >= 0.0) & (along < LONGEST_RANGE_M))] = (
-        math.inf
-    )
+    along[~((share >= 0.0) & (share <= 1.0) & (along >= 0.0) & (along < RANGE_M))] = math.inf
     nearest: Array = along.min(axis=1)
     return nearest
 
@@ -72,10 +70,10 @@ def rays() -> list[Metric]:
     sweeps = 40
     starts = random.uniform((0.5, 1.0), (19.5, 14.5), (sweeps, 2)).repeat(1081, axis=0)
     angles = np.tile(np.linspace(-math.pi, math.pi, 1081), sweeps)
-    ranges, _ = cast(starts, angles, segments, no_people, LONGEST_RANGE_M)
+    ranges, _ = cast(starts, angles, segments, no_people, RANGE_M)
     began = time.process_time()
     for _ in range(20):
-        cast(starts, angles, segments, no_people, LONGEST_RANGE_M)
+        cast(starts, angles, segments, no_people, RANGE_M)
     rate = 20 * angles.size / (time.process_time() - began)
     began = time.process_time()
     vectorized = np.concatenate(

@@ -5,16 +5,16 @@ from pathlib import Path
 
 import pytest
 
-from tests.navigation.driving import Drive
+from tests.navigation.driving import LockstepRobot
 
 
 @pytest.fixture
-def drive(tmp_path: Path) -> Iterator[Callable[..., Drive]]:
+def drive(tmp_path: Path) -> Iterator[Callable[..., LockstepRobot]]:
     """Makes a deployment with these `--set`s; it is stopped after the test."""
-    drives: list[Drive] = []
+    drives: list[LockstepRobot] = []
 
-    def make(*sets: str, seed: int = 1) -> Drive:
-        drives.append(Drive(tmp_path, *sets, seed=seed))
+    def make(*sets: str, seed: int = 1) -> LockstepRobot:
+        drives.append(LockstepRobot(tmp_path, *sets, seed=seed))
         return drives[-1]
 
     yield make

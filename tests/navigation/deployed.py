@@ -24,14 +24,14 @@ class Deployed:
         return self.harness.now
 
     def wait(self, seconds: float) -> None:
-        """Let virtual time advance, with what happens until then."""
+        """Let virtual time advance."""
         self.harness.run_for(seconds)
         self._hear_new()
 
-    def await_that(self, so: Callable[[], bool], limit_s: float = 300.0) -> None:
+    def await_that(self, condition: Callable[[], bool], limit_s: float = 300.0) -> None:
         """Let virtual time advance until a condition holds."""
         try:
-            self.harness.run_until(lambda: self._hear_new() or so(), limit_s)
+            self.harness.run_until(lambda: self._hear_new() or condition(), limit_s)
         except AssertionError as error:
             raise AssertionError(f"{error}; {self}") from None
 
@@ -39,7 +39,7 @@ class Deployed:
         """Take new messages of the topics that are read; called before conditions are checked."""
 
     def ask(self, component: str, verb: str, **arguments: Any) -> Any:
-        """Return a component's reply to a request; what follows at once has happened then."""
+        """Return a component's reply to a request; its immediate effects have happened then."""
         answer = self.harness.request(component, verb, **arguments)
         self._hear_new()
         return answer
@@ -49,7 +49,7 @@ class Deployed:
         return self.harness.read(topic, message, on_message=self._note)
 
     def publish(self, topic: str, message: Any, qos: Qos = RELIABLE) -> None:
-        """Publish a message; what follows at once has happened then."""
+        """Publish a message; its immediate effects have happened then."""
         self.harness.publish(topic, message, qos=qos)
         self._hear_new()
 

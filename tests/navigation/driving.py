@@ -1,4 +1,4 @@
-"""The whole navigation on virtual time: orders, a world to change, and what came of it."""
+"""The whole navigation in lockstep: goals, changes of the world, and the ground truth."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ from tests.navigation.deployed import Deployed, taken
 DEPLOY = Path(__file__).parents[2] / "deploy"
 SIM = DEPLOY / "sim.yaml"
 STOPS_S = 0.95
-"""How long the robot takes at most to stand once that is wanted: 0.75 s from full speed; what is
-missing is looked for ten times a second, and a command takes 0.05 s to the wheels."""
+"""Longest time until the robot stands: 0.75 s from full speed; missing inputs are checked ten times
+a second, and a command takes 0.05 s to the wheels."""
 
 
-class Drive(Deployed):
-    """`sim.yaml` in lockstep in the hands of a test."""
+class LockstepRobot(Deployed):
+    """`sim.yaml` in lockstep, driven by a test."""
 
     def __init__(self, folder: Path, *sets: str, seed: int = 1) -> None:
         super().__init__(load_deployment(SIM, sets=[f"settings.report={folder}", *sets]), seed)
@@ -51,7 +51,7 @@ class Drive(Deployed):
         self.publish("goal_pose", PoseStamped(header=Header(frame_id=frame), pose=pose))
 
     def await_end(self, limit_s: float = 300.0) -> NavigationStatus:
-        """Let time pass until an order has its result, another than was awaited before."""
+        """Let time pass until a mission not awaited before has its result, and return it."""
 
         def ended() -> bool:
             last = self.statuses[-1] if self.statuses else NavigationStatus()
@@ -62,29 +62,29 @@ class Drive(Deployed):
         return self.statuses[-1]
 
     def await_state(self, state: int, limit_s: float = 60.0) -> NavigationStatus:
-        """Let time pass until an order is in that state."""
+        """Let time pass until a mission is in a state."""
         self.await_that(lambda: bool(self.statuses) and self.statuses[-1].state == state, limit_s)
         return self.statuses[-1]
 
     def await_goal(self, number: int) -> None:
-        """Let time pass until goal `number` of the order is being driven to."""
+        """Let time pass until the robot drives to goal `number` of the mission."""
         self.await_that(lambda: bool(self.statuses) and self.statuses[-1].goal == number)
 
     def arrives(self, goal: tuple[float, float], limit_s: float = 300.0) -> None:
-        """The order under way must end at its goal, truly, without touching anything."""
+        """Assert that the mission succeeds, truly at its goal, without a collision."""
         end = self.await_end(limit_s)
         assert end.state == NavigationStatus.SUCCEEDED, str(self)
         assert distance(self.truth, (*goal, 0.0)) < 0.25
         assert self.collisions == []
 
     def stands(self) -> bool:
-        """Whether the robot truly does not move for a second."""
+        """Let a second pass; return whether the robot truly did not move."""
         before = self.truth
         self.wait(1.0)
         return distance(before, self.truth) < 0.005
 
     def time_to_stand(self, limit_s: float = 5.0) -> float:
-        """Let time pass; how long from now on the robot truly moved [s]."""
+        """Let time pass; return how long the robot truly moved from now on [s]."""
         begin = moved = self.now
         while self.now < begin + limit_s:
             before = self.truth
@@ -94,13 +94,13 @@ class Drive(Deployed):
         return moved - begin
 
     def grid(self) -> OccupancyCells:
-        """The grid map as it was last told as a whole."""
+        """Return the last complete grid map that was published."""
         maps = taken(self._maps)
-        assert maps, "no new map was told"
+        assert maps, "no new map was published"
         return grid_of(maps[-1])
 
     def states(self) -> list[int]:
-        """The states told, each once in a row."""
+        """Return the published states without repetitions."""
         return [
             status.state
             for number, status in enumerate(self.statuses)
@@ -108,7 +108,7 @@ class Drive(Deployed):
         ]
 
     def hear(self) -> None:
-        """Take what was told."""
+        """Take the new messages."""
         self.statuses += taken(self._statuses)
         self.motions += taken(self._motions)
         self.collisions += taken(self._collisions)
@@ -116,7 +116,7 @@ class Drive(Deployed):
             self.truth = planar_pose(truth.pose)
 
     def __str__(self) -> str:
-        """What was told, for a test that fails."""
+        """Return the published statuses, for the message of a failed assertion."""
         rows: list[str] = []
         for status in self.statuses:
             row = f"{status.mission_id} {status.state} {status.goal} {status.reason}"
@@ -126,7 +126,7 @@ class Drive(Deployed):
 
 
 def share_occupied(grid: OccupancyCells, x: float, y: float, half_m: float = 0.35) -> float:
-    """Share of the cells around a place that hold an obstacle."""
+    """Return the share of occupied cells around a position."""
     row, column = grid.frame.cell(x, y)
     half = round(half_m / grid.frame.resolution)
     window = grid.values[row - half : row + half + 1, column - half : column + half + 1]

@@ -1,4 +1,4 @@
-"""The simulated robot in real processes: orders by `cairn go`, and what truly happens."""
+"""The simulated robot in real processes: goals by `cairn go`, and the ground truth."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ from tests.navigation.driving import SIM
 UNTIL_READY = "vision_supervisor active"
 
 
-class Robot:
-    """A running `cairn up deploy/sim.yaml`, watched from outside."""
+class ObservedRobot:
+    """A running `cairn up deploy/sim.yaml`, observed from outside."""
 
     def __init__(self, run: Run, bus: ZenohBus) -> None:
         self.run = run
@@ -41,38 +41,38 @@ class Robot:
             self._collision = node.subscribe("/robot/collisions", Collision, RELIABLE, self._note)
 
     @property
-    def place(self) -> Pose:
-        """Where the robot truly is."""
+    def pose(self) -> Pose:
+        """The robot's true pose."""
         with self._changed:
             assert self._changed.wait_for(lambda: bool(self._truths), LIMIT_S), self.run
             return self._truths[-1][1]
 
-    def way(self, since: float = 0.0) -> list[Pose]:
-        """Where the robot truly was, since a moment of `time.monotonic`."""
+    def path(self, since: float = 0.0) -> list[Pose]:
+        """Return the robot's true poses since a time of `time.monotonic`."""
         with self._changed:
             return [pose for at, pose in self._truths if at >= since]
 
-    def go(self, *words: str) -> Going:
-        """Give an order, as from a terminal."""
-        return Going([*words, "--connect", self.run.endpoint])
+    def go(self, *words: str) -> RunningGo:
+        """Start `cairn go`, as from a terminal."""
+        return RunningGo([*words, "--connect", self.run.endpoint])
 
     def kill(self, component: str) -> None:
         """Kill a component's process."""
         os.kill(self.run.pid_of(component), signal.SIGKILL)
 
     def await_moved(self, meters: float) -> None:
-        """Wait until the robot has come so far from where it is now."""
-        begin = self.place
+        """Wait until the robot is `meters` away from its present position."""
+        begin = self.pose
         self._await(lambda: distance(begin, self._truths[-1][1]) >= meters, "moves")
 
-    def await_near(self, place: Pose, meters: float, since: float = math.inf) -> None:
-        """Wait until the robot is so near to a place, or was `since` a moment."""
+    def await_near(self, goal: Pose, meters: float, since: float = math.inf) -> None:
+        """Wait until the robot is within `meters` of a goal, or was so `since` a time."""
 
         def near() -> bool:
-            poses = [self._truths[-1][1], *self.way(since)]
-            return any(distance(place, pose) <= meters for pose in poses)
+            poses = [self._truths[-1][1], *self.path(since)]
+            return any(distance(goal, pose) <= meters for pose in poses)
 
-        self._await(near, f"comes within {meters:.2f} m of {place}")
+        self._await(near, f"comes within {meters:.2f} m of {goal}")
 
     def await_stand(self) -> None:
         """Wait until the robot has stood for 0.25 s."""
@@ -88,10 +88,10 @@ class Robot:
 
         self._await(stands, "stands")
 
-    def _await(self, so: Callable[[], bool], what: str) -> None:
+    def _await(self, condition: Callable[[], bool], event: str) -> None:
         with self._changed:
-            assert self._changed.wait_for(so, LIMIT_S), (
-                f"not within {LIMIT_S} s: {what}; {self.run}"
+            assert self._changed.wait_for(condition, LIMIT_S), (
+                f"not within {LIMIT_S} s: {event}; {self.run}"
             )
 
     def _follow(self) -> None:
@@ -106,10 +106,10 @@ class Robot:
                 self.collisions.append(collision)
 
 
-class Going:
+class RunningGo:
     """A running `cairn go`: its lines as they come, and its end."""
 
-    def __init__(self, arguments: list[str], **how: Any) -> None:
+    def __init__(self, arguments: list[str], **options: Any) -> None:
         self.lines: list[str] = []
         self.process = subprocess.Popen(
             [CAIRN, "go", *arguments],
@@ -118,14 +118,14 @@ class Going:
             stdin=subprocess.DEVNULL,
             text=True,
             env={**os.environ, "PYTHONUNBUFFERED": "1"},
-            **how,
+            **options,
         )
         self._changed = threading.Condition()
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
 
     def await_word(self, word: str) -> None:
-        """Wait until it has said that."""
+        """Wait until it has printed a word."""
         with self._changed:
             found = self._changed.wait_for(
                 lambda: any(word in line for line in self.lines), LIMIT_S
@@ -133,7 +133,7 @@ class Going:
         assert found, f"no {word!r} within {LIMIT_S} s; {self}"
 
     def await_end(self) -> int:
-        """Wait for its end; its exit code."""
+        """Wait for its end and return its exit code."""
         try:
             code = self.process.wait(LIMIT_S)
         except subprocess.TimeoutExpired:
@@ -142,7 +142,7 @@ class Going:
         return code
 
     def __str__(self) -> str:
-        return "it said:\n" + "".join(self.lines)
+        return "it printed:\n" + "".join(self.lines)
 
     def _read(self) -> None:
         assert self.process.stdout is not None
@@ -154,19 +154,19 @@ class Going:
 
 
 @contextmanager
-def robot_in(folder: Path, *sets: str) -> Iterator[Robot]:
-    """Start the deployment; at the end nothing of it is left."""
+def robot_in(folder: Path, *sets: str) -> Iterator[ObservedRobot]:
+    """Start the deployment, and stop all of it at the end."""
     with launching(folder) as launch:
         endpoint = f"tcp/127.0.0.1:{free_port()}"
-        kept = "components.mobile_supervisor.parameters.state_file=${report}/mission.json"
-        given = [f"bus.listen={endpoint}", kept, *sets]
-        arguments = [str(SIM), *(word for one in given for word in ("--set", one))]
+        state_file = "components.mobile_supervisor.parameters.state_file=${report}/mission.json"
+        changes = [f"bus.listen={endpoint}", state_file, *sets]
+        arguments = [str(SIM), *(word for one in changes for word in ("--set", one))]
         run = Run(arguments, folder / "report", endpoint, {}, None)
         launch.runs.append(run)
         run.await_line(UNTIL_READY)
         bus = ZenohBus(open_peer([endpoint]))
         try:
-            yield Robot(run, bus)
+            yield ObservedRobot(run, bus)
         finally:
             with contextlib.suppress(Exception):
                 bus.close()

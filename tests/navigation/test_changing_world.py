@@ -1,4 +1,4 @@
-"""What changes while the robot drives: furniture, objects, people, its own prison."""
+"""Furniture, objects and people that change while the robot drives, and walls around it."""
 
 from collections.abc import Callable
 
@@ -8,16 +8,16 @@ from cairn.planar.poses import distance
 from cairn.schemas.cairn_msgs import VisualMap
 from cairn.schemas.cairn_nav_msgs import NavigationStatus
 from tests.navigation.deployed import taken
-from tests.navigation.driving import Drive, share_occupied
+from tests.navigation.driving import LockstepRobot, share_occupied
 
 pytestmark = pytest.mark.slow
 
 
-DriveOf = Callable[..., Drive]
+RobotFactory = Callable[..., LockstepRobot]
 
 
 def test_moved_furniture_is_updated_in_the_grid_map(
-    drive: DriveOf,
+    drive: RobotFactory,
 ) -> None:
     robot = drive()
     robot.go(1.2, 3.4)
@@ -35,7 +35,7 @@ def test_moved_furniture_is_updated_in_the_grid_map(
     assert share_occupied(grid, 2.6, 4.6) > 0.1
 
 
-def test_moved_object_is_updated_in_the_visual_map(drive: DriveOf) -> None:
+def test_moved_object_is_updated_in_the_visual_map(drive: RobotFactory) -> None:
     robot = drive()
     maps = robot.read("visual_map", VisualMap)
     robot.go(3.0, 5.6)
@@ -46,12 +46,12 @@ def test_moved_object_is_updated_in_the_visual_map(drive: DriveOf) -> None:
         robot.go(*goal)
         robot.arrives(goal)
 
-    places = {one.object_id: (one.x, one.y, 0.0) for one in taken(maps)[-1].objects}
-    assert not any(distance(place, (3.8, 7.0, 0.0)) < 0.5 for place in places.values())
-    assert any(distance(place, (6.9, 7.0, 0.0)) < 0.3 for place in places.values()), places
+    positions = {one.object_id: (one.x, one.y, 0.0) for one in taken(maps)[-1].objects}
+    assert not any(distance(one, (3.8, 7.0, 0.0)) < 0.5 for one in positions.values())
+    assert any(distance(one, (6.9, 7.0, 0.0)) < 0.3 for one in positions.values()), positions
 
 
-def test_robot_waits_for_a_person_on_the_goal(drive: DriveOf) -> None:
+def test_robot_waits_for_a_person_on_the_goal(drive: RobotFactory) -> None:
     robot = drive()
     robot.ask("world", "person", name="guard", waypoints=[[4.0, 1.4]])
     robot.go(4.0, 1.4)
@@ -64,7 +64,7 @@ def test_robot_waits_for_a_person_on_the_goal(drive: DriveOf) -> None:
     assert robot.statuses[-1].recoveries > 0
 
 
-def test_robot_goes_near_an_obstacle_and_finds_it_removed(drive: DriveOf) -> None:
+def test_robot_goes_near_an_obstacle_and_finds_it_removed(drive: RobotFactory) -> None:
     robot = drive("settings.scanner=URG-04LX")
     robot.go(1.2, 3.0)
     robot.arrives((1.2, 3.0))
@@ -77,7 +77,7 @@ def test_robot_goes_near_an_obstacle_and_finds_it_removed(drive: DriveOf) -> Non
     assert any(reason.startswith("go near") for reason in reasons), robot
 
 
-def test_person_who_stays_on_the_goal_fails_the_mission(drive: DriveOf) -> None:
+def test_person_who_stays_on_the_goal_fails_the_mission(drive: RobotFactory) -> None:
     robot = drive()
     robot.ask("world", "person", name="guard", waypoints=[[4.0, 1.4]])
     robot.go(4.0, 1.4)
@@ -91,7 +91,7 @@ def test_person_who_stays_on_the_goal_fails_the_mission(drive: DriveOf) -> None:
     assert robot.stands()
 
 
-def walled_in(robot: Drive) -> None:
+def walled_in(robot: LockstepRobot) -> None:
     robot.go(1.2, 1.4)
     robot.arrives((1.2, 1.4))
     x, y, _ = robot.truth
@@ -104,7 +104,7 @@ def walled_in(robot: Drive) -> None:
         robot.ask("world", "furniture", name=name, x=x + dx, y=y + dy, size=size)
 
 
-def test_enclosed_robot_fails_with_the_nearest_position(drive: DriveOf) -> None:
+def test_enclosed_robot_fails_with_the_nearest_position(drive: RobotFactory) -> None:
     robot = drive()
     walled_in(robot)
 
@@ -119,7 +119,7 @@ def test_enclosed_robot_fails_with_the_nearest_position(drive: DriveOf) -> None:
     assert robot.stands()
 
 
-def test_robot_drives_on_when_walls_are_removed(drive: DriveOf) -> None:
+def test_robot_drives_on_when_walls_are_removed(drive: RobotFactory) -> None:
     robot = drive()
     walled_in(robot)
     robot.go(3.0, 3.4)

@@ -1,4 +1,4 @@
-"""Inputs that cease, components that begin anew, maps that are none."""
+"""Silent inputs, restarted components and invalid maps stop the robot or fail its mission."""
 
 import math
 import re
@@ -15,13 +15,13 @@ from cairn.planar.poses import distance
 from cairn.schemas.cairn_nav_msgs import MotionStatus, NavigationStatus
 from cairn.schemas.sensor_msgs import LaserScan
 from tests.navigation.deployed import taken
-from tests.navigation.driving import DEPLOY, STOPS_S, Drive
+from tests.navigation.driving import DEPLOY, STOPS_S, LockstepRobot
 
-DriveOf = Callable[..., Drive]
+RobotFactory = Callable[..., LockstepRobot]
 
 
 def test_silent_scanner_stops_the_robot_until_it_returns(
-    drive: DriveOf,
+    drive: RobotFactory,
 ) -> None:
     robot = drive()
     robot.go(7.0, 5.0)
@@ -38,7 +38,7 @@ def test_silent_scanner_stops_the_robot_until_it_returns(
     robot.arrives((7.0, 5.0))
 
 
-def test_scanner_that_stays_silent_fails_the_mission(drive: DriveOf) -> None:
+def test_scanner_that_stays_silent_fails_the_mission(drive: RobotFactory) -> None:
     robot = drive()
     robot.go(7.0, 5.0)
     robot.await_state(NavigationStatus.DRIVING)
@@ -51,28 +51,28 @@ def test_scanner_that_stays_silent_fails_the_mission(drive: DriveOf) -> None:
     assert robot.stands()
 
 
-def spoilt(scan: LaserScan, how: str) -> LaserScan:
+def invalid(scan: LaserScan, how: str) -> LaserScan:
     ranges = np.full(scan.ranges.size, math.inf if how == "hits nothing" else math.nan, np.float32)
     return replace(scan, ranges=ranges[:0] if how == "no beams" else ranges)
 
 
 @pytest.mark.parametrize("how", ["unknown", "no beams", "hits nothing"])
-def test_invalid_scans_stop_the_robot(drive: DriveOf, how: str) -> None:
+def test_invalid_scans_stop_the_robot(drive: RobotFactory, how: str) -> None:
     scanner = "components.range_scanner.topics.scan=true_scan"
     robot = drive(scanner, "external_topics=[scan]")
-    scans, spoils = robot.read("true_scan", LaserScan), False
+    scans, invalidate = robot.read("true_scan", LaserScan), False
 
     def relay(seconds: float) -> None:
         for _ in range(round(seconds / 0.05)):
             robot.wait(0.05)
             for scan in taken(scans):
-                robot.publish("scan", spoilt(scan, how) if spoils else scan, SENSOR)
+                robot.publish("scan", invalid(scan, how) if invalidate else scan, SENSOR)
 
     relay(1.0)
     robot.go(7.0, 5.0)
     relay(4.0)
     assert robot.states()[-1] == NavigationStatus.DRIVING
-    spoils = True
+    invalidate = True
     relay(0.2)
     x, y, theta = robot.truth
     ahead = (x + 1.4 * math.cos(theta), y + 1.4 * math.sin(theta))
@@ -85,7 +85,7 @@ def test_invalid_scans_stop_the_robot(drive: DriveOf, how: str) -> None:
         r"no valid scan( on /robot/scan)? for",
         robot.statuses[-1].reason,
     )
-    spoils = False
+    invalidate = False
     before = robot.truth
     relay(20.0)
     assert distance(before, robot.truth) > 0.5
@@ -97,7 +97,7 @@ def test_invalid_scans_stop_the_robot(drive: DriveOf, how: str) -> None:
     [("motion_control", 0.3), ("range_scanner", 0.5), ("localizer", 1.0), ("automove", 1.5)],
 )
 def test_silent_component_stops_the_robot_in_time(
-    drive: DriveOf, component: str, missed_after_s: float
+    drive: RobotFactory, component: str, missed_after_s: float
 ) -> None:
     robot = drive()
     robot.go(6.6, 1.8)
@@ -113,7 +113,7 @@ def test_silent_component_stops_the_robot_in_time(
 @pytest.mark.parametrize(
     "component", ["map_builder", "localizer", "path_planner", "motion_control"]
 )
-def test_restarted_plugin_does_not_end_the_mission(drive: DriveOf, component: str) -> None:
+def test_restarted_plugin_does_not_end_the_mission(drive: RobotFactory, component: str) -> None:
     robot = drive()
     robot.go(6.6, 1.8)
     robot.await_state(NavigationStatus.DRIVING)
@@ -126,7 +126,7 @@ def test_restarted_plugin_does_not_end_the_mission(drive: DriveOf, component: st
 
 
 @pytest.mark.parametrize("component", ["base", "range_scanner", "automove"])
-def test_restarted_child_does_not_end_the_mission(drive: DriveOf, component: str) -> None:
+def test_restarted_child_does_not_end_the_mission(drive: RobotFactory, component: str) -> None:
     robot = drive()
     robot.ask("mobile_supervisor", "go", goals=[[3.0, 1.2, 0.0], [6.6, 1.8, 0.0]])
     robot.await_goal(1)
@@ -139,25 +139,25 @@ def test_restarted_child_does_not_end_the_mission(drive: DriveOf, component: str
     assert all(s.goal > 0 for s in robot.statuses if s.elapsed > 30.0)
 
 
-KEPT = "components.mobile_supervisor.parameters.state_file=${report}/mission.json"
+STATE_FILE = "components.mobile_supervisor.parameters.state_file=${report}/mission.json"
 
 
-def test_restarted_supervisor_continues_its_mission(drive: DriveOf) -> None:
-    robot = drive(KEPT)
-    order = robot.ask("mobile_supervisor", "go", goals=[[3.0, 1.2, 0.0], [6.6, 1.8, 0.0]])
+def test_restarted_supervisor_continues_its_mission(drive: RobotFactory) -> None:
+    robot = drive(STATE_FILE)
+    mission = robot.ask("mobile_supervisor", "go", goals=[[3.0, 1.2, 0.0], [6.6, 1.8, 0.0]])
     robot.await_goal(1)
 
     robot.ask("root", "restart", name="mobile_supervisor")
 
     robot.arrives((6.6, 1.8))
-    assert {status.mission_id for status in robot.statuses} == {order["mission_id"]}
+    assert {status.mission_id for status in robot.statuses} == {mission["mission_id"]}
     assert robot.ask("mobile_supervisor", "mission")["resumed"] == 1
 
 
 def test_restarted_supervisor_without_a_mission_leaves_the_robot_standing(
-    drive: DriveOf, tmp_path: Path
+    drive: RobotFactory, tmp_path: Path
 ) -> None:
-    robot = drive(KEPT)
+    robot = drive(STATE_FILE)
     robot.go(6.6, 1.8)
     robot.await_state(NavigationStatus.DRIVING)
     robot.wait(3.0)
@@ -204,7 +204,7 @@ def no_picture(folder: Path) -> Path:
     ],
 )
 def test_invalid_map_fails_the_deployment_at_once(
-    drive: DriveOf, tmp_path: Path, make: Callable[[Path], Path], cause: str
+    drive: RobotFactory, tmp_path: Path, make: Callable[[Path], Path], cause: str
 ) -> None:
     robot = drive(f"settings.map={make(tmp_path)}", *AT_START)
 
@@ -217,7 +217,7 @@ def test_invalid_map_fails_the_deployment_at_once(
     assert robot.now == 0.0
 
 
-def test_invalid_map_fails_the_mission_at_once(drive: DriveOf, tmp_path: Path) -> None:
+def test_invalid_map_fails_the_mission_at_once(drive: RobotFactory, tmp_path: Path) -> None:
     robot = drive(f"settings.map={no_map(tmp_path)}")
     robot.go(3.0, 1.2)
 

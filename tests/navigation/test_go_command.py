@@ -1,4 +1,4 @@
-"""`cairn go` as an operator sees it: what it says, how it ends, and what Ctrl-C does."""
+"""`cairn go` as an operator sees it: output, exit codes, and Ctrl-C."""
 
 import os
 import pty
@@ -12,32 +12,32 @@ import pytest
 
 from cairn.testing.launching import CAIRN, LIMIT_S
 from tests.commands import cairn
-from tests.navigation.processes import Robot, robot_in
+from tests.navigation.processes import ObservedRobot, robot_in
 
 pytestmark = [pytest.mark.xdist_group("robots in real time"), pytest.mark.processes]
 
 
 @pytest.fixture(scope="module")
-def robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Robot]:
+def robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ObservedRobot]:
     with robot_in(tmp_path_factory.mktemp("robot")) as robot:
         yield robot
 
 
-def far_place(robot: Robot) -> tuple[str, str]:
-    """A place on the other side of the room, wherever the tests before have left the robot."""
-    return ("6.6", "1.8") if robot.place[0] < 4.0 else ("1.4", "1.2")
+def far_goal(robot: ObservedRobot) -> tuple[str, str]:
+    """Return a goal on the other side of the room from the robot."""
+    return ("6.6", "1.8") if robot.pose[0] < 4.0 else ("1.4", "1.2")
 
 
 class TestFromStartToEnd:
-    """With a robot of its own, which has had no order before; in this order."""
+    """With a robot of its own that has had no goal before; in this sequence."""
 
     @pytest.fixture(scope="class")
     @classmethod
-    def robot(cls, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Robot]:
+    def robot(cls, tmp_path_factory: pytest.TempPathFactory) -> Iterator[ObservedRobot]:
         with robot_in(tmp_path_factory.mktemp("fresh")) as robot:
             yield robot
 
-    def test_locate_is_rejected_without_a_localizer(self, robot: Robot) -> None:
+    def test_locate_is_rejected_without_a_localizer(self, robot: ObservedRobot) -> None:
         answer = cairn("locate", "1", "1", connect=robot.run.endpoint)
 
         assert answer.code == 1
@@ -45,25 +45,25 @@ class TestFromStartToEnd:
             "cairn: nothing subscribes to initialpose: the localizer is loaded with the first goal"
         )
 
-    def test_go_prints_each_step_and_exits_with_0(self, robot: Robot) -> None:
+    def test_go_prints_each_step_and_exits_with_0(self, robot: ObservedRobot) -> None:
         going = robot.go("2.0", "1.2", "10deg")
 
         assert going.await_end() == 0
 
-        said = [re.sub(r"\d+(\.\d+)?", "N", line).strip() for line in going.lines]
-        assert said[0] == "mission N: go to (N, N, N deg); Ctrl-C cancels"
-        assert said[1:5] == [
+        printed = [re.sub(r"\d+(\.\d+)?", "N", line).strip() for line in going.lines]
+        assert printed[0] == "mission N: go to (N, N, N deg); Ctrl-C cancels"
+        assert printed[1:5] == [
             "N s  loading: map_builder",
             "N s  loading: localizer",
             "N s  loading: path_planner",
             "N s  loading: motion_control",
         ]
-        assert "N s  planning" in said
-        assert "N s  driving: N m left, about N s" in said
+        assert "N s  planning" in printed
+        assert "N s  driving: N m left, about N s" in printed
         assert re.search(r"s  arrived at \(2.00, 1.20\)$", going.lines[-1].strip())
 
-    def test_end_of_the_deployment_is_reported(self, robot: Robot) -> None:
-        going = robot.go(*far_place(robot))
+    def test_end_of_the_deployment_is_reported(self, robot: ObservedRobot) -> None:
+        going = robot.go(*far_goal(robot))
         going.await_word("mission ")
 
         robot.run.stop()
@@ -75,9 +75,9 @@ class TestFromStartToEnd:
         ), going
 
 
-def test_locate_sets_the_pose(robot: Robot) -> None:
+def test_locate_sets_the_pose(robot: ObservedRobot) -> None:
     assert robot.go("2.0", "1.2").await_end() == 0
-    x, y, theta = robot.place
+    x, y, theta = robot.pose
     lines = len(robot.run.lines)
 
     answer = cairn("locate", str(x), str(y), str(theta), connect=robot.run.endpoint)
@@ -87,7 +87,7 @@ def test_locate_sets_the_pose(robot: Robot) -> None:
     robot.run.await_line(re.escape(f"told to be at ({x:.2f} m, {y:.2f} m, "), after=lines)
 
 
-def test_goal_outside_the_map_exits_with_1_and_the_reason(robot: Robot) -> None:
+def test_goal_outside_the_map_exits_with_1_and_the_reason(robot: ObservedRobot) -> None:
     going = robot.go("-3.5", "-2")
 
     assert going.await_end() == 1
@@ -99,7 +99,7 @@ def test_goal_outside_the_map_exits_with_1_and_the_reason(robot: Robot) -> None:
     ), going
 
 
-def test_json_output_is_the_result_alone(robot: Robot) -> None:
+def test_json_output_is_the_result_alone(robot: ObservedRobot) -> None:
     answer = cairn("go", "2.4", "1.2", "--json", connect=robot.run.endpoint)
 
     assert (answer.code, answer.err) == (0, "")
@@ -108,8 +108,8 @@ def test_json_output_is_the_result_alone(robot: Robot) -> None:
     assert answer.json["elapsed_s"] > 0
 
 
-def test_ctrl_c_cancels_its_own_mission(robot: Robot) -> None:
-    going = robot.go(*far_place(robot))
+def test_ctrl_c_cancels_its_own_mission(robot: ObservedRobot) -> None:
+    going = robot.go(*far_goal(robot))
     going.await_word("driving")
     robot.await_moved(0.3)
 
@@ -125,8 +125,8 @@ def test_ctrl_c_cancels_its_own_mission(robot: Robot) -> None:
     )
 
 
-def test_sigterm_cancels_its_own_mission(robot: Robot) -> None:
-    going = robot.go(*far_place(robot))
+def test_sigterm_cancels_its_own_mission(robot: ObservedRobot) -> None:
+    going = robot.go(*far_goal(robot))
     going.await_word("driving")
     robot.await_moved(0.3)
 
@@ -137,14 +137,14 @@ def test_sigterm_cancels_its_own_mission(robot: Robot) -> None:
     assert going.lines[-1] == "canceled: the robot stops\n"
 
 
-def test_closed_terminal_cancels_its_mission(robot: Robot) -> None:
-    x, y = far_place(robot)
+def test_closed_terminal_cancels_its_mission(robot: ObservedRobot) -> None:
+    x, y = far_goal(robot)
     child, terminal = pty.fork()
     if child == 0:
         os.execv(CAIRN, [CAIRN, "go", x, y, "--connect", robot.run.endpoint])
-    said = b""
-    while b"driving" not in said:
-        said += os.read(terminal, 4096)
+    printed = b""
+    while b"driving" not in printed:
+        printed += os.read(terminal, 4096)
     robot.await_moved(0.3)
 
     os.close(terminal)
@@ -153,10 +153,10 @@ def test_closed_terminal_cancels_its_mission(robot: Robot) -> None:
     assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 128 + signal.SIGHUP
 
 
-def test_closed_output_cancels_the_mission(robot: Robot) -> None:
+def test_closed_output_cancels_the_mission(robot: ObservedRobot) -> None:
     lines = len(robot.run.lines)
     going = subprocess.Popen(
-        [CAIRN, "go", *far_place(robot), "--connect", robot.run.endpoint],
+        [CAIRN, "go", *far_goal(robot), "--connect", robot.run.endpoint],
         stdout=subprocess.PIPE,
         text=True,
     )
@@ -174,7 +174,7 @@ def test_closed_output_cancels_the_mission(robot: Robot) -> None:
 )
 @pytest.mark.parametrize("how", ["--wait", "--no-wait"])
 def test_json_output_has_the_reason_of_a_rejected_goal(
-    robot: Robot, goal: str, why: str, how: str
+    robot: ObservedRobot, goal: str, why: str, how: str
 ) -> None:
     answer = cairn("go", goal, "1", "--json", how, connect=robot.run.endpoint)
 
@@ -184,7 +184,7 @@ def test_json_output_has_the_reason_of_a_rejected_goal(
     assert answer.err == f"cairn: {answer.json['reason']}\n"
 
 
-def test_mission_of_a_hanging_supervisor_is_canceled(robot: Robot) -> None:
+def test_mission_of_a_hanging_supervisor_is_canceled(robot: ObservedRobot) -> None:
     going = robot.go("6.6,1.8", "1.4,1.2", "6.6,1.8", "1.4,1.2")  # the whole wait is not enough
     going.await_word("driving")
     os.kill(robot.run.pid_of("mobile_supervisor"), signal.SIGSTOP)
@@ -202,21 +202,23 @@ def test_mission_of_a_hanging_supervisor_is_canceled(robot: Robot) -> None:
     assert "canceled after" in going.lines[-1]
 
 
-def test_preempted_client_is_informed_and_cancels_nothing(robot: Robot) -> None:
-    first = robot.go(*far_place(robot))
+def test_preempted_client_is_informed_and_cancels_nothing(robot: ObservedRobot) -> None:
+    first = robot.go(*far_goal(robot))
     first.await_word("driving")
     answer = cairn("go", "4.0", "5.0", "--no-wait", "--json", connect=robot.run.endpoint)
-    order = answer.json["mission_id"]
+    mission = answer.json["mission_id"]
 
     assert first.await_end() == 1
 
-    assert re.fullmatch(rf"cairn: mission \d+ was preempted by mission {order}\n", first.lines[-1])
+    assert re.fullmatch(
+        rf"cairn: mission \d+ was preempted by mission {mission}\n", first.lines[-1]
+    )
     canceled = cairn("go", "--cancel", connect=robot.run.endpoint)
-    assert (canceled.code, canceled.out) == (0, f"mission {order} is canceled\n")
+    assert (canceled.code, canceled.out) == (0, f"mission {mission} is canceled\n")
 
 
-def test_mission_lost_by_its_supervisor_is_reported(robot: Robot) -> None:
-    going = robot.go(*far_place(robot))
+def test_mission_lost_by_its_supervisor_is_reported(robot: ObservedRobot) -> None:
+    going = robot.go(*far_goal(robot))
     going.await_word("driving")
     (Path(robot.run.report) / "mission.json").unlink()
 

@@ -1,4 +1,4 @@
-"""Orders to move, carried out by the whole system: arrive, pre-empt, cancel, refuse, give up."""
+"""Missions in the whole system: arrive, preempt, cancel, reject, fail."""
 
 import math
 import re
@@ -8,12 +8,12 @@ import pytest
 
 from cairn import CairnError
 from cairn.schemas.cairn_nav_msgs import MotionStatus, NavigationStatus
-from tests.navigation.driving import STOPS_S, Drive
+from tests.navigation.driving import STOPS_S, LockstepRobot
 
-DriveOf = Callable[..., Drive]
+RobotFactory = Callable[..., LockstepRobot]
 
 
-def test_mission_publishes_its_states_and_ends_at_the_goal(drive: DriveOf) -> None:
+def test_mission_publishes_its_states_and_ends_at_the_goal(drive: RobotFactory) -> None:
     robot = drive()
     robot.wait(1.0)
 
@@ -38,7 +38,7 @@ def test_mission_publishes_its_states_and_ends_at_the_goal(drive: DriveOf) -> No
     assert robot.stands()
 
 
-def test_new_goal_preempts_the_old_one(drive: DriveOf) -> None:
+def test_new_goal_preempts_the_old_one(drive: RobotFactory) -> None:
     robot = drive()
     robot.go(7.5, 5.0)
     robot.await_state(NavigationStatus.DRIVING)
@@ -54,23 +54,23 @@ def test_new_goal_preempts_the_old_one(drive: DriveOf) -> None:
     ] == NavigationStatus.DRIVING
 
 
-def test_canceled_mission_leaves_the_robot_standing(drive: DriveOf) -> None:
+def test_canceled_mission_leaves_the_robot_standing(drive: RobotFactory) -> None:
     robot = drive()
-    order = robot.ask("mobile_supervisor", "go", goals=[[7.5, 5.0, 0.0]])["mission_id"]
+    mission = robot.ask("mobile_supervisor", "go", goals=[[7.5, 5.0, 0.0]])["mission_id"]
     robot.await_state(NavigationStatus.DRIVING)
     robot.wait(4.0)
 
-    assert robot.ask("mobile_supervisor", "cancel", mission_id=order) == {"mission_id": order}
+    assert robot.ask("mobile_supervisor", "cancel", mission_id=mission) == {"mission_id": mission}
 
     assert robot.time_to_stand() <= STOPS_S
     assert robot.await_end(1.0).state == NavigationStatus.CANCELED
     assert robot.motions[-1].state == MotionStatus.STANDING
     assert robot.ask("mobile_supervisor", "mission")["result"] == "canceled: on request"
-    with pytest.raises(CairnError, match=f"there is no mission {order} under way"):
-        robot.ask("mobile_supervisor", "cancel", mission_id=order)
+    with pytest.raises(CairnError, match=f"there is no mission {mission} under way"):
+        robot.ask("mobile_supervisor", "cancel", mission_id=mission)
 
 
-def test_several_goals_are_reached_in_order(drive: DriveOf) -> None:
+def test_several_goals_are_reached_in_order(drive: RobotFactory) -> None:
     robot = drive()
     goals = [[3.0, 1.2, 0.0], [6.4, 1.8, 1.5], [6.6, 3.2, 1.5]]
     robot.ask("mobile_supervisor", "go", goals=goals)
@@ -93,7 +93,7 @@ def test_several_goals_are_reached_in_order(drive: DriveOf) -> None:
     ids=["in the table", "west of the map", "far away"],
 )
 def test_blocked_goal_fails_with_the_nearest_position(
-    drive: DriveOf, goal: tuple[float, float], reason: str
+    drive: RobotFactory, goal: tuple[float, float], reason: str
 ) -> None:
     robot = drive()
     robot.go(*goal)
@@ -107,7 +107,7 @@ def test_blocked_goal_fails_with_the_nearest_position(
     robot.arrives((1.5, 1.2))
 
 
-def test_invalid_goal_is_rejected_and_the_mission_continues(drive: DriveOf) -> None:
+def test_invalid_goal_is_rejected_and_the_mission_continues(drive: RobotFactory) -> None:
     robot = drive()
     robot.go(3.0, 1.2)
     robot.await_state(NavigationStatus.DRIVING)

@@ -9,12 +9,11 @@ from collections.abc import Iterator
 import pytest
 
 from cairn.planar.poses import distance
-from tests.navigation.processes import Going, Robot, robot_in
+from tests.navigation.processes import ObservedRobot, RunningGo, robot_in
 
 pytestmark = [pytest.mark.xdist_group("robots in real time"), pytest.mark.processes]
 
-# Once around the room, so that the robot need not turn about on its way, and a bit further:
-# x, y [m], heading [deg].
+# Once around the room and a bit further, without turning back: x, y [m], heading [deg].
 TOUR = [
     (1.2, 1.2, -30),
     (3.0, 1.2, 0),
@@ -30,7 +29,7 @@ TOUR = [
     (3.0, 1.2, 0),
 ]
 AUTOMOVE = "components.mobile_supervisor.children.automove"
-# No two of one supervisor in a row: it gives up when too many of its children die at a time.
+# No two of one supervisor in sequence: it fails when too many of its children die at a time.
 COMPONENTS = [
     "localizer",
     "base",
@@ -44,40 +43,40 @@ COMPONENTS = [
     "vision_supervisor",
     "mobile_supervisor",
 ]
-MOMENTS = random.Random(1)
-# One on each leg to a place of the tour, when a share of the leg, drawn at random, is driven.
+SHARES = random.Random(1)
+# One on each leg of the tour, after a random share of the leg.
 KILLS = [
-    (component, leg, round(MOMENTS.uniform(0.0, 0.7), 2))
+    (component, leg, round(SHARES.uniform(0.0, 0.7), 2))
     for leg, component in enumerate(COMPONENTS, start=1)
 ]
 
 
 class Round:
-    """One order to drive once around the room, while one process after the other is killed."""
+    """A mission once around the room, while one process after the other is killed."""
 
-    def __init__(self, robot: Robot) -> None:
+    def __init__(self, robot: ObservedRobot) -> None:
         self.robot = robot
         self.killed_at = 0.0
-        self._going: Going | None = None
-        self._places: list[tuple[float, float, int]] = []
+        self._going: RunningGo | None = None
+        self._goals: list[tuple[float, float, int]] = []
 
-    def under_way(self, leg: int) -> Going:
-        """The order; it is given anew, from this leg on, unless it is being carried out."""
+    def under_way(self, leg: int) -> RunningGo:
+        """Return the running mission; start it again from this leg if it is not running."""
         if self._going is None or self._going.process.poll() is not None:
-            self._places = TOUR[leg:]
+            self._goals = TOUR[leg:]
             self.killed_at = time.monotonic()
-            self._going = self.robot.go(*(f"{x},{y},{turn}deg" for x, y, turn in self._places))
+            self._going = self.robot.go(*(f"{x},{y},{turn}deg" for x, y, turn in self._goals))
             self._going.await_word("driving")
         return self._going
 
     def passed(self) -> list[bool]:
-        """Whether the robot was at each place of the order."""
-        way = self.robot.way()
-        return [any(distance(place, pose) < 0.3 for pose in way) for place in self._places]
+        """Return whether the robot was at each goal of the mission."""
+        path = self.robot.path()
+        return [any(distance(goal, pose) < 0.3 for pose in path) for goal in self._goals]
 
 
 @pytest.fixture(scope="module")
-def robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Robot]:
+def robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ObservedRobot]:
     with robot_in(
         tmp_path_factory.mktemp("robot"),
         f"{AUTOMOVE}.children.motion_control.hang_timeout_s=2",
@@ -86,13 +85,13 @@ def robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Robot]:
 
 
 @pytest.fixture(scope="module")
-def once_around(robot: Robot) -> Round:
+def once_around(robot: ObservedRobot) -> Round:
     return Round(robot)
 
 
 @pytest.mark.parametrize(("component", "leg", "driven"), KILLS)
 def test_killed_process_does_not_end_the_mission(
-    robot: Robot, once_around: Round, component: str, leg: int, driven: float
+    robot: ObservedRobot, once_around: Round, component: str, leg: int, driven: float
 ) -> None:
     going = once_around.under_way(leg)
     left = distance(TOUR[leg - 1], TOUR[leg]) * (1.0 - driven)
@@ -109,17 +108,17 @@ def test_killed_process_does_not_end_the_mission(
     assert robot.collisions == []
 
 
-def test_mission_ends_at_its_last_goal(robot: Robot, once_around: Round) -> None:
+def test_mission_ends_at_its_last_goal(robot: ObservedRobot, once_around: Round) -> None:
     going = once_around.under_way(len(TOUR) - 1)
 
     assert going.await_end() == 0, f"{going}; {robot.run}"
-    assert distance(TOUR[-1], robot.place) < 0.3
+    assert distance(TOUR[-1], robot.pose) < 0.3
     assert all(once_around.passed())
     assert robot.collisions == []
 
 
-def test_robot_stands_without_commands_and_continues(robot: Robot) -> None:
-    x, y = ("4.8", "1.4") if robot.place[0] < 3.5 else ("1.2", "1.2")
+def test_robot_stands_without_commands_and_continues(robot: ObservedRobot) -> None:
+    x, y = ("4.8", "1.4") if robot.pose[0] < 3.5 else ("1.2", "1.2")
     lines = len(robot.run.lines)
     going = robot.go(x, y)
     going.await_word("driving")

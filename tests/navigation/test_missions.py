@@ -1,4 +1,4 @@
-"""Missions: goals that the deployment gives, at whose end it ends itself."""
+"""Missions of a deployment, which ends when its mission ends."""
 
 import re
 from collections.abc import Callable, Iterator
@@ -8,13 +8,13 @@ import pytest
 
 from cairn.schemas.cairn_nav_msgs import NavigationStatus
 from cairn.testing.launching import Launching, Run, free_port, launching
-from tests.navigation.driving import SIM, Drive
+from tests.navigation.driving import SIM, LockstepRobot
 
 pytestmark = pytest.mark.processes
 
 
-DriveOf = Callable[..., Drive]
-THERE = "settings.mission=[[3.0, 1.2, 0.0], [1.2, 1.2, 3.1]]"
+RobotFactory = Callable[..., LockstepRobot]
+REACHABLE = "settings.mission=[[3.0, 1.2, 0.0], [1.2, 1.2, 3.1]]"
 OUTSIDE = "settings.mission=[[50.0, 1.2, 0.0]]"
 FINISH = "settings.finish=true"
 
@@ -25,8 +25,8 @@ def launch(tmp_path: Path) -> Iterator[Launching]:
         yield launch
 
 
-def test_finished_mission_ends_the_deployment(drive: DriveOf) -> None:
-    robot = drive(THERE, FINISH)
+def test_finished_mission_ends_the_deployment(drive: RobotFactory) -> None:
+    robot = drive(REACHABLE, FINISH)
 
     robot.await_that(lambda: robot.run.end is not None, 60.0)
 
@@ -38,7 +38,7 @@ def test_finished_mission_ends_the_deployment(drive: DriveOf) -> None:
     )
 
 
-def test_failed_mission_ends_the_deployment_without_success(drive: DriveOf) -> None:
+def test_failed_mission_ends_the_deployment_without_success(drive: RobotFactory) -> None:
     robot = drive(OUTSIDE, FINISH)
 
     robot.await_that(lambda: robot.run.end is not None, 60.0)
@@ -50,9 +50,9 @@ def test_failed_mission_ends_the_deployment_without_success(drive: DriveOf) -> N
 
 
 def test_preempted_mission_ends_the_deployment_with_the_new_mission(
-    drive: DriveOf,
+    drive: RobotFactory,
 ) -> None:
-    robot = drive(THERE, FINISH)
+    robot = drive(REACHABLE, FINISH)
     robot.await_state(NavigationStatus.DRIVING)
 
     robot.go(2.0, 1.2)
@@ -69,8 +69,8 @@ def test_preempted_mission_ends_the_deployment_with_the_new_mission(
     )
 
 
-def test_preempted_mission_without_finish_ends_nothing(drive: DriveOf) -> None:
-    robot = drive(THERE)
+def test_preempted_mission_without_finish_ends_nothing(drive: RobotFactory) -> None:
+    robot = drive(REACHABLE)
     robot.await_state(NavigationStatus.DRIVING)
 
     robot.go(2.0, 1.2)

@@ -1,19 +1,19 @@
-"""Somebody who walks there and back, in whose way the robot is: neither waits for ever."""
+"""A person and the robot in each other's path: neither waits forever."""
 
 from collections.abc import Callable
 
 import pytest
 
 from cairn.schemas.cairn_nav_msgs import NavigationStatus
-from tests.navigation.driving import Drive
+from tests.navigation.driving import LockstepRobot
 
 pytestmark = pytest.mark.slow
 
 
-DriveOf = Callable[..., Drive]
+RobotFactory = Callable[..., LockstepRobot]
 
 
-def test_person_near_the_goal_walks_around_the_robot(drive: DriveOf) -> None:
+def test_person_near_the_goal_walks_around_the_robot(drive: RobotFactory) -> None:
     robot = drive()
     corners = [[4.4, 1.6], [7.0, 1.6], [7.1, 3.4], [7.0, 1.6]]
     robot.ask("world", "person", name="ada", waypoints=corners, speed=0.5, pause=4.0)
@@ -23,12 +23,12 @@ def test_person_near_the_goal_walks_around_the_robot(drive: DriveOf) -> None:
         robot.arrives(goal)
 
 
-def test_robot_gives_way_to_a_person_from_a_dead_end(drive: DriveOf) -> None:
+def test_robot_gives_way_to_a_person_from_a_dead_end(drive: RobotFactory) -> None:
     robot = drive()
     for name, y in (("low", 1.45), ("high", 2.55)):
         robot.ask("world", "furniture", name=name, x=7.9, y=y, size=[2.2, 0.2])
-    way = [[8.4, 2.0], [6.0, 2.0], [6.0, 4.5], [6.0, 2.0]]
-    robot.ask("world", "person", name="ada", waypoints=way, speed=0.6, pause=16.0)
+    waypoints = [[8.4, 2.0], [6.0, 2.0], [6.0, 4.5], [6.0, 2.0]]
+    robot.ask("world", "person", name="ada", waypoints=waypoints, speed=0.6, pause=16.0)
 
     robot.go(8.3, 2.0)
     robot.arrives((8.3, 2.0))

@@ -16,7 +16,7 @@ pytestmark = pytest.mark.images
 
 ROOM = DEPLOY / "worlds" / "room.yaml"
 START = "{x: 3.5, y: 2.0, theta: 0.0}"
-WAY = "mission=[[5.5, 2.3, 0.2], [7.2, 2.2, 0.2], [5.9, 2.6, -0.1], [7.2, 2.4, 0.1]]"
+MISSION = "mission=[[5.5, 2.3, 0.2], [7.2, 2.2, 0.2], [5.9, 2.6, -0.1], [7.2, 2.4, 0.1]]"
 MOVED = "[{at: 7, move: object_7, to: {x: 9.0, y: 1.9, theta: 3.1416}}]"
 
 
@@ -28,10 +28,10 @@ def test_object_moved_in_view_is_moved_in_the_map(tmp_path: Path) -> None:
     done = subprocess.run(
         [
             *(CAIRN, "up", str(SIM), "--overlay", str(DEPLOY / "pixels.yaml")),
-            *("--set", WAY, "--set", f"start={START}", "--set", "finish=true"),
+            *("--set", MISSION, "--set", f"start={START}", "--set", "finish=true"),
             *("--set", f"world={world}", "--set", f"components.world.parameters.events={MOVED}"),
             *("--set", "components.stereo_camera.parameters.rate=4"),
-            # In lockstep to compute takes no time; on a robot sightings are this late.
+            # In lockstep computing takes no time; on a robot observations have this delay.
             *("--set", "components.stereo_camera.parameters.delay_s=0.2"),
             *("--lockstep", "--seed", "1", "--report", str(tmp_path / "out")),
         ],

@@ -1,4 +1,4 @@
-"""A run in lockstep comes out the same each time, to the last bit."""
+"""Runs in lockstep with the same seed are identical to the last bit."""
 
 import subprocess
 from pathlib import Path
@@ -13,11 +13,11 @@ pytestmark = pytest.mark.slow
 
 
 TOUR = DEPLOY / "demo_tour.yaml"
-PLACES = "mission=[[6.5, 1.8, 0.8], [3.4, 5.4, 3.1]]"
+MISSION = "mission=[[6.5, 1.8, 0.8], [3.4, 5.4, 3.1]]"
 
 
 def test_two_processes_give_bitwise_equal_runs(tmp_path: Path) -> None:
-    up = [CAIRN, "up", str(SIM), "--overlay", str(TOUR), "--set", PLACES, "--lockstep"]
+    up = [CAIRN, "up", str(SIM), "--overlay", str(TOUR), "--set", MISSION, "--lockstep"]
     for folder in ("one", "other"):
         where = ["--report", str(tmp_path / folder)]
         done = subprocess.run([*up, *where], capture_output=True, text=True, timeout=LIMIT_S)
