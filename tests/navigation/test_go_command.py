@@ -84,7 +84,7 @@ def test_locate_sets_the_pose(robot: ObservedRobot) -> None:
 
     assert (answer.code, answer.err) == (0, "")
     assert answer.out.startswith("published on /robot/initialpose; ")
-    robot.run.await_line(re.escape(f"told to be at ({x:.2f} m, {y:.2f} m, "), after=lines)
+    robot.run.await_line(re.escape(f"pose set by the operator: ({x:.2f} m, {y:.2f} m, "), after=lines)
 
 
 def test_goal_outside_the_map_exits_with_1_and_the_reason(robot: ObservedRobot) -> None:
@@ -165,7 +165,7 @@ def test_closed_output_cancels_the_mission(robot: ObservedRobot) -> None:
         assert "go to (" in going.stdout.readline()
         going.stdout.close()
 
-        robot.run.await_line("canceled: taken back", after=lines)
+        robot.run.await_line("canceled: on request", after=lines)
         assert going.wait(LIMIT_S) == 1
 
 
@@ -225,4 +225,4 @@ def test_mission_lost_by_its_supervisor_is_reported(robot: ObservedRobot) -> Non
     robot.kill("mobile_supervisor")
 
     assert going.await_end() == 1
-    assert "was lost: its supervisor was started anew and does not know it" in going.lines[-1]
+    assert "was lost: its supervisor was restarted and does not know it" in going.lines[-1]
