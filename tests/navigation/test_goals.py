@@ -114,7 +114,7 @@ def test_invalid_goal_is_rejected_and_the_mission_continues(drive: RobotFactory)
 
     for goals, why in [
         ([[math.nan, 1.0, 0.0]], "must be finite"),
-        ([[1.0, 1e9, 0.0]], "not beyond"),
+        ([[1.0, 1e9, 0.0]], "at most"),
         ([[1.0, 2.0]], "give x"),
         ([["1", "2", "3"]], "give x"),
         ([], "at least one goal"),
