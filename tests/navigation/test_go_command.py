@@ -84,7 +84,9 @@ def test_locate_sets_the_pose(robot: ObservedRobot) -> None:
 
     assert (answer.code, answer.err) == (0, "")
     assert answer.out.startswith("published on /robot/initialpose; ")
-    robot.run.await_line(re.escape(f"pose set by the operator: ({x:.2f} m, {y:.2f} m, "), after=lines)
+    robot.run.await_line(
+        re.escape(f"pose set by the operator: ({x:.2f} m, {y:.2f} m, "), after=lines
+    )
 
 
 def test_goal_outside_the_map_exits_with_1_and_the_reason(robot: ObservedRobot) -> None:
@@ -169,9 +171,7 @@ def test_closed_output_cancels_the_mission(robot: ObservedRobot) -> None:
         assert going.wait(LIMIT_S) == 1
 
 
-@pytest.mark.parametrize(
-    ("goal", "why"), [("nan", "must be finite"), ("2e5", "at most 100000")]
-)
+@pytest.mark.parametrize(("goal", "why"), [("nan", "must be finite"), ("2e5", "at most 100000")])
 @pytest.mark.parametrize("how", ["--wait", "--no-wait"])
 def test_json_output_has_the_reason_of_a_rejected_goal(
     robot: ObservedRobot, goal: str, why: str, how: str
