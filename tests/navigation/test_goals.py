@@ -89,11 +89,11 @@ def test_several_goals_are_reached_in_order(drive: RobotFactory) -> None:
         ((4.4, 3.4), r"no path: the goal \(4.40, 3.40\) .*nearest reachable position, \("),
         (
             (-3.0, 2.0),
-            r"no path: the goal \(-3.00, 2.00\) is outside the map; the nearest reachable position",
+            r"no path: the goal \(-3.00, 2.00\) is outside the map; the nearest reachable pos",
         ),
         (
             (200.0, 2.0),
-            r"no path: the goal \(200.00, 2.00\) is outside the map; the nearest reachable position",
+            r"no path: the goal \(200.00, 2.00\) is outside the map; the nearest reachable pos",
         ),
     ],
     ids=["in the table", "west of the map", "far away"],
