@@ -120,7 +120,7 @@ def map_message(header: Header, grid: OccupancyCells, loaded: Time) -> Occupancy
 def distance_field(obstacles: NDArray[np.bool_], resolution: float) -> NDArray[np.float32]:
     """Return the exact distance [m] of each cell's center to that of the nearest obstacle cell.
 
-    Infinite everywhere if there is no obstacle. `obstacles` (rows, columns). Felzenszwalb and
+    Infinite everywhere in a grid without obstacles. `obstacles` (rows, columns). Felzenszwalb and
     Huttenlocher 2012, by OpenCV's precise distance transform.
     """
     if not obstacles.any():

@@ -12,7 +12,7 @@ from cairn.planar.poses import Pose, apart, between, compose, inverse
 # from several threads, or in batches, mix up a period or two of their 20 Hz or more. So after a
 # reset of time the history stands still for no longer than this.
 _DISORDER_NS = 100_000_000
-# Stamps jitter: a step may appear longer than it was by this much [m], [rad].
+# Tolerance for jitter of stamps: a step may appear longer than it was by this much [m], [rad].
 _GRACE_M, _GRACE_RAD = 0.1, 0.15
 # In a gap of odometry the wheels are assumed to turn for no longer than this [s]: their driver has
 # died, or it has stopped them.
@@ -42,7 +42,7 @@ class OdometryChange(Enum):
     OUTDATED = auto()
     """It is slightly older than the newest one, and ignored."""
     JUMPED = auto()
-    """No wheels drive so far in that time: odometry started again elsewhere."""
+    """The wheels cannot have driven this distance in that time: odometry restarted elsewhere."""
     RESET = auto()
     """Time was set back."""
 
@@ -81,7 +81,7 @@ class OdometryHistory:
     def at(self, stamp: int) -> Pose | None:
         """Return the pose at a time, interpolated; None before the oldest.
 
-        After the newest pose it is that one: there is no extrapolation.
+        After the newest time, return the newest pose, without extrapolation.
         """
         index = bisect_right(self._stamps, stamp)
         if index == 0:

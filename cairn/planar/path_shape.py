@@ -1,6 +1,6 @@
 """Shorten and smooth a path over a cost grid: pull it taut, resample it, round its corners.
 
-Points are (n, 2) columns and rows in cells from the grid's corner, as `Frame.cells` gives them.
+Points are (n, 2) columns and rows in cells from the grid's corner, as `Frame.cells` returns them.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _SMOOTHING_ROUNDS = 12
 
 
 def cell_centers(cells: NDArray[np.int64]) -> Points:
-    """Return the cell_centers of cells given by rows and columns (n, 2)."""
+    """Return the centers of cells, which have rows and columns (n, 2)."""
     return cells[:, ::-1].astype(np.float64) + 0.5
 
 
@@ -46,7 +46,7 @@ def path_cost(grid: CellCosts, points: Points, closed: int = CLOSED) -> float:
 def pull_taut(grid: CellCosts, points: Points) -> Points:
     """Return the polyline pulled taut between its ends: no more expensive, over no closed cell.
 
-    It passes obstacles on the same sides. The given polyline must touch no closed cell.
+    It passes obstacles on the same sides. `points` must touch no closed cell.
     """
     result: Points = _taut(grid.reshape(-1), grid.shape[1], _owned(points))
     return result

@@ -32,7 +32,7 @@ def sweep_of(scan: LaserScan, odometry_at: Callable[[int], Pose | None]) -> Swee
 
     Args:
         scan: Its stamp is the time of the first beam.
-        odometry_at: Gives the base's pose in the odometry frame at a time [ns], None if unknown,
+        odometry_at: Returns the base's pose in the odometry frame at a time [ns], None if unknown,
             as `OdometryHistory.at` and `PoseTracker.odometry_at` do.
 
     Returns:
@@ -128,8 +128,8 @@ class PoseTracker:
     def pose_at(self, stamp: int) -> Pose | None:
         """Return the pose in the map at `stamp` [ns]; None if it is not known.
 
-        That is the last pose set, carried on by odometry. It is not known before the first pose,
-        since odometry restarted, or where odometry does not reach back to both times.
+        That is the last pose set, carried forward by odometry. It is not known before the first
+        pose, since odometry restarted, or where odometry does not reach back to both times.
         """
         if self._pose is None:
             return None
@@ -140,7 +140,7 @@ class PoseTracker:
         return compose(pose, relative(start, end))
 
     def sweep(self, scan: LaserScan) -> Sweep | None:
-        """Return where the base was while a scan was taken; None if odometry does not tell."""
+        """Return where the base was during a scan; None if odometry does not reach back to it."""
         return sweep_of(scan, self.odometry_at)
 
     def _is_jump(self, pose: Pose, seconds: float) -> bool:

@@ -92,8 +92,9 @@ class Rays:
 def beams_of(scan: LaserScan, mount: Pose) -> ScanBeams:
     """Return the beams of a scan by a scanner that is mounted at `mount` on the robot.
 
-    As in REP 117: +inf is no return; -inf (too near), NaN, and ranges outside the scanner's own
-    limits measure nothing, except that a range at or above `range_max` is no return as well.
+    As in REP 117, +inf means that nothing was hit within reach; a range at or above `range_max`
+    counts as the same. -inf (too near), NaN, and other ranges outside the scanner's limits count
+    as beams that measured nothing.
     """
     ranges = scan.ranges.astype(np.float64)
     with np.errstate(invalid="ignore"):

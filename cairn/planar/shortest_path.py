@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from cairn.planar.compiled import compiled
 
 CellCosts = NDArray[np.uint8]
-"""CellCosts of a grid's cells (rows + 2 MARGIN, columns + 2 MARGIN), its margin closed."""
+"""Costs of a grid's cells (rows + 2 MARGIN, columns + 2 MARGIN), its margin closed."""
 
 Cell = tuple[int, int]
 """Row and column of a cell of the grid, without the margin."""
@@ -54,9 +54,9 @@ def open_costs(rows: int, columns: int) -> CellCosts:
 class SearchResult:
     """The result of a search: the cells of the path, or the nearest reachable cell.
 
-    `cells` (n, 2) are rows and columns from start to goal, None if there is no path; consecutive
+    `cells` (n, 2) are rows and columns from start to goal, None if no path exists; consecutive
     ones are a step or a knight's move apart. `nearest` is the expanded cell nearest to the goal;
-    if there is no path, all reachable cells were expanded.
+    if no path exists, all reachable cells were expanded.
     """
 
     cells: NDArray[np.int64] | None
@@ -82,7 +82,7 @@ class PathSearch:
 
         A step costs its length times the mean cost of the cells it touches; it touches no closed
         cell. The total is within 2.8 % of that of the cheapest path in arbitrary directions, except
-        for the half cells by which a path over cell cell_centers stays away from corners.
+        for the half cells by which a path over cell centers stays away from corners.
         """
         if grid.shape != self.shape:
             raise ValueError(f"cost grid of shape {grid.shape}; the search is for {self.shape}")
@@ -179,9 +179,9 @@ def _search(
 ) -> tuple[int, np.int64, np.int64]:
     """Fill `reached` with base + cost from the start.
 
-    Returns outcome, cell nearest to the goal, top cost. `cells`, `totals` and `nexts` hold the
-    linked lists of the buckets. Unsigned indices (`uintp`) save the check for negative indices:
-    15 % of the time.
+    Returns the result code (`_EXHAUSTED`, ...), the cell nearest to the goal, and the top cost.
+    `cells`, `totals` and `nexts` hold the linked lists of the buckets. Unsigned indices (`uintp`)
+    save the check for negative indices: 15 % of the time.
     """
     heads = np.full(_BUCKETS, -1, np.int32)
     costs = np.empty(len(_STEPS), np.int64)

@@ -1,7 +1,7 @@
 """The contract of a base: `cmd_vel` in, geometry_msgs/Twist; `odom`, nav_msgs/Odometry, and `tf`.
 
-The tests drive the robot: a short way ahead, a turn to the left on the spot. A real robot needs
-half a meter of space, or wheels off the ground.
+The tests drive the robot: a short distance ahead, a turn to the left on the spot. A real robot
+needs half a meter of space, or wheels off the ground.
 """
 
 from __future__ import annotations
@@ -31,7 +31,9 @@ from cairn.testing.odometry_contract import Drive, OdometryContract, Odoms
 from cairn.testing.robot import Arrival, Bench, Reading, RunningDeployment
 from cairn.testing.timing import undisturbed
 
-_NOT_WATCHED = "the wheels cannot be observed: no fixture `device` with turns and await_stand"
+_WHEELS_NOT_OBSERVED = (
+    "the wheels cannot be observed: no fixture `device` with turns and await_stand"
+)
 
 
 class DriveContract(OdometryContract):
@@ -44,13 +46,13 @@ class DriveContract(OdometryContract):
     """How fast they turn [rad/s]."""
 
     drive_s: ClassVar[float] = 1.2
-    """How long a command is given; the second half of it is judged [s]."""
+    """How long a command is repeated; the second half of this time is judged [s]."""
 
     still: ClassVar[float] = 0.02
-    """A slower base counts as standing [m/s, rad/s]."""
+    """Speeds up to this one count as standing [m/s, rad/s]."""
 
     stop_limit_s: ClassVar[float] = 1.5
-    """Until the wheels stand after the last command [s], braking included."""
+    """Time limit until the wheels stand after the last command [s], braking included."""
 
     top_speed: ClassVar[float | None] = None
     """The highest speed that the driver allows [m/s], whatever is commanded; None: not tested."""
@@ -114,24 +116,26 @@ class DriveContract(OdometryContract):
         return Twist(angular=Vector3(z=cls.turn))
 
     def test_it_stands_still_without_commands(self, drive: Drive) -> None:
-        """Whatever was commanded before it was activated."""
-        way = odometry.traveled([arrival.message for arrival in drive.before])
-        assert abs(way.ahead_m) <= self.still, f"it moves {way.ahead_m:.3f} m without a command"
-        assert abs(way.left_rad) <= self.still, f"it turns {way.left_rad:.3f} rad without a command"
+        """Commands from before its activation have no effect."""
+        total = odometry.traveled([arrival.message for arrival in drive.before])
+        assert abs(total.ahead_m) <= self.still, f"it moves {total.ahead_m:.3f} m without a command"
+        assert abs(total.left_rad) <= self.still, (
+            f"it turns {total.left_rad:.3f} rad without a command"
+        )
 
     def test_ahead_is_ahead(self, drive: Drive) -> None:
-        """In meters a second, and forward (REP 103: x)."""
+        """Speeds are in meters per second; forward (x in REP 103) is positive."""
         speed = _mean([odom.twist.twist.linear.x for odom in _second_half(drive.ahead)])
-        way = odometry.traveled([arrival.message for arrival in drive.ahead])
+        total = odometry.traveled([arrival.message for arrival in drive.ahead])
         self._check_speed(speed, self.speed, "m/s ahead")
-        assert way.ahead_m > 0.0, f"commanded ahead, it went {way.ahead_m:.3f} m by its poses"
+        assert total.ahead_m > 0.0, f"commanded ahead, it went {total.ahead_m:.3f} m by its poses"
 
     def test_left_is_left(self, drive: Drive) -> None:
-        """In radians a second; counterclockwise from above is positive (REP 103)."""
+        """Speeds are in radians per second; counterclockwise from above is positive (REP 103)."""
         turn = _mean([odom.twist.twist.angular.z for odom in _second_half(drive.left)])
-        way = odometry.traveled([arrival.message for arrival in drive.left])
+        total = odometry.traveled([arrival.message for arrival in drive.left])
         self._check_speed(turn, self.turn, "rad/s to the left")
-        assert way.left_rad > 0.0, f"commanded to the left, it turned {way.left_rad:.3f} rad"
+        assert total.left_rad > 0.0, f"commanded to the left, it turned {total.left_rad:.3f} rad"
 
     def _check_speed(self, speed: float, commanded: float, what: str) -> None:
         assert abs(speed - commanded) <= self.accuracy * commanded, (
@@ -140,7 +144,7 @@ class DriveContract(OdometryContract):
 
 
 class SafetyContract(DriveContract):
-    """The wheels stop, whatever happens to the commander or to the driver."""
+    """The wheels stop if the commander or the driver fails in any way."""
 
     def test_it_stops_when_commands_stop(self, drive: Drive) -> None:
         """The commander may have terminated, hang or be unplugged."""
@@ -159,14 +163,14 @@ class SafetyContract(DriveContract):
     ) -> None:
         """Odometry is that of the wheels, not of the commands."""
         if not isinstance(device, Wheeled):
-            pytest.skip(_NOT_WATCHED)
+            pytest.skip(_WHEELS_NOT_OBSERVED)
         self._await_stand(driving, driving.count)
         assert device.await_stand(self.stop_limit_s), "odometry shows no speed, but wheels turn"
 
     def test_deactivated_it_stops(
         self, robot: RunningDeployment, driving: Reading[Odometry], device: object
     ) -> None:
-        """And stands when it is activated again, until the next command."""
+        """It stands also after it is activated again, until the next command."""
         robot.request(self.component, "deactivate")
         stood = not isinstance(device, Wheeled) or device.await_stand(self.stop_limit_s)
         before = driving.count
@@ -179,7 +183,7 @@ class SafetyContract(DriveContract):
     ) -> None:
         """The driver's process is suspended (SIGSTOP): the device itself has to stop."""
         if not isinstance(device, Wheeled):
-            pytest.skip(_NOT_WATCHED)
+            pytest.skip(_WHEELS_NOT_OBSERVED)
         with robot.suspended(self.component):
             stood = device.await_stand(self.stop_limit_s)
         assert stood, f"wheels turn {self.stop_limit_s:g} s after {self.component} hung"
@@ -190,7 +194,7 @@ class SafetyContract(DriveContract):
     ) -> None:
         """The driver's process is gone, or replaced: no command reaches the device."""
         if not isinstance(device, Wheeled):
-            pytest.skip(_NOT_WATCHED)
+            pytest.skip(_WHEELS_NOT_OBSERVED)
         robot.kill(self.component)
         stood = device.await_stand(self.stop_limit_s)
         assert stood, f"wheels turn {self.stop_limit_s:g} s after {self.component} was killed"
@@ -204,7 +208,7 @@ class SafetyContract(DriveContract):
         try:
             self._await_stand(output, 0)
         except AssertionError:
-            pytest.skip("it does not stand without commands, so that a movement shows nothing")
+            pytest.skip("it does not stand without commands, so a movement would prove nothing")
         topic = self.topic(robot, "cmd_vel")
         plain = robot.encoded(Twist(linear=Vector3(x=1.5)))
         nan = plain.replace(struct.pack("<d", 1.5), struct.pack("<d", math.nan))
@@ -247,7 +251,7 @@ class SafetyContract(DriveContract):
 class BaseContract(
     EndContract, StopContract, UnplugContract, LifeCycleContract, SafetyContract, ParametersContract
 ):
-    """All rules for a driver of a base; derive from it and set what is particular to yours."""
+    """All rules for a driver of a base; derive a class and set the attributes of your base."""
 
 
 def _second_half(arrivals: Odoms) -> list[Odometry]:

@@ -145,7 +145,7 @@ class PicturesContract(Contract):
         )
 
     def test_rate(self, pictures: Pictures) -> None:
-        """It is the nominal one: lost frames lower it."""
+        """The rate is the nominal one: lost frames lower it."""
         stamps = timed.stamps_of(pictures.outlines["left"])
         timed.check_rate(stamps, self.rate_hz, self.rate_tolerance)
 
@@ -238,7 +238,7 @@ class StereoCameraContract(
     ParametersContract,
     PicturesContract,
 ):
-    """All rules for a driver of a camera; derive from it and set what is particular to yours."""
+    """All rules for a driver of a camera; derive a class and set the attributes of your camera."""
 
 
 def outline(image: Image) -> Image:
@@ -308,7 +308,7 @@ def is_calibrated(info: CameraInfo) -> bool:
 
 
 def check_together(streams: Mapping[str, Sequence[Image | CameraInfo]]) -> None:
-    """Check that each stamp of one stream is in all others, but at the edges of the sample."""
+    """Check that each stamp of one stream is in all others, except at the edges of the sample."""
     stamps = {name: [to_ns(one.header.stamp) for one in some] for name, some in streams.items()}
     first = max(min(some) for some in stamps.values())
     last = min(max(some) for some in stamps.values())

@@ -1,4 +1,4 @@
-"""What a test can do with the device under a driver: an emulated one, or a real one with a switch.
+"""The actions of a test on the device under a driver: emulated, or real with a switch.
 
 A fixture `device` returns an object with the abilities that the device has. Tests that need others
 are skipped, with the reason.
@@ -33,7 +33,7 @@ class Unpluggable(Protocol):
     """A device that can be unplugged."""
 
     def unplug(self) -> None:
-        """Unplug it, as if somebody pulled its cable."""
+        """Unplug the device, as if its cable were pulled."""
         ...
 
     def plug_in(self) -> None:

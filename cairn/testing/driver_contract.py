@@ -18,7 +18,7 @@ from cairn.schemas.diagnostic_msgs import DiagnosticArray, DiagnosticStatus
 from cairn.testing.device import Unpluggable
 from cairn.testing.robot import Arrival, Bench, Reading, RunningDeployment
 
-_WARM_UP = 2  # cycles after which what is allocated once has been
+_WARM_UP = 2  # cycles, after which everything that is allocated only once has been allocated
 _MORE = 2  # threads, files or children that may come and go by chance
 _OF_THE_BUS = re.compile(r"(acc|app|net|rx|tx)-\d+")
 """Names of Zenoh's threads, which start and end with its work."""
@@ -52,7 +52,7 @@ class Contract:
     """Their nominal rate, in the deployment's time [Hz]."""
 
     return_limit_s: ClassVar[float] = 5.0
-    """Until they are published (again) after activation, or after the device's return [s]."""
+    """Time limit for their publication after activation, or after the device's return [s]."""
 
     live_parameters: ClassVar[Mapping[str, Any]] = {}
     """Parameters that may be changed while the driver runs, each with another valid value."""
@@ -73,7 +73,7 @@ class Contract:
 
     @pytest.fixture
     def output(self, robot: RunningDeployment) -> Iterator[Reading[Any]]:
-        """What the driver publishes from now on."""
+        """A reading of the messages that the driver publishes from now on."""
         with robot.read(self.topic(robot, self.port), self.message) as reading:
             yield reading
 
@@ -125,7 +125,7 @@ class Cycles:
 
 
 class LifeCycleContract(Contract):
-    """Life cycle: an inactive driver publishes nothing, and may be activated again and again."""
+    """Life cycle: an inactive driver publishes nothing, and can be activated repeatedly."""
 
     @pytest.fixture(scope="class")
     @classmethod
@@ -143,10 +143,10 @@ class LifeCycleContract(Contract):
     def test_inactive_it_publishes_nothing(
         self, robot: RunningDeployment, output: Reading[Any]
     ) -> None:
-        """Operators who deactivate a driver rely on its device being at rest."""
+        """An operator deactivates a driver to have its device at rest."""
         self.await_working(output, 0)
         robot.request(self.component, "deactivate")
-        output.stays_silent(0.2)  # for messages under way
+        output.stays_silent(0.2)  # for messages still in transit
         silent = output.stays_silent(max(0.5, 5.0 / self.rate_hz))
         before = output.count
         robot.request(self.component, "activate")
@@ -155,7 +155,7 @@ class LifeCycleContract(Contract):
         self.await_working(output, before)
 
     def test_it_publishes_after_every_cycle(self, cycled: Cycles) -> None:
-        """What `on_cleanup` releases, `on_configure` can take again."""
+        """`on_configure` can acquire again what `on_cleanup` has released."""
         done = len(cycled.usages)
         assert not cycled.failure, f"in cycle {done + 1} of {self.cycles}: {cycled.failure}"
 
@@ -302,7 +302,7 @@ class UnplugContract(Contract):
     """Unplugging: a driver survives a loose cable."""
 
     tell_limit_s: ClassVar[float] = 5.0
-    """Until the driver reports that its device is gone [s]."""
+    """Time limit for the driver's report that its device is gone [s]."""
 
     def test_unplugged_it_stays_alive_and_reports_it(
         self, robot: RunningDeployment, output: Reading[Any], device: object
@@ -371,10 +371,10 @@ class UnplugContract(Contract):
 
 
 class StopContract(Contract):
-    """Stopping: its supervisor relies on it."""
+    """Stopping: the supervisor relies on the driver to stop in time."""
 
     def test_it_stops_cleanly(self, robot: RunningDeployment, output: Reading[Any]) -> None:
-        """Within its deployment's `stop_timeout_s`; otherwise its supervisor has to kill it."""
+        """It stops within the deployment's `stop_timeout_s`; otherwise the supervisor kills it."""
         mark = len(robot.run.lines)
         robot.unload(self.component)
         stopped = rf"{self.component} (did not stop cleanly|stopped): "
@@ -397,7 +397,7 @@ class EndContract(Contract):
         assert code == 0, f"cairn up ended with exit status {code}; {robot.run}"
 
     def test_nothing_is_left_after_a_kill_of_cairn_up(self, bench: Bench) -> None:
-        """A killed `cairn up` cannot stop the driver; it ends all the same."""
+        """A killed `cairn up` cannot stop the driver; the driver ends nevertheless."""
         robot = bench.robot(self.component)
         robot.run.process.kill()
         robot.run.await_nothing_left()
@@ -411,7 +411,7 @@ def _unpluggable(device: object) -> Unpluggable:
 
 @dataclass(frozen=True)
 class Usage:
-    """What a process holds at a moment; `memory` is its own, not shared with others [bytes].
+    """The resources that a process holds at a moment; `memory` without shared memory [bytes].
 
     Threads of the bus are not counted: they are not the component's.
     """
@@ -423,7 +423,7 @@ class Usage:
 
     @classmethod
     def of(cls, pid: int) -> Usage:
-        """Return what a process holds now; raises `psutil.Error` if there is no such process."""
+        """Return what a process holds now; raises `psutil.Error` if the process does not exist."""
         process = psutil.Process(pid)
         return cls(
             threads=sum(not _OF_THE_BUS.fullmatch(name) for name in _threads_of(process)),

@@ -48,7 +48,7 @@ C = TypeVar("C", bound=Component)
 M = TypeVar("M")
 
 EVERYTHING = Qos("reliable", "transient_local", 1_000_000)
-"""Reads what was latched before, and drops nothing."""
+"""Receives latched messages from before, and drops nothing."""
 
 
 def _nothing() -> None:
@@ -75,7 +75,7 @@ class LockstepReading(Generic[M]):
         self._on_message = on_message
         self._subscription: LockstepSubscription | None = None
         self._subscription = node.subscribe(topic, message, qos, self._receive)
-        self._receive()  # what was latched before came while there was no subscription yet
+        self._receive()  # latched messages arrived before the subscription existed
 
     def take(self) -> list[M]:
         """Return the messages received since the last call, oldest first."""
@@ -136,7 +136,7 @@ class Lockstep:
         self.executor.run_to(time)
 
     def run_until(self, condition: Callable[[], bool], limit_s: float = 300.0) -> None:
-        """Let virtual time advance until `condition()` holds, which is asked before every event.
+        """Let virtual time advance until `condition()` holds; evaluate it before every event.
 
         Raises `AssertionError` if it does not hold within `limit_s` [s] of virtual time.
         """
@@ -162,7 +162,7 @@ class Lockstep:
     def publish(
         self, topic: str, *messages: Any, qos: Qos = RELIABLE, handled: bool = True
     ) -> None:
-        """Publish messages, and have them handled unless not `handled`: time stands still.
+        """Publish messages; if `handled`, process them at once, without advancing virtual time.
 
         The test is one writer for each topic, with the quality of service of its first call.
         """
@@ -180,11 +180,11 @@ class Lockstep:
 
 
 class ComponentHarness(Lockstep, Generic[C]):
-    """Runs one component alone, active unless asked otherwise; the test has its ports.
+    """Runs one component alone, active unless `activate` is False; the test has its ports.
 
     `publish` to its inputs uses the port's quality of service. All of its outputs are read from the
     beginning: see `take`. `published` holds the output and the virtual time [ns] of each message,
-    in the order in which they were published. `ends` says how the component ended.
+    in the order in which they were published. `ends` holds how the component ended.
     """
 
     def __init__(
@@ -373,7 +373,7 @@ class DeploymentHarness(Lockstep):
         return self.run.runtime(component).state
 
     def request(self, component: str, verb: str, **arguments: Any) -> Any:
-        """Return a component's answer to a request; what follows at once has happened then.
+        """Return a component's reply to a request, after everything that it causes at once.
 
         Raises `CairnError` if the component does not run or refuses.
         """
@@ -387,12 +387,12 @@ class DeploymentHarness(Lockstep):
         self.request(component, "set_parameters", **changes)
 
     def suspend(self, component: str) -> None:
-        """Have a component do nothing any more, as if its process were stopped (SIGSTOP)."""
+        """Suspend a component, as if its process were stopped (SIGSTOP)."""
         self.start()
         self.run.suspend(component)
 
     def shutdown(self) -> None:
-        """Shut down all components in good order, unless the deployment has ended."""
+        """Shut down all components cleanly, unless the deployment has ended."""
         if self._started:
             self.run.shutdown()
 

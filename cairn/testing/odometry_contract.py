@@ -26,7 +26,7 @@ from cairn.testing.timing import undisturbed
 
 Odoms = Sequence[Arrival[Odometry]]
 _UNIT = 1e-3  # tolerance of a quaternion's length
-_WAY_M = 0.02  # tolerance of distances of any length: encoders have steps
+_DISTANCE_M = 0.02  # tolerance of distances of any length: encoders have steps
 _TURN_RAD = 0.05
 
 
@@ -204,11 +204,18 @@ def check_covariance(odom: Odometry) -> None:
 
 def check_twist_agrees(odoms: Sequence[Odometry], tolerance: float) -> None:
     """Check that the sum of the twists over time is that of the poses, within a share."""
-    way = traveled(odoms)
+    total = traveled(odoms)
     _agree(
-        way.ahead_m, way.ahead_by_twist_m, tolerance, _WAY_M, "m ahead", "m/s (and in base_link)"
+        total.ahead_m,
+        total.ahead_by_twist_m,
+        tolerance,
+        _DISTANCE_M,
+        "m ahead",
+        "m/s (and in base_link)",
     )
-    _agree(way.left_rad, way.left_by_twist_rad, tolerance, _TURN_RAD, "rad to the left", "rad/s")
+    _agree(
+        total.left_rad, total.left_by_twist_rad, tolerance, _TURN_RAD, "rad to the left", "rad/s"
+    )
 
 
 def check_transforms_agree(
@@ -234,7 +241,7 @@ def check_transforms_agree(
 
 
 def is_still(odom: Odometry, speed: float, turn: float) -> bool:
-    """Return whether its twist is no faster than that [m/s, rad/s]."""
+    """Return whether the twist is at most `speed` [m/s] and `turn` [rad/s]."""
     twist = odom.twist.twist
     return abs(twist.linear.x) <= speed and abs(twist.angular.z) <= turn
 

@@ -37,7 +37,7 @@ MESSAGE_LIMIT_S = 60.0
 """How long a message is awaited by default [s]: far longer than it takes."""
 
 MANY = Qos("best_effort", "volatile", 1000)
-"""So deep that no message is dropped while the test is busy."""
+"""A queue deep enough that no message is dropped while the test is busy."""
 
 RETAINED = LATCHED.with_depth(100)
 """For latched topics: includes messages published before."""
@@ -190,7 +190,7 @@ class RunningDeployment:
         what: str,
         limit_s: float = LIMIT_S,
     ) -> ComponentStatus:
-        """Wait until `condition` holds of a component's status; return that.
+        """Wait until `condition` holds of a component's status; return the status.
 
         Raises `AssertionError` that the component is not `what` within `limit_s` [s].
         """
@@ -405,9 +405,10 @@ class Reading(Generic[M]):
         clock: Callable[[int], int],
         keep: Callable[[M], M],
     ) -> None:
-        """Subscribe; a topic that no component publishes is no error.
+        """Subscribe; a topic without a publisher is not an error.
 
-        `clock` returns the deployment's time at a system time; `keep` what to keep of a message.
+        `clock` returns the deployment's time at a system time; `keep` returns the part of
+        a message to keep.
         """
         self.topic = topic
         self.arrivals: list[Arrival[M]] = []
@@ -467,7 +468,7 @@ class Reading(Generic[M]):
             return not self._changed.wait_for(lambda: len(self.arrivals) > before, seconds)
 
     def await_silence(self, seconds: float, limit_s: float = MESSAGE_LIMIT_S) -> None:
-        """Wait until no message has arrived for `seconds`; `AssertionError` if that never is."""
+        """Wait for `seconds` without a message; raise `AssertionError` after `limit_s` [s]."""
         deadline = time.monotonic() + limit_s
         while not self.stays_silent(seconds):
             assert time.monotonic() < deadline, f"{self.topic}: not silent within {limit_s:g} s"

@@ -59,13 +59,13 @@ class ScanContract(Contract):
     """The frame of the scans."""
 
     surroundings: ClassVar[Mapping[float, float]] = {}
-    """What surrounds the scanner: ranges [m] by bearing [rad, left positive]."""
+    """The surroundings of the scanner: ranges [m] by bearing [rad, left positive]."""
 
     surroundings_m: ClassVar[float] = 0.1
     """How accurately these are known and measured [m]."""
 
     sample_count: ClassVar[int] = 20
-    """How many scans are """
+    """How many scans are judged."""
 
     @pytest.fixture(scope="class")
     @classmethod
@@ -76,7 +76,7 @@ class ScanContract(Contract):
             return undisturbed(lambda: cls.sample(reading, cls.sample_count, after=reading.count))
 
     def test_rate(self, scans: Scans) -> None:
-        """It is the nominal one: filters and watchdogs rely on it."""
+        """The rate is the nominal one: filters and watchdogs rely on it."""
         timed.check_rate(timed.stamps_of(scans), self.rate_hz, self.rate_tolerance)
 
     def test_stamps_increase_regularly(self, scans: Scans) -> None:
@@ -107,7 +107,7 @@ class ScanContract(Contract):
         check_limits(scans[0].message)
 
     def test_ranges_are_within_limits(self, scans: Scans) -> None:
-        """Or encode why there is no range (REP 117)."""
+        """A range is within the limits, or encodes why it is missing (REP 117)."""
         for scan in scans:
             check_ranges(scan.message)
 
@@ -136,7 +136,7 @@ class ScanContract(Contract):
 class RangeScannerContract(
     EndContract, StopContract, UnplugContract, LifeCycleContract, ParametersContract, ScanContract
 ):
-    """All rules for a driver of a range scanner; derive from it and set what is particular."""
+    """All rules for a driver of a range scanner; derive a class and set its attributes."""
 
 
 def check_frame(frames: Iterable[str], frame: str) -> None:
@@ -153,12 +153,12 @@ def check_limits(scan: LaserScan) -> None:
         f"{_FARTHEST_M:g} m: are these millimeters?"
     )
     assert 0.0 <= scan.range_min < scan.range_max, (
-        f"range_min = {scan.range_min:g} m, range_max = {scan.range_max:g} m: there is no range"
+        f"range_min = {scan.range_min:g} m, range_max = {scan.range_max:g} m: no range is possible"
     )
 
 
 def check_ranges(scan: LaserScan) -> None:
-    """Check that each range is within the limits, or encodes why there is none (REP 117)."""
+    """Check that each range is within the limits, or encodes why it is missing (REP 117)."""
     finite = scan.ranges[np.isfinite(scan.ranges)].astype(float)
     low = scan.range_min * (1.0 - _ROUNDING)
     high = scan.range_max * (1.0 + _ROUNDING)

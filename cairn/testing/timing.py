@@ -36,7 +36,7 @@ def stamps_of(arrivals: Sequence[Arrival[Any]]) -> list[int]:
 def check_rate(stamps: Sequence[int], rate_hz: float, tolerance: float) -> None:
     """Check that the median period of the stamps is that of the nominal rate, within a share."""
     period_s = median(_spacings_s(stamps))
-    assert period_s > 0, f"the stamps do not advance: {stamps[:3]} ..., so there is no rate"
+    assert period_s > 0, f"the stamps do not advance: {stamps[:3]} ..., so the rate is undefined"
     rate = 1.0 / period_s
     assert abs(rate - rate_hz) <= tolerance * rate_hz, (
         f"the rate is {rate:.2f} Hz by the stamps, but nominally {rate_hz:g} Hz "
@@ -70,7 +70,7 @@ def check_present(
 ) -> None:
     """Check that the median age of a message at arrival is between `soonest_s` and `oldest_s`.
 
-    None may be more than `early_s` in the future.
+    No stamp may be more than `early_s` in the future.
     """
     ages = [
         (arrival.clock_ns - stamp) / _SECOND
@@ -130,10 +130,11 @@ class Pauses:
 
 
 def undisturbed(take: Callable[[], T]) -> T:
-    """Return a sample taken while the computer did not pause: others say nothing about a driver.
+    """Return a sample taken while the computer did not pause.
 
-    A sample is taken again, three times in all, if the computer paused for a tenth of its time; if
-    it pauses each time, the test is skipped, with the reason.
+    Other samples prove nothing about a driver. A sample is taken again, three times in all, if the
+    computer paused for a tenth of its time; if it pauses each time, the test is skipped, with the
+    reason.
     """
     for _ in range(_TRIES):
         with Pauses() as pauses:

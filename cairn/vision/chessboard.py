@@ -77,7 +77,7 @@ def reorder_like(corners: Array, other: Array, board: Board) -> Array:
 
 
 def find_other_board(images: Sequence[Gray], board: Board, *, larger: bool = False) -> Board | None:
-    """Return the largest board of a size near `board`'s in one of the images; None if none is.
+    """Return the largest board of about `board`'s size in one of the images, None without one.
 
     If `larger`, only boards that contain `board` are searched.
     """

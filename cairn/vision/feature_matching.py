@@ -3,7 +3,7 @@
 `DescriptorIndex` is the coarse half of Jegou, Douze and Schmid, "Product quantization for nearest
 neighbor search", 2011: each descriptor lies in the list of its nearest k-means center, and a query
 searches the lists of its few nearest centers, exactly. With three times the root of n lists both
-steps take time that grows with the root of n. A k-d tree (scipy.spatial.KDTree) is no faster than
+steps take time that grows with the root of n. A k-d tree (scipy.spatial.KDTree) is not faster than
 a search of all rows in 128 dimensions.
 
 Votes for poses follow Philbin et al., "Object retrieval with large vocabularies and fast spatial
@@ -26,7 +26,7 @@ PROBES = 12
 """Lists that a query searches: nine in ten nearest neighbors are found this way, and quickly."""
 
 _ITERATIONS = 8
-_SAMPLE = 32  # descriptors per center in training: more hardly improves the centers
+_SAMPLE = 32  # descriptors per center in training: more descriptors hardly improve the centers
 _FARTHEST = np.iinfo(np.int32).max
 
 NEAR = 0.25

@@ -117,7 +117,7 @@ def select_across_scales(features: Features, most: int) -> Features:
 
 
 def no_features() -> Features:
-    """Return the features of a blank image: none."""
+    """Return empty features, as of a blank image."""
     return Features(
         np.zeros((0, 2), np.float32),
         np.zeros(0, np.float32),

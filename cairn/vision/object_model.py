@@ -1,4 +1,4 @@
-"""Object models: what a flat object looks like, by one photograph or more."""
+"""Object models: the appearance of a flat object in one photograph or more."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class ModelView:
 
 @dataclass(frozen=True)
 class ObjectModel:
-    """What is known of an object: its name, its size and its views.
+    """The name, the size and the views of an object.
 
     `size` is the width and height [m] of what the views show, None if it is not known.
     """

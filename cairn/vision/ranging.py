@@ -34,7 +34,7 @@ _CONSISTENT = 16.27
 # Fit of a plane to disparities, by RANSAC: number of triples that are tried, and the largest
 # residual [px of disparity] of values that agree.
 _PLANE_TRIALS, _PLANE_NEAR = 200, 1.0
-# Least squares then keep residuals within so many standard deviations. At least this share and
+# Least squares then keep residuals within this many standard deviations. At least this share and
 # this number of the values must agree.
 _PLANE_DEVIATIONS, _PLANE_SHARE, _PLANE_POINTS = 3.0, 0.6, 6
 # Standard deviation of the disparity of a single patch, at best [px].

@@ -93,7 +93,7 @@ FORMATS: Final[tuple[tuple[str, ...], ...]] = (
 """The statements that each format adds to the one before, the first one to an empty file."""
 
 _FORMAT: Final = len(FORMATS)
-_LITTLE_SPACE: Final = 256 * 1024  # bytes that SQLite's lock file and log need
+_LITTLE_SPACE: Final = 256 * 1024  # bytes: SQLite's lock file and log need as much
 _DAMAGED: Final = "It is damaged or not a map: restore a copy of it, or import it again"
 
 
@@ -229,7 +229,7 @@ def check_row(values: Iterable[Any], stored: Any) -> None:
     The checksum is None in rows that older programs wrote.
     """
     if stored is not None and stored != row_checksum(values):
-        raise ValueError("it is not as it was written: its checksum differs")
+        raise ValueError("its content has changed since it was written: the checksum differs")
 
 
 def _bytes(value: Any) -> bytes:

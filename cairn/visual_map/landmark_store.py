@@ -70,7 +70,7 @@ class StoredEvidence:
 
 @dataclass(frozen=True)
 class StoredChange:
-    """A stored change of the map; `new` is the position [m] after it, None if there is none."""
+    """A stored change of the map; `new` is the position [m] after it, None if removed."""
 
     stamp_ns: int
     kind: str

@@ -113,7 +113,7 @@ NO_HISTORY = PositionHistory()
 
 @dataclass(frozen=True)
 class LandmarkRecord:
-    """What the map holds of one object; `position` is None until it was registered once.
+    """The state of one object in the map; `position` is None until it was registered once.
 
     `judged_from` is the pose from which it was last judged by an observation, `missed_from` the one
     from which it was last not seen where it should have been. `uncorroborated` counts the
@@ -136,7 +136,7 @@ class LandmarkRecord:
 
 @dataclass(frozen=True)
 class ReceivedEvidence:
-    """What one observation, or a missing one, says about a landmark (`ObjectEvidence`).
+    """The evidence of one observation, or of a missing one, about a landmark (`ObjectEvidence`).
 
     `implied` is the position of the object by this observation, `robot` the robot's pose at that
     time, and `healthy` whether that pose was reliable. `corroborated` is False for a disagreement

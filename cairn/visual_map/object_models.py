@@ -50,7 +50,7 @@ class ObjectModels:
     models: tuple[ObjectModel, ...]
 
     def named(self, name: str) -> ObjectModel | None:
-        """Return the model of that name, None if there is none."""
+        """Return the model of that name, None if it does not exist."""
         return next((model for model in self.models if model.name == name), None)
 
 
@@ -80,7 +80,7 @@ def read_revision(path: Path) -> int:
 
 
 def read_model_name(path: Path, object_id: int) -> str | None:
-    """Read the name of an object model, None if there is none; raise `MapFileError`."""
+    """Read the name of an object model, None if it does not exist; raise `MapFileError`."""
     with connect_unchecked(path) as connection:
         row = connection.execute(
             "SELECT name FROM taught_objects WHERE object_id = ?", (object_id,)
@@ -233,7 +233,7 @@ def check_name(name: str) -> None:
 def _unknown(path: Path, name: str, connection: sqlite3.Connection) -> CairnError:
     rows = connection.execute("SELECT name FROM taught_objects ORDER BY name").fetchall()
     known = ", ".join(str(row[0]) for row in rows) or "none"
-    return CairnError(f"{path}: there is no object model {name!r}; there are: {known}.")
+    return CairnError(f"{path}: object model {name!r} does not exist; available: {known}.")
 
 
 def _state(path: Path) -> tuple[int, int] | None:

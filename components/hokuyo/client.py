@@ -1,6 +1,6 @@
 """The client side of SCIP on a line: handshake, commands and their replies, beside a scan stream.
 
-`handshake` finds the speed and version of a sensor and stops whatever it does; `Scip1` and `Scip2`
+`handshake` finds the speed and version of a sensor and stops its activity; `Scip1` and `Scip2`
 are the commands of each version.
 """
 
@@ -40,12 +40,12 @@ _LONGEST_REPLY_BYTES = 500  # of those that are not scans
 _POLL_S = 0.1  # how often `stopping` is checked
 _BITS_PER_BYTE = 10  # start, eight of data, stop
 _TRIES = 3  # how often a command is sent that every sensor knows
-_DAMAGED_TRIES = 3  # damaged replies in a row, and the line is unusable
+_DAMAGED_TRIES = 3  # damaged replies in a row, after which the line counts as unusable
 _HANDSHAKE_TRIES = 4
 _QUIET_S, _QUIET_TIMEOUT_S = 0.14, 0.5
 _SPEED_CHANGE_S = 0.15
 _CLOCK_READINGS = 10
-_SHOWN_BYTES = 40  # of what is not understood
+_SHOWN_BYTES = 40  # of a reply that is not understood
 _LASER_OFF = "10"
 _VERSION_KEYS = ("VEND", "PROD", "FIRM", "PROT", "SERI")
 
@@ -184,7 +184,7 @@ class ScipClient:
 
 
 def handshake(client: ScipClient, bauds: Sequence[int]) -> Handshake:
-    """Stop whatever a sensor does, at the first of these speeds [bit/s] at which it replies.
+    """Stop a sensor's activity, at the first of these speeds [bit/s] at which it replies.
 
     It may be streaming, be in the mode that adjusts clocks, or use SCIP 1.1, from which it is
     switched to 2 if it can. Its laser is off then. Raises `DeviceError` if nothing replies.
@@ -216,8 +216,8 @@ def handshake(client: ScipClient, bauds: Sequence[int]) -> Handshake:
 class Scip1:
     """Commands of SCIP 1.1: an URG-04LX with the firmware of its first years.
 
-    It has no stream, no clock, no check sums and no command that says how it measures: the driver
-    asks for each scan.
+    It has no stream, no clock, no check sums and no command that returns how it measures: the
+    driver asks for each scan.
     """
 
     def __init__(self, client: ScipClient) -> None:
@@ -355,7 +355,7 @@ class Scip2:
         return self._parsed(command, lambda reply: (reply.code(), reply.lines), tries)
 
     def _parsed(self, command: str, read: Callable[[Reply], T], tries: int) -> T:
-        """Return what `read` makes of a command's reply; asks again if that is damaged.
+        """Return a command's reply, parsed by `read`; repeat the command if the reply is damaged.
 
         A reply that does not arrive at all is awaited `tries` times.
         """
@@ -382,7 +382,7 @@ def _stopped(client: ScipClient) -> bool | None:
         if reply is None:
             if client.bytes_received == before:
                 break
-            continue  # something is there: the reply may be damaged, or follow a scan
+            continue  # a device replied: the reply may be damaged, or follow a scan
         match reply.status:
             case b"00P":
                 return True

@@ -48,8 +48,8 @@ class HokuyoScanner(Component):
     def on_configure(self) -> None:
         """Connect and identify the sensor.
 
-        After a restart a missing sensor is no failure, as it may come back: the active driver waits
-        for it.
+        After a restart a missing sensor is not a failure, because it may come back: the active
+        driver waits for it.
         """
         self._feed = DeviceFeed(
             self,
@@ -94,7 +94,7 @@ class HokuyoScanner(Component):
         """Disconnect the sensor."""
         self._measurement.disconnect()
 
-    def on_error(self, error: Exception) -> bool:  # noqa: ARG002 - whatever it was
+    def on_error(self, error: Exception) -> bool:  # noqa: ARG002 - the same for any error
         """Switch the laser off and disconnect the sensor; the supervisor decides what follows."""
         if "_measurement" in vars(self):  # otherwise it was not even configured
             try:

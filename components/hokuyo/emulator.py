@@ -1,11 +1,10 @@
 """An emulated scanner that speaks SCIP 1.1 and 2: URG, UHG, UTM (UTM-30LX), UST.
 
-What its line shows, without line or clock: commands, statuses, refusals and scans. Its models are
+It has the commands, statuses, refusals and scans, without line or clock. Its models are
 in `emulator_models`, its mirror and what it measures in `emulator_sensor`.
 
 Sources: Hokuyo, *Communication Protocol Specification For SCIP2.0* (C-42-03320B); for SCIP 1.1,
-which the first URG-04LX uses after power-on, what the drivers of Player and of Hokuyo send and
-expect.
+which the first URG-04LX uses after power-on, the drivers of Player and of Hokuyo.
 """
 
 from __future__ import annotations
@@ -436,7 +435,7 @@ class CommandHandler:
         return "00"
 
     def _simulate(self, parameters: str) -> str:
-        """DB: simulate a malfunction, to try what the host does."""
+        """DB: simulate a malfunction, to test the host's reaction."""
         if parameters not in _SIMULATED:
             return "01"
         if parameters == "02":

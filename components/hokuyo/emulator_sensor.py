@@ -74,7 +74,7 @@ class EmulatedSensor:
             self.mirror = Mirror(self.model, now, self.model.turn_s)
 
     def laser_on(self, now: float) -> None:
-        """Switch the laser on; wake up, if it was asleep."""
+        """Switch the laser on; leave sleep mode if the sensor is in it."""
         if not self.laser:
             self._first_turn = self.mirror.next(now)
         self.laser, self.asleep = True, False
@@ -89,7 +89,7 @@ class EmulatedSensor:
         self.laser_off()
 
     def set_level(self, level: int, now: float) -> None:
-        """Turn the mirror slower by so many hundredths."""
+        """Reduce the mirror's speed by `level` hundredths."""
         self.level = level
         slower = 1.0 - 0.01 * level
         self.mirror = Mirror(self.model, now, self.model.turn_s / slower)
@@ -234,7 +234,7 @@ class SentScan:
     """A scan as it was sent, before any fault of the line.
 
     `time_ms`: the sensor's clock at step 0 [ms]. `distances` [mm or code] and `intensities` (where
-    they were requested): shape (values, 3), `NO_ECHO` where there is none; without `multi_echo`
+    they were requested): shape (values, 3), `NO_ECHO` for a missing echo; without `multi_echo`
     the first column alone was sent. Two characters encode at most 4095 mm.
     """
 
@@ -272,7 +272,7 @@ class TurnValues:
     """What one turn of the mirror measures: values as they are sent, of all steps from 0 on.
 
     `distances` [mm, or a code of what failed] and `intensities` [no unit]: shape (steps, `ECHOES`),
-    `NO_ECHO` where there is none; the first echo of a step is always there.
+    `NO_ECHO` for a missing echo; the first echo of a step always exists.
     """
 
     distances: Values
@@ -288,7 +288,7 @@ class EmulatedScene(Protocol):
 
 
 class EmulatedRoom:
-    """A room of 6 by 4 m with two pillars, a curtain that lets half the light through, a walker.
+    """A room of 6 by 4 m with two pillars, a curtain that lets half the light through, a person.
 
     No two scans are equal: the walker moves, and every value has noise, which depends on the seed
     and the turn's number alone.

@@ -38,7 +38,7 @@ class HealthMonitor:
         hz = feed.hz()
         nominal = nominal_hz(measurement)
         if now.restarts > before.restarts:
-            return WARN, "the sensor had fallen silent, and was sent the command to start again"
+            return WARN, "the sensor stopped sending, and got the command to start again"
         if now.damaged > before.damaged:
             return (
                 WARN,

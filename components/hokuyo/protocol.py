@@ -143,7 +143,7 @@ class ReplySplitter:
 
 @dataclass(frozen=True)
 class SensorSpec:
-    """How a sensor measures, as it answers command PP.
+    """The measuring properties of a sensor, from its reply to command PP.
 
     Angles are counted in steps, `turn_steps` in a full turn, to the left; step `front` is ahead.
     """
@@ -163,7 +163,7 @@ class SensorSpec:
         return 60.0 / self.rpm
 
 
-# Sensors with SCIP 1.1 alone cannot be asked; there is one: the first URG-04LX.
+# Sensors with SCIP 1.1 alone have no command PP; the only one is the first URG-04LX.
 URG_04LX = SensorSpec("URG-04LX", 20, 5600, 1024, 44, 725, 384, 600)
 
 
@@ -172,8 +172,8 @@ class ScanData:
     """What a sensor has measured in one turn, as it was sent.
 
     `time_ms`: the sensor's clock, of 24 bits, at step 0 [ms]; SCIP 1.1 has none. `distances` [mm;
-    or a code of what failed]: shape (values, echoes), `NO_ECHO` where there is none; one echo
-    unless several were asked for. `intensities` [no unit]: the same shape, if they were asked for.
+    or a code of what failed]: shape (values, echoes), `NO_ECHO` for a missing echo; one echo
+    unless several were requested. `intensities` [no unit]: the same shape, if requested.
     """
 
     time_ms: int | None
@@ -230,7 +230,7 @@ class ScanParser:
 def scan_data(reply: Reply, request: ScanRequest) -> ScanData:
     """Return the scan in a SCIP 2 reply of status 99 to the request.
 
-    Raises `ScipError` if a check sum is wrong, or if it holds anything but what was asked for:
+    Raises `ScipError` if a check sum is wrong, or if it holds anything but the requested data:
     bytes that were lost or added must not shift one beam's range to another.
     """
     stamp, _, body = reply.body.partition(b"\n")
@@ -260,15 +260,15 @@ def scip1_scan_command(request: ScanRequest) -> str:
 
 
 def scip1_scan_data(reply: Reply, request: ScanRequest) -> ScanData:
-    """Return the scan in a SCIP 1.1 reply; raises `ScipError` unless it is what was asked for.
+    """Return the scan in a SCIP 1.1 reply; raises `ScipError` unless it is the requested one.
 
-    SCIP 1.1 has no check sums: damage shows by what is missing or is not a number alone.
+    SCIP 1.1 has no check sums: only missing values and invalid numbers reveal damage.
     """
     if reply.status != b"0":
         raise ScipError(f"its status is {reply.status!r}")
     lines = reply.lines
     if not lines:
-        raise ScipError("there is no data in it")
+        raise ScipError("the reply has no data")
     if any(len(line) != BLOCK for line in lines[:-1]) or len(lines[-1]) > BLOCK:
         raise ScipError("a line of data does not have 64 characters")
     values = decode_numbers(np.frombuffer(b"".join(lines), np.uint8), _SCIP1_WIDTH)
@@ -410,7 +410,7 @@ def _echoes(
     is_further = np.zeros(numbers.size // width, bool)
     is_further[before // width] = True
     if np.count_nonzero(is_further) != marks.size or (is_further.size and is_further[0]):
-        raise ScipError("an echo's mark stands where there is no echo")
+        raise ScipError("an echo's mark has no echo after it")
     step = np.cumsum(~is_further) - 1
     firsts = np.flatnonzero(~is_further)
     echo = np.arange(is_further.size) - firsts[step] if step.size else step

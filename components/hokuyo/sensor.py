@@ -42,7 +42,7 @@ T = TypeVar("T")
 
 _BITS_PER_BYTE = 10  # start, eight of data, stop
 _POLL_S = 0.1
-_TURNS_OF_GRACE = 2  # a scan may be one late
+_TURNS_OF_GRACE = 2  # a scan may arrive one turn late
 _DAMAGED_GRACE = 10  # damage alone is tolerated for this many times the silence
 # How often a sensor that does not reply is tried at its last speed alone: trying all speeds takes
 # long, and a sensor that starts, or a busy computer, needs some time.
@@ -75,7 +75,7 @@ class ConnectedSensor:
     def synchronize(self, *, read_clock: bool) -> None:
         """Find the offset of its clock again; with `read_clock` by reading it, 0.1 s.
 
-        To be called each time it starts measuring: while it rests its clock drifts unnoticed.
+        Call this each time it starts measuring: while it rests, its clock drifts unnoticed.
         """
         self.stamper = ScanStamper(self.spec)
         if read_clock and isinstance(self.protocol, Scip2):
@@ -111,7 +111,7 @@ class ConnectedSensor:
 
 @dataclass(frozen=True)
 class StampedScan:
-    """A scan, what was asked for, and when its first ray was measured [ns, monotonic clock]."""
+    """A scan, its request, and when its first ray was measured [ns, monotonic clock]."""
 
     data: ScanData
     request: ScanRequest
@@ -298,7 +298,7 @@ def connect(
 
 
 def request_of(config: HokuyoConfig, spec: SensorSpec) -> ScanRequest:
-    """Return the request for what the parameters ask for, of a sensor with this spec.
+    """Return the request by the parameters, for a sensor with this spec.
 
     Raises `CairnError` unless at least two rays lie between the angles.
     """

@@ -63,13 +63,13 @@ class ScanStamper:
         Args:
             time_ms: the sensor's clock at step 0 [ms], None without one.
             arrived: when the scan's last byte was received [ns, monotonic clock].
-            request: what was asked for.
+            request: the requested scans.
             line_s: least time that the line takes for a scan [s].
         """
         # When the sensor had it ready, at the latest: without what differs between requests.
         turn_s = self._turn_s * (request.last + 1) / self._turn_steps
         ready_s = arrived / SECOND - line_s - turn_s
-        if time_ms is None or time_ms == self._last_ms:  # there is no clock, or it stands still
+        if time_ms is None or time_ms == self._last_ms:  # no clock, or it stands still
             started_s = ready_s
         else:
             device_s = self._clock.seconds(time_ms)
@@ -79,7 +79,7 @@ class ScanStamper:
         return round((started_s + self._turn_s * request.first / self._turn_steps) * SECOND)
 
     def _computing(self, offset_s: float) -> float:
-        # Later the sensor's clock has drifted from its readings, and they show no more.
+        # Later the sensor's clock has drifted from its readings, which are not valid any more.
         is_comparable = self._scans < _COMPUTING_SCANS and not self._clock.in_doubt
         if is_comparable and self._calibrated_s is not None:
             self._scans += 1

@@ -135,10 +135,10 @@ def show(
         print_json({**shown, "changes": changes} if history else shown)
         return
     line(f"{file.name}: {len(objects)} objects, {version} changes")
-    show_rows(objects, _OBJECT_COLUMNS, as_json=False, nothing="there is no object")
+    show_rows(objects, _OBJECT_COLUMNS, as_json=False, nothing="the map has no objects")
     if history:
         line("")
-        show_rows(changes, _CHANGE_COLUMNS, as_json=False, nothing="there is no change")
+        show_rows(changes, _CHANGE_COLUMNS, as_json=False, nothing="the map has no changes")
 
 
 @app.command()

@@ -14,7 +14,8 @@ class MapBuilderConfig(Config):
     """Parameters of the map builder."""
 
     map_file: ReadPath | None = Field(
-        None, description="The visual map, a file of `cairn map import`; none: no visual map."
+        None,
+        description="The visual map, a file that `cairn map import` writes; null: no visual map.",
     )
     working_copy: Path | None = Field(
         None,
@@ -41,7 +42,10 @@ class MapBuilderConfig(Config):
     update_grid: bool = Field(True, description="Whether scans change the grid map.")
     mount: Mount = Field(Mount(), description="Pose of the scanner on the robot.")
     scans_per_s: float = Field(
-        5.0, gt=0, le=100, description="Most scans that are integrated into the grid map [1/s]."
+        5.0,
+        gt=0,
+        le=100,
+        description="Maximum rate of scans that are integrated into the grid map [1/s].",
     )
     settle_s: float = Field(
         8.0,
@@ -57,7 +61,7 @@ class MapBuilderConfig(Config):
         "lost [s].",
     )
     least_health: float = Field(
-        0.6, ge=0, le=1, description="Least health of the pose for integrating scans [1]."
+        0.6, ge=0, le=1, description="Minimum health of the pose for integrating scans [1]."
     )
     most_spread: float = Field(
         0.15,
@@ -69,5 +73,5 @@ class MapBuilderConfig(Config):
     @model_validator(mode="after")
     def _check_map_given(self) -> MapBuilderConfig:
         if self.map_file is None and self.grid_file is None:
-            raise ValueError("there is no map to keep: give map_file, grid_file, or both")
+            raise ValueError("neither map_file nor grid_file is set; set one of them, or both")
         return self

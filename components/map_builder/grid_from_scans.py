@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 _OCCUPIED_SHARE = 0.3
 # Margin of unknown cells around the map [m].
 _BORDER_M = 1.0
-# A surface is estimated from beams so many indices apart, if their ends are this near [m].
+# A surface is estimated from beams this many indices apart, if their ends are this near [m].
 _NEIGHBOR, _SURFACE_M = 3, 1.0
 # Least sine of the angle between a ray and a surface: smaller ones count as this.
 _GRAZING = 0.1
@@ -34,16 +34,16 @@ def build_grid(
 
     A cell is occupied by the share of rays that ended there, among those that reached it (the
     counting model: Haehnel, Burgard, Thrun 2003). Rays longer than `reach` [m] only pass. A ray
-    says nothing about cells before its end that are within a cell's size of the surface that it
+    is not evidence about cells before its end that are within a cell's size of the surface that it
     hit: where it grazes a wall, errors of a few centimeters lead it through many cells of that
-    wall. Raises `ValueError` if there is no scan.
+    wall. Raises `ValueError` if `scans` is empty.
     """
     segments = [
         _segments(pose, scan, mount, min(reach, scan.range_max), resolution)
         for pose, scan in posed_scans
     ]
     if not segments:
-        raise ValueError("there is no scan with a pose")
+        raise ValueError("it has no scan with a pose")
     starts, ends, hit, free_share = (np.concatenate(part) for part in zip(*segments, strict=True))
     least = np.minimum(starts.min(axis=0), ends.min(axis=0)) - _BORDER_M
     most = np.maximum(starts.max(axis=0), ends.max(axis=0)) + _BORDER_M

@@ -106,7 +106,7 @@ class PendingUpdates:
         self._box = box
 
     def take(self, cells: NDArray[np.int8]) -> GridWindow | None:
-        """Return all changes since the last call, with present values; None if there are none."""
+        """Return all changes since the last call, with present values; None without changes."""
         if self._box is None:
             return None
         top, left, bottom, right = self._box

@@ -86,7 +86,7 @@ def _loaded(name: str, group: str, what: str) -> Any:
         groups = _GRIDS if group in _GRIDS else (group,)
         names = {known for one in groups for known in entry_points(group=one).names}
         known = ", ".join(sorted(names)) or "none is installed"
-        raise CairnError(f"there is no importer {name!r} of {what}; there are: {known}.")
+        raise CairnError(f"no importer of {what} has the name {name!r}; available: {known}.")
     return points[name].load()
 
 

@@ -115,9 +115,9 @@ class LandmarkKeeper:
     """A landmark map and its file.
 
     Changes are committed before they are returned; evidence is collected until `save`. With a
-    `working_copy`, the map itself is only read. The copy is made if there is none, if it is one of
-    another map, or if it is of a later time (another replay); otherwise it is used again, as after
-    the process that wrote it was killed.
+    `working_copy`, the map itself is only read. The copy is made if it does not exist, if it is one
+    of another map, or if it is of a later time (another replay); otherwise it is used again, as
+    after the process that wrote it was killed.
     """
 
     def __init__(

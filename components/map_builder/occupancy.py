@@ -41,7 +41,7 @@ _BESIDE = 1
 _SURE_SHARE = 0.35
 # While an obstacle is younger than this [s], ends beside it belong to it and are added as well.
 _YOUNG_S = 60.0
-# A ray says nothing about cells this near its end [cells], or where it grazes a surface [m].
+# A ray is not evidence about cells this near its end [cells], or where it grazes a surface [m].
 _END_CELLS = 3.0
 _GRAZES_M = 1.5
 
@@ -49,10 +49,10 @@ _GRAZES_M = 1.5
 class Occupancy:
     """Free, occupied and unknown cells, updated by rays.
 
-    An obstacle is added once it has stood for `settle_s` seconds, so people who walk past leave no
-    trace. An obstacle is removed when rays pass where it stood. A ray without a return says nothing
-    about far obstacles, because dark objects return none. Changes of the last `undo_s` seconds can
-    be undone.
+    An obstacle is added once it has stood for `settle_s` seconds, so people that walk past leave no
+    trace. An obstacle is removed when rays pass where it stood. A ray without a return is not
+    evidence about far obstacles, because dark objects return none. Changes of the last `undo_s`
+    seconds can be undone.
     """
 
     def __init__(self, grid: OccupancyCells, settle_s: float, undo_s: float) -> None:

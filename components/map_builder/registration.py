@@ -41,7 +41,7 @@ CLUTTER = 1.0 / (0.5 * 4.0**2 * math.radians(60.0))
 COMMON_ERROR = 0.15
 # A landmark has returned to a former position if it is within this distance of it [m].
 _SAME_M = 0.35
-# People who carry an object to and fro seldom do so twice within this time [s].
+# An object that people carry back and forth seldom returns twice within this time [s].
 _REMEMBERED_S = 600.0
 _RETURNS = 2
 # How long an object that seems to be at two positions is ignored [s].
@@ -109,7 +109,7 @@ def record_arrival(
 
 
 def is_ignored(history: PositionHistory, now_s: float) -> bool:
-    """Return whether a landmark is taken for two things that look alike."""
+    """Return whether a landmark is ignored because two things seem to look alike."""
     return now_s < history.ignored_until_s
 
 

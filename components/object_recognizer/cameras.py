@@ -33,8 +33,8 @@ _PROBES, _FEW_FOUND = 100, 0.2
 class Cameras:
     """How images are rectified, and the geometry of rectified images.
 
-    Without a `right` camera, `rig` has no baseline and is that of the left one. `pair_error` says
-    why there is none although a calibration was given.
+    Without a `right` camera, `rig` has no baseline and is that of the left one. `pair_error` is
+    the reason if a calibration of the right camera exists but is not used.
     """
 
     left: Rectifier
@@ -132,7 +132,7 @@ class FrozenImageDetector:
 
 @dataclass(frozen=True)
 class StereoImages:
-    """A left image, and the right one that was taken at the same time, if there is one."""
+    """A left image, and the right one that was taken at the same time, if it exists."""
 
     stamp_ns: int
     left: Image

@@ -114,7 +114,7 @@ class ObjectRecognizer(Component):
             return
         self._process(self._synchronizer.add_left(to_ns(image.header.stamp), image, now))
         if self._synchronizer.right_is_missing(now) and not self._frozen["right"].frozen:
-            remedy = "" if self._right_received else ", or set stereo to false if there is none"
+            remedy = "" if self._right_received else ", or set stereo to false for a single camera"
             self._warnings.warn(
                 "right",
                 f"no image on {self.right_image.topic} has the stamp of one on "

@@ -19,7 +19,10 @@ class ObjectRecognizerConfig(Config):
     stereo: bool = Field(True, description="Whether there is a right camera.")
     mount: Mount = Field(Mount(), description="Pose of the left camera on the robot.")
     least_inliers: int = Field(
-        LEAST, ge=LEAST, le=1000, description="Least matched features of a published object."
+        LEAST,
+        ge=LEAST,
+        le=1000,
+        description="Minimum number of matched features of a published object.",
     )
     nearest: float = Field(0.3, gt=0, le=100, description="Nearest object [m].")
     farthest: float = Field(5.0, gt=0, le=100, description="Farthest object [m].")
@@ -34,7 +37,7 @@ class ObjectRecognizerConfig(Config):
         2000,
         ge=0,
         le=100_000,
-        description="Most features of an image, strongest first; 0: all of them.",
+        description="Maximum number of features of an image, strongest first; 0: no limit.",
     )
     threads: int = Field(1, ge=1, le=64, description="Threads that OpenCV uses.")
 

@@ -62,7 +62,7 @@ _TIMEOUT_S = 5.0
 _LARGEST_M = 100.0
 # Ratio of the aspect ratios of a photograph and of the stated size: a slanted view, a wrong size.
 _SLANTED, _WRONG = 1.1, 1.3
-# An object that must be so large in an image [px] is recognized only from near by.
+# An object that must be at least this large in an image [px] is recognized only from near by.
 _LARGE = 160
 
 _COLUMNS = {
@@ -137,7 +137,7 @@ def list_objects(map_file: MapFile = None, json: Json = False) -> None:
     """List the objects of which a map has models."""
     models = read_models(map_file or DEFAULT_MAP).models
     rows = [_row(model) for model in models]
-    show(rows, _COLUMNS, as_json=json, nothing="there is no object model")
+    show(rows, _COLUMNS, as_json=json, nothing="the map has no object models")
 
 
 @app.command("show")
@@ -196,7 +196,9 @@ def _teach(
     if is_new and not given:
         raise CairnError(f"{path}: no such map file; give images of {name} to teach it")
     if is_new and not path.absolute().parent.exists():
-        raise CairnError(f"--map {path}: there is no folder {path.parent}; make it, or correct it")
+        raise CairnError(
+            f"--map {path}: the folder {path.parent} does not exist; make it, or correct it"
+        )
     known = ObjectModels(0, ()) if is_new else read_models(path)
     model = known.named(name)
     views, duplicates = _without_duplicates(given, model)
@@ -265,8 +267,8 @@ def _parse_size(text: str) -> tuple[float, float]:
         width = height = math.nan
     if not (0 < width <= _LARGEST_M and 0 < height <= _LARGEST_M):
         raise CairnError(
-            f"--size {text}: write it as W,H, width and height of what the image shows in meters, "
-            f"above 0 and at most {_LARGEST_M:g}, such as 0.21,0.297"
+            f"--size {text}: write it as W,H, width and height in meters of the object in the "
+            f"image, above 0 and at most {_LARGEST_M:g}, such as 0.21,0.297"
         )
     return width, height
 
@@ -398,7 +400,7 @@ def _find(path: Path, known: ObjectModels, name: str) -> ObjectModel:
     model = known.named(name)
     if model is None:
         names = ", ".join(one.name for one in known.models) or "none"
-        raise CairnError(f"{path}: there is no object model {name!r}; there are: {names}.")
+        raise CairnError(f"{path}: object model {name!r} does not exist; available: {names}.")
     return model
 
 

@@ -37,7 +37,7 @@ MOST_DISAGREEMENT: Final = 0.25
 SYSTEMATIC: Final = 0.08
 """Relative error of sizes and photographs that always remains."""
 
-# Ranges by stereo and by size contradict each other if they differ by more than so many standard
+# Ranges by stereo and by size contradict each other if they differ by more than this many standard
 # deviations, and by more than the systematic error of sizes.
 _DEVIATIONS = 2.5
 # Least share of an object's points with a disparity, unless the object is covered in the right
@@ -61,8 +61,9 @@ class RangedDetection:
 
     `position` is in the rectified left optical frame; `method` is how it was measured. `ratio` is
     the distance by stereo over that by size, where there are both; `consistent` is whether these
-    two agree within their uncertainty. `warning` says why `position` is None, or why stereo is not
-    used; `rows_off` [px] is then how much lower the right image shows the object, if that is why.
+    two agree within their uncertainty. `warning` is the reason why `position` is None, or why
+    stereo is not used; `rows_off` [px] is then how much lower the right image shows the object, if
+    that is the reason.
     """
 
     detection: Detection
@@ -101,7 +102,7 @@ def measure_range(
 ) -> RangedDetection:
     """Measure where an object is that was detected in the rectified `left` image.
 
-    `right` is the rectified right image, None if there is none.
+    `right` is the rectified right image, None for a single camera.
     """
     model = models[detection.object_id]
     view = model.views[detection.view]
@@ -295,7 +296,7 @@ def _combine(
         if one is not None:
             return RangedDetection(detection, one, "size" if stereo is None else "stereo")
         why = "its size is not known" if model.size is None else "its size fits no pose"
-        pair = "stereo gives no range" if has_stereo else "there is no stereo"
+        pair = "stereo gives no range" if has_stereo else "no right image is available"
         warning = f"{model.name}: no range, because {why} and {pair}"
         if model.size is None:
             warning += f"; give its size with `cairn object teach '{model.name}' --size W,H`"

@@ -188,8 +188,7 @@ def require_below_ceiling(height: float, surfaces: VisibleSurfaces) -> None:
     if height >= surfaces.ceiling:
         raise CairnError(
             f"the camera height {height:g} m is not below the ceiling at {surfaces.ceiling:g} "
-            "m, the "
-            "height of the highest wall; lower the camera"
+            "m, the height of the highest wall; lower the camera"
         )
 
 
@@ -264,8 +263,7 @@ class SimulatedStereoCamera(Component):
             if name not in LIVE and getattr(new, name) != getattr(self.config, name):
                 raise ParameterRejected(
                     f"{self.name}: {name} cannot change while the camera runs; restart it, or "
-                    "change "
-                    f"only {', '.join(LIVE)}"
+                    f"change only {', '.join(LIVE)}"
                 )
 
     @on("world_geometry")

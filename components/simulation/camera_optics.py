@@ -18,7 +18,8 @@ from cairn.schemas.std_msgs import Header
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 
-# A distortion is rejected if the undistorted image would need to be so many times as wide or high.
+# A distortion is rejected if the undistorted image would need to be this many times as wide or
+# high.
 _WIDEST = 3.0
 
 
@@ -37,9 +38,7 @@ class PinholeCamera:
 
     @staticmethod
     def of(width: int, height: int, field_of_view: float) -> PinholeCamera:
-        """Return a camera with that horizontal field of view [rad], its axis through the image
-        center.
-        """
+        """Return a camera with this horizontal field of view [rad], centered on its axis."""
         focal = 0.5 * width / math.tan(0.5 * field_of_view)
         return PinholeCamera(width, height, focal, 0.5 * (width - 1), 0.5 * (height - 1))
 
@@ -119,7 +118,7 @@ def _five(coefficients: Sequence[float]) -> Array:
 
 Gray = NDArray[np.uint8]
 
-# So many normal random numbers are drawn once; each image row starts at a random position in them.
+# This many normal random numbers are drawn once; each image row starts at a random one of them.
 _NORMALS = 1 << 20
 
 

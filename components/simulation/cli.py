@@ -177,7 +177,7 @@ def person(
     domain: Domain = 0,
     robot: RobotName = "",
 ) -> None:
-    """Add a person who walks from waypoint to waypoint."""
+    """Add a person that walks from waypoint to waypoint."""
     if not math.isfinite(speed):
         raise CairnError(f"--speed {speed} is not a finite number; give one from 0 to 3")
     points = [_pair(point, "{}: write a waypoint as X,Y, such as 2.5,3") for point in waypoints]

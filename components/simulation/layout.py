@@ -29,7 +29,7 @@ from cairn.schemas.std_msgs import Header
 SURFACES: dict[Surface, int] = {"plain": 0, "dark": 1, "glass": 2}
 # Things that overlap by less than this [m] only touch: coordinates in world files are rounded.
 TOUCH_M = 0.02
-# What is this near in front of an object's center does not hide it: it hangs there [m].
+# A thing this near in front of an object's center does not hide it: the object hangs on it [m].
 BEHIND_M = 0.1
 # A gap between furniture and walls with less area [m^2] than this does not count as inside.
 _ROOM_M2 = 0.01
@@ -233,8 +233,7 @@ class WorldLayout:
         if self.outside(x, y, radius):
             raise CairnError(
                 f"{what} cannot be at ({x:.2f}, {y:.2f}): the position is outside the walls, or "
-                "they "
-                "leave a gap; choose a position inside, or close the gap"
+                "they leave a gap; choose a position inside, or close the gap"
             )
 
     def outside(self, x: float, y: float, radius: float) -> bool:

@@ -18,12 +18,12 @@ Point = tuple[float, float]
 # People stop for a robot this near ahead of them [m] and keep at least this gap to it [m]. These
 # and the following values are assumptions about people's behavior, not measurements.
 _AHEAD_M, _NEAR_M = 0.6, 0.1
-# A person who has waited so long [s] for the robot or another obstacle looks for another path.
+# A person that has waited this long [s] for the robot or another obstacle tries another path.
 _PATIENCE_S = 4.0
-# Around a robot: lateral offset of the point beside it, least gap on the way there, and gap to a
+# Around a robot: lateral offset of the point beside it, least gap on the path to it, and gap to a
 # robot ahead at which people stop because it has started to drive [m].
 _BESIDE_M, _PASSING_M, _STOPPING_M = 0.35, 0.15, 0.25
-# Where there is no way around, people step aside so far [m] in these directions off their path
+# If no path leads around, people step aside by this much [m] in these directions off their path
 # [rad].
 _ASIDE_M = (1.0, 0.5)
 _ASIDE_RAD = tuple(math.radians(angle) for angle in (-90, 90, -135, 135, 180))
@@ -182,7 +182,7 @@ def _is_free(here: Point, there: Point, context: _WalkContext) -> bool:
 
 
 def _beside(context: _WalkContext, here: Point, goal: Point) -> tuple[Point, Point]:
-    """Return the points to the right and left of the robot, for a person who comes from `here`."""
+    """Return the points to the right and left of the robot, for a person that comes from `here`."""
     x, y = _toward(here, goal)
     (robot_x, robot_y), off = context.robot, context.radius + context.robot_radius + _BESIDE_M
     return (robot_x + off * y, robot_y - off * x), (robot_x - off * y, robot_y + off * x)

@@ -112,7 +112,7 @@ class SimulatedRecognizerConfig(Config):
     field_of_view: float = Field(
         math.radians(60), gt=0, le=2 * math.pi, description="Horizontal field of view [rad]."
     )
-    nearest: float = Field(0.4, ge=0, le=100, description="Least distance of an object [m].")
+    nearest: float = Field(0.4, ge=0, le=100, description="Minimum distance of an object [m].")
     farthest: float = Field(5.0, gt=0, le=100, description="Largest distance of an object [m].")
     facing: float = Field(
         math.radians(70),
@@ -167,7 +167,7 @@ class SimulatedRecognizer(Component):
 
     @every(hz=5)
     def recognize_objects(self) -> None:
-        """Publish the objects that are recognized now, even if there are none."""
+        """Publish the objects that are recognized now; an empty list if nothing is recognized."""
         now = self.clock.now()
         poses = self._world.robot_at(now, np.zeros(1))
         if poses is None:

@@ -25,19 +25,19 @@ Float32 = NDArray[np.float32]
 SIDE, GLASS, PICTURE = 0, 1, 2
 # Nothing nearer than this [m] is visible.
 NEAR_M = 0.05
-# Pictures are drawn so far in front of their wall, and their backs behind it [m].
+# Pictures are drawn this far in front of their wall, and their backs behind it [m].
 _BEFORE_M = 0.02
 _FLOOR, _CEILING, _TOP, _BACK, _REFLECTION = 105.0, 200.0, 1.15, 90.0, 14.0
 _GLASS_TINT = 0.1
 TEXELS_PER_M = 1.0 / TEXEL_M
 _FURTHEST_M = 200.0
-# The light on a plane is computed every so many rows.
+# The light on a plane is computed once per this many rows.
 _BLOCK = 16
 _COARSEST = int(math.log2(PATTERN_TEXELS)) - 1
 
 
 @compiled()
-def _way(seen: Array, i: int, u: float) -> float:
+def _distance_along(seen: Array, i: int, u: float) -> float:
     """Return the distance along a surface [m] where column `u` [px] meets it."""
     share = max(0.0, min(1.0, (u - seen[i, 0]) / (seen[i, 1] - seen[i, 0])))
     over: float = seen[i, 4] + share * (seen[i, 5] - seen[i, 4])
@@ -150,8 +150,8 @@ def side(
     texture = kinds[surface, 1]
     columns, rows = shapes[texture, 0], shapes[texture, 1]
     repeats = texture == PATTERN
-    x_a = scales[surface, 2] + scales[surface, 0] * _way(seen, i, begin)
-    x_b = scales[surface, 2] + scales[surface, 0] * _way(seen, i, end)
+    x_a = scales[surface, 2] + scales[surface, 0] * _distance_along(seen, i, begin)
+    x_b = scales[surface, 2] + scales[surface, 0] * _distance_along(seen, i, end)
     step = depth / lens[1] * scales[surface, 1]
     base = (below + (top - 0.5 - lens[3]) / lens[1] * depth) * scales[surface, 1]
     size = rows
@@ -299,9 +299,7 @@ def _meet(
     keys: Array,
     order: Integers,
 ) -> int:
-    """Sort the surfaces in column `u` into `order`, near to far; return their number, fill
-    `depths`.
-    """
+    """Sort surfaces in column `u` into `order`, near to far; fill `depths`; return their number."""
     met = 0
     for i in range(len(seen)):
         if not seen[i, 0] <= u < seen[i, 1]:

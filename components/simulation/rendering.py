@@ -26,7 +26,7 @@ from cairn.schemas.cairn_sim_msgs import WorldGeometry
 Array = NDArray[np.float64]
 
 PERSON_M = 1.75
-# A person is drawn as a prism with so many sides.
+# A person is drawn as a prism with this many sides.
 _SIDES = 16
 # Brightness of surfaces in full light [gray levels].
 _WALL, _FURNITURE, _DARK, _PERSON = 165.0, 115.0, 35.0, 75.0
@@ -119,9 +119,7 @@ def surfaces_of(geometry: WorldGeometry) -> tuple[VisibleSurfaces, TextureAtlas]
 
 
 def panel_ends(poses: Array, widths: Array) -> Array:
-    """Return the ends (n, 4) [m] of pictures at `poses` (n, 3): seen from the front, left one
-    first.
-    """
+    """Return the ends (n, 4) [m] of pictures at `poses` (n, 3); from the front, left one first."""
     half = 0.5 * widths
     aside = np.column_stack((np.sin(poses[:, 2]) * half, -np.cos(poses[:, 2]) * half))
     ends: Array = np.concatenate((poses[:, :2] + aside, poses[:, :2] - aside), axis=1)
@@ -153,7 +151,7 @@ class CameraPose:
     height: float
 
     def beside(self, right: float) -> CameraPose:
-        """Return the pose that is so far to the right [m], with the same direction."""
+        """Return the pose that is `right` [m] to the right, with the same direction."""
         x, y, theta = self.pose
         place = (x + right * math.sin(theta), y - right * math.cos(theta), theta)
         return CameraPose(place, self.height)

@@ -241,8 +241,7 @@ class SimulatedScanner(Component):
         if model.most <= model.least:
             raise CairnError(
                 f"{self.name}: farthest = {model.most:g} is not above the least range "
-                f"{model.least:g} m of "
-                f"a {config.model}; increase farthest"
+                f"{model.least:g} m of a {config.model}; increase farthest"
             )
         self._model = model
         self._beams = BeamPattern.of(self._model, config.first, config.last, config.skip)

@@ -107,7 +107,7 @@ class StateFile:
         self._size += len(line)
 
     def load(self) -> SavedWorld | None:
-        """Return the saved state; None if there is no readable one."""
+        """Return the saved state; None if the file has no readable one."""
         try:
             layout_state, *motion = self.file.read_bytes().split(b"\n")[:-1]
             return SavedWorld(

@@ -29,7 +29,7 @@ _CLEAR_M = 0.02
 
 @dataclass(frozen=True)
 class Contact:
-    """A contact of the robot: with what, where the robot was [m], and its speed [m/s]."""
+    """A contact of the robot: the thing hit, the robot's position [m], and its speed [m/s]."""
 
     what: str
     x: float
@@ -83,7 +83,7 @@ class World:
         return circles_of(self.walkers)
 
     def move_people(self, seconds: float) -> None:
-        """Let people move_people for some seconds."""
+        """Let people walk for some seconds."""
         segments = self.layout.solid_segments.segments
         for walker in self.walkers:
             walker.step(seconds, self.robot[:2], self.radius, segments)
@@ -172,7 +172,7 @@ class World:
             if apart < self.radius:
                 raise CairnError(
                     f"the robot cannot be at ({x:.2f}, {y:.2f}): {walker.person.name} stands "
-                    f"{max(0.0, apart):.2f} m from target; choose another position, or wait"
+                    f"{max(0.0, apart):.2f} m from there; choose another position, or wait"
                 )
         self.robot = pose
         self._touching.clear()
@@ -180,7 +180,7 @@ class World:
     def _step(self, distance: float, angle: float) -> str | None:
         """Move the robot a short step.
 
-        Returns None, or the name of what holds the robot back; it gap_after only turns.
+        Returns None, or the name of what holds the robot back; it then only turns.
         """
         half = (0.0, 0.0, 0.5 * angle)
         target = compose(compose(compose(self.robot, half), (distance, 0.0, 0.0)), half)

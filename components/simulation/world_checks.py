@@ -79,8 +79,8 @@ def visibility_problems(layout: WorldLayout, thing: VisibleObject) -> list[str]:
     if thing.z - half < 0.0 or thing.z + half > ceiling:
         problems.append(
             f"{thing.display_name} goes from {thing.z - half:g} m to {thing.z + half:g} m, but "
-            "the floor "
-            f"is at 0 m and the highest wall ends at {ceiling:g} m; change its z or height"
+            f"the floor is at 0 m and the highest wall ends at {ceiling:g} m; change its z "
+            "or height"
         )
     if thing.texture is not None:
         try:
@@ -118,8 +118,7 @@ def _hidden(layout: WorldLayout, thing: VisibleObject) -> list[str]:
         if layout.shapes[name].contains(front):
             return [
                 f"{thing.display_name} at ({thing.x:g}, {thing.y:g}) is hidden inside {name}, "
-                "or faces "
-                "into it; put it on its surface, with theta pointing away"
+                "or faces into it; put it on its surface, with theta pointing away"
             ]
     if layout.outside(x, y, 0.01):
         return [

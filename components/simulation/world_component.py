@@ -48,7 +48,7 @@ from cairn.schemas.geometry_msgs import Point, PoseStamped
 from cairn.schemas.packed import Packed
 from cairn.schemas.std_msgs import Header
 
-# Wheels without a message for so long [s] count as standing.
+# Wheels without a message for this long [s] count as standing.
 _STALE_S = 0.3
 _TRUTH_PERIOD_NS = SECOND // 10
 
@@ -79,8 +79,7 @@ class WorldConfig(Config):
     state_file: Path | None = Field(
         None,
         description="File for the state of the world, with which a restarted world continues; "
-        "none: it "
-        "starts again from the world file.",
+        "none: it starts again from the world file.",
     )
 
 

@@ -17,7 +17,7 @@ from cairn.deployment.problems import suggestion
 
 Meters = Annotated[float, Field(ge=-10_000, le=10_000)]
 Length = Annotated[float, Field(gt=0, le=1000)]
-Place = tuple[Meters, Meters]
+Point = tuple[Meters, Meters]
 Height = Annotated[float, Field(gt=0, le=20)]
 Surface = Literal["plain", "dark", "glass"]
 Name = Annotated[str, Field(min_length=1, max_length=60, pattern=r"^[A-Za-z0-9_.-]+$")]
@@ -39,7 +39,7 @@ class WorldPose(Config):
 class Wall(Config):
     """A wall without thickness, as a polyline."""
 
-    points: list[Place] = Field(min_length=2, description="Corners x, y [m], in order.")
+    points: list[Point] = Field(min_length=2, description="Corners x, y [m], in order.")
     surface: Surface = Field("plain", description="What a beam hits.")
     height: Height = Field(2.5, description="Height [m] as cameras see it; beams always hit it.")
 
@@ -48,7 +48,7 @@ class Furniture(WorldPose):
     """A piece of furniture: a simple polygon that can be moved."""
 
     name: Name = Field(description="Unique name.")
-    outline: list[Place] = Field(
+    outline: list[Point] = Field(
         default_factory=list, description="Corners x, y in its own frame [m]; or give size."
     )
     size: tuple[Length, Length] | None = Field(
@@ -71,7 +71,7 @@ class Furniture(WorldPose):
         return self
 
     @property
-    def corners(self) -> list[Place]:
+    def corners(self) -> list[Point]:
         """Return the corners in its own frame [m]."""
         if self.size is None:
             return self.outline
@@ -121,10 +121,10 @@ class VisibleObject(WorldPose):
 
 
 class Person(Config):
-    """A person who walks from waypoint to waypoint and back to the first."""
+    """A person that walks from waypoint to waypoint and back to the first."""
 
     name: Name = Field(description="Unique name.")
-    waypoints: list[Place] = Field(
+    waypoints: list[Point] = Field(
         min_length=1, description="Waypoints x, y [m]; the person starts at the first."
     )
     speed: float = Field(0.8, ge=0, le=3, description="Walking speed [m/s].")
@@ -180,7 +180,7 @@ class WorldFile(Config):
     objects: list[VisibleObject] = Field(
         default_factory=list, description="Objects that the robot can recognize."
     )
-    people: list[Person] = Field(default_factory=list, description="People who walk.")
+    people: list[Person] = Field(default_factory=list, description="People that walk.")
     events: list[Event] = Field(default_factory=list, description="Changes at given times.")
     robot: WorldPose = Field(description="Pose of the robot at the start.")
 
@@ -209,9 +209,9 @@ def read_world(file: Path) -> WorldFile:
     except FileNotFoundError as error:
         raise CairnError(f"{file}: no such world file; correct the path") from error
     except yaml.MarkedYAMLError as error:
-        where = error.problem_mark
-        place = f":{where.line + 1}:{where.column + 1}" if where else ""
-        raise CairnError(f"{file}{place}: not YAML: {error.problem}") from error
+        mark = error.problem_mark
+        position = f":{mark.line + 1}:{mark.column + 1}" if mark else ""
+        raise CairnError(f"{file}{position}: not YAML: {error.problem}") from error
     except (OSError, UnicodeDecodeError, yaml.YAMLError, RecursionError) as error:
         raise CairnError(f"{file}: cannot be read: {error}") from error
     if not isinstance(content, dict):
@@ -282,8 +282,8 @@ def _reason(error: ErrorDetails, model: type[Config]) -> str:
     if kind in _PLAIN:
         return _PLAIN[kind]
     if kind == "extra_forbidden":
-        *place, key = error["loc"]
-        return f"unknown key; {suggestion(str(key), _keys_at(model, place))}"
+        *path, key = error["loc"]
+        return f"unknown key; {suggestion(str(key), _keys_at(model, path))}"
     if kind in ("model_type", "dict_type"):
         return f"must be a mapping with the keys {', '.join(_keys_at(model, error['loc']))}"
     if kind == "too_short":
@@ -294,9 +294,9 @@ def _reason(error: ErrorDetails, model: type[Config]) -> str:
     return re.sub(r"^\w+ should ", "must ", reason[0].lower() + reason[1:])
 
 
-def _keys_at(model: type[Config], place: Any) -> list[str]:
+def _keys_at(model: type[Config], path: Any) -> list[str]:
     """Return the keys of the mapping at a path within a model."""
-    for part in place:
+    for part in path:
         if isinstance(part, str):
             model = next(_models_in(model.model_fields[part].annotation))
     return list(model.model_fields)

@@ -17,7 +17,7 @@ from cairn.schemas.cairn_sim_msgs import WorldGeometry, WorldState
 Array = NDArray[np.float64]
 
 _KEPT = 100  # states: two seconds at 50 Hz
-# The robot's motion is extrapolated for at most so long [s] after the newest state.
+# The robot's motion is extrapolated for at most this long [s] after the newest state.
 _EXTRAPOLATED_S = 0.1
 
 

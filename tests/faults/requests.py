@@ -11,7 +11,7 @@ from tests.commands import cairn
 def set_fault(run: Run, fault: str, component: str = "base") -> None:
     """Have a `test_faulty` fail at its next tick."""
     answer = cairn("param", "set", component, f"fault={fault}", connect=run.endpoint)
-    # A fault that ends its process at once may take the answer with it.
+    # A fault that ends the process at once may prevent its reply.
     assert answer.code == 0 or "no reply to set_parameters" in answer.err, f"{answer}; {run}"
 
 
@@ -19,7 +19,7 @@ def send_goal(run: Run, x: float, y: float) -> None:
     """Publish a goal for the robot, as a node of another program does."""
     bus = ZenohBus(open_peer([run.endpoint]))
     try:
-        node = bus.node("/operator", _heed)
+        node = bus.node("/operator", _fail)
         publisher = node.advertise("/robot/goal_pose", PoseStamped, RELIABLE)
         assert bus.wait_for_peers(10.0) == []
         publisher.publish(PoseStamped(pose=Pose(position=Point(x=x, y=y))))
@@ -27,5 +27,5 @@ def send_goal(run: Run, x: float, y: float) -> None:
         bus.close()
 
 
-def _heed(complaint: str) -> None:
-    raise AssertionError(complaint)
+def _fail(problem: str) -> None:
+    raise AssertionError(problem)

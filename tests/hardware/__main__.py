@@ -1,7 +1,7 @@
 """`python -m tests.hardware [pytest's arguments]`: runs the guest's tests in a virtual machine.
 
-With `--booted` those of the systemd unit, with systemd as the guest's init: minutes, where nothing
-else runs.
+With `--booted` those of the systemd unit, with systemd as the guest's init: this takes minutes on
+an otherwise idle machine.
 """
 
 import os
@@ -53,7 +53,7 @@ def main() -> int:
 
 
 def _options(folder: str) -> list[str]:
-    """Without what the guest's tests do not need: loading it would take longer than they do."""
+    """Return options that disable unneeded plugins: loading them takes longer than the tests."""
     unneeded = ("cacheprovider", "xdist", "hypothesispytest")
     color = "yes" if sys.stdout.isatty() else "no"
     options = [f"--color={color}", f"--confcutdir={folder}"]

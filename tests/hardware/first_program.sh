@@ -1,6 +1,6 @@
 #!/bin/busybox sh
-# The guest's first program: the host's file system as the root, readable only, and over it one in
-# memory, where all that the guest writes goes and vanishes.
+# The guest's first program: mounts the host's file system as a read-only root, with a file system in
+# memory over it that holds everything that the guest writes.
 B=/bin/busybox
 give_up() { echo "guest: $1"; $B poweroff -f; }
 
@@ -15,7 +15,7 @@ $B mount -t 9p -o trans=virtio,version=9p2000.L,msize=524288,cache=loose,ro host
 $B mount -t tmpfs tmpfs /written
 $B mkdir /written/upper /written/work
 $B mount -t overlay -o lowerdir=/host,upperdir=/written/upper,workdir=/written/work overlay /root \
-    || give_up "nothing can be laid over the host's file system"
+    || give_up "the overlay over the host's file system cannot be mounted"
 $B mkdir -p /root/mnt/exchange
 $B mount -t 9p -o trans=virtio,version=9p2000.L,cache=none exchange /root/mnt/exchange \
     || give_up "the folder for the exchange with the host cannot be mounted"

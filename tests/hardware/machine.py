@@ -20,7 +20,7 @@ _ACCELERATOR = "tcg,thread=multi,tb-size=1024"
 
 
 def first_file_system(kernel: Kernel, folder: Path) -> Path:
-    """Make the guest's first file system: a shell, and what the mounting of the next one needs."""
+    """Make the guest's first file system: a shell, and the files needed to mount the next one."""
     root = folder / "first"
     for name in ("bin", "proc", "sys", "dev", "host", "written", "root", "modules"):
         (root / name).mkdir(parents=True)
@@ -70,8 +70,8 @@ def run_in_guest(
 
 
 def _printed(qemu: list[str], limit_s: float) -> str:
-    """Run QEMU, print what the guest prints, marked as such, and say how QEMU ended."""
-    pipe = subprocess.PIPE  # for its input too: at the end of that it would hang up on the guest
+    """Run QEMU, print what the guest prints, marked as such, and return how QEMU ended."""
+    pipe = subprocess.PIPE  # for its input too: QEMU would stop at the end of its input
     late = threading.Event()
     with subprocess.Popen(qemu, stdin=pipe, stdout=pipe, text=True, errors="replace") as process:
 

@@ -1,4 +1,4 @@
-"""What a machine must have installed for a virtual machine to be built and run on it."""
+"""The programs that a machine needs to build and run the virtual machine."""
 
 import os
 import platform
@@ -12,12 +12,12 @@ _INSTALL_LIMIT_S = 300
 
 
 class CannotRun(Exception):  # noqa: N818 - it is an event
-    """Why there can be no virtual machine here, and what to do about it."""
+    """The virtual machine cannot run here: the reason and the remedy."""
 
 
 @dataclass(frozen=True)
 class Need:
-    """A program, and the package of Debian and Ubuntu that brings it."""
+    """A program, and the package of Debian and Ubuntu that contains it."""
 
     program: str
     package: str
@@ -36,7 +36,7 @@ NEEDS = (
 
 
 def meet(*, install: bool) -> None:
-    """Make sure that all programs are there; with `install`, install those that are not.
+    """Ensure that all programs are installed; with `install`, install those that are not.
 
     Raises `CannotRun` with the command that installs them.
     """
@@ -55,11 +55,11 @@ def meet(*, install: bool) -> None:
 
 
 def program(name: str) -> str:
-    """The path of a program, in a system folder too; raises `CannotRun` if there is none."""
+    """The path of a program, in a system folder too; raises `CannotRun` if it is missing."""
     path = os.pathsep.join([os.environ.get("PATH", ""), *_SYSTEM_FOLDERS])
     found = shutil.which(name, path=path)
     if found is None:
-        raise CannotRun(f"there is no {name}")
+        raise CannotRun(f"the program {name} is missing")
     return found
 
 
@@ -105,6 +105,6 @@ def _missing() -> list[str]:
 
 
 def _is_dynamic(path: Path) -> bool:
-    """Whether a program needs libraries, which the guest's first file system has not."""
+    """Whether a program needs libraries, which the guest's first file system does not have."""
     with path.open("rb") as file:
         return b"/ld-linux" in file.read(4096)

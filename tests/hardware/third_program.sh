@@ -1,5 +1,5 @@
-# Runs the command that the guest was started for, and reports its exit status. What it prints goes to
-# the host over a virtual port.
+# Runs the command that the guest was started for, and reports its exit status. Its output goes to the
+# host over a virtual port.
 . /mnt/exchange/environment  # REPOSITORY, COMMAND
 busybox ip link set lo up
 modprobe -a configfs virtio_console xhci_pci  # udev names what these find, and loads its drivers

@@ -27,17 +27,18 @@ def test_param_set_changes_a_running_component(command: Command) -> None:
 def test_a_rejected_param_set_prints_the_reason(command: Command) -> None:
     command("param", "set", "talker", "volume=5")
     refusals = {
-        "volume=11": "cairn: volume: the neighbors object to more than 10\n",
-        "volume=12": "cairn: parameter volume = 12 rejected: should be less than or equal to 11 "
-        "(allowed: >= 0, <= 11)\n",
-        "volume=loud": "cairn: parameter volume = 'loud' rejected: should be a valid integer, "
-        "unable to parse string as an integer (allowed: >= 0, <= 11)\n",
-        "volme=3": "cairn: there is no parameter volme; did you mean volume?\n",
-        "volume": "cairn: 'volume' is not a change; write NAME=VALUE\n",
+        "volume=11": ["volume: the neighbors object to more than 10"],
+        "volume=12": ["volume = 12 rejected", "less than or equal to 11", "(allowed: >= 0, <= 11)"],
+        "volume=loud": ["volume = 'loud' rejected", "integer", "(allowed: >= 0, <= 11)"],
+        "volme=3": ["parameter volme", "did you mean volume?"],
+        "volume": ["'volume' is not", "NAME=VALUE"],
     }
-    for change, error in refusals.items():
+    for change, words in refusals.items():
         answer = command("param", "set", "talker", change)
-        assert (answer.code, answer.err) == (1, error)
+        assert answer.code == 1
+        assert answer.err.startswith("cairn: ")
+        assert answer.err.count("\n") == 1
+        assert [word for word in words if word not in answer.err] == []
     assert command("param", "get", "talker", "volume").out == "5\n"
 
 
@@ -45,17 +46,18 @@ def test_unknown_names_are_reported_with_the_known_ones(command: Command) -> Non
     assert command("param", "get", "talker", "pitch").err == (
         "cairn: talker has no parameter pitch; it has words, volume\n"
     )
-    missing = command("param", "list", "nobody")
+    missing = command("param", "list", "absent")
     assert missing.code == 1
-    assert missing.err.startswith("cairn: there is no nobody on the bus; there are: /rover/beacon")
-    unknown = command("restart", "nobody")
+    assert "absent" in missing.err
+    assert ": /rover/beacon" in missing.err
+    unknown = command("restart", "absent")
     assert unknown.code == 1
-    assert unknown.err.startswith("cairn: no supervisor has a component nobody; they have: ")
+    assert "no supervisor has a component absent" in unknown.err
+    assert "beacon" in unknown.err
     lost = command("ps", "--robot", "tower")
-    assert (lost.code, lost.err) == (
-        1,
-        "cairn: there is no robot tower on the bus; there are: rover\n",
-    )
+    assert lost.code == 1
+    assert "robot tower" in lost.err
+    assert lost.err.endswith(": rover\n")
 
 
 def test_a_component_is_loaded_restarted_and_unloaded_while_the_others_go_on(

@@ -1,4 +1,4 @@
-"""`cairn doctor` finds the faults of a computer, and says what to do about each."""
+"""`cairn doctor` finds the faults of a computer, and names the remedy of each."""
 
 import getpass
 import grp
@@ -80,7 +80,7 @@ def test_another_programs_port_is_a_fault() -> None:
 
     assert answer.code == 1
     assert of(answer, endpoint)["state"] == "fail"
-    assert f"({os.getpid()}), which is no router" in of(answer, endpoint)["found"]
+    assert f"({os.getpid()})" in of(answer, endpoint)["found"]
     assert "--set bus.listen=" in of(answer, endpoint)["remedy"]
 
 

@@ -92,7 +92,8 @@ def test_topic_echo_of_a_silent_topic_times_out(command: Command) -> None:
     silent = command("topic", "echo", "/rover/goal_pose", "--wait", "0.1")
 
     assert answer.code == 1
-    assert answer.err.startswith("cairn: there is no velocity on the bus; there are: /rosout, ")
+    assert "velocity" in answer.err
+    assert ": /rosout, " in answer.err
     assert silent.code == 1
 
 

@@ -65,8 +65,11 @@ def test_check_reports_all_problems_with_their_lines(tmp_path: Path) -> None:
 
     assert answer.code == 1
     assert answer.err.splitlines()[0] == "cairn: the deployment has 3 problems:"
-    assert f"{file}:2: robt: there is no robt here; did you mean robot?" in answer.err
-    assert f"{file}:4: components.talker.plugin: there is no plugin test_takler" in answer.err
+    _, key, plugin, _ = answer.err.split(str(file))
+    assert key.startswith(":2: robt: ")
+    assert "did you mean robot?" in key
+    assert plugin.startswith(":4: components.talker.plugin: ")
+    assert "test_takler" in plugin
     assert f"{file}:5: components.listener.parameters.loud" in answer.err
 
     invalid = cairn("check", str(file), "--json")

@@ -1,4 +1,7 @@
-"""Deployments with one mistake each: the line, the path and the reported problem."""
+"""Deployments with one mistake each: line, path, and the essential words of the problem.
+
+Each part of the words, separated by semicolons, must be in the problem or its remedy.
+"""
 
 HEAD = "cairn: 1\ncomponents:\n"
 PARTS = """\
@@ -9,11 +12,11 @@ PARTS = """\
 CASES = {
     "unknown section": (
         HEAD + PARTS + "buss: {}\n",
-        (5, "buss", "there is no buss here; did you mean bus?"),
+        (5, "buss", "buss; did you mean bus?"),
     ),
     "unknown key of a component": (
         HEAD + PARTS + "  other:\n    plugin: acme_base\n    topic: {odom: o2}\n",
-        (7, "components.other.topic", "there is no topic here; did you mean topics?"),
+        (7, "components.other.topic", "topic; did you mean topics?"),
     ),
     "name of the root": (
         HEAD + PARTS + "  root: {plugin: acme_base}\n",
@@ -44,7 +47,7 @@ CASES = {
         (
             6,
             "components.other.plugin",
-            "there is no plugin acme_locaizer; did you mean acme_localizer? "
+            "plugin acme_locaizer; did you mean acme_localizer? "
             "(`cairn plugins` lists all; package.module:Class names a class directly)",
         ),
     ),
@@ -53,7 +56,7 @@ CASES = {
         (
             5,
             "components.other.plugin",
-            "there is no module acme_robots.parts; "
+            "module acme_robots.parts; "
             "correct the name, install the package that holds it, or put the folder of a single "
             "file on PYTHONPATH",
         ),
@@ -90,7 +93,7 @@ CASES = {
         (
             9,
             "components.localizer.parameters.partcles",
-            "there is no partcles here; did you mean particles?",
+            "partcles; did you mean particles?",
         ),
     ),
     "parameter out of bounds": (
@@ -150,7 +153,7 @@ CASES = {
     ),
     "unknown port": (
         HEAD + PARTS + "  other:\n    plugin: acme_base\n    topics:\n      odm: odom2\n",
-        (8, "components.other.topics.odm", "there is no port odm; did you mean odom?"),
+        (8, "components.other.topics.odm", "port odm; did you mean odom?"),
     ),
     "topic that is not a name": (
         HEAD + PARTS + "  other:\n    plugin: acme_base\n    topics:\n      odom: odom-2\n",
@@ -329,7 +332,7 @@ CASES = {
         (
             8,
             "components.localizer.parameters.particles",
-            "there is no setting rat; did you mean rate?",
+            "setting rat; did you mean rate?",
         ),
     ),
     "no component at all": (

@@ -32,7 +32,13 @@ def only(file: Path) -> tuple[int, str, str]:
 def test_mistake_is_reported_once_with_line_path_and_remedy(
     write: Write, text: str, expected: tuple[int, str, str]
 ) -> None:
-    assert only(write(text)) == expected
+    line, path, words = expected
+
+    found_line, found_path, found = only(write(text))
+
+    assert (found_line, found_path) == (line, path)
+    for part in words.split("; "):
+        assert part in found
 
 
 def test_failed_import_of_a_plugin_is_reported_with_file_and_line(
@@ -160,7 +166,8 @@ def test_error_text_lists_and_counts_the_problems(write: Write) -> None:
     first, second, third = str(caught.value).splitlines()
     assert first == "the deployment has 2 problems:"
     assert second.startswith("  robot.yaml:3: components.a.restart: 'no' should be 'permanent',")
-    assert third.startswith("  robot.yaml:4: components.b.plugin: there is no plugin nothing_like")
+    assert third.startswith("  robot.yaml:4: components.b.plugin: ")
+    assert "nothing_like_it" in third
 
 
 GOOD = {

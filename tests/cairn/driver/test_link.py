@@ -54,7 +54,7 @@ def test_a_missing_port_raises_link_lost(tmp_path: Path) -> None:
 def test_a_file_is_refused_as_a_port(tmp_path: Path) -> None:
     (tmp_path / "notes").touch()
 
-    with pytest.raises(LinkLost, match="notes cannot be opened: it is no serial port"):
+    with pytest.raises(LinkLost, match=r"notes cannot be opened: .*serial port"):
         SerialLink(str(tmp_path / "notes"), 115200)
 
 

@@ -63,7 +63,7 @@ def test_history_restarts_once_when_time_goes_back(back: int) -> None:
         ((0.0, 0.0, 1.0), 0.05, True),
         ((0.0, 0.0, 2 * math.pi), 0.05, False),
         ((1.0, 0.0, 0.0), 0.5, False),
-        ((2.0, 0.0, 0.0), 3.0, True),  # a driver started anew after a silence
+        ((2.0, 0.0, 0.0), 3.0, True),  # a driver that restarted after a silence
     ],
 )
 def test_step_that_is_impossible_for_wheels_is_a_jump(

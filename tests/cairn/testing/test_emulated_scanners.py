@@ -73,7 +73,7 @@ class TestPbs(StopContract, UnplugContract, LifeCycleContract, ParametersContrac
 class TestUtm(RangeScannerContract):
     component = "utm"
     rate_hz = 40.0
-    # Of the emulated room, in which somebody walks about: for so long he hides nothing.
+    # Of the emulated room: while the sample is taken, the person walking in it hides none of these.
     surroundings = {0.0: 4.0, math.radians(30.0): 4.4, math.radians(-90.0): 1.8}
     sample_count = 80
     live_parameters = {"skip": 1, "cluster": 2}

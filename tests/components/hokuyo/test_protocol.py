@@ -243,7 +243,7 @@ def test_a_missing_or_added_part_is_detected(data: st.DataObject) -> None:
             found = scan_data(reply, WHOLE)
         except ScipError:
             continue
-        _same(right, found)  # what was damaged is none of its values
+        _same(right, found)  # the damage is outside of its values
 
 
 def _same(right: ScanData, found: ScanData) -> None:

@@ -88,7 +88,7 @@ def test_invalid_arguments_are_rejected_with_reason(
 
 
 def test_unknown_importer_lists_the_known_ones(tmp_path: Path) -> None:
-    with pytest.raises(CairnError, match=r"no importer 'mclam'.*there are: .*mrclam"):
+    with pytest.raises(CairnError, match=r"no importer .*'mclam'; available: .*mrclam"):
         cairn_map("import", "mclam", tmp_path, tmp_path / "hall.map")
 
 

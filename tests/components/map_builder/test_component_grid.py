@@ -261,7 +261,7 @@ def test_unusable_copy_is_reported_and_replaced(
 def test_missing_map_fails_configuration(tmp_path: Path) -> None:
     with pytest.raises(CairnError, match=r"none\.yaml: no such file"):
         ComponentHarness(MapBuilder, {"grid_file": str(tmp_path / "none.yaml")}, start_s=BEGIN)
-    with pytest.raises(CairnError, match="there is no map to keep"):
+    with pytest.raises(CairnError, match="neither map_file nor grid_file is set"):
         ComponentHarness(MapBuilder, start_s=BEGIN, activate=False)
 
 

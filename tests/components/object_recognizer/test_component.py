@@ -62,7 +62,7 @@ def test_errors_match_the_covariance(robot: Start, stereo: bool, seed: int) -> N
             )
             nis.append(float(off @ np.linalg.solve(one.covariance.reshape(2, 2), off)))
     if seed == 3 and not stereo:
-        assert nis == []  # its size is unknown and there is no stereo
+        assert nis == []  # its size is unknown, and the right camera is missing
         return
     assert len(nis) >= 7
     assert np.mean(nis) < 4.0  # 2 if the covariance is exact, less if it is conservative

@@ -89,7 +89,7 @@ def test_object_is_taught_listed_shown_and_removed(folder: Path) -> None:
     assert np.std(np.asarray(cv2.imread("cup_views.png"))) > 10
 
     assert "no longer recognized" in cairn("object", "remove", "cup").out
-    assert cairn("object", "list").out.strip() == "there is no object model"
+    assert cairn("object", "list").out.strip() == "the map has no object models"
 
 
 @pytest.mark.usefixtures("skip_visibility_test")
@@ -241,7 +241,9 @@ def test_missing_maps_and_names_are_reported(folder: Path, map_with_a_cup: Path)
     assert "visual_map.cairn: no such map file" in rejected("object", "list")
     shutil.copy(map_with_a_cup, "visual_map.cairn")
     for verb in ("show", "remove"):
-        assert "there is no object model 'mug'; there are: cup" in rejected("object", verb, "mug")
+        assert "object model 'mug' does not exist; available: cup" in rejected(
+            "object", verb, "mug"
+        )
     Path("visual_map.cairn").write_bytes(b"x" * 4000)
     for verb in ("list", "show", "remove", "teach"):
         rest = ["cup", "a.png"] if verb == "teach" else [] if verb == "list" else ["cup"]
@@ -254,7 +256,7 @@ def test_missing_maps_and_names_are_reported(folder: Path, map_with_a_cup: Path)
         ("folder", "folder is a folder. Give a map file"),
         ("/dev/null", "/dev/null is not a regular file"),
         ("/proc/new.cairn", "/proc/new.cairn: No such file or directory; correct the path"),
-        ("none/new.cairn", "--map none/new.cairn: there is no folder none; make it, or correct it"),
+        ("none/new.cairn", "--map none/new.cairn: the folder none does not exist; make it"),
         ("a.png/new.cairn", "a.png: File exists; something else has this name"),
         ("a.png", "a.png: file is not a database. It is damaged or not a map"),
     ],

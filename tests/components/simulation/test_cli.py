@@ -149,8 +149,10 @@ def test_impossible_changes_are_rejected_with_the_reason(
     assert listed(world)["table"] == before
 
 
-def test_without_a_running_world_the_error_tells_how_to_start_one(simulation: Run) -> None:
-    answer = cairn("world", "list", "--robot", "nobody", connect=simulation.endpoint)
+def test_missing_running_world_is_reported_with_the_command_that_starts_one(
+    simulation: Run,
+) -> None:
+    answer = cairn("world", "list", "--robot", "absent", connect=simulation.endpoint)
 
     assert answer.code == 1
     assert "no simulated world is running" in answer.err

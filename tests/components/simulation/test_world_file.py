@@ -62,12 +62,12 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
         {"walls": [{"points": [[0, 0], [1, 0]], "surface": "mirror"}]},
         "surface = 'mirror': must be 'plain', 'dark' or 'glass'",
     ),
-    "a number that is none": ({"robot": {"x": float("nan"), "y": 1}}, "robot.x = 'nan': "),
+    "not a number": ({"robot": {"x": float("nan"), "y": 1}}, "robot.x = 'nan': "),
     "furniture without shape": (
         {"furniture": [{"name": "desk", "x": 1, "y": 1}]},
         r"furniture\[0\]: give either outline or size",
     ),
-    "a size below nothing": (
+    "a negative size": (
         {"furniture": [{**DESK, "size": [0.8, -1]}]},
         r"furniture\[0\].size\[1\] = '-1': must be greater than 0",
     ),
@@ -77,7 +77,10 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
         {"objects": [{"id": 1, "x": 0, "y": 1}, {"id": 1, "name": "b", "x": 0, "y": 2}]},
         "object id is not unique: 1",
     ),
-    "an event of no kind": ({"events": [{"at": 1}]}, r"events\[0\]: give exactly one of move, "),
+    "an event without a kind": (
+        {"events": [{"at": 1}]},
+        r"events\[0\]: give exactly one of move, ",
+    ),
     "an event in the past": ({"events": [{"at": -1, "remove": "a"}]}, r"events\[0\].at = '-1'"),
     "move without to": ({"events": [{"at": 1, "move": "a"}]}, "move needs the key to"),
 }
@@ -171,21 +174,21 @@ IMPOSSIBLE: dict[str, tuple[dict[str, Any], str]] = {
         {"objects": [{"id": 4, "x": 0, "y": 1.0, "theta": 3.1416}]},
         r"object_4 at \(0, 1\) is outside the walls or faces outward",
     ),
-    "somebody through furniture": (
+    "a person through furniture": (
         {"furniture": [DESK], "people": [{"name": "ada", "waypoints": [[1, 3], [1, 0.4]]}]},
         r"ada cannot walk from \(1, 3\) to \(1, 0.4\): desk is in the way",
     ),
-    "somebody on the robot": (
+    "a person on the robot": (
         {"people": [{"name": "ada", "waypoints": [[3.2, 2], [5, 2]]}]},
         r"ada begins at \(3.2, 2\), on the robot",
     ),
-    "somebody outside": (
+    "a person outside": (
         {"people": [{"name": "ada", "waypoints": [[8, 2]]}]},
         r"ada begins at \(8, 2\), outside",
     ),
-    "an event about nothing": (
+    "an event about a missing thing": (
         {"events": [{"at": 5, "remove": "sofa"}]},
-        "the event at 5 s cannot happen: sofa does not exist; there are none",
+        "the event at 5 s cannot happen: sofa does not exist",
     ),
     "an event after which it is gone": (
         {"furniture": [DESK], "events": [

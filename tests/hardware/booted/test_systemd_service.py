@@ -1,4 +1,4 @@
-"""The systemd unit of deploy/robot runs a robot as a user of least rights, and restarts it."""
+"""The systemd unit of deploy/robot runs a robot as an unprivileged user, and restarts it."""
 
 import json
 import os
@@ -32,11 +32,11 @@ robot: trial
 components:
   scanner:
     plugin: hokuyo_scanner
-    # Emulated processors are slow: at 40 scans a second they would do nothing else.
+    # Emulated processors are slow: 40 scans per second would occupy them completely.
     parameters: {port: /dev/cairn/scanner, skip: 9}
 """
-# What is altered: the rest of a system is not waited for, and limits are longer, since an emulated
-# machine is slow; the environment and its interpreter may be anywhere.
+# Changes of the unit: it does not wait for the rest of a system, and limits are longer, because an
+# emulated machine is slow; the environment and its interpreter may be anywhere.
 _HERE = """
 [Unit]
 DefaultDependencies=no
@@ -72,7 +72,7 @@ def _installed() -> Iterator[None]:
 @pytest.fixture
 def service(acm: Cable) -> Iterator[str]:
     """The service, running, with a scanner plugged in."""
-    acm.unplug()  # it gets its name by the rules
+    acm.unplug()  # the udev rules give it its name when it is plugged in
     acm.plug_in()
     emulator = subprocess.Popen(
         [sys.executable, "-m", "cairn.cli.main", "emulate", "hokuyo", "--serial", acm.far_end]
@@ -87,7 +87,7 @@ def service(acm: Cable) -> Iterator[str]:
         emulator.wait()
 
 
-def test_it_runs_as_a_user_of_least_rights_and_stops_in_good_order(service: str) -> None:
+def test_it_runs_as_an_unprivileged_user_and_stops_cleanly(service: str) -> None:
     processes = of_robot()
     assert len(processes) >= 3, processes
     assert {process.username() for process in processes} == {"cairn"}
@@ -103,7 +103,7 @@ def test_it_runs_as_a_user_of_least_rights_and_stops_in_good_order(service: str)
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
-def test_it_is_started_anew_when_its_root_is_killed_or_hangs(
+def test_it_is_restarted_when_its_root_is_killed_or_hangs(
     service: str, number: signal.Signals
 ) -> None:
     first = of_robot()
@@ -112,7 +112,7 @@ def test_it_is_started_anew_when_its_root_is_killed_or_hangs(
 
     os.kill(root, number)
 
-    await_word(f"Started {_SERVICE}", after=before)
+    await_text(f"Started {_SERVICE}", after=before)
     assert int(of_service("MainPID")) not in (0, root)
     assert not any(process.is_running() for process in first)
     assert scans_come(), journal()
@@ -173,7 +173,7 @@ def end_of_journal() -> str:
     return done.stdout.rpartition("-- cursor: ")[2].strip()
 
 
-def await_word(word: str, *, after: str) -> None:
+def await_text(text: str, *, after: str) -> None:
     """Wait for a line of systemd or the service, after this position in the journal."""
     follow = ["journalctl", "--follow", "--lines=all", "--after-cursor", after, "--output=cat"]
     with subprocess.Popen([*follow, "--unit", _SERVICE], stdout=PIPE, text=True) as process:
@@ -181,7 +181,7 @@ def await_word(word: str, *, after: str) -> None:
         limit.start()
         try:
             assert process.stdout is not None
-            assert any(word in line for line in process.stdout), f"no {word!r}; {journal()}"
+            assert any(text in line for line in process.stdout), f"no {text!r}; {journal()}"
         finally:
             limit.cancel()
             process.kill()

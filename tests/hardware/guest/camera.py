@@ -1,4 +1,4 @@
-"""What the tests of cameras share: vivid's cameras and what makes them fail, a loopback."""
+"""Shared by the tests of cameras: vivid's cameras and their faults, a loopback."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from cairn.components.v4l2_camera.camera_names import find_camera, video_nodes
 from cairn.components.v4l2_camera.device import VideoDevice
 from tests.hardware.guest.modules import run, settle
 
-# Pictures that cost the emulated guest little.
+# Pictures that need little time of the emulated guest.
 SMALL: Mapping[str, Any] = {"format": "GREY", "width": 320, "height": 180, "rate": 25}
 LEFT, RIGHT = "name:vivid-000-vid-cap", "name:vivid-001-vid-cap"
 _DRIVER = Path("/sys/bus/platform/drivers/vivid")
@@ -26,7 +26,7 @@ def unload(module: str) -> None:
 
 
 def load(module: str, *options: str) -> None:
-    """Load a module with options; returns when its devices are there."""
+    """Load a module with options; returns when its devices exist."""
     run("modprobe", module, *options)
     settle()
 
@@ -42,14 +42,16 @@ def unplug_cameras() -> None:
 
 
 def plug_in_cameras() -> None:
-    """Give them back."""
+    """Create both again."""
     (_DRIVER / "bind").write_text("vivid.0")
 
 
 @contextmanager
 def disconnected(camera: str) -> Iterator[None]:
-    """Take one away; its node stays, as vivid has it, but cannot be opened."""
-    device = VideoDevice(find_camera(camera))  # it is away as long as somebody has it open
+    """Disconnect one; vivid keeps its device node, but the node cannot be opened."""
+    device = VideoDevice(
+        find_camera(camera)
+    )  # the camera is disconnected while a process has it open
     try:
         Knobs(camera).turn("disconnect")
         yield
@@ -100,7 +102,7 @@ class Loopback:
     """A camera whose pictures the test writes, one for each `write`."""
 
     def __init__(self, name: str, pixel_format: str, width: int, height: int, size: int) -> None:
-        """`size` [bytes] is the most that a picture takes."""
+        """`size` [bytes] is the maximum size of a picture."""
         [self.path] = [node.path for node in video_nodes() if node.name == name]
         self._descriptor = os.open(self.path, os.O_RDWR)
         asked = videodev.Format(type=_OUTPUT)

@@ -1,4 +1,4 @@
-"""What the guest's tests may use: serial devices on cables."""
+"""Fixtures of the guest's tests: serial devices on cables."""
 
 from collections.abc import Iterator
 

@@ -1,6 +1,6 @@
-"""Control over the guest's own machine: USB devices are plugged in and pulled out.
+"""Control over the guest's own machine: plugs USB devices in and unplugs them.
 
-QEMU Machine Protocol, docs/interop/qmp-spec.txt of QEMU: a JSON object a line.
+QEMU Machine Protocol, docs/interop/qmp-spec.txt of QEMU: one JSON object per line.
 """
 
 import json
@@ -12,17 +12,17 @@ _PORT = Path("/dev/virtio-ports/control")
 
 def add_device(driver: str, name: str, **properties: str) -> None:
     """Plug a device in; returns when QEMU has done so."""
-    _order("device_add", driver=driver, id=name, **properties)
+    _execute("device_add", driver=driver, id=name, **properties)
 
 
 def remove_device(name: str) -> None:
     """Pull a device out; returns when QEMU has done so."""
-    _order("device_del", id=name)
+    _execute("device_del", id=name)
 
 
-def _order(command: str, **arguments: str) -> None:
+def _execute(command: str, **arguments: str) -> None:
     with _PORT.open("r+b", buffering=0) as port:
-        # The first order of a connection; later ones are refused, which does no harm.
+        # The first command of a connection; repetitions are refused, which does no harm.
         _answer(port, {"execute": "qmp_capabilities"})
         answer = _answer(port, {"execute": command, "arguments": arguments})
     assert "return" in answer, f"QEMU refuses {command} {arguments}: {answer}"
@@ -30,7 +30,7 @@ def _order(command: str, **arguments: str) -> None:
 
 def _answer(port: Any, message: dict[str, Any]) -> dict[str, Any]:
     port.write(json.dumps(message).encode() + b"\n")
-    while True:  # between them come a greeting, and events
+    while True:  # a greeting and events may precede the reply
         answer: dict[str, Any] = json.loads(_line(port))
         if "return" in answer or "error" in answer:
             return answer

@@ -1,4 +1,4 @@
-"""Whatever happens to a camera, its driver reports it, and publishes images again."""
+"""After each fault of a camera, its driver reports the fault and publishes images again."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def test_lost_frames_are_counted(driver: Driver) -> None:
         Knobs(LEFT).turn("percentage_of_dropped_buffers", 0)
 
 
-def test_wrap_of_sequence_numbers_is_no_loss() -> None:
+def test_wrap_of_sequence_numbers_does_not_count_as_loss() -> None:
     Knobs(LEFT).turn("wrap_sequence_number", 1)
     try:
         with Driver(device=LEFT, **{**SMALL, "rate": 50}) as driver:
@@ -104,7 +104,7 @@ def test_wrap_of_sequence_numbers_is_no_loss() -> None:
     assert int(values["lost"]) < 2**16, "of 2**32 numbers"
 
 
-def test_a_time_that_cannot_be_is_replaced_by_that_of_arrival() -> None:
+def test_impossible_time_is_replaced_by_the_time_of_arrival() -> None:
     Knobs(LEFT).turn("wrap_timestamp", 1)
     try:
         with Driver(device=LEFT, **SMALL) as driver:
@@ -136,7 +136,7 @@ def test_camera_that_disappears_for_a_moment_is_reopened(driver: Driver) -> None
     driver.await_images(3)
 
 
-def test_cameras_that_are_unplugged_are_taken_up_as_they_were_set_when_they_are_back(
+def test_unplugged_cameras_are_reopened_with_their_settings_when_they_return(
     record_property: Callable[[str, object], None],
 ) -> None:
     with Driver(device=LEFT, right_device=RIGHT, **SMALL) as driver:

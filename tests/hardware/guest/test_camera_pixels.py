@@ -1,4 +1,4 @@
-"""Pixels come out of the kernel as they went in; what is no whole picture does not come out."""
+"""The driver publishes the pixels that were sent, and drops incomplete pictures."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Two cameras of 640 x 480 pixels at 25 images per second, without one lost."""
+"""Two cameras of 640 x 480 pixels at 25 images per second lose no image."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The devices that the guest's other tests use are what these tests take them for."""
+"""The devices that the guest's other tests use behave as these tests assume."""
 
 import os
 import select
@@ -33,7 +33,7 @@ def test_bytes_go_both_ways(cable: Cable) -> None:
         assert received(port.fileno(), len(_SCAN)) == _SCAN
 
 
-def test_pulling_the_plug_is_told_in_each_of_pyserials_ways(cable: Cable) -> None:
+def test_pulling_the_plug_raises_each_error_of_pyserial(cable: Cable) -> None:
     with opened(cable.port) as port:
         cable.unplug()
 

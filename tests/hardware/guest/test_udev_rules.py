@@ -36,7 +36,7 @@ def test_a_hokuyo_on_usb_is_the_scanner(acm: Cable) -> None:
     assert not Path("/dev/cairn/scanner").is_symlink()
 
 
-def test_an_rs_232_adapter_hands_bytes_on_at_once(ftdi: Cable) -> None:
+def test_rs_232_adapter_passes_bytes_on_without_delay(ftdi: Cable) -> None:
     ftdi.unplug()
     ftdi.plug_in()
 

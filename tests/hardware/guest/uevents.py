@@ -25,7 +25,7 @@ class DeviceEvents:
         self._socket.close()
 
     def await_node(self, node: Path, *, there: bool, limit_s: float = 30.0) -> None:
-        """Wait until a device's node is there, or is no longer.
+        """Wait until a device's node exists, or no longer exists.
 
         The kernel makes and removes the node before it reports that. Raises `AssertionError`
         after the limit.
