@@ -222,7 +222,7 @@ def test_unrecognizable_picture_is_rejected(
         (("a.png", "--camera"), "give images or --camera, not both"),
         (("a.png", "--size", "0.4"), "--size 0.4: write it as W,H"),
         (("a.png", "--size", "0,1"), "--size 0,1: write it as W,H"),
-        (("a.png", "--size", "300,2"), "in meters, above 0 and at most 100"),
+        (("a.png", "--size", "300,2"), "above 0 and at most 100"),
         (("a.png", "--size", "0.3,0.4"), "1.33 times as wide as high, but the size 0.3 m x 0.4 m"),
         (("a.png", "--box", "1,2,3"), "--box 1,2,3: write it as X,Y,W,H"),
         (("--size", "1,1"), "no such map file; give images of cup"),
