@@ -1,1 +1,1 @@
-"""Tests of what Cairn does when something goes wrong, each in real processes."""
+"""Tests of Cairn's reactions to faults, each in real processes."""

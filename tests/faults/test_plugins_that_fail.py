@@ -1,4 +1,4 @@
-"""A plugin that fails, wherever it does, is logged with its name and cause, and supervised."""
+"""A plugin that fails in any call is logged with its name and cause, and supervised."""
 
 import re
 

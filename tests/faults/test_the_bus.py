@@ -24,7 +24,7 @@ TALK = """
     """
 
 
-def test_a_port_that_is_taken(launch: Launching) -> None:
+def test_occupied_tcp_port_is_reported_with_remedies(launch: Launching) -> None:
     first = launch(TALK)
     first.await_line("talker active")
     second = launch(TALK, "--set", f"bus.listen={first.endpoint}")
@@ -39,7 +39,7 @@ def test_a_port_that_is_taken(launch: Launching) -> None:
     assert first.stop() == 0
 
 
-def test_another_message_type_on_a_topic(launch: Launching) -> None:
+def test_another_message_type_on_a_topic_is_reported_to_both_components(launch: Launching) -> None:
     run = launch(TALK)
     run.await_line("listener: heard 1")
     bus = ZenohBus(open_peer([run.endpoint]))
@@ -60,7 +60,7 @@ def test_another_message_type_on_a_topic(launch: Launching) -> None:
     assert run.stop() == 0
 
 
-def test_nan_and_rubbish_in_messages_of_a_foreign_node(launch: Launching) -> None:
+def test_invalid_messages_of_a_foreign_node_are_rejected_and_counted(launch: Launching) -> None:
     run = launch(
         """
     external_topics: [words]

@@ -47,7 +47,7 @@ def _every_message() -> dict[str, type[Any]]:
 
 
 EVERY_MESSAGE = _every_message()
-# Of what ROS 2 has, what the store of definitions that tests compare with holds.
+# The messages of ROS 2 that the reference store of definitions contains.
 OF_ROS_2 = [name for name in EVERY_MESSAGE if not name.startswith(("cairn_", "map_msgs/"))]
 
 

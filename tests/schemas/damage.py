@@ -1,4 +1,4 @@
-"""Damage encoded messages in the ways that reveal what a decoder does not check."""
+"""Damage encoded messages in ways that reveal missing checks of a decoder."""
 
 import struct
 from collections.abc import Callable

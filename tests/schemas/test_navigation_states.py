@@ -1,4 +1,4 @@
-"""The names of an order's states, and which of them are its result."""
+"""The names of a goal's states, and which of them are results."""
 
 from cairn.schemas.cairn_nav_msgs import (
     NAVIGATION_END_STATES,

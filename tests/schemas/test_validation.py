@@ -1,4 +1,4 @@
-"""What each message rejects, and the error message."""
+"""The invalid values that each message rejects, and the error message."""
 
 import math
 import re

@@ -60,7 +60,7 @@ def test_unknown_names_are_reported_with_the_known_ones(command: Command) -> Non
     assert lost.err.endswith(": rover\n")
 
 
-def test_a_component_is_loaded_restarted_and_unloaded_while_the_others_go_on(
+def test_a_component_is_loaded_restarted_and_unloaded_while_the_others_continue(
     command: Command, rover: Run
 ) -> None:
     others = [rover.pid_of(name) for name in ("mobile", "listener", "talker")]

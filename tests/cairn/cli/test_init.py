@@ -15,7 +15,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def test_the_skeleton_has_the_names_given_and_no_placeholder(folder: Path) -> None:
+def test_the_skeleton_has_the_requested_names_and_no_placeholder(folder: Path) -> None:
     answer = cairn("init", "field_rover")
 
     assert (answer.code, answer.err) == (0, "")
@@ -38,7 +38,7 @@ def test_a_name_that_no_package_can_have_is_rejected(folder: Path, name: str) ->
     assert not (folder / name).exists()
 
 
-def test_a_folder_with_files_is_left_alone(folder: Path) -> None:
+def test_a_folder_with_files_is_not_changed(folder: Path) -> None:
     (folder / "rover").mkdir()
     (folder / "rover" / "thesis.txt").write_text("all of it")
 

@@ -82,7 +82,7 @@ def test_check_reports_all_problems_with_their_lines(tmp_path: Path) -> None:
     ]
 
 
-def test_set_and_overlay_change_what_is_checked(tmp_path: Path) -> None:
+def test_set_and_overlay_change_the_checked_deployment(tmp_path: Path) -> None:
     file, overlay = tmp_path / "good.yaml", tmp_path / "over.yaml"
     file.write_text("cairn: 1\ncomponents: {talker: {plugin: test_talker}}\n")
     overlay.write_text("components: {beacon: {plugin: test_beacon}}\n")

@@ -191,7 +191,7 @@ ODD = st.sampled_from(
 
 
 def replaced(value: Any, choice: st.DataObject) -> Any:
-    """Return the value with one part, at any depth, replaced by something odd."""
+    """Return the value with one part, at any depth, replaced by an arbitrary value."""
     if isinstance(value, dict) and value and choice.draw(st.integers(0, 5)):
         key = choice.draw(st.sampled_from(sorted(value)))
         return value | {key: replaced(value[key], choice)}

@@ -1,4 +1,4 @@
-"""The published JSON Schema is current, and agrees with what is accepted."""
+"""The published JSON Schema is current, and agrees with the accepted documents."""
 
 from pathlib import Path
 

@@ -51,7 +51,7 @@ def test_shipped_overlays_name_a_deployment_that_they_fit(
     load_deployment(deployment_file(quoted[1]), [file])
 
 
-def test_deployments_are_listed_with_what_they_are_for() -> None:
+def test_deployments_are_listed_with_their_purpose() -> None:
     rows = {row["name"]: row for row in cairn("deployments", "--json").json}
 
     assert (rows["sim"]["kind"], rows["pixels"]["kind"]) == ("deployment", "overlay")

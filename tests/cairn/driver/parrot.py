@@ -1,4 +1,4 @@
-"""An emulated device for tests of lines: it repeats each line that it receives, and can count."""
+"""An emulated device for tests of links: it repeats each line that it receives, and can count."""
 
 from __future__ import annotations
 
@@ -58,26 +58,26 @@ class Parrot:
 
 
 def read_until(link: Link, part: bytes) -> bytes:
-    """Read until this is in what was received; return that."""
+    """Read until `part` was received; return all received bytes."""
     deadline = time.monotonic() + LIMIT_S
     data = b""
     while part not in data:
         data += link.read(max(0.0, deadline - time.monotonic()))
-        assert time.monotonic() < deadline, f"{part!r} has not come, but {data[-200:]!r}"
+        assert time.monotonic() < deadline, f"{part!r} was not received, but {data[-200:]!r}"
     return data
 
 
 def read_count(link: Link, count: int) -> bytes:
-    """Read at least so many bytes."""
+    """Read at least `count` bytes."""
     deadline = time.monotonic() + LIMIT_S
     data = b""
     while len(data) < count:
         data += link.read(max(0.0, deadline - time.monotonic()))
-        assert time.monotonic() < deadline, f"only {data[-200:]!r} has come"
+        assert time.monotonic() < deadline, f"only {data[-200:]!r} was received"
     return data
 
 
-def asked(link: Link, line: bytes) -> bytes:
-    """Send a line; return what is received until it is repeated."""
+def request(link: Link, line: bytes) -> bytes:
+    """Send a line; return all bytes received until the device repeats it."""
     link.write(line + b"\n")
     return read_until(link, line + b"\n")

@@ -73,7 +73,7 @@ class Stream:
         """Return the error of each message's time as the driver computes it [s]."""
         found, arrived = [], 0.0
         for sent, ticks, late in zip(self.sent, self.shown, self.late, strict=True):
-            arrived = max(arrived, sent + late)  # a line keeps their order
+            arrived = max(arrived, sent + late)  # a link keeps their order
             device_s = clock.seconds(ticks % _MODULUS)
             found.append(device_s + clock.offset(device_s, arrived) - sent)
         return found
@@ -100,7 +100,7 @@ def restarted_devices(draw: st.DrawFn) -> Stream:
 def test_a_restarted_device_is_followed_from_its_first_message(stream: Stream) -> None:
     errors = stream.errors(DeviceClock(1000, 24))
 
-    # What is later than it can be by less than 0.05 s is not noticed.
+    # An impossible delay of less than 0.05 s is not detected.
     assert errors == pytest.approx([0.0] * len(errors), abs=max(stream.late) + 0.05)
 
 
@@ -109,13 +109,13 @@ def test_a_restarted_device_is_followed_from_its_first_message(stream: Stream) -
 def test_one_damaged_stamp_affects_no_other_message(stream: Stream, data: st.DataObject) -> None:
     stream.late = [0.002] * len(stream.late)
     at = data.draw(st.integers(1, len(stream.shown) - 1))
-    # Ahead by less than messages may be late it cannot be distinguished from one on time.
+    # A stamp that is ahead by less than the largest delay cannot be distinguished from a valid one.
     stream.shown[at] += data.draw(st.integers(600, _MODULUS - 1))
     clock = DeviceClock(1000, 24)
 
     errors = stream.errors(clock)
 
-    # Put back to between two messages a time may be that of a late one.
+    # A time that is set back to between two messages may be that of a late one.
     assert abs(errors.pop(at)) < stream.sent[at] - stream.sent[at - 1] + 0.06
     assert errors == pytest.approx([0.0] * len(errors), abs=0.06)
     assert clock.jumps <= 3

@@ -1,4 +1,4 @@
-"""What a host sees of an emulated device: in normal operation, and with each fault."""
+"""The effects of an emulated device on its host: in normal operation, and with each fault."""
 
 import os
 import socket
@@ -14,7 +14,7 @@ from cairn.driver.emulator import Emulator, FrameFault
 from cairn.driver.emulator_lines import LineEnd, PtyEnd, SerialEnd, TcpEnd
 from cairn.driver.errors import LinkLost
 from cairn.driver.link import Link, SerialLink, TcpLink
-from tests.cairn.driver.parrot import Parrot, asked, read_count, read_until
+from tests.cairn.driver.parrot import Parrot, read_count, read_until, request
 from tests.patience import LIMIT_S
 
 Opening = Callable[[], Link]
@@ -76,7 +76,7 @@ def _await(happened: Callable[[], bool]) -> None:
 def test_requests_are_answered_on_each_kind_of_line(kind: str, tmp_path: Path) -> None:
     with _plugged(kind, tmp_path) as (end, opened), Emulator(Parrot(), end):
         link = opened()
-        assert asked(link, b"polly") == b"polly\n"
+        assert request(link, b"polly") == b"polly\n"
         link.write(b"count\n")
         assert read_until(link, b"2\n").startswith(b"count\n1\n2\n")
         link.close()
@@ -87,12 +87,12 @@ def test_the_device_keeps_its_state_between_clients(kind: str, tmp_path: Path) -
     parrot = Parrot()
     with _plugged(kind, tmp_path) as (end, opened), Emulator(parrot, end):
         first = opened()
-        asked(first, b"count")
+        request(first, b"count")
         first.close()
         second = opened()
-        assert b"hello\n" in asked(second, b"hello")
+        assert b"hello\n" in request(second, b"hello")
         assert parrot.power_ons == 1
-        assert parrot.hang_ups == (kind == "tcp")  # a serial line does not show it
+        assert parrot.hang_ups == (kind == "tcp")  # a serial line does not signal it
         second.close()
 
 
@@ -100,11 +100,11 @@ def test_tcp_takes_one_client_at_a_time(tmp_path: Path) -> None:
     end = TcpEnd(0)
     with Emulator(Parrot(), end):
         first = TcpLink("127.0.0.1", end.port)
-        asked(first, b"hello")
+        request(first, b"hello")
         second = TcpLink("127.0.0.1", end.port)
         with pytest.raises(LinkLost, match="closed the connection"):
             second.read(LIMIT_S)
-        asked(first, b"still here")
+        request(first, b"still here")
         first.close()
 
 
@@ -113,7 +113,7 @@ def test_an_unplugged_device_vanishes_and_returns_restarted(kind: str, tmp_path:
     parrot = Parrot()
     with _plugged(kind, tmp_path) as (end, opened), Emulator(parrot, end) as emulator:
         link = opened()
-        asked(link, b"hello")
+        request(link, b"hello")
         emulator.unplug()
         with pytest.raises(LinkLost):
             read_count(link, 1)
@@ -123,7 +123,7 @@ def test_an_unplugged_device_vanishes_and_returns_restarted(kind: str, tmp_path:
         assert not (tmp_path / "line").is_symlink()
         emulator.plug_in()
         link = opened()
-        assert asked(link, b"again") == b"again\n"
+        assert request(link, b"again") == b"again\n"
         assert parrot.power_ons == 2
         link.close()
 
@@ -135,7 +135,7 @@ def test_a_device_unplugged_for_a_time_returns_by_itself(tmp_path: Path) -> None
         assert not emulator.plugged_in
         _await((tmp_path / "line").is_symlink)
         link = SerialLink(str(tmp_path / "line"), 9600)
-        asked(link, b"hello")
+        request(link, b"hello")
         link.close()
 
 
@@ -144,13 +144,13 @@ def test_a_hanging_device_neither_sends_nor_receives(tmp_path: Path) -> None:
     end = PtyEnd(tmp_path / "line")
     with Emulator(parrot, end) as emulator:
         link = SerialLink(str(tmp_path / "line"), 9600)
-        asked(link, b"count")
+        request(link, b"count")
         emulator.hang()
         link.discard()
         link.write(b"lost\n")
         assert link.read(0.1) == b""
         emulator.hang(0)
-        asked(link, b"hello")
+        request(link, b"hello")
         assert b"lost" not in parrot.received
         link.close()
 
@@ -204,7 +204,7 @@ def test_at_the_wrong_speed_nothing_is_understood_in_either_direction(tmp_path: 
         link.write(b"deaf\n")
         assert link.read(0.1) == b""
         link.set_baud(19200)
-        asked(link, b"count")
+        request(link, b"count")
         link.set_baud(9600)
         while link.read(0.0):
             pass
@@ -217,9 +217,9 @@ def test_a_change_of_speed_is_answered_at_the_old_speed(tmp_path: Path) -> None:
     end = PtyEnd(tmp_path / "line")
     with Emulator(Parrot(speed=9600), end, paced=True):
         link = SerialLink(str(tmp_path / "line"), 9600)
-        assert asked(link, b"speak 19200") == b"speak 19200\n"
+        assert request(link, b"speak 19200") == b"speak 19200\n"
         link.set_baud(19200)
-        assert asked(link, b"hello") == b"hello\n"
+        assert request(link, b"hello") == b"hello\n"
         link.close()
 
 
@@ -229,10 +229,10 @@ def test_a_slow_line_takes_the_time_of_its_speed(tmp_path: Path) -> None:
         link = SerialLink(str(tmp_path / "line"), 9600)
         emulator.slow(9600)
         began = time.monotonic()
-        asked(link, b"x" * 480)  # 0.5 s of 10 bits a byte
+        request(link, b"x" * 480)  # 0.5 s of 10 bits per byte
         assert time.monotonic() - began > 0.45
         emulator.slow(None)
-        asked(link, b"count")
+        request(link, b"count")
         read_count(link, 100)
         link.close()
 
@@ -245,9 +245,9 @@ def test_a_host_that_does_not_read_does_not_block_the_emulator(tmp_path: Path) -
         link.write(b"count\n")
         link.write((b"y" * 999 + b"\n") * 4)
         read_count(link, 1)
-        emulator.hang(0)  # it still makes calls
+        emulator.hang(0)  # it still executes calls
         link.discard()
-        assert b"hello\n" in asked(link, b"hello")
+        assert b"hello\n" in request(link, b"hello")
         link.close()
 
 
@@ -256,7 +256,7 @@ def test_nothing_is_sent_while_no_client_is_connected() -> None:
     end = TcpEnd(0)
     with Emulator(parrot, end) as emulator:
         link = TcpLink("127.0.0.1", end.port)
-        asked(link, b"count")
+        request(link, b"count")
         link.close()
         _await(lambda: parrot.hang_ups > 0)
         number = emulator.call(lambda: parrot.number)
@@ -280,7 +280,7 @@ def test_a_real_port_that_vanishes_is_opened_again_when_it_returns(tmp_path: Pat
         path.symlink_to(os.ttyname(port))
         _await(lambda: emulator.plugged_in)
         link = _Descriptor(host)
-        assert asked(link, b"again") == b"again\n"
+        assert request(link, b"again") == b"again\n"
         link.close()
     assert parrot.power_ons == 2
     os.close(host)

@@ -52,9 +52,9 @@ def cost_along(prices: CellCosts, points: NDArray[np.float64]) -> float:
 
 
 def shortest(closed: NDArray[np.bool_], start: Cell, goal: Cell) -> float:
-    """Length [cells] of the shortest way between the cell_centers of two cells past closed ones.
+    """Length [cells] of the shortest path between the centers of two cells past closed ones.
 
-    Infinite without a way. It turns at corners of closed cells, a thousandth of a cell off.
+    Infinite without a path. It turns at corners of closed cells, a thousandth of a cell off.
     """
     places = [np.array([column + 0.5, row + 0.5]) for row, column in (start, goal)]
     places += _corners(closed)

@@ -1,4 +1,4 @@
-"""Compiled kernels: an edit of whatever is compiled into one takes effect in the next process."""
+"""Compiled kernels: an edit of any compiled part takes effect in the next process."""
 
 import json
 import os
@@ -56,7 +56,7 @@ class Package:
         (self.folder / f"{module}.py").write_text(text)
 
     def run(self, **environment: str) -> tuple[float, bool]:
-        """What the caller returns for 10 in a new process, and whether it came from the cache."""
+        """The result of the caller for 10 in a new process, and whether it came from the cache."""
         done = subprocess.run(
             [sys.executable, "-B", "-c", RUN],
             env={**self._environment, **environment},

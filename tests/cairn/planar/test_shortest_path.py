@@ -33,7 +33,7 @@ def grid(prices: CellCosts) -> CellCosts:
 
 
 def touched(cell: Cell, y: int, x: int) -> list[Cell]:
-    """The cells that a move touches: its ends, and what lies between."""
+    """The cells that a move touches: its ends, and the cells between."""
     row, column = cell
     ends = [(row, column), (row + y, column + x)]
     if abs(y) == abs(x) == 1:
@@ -121,7 +121,8 @@ def test_path_costs_as_much_as_the_cheapest_by_brute_force(
         assert way.cells is not None
         assert tuple(way.cells[0]) == (0, 0)
         assert tuple(way.cells[-1]) == goal
-        # Lengths are counted in twelfths, and what a sixth of a step parts is taken in any order.
+        # Lengths are counted in twelfths, and costs that differ by less than a sixth of a step are
+        # expanded in any order.
         assert cost_of(prices, way.cells) <= 1.01 * reference[goal] + 0.2
     else:
         assert way.cells is None
@@ -177,7 +178,7 @@ def test_corridor_of_one_cell_is_passable_and_a_diagonal_gap_is_not() -> None:
 
 def test_consecutive_searches_are_independent() -> None:
     winding = serpentine(300, 2, 1)
-    grid(winding)[grid(winding) < CLOSED] = MAX_COST  # so dear that costs soon exceed 32 bits
+    grid(winding)[grid(winding) < CLOSED] = MAX_COST  # so expensive that costs soon exceed 32 bits
     other = random_prices(5, 300, 300, 0.1, dear=False)
     search = PathSearch(winding.shape)
     first = search.find(winding, (0, 0), (299, 299)).cells

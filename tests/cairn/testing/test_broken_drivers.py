@@ -1,6 +1,6 @@
 """Each broken driver fails the tests for its fault, and passes others, in real processes.
 
-Of each driver the tests that must fail are run, and one that must pass.
+For each driver, run the tests that must fail, and one that must pass.
 """
 
 import sys

@@ -1,6 +1,6 @@
 """Drivers with wrong messages fail the tests for their fault, and no others.
 
-In virtual time, where a busy computer does not matter; the contracts' own tests judge.
+They run in virtual time, so a busy computer has no effect; the contracts' own tests judge.
 """
 
 from pathlib import Path
@@ -82,24 +82,24 @@ def test_scanners(driver: type[Component], tmp_path: Path) -> None:
     harness = ComponentHarness(driver, {"device": str(device)})
     harness.run_for(SECONDS)
 
-    found_as_meant(failures_of(Scans(), scans=arrivals(harness)["scan"]), SCANNERS[driver])
+    check_failures(failures_of(Scans(), scans=arrivals(harness)["scan"]), SCANNERS[driver])
 
 
 @pytest.mark.parametrize("driver", CAMERAS)
 def test_cameras(driver: type[Component]) -> None:
     seen = pictures(ComponentHarness(driver), SECONDS)
 
-    found_as_meant(failures_of(Images(), pictures=seen), CAMERAS[driver])
+    check_failures(failures_of(Images(), pictures=seen), CAMERAS[driver])
 
 
 @pytest.mark.parametrize("driver", BASES)
 def test_bases(driver: type[Component]) -> None:
     driven = drive(ComponentHarness(driver), Drives)
 
-    found_as_meant(failures_of(Drives(), drive=driven), BASES[driver])
+    check_failures(failures_of(Drives(), drive=driven), BASES[driver])
 
 
-def found_as_meant(failures: dict[str, str], meant: dict[str, str]) -> None:
-    assert failures.keys() == meant.keys(), failures
-    for test, words in meant.items():
+def check_failures(failures: dict[str, str], expected: dict[str, str]) -> None:
+    assert failures.keys() == expected.keys(), failures
+    for test, words in expected.items():
         assert words in failures[test], failures[test]

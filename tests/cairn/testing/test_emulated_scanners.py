@@ -1,4 +1,4 @@
-"""The drivers of real scanners keep the contract on emulated ones, all in one deployment."""
+"""The drivers of real scanners fulfill the contract on emulated ones, all in one deployment."""
 
 import math
 from collections.abc import Iterator, Mapping

@@ -1,4 +1,4 @@
-"""The replayed drivers keep the contracts, as far as a recording allows."""
+"""The replayed drivers fulfill the contracts, as far as a recording allows."""
 
 import gzip
 from collections.abc import Iterator

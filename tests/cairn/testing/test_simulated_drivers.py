@@ -1,6 +1,6 @@
-"""The simulated drivers keep the contracts of messages and life cycle, all in one deployment.
+"""The simulated drivers fulfill the contracts of messages and life cycle, all in one deployment.
 
-Messages are judged in real time, so that these tests run beside no others.
+Messages are judged in real time, so these tests must not run beside others.
 """
 
 import math

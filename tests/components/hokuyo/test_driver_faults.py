@@ -1,4 +1,4 @@
-"""Whatever happens on the line: no wrong scan is published, and scans resume soon."""
+"""Faults on the line: no wrong scan is published, and scans resume soon."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ pytestmark = pytest.mark.slow
 
 FAULTS: tuple[FrameFault, ...] = ("bad_sum", "cut", "garbage", "drop")
 
-_ANY_RATE = 1.0  # how many scans a busy computer drops is not judged here
+_ANY_RATE = 1.0  # the number of scans that a busy computer drops is not judged here
 
 
 def assert_all_were_sent(it: Driven) -> None:
@@ -92,7 +92,7 @@ def test_a_damaged_scan_is_dropped_and_counted(tmp_path: Path, fault: FrameFault
         )
 
 
-def test_a_silent_sensor_is_told_to_start_again(tmp_path: Path) -> None:
+def test_a_silent_sensor_gets_the_command_to_start_again(tmp_path: Path) -> None:
     with driven(tmp_path, silence_s=0.2) as it:
         it.scans.wait(2)
         it.emulator.call(lambda: it.device.receive(b"QT\n", 0.0))  # as if it had stopped by itself

@@ -1,4 +1,4 @@
-"""`cairn driver probe hokuyo` identifies a scanner, and draws what it measures."""
+"""`cairn driver probe hokuyo` identifies a scanner, and draws its scans."""
 
 from __future__ import annotations
 

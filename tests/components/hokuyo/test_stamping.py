@@ -1,4 +1,4 @@
-"""A scan's stamp is when its first ray was measured, whatever the delays of the line."""
+"""A scan's stamp is the time of its first ray, independent of the delays of the line."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from cairn.components.hokuyo.stamping import ScanStamper
 
 UTM = SensorSpec("UTM-30LX", 23, 60000, 1440, 0, 1080, 540, 2400)
 REQUEST = ScanRequest(0, 1080)
-COMPUTES_S = 0.004  # what the sensor takes after the last ray
+COMPUTES_S = 0.004  # the sensor's computing time after the last ray
 
 
 def errors_s(

@@ -24,7 +24,7 @@ def observation(
     object_id: int = 7,
     corroborated: bool = True,
 ) -> ReceivedEvidence:
-    """Return evidence from the pose that is `step` times 0.2 m along the way."""
+    """Return evidence from the pose that is `step` times 0.2 m along the path."""
     if verdict is None:
         verdict = EvidenceVerdict.AGREES if similarity >= 0.5 else EvidenceVerdict.DISAGREES
     robot = (0.2 * step, 0.0, 0.0)

@@ -1,4 +1,4 @@
-"""Tests of the rules for comparison: they do what their papers say, with their weaknesses."""
+"""Tests of the rules for comparison: they follow their papers, weaknesses included."""
 
 import itertools
 import math
@@ -103,7 +103,8 @@ def test_recursion_equals_the_persistence_filter_with_exponential_prior() -> Non
             product *= chance
         return product
 
-    # Before the first look it stood with probability 0.5; if so, it goes at an exponential time.
+    # Before the first observation it stood with probability 0.5; it then vanishes at an exponential
+    # time.
     times = [0.0, *(at_s for at_s, _ in observed)]
     gone = 0.5 * likelihood(-1.0)
     for begin, end in itertools.pairwise(times):

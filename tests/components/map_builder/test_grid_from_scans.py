@@ -61,7 +61,7 @@ def test_corridor_walls_are_complete_and_the_space_between_is_free() -> None:
     assert to_wall[rows, columns].max() < 0.2
 
 
-def test_people_who_walk_past_leave_no_trace() -> None:
+def test_passing_people_leave_no_trace() -> None:
     grid = corridor()
     posed = drive(grid, 1)
     with_person = room(

@@ -239,7 +239,7 @@ def test_judgments_before_the_loss_are_kept() -> None:
 def test_undone_registration_leaves_no_position() -> None:
     landmark_map = LandmarkMap([surveyed()])
     assert kinds(landmark_map, observation(0.1, 0, THERE)) == [ChangeKind.REMOVED]
-    landmark_map.apply([], 61.0)  # the removal is too long ago to be taken back
+    landmark_map.apply([], 61.0)  # the removal is too long ago to be undone
     seen = kinds(landmark_map, *(observation(0.5, step, THERE) for step in range(1, 4)))
     assert seen == [ChangeKind.REGISTERED]
 

@@ -82,7 +82,7 @@ def test_unchanged_room_stays_unchanged() -> None:
     assert changed.mean() < 0.001
 
 
-def test_people_who_pass_leave_no_trace_and_who_stayed_is_removed() -> None:
+def test_passing_people_leave_no_trace_and_a_person_that_stayed_is_removed() -> None:
     occupancy = Occupancy(room(), 8.0, 60.0)
     pose = (2.0, 2.0, 0.0)
     random = np.random.default_rng(0)

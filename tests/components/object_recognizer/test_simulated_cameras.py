@@ -79,7 +79,7 @@ def run_recognizer(
 
 
 def assert_position(one: RecognizedObject) -> None:
-    """Assert that the object is where the world file says."""
+    """Assert that the object is at its position in the world file."""
     x, y = {3: (3.8, 7.0), 4: (5.6, 7.0)}[one.object_id]
     ahead, left = y - START["y"], START["x"] - x
     assert one.range == pytest.approx(math.hypot(ahead, left), abs=4 * math.sqrt(one.covariance[0]))

@@ -1,4 +1,4 @@
-"""Objects are recognized where a camera would see them, as often as configured."""
+"""Objects are recognized if a camera can see them, as often as configured."""
 
 import math
 from collections.abc import Sequence

@@ -96,7 +96,7 @@ def test_disparity_is_focal_length_times_baseline_over_depth(
 
 
 def shown(image: NDArray[np.float32], pose: Pose) -> float:
-    """The similarity of the poster's picture with what the image shows at its place."""
+    """The similarity of the poster's picture with the image at its position."""
     around = corners(POSTER, pose)
     inside = within(around)
     return float(np.corrcoef(image[inside], expected(around)[inside])[0, 1])

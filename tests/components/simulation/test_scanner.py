@@ -1,4 +1,4 @@
-"""Scanners measure what their data sheets say, also in motion, with the configured faults."""
+"""Scanners measure as their data sheets specify, also in motion, with the configured faults."""
 
 import math
 from dataclasses import replace

@@ -71,7 +71,7 @@ def test_blocked_robot_does_not_follow_its_wheels() -> None:
     assert world.robot[2] == pytest.approx(theta + 0.02)
 
 
-def test_driving_along_a_wall_is_no_contact() -> None:
+def test_driving_along_a_wall_is_not_a_contact() -> None:
     world = world_of(robot={"x": 1.0, "y": RADIUS + 1e-6, "theta": 0.0})
 
     assert driven(world, 4.0, 0.5) == []

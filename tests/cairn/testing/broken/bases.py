@@ -1,4 +1,4 @@
-"""A sound driver of a made-up base, and drivers that differ from it by one mistake each."""
+"""A correct driver of a fictitious base, and drivers that differ from it by one mistake each."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class SoundBase(Component):
 
     @every(hz=RATE_HZ)
     def move(self) -> None:
-        for _ in self.turns.look(self.clock.now()):
+        for _ in self.turns.completed(self.clock.now()):
             self.step(self.turns.ended)
 
     def step(self, now: int) -> None:
@@ -84,7 +84,7 @@ class SoundBase(Component):
 
 
 class NeverStops(SoundBase):
-    """Carries out its last command for ever."""
+    """Executes its last command forever."""
 
     def target(self, now: int) -> tuple[float, float]:
         self.commanded_at = now
@@ -92,7 +92,7 @@ class NeverStops(SoundBase):
 
 
 class RightIsLeft(SoundBase):
-    """Its motors are swapped, and its encoders with them."""
+    """Its motors and its encoders are swapped."""
 
     @on("cmd_vel")
     def obey(self, command: Twist) -> None:
@@ -109,14 +109,14 @@ class Unlimited(SoundBase):
 
 
 class TwistInDegrees(SoundBase):
-    """Tells its rate of turning in degrees a second."""
+    """Publishes its turn rate in degrees per second."""
 
     def odometry(self, header: Header, forward: float, turn: float) -> Odometry:
         return super().odometry(header, forward, math.degrees(turn))
 
 
 class TransformLags(SoundBase):
-    """Its transform is of the moment before."""
+    """Publishes the transform of the previous step."""
 
     def on_activate(self) -> None:
         super().on_activate()

@@ -1,4 +1,4 @@
-"""A sound driver of a made-up stereo camera, and drivers with one mistake each."""
+"""A correct driver of a fictitious stereo camera, and drivers with one mistake each."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class SoundCamera(Component):
 
     @every(hz=RATE_HZ)
     def look(self) -> None:
-        for _ in self.turns.look(self.clock.now()):
+        for _ in self.turns.completed(self.clock.now()):
             self.take(self.turns.ended)
 
     def take(self, stamp: int) -> None:
@@ -65,21 +65,21 @@ class SoundCamera(Component):
 
 
 class StampsDiffer(SoundCamera):
-    """Stamps each side when its own image was read."""
+    """Stamps each image with the time at which it was read."""
 
     def header(self, stamp: int, side: str) -> Header:
         return super().header(stamp + 1_000_000 * (side == "right"), side)
 
 
 class SwappedSides(SoundCamera):
-    """Takes the left camera for the right one."""
+    """Mistakes the left camera for the right one."""
 
     def info(self, header: Header, baseline: float) -> CameraInfo:
         return super().info(header, BASELINE - baseline)
 
 
 class SwappedSizes(SoundCamera):
-    """Takes rows for columns."""
+    """Mistakes rows for columns."""
 
     def image(self, header: Header) -> Image:
         return replace(super().image(header), width=HEIGHT, height=WIDTH, step=HEIGHT)
@@ -93,14 +93,14 @@ class Frozen(SoundCamera):
 
 
 class WrongEncoding(SoundCamera):
-    """Names its encoding as V4L2 does."""
+    """Uses V4L2's name of its encoding."""
 
     def image(self, header: Header) -> Image:
         return replace(super().image(header), encoding="GREY")
 
 
 class InfosLate(SoundCamera):
-    """Tells how to rectify an image after it."""
+    """Publishes camera info after its image."""
 
     def take(self, stamp: int) -> None:
         left, right = self.header(stamp, "left"), self.header(stamp, "right")

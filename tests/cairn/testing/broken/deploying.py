@@ -22,7 +22,7 @@ def bench_of(
 ) -> Bench:
     """All drivers in one deployment, some in processes of their own.
 
-    The topics of each are below its name, and the device of one that has any is such a file.
+    The topics of each are below its name, and the device of a driver that has one is a file.
     """
     components: dict[str, Any] = {}
     commanded = []

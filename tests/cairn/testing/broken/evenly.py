@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 
 class EvenTurns:
-    """Counts the turns of a device, which began half a turn before it was first looked at."""
+    """Counts the turns of a device, whose first turn began half a turn before `now`."""
 
     def __init__(self, now: int, hz: float) -> None:
         self.period = round(1_000_000_000 / hz)
@@ -13,11 +13,11 @@ class EvenTurns:
 
     @property
     def ended(self) -> int:
-        """When the turn that is looked at ended [ns]."""
+        """The end of the current turn [ns]."""
         return self._began + self.number * self.period
 
-    def look(self, now: int) -> Iterator[None]:
-        """Go through the turns that have ended since the last look [ns]; the line keeps them."""
+    def completed(self, now: int) -> Iterator[None]:
+        """Iterate over the turns that ended between the last call and `now` [ns]."""
         while self.number < (now - self._began) // self.period:
             self.number += 1
             yield

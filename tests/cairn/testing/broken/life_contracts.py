@@ -1,4 +1,4 @@
-"""Drivers that misbehave when they are started, stopped, unplugged, set, or driven too fast."""
+"""Drivers that misbehave when started, stopped, unplugged, configured, or driven too fast."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -34,7 +34,7 @@ ALONE = (scanners.Leaks, scanners.HangsAtItsEnd, scanners.DiesUnplugged)
 
 @dataclass(frozen=True)
 class Plug:
-    """A device that is there while its file is."""
+    """A device that exists while its file exists."""
 
     file: Path
 

@@ -1,4 +1,4 @@
-"""Runs a driver in virtual time, and applies a contract's own tests to what it publishes."""
+"""Runs a driver in virtual time, and applies a contract's tests to its messages."""
 
 import inspect
 from collections.abc import Mapping
@@ -22,7 +22,7 @@ Arrivals = Mapping[str, list[Arrival[Any]]]
 def failures_of(contract: Contract, **given: object) -> dict[str, str]:
     """Return the failures of the tests of the contract that need exactly these fixtures.
 
-    A skipped test is in it too: it would find no fault.
+    It includes skipped tests, because they would find no fault.
     """
     failures = {}
     for name, test in inspect.getmembers(contract, inspect.ismethod):

@@ -1,6 +1,6 @@
-"""A sound driver of a made-up scanner, and drivers that differ from it by one mistake each.
+"""A correct driver of a fictitious scanner, and drivers that differ from it by one mistake each.
 
-The device is a file: it is plugged in while the file is there.
+The device is a file: it is plugged in while the file exists.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ SURROUNDINGS = {math.radians(90.0): 1.0, 0.0: 2.0, math.radians(-90.0): 3.0}
 
 
 class SoundScannerConfig(Config):
-    device: Path = Field(description="The file that is there while the device is plugged in.")
+    device: Path = Field(description="File that exists while the device is plugged in.")
 
 
 class SoundScanner(Component):
@@ -49,7 +49,7 @@ class SoundScanner(Component):
         if self._there and not there:
             self.gone()
         self._there = there
-        for _ in self.turns.look(self.clock.now()):
+        for _ in self.turns.completed(self.clock.now()):
             if there:
                 self.send()
 
@@ -60,7 +60,7 @@ class SoundScanner(Component):
         self.scan.publish(self.taken())
 
     def taken(self) -> LaserScan:
-        """What stands around: 1 m on the left, 2 m ahead, 3 m on the right."""
+        """Return the surroundings: 1 m on the left, 2 m ahead, 3 m on the right."""
         bearings = -math.pi / 2 + np.arange(BEAMS) * STEP
         ranges = np.interp(bearings, sorted(SURROUNDINGS), [3.0, 2.0, 1.0])
         return LaserScan(
@@ -81,7 +81,7 @@ class SoundScanner(Component):
 
 
 class Millimeters(SoundScanner):
-    """Takes the device's numbers as they are."""
+    """Publishes the device's millimeters as meters."""
 
     def taken(self) -> LaserScan:
         scan = super().taken()
@@ -89,7 +89,7 @@ class Millimeters(SoundScanner):
 
 
 class MillimeterLimits(SoundScanner):
-    """The same, with limits alike."""
+    """Publishes the device's millimeters as meters, its limits too."""
 
     def taken(self) -> LaserScan:
         scan = super().taken()
@@ -102,7 +102,7 @@ class MillimeterLimits(SoundScanner):
 
 
 class Clockwise(SoundScanner):
-    """Takes the device's beams in the order in which they come, which is to the right."""
+    """Publishes the device's beams in their order of arrival, which is to the right."""
 
     def taken(self) -> LaserScan:
         scan = super().taken()
@@ -110,7 +110,7 @@ class Clockwise(SoundScanner):
 
 
 class Degrees(SoundScanner):
-    """Tells angles in degrees."""
+    """Publishes angles in degrees."""
 
     def taken(self) -> LaserScan:
         scan = super().taken()
@@ -118,7 +118,7 @@ class Degrees(SoundScanner):
 
 
 class TooFar(SoundScanner):
-    """Tells "nothing seen" as the number 65.533 that the device sends."""
+    """Publishes "no return" as the number 65.533 that the device sends."""
 
     def taken(self) -> LaserScan:
         scan = super().taken()
@@ -128,7 +128,7 @@ class TooFar(SoundScanner):
 
 
 class StampedWhenSent(SoundScanner):
-    """Stamps a scan when all of it has come."""
+    """Stamps a scan when all of it has arrived."""
 
     def taken(self) -> LaserScan:
         return replace(
@@ -137,7 +137,7 @@ class StampedWhenSent(SoundScanner):
 
 
 class StampsJump(SoundScanner):
-    """Stamps by when the operating system gave the bytes."""
+    """Stamps with the time at which the operating system delivered the bytes."""
 
     def send(self) -> None:
         late = round((0.0, 0.02, 0.02, 0.0)[self.turns.number % 4] * SECOND)
@@ -145,7 +145,7 @@ class StampsJump(SoundScanner):
 
 
 class StampsOfAnotherClock(SoundScanner):
-    """Stamps by the device's clock, which began an hour before."""
+    """Stamps by the device's clock, which is an hour behind."""
 
     def send(self) -> None:
         self.scan.publish(self.stamped(self.turns.ended - 3600 * SECOND))
@@ -194,7 +194,7 @@ class NeverSilent(SoundScanner):
 
 
 class Leaks(SoundScanner):
-    """Gives back nothing of what it takes."""
+    """Releases nothing that it allocates."""
 
     def on_configure(self) -> None:
         super().on_configure()
@@ -227,34 +227,34 @@ class UnboundedConfig(SoundScannerConfig):
 
 
 class Unbounded(SoundScanner):
-    """Takes any number for a parameter."""
+    """Accepts any number for a parameter."""
 
     config: UnboundedConfig
 
 
 class HangsAtItsEnd(SoundScanner):
-    """Waits for a farewell of its device that never comes."""
+    """Waits at shutdown for a reply of its device that never arrives."""
 
     def on_shutdown(self) -> None:
         threading.Event().wait()
 
 
 class DiesUnplugged(SoundScanner):
-    """Does not expect that its device goes."""
+    """Fails when its device is unplugged."""
 
     def gone(self) -> None:
         raise CairnError(f"{self.config.device} is gone")
 
 
 class SilentUnplugged(SoundScanner):
-    """Waits for its device's return without a word."""
+    """Waits for its device's return without a warning."""
 
     def gone(self) -> None:
         pass
 
 
 class RepeatsUnplugged(SoundScanner):
-    """Goes on with its last scan."""
+    """Continues to publish its last scan."""
 
     @every(hz=RATE_HZ)
     def repeat(self) -> None:
@@ -263,7 +263,7 @@ class RepeatsUnplugged(SoundScanner):
 
 
 class NeverReturns(SoundScanner):
-    """Does not try again."""
+    """Does not try to reopen its device."""
 
     def gone(self) -> None:
         super().gone()
