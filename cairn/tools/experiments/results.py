@@ -11,9 +11,9 @@ from cairn.planar.poses import Pose, apart, compose
 from cairn.schemas.cairn_msgs import VisualMapChange
 from cairn.tools.experiments.series import (
     MethodSeries,
+    ObservedObject,
     Position,
     RecordedChange,
-    RecordedObservation,
     TrueMove,
     WorldSeries,
     error_curve,
@@ -234,7 +234,7 @@ def _observed_from(world: WorldSeries, object_id: int) -> list[tuple[float, Pose
     return [(one.stamp, (x, y, a)) for one, (x, y, a) in zip(mine, poses.tolist(), strict=True)]
 
 
-def _correct_observations(world: WorldSeries) -> list[RecordedObservation]:
+def _correct_observations(world: WorldSeries) -> list[ObservedObject]:
     """Return the observations that are of the object that they name."""
     poses = world.true_poses(np.array([one.stamp for one in world.observations]))
     correct = []

@@ -27,7 +27,7 @@ RELOCALIZED_M, RELOCALIZED_RAD = 0.5, 0.5
 
 
 @dataclass(frozen=True)
-class RecordedObservation:
+class ObservedObject:
     """A recognized object: when [s], its id, range [m] and bearing [rad]."""
 
     stamp: float
@@ -56,7 +56,7 @@ class WorldSeries:
     stamps: Array
     poses: Array
     surveys: tuple[tuple[float, Mapping[int, Position]], ...]
-    observations: tuple[RecordedObservation, ...]
+    observations: tuple[ObservedObject, ...]
     collisions: tuple[str, ...]
 
     def positions(self, stamp: float) -> Mapping[int, Position]:
@@ -146,7 +146,7 @@ def read_world(file: Path) -> WorldSeries:
     """Read the ground truth of a run; `CairnError` if the file cannot be read."""
     poses: list[list[float]] = []
     surveys: list[tuple[float, Mapping[int, Position]]] = []
-    observations: list[RecordedObservation] = []
+    observations: list[ObservedObject] = []
     collisions: list[str] = []
     for kind, stamp, values in _lines(file):
         if kind == "pose":
@@ -154,7 +154,7 @@ def read_world(file: Path) -> WorldSeries:
         elif kind == "objects":
             surveys.append((stamp, {key: (x, y) for key, x, y in values[0]}))
         elif kind == "observation":
-            observations.append(RecordedObservation(stamp, *values))
+            observations.append(ObservedObject(stamp, *values))
         elif kind == "collision":
             collisions.append(f"{values[0]} at ({values[1]:.2f}, {values[2]:.2f})")
     rows = np.array(poses, np.float64).reshape(-1, 4)

@@ -9,11 +9,11 @@ import numpy as np
 from cairn.planar.poses import Pose
 from cairn.tools.experiments.series import (
     MethodSeries,
+    ObservedObject,
     Position,
     RecordedChange,
     RecordedEvidence,
     RecordedLandmark,
-    RecordedObservation,
     WorldSeries,
 )
 
@@ -23,7 +23,7 @@ END_S = 20.0
 
 def world_series(
     *surveys: tuple[float, Mapping[int, Position]],
-    observations: Sequence[RecordedObservation] = (),
+    observations: Sequence[ObservedObject] = (),
     poses: Sequence[Pose] = (),
 ) -> WorldSeries:
     """The robot stands at the origin for 20 s, or moves along `poses` at even times."""

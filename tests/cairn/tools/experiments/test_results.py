@@ -12,8 +12,8 @@ from cairn.tools.experiments.results import (
 )
 from cairn.tools.experiments.series import (
     MethodSeries,
+    ObservedObject,
     RecordedLandmark,
-    RecordedObservation,
     WorldSeries,
 )
 from tests.cairn.tools.experiments.recorded import (
@@ -30,10 +30,10 @@ BEFORE, AFTER = (0.0, {1: OLD, 2: OTHER}), (MOVED_AT, {1: NEW, 2: OTHER})
 
 def observed_at(
     position: tuple[float, float], *stamps: float, object_id: int = 1
-) -> list[RecordedObservation]:
+) -> list[ObservedObject]:
     """Observations of a position from the origin."""
     range_m, bearing = math.hypot(*position), math.atan2(position[1], position[0])
-    return [RecordedObservation(stamp, object_id, range_m, bearing) for stamp in stamps]
+    return [ObservedObject(stamp, object_id, range_m, bearing) for stamp in stamps]
 
 
 def judged(series: MethodSeries, truth: WorldSeries) -> MethodResult:

@@ -25,7 +25,7 @@ from cairn.schemas.std_msgs import Header
 from cairn.testing.lockstep import ComponentHarness
 from cairn.tools.experiments.observer import MethodObserver, WorldObserver
 from cairn.tools.experiments.series import (
-    RecordedObservation,
+    ObservedObject,
     TrueMove,
     error_curve,
     read_method,
@@ -61,7 +61,7 @@ def test_ground_truth_is_recorded(tmp_path: Path) -> None:
     assert world.moves == (TrueMove(3.0, 2, (4.0, 5.0), (4.5, 5.0)),)
     assert world.positions(2.9)[2] == (4.0, 5.0)
     assert world.positions(3.0)[2] == (4.5, 5.0)
-    assert world.observations == (RecordedObservation(2.0, 2, 1.5, -0.2),)
+    assert world.observations == (ObservedObject(2.0, 2, 1.5, -0.2),)
     x, y, theta = world.true_poses(np.array([1.5]))[0]
     assert (x, y) == (0.5, 1.0)
     assert math.cos(theta) == pytest.approx(-1.0)  # the short way from 3 to -3 rad
