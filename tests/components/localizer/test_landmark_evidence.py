@@ -79,6 +79,18 @@ def test_three_consistent_contradictions_corroborate_each_other() -> None:
     assert [one.corroborated for one in found] == [False, False, True, True]
 
 
+def test_agreement_clears_earlier_contradictions() -> None:
+    judge = judge_of()
+    wrong, right = (4.0, 2.0), (A.x, A.y)
+
+    found = [
+        judged(judge, 1, step, at) for step, at in enumerate([wrong, wrong, right, wrong, wrong])
+    ]
+
+    assert found[2].verdict is EvidenceVerdict.AGREES
+    assert not any(one.corroborated for one in found if one.verdict is EvidenceVerdict.DISAGREES)
+
+
 def test_object_is_not_doubted_while_the_full_pose_agrees() -> None:
     judge = judge_of()
     # The robot is truly 1 m to the right of where the poses without the object have strayed to.
