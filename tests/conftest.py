@@ -11,10 +11,10 @@ pytest_plugins = ["cairn.testing.plugin"]
 def pytest_configure() -> None:
     """Have the programs that tests start keep what they compile of Cairn, as they do by default.
 
-    Where Python is told not to, each of hundreds of processes would compile all modules anew.
+    With PYTHONDONTWRITEBYTECODE each of hundreds of processes would compile all modules again.
     """
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
-    # A busy machine makes no example wrong; half as many as by default tell as much, and the whole
+    # A busy machine makes no example wrong; half the default number finds as much, and the whole
     # suite is run often.
     settings.register_profile("cairn", deadline=None, max_examples=50)
     settings.load_profile("cairn")

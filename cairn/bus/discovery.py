@@ -25,7 +25,7 @@ _LINK_POLL_S = 0.05
 """Interval for checking whether a process that is not linked yet still exists."""
 
 _ROUTER_TIMEOUT_S = 1.0
-"""A router that has not answered by then is taken for one without an admin space."""
+"""A router that has not answered by then is treated as one without an admin space."""
 
 
 class DiscoveryBarrier:

@@ -28,8 +28,8 @@ link.
 def open_peer(connect: Sequence[str]) -> zenoh.Session:
     """Open the session of a component's process.
 
-    It connects to the router at `connect` and, as that tells of other processes, to each of them
-    directly; those links outlive the router. Raises `CairnError` if no router answers.
+    It connects to the router at `connect` and, as the router announces other processes, to each
+    of them directly; those links outlive the router. Raises `CairnError` if no router answers.
     """
     listen = ["tcp/127.0.0.1:0"]
     session = _open(_config("peer", listen, connect), f"cannot open a session to {connect}")

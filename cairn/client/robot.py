@@ -350,7 +350,7 @@ class Robot:
         return goal
 
     def cancel(self) -> int:
-        """Cancel the goal under way, whoever sent it; return its mission id."""
+        """Cancel the current goal of any client; return its mission id."""
         return self.navigator().cancel()
 
     def navigator(self) -> Navigator:

@@ -26,7 +26,7 @@ _CAUSES = {
     errno.EAGAIN: "another program has it open; `cairn doctor` shows which",
     errno.EACCES: "permission denied; the user is not in the device's group; `cairn doctor` shows "
     "the remedy",
-    errno.ENOTTY: "it is no serial port",
+    errno.ENOTTY: "it is not a serial port",
     errno.ECONNRESET: "it has closed the connection; perhaps another program is connected to it",
 }
 

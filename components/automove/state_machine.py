@@ -230,7 +230,7 @@ class NavigatorStateMachine:
     def _note_progress(self, now_s: float, left_m: float) -> None:
         """Restart the count of tries where less is left than ever, on whichever path.
 
-        To drive again what a recovery has undone is no progress, or a robot that backs off from an
+        To drive again what a recovery has undone is not progress, or a robot that backs off from an
         obstacle and approaches it again would never give up. But a path around the obstacle may be
         much longer than what was left: to proceed along it is progress, even though the robot has
         been nearer to its goal before.

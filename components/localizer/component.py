@@ -242,7 +242,7 @@ class Localizer(Component):
 
     @every(hz=2)
     def publish_particles(self) -> None:
-        """Publish particles; process messages that waited for odometry in vain."""
+        """Publish particles; process messages whose odometry did not arrive in time."""
         self._process_pending()
         if self._localization.located:
             # With its own generator, so that publishing does not change what follows.
@@ -372,8 +372,8 @@ class Localizer(Component):
     def _motion_since(self, stamp: float) -> Pose | None:
         """Return the motion from `stamp` [s] to the time of the particles.
 
-        None if odometry does not tell, as across a jump. A recognizer takes longer than a scan: its
-        observations are older than the particles.
+        None if odometry does not determine it, as across a jump. A recognizer takes longer than a
+        scan: its observations are older than the particles.
         """
         measured = isinstance(self._track, MeasuredTrack)
         if not measured or stamp >= self._track.integrated_to:

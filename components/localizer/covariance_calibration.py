@@ -111,7 +111,7 @@ def _lag(mean: float, made: float, due: float, variance: float) -> float:
 
     Scans then correct it by the same `mean` [m] again and again: by the share of the error by which
     particles of that variance [m^2] shrank when `due` was removed. What random corrections of the
-    mean square `made` leave in a running mean is no lag.
+    mean square `made` leave in a running mean is not lag.
     """
     steady = mean * mean - _AT_RANDOM * made
     if steady <= 0.0:

@@ -73,7 +73,7 @@ class Localization:
     """The robot's pose from odometry, scans of a grid map and observations of mapped objects.
 
     Times are seconds of one clock. Call `add_odometry` for each record of odometry, and `fuse_scan`
-    and `fuse_objects` in the order of their stamps; `located` tells whether there is a pose.
+    and `fuse_objects` in the order of their stamps; `located` is true if there is a pose.
     """
 
     def __init__(

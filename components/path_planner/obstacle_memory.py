@@ -46,12 +46,12 @@ class RecentObstacles:
             cells, stamps = self._cells[kept], self._stamps[kept]
             kept = ~self._seen_through(cells, pose, beams)
             cells, stamps = cells[kept], stamps[kept]
-            anew = np.isin(cells, cells_seen, assume_unique=True)
+            seen_again = np.isin(cells, cells_seen, assume_unique=True)
             fresh = np.full(cells_seen.size, stamp, np.int64)
             again = np.isin(cells_seen, cells, assume_unique=True)
-            fresh[again] = np.maximum(stamp, stamps[anew])  # both in ascending order of cells
-            cells = np.concatenate((cells[~anew], cells_seen))
-            stamps = np.concatenate((stamps[~anew], fresh))
+            fresh[again] = np.maximum(stamp, stamps[seen_again])  # both in ascending order of cells
+            cells = np.concatenate((cells[~seen_again], cells_seen))
+            stamps = np.concatenate((stamps[~seen_again], fresh))
             order = np.argsort(cells)
             self._cells, self._stamps = cells[order], stamps[order]
         else:

@@ -35,8 +35,8 @@ class PbsScanner(Component):
     def on_configure(self) -> None:
         """Check that the sensor replies.
 
-        After a restart a missing sensor is no failure, as it may come back: the active driver waits
-        for it.
+        After a restart a missing sensor is not a failure, as it may come back: the active driver
+        waits for it.
         """
         self._feed = DeviceFeed(
             self,

@@ -86,7 +86,7 @@ class PbsMeasurement:
                 if client.refusals >= _REFUSALS:
                     raise DeviceError(
                         f"{self._config.port}: the PBS-03JN refuses the link; check that no other "
-                        "program uses it, and that it is no other device"
+                        "program uses it, and that it is not another device"
                     )
             last = client.unlink()
             if last is not None:

@@ -167,7 +167,7 @@ class BagRecording:
                 return None
             raise RecordingError(
                 f"{self._path}: topics.{kind} = {named} is not a topic of {' or '.join(types)}; "
-                f"there {'are ' + ', '.join(found) if found else 'is none'}."
+                f"there {'are ' + ', '.join(found) if found else 'is nothing'}."
             )
         if len(found) > 1 and f"/{kind}" not in found:
             raise RecordingError(
@@ -421,7 +421,7 @@ def image_topics(
         if topic not in found:
             raise RecordingError(
                 f"{path}: {topic} is not a topic of images; there "
-                f"{'are ' + ', '.join(found) if found else 'is none'}."
+                f"{'are ' + ', '.join(found) if found else 'is nothing'}."
             )
     if requested or len(found) <= 1:
         return requested or found, []

@@ -76,7 +76,7 @@ class Report(Component):
     def on_start(self) -> None:
         """Record the start of the run: as soon as the clock has a time, whatever else arrives."""
         if self._record.began_s is None and self.clock.now():
-            # The clock of the robot does not tell how long the computer takes.
+            # The robot's clock does not measure how long the computer takes.
             self._write("record_start", time.monotonic(), self.clock.now())
 
     @on("localization")

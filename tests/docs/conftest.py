@@ -79,7 +79,7 @@ def page_blocks() -> Callable[[str], list[Block]]:
 
 @pytest.fixture
 def endpoint() -> str:
-    """An endpoint on which nobody listens."""
+    """An endpoint on which no process listens."""
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         return f"tcp/127.0.0.1:{free.getsockname()[1]}"

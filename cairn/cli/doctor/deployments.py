@@ -84,7 +84,7 @@ def _router(endpoint: str, domain: int) -> Finding:
         remedy = (
             "end that program, or use another port: cairn up --set bus.listen=tcp/127.0.0.1:7448"
         )
-        return Finding(_TOPIC, endpoint, "fail", f"taken by {owner}, which is no router", remedy)
+        return Finding(_TOPIC, endpoint, "fail", f"taken by {owner}, which is not a router", remedy)
     if not names:
         found = "a router without a deployment, perhaps one of ROS 2"
         remedy = f"join it (--set bus.connect=[{endpoint}]), or end it"

@@ -102,9 +102,9 @@ def test_request_to_a_missing_component_raises_no_reply(network: Network) -> Non
 
     with pytest.raises(
         ControlError,
-        match=r"/robot/nobody: no reply to ping, and none will arrive, after \d.\d s",
+        match=r"/robot/missing: no reply to ping, and none will arrive, after \d.\d s",
     ):
-        request(bus.session, 0, "/robot/nobody", "ping", timeout_s=5.0)
+        request(bus.session, 0, "/robot/missing", "ping", timeout_s=5.0)
 
 
 def test_request_to_an_impossible_name_is_an_error(network: Network) -> None:

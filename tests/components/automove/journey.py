@@ -21,7 +21,7 @@ SURE = LocalizationEstimate(located=True, health=0.9)
 
 
 class Journey:
-    """What the planner, motion control and the localizer tell is what was set last."""
+    """The planner, motion control and the localizer publish what was set last."""
 
     def __init__(self, *goals: tuple[float, float, float], **limits: Any) -> None:
         self.now = 100.0
@@ -37,7 +37,7 @@ class Journey:
             started_s=self.now,
             limits=NavigatorLimits(**limits),
         )
-        self.told: list[tuple[int, int, str]] = []
+        self.reported: list[tuple[int, int, str]] = []
         self.navigator.on_plugins_loaded(self.now)
 
     def run(self, seconds: float) -> Journey:
@@ -59,19 +59,19 @@ class Journey:
                 )
             self.navigator.step(self.now, self.inputs)
             row = (self.navigator.state, self.navigator.behavior, self.navigator.reason.text)
-            if not self.told or self.told[-1][:2] != row[:2]:
-                self.told.append(row)
+            if not self.reported or self.reported[-1][:2] != row[:2]:
+                self.reported.append(row)
         return self
 
     @property
     def states(self) -> list[int]:
         """The states, each once in a row."""
-        return [state for state, _, _ in self.told]
+        return [state for state, _, _ in self.reported]
 
     @property
     def tried(self) -> list[int]:
         """The recoveries."""
-        return [what for state, what, _ in self.told if state == NavigationStatus.RECOVERING]
+        return [what for state, what, _ in self.reported if state == NavigationStatus.RECOVERING]
 
 
 class Way(Journey):

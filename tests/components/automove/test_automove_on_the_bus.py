@@ -69,8 +69,8 @@ def test_mission_loads_the_plugins_and_publishes_each(deployed: DeployedOf) -> N
     assert taken(statuses) == []
 
     robot.publish("navigate_goal", order(7, (1.0, 2.0, 0.5)), LATCHED)
-    told = taken(statuses)
-    assert [(s.mission_id, s.state, s.reason) for s in told] == [
+    reported = taken(statuses)
+    assert [(s.mission_id, s.state, s.reason) for s in reported] == [
         (7, NavigationStatus.LOADING, "beacon"),
         (7, NavigationStatus.LOADING, "talker"),
         (7, NavigationStatus.LOCALIZING, ""),
@@ -112,10 +112,10 @@ def test_command_is_published_on_change_and_twice_a_second(deployed: DeployedOf)
     )
     robot.wait(1.0)
     assert 2 <= len(taken(nav_commands)) <= 4
-    told = taken(statuses)[-1]
-    assert (told.state, told.goal, told.goals) == (NavigationStatus.DRIVING, 1, 2)
-    assert (told.distance_left, told.time_left) == (2.0, 5.0)
-    assert told.elapsed == pytest.approx(1.1, abs=0.5)
+    reported = taken(statuses)[-1]
+    assert (reported.state, reported.goal, reported.goals) == (NavigationStatus.DRIVING, 1, 2)
+    assert (reported.distance_left, reported.time_left) == (2.0, 5.0)
+    assert reported.elapsed == pytest.approx(1.1, abs=0.5)
 
     robot.publish("motion_status", MotionStatus(goal_id=wanted.goal_id, state=MotionStatus.DONE))
     assert taken(statuses)[-1].state == NavigationStatus.SUCCEEDED
@@ -201,7 +201,7 @@ def test_new_mission_preempts_and_empty_mission_cancels(deployed: DeployedOf) ->
     )
     robot.publish("navigate_goal", order(1, (1.0, 2.0, 0.5)), LATCHED)
     robot.publish("navigate_goal", order(2, (3.0, 4.0, 0.5)), LATCHED)
-    robot.publish("navigate_goal", order(2, (3.0, 4.0, 0.5)), LATCHED)  # told again: nothing new
+    robot.publish("navigate_goal", order(2, (3.0, 4.0, 0.5)), LATCHED)  # repeated: nothing new
     robot.wait(0.2)
     assert taken(statuses)[-1].mission_id == 2
     goal_ids = len({nav_command.goal_id for nav_command in taken(nav_commands)})

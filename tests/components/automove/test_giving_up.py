@@ -57,7 +57,7 @@ def test_robot_on_a_detour_is_not_stuck() -> None:
     way = Way(10.0).drive(22.0)
     assert way.left < 1.5
 
-    way.left = 30.0  # planned anew on the way
+    way.left = 30.0  # planned again on the way
     way.drive(100.0)
 
     assert way.navigator.state == NavigationStatus.SUCCEEDED

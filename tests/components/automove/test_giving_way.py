@@ -1,4 +1,4 @@
-"""A robot that is in somebody's way goes back to where it came from, waits, and plans anew."""
+"""A robot that blocks a person backs off along its path, waits, and plans again."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from cairn.schemas.cairn_nav_msgs import (
 from tests.components.automove.journey import Journey, Way
 
 LOST = LocalizationEstimate(located=True, health=0.1, reason="lost")
-NO_WAY = {"outcome": Plan.UNREACHABLE, "reason": "somebody is there"}
+NO_WAY = {"outcome": Plan.UNREACHABLE, "reason": "a person is there"}
 STEP = 0.11
 
 
@@ -47,7 +47,7 @@ def test_giving_way_retreats_waits_and_replans() -> None:
     assert (x, y) == pytest.approx((8 * STEP, 0.0))
     assert theta == pytest.approx(math.atan2(4.0, 3.0 - x))  # it watches its goal from there
     assert journey.navigator.goal == (3.0, 4.0, 0.0)
-    assert journey.navigator.reason.text == "give way (2 of 4): no path: somebody is there"
+    assert journey.navigator.reason.text == "give way (2 of 4): no path: a person is there"
 
     journey.run(4.0)
     assert journey.navigator.behavior == NavCommand.FOLLOW

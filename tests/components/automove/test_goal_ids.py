@@ -1,4 +1,4 @@
-"""Numbers of goal_ids never come twice, whoever begins anew."""
+"""Goal ids are never reused, whichever process restarts."""
 
 from hypothesis import given
 from hypothesis import strategies as st

@@ -1,4 +1,4 @@
-"""How an order is carried out, step by step, on told situations alone."""
+"""The navigator state machine, step by step, on given situations."""
 
 from __future__ import annotations
 

@@ -56,7 +56,7 @@ def scanned(
 
 @dataclass(frozen=True)
 class Moment:
-    """Time [s], the true pose, the pose that odometry tells, and a scan."""
+    """Time [s], the true pose, the pose of odometry, and a scan."""
 
     time: float
     pose: Pose

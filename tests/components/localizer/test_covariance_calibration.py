@@ -62,10 +62,10 @@ def test_corrections_across_a_corridor_do_not_scale_along_it() -> None:
         y = 0.005 * (-1) ** k
         stated.add_correction(PoseEstimate((0, 0, 0), before), PoseEstimate((0, y, 0), after), 1.0)
 
-    told = stated.calibrated(PoseEstimate((0.0, 0.0, 0.0), after), CELL_M)
+    covariance = stated.calibrated(PoseEstimate((0.0, 0.0, 0.0), after), CELL_M)
 
-    assert math.sqrt(told[0, 0]) == pytest.approx(0.3, rel=0.02)
-    assert math.sqrt(told[1, 1]) < 0.01
+    assert math.sqrt(covariance[0, 0]) == pytest.approx(0.3, rel=0.02)
+    assert math.sqrt(covariance[1, 1]) < 0.01
 
 
 @pytest.mark.parametrize("turn", [0.0, 0.7])
@@ -76,11 +76,11 @@ def test_steady_corrections_add_a_lag(turn: float) -> None:
         x, y = 0.004 * math.cos(turn), 0.004 * math.sin(turn)
         stated.add_correction(PoseEstimate((0, 0, 0), before), PoseEstimate((x, y, 0), after), 1.0)
 
-    told = stated.calibrated(PoseEstimate((0.0, 0.0, 0.0), after), CELL_M)
+    covariance = stated.calibrated(PoseEstimate((0.0, 0.0, 0.0), after), CELL_M)
 
     ahead, left = np.array([math.cos(turn), math.sin(turn)]), [-math.sin(turn), math.cos(turn)]
-    assert math.sqrt(ahead @ told[:2, :2] @ ahead) == pytest.approx(0.02, rel=0.2)
-    assert math.sqrt(left @ told[:2, :2] @ left) < 0.01
+    assert math.sqrt(ahead @ covariance[:2, :2] @ ahead) == pytest.approx(0.02, rel=0.2)
+    assert math.sqrt(left @ covariance[:2, :2] @ left) < 0.01
 
 
 def test_deviation_beyond_the_cells_is_the_error_of_the_map() -> None:

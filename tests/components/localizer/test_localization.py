@@ -172,7 +172,7 @@ def test_kidnapped_robot_is_relocalized() -> None:
     run.through(moments)
 
     assert run.errors[-1] < 0.3
-    # It was carried off at 20 s, and knows that it was not lost long before.
+    # It was kidnapped at 20 s; it was not lost long before.
     assert run.confirmed_until
     assert all(10.0 < confirmed_until <= 20.0 for confirmed_until in run.confirmed_until)
 

@@ -25,7 +25,7 @@ POSES = np.array([[5.0, 5.0], [1.0, 1.0], [0.0, 0.0]])
 
 
 def evidence() -> Any:
-    """What was seen of late is as likely as not from where the robot is believed to be."""
+    """Recent observations are as likely as not from the estimated pose."""
     return SimpleNamespace(
         now=(0.0, 0.0, 0.0),
         scanned=True,

@@ -1,4 +1,4 @@
-"""What a report was told outlives the death of its process."""
+"""Recorded messages survive the death of the report's process."""
 
 import logging
 import resource
@@ -12,7 +12,7 @@ LOG = logging.getLogger("test")
 NAN = float("nan")
 
 
-def told(journal: RunJournal) -> None:
+def record_messages(journal: RunJournal) -> None:
     journal.write("record_start", 100.0, 10**9)
     journal.write("record_true_position", 3, 1.0, 2.0)
     journal.write(
@@ -31,7 +31,7 @@ def file(tmp_path: Path) -> Path:
 
 def test_restarted_report_replays_its_journal(file: Path) -> None:
     before = RunRecord()
-    told(RunJournal(before, file, LOG, resume=False))
+    record_messages(RunJournal(before, file, LOG, resume=False))
     with file.open("a") as stream:
         stream.write('["record_estimate", 3000000000, 0.')  # killed while it wrote
 
@@ -49,7 +49,7 @@ def test_restarted_report_replays_its_journal(file: Path) -> None:
 
 
 def test_first_report_ignores_the_journal_of_another_run(file: Path) -> None:
-    told(RunJournal(RunRecord(), file, LOG, resume=False))
+    record_messages(RunJournal(RunRecord(), file, LOG, resume=False))
 
     record = RunRecord()
     RunJournal(record, file, LOG, resume=False)

@@ -191,7 +191,7 @@ def test_controller_that_lost_power_is_set_up_again(base: EmulatedBase) -> None:
         assert not run.ready[1].kept_power
         assert "switched off and on" in str(run.device_errors[0])
         assert base.device.controller.timeout_s == 1.0
-        assert 0.0 < distance(run) < 2.0, "the counters' jump was taken for a distance"
+        assert 0.0 < distance(run) < 2.0, "the counters' jump was counted as distance"
         assert_waits_for_rest(run)
 
 
@@ -210,7 +210,7 @@ def test_power_loss_is_detected_by_the_counters_if_settings_were_saved(
         run.await_that(lambda: len(run.ready) == 2)
 
         assert run.ready[1].kept_power
-        assert distance(run) >= before, "the reset of the counters was taken for a distance back"
+        assert distance(run) >= before, "the reset of the counters was counted as distance"
         assert_waits_for_rest(run)
 
 

@@ -31,7 +31,7 @@ class Computer:
             self._node(interface, name, index)
 
     def add_platform(self, name: str) -> None:
-        """A camera that is no USB device."""
+        """A camera that is not a USB device."""
         self._node(self._devices / "platform" / "vivid.0", name, self._count)
 
     def _node(self, device: Path, name: str, index: int) -> None:

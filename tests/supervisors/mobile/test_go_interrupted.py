@@ -15,7 +15,7 @@ from cairn.deployment.load import load_deployment
 from cairn.schemas.cairn_nav_msgs import NavigationStatus
 from cairn.supervisors.mobile.cli import follow
 from tests.navigation.deployed import Deployed
-from tests.supervisors.mobile.test_mobile_supervisor import TREE, tell
+from tests.supervisors.mobile.test_mobile_supervisor import TREE, publish_status
 
 GOALS = [[1.0, 2.0, 0.0]]
 
@@ -43,7 +43,9 @@ class InterruptedNavigator(Navigator):
         mission = self.last_mission()
         assert mission is not None
         if self._moment == "as it ends":
-            tell(self._robot, mission_id=mission["mission_id"], state=NavigationStatus.SUCCEEDED)
+            publish_status(
+                self._robot, mission_id=mission["mission_id"], state=NavigationStatus.SUCCEEDED
+            )
         raise KeyboardInterrupt
 
 

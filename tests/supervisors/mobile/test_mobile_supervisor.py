@@ -55,7 +55,7 @@ def goals_of(order: NavigateGoal) -> list[list[float]]:
     return rows
 
 
-def tell(robot: Deployed, **status: Any) -> None:
+def publish_status(robot: Deployed, **status: Any) -> None:
     robot.publish("navigation_status", NavigationStatus(**status), LATCHED)
 
 
@@ -69,14 +69,14 @@ def test_mission_is_published_latched_and_kept_until_its_result(
     (first,) = taken(orders)
     assert (first.mission_id, first.first, goals_of(first)) == (number, 0, goals)
 
-    tell(robot, mission_id=number, state=NavigationStatus.DRIVING, goal=1, goals=2)
+    publish_status(robot, mission_id=number, state=NavigationStatus.DRIVING, goal=1, goals=2)
     (again,) = taken(orders)
     assert (again.mission_id, again.first, goals_of(again)) == (number, 1, goals)
     kept = load_mission(tmp_path / "mission.json")
     assert kept is not None
     assert (kept.mission_id, kept.first, kept.result) == (number, 1, "")
 
-    tell(
+    publish_status(
         robot,
         mission_id=number,
         state=NavigationStatus.SUCCEEDED,
@@ -98,7 +98,7 @@ def test_mission_ids_increase_and_old_statuses_are_ignored(
     two = robot.ask("mobile_supervisor", "go", goals=[[3.0, 2.0, 0.0]])["mission_id"]
     assert two > one
     taken(orders)
-    tell(robot, mission_id=one, state=NavigationStatus.FAILED)
+    publish_status(robot, mission_id=one, state=NavigationStatus.FAILED)
     assert taken(orders) == []
     assert robot.ask("mobile_supervisor", "mission")["result"] == ""
 
@@ -151,7 +151,7 @@ def test_restarted_supervisor_continues_the_mission(deployed: DeployedOf) -> Non
     orders = robot.read("navigate_goal", NavigateGoal)
     goals = [[1.0, 2.0, 0.0], [3.0, 4.0, 0.0]]
     number = robot.ask("mobile_supervisor", "go", goals=goals)["mission_id"]
-    tell(robot, mission_id=number, state=NavigationStatus.DRIVING, goal=1, goals=2)
+    publish_status(robot, mission_id=number, state=NavigationStatus.DRIVING, goal=1, goals=2)
     taken(orders)
 
     robot.ask("root", "restart", name="mobile_supervisor")
@@ -166,7 +166,7 @@ def test_finished_mission_stays_finished_after_a_restart(
     robot = deployed()
     orders = robot.read("navigate_goal", NavigateGoal)
     number = robot.ask("mobile_supervisor", "go", goals=[[1.0, 2.0, 0.0]])["mission_id"]
-    tell(robot, mission_id=number, state=NavigationStatus.FAILED, reason="no path")
+    publish_status(robot, mission_id=number, state=NavigationStatus.FAILED, reason="no path")
     taken(orders)
 
     robot.ask("root", "restart", name="mobile_supervisor")
@@ -220,7 +220,9 @@ def test_configured_mission_starts_at_once_and_ends_the_deployment(deployed: Dep
     robot.wait(0.0)
     (order,) = taken(orders)
 
-    tell(robot, mission_id=order.mission_id, state=NavigationStatus.FAILED, reason="no path")
+    publish_status(
+        robot, mission_id=order.mission_id, state=NavigationStatus.FAILED, reason="no path"
+    )
 
     robot.await_that(lambda: robot.run.end is not None)
     assert robot.run.end is not None
@@ -235,7 +237,7 @@ def test_restarted_supervisor_knows_that_the_mission_was_preempted(
     number = robot.ask("mobile_supervisor", "go", goals=[[5.0, 6.0, 0.0]])["mission_id"]
 
     robot.ask("root", "restart", name="mobile_supervisor")
-    tell(robot, mission_id=number, state=NavigationStatus.SUCCEEDED, reason="arrived")
+    publish_status(robot, mission_id=number, state=NavigationStatus.SUCCEEDED, reason="arrived")
 
     robot.await_that(lambda: robot.run.end is not None)
     assert robot.run.end is not None
