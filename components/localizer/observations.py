@@ -176,8 +176,8 @@ def associate(
     An observation with alternatives is assigned to the one that stands where it was observed from
     `pose`; of several observations of one object in one image, the one at the object's position
     counts. This is not an assignment problem: what remains ambiguous is left out rather than
-    assigned at the least total cost, as a wrong assignment moves the pose; without a pose, all of it is left
-    out.
+    assigned at the least total cost, as a wrong assignment moves the pose; without a pose, all of
+    it is left out.
     """
     certain: list[Observation] = []
     for one in observations:
