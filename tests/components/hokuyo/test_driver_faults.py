@@ -97,7 +97,7 @@ def test_a_silent_sensor_gets_the_command_to_start_again(tmp_path: Path) -> None
         it.scans.wait(2)
         it.emulator.call(lambda: it.device.receive(b"QT\n", 0.0))  # as if it had stopped by itself
         it.scans.wait(3, after=len(it.scans))
-        report = it.health(lambda status: "silent" in status.message, after=0)
+        report = it.health(lambda status: "stopped sending" in status.message, after=0)
 
     assert report.level == WARN
 
