@@ -207,6 +207,7 @@ class V4l2StereoCamera(Component):
             self._publish(left.stamp, (left.gray, right.gray))
         elif side == 0 and not self._cameras[1].is_streaming:
             # With one camera objects are ranged by size: better than nothing until both are back.
+            self._pairer.discard_newest(side)  # a pair would publish it once more
             self._publish(image.stamp, (image.gray,))
 
     def _views(self, gray: Gray) -> tuple[Gray, ...]:

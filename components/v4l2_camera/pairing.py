@@ -57,3 +57,8 @@ class StereoPairer:
         self.pairs += 1
         self.offset = right.captured - left.captured
         return left, right
+
+    def discard_newest(self, side: int) -> None:
+        """Discard the newest image of a camera that found no partner yet; it counts as unpaired."""
+        self._unpaired[side].pop()
+        self.unpaired[side] += 1
