@@ -37,11 +37,13 @@ from cairn.visual_map.landmarks import EvidenceVerdict
 
 Array = NDArray[np.float64]
 
+# Where no other reason is given, the constants of this module were chosen by hand; half and double
+# were not compared.
 
 # An implied position this near another live object [m] may be that object. In simulation this veto
 # removed all false removals at 1 % and at 5 % of false matches.
 VETO = 0.35
-# Implied positions this near each other [m] support one position.
+# Implied positions this near each other [m] support one position: the errors of two observations.
 SAME_POSITION = 0.6
 # So many contradictions from different poses corroborate each other; so many near another object,
 # which may be what was observed.
@@ -302,6 +304,8 @@ LEAST, MOST, NEUTRAL = 0.1, 0.9, 0.5
 # Density [1/(m rad)] of an observation of an object that stands anywhere in view: 4 m by 60
 # degrees.
 CLUTTER = 1.0 / (4.0 * math.radians(60.0))
+# A prediction must exceed clutter by this factor at its peak: its similarity is then up to 0.8.
+_CLEAR = 4.0
 # Inside this NIS, the 99 % quantile of chi-square with 2 degrees of freedom (-2 ln 0.01), mode
 # "chi_square" accepts an observation.
 ACCEPTED = 9.21
@@ -312,7 +316,7 @@ def likelihood_ratio_similarity(difference: Innovation) -> float:
 
     A prediction too vague to exceed clutter even for an exact match is neutral.
     """
-    if difference.peak < 4.0 * CLUTTER:
+    if difference.peak < _CLEAR * CLUTTER:
         return NEUTRAL
     return clamp(difference.density / (difference.density + CLUTTER))
 
@@ -352,11 +356,19 @@ def convergence_radius(pose: PoseEstimate) -> float:
     0.12 m.
     """
     longest = float(np.linalg.eigvalsh(pose.covariance[:2, :2])[-1])
-    return max(POSE_FLOOR, 2.45 * math.sqrt(max(longest, 0.0)))
+    return max(POSE_FLOOR, _RADIUS_95 * math.sqrt(max(longest, 0.0)))
 
 
 # Spread under which new samples count as converged [m].
 CONVERGED = 0.25
+# New samples converge in so many rounds. The share of the log-likelihood that counts grows by this
+# share per round; the noise [m], [rad] of the first round is halved in each further one.
+_ROUNDS, _TEMPER = 8, 0.25
+_NOISE_OF_FIRST = np.array([[0.08], [0.08], [math.radians(5.0)]])
+# An object is at least this far from the robot [m]; no camera recognizes it nearer.
+_LEAST_RANGE_M = 0.05
+# So many deviations hold 95 % of a normal distribution in two dimensions: sqrt(-2 ln 0.05).
+_RADIUS_95 = 2.45
 
 
 def sample_ring(
@@ -371,7 +383,7 @@ def sample_ring(
     reach = observation.range_m + math.sqrt(observation.range_variance) * random.standard_normal(
         count
     )
-    reach = np.maximum(reach, 0.05)
+    reach = np.maximum(reach, _LEAST_RANGE_M)
     bearing = observation.bearing + math.sqrt(
         observation.bearing_variance
     ) * random.standard_normal(count)
@@ -386,7 +398,7 @@ def converge(
     poses: Array,
     log_likelihood: Callable[[Array], Array],
     random: np.random.Generator,
-    rounds: int = 8,
+    rounds: int = _ROUNDS,
 ) -> PoseEstimate | None:
     """Let new samples converge by annealing within one image; return None if they do not.
 
@@ -396,11 +408,11 @@ def converge(
     """
     count = poses.shape[1]
     for k in range(rounds):
-        temper = min(1.0, 0.25 * (k + 1))
+        temper = min(1.0, _TEMPER * (k + 1))
         weights = normalized(temper * log_likelihood(poses))
         poses = poses[:, systematic_choice(weights, count, random)]
         jitter = 0.5**k * random.standard_normal((3, count))
-        poses = poses + jitter * np.array([[0.08], [0.08], [math.radians(5.0)]])
+        poses = poses + jitter * _NOISE_OF_FIRST
     found = estimate(poses, np.zeros(count))
     return found if found.spread < CONVERGED else None
 
@@ -480,7 +492,10 @@ def _beside(agreed: _Agreed | None, there: Array, common: Array) -> bool:
 
 
 def _agreed(implied: list[_Implied]) -> _Agreed | None:
-    """Return the mean that five in six of the implied positions agree on; None if they do not."""
+    """Return the mean that five in six of the implied positions agree on; None if they do not.
+
+    Of the smallest window, six, one may be a false match.
+    """
     mean = _weighted_mean(implied)
     kept = [one for one in implied if _squared_distance(one, mean) <= GATE]
     return _weighted_mean(kept) if 6 * len(kept) >= 5 * len(implied) else None
@@ -510,8 +525,8 @@ _ENOUGH = 3
 # Ratios nearer to 1 than this are noise; a common one of all objects beyond the second is a wrong
 # calibration.
 _NOISE, _WRONG = 0.04, 0.06
-# Most objects share an error of the camera: their ratios lie within this share of it.
-_ALIKE = 0.5
+# Most objects share an error of the camera: this share of them has ratios within that share of it.
+_MOST_OF_THEM, _ALIKE = 0.75, 0.5
 
 
 class RangeScaleEstimator:
@@ -543,7 +558,7 @@ class RangeScaleEstimator:
         factor = median(medians)
         error = abs(factor - 1.0)
         alike = sum(abs(one - factor) <= _ALIKE * error for one in medians)
-        return factor if error > _WRONG and alike >= 0.75 * len(medians) else None
+        return factor if error > _WRONG and alike >= _MOST_OF_THEM * len(medians) else None
 
     def may_err(
         self, observation: Observation, pose: PoseEstimate, landmarks: Mapping[int, Landmark]
@@ -555,7 +570,7 @@ class RangeScaleEstimator:
         landmark = landmarks[observation.object_id]
         dx, dy = landmark.x - pose.mean[0], landmark.y - pose.mean[1]
         off_rad = wrap(observation.bearing + pose.mean[2] - math.atan2(dy, dx))
-        ratio = observation.range_m / max(math.hypot(dx, dy), 0.05)
+        ratio = observation.range_m / max(math.hypot(dx, dy), _LEAST_RANGE_M)
         if abs(off_rad) > _ALONG_RAD or not _LEAST < ratio < _MOST:
             return False
         known = self._ratios.pop(observation.object_id, deque(maxlen=_RATIOS))

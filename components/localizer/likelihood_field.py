@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 
 # The map explains a beam that ends this near to an obstacle [m]: a little more than `beam_sd`.
 _EXPLAINED_M = 0.12
-# A beam within so many deviations of an obstacle measures it, and nothing else.
+# A beam within so many deviations of an obstacle measures it, and nothing else: 99.7 % of them do.
 _NEAR_SD = 3.0
 
 
@@ -286,7 +286,8 @@ class FreeSpace:
         return poses
 
 
-# Deviation of a beam [m] for a first look at the whole map, where few poses are drawn near any.
+# Deviation of a beam [m] for a first look at the whole map, where few poses are drawn near any: of
+# 300 poses per m^2 (`global_search`), 115 lie within this distance of the robot, 0.05 rad apart.
 _WIDE_M = 0.35
 
 

@@ -32,8 +32,11 @@ from cairn.schemas.geometry_msgs import (
 from cairn.schemas.std_msgs import Header
 from cairn.schemas.tf2_msgs import TFMessage
 
-# Deviations of an observation whose sender states no covariance [m], [rad].
+# Deviations of an observation whose sender states no covariance [m], [rad]: several times those of
+# the recognizer, so that it has little weight. Chosen by hand; half and double were not compared.
 _RANGE_SD, _BEARING_SD = 0.2, math.radians(3.0)
+# The limits of the reliability, as the map builder keeps them (`map_builder/reliability.py`).
+_LEAST_RELIABILITY, _MOST_RELIABILITY = 0.02, 0.98
 
 
 def landmarks_of(visual_map: VisualMap) -> list[Landmark]:
@@ -46,7 +49,7 @@ def landmarks_of(visual_map: VisualMap) -> list[Landmark]:
             xx=float(o.covariance[0]),
             xy=float(o.covariance[1]),
             yy=float(o.covariance[3]),
-            reliability=min(0.98, max(0.02, o.reliability)),
+            reliability=min(_MOST_RELIABILITY, max(_LEAST_RELIABILITY, o.reliability)),
             live=o.state == VisualObject.LIVE,
         )
         for o in visual_map.objects

@@ -81,7 +81,8 @@ def object_log_likelihood(
     # The map's own uncertainty from here: isotropic is enough, as it is a few centimeters.
     spread = 0.5 * (landmark.xx + landmark.yy)
     range_variance = observation.range_variance + spread
-    bearing_variance = observation.bearing_variance + spread / max(observation.range_m, 0.3) ** 2
+    reach = max(observation.range_m, _NEAR_M)
+    bearing_variance = observation.bearing_variance + spread / reach**2
     bearing_error = wrap_all(np.arctan2(dy, dx) - poses[2] - observation.bearing)
     nis = (
         distance - observation.range_m
@@ -125,7 +126,7 @@ def innovation(pose: PoseEstimate, observation: Observation, landmark: Landmark)
     """
     x, y, theta = pose.mean
     dx, dy = landmark.x - x, landmark.y - y
-    distance = max(math.hypot(dx, dy), 0.05)
+    distance = max(math.hypot(dx, dy), _LEAST_RANGE_M)
     error = np.array(
         [
             observation.range_m - distance,
@@ -161,6 +162,12 @@ def implied_position(pose: PoseEstimate, observation: Observation) -> tuple[floa
     return x + reach * cosine, y + reach * sine, covariance
 
 
+# Where a division by a range would overflow, the range counts as at least this [m]; no camera
+# recognizes an object at this distance.
+_LEAST_RANGE_M = 0.05
+# The bearing's variance by the map's uncertainty does not grow for objects nearer than this [m]:
+# the linearization holds only for small angles. Chosen by hand; half and double were not compared.
+_NEAR_M = 0.3
 # One object must explain an observation better than another that looks alike by this NIS: a
 # likelihood ratio of exp(6 / 2) = 20.
 _CLEAR_NIS = 6.0
@@ -216,7 +223,7 @@ def as_observed_from(observation: Observation, step: Pose) -> Observation:
     x, y, turn = step
     dx = observation.range_m * math.cos(observation.bearing) - x
     dy = observation.range_m * math.sin(observation.bearing) - y
-    range_m = max(math.hypot(dx, dy), 0.05)
+    range_m = max(math.hypot(dx, dy), _LEAST_RANGE_M)
     return replace(observation, range_m=range_m, bearing=wrap(math.atan2(dy, dx) - turn))
 
 

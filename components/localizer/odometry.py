@@ -141,6 +141,7 @@ class CommandedTrack:
 
     The base executes a command given at t from t + `lag_s` on, and performs the share
     `forward_gain`, `turn_gain` [1] of it. Over a gap longer than `gap_s` the pose is used instead.
+    The default, 15 records at 10 Hz, was chosen by hand; half and double were not compared.
     """
 
     def __init__(
@@ -215,7 +216,8 @@ class MeasuredTrack:
     """Odometry whose poses the wheels measured; between two of them it is interpolated.
 
     A step that wheels cannot make (faster than `fastest` [m/s] or `turning` [rad/s]) is a jump: the
-    driver was restarted. Jumps are left out, and counted in `jumps`.
+    driver was restarted. Jumps are left out, and counted in `jumps`. Motion control
+    accepts limits of up to 3 m/s and 6 rad/s.
     """
 
     def __init__(self, fastest: float = 3.0, turning: float = 7.0) -> None:

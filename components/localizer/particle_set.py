@@ -16,15 +16,36 @@ from cairn.planar.poses import Pose
 
 Array = NDArray[np.float64]
 
-# Below this difference [rad] the circular and the arithmetic mean of headings agree.
+# Below this difference [rad] the circular and the arithmetic mean of headings agree, as
+# x - sin x < 0.5^3 / 6 = 0.02 rad.
 _SMALL_ANGLE = 0.5
 # Bins of the KLD bound: 0.25 m, 0.25 m, 10 degrees; the error of the distribution is 2 % with a
 # probability of 99 %. Fox 2003 uses 0.5 m and 10 degrees; half of that keeps narrow modes.
 _BIN = np.array([0.25, 0.25, math.radians(10.0)])
 _KLD_ERROR, _KLD_QUANTILE = 0.02, NormalDist().inv_cdf(0.99)
-_MOST_COUNTED_BINS = 20_000
+# A bin counts if it holds a particle of at least this share of the mean weight: the others
+# represent nothing. Chosen by hand; half and double were not compared.
+_LEAST_WEIGHT = 0.1
+_MOST_COUNTED_BINS = 20_000  # an array of this size fits into the processor's cache (160 kB)
+# With a smaller share of effective particles they are resampled (Grisetti, Stachniss, Burgard
+# 2007).
+_ENOUGH_EFFECTIVE = 0.5
 # Below this share of effective particles a likelihood is fused in stages.
 _LEAST_EFFECTIVE = 0.05
+# Kernel width of resampling as a share of the particles' deviation, and of resampling in stages.
+# Liu and West 2001 recommend discounts of 0.95 to 0.99, which are widths of 0.23 to 0.10.
+_BANDWIDTH, _STAGED_BANDWIDTH = 0.2, 0.25
+# A likelihood is fused in at most so many stages. Chosen by hand; half and double were not
+# compared.
+_STAGES = 8
+# A Gaussian wider than this [m] is drawn with the most particles. Chosen by hand; half and double
+# were not compared.
+_WIDE_M = 0.5
+# Added to a covariance [m^2, rad^2] so that its root exists: 1 mm and 0.1 mrad.
+_REGULAR = np.diag([1e-6, 1e-6, 1e-8])
+# A stage of a tempered update leaves this share of the particles effective, and is found by at most
+# so many halvings: 1/64 of a log-likelihood. Chosen by hand; half and double were not compared.
+_STAGE_EFFECTIVE, _HALVINGS = 0.3, 6
 
 
 @dataclass(frozen=True)
@@ -60,7 +81,7 @@ class ParticleSet:
     def set_gaussian(self, mean: Sequence[float], covariance: Array) -> None:
         """Draw all particles from a Gaussian over x [m], y [m], theta [rad]."""
         spread = np.linalg.cholesky(covariance + 1e-9 * np.eye(3))
-        spread_out = math.sqrt(covariance[0, 0] + covariance[1, 1]) > 0.5
+        spread_out = math.sqrt(covariance[0, 0] + covariance[1, 1]) > _WIDE_M
         count = self.most if spread_out else self.least
         noise = spread @ self.random.standard_normal((3, count))
         self.set_particles(np.asarray(mean, dtype=np.float64)[:, None] + noise)
@@ -82,7 +103,7 @@ class ParticleSet:
         weighed = self.log_weights + log_likelihood(self.poses)
         weights = normalized(weighed)
         share = 1.0 / (float(weights @ weights) * self.count)
-        if share >= 0.5:
+        if share >= _ENOUGH_EFFECTIVE:
             self.log_weights = weighed - weighed.max()
         elif share >= _LEAST_EFFECTIVE:
             self._resample(weights)
@@ -105,7 +126,7 @@ class ParticleSet:
 
     def _resample(self, weights: Array) -> None:
         count = min(self.most, max(self.least, kld_count(self.poses, weights)))
-        drawn = resample(self.poses, weights, 0.2, self.random, count)
+        drawn = resample(self.poses, weights, _BANDWIDTH, self.random, count)
         self.poses = np.ascontiguousarray(drawn)
         self.log_weights = np.zeros(count)
 
@@ -117,7 +138,8 @@ def kld_count(poses: Array, weights: Array) -> int:
     9(k - 1) + z sqrt(2 / 9(k - 1)))^3 with error e and quantile z.
     """
     keys = np.empty(weights.size, np.int64)
-    kept, span = _bins(np.ascontiguousarray(poses), weights, _BIN, 0.1 / weights.size, keys)
+    least = _LEAST_WEIGHT / weights.size
+    kept, span = _bins(np.ascontiguousarray(poses), weights, _BIN, least, keys)
     # Up to this number of bins, counting in all of them is faster than sorting.
     if span <= _MOST_COUNTED_BINS:
         occupied = int(np.count_nonzero(np.bincount(keys[:kept])))
@@ -208,7 +230,7 @@ def resample(
     drawn = np.ascontiguousarray(poses[:, systematic_choice(weights, count, random)])
     drawn_moments = _moments_of(drawn, np.full(count, 1.0 / count))
     root = np.zeros((3, 3))
-    _root(drawn_moments.covariance + np.diag([1e-6, 1e-6, 1e-8]), root)
+    _root(drawn_moments.covariance + _REGULAR, root)
     # Only the covariance of the kernel matters; a uniform one takes a third of the time to draw.
     noise = math.sqrt(12.0) * (random.random((3, count)) - 0.5)
     _kernel(drawn, noise, *drawn_moments.mean, root, math.sqrt(1.0 - bandwidth**2), bandwidth)
@@ -220,8 +242,8 @@ def tempered_update(
     log_weights: Array,
     log_likelihood: Callable[[Array, NDArray[np.intp]], Array],
     random: np.random.Generator,
-    bandwidth: float = 0.25,
-    rounds: int = 8,
+    bandwidth: float = _STAGED_BANDWIDTH,
+    rounds: int = _STAGES,
 ) -> None:
     """Fuse a log-likelihood into particle sets `poses` (3, rows, n), `log_weights` (rows, n), in
     place.
@@ -236,7 +258,7 @@ def tempered_update(
     left = np.ones(rows)
     for stage in range(rounds):
         full = log_weights + contribution * left[:, None]
-        poor = np.nonzero(effective_count(full) < 0.5 * count)[0]
+        poor = np.nonzero(effective_count(full) < _ENOUGH_EFFECTIVE * count)[0]
         if stage == rounds - 1 or not poor.size:
             log_weights[:] = full - full.max(axis=1, keepdims=True)
             break
@@ -255,8 +277,9 @@ def _shares(log_weights: Array, contribution: Array, left: Array) -> Array:
     """
     count = log_weights.shape[1]
     share = left.copy()
-    for _ in range(6):
-        thin = effective_count(log_weights + contribution * share[:, None]) < 0.3 * count
+    for _ in range(_HALVINGS):
+        effective = effective_count(log_weights + contribution * share[:, None])
+        thin = effective < _STAGE_EFFECTIVE * count
         if not thin.any():
             break
         share[thin] *= 0.5

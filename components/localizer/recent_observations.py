@@ -18,12 +18,22 @@ Array = NDArray[np.float64]
 # NIS: the 99 % and 99.9 % quantiles of chi-square with 2 degrees of freedom, -2 ln 0.01 and
 # -2 ln 0.001.
 AGREES, CONTRADICTS = 9.2, 13.8
-# An object counts as two observations at most: further ones share their error.
+# An object counts as two observations at most: further ones share their error. Chosen by hand; half
+# and double were not compared.
 OBJECT_WORTH = 2.0
-# Objects no farther apart than this [m] are observed in one direction.
+# Objects no farther apart than this [m] are observed in one direction: at 3 m within 11 degrees.
 TOGETHER_M = 0.6
-# Observations from poses that differ by more than this [m], [rad] are independent.
+# Observations from poses that differ by more than this [m], [rad] are independent: successive
+# images share the recognizer's errors. The experiments count viewpoints in the same way
+# (docs/how-to/experiments.md). Chosen by hand; half and double were not compared.
 ANOTHER_M, ANOTHER_RAD = 0.15, 0.2
+# Observations nearer than this count as so far away [m], where the bearing is no longer linear in
+# the position. Chosen by hand; half and double were not compared.
+_NEAR_M = 0.3
+# Seconds of motion, and observations of each object, that are kept: odometry drifts by 0.16 m and
+# 0.27 rad (drift times the root of 30 s), as much as observations err. Drifts [m/sqrt(s)],
+# [rad/sqrt(s)]: a little more than those of the parameter `base`.
+_HORIZON_S, _PER_OBJECT, _DRIFT, _TURN_DRIFT = 30.0, 4, 0.03, 0.05
 
 
 @dataclass(frozen=True)
@@ -62,10 +72,10 @@ class RecentObservations:
 
     def __init__(
         self,
-        horizon_s: float = 30.0,
-        per_object: int = 4,
-        drift: float = 0.03,
-        turn_drift: float = 0.05,
+        horizon_s: float = _HORIZON_S,
+        per_object: int = _PER_OBJECT,
+        drift: float = _DRIFT,
+        turn_drift: float = _TURN_DRIFT,
     ) -> None:
         self.horizon_s = horizon_s
         self.per_object = per_object
@@ -187,7 +197,7 @@ class RecentObservations:
             place_variance = place_variance + 0.5 * (covariance[0, 0] + covariance[1, 1])
             turn_variance = turn_variance + covariance[2, 2]
         range_variance = range_variance + place_variance
-        reach = np.maximum(range_m, 0.3)
+        reach = np.maximum(range_m, _NEAR_M)
         bearing_variance = bearing_variance + place_variance / reach**2 + turn_variance
 
         # Where each was made from, relative to now; and from there, what it should have measured.

@@ -18,8 +18,12 @@ from cairn.schemas.cairn_nav_msgs import Reason, ReasonCode
 
 Array = NDArray[np.float64]
 
+# Where no other reason is given, the constants of this module were chosen by hand; half and double
+# were not compared. docs/benchmarks.md has the results for kidnapped robots.
+
 # After the robot was found, the map is searched again for so long [s]: it may have been found in a
-# wrong position that explains the few measurements so far.
+# wrong position that explains the few measurements so far. As long as observations are kept
+# (`recent_observations`).
 PROBATION_S = 30.0
 # So many searches, from poses so far apart [m], must find it there again to confirm the position:
 # static things do not become better evidence by being seen again from the same pose. Or no search
@@ -28,19 +32,21 @@ _CONFIRMATIONS, _CONFIRM_EVERY_M, _UNDISPUTED_M = 3, 0.2, 1.0
 # Another pose must explain the recent measurements better by this log-likelihood [nats]: errors
 # that successive observations have in common are worth 2 to 4.
 BETTER = 6.0
-# If it is better by this [nats], the current pose is refuted.
+# If it is better by this [nats], the current pose is refuted: several times what common errors are
+# worth.
 REFUTED = 25.0
 # The robot may be lost if scans fit the map less than the first share: search the map now and then.
 # It is probably lost if they fit less than the second share, or less than the third share of their
 # usual fit: search at once, and forget the earlier measurements.
 _DOUBTFUL_FIT, _LOST_FIT, _LOST_OF_USUAL_FIT = 0.8, 0.5, 0.65
-# Weight of the newest scan in the usual fit; a smaller one if it fits worse than 0.8 of that, so
-# that a carried robot does not get used to its wrong position.
+# Weight of the newest scan in the usual fit, a mean over 50 scans; a smaller one if it fits worse
+# than 0.8 of that, so that a carried robot does not get used to its wrong position for 1,000 scans.
 _NEWEST, _NEWEST_OF_BAD, _BAD = 0.02, 0.001, 0.8
 # Periods of the search [s]: in doubt; while a position is unconfirmed; if the robot is lost; and of
 # a robot whose position is unknown.
 _DOUBTFUL_EVERY_S, _UNCONFIRMED_EVERY_S, _LOST_EVERY_S, _UNKNOWN_EVERY_S = 3.0, 2.0, 1.0, 0.5
-# For so long [s] a search that found the robot at its current position supports that position.
+# For so long [s] a search that found the robot at its current position supports that position:
+# until the next one in doubt.
 _FOUND_HERE_S = 3.0
 # From this share of the posterior on, a search result is unambiguous.
 _UNAMBIGUOUS = 0.9
@@ -49,7 +55,8 @@ _UNAMBIGUOUS = 0.9
 _WAIT_FOR_SECOND_S, _WAIT_FOR_SPREAD_S, _ONE_OBJECT_SPREAD_M = 15.0, 10.0, 0.8
 # A search result that is wider than this [m] is not one position.
 _WIDEST_M = 0.5
-# Poses that differ by less than this [m], [rad] are the same position.
+# Poses that differ by less than this [m], [rad] are the same position; the modes of a search are as
+# far apart.
 _SAME_M, _SAME_RAD = 0.5, 0.35
 _JUST_FOUND = Reason(
     ReasonCode.UNCONFIRMED, "the robot was found just now; other positions are not ruled out yet"

@@ -17,15 +17,19 @@ from cairn.planar.poses import Pose, apart, compose, relative
 
 Array = NDArray[np.float64]
 
-# After so much motion [m], [rad] a scan counts in full; of one taken on the spot this share counts,
-# as its errors repeat.
+# After so much motion [m], [rad] a scan counts in full: every beam then ends in other cells of the
+# map (0.05 m). Of one taken on the spot this share counts, as its errors repeat.
 _NEW_M, _NEW_RAD, _ON_THE_SPOT = 0.15, 0.15, 0.03
 # The golden ratio: successive starts spread evenly over the beams.
 _GOLDEN = 0.618
-# Weight of the newest scan in the running mean of the fit: a mean over five scans.
+# Weight of the newest scan in the running mean of the fit: a mean over five scans. Chosen by hand;
+# half and double were not compared.
 _NEWEST = 0.2
-# About so many rays that hit nothing are traced through the map.
+# About so many rays that hit nothing are traced through the map: as many as the parameter `beams`.
 _TRACED_RAYS = 60
+# So many scans, so far apart [m], [rad], are kept for the search: they cover 2.4 m of the way, or
+# nearly half a turn. Chosen by hand; half and double were not compared.
+_KEPT, _APART_M, _TURNED_RAD = 8, 0.3, 0.35
 
 
 class BeamSelector:
@@ -63,7 +67,9 @@ class BeamSelector:
 class RecentScans:
     """End points of the `keep` newest scans taken `apart_m` [m] or `turned` [rad] apart."""
 
-    def __init__(self, keep: int = 8, apart_m: float = 0.3, turned: float = 0.35) -> None:
+    def __init__(
+        self, keep: int = _KEPT, apart_m: float = _APART_M, turned: float = _TURNED_RAD
+    ) -> None:
         self.keep = keep
         self.apart_m, self.turned = apart_m, turned
         self._scans: deque[tuple[Array, Pose]] = deque()

@@ -16,24 +16,32 @@ from cairn.planar.poses import Pose, compose, distance, relative, wrap
 
 Array = NDArray[np.float64]
 
-# How far a slip moves the robot from its odometry: standard deviations [m], [m], [rad].
+# How far a slip moves the robot from its odometry: standard deviations [m], [m], [rad]. A robot at
+# 0.6 m/s that is held for half a second is 0.3 m off. Chosen by hand; half and double were not
+# compared.
 _SLIP = np.array([[0.35], [0.35], [0.3]])
 # Poses drawn around the current one; a third of them is kept in each round of annealing, with the
-# share of the log-likelihood that counts and the noise added [m], [rad].
+# share of the log-likelihood that counts and the noise added [m], [rad]. 500 poses remain, as many
+# as the localizer's particles. Chosen by hand; half and double were not compared.
 _POSES = 1500
 _ANNEALING = ((0.25, 0.05), (0.5, 0.03), (1.0, 0.02))
-# A scan of which the map explains this share or more does not indicate a slip.
+# A scan of which the map explains this share or more does not indicate a slip. Chosen by hand; half
+# and double were not compared.
 _GOOD_FIT = 0.8
 # Another pose must explain this share of the beams more, and explain the scan better by this
-# log-likelihood [nats], as much as relocalization demands.
+# log-likelihood [nats], as much as relocalization demands. The share was chosen by hand; half and
+# double were not compared.
 _BETTER_FIT, _BETTER_NATS = 0.12, 6.0
 # It must fit at least this share as well as scans did before; otherwise the robot was carried away.
+# Chosen by hand; other values were not compared.
 _OF_USUAL_FIT = 0.9
-# Weight of the newest scan in the usual fit; a smaller one if it fits worse than 0.8 of that, so
-# that a carried robot does not get used to its wrong position.
+# Weight of the newest scan in the usual fit, a mean over 50 scans; a smaller one if it fits worse
+# than 0.8 of that, so that a carried robot does not get used to its wrong position for 1,000 scans.
+# Chosen by hand; half and double were not compared.
 _NEWEST, _NEWEST_OF_BAD, _BAD = 0.02, 0.001, 0.8
 # The poses found by two scans are the same if they differ by less than this [m], [rad]; particles
-# spread wider than this [m] are not one pose.
+# spread wider than this [m] are not one pose. About one deviation of a slip (`_SLIP`). Chosen by
+# hand; half and double were not compared.
 _SAME_M, _SAME_RAD, _WIDEST_M = 0.3, 0.2, 0.3
 
 

@@ -24,6 +24,8 @@ from cairn.visual_map.landmarks import (
 )
 from cairn.visual_map.object_models import read_model_name
 
+# Changes of so many seconds can be undone: a lost robot is found within 21 s (docs/benchmarks.md,
+# navigation in simulated worlds).
 UNDO_S = 60.0
 
 NumberedChange = tuple[int, LandmarkChange]

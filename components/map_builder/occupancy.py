@@ -22,10 +22,15 @@ from cairn.planar.grid import (
 from cairn.planar.poses import Pose
 from cairn.planar.scans import Rays
 
+# With the increments below, mapped glass that returns one beam in ten stays while it is observed
+# from up to 3 m (docs/concepts/architecture.md, limits). Where no other reason is given,
+# half and double were not compared.
+
 # Limits of the log-odds. Cells of the given map start at them, so that many contrary scans are
-# needed to change them.
+# needed to change them: 21 to free an obstacle.
 _LEAST, _MOST = -2.0, 3.5
-# Log-odds from which a cell is occupied, or free; in between it keeps its state.
+# Log-odds from which a cell is occupied, or free; in between it keeps its state. Two rays
+# that end in a cell reach it.
 _OCCUPIED, _FREE = 0.6, -0.6
 # A ray that ends confirms an obstacle of the map, with more weight than many rays that pass (glass
 # returns few rays), or suggests a new obstacle.
@@ -37,11 +42,13 @@ _CONTRADICTS, _FORGETS = -0.2, -0.4
 _NEAR = 2
 # An end this near confirms it [cells].
 _BESIDE = 1
-# Up to this share of the reach even dark objects return a ray.
+# Up to this share of the reach even dark objects return a ray. Chosen by hand.
 _SURE_SHARE = 0.35
-# While an obstacle is younger than this [s], ends beside it belong to it and are added as well.
+# While an obstacle is younger than this [s], ends beside it belong to it and are added as well: the
+# robot sees its other sides in this time. Chosen by hand.
 _YOUNG_S = 60.0
-# A ray is not evidence about cells this near its end [cells], or where it grazes a surface [m].
+# A ray is not evidence about cells this near its end [cells], or where it grazes a surface [m]:
+# there a small error of the pose moves it through the obstacle. Chosen by hand.
 _END_CELLS = 3.0
 _GRAZES_M = 1.5
 

@@ -16,7 +16,7 @@ from cairn.visual_map.landmarks import (
     ReceivedEvidence,
 )
 
-_REMOVAL = 0.1
+_REMOVAL = 0.1  # a landmark of less reliability is deleted (section 3.2)
 
 
 def judge_by_paper(

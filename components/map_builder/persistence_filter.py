@@ -24,11 +24,11 @@ from cairn.visual_map.landmarks import (
     ReceivedEvidence,
 )
 
-_REMOVAL = 0.1
+_REMOVAL = 0.1  # as in the paper's rule, for comparison
 # Normalized distance within which an observation detects the mapped feature: the root of
 # scipy.stats.chi2.ppf(0.99, 2).
 _DETECTED = 3.03
-_LEAST, _MOST = 1e-6, 1.0 - 1e-6
+_LEAST, _MOST = 1e-6, 1.0 - 1e-6  # the belief stays changeable
 
 
 @dataclass
@@ -37,7 +37,7 @@ class PersistenceFilter:
 
     `missed` is the probability of not detecting a present feature, `false` that of detecting an
     absent one. Features persist for `lifetime_s` [s] on average: with this exponential prior the
-    filter's sums over past observations reduce to a recursion.
+    filter's sums over past observations reduce to a recursion. The defaults are not tuned.
     """
 
     missed: float = 0.3

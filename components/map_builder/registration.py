@@ -12,7 +12,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cairn.components.map_builder.reliability import REGISTRATION, update
+from cairn.components.map_builder.reliability import (
+    LEAST_SIMILARITY,
+    MOST_SIMILARITY,
+    REGISTRATION,
+    update,
+)
 from cairn.planar.poses import apart
 from cairn.visual_map.landmarks import (
     CANDIDATE_RELIABILITY,
@@ -30,20 +35,31 @@ from cairn.visual_map.landmarks import (
 
 Array = NDArray[np.float64]
 
+# Where no other reason is given, these constants were chosen by hand; half and double were not
+# compared.
+
 # A landmark has not moved if its candidate is within this distance of its position [m], and within
 # this normalized distance squared (2 degrees of freedom, 90 %).
 _UNMOVED_M, _UNMOVED_NIS = 0.35, 4.6
-# Observations from poses that differ by more than this [m], [rad] are independent.
+# Observations from poses that differ by more than this [m], [rad] are independent: the same
+# distances as in the localizer (`ANOTHER_M`).
 INDEPENDENT_M, INDEPENDENT_RAD = 0.15, 0.2
 # Density of observations of an object anywhere in view [1/m^2]: 4 m by 60 degrees.
 CLUTTER = 1.0 / (0.5 * 4.0**2 * math.radians(60.0))
 # The share of the robot's own error that all its observations of an hour have in common [m].
 COMMON_ERROR = 0.15
-# A landmark has returned to a former position if it is within this distance of it [m].
+# A landmark has returned to a former position if it is within this distance of it [m], as for one
+# that has not moved.
 _SAME_M = 0.35
 # An object that people carry back and forth seldom returns twice within this time [s].
 _REMEMBERED_S = 600.0
 _RETURNS = 2
+# Errors of two implied positions that no covariance states [m]: twice that of a surveyed position
+# (`MAP_SIGMA` of the localizer, 0.03 m).
+_ERROR_M = 0.06
+# A candidate of at most this reliability, which no observation has confirmed (it starts at 0.1), is
+# replaced by one that contradicts it.
+_REPLACED = 0.15
 # How long an object that seems to be at two positions is ignored [s].
 _IGNORED_S = 600.0
 
@@ -68,7 +84,7 @@ def judge_candidate(
     if not apart(candidate.seen_from, evidence.robot, INDEPENDENT_M, INDEPENDENT_RAD):
         return landmark, None
     similarity = position_similarity(candidate.position, evidence.implied)
-    if similarity < 0.5 and candidate.reliability <= 0.15:
+    if similarity < 0.5 and candidate.reliability <= _REPLACED:
         return replace(seen, candidate=fresh), None
     reliability = update(candidate.reliability, similarity)
     position = candidate.position
@@ -118,7 +134,8 @@ def position_similarity(candidate: MapPosition, implied: MapPosition) -> float:
     total = _summed_covariance(candidate, implied)
     nis = squared_distance(candidate, implied)
     density = math.exp(-0.5 * nis) / (2.0 * math.pi * math.sqrt(float(np.linalg.det(total))))
-    return min(0.9, max(0.1, density / (density + CLUTTER)))
+    similarity = density / (density + CLUTTER)
+    return min(MOST_SIMILARITY, max(LEAST_SIMILARITY, similarity))
 
 
 def squared_distance(one: MapPosition, other: MapPosition) -> float:
@@ -206,7 +223,7 @@ def _has_not_moved(old: MapPosition, found: MapPosition) -> bool:
 
 
 def _summed_covariance(one: MapPosition, other: MapPosition) -> Array:
-    return _covariance(one) + _covariance(other) + 0.06**2 * np.eye(2)
+    return _covariance(one) + _covariance(other) + _ERROR_M**2 * np.eye(2)
 
 
 def _covariance(position: MapPosition) -> Array:

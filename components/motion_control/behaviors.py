@@ -23,6 +23,14 @@ from cairn.schemas.cairn_nav_msgs import MotionStatus, ReasonCode
 
 SECOND_NS = 1_000_000_000
 
+# Where no other reason is given, the constants of the behaviors were chosen by hand; half and
+# double were not compared.
+
+# Slower than this [m/s], [rad/s] the robot stands: wheels report noise of this size.
+_STANDING, _NOT_TURNING = 0.03, 0.06
+# The least tolerances of a goal [m], [rad] that the robot is asked for: its pose is no more exact.
+_LEAST_POSITION, _LEAST_HEADING = 0.02, 0.02
+
 
 class MotionState(IntEnum):
     """The state of a behavior, with the numbers of the message MotionStatus."""
@@ -60,7 +68,7 @@ class BehaviorInput:
     @property
     def is_standing(self) -> bool:
         """Return whether the robot stands still, except for the noise of its odometry."""
-        return abs(self.speed) < 0.03 and abs(self.turn) < 0.06
+        return abs(self.speed) < _STANDING and abs(self.turn) < _NOT_TURNING
 
 
 @dataclass(frozen=True)
@@ -90,19 +98,26 @@ class Follow:
     """
 
     # The robot does not drive to a path that is farther away than this [m]; the planner must
-    # replan.
+    # replan. Shorter than the part of a path that is considered (`HORIZON_M`, 3 m).
     MAX_DISTANCE_M = 2.5
     # The state is BLOCKED only after no motion was possible for so long [ns]: single scans are
-    # noisy.
+    # noisy. Five scans at 10 Hz.
     PATIENCE_NS = SECOND_NS // 2
+    # Shares of the tolerances. The robot has arrived within a third of the goal's, or within two
+    # thirds if the goal is beside or behind it [m]: then driving on does not bring it nearer. Once
+    # arrived, it stays so until it leaves nearly the whole tolerance.
+    _AIMED, _PASSED, _KEPT = 0.35, 0.7, 0.9
+    _BESIDE_M = 0.02
+    # The rest of the path counts as the straight distance to the goal below this [m].
+    _STRAIGHT_M = 0.5
 
     def __init__(
         self, limits: MotionLimits, path: FollowedPath, position: float, heading: float
     ) -> None:
         self._limits = limits
         self._planner = LocalPlanner(limits)
-        self._position = max(0.02, position)
-        self._heading = max(0.02, heading)
+        self._position = max(_LEAST_POSITION, position)
+        self._heading = max(_LEAST_HEADING, heading)
         self._arrived = self._done = False
         self._moved_at = 0
         self.path = path
@@ -116,22 +131,24 @@ class Follow:
             return BehaviorResult(state=MotionState.DONE)
         if not self._arrived:
             ahead = relative(pose, goal)[0]
-            self._arrived = distance_left < 0.35 * self._position or (
-                distance_left < 0.7 * self._position and ahead < 0.02
+            self._arrived = distance_left < self._AIMED * self._position or (
+                distance_left < self._PASSED * self._position and ahead < self._BESIDE_M
             )
-        elif distance_left > 0.9 * self._position:
+        elif distance_left > self._KEPT * self._position:
             self._arrived = False
         if self._arrived:
             return self._turn(inputs, distance_left, wrap(goal[2] - pose[2]))
         way = self.path.ahead(pose)
-        left = max(self.path.left, distance_left) if self.path.left < 0.5 else self.path.left
+        left = self.path.left
+        if left < self._STRAIGHT_M:
+            left = max(left, distance_left)
         if self.path.off > self.MAX_DISTANCE_M:
             reason = f"the path is {self.path.off:.1f} m away"
             return BehaviorResult(
                 state=MotionState.BLOCKED, reason=reason, left=left, code=ReasonCode.OFF_PATH
             )
         target = self._planner.along(way, left, inputs.planner_input)
-        if target.blocked and distance_left < 0.9 * self._position:
+        if target.blocked and distance_left < self._KEPT * self._position:
             self._arrived = True
         if not target.blocked:
             self._moved_at = inputs.now
@@ -142,7 +159,7 @@ class Follow:
         return _driving(target, left)
 
     def _turn(self, inputs: BehaviorInput, distance_left: float, off: float) -> BehaviorResult:
-        if abs(off) > 0.35 * self._heading:
+        if abs(off) > self._AIMED * self._heading:
             return BehaviorResult(
                 VelocityTarget(turn=self._limits.turn_rate_for(off)), left=distance_left
             )
@@ -155,10 +172,13 @@ class Follow:
 class BackOff:
     """Drive back a little: backward where the ground was seen lately, otherwise turned around."""
 
-    SPEED = 0.15  # [m/s]
-    SEEN_NS = 4 * SECOND_NS
+    SPEED = 0.15  # [m/s], the `creep_speed` beside obstacles
+    SEEN_NS = 4 * SECOND_NS  # it drives 0.6 m in this time, twice the usual length
     # With less room [m] behind the robot it does not start; it must drive this far [m] to be done.
     _LEAST, _WORTH = 0.03, 0.05
+    # It is done this near to its end [m], stops this far before an obstacle [m], and drives at
+    # least so fast [m/s] that a base can follow.
+    _END_M, _STOP_GAP_M, _LEAST_SPEED = 0.01, 0.02, 0.04
 
     def __init__(self, limits: MotionLimits, length: float = 0.3) -> None:
         self._limits = limits
@@ -178,7 +198,7 @@ class BackOff:
             return self._end
         driven = distance(self._start, inputs.odom)
         left = self._length - driven
-        if left <= 0.01:
+        if left <= self._END_M:
             return self._finish(MotionState.DONE, "")
         if self._turned_planner is not None:
             return self._drive_turned(self._turned_planner, inputs, driven, left)
@@ -200,8 +220,9 @@ class BackOff:
         if not inputs.memory.is_ground_seen(inputs.odom, math.pi, min(left, free), since):
             self._turned_planner = LocalPlanner(limits)
             return self._drive_turned(self._turned_planner, inputs, driven, left)
-        pace = min(self.SPEED, limits.speed_to_stop_in(left), limits.speed_to_stop_in(free - 0.02))
-        return BehaviorResult(VelocityTarget(speed=-max(0.04, pace)), left=left)
+        free -= self._STOP_GAP_M
+        pace = min(self.SPEED, limits.speed_to_stop_in(left), limits.speed_to_stop_in(free))
+        return BehaviorResult(VelocityTarget(speed=-max(self._LEAST_SPEED, pace)), left=left)
 
     def _drive_turned(
         self, planner: LocalPlanner, inputs: BehaviorInput, driven: float, left: float
@@ -228,6 +249,7 @@ class LookAround:
     """Turn on the spot once."""
 
     SPEED = 0.8  # [rad/s]: 0.08 rad between scans at 10 Hz
+    _END_RAD = 0.02  # it is done this near to its end [rad], a degree
 
     def __init__(self, limits: MotionLimits, angle: float = 2.0 * math.pi) -> None:
         self._limits = limits
@@ -240,7 +262,7 @@ class LookAround:
         if self._heading is not None:
             self._left -= wrap(heading - self._heading)
         self._heading = heading
-        if self._left <= 0.02:
+        if self._left <= self._END_RAD:
             return BehaviorResult(state=MotionState.DONE)
         return BehaviorResult(
             VelocityTarget(turn=min(self.SPEED, self._limits.turn_rate_for(self._left)))
@@ -250,12 +272,20 @@ class LookAround:
 class Explore:
     """Drive `length` [m] in the direction with the most room."""
 
-    # Least room [m] to start, and distance [m] to keep from what ends the room.
+    # Least room [m] to start, more than a robot's diameter, and distance [m] to keep from what ends
+    # the room.
     _ROOM, _APART = 0.6, 0.3
+    # Directions that are examined, 5 degrees apart: at 3 m 0.26 m, less than the robot's width.
     _DIRECTIONS = np.linspace(-math.pi, math.pi, 72, endpoint=False)
-    _PATIENCE_NS = 1 * SECOND_NS
-    _TRIES = 4
-    REACH = 4.0
+    # Room beyond this [m] is worth no more, and a direction is worth less by so much per angle off
+    # the heading [m/rad], so that of equal directions the robot takes the one ahead.
+    _WORTH_M, _WORTH_PER_RAD = 3.0, 0.1
+    _PATIENCE_NS = 1 * SECOND_NS  # blocked for so long, it chooses another direction
+    _TRIES = 4  # directions, then it gives up
+    # A direction is driven this far beyond what is left [m], and given up this near to its end [m]:
+    # the robot ends exploring while it drives.
+    _BEYOND_M = _END_M = 0.1
+    REACH = 4.0  # obstacles within this distance [m] are considered: `ScanMemory.MAX_RANGE_M`
 
     def __init__(self, limits: MotionLimits, length: float) -> None:
         self._limits = limits
@@ -289,7 +319,7 @@ class Explore:
         if self._path is None:
             return self._choose(inputs)
         way = self._path.ahead(inputs.odom)
-        if self._path.left < 0.1:
+        if self._path.left < self._END_M:
             self._path = None
             return BehaviorResult(left=self._left)
         target = self._planner.along(way, self._path.left, inputs.planner_input)
@@ -314,16 +344,16 @@ class Explore:
         check_lines(
             points, self._DIRECTIONS, limits.keepout_radius, limits.contact_radius, self._free
         )
-        free = np.minimum(self._free, 3.0)
+        free = np.minimum(self._free, self._WORTH_M)
         wide = np.minimum(free, np.minimum(np.roll(free, 1), np.roll(free, -1)))
         middle, half = inputs.field_of_view
         seen = np.abs((self._DIRECTIONS - middle + math.pi) % (2 * math.pi) - math.pi) <= half
-        worth = np.where(seen, wide - 0.1 * np.abs(self._DIRECTIONS), -np.inf)
+        worth = np.where(seen, wide - self._WORTH_PER_RAD * np.abs(self._DIRECTIONS), -np.inf)
         best = int(np.argmax(worth))
         if wide[best] < self._ROOM or not seen[best]:
             self._look_around = LookAround(self._limits, math.pi)
             return BehaviorResult(left=self._left)
-        length = min(self._left + 0.1, wide[best] - self._APART)
+        length = min(self._left + self._BEYOND_M, wide[best] - self._APART)
         direction = float(self._DIRECTIONS[best])
         end = compose(
             inputs.odom,

@@ -53,11 +53,14 @@ from cairn.schemas.nav_msgs import Odometry
 from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.std_msgs import Header
 
-# After a break in odometry or time the robot stands for so long [ns], until scans have arrived.
+# After a break in odometry or time the robot stands for so long [ns], until scans have arrived:
+# five at 10 Hz.
 _PAUSE_NS = SECOND // 2
 # The timed command is skipped if a scan has triggered one within this share of the period.
 _RECENT_SHARE = 0.5
-_COMMAND_HZ, _STATUS_HZ = 20.0, 5.0  # minimum rates
+# Minimum rates: the base stops if no command arrives for 0.3 s (six periods), AutoMove if no status
+# arrives for 2 s (ten).
+_COMMAND_HZ, _STATUS_HZ = 20.0, 5.0
 # The robot is assumed to keep its velocity for so long [s] after the newest odometry.
 _EXTRAPOLATION_S = 0.1
 # A step of odometry faster than this multiple [1] of the robot's limits is a jump.

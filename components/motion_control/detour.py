@@ -14,6 +14,9 @@ from cairn.planar.shortest_path import CLOSED, MARGIN, MIN_COST, PathSearch, ope
 
 Array = NDArray[np.float64]
 
+# Where no other reason is given, these constants were chosen by hand; half and double were not
+# compared.
+
 _CELL_M, _HALF = 0.05, 48  # size of a cell [m]; cells from the robot to the grid's edge
 SEARCH_RANGE_M = _CELL_M * (_HALF - 2)
 """Detours end within this distance [m] ahead and aside."""
@@ -22,7 +25,8 @@ SEARCH_RANGE_M = _CELL_M * (_HALF - 2)
 _COST_RANGE_M, _MAX_EXTRA_COST = 0.2, 60.0
 # Corners are cut only with so much more clearance [m], as scans are noisy.
 _SPARE_M = 0.06
-# A cell's center may be so far [m] from the point in it; the margin allows for that.
+# A cell's center may be so far [m] from the point in it; the margin allows for that. A cell that is
+# nearer to an obstacle than the robot by no more than this [m] is as far from it.
 _ROUNDING_M = 0.01
 # A detour may be longer than the straight line by this factor [1] and length [m]; a longer one is
 # left to the path planner.
@@ -83,7 +87,7 @@ class DetourSearch:
         """Open the cells that are as far from obstacles as the robot is now, at a high cost."""
         reach = math.ceil(self._limits.keepout_radius / _CELL_M) + 1
         near = slice(_HALF - reach, _HALF + reach + 1)
-        least = distances[_HALF, _HALF] - 0.01
+        least = distances[_HALF, _HALF] - _ROUNDING_M
         opened = closed[near, near] & (distances[near, near] >= least)
         costs[near, near][opened] = round(MIN_COST + 2.0 * _MAX_EXTRA_COST)
 

@@ -13,13 +13,13 @@ from cairn.planar.poses import Pose
 Array = NDArray[np.float64]
 
 SPACING_M = 0.05
-"""Distance [m] between the points of the path ahead."""
+"""Distance [m] between the points of the path ahead: a cell of the usual map."""
 HORIZON_M = 3.0
-"""Length [m] of the path ahead that is considered."""
+"""Length [m] of the path ahead that is considered: beyond the longest detour (`SEARCH_RANGE_M`)."""
 
 # The robot's position on the path is searched this far behind and ahead of the last one [m], and
 # everywhere if the robot is farther away than the third value [m]: so it stays on its branch where
-# the path crosses itself.
+# the path crosses itself. Chosen by hand; half and double were not compared.
 _BEHIND, _BEFORE = 0.3, 1.0
 _LOST = 0.8
 

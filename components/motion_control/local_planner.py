@@ -32,22 +32,29 @@ from cairn.planar.poses import Pose, compose
 Array = NDArray[np.float64]
 
 OBSTACLE_RANGE_M = HORIZON_M + 0.3
-"""Obstacles within this distance [m] of the robot are needed."""
+"""Obstacles within this distance [m] of the robot are needed: the path and the robot's radius."""
 
-_MIN_AIM_M, _MAX_AIM_M = (
-    0.35,
-    0.8,
-)  # [m] along the path; nearer points make the robot oscillate, farther ones cut corners
-_AIM_SHARES = np.array(
-    [1.0, 0.75, 0.55, 0.4]
-)  # shares of the distance that are tried where there is little room
+# Where no other reason is given, these constants were chosen by hand; half and double were not
+# compared.
+
+# The pursued point is this far along the path [m]: nearer points make the robot oscillate, farther
+# ones cut corners. Shares of the distance are tried where there is little room.
+_MIN_AIM_M, _MAX_AIM_M = 0.35, 0.8
+_AIM_SHARES = np.array([1.0, 0.75, 0.55, 0.4])
+# The sharpest arc [1/m], of a radius of 0.125 m, and the farthest bearing [rad] of a point that an
+# arc leads to: beyond, a turn on the spot is shorter.
+_SHARPEST, _MOST_BEARING = 8.0, 1.3
+# An arc with this clearance beyond what is needed [m] is good enough; otherwise one is better by
+# this clearance [m].
+_GOOD_CLEARANCE_M, _BETTER_CLEARANCE_M = 0.05, 0.01
 # Turning on the spot starts when the path is this far off the heading, and ends here [rad]; the
 # difference keeps the robot from alternating between both motions.
 _TURN_FROM, _TURN_TO = 1.0, 0.2
 # An obstacle on the path nearer than this [m] is driven around.
 _AVOID_WITHIN_M = 1.4
 _CHECKED = round(_AVOID_WITHIN_M / SPACING_M) + 2
-_AT_GOAL_M = 0.3  # [m]: obstacles this near before the goal do not stop the robot early
+# Obstacles this near before the goal [m] do not stop the robot early: more than `stop_distance`.
+_AT_GOAL_M = 0.3
 _GOAL_SLACK_M = 0.06  # [m] that the goal itself may be out of reach
 _REJOIN_POINTS = 16  # points of the path that must be free beyond an obstacle: 0.8 m
 _RETRY_NS = 300_000_000  # time without a new search after no detour was found
@@ -55,6 +62,12 @@ _MARGIN_SHARE = 0.6  # share of the margin that noise may take from a detour bef
 _STOP_GAP_M = 0.02  # [m] of free path that is left where the robot stops
 _STRAIGHT_SPEED = 0.25  # [m/s] without a path
 _LEAST_SPEED = 0.05  # [m/s] that a base can follow
+_STANDS = 0.01  # [m/s]: a slower target means that there is no room to move
+_SLOW = 0.05  # [m/s]: a faster robot stops before it turns on the spot
+_STRAIGHT_CHECK_M = 0.3  # [m] of the arc that is checked without a path
+_ROOM_TO_TURN_M = 0.3  # [m] of free path after a turn on the spot, or the turn is not worth it
+_DETOUR_GOES_ON_M = 0.5  # [m] by which the path continues beyond a detour, so no braking is needed
+_ABOUT_HALF_A_TURN = 2.0  # [rad]: a larger turn may go either way
 
 
 @dataclass(frozen=True)
@@ -116,7 +129,7 @@ class LocalPlanner:
         target = None
         if ahead >= self._gap(ahead, left):
             target = self._follow(path_ahead, left, ahead, inputs)
-        if target is None or (target.speed < 0.01 and target.turn == 0.0):
+        if target is None or (target.speed < _STANDS and target.turn == 0.0):
             return VelocityTarget(
                 curvature=self._curvature, blocked=_blocked_reason(ahead, inputs, self._limits)
             )
@@ -138,10 +151,10 @@ class LocalPlanner:
         if not obstacles.ground_seen_ahead:
             return VelocityTarget(blocked=_UNSEEN)
         curvature = max(-1.0, min(1.0, 2.0 * off))
-        self._check(obstacles.points, np.array([curvature]), np.array([0.3]))
+        self._check(obstacles.points, np.array([curvature]), np.array([_STRAIGHT_CHECK_M]))
         pace = self._pace(curvature, self._free[0], self._clear[0])
         pace = min(_STRAIGHT_SPEED, self._limits.speed_to_stop_in(left), pace)
-        if pace <= 0.01:
+        if pace <= _STANDS:
             gap = max(0.0, obstacles.nearest - self._limits.radius)
             return VelocityTarget(blocked=f"an obstacle {gap:.2f} m from the robot")
         return VelocityTarget(speed=max(_LEAST_SPEED, pace), curvature=curvature)
@@ -167,13 +180,13 @@ class LocalPlanner:
             pace = min(fastest, self._pace(curvature, free, clear))
             self._curvature = curvature
             return VelocityTarget(
-                speed=pace if pace < 0.01 else max(pace, _LEAST_SPEED), curvature=curvature
+                speed=pace if pace < _STANDS else max(pace, _LEAST_SPEED), curvature=curvature
             )
-        if abs(inputs.speed) > 0.05:  # stop first
+        if abs(inputs.speed) > _SLOW:  # stop first
             return VelocityTarget(curvature=self._curvature)
         direct = np.empty(1)
         check_lines(points, np.array([bearing]), self._room, limits.contact_radius, direct)
-        if abs(bearing) > _TURN_TO and direct[0] > min(0.3, math.hypot(x, y)):
+        if abs(bearing) > _TURN_TO and direct[0] > min(_ROOM_TO_TURN_M, math.hypot(x, y)):
             self._turning = True
             return VelocityTarget(turn=limits.turn_rate_for(self._same_direction(bearing)))
         return None
@@ -187,7 +200,7 @@ class LocalPlanner:
             radius = self._limits.keepout_radius - _MARGIN_SHARE * self._limits.margin
             free = free_length(inputs.obstacles.points, path_ahead[:_CHECKED], SPACING_M, radius)
             if free >= min(_AVOID_WITHIN_M, left):
-                target = self._follow(path_ahead, left + 0.5, UNLIMITED_M, inputs)
+                target = self._follow(path_ahead, left + _DETOUR_GOES_ON_M, UNLIMITED_M, inputs)
                 if target is not None:
                     return target
         self._detour = None
@@ -230,7 +243,7 @@ class LocalPlanner:
 
     def _same_direction(self, angle: float) -> float:
         """Return an angle to turn by; about half a turn continues in the current direction."""
-        if self._side * angle < 0.0 and abs(angle) > 2.0:
+        if self._side * angle < 0.0 and abs(angle) > _ABOUT_HALF_A_TURN:
             return angle + math.copysign(2.0 * math.pi, self._side)
         self._side = math.copysign(1.0, angle)
         return angle
@@ -249,7 +262,7 @@ class LocalPlanner:
         aims = np.minimum(last, np.rint(_AIM_SHARES * (aim / SPACING_M)).astype(np.int64))
         targets = path_ahead[aims]
         apart = np.maximum(1e-9, targets[:, 0] ** 2 + targets[:, 1] ** 2)
-        curvatures = np.clip(2.0 * targets[:, 1] / apart, -8.0, 8.0)
+        curvatures = np.clip(2.0 * targets[:, 1] / apart, -_SHARPEST, _SHARPEST)
         halves = np.arctan2(targets[:, 1], targets[:, 0])
         lengths = np.sqrt(apart) / np.maximum(0.1, np.sinc(halves / math.pi))
         self._check(points, curvatures, lengths)
@@ -257,12 +270,12 @@ class LocalPlanner:
         for i in range(_AIM_SHARES.size):
             needed = lengths[i] - (_GOAL_SLACK_M if aims[i] == last else 0.0)
             # A point beside or behind the robot requires turning on the spot.
-            if self._free[i] < needed or abs(halves[i]) > 1.3:
+            if self._free[i] < needed or abs(halves[i]) > _MOST_BEARING:
                 continue
             arc = float(curvatures[i]), float(self._free[i]), float(self._clear[i])
-            if arc[2] >= self._room + 0.05:
+            if arc[2] >= self._room + _GOOD_CLEARANCE_M:
                 return arc
-            if best is None or arc[2] > best[2] + 0.01:
+            if best is None or arc[2] > best[2] + _BETTER_CLEARANCE_M:
                 best = arc
         return best
 

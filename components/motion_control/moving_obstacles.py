@@ -17,24 +17,35 @@ from cairn.planar.scans import Rays
 
 Array = NDArray[np.float64]
 
+# Where no other reason is given, these constants were chosen by hand; half and double were not
+# compared. docs/benchmarks.md has the results in the hall with ten walking people.
+
 # Hits nearer to one another than this [m] belong to the same thing, which is at most so large [m]
 # and stands out from its background by so much [m]; people fit these sizes.
 _MAX_GAP_M, _MAX_SIZE_M, _MIN_PROMINENCE_M = 0.2, 0.9, 0.3
-_MIN_BEAMS = 3  # beams on a thing
-_MAX_THINGS = 64  # maximum number of things per scan
+_MIN_BEAMS = 3  # beams on a thing: one or two may be noise at an edge
+_MAX_THINGS = 64  # maximum number of things per scan; limits the time that a scan takes
 # Beams form a full circle if the gap between last and first is no more than this [rad]: the robot
 # may turn during the scan.
 _SEAM_RAD = 0.2
 
-_MATCH_M = 0.35  # a thing is searched within this distance [m] of its predicted position
-# A velocity is estimated from positions over so much time [ns].
+# A thing is searched within this distance [m] of its predicted position: one that was not seen
+# moving yet walks 0.25 m between two scans at 2.5 m/s and 10 Hz.
+_MATCH_M = 0.35
+# A velocity is estimated from positions over so much time [ns]: four to seven scans at 10 Hz.
 _MIN_WATCHED_NS, _MAX_WATCHED_NS = 350_000_000, 650_000_000
-_FORGOTTEN_NS = 350_000_000  # [ns] without a hit
-_SLOWEST, _FASTEST = 0.35, 2.5  # [m/s] range of speeds that count as moving
+_FORGOTTEN_NS = 350_000_000  # [ns] without a hit: three scans at 10 Hz
+# Range of speeds that count as moving [m/s]: slower ones may be noise of the hits, and people
+# seldom run indoors.
+_SLOWEST, _FASTEST = 0.35, 2.5
+# Two halves of a motion are steady if their directions agree by this cosine (60 degrees), and each
+# is at least this share of the slowest motion [1].
+_STEADY, _STEADY_SHARE = 0.5, 0.5
 # If the robot turns faster than this [rad/s], all things appear to move, and none is tracked.
 _MAX_TURN = 0.8
 
-# Positions are predicted for these times ahead [s], by points so far from the center [m].
+# Positions are predicted for these times ahead [s], in which the robot can stop from 0.6 m/s, by
+# points so far from the center [m].
 _PREDICTION_TIMES = np.arange(1, 8) * 0.2
 _HALF_WIDTH = 0.15
 
@@ -58,9 +69,9 @@ class _TrackedThing:
         oldest, middle = watched[0], watched[len(watched) // 2]
         first, then = _speed(oldest, middle), _speed(middle, newest)
         alike = first[0] * then[0] + first[1] * then[1]
-        if alike < 0.5 * math.hypot(*first) * math.hypot(*then):
+        if alike < _STEADY * math.hypot(*first) * math.hypot(*then):
             return 0.0, 0.0
-        if min(math.hypot(*first), math.hypot(*then)) < 0.5 * _SLOWEST:
+        if min(math.hypot(*first), math.hypot(*then)) < _STEADY_SHARE * _SLOWEST:
             return 0.0, 0.0
         return _speed(oldest, newest)
 

@@ -46,15 +46,20 @@ from cairn.schemas.nav_msgs import OccupancyGrid, Odometry, Path
 from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.std_msgs import Header
 
-# This near to the goal [m] a path is not replaced by a better one.
+# Where no other reason is given, these constants were chosen by hand; half and double were not
+# compared.
+
+# This near to the goal [m] a path is not replaced by a better one: it could save little.
 NEAR_GOAL_M = 0.5
 # A new path that is longer by this [m] than the blocked one is a detour: what blocked the old path
 # is remembered longer within this radius [m]; otherwise the planner would return to the old path as
 # soon as the obstacle is out of view.
 DETOUR_M, BLOCKAGE_RADIUS_M = 1.0, 1.0
-# A keepout zone is so far [m] ahead of a robot that is stuck.
+# A keepout zone is so far [m] ahead of a robot that is stuck: just before its front (its radius is
+# 0.22 m).
 KEEPOUT_AHEAD_M = 0.4
-# Odometry is kept for so long [s]; a step faster than this [m/s, rad/s] is a jump.
+# Odometry is kept for so long [s], more than a pose is late; a step faster than this [m/s, rad/s]
+# is a jump: about three times the default limits of motion control.
 _HORIZON_S, _FASTEST, _FASTEST_TURN = 3.0, 2.0, 4.0
 
 

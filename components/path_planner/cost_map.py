@@ -63,7 +63,7 @@ class CostMap:
         self.costs = costs
         self._values = np.array(grid.values, np.int8)
         self._inflation_table = _inflation_table(costs, grid.frame.resolution)
-        self._same_distance = max(SAME_OBSTACLE_M, 1.5 * grid.frame.resolution)
+        self._same_distance = max(SAME_OBSTACLE_M, _SAME_CELLS * grid.frame.resolution)
         self._inflation_cells = max(
             math.isqrt(self._inflation_table.size - 2) + 1,
             math.ceil(self._same_distance / grid.frame.resolution),
@@ -215,7 +215,12 @@ KEEPOUT_M = 0.45
 """Radius of a keepout zone [m]: driving straight through costs as much as some 13 m of free space.
 """
 SAME_OBSTACLE_M = 0.15
-"""An obstacle of the scanner this near [m] to an obstacle of the map is the same obstacle."""
+"""An obstacle of the scanner this near [m] to an obstacle of the map is the same obstacle: a pose
+of full health errs by as much."""
+
+# On coarse maps the distance is so many cells instead: an obstacle and its neighbors, also
+# diagonal.
+_SAME_CELLS = 1.5
 
 
 def nearest_open(cell_costs: CellCosts, row: float, column: float) -> tuple[Cell, float] | None:
