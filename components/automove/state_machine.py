@@ -29,6 +29,9 @@ from cairn.schemas.cairn_nav_msgs import (
     ReasonCode,
 )
 
+# Where no other reason is given, these constants were chosen by hand; half and double were not
+# compared.
+
 # The robot makes progress when it is nearer to its goal than ever before by this [m]: more than a
 # correction of the pose changes the distance.
 _PROGRESS_M = 0.3

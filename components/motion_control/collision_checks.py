@@ -17,7 +17,7 @@ from cairn.planar.compiled import compiled
 Array = NDArray[np.float64]
 
 UNLIMITED_M = 10.0
-"""Free length and clearance [m] where nothing limits them."""
+"""Free length and clearance [m] where nothing limits them: farther than points are kept (4 m)."""
 
 _STRAIGHT = 1e-3  # curvature [1/m] below which an arc counts as a straight line
 _SLACK = 0.005  # [m] by which a point inside the circle may come nearer, as scans are noisy

@@ -27,7 +27,7 @@ GROUND_REACH_M = 1.6
 CELL_M = 0.1
 """Size of a cell [m]."""
 
-_SIDE = 64  # cells per side; cells so many apart share a slot
+_SIDE = 64  # cells per side, twice those within reach; cells so many apart share a slot
 _STAMP, _ROW, _COLUMN = 0, 1, 2
 _NEVER = -(2**62)
 
@@ -113,7 +113,8 @@ def _share(
 
 Stamps = NDArray[np.int64]
 
-# Points farther than this [m] from the robot are dropped.
+# Points farther than this [m] from the robot are dropped: farther than the local planner needs them
+# (`OBSTACLE_RANGE_M`, 3.3 m).
 MAX_RANGE_M = 4.0
 _ROOM = 8192  # points; more than several scans of the finest scanner within range
 # The ground counts as seen if this share of it was, as single beams may fail; it is checked so far
