@@ -81,7 +81,7 @@ class _Up:
 
 
 def _actives(lines: list[tuple[float, str]], name: str) -> list[float]:
-    return [when for when, line in lines if line.endswith(f": {name} active")]
+    return [when for when, line in lines if line.endswith(f": child active: {name}")]
 
 
 def measure() -> list[Metric]:

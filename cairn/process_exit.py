@@ -22,8 +22,8 @@ class ExitReport:
     """How a component ended.
 
     `normal`: it finished or was asked to stop; otherwise it failed or was killed. `success`: its
-    work was done; only a normal end can be without success. `reason` is part of a sentence, such as
-    "was killed by SIGSEGV".
+    work was done; only a normal end can be without success. `reason` is a phrase, such as
+    "killed by SIGSEGV (signal 11)".
     """
 
     normal: bool
@@ -36,10 +36,6 @@ class ExitReport:
         if not self.normal:
             return 1
         return 0 if self.success else WORK_NOT_DONE
-
-    def for_supervisor(self) -> "ExitReport":
-        """Return the report with a reason that says "failed" if it did."""
-        return self if self.normal else ExitReport(False, f"failed: {self.reason}")
 
 
 class ExitLog:
@@ -59,17 +55,16 @@ class ExitLog:
     def report(self, pid: int, code: int | None, manner: str) -> ExitReport:
         """Return the report on a process that ended with this exit code (None: by a signal).
 
-        `manner` is part of a sentence, such as "ended with exit code 1".
+        `manner` is a phrase, such as "exit code 1" or "killed by SIGSEGV (signal 11)".
         """
         where = f"(process {pid}, log {self.file})"
         if code is None:
             return ExitReport(False, f"{manner} {where}")
         reason, last_line = self._tail(pid)
         if code in (0, WORK_NOT_DONE):
-            return ExitReport(True, reason or f"{manner} of its own accord", code == 0)
-        if reason:
-            return ExitReport(False, f"failed {where}: {reason}")
-        return ExitReport(False, f"{manner} {where}{f': {last_line}' if last_line else ''}")
+            return ExitReport(True, reason or manner, code == 0)
+        reason = reason or (f"{manner}: {last_line}" if last_line else manner)
+        return ExitReport(False, f"{reason} {where}")
 
     def _tail(self, pid: int) -> tuple[str, str]:
         """Return the reason that the process logged, and its last line; "" for what is missing."""

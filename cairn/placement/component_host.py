@@ -140,7 +140,7 @@ class ComponentHost:
             self._loop.run()
         except BaseException as error:  # sys.exit() included: its process must not stay silent
             self._note_exit(ExitReport(False, f"its loop failed: {type(error).__name__}: {error}"))
-            self.runtime.log.exception("the component's loop failed")
+            self.runtime.log.exception("component loop failed")
 
     def _note_exit(self, report: ExitReport) -> None:
         self.exit_report = self.exit_report or report  # the first is the cause of the others

@@ -36,7 +36,9 @@ def main(argument: dict[str, Any]) -> None:
     except CairnError as error:
         report = ExitReport(False, str(error))
         if error.__cause__ is not None:  # an exception of the plugin: its author needs the trace
-            logging.getLogger("cairn").error("%s", error, exc_info=error.__cause__)
+            logging.getLogger("cairn").error(
+                "component start failed: %s", error, exc_info=error.__cause__
+            )
     log_reason(report.reason)
     end_process(report.exit_code)
 

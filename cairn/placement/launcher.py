@@ -253,7 +253,7 @@ class ThreadHandle:
         if not self._host.ended.wait(timeout_s) or self._host.exit_report is None:
             return None
         self._host.close()
-        return self._host.exit_report.for_supervisor()
+        return self._host.exit_report
 
 
 def _first_line(error: SpawnFailed, name: str, log: Path) -> str:

@@ -17,8 +17,10 @@ EventKind = Literal[
     "stopping",
     "stop_failed",  # a step of stopping failed; the next, harder step follows
     "stopped",
-    "ended",  # of its own accord, or killed from outside
+    "ended",  # normally, of its own accord
+    "failed",  # of its own accord, or killed from outside
     "hung",  # killed because it did not return from a handler
+    "restarting",  # the start follows
     "given_up",  # the supervisor itself fails
 ]
 

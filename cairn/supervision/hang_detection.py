@@ -16,7 +16,7 @@ _SILENCE_S = 3.0
 
 @dataclass(frozen=True)
 class Hang:
-    """Where a child hangs (part of a sentence), and for how many seconds."""
+    """Where a child hangs, such as "on_scan", and for how many seconds."""
 
     where: str
     seconds: float
@@ -64,7 +64,7 @@ def _where_silent(status: ComponentStatus) -> str:
 
     try:
         if psutil.Process(status.pid).status() == psutil.STATUS_STOPPED:
-            return "a process that was stopped by a signal, as by SIGSTOP,"
+            return "a process that was stopped by a signal such as SIGSTOP"
     except psutil.Error:  # another user's, or just gone
         pass
-    return f"{status.handler or 'a call'} that lets no other thread of its process run,"
+    return f"{status.handler or 'a call'} that lets no other thread of its process run"

@@ -56,6 +56,14 @@ class RestartPolicy:
         """The children that should run, in start order."""
         return tuple(name for name in self._order if name in self._required)
 
+    @property
+    def restart_count(self) -> str:
+        """The number of the last restart, such as "2 of 3 restarts in 10 s"."""
+        limits = self.supervision
+        return (
+            f"{len(self._restart_times)} of {limits.max_restarts} restarts in {limits.within_s:g} s"
+        )
+
     def load(self, name: str) -> Decision:
         """Have a child run from now on. Raises `UnknownChild`."""
         self._check(name)

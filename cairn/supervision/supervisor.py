@@ -3,6 +3,21 @@
 When a child ends, the zygote reports its exit to the launcher, which calls `on_exit`; the
 supervisor then reconciles: `RestartPolicy` decides which children stop and start, `Child` starts
 them through the launcher.
+
+Log lines begin with an event in stable words, then the child's name, then the reason:
+
+| event | level | meaning |
+|---|---|---|
+| `child active: NAME` | INFO | it has started |
+| `child stopped: NAME: REASON` | INFO, or WARNING after a failure | its supervisor has stopped it |
+| `child ended: NAME: REASON` | INFO | it has finished of its own accord |
+| `child failed: NAME: REASON` | WARNING | it has failed, or was killed from outside |
+| `child hung: NAME: REASON` | ERROR | its supervisor has killed it as hung |
+| `child start failed: NAME: REASON` | ERROR | it did not become active |
+| `child stop failed: NAME: REASON` | WARNING | a step of stopping failed; a harder one follows |
+| `restarting child NAME: REASON (2 of 3 restarts in 10 s)` | INFO | follows a failure or an end |
+
+Level DEBUG adds `child starting` and `child stopping`.
 """
 
 import logging
@@ -29,6 +44,16 @@ from cairn.supervision.child import (
 )
 from cairn.supervision.hang_detection import HangDetector
 from cairn.supervision.restart_policy import Decision, RestartPolicy, UnknownChild
+
+_LOG_LEVELS: dict[EventKind, int] = {
+    "active": logging.INFO,
+    "stopped": logging.INFO,
+    "ended": logging.INFO,
+    "failed": logging.WARNING,
+    "stop_failed": logging.WARNING,
+    "start_failed": logging.ERROR,
+    "hung": logging.ERROR,
+}
 
 
 class Escalate(CairnError):  # noqa: N818 - what the owner has to do
@@ -158,22 +183,14 @@ class Supervisor(Component):
         child, reason = event.child, event.reason
         if event.kind == "stop_failed" or (event.kind == "stopped" and not event.normal):
             self._failed_stops.setdefault(child, reason)  # the first reason is the cause
-        match event.kind:
-            case "active":
-                self.log.info("%s active", child)
-            case "hung":
-                self.log.error("%s %s", child, reason)
-            case "start_failed":
-                self.log.error("%s could not be started: %s", child, reason)
-            case "stop_failed":
-                self.log.warning("%s did not stop cleanly: %s", child, reason)
-            case "ended" if not event.normal:
-                self.log.warning("%s %s", child, reason)
-            case "ended" | "stopped":
-                level = logging.INFO if event.normal else logging.WARNING
-                self.log.log(level, "%s %s: %s", child, event.kind, reason)
-            case _:
-                self.log.debug("%s %s %s", child, event.kind, reason)
+        if event.kind == "restarting":
+            self.log.info("restarting child %s: %s", child, reason)
+            return
+        level = _LOG_LEVELS.get(event.kind, logging.DEBUG)
+        if event.kind == "stopped" and not event.normal:
+            level = logging.WARNING
+        words = f"child {event.kind.replace('_', ' ')}: {child}"
+        self.log.log(level, "%s", f"{words}: {reason}" if reason else words)
 
 
 def _raise(error: Exception) -> NoReturn:
@@ -284,7 +301,7 @@ class ChildGroup:
         if self._stop_requested or child.handle is None or incarnation != child.incarnation:
             return
         child.kill()
-        reason = f"hung in {where} for {seconds:.1f} s and was killed"
+        reason = f"hung for {seconds:.1f} s in {where}; killed"
         self._note_exit(child, "hung", ExitReport(False, reason))
 
     def load(self, name: str) -> None:
@@ -331,7 +348,7 @@ class ChildGroup:
         for child in self._children.values():
             report = child.exit_report()
             if report is not None:
-                self._note_exit(child, "ended", report)
+                self._note_exit(child, "ended" if report.normal else "failed", report)
 
     def _note_exit(self, child: Child, kind: EventKind, report: ExitReport) -> None:
         child.note_exit(kind, report)
@@ -340,9 +357,12 @@ class ChildGroup:
         )
         if decision.finished:
             self._finished = ExitReport(True, decision.finished, report.success)
-        self._apply(decision)
+        self._apply(decision, child.name, report.reason)
 
-    def _apply(self, decision: Decision) -> None:
+    def _apply(self, decision: Decision, child: str, reason: str) -> None:
+        if child in decision.start:
+            count = self._policy.restart_count
+            self._observe(ChildEvent(child, "restarting", f"{reason} ({count})"))
         for name in decision.stop:
             self._children[name].stop()
         if decision.give_up:
@@ -360,11 +380,10 @@ class ChildGroup:
     def _start_or_decide(self, child: Child) -> None:
         failure = self._start(child)
         if failure is not None:
-            self._apply(
-                self._policy.start_failed(
-                    child.name, at_s=self._now(), reason=failure.reason, refused=failure.refused
-                )
+            decision = self._policy.start_failed(
+                child.name, at_s=self._now(), reason=failure.reason, refused=failure.refused
             )
+            self._apply(decision, child.name, failure.reason)
 
     def _start_on_request(self, child: Child) -> str:
         """Start a child, repeatedly if it dies; return why that failed, "" if it did not."""

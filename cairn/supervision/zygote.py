@@ -72,9 +72,9 @@ def main() -> None:
         return
     preloaded = preload(modules)
     for module, error in preloaded.failures.items():
-        _log(f"cannot import {module}: {error}")
+        _log(f"import failed: {module}: {error}")
     for module, threads in preloaded.threads.items():
-        _log(f"{module} starts threads when imported, which forked processes lack: {threads}")
+        _log(f"module starts threads: {module}: forked processes lack these: {threads}")
     gc.collect()
     gc.freeze()
     listening = socket.socket(fileno=listener)
@@ -181,7 +181,7 @@ class Zygote:
         credentials = client.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _UCRED.size)
         pid, uid, _ = _UCRED.unpack(credentials)
         if uid != os.geteuid():
-            _log(f"refused a connection of process {pid} of user {uid}")
+            _log(f"connection refused: process {pid} of user {uid}")
             client.close()
             return
         connection = ClientConnection(client, pid)
@@ -193,7 +193,7 @@ class Zygote:
         try:
             requests = [decode_request(line) for line in connection.receive()]
         except ProtocolError as error:
-            _log(str(error))
+            _log(f"client disconnected: process {connection.pid}: {error}")
             connection.gone = True
             requests = []
         for request in requests:
@@ -326,7 +326,7 @@ class Zygote:
 
         left = kill_descendants(await_child, _END_LIMIT_S)
         if left:
-            _log(f"these processes do not end even by SIGKILL: {left}")
+            _log(f"processes do not end even by SIGKILL: {left}")
 
 
 class ClientConnection:
@@ -362,7 +362,7 @@ class ClientConnection:
         except OSError:  # the client has ended, which `receive` finds
             return
         if not complete:
-            _log(f"process {self.pid} does not read its answers: its processes are killed")
+            _log(f"client disconnected: process {self.pid} does not read its answers")
             self.socket.shutdown(socket.SHUT_RDWR)
 
 

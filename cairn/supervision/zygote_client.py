@@ -221,7 +221,7 @@ class ZygoteClient:
                     self._handle(decode_answer(line))
         except (OSError, ProtocolError) as error:
             reason = str(error)
-        self._end(ZygoteLost(f"the zygote on {self._path} is lost: {reason}"))
+        self._end(ZygoteLost(f"zygote lost: {self._path}: {reason}"))
 
     def _handle(self, answer: Answer) -> None:
         match answer:
@@ -282,7 +282,7 @@ class ZygoteClient:
             if not closed and self._on_lost is not None:
                 self._on_lost(lost)
         except Exception:
-            _log.exception("on_lost failed")
+            _log.exception("handling the loss of the zygote failed")
         for child in list(self._children.values()):
             self._exited(Exited(child.pid, child.name, None, signal.SIGKILL))
 

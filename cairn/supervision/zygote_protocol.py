@@ -93,16 +93,17 @@ class Exited:
 
     @property
     def manner(self) -> str:
-        """How the process ended, as part of a sentence such as "was killed by SIGSEGV"."""
+        """How the process ended, such as "exit code 1" or "killed by SIGSEGV (signal 11)"."""
         if self.signal is None:
-            return f"ended with exit code {self.code}"
+            return f"exit code {self.code}"
         try:
-            return f"was killed by {signal.Signals(self.signal).name}"
-        except ValueError:  # a real-time signal
-            return f"was killed by signal {self.signal}"
+            name = signal.Signals(self.signal).name
+        except ValueError:
+            name = "a real-time signal"
+        return f"killed by {name} (signal {self.signal})"
 
     def __str__(self) -> str:
-        return f"{self.name} (process {self.pid}) {self.manner}"
+        return f"{self.name} (process {self.pid}): {self.manner}"
 
 
 Request = Spawn | Signal
@@ -127,7 +128,7 @@ def decode_request(line: bytes) -> Request:
     try:
         return _REQUEST.validate_json(line)
     except ValidationError as error:
-        raise ProtocolError(f"a client of the zygote sent an invalid request: {error}") from error
+        raise ProtocolError(f"it sent an invalid request: {error}") from error
 
 
 def decode_answer(line: bytes) -> Answer:

@@ -377,12 +377,14 @@ class StopContract(Contract):
         """It stops within the deployment's `stop_timeout_s`; otherwise the supervisor kills it."""
         mark = len(robot.run.lines)
         robot.unload(self.component)
-        stopped = rf"{self.component} (did not stop cleanly|stopped): "
+        stopped = f"child (stop failed|stopped): {self.component}: "
         robot.run.await_line(stopped, after=mark)
         lines = [line for line in robot.run.lines[mark:] if re.search(stopped, line)]
         robot.load(self.component)
 
-        assert "stopped: shut down" in lines[0], f"it did not stop by itself: {lines[0].strip()}"
+        assert lines[0].rstrip().endswith("shut down"), (
+            f"it did not stop by itself: {lines[0].strip()}"
+        )
         self.await_working(output, output.count)
 
 

@@ -60,7 +60,7 @@ class RunningDeployment:
         `name`: the robot's name. Raises `AssertionError` with all output of `cairn up` if they are
         not active within `limit_s` [s].
         """
-        run.await_line(" active$", limit_s=limit_s)  # of the first: the router replies by now
+        run.await_line("child active: ", limit_s=limit_s)  # of the first: the router replies by now
         self.run = run
         self.name = name
         self._bus = ZenohBus(open_peer([run.endpoint]))

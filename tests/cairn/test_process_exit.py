@@ -67,7 +67,10 @@ def test_a_killed_process_is_reported_with_its_signal_and_log(file: Path) -> Non
 
     end = report(log, None, 11)
 
-    assert (end.normal, end.reason) == (False, f"was killed by SIGSEGV (process 7, log {file})")
+    assert (end.normal, end.reason) == (
+        False,
+        f"killed by SIGSEGV (signal 11) (process 7, log {file})",
+    )
 
 
 def test_the_reason_that_a_process_has_logged_is_reported(file: Path) -> None:
@@ -80,7 +83,7 @@ def test_the_reason_that_a_process_has_logged_is_reported(file: Path) -> None:
     failed, normal = report(log, 1), report(log, 0)
 
     reason = "tick: ValueError:; no device"
-    assert failed == ExitReport(False, f"failed (process 7, log {file}): {reason}")
+    assert failed == ExitReport(False, f"{reason} (process 7, log {file})")
     assert normal == ExitReport(True, reason)
 
 
@@ -103,7 +106,7 @@ def test_without_a_logged_reason_the_last_line_is_reported(file: Path) -> None:
     log = ExitLog(file)
     file.write_text("Traceback\nRuntimeError: oh\n")
 
-    expected = f"ended with exit code 1 (process 7, log {file}): RuntimeError: oh"
+    expected = f"exit code 1: RuntimeError: oh (process 7, log {file})"
     assert report(log, 1).reason == expected
 
 
@@ -111,12 +114,12 @@ def test_lines_of_an_earlier_process_are_not_reported(file: Path) -> None:
     file.write_text("RuntimeError: oh\n")
     log = ExitLog(file)
 
-    assert report(log, 1).reason == f"ended with exit code 1 (process 7, log {file})"
+    assert report(log, 1).reason == f"exit code 1 (process 7, log {file})"
 
 
 def test_a_process_without_a_log_is_reported(file: Path) -> None:
     log = ExitLog(file)
-    assert report(log, 3).reason == f"ended with exit code 3 (process 7, log {file})"
+    assert report(log, 3).reason == f"exit code 3 (process 7, log {file})"
     assert report(log, 0).normal
 
 

@@ -18,7 +18,7 @@ def test_the_examples_of_the_page_run_against_the_simulated_robot(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     run = launch(root / "deploy" / "sim.yaml")
-    run.await_line("mobile_supervisor active")
+    run.await_line("child active: mobile_supervisor")
     code = [
         block.text for block in page_blocks("docs/how-to/client.md") if block.language == "python"
     ]

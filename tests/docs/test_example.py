@@ -93,7 +93,7 @@ def test_real_processes_can_be_inspected_and_tuned_as_the_page_says(
 ) -> None:
     at = ("--connect", endpoint)
     with running(user, tmp_path, f"bus.listen={endpoint}") as turtle:
-        wait_for(turtle, "wanderer active")
+        wait_for(turtle, "child active: wanderer")
         rows = {row["component"]: row for row in json.loads(user.cairn("ps", "--json", *at))}
         state = json.loads(user.cairn("topic", "echo", "base_state", "--count=1", "--json", *at))
         refusal = user.cairn("param", "set", "wanderer", "distance=1000000", *at, status=1)

@@ -27,7 +27,7 @@ def test_hung_components_are_killed_with_their_stacks_logged_and_restarted(
       listener: {plugin: test_listener, hang_timeout_s: 0.5}
     """
     )
-    active = run.await_line("listener active")
+    active = run.await_line("child active: listener")
     others = [run.pid_of("talker"), run.pid_of("listener")]
 
     os.kill(run.pid_of("stopped"), signal.SIGSTOP)
@@ -36,14 +36,14 @@ def test_hung_components_are_killed_with_their_stacks_logged_and_restarted(
 
     for component, where in (
         ("sleeping", "in tick"),
-        ("holding", "in .* that lets no other thread of its process run,"),
-        ("stopped", "in a process that was stopped by a signal, as by SIGSTOP,"),
+        ("holding", "in .* that lets no other thread of its process run"),
+        ("stopped", "in a process that was stopped by a signal such as SIGSTOP"),
     ):
         hung = run.await_line(
-            rf"ERROR   robot.root: {component} hung {where} for \d\.\d s and was killed",
+            rf"ERROR   robot.root: child hung: {component}: hung for \d\.\d s {where}; killed",
             after=active,
         )
-        run.await_line(f"{component} active", after=hung)
+        run.await_line(f"child active: {component}", after=hung)
     assert [run.pid_of("talker"), run.pid_of("listener")] == others
     assert "in tick" in run.log_of("sleeping"), "the log has no stack"
     assert "in tick" in run.log_of("holding"), "the log has no stack"
@@ -89,16 +89,16 @@ def test_a_hang_in_the_supervisors_process_restarts_that_process(launch: Launchi
       listener: {plugin: test_listener}
     """
     )
-    active = run.await_line("listener active")
+    active = run.await_line("child active: listener")
     mobile, listener = run.pid_of("mobile"), run.pid_of("listener")
 
     set_fault(run, "sleep")
 
-    run.await_line("base hung in tick for", after=active)
+    run.await_line("child hung: base: .* in tick", after=active)
     failed = run.await_line(
-        "root: mobile failed .*base does not end even when killed", after=active
+        "root: child failed: mobile: .*base does not end even when killed", after=active
     )
-    run.await_line("mobile active", after=failed)
+    run.await_line("child active: mobile", after=failed)
     assert run.pid_of("mobile") != mobile
     assert run.pid_of("listener") == listener
 
@@ -120,15 +120,15 @@ def test_a_component_that_hangs_while_stopping_is_killed_in_time(
       talker: {plugin: test_talker}
     """
     )
-    run.await_line("talker active")
+    run.await_line("child active: talker")
 
     assert run.stop() == 1
 
     run.await_line(
-        "WARNING robot.mobile: base did not stop cleanly: shutdown: no answer within 0.[45] s"
+        "WARNING robot.mobile: child stop failed: base: shutdown: no answer within 0.[45] s"
     )
-    run.await_line(r"WARNING robot.mobile: base stopped: was killed by SIGKILL \(")
-    run.await_line("robot.mobile: beacon stopped: shut down")
+    run.await_line("WARNING robot.mobile: child stopped: base: killed by SIGKILL")
+    run.await_line("robot.mobile: child stopped: beacon: shut down")
     run.await_line("failed: .*base: shutdown: no answer within 0.[45] s")
 
 
@@ -152,11 +152,11 @@ def test_ctrl_c_does_not_wait_for_a_component_that_hangs_while_starting(
       {tree}
     """
     )
-    run.await_line("beacon active")
+    run.await_line("child active: beacon")
 
     run.stop()
 
-    run.await_line("beacon stopped: shut down")
+    run.await_line("child stopped: beacon: shut down")
 
 
 def test_a_supervisor_busy_with_one_child_does_not_kill_another_as_hung(launch: Launching) -> None:
@@ -170,7 +170,7 @@ def test_a_supervisor_busy_with_one_child_does_not_kill_another_as_hung(launch: 
         load: on_request
     """
     )
-    run.await_line("listener active")
+    run.await_line("child active: listener")
     listener = run.pid_of("listener")
 
     assert cairn("load", "base", connect=run.endpoint).code == 0

@@ -21,9 +21,11 @@ def test_a_component_that_fails_is_restarted_as_often_as_virtual_time_allows(
 
     assert run.await_end() == 0
 
-    failed = run.await_line("00:00:05.000 WARNING robot.root: sentry failed: hear .*: ValueError")
-    run.await_line("00:00:05.000 INFO    robot.root: sentry active", after=failed)
-    assert sum("WARNING robot.root: sentry failed" in line for line in run.lines) == 7
+    failed = run.await_line(
+        "00:00:05.000 WARNING robot.root: child failed: sentry: hear .*: ValueError"
+    )
+    run.await_line("00:00:05.000 INFO    robot.root: child active: sentry", after=failed)
+    assert sum("WARNING robot.root: child failed: sentry" in line for line in run.lines) == 7
     run.await_line("^ended.*: talker has finished: all said")
 
 
@@ -40,8 +42,8 @@ def test_too_many_restarts_end_the_run_with_the_reason(launch: Launching) -> Non
 
     assert run.await_end() == 1
 
-    run.await_line("robot.root: talker stopped: shut down")
+    run.await_line("robot.root: child stopped: talker: shut down")
     run.await_line(
         "cairn: deployment0.yaml failed: .*: given up after more than 1 restarts within 10 s; "
-        r"last, sentry: failed: hear \(port words\): ValueError: heard 3; logs: "
+        r"last, sentry: hear \(port words\): ValueError: heard 3; logs: "
     )

@@ -1,6 +1,7 @@
 """When a process of the tree is killed, the others keep running or end, and nothing is left."""
 
 import os
+import re
 import signal
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -34,36 +35,41 @@ def test_killed_components_and_supervisors_are_restarted_and_the_others_keep_run
 ) -> None:
     run = launch(TREE)
     run.await_line("reader: the beacon stands at 4, 2")
-    active = run.await_line("talker active")
+    active = run.await_line("child active: talker")
     others = ["zygote", "beacon", "mobile", "base", "talker"]
     before, reader = [run.pid_of(name) for name in others], run.pid_of("reader")
 
     kill(run, "reader")
 
     killed = run.await_line(
-        rf"mobile: reader was killed by SIGKILL \(process {reader}, log .*/reader.log\)",
+        r"mobile: child failed: reader: killed by SIGKILL \(signal 9\) "
+        rf"\(process {reader}, log .*/reader.log\)",
         after=active,
     )
-    run.await_line("reader: the beacon stands at 4, 2", after=killed)
+    restarting = run.await_line(
+        r"mobile: restarting child reader: killed by SIGKILL .*\(1 of 3 restarts in 10 s\)",
+        after=killed,
+    )
+    run.await_line("reader: the beacon stands at 4, 2", after=restarting)
     assert [run.pid_of(name) for name in others] == before
     assert run.pid_of("reader") != reader
     row = await_status("/robot/reader", lambda row: row["restarts"] == 1, run.endpoint)
-    assert row["reason"].startswith(f"restarted: was killed by SIGKILL (process {reader}, log ")
+    assert re.match(rf"restarted: killed by SIGKILL .*process {reader}, log ", row["reason"])
 
     components = {*before, run.process.pid, run.pid_of("reader")}
     helpers = set(run.pids()) - components
     assert len(helpers) == 2
     kill(run, "base")
 
-    killed = run.await_line("mobile: base was killed by SIGKILL", after=killed)
-    run.await_line("base active", after=killed)
+    killed = run.await_line("mobile: child failed: base: killed by SIGKILL", after=killed)
+    run.await_line("child active: base", after=killed)
     assert helpers.isdisjoint(run.pids())
 
     below = {run.pid_of(name) for name in ("mobile", "reader", "base")}
     kill(run, "mobile")
 
-    killed = run.await_line("root: mobile was killed by SIGKILL", after=killed)
-    run.await_line("root: mobile active", after=killed)
+    killed = run.await_line("root: child failed: mobile: killed by SIGKILL", after=killed)
+    run.await_line("root: child active: mobile", after=killed)
     run.await_line("reader: the beacon stands at 4, 2", after=killed)
     assert below.isdisjoint(run.pids())
     assert [run.pid_of(name) for name in ("beacon", "talker")] == [before[1], before[4]]
@@ -75,7 +81,7 @@ def test_a_killed_or_stopped_zygote_fails_the_deployment_and_leaves_nothing(
     launch: Launching, number: signal.Signals
 ) -> None:
     run = launch(TREE)
-    run.await_line("talker active")
+    run.await_line("child active: talker")
 
     os.kill(run.pid_of("zygote"), number)
 
@@ -88,7 +94,7 @@ def test_a_killed_or_stopped_zygote_fails_the_deployment_and_leaves_nothing(
 def test_killing_cairn_up_leaves_nothing(launch: Launching, stopped: tuple[str, ...]) -> None:
     with TemporaryDirectory() as sockets:  # pytest's own paths are too long for a socket
         run = launch(TREE, environment={"XDG_RUNTIME_DIR": sockets})
-        run.await_line("talker active")
+        run.await_line("child active: talker")
         assert len(run.pids()) == 9  # cairn up, zygote, five components, two helpers of one
         assert len(list(Path(sockets).iterdir())) == 1
 
@@ -105,16 +111,16 @@ def test_a_stop_signal_stops_all_components_in_reverse_order(
     launch: Launching, number: signal.Signals
 ) -> None:
     run = launch(TREE)
-    started = run.await_line("talker active")
+    started = run.await_line("child active: talker")
 
     run.process.send_signal(number)
 
     assert run.await_end() == 0
     run.await_nothing_left()
     stopped = [
-        line.partition(": ")[2].split()[0]
+        stop[1]
         for line in run.lines[started:]
-        if line.endswith("stopped: shut down\n")
+        if (stop := re.search("child stopped: (.*): shut down$", line))
     ]
     assert stopped == ["talker", "base", "reader", "mobile", "beacon"]
     run.await_line("^ended.*: shut down")
@@ -129,9 +135,9 @@ def test_a_second_ctrl_c_kills_everything(launch: Launching) -> None:
       beacon: {plugin: test_beacon}
     """
     )
-    run.await_line("beacon active")
+    run.await_line("child active: beacon")
     run.process.send_signal(signal.SIGINT)
-    run.await_line("beacon stopped")
+    run.await_line("child stopped: beacon")
 
     run.process.send_signal(signal.SIGINT)
 
@@ -147,7 +153,7 @@ def test_an_orphan_of_a_component_is_killed_with_it(launch: Launching) -> None:
       base: {plugin: test_faulty, parameters: {fault: orphan, where: on_configure}}
     """
     )
-    run.await_line("base active")
+    run.await_line("child active: base")
     assert len(run.pids()) == 4
 
     assert run.stop() == 0

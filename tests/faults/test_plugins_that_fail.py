@@ -29,11 +29,15 @@ def test_a_plugin_that_raises_at_its_first_start_ends_the_deployment_at_once(
 
     assert run.await_end() == 1
 
-    failures = [line for line in run.lines if "ERROR   robot.root: base could not be star" in line]
+    failures = [
+        line for line in run.lines if "ERROR   robot.root: child start failed: base: " in line
+    ]
     assert len(failures) == 1
     assert "ValueError: broken on purpose" in failures[0]
-    run.await_line("beacon stopped: shut down")
-    run.await_line("cairn: deployment0.yaml failed: on_activate: base: .*broken on purpose; logs: ")
+    run.await_line("child stopped: beacon: shut down")
+    run.await_line(
+        "cairn: deployment0.yaml failed: on_activate: base: .*broken on purpose.*; logs: "
+    )
     assert "Traceback" in run.log_of("base")
 
 
@@ -41,11 +45,11 @@ def test_components_that_fail_while_running_are_restarted_with_the_cause_logged(
     launch: Launching,
 ) -> None:
     expected = {
-        "raise": r"failed \(process {pid}, log {log}\): tick: ValueError: broken on purpose",
-        "publish_nan": r"failed \(.*\): tick: .*geometry_msgs/msg/Vector3.*x = nan",
-        "abort": r"was killed by SIGABRT \(process {pid}, log {log}\)",
-        "exit": r"ended with exit code 3 \(process {pid}, log {log}\)",
-        "sys_exit": r"failed \(.*\): tick: it called sys.exit\(3\)",
+        "raise": r"tick: ValueError: broken on purpose \(process {pid}, log {log}\)",
+        "publish_nan": r"tick: .*geometry_msgs/msg/Vector3.*x = nan",
+        "abort": r"killed by SIGABRT \(signal 6\) \(process {pid}, log {log}\)",
+        "exit": r"exit code 3 \(process {pid}, log {log}\)",
+        "sys_exit": r"tick: it called sys.exit\(3\)",
     }
     components = "".join(
         f"      {fault}: {{plugin: test_faulty, topics: {{velocity: {fault}}}}}\n"
@@ -58,7 +62,7 @@ def test_components_that_fail_while_running_are_restarted_with_the_cause_logged(
 {components}      fresh_abort: {{plugin: test_faulty, interpreter: fresh}}
     """
     )
-    active = run.await_line("fresh_abort active")
+    active = run.await_line("child active: fresh_abort")
     pids = {fault: run.pid_of(fault) for fault in expected}
 
     for fault in expected:
@@ -68,10 +72,12 @@ def test_components_that_fail_while_running_are_restarted_with_the_cause_logged(
     for fault, cause in expected.items():
         log = f"{run.report}/logs/{fault}.log"
         reason = cause.format(pid=pids[fault], log=log)
-        failed = run.await_line(f"WARNING robot.root: {fault} {reason}", after=active)
-        run.await_line(f"{fault} active", after=failed)
-    failed = run.await_line("fresh_abort was killed by SIGABRT", after=active)
-    run.await_line("fresh_abort active", after=failed)
+        failed = run.await_line(
+            f"WARNING robot.root: child failed: {fault}: {reason}", after=active
+        )
+        run.await_line(f"child active: {fault}", after=failed)
+    failed = run.await_line("child failed: fresh_abort: killed by SIGABRT", after=active)
+    run.await_line("child active: fresh_abort", after=failed)
     assert "in tick" in run.log_of("raise"), "the log has no traceback"
     assert run.stop() == 0
 
@@ -105,7 +111,7 @@ def test_a_plugin_that_cannot_be_imported_by_its_process_is_named(
     assert run.await_end() == 1
 
     run.await_line(
-        "moody could not be started: .*cairn_test_plugins.moody cannot be imported: "
+        "child start failed: moody: .*cairn_test_plugins.moody cannot be imported: "
         "RuntimeError: not in this environment"
     )
 
@@ -123,7 +129,7 @@ def test_a_component_that_raises_in_its_supervisors_process_is_restarted(
           beacon: {plugin: test_beacon, placement: in_process}
     """
     )
-    active = run.await_line("mobile active")
+    active = run.await_line("child active: mobile")
     mobile = run.pid_of("mobile")
     statuses = {row["component"]: row for row in cairn("ps", "--json", connect=run.endpoint).json}
     assert statuses["/robot/base"]["pid"] == mobile
@@ -131,9 +137,10 @@ def test_a_component_that_raises_in_its_supervisors_process_is_restarted(
     set_fault(run, "raise")
 
     failed = run.await_line(
-        "WARNING robot.mobile: base failed: tick: ValueError: broken on purpose", after=active
+        "WARNING robot.mobile: child failed: base: tick: ValueError: broken on purpose",
+        after=active,
     )
-    run.await_line("base active", after=failed)
+    run.await_line("child active: base", after=failed)
     assert run.pid_of("mobile") == mobile
-    assert not any(re.search("beacon (ended|failed|stopped)", line) for line in run.lines)
+    assert not any(re.search("child (ended|failed|stopped): beacon", line) for line in run.lines)
     assert run.stop() == 0

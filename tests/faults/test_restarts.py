@@ -34,12 +34,12 @@ def pids(run: Run, strategy: str) -> dict[str, int]:
 def test_the_strategy_decides_which_children_are_restarted(launch: Launching) -> None:
     groups = "".join(GROUP.format(strategy=strategy) for strategy in RESTARTED)
     run = launch(f"\n    components:{groups}\n")
-    active = run.await_line("root: one_for_all active")
+    active = run.await_line("root: child active: one_for_all")
 
     for strategy, restarted in RESTARTED.items():
         before = pids(run, strategy)
         os.kill(before["base"], signal.SIGKILL)
-        killed = run.await_line(f"{strategy}_base was killed", after=active)
+        killed = run.await_line(f"child failed: {strategy}_base: killed", after=active)
         run.await_line(f"{strategy}_{restarted[-1]} active", after=killed)
         after = pids(run, strategy)
         assert [name for name in before if after[name] != before[name]] == restarted
@@ -60,18 +60,18 @@ def test_too_many_restarts_escalate_to_the_end_of_the_deployment(launch: Launchi
     """
     )
     seen = 0
-    for event in ("base was", "mobile failed", "base was", "mobile failed"):
-        seen = run.await_line("base active", after=seen)
+    for event in ("failed: base", "failed: mobile") * 2:
+        seen = run.await_line("child active: base", after=seen)
         set_fault(run, "abort")
         seen = run.await_line(event, after=seen)
 
     assert run.await_end() == 1
     run.await_nothing_left()
-    run.await_line("talker stopped: shut down")
+    run.await_line("child stopped: talker: shut down")
     run.await_line(
         "cairn: deployment0.yaml failed: .*given up after more than 1 restarts within 60 s; "
-        r"last, mobile: failed \(process \d+, log .*/mobile.log\): .*given up after more "
-        r"than 1 restarts within 60 s; last, base: was killed by SIGABRT \(process \d+, log .*"
+        r"last, mobile: .*given up after more than 1 restarts within 60 s; "
+        r"last, base: killed by SIGABRT .*process \d+, log .*/base.log.*/mobile.log"
     )
 
 
@@ -85,10 +85,10 @@ def test_a_transient_component_that_has_finished_is_not_restarted(
       beacon: {plugin: test_beacon}
     """
     )
-    run.await_line("INFO    robot.root: talker ended: all said")
-    run.await_line("beacon active")
+    run.await_line("INFO    robot.root: child ended: talker: all said")
+    run.await_line("child active: beacon")
     assert run.stop() == 0
-    assert sum("talker active" in line for line in run.lines) == 1
+    assert sum("child active: talker" in line for line in run.lines) == 1
 
 
 def test_the_normal_end_of_a_significant_component_ends_the_deployment_normally(
@@ -111,7 +111,7 @@ def test_the_normal_end_of_a_significant_component_ends_the_deployment_normally(
 
     assert run.await_end() == 0
 
-    run.await_line("beacon stopped: shut down")
+    run.await_line("child stopped: beacon: shut down")
     run.await_line("^ended.*: mobile has finished: talker has finished: all said; logs and report")
     assert not any("WARNING" in line for line in run.lines)
 
@@ -134,12 +134,12 @@ def test_a_goal_loads_the_plugins_which_can_be_loaded_and_unloaded_singly(
               reader: {plugin: test_reader, load: on_request}
     """
     )
-    active = run.await_line("mobile_supervisor active")
+    active = run.await_line("child active: mobile_supervisor")
 
     send_goal(run, 1.0, 2.0)
 
     accepted = run.await_line(r"mobile_supervisor: mission \d+: go to \(1.00, 2.00\)", after=active)
-    run.await_line("automove: reader active", after=accepted)
+    run.await_line("automove: child active: reader", after=accepted)
     automove, beacon = run.pid_of("automove"), run.pid_of("beacon")
     reader = run.pid_of("reader")
 
@@ -149,7 +149,7 @@ def test_a_goal_loads_the_plugins_which_can_be_loaded_and_unloaded_singly(
     loaded = cairn("load", "reader", connect=run.endpoint)
     assert (loaded.code, loaded.out) == (0, "reader: active\n")
     assert (run.pid_of("automove"), run.pid_of("beacon")) == (automove, beacon)
-    run.await_line("reader: the beacon stands", after=run.await_line("reader stopped"))
+    run.await_line("reader: the beacon stands", after=run.await_line("child stopped: reader"))
     assert run.stop() == 0
 
 
@@ -173,7 +173,7 @@ def test_a_goal_that_fails_is_reported_and_can_be_sent_again(
                 parameters: {fault: raise, where: on_activate}
     """
     )
-    seen = run.await_line("mobile_supervisor active")
+    seen = run.await_line("child active: mobile_supervisor")
     for _ in range(2):
         send_goal(run, 1.0, 2.0)
         seen = run.await_line(
@@ -182,7 +182,7 @@ def test_a_goal_that_fails_is_reported_and_can_be_sent_again(
             after=seen,
         )
     assert run.stop() == 0
-    assert not any("automove failed" in line for line in run.lines)
+    assert not any("failed: automove" in line for line in run.lines)
 
 
 def test_a_restart_on_request_that_fails_for_good_fails_the_supervisor(launch: Launching) -> None:
@@ -197,7 +197,7 @@ def test_a_restart_on_request_that_fails_for_good_fails_the_supervisor(launch: L
           base: {plugin: test_faulty, parameters: {once: "${here}/once"}}
     """
     )
-    run.await_line("mobile active")
+    run.await_line("child active: mobile")
 
     answer = cairn("restart", "base", connect=run.endpoint)
 

@@ -26,7 +26,7 @@ TALK = """
 
 def test_occupied_tcp_port_is_reported_with_remedies(launch: Launching) -> None:
     first = launch(TALK)
-    first.await_line("talker active")
+    first.await_line("child active: talker")
     second = launch(TALK, "--set", f"bus.listen={first.endpoint}")
 
     assert second.await_end() == 1
@@ -67,7 +67,7 @@ def test_invalid_messages_of_a_foreign_node_are_rejected_and_counted(launch: Lau
     components: {listener: {plugin: test_listener}}
     """
     )
-    run.await_line("listener active")
+    run.await_line("child active: listener")
     codec = Codec()
     key = keys.message_key(0, "/robot/words", Twist, codec)
     good = codec.encode(Twist(linear=Vector3(x=42.0)))

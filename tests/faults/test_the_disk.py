@@ -58,7 +58,7 @@ def test_a_report_that_cannot_be_written_makes_the_run_fail(launch: Launching) -
 
     assert run.await_end() == 1
 
-    run.await_line("beacon stopped: shut down")
+    run.await_line("child stopped: beacon: shut down")
     run.await_line(
         "cairn: deployment0.yaml failed: .*: notary: deactivate failed: FileNotFoundError: .*/deed"
     )

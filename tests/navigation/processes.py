@@ -24,7 +24,7 @@ from cairn.schemas.geometry_msgs import PoseStamped
 from cairn.testing.launching import CAIRN, LIMIT_S, Run, free_port, launching
 from tests.navigation.driving import SIM
 
-UNTIL_READY = "vision_supervisor active"
+UNTIL_READY = "child active: vision_supervisor"
 
 
 class ObservedRobot:

@@ -101,8 +101,8 @@ def test_killed_process_does_not_end_the_mission(
 
     robot.kill(component)
 
-    robot.run.await_line(f"{component} was killed by SIGKILL", after=lines)
-    robot.run.await_line(f"{component} active", after=lines)
+    robot.run.await_line(f"child failed: {component}: killed by SIGKILL", after=lines)
+    robot.run.await_line(f"child active: {component}", after=lines)
     robot.await_moved(0.2)
     assert going.process.poll() is None, f"{going}; {robot.run}"
     assert robot.collisions == []
@@ -129,5 +129,7 @@ def test_robot_stands_without_commands_and_continues(robot: ObservedRobot) -> No
     robot.await_stand()
     going.await_word("no status from motion control for")
     assert going.await_end() == 0, f"{going}; {robot.run}"
-    robot.run.await_line("motion_control hung in a process that was stopped", after=lines)
+    robot.run.await_line(
+        "child hung: motion_control: .* in a process that was stopped", after=lines
+    )
     assert robot.collisions == []

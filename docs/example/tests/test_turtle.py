@@ -30,4 +30,8 @@ def test_wanderer_is_unloaded_when_the_battery_is_low(caplog: pytest.LogCaptureF
 
     messages = [record.getMessage() for record in caplog.records]
     logged = [message for message in messages if "wanderer" in message]
-    assert logged[:3] == ["wanderer active", "wanderer stopped: shut down", "wanderer active"]
+    assert logged[:3] == [
+        "child active: wanderer",
+        "child stopped: wanderer: shut down",
+        "child active: wanderer",
+    ]

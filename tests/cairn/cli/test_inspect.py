@@ -112,7 +112,7 @@ def test_logs_prints_the_last_messages(command: Command) -> None:
     everything = command("logs").out
     one = command("logs", "listener", "--json").out.splitlines()
 
-    assert "INFO    rover.root: talker active\n" in everything
+    assert "INFO    rover.root: child active: talker\n" in everything
     assert json.loads(one[0])["name"] == "rover.listener"
     assert json.loads(one[0])["message"] == "heard 1, the last was 1"
 
@@ -130,7 +130,7 @@ def test_logs_reports_a_component_that_does_not_answer(command: Command, rover: 
             query.drop()
 
     assert unanswered
-    assert "INFO    rover.root: talker active\n" in printed.out
+    assert "INFO    rover.root: child active: talker\n" in printed.out
     assert "a component does not answer" in printed.err
     assert "logs/" in printed.err
 

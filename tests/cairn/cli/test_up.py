@@ -34,17 +34,17 @@ def test_prints_lines_and_keeps_logs_in_the_report_folder(launch: Launching) -> 
     assert run.lines[0].startswith("deployment0.yaml: robot robot; logs and report: /")
     seen = 0
     for event in (
-        "listener active",
-        "talker active",
-        "talker ended: all said",
-        "listener stopped: shut down",
+        "child active: listener",
+        "child active: talker",
+        "child ended: talker: all said",
+        "child stopped: listener: shut down",
         "^ended.*: talker has finished: all said",
     ):
         seen = run.await_line(event, after=seen)
     assert seen == len(run.lines) - 1
     run.await_line("heard 20")  # lines of different processes come in no certain order
     assert "heard 20, the last was 20" in run.log_of("listener")
-    assert "talker active" in run.log_of("root")
+    assert "child active: talker" in run.log_of("root")
 
 
 def test_a_long_import_of_plugins_is_announced_once(launch: Launching, tmp_path: Path) -> None:
@@ -92,16 +92,16 @@ def test_lockstep_with_the_same_seed_prints_the_same(launch: Launching) -> None:
     first, second = (run.lines[1:-2] for run in runs)
     assert first == second
     assert any("listener: heard 20, the last was 20" in line for line in first)
-    assert "talker ended: all said" in runs[0].log_of("lockstep")
+    assert "child ended: talker: all said" in runs[0].log_of("lockstep")
 
 
 def test_lockstep_stops_on_ctrl_c(launch: Launching) -> None:
     run = launch("components: {talker: {plugin: test_talker}}", "--lockstep")
-    run.await_line("talker active")
+    run.await_line("child active: talker")
 
     assert run.stop() == 0
 
-    run.await_line("talker stopped: shut down")
+    run.await_line("child stopped: talker: shut down")
 
 
 def test_ctrl_c_during_the_start_leaves_no_process(launch: Launching) -> None:
@@ -124,9 +124,9 @@ def test_a_deployment_with_problems_is_not_started(launch: Launching) -> None:
 
 def test_two_robots_share_a_bus(launch: Launching) -> None:
     first = launch(TALK.replace("words: 20", "words: 0"), robot="alpha")
-    first.await_line("talker active")
+    first.await_line("child active: talker")
     second = launch(ENDLESS, robot="beta", connect=first.endpoint)
-    second.await_line("beacon active")
+    second.await_line("child active: beacon")
 
     def names(*arguments: str) -> set[str]:
         rows = cairn("ps", "--json", *arguments, connect=first.endpoint).json
@@ -183,7 +183,7 @@ def test_a_second_robot_of_the_same_name_is_rejected_and_the_first_goes_on(
     launch: Launching,
 ) -> None:
     first = launch(ENDLESS, robot="alpha")
-    first.await_line("beacon active")
+    first.await_line("child active: beacon")
     beacon = first.pid_of("beacon")
 
     second = launch(ENDLESS, robot="alpha", connect=first.endpoint)

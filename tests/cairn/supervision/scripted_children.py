@@ -44,11 +44,11 @@ def is_ignored(child: "ScriptedChild", timeout_s: float) -> None:
 
 
 def ends(child: "ScriptedChild", timeout_s: float) -> None:
-    child.end = ExitReport(True, "ended with exit code 0")
+    child.end = ExitReport(True, "exit code 0")
 
 
 def is_killed(child: "ScriptedChild", timeout_s: float) -> None:
-    child.end = ExitReport(False, "was killed by SIGKILL")
+    child.end = ExitReport(False, "killed by SIGKILL (signal 9)")
 
 
 @dataclass

@@ -89,10 +89,12 @@ def test_one_restart_too_many_within_the_window_gives_up_with_the_last_reason() 
     supervised = policy()
     for at_s in (0.0, 4.0, 9.0):
         assert not supervised.ended("base", normal=False, at_s=at_s, reason="crash").give_up
-    decision = supervised.ended("base", normal=False, at_s=10.0, reason="was killed by SIGSEGV")
+    decision = supervised.ended(
+        "base", normal=False, at_s=10.0, reason="killed by SIGSEGV (signal 11)"
+    )
     assert decision.stop == tuple(reversed(NAMES))
     assert decision.give_up == (
-        "given up after more than 3 restarts within 10 s; last, base: was killed by SIGSEGV"
+        "given up after more than 3 restarts within 10 s; last, base: killed by SIGSEGV (signal 11)"
     )
     assert supervised.required == ()
 

@@ -19,8 +19,8 @@ from .scripted_children import (
     takes,
 )
 
-CRASH = ExitReport(False, "was killed by SIGSEGV")
-DONE = ExitReport(True, "ended with exit code 0")
+CRASH = ExitReport(False, "killed by SIGSEGV (signal 11)")
+DONE = ExitReport(True, "exit code 0")
 START_BASE = ["launch base", "configure base", "activate base"]
 START_SCANNER = ["launch scanner", "configure scanner", "activate scanner"]
 STOP_BASE = ["deactivate base", "shutdown base"]
@@ -66,7 +66,11 @@ def test_a_child_that_ended_is_restarted_and_the_reason_kept(world: World) -> No
     assert world.steps == START_BASE
     status = supervisor.status()[0]
     assert (status.state, status.incarnation) == ("active", 2)
-    assert status.reason == "was killed by SIGSEGV"
+    assert status.reason == "killed by SIGSEGV (signal 11)"
+    assert world.events_of("base")[2:4] == [
+        ("failed", "killed by SIGSEGV (signal 11)"),
+        ("restarting", "killed by SIGSEGV (signal 11) (1 of 3 restarts in 10 s)"),
+    ]
 
 
 def test_a_hang_of_an_earlier_incarnation_has_no_effect(world: World) -> None:
@@ -109,8 +113,8 @@ def test_a_hung_child_is_killed_and_its_handler_named(world: World) -> None:
     supervisor.kill_hung("scanner", 1, "read_scan", 5.25)
     supervisor.reconcile()
     assert world.steps == ["kill scanner", *START_SCANNER]
-    assert ("hung", "hung in read_scan for 5.2 s and was killed") in world.events_of("scanner")
-    assert supervisor.status()[1].reason == "hung in read_scan for 5.2 s and was killed"
+    assert ("hung", "hung for 5.2 s in read_scan; killed") in world.events_of("scanner")
+    assert supervisor.status()[1].reason == "hung for 5.2 s in read_scan; killed"
 
 
 def test_a_restarted_child_that_fails_to_configure_is_ended_and_tried_again(world: World) -> None:
@@ -139,9 +143,9 @@ def test_a_child_that_refuses_its_first_start_escalates_at_once_with_its_own_err
 
 
 def test_a_child_that_keeps_dying_while_it_starts_escalates(world: World) -> None:
-    world.script("scanner", *[{"activate": dies("was killed by SIGSEGV")}] * 4)
+    world.script("scanner", *[{"activate": dies("killed by SIGSEGV (signal 11)")}] * 4)
     supervisor = world.supervisor("base", "scanner", "localizer")
-    with pytest.raises(Escalate, match=r"more than 3 restarts .* scanner was killed by SIGSEGV"):
+    with pytest.raises(Escalate, match=r"more than 3 restarts .* scanner killed by SIGSEGV"):
         supervisor.start_all()
     assert world.steps.count("launch scanner") == 4
     assert "launch localizer" not in world.steps
@@ -157,10 +161,10 @@ def test_a_start_that_does_not_end_in_time_is_a_failed_start(world: World) -> No
 
 
 def test_a_child_that_dies_while_starting_is_restarted(world: World) -> None:
-    world.script("base", {"activate": dies("was killed by SIGABRT")})
+    world.script("base", {"activate": dies("killed by SIGABRT (signal 6)")})
     supervisor = world.supervisor("base")
     supervisor.start_all()
-    assert ("start_failed", "base was killed by SIGABRT") in world.events_of("base")
+    assert ("start_failed", "base killed by SIGABRT (signal 6)") in world.events_of("base")
     assert supervisor.status()[0].incarnation == 2
 
 
@@ -188,7 +192,7 @@ def test_too_many_restarts_stop_all_and_escalate(world: World) -> None:
         world.children["scanner"].end = CRASH
         supervisor.reconcile()
     world.children["scanner"].end = CRASH
-    with pytest.raises(Escalate, match="more than 2 restarts within 10 s; last, scanner: was"):
+    with pytest.raises(Escalate, match="more than 2 restarts within 10 s; last, scanner: killed"):
         supervisor.reconcile()
     assert world.running() == []
     assert world.events[-1].kind == "given_up"
@@ -245,11 +249,11 @@ def test_a_child_that_cannot_be_killed_escalates_instead_of_running_twice(
 
 def test_a_lost_launcher_is_reported_and_counts_for_no_child(world: World) -> None:
     def is_lost(child: ScriptedChild, timeout_s: float) -> None:
-        raise LauncherLost("the zygote is lost")
+        raise LauncherLost("zygote lost")
 
     world.script("scanner", {"launch": is_lost})
     supervisor = world.supervisor_with(Supervision(max_restarts=0, within_s=1.0), "base", "scanner")
-    with pytest.raises(LauncherLost, match="the zygote is lost"):
+    with pytest.raises(LauncherLost, match="zygote lost"):
         supervisor.start_all()
     supervisor.stop_all()
     assert world.running() == []
@@ -328,7 +332,7 @@ def test_a_failed_load_raises_and_does_not_count_as_restart(world: World) -> Non
 
 
 def test_a_child_that_dies_while_it_is_loaded_is_started_again(world: World) -> None:
-    world.script("automove", *[{"configure": dies("was killed by SIGKILL")}] * 3)
+    world.script("automove", *[{"configure": dies("killed by SIGKILL (signal 9)")}] * 3)
     supervisor = world.supervisor("base", automove=ChildSpec(plugin="test", load="on_request"))
     supervisor.start_all()
     supervisor.load("automove")
@@ -336,11 +340,11 @@ def test_a_child_that_dies_while_it_is_loaded_is_started_again(world: World) -> 
 
 
 def test_a_child_that_always_dies_while_it_is_loaded_is_not_loaded(world: World) -> None:
-    world.script("automove", *[{"configure": dies("was killed by SIGKILL")}] * 10)
+    world.script("automove", *[{"configure": dies("killed by SIGKILL (signal 9)")}] * 10)
     supervisor = world.supervisor("base", automove=ChildSpec(plugin="test", load="on_request"))
     supervisor.start_all()
     world.take_steps()
-    with pytest.raises(StartFailed, match="was killed by SIGKILL"):
+    with pytest.raises(StartFailed, match="killed by SIGKILL"):
         supervisor.load("automove")
     assert world.steps.count("launch automove") == 4
     assert world.running() == ["base"]
@@ -389,7 +393,7 @@ def test_a_stop_requested_during_a_start_ends_it_at_the_next_step(world: World) 
 
 
 def test_a_stop_requested_while_a_start_keeps_failing_ends_the_retries(world: World) -> None:
-    world.script("base", *[{"configure": dies("was killed by SIGSEGV")}] * 1000)
+    world.script("base", *[{"configure": dies("killed by SIGSEGV (signal 11)")}] * 1000)
     supervisor = world.supervisor_with(Supervision(max_restarts=1000), "base")
 
     def stop(text: str) -> None:

@@ -60,7 +60,7 @@ def test_a_process_that_raises_ends_with_code_1_and_a_traceback(owner: Owner, fr
     ended = owner.spawn("fail", device="/dev/ttyUSB0", fresh=fresh).wait(LIMIT_S)
     assert ended is not None
     assert ended.code == 1
-    assert str(ended) == f"driver (process {ended.pid}) ended with exit code 1"
+    assert str(ended) == f"driver (process {ended.pid}): exit code 1"
     assert owner.log.read_text().endswith("ValueError: no device /dev/ttyUSB0\n")
 
 
@@ -68,7 +68,7 @@ def test_a_process_that_raises_ends_with_code_1_and_a_traceback(owner: Owner, fr
 def test_a_crash_is_reported_by_its_signal(owner: Owner, fresh: bool) -> None:
     ended = owner.spawn("crash", fresh=fresh).wait(LIMIT_S)
     assert ended is not None
-    assert str(ended) == f"driver (process {ended.pid}) was killed by SIGSEGV"
+    assert str(ended) == f"driver (process {ended.pid}): killed by SIGSEGV (signal 11)"
     assert "Segmentation fault" in owner.log.read_text()
 
 
@@ -106,7 +106,7 @@ def test_a_module_that_cannot_be_imported_fails_only_processes_that_need_it(
 ) -> None:
     zygote = start_zygote(["no_such_module", "json"], tmp_path / "run")
     client = ZygoteClient(zygote.socket_path)
-    assert zygote.log_file.read_text().count("cannot import") == 1
+    assert zygote.log_file.read_text().count("import failed: no_such_module: ") == 1
     log = tmp_path / "driver.log"
     with pytest.raises(
         SpawnFailed,
@@ -131,8 +131,8 @@ def test_a_module_that_starts_threads_when_imported_is_named(
     monkeypatch.syspath_prepend(tmp_path)
     zygote = start_zygote(["json", "starts_thread", "numpy"], tmp_path / "run")
     client = ZygoteClient(zygote.socket_path)
-    assert zygote.log_file.read_text().count("starts threads when imported") == 1
-    assert "starts_thread starts threads when imported" in zygote.log_file.read_text()
+    assert zygote.log_file.read_text().count("module starts threads: ") == 1
+    assert "module starts threads: starts_thread: " in zygote.log_file.read_text()
     client.close()
     zygote.close()
 

@@ -108,7 +108,7 @@ def test_all_processes_end_with_a_killed_zygote(
     owner.reports.of("leaf's helper")
     os.kill(zygote.pid, signal.SIGKILL)
     leaf.await_end()
-    assert "is lost" in str(owner.losses.get(timeout=LIMIT_S))
+    assert "zygote lost: " in str(owner.losses.get(timeout=LIMIT_S))
     assert {owner.exits.get_nowait().name, owner.exits.get_nowait().name} == {"driver", "middle"}
     with pytest.raises(ZygoteLost):
         owner.spawn("stay")

@@ -309,7 +309,7 @@ def test_object_in_front_of_running_robot_is_taught_and_recognized(folder: Path)
     create(path, "a test").close()
     with launching(folder) as launch:
         run = launch(ROBOT.replace("MAP", str(path)), environment={"PYTHONPATH": str(ROOT)})
-        run.await_line("recognizer active")
+        run.await_line("child active: recognizer")
 
         def robot(*arguments: str) -> Answer:
             return cairn(*arguments, connect=run.endpoint)

@@ -44,7 +44,7 @@ def simulation(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Run]:
     file.write_text(yaml.safe_dump(box(furniture=[TABLE], objects=OBJECTS, people=[ADA])))
     with launching(folder) as launch:
         run = launch(COMPONENTS.format(folder=folder))
-        run.await_line("object_recognizer active")
+        run.await_line("child active: object_recognizer")
         yield run
         assert run.stop() == 0
 
