@@ -48,7 +48,7 @@ def test_components_that_fail_while_running_are_restarted_with_the_cause_logged(
         "raise": r"tick: ValueError: broken on purpose \(process {pid}, log {log}\)",
         "publish_nan": r"tick: .*geometry_msgs/msg/Vector3.*x = nan",
         "abort": r"killed by SIGABRT \(signal 6\) \(process {pid}, log {log}\)",
-        "exit": r"exit code 3 \(process {pid}, log {log}\)",
+        "exit": r"exit code 3: .* \(process {pid}, log {log}\)",
         "sys_exit": r"tick: it called sys.exit\(3\)",
     }
     components = "".join(
