@@ -40,7 +40,7 @@ def test_the_strategy_decides_which_children_are_restarted(launch: Launching) ->
         before = pids(run, strategy)
         os.kill(before["base"], signal.SIGKILL)
         killed = run.await_line(f"child failed: {strategy}_base: killed", after=active)
-        run.await_line(f"{strategy}_{restarted[-1]} active", after=killed)
+        run.await_line(f"child active: {strategy}_{restarted[-1]}", after=killed)
         after = pids(run, strategy)
         assert [name for name in before if after[name] != before[name]] == restarted
     assert run.stop() == 0
