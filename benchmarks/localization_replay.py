@@ -10,18 +10,14 @@ from numpy.typing import NDArray
 
 from cairn.components.localizer.config import LocalizationSettings
 from cairn.components.localizer.localization import EvidenceFrame, Localization
+from cairn.components.localizer.messages import evidence_message
 from cairn.components.localizer.observations import Landmark, Observation
 from cairn.components.localizer.odometry import CommandedTrack
+from cairn.components.map_builder.component import evidence_of
 from cairn.components.map_builder.landmark_map import LandmarkMap
 from cairn.components.replay.mrclam import MrclamDataset, range_bearing_variance
-from cairn.visual_map.landmarks import (
-    EvidenceVerdict,
-    LandmarkChange,
-    LandmarkRecord,
-    LandmarkState,
-    MapPosition,
-    ReceivedEvidence,
-)
+from cairn.schemas.std_msgs import Header
+from cairn.visual_map.landmarks import LandmarkChange, LandmarkRecord, LandmarkState
 
 # Parameters of a base without odometry; they matter only in gaps, which MRCLAM does not have.
 LAG_S, GAINS = 0.17, (0.95, 0.93)
@@ -154,25 +150,7 @@ def _update(
     frame: EvidenceFrame,
     outcome: ReplayOutcome,
 ) -> None:
-    robot = frame.before.mean
-    evidence = [
-        ReceivedEvidence(
-            j.observation.object_id,
-            j.similarity,
-            EvidenceVerdict(int(j.verdict)),
-            j.distance,
-            MapPosition(
-                j.x,
-                j.y,
-                float(j.covariance[0, 0]),
-                float(j.covariance[0, 1]),
-                float(j.covariance[1, 1]),
-            ),
-            robot,
-            frame.healthy,
-        )
-        for j in frame.evidence
-    ]
+    evidence = evidence_of(evidence_message(Header(), frame))
     changes = list(visual_map.apply(evidence, t).changes)
     if frame.relocalized:
         outcome.relocalized += 1

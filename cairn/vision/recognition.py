@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -14,7 +15,10 @@ from cairn.vision import feature_matching, verification
 from cairn.vision.feature_matching import DescriptorIndex, FeatureMatches, MatchGroups
 from cairn.vision.features import Features, no_features
 from cairn.vision.object_model import ModelView, ObjectModel
+from cairn.vision.ranging import CameraPosition
 from cairn.vision.verification import SortedFeatures, VerifiedMatch
+
+RangingMethod = Literal["stereo", "size", "both", "none"]
 
 _NEIGHBORS = 10
 _RATIO = 0.85
@@ -36,6 +40,12 @@ class Detection:
     left) in the image, possibly outside of it. `view_points` and `image_points` (n, 2) [px] are the
     n matched features in both. `alternatives` are other objects that explain the same image region
     about as well.
+
+    The rest is set when its range is measured, by `ranged_by`: `position` is that of the object in
+    the rectified left optical frame, None if unknown. `range_ratio` is the distance by stereo over
+    that by size, where there are both; `ranges_agree` is whether these two agree within their
+    uncertainty. `warning` is the reason why `position` is None, or why stereo is not used;
+    `rows_off` [px] is then how much lower the right image shows the object, if that is the reason.
     """
 
     object_id: int
@@ -46,11 +56,22 @@ class Detection:
     view_points: NDArray[np.float64]
     image_points: NDArray[np.float64]
     alternatives: tuple[int, ...]
+    position: CameraPosition | None = None
+    ranged_by: RangingMethod = "none"
+    range_ratio: float | None = None
+    ranges_agree: bool = True
+    warning: str = ""
+    rows_off: float = 0.0
 
     @property
     def inliers(self) -> int:
         """Return the number of features that agree on the object's pose."""
         return len(self.view_points)
+
+    @property
+    def has_stereo_range(self) -> bool:
+        """Return whether stereo measured a distance."""
+        return self.range_ratio is not None or self.ranged_by == "stereo"
 
 
 @dataclass(frozen=True)

@@ -27,10 +27,10 @@ from cairn.visual_map.landmarks import (
     Cell,
     EvidenceVerdict,
     LandmarkChange,
+    LandmarkEvidence,
     LandmarkRecord,
     LandmarkState,
     MapPosition,
-    ReceivedEvidence,
     Viewpoints,
 )
 
@@ -46,7 +46,7 @@ class JudgedEvidence:
     """A piece of evidence, the landmark after it, and whether it counted."""
 
     stamp_ns: int
-    evidence: ReceivedEvidence
+    evidence: LandmarkEvidence
     after: LandmarkRecord
     counted: bool
 
@@ -286,7 +286,7 @@ def change_row(version: int, stamp_ns: int, change: LandmarkChange) -> Row:
 
 
 def evidence_row(
-    stamp_ns: int, evidence: ReceivedEvidence, after: LandmarkRecord, counted: bool
+    stamp_ns: int, evidence: LandmarkEvidence, after: LandmarkRecord, counted: bool
 ) -> Row:
     """Return the row of table `evidence`: the observation, and the landmark after it."""
     return (

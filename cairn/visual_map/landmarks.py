@@ -135,8 +135,8 @@ class LandmarkRecord:
 
 
 @dataclass(frozen=True)
-class ReceivedEvidence:
-    """The evidence of one observation, or of a missing one, about a landmark (`ObjectEvidence`).
+class LandmarkEvidence:
+    """The message `ObjectEvidence` about a landmark, with the robot's pose that it was made with.
 
     `implied` is the position of the object by this observation, `robot` the robot's pose at that
     time, and `healthy` whether that pose was reliable. `corroborated` is False for a disagreement

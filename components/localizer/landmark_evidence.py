@@ -33,6 +33,7 @@ from cairn.components.localizer.particle_set import (
 from cairn.components.localizer.recent_observations import ANOTHER_M, ANOTHER_RAD
 from cairn.planar.poses import Pose, apart, wrap, wrap_all
 from cairn.planar.poses import distance as meters_between
+from cairn.schemas.cairn_msgs import ObjectEvidence
 from cairn.visual_map.landmarks import EvidenceVerdict
 
 Array = NDArray[np.float64]
@@ -58,25 +59,6 @@ SimilarityMode = Literal["lr", "paper", "paper_rule", "chi_square"]
 _EXACT_M = 0.15
 # So many contradictions of each object are remembered: more than corroboration needs.
 _MOST_CONTRADICTIONS = 20
-
-
-@dataclass(frozen=True)
-class LandmarkEvidence:
-    """One object's evidence: similarity of equation (1), verdict, and the implied position.
-
-    `corroborated` is False for a disagreement that stands alone; `contradicts`: the observation
-    lies outside the 99.9 % gate of the prediction.
-    """
-
-    observation: Observation
-    similarity: float
-    verdict: EvidenceVerdict
-    distance: float
-    x: float
-    y: float
-    covariance: Array
-    contradicts: bool
-    corroborated: bool = True
 
 
 @dataclass(frozen=True)
@@ -116,23 +98,21 @@ class LandmarkEvaluator:
         self._displacements.clear()
         self.ranges.clear()
 
-    def locate(
-        self, observation: Observation, pose: PoseEstimate, healthy: bool
-    ) -> LandmarkEvidence:
+    def locate(self, observation: Observation, pose: PoseEstimate, healthy: bool) -> ObjectEvidence:
         """Return where an object stands that the map does not hold: there is no similarity."""
         self.forget(observation.object_id)
         sure = healthy and self.ranges.wrong is None
         verdict = EvidenceVerdict.AGREES if sure else EvidenceVerdict.NOT_CONVERGED
-        return _evidence_of(observation, pose, NEUTRAL, verdict, 0.0, False)
+        return _evidence_of(observation, pose, NEUTRAL, verdict, 0.0)
 
     def unseen(
         self, pose: PoseEstimate, landmark: Landmark, range_m: float, bearing: float
-    ) -> LandmarkEvidence:
+    ) -> ObjectEvidence:
         """Return the evidence of a live object that should be in view at a range [m] and bearing
         [rad], but was not recognized.
         """
         expected = Observation(landmark.object_id, range_m, bearing, 0.0, 0.0)
-        return _evidence_of(expected, pose, NEUTRAL, EvidenceVerdict.UNSEEN, 0.0, False)
+        return _evidence_of(expected, pose, NEUTRAL, EvidenceVerdict.UNSEEN, 0.0)
 
     def compare(
         self,
@@ -145,7 +125,7 @@ class LandmarkEvaluator:
         converged: bool,
         scanned: bool,
         others: Callable[[Array], Array],
-    ) -> LandmarkEvidence:
+    ) -> tuple[ObjectEvidence, bool]:
         """Compare an observation of a live object with `pose`, to which the object contributed
         nothing.
 
@@ -159,6 +139,10 @@ class LandmarkEvaluator:
             converged: Whether `pose` is certain enough.
             scanned: Whether scans support it: then it is exact to centimeters, if near `by_all`.
             others: Log-likelihood (n,) of poses (3, n) by all recent measurements but the object's.
+
+        Returns:
+            The evidence, and whether the observation contradicts `pose`: it lies outside the
+            99.9 % gate of the prediction.
         """
         landmark = landmarks[observation.object_id]
         difference = innovation(pose, observation, landmark)
@@ -172,7 +156,7 @@ class LandmarkEvaluator:
             sure = converged or self.mode == "paper_rule"
             similarity = similarity if sure else NEUTRAL
             verdict = _plain_verdict(similarity)
-            return _evidence_of(observation, pose, similarity, verdict, distance, contradicts)
+            return _evidence_of(observation, pose, similarity, verdict, distance), contradicts
         # Evidence against an object requires a more reliable pose than evidence for it.
         trusted = vouched or (similarity > NEUTRAL and likely)
         corroborated = True
@@ -204,9 +188,8 @@ class LandmarkEvaluator:
             verdict, corroborated = self._contradicted(observation, pose, landmarks)
             if verdict is EvidenceVerdict.FALSE_MATCH:
                 similarity = NEUTRAL
-        return _evidence_of(
-            observation, pose, similarity, verdict, distance, contradicts, corroborated
-        )
+        evidence = _evidence_of(observation, pose, similarity, verdict, distance, corroborated)
+        return evidence, contradicts
 
     def _contradicted(
         self,
@@ -289,12 +272,20 @@ def _evidence_of(
     similarity: float,
     verdict: EvidenceVerdict,
     distance: float,
-    contradicts: bool,
     corroborated: bool = True,
-) -> LandmarkEvidence:
+) -> ObjectEvidence:
     x, y, covariance = implied_position(pose, observation)
-    return LandmarkEvidence(
-        observation, similarity, verdict, distance, x, y, covariance, contradicts, corroborated
+    return ObjectEvidence(
+        object_id=observation.object_id,
+        similarity=similarity,
+        verdict=int(verdict),
+        distance=distance,
+        x=x,
+        y=y,
+        covariance=0.5 * (covariance + covariance.T).ravel(),
+        range=observation.range_m,
+        bearing=observation.bearing,
+        corroborated=corroborated,
     )
 
 

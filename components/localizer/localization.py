@@ -20,7 +20,7 @@ from cairn.components.localizer.health import (
     contradiction,
     limit_unconfirmed,
 )
-from cairn.components.localizer.landmark_evidence import LandmarkEvaluator, LandmarkEvidence
+from cairn.components.localizer.landmark_evidence import LandmarkEvaluator
 from cairn.components.localizer.leave_one_out import LeaveOneOutFilters
 from cairn.components.localizer.likelihood_field import ScanMap
 from cairn.components.localizer.observations import (
@@ -38,8 +38,8 @@ from cairn.components.localizer.scans import BeamSelector, RecentScans, ScanFit
 from cairn.components.localizer.wheel_slip import WheelSlipDetector
 from cairn.planar.grid import OccupancyCells
 from cairn.planar.poses import Pose
+from cairn.schemas.cairn_msgs import ObjectEvidence
 from cairn.schemas.cairn_nav_msgs import NO_REASON, Reason, ReasonCode
-from cairn.visual_map.landmarks import EvidenceVerdict
 
 Array = NDArray[np.float64]
 
@@ -66,7 +66,7 @@ class EvidenceFrame:
     before: PoseEstimate
     healthy: bool
     reason: Reason
-    evidence: tuple[LandmarkEvidence, ...]
+    evidence: tuple[ObjectEvidence, ...]
     relocalized: bool
 
 
@@ -252,11 +252,10 @@ class Localization:
         before = self.filters.estimate()
         doubt = self._doubt(before, self._support(before, None))
         healthy = doubt is None
-        evidence = tuple(self._evidence_of(one, before, healthy) for one in observations)
-        contradicted = any(one.contradicts for one in evidence)
-        agreed = [
-            one.observation.object_id for one in evidence if one.verdict is EvidenceVerdict.AGREES
-        ]
+        compared = [self._evidence_of(one, before, healthy) for one in observations]
+        evidence = tuple(one for one, _ in compared)
+        contradicted = any(contradicts for _, contradicts in compared)
+        agreed = [one.object_id for one in evidence if one.verdict == ObjectEvidence.AGREES]
         self._absence.add_agreeing(stamp, agreed)
         self._confirmations.add(stamp, (one for one in agreed if self._is_live(one)))
         if healthy and view is not None and self.range_factor is None:
@@ -353,10 +352,11 @@ class Localization:
 
     def _evidence_of(
         self, observation: Observation, before: PoseEstimate, healthy: bool
-    ) -> LandmarkEvidence:
+    ) -> tuple[ObjectEvidence, bool]:
+        """Return the evidence of an observation, and whether it contradicts the pose."""
         object_id = observation.object_id
         if not self._is_live(object_id):
-            return self.evaluator.locate(observation, before, healthy)
+            return self.evaluator.locate(observation, before, healthy), False
         paper_rule = self.settings.mode == "paper_rule"
         pose = before if paper_rule else self.filters.estimate_without(object_id)
         recent = self._recent()

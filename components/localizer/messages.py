@@ -8,14 +8,12 @@ import numpy as np
 
 from cairn import SECOND, from_ns
 from cairn.components.localizer.health import PoseHealth
-from cairn.components.localizer.landmark_evidence import LandmarkEvidence
 from cairn.components.localizer.localization import EvidenceFrame
 from cairn.components.localizer.observations import CameraView, Landmark, Observation
 from cairn.components.localizer.particle_set import PoseEstimate
 from cairn.planar.messages import planar_covariance, with_covariance
 from cairn.planar.poses import Pose, compose, inverse
 from cairn.schemas.cairn_msgs import (
-    ObjectEvidence,
     ObjectEvidenceArray,
     RecognizedObjectArray,
     VisualMap,
@@ -136,21 +134,5 @@ def evidence_message(header: Header, frame: EvidenceFrame) -> ObjectEvidenceArra
         healthy=frame.healthy,
         reason=frame.reason.text,
         reason_code=int(frame.reason.code),
-        evidence=tuple(map(_evidence, frame.evidence)),
-    )
-
-
-def _evidence(one: LandmarkEvidence) -> ObjectEvidence:
-    covariance = 0.5 * (one.covariance + one.covariance.T)
-    return ObjectEvidence(
-        object_id=one.observation.object_id,
-        similarity=one.similarity,
-        verdict=int(one.verdict),
-        distance=one.distance,
-        x=one.x,
-        y=one.y,
-        covariance=covariance.ravel(),
-        range=one.observation.range_m,
-        bearing=one.observation.bearing,
-        corroborated=one.corroborated,
+        evidence=frame.evidence,
     )

@@ -52,10 +52,10 @@ from cairn.visual_map.landmarks import (
     ChangeKind,
     EvidenceVerdict,
     LandmarkChange,
+    LandmarkEvidence,
     LandmarkRecord,
     LandmarkState,
     MapPosition,
-    ReceivedEvidence,
 )
 
 # A full map follows its updates after this [s], for readers that start later, and the grid map is
@@ -290,11 +290,11 @@ class MapBuilder(Component):
         self.visual_map.publish(map_message(stamp, keeper.version, keeper.landmarks))
 
 
-def evidence_of(message: ObjectEvidenceArray) -> list[ReceivedEvidence]:
+def evidence_of(message: ObjectEvidenceArray) -> list[LandmarkEvidence]:
     """Return the evidence in a message."""
     robot = (message.robot_x, message.robot_y, message.robot_theta)
     return [
-        ReceivedEvidence(
+        LandmarkEvidence(
             object_id=piece.object_id,
             similarity=piece.similarity,
             verdict=EvidenceVerdict(piece.verdict),

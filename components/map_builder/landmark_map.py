@@ -16,10 +16,10 @@ from cairn.visual_map.landmarks import (
     ChangeKind,
     EvidenceVerdict,
     LandmarkChange,
+    LandmarkEvidence,
     LandmarkRecord,
     LandmarkState,
     MapPosition,
-    ReceivedEvidence,
     new_landmark,
 )
 from cairn.visual_map.object_models import read_model_name
@@ -63,7 +63,7 @@ class LandmarkMap:
         self._name_of = name_of
         self._journal = LandmarkJournal(undo_s)
 
-    def apply(self, evidence: Sequence[ReceivedEvidence], now_s: float) -> AppliedEvidence:
+    def apply(self, evidence: Sequence[LandmarkEvidence], now_s: float) -> AppliedEvidence:
         """Apply the evidence of one image, of `now_s` [s]."""
         self._journal.forget_old(now_s)
         after: list[tuple[LandmarkRecord, bool] | None] = []
@@ -146,7 +146,7 @@ class LandmarkKeeper:
         return [self._map.landmarks[key] for key in sorted(self._map.landmarks)]
 
     def apply(
-        self, stamp_ns: int, evidence: Sequence[ReceivedEvidence]
+        self, stamp_ns: int, evidence: Sequence[LandmarkEvidence]
     ) -> tuple[bool, list[NumberedChange]]:
         """Apply the evidence of one image; return whether it counted, and the changes."""
         applied = self._map.apply(evidence, stamp_ns / SECOND)

@@ -31,15 +31,15 @@ from cairn.visual_map.landmarks import (
     ChangeKind,
     EvidenceVerdict,
     LandmarkChange,
+    LandmarkEvidence,
     LandmarkRecord,
     LandmarkState,
     MapPosition,
-    ReceivedEvidence,
     Viewpoints,
 )
 
 Rule = Callable[
-    [LandmarkRecord, ReceivedEvidence, float], tuple[LandmarkRecord, LandmarkChange | None]
+    [LandmarkRecord, LandmarkEvidence, float], tuple[LandmarkRecord, LandmarkChange | None]
 ]
 """A function of a landmark, evidence and its time [s]: the new record and the change, if any."""
 
@@ -79,7 +79,7 @@ def rule_named(name: RuleName) -> Rule:
 
 
 def judge(
-    landmark: LandmarkRecord, evidence: ReceivedEvidence, now_s: float
+    landmark: LandmarkRecord, evidence: LandmarkEvidence, now_s: float
 ) -> tuple[LandmarkRecord, LandmarkChange | None]:
     """Apply the rule that keeps a robot's map."""
     if evidence.verdict is EvidenceVerdict.UNSEEN:
@@ -128,7 +128,7 @@ def cell_of(x: float, y: float, robot: Pose) -> Cell:
 
 
 def _judge_observation(
-    landmark: LandmarkRecord, evidence: ReceivedEvidence, now_s: float
+    landmark: LandmarkRecord, evidence: LandmarkEvidence, now_s: float
 ) -> tuple[LandmarkRecord, LandmarkChange | None]:
     agrees = evidence.verdict is EvidenceVerdict.AGREES
     disagrees = evidence.verdict is EvidenceVerdict.DISAGREES
@@ -165,7 +165,7 @@ def _judge_observation(
 
 
 def _remove_moved(
-    judged: LandmarkRecord, evidence: ReceivedEvidence, now_s: float
+    judged: LandmarkRecord, evidence: LandmarkEvidence, now_s: float
 ) -> tuple[LandmarkRecord, LandmarkChange | None]:
     """Remove a landmark from its position; the last observation is the first candidate."""
     position, reliability = judged.position, judged.reliability
@@ -183,7 +183,7 @@ def _remove_moved(
 
 
 def _judge_absence(
-    landmark: LandmarkRecord, evidence: ReceivedEvidence
+    landmark: LandmarkRecord, evidence: LandmarkEvidence
 ) -> tuple[LandmarkRecord, LandmarkChange | None]:
     """Judge that a landmark was not seen where it should have been.
 
@@ -226,7 +226,7 @@ def _judge_absence(
 
 
 def _refine(
-    judged: LandmarkRecord, position: MapPosition, evidence: ReceivedEvidence
+    judged: LandmarkRecord, position: MapPosition, evidence: LandmarkEvidence
 ) -> tuple[LandmarkRecord, LandmarkChange | None]:
     """Improve an uncertain position by an agreeing observation; surveyed ones hardly move."""
     better = fuse(position, evidence.implied)

@@ -10,17 +10,17 @@ from cairn.visual_map.landmarks import (
     ChangeKind,
     EvidenceVerdict,
     LandmarkChange,
+    LandmarkEvidence,
     LandmarkRecord,
     LandmarkState,
     MapPosition,
-    ReceivedEvidence,
 )
 
 _REMOVAL = 0.1  # a landmark of less reliability is deleted (section 3.2)
 
 
 def judge_by_paper(
-    landmark: LandmarkRecord, evidence: ReceivedEvidence, now_s: float
+    landmark: LandmarkRecord, evidence: LandmarkEvidence, now_s: float
 ) -> tuple[LandmarkRecord, LandmarkChange | None]:
     """Apply section 3.2 of the paper literally, whatever the time."""
     del now_s
@@ -46,7 +46,7 @@ def judge_by_paper(
 
 
 def _register(
-    landmark: LandmarkRecord, position: MapPosition, evidence: ReceivedEvidence
+    landmark: LandmarkRecord, position: MapPosition, evidence: LandmarkEvidence
 ) -> tuple[LandmarkRecord, LandmarkChange | None]:
     """Register a landmark where this observation places it.
 

@@ -19,9 +19,9 @@ from cairn.visual_map.landmarks import (
     ChangeKind,
     EvidenceVerdict,
     LandmarkChange,
+    LandmarkEvidence,
     LandmarkRecord,
     LandmarkState,
-    ReceivedEvidence,
 )
 
 _REMOVAL = 0.1  # as in the paper's rule, for comparison
@@ -46,7 +46,7 @@ class PersistenceFilter:
     _observed_s: dict[int, float] = field(default_factory=dict)
 
     def __call__(
-        self, landmark: LandmarkRecord, evidence: ReceivedEvidence, now_s: float
+        self, landmark: LandmarkRecord, evidence: LandmarkEvidence, now_s: float
     ) -> tuple[LandmarkRecord, LandmarkChange | None]:
         """Update a landmark by evidence at `now_s` [s]."""
         if landmark.state is not LandmarkState.LIVE:

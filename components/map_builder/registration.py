@@ -26,11 +26,11 @@ from cairn.visual_map.landmarks import (
     ChangeKind,
     EvidenceVerdict,
     LandmarkChange,
+    LandmarkEvidence,
     LandmarkRecord,
     LandmarkState,
     MapPosition,
     PositionHistory,
-    ReceivedEvidence,
 )
 
 Array = NDArray[np.float64]
@@ -65,7 +65,7 @@ _IGNORED_S = 600.0
 
 
 def judge_candidate(
-    landmark: LandmarkRecord, evidence: ReceivedEvidence, now_s: float
+    landmark: LandmarkRecord, evidence: LandmarkEvidence, now_s: float
 ) -> tuple[LandmarkRecord, LandmarkChange | None]:
     """Update the candidate position of a landmark without a valid one; register it if reliable.
 

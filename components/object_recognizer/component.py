@@ -39,7 +39,6 @@ from cairn.components.object_recognizer.observation import (
     NO_VIEW,
     FieldOfView,
     RangeAgreement,
-    RangedDetection,
     field_of_view,
     make_observation,
     measure_range,
@@ -50,6 +49,7 @@ from cairn.schemas.sensor_msgs import CameraInfo, Image
 from cairn.schemas.std_msgs import Header
 from cairn.vision.features import Features, extract
 from cairn.vision.images import Gray, gray_of
+from cairn.vision.recognition import Detection
 from cairn.visual_map.file import MapFileError
 
 # A camera that is silent, or sends the same image, for this long is reported.
@@ -215,14 +215,14 @@ class ObjectRecognizer(Component):
             return NO_VIEW, []
         right = self._rectified_right(cameras, images)
         detections = loaded.recognizer.recognize(features, left.shape[1], left.shape[0])
-        ranged = reject_mixed_up_twins(
+        detections = reject_mixed_up_twins(
             [measure_range(one, loaded.models, cameras, left, right) for one in detections]
         )
-        if any(one.by_stereo for one in ranged):
+        if any(one.has_stereo_range for one in detections):
             self._warnings.resolved("stereo", "objects are ranged by stereo again")
-        elif right is not None and ranged:
+        elif right is not None and detections:
             self._check_stereo(left, right, features, cameras)
-        observations = [self._observe(one) for one in ranged]
+        observations = [self._observe(one) for one in detections]
         published = [
             one
             for one in observations
@@ -234,20 +234,17 @@ class ObjectRecognizer(Component):
         view = field_of_view(cameras.rig, config.mount.pose, config.nearest, config.farthest)
         return view, published
 
-    def _observe(self, ranged: RangedDetection) -> RecognizedObject | None:
+    def _observe(self, detection: Detection) -> RecognizedObject | None:
         """Return the observation, None if it is not reliable; warn about contradictions."""
-        detection = ranged.detection
-        if ranged.ratio is not None:
-            wrong = self._agreement.add(detection.name, ranged.ratio)
+        if detection.range_ratio is not None:
+            wrong = self._agreement.add(detection.name, detection.range_ratio)
             if wrong:
                 self._warnings.warn("agreement", wrong)
-        if ranged.warning:
-            self._warnings.warn(f"range {detection.object_id}", ranged.warning)
-        if ranged.position is None or detection.inliers < self.config.least_inliers:
+        if detection.warning:
+            self._warnings.warn(f"range {detection.object_id}", detection.warning)
+        if detection.inliers < self.config.least_inliers:
             return None
-        return make_observation(
-            detection, ranged.position, self.config.mount.pose, self.config.bearing_sd
-        )
+        return make_observation(detection, self.config.mount.pose, self.config.bearing_sd)
 
     def _check_stereo(self, left: Gray, right: Gray, features: Features, cameras: Cameras) -> None:
         """Warn why stereo measures nothing; raise `CairnError` if the cameras are swapped."""

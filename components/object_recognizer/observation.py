@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
-from typing import Final, Literal
+from typing import Final
 
 import cv2
 import numpy as np
@@ -23,13 +23,12 @@ from cairn.vision.ranging import (
     range_by_size,
     range_by_stereo,
 )
-from cairn.vision.recognition import Detection
+from cairn.vision.recognition import Detection, RangingMethod
 from cairn.vision.stereo import StereoRig, disparities, rows_off
 
 Array = NDArray[np.float64]
 Gray = NDArray[np.uint8]
 Pose = tuple[float, float, float]
-Method = Literal["stereo", "size", "both", "none"]
 
 MOST_DISAGREEMENT: Final = 0.25
 """Ranges by stereo and by size that differ by a larger share are both rejected."""
@@ -56,31 +55,6 @@ _STEPS = 12
 
 
 @dataclass(frozen=True)
-class RangedDetection:
-    """A detection and the position of its object, or the reason why that is unknown.
-
-    `position` is in the rectified left optical frame; `method` is how it was measured. `ratio` is
-    the distance by stereo over that by size, where there are both; `consistent` is whether these
-    two agree within their uncertainty. `warning` is the reason why `position` is None, or why
-    stereo is not used; `rows_off` [px] is then how much lower the right image shows the object, if
-    that is the reason.
-    """
-
-    detection: Detection
-    position: CameraPosition | None
-    method: Method
-    ratio: float | None = None
-    warning: str = ""
-    consistent: bool = True
-    rows_off: float = 0.0
-
-    @property
-    def by_stereo(self) -> bool:
-        """Return whether stereo measured a distance."""
-        return self.ratio is not None or self.method == "stereo"
-
-
-@dataclass(frozen=True)
 class FieldOfView:
     """Where objects can be recognized: bearings [rad, left positive] and ranges [m]."""
 
@@ -99,8 +73,8 @@ def measure_range(
     cameras: Cameras,
     left: Gray,
     right: Gray | None,
-) -> RangedDetection:
-    """Measure where an object is that was detected in the rectified `left` image.
+) -> Detection:
+    """Return a detection in the rectified `left` image with the position of its object.
 
     `right` is the rectified right image, None for a single camera.
     """
@@ -140,15 +114,15 @@ def measure_range(
     return _combine(detection, model, stereo, size, has_stereo=right is not None)
 
 
-def reject_mixed_up_twins(ranged: Sequence[RangedDetection]) -> list[RangedDetection]:
+def reject_mixed_up_twins(detections: Sequence[Detection]) -> list[Detection]:
     """Reject stereo positions of identical objects of unknown size that seem to differ in size.
 
     Then stereo has matched one of them with the other.
     """
     sizes: dict[int, list[float]] = {}
-    for one in ranged:
-        if one.method in ("stereo", "none"):
-            sizes.setdefault(one.detection.object_id, []).append(_apparent_size(one))
+    for one in detections:
+        if one.ranged_by in ("stereo", "none"):
+            sizes.setdefault(one.object_id, []).append(_apparent_size(one))
     wrong = {
         key for key, each in sizes.items() if not max(each) <= (1 + MOST_DISAGREEMENT) * min(each)
     }
@@ -156,24 +130,27 @@ def reject_mixed_up_twins(ranged: Sequence[RangedDetection]) -> list[RangedDetec
         replace(
             one,
             position=None,
-            method="none",
-            warning=f"{one.detection.name}: several are visible, and stereo matches one with "
+            ranged_by="none",
+            warning=f"{one.name}: several are visible, and stereo matches one with "
             "another; give its size",
         )
-        if one.method == "stereo" and one.detection.object_id in wrong
+        if one.ranged_by == "stereo" and one.object_id in wrong
         else one
-        for one in ranged
+        for one in detections
     ]
 
 
 def make_observation(
-    detection: Detection, position: CameraPosition, mount: Pose, bearing_sd: float = 0.0
-) -> RecognizedObject:
-    """Return the observation of an object at `position` from the camera at `mount`.
+    detection: Detection, mount: Pose, bearing_sd: float = 0.0
+) -> RecognizedObject | None:
+    """Return the observation of a detected object; None if its position is unknown.
 
-    Range and bearing are from the robot, in the plane. `bearing_sd` [rad] is the error of the
-    camera's direction at that moment.
+    Range and bearing are from the robot, in the plane; `mount` is the camera's pose on it.
+    `bearing_sd` [rad] is the error of the camera's direction at that moment.
     """
+    position = detection.position
+    if position is None:
+        return None
     x, y, theta = mount
     cosine, sine = math.cos(theta), math.sin(theta)
     # The optical frame's x points right, its z forward.
@@ -276,10 +253,10 @@ def _bearing(mount: Pose, direction: float, away: float) -> float:
     return direction + math.remainder(bearing - direction, 2 * math.pi)
 
 
-def _apparent_size(one: RangedDetection) -> float:
+def _apparent_size(one: Detection) -> float:
     if one.position is None:
         return math.inf
-    area = cv2.contourArea(one.detection.corners.astype(np.float32))
+    area = cv2.contourArea(one.corners.astype(np.float32))
     return float(one.position.position[2]) * math.sqrt(area)
 
 
@@ -290,25 +267,28 @@ def _combine(
     size: CameraPosition | None,
     *,
     has_stereo: bool,
-) -> RangedDetection:
+) -> Detection:
     if stereo is None or size is None:
         one = size if stereo is None else stereo
         if one is not None:
-            return RangedDetection(detection, one, "size" if stereo is None else "stereo")
+            method: RangingMethod = "size" if stereo is None else "stereo"
+            return replace(detection, position=one, ranged_by=method)
         why = "its size is not known" if model.size is None else "its size fits no pose"
         pair = "stereo gives no range" if has_stereo else "no right image is available"
         warning = f"{model.name}: no range, because {why} and {pair}"
         if model.size is None:
             warning += f"; give its size with `cairn object teach '{model.name}' --size W,H`"
-        return RangedDetection(detection, None, "none", warning=warning)
+        return replace(detection, warning=warning)
     far, near = (float(np.linalg.norm(one.position)) for one in (stereo, size))
     ratio = far / near
     if _disagree(stereo, size):
         warning = f"{model.name}: its range is {far:.2f} m by stereo, but {near:.2f} m by its size"
-        return RangedDetection(detection, None, "none", ratio, warning, consistent=False)
+        return replace(detection, range_ratio=ratio, ranges_agree=False, warning=warning)
     agree = consistent(stereo, size) and not _contradict(stereo, size, ratio)
     position = fuse(stereo, size) if agree else _mixture(stereo, size)
-    return RangedDetection(detection, position, "both", ratio, consistent=agree)
+    return replace(
+        detection, position=position, ranged_by="both", range_ratio=ratio, ranges_agree=agree
+    )
 
 
 def _misalignment_warning(model: ObjectModel, off: float, warning: str) -> str:

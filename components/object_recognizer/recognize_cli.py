@@ -24,7 +24,6 @@ from cairn.components.object_recognizer.cameras import (
 from cairn.components.object_recognizer.drawing import draw_detections
 from cairn.components.object_recognizer.object_cli import DEFAULT_MAP, MapFile
 from cairn.components.object_recognizer.observation import (
-    RangedDetection,
     explain_disagreement,
     make_observation,
     measure_range,
@@ -35,7 +34,7 @@ from cairn.vision.camera_file import read_camera
 from cairn.vision.features import extract
 from cairn.vision.images import Gray, read_image
 from cairn.vision.object_model import ObjectModel
-from cairn.vision.recognition import Recognizer
+from cairn.vision.recognition import Detection, Recognizer
 from cairn.vision.stereo import StereoRig
 from cairn.visual_map.object_models import read_models
 
@@ -56,7 +55,7 @@ class RecognitionResult:
 
     gray: Gray
     features: int
-    ranged: list[RangedDetection]
+    detections: list[Detection]
     no_stereo: str
     remarks: list[str]
 
@@ -113,10 +112,10 @@ def recognize(
             _check_size(file, gray, calibration)
         cameras = make_cameras(calibrations[0], calibrations[1] if len(infos) == 2 else None)
     result = _recognize(image, right_image, left, right, cameras, models)
-    objects = [_object(one, models) for one in result.ranged]
+    objects = [_object(one, models) for one in result.detections]
     if out is not None:
         labels = [_label(one) for one in objects]
-        draw_detections(result.gray, [one.detection for one in result.ranged], labels, out)
+        draw_detections(result.gray, result.detections, labels, out)
     if json:
         print_json(
             {
@@ -164,9 +163,7 @@ def _recognize(
     detections = Recognizer(tuple(models.values())).recognize(features, width, height)
     if cameras is None:
         remarks.append("no range: give the camera's calibration by --camera-info")
-        ranged = [
-            RangedDetection(one, None, "none", warning="no calibration") for one in detections
-        ]
+        detections = [replace(one, warning="no calibration") for one in detections]
         no_stereo = "no calibration"
     else:
         remarks += _view_remarks(cameras.rig)
@@ -179,21 +176,21 @@ def _recognize(
                     f"left and right are swapped: {image} is the right camera's image; give the "
                     f"left camera's image first, {right_image}"
                 )
-        ranged = _with_warnings(
+        detections = _with_warnings(
             reject_mixed_up_twins(
                 [measure_range(one, models, cameras, rectified, other) for one in detections]
             )
         )
-        if other is not None and not any(one.by_stereo for one in ranged):
+        if other is not None and not any(one.has_stereo_range for one in detections):
             no_stereo = why_no_pair(rectified, other, features, cameras.rig)
-            if any(one.rows_off for one in ranged):
+            if any(one.rows_off for one in detections):
                 no_stereo = "the rows of the images are not aligned"
-            elif ranged and not no_stereo:
+            elif detections and not no_stereo:
                 no_stereo = "the objects are not found in the right image, or are too far away"
         if no_stereo and (right is not None or cameras.right is not None):
             remarks.append(f"no stereo: {no_stereo}")
-        remarks += dict.fromkeys(one.warning for one in ranged if one.warning)
-    return RecognitionResult(rectified, len(features), ranged, no_stereo, remarks)
+        remarks += dict.fromkeys(one.warning for one in detections if one.warning)
+    return RecognitionResult(rectified, len(features), detections, no_stereo, remarks)
 
 
 def _why_no_stereo(left: Gray, right: Gray | None, cameras: Cameras) -> str:
@@ -220,15 +217,15 @@ def _view_remarks(rig: StereoRig) -> list[str]:
     ]
 
 
-def _with_warnings(ranged: Sequence[RangedDetection]) -> list[RangedDetection]:
+def _with_warnings(detections: Sequence[Detection]) -> list[Detection]:
     """Add warnings to detections whose ranges by stereo and by size contradict each other."""
-    ratios = {one.detection.name: one.ratio for one in ranged if one.ratio is not None}
+    ratios = {one.name: one.range_ratio for one in detections if one.range_ratio is not None}
     warnings = [
-        "" if one.consistent else explain_disagreement(one.detection.name, ratios) for one in ranged
+        "" if one.ranges_agree else explain_disagreement(one.name, ratios) for one in detections
     ]
     return [
         replace(one, warning="; ".join(filter(None, (one.warning, warning))))
-        for one, warning in zip(ranged, warnings, strict=True)
+        for one, warning in zip(detections, warnings, strict=True)
     ]
 
 
@@ -243,11 +240,9 @@ def _check_size(file: Path | None, gray: Gray | None, calibration: CameraInfo) -
         )
 
 
-def _object(one: RangedDetection, models: dict[int, ObjectModel]) -> dict[str, Any]:
-    detection, position = one.detection, one.position
-    observed = None
-    if position is not None:
-        observed = make_observation(detection, position, _AT_CAMERA, _DIRECTION_SD)
+def _object(detection: Detection, models: dict[int, ObjectModel]) -> dict[str, Any]:
+    position = detection.position
+    observed = make_observation(detection, _AT_CAMERA, _DIRECTION_SD)
     return {
         "object_id": detection.object_id,
         "name": detection.name,
@@ -261,8 +256,8 @@ def _object(one: RangedDetection, models: dict[int, ObjectModel]) -> dict[str, A
         "bearing": observed.bearing if observed else None,
         "covariance": observed.covariance.tolist() if observed else None,
         "position": position.position.tolist() if position is not None else None,
-        "ranged_by": one.method if position is not None else None,
-        "warning": one.warning or None,
+        "ranged_by": detection.ranged_by if position is not None else None,
+        "warning": detection.warning or None,
     }
 
 

@@ -7,13 +7,12 @@ import pytest
 
 from cairn.components.localizer.landmark_evidence import (
     LandmarkEvaluator,
-    LandmarkEvidence,
     SimilarityMode,
 )
 from cairn.components.localizer.observations import Landmark, Observation
 from cairn.components.localizer.particle_set import PoseEstimate
 from cairn.planar.poses import wrap
-from cairn.visual_map.landmarks import EvidenceVerdict
+from cairn.schemas.cairn_msgs import ObjectEvidence
 
 A, B = Landmark(1, 3.0, 1.0, reliability=0.9), Landmark(2, 3.0, -1.0, reliability=0.9)
 MAP = {1: A, 2: B}
@@ -26,7 +25,7 @@ def judged(
     at: tuple[float, float],
     sd: float = 0.05,
     by_all: PoseEstimate | None = None,
-) -> LandmarkEvidence:
+) -> ObjectEvidence:
     """`object_id` is seen at a place from the pose that is `step` times 0.2 m along the way, which
     is also that by all objects if no other is given.
     """
@@ -35,7 +34,7 @@ def judged(
     observation = Observation(
         object_id, math.hypot(dx, dy), wrap(math.atan2(dy, dx)), sd**2, 0.0004
     )
-    return judge.compare(
+    evidence, _ = judge.compare(
         observation,
         pose,
         by_all or pose,
@@ -46,6 +45,7 @@ def judged(
         True,
         lambda poses: np.zeros(poses.shape[1]),
     )
+    return evidence
 
 
 def judge_of(mode: SimilarityMode = "lr") -> LandmarkEvaluator:
@@ -55,19 +55,19 @@ def judge_of(mode: SimilarityMode = "lr") -> LandmarkEvaluator:
 def test_single_contradiction_is_not_corroborated() -> None:
     found = judged(judge_of(), 1, 0, (4.0, 2.0))
 
-    assert found.verdict is EvidenceVerdict.DISAGREES
+    assert found.verdict == ObjectEvidence.DISAGREES
     assert not found.corroborated
 
 
 def test_clear_forgets_contradictions() -> None:
     judge = judge_of()
     wrongly = [judged(judge, 1, step, (A.x, A.y + 0.4)).verdict for step in range(10)]
-    assert wrongly[-1] is EvidenceVerdict.DISAGREES
+    assert wrongly[-1] == ObjectEvidence.DISAGREES
 
     judge.clear()
 
     rightly = [judged(judge, 1, step, (A.x, A.y)).verdict for step in range(10)]
-    assert EvidenceVerdict.DISAGREES not in rightly
+    assert ObjectEvidence.DISAGREES not in rightly
 
 
 def test_three_consistent_contradictions_corroborate_each_other() -> None:
@@ -87,8 +87,8 @@ def test_agreement_clears_earlier_contradictions() -> None:
         judged(judge, 1, step, at) for step, at in enumerate([wrong, wrong, right, wrong, wrong])
     ]
 
-    assert found[2].verdict is EvidenceVerdict.AGREES
-    assert not any(one.corroborated for one in found if one.verdict is EvidenceVerdict.DISAGREES)
+    assert found[2].verdict == ObjectEvidence.AGREES
+    assert not any(one.corroborated for one in found if one.verdict == ObjectEvidence.DISAGREES)
 
 
 def test_object_is_not_doubted_while_the_full_pose_agrees() -> None:
@@ -105,7 +105,7 @@ def test_object_is_not_doubted_while_the_full_pose_agrees() -> None:
         for step in range(5)
     ]
 
-    assert verdicts == [EvidenceVerdict.NOT_CONVERGED] * 5
+    assert verdicts == [ObjectEvidence.NOT_CONVERGED] * 5
 
 
 def test_observation_at_another_object_is_a_false_match() -> None:
@@ -113,8 +113,8 @@ def test_observation_at_another_object_is_a_false_match() -> None:
 
     verdicts = [judged(judge, 1, step, (3.0, -1.0)).verdict for step in range(8)]
 
-    assert verdicts[:7] == [EvidenceVerdict.FALSE_MATCH] * 7
-    assert verdicts[7] is EvidenceVerdict.DISAGREES
+    assert verdicts[:7] == [ObjectEvidence.FALSE_MATCH] * 7
+    assert verdicts[7] == ObjectEvidence.DISAGREES
 
 
 def test_two_objects_observed_at_each_others_positions_were_exchanged() -> None:
@@ -125,8 +125,8 @@ def test_two_objects_observed_at_each_others_positions_were_exchanged() -> None:
         second = judged(judge, 2, step, (3.0, 1.0))
         verdicts.append((first.verdict, second.verdict))
 
-    assert verdicts[0][0] is EvidenceVerdict.FALSE_MATCH
-    assert verdicts[4] == (EvidenceVerdict.DISAGREES, EvidenceVerdict.DISAGREES)
+    assert verdicts[0][0] == ObjectEvidence.FALSE_MATCH
+    assert verdicts[4] == (ObjectEvidence.DISAGREES, ObjectEvidence.DISAGREES)
     assert judged(judge, 1, 6, (3.0, -1.0)).similarity == pytest.approx(0.1)
 
 
@@ -141,8 +141,8 @@ def test_small_displacement_is_detected_by_many_observations(seed: int) -> None:
         dx, dy = 0.1 * random.standard_normal(2)
         verdicts.append(judged(judge, 1, step, (3.33 + dx, 1.0 + dy), sd=0.15).verdict)
 
-    assert EvidenceVerdict.AGREES in verdicts[:6]
-    assert verdicts[6:].count(EvidenceVerdict.DISAGREES) >= 3
+    assert ObjectEvidence.AGREES in verdicts[:6]
+    assert verdicts[6:].count(ObjectEvidence.DISAGREES) >= 3
 
 
 def test_false_matches_do_not_displace_an_object() -> None:
@@ -155,7 +155,7 @@ def test_false_matches_do_not_displace_an_object() -> None:
         for step in range(4, 12)
     }
 
-    assert verdicts == {EvidenceVerdict.AGREES}
+    assert verdicts == {ObjectEvidence.AGREES}
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -168,12 +168,12 @@ def test_static_object_always_agrees(seed: int) -> None:
         dx, dy = 0.08 * random.standard_normal(2)
         verdicts.add(judged(judge, 1, step % 10, (3.05 + dx, 1.0 + dy), sd=0.15).verdict)
 
-    assert verdicts == {EvidenceVerdict.AGREES}
+    assert verdicts == {ObjectEvidence.AGREES}
 
 
 def test_gate_and_paper_rule_need_no_corroboration() -> None:
-    assert judged(judge_of("chi_square"), 1, 0, (4.0, 2.0)).verdict is EvidenceVerdict.DISAGREES
+    assert judged(judge_of("chi_square"), 1, 0, (4.0, 2.0)).verdict == ObjectEvidence.DISAGREES
     assert judged(judge_of("chi_square"), 1, 0, (4.0, 2.0)).similarity == pytest.approx(0.1)
-    assert judged(judge_of("chi_square"), 1, 0, (3.0, 1.0)).verdict is EvidenceVerdict.AGREES
+    assert judged(judge_of("chi_square"), 1, 0, (3.0, 1.0)).verdict == ObjectEvidence.AGREES
     # Without anything else seen, samples on a ring do not converge: no evidence.
-    assert judged(judge_of("paper_rule"), 1, 0, (4.0, 2.0)).verdict is EvidenceVerdict.NOT_CONVERGED
+    assert judged(judge_of("paper_rule"), 1, 0, (4.0, 2.0)).verdict == ObjectEvidence.NOT_CONVERGED

@@ -11,7 +11,7 @@ from cairn.components.localizer.config import LocalizationSettings
 from cairn.components.localizer.localization import EvidenceFrame, Localization
 from cairn.components.localizer.observations import Landmark, Observation
 from cairn.components.localizer.odometry import CommandedTrack, MotionModel
-from cairn.visual_map.landmarks import EvidenceVerdict
+from cairn.schemas.cairn_msgs import ObjectEvidence
 from tests.components.localizer.hall import Moment, drive, landmarks
 
 pytestmark = pytest.mark.slow
@@ -48,12 +48,12 @@ class Run:
                 self.errors.append(math.hypot(x - moment.pose[0], y - moment.pose[1]))
         return self
 
-    def verdicts(self, object_id: int) -> list[EvidenceVerdict]:
+    def verdicts(self, object_id: int) -> list[int]:
         return [
             j.verdict
             for _, frame in self.frames
             for j in frame.evidence
-            if j.observation.object_id == object_id
+            if j.object_id == object_id
         ]
 
 
@@ -64,7 +64,7 @@ def test_known_start_is_tracked_to_centimeters() -> None:
     run.through(drive(60.0))
 
     assert np.sqrt(np.mean(np.square(run.errors))) < 0.12
-    assert EvidenceVerdict.DISAGREES not in {v for i in range(1, 8) for v in run.verdicts(i)}
+    assert ObjectEvidence.DISAGREES not in {v for i in range(1, 8) for v in run.verdicts(i)}
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -83,10 +83,10 @@ def test_moved_object_is_distinguished_from_static_ones(mode: str) -> None:
     run.through(drive(125.0))
 
     lowered = [
-        (j.observation.object_id, j.corroborated)
+        (j.object_id, j.corroborated)
         for _, frame in run.frames
         for j in frame.evidence
-        if j.verdict is EvidenceVerdict.DISAGREES
+        if j.verdict == ObjectEvidence.DISAGREES
     ]
     assert sum(i == 3 for i, _ in lowered) >= 5
     assert {i for i, corroborated in lowered if corroborated} == {3}
@@ -94,7 +94,7 @@ def test_moved_object_is_distinguished_from_static_ones(mode: str) -> None:
         (j.x, j.y)
         for _, frame in run.frames
         for j in frame.evidence
-        if j.observation.object_id == 3 and frame.healthy
+        if j.object_id == 3 and frame.healthy
     ]
     assert np.mean(implied, axis=0) == pytest.approx((-1.0, 3.5), abs=0.2)
 
@@ -109,7 +109,7 @@ def test_object_is_not_compared_with_a_pose_that_it_determined_itself() -> None:
     )
 
     assert run.localization.pose().spread < run.localization.settings.healthy_spread_m
-    assert set(run.verdicts(1)) == {EvidenceVerdict.NOT_CONVERGED}
+    assert set(run.verdicts(1)) == {ObjectEvidence.NOT_CONVERGED}
 
 
 def test_single_gross_error_is_not_corroborated() -> None:
@@ -144,8 +144,8 @@ def test_misrecognized_object_is_a_false_match() -> None:
         assert judgment.similarity == 0.5
         verdicts.append(judgment.verdict)
 
-    assert verdicts.count(EvidenceVerdict.FALSE_MATCH) >= 5
-    assert set(verdicts) <= {EvidenceVerdict.FALSE_MATCH, EvidenceVerdict.NOT_CONVERGED}
+    assert verdicts.count(ObjectEvidence.FALSE_MATCH) >= 5
+    assert set(verdicts) <= {ObjectEvidence.FALSE_MATCH, ObjectEvidence.NOT_CONVERGED}
 
 
 def test_uncertain_pose_corroborates_nothing() -> None:

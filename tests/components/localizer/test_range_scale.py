@@ -7,13 +7,12 @@ import pytest
 
 from cairn.components.localizer.landmark_evidence import (
     LandmarkEvaluator,
-    LandmarkEvidence,
     SimilarityMode,
 )
 from cairn.components.localizer.observations import Landmark, Observation
 from cairn.components.localizer.particle_set import PoseEstimate
 from cairn.planar.poses import Pose, wrap
-from cairn.visual_map.landmarks import EvidenceVerdict
+from cairn.schemas.cairn_msgs import ObjectEvidence
 
 MAP = {
     key: Landmark(key, x, y, reliability=0.98)
@@ -29,14 +28,14 @@ class Robot:
         self.evaluator = LandmarkEvaluator(mode, 300, np.random.default_rng(0))
         self.random = np.random.default_rng(1)
 
-    def sees(self, object_id: int, at: Pose, factor: float) -> LandmarkEvidence:
+    def sees(self, object_id: int, at: Pose, factor: float) -> ObjectEvidence:
         """An object at `factor` times its distance on the map."""
         landmark = MAP[object_id]
         dx, dy = landmark.x - at[0], landmark.y - at[1]
         range_m = factor * math.hypot(dx, dy) + self.random.normal(0.0, 0.03)
         bearing = wrap(math.atan2(dy, dx) - at[2] + self.random.normal(0.0, 0.01))
         pose = PoseEstimate(at, np.diag([0.0004, 0.0004, 0.0001]))
-        return self.evaluator.compare(
+        evidence, _ = self.evaluator.compare(
             Observation(object_id, range_m, bearing, 0.03**2, 0.01**2),
             pose,
             pose,
@@ -47,8 +46,9 @@ class Robot:
             True,
             lambda poses: np.zeros(poses.shape[1]),
         )
+        return evidence
 
-    def looks_around(self, factors: dict[int, float]) -> list[LandmarkEvidence]:
+    def looks_around(self, factors: dict[int, float]) -> list[ObjectEvidence]:
         return [self.sees(key, at, factors.get(key, 1.0)) for at in WAY for key in MAP]
 
 
@@ -59,7 +59,7 @@ def test_no_object_is_doubted_if_all_ranges_are_wrong(factor: float, mode: Simil
 
     evidence = robot.looks_around(dict.fromkeys(MAP, factor))
 
-    assert not [one for one in evidence if one.verdict is EvidenceVerdict.DISAGREES]
+    assert not [one for one in evidence if one.verdict == ObjectEvidence.DISAGREES]
     assert robot.evaluator.ranges.wrong == pytest.approx(factor, abs=0.02)
 
 
@@ -72,8 +72,8 @@ def test_object_moved_towards_the_robot_is_not_a_range_error(
     evidence = robot.looks_around({0: factor})
 
     assert robot.evaluator.ranges.wrong is None
-    doubted = [one for one in evidence if one.verdict is EvidenceVerdict.DISAGREES]
-    assert {one.observation.object_id for one in doubted} == {0}
+    doubted = [one for one in evidence if one.verdict == ObjectEvidence.DISAGREES]
+    assert {one.object_id for one in doubted} == {0}
     assert min(one.similarity for one in doubted) == pytest.approx(0.1)
 
 
@@ -83,7 +83,7 @@ def test_nothing_is_wrong_with_ranges_that_err_by_chance() -> None:
     evidence = robot.looks_around({})
 
     assert robot.evaluator.ranges.wrong is None
-    assert {one.verdict for one in evidence} == {EvidenceVerdict.AGREES}
+    assert {one.verdict for one in evidence} == {ObjectEvidence.AGREES}
 
 
 def test_the_first_object_that_is_seen_cannot_tell_whether_it_or_the_camera_is_wrong() -> None:
@@ -95,8 +95,8 @@ def test_the_first_object_that_is_seen_cannot_tell_whether_it_or_the_camera_is_w
             robot.sees(key, at, 1.0)
     among_others = [robot.sees(0, at, 0.7) for at in WAY]
 
-    assert {one.verdict for one in alone} == {EvidenceVerdict.NOT_CONVERGED}
-    assert {one.verdict for one in among_others} == {EvidenceVerdict.DISAGREES}
+    assert {one.verdict for one in alone} == {ObjectEvidence.NOT_CONVERGED}
+    assert {one.verdict for one in among_others} == {ObjectEvidence.DISAGREES}
 
 
 def test_nothing_is_learnt_while_ranges_are_wrong() -> None:
@@ -106,4 +106,4 @@ def test_nothing_is_learnt_while_ranges_are_wrong() -> None:
 
     found = robot.evaluator.locate(Observation(9, 2.0, 0.1, 0.001, 0.0001), here, healthy=True)
 
-    assert found.verdict is EvidenceVerdict.NOT_CONVERGED
+    assert found.verdict == ObjectEvidence.NOT_CONVERGED

@@ -2,9 +2,9 @@
 
 from cairn.visual_map.landmarks import (
     EvidenceVerdict,
+    LandmarkEvidence,
     LandmarkRecord,
     MapPosition,
-    ReceivedEvidence,
 )
 
 HERE = MapPosition(2.0, 1.0, 1e-4, 0.0, 1e-4)
@@ -23,11 +23,11 @@ def observation(
     healthy: bool = True,
     object_id: int = 7,
     corroborated: bool = True,
-) -> ReceivedEvidence:
+) -> LandmarkEvidence:
     """Return evidence from the pose that is `step` times 0.2 m along the path."""
     if verdict is None:
         verdict = EvidenceVerdict.AGREES if similarity >= 0.5 else EvidenceVerdict.DISAGREES
     robot = (0.2 * step, 0.0, 0.0)
-    return ReceivedEvidence(
+    return LandmarkEvidence(
         object_id, similarity, verdict, 1.0, implied, robot, healthy, corroborated
     )

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from cairn.components.map_builder.landmark_map import LandmarkMap
 from cairn.components.map_builder.paper_rule import equation_2, judge_by_paper
 from cairn.components.map_builder.persistence_filter import PersistenceFilter
-from cairn.visual_map.landmarks import ChangeKind, EvidenceVerdict, LandmarkState, ReceivedEvidence
+from cairn.visual_map.landmarks import ChangeKind, EvidenceVerdict, LandmarkEvidence, LandmarkState
 from tests.components.map_builder.evidence import HERE, THERE, observation, surveyed
 
 PROBABILITIES = st.floats(0.0, 1.0)
@@ -70,7 +70,7 @@ def test_missed_feature_is_removed_and_registered_where_it_is_seen() -> None:
 
     kinds = []
     for step in range(4, 16):
-        away = ReceivedEvidence(
+        away = LandmarkEvidence(
             7, 0.1, EvidenceVerdict.DISAGREES, 9.0, THERE, (0.2 * step, 0.0, 0.0), healthy=True
         )
         kinds += [change.kind for change in visual_map.apply([away], float(step)).changes]

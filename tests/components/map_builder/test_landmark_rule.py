@@ -16,9 +16,9 @@ from cairn.visual_map.landmarks import (
     NO_VIEWPOINTS,
     ChangeKind,
     EvidenceVerdict,
+    LandmarkEvidence,
     LandmarkState,
     MapPosition,
-    ReceivedEvidence,
 )
 from tests.components.map_builder.evidence import HERE, THERE, surveyed
 
@@ -27,9 +27,9 @@ IN_FRONT = [(0.1 + 0.45 * step, 0.6, 0.0) for step in range(3)]
 
 def evidence(
     verdict: EvidenceVerdict, robot: Pose, implied: MapPosition = HERE
-) -> ReceivedEvidence:
+) -> LandmarkEvidence:
     similarity = 0.9 if verdict is EvidenceVerdict.AGREES else 0.5
-    return ReceivedEvidence(7, similarity, verdict, 0.0, implied, robot, healthy=True)
+    return LandmarkEvidence(7, similarity, verdict, 0.0, implied, robot, healthy=True)
 
 
 def seen_often(landmark_map: LandmarkMap) -> None:
@@ -140,7 +140,7 @@ def test_moved_landmark_has_new_viewpoints() -> None:
     landmark_map = LandmarkMap([surveyed()])
     seen_often(landmark_map)
     for step in range(12):
-        moved = ReceivedEvidence(
+        moved = LandmarkEvidence(
             7, 0.1, EvidenceVerdict.DISAGREES, 9.0, THERE, (0.2 * step, 0.0, 0.0), healthy=True
         )
         landmark_map.apply([moved], 0.0)
