@@ -16,7 +16,7 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from cairn import Component
-from cairn.bus.codec import Codec
+from cairn.bus.type_hash import definition, type_hash
 from cairn.cli.main import build
 from cairn.cli.plugins import known_messages
 from cairn.deployment.plugins import installed_plugins, load_plugin
@@ -63,7 +63,6 @@ def _messages_page() -> str:
         "# Messages\n\nEvery message type that Cairn ships, as a ROS 2 definition. "
         "`cairn schema show TYPE` prints the same.\n"
     ]
-    codec = Codec()
     package = ""
     for name, cls in sorted(known_messages().items()):
         if not cls.__module__.startswith("cairn."):
@@ -73,8 +72,8 @@ def _messages_page() -> str:
             parts.append(f"\n## {package}\n")
         parts.append(
             f"\n### {name.split('/')[-1]}\n\n{getdoc(cls) or ''}\n\n"
-            f"```text\n{codec.definition(cls).rstrip()}\n```\n\n"
-            f"Type hash: `{codec.type_hash(cls)}`\n"
+            f"```text\n{definition(cls).rstrip()}\n```\n\n"
+            f"Type hash: `{type_hash(cls)}`\n"
         )
     return "".join(parts)
 

@@ -2,7 +2,7 @@
 
 A message is validated by its class's constructor or, when it comes from the bus, by the function
 that `decoding_constructor` returns: no handler receives an invalid message. The type hash (RIHS01)
-and the ROS 2 definition of a message are computed in `cairn.bus.codec`.
+and the ROS 2 definition of a message are computed in `cairn.bus.type_hash`.
 """
 
 import dataclasses

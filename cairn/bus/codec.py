@@ -1,12 +1,12 @@
-"""Codec: encode and decode messages as CDR; compute ROS 2 type hashes and definitions.
+"""Codec: encode and decode messages as CDR.
 
-rosbags generates the code for CDR and computes the hashes; here are what decodes into Cairn's
-message classes, and packed sequences, which are encoded and decoded in one piece.
+rosbags generates the code for CDR; here are what decodes into Cairn's message classes, and packed
+sequences, which are encoded and decoded in one piece.
 """
 
 from collections.abc import Callable
 from dataclasses import fields, is_dataclass, replace
-from typing import TYPE_CHECKING, Any, TypeVar, cast
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from rosbags.interfaces import CDRDeser, CDRSer, Msgdef, Nodetype
@@ -21,20 +21,15 @@ from rosbags.serde.primitives import (
 )
 from rosbags.typesys.store import Typestore
 
+from cairn.bus.type_hash import field_type
 from cairn.errors import CairnError
 from cairn.schemas.message import (
-    Field,
     InvalidMessage,
-    constants_of,
     decoding_constructor,
     fields_of,
     type_name,
 )
 from cairn.schemas.packed import Packed
-
-if TYPE_CHECKING:
-    from rosbags.interfaces.typing import Constdefs
-
 
 M = TypeVar("M")
 
@@ -50,8 +45,6 @@ class Codec:
 
     def __init__(self) -> None:
         self._classes: dict[str, type[Any]] = {}
-        # Definitions as in the .msg files, for hashes and definitions.
-        self._described = Typestore()
         # Decodes into message classes, packed sequences in one piece.
         self._wire = Typestore()
         # Decodes into tuples without validation, to find out which field of a message is invalid.
@@ -62,7 +55,7 @@ class Codec:
 
         Raises `TypeError` if `message` is not of a message class.
         """
-        name = self._known(type(message))
+        name = self.register(type(message))
         return bytes(self._wire.serialize_cdr(message, name, little_endian=True))
 
     def decode(self, cls: type[M], data: bytes | memoryview) -> M:
@@ -72,21 +65,13 @@ class Codec:
         unaligned, which numpy handles but C code may not. Raises `InvalidMessage`, and no other
         error, if `data` is not a valid message of class `cls`.
         """
-        name = self._known(cls)
+        name = self.register(cls)
         view = memoryview(data if _is_plain(data) else bytes(data))
         try:
             return self._wire.deserialize_cdr(view, name)  # type: ignore[return-value]
         except (SerdeError, InvalidMessage) as error:
             failure = str(error)
         raise self._explained(cls, view, failure)
-
-    def type_hash(self, cls: type[Any]) -> str:
-        """Return the ROS 2 type hash (REP 2016): "RIHS01_" and 64 hex digits."""
-        return self._described.hash_rihs01(self._known(cls))
-
-    def definition(self, cls: type[Any]) -> str:
-        """Return the text of the .msg file and of those it refers to, as rosbag2 stores them."""
-        return self._described.generate_msgdef(self._known(cls), ros_version=2)[0]
 
     def is_bulk(self, cls: type[Any]) -> bool:
         """Return whether messages of this class may be big: they hold an image, a map or so."""
@@ -97,11 +82,15 @@ class Codec:
             for field in fields_of(cls)
         )
 
-    def _known(self, cls: type[Any]) -> str:
+    def register(self, cls: type[Any]) -> str:
+        """Prepare for messages of a class, if that is not done yet; return the type's name.
+
+        Raises `TypeError` if it is not a message class, `CairnError` if another class has the name.
+        """
         name = type_name(cls)
         known = self._classes.get(name)
         if known is None:
-            self._register(name, cls)
+            self._generate(name, cls)
         elif known is not cls:
             raise CairnError(
                 f"{name} is defined twice: by {_qualified_name(known)} and by "
@@ -110,25 +99,21 @@ class Codec:
             )
         return name
 
-    def _register(self, name: str, cls: type[Any]) -> None:
-        described: list[tuple[str, FieldDesc]] = []
+    def _generate(self, name: str, cls: type[Any]) -> None:
         wire: list[tuple[str, FieldDesc]] = []
         plain: list[tuple[str, FieldDesc]] = []
         for field in fields_of(cls):
             element = field.element
             if isinstance(element, type):
-                self._known(element)
-            described.append((field.name, _description(field)))
+                self.register(element)
             # A byte is unsigned in ROS 2, signed in rosbags.
             as_sent = replace(field, element="uint8") if element == "byte" else field
-            plain.append((field.name, _description(as_sent)))
+            plain.append((field.name, field_type(as_sent)))
             wire.append(plain[-1])
             if field.packed and isinstance(element, type):
                 whole = f"Packed[{type_name(element)}]"
                 self._wire.cache[whole] = _packed_msgdef(whole, element)
                 wire[-1] = (field.name, (Nodetype.NAME, whole))
-        constants = [(one.name, one.ros_type, one.value) for one in constants_of(cls)]
-        self._described.fielddefs[name] = (cast("Constdefs", constants), described)
         self._plain.fielddefs[name] = ([], plain)
         self._plain.types[name] = cast("type", _as_tuple)
         self._wire.fielddefs[name] = ([], wire)
@@ -168,17 +153,6 @@ def to_plain(message: Any, longest: int | None = None) -> Any:
     items = list(message)
     shown_items = items if longest is None else items[:longest]
     return _cut([to_plain(item, longest) for item in shown_items], len(items))
-
-
-def _description(field: Field) -> FieldDesc:
-    if isinstance(field.element, type):
-        one: Any = (Nodetype.NAME, type_name(field.element))
-    else:
-        one = (Nodetype.BASE, (field.element, 0))
-    if field.count is None:
-        return cast("FieldDesc", one)
-    kind = Nodetype.ARRAY if field.count else Nodetype.SEQUENCE
-    return cast("FieldDesc", (kind, (one, field.count)))
 
 
 def _is_plain(data: bytes | memoryview) -> bool:
@@ -235,13 +209,13 @@ def _packed_msgdef(name: str, element: type[Any]) -> Msgdef[object]:
         deserialize_cdr_le=_deserializer(element, columns, unpack_uint32_le, "<f8"),
         deserialize_cdr_be=_deserializer(element, columns, unpack_uint32_be, ">f8"),
         size_ros1=0,
-        getsize_ros1=_never,
-        serialize_ros1=_never,
-        deserialize_ros1=_never,
-        getsize_ros1_to_cdr=_never,
-        ros1_to_cdr=_never,
-        getsize_cdr_to_ros1=_never,
-        cdr_to_ros1=_never,
+        getsize_ros1=_no_ros1,
+        serialize_ros1=_no_ros1,
+        deserialize_ros1=_no_ros1,
+        getsize_ros1_to_cdr=_no_ros1,
+        ros1_to_cdr=_no_ros1,
+        getsize_cdr_to_ros1=_no_ros1,
+        cdr_to_ros1=_no_ros1,
     )
 
 
@@ -288,5 +262,5 @@ def _deserializer(
     return deserialize
 
 
-def _never(*_: Any) -> Any:
-    raise NotImplementedError("messages of ROS 1 are not supported")
+def _no_ros1(*_: Any) -> Any:
+    raise SerdeError("a packed sequence is encoded as CDR only, not in ROS 1's format")

@@ -7,16 +7,14 @@ understand them. Keys that begin with `@cairn` are Cairn's own, which ROS 2 does
 import re
 import struct
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, cast
+from typing import Any, Literal, NamedTuple, cast
 
 import xxhash
 
 from cairn.bus.qos import Qos
+from cairn.bus.type_hash import type_hash
 from cairn.errors import CairnError
 from cairn.schemas.message import type_name
-
-if TYPE_CHECKING:
-    from cairn.bus.codec import Codec
 
 TOKENS = "@ros2_lv"
 """First chunk of every liveliness token of rmw_zenoh."""
@@ -105,9 +103,9 @@ def data_key(domain: int, topic: str, ros_name: str, type_hash: str) -> str:
     return f"{domain}/{topic.strip('/')}/{dds_type(ros_name)}/{type_hash}"
 
 
-def message_key(domain: int, topic: str, message: type[Any], codec: "Codec") -> str:
+def message_key(domain: int, topic: str, message: type[Any]) -> str:
     """Return the key expression of a topic (full name) with messages of class `message`."""
-    return data_key(domain, topic, type_name(message), codec.type_hash(message))
+    return data_key(domain, topic, type_name(message), type_hash(message))
 
 
 def cached_samples_key(key: str) -> str:

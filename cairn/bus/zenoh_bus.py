@@ -25,6 +25,7 @@ from cairn.bus.discovery import DiscoveryBarrier
 from cairn.bus.drops import DropOldestQueue, LossCounter
 from cairn.bus.graph import GraphWatcher
 from cairn.bus.qos import Qos
+from cairn.bus.type_hash import type_hash
 from cairn.schemas.message import InvalidMessage, type_name
 
 
@@ -98,9 +99,10 @@ class ZenohNode:
     ) -> "Announcement":
         """Announce an endpoint of this node in the graph."""
         bus = self.bus
+        bus.codec.register(message)
         entity = keys.EndpointEntity(
             self._entity, bus.next_id(), kind, topic, type_name(message),
-            bus.codec.type_hash(message), qos,
+            type_hash(message), qos,
         )  # fmt: skip
         return Announcement(bus, entity, self._report)
 

@@ -12,7 +12,7 @@ import typer
 from pydantic import BaseModel
 
 from cairn import schemas
-from cairn.bus.codec import Codec
+from cairn.bus.type_hash import definition, type_hash
 from cairn.cli.options import Json
 from cairn.cli.output import line, print_json, show
 from cairn.deployment.plugins import installed_plugins, load_plugin
@@ -115,11 +115,10 @@ def _port(port: PortSpec) -> dict[str, str]:
 @schema.command("list")
 def list_types(json: Json = False) -> None:
     """List the message types with their ROS 2 type hashes."""
-    codec = Codec()
     rows = [
         {
             "type": name,
-            "hash": codec.type_hash(message),
+            "hash": type_hash(message),
             "summary": (message.__doc__ or "").partition("\n")[0],
         }
         for name, message in sorted(known_messages().items())
@@ -133,13 +132,12 @@ def show_type(
     json: Json = False,
 ) -> None:
     """Print a type's ROS 2 definition, with those of the types in it, and its hash."""
-    codec = Codec()
     message = find_message(name)
-    definition = codec.definition(message)
+    text = definition(message)
     if json:
-        print_json({"type": name, "hash": codec.type_hash(message), "definition": definition})
+        print_json({"type": name, "hash": type_hash(message), "definition": text})
         return
-    line(f"# {name}\n# {codec.type_hash(message)}\n{definition.rstrip()}")
+    line(f"# {name}\n# {type_hash(message)}\n{text.rstrip()}")
 
 
 def known_messages() -> dict[str, type[Any]]:

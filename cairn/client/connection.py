@@ -81,7 +81,7 @@ class Connection:
         found: dict[str, ComponentStatus] = {}
         deadline = time.monotonic() + _ANSWER_LIMIT_S
         for topic in sorted({endpoint.topic for endpoint in publishers.values()}):
-            key = keys.message_key(self.domain, topic, ComponentStatus, codec)
+            key = keys.message_key(self.domain, topic, ComponentStatus)
             missing = {gid for gid, endpoint in publishers.items() if endpoint.topic == topic}
             with self.listen(key, latched=True) as samples:
                 while missing:

@@ -107,7 +107,7 @@ class Navigator:
         """Subscribe to the navigation status."""
         topic = f"{self._supervisor.rpartition('/')[0]}/navigation_status"
         domain = self._connection.domain
-        key = keys.message_key(domain, topic, NavigationStatus, self._codec)
+        key = keys.message_key(domain, topic, NavigationStatus)
         return self._connection.listen(key, latched=True)
 
     def next_status(self, samples: _Samples, wait_s: float) -> NavigationStatus | None:
@@ -127,7 +127,7 @@ class Navigator:
         )
         connection = self._connection
         topic = f"/{robot}/{STATUS_TOPIC}"
-        key = keys.message_key(connection.domain, topic, ComponentStatus, self._codec)
+        key = keys.message_key(connection.domain, topic, ComponentStatus)
         deadline = time.monotonic() + PATIENCE_S
         with connection.listen(key) as samples:
             while (left_s := deadline - time.monotonic()) > 0 and connection.is_alive():

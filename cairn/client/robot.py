@@ -254,7 +254,7 @@ class Robot:
         self._published[full] += 1
         sent = keys.Attachment(self._published[full], time.time_ns(), self._gid)
         self.connection.session.put(
-            keys.message_key(self.connection.domain, full, type(message), self._codec),
+            keys.message_key(self.connection.domain, full, type(message)),
             self._codec.encode(message),
             encoding=zenoh.Encoding.APPLICATION_CDR.with_schema(type_name(type(message))),
             congestion_control=zenoh.CongestionControl.BLOCK,
@@ -307,7 +307,7 @@ class Robot:
         If a component does not answer, the others' messages are returned and `notify` is called.
         """
         self._check_logger(component)
-        key = keys.message_key(self.connection.domain, ROSOUT, Log, self._codec)
+        key = keys.message_key(self.connection.domain, ROSOUT, Log)
         samples, complete = self.connection.cached(key)
         if not complete:
             self._notify(
@@ -424,9 +424,8 @@ class Subscription(Generic[M]):
         self.timeout_s = timeout_s
         self.dropped = 0
         """Number of messages that were dropped because the reader was slow."""
-        codec = Codec()
-        self.key = keys.message_key(connection.domain, topic, message, codec)
-        self._codec = codec
+        self.key = keys.message_key(connection.domain, topic, message)
+        self._codec = Codec()
         self._message = message
         self._callback = callback
         self._accept = accept

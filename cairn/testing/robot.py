@@ -266,7 +266,7 @@ class RunningDeployment:
 
     def _key(self, topic: str, message: type[Any]) -> str:
         full = full_name(self.name, topic)
-        return keys.message_key(self._bus.domain, full, message, self._bus.codec)
+        return keys.message_key(self._bus.domain, full, message)
 
     def _endpoints(self) -> list[keys.EndpointEntity]:
         """Return the publishers of the deployment."""

@@ -69,7 +69,7 @@ def test_invalid_messages_of_a_foreign_node_are_rejected_and_counted(launch: Lau
     )
     run.await_line("child active: listener")
     codec = Codec()
-    key = keys.message_key(0, "/robot/words", Twist, codec)
+    key = keys.message_key(0, "/robot/words", Twist)
     good = codec.encode(Twist(linear=Vector3(x=42.0)))
     nan = good.replace(struct.pack("<d", 42.0), struct.pack("<d", math.nan))
     bus = ZenohBus(open_peer([run.endpoint]))

@@ -4,7 +4,7 @@ import pytest
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from cairn.bus.codec import Codec
+from cairn.bus.type_hash import definition, type_hash
 from cairn.schemas.cairn_msgs import ObjectEvidence
 from cairn.schemas.diagnostic_msgs import DiagnosticStatus
 from cairn.schemas.geometry_msgs import PoseArray, PoseStamped, PoseWithCovarianceStamped, Twist
@@ -17,10 +17,10 @@ ROS = get_typestore(Stores.ROS2_JAZZY)
 
 
 @pytest.mark.parametrize("name", OF_ROS_2)
-def test_standard_messages_are_defined_as_in_ros_2_jazzy(name: str, codec: Codec) -> None:
+def test_standard_messages_are_defined_as_in_ros_2_jazzy(name: str) -> None:
     cls = EVERY_MESSAGE[name]
-    assert codec.type_hash(cls) == ROS.hash_rihs01(name)
-    assert codec.definition(cls) == ROS.generate_msgdef(name, ros_version=2)[0]
+    assert type_hash(cls) == ROS.hash_rihs01(name)
+    assert definition(cls) == ROS.generate_msgdef(name, ros_version=2)[0]
 
 
 @pytest.mark.parametrize(
@@ -35,35 +35,33 @@ def test_standard_messages_are_defined_as_in_ros_2_jazzy(name: str, codec: Codec
         (PoseStamped, "10f3786d7d40fd2b54367835614bff85d4ad3b5dab62bf8bca0cc232d73b4cd8"),
     ],
 )
-def test_type_hash_equals_that_of_ros_2_nodes(cls: type, digest: str, codec: Codec) -> None:
-    assert codec.type_hash(cls) == f"RIHS01_{digest}"
+def test_type_hash_equals_that_of_ros_2_nodes(cls: type, digest: str) -> None:
+    assert type_hash(cls) == f"RIHS01_{digest}"
 
 
-def test_type_hash_of_twist(codec: Codec) -> None:
-    assert codec.type_hash(Twist).startswith("RIHS01_9c45bf16fe09")
-    assert codec.type_hash(Twist).endswith("fb8d2a")
+def test_type_hash_of_twist() -> None:
+    assert type_hash(Twist).startswith("RIHS01_9c45bf16fe09")
+    assert type_hash(Twist).endswith("fb8d2a")
 
 
 @pytest.mark.parametrize("name", EVERY_MESSAGE)
-def test_another_tool_parses_the_definition_text_to_the_same_type(name: str, codec: Codec) -> None:
-    text, *parts = codec.definition(EVERY_MESSAGE[name]).split("=" * 80 + "\n")
+def test_another_tool_parses_the_definition_text_to_the_same_type(name: str) -> None:
+    text, *parts = definition(EVERY_MESSAGE[name]).split("=" * 80 + "\n")
     store = Typestore()
     types = get_types_from_msg(text, name)
     for part in parts:
         head, _, body = part.partition("\n")
         types |= get_types_from_msg(body, head.removeprefix("MSG: ").replace("/", "/msg/"))
     store.register(types)
-    assert store.hash_rihs01(name) == codec.type_hash(EVERY_MESSAGE[name])
+    assert store.hash_rihs01(name) == type_hash(EVERY_MESSAGE[name])
 
 
-def test_packed_sequence_has_the_definition_of_a_plain_one(codec: Codec) -> None:
-    assert codec.definition(PoseArray).startswith(
-        "std_msgs/Header header\ngeometry_msgs/Pose[] poses\n"
-    )
+def test_packed_sequence_has_the_definition_of_a_plain_one() -> None:
+    assert definition(PoseArray).startswith("std_msgs/Header header\ngeometry_msgs/Pose[] poses\n")
 
 
-def test_definition_contains_array_lengths_and_constants(codec: Codec) -> None:
-    text = codec.definition(PoseWithCovarianceStamped)
+def test_definition_contains_array_lengths_and_constants() -> None:
+    text = definition(PoseWithCovarianceStamped)
     assert "geometry_msgs/Pose pose\nfloat64[36] covariance\n" in text
-    assert codec.definition(DiagnosticStatus).startswith("byte OK=0\nbyte WARN=1\n")
-    assert "uint8 NOT_CONVERGED=3\n" in codec.definition(ObjectEvidence)
+    assert definition(DiagnosticStatus).startswith("byte OK=0\nbyte WARN=1\n")
+    assert "uint8 NOT_CONVERGED=3\n" in definition(ObjectEvidence)

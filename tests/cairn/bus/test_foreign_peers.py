@@ -8,6 +8,7 @@ import pytest
 from cairn import RELIABLE
 from cairn.bus.codec import Codec
 from cairn.bus.keys import Attachment, data_key
+from cairn.bus.type_hash import type_hash
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.schemas.geometry_msgs import Twist, Vector3
 from cairn.schemas.message import InvalidMessage, type_name
@@ -20,7 +21,7 @@ pytestmark = pytest.mark.processes
 CODEC = Codec()
 GOOD = CODEC.encode(Twist(linear=Vector3(x=0.5)))
 HEADER = GOOD[:4]
-KEY = data_key(0, "/robot/cmd_vel", type_name(Twist), CODEC.type_hash(Twist))
+KEY = data_key(0, "/robot/cmd_vel", type_name(Twist), type_hash(Twist))
 
 
 @pytest.fixture

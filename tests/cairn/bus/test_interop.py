@@ -10,8 +10,9 @@ from typing import Any, ClassVar
 import pytest
 
 from cairn import RELIABLE, SENSOR, Component, In, Out, on
-from cairn.bus.codec import Codec, to_plain
+from cairn.bus.codec import to_plain
 from cairn.bus.keys import EndpointEntity, NodeEntity
+from cairn.bus.type_hash import definition, type_hash
 from cairn.schemas.builtin_interfaces import Time
 from cairn.schemas.cairn_msgs import RecognizedObject, RecognizedObjectArray
 from cairn.schemas.geometry_msgs import Point, Pose, PoseWithCovariance, Twist, Vector3
@@ -156,9 +157,8 @@ def known(network: Network, robot: Threaded, ros2: Ros2) -> Network:
 
 def write_definitions(directory: Path) -> None:
     """Return a folder with a .msg file per message type, as in a ROS 2 installation."""
-    codec = Codec()
     for message in MESSAGES.values():
-        first, *others = codec.definition(type(message)).split("=" * 80 + "\n")
+        first, *others = definition(type(message)).split("=" * 80 + "\n")
         texts = {type_name(type(message)): first}
         for other in others:
             title, _, text = other.partition("\n")
@@ -213,7 +213,7 @@ def test_nodes_of_a_ros2_client_are_in_our_graph(known: Network) -> None:
     )
     assert (talker.kind, talker.topic, talker.qos) == ("MP", "/robot/scan", RELIABLE)
     assert talker.type_name == "sensor_msgs/msg/LaserScan"
-    assert talker.type_hash == Codec().type_hash(LaserScan)
+    assert talker.type_hash == type_hash(LaserScan)
 
 
 def test_our_node_is_in_the_graph_of_a_ros2_client(known: Network, ros2: Ros2) -> None:

@@ -10,7 +10,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cairn import LATCHED, RELIABLE, SENSOR, Qos
-from cairn.bus.codec import Codec
 from cairn.bus.keys import (
     Attachment,
     EndpointEntity,
@@ -25,6 +24,7 @@ from cairn.bus.keys import (
     ros_type,
     token_key,
 )
+from cairn.bus.type_hash import type_hash
 from cairn.schemas.message import type_name
 from cairn.schemas.std_msgs import String
 
@@ -70,7 +70,7 @@ TOKENS: list[tuple[str, NodeEntity | EndpointEntity]] = [
 
 
 def test_data_key_of_a_topic() -> None:
-    assert data_key(0, "/robot1/chatter", type_name(String), Codec().type_hash(String)) == (
+    assert data_key(0, "/robot1/chatter", type_name(String), type_hash(String)) == (
         "0/robot1/chatter/std_msgs::msg::dds_::String_/"
         "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
     )

@@ -7,7 +7,6 @@ import pytest
 import zenoh
 
 from cairn.bus import keys
-from cairn.bus.codec import Codec
 from cairn.bus.session import open_peer
 from cairn.runtime.rosout import ROSOUT
 from cairn.schemas.rcl_interfaces import Log
@@ -118,8 +117,7 @@ def test_logs_prints_the_last_messages(command: Command) -> None:
 
 
 def test_logs_reports_a_component_that_does_not_answer(command: Command, rover: Run) -> None:
-    codec = Codec()
-    kept = f"{keys.message_key(0, ROSOUT, Log, codec)}/@adv/pub/hangs"
+    kept = f"{keys.message_key(0, ROSOUT, Log)}/@adv/pub/hangs"
     unanswered: list[zenoh.Query] = []
     with (
         open_peer([rover.endpoint]) as session,

@@ -10,7 +10,7 @@ from typing import Any
 
 import zenoh
 
-from cairn.bus.codec import Codec
+from cairn.bus.type_hash import definition
 from cairn.schemas.geometry_msgs import Twist, TwistStamped
 from cairn.schemas.message import type_name
 from cairn.schemas.nav_msgs import Odometry
@@ -92,9 +92,8 @@ def router_config(endpoint: str) -> zenoh.Config:
 
 def write_definitions(folder: Path) -> None:
     """Write a .msg file for each message type used, as in a ROS 2 installation."""
-    codec = Codec()
     for message in (Odometry, Twist, TwistStamped):
-        first, *others = codec.definition(message).split("=" * 80 + "\n")
+        first, *others = definition(message).split("=" * 80 + "\n")
         texts = {type_name(message): first}
         for other in others:
             title, _, text = other.partition("\n")
