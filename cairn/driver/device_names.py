@@ -13,7 +13,7 @@ from typing import Annotated
 
 from pydantic import BaseModel
 
-from cairn.driver.link import find_port
+from cairn.driver.serial_and_tcp import find_port
 from cairn.runtime.parameters import MarkedParameter, marked_parameters
 
 TCP = "tcp:"

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Protocol
 
 from cairn.driver.errors import LinkLost
-from cairn.driver.link import SerialLink
+from cairn.driver.serial_and_tcp import SerialLink
 from cairn.errors import CairnError
 
 _CHUNK_BYTES = 65536

@@ -12,15 +12,6 @@ from types import TracebackType
 from typing import Any
 
 from cairn.planar.poses import Pose
-from cairn.visual_map.file import (
-    MOST_ID,
-    check_row,
-    connect,
-    create,
-    explained_errors,
-    row_checksum,
-    transaction,
-)
 from cairn.visual_map.landmarks import (
     NO_VIEWPOINTS,
     CandidatePosition,
@@ -32,6 +23,15 @@ from cairn.visual_map.landmarks import (
     LandmarkState,
     MapPosition,
     Viewpoints,
+)
+from cairn.visual_map.sqlite_file import (
+    MOST_ID,
+    check_row,
+    connect,
+    create,
+    explained_errors,
+    row_checksum,
+    transaction,
 )
 
 Row = tuple[Any, ...]

@@ -19,7 +19,7 @@ from PIL import Image as Picture
 from cairn.errors import CairnError
 from cairn.vision.features import DESCRIPTOR, Features
 from cairn.vision.object_model import ModelView, ObjectModel
-from cairn.visual_map.file import (
+from cairn.visual_map.sqlite_file import (
     MOST_ID,
     MapFileError,
     at_rest,

@@ -18,7 +18,7 @@ from cairn import (
     to_ns,
 )
 from cairn.components.automove.inputs import NavigatorInputs
-from cairn.components.automove.recovery_behaviors import NavigatorLimits
+from cairn.components.automove.recovery_selection import NavigatorLimits
 from cairn.components.automove.state_machine import GoalIds, NavigatorStateMachine
 from cairn.planar.messages import planar_pose, planar_poses, pose_message
 from cairn.schemas.cairn_nav_msgs import (

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from cairn.components.automove.inputs import NavigatorInputs
-from cairn.components.automove.recovery_behaviors import (
+from cairn.components.automove.recovery_selection import (
     WHEN_LOST,
     WHEN_NO_PATH,
     WHEN_STUCK,

@@ -28,7 +28,7 @@ from cairn.components.hokuyo.protocol import (
     without_sum,
 )
 from cairn.driver.errors import DeviceError, LinkLost
-from cairn.driver.link import Link
+from cairn.driver.serial_and_tcp import Link
 
 T = TypeVar("T")
 

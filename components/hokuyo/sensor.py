@@ -36,7 +36,7 @@ from cairn.components.hokuyo.protocol import (
 )
 from cairn.components.hokuyo.stamping import ScanStamper
 from cairn.driver.errors import DeviceError, LinkLost
-from cairn.driver.link import Link, SerialLink, TcpLink
+from cairn.driver.serial_and_tcp import Link, SerialLink, TcpLink
 
 T = TypeVar("T")
 

@@ -8,9 +8,9 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from cairn.components.localizer.health import SILENT_S
 from cairn.components.localizer.observations import CameraView, Landmark, Observation
 from cairn.components.localizer.particle_set import PoseEstimate
+from cairn.components.localizer.pose_health import SILENT_S
 from cairn.planar.poses import Pose, relative, wrap
 
 Array = NDArray[np.float64]

@@ -26,7 +26,6 @@ from cairn import (
     to_ns,
 )
 from cairn.components.localizer.config import LocalizerConfig
-from cairn.components.localizer.health import ScannerMonitor
 from cairn.components.localizer.localization import Localization
 from cairn.components.localizer.messages import (
     estimate_message,
@@ -39,6 +38,7 @@ from cairn.components.localizer.messages import (
 )
 from cairn.components.localizer.observations import as_observed_from, view_as_from
 from cairn.components.localizer.odometry import MeasuredTrack
+from cairn.components.localizer.pose_health import ScannerMonitor
 from cairn.components.localizer.start_pose import find_start_pose, operator_pose, save_last_pose
 from cairn.planar.grid import grid_of
 from cairn.planar.messages import packed_poses, planar_pose, with_covariance

@@ -13,13 +13,6 @@ from cairn.components.localizer.absence_detector import AbsenceDetector
 from cairn.components.localizer.config import LocalizationSettings
 from cairn.components.localizer.covariance_calibration import CovarianceCalibrator
 from cairn.components.localizer.global_search import RecentMeasurements
-from cairn.components.localizer.health import (
-    LOST,
-    PoseHealth,
-    assess_health,
-    contradiction,
-    limit_unconfirmed,
-)
 from cairn.components.localizer.landmark_evidence import LandmarkEvaluator
 from cairn.components.localizer.leave_one_out import LeaveOneOutFilters
 from cairn.components.localizer.likelihood_field import ScanMap
@@ -32,6 +25,13 @@ from cairn.components.localizer.observations import (
 )
 from cairn.components.localizer.odometry import OdometryTrack, move_pose
 from cairn.components.localizer.particle_set import ParticleSet, PoseEstimate
+from cairn.components.localizer.pose_health import (
+    LOST,
+    PoseHealth,
+    assess_health,
+    contradiction,
+    limit_unconfirmed,
+)
 from cairn.components.localizer.recent_observations import PoseSupport, RecentObservations
 from cairn.components.localizer.relocalization import ConfirmationHistory, Relocalizer
 from cairn.components.localizer.scans import BeamSelector, RecentScans, ScanFit

@@ -7,10 +7,10 @@ import math
 import numpy as np
 
 from cairn import SECOND, from_ns
-from cairn.components.localizer.health import PoseHealth
 from cairn.components.localizer.localization import EvidenceFrame
 from cairn.components.localizer.observations import CameraView, Landmark, Observation
 from cairn.components.localizer.particle_set import PoseEstimate
+from cairn.components.localizer.pose_health import PoseHealth
 from cairn.planar.messages import planar_covariance, with_covariance
 from cairn.planar.poses import Pose, compose, inverse
 from cairn.schemas.cairn_msgs import (

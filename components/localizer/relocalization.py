@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cairn.components.localizer.global_search import GlobalSearchResult, RecentMeasurements, search
-from cairn.components.localizer.health import FITS
 from cairn.components.localizer.observations import Landmark
 from cairn.components.localizer.particle_set import PoseEstimate, carry, estimate
+from cairn.components.localizer.pose_health import FITS
 from cairn.components.localizer.recent_observations import TOGETHER_M
 from cairn.planar.poses import Pose, compose, distance, relative, wrap
 from cairn.schemas.cairn_nav_msgs import Reason, ReasonCode

@@ -31,9 +31,9 @@ from cairn.files import explain_os_error
 from cairn.planar.grid import FREE, FREE_TO, OCCUPIED_FROM, UNKNOWN
 from cairn.planar.map_file import read_map as read_grid
 from cairn.planar.map_file import write_map as write_grid
-from cairn.visual_map.file import side_files
 from cairn.visual_map.landmark_store import open_landmarks
 from cairn.visual_map.landmarks import LandmarkRecord
+from cairn.visual_map.sqlite_file import side_files
 
 DEFAULT_MAP = Path("visual_map.cairn")
 VisualMapFile = Annotated[

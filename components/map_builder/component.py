@@ -46,7 +46,6 @@ from cairn.schemas.map_msgs import OccupancyGridUpdate
 from cairn.schemas.nav_msgs import OccupancyGrid, Odometry
 from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.std_msgs import Header
-from cairn.visual_map.file import MapFileError
 from cairn.visual_map.landmark_store import open_landmarks
 from cairn.visual_map.landmarks import (
     ChangeKind,
@@ -57,6 +56,7 @@ from cairn.visual_map.landmarks import (
     LandmarkState,
     MapPosition,
 )
+from cairn.visual_map.sqlite_file import MapFileError
 
 # A full map follows its updates after this [s], for readers that start later, and the grid map is
 # saved after this [s]: what a power cut loses. Chosen by hand; half and double were not compared.

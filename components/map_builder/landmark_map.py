@@ -10,7 +10,6 @@ from cairn import SECOND
 from cairn.components.map_builder.landmark_rule import Rule, judge
 from cairn.components.map_builder.undo import LandmarkJournal
 from cairn.components.map_builder.working_copy import is_reusable
-from cairn.visual_map.file import MapFileError, copy_map, digest_of
 from cairn.visual_map.landmark_store import JudgedEvidence, LandmarkStore, open_landmarks
 from cairn.visual_map.landmarks import (
     ChangeKind,
@@ -23,6 +22,7 @@ from cairn.visual_map.landmarks import (
     new_landmark,
 )
 from cairn.visual_map.object_models import read_model_name
+from cairn.visual_map.sqlite_file import MapFileError, copy_map, digest_of
 
 # Changes of so many seconds can be undone: a lost robot is found within 21 s (docs/benchmarks.md,
 # navigation in simulated worlds).

@@ -1,4 +1,7 @@
-"""The behaviors: follow a path, and the recovery motions back off, look around, explore."""
+"""The motions that a command starts: follow a path, back off, look around, explore.
+
+AutoMove selects them (`automove/recovery_selection.py`).
+"""
 
 from __future__ import annotations
 

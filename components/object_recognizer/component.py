@@ -50,7 +50,7 @@ from cairn.schemas.std_msgs import Header
 from cairn.vision.features import Features, extract
 from cairn.vision.images import Gray, gray_of
 from cairn.vision.recognition import Detection
-from cairn.visual_map.file import MapFileError
+from cairn.visual_map.sqlite_file import MapFileError
 
 # A camera that is silent, or sends the same image, for this long is reported.
 _SILENCE_NS = 2 * SECOND

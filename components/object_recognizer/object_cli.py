@@ -33,7 +33,6 @@ from cairn.vision.teaching import (
     smallest_recognized_size,
     why_unrecognizable,
 )
-from cairn.visual_map.file import create, explained_errors
 from cairn.visual_map.object_models import (
     ObjectModels,
     add_views,
@@ -41,6 +40,7 @@ from cairn.visual_map.object_models import (
     read_models,
     remove_model,
 )
+from cairn.visual_map.sqlite_file import create, explained_errors
 
 DEFAULT_MAP = Path("visual_map.cairn")
 

@@ -14,7 +14,7 @@ from cairn.components.pbs.config import PbsConfig
 from cairn.components.pbs.messages import TURN_S
 from cairn.components.pbs.protocol import BAUD, FrameSplitter, PbsClient
 from cairn.driver.errors import DeviceError
-from cairn.driver.link import SerialLink
+from cairn.driver.serial_and_tcp import SerialLink
 
 _REFUSALS = 4  # of the link, in a row
 _POLL_S = 0.1

@@ -31,7 +31,7 @@ from cairn.components.roboclaw.protocol import (
     write_packet,
 )
 from cairn.driver.errors import DeviceError, LinkLost
-from cairn.driver.link import Link, SerialLink, TcpLink
+from cairn.driver.serial_and_tcp import Link, SerialLink, TcpLink
 
 _TCP = "tcp:"
 _BITS_PER_BYTE = 10  # start, eight of data, stop

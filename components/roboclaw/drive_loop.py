@@ -33,7 +33,7 @@ from cairn.components.roboclaw.kinematics import (
 from cairn.components.roboclaw.odometry import WheelStep
 from cairn.components.roboclaw.wheel_faults import WheelFaultDetector, WheelFaultLimits
 from cairn.driver.errors import DeviceError
-from cairn.driver.link import Link
+from cairn.driver.serial_and_tcp import Link
 
 _STANDSTILL_SPEED = 0.01  # [m/s]: a slower wheel stands
 _STANDSTILL_S = 1.0  # for coming to rest, in addition to the time that slowing down takes

@@ -13,7 +13,7 @@ import pytest
 
 from cairn.driver.emulator import Emulator
 from cairn.driver.emulator_lines import TcpEnd
-from cairn.driver.link import TcpLink
+from cairn.driver.serial_and_tcp import TcpLink
 from tests.patience import LIMIT_S
 
 pytestmark = pytest.mark.processes

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from cairn.components.automove.component import AutoMoveConfig
-from cairn.components.localizer.health import PoseHealth, ScannerMonitor, limit_unconfirmed
+from cairn.components.localizer.pose_health import PoseHealth, ScannerMonitor, limit_unconfirmed
 from cairn.components.localizer.recent_observations import PoseSupport
 from cairn.components.map_builder.config import MapBuilderConfig
 from cairn.components.motion_control.config import MotionControlConfig

@@ -12,7 +12,7 @@ from cairn.driver.device_names import SerialPort
 from cairn.driver.device_thread import DeviceFeed
 from cairn.driver.diagnostics import ERROR, OK, WARN, diagnostics
 from cairn.driver.errors import DeviceError
-from cairn.driver.link import SerialLink
+from cairn.driver.serial_and_tcp import SerialLink
 from cairn.schemas.diagnostic_msgs import DiagnosticArray
 from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.std_msgs import Header

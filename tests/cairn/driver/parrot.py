@@ -6,7 +6,7 @@ import math
 import time
 from dataclasses import dataclass, field
 
-from cairn.driver.link import Link
+from cairn.driver.serial_and_tcp import Link
 from tests.patience import LIMIT_S
 
 

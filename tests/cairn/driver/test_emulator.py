@@ -13,7 +13,7 @@ from cairn import CairnError
 from cairn.driver.emulator import Emulator, FrameFault
 from cairn.driver.emulator_lines import LineEnd, PtyEnd, SerialEnd, TcpEnd
 from cairn.driver.errors import LinkLost
-from cairn.driver.link import Link, SerialLink, TcpLink
+from cairn.driver.serial_and_tcp import Link, SerialLink, TcpLink
 from tests.cairn.driver.parrot import Parrot, read_count, read_until, request
 from tests.patience import LIMIT_S
 

@@ -13,7 +13,7 @@ import pytest
 
 from cairn import CairnError
 from cairn.driver.emulator_cli import LineOptions, fault_shares
-from cairn.driver.link import SerialLink, TcpLink
+from cairn.driver.serial_and_tcp import SerialLink, TcpLink
 from cairn.testing.launching import CAIRN
 from tests.cairn.driver.parrot import read_until
 from tests.commands import cairn

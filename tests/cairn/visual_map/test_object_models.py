@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cairn import CairnError
-from cairn.visual_map.file import MapFileError, connect, create, transaction
 from cairn.visual_map.object_models import add_views, read_models, read_revision, remove_model
+from cairn.visual_map.sqlite_file import MapFileError, connect, create, transaction
 from tests.cairn.visual_map.views import view
 
 pytestmark = pytest.mark.images
@@ -182,7 +182,7 @@ def test_models_are_added_while_the_map_builder_writes(map_file: Path) -> None:
 
 
 def test_writer_that_waits_too_long_fails(map_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("cairn.visual_map.file.LOCK_WAIT_S", 0.05)
+    monkeypatch.setattr("cairn.visual_map.sqlite_file.LOCK_WAIT_S", 0.05)
     with closing(connect(map_file)) as robot, transaction(map_file, robot):
         with pytest.raises(MapFileError, match="Another program is writing to it"):
             add_views(map_file, "cup", [view(1)])

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 from cairn.components.automove.inputs import NavigatorInputs
-from cairn.components.automove.recovery_behaviors import NavigatorLimits
+from cairn.components.automove.recovery_selection import NavigatorLimits
 from cairn.components.automove.state_machine import NavigatorStateMachine
 from cairn.schemas.cairn_nav_msgs import (
     LocalizationEstimate,

@@ -15,7 +15,7 @@ from cairn.components.hokuyo.sensor import connect
 from cairn.driver.emulator import Emulator
 from cairn.driver.emulator_lines import PtyEnd
 from cairn.driver.errors import DeviceError
-from cairn.driver.link import SerialLink
+from cairn.driver.serial_and_tcp import SerialLink
 from tests.cairn.driver.parrot import Parrot
 from tests.components.hokuyo.driving import Driven, Received, assert_were_sent, driven, ranges
 from tests.patience import LIMIT_S

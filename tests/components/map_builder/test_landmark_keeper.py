@@ -19,10 +19,10 @@ from hypothesis import strategies as st
 
 from cairn.components.map_builder.importing import write_map
 from cairn.components.map_builder.landmark_map import LandmarkKeeper
-from cairn.visual_map.file import MapFileError, check_row, copy_map, row_checksum
 from cairn.visual_map.landmark_store import open_landmarks
 from cairn.visual_map.landmarks import ChangeKind, LandmarkState, MapPosition
 from cairn.visual_map.object_models import add_views
+from cairn.visual_map.sqlite_file import MapFileError, check_row, copy_map, row_checksum
 from tests.cairn.visual_map.views import view
 from tests.components.map_builder.evidence import THERE, observation, surveyed
 
@@ -226,7 +226,7 @@ def test_invalid_file_is_rejected_by_name(
 
 
 def test_locked_map_is_reported(map_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("cairn.visual_map.file.LOCK_WAIT_S", 0.05)
+    monkeypatch.setattr("cairn.visual_map.sqlite_file.LOCK_WAIT_S", 0.05)
     other = sqlite3.connect(map_file, isolation_level=None)
     other.execute("BEGIN EXCLUSIVE")
 

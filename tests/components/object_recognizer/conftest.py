@@ -21,8 +21,8 @@ from cairn.testing.lockstep import ComponentHarness
 from cairn.vision import teaching
 from cairn.vision.features import Features, extract
 from cairn.vision.teaching import make_view
-from cairn.visual_map.file import create
 from cairn.visual_map.object_models import add_views
+from cairn.visual_map.sqlite_file import create
 from tests.components.object_recognizer.scenes import (
     SIZE,
     Thing,

@@ -10,8 +10,8 @@ import pytest
 
 from cairn.components.object_recognizer import object_cli
 from cairn.testing.launching import launching
-from cairn.visual_map.file import connect, create
 from cairn.visual_map.object_models import read_models
+from cairn.visual_map.sqlite_file import connect, create
 from tests.commands import Answer, cairn
 from tests.components.object_recognizer.scenes import picture_of
 

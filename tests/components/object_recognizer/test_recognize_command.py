@@ -10,8 +10,8 @@ import pytest
 
 from cairn.vision.camera_file import write_camera
 from cairn.vision.teaching import make_view
-from cairn.visual_map.file import create
 from cairn.visual_map.object_models import add_views
+from cairn.visual_map.sqlite_file import create
 from tests.commands import cairn
 from tests.components.object_recognizer.scenes import (
     BASELINE,

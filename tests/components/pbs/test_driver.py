@@ -28,7 +28,7 @@ from cairn.components.pbs.protocol import (
 )
 from cairn.driver.emulator import FRAME_FAULTS, Emulator
 from cairn.driver.emulator_lines import PtyEnd
-from cairn.driver.link import SerialLink
+from cairn.driver.serial_and_tcp import SerialLink
 from cairn.schemas.diagnostic_msgs import DiagnosticArray, DiagnosticStatus
 from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.tf2_msgs import TFMessage

@@ -1,4 +1,7 @@
-"""Recovery behaviors: which one AutoMove tries next when the robot cannot proceed, and where to."""
+"""Selects the recovery behavior that AutoMove tries next when the robot cannot proceed, and where to.
+
+Motion control carries it out (`motion_control/behaviors.py`).
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""The health of the pose: what decides how far it can be relied on, from 0 (lost) to 1."""
+"""The health of the pose: how far it can be relied on, from 0 (not located) to 1.
+
+`relocalization.py` decides whether the robot is lost.
+"""
 
 from __future__ import annotations
 

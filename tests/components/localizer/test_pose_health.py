@@ -5,8 +5,8 @@ import logging
 import numpy as np
 import pytest
 
-from cairn.components.localizer.health import ScannerMonitor, assess_health, limit_unconfirmed
 from cairn.components.localizer.particle_set import PoseEstimate
+from cairn.components.localizer.pose_health import ScannerMonitor, assess_health, limit_unconfirmed
 from cairn.components.localizer.recent_observations import PoseSupport
 from cairn.planar.scans import Rays
 from cairn.schemas.cairn_nav_msgs import NO_REASON, Reason, ReasonCode

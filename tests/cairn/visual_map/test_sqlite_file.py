@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from cairn.visual_map.file import (
+from cairn.visual_map.object_models import add_views, read_models, read_revision
+from cairn.visual_map.sqlite_file import (
     APPLICATION,
     FORMATS,
     MapFileError,
@@ -17,8 +18,7 @@ from cairn.visual_map.file import (
     create,
     digest_of,
 )
-from cairn.visual_map.file import _upgrade as upgrade
-from cairn.visual_map.object_models import add_views, read_models, read_revision
+from cairn.visual_map.sqlite_file import _upgrade as upgrade
 from tests.cairn.visual_map.views import view
 
 ROOM = Path(__file__).parents[3] / "deploy" / "maps" / "room.cairn"
@@ -83,11 +83,11 @@ def test_two_programs_can_upgrade_a_file_concurrently(
 ) -> None:
     def after_another(connection: sqlite3.Connection) -> None:
         with monkeypatch.context() as only_once:
-            only_once.setattr("cairn.visual_map.file._upgrade", upgrade)
+            only_once.setattr("cairn.visual_map.sqlite_file._upgrade", upgrade)
             add_views(first_format, "cup", [view(1)])
         upgrade(connection)
 
-    monkeypatch.setattr("cairn.visual_map.file._upgrade", after_another)
+    monkeypatch.setattr("cairn.visual_map.sqlite_file._upgrade", after_another)
     connect(first_format).close()
 
     assert [known.name for known in read_models(first_format).models] == ["cup"]
@@ -124,7 +124,7 @@ def test_object_models_do_not_change_the_digest(tmp_path: Path) -> None:
 
 def test_failed_creation_leaves_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with monkeypatch.context() as broken:
-        broken.setattr("cairn.visual_map.file.FORMATS", (("CREATE NONSENSE",),))
+        broken.setattr("cairn.visual_map.sqlite_file.FORMATS", (("CREATE NONSENSE",),))
         with pytest.raises(MapFileError):
             create(tmp_path / "a.cairn", "a test")
 

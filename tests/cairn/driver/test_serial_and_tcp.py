@@ -12,7 +12,7 @@ from serial.tools import list_ports
 
 from cairn.driver.emulator_lines import PtyEnd
 from cairn.driver.errors import LinkLost
-from cairn.driver.link import SerialLink, TcpLink, find_port
+from cairn.driver.serial_and_tcp import SerialLink, TcpLink, find_port
 from tests.patience import LIMIT_S
 
 
