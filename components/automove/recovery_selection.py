@@ -1,4 +1,4 @@
-"""Selects the recovery behavior that AutoMove tries next when the robot cannot proceed, and where to.
+"""Selects the recovery behavior to try next when the robot cannot proceed, and where it goes.
 
 Motion control carries it out (`motion_control/behaviors.py`).
 """

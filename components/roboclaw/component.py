@@ -19,7 +19,6 @@ from cairn import (
     on,
 )
 from cairn.components.roboclaw.client import ControllerHandshake, open_line
-from cairn.components.roboclaw.command_timeout import LatestCommand
 from cairn.components.roboclaw.config import RoboclawBaseConfig
 from cairn.components.roboclaw.drive_loop import DriveLoop
 from cairn.components.roboclaw.health import NOT_CONNECTED, ControllerHealth, RetryShare
@@ -31,6 +30,7 @@ from cairn.components.roboclaw.messages import (
     odometry_transform,
 )
 from cairn.components.roboclaw.odometry import SpeedAverage, WheelOdometry, WheelStep
+from cairn.driver.command_timeout import LatestCommand
 from cairn.driver.device_thread import DeviceThread
 from cairn.driver.diagnostics import RateWindow
 from cairn.driver.errors import DeviceError

@@ -1,6 +1,6 @@
 """The drive loop of a base: velocity commands to a RoboClaw, encoder counts from it.
 
-It stops the wheels when commands are stale (`command_timeout`), when it is stopped, and when the
+It stops the wheels when commands are stale, when it is stopped, and when the
 line fails; it switches the motors off when a wheel is at fault (`wheel_faults`).
 """
 
@@ -21,7 +21,6 @@ from cairn.components.roboclaw.client import (
     RoboclawClient,
     handshake,
 )
-from cairn.components.roboclaw.command_timeout import REST, LatestCommand
 from cairn.components.roboclaw.health import ControllerHealth, health_polls
 from cairn.components.roboclaw.kinematics import (
     BaseLimits,
@@ -32,6 +31,7 @@ from cairn.components.roboclaw.kinematics import (
 )
 from cairn.components.roboclaw.odometry import WheelStep
 from cairn.components.roboclaw.wheel_faults import WheelFaultDetector, WheelFaultLimits
+from cairn.driver.command_timeout import REST, LatestCommand
 from cairn.driver.errors import DeviceError
 from cairn.driver.serial_and_tcp import Link
 
@@ -217,7 +217,7 @@ class DriveLoop:
         When an emergency stop is released, the base must not start moving by itself: the command
         must be rest once.
         """
-        target = self._command.current(now)
+        target = self._command.fresh(now) or REST
         if self._health.status.errors:
             self._health.awaits_rest = True
             self._velocity = REST

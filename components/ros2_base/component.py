@@ -16,7 +16,7 @@ from cairn import (
     on,
     to_ns,
 )
-from cairn.components.ros2_base.command_timeout import REST, CommandRelay, stamped_twist, twist
+from cairn.components.ros2_base.command_relay import CommandRelay, stamped_twist, twist
 from cairn.components.ros2_base.config import Ros2BaseConfig
 from cairn.components.ros2_base.odometry import (
     OdometryContinuity,
@@ -25,6 +25,7 @@ from cairn.components.ros2_base.odometry import (
     odometry_transform,
     rejection,
 )
+from cairn.driver.command_timeout import REST
 from cairn.driver.diagnostics import ERROR, OK, WARN, RateWindow, diagnostics
 from cairn.planar.messages import planar_pose
 from cairn.schemas.diagnostic_msgs import DiagnosticArray

@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 
 from cairn.components.roboclaw.client import ControllerHandshake, UnusableControllerError, open_line
-from cairn.components.roboclaw.command_timeout import LatestCommand
 from cairn.components.roboclaw.config import RoboclawBaseConfig
 from cairn.components.roboclaw.drive_loop import DriveLoop
 from cairn.components.roboclaw.health import ControllerHealth
 from cairn.components.roboclaw.odometry import WheelStep
+from cairn.driver.command_timeout import LatestCommand
 from cairn.driver.device_thread import DeviceThread
 from cairn.driver.errors import DeviceError, LinkLost
 from tests.components.roboclaw.emulated_base import PARAMETERS, EmulatedBase, emulated_base

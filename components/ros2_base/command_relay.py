@@ -1,15 +1,11 @@
-"""Command timeout: stale velocity commands become rest, then nothing is sent to the base."""
+"""What is sent to the base: fresh velocity commands; rest once they are stale, then nothing."""
 
 from __future__ import annotations
 
 from cairn import from_ns
+from cairn.driver.command_timeout import REST, LatestCommand, Velocity
 from cairn.schemas.geometry_msgs import Twist, TwistStamped, Vector3
 from cairn.schemas.std_msgs import Header
-
-Velocity = tuple[float, float]
-"""Forward [m/s] and turn rate [rad/s]."""
-
-REST: Velocity = (0.0, 0.0)
 
 
 class CommandRelay:
@@ -26,10 +22,8 @@ class CommandRelay:
     def __init__(self, speed: float, turn: float, timeout_s: float, rest_s: float) -> None:
         """Set limits [m/s, rad/s]; `timeout_s`: the age at which a command is stale."""
         self._limits = (speed, turn)
-        self._timeout_s = timeout_s
         self._rest_s = rest_s
-        self._command = REST
-        self._received_s: float | None = None
+        self._command = LatestCommand(timeout_s)
         self._rest_since: float | None = None
         self._awaits_rest = False
 
@@ -40,30 +34,27 @@ class CommandRelay:
 
     def set(self, now: float, forward: float, turn: float) -> None:
         """Set the command, received at time `now` [s]."""
-        self._command = _limit((forward, turn), self._limits)
-        self._received_s = now
+        self._command.set(now, *_limit((forward, turn), self._limits))
 
     def base_restarted(self, now: float) -> None:
         """Let the base rest if it is commanded to move at time `now` [s]."""
-        self._awaits_rest = self._is_fresh(now) and self._command != REST
+        self._awaits_rest = (self._command.fresh(now) or REST) != REST
 
     def due(self, now: float, *, usable: bool) -> Velocity | None:
         """Return what to send at time `now` [s]; None: nothing.
 
         `usable`: whether the base may be driven; if not, it is commanded to rest.
         """
-        fresh = self._is_fresh(now)
-        if not fresh or self._command == REST:
+        command = self._command.fresh(now)
+        if command is None or command == REST:
             self._awaits_rest = False
-        if fresh and usable and not self._awaits_rest:
+        if command is not None and usable and not self._awaits_rest:
             self._rest_since = None
-            return self._command
+            return command
         if self._rest_since is None:
             self._rest_since = now
-        return REST if fresh or now - self._rest_since <= self._rest_s else None
-
-    def _is_fresh(self, now: float) -> bool:
-        return self._received_s is not None and 0.0 <= now - self._received_s <= self._timeout_s
+        is_due = command is not None or now - self._rest_since <= self._rest_s
+        return REST if is_due else None
 
 
 def twist(forward: float, turn: float) -> Twist:
