@@ -35,6 +35,10 @@ Serial = Annotated[
     str | None,
     typer.Option(metavar="PORT", help="Use this real serial port, cabled to another computer."),
 ]
+Record = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help="Write each scan as it is sent, one line of JSON each."),
+]
 Faults = Annotated[
     str,
     typer.Option(

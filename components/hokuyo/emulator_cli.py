@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -16,6 +15,7 @@ from cairn.driver.emulator_cli import (
     LineOptions,
     Paced,
     Pty,
+    Record,
     Seed,
     Serial,
     Tcp,
@@ -31,10 +31,7 @@ def hokuyo(
     pty: Pty = None,
     tcp: Tcp = None,
     serial: Serial = None,
-    record: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Write each scan as it is sent, one line of JSON each."),
-    ] = None,
+    record: Record = None,
     rs232: Annotated[
         int | None,
         typer.Option(metavar="BAUD", help="Use RS-232, at this speed after power-on [bit/s]."),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from cairn.components.hokuyo.protocol import check_sum, encode_number
@@ -118,45 +118,30 @@ def _fast(
 
 _ALL = (
     _URG,
-    ScipModel(
+    replace(
+        _URG,
         name="URG-04LX-UG01",
         label="URG-04LX-UG01(Simple-URG)",
         product="SOKUIKI Sensor URG-04LX-UG01(Simple-URG)",
         firmware="3.4.03(17/Dec./2012)",
-        protocol="SCIP 2.0",
-        least_mm=20,
-        most_mm=5600,
-        sight_mm=5600,
-        turn_steps=1024,
-        first=44,
-        front=384,
-        last=725,
-        most_step=768,
-        rpm=600,
-        line="usb",
         commands=_BASIC,
-        nothing=0,
-        near=6,
+        has_rs232=False,
+        speaks_scip1=False,
     ),
-    ScipModel(
+    replace(
+        _URG,
         name="UHG-08LX",
         label="UHG-08LX",
         product="SOKUIKI Sensor UHG-08LX",
         firmware="1.1.00(07/Jul./2008)",
-        protocol="SCIP 2.0",
-        least_mm=20,
         most_mm=12000,
         sight_mm=8000,
-        turn_steps=1024,
         first=0,
-        front=384,
         last=768,
-        most_step=768,
         rpm=900,
-        line="usb",
         commands=_BASIC | {"GE", "ME"},
-        nothing=0,
-        near=6,
+        has_rs232=False,
+        speaks_scip1=False,
     ),
     _fast("UTM-30LX", 60000, 30000, "first", _FAST),
     _fast("UTM-30LX-EW", 60000, 30000, "EW", _ETHERNET | {"GS", "MS", "HS"}),

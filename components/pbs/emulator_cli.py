@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -13,6 +12,7 @@ from cairn.driver.emulator_cli import (
     LineOptions,
     Paced,
     Pty,
+    Record,
     Seed,
     Serial,
     Tcp,
@@ -25,10 +25,7 @@ def pbs_03jn(
     pty: Pty = None,
     tcp: Tcp = None,
     serial: Serial = None,
-    record: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Write each scan as it is sent, one line of JSON each."),
-    ] = None,
+    record: Record = None,
     low_speed: Annotated[
         bool, typer.Option("--low-speed", help="Turn in 110 ms instead of 100 ms.")
     ] = False,
