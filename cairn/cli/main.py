@@ -8,7 +8,7 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from cairn.cli.lazy import LazyCommand, lazy_group
+from cairn.cli.command_groups import LazyCommand, lazy_group
 from cairn.errors import CairnError
 from cairn.process_exit import end_process
 
@@ -73,9 +73,9 @@ COMMANDS = (
                 "List the component classes that a deployment can name.", _DEVELOP),
     LazyCommand("schema", "cairn.cli.plugins:schema",
                 "Show the ROS 2 definitions of the message types.", _DEVELOP),
-    LazyCommand("driver", "cairn.cli.devices:driver",
+    LazyCommand("driver", "cairn.cli.command_groups:driver",
                 "Try a device without a deployment.", _DEVELOP),
-    LazyCommand("emulate", "cairn.cli.devices:emulate",
+    LazyCommand("emulate", "cairn.cli.command_groups:emulate",
                 "Emulate a device on a serial or TCP port.", _DEVELOP),
 )  # fmt: skip
 """All commands of this distribution. Their modules are imported when they are invoked."""

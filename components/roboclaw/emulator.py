@@ -1,7 +1,7 @@
 """An emulated RoboClaw: its packets, its time limits, two motors.
 
 It follows the manual (see `protocol.py`), and where the manual is silent, it does what is worse for
-a driver. Its commands are in `emulator_commands`, its motors in `emulator_motors`.
+a driver. Its commands and motors are in `emulator_controller`.
 """
 
 from __future__ import annotations
@@ -10,12 +10,13 @@ import math
 from collections import deque
 from dataclasses import dataclass
 
-from cairn.components.roboclaw.emulator_commands import (
+from cairn.components.roboclaw.emulator_controller import (
     READ_COMMANDS,
+    EmulatedController,
     EmulatedWrite,
+    Firmware,
     write_commands,
 )
-from cairn.components.roboclaw.emulator_motors import EmulatedController, Firmware
 from cairn.components.roboclaw.protocol import (
     ACKNOWLEDGED,
     ADDRESSES,

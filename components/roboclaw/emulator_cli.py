@@ -8,7 +8,7 @@ import typer
 
 from cairn import CairnError
 from cairn.components.roboclaw.emulator import EmulatedRoboclaw
-from cairn.components.roboclaw.emulator_motors import Firmware, MotorFault
+from cairn.components.roboclaw.emulator_controller import Firmware, MotorFault
 from cairn.components.roboclaw.protocol import ADDRESSES
 from cairn.driver.emulator_cli import (
     FaultCommand,

@@ -17,9 +17,13 @@ from cairn.components.v4l2_camera.controls import CameraControl, ControlRejected
 from cairn.components.v4l2_camera.decoding import Gray, InvalidImageError, ShortImageError
 from cairn.components.v4l2_camera.device import FilledBuffer, VideoDevice, VideoStream
 from cairn.components.v4l2_camera.format_negotiation import CaptureFormat, best_format
-from cairn.components.v4l2_camera.frame_counts import FrameCounts, SequenceCounter
+from cairn.components.v4l2_camera.frames import (
+    FrameCounts,
+    SequenceCounter,
+    is_plausible,
+    system_offset,
+)
 from cairn.components.v4l2_camera.pairing import StampedImage
-from cairn.components.v4l2_camera.stamping import is_plausible, system_offset
 from cairn.driver.diagnostics import RateWindow
 from cairn.driver.errors import DeviceError, LinkLost
 

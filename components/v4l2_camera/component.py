@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import logging
+import math
 from collections import deque
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 
@@ -16,12 +20,12 @@ from cairn import (
     CairnError,
     Component,
     Config,
+    Mount,
     Out,
     ParameterRejected,
     every,
     from_ns,
 )
-from cairn.components.v4l2_camera.calibration import optical_frame_transform, read_calibrations
 from cairn.components.v4l2_camera.camera import VideoCamera
 from cairn.components.v4l2_camera.config import LIVE, V4l2StereoCameraConfig
 from cairn.components.v4l2_camera.controls import ControlRejected
@@ -32,9 +36,12 @@ from cairn.components.v4l2_camera.pairing import StampedImage, StereoPairer
 from cairn.driver.device_thread import DeviceThread
 from cairn.driver.errors import DeviceError
 from cairn.schemas.diagnostic_msgs import DiagnosticArray
+from cairn.schemas.geometry_msgs import Quaternion, Transform, TransformStamped, Vector3
 from cairn.schemas.sensor_msgs import CameraInfo, Image
 from cairn.schemas.std_msgs import Header
 from cairn.schemas.tf2_msgs import TFMessage
+from cairn.vision.camera_file import read_camera
+from cairn.vision.stereo import StereoRig
 
 _FRAMES = ("left_camera_optical_frame", "right_camera_optical_frame")
 _SIDES = ("left", "right")
@@ -70,7 +77,7 @@ class V4l2StereoCamera(Component):
         try:
             count = 2 if config.is_stereo else 1
             files = (config.left_calibration, config.right_calibration)[:count]
-            self._infos, self._baseline = read_calibrations(files, _FRAMES[:count], self.log)
+            self._infos, self._baseline = _read_calibrations(files, _FRAMES[:count], self.log)
             self._format_check = FormatCheck(config, self._infos, self.log)
             self._cameras = tuple(
                 VideoCamera(
@@ -93,7 +100,7 @@ class V4l2StereoCamera(Component):
         self.tf_static.publish(
             TFMessage(
                 transforms=tuple(
-                    optical_frame_transform(header, frame, config.mount, config.z, offset)
+                    _optical_frame_transform(header, frame, config.mount, config.z, offset)
                     for frame, offset in zip(_FRAMES, offsets, strict=False)
                 )
             )
@@ -258,3 +265,46 @@ def _image_message(pixels: Gray, header: Header) -> Image:
 
 def _raise(error: Exception) -> None:
     raise error
+
+
+def _read_calibrations(
+    files: Sequence[Path | None], frames: Sequence[str], log: logging.Logger
+) -> tuple[list[CameraInfo | None], float | None]:
+    """Read the calibration of each camera, and the baseline [m] of two that are calibrated.
+
+    Without a file the calibration is None, and a warning is logged, as no range can be measured.
+    Raises `CairnError` for a file that cannot be used.
+    """
+    infos = [
+        None if file is None else read_camera(file, frame)
+        for file, frame in zip(files, frames, strict=True)
+    ]
+    known = [info for info in infos if info is not None]
+    for frame, info in zip(frames, infos, strict=True):
+        if info is None:
+            log.warning("%s has no calibration, so no ranges can be measured", frame)
+    if len(known) == 2:
+        return infos, StereoRig.of(*known).baseline
+    return infos, None
+
+
+def _optical_frame_transform(
+    header: Header, frame: str, mount: Mount, height: float, baseline: float
+) -> TransformStamped:
+    """Return the optical frame of a level camera, `baseline` [m] to the right of the left one.
+
+    Its x axis points right, y down and z forward (REP 103); `mount` is that of the left camera,
+    `height` is above the floor [m].
+    """
+    x, y, theta = mount.pose
+    sine, cosine = math.sin(theta), math.cos(theta)
+    half_sine, half_cosine = math.sin(0.5 * theta), math.cos(0.5 * theta)
+    more, less = 0.5 * (half_cosine + half_sine), 0.5 * (half_cosine - half_sine)
+    return TransformStamped(
+        header=header,
+        child_frame_id=frame,
+        transform=Transform(
+            translation=Vector3(x=x + baseline * sine, y=y - baseline * cosine, z=height),
+            rotation=Quaternion(x=-more, y=less, z=-less, w=more),
+        ),
+    )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from cairn.components.v4l2_camera.camera import VideoCamera
-from cairn.components.v4l2_camera.frame_counts import FrameCounts
+from cairn.components.v4l2_camera.frames import FrameCounts
 from cairn.components.v4l2_camera.pairing import StereoPairer
 from cairn.driver.diagnostics import ERROR, OK, WARN, diagnostics
 from cairn.schemas.diagnostic_msgs import DiagnosticArray

@@ -13,10 +13,10 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from cairn.cli.doctor import Finding
 from cairn.cli.doctor.computer import computer, software
 from cairn.cli.doctor.deployments import devices, files, loaded, running
 from cairn.cli.doctor.devices import cameras, serial_ports
-from cairn.cli.doctor.finding import Finding
 from cairn.cli.options import DEFAULT_CONNECT, Connect, Domain, Json, Overlay, Set
 from cairn.cli.output import line, print_json
 from cairn.deployment.model import Deployment

@@ -20,7 +20,7 @@ from pathlib import Path
 import platformdirs
 
 import cairn
-from cairn.cli.doctor.finding import Finding
+from cairn.cli.doctor import Finding
 from cairn.deployment.shipped import FOLDER
 
 _SOFTWARE, _TOPIC = "software", "computer"

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import psutil
 
+from cairn.cli.doctor import Finding
 from cairn.cli.doctor.devices import access, connected_to
-from cairn.cli.doctor.finding import Finding
 from cairn.client import connect
 from cairn.deployment.load import load_deployment
 from cairn.deployment.model import Deployment, Member

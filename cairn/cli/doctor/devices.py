@@ -15,7 +15,7 @@ import psutil
 from serial.tools import list_ports
 from serial.tools.list_ports_common import ListPortInfo
 
-from cairn.cli.doctor.finding import Finding
+from cairn.cli.doctor import Finding
 
 _SERIAL, _CAMERAS = "serial ports", "cameras"
 _PTY_MASTERS = {"/dev/ptmx", "/dev/pts/ptmx"}

@@ -15,9 +15,9 @@ from typing import Any
 
 import pytest
 
+from cairn.cli.doctor import Finding
 from cairn.cli.doctor.computer import computer
 from cairn.cli.doctor.devices import cameras
-from cairn.cli.doctor.finding import Finding
 from cairn.testing.launching import free_port
 from tests.cairn.cli.conftest import Command
 from tests.commands import Answer, cairn

@@ -6,7 +6,7 @@ import pytest
 from cairn.components.roboclaw import protocol
 from cairn.components.roboclaw.client import handshake
 from cairn.components.roboclaw.emulator import EmulatedRoboclaw
-from cairn.components.roboclaw.emulator_motors import Firmware
+from cairn.components.roboclaw.emulator_controller import Firmware
 from cairn.components.roboclaw.kinematics import BaseLimits, WheelGeometry
 from cairn.components.roboclaw.protocol import ACKNOWLEDGED, reply_packet
 from cairn.driver.emulator import FRAME_FAULTS, FrameFaults

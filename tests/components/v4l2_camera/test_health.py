@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from cairn.components.v4l2_camera.frame_counts import FrameCounts
+from cairn.components.v4l2_camera.frames import FrameCounts
 from cairn.components.v4l2_camera.health import judge
 from cairn.driver.diagnostics import ERROR, OK, WARN
 

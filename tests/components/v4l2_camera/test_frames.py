@@ -4,8 +4,7 @@ import time
 
 import pytest
 
-from cairn.components.v4l2_camera.frame_counts import SequenceCounter
-from cairn.components.v4l2_camera.stamping import is_plausible, system_offset
+from cairn.components.v4l2_camera.frames import SequenceCounter, is_plausible, system_offset
 
 LAST = 2**32 - 1
 SECOND = 1_000_000_000
