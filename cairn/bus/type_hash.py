@@ -1,6 +1,5 @@
 """ROS 2 type hashes (REP 2016) and `.msg` definitions of message classes, computed by rosbags."""
 
-from functools import cache
 from typing import TYPE_CHECKING, Any, cast
 
 from rosbags.interfaces import Nodetype
@@ -13,13 +12,18 @@ if TYPE_CHECKING:
     from rosbags.interfaces.typing import Constdefs
 
 
-@cache
+_hashes: dict[type[Any], str] = {}
+
+
 def type_hash(message: type[Any]) -> str:
     """Return the ROS 2 type hash of a message class: "RIHS01_" and 64 hex digits.
 
     It is part of every data key, so that only nodes with the same definition communicate.
     """
-    return _typestore(message).hash_rihs01(type_name(message))
+    known = _hashes.get(message)
+    if known is None:
+        known = _hashes[message] = _typestore(message).hash_rihs01(type_name(message))
+    return known
 
 
 def definition(message: type[Any]) -> str:
