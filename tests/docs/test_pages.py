@@ -101,7 +101,7 @@ def test_every_field_of_the_report_is_described(root: Path) -> None:
     record = RunRecord()
     record.object(1)
     summary = record.summary(1.0)
-    page = (root / "docs" / "concepts" / "localization.md").read_text(encoding="utf-8")
+    page = (root / "docs" / "how-to" / "replay.md").read_text(encoding="utf-8")
     described = set(re.findall(r"`(?:objects\[\]\.|\.)?(\w+)`", page))
 
     assert summary.keys() - {"objects"} <= described
