@@ -1,7 +1,7 @@
-"""The contract of a base: `cmd_vel` in, geometry_msgs/Twist; `odom`, nav_msgs/Odometry, and `tf`.
+"""The contract of a base: input `cmd_vel` (geometry_msgs/Twist), outputs `odom` and `tf`.
 
-The tests drive the robot: a short distance ahead, a turn to the left on the spot. A real robot
-needs half a meter of space, or wheels off the ground.
+The tests drive the robot a short distance ahead and turn it to the left on the spot. Give a real
+robot half a meter of free space, or lift its wheels off the ground.
 """
 
 from __future__ import annotations
@@ -32,35 +32,35 @@ from cairn.testing.robot import Arrival, Bench, Reading, RunningDeployment
 from cairn.testing.timing import undisturbed
 
 _WHEELS_NOT_OBSERVED = (
-    "the wheels cannot be observed: no fixture `device` with turns and await_stand"
+    "the wheels cannot be observed: the fixture `device` has no methods turns and await_stand"
 )
 
 
 class DriveContract(OdometryContract):
-    """How commands are executed, as odometry shows it."""
+    """Tests that the base executes velocity commands, by its odometry."""
 
     speed: ClassVar[float] = 0.2
-    """How fast the tests drive ahead [m/s]."""
+    """Speed at which the tests drive ahead [m/s]."""
 
     turn: ClassVar[float] = 0.5
-    """How fast they turn [rad/s]."""
+    """Speed at which the tests turn [rad/s]."""
 
     drive_s: ClassVar[float] = 1.2
-    """How long a command is repeated; the second half of this time is judged [s]."""
+    """Duration of each motion [s]; the tests compare speeds in its second half."""
 
     still: ClassVar[float] = 0.02
-    """Speeds up to this one count as standing [m/s, rad/s]."""
+    """Speed up to which the base counts as standing [m/s, rad/s]."""
 
     stop_limit_s: ClassVar[float] = 1.5
-    """Time limit until the wheels stand after the last command [s], braking included."""
+    """Time limit after the last command until the wheels stand, including braking [s]."""
 
     top_speed: ClassVar[float | None] = None
-    """The highest speed that the driver allows [m/s], whatever is commanded; None: not tested."""
+    """Maximum speed that the driver allows, whatever the command [m/s]; None: not tested."""
 
     @pytest.fixture(scope="class")
     @classmethod
     def drive(cls, bench: Bench) -> Drive:
-        """A drive that the tests of the class share."""
+        """Drive ahead, turn left and stop; the tests of the class share this drive."""
         robot = bench.robot(cls.component)
         return undisturbed(lambda: cls._driven(robot))
 
@@ -95,7 +95,7 @@ class DriveContract(OdometryContract):
 
     @pytest.fixture
     def driving(self, robot: RunningDeployment, output: Reading[Odometry]) -> Reading[Odometry]:
-        """Odometry of the base, which was driven to its speed and gets no more commands."""
+        """Drive the base at `speed`, then stop sending commands; return its odometry."""
         with robot.publishing(self.topic(robot, "cmd_vel"), self.ahead()):
             output.await_that(
                 lambda arrivals: any(
@@ -107,31 +107,33 @@ class DriveContract(OdometryContract):
 
     @classmethod
     def ahead(cls) -> Twist:
-        """Return the command to drive ahead."""
+        """Return the command for driving ahead at `speed`."""
         return Twist(linear=Vector3(x=cls.speed))
 
     @classmethod
     def leftwards(cls) -> Twist:
-        """Return the command to turn left on the spot."""
+        """Return the command for turning left on the spot at `turn`."""
         return Twist(angular=Vector3(z=cls.turn))
 
-    def test_it_stands_still_without_commands(self, drive: Drive) -> None:
-        """Commands from before its activation have no effect."""
+    def test_base_stands_still_without_commands(self, drive: Drive) -> None:
+        """The base stands until it receives a command; earlier commands have no effect."""
         total = odometry.traveled([arrival.message for arrival in drive.before])
-        assert abs(total.ahead_m) <= self.still, f"it moves {total.ahead_m:.3f} m without a command"
+        assert abs(total.ahead_m) <= self.still, (
+            f"the base moves {total.ahead_m:.3f} m without a command"
+        )
         assert abs(total.left_rad) <= self.still, (
-            f"it turns {total.left_rad:.3f} rad without a command"
+            f"the base turns {total.left_rad:.3f} rad without a command"
         )
 
-    def test_ahead_is_ahead(self, drive: Drive) -> None:
-        """Speeds are in meters per second; forward (x in REP 103) is positive."""
+    def test_forward_command_drives_forward(self, drive: Drive) -> None:
+        """A positive linear.x drives forward (REP 103), in meters per second."""
         speed = _mean([odom.twist.twist.linear.x for odom in _second_half(drive.ahead)])
         total = odometry.traveled([arrival.message for arrival in drive.ahead])
         self._check_speed(speed, self.speed, "m/s ahead")
-        assert total.ahead_m > 0.0, f"commanded ahead, it went {total.ahead_m:.3f} m by its poses"
+        assert total.ahead_m > 0.0, f"commanded ahead, it moved {total.ahead_m:.3f} m by its poses"
 
-    def test_left_is_left(self, drive: Drive) -> None:
-        """Speeds are in radians per second; counterclockwise from above is positive (REP 103)."""
+    def test_left_command_turns_left(self, drive: Drive) -> None:
+        """A positive angular.z turns counterclockwise (REP 103), in radians per second."""
         turn = _mean([odom.twist.twist.angular.z for odom in _second_half(drive.left)])
         total = odometry.traveled([arrival.message for arrival in drive.left])
         self._check_speed(turn, self.turn, "rad/s to the left")
@@ -144,33 +146,35 @@ class DriveContract(OdometryContract):
 
 
 class SafetyContract(DriveContract):
-    """The wheels stop if the commander or the driver fails in any way."""
+    """Tests that the wheels stop when the sender of commands or the driver fails."""
 
-    def test_it_stops_when_commands_stop(self, drive: Drive) -> None:
-        """The commander may have terminated, hang or be unplugged."""
+    def test_base_stops_when_commands_stop(self, drive: Drive) -> None:
+        """The base stops when commands cease: their sender may hang, be killed or be unplugged."""
         ceased = timed.stamps_of(drive.left)[-1] + round(self.stop_limit_s * SECOND)
         stamps = timed.stamps_of(drive.after)
         late = [one for one, stamp in zip(drive.after, stamps, strict=True) if stamp > ceased]
         assert late, f"odometry ends less than {self.stop_limit_s:g} s after the last command"
         moving = [one for one in late if not self._is_still(one)]
         assert not moving, (
-            f"{self.stop_limit_s:g} s after the last command it still moves: "
+            f"{self.stop_limit_s:g} s after the last command the base still moves: "
             f"{moving[-1].message.twist.twist}"
         )
 
-    def test_its_wheels_stand_when_odometry_says_so(
+    def test_wheels_stand_when_odometry_reports_rest(
         self, driving: Reading[Odometry], device: object
     ) -> None:
-        """Odometry is that of the wheels, not of the commands."""
+        """Odometry measures the wheels; it does not repeat the commands."""
         if not isinstance(device, Wheeled):
             pytest.skip(_WHEELS_NOT_OBSERVED)
         self._await_stand(driving, driving.count)
-        assert device.await_stand(self.stop_limit_s), "odometry shows no speed, but wheels turn"
+        assert device.await_stand(self.stop_limit_s), (
+            "odometry reports no speed, but the wheels turn"
+        )
 
-    def test_deactivated_it_stops(
+    def test_deactivated_base_stops(
         self, robot: RunningDeployment, driving: Reading[Odometry], device: object
     ) -> None:
-        """It stands also after it is activated again, until the next command."""
+        """A deactivated base stops. After reactivation it stands until the next command."""
         robot.request(self.component, "deactivate")
         stood = not isinstance(device, Wheeled) or device.await_stand(self.stop_limit_s)
         before = driving.count
@@ -178,10 +182,10 @@ class SafetyContract(DriveContract):
         assert stood, f"wheels turn {self.stop_limit_s:g} s after {self.component} was deactivated"
         self._await_stand(driving, before)
 
-    def test_its_wheels_stop_when_the_driver_hangs(
+    def test_wheels_stop_when_the_driver_hangs(
         self, robot: RunningDeployment, driving: Reading[Odometry], device: object
     ) -> None:
-        """The driver's process is suspended (SIGSTOP): the device itself has to stop."""
+        """The device stops the wheels when the driver's process is suspended (SIGSTOP)."""
         if not isinstance(device, Wheeled):
             pytest.skip(_WHEELS_NOT_OBSERVED)
         with robot.suspended(self.component):
@@ -189,10 +193,10 @@ class SafetyContract(DriveContract):
         assert stood, f"wheels turn {self.stop_limit_s:g} s after {self.component} hung"
         self.await_working(driving, driving.count)
 
-    def test_its_wheels_stop_when_the_driver_is_killed(
+    def test_wheels_stop_when_the_driver_is_killed(
         self, robot: RunningDeployment, driving: Reading[Odometry], device: object
     ) -> None:
-        """The driver's process is gone, or replaced: no command reaches the device."""
+        """The device stops the wheels when the driver's process is killed."""
         if not isinstance(device, Wheeled):
             pytest.skip(_WHEELS_NOT_OBSERVED)
         robot.kill(self.component)
@@ -200,15 +204,15 @@ class SafetyContract(DriveContract):
         assert stood, f"wheels turn {self.stop_limit_s:g} s after {self.component} was killed"
         self.await_working(driving, driving.count)
 
-    def test_nan_commands_are_refused(
+    def test_nan_commands_are_rejected(
         self, robot: RunningDeployment, output: Reading[Odometry]
     ) -> None:
-        """A command of NaN does not move it, and does not terminate the driver."""
+        """A NaN command is counted as invalid; it neither moves the base nor ends the driver."""
         pid = robot.status(self.component).pid
         try:
             self._await_stand(output, 0)
         except AssertionError:
-            pytest.skip("it does not stand without commands, so a movement would prove nothing")
+            pytest.skip("the base does not stand without commands, so the test proves nothing")
         topic = self.topic(robot, "cmd_vel")
         plain = robot.encoded(Twist(linear=Vector3(x=1.5)))
         nan = plain.replace(struct.pack("<d", 1.5), struct.pack("<d", math.nan))
@@ -220,18 +224,18 @@ class SafetyContract(DriveContract):
             "counting invalid commands",
         )
         later = self.sample(output, 5, after=output.count)
-        assert all(map(self._is_still, later)), "a command of NaN has moved it"
-        assert robot.status(self.component).pid == pid, "a command of NaN has terminated the driver"
+        assert all(map(self._is_still, later)), "a NaN command has moved the base"
+        assert robot.status(self.component).pid == pid, "a NaN command has terminated the driver"
 
     def test_speed_is_limited(self, robot: RunningDeployment, output: Reading[Odometry]) -> None:
-        """A commander's mistake of units does not make the robot too fast."""
+        """A command of 1000 m/s, such as a mistake of units, does not exceed `top_speed`."""
         if self.top_speed is None:
             pytest.skip("top_speed is not set")
         with robot.publishing(self.topic(robot, "cmd_vel"), Twist(linear=Vector3(x=1000.0))):
             odoms = self.sample(output, math.ceil(self.drive_s * self.rate_hz), after=output.count)
         fastest = odometry.traveled([arrival.message for arrival in odoms]).longest_speed
         assert fastest <= self.top_speed * (1.0 + self.accuracy), (
-            f"commanded 1000 m/s it went {fastest:.3f} m/s; its limit is {self.top_speed:g} m/s"
+            f"commanded 1000 m/s it drove {fastest:.3f} m/s; its limit is {self.top_speed:g} m/s"
         )
 
     def _await_stand(self, output: Reading[Odometry], after: int) -> None:
@@ -242,7 +246,7 @@ class SafetyContract(DriveContract):
             limit_s=self.return_limit_s + self.stop_limit_s,
         )
         rest = self.sample(output, 3, after=output.count)
-        assert all(map(self._is_still, rest)), "it stood, and moves again without a command"
+        assert all(map(self._is_still, rest)), "the base stood, but moves again without a command"
 
     def _is_still(self, odom: Arrival[Odometry]) -> bool:
         return odometry.is_still(odom.message, self.still, self.still)
@@ -251,7 +255,7 @@ class SafetyContract(DriveContract):
 class BaseContract(
     EndContract, StopContract, UnplugContract, LifeCycleContract, SafetyContract, ParametersContract
 ):
-    """All rules for a driver of a base; derive a class and set the attributes of your base."""
+    """All tests of a base driver. Derive a class and set the attributes of your base."""
 
 
 def _second_half(arrivals: Odoms) -> list[Odometry]:

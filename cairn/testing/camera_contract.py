@@ -1,7 +1,7 @@
-"""The contract of a camera: `left_image`, `right_image`, `left_info`, `right_info`.
+"""The contract of a camera with the ports `left_image`, `right_image`, `left_info`, `right_info`.
 
-A single camera has the left ports alone. docs/how-to/vision.md describes the ports. Checks raise
-`AssertionError` with a sentence that names the fault. Lengths are in meters and pixels.
+A single camera has only the left ports. docs/how-to/vision.md describes the ports. A failed check
+raises `AssertionError`, which describes the fault. Units are meters and pixels.
 """
 
 from __future__ import annotations
@@ -55,61 +55,61 @@ _CHECKSUM_BYTES = 4
 
 @dataclass(frozen=True)
 class Pictures:
-    """A sample, by side: all images without pixels, the first complete one, and camera infos."""
+    """A sample of messages by side: images without pixels, one complete image, camera infos."""
 
     outlines: Mapping[str, list[Arrival[Image]]]
     whole: Mapping[str, Image]
     infos: Mapping[str, list[Arrival[CameraInfo]]]
     order: Sequence[tuple[str, int]]
-    """Ports and stamps [ns] of all messages, in their order of arrival."""
+    """Port and stamp [ns] of each message, in order of arrival."""
 
 
 class PicturesContract(Contract):
-    """Contents and stamps of images and camera infos."""
+    """Tests the contents and stamps of images and camera infos."""
 
     component: ClassVar[str] = "camera"
     port: ClassVar[str] = "left_info"
     message: ClassVar[type[Any]] = CameraInfo
 
     stereo: ClassVar[bool] = True
-    """False for a single camera, which has the left ports alone."""
+    """False for a single camera, which has only the left ports."""
 
     calibrated: ClassVar[bool] = True
-    """False if the deployment gives the driver no calibration."""
+    """False if the driver has no calibration in the deployment."""
 
     moving: ClassVar[bool] = True
-    """False if images may be identical, as those of a test picture."""
+    """False if successive images may be identical, such as those of a test picture."""
 
     rate_tolerance: ClassVar[float] = 0.1
-    """How far the rate may be off the nominal one, as a share."""
+    """Allowed relative deviation of the rate from the nominal rate."""
 
     jitter: ClassVar[float] = 0.3
-    """How far a spacing of stamps may be off the median, as a share."""
+    """Allowed relative deviation of an interval between stamps from the median interval."""
 
     oldest_s: ClassVar[float] = 0.5
-    """How old an image may be at arrival [s]."""
+    """Maximum age of an image on arrival [s]."""
 
     early_s: ClassVar[float] = 0.005
-    """By how much a stamp may be in the future [s]."""
+    """How far in the future a stamp may be [s]."""
 
     frames: ClassVar[Mapping[str, str]] = {
         "left": "left_camera_optical_frame",
         "right": "right_camera_optical_frame",
     }
-    """The frames of the cameras: x right, y down, z ahead (REP 103)."""
+    """Optical frames of the cameras: x right, y down, z forward (REP 103)."""
 
     sample_count: ClassVar[int] = 12
-    """Number of messages that a check collects from each camera."""
+    """Number of messages per port in a sample."""
 
     @classmethod
     def sides(cls) -> tuple[str, ...]:
-        """Return the present cameras."""
+        """Return the sides that have a camera."""
         return ("left", "right") if cls.stereo else ("left",)
 
     @pytest.fixture(scope="class")
     @classmethod
     def pictures(cls, bench: Bench) -> Pictures:
-        """Consecutive pairs, shared by the tests of the class."""
+        """Return a sample of consecutive pairs, which the tests of the class share."""
         robot = bench.robot(cls.component)
         return undisturbed(lambda: cls._taken(robot))
 
@@ -145,24 +145,24 @@ class PicturesContract(Contract):
         )
 
     def test_rate(self, pictures: Pictures) -> None:
-        """The rate is the nominal one: lost frames lower it."""
+        """Images arrive at the nominal rate. A lower rate means lost frames."""
         stamps = timed.stamps_of(pictures.outlines["left"])
         timed.check_rate(stamps, self.rate_hz, self.rate_tolerance)
 
     def test_stamps_increase_regularly(self, pictures: Pictures) -> None:
-        """Each is of its own exposure, also if the image is sent late."""
+        """Each stamp is the time of that exposure, even if the image is sent late."""
         for arrivals in pictures.outlines.values():
             stamps = timed.stamps_of(arrivals)
             timed.check_increasing(stamps)
             timed.check_regular(stamps, self.jitter)
 
     def test_stamps_are_current(self, pictures: Pictures) -> None:
-        """Neither in the future nor too old, by the deployment's clock."""
+        """On arrival, stamps are neither too old nor in the future by the deployment's clock."""
         for arrivals in pictures.outlines.values():
             timed.check_present(arrivals, -self.early_s, self.oldest_s, self.early_s)
 
     def test_messages_of_a_pair_have_the_same_stamp(self, pictures: Pictures) -> None:
-        """It identifies both images and both camera infos of a pair."""
+        """Subscribers match the images and camera infos of a pair by their stamp."""
         streams: dict[str, list[Any]] = {}
         for side in self.sides():
             streams[f"{side}_image"] = [one.message for one in pictures.outlines[side]]
@@ -170,7 +170,7 @@ class PicturesContract(Contract):
         check_together(streams)
 
     def test_infos_precede_their_images(self, pictures: Pictures) -> None:
-        """So that a reader of an image can rectify it at once."""
+        """A camera info arrives before its image, so that a subscriber can rectify the image."""
         for side in self.sides():
             stamps = [stamp for port, stamp in pictures.order if port == f"{side}_image"]
             # Without those whose info arrived before the sample began.
@@ -187,26 +187,26 @@ class PicturesContract(Contract):
             )
 
     def test_frames(self, pictures: Pictures) -> None:
-        """Images and camera infos have the frames that transforms use."""
+        """Images and camera infos have the frames that tf uses."""
         for side in self.sides():
             frame = self.frames[side]
             check_frame((one.message.header.frame_id for one in pictures.outlines[side]), frame)
             check_frame((one.message.header.frame_id for one in pictures.infos[side]), frame)
 
     def test_images_are_complete(self, pictures: Pictures) -> None:
-        """Encoding, size and length of rows agree."""
+        """The encoding is known, and a row is long enough for its pixels."""
         for side in self.sides():
             check_image(pictures.whole[side])
 
     def test_sizes_are_those_of_the_calibration(self, pictures: Pictures) -> None:
-        """On each side, and both sides have the same size."""
+        """Each image has the size of its camera info, and both sides have the same size."""
         for side in self.sides():
             check_size(pictures.whole[side], pictures.infos[side][0].message, side)
         sizes = {(image.width, image.height) for image in pictures.whole.values()}
         assert len(sizes) == 1, f"left and right images have different sizes: {sorted(sizes)}"
 
     def test_calibration_fits_the_image_size(self, pictures: Pictures) -> None:
-        """Lengths in pixels, the center within the image."""
+        """Focal lengths are positive, and the principal point is within the image [px]."""
         infos = {side: some[0].message for side, some in pictures.infos.items()}
         found = all(map(is_calibrated, infos.values()))
         if not self.calibrated:
@@ -216,14 +216,14 @@ class PicturesContract(Contract):
             check_calibration(info, side)
 
     def test_the_baseline_is_positive(self, pictures: Pictures) -> None:
-        """In meters; with swapped cameras everything would be behind them."""
+        """The right camera is to the right of the left one, by a plausible distance in meters."""
         if not (self.stereo and self.calibrated):
             pytest.skip("a single or uncalibrated camera has no baseline")
         left, right = (pictures.infos[side][0].message for side in self.sides())
         check_baseline(left, right)
 
     def test_images_are_not_frozen(self, pictures: Pictures) -> None:
-        """A camera that hangs may send its last image forever."""
+        """Images differ. A camera that hangs repeats its last image."""
         if not self.moving:
             pytest.skip("images of this camera may be identical")
         for side, arrivals in pictures.outlines.items():
@@ -238,13 +238,13 @@ class StereoCameraContract(
     ParametersContract,
     PicturesContract,
 ):
-    """All rules for a driver of a camera; derive a class and set the attributes of your camera."""
+    """All tests of a camera driver. Derive a class and set the attributes of your camera."""
 
 
 def outline(image: Image) -> Image:
-    """Return the image with a check sum instead of its pixels, so that many can be kept.
+    """Return the image with a checksum instead of its pixels, to save memory.
 
-    It is one row of the length of the check sum; the other fields are unchanged.
+    `data` is one row that holds the checksum; width, encoding and header are unchanged.
     """
     return replace(
         image,
@@ -255,7 +255,7 @@ def outline(image: Image) -> Image:
 
 
 def check_image(image: Image) -> None:
-    """Check that the encoding is known, and a row holds its pixels."""
+    """Check that the encoding is known and that `step` is long enough for a row."""
     assert image.width > 0, f"an image is {image.width} x {image.height} pixels"
     assert image.height > 0, f"an image is {image.width} x {image.height} pixels"
     bytes_ = BYTES_PER_PIXEL.get(image.encoding)
@@ -269,7 +269,7 @@ def check_image(image: Image) -> None:
 
 
 def check_size(image: Image, info: CameraInfo, side: str) -> None:
-    """Check that the image has the size of its calibration."""
+    """Check that the image has the size of its camera info."""
     found, expected = (image.width, image.height), (info.width, info.height)
     hint = ": width and height are swapped" if found == expected[::-1] else ""
     assert found == expected, (
@@ -279,36 +279,36 @@ def check_size(image: Image, info: CameraInfo, side: str) -> None:
 
 
 def check_calibration(info: CameraInfo, side: str) -> None:
-    """Check that focal lengths and center are those of a camera of this size [px]."""
+    """Check that focal lengths are positive and the principal point is in the image [px]."""
     fx, fy, cx, cy = info.k[0], info.k[4], info.k[2], info.k[5]
-    assert min(fx, fy) > 0.0, f"the {side} camera has the focal lengths {fx:g}, {fy:g} px"
+    assert min(fx, fy) > 0.0, f"the {side} camera has focal lengths of {fx:g} and {fy:g} px"
     assert 0.0 < cx < info.width, (
-        f"the {side} camera's center is at {cx:g}, {cy:g} px, outside of the image"
+        f"the {side} camera's principal point is at {cx:g}, {cy:g} px, outside of the image"
     )
     assert 0.0 < cy < info.height, (
-        f"the {side} camera's center is at {cx:g}, {cy:g} px, outside of the image"
+        f"the {side} camera's principal point is at {cx:g}, {cy:g} px, outside of the image"
     )
 
 
 def check_baseline(left: CameraInfo, right: CameraInfo) -> None:
-    """Check that the right camera is on the right: its p has -fx * baseline, the left one's 0."""
+    """Check that the right camera is on the right, by `p`: Tx = -fx * baseline there, 0 left."""
     assert left.p[3] == 0.0, (
         f"p of the left camera has Tx = {left.p[3]:g}, not 0: are the sides swapped?"
     )
     baseline = -right.p[3] / right.p[0] if right.p[0] else math.nan
     assert 0.0 < baseline < _LONGEST_BASELINE_M, (
-        f"by p of the right camera it is {baseline:g} m to the right of the left one (at most "
-        f"{_LONGEST_BASELINE_M:g} m): Tx is -fx * baseline in meters"
+        f"by p the right camera is {baseline:g} m to the right of the left one (expected: 0 to "
+        f"{_LONGEST_BASELINE_M:g} m); Tx is -fx * baseline, with the baseline in meters"
     )
 
 
 def is_calibrated(info: CameraInfo) -> bool:
-    """Return whether the camera is calibrated; `k` is 0 if not."""
+    """Return whether the camera info has a calibration; without one, `k` is 0."""
     return bool(info.k[0])
 
 
 def check_together(streams: Mapping[str, Sequence[Image | CameraInfo]]) -> None:
-    """Check that each stamp of one stream is in all others, except at the edges of the sample."""
+    """Check that every stamp occurs in all streams, except at the edges of the sample."""
     stamps = {name: [to_ns(one.header.stamp) for one in some] for name, some in streams.items()}
     first = max(min(some) for some in stamps.values())
     last = min(max(some) for some in stamps.values())
@@ -318,11 +318,11 @@ def check_together(streams: Mapping[str, Sequence[Image | CameraInfo]]) -> None:
             alone = within - set(others)
             assert not alone, (
                 f"{len(alone)} of {len(within)} messages on {name} have a stamp that no message on "
-                f"{other} has, such as {min(alone)} ns: the messages of a pair have the same stamp"
+                f"{other} has, such as {min(alone)} ns; messages of a pair must have the same stamp"
             )
 
 
 def check_not_frozen(images: Sequence[Image], side: str) -> None:
-    """Check that images differ: no camera takes identical ones."""
+    """Check that images differ: a working camera takes no two identical images."""
     sums = {image.data.tobytes() for image in images}
     assert len(sums) > 1, f"all {len(images)} {side} images are identical"

@@ -1,7 +1,7 @@
-"""The actions of a test on the device under a driver: emulated, or real with a switch.
+"""What a test can do with the device under a driver, which is emulated or real.
 
-A fixture `device` returns an object with the abilities that the device has. Tests that need others
-are skipped, with the reason.
+The fixture `device` returns an object that implements any of these protocols. Tests that need
+another protocol are skipped, with the reason.
 """
 
 from collections.abc import Mapping
@@ -10,7 +10,7 @@ from typing import Any, Protocol, runtime_checkable
 
 @runtime_checkable
 class Located(Protocol):
-    """A device with another address in every run, such as an emulator's port."""
+    """A device whose address differs from run to run, such as an emulator's port."""
 
     @property
     def settings(self) -> Mapping[str, Any]:
@@ -20,11 +20,11 @@ class Located(Protocol):
 
 @runtime_checkable
 class Routed(Protocol):
-    """A device that is a ROS 2 node, reached over a router that runs already."""
+    """A device behind a ROS 2 node, which is reached over a running router."""
 
     @property
     def router(self) -> str:
-        """Endpoint of that router, which the deployment joins: `tcp/127.0.0.1:7447`."""
+        """Endpoint of the router that the deployment joins, such as `tcp/127.0.0.1:7447`."""
         ...
 
 
@@ -33,11 +33,11 @@ class Unpluggable(Protocol):
     """A device that can be unplugged."""
 
     def unplug(self) -> None:
-        """Unplug the device, as if its cable were pulled."""
+        """Disconnect the device, as if its cable were pulled."""
         ...
 
     def plug_in(self) -> None:
-        """Plug it in again; does nothing if it is plugged in."""
+        """Connect the device again; no effect if it is connected."""
         ...
 
 
@@ -46,7 +46,7 @@ class Wheeled(Protocol):
     """A base whose wheels can be observed without its driver."""
 
     def turns(self) -> bool:
-        """Return whether a wheel turns now."""
+        """Return whether a wheel is turning."""
         ...
 
     def await_stand(self, limit_s: float) -> bool:

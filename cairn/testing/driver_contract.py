@@ -1,4 +1,4 @@
-"""The contract of every driver: life cycle, parameters, unplugging, stopping; its settings."""
+"""The contract of every driver: life cycle, parameters, unplugging and stopping."""
 
 from __future__ import annotations
 
@@ -18,23 +18,23 @@ from cairn.schemas.diagnostic_msgs import DiagnosticArray, DiagnosticStatus
 from cairn.testing.device import Unpluggable
 from cairn.testing.robot import Arrival, Bench, Reading, RunningDeployment
 
-_WARM_UP = 2  # cycles, after which everything that is allocated only once has been allocated
-_MORE = 2  # threads, files or children that may come and go by chance
+_WARM_UP = 2  # cycles; after them, everything that is allocated only once has been allocated
+_MORE = 2  # threads or files that may appear by chance
 _OF_THE_BUS = re.compile(r"(acc|app|net|rx|tx)-\d+")
-"""Names of Zenoh's threads, which start and end with its work."""
+"""Names of Zenoh's threads, which it starts and ends as needed."""
 
 
 class Contract:
-    """The settings of a contract: a user's class overrides those that do not fit its driver."""
+    """The settings of every contract. A derived class sets those of its driver."""
 
     deployment: ClassVar[str | Path]
-    """A file, or a text with `components` (and `settings`), that holds the driver under test."""
+    """Deployment with the driver under test: a file, or YAML text with `components`."""
 
     overlays: ClassVar[Sequence[Path]] = ()
-    """Overlays of the deployment."""
+    """Overlays, as in `cairn up --overlay`."""
 
     sets: ClassVar[Sequence[str]] = ()
-    """Assignments, as in `cairn up --set NAME=VALUE`."""
+    """Settings, as in `cairn up --set NAME=VALUE`."""
 
     robot_name: ClassVar[str] = "robot"
     """The robot's name in the deployment."""
@@ -43,55 +43,56 @@ class Contract:
     """The driver's name in the deployment."""
 
     port: ClassVar[str]
-    """The output whose messages show that the driver works."""
+    """Output port whose messages show that the driver works."""
 
     message: ClassVar[type[Any]]
-    """The type of these messages."""
+    """Message type of that port."""
 
     rate_hz: ClassVar[float]
-    """Their nominal rate, in the deployment's time [Hz]."""
+    """Nominal rate of that port, in the deployment's time [Hz]."""
 
     return_limit_s: ClassVar[float] = 5.0
-    """Time limit for their publication after activation, or after the device's return [s]."""
+    """Time limit until the driver publishes after activation or after the device's return [s]."""
 
     live_parameters: ClassVar[Mapping[str, Any]] = {}
-    """Parameters that may be changed while the driver runs, each with another valid value."""
+    """Parameters that can change while the driver runs, each with a valid value to try."""
 
     cycles: ClassVar[int] = 8
-    """How often the driver is deactivated, cleaned up, configured and activated.
+    """Number of cycles: deactivate, clean up, configure, activate.
 
-    Fewer than 6 cycles do not distinguish leaks from chance; leaks are not tested then.
+    Fewer than 6 cycles do not distinguish leaks from chance; the tests of leaks are skipped.
     """
 
     leak_mb: ClassVar[float] = 8.0
-    """How much more memory its process may hold after the cycles [MB]."""
+    """Allowed growth of the process's memory over the cycles [MB]."""
 
     @pytest.fixture
     def robot(self, bench: Bench) -> RunningDeployment:
-        """The running deployment, the driver active."""
+        """Return the running deployment, with the driver active."""
         return bench.robot(self.component)
 
     @pytest.fixture
     def output(self, robot: RunningDeployment) -> Iterator[Reading[Any]]:
-        """A reading of the messages that the driver publishes from now on."""
+        """Collect the messages that the driver publishes from now on."""
         with robot.read(self.topic(robot, self.port), self.message) as reading:
             yield reading
 
     @classmethod
     def port_of(cls, robot: RunningDeployment, port: str) -> PortStatus | None:
-        """Return a port of the driver in this deployment, None if it has no such port."""
+        """Return the status of one of the driver's ports; None if it has no such port."""
         ports = {status.port: status for status in robot.status(cls.component).ports}
         return ports.get(port)
 
     @classmethod
     def topic(cls, robot: RunningDeployment, port: str) -> str:
-        """Return the topic of a port of the driver in this deployment, renamed or not.
+        """Return the topic of one of the driver's ports in this deployment.
 
-        Raises `AssertionError` if it has no such port, or if other components publish the topic.
+        Raises `AssertionError` if the driver has no such port, or if another component publishes
+        the topic as well.
         """
         status = cls.port_of(robot, port)
         ports = [other.port for other in robot.status(cls.component).ports]
-        assert status is not None, f"{cls.component} has no port {port}, but {', '.join(ports)}"
+        assert status is not None, f"{cls.component} has no port {port}, only {', '.join(ports)}"
         others = cls.other_writers(robot, status.topic)
         assert status.direction == PortStatus.IN or not others, (
             f"{status.topic} is published by {', '.join(others)} as well; give the driver "
@@ -101,36 +102,36 @@ class Contract:
 
     @classmethod
     def other_writers(cls, robot: RunningDeployment, topic: str) -> list[str]:
-        """Return the other components (full names) that publish a topic."""
+        """Return the full names of the other components that publish a topic."""
         return sorted(robot.writers(topic) - {f"/{robot.name}/{cls.component}"})
 
     @classmethod
     def sample(cls, reading: Reading[Any], count: int, *, after: int = 0) -> list[Arrival[Any]]:
-        """Wait for `count` messages after the first `after`; the limit suits a slow computer."""
+        """Wait for `count` messages after the first `after` ones; allow three periods each."""
         limit_s = cls.return_limit_s + 3.0 * count / cls.rate_hz
         return reading.await_count(count, after=after, limit_s=limit_s)
 
     @classmethod
     def await_working(cls, output: Reading[Any], after: int) -> None:
-        """Wait until the driver publishes again."""
+        """Wait until the driver publishes two more messages."""
         output.await_count(2, after=after, limit_s=cls.return_limit_s + 2.0 / cls.rate_hz)
 
 
 @dataclass
 class Cycles:
-    """Usage after each cycle of the life cycle, and the failure, if one failed."""
+    """Resource usage after each life cycle, and the error if a cycle failed."""
 
     usages: list[Usage] = field(default_factory=list)
     failure: str = ""
 
 
 class LifeCycleContract(Contract):
-    """Life cycle: an inactive driver publishes nothing, and can be activated repeatedly."""
+    """Tests the life cycle: repeated transitions, restarts, leaks."""
 
     @pytest.fixture(scope="class")
     @classmethod
     def cycled(cls, bench: Bench) -> Cycles:
-        """Lead the driver through its life cycle repeatedly."""
+        """Repeat the life cycle `cycles` times; return the resource usage, which tests share."""
         robot = bench.robot(cls.component)
         cycles = Cycles()
         try:
@@ -140,10 +141,10 @@ class LifeCycleContract(Contract):
             cycles.failure = str(error)
         return cycles
 
-    def test_inactive_it_publishes_nothing(
+    def test_inactive_driver_publishes_nothing(
         self, robot: RunningDeployment, output: Reading[Any]
     ) -> None:
-        """An operator deactivates a driver to have its device at rest."""
+        """An inactive driver publishes nothing; reactivated, it publishes again."""
         self.await_working(output, 0)
         robot.request(self.component, "deactivate")
         output.stays_silent(0.2)  # for messages still in transit
@@ -154,36 +155,38 @@ class LifeCycleContract(Contract):
         assert silent, f"{self.component} publishes {output.topic} although it is inactive"
         self.await_working(output, before)
 
-    def test_it_publishes_after_every_cycle(self, cycled: Cycles) -> None:
-        """`on_configure` can acquire again what `on_cleanup` has released."""
+    def test_driver_publishes_after_every_cycle(self, cycled: Cycles) -> None:
+        """`on_configure` acquires again what `on_cleanup` released."""
         done = len(cycled.usages)
         assert not cycled.failure, f"in cycle {done + 1} of {self.cycles}: {cycled.failure}"
 
     def test_cycles_leak_no_threads(self, cycled: Cycles) -> None:
-        """A thread that outlives `on_deactivate` or `on_cleanup` still uses the device."""
+        """Threads end with `on_cleanup`; a leaked thread still uses the device."""
         self._check_growth(cycled, "threads", _MORE)
 
     def test_cycles_leak_no_files(self, cycled: Cycles) -> None:
-        """Open files, sockets and devices are closed."""
+        """`on_cleanup` closes files, sockets and devices."""
         self._check_growth(cycled, "files", _MORE)
 
     def test_cycles_leak_no_processes(self, cycled: Cycles) -> None:
-        """Helper processes end with the cycle that started them."""
+        """Child processes end in the cycle that started them."""
         self._check_growth(cycled, "children", 0)
 
     def test_cycles_leak_no_memory(self, cycled: Cycles) -> None:
-        """Buffers are released."""
+        """Memory grows by at most `leak_mb` over the cycles."""
         self._check_growth(cycled, "memory", self.leak_mb * 1e6)
 
-    def test_restarted_it_publishes(self, robot: RunningDeployment, output: Reading[Any]) -> None:
-        """Its supervisor stops it and starts it in another process, on the same device."""
+    def test_driver_publishes_after_restart(
+        self, robot: RunningDeployment, output: Reading[Any]
+    ) -> None:
+        """After an orderly restart, the driver works in a new process on the same device."""
         robot.restart(self.component)
         self.await_working(output, output.count)
 
-    def test_killed_it_is_restarted_and_publishes(
+    def test_killed_driver_is_restarted_and_publishes(
         self, robot: RunningDeployment, output: Reading[Any]
     ) -> None:
-        """The state in which a killed driver left its device does not prevent the next start."""
+        """After a kill, the restarted driver works, whatever state the device was left in."""
         pid = robot.status(self.component).pid
         robot.kill(self.component)
         robot.await_status(
@@ -210,50 +213,50 @@ class LifeCycleContract(Contract):
         used = [getattr(usage, what) for usage in cycled.usages[_WARM_UP:]]
         grown = used[-1] - used[0]
         assert grown <= allowed, (
-            f"{self.component} holds {used[-1]} {what} after {len(used) - 1} more cycles, {grown} "
-            f"more than before (allowed: {allowed:g}); in each cycle: {used}"
+            f"{self.component} uses {used[-1]} {what} after {len(used) - 1} more cycles, {grown} "
+            f"more than before (allowed: {allowed:g}); by cycle: {used}"
         )
 
 
 class ParametersContract(Contract):
-    """Parameters: each is described, and no invalid value is accepted."""
+    """Tests parameters: descriptions, bounds, rejected values, changes at run time."""
 
     def test_each_parameter_is_described_and_bounded(self, robot: RunningDeployment) -> None:
-        """`cairn param list` shows an operator the meaning, unit and limits of each."""
+        """Each parameter has a description; each number has a lower and an upper bound."""
         for name, parameter in self._parameters(robot).items():
             assert parameter["description"], f"parameter {name} has no description"
             if _is_number(parameter):
                 assert _bounds(parameter).keys() >= {"<", ">"}, (
                     f"parameter {name} is a number with the bounds {parameter['bounds']!r}; give "
-                    "its Field a lower and an upper one (gt or ge, lt or le)"
+                    "its Field a lower and an upper bound (gt or ge, lt or le)"
                 )
 
-    def test_bad_values_are_refused_and_change_nothing(
+    def test_invalid_values_are_rejected_and_change_nothing(
         self, robot: RunningDeployment, output: Reading[Any]
     ) -> None:
-        """Values out of bounds, of another type, and unknown names are refused."""
+        """Values out of bounds, values of a wrong type and unknown names change nothing."""
         before = self._parameters(robot)
         for name, parameter in before.items():
             for value in _bad_values(parameter):
-                self._check_refused(robot, {name: value})
+                self._check_rejected(robot, {name: value})
                 after = robot.parameters(self.component)
                 assert after == before, (
-                    f"{name} = {value!r} was refused, but parameters have changed"
+                    f"{name} = {value!r} was rejected, but parameters have changed"
                 )
-        self._check_refused(robot, {"there_is_no_such_parameter": 1})
+        self._check_rejected(robot, {"there_is_no_such_parameter": 1})
         self.await_working(output, output.count)
 
     def test_live_parameters_can_be_changed(
         self, robot: RunningDeployment, output: Reading[Any]
     ) -> None:
-        """Those listed in `live_parameters`, to another value and back, while it runs."""
+        """Each parameter in `live_parameters` can be changed and set back while the driver runs."""
         if not self.live_parameters:
             pytest.skip("live_parameters is empty")
         before = robot.parameters(self.component)
         for name, value in self.live_parameters.items():
             robot.set_parameters(self.component, {name: value})
             listed = robot.parameters(self.component)[name]["value"]
-            assert listed == value, f"{name} was set to {value!r}, but is {listed!r}"
+            assert listed == value, f"{name} was set to {value!r}, but its value is {listed!r}"
             self.await_working(output, output.count)
             robot.set_parameters(self.component, {name: before[name]["value"]})
         assert robot.parameters(self.component) == before
@@ -264,11 +267,11 @@ class ParametersContract(Contract):
             pytest.skip(f"{self.component} has no parameters")
         return parameters
 
-    def _check_refused(self, robot: RunningDeployment, changes: Mapping[str, Any]) -> None:
+    def _check_rejected(self, robot: RunningDeployment, changes: Mapping[str, Any]) -> None:
         try:
             robot.set_parameters(self.component, changes)
         except ControlError as error:
-            assert str(error), f"{changes} is refused without a reason"  # noqa: PT017 - not raised
+            assert str(error), f"{changes} is rejected without a reason"  # noqa: PT017 - not raised
         else:
             pytest.fail(f"{self.component} accepts {changes}, which is invalid")
 
@@ -278,7 +281,7 @@ def _is_number(parameter: Mapping[str, Any]) -> bool:
 
 
 def _bounds(parameter: Mapping[str, Any]) -> dict[str, float]:
-    """Return limits by their sign: `<` above, `>` below."""
+    """Return the bounds by their sign: `<` for the upper, `>` for the lower one."""
     found = re.findall(r"([<>])=? (-?[0-9.e+-]+)", parameter["bounds"])
     return {sign: float(limit) for sign, limit in found}
 
@@ -299,15 +302,18 @@ def _bad_values(parameter: Mapping[str, Any]) -> list[Any]:
 
 
 class UnplugContract(Contract):
-    """Unplugging: a driver survives a loose cable."""
+    """Tests unplugging: the driver survives it and reports it."""
 
-    tell_limit_s: ClassVar[float] = 5.0
-    """Time limit for the driver's report that its device is gone [s]."""
+    report_limit_s: ClassVar[float] = 5.0
+    """Time limit until the driver reports that its device is gone [s]."""
 
-    def test_unplugged_it_stays_alive_and_reports_it(
+    def test_driver_survives_unplugging_and_reports_it(
         self, robot: RunningDeployment, output: Reading[Any], device: object
     ) -> None:
-        """It does not terminate, does not repeat its last measurement, and reports the loss."""
+        """Without its device, the driver stays alive, publishes no measurements and reports it.
+
+        The report is a warning in the log, or a status worse than OK on `diagnostics`.
+        """
         plug = _unpluggable(device)
         self.await_working(output, 0)
         before = robot.status(self.component)
@@ -330,8 +336,10 @@ class UnplugContract(Contract):
         )
         assert silent, f"{self.component} publishes {output.topic} without its device"
 
-    def test_plugged_in_again_it_publishes(self, output: Reading[Any], device: object) -> None:
-        """Within a limit, without help."""
+    def test_driver_publishes_after_the_device_returns(
+        self, output: Reading[Any], device: object
+    ) -> None:
+        """The driver publishes within `return_limit_s` after the device returns."""
         plug = _unpluggable(device)
         self.await_working(output, 0)
         plug.unplug()
@@ -346,7 +354,7 @@ class UnplugContract(Contract):
             robot.run.await_line(
                 rf"(WARNING|ERROR) +{robot.name}\.{self.component}: ",
                 after=mark,
-                limit_s=self.tell_limit_s,
+                limit_s=self.report_limit_s,
             )
         except AssertionError:
             raise AssertionError(
@@ -367,14 +375,14 @@ class UnplugContract(Contract):
 
         with robot.read(topic, DiagnosticArray) as diagnostics:
             what = "a status worse than OK, when the device was unplugged"
-            diagnostics.await_that(is_reported, what, limit_s=self.tell_limit_s)
+            diagnostics.await_that(is_reported, what, limit_s=self.report_limit_s)
 
 
 class StopContract(Contract):
-    """Stopping: the supervisor relies on the driver to stop in time."""
+    """Tests that the supervisor can stop the driver."""
 
-    def test_it_stops_cleanly(self, robot: RunningDeployment, output: Reading[Any]) -> None:
-        """It stops within the deployment's `stop_timeout_s`; otherwise the supervisor kills it."""
+    def test_driver_stops_cleanly(self, robot: RunningDeployment, output: Reading[Any]) -> None:
+        """The driver stops by itself within the deployment's `stop_timeout_s`."""
         mark = len(robot.run.lines)
         robot.unload(self.component)
         stopped = f"child (stop failed|stopped): {self.component}: "
@@ -389,17 +397,17 @@ class StopContract(Contract):
 
 
 class EndContract(Contract):
-    """The end of a deployment, by a signal or by force: no process is left."""
+    """Tests that the end of a deployment leaves no process."""
 
     def test_ctrl_c_stops_everything_cleanly(self, robot: RunningDeployment) -> None:
-        """`cairn up` ends with exit status 0, and no process is left."""
+        """After SIGINT, `cairn up` ends with exit status 0 and leaves no process."""
         code = robot.run.stop()
         robot.run.await_nothing_left()
 
         assert code == 0, f"cairn up ended with exit status {code}; {robot.run}"
 
-    def test_nothing_is_left_after_a_kill_of_cairn_up(self, bench: Bench) -> None:
-        """A killed `cairn up` cannot stop the driver; the driver ends nevertheless."""
+    def test_killing_cairn_up_leaves_no_process(self, bench: Bench) -> None:
+        """After SIGKILL of `cairn up`, which cannot stop its children, no process is left."""
         robot = bench.robot(self.component)
         robot.run.process.kill()
         robot.run.await_nothing_left()
@@ -407,15 +415,17 @@ class EndContract(Contract):
 
 def _unpluggable(device: object) -> Unpluggable:
     if not isinstance(device, Unpluggable):
-        pytest.skip("the device cannot be unplugged: no fixture `device` with unplug, plug_in")
+        pytest.skip(
+            "the device cannot be unplugged: the fixture `device` has no unplug and plug_in"
+        )
     return device
 
 
 @dataclass(frozen=True)
 class Usage:
-    """The resources that a process holds at a moment; `memory` without shared memory [bytes].
+    """The resources that a process uses; `memory` excludes shared memory [bytes].
 
-    Threads of the bus are not counted: they are not the component's.
+    Threads of the bus are not counted, because they do not belong to the component.
     """
 
     threads: int
@@ -425,7 +435,7 @@ class Usage:
 
     @classmethod
     def of(cls, pid: int) -> Usage:
-        """Return what a process holds now; raises `psutil.Error` if the process does not exist."""
+        """Return the current usage of a process; raises `psutil.Error` if it does not exist."""
         process = psutil.Process(pid)
         return cls(
             threads=sum(not _OF_THE_BUS.fullmatch(name) for name in _threads_of(process)),

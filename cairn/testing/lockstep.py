@@ -1,6 +1,6 @@
 """The lockstep harness: test one component, or a whole deployment, in virtual time.
 
-Virtual time advances only when the test lets it, so that such a test takes no real time and gives
+Virtual time advances only when the test lets it, so such a test takes almost no real time and has
 the same result in every run. `ComponentHarness` runs one component whose ports the test writes and
 reads; `DeploymentHarness` runs all components of a deployment file:
 
@@ -164,7 +164,7 @@ class Lockstep:
     ) -> None:
         """Publish messages; if `handled`, process them at once, without advancing virtual time.
 
-        The test is one writer for each topic, with the quality of service of its first call.
+        The test is one writer for each topic, with the QoS of its first call.
         """
         full = full_name(self.robot, topic)
         if full not in self._writers:
@@ -182,9 +182,9 @@ class Lockstep:
 class ComponentHarness(Lockstep, Generic[C]):
     """Runs one component alone, active unless `activate` is False; the test has its ports.
 
-    `publish` to its inputs uses the port's quality of service. All of its outputs are read from the
-    beginning: see `take`. `published` holds the output and the virtual time [ns] of each message,
-    in the order in which they were published. `ends` holds how the component ended.
+    `publish` to one of its inputs uses the QoS of that port. All outputs are recorded from the
+    beginning; `take` returns them. `published` lists the output and the virtual time [ns] of each
+    message, in order of publication. `ends` holds how the component ended.
     """
 
     def __init__(
@@ -278,14 +278,14 @@ class ComponentHarness(Lockstep, Generic[C]):
         self.request("activate")
 
     def request(self, verb: str, **arguments: Any) -> Any:
-        """Return its answer to a control request: life cycle, parameters, or one of its own.
+        """Return its reply to a control request: life cycle, parameters, or one of its own.
 
-        Raises `CairnError` if the component refuses.
+        Raises `CairnError` if the component rejects the request.
         """
         return self.runtime.request(verb, arguments)
 
     def set_parameters(self, changes: Mapping[str, Any]) -> None:
-        """Change parameters, all or none; raises `ParameterRejected` if it refuses."""
+        """Change parameters, all or none; raises `ParameterRejected` if it rejects them."""
         self.request("set_parameters", **changes)
 
     def publish(
@@ -375,7 +375,7 @@ class DeploymentHarness(Lockstep):
     def request(self, component: str, verb: str, **arguments: Any) -> Any:
         """Return a component's reply to a request, after everything that it causes at once.
 
-        Raises `CairnError` if the component does not run or refuses.
+        Raises `CairnError` if the component does not run or rejects the request.
         """
         self.start()
         answer = self.run.runtime(component).request(verb, arguments)

@@ -1,7 +1,7 @@
-"""The contract of odometry alone, as of a recorded base: `odom`, nav_msgs/Odometry.
+"""The contract of odometry alone, such as that of a recorded base: `odom`, nav_msgs/Odometry.
 
-Checks raise `AssertionError` with a sentence that names the fault. Lengths are in meters, angles in
-radians, times in seconds.
+A failed check raises `AssertionError`, which describes the fault. Units are meters, radians and
+seconds.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ _TURN_RAD = 0.05
 
 @dataclass(frozen=True)
 class Drive:
-    """A drive: odometry of standing, driving ahead, turning left, and without commands.
+    """The odometry of a drive by phase: standing, driving ahead, turning left, after the commands.
 
-    `transforms` are all messages on tf, None if the driver has no such port.
+    `transforms` holds all messages on tf; None if the driver has no such port.
     """
 
     before: Odoms
@@ -45,46 +45,46 @@ class Drive:
 
     @property
     def all(self) -> list[Odometry]:
-        """The whole drive."""
+        """Odometry of all phases."""
         parts = (self.before, self.ahead, self.left, self.after)
         return [arrival.message for part in parts for arrival in part]
 
 
 class OdometryContract(Contract):
-    """Contents and stamps of odometry."""
+    """Tests the contents and stamps of odometry."""
 
     component: ClassVar[str] = "base"
     port: ClassVar[str] = "odom"
     message: ClassVar[type[Any]] = Odometry
 
     rate_tolerance: ClassVar[float] = 0.1
-    """How far the rate may be off the nominal one, as a share."""
+    """Allowed relative deviation of the rate from the nominal rate."""
 
     jitter: ClassVar[float] = 0.5
-    """How far a spacing of stamps may be off the median, as a share."""
+    """Allowed relative deviation of an interval between stamps from the median interval."""
 
     oldest_s: ClassVar[float] = 0.25
-    """How old odometry may be at arrival [s]."""
+    """Maximum age of odometry on arrival [s]."""
 
     early_s: ClassVar[float] = 0.005
-    """By how much a stamp may be in the future [s]."""
+    """How far in the future a stamp may be [s]."""
 
     odom_frame: ClassVar[str] = "odom"
-    """The frame of poses."""
+    """Expected frame of the poses (`frame_id`)."""
 
     base_frame: ClassVar[str] = "base_link"
-    """The frame of the robot, and of twists."""
+    """Expected frame of the robot and its twists (`child_frame_id`)."""
 
     accuracy: ClassVar[float] = 0.2
-    """How far a speed may be off the command, and a twist off the change of pose, as a share."""
+    """Allowed relative error of a speed from its command, and of twists from changes of pose."""
 
     sample_count: ClassVar[int] = 20
-    """How many messages are judged of a base that is not driven."""
+    """Number of messages in a sample of a base that is not driven."""
 
     @pytest.fixture(scope="class")
     @classmethod
     def drive(cls, bench: Bench) -> Drive:
-        """Consecutive odometry without commands, shared by the tests of the class."""
+        """Return a sample of odometry without commands, which the tests of the class share."""
         robot = bench.robot(cls.component)
         tf = cls.port_of(robot, "tf")
         transforms = None if tf is None else robot.read(tf.topic, TFMessage)
@@ -96,39 +96,39 @@ class OdometryContract(Contract):
             return Drive(before, (), (), (), transforms.messages)
 
     def test_rate(self, drive: Drive) -> None:
-        """It is the nominal one: readers rely on it."""
+        """Odometry arrives at the nominal rate, on which subscribers rely."""
         timed.check_rate(timed.stamps_of(drive.before), self.rate_hz, self.rate_tolerance)
 
     def test_stamps_increase_regularly(self, drive: Drive) -> None:
-        """Speeds are divided by their differences."""
+        """Stamps increase regularly: subscribers divide by their differences."""
         stamps = timed.stamps_of(drive.before)
         timed.check_increasing(stamps)
         timed.check_regular(stamps, self.jitter)
 
     def test_stamps_are_current(self, drive: Drive) -> None:
-        """Neither in the future nor too old, by the deployment's clock."""
+        """On arrival, stamps are neither too old nor in the future by the deployment's clock."""
         timed.check_present(drive.before, -self.early_s, self.oldest_s, self.early_s)
 
     def test_frames(self, drive: Drive) -> None:
-        """As REP 105 names them."""
+        """Frames are named as in REP 105."""
         check_frames(drive.all[0], self.odom_frame, self.base_frame)
 
     def test_pose_is_on_the_plane(self, drive: Drive) -> None:
-        """A rotation about z, and no height."""
+        """The pose has no height and is rotated about z only."""
         for odom in drive.all:
             check_pose(odom)
 
     def test_covariance(self, drive: Drive) -> None:
-        """It is one that filters can use."""
+        """Covariances are symmetric, and variances are not negative, as filters require."""
         for odom in drive.all:
             check_covariance(odom)
 
     def test_twist_agrees_with_pose(self, drive: Drive) -> None:
-        """The twist is the change of the pose."""
+        """The integral of the twists is the change of the pose."""
         check_twist_agrees(drive.all, self.accuracy)
 
     def test_tf_agrees_with_odometry(self, drive: Drive) -> None:
-        """Readers of both get the same pose."""
+        """At equal stamps, tf and odometry have the same pose."""
         if drive.transforms is None:
             pytest.skip(f"{self.component} has no port tf")
         check_transforms_agree(drive.all, drive.transforms, self.odom_frame, self.base_frame)
@@ -136,7 +136,7 @@ class OdometryContract(Contract):
 
 @dataclass(frozen=True)
 class Traveled:
-    """Sums over odometry: by its poses, and by its twists over time."""
+    """The motion of a base: summed from its poses, and integrated from its twists."""
 
     ahead_m: float
     ahead_by_twist_m: float
@@ -147,7 +147,7 @@ class Traveled:
 
 
 def traveled(odoms: Sequence[Odometry]) -> Traveled:
-    """Sum up the distance ahead (along the heading; negative backwards) and the turn left."""
+    """Sum up the distance ahead (along the heading, backward negative) and the turn to the left."""
     ahead = left = ahead_by_twist = left_by_twist = 0.0
     for before, after in pairwise(odoms):
         seconds = (to_ns(after.header.stamp) - to_ns(before.header.stamp)) / 1e9
@@ -167,15 +167,16 @@ def traveled(odoms: Sequence[Odometry]) -> Traveled:
 
 
 def check_frames(odom: Odometry, frame: str, child: str) -> None:
-    """Check the frames: the pose is in that of odometry, the twist in the robot's own."""
+    """Check that the pose is in frame `frame`, and the twist in frame `child`."""
     found = (odom.header.frame_id, odom.child_frame_id)
     assert found == (frame, child), (
-        f"odometry is of {found[1]!r} in {found[0]!r}, but should be of {child!r} in {frame!r}"
+        f"odometry has child_frame_id {found[1]!r} and frame_id {found[0]!r}, but should have "
+        f"{child!r} and {frame!r}"
     )
 
 
 def check_pose(odom: Odometry) -> None:
-    """Check that the orientation has unit length, turns about z only, and z is 0."""
+    """Check that the orientation is a unit quaternion about z, and that z is 0."""
     rotation = odom.pose.pose.orientation
     length = _length(rotation)
     assert abs(length - 1.0) <= _UNIT, (
@@ -183,15 +184,15 @@ def check_pose(odom: Odometry) -> None:
     )
     tilt = math.hypot(rotation.x, rotation.y)
     assert tilt <= _UNIT, (
-        f"the orientation {rotation} is tilted: a base on the plane turns about z alone; is its "
+        f"the orientation {rotation} is tilted, but a base on the plane turns about z only; is the "
         "order x, y, z, w?"
     )
     z = odom.pose.pose.position.z
-    assert abs(z) <= 1e-6, f"the base is at z = {z:g} m: odometry is on the plane"
+    assert abs(z) <= 1e-6, f"the base is at z = {z:g} m, but odometry is on the plane; set z to 0"
 
 
 def check_covariance(odom: Odometry) -> None:
-    """Check that covariances are symmetric, and no variance is negative."""
+    """Check that covariances are symmetric and variances are not negative."""
     for name, values in (("pose", odom.pose.covariance), ("twist", odom.twist.covariance)):
         matrix = np.asarray(values).reshape(6, 6)
         assert np.allclose(matrix, matrix.T, rtol=1e-6, atol=1e-12), (
@@ -203,7 +204,7 @@ def check_covariance(odom: Odometry) -> None:
 
 
 def check_twist_agrees(odoms: Sequence[Odometry], tolerance: float) -> None:
-    """Check that the sum of the twists over time is that of the poses, within a share."""
+    """Check that the integrated twists agree with the poses, within a relative tolerance."""
     total = traveled(odoms)
     _agree(
         total.ahead_m,
@@ -221,7 +222,7 @@ def check_twist_agrees(odoms: Sequence[Odometry], tolerance: float) -> None:
 def check_transforms_agree(
     odoms: Sequence[Odometry], transforms: Sequence[TFMessage], frame: str, child: str
 ) -> None:
-    """Check that tf equals odometry at each stamp that both have."""
+    """Check that tf equals odometry at every common stamp."""
     poses = {to_ns(odom.header.stamp): odom.pose.pose for odom in odoms}
     compared = 0
     for message in transforms:
@@ -236,7 +237,8 @@ def check_transforms_agree(
             assert off_m <= 1e-6, f"tf is {off_m:g} m off the position of odometry"
             assert off_rad <= 1e-6, f"tf is {off_rad:g} rad off the heading of odometry"
     assert compared, (
-        f"of {len(transforms)} messages on tf none has {frame} to {child} at a stamp of odometry"
+        f"none of {len(transforms)} messages on tf has the transform from {frame} to {child} at a "
+        "stamp of odometry"
     )
 
 
@@ -248,8 +250,8 @@ def is_still(odom: Odometry, speed: float, turn: float) -> bool:
 
 def _agree(pose: float, twist: float, tolerance: float, least: float, what: str, unit: str) -> None:
     assert abs(pose - twist) <= max(least, tolerance * abs(pose)), (
-        f"by its poses the base went {pose:.3f} {what}, by its twists {twist:.3f}: a twist is the "
-        f"speed in {unit}"
+        f"by its poses the base moved {pose:.3f} {what}, by its twists {twist:.3f}; a twist must "
+        f"be in {unit}"
     )
 
 

@@ -214,7 +214,8 @@ class RunningDeployment:
     ) -> Any:
         """Return a component's reply to a request (life cycle, parameters, its own).
 
-        Raises `ControlError` with the component's reason if it refuses; `NoAnswer` without a reply.
+        Raises `ControlError` with the component's reason if it rejects the request,
+        `NoReplyError` if no reply arrives in time.
         """
         return request(
             self._bus.session,
@@ -230,7 +231,7 @@ class RunningDeployment:
         return {entry["name"]: entry for entry in self.request(component, "parameters")}
 
     def set_parameters(self, component: str, changes: Mapping[str, Any]) -> None:
-        """Change parameters, all or none; raises `ControlError` with the reason of a refusal."""
+        """Change parameters, all or none; raises `ControlError` with the reason of a rejection."""
         self.request(component, "set_parameters", **changes)
 
     def restart(self, component: str, limit_s: float = LIMIT_S) -> None:
@@ -311,7 +312,7 @@ class Bench:
         self._stack = ExitStack()
         self._launch = self._stack.enter_context(launching(folder))
         self._robot: RunningDeployment | None = None
-        self._refusal = ""
+        self._start_error = ""
 
     def robot(self, component: str) -> RunningDeployment:
         """Return the running deployment, with that component active.
@@ -322,7 +323,7 @@ class Bench:
         if self._robot is not None and not _brought_back(self._robot, component):
             self.drop()
         if self._robot is None:
-            assert not self._refusal, self._refusal
+            assert not self._start_error, self._start_error
             run = self._launch(
                 self._deployment,
                 *self._arguments,
@@ -334,7 +335,8 @@ class Bench:
                 self._robot = RunningDeployment(run, self._name)
                 self._robot.await_state(component, "active")
             except AssertionError as error:
-                self._refusal = str(error)  # it would be the same for every test of the contract
+                # The same for every test of the contract: do not launch again.
+                self._start_error = str(error)
                 raise
         return self._robot
 

@@ -1,8 +1,7 @@
-"""Judges stamps and rates of messages, and whether the computer itself paused meanwhile.
+"""Checks stamps and rates of messages, and detects pauses of the computer during a sample.
 
-Checks raise `AssertionError` with a sentence that names the fault. Times are in
-nanoseconds. Medians are judged, so that one message delayed by a busy computer does not fail a
-driver.
+A failed check raises `AssertionError`, which describes the fault. Stamps are in nanoseconds. The
+checks use medians, so that one message that a busy computer delays does not fail a driver.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ _SECOND = 1_000_000_000
 _NAP_S = 0.005
 _TRIES = 3
 _MOST = 0.1
-"""Share of the time that the computer may pause while a sample is taken."""
+"""Maximum share of a sample's time in which the computer may pause."""
 
 T = TypeVar("T")
 
@@ -34,12 +33,12 @@ def stamps_of(arrivals: Sequence[Arrival[Any]]) -> list[int]:
 
 
 def check_rate(stamps: Sequence[int], rate_hz: float, tolerance: float) -> None:
-    """Check that the median period of the stamps is that of the nominal rate, within a share."""
+    """Check that the median interval of the stamps fits the rate, within a relative tolerance."""
     period_s = median(_spacings_s(stamps))
     assert period_s > 0, f"the stamps do not advance: {stamps[:3]} ..., so the rate is undefined"
     rate = 1.0 / period_s
     assert abs(rate - rate_hz) <= tolerance * rate_hz, (
-        f"the rate is {rate:.2f} Hz by the stamps, but nominally {rate_hz:g} Hz "
+        f"by the stamps the rate is {rate:.2f} Hz, but the nominal rate is {rate_hz:g} Hz "
         f"(tolerance {tolerance:.0%})"
     )
 
@@ -48,19 +47,19 @@ def check_increasing(stamps: Sequence[int]) -> None:
     """Check that each stamp is later than the one before."""
     for number, (before, after) in enumerate(pairwise(stamps), start=1):
         assert after > before, (
-            f"the stamp of message {number} is {(before - after) / _SECOND:g} s before that of "
-            f"the one before ({after} after {before} ns): stamps must increase"
+            f"the stamp of message {number} is {(before - after) / _SECOND:g} s before that of the "
+            f"previous one ({after} after {before} ns): stamps must increase"
         )
 
 
 def check_regular(stamps: Sequence[int], jitter: float) -> None:
-    """Check that three of four periods are, within a share, whole multiples of the median."""
+    """Check that three of four intervals are multiples of the median, within `jitter` of it."""
     spacings = _spacings_s(stamps)
     period = median(spacings)
     off = [s for s in spacings if abs(s - max(1, round(s / period)) * period) > jitter * period]
     assert len(off) <= len(spacings) / 4, (
-        f"{len(off)} of {len(spacings)} spacings of stamps are off the median of "
-        f"{period * 1e3:.1f} ms by more than {jitter:.0%}, such as {off[0] * 1e3:.1f} ms: stamps "
+        f"{len(off)} of {len(spacings)} intervals between stamps differ from the median of "
+        f"{period * 1e3:.1f} ms by more than {jitter:.0%}, such as {off[0] * 1e3:.1f} ms: a stamp "
         "must be the time of measurement, not of reading or sending"
     )
 
@@ -68,9 +67,9 @@ def check_regular(stamps: Sequence[int], jitter: float) -> None:
 def check_present(
     arrivals: Sequence[Arrival[Any]], soonest_s: float, oldest_s: float, early_s: float
 ) -> None:
-    """Check that the median age of a message at arrival is between `soonest_s` and `oldest_s`.
+    """Check that the median age of messages on arrival is between `soonest_s` and `oldest_s` [s].
 
-    No stamp may be more than `early_s` in the future.
+    No stamp may be more than `early_s` [s] in the future.
     """
     ages = [
         (arrival.clock_ns - stamp) / _SECOND
@@ -81,11 +80,11 @@ def check_present(
     )
     age = median(ages)
     assert age <= oldest_s, (
-        f"messages are {age:.3f} s old at arrival (at most {oldest_s:g} s is allowed): stamps "
+        f"messages are {age:.3f} s old on arrival (at most {oldest_s:g} s is allowed): stamps "
         "are of another clock, or messages are delayed"
     )
     assert age >= soonest_s - early_s, (
-        f"messages are {age * 1e3:.1f} ms old at arrival, but measuring takes "
+        f"messages are {age * 1e3:.1f} ms old on arrival, but the measurement takes "
         f"{soonest_s * 1e3:.1f} ms: a stamp must be of the measurement's beginning, not of its end"
     )
 
@@ -96,10 +95,10 @@ def _spacings_s(stamps: Sequence[int]) -> list[float]:
 
 
 class Pauses:
-    """Measures pauses of the computer: a thread sleeps briefly, and adds up how late it wakes.
+    """Measures pauses of the computer: a thread sleeps briefly and adds up how late it wakes.
 
-    A context manager; at its end it has the sum `lost_s` [s], the `longest_s` [s] pause, and the
-    `share` [1] of the time of the context.
+    A context manager. At its end it has the sum of the pauses `lost_s` [s], the longest one
+    `longest_s` [s], and their `share` of the context's time, 0 to 1.
     """
 
     def __enter__(self) -> Pauses:
@@ -130,11 +129,10 @@ class Pauses:
 
 
 def undisturbed(take: Callable[[], T]) -> T:
-    """Return a sample taken while the computer did not pause.
+    """Return a sample that `take` took while the computer did not pause.
 
-    Other samples prove nothing about a driver. A sample is taken again, three times in all, if the
-    computer paused for a tenth of its time; if it pauses each time, the test is skipped, with the
-    reason.
+    Other samples prove nothing about a driver. If the computer paused for more than a tenth of the
+    sample's time, the sample is repeated, up to three times in all; then the test is skipped.
     """
     for _ in range(_TRIES):
         with Pauses() as pauses:
@@ -142,7 +140,7 @@ def undisturbed(take: Callable[[], T]) -> T:
         if pauses.share <= _MOST:
             return taken
     pytest.skip(
-        f"this computer is too busy for tests in real time: it paused for "
-        f"{pauses.longest_s:.2f} s at once, {pauses.share:.0%} of the time, in each of {_TRIES} "
-        "samples; run the test on an idle one"
+        f"this computer is too busy for tests in real time: it paused during each of {_TRIES} "
+        f"samples, in the last one for {pauses.share:.0%} of the time, at most "
+        f"{pauses.longest_s:.2f} s at once; run the test on an idle computer"
     )

@@ -17,8 +17,8 @@ CONTRACTS = Path(__file__).parent / "broken" / "life_contracts.py"
 ROOT = Path(__file__).parents[3]
 
 FAILED = {
-    "NeverSilent": {"test_inactive_it_publishes_nothing": "although it is inactive"},
-    "KeepsItsPort": {"test_it_publishes_after_every_cycle": "is locked by another driver"},
+    "NeverSilent": {"test_inactive_driver_publishes_nothing": "although it is inactive"},
+    "KeepsItsPort": {"test_driver_publishes_after_every_cycle": "is locked by another driver"},
     "Leaks": {
         "test_cycles_leak_no_threads": "threads after",
         "test_cycles_leak_no_files": "files after",
@@ -26,24 +26,24 @@ FAILED = {
         "test_cycles_leak_no_memory": "memory after",
     },
     "Unbounded": {"test_each_parameter_is_described_and_bounded": "parameter power"},
-    "HangsAtItsEnd": {"test_it_stops_cleanly": "did not stop by itself"},
-    "DiesUnplugged": {"test_unplugged_it_stays_alive_and_reports_it": "was restarted"},
-    "SilentUnplugged": {"test_unplugged_it_stays_alive_and_reports_it": "does not report"},
-    "RepeatsUnplugged": {"test_unplugged_it_stays_alive_and_reports_it": "without its device"},
-    "NeverReturns": {"test_plugged_in_again_it_publishes": "2 messages; 0 received"},
+    "HangsAtItsEnd": {"test_driver_stops_cleanly": "did not stop by itself"},
+    "DiesUnplugged": {"test_driver_survives_unplugging_and_reports_it": "was restarted"},
+    "SilentUnplugged": {"test_driver_survives_unplugging_and_reports_it": "does not report"},
+    "RepeatsUnplugged": {"test_driver_survives_unplugging_and_reports_it": "without its device"},
+    "NeverReturns": {"test_driver_publishes_after_the_device_returns": "2 messages; 0 received"},
     "Unlimited": {"test_speed_is_limited": "its limit is 0.5 m/s"},
 }
 PASSED = {
-    "NeverSilent": "test_it_publishes_after_every_cycle",
+    "NeverSilent": "test_driver_publishes_after_every_cycle",
     "KeepsItsPort": "test_each_parameter_is_described_and_bounded",
-    "Leaks": "test_it_publishes_after_every_cycle",
-    "Unbounded": "test_inactive_it_publishes_nothing",
+    "Leaks": "test_driver_publishes_after_every_cycle",
+    "Unbounded": "test_inactive_driver_publishes_nothing",
     "HangsAtItsEnd": "test_each_parameter_is_described_and_bounded",
     "DiesUnplugged": "test_each_parameter_is_described_and_bounded",
-    "SilentUnplugged": "test_plugged_in_again_it_publishes",
-    "RepeatsUnplugged": "test_it_stops_cleanly",
-    "NeverReturns": "test_unplugged_it_stays_alive_and_reports_it",
-    "Unlimited": "test_nan_commands_are_refused",
+    "SilentUnplugged": "test_driver_publishes_after_the_device_returns",
+    "RepeatsUnplugged": "test_driver_stops_cleanly",
+    "NeverReturns": "test_driver_survives_unplugging_and_reports_it",
+    "Unlimited": "test_nan_commands_are_rejected",
 }
 
 

@@ -21,20 +21,20 @@ SCANNERS: dict[type[Component], dict[str, str]] = {
     scanners.SoundScanner: {},
     scanners.Millimeters: {
         "test_ranges_are_within_limits": "are these millimeters?",
-        "test_surroundings_are_measured_where_they_are": "a thousand times as far",
+        "test_surroundings_are_measured_correctly": "a thousand times as far",
     },
     scanners.MillimeterLimits: {
         "test_limits_are_in_meters": "are these millimeters?",
-        "test_surroundings_are_measured_where_they_are": "a thousand times as far",
+        "test_surroundings_are_measured_correctly": "a thousand times as far",
     },
-    scanners.Clockwise: {"test_surroundings_are_measured_where_they_are": "on the other side"},
+    scanners.Clockwise: {"test_surroundings_are_measured_correctly": "on the other side"},
     scanners.Degrees: {
         "test_angles_agree": "are these degrees?",
-        "test_surroundings_are_measured_where_they_are": "m are measured",
+        "test_surroundings_are_measured_correctly": "m are measured",
     },
     scanners.TooFar: {"test_ranges_are_within_limits": "such as 65.533 m"},
     scanners.StampedWhenSent: {"test_stamp_is_of_the_first_beam": "of the measurement's beginning"},
-    scanners.StampsJump: {"test_stamps_increase_regularly": "spacings of stamps are off"},
+    scanners.StampsJump: {"test_stamps_increase_regularly": "intervals between stamps differ"},
     scanners.StampsOfAnotherClock: {
         "test_stamps_are_current": "of another clock",
         "test_stamp_is_of_the_first_beam": "of another clock",
@@ -55,9 +55,12 @@ CAMERAS: dict[type[Component], dict[str, str]] = {
 }
 BASES: dict[type[Component], dict[str, str]] = {
     bases.SoundBase: {},
-    bases.NeverStops: {"test_it_stops_when_commands_stop": "it still moves"},
-    bases.RightIsLeft: {"test_left_is_left": "-0.5"},
-    bases.TwistInDegrees: {"test_left_is_left": "28.6", "test_twist_agrees_with_pose": "rad/s"},
+    bases.NeverStops: {"test_base_stops_when_commands_stop": "it still moves"},
+    bases.RightIsLeft: {"test_left_command_turns_left": "-0.5"},
+    bases.TwistInDegrees: {
+        "test_left_command_turns_left": "28.6",
+        "test_twist_agrees_with_pose": "rad/s",
+    },
     bases.TransformLags: {"test_tf_agrees_with_odometry": "off the position of odometry"},
 }
 

@@ -56,7 +56,8 @@ def test_a_computer_that_always_pauses_skips_the_test_with_the_reason(
     reason = line(sampler)
 
     assert reason.startswith("this computer is too busy for tests in real time: it paused")
-    assert reason.endswith("in each of 3 samples; run the test on an idle one")
+    assert "3 samples" in reason
+    assert "idle computer" in reason
 
 
 def line(process: "subprocess.Popen[str]") -> str:

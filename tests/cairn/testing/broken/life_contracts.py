@@ -69,7 +69,7 @@ class Scanner(StopContract, UnplugContract, LifeCycleContract, ParametersContrac
     rate_hz = scanners.RATE_HZ
     cycles = 6
     return_limit_s = 4.0
-    tell_limit_s = 3.0
+    report_limit_s = 3.0
 
 
 class Base(SafetyContract):
