@@ -3,6 +3,7 @@
 import re
 import shutil
 from collections.abc import Callable
+from importlib import import_module
 from typing import Any
 
 import pytest
@@ -52,11 +53,26 @@ def test_what_the_page_quotes_stands_in_the_files(page_blocks: Callable[[str], A
             assert part.strip("\n") in file, f"not in {block.title}:\n{part}"
 
 
-def test_the_page_names_every_test_of_the_contracts() -> None:
+def test_names_on_the_page_exist_in_the_contracts() -> None:
     page = (ROOT / PAGE).read_text(encoding="utf-8")
-    named = set(re.findall(r"`(test_\w+)`", page))
+    named = set(re.findall(r"`(test_\w+)", page))
+    (settings,) = re.findall(r"\| setting \| meaning \|\n\|---\|---\|\n((?:\|.*\n)+)", page)
+    named |= {name for row in settings.splitlines() for name in words(row.split("|")[1])}
 
-    kit = ROOT / "cairn" / "testing"
-    sources = [file.read_text(encoding="utf-8") for file in kit.glob("*_contract.py")]
-    tests = {name for source in sources for name in re.findall(r"def (test_\w+)", source)}
-    assert named == tests
+    contracts = [
+        getattr(import_module(f"cairn.testing.{module}"), name)
+        for module, name in re.findall(r"^\| `(\w+_contract)\.(\w+)`", page, re.MULTILINE)
+    ]
+    members = {name for contract in contracts for name in (*dir(contract), *annotated(contract))}
+    assert len(contracts) == 4
+    assert named <= members
+
+
+def words(cell: str) -> list[str]:
+    """Return the names in backticks."""
+    return re.findall(r"`(\w+)`", cell)
+
+
+def annotated(cls: type[Any]) -> set[str]:
+    """Return the names that a class and its bases declare without a value."""
+    return {name for base in cls.__mro__ for name in vars(base).get("__annotations__", {})}

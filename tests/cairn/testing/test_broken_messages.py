@@ -55,7 +55,7 @@ CAMERAS: dict[type[Component], dict[str, str]] = {
 }
 BASES: dict[type[Component], dict[str, str]] = {
     bases.SoundBase: {},
-    bases.NeverStops: {"test_base_stops_when_commands_stop": "it still moves"},
+    bases.NeverStops: {"test_base_stops_when_commands_stop": "still moves"},
     bases.RightIsLeft: {"test_left_command_turns_left": "-0.5"},
     bases.TwistInDegrees: {
         "test_left_command_turns_left": "28.6",
